@@ -1,0 +1,29 @@
+# make demo | make test: each does all set-up by itself on a machine that has make and python3 (3.11+).
+PYTHON ?= python3
+UV := .venv/bin/uv
+READY := .venv/.ready
+
+.PHONY: setup demo test lint bench clean
+
+setup: $(READY)
+
+$(READY): pyproject.toml uv.lock
+	@$(PYTHON) -c 'import sys; sys.exit(0 if (3, 11) <= sys.version_info[:2] < (3, 14) else "palpd needs Python 3.11 to 3.13, found " + sys.version.split()[0] + "; try make PYTHON=python3.12")'
+	$(PYTHON) -m venv .venv
+	.venv/bin/python -m pip install --quiet 'uv>=0.5'
+	VIRTUAL_ENV=$(CURDIR)/.venv $(UV) sync --frozen --inexact --active --no-managed-python --quiet
+	@touch $(READY)
+
+demo: setup
+	.venv/bin/palpd demo
+
+lint: setup
+	.venv/bin/ruff check .
+	.venv/bin/mypy
+	.venv/bin/lint-imports
+
+test: lint
+	.venv/bin/pytest
+
+clean:
+	rm -rf .venv .mypy_cache .ruff_cache .import_linter_cache

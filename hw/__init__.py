@@ -1,0 +1,1 @@
+"""Bytes in and out: the drivers of the real devices, and emulators of their far ends."""

@@ -1,0 +1,1 @@
+"""The daemon: palpation of soft tissue with a force one can believe."""

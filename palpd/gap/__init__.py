@@ -1,0 +1,1 @@
+"""Where measurement and simulation part, which effect explains it, how far the gap closes."""

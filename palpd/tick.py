@@ -1,0 +1,325 @@
+"""The vocabulary: what one turn of the loop sees, thinks and does.
+
+SI units. Times `t_s` are seconds on the host's monotonic clock. A wrench is (fx, fy, fz, tx, ty, tz) in N and Nm, what the
+environment does to the probe. `z` is up; pressing gives fz > 0 in base axes and raw Fz < 0 in the sensor's own axes.
+"""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Words = NDArray[np.uint16]
+
+MAX_FRAMES = 64
+"""Most sensor frames one row holds; a 1 kHz sensor and a loop late by 64 ms fill it, and the guard has stopped long before."""
+
+
+class RobotMode(IntEnum):
+    """`robot_mode` of RTDE; anything but RUNNING is no state to move in."""
+
+    NO_CONTROLLER = -1
+    DISCONNECTED = 0
+    CONFIRM_SAFETY = 1
+    BOOTING = 2
+    POWER_OFF = 3
+    POWER_ON = 4
+    IDLE = 5
+    BACKDRIVE = 6
+    RUNNING = 7
+    UPDATING_FIRMWARE = 8
+
+
+class SafetyMode(IntEnum):
+    """`safety_mode` of RTDE; palpd moves in NORMAL and REDUCED only."""
+
+    NORMAL = 1
+    REDUCED = 2
+    PROTECTIVE_STOP = 3
+    RECOVERY = 4
+    SAFEGUARD_STOP = 5
+    SYSTEM_EMERGENCY_STOP = 6
+    ROBOT_EMERGENCY_STOP = 7
+    VIOLATION = 8
+    FAULT = 9
+
+
+PROGRAM_PLAYING = 2
+"""`runtime_state` of a running control program; without it a speed command goes nowhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """One untorn snapshot of the controller.
+
+    Poses are (x, y, z, rx, ry, rz) in m and rad (rotation vector) in the base frame, speeds in m/s and rad/s.
+    `t_s` is when the controller took it, on the host's clock; `timestamp_s` the same on the controller's own.
+    """
+
+    t_s: float
+    timestamp_s: float
+    tcp_pose: tuple[float, ...]
+    tcp_speed: tuple[float, ...]
+    target_pose: tuple[float, ...]
+    target_speed: tuple[float, ...]
+    tool_acceleration_m_per_s2: tuple[float, ...]
+    robot_mode: int
+    safety_mode: int
+    safety_status_bits: int
+    runtime_state: int
+    connected: bool
+
+    @property
+    def z_m(self) -> float:
+        """Height of the probe tip as the robot reports it."""
+        return self.tcp_pose[2]
+
+    @property
+    def vz_m_per_s(self) -> float:
+        """Vertical speed of the tip as the robot reports it."""
+        return self.tcp_speed[2]
+
+
+@dataclass(frozen=True, slots=True)
+class SensorFrames:
+    """Every frame that came since the last look, oldest first; possibly none.
+
+    `t_s` (n,) is sensor time on the host's clock, rebuilt from the 1 kHz counter; `wrench` (n, 6) in the sensor's axes, by its
+    calibration, not tared; `status` (n,) the sensor's own status word (0: healthy); `rejected` counts what the parser threw away.
+    """
+
+    t_s: Floats
+    counter: Words
+    status: Words
+    wrench: Floats
+    rejected: int = 0
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+
+NO_FRAMES = SensorFrames(np.empty(0), np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty((0, 6)))
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A speed for the tip in base axes. Orientation is never commanded. `stop` ends the motion and outranks the speed."""
+
+    velocity_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    stop: bool = False
+
+
+STILL = Command()
+STOP = Command(stop=True)
+
+
+class Phase(IntEnum):
+    """What the sequence is doing; recorded with every tick."""
+
+    IDLE = 0
+    TRAVEL = 1
+    BASELINE = 2
+    SEARCH = 3
+    PRESS = 4
+    HOLD = 5
+    RETRACT = 6
+    FREE_MOTION = 7
+    PAUSED = 8
+    DONE = 9
+
+
+class Mode(IntEnum):
+    """Which kind of palpation a tick belongs to."""
+
+    NONE = 0
+    SEARCH = 1
+    STATIC = 2
+    DYNAMIC = 3
+    FREE_MOTION = 4
+    STIFFNESS = 5
+
+
+class Action(IntEnum):
+    """What the guard does with a proposed command."""
+
+    PASS = 0
+    RETRACT = 1
+    STOP = 2
+
+
+class Trip(IntEnum):
+    """Why the guard interfered. The sentence is made from this, the measured value and the limit."""
+
+    NONE = 0
+    CONTACT_FORCE = 1
+    ABSOLUTE_FORCE = 2
+    LATERAL_FORCE = 3
+    TORQUE = 4
+    SPEED = 5
+    BELOW_MIN_Z = 6
+    OUTSIDE_WORKSPACE = 7
+    TOO_DEEP = 8
+    TILTED = 9
+    SENSOR_STALE = 10
+    SENSOR_STATUS = 11
+    SENSOR_FROZEN = 12
+    SENSOR_REJECTS = 13
+    ROBOT_STALE = 14
+    ROBOT_MODE = 15
+    SAFETY_MODE = 16
+    PROGRAM_STOPPED = 17
+    CONNECTION = 18
+    NOT_FINITE = 19
+    OVERLOAD = 20
+    LATE_TICKS = 21
+    OPERATOR = 22
+    NOT_ARMED = 23
+    MODEL_RANGE = 24
+    SUPERVISOR = 25
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The guard's answer: the command that may go out, and why it differs from the proposed one."""
+
+    command: Command
+    action: Action = Action.PASS
+    trip: Trip = Trip.NONE
+    measured: float = 0.0
+    limit: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where in the plan a tick stands. `surface_z_m` and `depth_m` are NaN until known."""
+
+    phase: Phase = Phase.IDLE
+    mode: Mode = Mode.NONE
+    site: int = -1
+    repeat: int = -1
+    depth_m: float = float("nan")
+    surface_z_m: float = float("nan")
+    cut_short: bool = False
+
+
+class Request(IntEnum):
+    """What the operator asks of the loop; NONE in nearly every tick."""
+
+    NONE = 0
+    ABORT = 1
+    PAUSE = 2
+    RESUME = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """When a tick should have begun, when it did, and how many were missed before it."""
+
+    index: int
+    planned_s: float
+    now_s: float
+    missed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """What the newest frames say about the contact, in base axes.
+
+    `tared` (n, 6) is the measured wrench less the running tare (f_m - f_g); `inertial_N` (n,) what the model takes from fz;
+    `force_N` the compensated contact force of the newest frame (f_c of the paper's eq. 5), `absolute_N` the size of the raw
+    force against the reference tare, which no model and no re-tare touches.
+    """
+
+    tared: Floats
+    inertial_N: Floats
+    force_N: float
+    lateral_N: float
+    torque_Nm: float
+    absolute_N: float
+    in_range: bool = True
+    loaded: bool = field(default=False)
+
+
+class Robot(Protocol):
+    """What the loop needs of a robot. Only `read` and `move` may raise; `stop` and `close` never do."""
+
+    def read(self) -> RobotState:
+        """Newest state; never waits."""
+        ...
+
+    def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
+        """Command a tip speed; also what feeds the controller's watchdog."""
+        ...
+
+    def stop(self) -> None:
+        """Bring the tip to rest. Never raises."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the controller. Never raises."""
+        ...
+
+
+class ForceSensor(Protocol):
+    """What the loop needs of a force sensor."""
+
+    def read(self) -> SensorFrames:
+        """Every frame since the last call; never waits."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the port. Never raises."""
+        ...
+
+
+ROW = np.dtype(
+    [
+        ("index", "<u8"),
+        ("planned_s", "<f8"),
+        ("now_s", "<f8"),
+        ("missed", "<u4"),
+        ("work_us", "<f4"),  # of the tick before this one: a tick cannot time its own last line
+        ("robot_t_s", "<f8"),
+        ("robot_timestamp_s", "<f8"),
+        ("tcp_pose", "<f8", (6,)),
+        ("tcp_speed", "<f8", (6,)),
+        ("target_pose", "<f8", (6,)),
+        ("target_speed", "<f8", (6,)),
+        ("tool_acceleration_m_per_s2", "<f8", (3,)),
+        ("robot_mode", "<i4"),
+        ("safety_mode", "<i4"),
+        ("safety_status_bits", "<u4"),
+        ("runtime_state", "<u4"),
+        ("connected", "u1"),
+        ("request", "u1"),
+        ("rejected", "<u4"),
+        ("frames", "<u2"),  # how many of the slots below are filled
+        ("frame_t_s", "<f8", (MAX_FRAMES,)),
+        ("counter", "<u2", (MAX_FRAMES,)),
+        ("status", "<u2", (MAX_FRAMES,)),
+        ("wrench", "<f8", (MAX_FRAMES, 6)),  # as SensorFrames.wrench
+        ("tared", "<f8", (MAX_FRAMES, 6)),  # as Contact.tared
+        ("inertial_N", "<f8", (MAX_FRAMES,)),
+        ("force_N", "<f8"),
+        ("absolute_N", "<f8"),
+        ("phase", "u1"),
+        ("mode", "u1"),
+        ("site", "<i2"),
+        ("repeat", "<i2"),
+        ("depth_m", "<f8"),
+        ("surface_z_m", "<f8"),
+        ("cut_short", "u1"),
+        ("proposed_m_per_s", "<f8", (3,)),
+        ("proposed_stop", "u1"),
+        ("command_m_per_s", "<f8", (3,)),
+        ("command_stop", "u1"),
+        ("action", "u1"),
+        ("trip", "u1"),
+        ("trip_measured", "<f8"),
+        ("trip_limit", "<f8"),
+    ]
+)
+"""One tick as it stands in the ring and in a recording: every input of a decision, and the decision."""
