@@ -1,15 +1,15 @@
 """Everything palpd raises on purpose. The text of each is one sentence: what was measured, what was expected, what to do.
 
-    PalpdError
-    ├── BadInput          a file, key, flag or answer is wrong; nothing moved, nothing was written        exit 2
-    │   ├── ConfigError       config.yaml, plan.yaml or cell.yaml
-    │   ├── RecordingError    a recording or a foreign curve
-    │   └── ModelRefused      an inertial model without card, with wrong inputs, or of another probe
-    ├── Refused           the cell is not in the state that the command needs (moving, loaded, untared)   exit 2
-    ├── DeviceError       a device is absent, busy or answers wrongly before anything moved               exit 2
-    │   ├── RobotError
-    │   └── SensorError
-    └── Stopped           a run that had begun was ended by the guard or by a fault                       exit 3
+PalpdError
+├── BadInput          a file, key, flag or answer is wrong; nothing moved, nothing was written        exit 2
+│   ├── ConfigError       config.yaml, plan.yaml or cell.yaml
+│   ├── RecordingError    a recording or a foreign curve
+│   └── ModelRefused      an inertial model without card, with wrong inputs, or of another probe
+├── Refused           the cell is not in the state that the command needs (moving, loaded, untared)   exit 2
+├── DeviceError       a device is absent, busy or answers wrongly before anything moved               exit 2
+│   ├── RobotError
+│   └── SensorError
+└── Stopped           a run that had begun was ended by the guard or by a fault                       exit 3
 """
 
 

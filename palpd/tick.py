@@ -4,7 +4,7 @@ SI units. Times `t_s` are seconds on the host's monotonic clock. A wrench is (fx
 environment does to the probe. `z` is up; pressing gives fz > 0 in base axes and raw Fz < 0 in the sensor's own axes.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
 
@@ -129,6 +129,7 @@ class Phase(IntEnum):
     FREE_MOTION = 7
     PAUSED = 8
     DONE = 9
+    TARE = 10
 
 
 class Mode(IntEnum):
@@ -176,9 +177,7 @@ class Trip(IntEnum):
     OVERLOAD = 20
     LATE_TICKS = 21
     OPERATOR = 22
-    NOT_ARMED = 23
-    MODEL_RANGE = 24
-    SUPERVISOR = 25
+    SUPERVISOR = 23
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +193,10 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Where in the plan a tick stands. `surface_z_m` and `depth_m` are NaN until known."""
+    """Where in the plan a tick stands. `surface_z_m` and `depth_m` are NaN until known.
+
+    `floor_z_m` is the lowest height that the present step may reach, `safe_z_m` the height at which a retract may end.
+    """
 
     phase: Phase = Phase.IDLE
     mode: Mode = Mode.NONE
@@ -203,6 +205,16 @@ class Progress:
     depth_m: float = float("nan")
     surface_z_m: float = float("nan")
     cut_short: bool = False
+    floor_z_m: float = float("-inf")
+    safe_z_m: float = float("inf")
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """What the sequence would like to do next, and where in the plan that is."""
+
+    command: Command = STILL
+    progress: Progress = Progress()
 
 
 class Request(IntEnum):
@@ -212,6 +224,7 @@ class Request(IntEnum):
     ABORT = 1
     PAUSE = 2
     RESUME = 3
+    ORPHANED = 4  # not asked by anybody: the supervising process is gone
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,21 +239,21 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """What the newest frames say about the contact, in base axes.
+    """What the frames of one tick say about the contact, in base axes.
 
-    `tared` (n, 6) is the measured wrench less the running tare (f_m - f_g); `inertial_N` (n,) what the model takes from fz;
-    `force_N` the compensated contact force of the newest frame (f_c of the paper's eq. 5), `absolute_N` the size of the raw
-    force against the reference tare, which no model and no re-tare touches.
+    `tared` (n, 6) is the measured wrench less the running tare (f_m - f_g), `inertial_N` (n,) what the model takes from fz. Of the
+    newest frames: `force_N` the largest compensated contact force (f_c of Guo, Xiao, Ren 2019, eq. 5), `mean_N` its mean, `lateral_N`
+    and `torque_Nm` the largest, `absolute_N` the largest raw force against the reference tare, which no model and no re-tare touches.
+    A tick without frames repeats the last numbers: how old they may get is the guard's to judge.
     """
 
     tared: Floats
     inertial_N: Floats
-    force_N: float
-    lateral_N: float
-    torque_Nm: float
-    absolute_N: float
-    in_range: bool = True
-    loaded: bool = field(default=False)
+    force_N: float = 0.0
+    mean_N: float = 0.0
+    lateral_N: float = 0.0
+    torque_Nm: float = 0.0
+    absolute_N: float = 0.0
 
 
 class Robot(Protocol):

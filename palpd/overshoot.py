@@ -1,0 +1,73 @@
+"""How far a force runs past the limit that trips it: stiffness × speed × the sum of all delays, before anything has moved."""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from palpd.config import FZ_CAPACITY_N, Config, Plan
+from palpd.errors import ConfigError
+
+LINK_S = 0.001
+"""Sensor byte to the daemon's buffer; measured on the emulated line, to be measured on a USB one."""
+CONTROLLER_CYCLES = 2.0
+"""A speed command waits for the controller's next cycle and acts in the one after."""
+WALLS_N_PER_M = (1000.0, 5000.0, 20000.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One delay between a force and the arm's answer, and where its value comes from."""
+
+    name: str
+    duration_s: float
+    source: str
+
+
+def delays(config: Config, speed_m_per_s: float) -> tuple[Term, ...]:
+    """Every delay between the force at the tip and the tip at rest."""
+    sensor, robot, servo = config.sensor, config.robot, config.cell.robot
+    cutoff_Hz = sensor.filter_cutoff_Hz
+    lag_s = 2.0 * servo.servo_damping_ratio / (2.0 * math.pi * servo.servo_natural_frequency_Hz)
+    return (
+        Term("sensor filter", 1.0 / (2.0 * math.pi * cutoff_Hz) if cutoff_Hz else 0.0, "one pole at sensor.filter_cutoff_Hz"),
+        Term("sensor sample", 1.0 / sensor.rate_Hz, "sensor.rate_Hz"),
+        Term("serial line", LINK_S, "measured on an emulated line"),
+        Term("loop", 1.0 / robot.rate_Hz, "one tick, worst phase"),
+        Term("controller", CONTROLLER_CYCLES * {"ur5": 0.008, "ur5e": 0.002}[robot.model], "two cycles of the controller"),
+        Term("servo lag", lag_s, "2ζ/ωn of cell.robot, a placeholder until measured"),
+        Term("braking", 0.5 * speed_m_per_s / robot.acceleration_m_per_s2, "v/2a of robot.acceleration_m_per_s2"),
+    )
+
+
+def overshoot_N(config: Config, speed_m_per_s: float, stiffness_N_per_m: float) -> float:
+    """Force beyond the limit at which the daemon reacts, against a linear wall; three sigmas of noise and one count included."""
+    sensor = config.cell.sensor
+    noise_N = 3.0 * sensor.noise_rms_N + sensor.resolution_fz_N
+    return stiffness_N_per_m * speed_m_per_s * math.fsum(term.duration_s for term in delays(config, speed_m_per_s)) + noise_N
+
+
+def refuse_overload(config: Config, plan: Plan) -> None:
+    """Refuse limits that let the expected stiffness overload the sensor before the arm can answer. Raises ConfigError."""
+    speed = max(plan.press_speed_m_per_s, plan.search.speed_m_per_s)
+    stiffness = config.safety.expected_stiffness_N_per_m
+    peak_N = config.safety.contact_limit_N + overshoot_N(config, speed, stiffness)
+    if peak_N >= FZ_CAPACITY_N:
+        raise ConfigError(
+            f"contact_limit_N of {config.safety.contact_limit_N:g} N and an overshoot of "
+            f"{peak_N - config.safety.contact_limit_N:.0f} N at {speed:g} m/s on {stiffness:g} N/m reach {peak_N:.0f} N, "
+            f"beyond the sensor's {FZ_CAPACITY_N:g} N; press slower or lower the limit"
+        )
+
+
+def predicted(config: Config, plan: Plan) -> dict[str, Any]:
+    """Delays and overshoots for the speeds of a plan, against walls soft and hard and the expected stiffness."""
+    speeds = sorted({plan.search.speed_m_per_s, plan.press_speed_m_per_s})
+    stiffnesses = sorted({*WALLS_N_PER_M, config.safety.expected_stiffness_N_per_m})
+    return {
+        "contact_limit_N": config.safety.contact_limit_N,
+        "absolute_limit_N": config.safety.absolute_limit_N,
+        "delays": [asdict(term) for term in delays(config, speeds[-1])],
+        "overshoot": [
+            {"stiffness_N_per_m": k, "speed_m_per_s": v, "overshoot_N": overshoot_N(config, v, k)} for k in stiffnesses for v in speeds
+        ],
+    }

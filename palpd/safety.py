@@ -1,0 +1,244 @@
+"""The guard, last before the wire: pure, default deny, told the time.
+
+Two force limits against two zeros. The compensated contact force against the running tare sends the probe up and ends the
+run; the raw force against the reference tare of the last calibration stops the arm where it is, latched. No model output and
+no re-tare loosens the second. With a dead sensor it stops and does not retract: that would be moving blind.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palpd.tick import (
+    PROGRAM_PLAYING,
+    STOP,
+    Action,
+    Command,
+    Contact,
+    Floats,
+    Request,
+    RobotMode,
+    RobotState,
+    SafetyMode,
+    SensorFrames,
+    Timing,
+    Trip,
+    Verdict,
+)
+
+RETRACT_M_PER_S = 0.02
+"""Speed at which the guard leaves the tissue: fast enough to matter, slow enough to stop within 1 mm."""
+DEPTH_MARGIN_M = 0.0005
+"""How far below the commanded depth the tip may be seen before that is a fault."""
+TILT_RAD = math.radians(2.0)
+FROZEN_FRAMES = 2000
+"""A living sensor dithers: two seconds of frames equal to the last digit on all six axes are a stuck one (quiet Fz alone may
+rest on one count for long, six axes with noise of a count do not)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the guard enforces; N, Nm, m, m/s, s, rad. `workspace_m` is ((x, x), (y, y), (z, z)) or None."""
+
+    contact_N: float
+    absolute_N: float
+    lateral_N: float
+    torque_Nm: float
+    max_speed_m_per_s: float
+    robot_stale_s: float
+    sensor_stale_s: float
+    max_missed_ticks: int
+    max_rejected_per_s: float = 50.0
+    overload_N: float = 200.0
+    min_z_m: float | None = None
+    workspace_m: tuple[tuple[float, float], ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """All the guard looks at in one tick. `floor_z_m` is the lowest height the present step may reach, `safe_z_m` where a retract ends."""
+
+    timing: Timing
+    robot: RobotState
+    frames: SensorFrames
+    contact: Contact
+    request: Request = Request.NONE
+    floor_z_m: float = -math.inf
+    safe_z_m: float = math.inf
+    tilt_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Guard:
+    """What the guard remembers from tick to tick; `trip` other than NONE is latched until a new run begins."""
+
+    trip: Trip = Trip.NONE
+    measured: float = 0.0
+    limit: float = 0.0
+    retracting: bool = False
+    over: bool = False
+    sensor_heard_s: float = math.nan
+    robot_heard_s: float = math.nan
+    robot_timestamp_s: float = math.nan
+    last_wrench: tuple[float, ...] = ()
+    equal_frames: int = 0
+    rejected: float = 0.0
+
+
+def guard(limits: Limits, memory: Guard, sight: Sight, proposed: Command) -> tuple[Guard, Verdict]:
+    """Decide what may go out. Returns what to remember and the verdict; `memory.over` means the run has ended."""
+    memory = _listen(memory, sight)
+    fault = _fault(limits, memory, sight, proposed)
+    if memory.over:
+        return memory, Verdict(STOP, Action.STOP, memory.trip, memory.measured, memory.limit)
+    if fault is not None:
+        trip, measured, limit = fault
+        if memory.retracting:  # the first reason is the one to report, whatever follows while leaving
+            trip, measured, limit = memory.trip, memory.measured, memory.limit
+        return _stopped(memory, trip, measured, limit)
+    if not memory.retracting and sight.contact.force_N >= limits.contact_N:
+        memory = replace(memory, trip=Trip.CONTACT_FORCE, measured=sight.contact.force_N, limit=limits.contact_N, retracting=True)
+    if not memory.retracting:
+        return memory, Verdict(proposed)
+    if sight.robot.z_m >= sight.safe_z_m:
+        return _stopped(memory, memory.trip, memory.measured, memory.limit)
+    up = Command((0.0, 0.0, min(RETRACT_M_PER_S, limits.max_speed_m_per_s)))
+    return memory, Verdict(up, Action.RETRACT, memory.trip, memory.measured, memory.limit)
+
+
+def _stopped(memory: Guard, trip: Trip, measured: float, limit: float) -> tuple[Guard, Verdict]:
+    memory = replace(memory, trip=trip, measured=measured, limit=limit, over=True)
+    return memory, Verdict(STOP, Action.STOP, trip, measured, limit)
+
+
+def _listen(memory: Guard, sight: Sight) -> Guard:
+    """Note when each device was last heard and whether it says anything new."""
+    now_s = sight.timing.now_s
+    frames = sight.frames
+    wrench, equal = memory.last_wrench, memory.equal_frames
+    if len(frames):
+        newest = tuple(frames.wrench[-1].tolist())
+        same = bool((frames.wrench == frames.wrench[-1]).all()) and (not wrench or newest == wrench)
+        wrench, equal = newest, (equal + len(frames) if same else 0)
+    fresh = sight.robot.timestamp_s != memory.robot_timestamp_s
+    first = math.isnan(memory.sensor_heard_s)
+    return replace(
+        memory,
+        sensor_heard_s=float(frames.t_s[-1]) if len(frames) else (now_s if first else memory.sensor_heard_s),
+        robot_heard_s=sight.robot.t_s if fresh else memory.robot_heard_s,
+        robot_timestamp_s=sight.robot.timestamp_s,
+        last_wrench=wrench,
+        equal_frames=equal,
+        rejected=memory.rejected * 0.99 + frames.rejected,
+    )
+
+
+def _fault(limits: Limits, memory: Guard, sight: Sight, proposed: Command) -> tuple[Trip, float, float] | None:
+    """First reason to stop the arm where it is: (trip, measured, limit), or None."""
+    robot, contact, now_s = sight.robot, sight.contact, sight.timing.now_s
+    checks = (
+        _above(Trip.OPERATOR, float(sight.request == Request.ABORT), 0.5),
+        _above(Trip.SUPERVISOR, float(sight.request == Request.ORPHANED), 0.5),
+        _finite(robot, sight.frames, contact, proposed, now_s),
+        _above(Trip.CONNECTION, float(not robot.connected), 0.5),
+        _above(Trip.ROBOT_STALE, now_s - memory.robot_heard_s, limits.robot_stale_s),
+        _above(Trip.SENSOR_STALE, now_s - memory.sensor_heard_s, limits.sensor_stale_s),
+        _unlike(Trip.ROBOT_MODE, robot.robot_mode, (RobotMode.RUNNING,)),
+        _unlike(Trip.SAFETY_MODE, robot.safety_mode, (SafetyMode.NORMAL, SafetyMode.REDUCED)),
+        _unlike(Trip.PROGRAM_STOPPED, robot.runtime_state, (PROGRAM_PLAYING,)),
+        _above(Trip.SENSOR_STATUS, float(np.bitwise_or.reduce(sight.frames.status)) if len(sight.frames) else 0.0, 0.5),
+        _above(Trip.SENSOR_FROZEN, memory.equal_frames, FROZEN_FRAMES),
+        _above(Trip.SENSOR_REJECTS, memory.rejected, limits.max_rejected_per_s),
+        _above(Trip.LATE_TICKS, sight.timing.missed, limits.max_missed_ticks),
+        _at_least(Trip.OVERLOAD, _largest(sight.contact.tared), limits.overload_N),
+        _at_least(Trip.ABSOLUTE_FORCE, contact.absolute_N, limits.absolute_N),
+        _at_least(Trip.LATERAL_FORCE, contact.lateral_N, limits.lateral_N),
+        _at_least(Trip.TORQUE, contact.torque_Nm, limits.torque_Nm),
+        _above(Trip.TILTED, sight.tilt_rad, TILT_RAD),
+        _above(Trip.SPEED, _speed(proposed.velocity_m_per_s), limits.max_speed_m_per_s * (1 + 1e-9)),
+        _below(Trip.BELOW_MIN_Z, robot.z_m, limits.min_z_m),
+        _below(Trip.TOO_DEEP, robot.z_m, sight.floor_z_m - DEPTH_MARGIN_M),
+        _outside(robot, limits.workspace_m),
+    )
+    return next((check for check in checks if check is not None), None)
+
+
+def _above(trip: Trip, measured: float, limit: float) -> tuple[Trip, float, float] | None:
+    return (trip, measured, limit) if measured > limit else None
+
+
+def _at_least(trip: Trip, measured: float, limit: float) -> tuple[Trip, float, float] | None:
+    return (trip, measured, limit) if measured >= limit else None
+
+
+def _below(trip: Trip, measured: float, limit: float | None) -> tuple[Trip, float, float] | None:
+    return (trip, measured, limit) if limit is not None and measured < limit else None
+
+
+def _unlike(trip: Trip, measured: int, allowed: tuple[int, ...]) -> tuple[Trip, float, float] | None:
+    return None if measured in allowed else (trip, float(measured), float(allowed[0]))
+
+
+def _finite(robot: RobotState, frames: SensorFrames, contact: Contact, proposed: Command, now_s: float) -> tuple[Trip, float, float] | None:
+    numbers = (
+        now_s,
+        robot.t_s,
+        *robot.tcp_pose,
+        *robot.tcp_speed,
+        *robot.target_pose,
+        contact.force_N,
+        contact.absolute_N,
+        contact.lateral_N,
+        contact.torque_Nm,
+        *proposed.velocity_m_per_s,
+    )
+    good = all(map(math.isfinite, numbers)) and bool(np.isfinite(frames.wrench).all() and np.isfinite(frames.t_s).all())
+    return None if good else (Trip.NOT_FINITE, 1.0, 0.0)
+
+
+def _outside(robot: RobotState, workspace_m: tuple[tuple[float, float], ...] | None) -> tuple[Trip, float, float] | None:
+    for position_m, (low_m, high_m) in zip(robot.tcp_pose[:3], workspace_m or (), strict=False):
+        if not low_m <= position_m <= high_m:
+            return Trip.OUTSIDE_WORKSPACE, position_m, low_m if position_m < low_m else high_m
+    return None
+
+
+def _largest(wrench: Floats) -> float:
+    return float(np.abs(wrench[:, :3]).max()) if len(wrench) else 0.0
+
+
+def _speed(velocity_m_per_s: tuple[float, float, float]) -> float:
+    return math.sqrt(sum(v * v for v in velocity_m_per_s))
+
+
+_SENTENCES = {
+    Trip.CONTACT_FORCE: "contact force {m:.2f} N reached the limit of {l:g} N; the probe was retracted",
+    Trip.ABSOLUTE_FORCE: "raw force {m:.2f} N against the reference tare reached the absolute limit of {l:g} N; the arm was stopped",
+    Trip.LATERAL_FORCE: "lateral force {m:.2f} N reached the limit of {l:g} N; the arm was stopped",
+    Trip.TORQUE: "torque {m:.3f} Nm reached the limit of {l:g} Nm; the arm was stopped",
+    Trip.SPEED: "a speed of {m:.4f} m/s was proposed, above the limit of {l:g} m/s",
+    Trip.BELOW_MIN_Z: "the tip was at z = {m:.4f} m, below safety.min_z_m of {l:g} m",
+    Trip.OUTSIDE_WORKSPACE: "the tip was at {m:.4f} m, outside the workspace that ends at {l:g} m",
+    Trip.TOO_DEEP: "the tip was at z = {m:.5f} m, below the {l:.5f} m that this step may reach",
+    Trip.TILTED: "the tool is tilted by {m:.3f} rad against the base's -z, expected at most {l:.3f}; align it",
+    Trip.SENSOR_STALE: "the newest frame of the force sensor was {m:.3f} s old, expected at most {l:g} s; check cable and power",
+    Trip.SENSOR_STATUS: "the force sensor reports status bits {m:.0f}, expected 0",
+    Trip.SENSOR_FROZEN: "{m:.0f} frames of the force sensor were equal to the last digit; it is stuck",
+    Trip.SENSOR_REJECTS: "{m:.0f} sensor frames were rejected lately, expected at most {l:.0f}; check cable and other readers of the port",
+    Trip.ROBOT_STALE: "the robot's newest state was {m:.3f} s old, expected at most {l:g} s; check the network",
+    Trip.ROBOT_MODE: "robot mode is {m:.0f}, expected {l:.0f} (running); power the arm on and release its brakes",
+    Trip.SAFETY_MODE: "safety mode is {m:.0f}, expected {l:.0f} (normal); clear it on the pendant",
+    Trip.PROGRAM_STOPPED: "the control program is in state {m:.0f}, expected {l:.0f} (playing): stopped by somebody, or its watchdog starved",
+    Trip.CONNECTION: "the connection to the robot was lost",
+    Trip.NOT_FINITE: "a number that is not finite came from a device or a model",
+    Trip.OVERLOAD: "force {m:.0f} N is beyond the sensor's capacity of {l:.0f} N",
+    Trip.LATE_TICKS: "{m:.0f} ticks were missed in a row, expected at most {l:.0f}; is the machine overloaded, or FIFO priority missing?",
+    Trip.OPERATOR: "the operator aborted the run",
+    Trip.SUPERVISOR: "the supervising process is gone",
+}
+
+
+def sentence(verdict: Verdict) -> str:
+    """Why the guard interfered, for a person."""
+    return _SENTENCES.get(verdict.trip, "the guard interfered").format(m=verdict.measured, l=verdict.limit)

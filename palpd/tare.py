@@ -1,0 +1,101 @@
+"""Two zeros: a running tare taken at the start of every run, and the reference tare of the last calibration.
+
+The running tare takes gravity and offset out of the wrench (f_g of Guo, Xiao, Ren 2019, eq. 2). The reference tare is kept on
+disk by `palpd calibrate`; the guard's absolute limit is measured against it, so that taring under load cannot loosen a limit.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from palpd.tick import Floats, RobotState, SensorFrames
+
+DURATION_S = 1.0
+"""Long enough that white noise of 0.05 N leaves 2 mN of the mean at 1 kHz."""
+STILL_M_PER_S = 0.002
+STABLE_RMS_N = 0.5
+"""More than this within a tare is no noise of this sensor (0.05 N rms, one count 0.13 N): something shakes or moves it."""
+DRIFT_N = 0.2
+"""Most that the mean may move between the halves of a tare."""
+FREE_N = 3.0
+"""Most that a run's tare may differ from the reference: warm-up of a cold HEX is 0.8 N in 90 min, a resting probe presses more."""
+
+
+def base_from_sensor(rotation_vector_rad: tuple[float, ...], about_flange_z_rad: float) -> Floats:
+    """Rotation (3, 3) from the sensor's axes to the base's: the reported TCP orientation times the mounting angle.
+
+    `rotation_vector_rad` (3,) is the axis-angle vector of a UR pose (Rodrigues' formula).
+    """
+    axis = np.asarray(rotation_vector_rad, dtype=float)
+    angle = float(np.sqrt(axis @ axis))
+    turn = np.eye(3)
+    if angle > 1e-12:
+        x, y, z = axis / angle
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        turn = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
+    c, s = np.cos(about_flange_z_rad), np.sin(about_flange_z_rad)
+    return turn @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def to_base(wrench: Floats, rotation: Floats) -> Floats:
+    """Wrench (n, 6) in the sensor's axes turned into base axes by `rotation` (3, 3)."""
+    turned = np.empty_like(wrench)
+    turned[:, :3] = wrench[:, :3] @ rotation.T
+    turned[:, 3:] = wrench[:, 3:] @ rotation.T
+    return turned
+
+
+@dataclass(slots=True)
+class Tare:
+    """Collects frames of a still, free probe until there are `DURATION_S` of them; `refusal` says why not."""
+
+    reference: Floats | None = None
+    _wrenches: list[Floats] = field(default_factory=list)
+    _first_s: float = float("nan")
+    _last_s: float = float("nan")
+    _fastest_m_per_s: float = 0.0
+
+    def add(self, robot: RobotState, frames: SensorFrames) -> bool:
+        """Take in what one tick saw; true when enough has come."""
+        if len(frames):
+            if not self._wrenches:
+                self._first_s = float(frames.t_s[0])
+            self._wrenches.append(frames.wrench)
+            self._last_s = float(frames.t_s[-1])
+        speed = max(abs(v) for v in robot.tcp_speed[:3])
+        self._fastest_m_per_s = max(self._fastest_m_per_s, speed)
+        return self._last_s - self._first_s >= DURATION_S
+
+    def result(self) -> Floats:
+        """Mean wrench (6,) in the sensor's axes."""
+        return np.mean(np.concatenate(self._wrenches), axis=0)
+
+    def refusal(self) -> str | None:
+        """One sentence if these frames are no tare: the arm moved, the sensor shook or drifted, or the probe is not free."""
+        if not self._wrenches:
+            return "no frame came from the force sensor during the tare; check its cable and power"
+        wrench = np.concatenate(self._wrenches)
+        mean = wrench.mean(axis=0)
+        spread = float(wrench[:, :3].std(axis=0).max())
+        half = len(wrench) // 2
+        drift = float(np.abs(wrench[half:, :3].mean(axis=0) - wrench[:half, :3].mean(axis=0)).max()) if half else 0.0
+        if self._fastest_m_per_s > STILL_M_PER_S:
+            return (
+                f"the arm moved at {self._fastest_m_per_s * 1e3:.1f} mm/s during the tare, expected below "
+                f"{STILL_M_PER_S * 1e3:.0f} mm/s; let it come to rest"
+            )
+        if spread > STABLE_RMS_N:
+            return (
+                f"the force varied by {spread:.2f} N rms during the tare, expected below {STABLE_RMS_N:g} N; "
+                "is something touching or shaking the probe?"
+            )
+        if drift > DRIFT_N:
+            return f"the force moved by {drift:.2f} N during the tare, expected below {DRIFT_N:g} N; let the sensor warm up"
+        if self.reference is not None:
+            away = float(np.linalg.norm(mean[:3] - self.reference[:3]))
+            if away > FREE_N:
+                return (
+                    f"the force at rest is {away:.1f} N away from the reference tare, expected below {FREE_N:g} N: the probe is loaded "
+                    "or was changed; free it, or run palpd calibrate"
+                )
+        return None
