@@ -85,9 +85,12 @@ def fit_contact(
     """Least squares of Hertz over a whole loading curve, contact point and force baseline free unless they are given.
 
     `height_m` and `force_N` are (n,), with what was recorded before contact. The machine in series with the tissue is taken out:
-    the tip stands (f - baseline)/k higher than the machine reports. The interval is t · σ of a sandwich covariance: scores
-    summed with a Bartlett window over twice the correlation length of the residuals, degrees of freedom from the effective sample
-    size, so that rounding, drift and a law that does not quite hold widen it. Raises RecordingError where there is no contact.
+    the tip stands (f - baseline)/k higher than the machine reports. The interval is Student's t times the larger sigma of two
+    covariances, the plain one times the correlation time of the residuals and a sandwich of scores summed over their correlation
+    (Newey and West 1987), so that noise which is not white and a law that does not quite hold widen it; degrees of freedom are the
+    independent samples in contact. Rounding that noise does not dither leaves the baseline wrong by up to half a count in every
+    sample before contact at once, which no residual shows: it is added from the count found in the data. A baseline that drifts is
+    not in it. Raises RecordingError where there is no contact.
     """
     _refuse_unfit(height_m, force_N)
     reported_m, force_at_rest_N = np.asarray(height_m, dtype=float), baseline_N or 0.0
@@ -111,9 +114,12 @@ def fit_contact(
     slopes = [indentation_m**1.5]
     slopes += [1.5 * stiffness * np.sqrt(indentation_m)] if contact_m is None else []
     slopes += [np.ones_like(indentation_m)] if baseline_N is None else []
-    sigmas, n_effective = _sigmas(np.column_stack(slopes), residual_N)
+    air = indentation_m <= 0.0
+    rounding_N = _undithered_N(force_N, residual_N[air])
+    sigmas, n_effective = _sigmas(np.column_stack(slopes), residual_N, rounding_N * air)
+    degrees = max(n_effective * float(np.mean(~air)) - len(slopes), 1.0)
     modulus = modulus_hertz_Pa(stiffness, 1.0, tip_radius_m, poisson_ratio)
-    half = _student_t_95(max(n_effective - len(slopes), 1.0)) * sigmas[0] * modulus / stiffness
+    half = _student_t_95(degrees) * sigmas[0] * modulus / stiffness
     return ContactFit(
         youngs_modulus_Pa=modulus,
         ci95_Pa=(modulus - half, modulus + half),
@@ -192,8 +198,11 @@ def _search(tip_m: Floats, force_N: Floats, contact_m: float | None, baseline_N:
     return float(stiffness[best]), float(contact[best]), float(rest_N - stiffness[best] * level[best])
 
 
-def _sigmas(slopes: Floats, residual: Floats) -> tuple[Floats, float]:
-    """Standard deviations (p,) of parameters with the slopes (n, p), and the effective sample size (Newey and West 1987)."""
+def _sigmas(slopes: Floats, residual: Floats, common: Floats) -> tuple[Floats, float]:
+    """Standard deviations (p,) of parameters with the slopes (n, p), and the effective sample size.
+
+    `common` (n,) is one standard deviation of an error that all its samples share.
+    """
     n, p = slopes.shape
     scale = np.sqrt(np.mean(slopes**2, axis=0))
     scaled = slopes / scale
@@ -201,13 +210,32 @@ def _sigmas(slopes: Floats, residual: Floats) -> tuple[Floats, float]:
     n_effective = n / time
     scores = scaled * residual[:, None]
     middle = scores.T @ scores
-    for lag in range(1, min(2 * length, n // 4) + 1):
+    window = min(2 * length, n // 4)
+    for lag in range(1, window + 1):
         product = scores[lag:].T @ scores[:-lag]
-        middle += (1.0 - lag / (2 * length + 1)) * (product + product.T)
+        middle += (1.0 - lag / (window + 1)) * (product + product.T)
     bread = np.linalg.pinv(scaled.T @ scaled)
+    sandwich = np.diag(bread @ middle @ bread)
+    plain = np.diag(bread) * time * float(np.mean(residual**2))
     # residuals are smaller than errors by the parameters they were fitted with
-    covariance = bread @ middle @ bread * n_effective / max(n_effective - p, 1.0)
-    return np.sqrt(np.maximum(np.diag(covariance), 0.0)) / scale, n_effective
+    variance = np.maximum(sandwich, plain) * n_effective / max(n_effective - p, 1.0) + (bread @ scaled.T @ common) ** 2
+    return np.sqrt(variance) / scale, n_effective
+
+
+def _undithered_N(force_N: Floats, at_rest_N: Floats) -> float:
+    """One standard deviation of what rounding leaves in the mean of the samples at rest.
+
+    A count q that noise of sigma s dithers leaves Σ (q/πk)² exp(-(2πks/q)²)/2 of variance, q²/12 without noise (Widrow 1956).
+    """
+    levels = np.unique(force_N)
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * (levels[-1] - levels[0])]
+    if len(at_rest_N) < 2 or not len(gaps):
+        return 0.0
+    count_N = float(gaps.min())
+    noise = math.sqrt(max(float(np.var(at_rest_N)) / count_N**2 - 1.0 / 12.0, 0.0))
+    k = np.arange(1, 50)
+    return count_N * math.sqrt(float(np.sum(np.exp(-((2.0 * np.pi * k * noise) ** 2)) / (np.pi * k) ** 2)) / 2.0)
 
 
 def _correlation(residual: Floats) -> tuple[float, int]:
@@ -233,8 +261,8 @@ def _strained(depth_m: float, tip_radius_m: float, thickness_m: float | None) ->
     found = []
     if depth_m > LARGE_STRAIN * tip_radius_m:
         found.append(
-            f"the depth of {depth_m:.3g} m is {depth_m / tip_radius_m:.2f} of the tip radius of {tip_radius_m:g} m, above {LARGE_STRAIN:g}: "
-            "Hertz assumes small strain, so compare moduli at equal depth only"
+            f"the depth of {depth_m:.3g} m is {depth_m / tip_radius_m:.2f} of the tip radius of {tip_radius_m:g} m, "
+            f"above {LARGE_STRAIN:g}: Hertz assumes small strain, so compare moduli at equal depth only"
         )
     if thickness_m is not None:
         x = math.sqrt(tip_radius_m * depth_m) / thickness_m
