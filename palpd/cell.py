@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 
-from palpd.cell_file import CROSSTALK_ARM_M, CellFile, Estimated
+from palpd.cell_file import CROSSTALK_ARM_M, CellFile, Estimated, Wall
 from palpd.cell_file import Site as Place
 from palpd.dynamics import Constants, Floats, Memory, Span, delayed, lowpass, servo, steps
 from palpd.effects import EFFECTS, Effect, Scale, Site, Values
@@ -116,11 +116,11 @@ def _contact(s: Span, what: Physics, memory: Memory) -> None:
         _tissue(s, what, trial)
         return s.contact_N - force_N, trial
 
-    last_N = np.zeros_like(rigid_m)
+    last_N = np.full_like(rigid_m, memory.get("force_N", 0.0))
     last_gap, trial = residual_N(last_N)
     if last_gap.any():
-        softer = 1.0 + 1.5 * last_gap / (np.maximum(s.depth_m, np.finfo(float).tiny) * stiffness)
-        force_N = last_gap / np.where(s.depth_m > 0.0, softer, 1.0)
+        stiff = 1.5 * np.abs(s.contact_N) / np.maximum(s.depth_m, np.finfo(float).tiny)
+        force_N = last_N + last_gap / (1.0 + stiff / stiffness)
         for _ in range(60):
             gap, trial = residual_N(force_N)
             if float(np.abs(gap).max()) <= 1e-12 * float(np.abs(force_N).max()):
@@ -130,6 +130,7 @@ def _contact(s: Span, what: Physics, memory: Memory) -> None:
             slope[step == 0.0] = -1.0
             last_N, last_gap = force_N, gap
             force_N = force_N - gap / slope
+    trial["force_N"] = float(s.contact_N[-1])
     memory.update(trial)
 
 
@@ -395,14 +396,19 @@ def simulate(
     return columns | {name: wrench[:, axis] for axis, name in enumerate(WRENCH)}
 
 
+def true_surface_m(cell: CellFile, site: str | None = None, library: Library = EFFECTS) -> float:
+    """Height of the untouched surface (or wall) of a site: the stated one with deviations and effects; -inf with nothing in reach."""
+    c = physics(cell, _place(cell, site), library).constants
+    return c.wall_z_m if c.wall_stiffness_N_per_m else c.surface_z_m
+
+
 def equilibrium_force_N(cell: CellFile, depth_m: float, site: str | None = None, library: Library = EFFECTS) -> float:
     """Noise-free contact force of a first press after a long hold, at that depth below the true surface."""
     what = physics(cell, _place(cell, site), library)
     c = what.constants
-    surface_m = c.wall_z_m if c.wall_stiffness_N_per_m else c.surface_z_m
     still = np.zeros(1)
     s = Span(c, np.array([c.wall_after_s]), 1.0, still, still, still)
-    s.tip_m = np.array([surface_m - depth_m])
+    s.tip_m = np.array([true_surface_m(cell, site, library) - depth_m])
     _tissue(s, what, {})
     return float(s.contact_N[0])
 
@@ -411,7 +417,7 @@ def scale_of(cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats, fz_N:
     """How large things are in a recording: what bounds and starting values of effects are multiples of."""
     stroke_m = max(float(np.ptp(z_m)), 10.0 * cell.robot.position_noise_rms_m, 1e-12)
     surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
-    depth_m = max(surface_m - float(z_m.min()), 0.0) or stroke_m
+    depth_m = max(surface_m - float(z_m.min()), 0.01 * stroke_m) if cell.tissue is not None else stroke_m
     largest_N = 0.0 if fz_N is None else float(np.quantile(np.abs(fz_N), 0.999))
     expected_N = equilibrium_force_N(cell.with_effects({}), depth_m) if cell.tissue is not None else 0.0
     return Scale(
@@ -482,6 +488,11 @@ class Cell:
         sensor = self._cell.sensor.model_copy(update={"filter_cutoff_Hz": cutoff_Hz})
         self._cell = self._cell.model_copy(update={"sensor": sensor})
         self._common = {name: value for name, value in self._common.items() if not name.startswith("filtered ")}
+        self._build()
+
+    def place_wall(self, z_m: float, stiffness_N_per_m: float) -> None:
+        """From now on a linear wall stands at `z_m` in place of the tissue."""
+        self._cell = self._cell.model_copy(update={"wall": Wall(z_m=z_m, stiffness_N_per_m=stiffness_N_per_m)})
         self._build()
 
     def step(self, target_m: Floats) -> Block:

@@ -280,3 +280,7 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for part in getattr(annotation, "__args__", ()) for model in _models(part)]
+
+
+PHANTOM = load_cell(Path(__file__).with_name("phantom.yaml"))
+"""The paper's phantom, sites A to D."""

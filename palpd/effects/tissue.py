@@ -1,0 +1,174 @@
+"""Tissue: what a tip at some height feels, beyond an elastic half-space."""
+
+from math import inf
+
+import numpy as np
+
+from palpd.dynamics import Constants, Floats, Memory, Span, lowpass
+from palpd.effects.effect import Effect, Parameter, Values, of, relaxation_time
+
+TINY = float(np.finfo(float).tiny)
+
+
+def _surface(c: Constants, p: Values) -> None:
+    c.surface_z_m += p["offset_m"]
+
+
+SURFACE = Effect(
+    "tissue.surface",
+    "tissue",
+    "surface higher or lower than stated",
+    (Parameter("offset_m", "m", lambda s: -s.depth_m, lambda s: s.stroke_m, of("depth_m", 0.05, -0.05)),),
+    setting=_surface,
+)
+
+
+def _modulus(c: Constants, p: Values) -> None:
+    c.youngs_modulus_Pa *= p["ratio"]
+
+
+MODULUS = Effect(
+    "tissue.modulus",
+    "tissue",
+    "stiffer or softer than stated",
+    (Parameter("ratio", "1", 0.01, 100.0, (1.2, 0.8, 3.0, 0.3), nominal=1.0, log=True),),
+    setting=_modulus,
+)
+
+
+def _plasticity(s: Span, p: Values, memory: Memory) -> None:
+    """A press has been one when it went a hundredth of the tip's radius deep; the surface sinks when the tip has left."""
+    enough_m = 0.01 * s.constants.tip_radius_m
+    presses, pressed, sunk_m = memory.get("presses", 0), memory.get("pressed", False), memory.get("sunk_m", 0.0)
+    surface_m = np.broadcast_to(s.surface_m, s.tip_m.shape).tolist()
+    for k, (tip_m, unpressed_m) in enumerate(zip(s.tip_m.tolist(), surface_m, strict=True)):
+        depth_m = unpressed_m - sunk_m - tip_m
+        if not pressed:
+            pressed = depth_m > enough_m
+        elif depth_m <= 0.0:
+            sunk_m += p["set_m"] * p["ratio"] ** presses
+            presses, pressed = presses + 1, False
+        surface_m[k] = unpressed_m - sunk_m
+    memory.update(presses=presses, pressed=pressed, sunk_m=sunk_m)
+    s.touch(np.array(surface_m))
+
+
+PLASTICITY = Effect(
+    "tissue.plasticity",
+    "tissue",
+    "surface sinks after the k-th press by set · ratio^k",
+    (
+        Parameter("set_m", "m", 0.0, lambda s: s.depth_m, of("depth_m", 0.02, 0.1)),
+        Parameter("ratio", "1", 0.0, 1.0, (0.7, 0.3), nominal=None),
+    ),
+    law=_plasticity,
+    afresh=True,
+)
+
+
+def dimitriadis(chi: Floats) -> Floats:
+    """How much stiffer than a half-space a bonded layer of thickness √(r d)/χ is, at ν = 0.5 (Dimitriadis et al. 2002, eq. 12)."""
+    factor: Floats = 1.0 + chi * (1.133 + chi * (1.283 + chi * (0.769 + chi * 0.0975)))
+    return factor
+
+
+def _thickness(s: Span, p: Values, memory: Memory) -> None:
+    s.contact_N = s.contact_N * dimitriadis(np.sqrt(s.constants.tip_radius_m * s.depth_m) / p["thickness_m"])
+
+
+THICKNESS = Effect(
+    "tissue.thickness",
+    "tissue",
+    "finite thickness on a rigid base (Dimitriadis 2002, bonded, ν = 0.5)",
+    (
+        Parameter(
+            "thickness_m",
+            "m",
+            lambda s: 0.2 * s.contact_radius_m,
+            lambda s: 1e3 * s.contact_radius_m,
+            of("contact_radius_m", 5.0, 20.0, 1.5),
+            nominal=inf,
+            log=True,
+        ),
+    ),
+    law=_thickness,
+)
+
+
+def _inclusion(s: Span, p: Values, memory: Memory) -> None:
+    x2 = (s.depth_m / p["depth_m"]) ** 2
+    s.contact_N = s.contact_N * (1.0 + p["contrast"] * x2 / (1.0 + x2))
+
+
+INCLUSION = Effect(
+    "tissue.inclusion",
+    "tissue",
+    "hard inclusion below the surface",
+    (
+        Parameter("contrast", "1", 0.0, 100.0, (0.5, 3.0)),
+        Parameter("depth_m", "m", lambda s: 0.05 * s.depth_m, lambda s: 20.0 * s.depth_m, of("depth_m", 1.0, 3.0), nominal=None, log=True),
+    ),
+    law=_inclusion,
+)
+
+
+def _preconditioning(s: Span, p: Values, memory: Memory) -> None:
+    deepest_m = np.maximum(np.maximum.accumulate(s.depth_m), memory.get("deepest_m", 0.0))
+    memory["deepest_m"] = deepest_m[-1]
+    share = s.depth_m / np.maximum(deepest_m, TINY)
+    s.contact_N = s.contact_N * (1.0 - p["softening"] * (1.0 - share**2))
+
+
+PRECONDITIONING = Effect(
+    "tissue.preconditioning",
+    "tissue",
+    "softer where it has been pressed before (Mullins)",
+    (Parameter("softening", "1", 0.0, 1.0, (0.1, 0.4)),),
+    law=_preconditioning,
+    afresh=True,
+)
+
+
+def _viscoelastic(s: Span, p: Values, memory: Memory) -> None:
+    """The Maxwell arm carries what the elastic force changed by lately; tissue that is left behind cannot pull through it."""
+    arm_N = s.contact_N - lowpass(s.contact_N, s.dt_s, -1.0 / p["tau_s"], memory)
+    s.contact_N = np.maximum(s.contact_N + p["ratio"] * arm_N, 0.0)
+
+
+VISCOELASTIC = Effect(
+    "tissue.viscoelastic",
+    "tissue",
+    "standard linear solid: an extra, decaying, rate-dependent part",
+    (Parameter("ratio", "1", 0.0, 20.0, (0.2, 1.0)), relaxation_time(0.01, 0.05, 0.002)),
+    law=_viscoelastic,
+)
+
+
+def _adhesion(s: Span, p: Values, memory: Memory) -> None:
+    """Grows over one range as the tip comes back from its deepest point, and fades over one range above the surface."""
+    reach_m, lowest_m = p["range_m"], memory.get("lowest_m", inf)
+    gap_m = s.tip_m - s.surface_m
+    lowest = []
+    for tip_m, gap in zip(s.tip_m.tolist(), gap_m.tolist(), strict=True):
+        if gap >= reach_m:
+            lowest_m = inf
+        elif gap <= 0.0 or lowest_m < inf:
+            lowest_m = min(lowest_m, tip_m)
+        lowest.append(lowest_m)
+    memory["lowest_m"] = lowest_m
+    bond = np.clip((s.tip_m - np.array(lowest)) / reach_m, 0.0, 1.0)
+    s.contact_N = s.contact_N - p["force_N"] * bond * np.clip(1.0 - gap_m / reach_m, 0.0, 1.0)
+
+
+ADHESION = Effect(
+    "tissue.adhesion",
+    "tissue",
+    "pulls on the probe while it leaves",
+    (
+        Parameter("force_N", "N", 0.0, lambda s: s.range_N, of("force_N", 0.05, 0.2)),
+        Parameter("range_m", "m", lambda s: 0.002 * s.depth_m, lambda s: s.stroke_m, of("depth_m", 0.2, 0.03), nominal=None, log=True),
+    ),
+    law=_adhesion,
+)
+
+EFFECTS = (SURFACE, MODULUS, PLASTICITY, THICKNESS, INCLUSION, PRECONDITIONING, VISCOELASTIC, ADHESION)
