@@ -1,0 +1,186 @@
+"""The emulators' process: an absolute grid of milliseconds, a control channel for faults and truth, and how others start it.
+
+`started` is for tests and demonstrations; it talks to the process over its two lines and the control channel only.
+"""
+
+import contextlib
+import gc
+import json
+import os
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hw.emulators.controller import MODELS
+from hw.emulators.rig import SAMPLE_S, Rig
+from hw.emulators.verbs import obey
+from palpd.cell_file import load_cell, nominal
+from palpd.errors import PalpdError
+
+GIVEN_UP_S = 0.5
+"""A process that was stopped for longer does not make up for it: the grid is moved."""
+PRIORITY = 50
+
+
+class ControlChannel:
+    """A unix socket: one JSON object a line in, one a line out."""
+
+    def __init__(self, path: Path, rig: Rig) -> None:
+        self._path, self._rig = path, rig
+        self._selector = selectors.DefaultSelector()
+        path.unlink(missing_ok=True)
+        self._listener = socket.socket(socket.AF_UNIX)
+        self._listener.bind(str(path))
+        self._listener.listen(8)
+        self._listener.setblocking(False)
+        self._selector.register(self._listener, selectors.EVENT_READ, None)
+        self._inbox: dict[socket.socket, bytes] = {}
+
+    def serve(self, now_s: float, lateness_s: Sequence[float]) -> None:
+        """Answer what has come."""
+        for key, _ in self._selector.select(0):
+            if key.data is None:
+                connection, _ = self._listener.accept()
+                self._selector.register(connection, selectors.EVENT_READ, connection)
+                self._inbox[connection] = b""
+                continue
+            self._hear(key.data, now_s, lateness_s)
+
+    def _hear(self, connection: socket.socket, now_s: float, lateness_s: Sequence[float]) -> None:
+        data = connection.recv(65536)
+        if not data:
+            self._selector.unregister(connection)
+            del self._inbox[connection]
+            connection.close()
+            return
+        *lines, self._inbox[connection] = (self._inbox[connection] + data).split(b"\n")
+        for line in lines:
+            try:
+                answer = obey(self._rig, json.loads(line), now_s, lateness_s)
+            except (ValueError, TypeError, KeyError, AttributeError) as error:
+                answer = {"ok": False, "error": f"{type(error).__name__}: {error}"}
+            with contextlib.suppress(OSError):
+                connection.sendall(json.dumps(answer).encode() + b"\n")
+
+    def close(self) -> None:
+        """Close the socket and remove it."""
+        for connection in list(self._inbox):
+            connection.close()
+        self._listener.close()
+        self._selector.close()
+        self._path.unlink(missing_ok=True)
+
+
+def emulate(
+    model: str = "ur5",
+    cell: Path | None = None,
+    host: str = "127.0.0.1",
+    sensor_link: Path | None = None,
+    control: Path | None = None,
+    *,
+    seed: int = 0,
+    mount_rotation_rad: float = 0.0,
+    realtime: bool = True,
+) -> None:
+    """Stand in for a controller and a sensor until SIGTERM or SIGINT; prints `robot HOST` and `sensor DEVICE` when ready.
+
+    `cell` None: the nominal cell. Raises PalpdError, in one sentence, for a bad cell file or a port that is taken.
+    """
+    stopping: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda number, frame: stopping.append(number))
+    cell_file = load_cell(cell) if cell is not None else nominal()
+    try:
+        rig = Rig(MODELS[model], cell_file, host, sensor_link, seed=seed, mount_rotation_rad=mount_rotation_rad)
+    except OSError as error:
+        raise PalpdError(
+            f"the emulators cannot listen on {host}, ports 29999, 30003 and 30004 ({error.strerror}); "
+            "end what uses them or choose another --host."
+        ) from None
+    channel = ControlChannel(control, rig) if control is not None else None
+    try:
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        if realtime:
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        print(f"robot {host}\nsensor {rig.line.path}", flush=True)
+        _run(rig, channel, stopping)
+    finally:
+        rig.close()
+        if channel is not None:
+            channel.close()
+
+
+def _run(rig: Rig, channel: ControlChannel | None, stopping: Sequence[int]) -> None:
+    lateness_s: deque[float] = deque(maxlen=60_000)
+    planned_s = time.monotonic()
+    while not stopping:
+        planned_s += SAMPLE_S
+        early_s = planned_s - time.monotonic()
+        if early_s > 0:
+            time.sleep(early_s)
+        now_s = time.monotonic()
+        lateness_s.append(now_s - planned_s)
+        if now_s - planned_s > GIVEN_UP_S:
+            planned_s = now_s
+        if channel is not None:
+            channel.serve(now_s, lateness_s)
+        rig.tick(planned_s, now_s, late=now_s - planned_s > rig.model.cycle_s)
+
+
+@dataclass(frozen=True)
+class Emulated:
+    """A running pair of emulators."""
+
+    host: str
+    sensor: str
+    pid: int
+    control: Path
+
+    def ask(self, verb: str, **arguments: Any) -> dict[str, Any]:
+        """Do a verb of the control channel and return its answer; RuntimeError if it is refused."""
+        with socket.socket(socket.AF_UNIX) as channel:
+            channel.settimeout(5.0)
+            channel.connect(str(self.control))
+            channel.sendall(json.dumps({"do": verb, **arguments}).encode() + b"\n")
+            with channel.makefile("rb") as lines:
+                answer: dict[str, Any] = json.loads(lines.readline())
+        if not answer.pop("ok"):
+            raise RuntimeError(answer["error"])
+        return answer
+
+
+@contextlib.contextmanager
+def started(
+    folder: Path, model: str = "ur5", cell: Path | None = None, host: str = "127.0.0.1", *options: str
+) -> Iterator[Emulated]:
+    """Emulators in a process of their own, their link and control socket in `folder`; ended on leaving."""
+    control = folder / "control"
+    command = [sys.executable, "-m", "hw.emulators", "--model", model, "--host", host]
+    command += ["--sensor-link", str(folder / "hex"), "--control", str(control), *options]
+    if cell is not None:
+        command += ["--cell", str(cell)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stderr is not None
+    try:
+        words = [process.stdout.readline().split() for _ in range(2)]
+        if [word[0] for word in words if word] != ["robot", "sensor"]:
+            process.wait(timeout=5.0)
+            raise PalpdError(process.stderr.read().strip() or "the emulators ended before they were ready")
+        yield Emulated(words[0][1], words[1][1], process.pid, control)
+    finally:
+        process.terminate()
+        process.wait(timeout=5.0)
+        process.stdout.close()
+        process.stderr.close()

@@ -1,0 +1,252 @@
+"""One cell with a robot's controller and a force sensor before it, millisecond by millisecond.
+
+The controller decides at its cycle where the target goes until the next; the cell is stepped through that cycle at once, and
+its samples leave through the sensor one by one as their time comes. So both see one physics and neither sees the future.
+"""
+
+import selectors
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+
+from hw.emulators.controller import Controller, Cycle, Model, Sample
+from hw.emulators.hex_pty import Daq, Line
+from hw.emulators.pose import Floats, rotation
+from hw.emulators.ur import UrWires, Values, outputs, status_bits
+from palpd.cell import Block, Cell
+from palpd.cell_file import CellFile
+
+SAMPLE_S = 0.001
+START_HEIGHT_M = 0.03
+"""Height of the tip above the surface at power-up."""
+FLANGE_TO_TIP_M = 0.035  # the sensor's body; the probe's length comes on top
+GRAVITY_M_PER_S2 = 9.81
+UP_M_PER_S2 = np.array([0.0, 0.0, GRAVITY_M_PER_S2])  # what an accelerometer at rest feels
+LOGGED_S = 300.0
+
+
+class Rig:
+    """Everything behind the wires of one emulated cell; `tick` is one millisecond."""
+
+    def __init__(
+        self, model: Model, cell_file: CellFile, host: str, link: Path | None, *, seed: int = 0, mount_rotation_rad: float = 0.0
+    ) -> None:
+        self.cell_file, self.model, self._host = cell_file, model, host
+        self.cell = Cell(cell_file, seed=seed, step_s=SAMPLE_S)
+        self._wall_z_m = cell_file.wall.z_m if cell_file.wall is not None else None
+        self.steps = round(model.cycle_s / SAMPLE_S)
+        self._random = np.random.default_rng(seed + 1)
+        site = cell_file.sites[0] if cell_file.sites else None
+        x_m, y_m = (site.x_m, site.y_m) if site else (0.0, 0.0)
+        start = np.array([x_m, y_m, self.surface_m(x_m, y_m) + START_HEIGHT_M, np.pi, 0.0, 0.0])
+        self._tcp = np.array([0.0, 0.0, FLANGE_TO_TIP_M + cell_file.probe.tip_length_m, 0.0, 0.0, 0.0])
+        self.controller = Controller(model, start, self._tcp, self.cell.begin)
+        self.network = selectors.DefaultSelector()
+        self.wires = UrWires(self.controller, self.network, host)
+        self.daq, self.line = Daq(), Line(link)
+        self._mount = rotation([0.0, 0.0, mount_rotation_rad])
+        self._orientation = start[3:].copy()
+        self._turn(start[3:])
+        self._filter = self.daq.filter_code
+        self.cell.set_filter(self.daq.cutoff_Hz)
+        self._fractions = np.arange(1, self.steps + 1) / self.steps
+        self._ticks = 0
+        self._frozen_until_s = self._away_until_s = self._slow_until_s = 0.0
+        self.samples: deque[Sample] = deque(maxlen=round(LOGGED_S / model.cycle_s))
+        self.peak_contact_N = 0.0
+        self._values = _power_up_values(model)
+        self._last_speed = np.zeros(3)
+        self._last_joint_speed = np.zeros(6)
+        self._advance(Cycle(start, np.zeros(6), np.zeros(6), np.zeros(6)))
+
+    def surface_m(self, x_m: float, y_m: float) -> float:
+        """Height of the true surface (or wall) at a place."""
+        cell = self.cell_file
+        if self._wall_z_m is not None:
+            return self._wall_z_m
+        tissue, effects = cell.tissue, cell.effects
+        if cell.sites:
+            site = min(cell.sites, key=lambda site: (site.x_m - x_m) ** 2 + (site.y_m - y_m) ** 2)
+            tissue, effects = site.tissue, cell.effects | site.effects
+        if tissue is None:
+            return 0.0
+        return tissue.surface_z_m + effects.get("tissue.surface", {}).get("offset_m", 0.0)
+
+    # One millisecond -----------------------------------------------------------------------------------------------------
+
+    def tick(self, planned_s: float, now_s: float, *, late: bool = False) -> None:
+        """Read what came, send what is due. `late`: the next cycle is due already, so this one's package is skipped."""
+        if self._away_until_s and now_s >= self._away_until_s:
+            self._away_until_s = 0.0
+            for server in self.wires.servers():
+                server.listen()
+        if now_s >= self._frozen_until_s:
+            for key, _ in self.network.select(0):
+                key.data(now_s)
+        self._sense(planned_s)
+        self._ticks += 1
+        if self._ticks % self.steps == 0:
+            self._cycle(planned_s, now_s, late)
+
+    def _sense(self, planned_s: float) -> None:
+        self.daq.take(self.line.receive())
+        packet = self.daq.sample(self._counts[self._ticks % self.steps], planned_s)
+        if self.daq.answers:
+            packet, self.daq.answers = self.daq.answers + packet, b""
+        self.line.send(packet)
+
+    def _cycle(self, planned_s: float, now_s: float, late: bool) -> None:
+        reported = self._block
+        cycle = self.controller.cycle(planned_s)
+        self._publish(planned_s, now_s, reported, cycle, late)
+        if self.daq.filter_code != self._filter:
+            self._filter = self.daq.filter_code
+            self.cell.set_filter(self.daq.cutoff_Hz)
+        self._advance(cycle)
+
+    def _advance(self, cycle: Cycle) -> None:
+        s, duration_s = self._fractions[:, None], self.model.cycle_s
+        before, after, shift = cycle.speed_before[:3], cycle.speed_after[:3], cycle.shift[:3]
+        ramp = duration_s * (before * s + 0.5 * (after - before) * s * s)
+        self._block = self.cell.step(cycle.start[:3] + ramp + s * (shift - ramp[-1]))
+        pose = self.controller.pose
+        if not np.array_equal(pose[3:], self._orientation):
+            self._turn(pose[3:])
+        wrench = self._block.wrench.copy()
+        wrench[:, 2] -= self.cell_file.probe.mass_kg * GRAVITY_M_PER_S2
+        self._counts = self.daq.measure(np.concatenate([wrench[:, :3] @ self._to_sensor.T, wrench[:, 3:] @ self._to_sensor.T], axis=1))
+        self.peak_contact_N = max(self.peak_contact_N, float(self._block.contact_N.max()))
+
+    def _turn(self, orientation: Floats) -> None:
+        """The tool stands anew; the sensor's z points along the tool's, turned about it by the mount."""
+        self._orientation = orientation.copy()
+        self._to_tool = rotation(orientation).T
+        self._to_sensor = self._mount.T @ self._to_tool
+
+    # What RTDE tells -----------------------------------------------------------------------------------------------------
+
+    def _publish(self, planned_s: float, now_s: float, block: Block, cycle: Cycle, late: bool) -> None:
+        robot, values = self.controller, self._values
+        self.samples.append(
+            Sample(
+                planned_s,
+                float(np.linalg.norm(cycle.speed_before[:3])),
+                float(cycle.speed_before[2]),
+                float(cycle.start[2]),
+                float(block.tip_m[-1, 2]),
+                float(block.contact_N[-1]),
+                int(robot.runtime),
+            )
+        )
+        if now_s < self._frozen_until_s:
+            return
+        values["timestamp"] = (values["timestamp"][0] + self.model.cycle_s,)
+        actual = np.concatenate([block.position_m[-1], cycle.start[3:]])
+        speed = np.concatenate([block.velocity_m_per_s[-1], cycle.speed_before[3:]])
+        force = np.zeros(6)
+        force[2] = block.contact_N[-1]
+        force += self._random.standard_normal(6) * self._force_noise
+        acceleration = (speed[:3] - self._last_speed) / self.model.cycle_s
+        self._last_speed = speed[:3]
+        joint_speed = robot.arm.joint_speed(cycle.speed_before)
+        robot_bits, safety_bits = status_bits(robot)
+        values |= {
+            "actual_TCP_pose": tuple(robot.tcp_pose(actual)),
+            "target_TCP_pose": tuple(robot.tcp_pose(cycle.start)),
+            "actual_TCP_speed": tuple(speed),
+            "target_TCP_speed": tuple(cycle.speed_before),
+            "actual_TCP_force": tuple(force),
+            "tcp_force_scalar": (float(np.linalg.norm(force[:3])),),
+            "actual_tool_accelerometer": tuple(self._to_tool @ (acceleration + UP_M_PER_S2)),
+            "target_q": tuple(robot.arm.joints(cycle.start)),
+            "actual_q": tuple(robot.arm.joints(actual)),
+            "target_qd": tuple(joint_speed),
+            "actual_qd": tuple(robot.arm.joint_speed(speed)),
+            "target_qdd": tuple((joint_speed - self._last_joint_speed) / self.model.cycle_s),
+            "robot_mode": (int(robot.power),),
+            "safety_mode": (int(robot.safety),),
+            "runtime_state": (int(robot.runtime),),
+            "robot_status_bits": (robot_bits,),
+            "safety_status_bits": (safety_bits,),
+            "payload": (robot.payload_kg,),
+            "payload_cog": robot.payload_cog,
+        }
+        self._last_joint_speed = joint_speed
+        if self.model.e_series:
+            values["ft_raw_wrench"] = tuple(force)
+        values |= robot.inputs
+        values |= robot.outputs
+        if not late:
+            self.wires.keep_every = self._keep_every if now_s < self._slow_until_s else 1
+            self.wires.publish(values, now_s)
+
+    @property
+    def _force_noise(self) -> float:
+        """Rms of `actual_TCP_force`: a wrist sensor's, or an estimate from the joints' currents (assumed)."""
+        return 0.2 if self.model.e_series else 1.0
+
+    _keep_every = 1
+
+    # Faults and truth --------------------------------------------------------------------------------------------------------------
+
+    def freeze(self, until_s: float) -> None:
+        """The network hangs: nothing is read and nothing is sent, connections stay open."""
+        self._frozen_until_s = until_s
+
+    def slow_packets(self, every: int, until_s: float) -> None:
+        """Only one package in so many is sent."""
+        self._keep_every, self._slow_until_s = every, until_s
+
+    def restart(self, until_s: float) -> None:
+        """The controller's computer restarts: every connection is lost, nobody is at home until then, registers are empty."""
+        for server in self.wires.servers():
+            server.close()
+        self.controller.stop_program(until_s, "restart")
+        fresh = Controller(self.model, self.controller.pose, self._tcp, self.cell.begin)
+        fresh.stops = self.controller.stops
+        self.controller = self.wires.controller = fresh
+        self._values = _power_up_values(self.model)
+        self._away_until_s = until_s
+
+    def place_wall(self, z_m: float, stiffness_N_per_m: float) -> None:
+        """A linear wall from now on, in place of the tissue."""
+        self.cell.place_wall(z_m, stiffness_N_per_m)
+        self._wall_z_m = z_m
+
+    @property
+    def tip(self) -> tuple[float, float]:
+        """True height of the tip in m, true contact force in N; at most a controller cycle ahead of the wires."""
+        return float(self._block.tip_m[-1, 2]), float(self._block.contact_N[-1])
+
+    def close(self) -> None:
+        """Close every wire."""
+        for server in self.wires.servers():
+            server.close()
+        self.network.close()
+        self.line.unplug()
+
+
+def _power_up_values(model: Model) -> Values:
+    """A value of every output field, as of a UR5 that stands still."""
+    known = outputs(model.e_series)
+    sizes = {"VECTOR3D": 3, "VECTOR6D": 6, "VECTOR6INT32": 6, "VECTOR6UINT32": 6}
+    values: Values = {name: (0,) * sizes.get(kind, 1) for name, kind in known.items()}
+    currents = (0.0, -1.9, -1.4, -0.3, 0.0, 0.0)
+    values |= {
+        "target_current": currents,
+        "actual_current": currents,
+        "joint_control_output": currents,
+        "target_moment": (0.0, -28.0, -17.0, -1.5, 0.0, 0.0),
+        "joint_temperatures": (29.0, 30.0, 30.5, 32.0, 33.0, 33.5),
+        "actual_joint_voltage": (47.5,) * 6,
+        "joint_mode": (253,) * 6,
+        "actual_main_voltage": (48.0,),
+        "actual_robot_voltage": (47.9,),
+        "actual_robot_current": (0.6,),
+        "actual_execution_time": (0.4,),
+        "speed_scaling": (1.0,),
+        "target_speed_fraction": (1.0,),
+    }
+    return values
+

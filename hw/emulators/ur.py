@@ -1,0 +1,447 @@
+"""A UR controller's wires: RTDE v2 on port 30004, script upload on 30003, dashboard on 29999.
+
+Every socket is non-blocking and hangs on one selector; `publish` is called once a controller cycle.
+"""
+
+import contextlib
+import selectors
+import socket
+import struct
+from collections.abc import Callable, Iterable
+
+from hw.emulators.controller import Controller, Power, Runtime, Safety
+
+RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
+UNREAD_S = 10.0
+"""A client that leaves its packages unread for this long is disconnected."""
+
+PACKING = {
+    "BOOL": "?",
+    "UINT8": "B",
+    "UINT32": "I",
+    "INT32": "i",
+    "UINT64": "Q",
+    "DOUBLE": "d",
+    "VECTOR3D": "3d",
+    "VECTOR6D": "6d",
+    "VECTOR6INT32": "6i",
+    "VECTOR6UINT32": "6I",
+}
+Values = dict[str, tuple[float, ...]]
+
+
+def _of_type(kind: str, names: str) -> dict[str, str]:
+    return dict.fromkeys(names.split(), kind)
+
+
+def outputs(e_series: bool) -> dict[str, str]:
+    """Type of every output field that a controller of the generation knows (UR's RTDE guide)."""
+    known = {
+        **_of_type(
+            "DOUBLE",
+            "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum actual_main_voltage "
+            "actual_robot_voltage actual_robot_current standard_analog_input0 standard_analog_input1 standard_analog_output0 "
+            "standard_analog_output1 tool_analog_input0 tool_analog_input1 tool_output_current tool_temperature "
+            "tcp_force_scalar payload io_current euromap67_24V_voltage euromap67_24V_current",
+        ),
+        **_of_type(
+            "VECTOR6D",
+            "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current "
+            "joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose target_TCP_speed "
+            "joint_temperatures actual_joint_voltage payload_inertia",
+        ),
+        **_of_type("VECTOR3D", "actual_tool_accelerometer elbow_position elbow_velocity payload_cog"),
+        **_of_type("UINT64", "actual_digital_input_bits actual_digital_output_bits"),
+        **_of_type("INT32", "robot_mode safety_mode tool_output_voltage"),
+        **_of_type("UINT32", "runtime_state robot_status_bits safety_status_bits analog_io_types tool_analog_input_types "
+                   "input_bit_registers0_to_31 input_bit_registers32_to_63 output_bit_registers0_to_31 "
+                   "output_bit_registers32_to_63"),
+        **_of_type("VECTOR6INT32", "joint_mode"),
+        **{f"output_int_register_{i}": "INT32" for i in range(48)},
+        **{f"output_double_register_{i}": "DOUBLE" for i in range(48)},
+        **{f"output_bit_register_{i}": "BOOL" for i in range(64, 128)},
+        **INPUTS,
+    }
+    if e_series:
+        known["ft_raw_wrench"] = "VECTOR6D"
+    return known
+
+
+INPUTS: dict[str, str] = {
+    **{f"input_int_register_{i}": "INT32" for i in range(48)},
+    **{f"input_double_register_{i}": "DOUBLE" for i in range(48)},
+    **{f"input_bit_register_{i}": "BOOL" for i in range(64, 128)},
+    **_of_type("UINT32", "speed_slider_mask"),
+    **_of_type("DOUBLE", "speed_slider_fraction standard_analog_output_0 standard_analog_output_1"),
+    **_of_type(
+        "UINT8",
+        "standard_digital_output_mask configurable_digital_output_mask tool_digital_output_mask standard_digital_output "
+        "configurable_digital_output tool_digital_output standard_analog_output_mask standard_analog_output_type",
+    ),
+    **_of_type("VECTOR6D", "external_force_torque"),
+}
+
+
+class Recipe:
+    """An agreed list of fields and how they are packed (big endian, in that order)."""
+
+    def __init__(self, number: int, names: list[str], kinds: list[str], every: int = 1) -> None:
+        self.number, self.names, self.every = number, names, every
+        self.counts = [1 if PACKING[kind][0] not in "36" else int(PACKING[kind][0]) for kind in kinds]
+        self._body = struct.Struct(">B" + "".join(PACKING[kind] for kind in kinds))
+        self._package = struct.Struct(">HBB" + "".join(PACKING[kind] for kind in kinds))
+
+    def package(self, values: Values) -> bytes:
+        """One output data package."""
+        flat: list[float] = []
+        for name in self.names:
+            flat += values[name]
+        return self._package.pack(self._package.size, ord("U"), self.number, *flat)
+
+    def read(self, body: bytes) -> Values:
+        """The fields of one input data package; struct.error where it has the wrong length."""
+        flat = self._body.unpack(body)[1:]
+        values: Values = {}
+        at = 0
+        for name, count in zip(self.names, self.counts, strict=True):
+            values[name] = flat[at : at + count]
+            at += count
+        return values
+
+
+class Wire:
+    """One accepted connection: bytes in to `take`, bytes out as far as the other end reads."""
+
+    def __init__(self, server: "Server", connection: socket.socket) -> None:
+        self.server, self.connection = server, connection
+        self.inbox = b""
+        self.outbox = b""
+        self.unread_since_s: float | None = None
+
+    def take(self, now_s: float) -> None:
+        """Act on what stands in the inbox."""
+
+    def send(self, data: bytes, now_s: float) -> None:
+        """Queue and send; what does not fit now goes out later."""
+        self.outbox += data
+        self.flush(now_s)
+
+    def flush(self, now_s: float) -> None:
+        """Send what is queued, close what nobody reads."""
+        if not self.outbox:
+            return
+        try:
+            self.outbox = self.outbox[self.connection.send(self.outbox) :]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self.close()
+            return
+        self.unread_since_s = (self.unread_since_s or now_s) if self.outbox else None
+        if self.unread_since_s is not None and now_s - self.unread_since_s > UNREAD_S:
+            self.close()
+
+    def close(self) -> None:
+        """Close the connection; the variables it owned are free again."""
+        if self in self.server.wires:
+            self.server.wires.remove(self)
+            with contextlib.suppress(KeyError, ValueError):
+                self.server.selector.unregister(self.connection)
+            self.connection.close()
+
+
+class Server:
+    """One listening port."""
+
+    def __init__(self, selector: selectors.BaseSelector, host: str, port: int, wire: Callable[["Server", socket.socket], Wire]) -> None:
+        self.selector, self.host, self.port = selector, host, port
+        self.wires: list[Wire] = []
+        self._wire = wire
+        self._listener: socket.socket | None = None
+        self.listen()
+
+    def listen(self) -> None:
+        """Open the port; OSError if it is taken."""
+        listener = socket.socket()
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((self.host, self.port))
+            listener.listen(8)
+        except OSError:
+            listener.close()
+            raise
+        listener.setblocking(False)
+        self._listener = listener
+        self.selector.register(listener, selectors.EVENT_READ, self._accept)
+
+    def _accept(self, now_s: float) -> None:
+        assert self._listener is not None
+        with contextlib.suppress(BlockingIOError):
+            connection, _ = self._listener.accept()
+            connection.setblocking(False)
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            wire = self._wire(self, connection)
+            self.wires.append(wire)
+            self.selector.register(connection, selectors.EVENT_READ, lambda now_s: self._receive(wire, now_s))
+
+    def _receive(self, wire: Wire, now_s: float) -> None:
+        try:
+            data = wire.connection.recv(65536)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            wire.close()
+            return
+        wire.inbox += data
+        wire.take(now_s)
+
+    def drop(self) -> None:
+        """Close every connection; the port stays open."""
+        for wire in list(self.wires):
+            wire.close()
+
+    def close(self) -> None:
+        """Close the port and every connection."""
+        self.drop()
+        if self._listener is not None:
+            self.selector.unregister(self._listener)
+            self._listener.close()
+            self._listener = None
+
+
+class RtdeWire(Wire):
+    """One RTDE client."""
+
+    def __init__(self, server: Server, connection: socket.socket, robot: "UrWires") -> None:
+        super().__init__(server, connection)
+        self.robot = robot
+        self.recipes: list[Recipe] = []
+        self.inputs: dict[int, Recipe] = {}
+        self.owned: set[str] = set()
+        self.streaming = False
+
+    def take(self, now_s: float) -> None:
+        """Act on every whole message."""
+        while len(self.inbox) >= 3:
+            size, kind = struct.unpack_from(">HB", self.inbox)
+            if size < 3:
+                self.close()
+                return
+            if len(self.inbox) < size:
+                return
+            body, self.inbox = self.inbox[3:size], self.inbox[size:]
+            try:
+                self._message(chr(kind), body, now_s)
+            except (struct.error, UnicodeDecodeError):
+                self.text(f"Malformed package of type {kind}", 1, now_s)
+
+    def reply(self, kind: str, body: bytes, now_s: float) -> None:
+        """Send one message."""
+        self.send(struct.pack(">HB", 3 + len(body), ord(kind)) + body, now_s)
+
+    def text(self, message: str, level: int, now_s: float) -> None:
+        """Send a text message (0 exception, 1 error, 2 warning, 3 information)."""
+        said, source = message.encode()[:255], b"RTDE"
+        self.reply("M", bytes([len(said)]) + said + bytes([len(source)]) + source + bytes([level]), now_s)
+
+    def _message(self, kind: str, body: bytes, now_s: float) -> None:
+        model = self.robot.controller.model
+        match kind:
+            case "V":
+                (version,) = struct.unpack(">H", body)
+                self.reply("V", bytes([version == 2 and not self.robot.refuse_version]), now_s)
+            case "v":
+                self.reply("v", struct.pack(">4I", *model.version), now_s)
+            case "O":
+                (rate_Hz,) = struct.unpack_from(">d", body)
+                self._set_outputs(rate_Hz, _names(body[8:]), now_s)
+            case "I":
+                self._set_inputs(_names(body), now_s)
+            case "S":
+                accepted = bool(self.recipes)
+                if not accepted:
+                    self.text("No output recipe: nothing to start", 1, now_s)
+                self.streaming = accepted
+                self.reply("S", bytes([accepted]), now_s)
+            case "P":
+                self.streaming = False
+                self.reply("P", b"\x01", now_s)
+            case "U":
+                recipe = self.inputs.get(body[0]) if body else None
+                if recipe is None:
+                    self.text("Data package of an unknown recipe", 1, now_s)
+                else:
+                    self.robot.controller.write(recipe.read(body), now_s)
+            case "M":
+                pass
+            case _:
+                self.text(f"Unknown package type {ord(kind)}", 2, now_s)
+
+    def _set_outputs(self, rate_Hz: float, names: list[str], now_s: float) -> None:
+        kinds = [self.robot.outputs.get(name, "NOT_FOUND") for name in names]
+        number = 0
+        if "NOT_FOUND" not in kinds:
+            number = len(self.recipes) + 1
+            fastest_Hz = 1.0 / self.robot.controller.model.cycle_s
+            every = max(1, round(fastest_Hz / rate_Hz)) if rate_Hz > 0 else 1
+            self.recipes.append(Recipe(number, names, kinds, every))
+        self.reply("O", bytes([number]) + ",".join(kinds).encode(), now_s)
+
+    def _set_inputs(self, names: list[str], now_s: float) -> None:
+        others = {name for wire in self.robot.clients() if wire is not self for name in wire.owned}
+        kinds = ["IN_USE" if name in others else INPUTS.get(name, "NOT_FOUND") for name in names]
+        number = 0
+        if not {"IN_USE", "NOT_FOUND"} & set(kinds):
+            number = len(self.inputs) + 1
+            self.inputs[number] = Recipe(number, names, kinds)
+            self.owned.update(names)
+        self.reply("I", bytes([number]) + ",".join(kinds).encode(), now_s)
+
+
+def _names(text: bytes) -> list[str]:
+    return [name for name in text.decode("ascii").strip().split(",") if name]
+
+
+class ScriptWire(Wire):
+    """One client of the script port: text in, nothing out."""
+
+    def __init__(self, server: Server, connection: socket.socket, robot: "UrWires") -> None:
+        super().__init__(server, connection)
+        self.robot = robot
+
+    def take(self, now_s: float) -> None:
+        """A script ends with a line that is exactly `end`."""
+        end = b"\nend\n"
+        while (at := self.inbox.find(end)) >= 0:
+            script, self.inbox = self.inbox[: at + len(end)], self.inbox[at + len(end) :]
+            self.robot.controller.upload(script.decode("utf-8", "replace"), now_s)
+
+
+class DashboardWire(Wire):
+    """One client of the dashboard server: a line in, a line out."""
+
+    def __init__(self, server: Server, connection: socket.socket, robot: "UrWires") -> None:
+        super().__init__(server, connection)
+        self.robot = robot
+        self.send(b"Connected: Universal Robots Dashboard Server\n", 0.0)
+
+    def take(self, now_s: float) -> None:
+        """Answer every whole line."""
+        while b"\n" in self.inbox:
+            line, _, self.inbox = self.inbox.partition(b"\n")
+            asked = line.decode("utf-8", "replace").strip()
+            if asked == "quit":
+                self.send(b"Disconnected\n", now_s)
+                self.close()
+                return
+            self.send(self._answer(asked, now_s).encode() + b"\n", now_s)
+
+    def _answer(self, asked: str, now_s: float) -> str:
+        robot = self.robot.controller
+        playing = robot.runtime is Runtime.PLAYING
+        match asked.lower():
+            case "play":
+                return "Starting program" if robot.play() else "Failed to execute: play"
+            case "stop":
+                robot.stop_program(now_s, "stopped at the dashboard")
+                return "Stopped"
+            case "pause":
+                return "Pausing program" if robot.pause() else "Failed to execute: pause"
+            case "unlock protective stop":
+                if robot.unlock(now_s):
+                    return "Protective stop releasing"
+                return (
+                    "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
+                )
+            case "power on":
+                robot.power_on()
+                return "Powering on"
+            case "power off":
+                robot.power_off(now_s)
+                return "Powering off"
+            case "brake release":
+                robot.release_brakes()
+                return "Brake releasing"
+            case "close safety popup":
+                return "closing safety popup"
+            case "close popup":
+                return "closing popup"
+            case "restart safety":
+                robot.safety = Safety.NORMAL
+                return "Restarting safety"
+            case "running":
+                return f"Program running: {str(playing).lower()}"
+            case "robotmode":
+                return f"Robotmode: {robot.power.name}"
+            case "safetymode":
+                return f"Safetymode: {robot.safety.name}"
+            case "safetystatus":
+                return f"Safetystatus: {robot.safety.name}"
+            case "programstate":
+                state = "PLAYING" if playing else "PAUSED" if robot.runtime is Runtime.PAUSED else "STOPPED"
+                return f"{state} rtde_control.urp"
+            case "polyscopeversion":
+                return robot.model.polyscope
+            case "get loaded program":
+                return "Loaded program: /programs/rtde_control.urp"
+            case "isprogramsaved":
+                return "true null"
+            case "get serial number" if robot.model.e_series:
+                return robot.model.serial_number
+            case "get robot model" if robot.model.e_series:
+                return "UR5"
+            case "is in remote control" if robot.model.e_series:
+                return "true"
+            case _:
+                return f'could not understand: "{asked}"'
+
+
+class UrWires:
+    """All ports of one controller."""
+
+    def __init__(self, controller: Controller, selector: selectors.BaseSelector, host: str) -> None:
+        self.controller = controller
+        self.outputs = outputs(controller.model.e_series)
+        self.refuse_version = False
+        self.keep_every = 1
+        self._index = 0
+        self.rtde = Server(selector, host, RTDE_PORT, lambda server, connection: RtdeWire(server, connection, self))
+        self.script = Server(selector, host, SCRIPT_PORT, lambda server, connection: ScriptWire(server, connection, self))
+        self.dashboard = Server(selector, host, DASHBOARD_PORT, lambda server, connection: DashboardWire(server, connection, self))
+
+    def clients(self) -> Iterable[RtdeWire]:
+        """Every connected RTDE client."""
+        return (wire for wire in self.rtde.wires if isinstance(wire, RtdeWire))
+
+    def publish(self, values: Values, now_s: float) -> None:
+        """Send one package of each recipe that is due; a client that does not read loses packages, and then its connection."""
+        self._index += 1
+        messages, self.controller.messages = self.controller.messages, []
+        for wire in list(self.clients()):
+            for text, level in messages:
+                wire.text(text, level, now_s)
+            if not wire.streaming or self._index % self.keep_every:
+                continue
+            wire.flush(now_s)
+            if not wire.outbox:
+                for recipe in wire.recipes:
+                    if self._index % recipe.every == 0:
+                        wire.send(recipe.package(values), now_s)
+
+    def servers(self) -> tuple[Server, Server, Server]:
+        """The three ports."""
+        return self.rtde, self.script, self.dashboard
+
+
+def status_bits(controller: Controller) -> tuple[int, int]:
+    """`robot_status_bits` and `safety_status_bits`."""
+    robot = int(controller.power >= Power.POWER_ON) | int(controller.runtime is Runtime.PLAYING) << 1
+    match controller.safety:
+        case Safety.NORMAL:
+            return robot, 0x001
+        case Safety.PROTECTIVE_STOP:
+            return robot, 0x404
+        case _:
+            return robot, 0x4C0

@@ -1,0 +1,216 @@
+"""What can be done to the emulated cell, and asked of it, over the control channel.
+
+A request is one JSON object on a line, `{"do": VERB, …}`; the answer is one too, `{"ok": true, …}` or `{"ok": false, "error": …}`.
+Durations are `s` in seconds. Times in answers are on the host's monotonic clock, wrenches and heights in base axes.
+
+| sensor verb | does |
+|---|---|
+| `silent` `s` | sends nothing |
+| `slow` `every` `s` | sends one frame in so many |
+| `stuck` `s` | repeats its last values, the counter runs |
+| `garbage` `bytes` | so many random bytes before the next frame |
+| `lose` `bytes` | so many bytes of the next frames are lost |
+| `flip` `frames` | one bit is wrong in each of the next frames |
+| `swap` `frames` | two neighbouring bytes of the values change places (the sum does not see it) |
+| `false_header` `frames` | a header and five random bytes before each of the next frames |
+| `counter_jump` `by` | the counter leaps |
+| `status` `word` `s` | the status word |
+| `overload` `s` | the status bit of Fz overload |
+| `drift` `N_per_s` | Fz reads more and more pressed; 0 ends the drift and takes it back |
+| `unplug`, `replug` | the device goes away; comes back powered up afresh |
+
+| robot verb | does |
+|---|---|
+| `freeze` `s` | the network hangs, both directions; connections stay open |
+| `drop` | closes every RTDE connection |
+| `slow_packets` `every` `s` | sends one package in so many |
+| `protective_stop`, `emergency_stop`, `power_off`, `program_stop` | what they say; released over the dashboard |
+| `restart` `s` | the controller restarts and answers again after `s` |
+| `refuse_version` `on` | answers the protocol version with no |
+
+| cell verb | does |
+|---|---|
+| `wall` `z_m` `stiffness_N_per_m` | a linear wall from now on, in place of the tissue |
+| `truth` `reset` | `tip_z_m`, `target_z_m`, `contact_N`, `peak_contact_N` (since the last reset), `surface_z_m` under the tip |
+| `log` `since_s` | `samples` (a cycle: t_s, target speed, its vz, target z, tip z, contact force, runtime state), `stops` (t_s, reason) |
+| `stats` | wake-ups of the last minute: `late_us_p50`, `late_us_p99`, `late_us_max`, and `cpu_s`, `now_s` |
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import astuple
+from typing import Any
+
+import numpy as np
+
+from hw.emulators.hex_pty import Daq
+from hw.emulators.rig import Rig
+
+Answer = dict[str, Any]
+FZ_OVERLOAD = 1 << 7
+
+
+def obey(rig: Rig, request: dict[str, Any], now_s: float, lateness_s: Sequence[float]) -> Answer:
+    """Do one request; ValueError where the verb is unknown, KeyError or TypeError where its arguments are wrong."""
+    arguments = dict(request)
+    verb = arguments.pop("do")
+    if verb == "stats":
+        return {"ok": True, **_stats(lateness_s, now_s)}
+    if verb not in VERBS:
+        raise ValueError(f"there is no verb {verb!r}; there are {', '.join(sorted((*VERBS, 'stats')))}")
+    return {"ok": True, **(VERBS[verb](rig, now_s, **arguments) or {})}
+
+
+def _stats(lateness_s: Sequence[float], now_s: float) -> Answer:
+    p50, p99, top = np.percentile(np.array(lateness_s) * 1e6, [50, 99, 100])
+    return {"late_us_p50": p50, "late_us_p99": p99, "late_us_max": top, "cpu_s": time.process_time(), "now_s": now_s}
+
+
+def _silent(rig: Rig, now_s: float, s: float) -> None:
+    rig.daq.faults.silent_until_s = now_s + s
+
+
+def _slow(rig: Rig, now_s: float, every: int, s: float) -> None:
+    rig.daq.faults.slow_every, rig.daq.faults.slow_until_s = int(every), now_s + s
+
+
+def _stuck(rig: Rig, now_s: float, s: float) -> None:
+    rig.daq.faults.stuck_until_s = now_s + s
+
+
+def _garbage(rig: Rig, now_s: float, bytes: int) -> None:
+    rig.daq.faults.garbage += rig.daq.random.randbytes(bytes)
+
+
+def _lose(rig: Rig, now_s: float, bytes: int) -> None:
+    rig.daq.faults.lose_bytes += bytes
+
+
+def _flip(rig: Rig, now_s: float, frames: int = 1) -> None:
+    rig.daq.faults.flips += frames
+
+
+def _swap(rig: Rig, now_s: float, frames: int = 1) -> None:
+    rig.daq.faults.swaps += frames
+
+
+def _false_header(rig: Rig, now_s: float, frames: int = 1) -> None:
+    rig.daq.faults.false_headers += frames
+
+
+def _counter_jump(rig: Rig, now_s: float, by: int) -> None:
+    rig.daq.counter = (rig.daq.counter + by) % 65536
+
+
+def _status(rig: Rig, now_s: float, word: int, s: float) -> None:
+    rig.daq.faults.status, rig.daq.faults.status_until_s = int(word), now_s + s
+
+
+def _overload(rig: Rig, now_s: float, s: float) -> None:
+    _status(rig, now_s, FZ_OVERLOAD, s)
+
+
+def _drift(rig: Rig, now_s: float, N_per_s: float) -> None:
+    rig.daq.faults.drift_N_per_s = N_per_s
+    if N_per_s == 0:
+        rig.daq.faults.drift_N = 0.0
+
+
+def _unplug(rig: Rig, now_s: float) -> None:
+    rig.line.unplug()
+
+
+def _replug(rig: Rig, now_s: float) -> None:
+    rig.daq = Daq()
+    rig.line.plug_in()
+
+
+def _freeze(rig: Rig, now_s: float, s: float) -> None:
+    rig.freeze(now_s + s)
+
+
+def _drop(rig: Rig, now_s: float) -> None:
+    rig.wires.rtde.drop()
+
+
+def _slow_packets(rig: Rig, now_s: float, every: int, s: float) -> None:
+    rig.slow_packets(int(every), now_s + s)
+
+
+def _protective_stop(rig: Rig, now_s: float) -> None:
+    rig.controller.protective_stop(now_s)
+
+
+def _emergency_stop(rig: Rig, now_s: float) -> None:
+    rig.controller.emergency_stop(now_s)
+
+
+def _power_off(rig: Rig, now_s: float) -> None:
+    rig.controller.power_off(now_s)
+
+
+def _program_stop(rig: Rig, now_s: float) -> None:
+    rig.controller.stop_program(now_s, "stopped at the pendant")
+
+
+def _restart(rig: Rig, now_s: float, s: float = 2.0) -> None:
+    rig.restart(now_s + s)
+
+
+def _refuse_version(rig: Rig, now_s: float, on: bool = True) -> None:
+    rig.wires.refuse_version = on
+
+
+def _wall(rig: Rig, now_s: float, z_m: float, stiffness_N_per_m: float) -> None:
+    rig.place_wall(z_m, stiffness_N_per_m)
+
+
+def _truth(rig: Rig, now_s: float, reset: bool = False) -> Answer:
+    tip_z_m, contact_N = rig.tip
+    x_m, y_m, target_z_m = (float(value) for value in rig.controller.pose[:3])
+    answer = {
+        "t_s": now_s,
+        "tip_z_m": tip_z_m,
+        "target_z_m": target_z_m,
+        "contact_N": contact_N,
+        "peak_contact_N": rig.peak_contact_N,
+        "surface_z_m": rig.surface_m(x_m, y_m),
+    }
+    if reset:
+        rig.peak_contact_N = contact_N
+    return answer
+
+
+def _log(rig: Rig, now_s: float, since_s: float = 0.0) -> Answer:
+    samples = [astuple(sample) for sample in rig.samples if sample.t_s >= since_s]
+    return {"samples": samples, "stops": [stop for stop in rig.controller.stops if stop[0] >= since_s]}
+
+
+VERBS: dict[str, Callable[..., Answer | None]] = {
+    "silent": _silent,
+    "slow": _slow,
+    "stuck": _stuck,
+    "garbage": _garbage,
+    "lose": _lose,
+    "flip": _flip,
+    "swap": _swap,
+    "false_header": _false_header,
+    "counter_jump": _counter_jump,
+    "status": _status,
+    "overload": _overload,
+    "drift": _drift,
+    "unplug": _unplug,
+    "replug": _replug,
+    "freeze": _freeze,
+    "drop": _drop,
+    "slow_packets": _slow_packets,
+    "protective_stop": _protective_stop,
+    "emergency_stop": _emergency_stop,
+    "power_off": _power_off,
+    "program_stop": _program_stop,
+    "restart": _restart,
+    "refuse_version": _refuse_version,
+    "wall": _wall,
+    "truth": _truth,
+    "log": _log,
+}
