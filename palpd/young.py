@@ -116,7 +116,7 @@ def fit_contact(
     slopes += [np.ones_like(indentation_m)] if baseline_N is None else []
     air = indentation_m <= 0.0
     rounding_N = _undithered_N(force_N, residual_N[air])
-    sigmas, n_effective = _sigmas(np.column_stack(slopes), residual_N, rounding_N * air)
+    sigmas, n_effective = _sigmas(np.column_stack(slopes), residual_N, np.where(air, rounding_N, 0.0))
     degrees = max(n_effective * float(np.mean(~air)) - len(slopes), 1.0)
     modulus = modulus_hertz_Pa(stiffness, 1.0, tip_radius_m, poisson_ratio)
     half = _student_t_95(degrees) * sigmas[0] * modulus / stiffness

@@ -1,0 +1,251 @@
+"""The inertial force of the probe, predicted from its motion: causal features, and a small network that is refused unless it fits.
+
+The network (Guo, Xiao, Ren 2019: velocity and acceleration in, force out) runs on every sensor sample. What it was trained on,
+for which probe and sensor, and in which range stands in a card beside it, `<model>.json`; without one it is not used.
+"""
+
+import hashlib
+import json
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+from numpy.typing import NDArray
+
+from palpd.errors import ModelRefused
+from palpd.tick import Floats, RobotState
+
+SCHEMA = "palpd.inertial/1"
+INPUTS = (("vz_m_per_s", "m/s"), ("az_m_per_s2", "m/s^2"))
+"""Names and units of the features, in the order of their columns."""
+INPUT_NAME, OUTPUT_NAME = "motion", "inertial_N"
+WINDOW_S = 0.024
+"""Robot states behind the slope. At 2e-4 m/s rms of speed noise it leaves 11 (125 Hz) or 7 mm/s² rms (500 Hz), 2 mN of a 0.2 kg
+probe, and delays the acceleration by 12 ms; a speed difference of two neighbours at 500 Hz would leave 28 mN."""
+LARGEST_BYTES = 1_000_000
+OPERATORS = frozenset({"Add", "Div", "Gemm", "Identity", "MatMul", "Mul", "Relu", "Sigmoid", "Sub", "Tanh"})
+"""What a small feed-forward network needs; none of them loops, branches, reads a file or draws random numbers."""
+MASS_TOLERANCE_KG = 0.005
+"""Probes whose masses differ by less are taken as the same: 5 g at 0.4 m/s² are 2 mN."""
+
+
+@dataclass(slots=True)
+class Motion:
+    """Speed and acceleration of the tip at the time of a sensor sample, from nothing but the robot states that have come.
+
+    The acceleration is the slope of a straight line through the speeds of the last `WINDOW_S`, hence that of `WINDOW_S`/2 ago;
+    the speed is read off the same line, so it does not lag. `sensor_delay_s` is how late the sensor's filter shows a force.
+    """
+
+    sensor_delay_s: float = 0.0
+    _speeds: deque[tuple[float, float]] = field(default_factory=deque)
+    _line: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def update(self, robot: RobotState) -> None:
+        """Take in a state; one that is not newer than the last changes nothing."""
+        speeds, t_s = self._speeds, robot.t_s
+        if speeds and t_s <= speeds[-1][0]:
+            return
+        speeds.append((t_s, robot.vz_m_per_s))
+        while speeds[0][0] < t_s - WINDOW_S - 1e-4:  # controllers' timestamps jitter by less than that
+            speeds.popleft()
+        n = len(speeds)
+        ages = [t - t_s for t, _ in speeds]
+        mean_age, mean_speed = math.fsum(ages) / n, math.fsum(speed for _, speed in speeds) / n
+        spread = math.fsum((age - mean_age) ** 2 for age in ages)
+        slope = math.fsum((age - mean_age) * speed for age, (_, speed) in zip(ages, speeds, strict=True)) / spread if n > 2 else 0.0
+        self._line = (t_s + mean_age, mean_speed, slope)
+
+    def features(self, t_s: Floats) -> Floats:
+        """Speed in m/s and acceleration in m/s² at the sensor times (n,), as (n, 2). Before any state: zeros.
+
+        Beyond the newest state the line goes on for at most a window, then the speed is held.
+        """
+        mean_t_s, mean_speed, slope = self._line
+        features = np.empty((len(t_s), 2))
+        features[:, 0] = mean_speed + slope * np.clip(t_s - self.sensor_delay_s - mean_t_s, -WINDOW_S, WINDOW_S)
+        features[:, 1] = slope
+        return features
+
+
+@dataclass(slots=True)
+class InertialModel:
+    """A network that says what inertia and bias add to fz, and the card it came with.
+
+    `low` and `high` (2,) bound the motion it was trained on: beyond them it is asked for the nearest edge, since a network says
+    anything out there. `not_finite` counts samples that it had no number for and that were left uncorrected. `warnings` name what
+    nobody could check.
+    """
+
+    card: dict[str, Any]
+    low: Floats
+    high: Floats
+    session: Any
+    not_finite: int = 0
+    warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def load(cls, path: Path, *, probe_mass_kg: float, sensor_serial: str | None = None) -> "InertialModel":
+        """Read a model and its card. Raises ModelRefused where they do not belong together or to this probe and sensor."""
+        card = read_card(path)
+        model = cls.from_bytes(_content(path), card, path.name)
+        model.warnings = _refuse_stranger(path.name, card, probe_mass_kg, sensor_serial)
+        return model
+
+    @classmethod
+    def from_bytes(cls, content: bytes, card: dict[str, Any], name: str = "the recorded model") -> "InertialModel":
+        """A model and the card it came with, as a recording keeps them. Raises ModelRefused where they do not belong together."""
+        _refuse_incomplete(name, card)
+        found = hashlib.sha256(content).hexdigest()
+        if found != card["model_sha256"]:
+            raise ModelRefused(
+                f"{name} has the SHA-256 {found[:12]}…, its card says {str(card['model_sha256'])[:12]}…; "
+                "one of them was changed after training: train again or restore it"
+            )
+        _refuse_graph(name, content)
+        ranges = _ranges(name, card)
+        return cls(card, ranges[:, 0], ranges[:, 1], _session(name, content))
+
+    def predict(self, features: Floats) -> Floats:
+        """Inertial force and learned bias (n,) in N on fz for features (n, 2); 0 where the network gives no finite number.
+
+        It is not bounded: the caller clips it to the correction it allows.
+        """
+        inside = np.clip(features, self.low, self.high).astype(np.float32)
+        predicted: Floats = self.session.run(None, {INPUT_NAME: inside})[0][:, 0].astype(np.float64)
+        finite = np.isfinite(predicted)
+        if not finite.all():
+            self.not_finite += int(len(predicted) - np.count_nonzero(finite))
+            predicted[~finite] = 0.0
+        return predicted
+
+    def in_range(self, features: Floats) -> NDArray[np.bool_]:
+        """Which of the features (n, 2) lie within the motion that it was trained on, as (n,)."""
+        inside: NDArray[np.bool_] = np.all((features >= self.low) & (features <= self.high), axis=1)
+        return inside
+
+
+def card_path(model: Path) -> Path:
+    """Where the card of a model stands: `inertial.onnx` has `inertial.json`."""
+    return model.with_suffix(".json")
+
+
+def read_card(model: Path) -> dict[str, Any]:
+    """The card of a model. Raises ModelRefused where it is absent, no JSON, or lacks a key that decides whether the model fits."""
+    path = card_path(model)
+    try:
+        card = json.loads(path.read_text(encoding="utf-8"))
+    except OSError:
+        raise ModelRefused(f"{model.name} has no card {path.name} beside it that can be read; train the model with palpd train") from None
+    except ValueError:
+        raise ModelRefused(f"{path.name} is not JSON, so nobody knows what {model.name} was trained on; train it again") from None
+    _refuse_incomplete(model.name, card)
+    return dict(card)
+
+
+def _refuse_incomplete(name: str, card: Any) -> None:
+    if not isinstance(card, dict) or card.get("schema") != SCHEMA:
+        raise ModelRefused(f"the card of {name} is not of the schema {SCHEMA}; train the model again with palpd train")
+    missing = [key for key in ("inputs", "input_range", "model_sha256", "probe") if key not in card]
+    if missing:
+        raise ModelRefused(f"the card of {name} lacks {', '.join(missing)}; train the model again with palpd train")
+
+
+def _content(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_BYTES:
+            raise ModelRefused(
+                f"{path.name} has {size} bytes, at most {LARGEST_BYTES} are allowed: a network that runs on every sample is small"
+            )
+        return path.read_bytes()
+    except OSError as error:
+        raise ModelRefused(f"{path} cannot be read ({error.strerror}); give the path of a trained model") from None
+
+
+def _refuse_graph(name: str, content: bytes) -> None:
+    """One input (n, 2), one output (n, 1), only the operators of a small network, and every weight inside the file."""
+    try:
+        model = onnx.load_model_from_string(content)
+        onnx.checker.check_model(model)
+    except Exception as error:  # the parser raises what its C++ and protobuf layers raise
+        first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise ModelRefused(f"{name} is not an ONNX model ({first[:120]}); train it again") from None
+    graph = model.graph
+    foreign = sorted({f"{node.domain or 'onnx'}.{node.op_type}" for node in graph.node if node.domain or node.op_type not in OPERATORS})
+    if foreign or model.functions or len(graph.sparse_initializer):
+        raise ModelRefused(
+            f"{name} contains {', '.join(foreign) or 'functions or sparse weights'}, expected only {', '.join(sorted(OPERATORS))}"
+        )
+    if any(tensor.data_location == onnx.TensorProto.EXTERNAL for tensor in graph.initializer):
+        raise ModelRefused(f"{name} keeps weights in another file, which its hash does not cover; store them inside")
+    shapes = [_shape(value) for value in (*graph.input, *graph.output)]
+    if len(graph.input) != 1 or len(graph.output) != 1 or shapes != [(INPUT_NAME, len(INPUTS)), (OUTPUT_NAME, 1)]:
+        raise ModelRefused(
+            f"{name} has the inputs and outputs {shapes}, expected {INPUT_NAME} (n, {len(INPUTS)}) and {OUTPUT_NAME} (n, 1) of float32"
+        )
+
+
+def _shape(value: Any) -> tuple[str, int]:
+    """Name and number of columns of a tensor (rows, columns) of float32; 0 columns for anything else."""
+    kind = value.type.tensor_type
+    dims = kind.shape.dim
+    return value.name, dims[1].dim_value if kind.elem_type == onnx.TensorProto.FLOAT and len(dims) == 2 else 0
+
+
+def _ranges(name: str, card: dict[str, Any]) -> Floats:
+    """Least and largest of each input, (2, 2). Inputs must be the ones that `Motion` gives, in its order and units."""
+    expected = [{"name": each, "unit": unit} for each, unit in INPUTS]
+    if card["inputs"] != expected:
+        raise ModelRefused(
+            f"the card of {name} lists the inputs {card['inputs']}, expected {expected} in this order; train it again with palpd train"
+        )
+    try:
+        ranges = np.array([card["input_range"][each] for each, _ in INPUTS], dtype=float)
+    except (KeyError, TypeError, ValueError):
+        ranges = np.empty(0)
+    if ranges.shape != (len(INPUTS), 2) or not np.isfinite(ranges).all() or (ranges[:, 0] >= ranges[:, 1]).any():
+        raise ModelRefused(
+            f"the card of {name} gives the input_range {card['input_range']}, expected [least, largest] of "
+            f"{', '.join(each for each, _ in INPUTS)}; train it again"
+        )
+    return ranges
+
+
+def _refuse_stranger(name: str, card: dict[str, Any], probe_mass_kg: float, sensor_serial: str | None) -> tuple[str, ...]:
+    """Refuse a model of another probe or sensor; returns what could not be compared."""
+    probe = card["probe"]
+    trained_kg = probe.get("mass_kg") if isinstance(probe, dict) else None
+    if not isinstance(trained_kg, int | float):
+        raise ModelRefused(f"the card of {name} does not say probe.mass_kg; train it again with palpd train")
+    if not abs(trained_kg - probe_mass_kg) <= MASS_TOLERANCE_KG:
+        raise ModelRefused(
+            f"{name} was trained with a probe of {trained_kg:g} kg, this cell's weighs {probe_mass_kg:g} kg (cell.probe.mass_kg); "
+            "train one for this probe"
+        )
+    trained_serial = card.get("sensor_serial")
+    if trained_serial and sensor_serial:
+        if trained_serial != sensor_serial:
+            raise ModelRefused(
+                f"{name} was trained with the sensor {trained_serial}, the one connected is {sensor_serial}; train one for this sensor"
+            )
+        return ()
+    whose = "the card" if not trained_serial else "the sensor connected"
+    return (f"{whose} tells no serial number, so it was not checked that {name} was trained with this sensor",)
+
+
+def _session(name: str, content: bytes) -> Any:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1  # ten neurons: a second thread only costs wake-ups
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.inter_op.allow_spinning", "0")
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's exceptions have no common root of their own
+        raise ModelRefused(f"{name} cannot be run ({str(error).strip().splitlines()[0][:120]}); train it again") from None
