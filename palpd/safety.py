@@ -39,7 +39,10 @@ rest on one count for long, six axes with noise of a count do not)."""
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the guard enforces; N, Nm, m, m/s, s, rad. `workspace_m` is ((x, x), (y, y), (z, z)) or None."""
+    """What the guard enforces; N, Nm, m, m/s, s, rad. `workspace_m` is ((x, x), (y, y), (z, z)) or None.
+
+    Without `needs_program` the robot may be read while no program of ours plays: a dry run, which commands nothing.
+    """
 
     contact_N: float
     absolute_N: float
@@ -51,6 +54,7 @@ class Limits:
     max_missed_ticks: int
     max_rejected_per_s: float = 50.0
     overload_N: float = 200.0
+    needs_program: bool = True
     min_z_m: float | None = None
     workspace_m: tuple[tuple[float, float], ...] | None = None
 
@@ -146,7 +150,7 @@ def _fault(limits: Limits, memory: Guard, sight: Sight, proposed: Command) -> tu
         _above(Trip.SENSOR_STALE, now_s - memory.sensor_heard_s, limits.sensor_stale_s),
         _unlike(Trip.ROBOT_MODE, robot.robot_mode, (RobotMode.RUNNING,)),
         _unlike(Trip.SAFETY_MODE, robot.safety_mode, (SafetyMode.NORMAL, SafetyMode.REDUCED)),
-        _unlike(Trip.PROGRAM_STOPPED, robot.runtime_state, (PROGRAM_PLAYING,)),
+        _unlike(Trip.PROGRAM_STOPPED, robot.runtime_state, (PROGRAM_PLAYING,)) if limits.needs_program else None,
         _above(Trip.SENSOR_STATUS, float(np.bitwise_or.reduce(sight.frames.status)) if len(sight.frames) else 0.0, 0.5),
         _above(Trip.SENSOR_FROZEN, memory.equal_frames, FROZEN_FRAMES),
         _above(Trip.SENSOR_REJECTS, memory.rejected, limits.max_rejected_per_s),
@@ -229,7 +233,7 @@ _SENTENCES = {
     Trip.ROBOT_STALE: "the robot's newest state was {m:.3f} s old, expected at most {l:g} s; check the network",
     Trip.ROBOT_MODE: "robot mode is {m:.0f}, expected {l:.0f} (running); power the arm on and release its brakes",
     Trip.SAFETY_MODE: "safety mode is {m:.0f}, expected {l:.0f} (normal); clear it on the pendant",
-    Trip.PROGRAM_STOPPED: "the control program is in state {m:.0f}, expected {l:.0f} (playing): stopped by somebody, or its watchdog starved",
+    Trip.PROGRAM_STOPPED: "the control program is in state {m:.0f}, expected {l:.0f} (playing): stopped, or its watchdog starved",
     Trip.CONNECTION: "the connection to the robot was lost",
     Trip.NOT_FINITE: "a number that is not finite came from a device or a model",
     Trip.OVERLOAD: "force {m:.0f} N is beyond the sensor's capacity of {l:.0f} N",

@@ -1,0 +1,5 @@
+"""`python -m palpd` is `palpd`."""
+
+from palpd.cli import main
+
+main()

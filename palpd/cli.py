@@ -1,0 +1,496 @@
+"""The command line. Exit codes: 0 done, 2 bad input or refused (one sentence on stderr), 3 stopped by the guard or a fault."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from rich.console import Console
+
+from palpd.errors import BadInput, PalpdError
+
+app = typer.Typer(
+    help="Press soft tissue with a UR5 and a HEX-70, say how stiff it is, and why a cell does not behave like its simulation.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+console = Console()
+
+ConfigOption = Annotated[Path, typer.Option("--config", help="config.yaml of the cell")]
+PlanOption = Annotated[Path, typer.Option("--plan", help="plan.yaml: where, how deep, how often")]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="write the figures to this file too")]
+SocketOption = Annotated[Path | None, typer.Option("--socket", help="control socket of the daemon (default: the one of --config)")]
+DEFAULT_CONFIG = Path("config.yaml")
+
+
+def main() -> None:
+    """Entry point: errors become one sentence and an exit code, never a traceback."""
+    try:
+        app()
+    except PalpdError as error:
+        print(f"palpd: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+# --- the cell -----------------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def run(
+    config: ConfigOption = DEFAULT_CONFIG,
+    plan: PlanOption = Path("plan.yaml"),
+    dry: Annotated[bool, typer.Option("--dry", help="read the real devices, command nothing")] = False,
+    take_reference: Annotated[bool, typer.Option("--take-reference", help="take the reference tare now instead of the kept one")] = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Carry out a plan in the foreground and end with it."""
+    from palpd.config import load_config, load_plan
+    from palpd.session import carry_out, findings, job
+    from palpd.wiring import devices
+
+    settings = load_config(config)
+    _writable(json_file)
+    _clear_latch(settings)
+    report = carry_out(job("palpation", settings, load_plan(plan), dry, take_reference), devices, console)
+    found = findings(report)
+    _tell_run(found)
+    _write_json(json_file, found)
+    _exit(report.exit_code, report.reason)
+
+
+@app.command()
+def calibrate(
+    config: ConfigOption = DEFAULT_CONFIG,
+    temperature_C: Annotated[float | None, typer.Option("--temperature-C", help="of the sensor, if known; kept with the tare")] = None,
+) -> None:
+    """Take the reference tare: probe free, arm still. Every run's absolute force limit is measured against it."""
+    from palpd.config import load_config
+    from palpd.session import calibrate as take
+    from palpd.wiring import devices
+
+    settings = load_config(config)
+    calibration = take(settings, devices, console, temperature_C)
+    forces = ", ".join(f"{force:.2f}" for force in calibration.wrench[:3])
+    console.print(f"Reference tare ({forces}) N of sensor {calibration.sensor_serial or 'unknown'} kept in {settings.paths.state}.")
+
+
+@app.command("free-motion")
+def free_motion(
+    out: Annotated[Path, typer.Option("--out", help="recording to write (.mcap)")],
+    config: ConfigOption = DEFAULT_CONFIG,
+    take_reference: Annotated[bool, typer.Option("--take-reference", help="take the reference tare now")] = False,
+) -> None:
+    """Move 2 cm up and down ten times in free air and record it; `palpd train` learns from it."""
+    from palpd.config import Plan, load_config
+    from palpd.session import carry_out, job
+    from palpd.wiring import devices
+
+    settings = load_config(config)
+    target = out.with_suffix(".mcap")
+    if target.exists():
+        raise BadInput(f"{target} exists and is not overwritten; choose another name or move it away")
+    _clear_latch(settings)
+    settings = settings.model_copy(update={"paths": settings.paths.model_copy(update={"runs": target.resolve().parent})})
+    report = carry_out(job("free_motion", settings, Plan(), take_reference=take_reference), devices, console, target.stem)
+    console.print(f"{report.verdict}: {report.recording}")
+    _exit(report.exit_code, report.reason)
+
+
+@app.command()
+def stiffness(config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = None) -> None:
+    """Press a rigid plate and keep how far sensor and arm give way; every depth is corrected by it afterwards."""
+    from palpd.config import Plan, load_config
+    from palpd.record import Recording
+    from palpd.results import machine_stiffness
+    from palpd.session import carry_out, job
+    from palpd.state import MachineStiffness, State
+    from palpd.supervisor import now
+    from palpd.wiring import devices
+
+    settings = load_config(config)
+    _clear_latch(settings)
+    report = carry_out(job("stiffness", settings, Plan()), devices, console)
+    if report.exit_code or report.recording is None:
+        _exit(report.exit_code or 3, report.reason)
+        return
+    value, interval = machine_stiffness(Recording.load(report.recording).rows)
+    State(settings.paths.state).keep("stiffness", MachineStiffness(value, interval, now(), report.about.get("sensor_serial")))
+    console.print(f"The machine gives way by 1 mm per {value / 1e3:.1f} N (95 %: {interval[0] / 1e3:.1f} to {interval[1] / 1e3:.1f}).")
+    _write_json(json_file, {"stiffness_N_per_m": value, "ci95_N_per_m": interval, "recording": str(report.recording)})
+
+
+@app.command()
+def train(
+    runs: Annotated[list[Path], typer.Argument(help="recordings of free motion (.mcap or .csv)")],
+    out: Annotated[Path, typer.Option("--out", help="model to write (.onnx); its card is written beside it (.json)")],
+    config: ConfigOption = DEFAULT_CONFIG,
+) -> None:
+    """Learn the inertial model (2-10-1) from free motion; write it with its card."""
+    from palpd.config import load_config
+    from palpd.record import Recording, samples_of
+    from palpd.samples import read
+    from palpd.train import train as learn
+
+    settings = load_config(config if config.exists() else None)
+    recordings, serials = [], set()
+    for path in runs:
+        if path.suffix == ".mcap":
+            recording = Recording.load(path)
+            recordings.append(samples_of(recording))
+            serials.add(recording.header["about"].get("sensor_serial"))
+        else:
+            recordings.append(read(path))
+    if len(serials) > 1:
+        raise BadInput(
+            f"the recordings come from different sensors ({', '.join(map(str, sorted(serials, key=str)))}); train on one sensor's"
+        )
+    card = learn(recordings, out, probe_mass_kg=settings.cell.probe.mass_kg, sensor_serial=next(iter(serials), None))
+    console.print(
+        f"{out} and its card: {card.n} points, rmse {card.rmse_N * 1e3:.1f} mN; bias {card.bias_N:+.3f} N, "
+        f"inertia {card.inertial_rms_N * 1e3:.1f} mN rms of a moving mass of {card.mass_kg:.3f} kg."
+    )
+
+
+@app.command()
+def demo(
+    full: Annotated[bool, typer.Option("--full", help="the paper's plan: 3 to 10 mm, 10 s holds, ten presses a depth")] = False,
+    effect: Annotated[
+        str | None, typer.Option("--effect", help="effect id or cell file: give the emulated cell that effect and find it")
+    ] = None,
+    json_file: JsonOption = None,
+    folder: Annotated[Path | None, typer.Option("--out", help="where recordings, model and report go (default: runs/demo-<time>)")] = None,
+) -> None:
+    """The whole job on emulated wires: calibrate, learn the inertia, palpate four sites, say how stiff each is."""
+    from palpd import demo as show
+
+    _writable(json_file)
+    found = show.gap(effect, folder, console) if effect else show.palpate(full, folder, console)
+    _write_json(json_file, found)
+    _exit(0 if found["verdict"] == "done" else 3, found.get("reason", ""))
+
+
+@app.command()
+def emulate(
+    model: Annotated[Literal["ur5", "ur5e"], typer.Option("--model", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")] = "ur5",
+    cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml of what the wires lead to (default: the paper's phantom)")] = None,
+    host: Annotated[str, typer.Option("--host", help="address the controller listens on")] = "127.0.0.1",
+    sensor_link: Annotated[Path | None, typer.Option("--sensor-link", help="link to make to the sensor's terminal device")] = None,
+    control: Annotated[Path | None, typer.Option("--control", help="unix socket for faults and truth (docs/emulators.md)")] = None,
+) -> None:
+    """Stand in for a UR controller and a HEX-70 until stopped; prints both addresses when ready."""
+    from hw.emulators.process import emulate as stand_in
+
+    stand_in(model, cell, host, sensor_link, control)
+
+
+# --- the service --------------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def serve(config: ConfigOption = DEFAULT_CONFIG) -> None:
+    """Run the daemon: connect, wait disarmed, obey the control socket."""
+    from palpd.config import load_config
+    from palpd.logs import configure
+    from palpd.service import Service
+    from palpd.wiring import devices
+
+    configure()
+    Service(load_config(config), devices).serve()
+
+
+def _speak(request: dict[str, Any], config: Path, socket: Path | None) -> dict[str, Any]:
+    from palpd.config import load_config
+    from palpd.control import ask
+
+    return ask(socket or load_config(config).paths.control_socket, request)
+
+
+@app.command()
+def status(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, json_file: JsonOption = None) -> None:
+    """What the daemon is doing."""
+    answer = _speak({"do": "status"}, config, socket)
+    for key, value in answer.items():
+        if key != "ok" and value is not None:
+            console.print(f"{key:>8}: {value}")
+    _write_json(json_file, answer)
+
+
+@app.command()
+def arm(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+    """Let the daemon move at the next start."""
+    console.print(_speak({"do": "arm"}, config, socket)["state"])
+
+
+@app.command()
+def start(
+    plan: Annotated[Path, typer.Argument(help="plan.yaml")], config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None
+) -> None:
+    """Start a plan on an armed daemon."""
+    from palpd.config import load_plan
+
+    values = load_plan(plan).model_dump(mode="json")
+    console.print(_speak({"do": "start", "plan": values}, config, socket)["state"])
+
+
+@app.command()
+def pause(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+    """Hold the arm where it is; `palpd resume` goes on."""
+    console.print(_speak({"do": "pause"}, config, socket)["state"])
+
+
+@app.command()
+def resume(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+    """Go on after a pause."""
+    console.print(_speak({"do": "resume"}, config, socket)["state"])
+
+
+@app.command()
+def abort(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+    """Stop the arm and end the plan. A convenience, not an emergency stop."""
+    console.print(_speak({"do": "abort"}, config, socket)["state"])
+
+
+@app.command()
+def clear(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+    """Clear the latch of the last stop, after looking at the cell."""
+    console.print(_speak({"do": "clear"}, config, socket)["state"])
+
+
+# --- recordings ---------------------------------------------------------------------------------------------------------------
+
+
+@app.command()
+def replay(
+    recording: Annotated[Path, typer.Argument(help="a recording (.mcap), or a CSV of one site")],
+    config: Annotated[Path | None, typer.Option("--config", help="judge it by this configuration instead of its own")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Dry run against a recording: the same code, and for an MCAP the same decisions bit for bit."""
+    from palpd.config import load_config
+    from palpd.record import Recording
+    from palpd.replay import replay as again
+    from palpd.replay import replay_samples
+    from palpd.samples import read
+
+    _writable(json_file)
+    if recording.suffix in (".mcap", ".part"):
+        found = again(Recording.load(recording), load_config(config) if config else None)
+        same = "identical" if found["decisions_identical"] else f"NOT identical: {found['first_difference']}"
+        console.print(f"{found['ticks']} ticks, decisions {same}, verdict {found['verdict']}.")
+    else:
+        found = replay_samples(read(recording), load_config(config))
+        console.print(f"{found['ticks']} rows, verdict {found['verdict']}.")
+        for trip in found["trips"][:10]:
+            console.print(f"  row {trip['row']}, {trip['t_s']:.3f} s: {trip['reason']}")
+    console.print(f"Peak force {found['peak_force_N']:.2f} N; {found['realtime_factor']:.0f} × real time.")
+    _write_json(json_file, found)
+
+
+@app.command()
+def export(
+    recording: Annotated[Path, typer.Argument(help="a recording (.mcap)")],
+    csv: Annotated[Path, typer.Option("--csv", help="file to write, one row a sensor sample")],
+    site: Annotated[str | None, typer.Option("--site", help="this site only")] = None,
+) -> None:
+    """Write a recording as CSV for `palpd diagnose` and other tools."""
+    from palpd.record import Recording
+    from palpd.record import export as write
+
+    samples = write(Recording.load(recording), csv, site)
+    console.print(f"{csv}: {len(samples)} rows, {samples.duration_s:.1f} s.")
+
+
+@app.command()
+def recover(part: Annotated[Path, typer.Argument(help="FILE.part of a run that was cut off")]) -> None:
+    """Make a readable recording of what a crash left behind."""
+    from palpd.record import recover as restore
+
+    recovered = restore(part)
+    console.print(f"{recovered.path}: {recovered.seconds:.1f} s restored.")
+
+
+@app.command()
+def analyse(
+    file: Annotated[Path, typer.Argument(help="a recording (.mcap), or a curve of another machine as CSV")],
+    site: Annotated[str | None, typer.Option("--site", help="this site only (recordings)")] = None,
+    force_column: Annotated[str | None, typer.Option("--force-column")] = None,
+    force_unit: Annotated[Literal["N", "mN", "uN", "nN"], typer.Option("--force-unit")] = "N",
+    depth_column: Annotated[str | None, typer.Option("--depth-column", help="grows as the tip goes in")] = None,
+    height_column: Annotated[str | None, typer.Option("--height-column", help="falls as the tip goes down")] = None,
+    height_down_positive: Annotated[bool, typer.Option("--height-down-positive", help="the height column grows downwards")] = False,
+    length_unit: Annotated[Literal["m", "mm", "um", "nm"], typer.Option("--length-unit")] = "m",
+    compression_negative: Annotated[bool, typer.Option("--compression-negative", help="pressed is a negative force")] = False,
+    time_column: Annotated[str | None, typer.Option("--time-column")] = None,
+    tip_radius_m: Annotated[float | None, typer.Option("--tip-radius-m")] = None,
+    poisson_ratio: Annotated[float, typer.Option("--poisson-ratio")] = 0.5,
+    machine_stiffness: Annotated[float | None, typer.Option("--machine-stiffness-N-per-m", help="taken out of the depth")] = None,
+    fit: Annotated[Literal["loading", "peak"], typer.Option("--fit")] = "loading",
+    contact: Annotated[Literal["free", "zero"], typer.Option("--contact")] = "free",
+    json_file: JsonOption = None,
+) -> None:
+    """Young's modulus with its interval, from a recording of ours or a curve of another machine."""
+    _writable(json_file)
+    if file.suffix == ".mcap":
+        found = _analyse_recording(file, site)
+    else:
+        from palpd.curves import analyse_curve, read_curve
+
+        mapping = _mapping(
+            force_column, force_unit, depth_column, height_column, height_down_positive, length_unit, compression_negative, time_column
+        )
+        if tip_radius_m is None:
+            raise BadInput("--tip-radius-m is missing: a curve says nothing of the tip that made it; give its radius in metres")
+        found = analyse_curve(
+            read_curve(file, mapping),
+            tip_radius_m=tip_radius_m,
+            poisson_ratio=poisson_ratio,
+            machine_stiffness_N_per_m=machine_stiffness,
+            fit=fit,
+            contact=contact,
+        )
+        _tell_curve(found)
+    _write_json(json_file, found)
+
+
+@app.command("import")
+def import_(
+    file: Annotated[Path, typer.Argument(help="a curve of another machine as CSV")],
+    csv: Annotated[Path, typer.Option("--csv", help="recording to write")],
+    force_column: Annotated[str | None, typer.Option("--force-column")] = None,
+    force_unit: Annotated[Literal["N", "mN", "uN", "nN"], typer.Option("--force-unit")] = "N",
+    depth_column: Annotated[str | None, typer.Option("--depth-column")] = None,
+    height_column: Annotated[str | None, typer.Option("--height-column")] = None,
+    height_down_positive: Annotated[bool, typer.Option("--height-down-positive")] = False,
+    length_unit: Annotated[Literal["m", "mm", "um", "nm"], typer.Option("--length-unit")] = "m",
+    compression_negative: Annotated[bool, typer.Option("--compression-negative")] = False,
+    time_column: Annotated[str | None, typer.Option("--time-column")] = None,
+) -> None:
+    """Turn a curve of another machine into a recording that `palpd replay` and `palpd diagnose` read."""
+    from palpd.curves import import_curve
+
+    mapping = _mapping(
+        force_column, force_unit, depth_column, height_column, height_down_positive, length_unit, compression_negative, time_column
+    )
+    samples = import_curve(file, mapping, csv)
+    console.print(f"{csv}: {len(samples)} rows, {samples.duration_s:.1f} s.")
+
+
+@app.command("check-config")
+def check_config(
+    config: Annotated[Path, typer.Argument(help="config.yaml")],
+    plan: Annotated[Path | None, typer.Option("--plan", help="plan.yaml to judge with it")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Refuse what is wrong or unsafe; print how far a force would run past its limit."""
+    from palpd.config import Plan, load_config, load_plan, refuse_unsafe
+    from palpd.overshoot import predicted, refuse_overload
+    from palpd.report import overshoot_table
+
+    settings = load_config(config)
+    wanted = load_plan(plan) if plan else Plan()
+    refuse_unsafe(settings, wanted)
+    refuse_overload(settings, wanted)
+    found = predicted(settings, wanted)
+    for table in overshoot_table(found):
+        console.print(table)
+    console.print(f"{config} is sound." if plan is None else f"{config} and {plan} are sound.")
+    _write_json(json_file, found)
+
+
+# --- shared -------------------------------------------------------------------------------------------------------------------
+
+
+def _mapping(
+    force_column: str | None,
+    force_unit: Literal["N", "mN", "uN", "nN"],
+    depth_column: str | None,
+    height_column: str | None,
+    height_down_positive: bool,
+    length_unit: Literal["m", "mm", "um", "nm"],
+    compression_negative: bool,
+    time_column: str | None,
+) -> Any:
+    from palpd.curves import Mapping
+
+    return Mapping(
+        force_column=force_column,
+        force_unit=force_unit,
+        depth_column=depth_column,
+        height_column=height_column,
+        height_down_positive=height_down_positive,
+        length_unit=length_unit,
+        compression_negative=compression_negative,
+        time_column=time_column,
+    )
+
+
+def _analyse_recording(file: Path, site: str | None) -> dict[str, Any]:
+    from palpd import results
+    from palpd.record import Recording
+
+    recording = Recording.load(file)
+    if site is not None:
+        recording.site_index(site)
+    found = results.analysed(recording.rows, recording.header)
+    found = [each for each in found if site in (None, each["name"])]
+    for each in found:
+        console.print(f"{each['name']}: ", end="")
+        _tell_curve(each)
+    return {"sites": found, **(found[0] if len(found) == 1 else {})}
+
+
+def _tell_curve(found: dict[str, Any]) -> None:
+    if found.get("youngs_modulus_Pa") is None:
+        console.print("no modulus: " + "; ".join(found.get("warnings", ["nothing was pressed"])))
+        return
+    low, high = found["ci95_Pa"] or (None, None)
+    interval = f" (95 %: {low:.6g} to {high:.6g} Pa)" if low is not None and high is not None else ""
+    console.print(f"E = {found['youngs_modulus_Pa']:.6g} Pa{interval}, contact at {found['contact_point_m']:.6g} m")
+    for warning in found.get("warnings", []):
+        console.print(f"  note: {warning}")
+
+
+def _tell_run(found: dict[str, Any]) -> None:
+    from palpd.report import depth_table, site_table
+
+    card = found.get("model_card")
+    if found["sites"]:
+        console.print(depth_table(found["sites"]))
+        console.print(site_table(found["sites"], card["bias_N"] if card else None))
+        console.print("Inertial model: " + (f"{card['rmse_N'] * 1e3:.0f} mN rmse" if card else "none, nothing was corrected") + ".")
+    for note in found["notes"]:
+        console.print(f"[yellow]note:[/] {note}")
+    console.print(f"{found['verdict']}: {found['recording'] or 'nothing was recorded'}")
+
+
+def _clear_latch(settings: Any) -> None:
+    """Whoever starts a run in the foreground is the operator who may clear the latch; what it was is shown."""
+    from palpd.state import State
+
+    state = State(settings.paths.state)
+    latch = state.latch()
+    if latch is not None:
+        console.print(f"[yellow]The last run was stopped on {latch.date}: {latch.reason}. This start clears it.[/]")
+        state.clear_latch()
+
+
+def _writable(path: Path | None) -> None:
+    if path is not None and not path.parent.is_dir():
+        raise BadInput(f"{path.parent} is no folder, so {path.name} cannot be written there; make it first")
+
+
+def _write_json(path: Path | None, found: dict[str, Any]) -> None:
+    if path is not None:
+        _writable(path)
+        path.write_text(json.dumps(found, indent=1, default=str) + "\n")
+
+
+def _exit(code: int, reason: str) -> None:
+    if code:
+        print(f"palpd: {reason}", file=sys.stderr)
+        raise typer.Exit(code)

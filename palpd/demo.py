@@ -1,0 +1,106 @@
+"""`palpd demo`: the whole job with the real daemon on emulated wires, in a folder of its own."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from palpd.cell import equilibrium_force_N
+from palpd.cell_file import PHANTOM, CellFile, save_cell
+from palpd.config import Config, ModelConfig, PathsConfig, Plan, RobotConfig, SensorConfig, Site
+from palpd.record import Recording, samples_of
+from palpd.report import depth_table, site_table
+from palpd.session import calibrate, carry_out, findings, job
+from palpd.train import train
+from palpd.wiring import devices, emulated
+from palpd.young import modulus_peak_Pa
+
+BIAS_N = 0.19
+"""What the paper's sensor read in free motion after its tare (mean 0.1929 N with the probe)."""
+DRIFT_N_PER_S = 0.82 / 5400.0
+"""A cold HEX-E, the nearest sensor measured: 0.82 N in 90 min on Fz."""
+SITES = tuple(Site(name=name, x_m=0.03 * index) for index, name in enumerate("ABCD"))
+SHORT = Plan(sites=SITES, depths_m=(0.004, 0.006, 0.008), hold_s=3.0, repeats=1)
+FULL = Plan(sites=SITES, depths_m=tuple(d / 1000 for d in range(3, 11)), hold_s=10.0, repeats=10)
+
+
+def palpate(full: bool, folder: Path | None, console: Console) -> dict[str, Any]:
+    """Calibrate, learn the inertia, palpate the paper's phantom, and compare with the truth that the emulated cell knows."""
+    plan = FULL if full else SHORT
+    folder = _made(folder)
+    cell = PHANTOM.with_effects({"sensor.bias": {"offset_N": BIAS_N}, "sensor.drift": {"rate_N_per_s": DRIFT_N_PER_S}})
+    console.print(f"A UR5 and a HEX-70 are emulated; everything is kept in {folder}.")
+    with cell_on_wires(cell, folder) as config:
+        console.print("1/4 reference tare")
+        calibrate(config, devices, console)
+        console.print("2/4 free motion, 2 cm up and down ten times, touching nothing")
+        free = carry_out(job("free_motion", config, plan), devices, console, "free-motion")
+        if free.exit_code or free.recording is None:
+            return {**findings(free), "sites": []}
+        console.print("3/4 learning the inertial model (2-10-1) from it")
+        recording = Recording.load(free.recording)
+        model = folder / "inertial.onnx"
+        serial = recording.header["about"]["sensor_serial"]
+        card = train([samples_of(recording)], model, probe_mass_kg=config.cell.probe.mass_kg, sensor_serial=serial)
+        config = config.model_copy(update={"model": ModelConfig(path=model)})
+        presses = len(plan.sites) * len(plan.depths_m) * (1 + plan.repeats)
+        console.print(f"4/4 palpating {len(plan.sites)} sites, {presses} presses")
+        report = carry_out(job("palpation", config, plan), devices, console, "palpation")
+    found = findings(report)
+    for site in found["sites"]:
+        site["true_youngs_modulus_Pa"] = true_modulus_Pa(cell, site["name"], plan)
+    _tell(found, card, console)
+    return found
+
+
+def true_modulus_Pa(cell: CellFile, site: str, plan: Plan) -> float:
+    """Mean over the plan's depths of the paper's equation 1 on the emulated cell's own noise-free equilibrium force."""
+    tissue = cell.tissue
+    poisson = tissue.poisson_ratio if tissue else 0.5
+    moduli = [
+        modulus_peak_Pa(equilibrium_force_N(cell, depth_m, site), depth_m, cell.probe.tip_radius_m, poisson) for depth_m in plan.depths_m
+    ]
+    return sum(moduli) / len(moduli)
+
+
+@contextmanager
+def cell_on_wires(cell: CellFile, folder: Path, model: str = "ur5") -> Iterator[Config]:
+    """An emulated cell in a process of its own, and the configuration of a daemon that is wired to it."""
+    file = folder / "emulated-cell.yaml"
+    save_cell(file, cell)
+    host = f"127.{os.getpid() >> 16 & 255}.{os.getpid() >> 8 & 255}.{os.getpid() % 253 + 2}"  # its own, so that two can run at once
+    with emulated(folder, model, file, host) as wires:
+        yield Config(
+            robot=RobotConfig.model_validate({"host": host, "model": model}),
+            sensor=SensorConfig(port=wires.sensor),
+            paths=PathsConfig(runs=folder, state=folder / "state"),
+            cell=cell.with_effects({}),
+        )
+
+
+def _made(folder: Path | None) -> Path:
+    folder = folder or Path("runs") / f"demo-{datetime.now():%Y%m%d-%H%M%S}"
+    folder.mkdir(parents=True, exist_ok=folder.is_dir() and not any(folder.iterdir()))
+    return folder.resolve()
+
+
+def _tell(found: dict[str, Any], card: Any, console: Console) -> None:
+    if found["sites"]:
+        console.print(depth_table(found["sites"]))
+        console.print(site_table(found["sites"], card.bias_N))
+    console.print(
+        f"Inertial model: network 2-10-1 learned from the free motion above, {card.n} points, rmse {card.rmse_N * 1e3:.0f} mN. "
+        f"Of what it takes away {card.bias_N:+.3f} N is bias and {card.inertial_rms_N * 1e3:.1f} mN rms is inertia."
+    )
+    for note in found["notes"]:
+        console.print(f"note: {note}")
+    loop = found["loop"]
+    console.print(
+        f"Loop: {loop['ticks']} ticks, {loop['missed']} missed, work p50 {loop.get('work_us_p50', 0):.0f} µs, "
+        f"p99 {loop.get('work_us_p99', 0):.0f} µs."
+    )
+    console.print(f"{found['verdict']}: {found['recording']}" + (f" ({found['reason']})" if found["reason"] else ""))

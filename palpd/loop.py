@@ -1,0 +1,228 @@
+"""The control loop. A tick is six sentences: observe, explain, decide, guard, act, record."""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from palpd.clock import Clock
+from palpd.errors import PalpdError, Stopped
+from palpd.inertial import InertialModel, Motion
+from palpd.safety import Guard, Limits, Sight, guard, sentence
+from palpd.sequence import Look, Sequence
+from palpd.tare import Tare, base_from_sensor, to_base
+from palpd.tick import (
+    STILL,
+    Action,
+    Contact,
+    Floats,
+    ForceSensor,
+    Phase,
+    Progress,
+    Proposal,
+    Request,
+    Robot,
+    RobotState,
+    SensorFrames,
+    Timing,
+    Trip,
+    Verdict,
+)
+
+LAST_TICKS = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """All of one tick: what was seen, thought and done."""
+
+    timing: Timing
+    robot: RobotState
+    frames: SensorFrames
+    contact: Contact
+    request: Request
+    proposal: Proposal
+    verdict: Verdict
+    work_us: float
+
+
+class Record(Protocol):
+    """Where ticks go; never waits."""
+
+    def __call__(self, turn: Turn) -> None: ...
+
+
+@dataclass(slots=True)
+class Outcome:
+    """How a run ended. `reason` is a sentence where it was not simply done."""
+
+    verdict: str = "done"
+    reason: str = ""
+    trip: Trip = Trip.NONE
+    measured: float = 0.0
+    limit: float = 0.0
+    refused: bool = False
+    ticks: int = 0
+    missed: int = 0
+
+
+@dataclass(slots=True)
+class Explainer:
+    """Turns raw frames into contact: axes, running tare, inertial prediction. `reference` (6,) is the tare of the last calibration.
+
+    The model's correction is bounded by `correction_limit_N` and its inputs by the range it was trained in, so it can hide at most
+    that much of a contact; the absolute force never sees it.
+    """
+
+    reference: Floats
+    rotation_about_flange_z_rad: float = 0.0
+    model: InertialModel | None = None
+    correction_limit_N: float = 0.0
+    motion: Motion = field(default_factory=Motion)
+    tare: Floats | None = None
+    out_of_range: int = 0
+    last: Contact = field(default_factory=lambda: Contact(np.empty((0, 6)), np.empty(0)))
+
+    def contact(self, robot: RobotState, frames: SensorFrames) -> Contact:
+        """What the new frames say; without new frames the last numbers with no rows."""
+        self.motion.update(robot)
+        if not len(frames):
+            self.last = _without_rows(self.last)
+            return self.last
+        rotation = base_from_sensor(robot.tcp_pose[3:], self.rotation_about_flange_z_rad)
+        tared = to_base(frames.wrench - (self.reference if self.tare is None else self.tare), rotation)
+        inertial_N = self._inertial(frames)
+        forces_N = tared[:, 2] - inertial_N
+        self.last = Contact(
+            tared,
+            inertial_N,
+            force_N=float(forces_N.max()),
+            mean_N=float(forces_N.mean()),
+            lateral_N=float(np.hypot(tared[:, 0], tared[:, 1]).max()),
+            torque_Nm=float(np.abs(tared[:, 3:]).max()),
+            absolute_N=float(np.sqrt(((frames.wrench[:, :3] - self.reference[:3]) ** 2).sum(axis=1)).max()),
+        )
+        return self.last
+
+    def _inertial(self, frames: SensorFrames) -> Floats:
+        if self.model is None:
+            return np.zeros(len(frames))
+        features = self.motion.features(frames.t_s)
+        predicted_N = self.model.predict(features)
+        self.out_of_range += int(len(features) - np.count_nonzero(self.model.in_range(features)))
+        return np.clip(predicted_N, -self.correction_limit_N, self.correction_limit_N)
+
+
+def _without_rows(contact: Contact) -> Contact:
+    empty = Contact(
+        np.empty((0, 6)), np.empty(0), contact.force_N, contact.mean_N, contact.lateral_N, contact.torque_Nm, contact.absolute_N
+    )
+    return empty
+
+
+@dataclass(slots=True)
+class Loop:
+    """One run: a robot, a sensor, a clock, a sequence and the guard between them and the wire."""
+
+    robot: Robot
+    sensor: ForceSensor
+    clock: Clock
+    sequence: Sequence
+    explainer: Explainer
+    limits: Limits
+    record: Record
+    request: Callable[[], Request] = lambda: Request.NONE
+    stops: int = 3
+    outcome: Outcome = field(default_factory=Outcome)
+    _memory: Guard = field(default_factory=Guard)
+    _tare: Tare = field(default_factory=Tare)
+    _last: deque[Turn] = field(default_factory=lambda: deque(maxlen=LAST_TICKS))
+    _work_us: float = 0.0
+
+    def run(self) -> Outcome:
+        """Turn until the sequence is over. However this is left, stop goes out `stops` times and both devices are closed."""
+        try:
+            self._tare.reference = self.explainer.reference
+            while self.turn():
+                pass
+        except PalpdError as error:
+            self._stop()
+            raise Stopped(str(error), list(self._last)) from error
+        finally:
+            self._stop()
+            self.robot.close()
+            self.sensor.close()
+        return self.outcome
+
+    def turn(self) -> bool:
+        """One tick; false when it was the last."""
+        timing = self.clock.wait()
+        robot, frames = self.robot.read(), self.sensor.read()
+        contact = self.explainer.contact(robot, frames)
+        request = self.request()
+        proposal = self._decide(timing, robot, frames, contact, request)
+        self._memory, verdict = guard(
+            self.limits, self._memory, self._sight(timing, robot, frames, contact, request, proposal.progress), proposal.command
+        )
+        self._act(verdict)
+        turn = Turn(timing, robot, frames, contact, request, proposal, verdict, self._work_us)
+        self.record(turn)
+        self._last.append(turn)
+        self._work_us = self.clock.elapsed_us()
+        return self._goes_on(timing, verdict)
+
+    def _decide(self, timing: Timing, robot: RobotState, frames: SensorFrames, contact: Contact, request: Request) -> Proposal:
+        if self.explainer.tare is not None:
+            return self.sequence.step(Look(timing.now_s, robot, frames, contact, request))
+        if self._tare.add(robot, frames):
+            refusal = self._tare.refusal()
+            if refusal is not None:
+                self.outcome.verdict, self.outcome.reason, self.outcome.refused = "stopped", refusal, True
+            self.explainer.tare = self._tare.result()
+        return Proposal(STILL, Progress(phase=Phase.TARE))
+
+    def _sight(
+        self, timing: Timing, robot: RobotState, frames: SensorFrames, contact: Contact, request: Request, progress: Progress
+    ) -> Sight:
+        return Sight(
+            timing,
+            robot,
+            frames,
+            contact,
+            request,
+            floor_z_m=progress.floor_z_m,
+            safe_z_m=progress.safe_z_m,
+            tilt_rad=tilt_rad(robot.tcp_pose[3:]),
+        )
+
+    def _act(self, verdict: Verdict) -> None:
+        if verdict.command.stop:
+            self.robot.stop()
+        else:
+            self.robot.move(verdict.command.velocity_m_per_s)
+
+    def _goes_on(self, timing: Timing, verdict: Verdict) -> bool:
+        self.outcome.ticks += 1
+        self.outcome.missed += timing.missed
+        if verdict.action == Action.STOP:
+            self.outcome.verdict, self.outcome.reason, self.outcome.trip = "stopped", sentence(verdict), verdict.trip
+            self.outcome.measured, self.outcome.limit = verdict.measured, verdict.limit
+            return False
+        if self.sequence.over and verdict.action == Action.PASS:
+            if self.sequence.failure:
+                self.outcome.verdict, self.outcome.reason = "stopped", self.sequence.failure
+            return False
+        return not self.outcome.refused
+
+    def _stop(self) -> None:
+        for _ in range(self.stops):
+            self.robot.stop()
+
+
+def tilt_rad(rotation_vector_rad: tuple[float, ...]) -> float:
+    """Angle between the tool's z axis and the base's -z."""
+    cosine = -float(base_from_sensor(rotation_vector_rad, 0.0)[2, 2])
+    return math.acos(min(1.0, max(-1.0, cosine)))

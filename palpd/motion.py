@@ -1,0 +1,262 @@
+"""The motion process: the only one that holds the robot. It opens the devices, runs one job at a time on a FIFO thread, and dies
+with its supervisor.
+
+ur_rtde can hang or crash when a connection is lost and then resumes motion by itself; so a job that ended in a lost connection
+ends this process, and a fresh one starts disarmed. After a crash of the library nobody is left to send a stop: the controller's
+watchdog, fed by the speed commands themselves, brings the arm to rest.
+"""
+
+import math
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from multiprocessing.connection import Connection
+from typing import Any, Literal
+
+import numpy as np
+
+from palpd.clock import RealClock
+from palpd.config import Config, Plan
+from palpd.errors import PalpdError, Refused, Stopped
+from palpd.inertial import InertialModel, Motion
+from palpd.loop import Explainer, Loop, Outcome, Turn
+from palpd.realtime import DEVICE_PRIORITY, fifo, realtime
+from palpd.ring import Ring
+from palpd.safety import Limits
+from palpd.sequence import Body, FreeMotion, Palpation, RigidPress, Script, Sequence, Watch
+from palpd.tare import Tare
+from palpd.tick import MAX_FRAMES, ForceSensor, Request, Robot, Trip
+
+FATAL = {Trip.CONNECTION, Trip.ROBOT_STALE, Trip.PROGRAM_STOPPED, Trip.SUPERVISOR}
+ORPHAN_GRACE_S = 1.0
+DRY_S = 10.0
+"""How long a dry run watches: the arm is not moved, so no plan could come to its end."""
+REFERENCE_PATIENCE_S = 5.0
+
+Kind = Literal["palpation", "free_motion", "stiffness", "calibrate"]
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """An opened robot and sensor. `first_tick_s` is just after the arrival of a robot state; `about` goes into the recording."""
+
+    robot: Robot
+    sensor: ForceSensor
+    first_tick_s: float
+    about: dict[str, Any]
+
+
+Build = Callable[[Config, bool], Devices]
+"""Opens what stands behind the loop; the flag mutes the robot. Must be importable, since the motion process is spawned."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One thing to do with the cell. `reference` (6,) is the tare of the last calibration in the sensor's axes."""
+
+    kind: Kind
+    config: Config
+    plan: Plan = field(default_factory=Plan)
+    dry: bool = False
+    reference: tuple[float, ...] | None = None
+    machine_stiffness_N_per_m: float | None = None
+
+
+def body_of(job: Job, delay_s: float) -> Body:
+    """What the sequence must know of probe, sensor and machine."""
+    return Body(
+        tip_radius_m=job.config.cell.probe.tip_radius_m,
+        contact_limit_N=job.config.safety.contact_limit_N,
+        max_speed_m_per_s=job.config.safety.max_speed_m_per_s,
+        delay_s=delay_s,
+        machine_stiffness_N_per_m=job.machine_stiffness_N_per_m or math.inf,
+    )
+
+
+def limits_of(config: Config, muted: bool = False) -> Limits:
+    """The guard's limits of a configuration."""
+    safety = config.safety
+    return Limits(
+        contact_N=safety.contact_limit_N,
+        absolute_N=safety.absolute_limit_N,
+        lateral_N=safety.lateral_limit_N,
+        torque_Nm=safety.torque_limit_Nm,
+        max_speed_m_per_s=safety.max_speed_m_per_s,
+        robot_stale_s=safety.robot_stale_s,
+        sensor_stale_s=safety.sensor_stale_s,
+        max_missed_ticks=max(1, round(safety.max_stall_s * config.robot.rate_Hz)),
+        min_z_m=safety.min_z_m,
+        workspace_m=safety.workspace_m,
+        needs_program=not muted,
+    )
+
+
+def sequence_of(job: Job, delay_s: float) -> Sequence:
+    """The script of a job."""
+    body = body_of(job, delay_s)
+    scripts: dict[str, Callable[[], Script]] = {
+        "palpation": lambda: Palpation(job.plan, body),
+        "free_motion": lambda: FreeMotion(body),
+        "stiffness": lambda: RigidPress(job.plan, body),
+    }
+    return Sequence(Watch(body, DRY_S) if job.dry else scripts[job.kind]())
+
+
+def explainer_of(job: Job, sensor_serial: str | None, delay_s: float) -> Explainer:
+    """Axes, reference tare and inertial model of a job. Raises ModelRefused."""
+    config = job.config
+    model = None
+    if config.model.path is not None and job.kind == "palpation":
+        model = InertialModel.load(config.model.path, probe_mass_kg=config.cell.probe.mass_kg, sensor_serial=sensor_serial)
+    return Explainer(
+        reference=np.array(job.reference, dtype=float),
+        rotation_about_flange_z_rad=config.sensor.rotation_about_flange_z_rad,
+        model=model,
+        correction_limit_N=config.model.correction_limit_N,
+        motion=Motion(delay_s),
+    )
+
+
+def serve(build: Build, ring_name: str, pipe: Connection, life: Connection) -> None:
+    """Body of the motion process: jobs come over `pipe`, ticks go into the ring, and when `life` closes the supervisor is gone."""
+    orphaned = threading.Event()
+    threading.Thread(target=_watch, args=(life, orphaned), daemon=True).start()
+    terminated = threading.Event()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the supervisor hears it too and asks for the abort
+    signal.signal(signal.SIGTERM, lambda *_: terminated.set())
+    ring = Ring.attach(ring_name)
+
+    def request() -> Request:
+        if orphaned.is_set():
+            return Request.ORPHANED
+        return Request.ABORT if terminated.is_set() else ring.request()
+
+    while not orphaned.is_set():
+        try:
+            job = pipe.recv()
+        except (EOFError, OSError):
+            return
+        if job is None:
+            return
+        ring.forget_requests()
+        try:
+            answer, again = _do(build, job, ring, pipe, request)
+        except PalpdError as error:
+            answer, again = {"error": str(error), "exit_code": error.exit_code}, False
+        except Exception as error:  # a defect of ours: it must reach the operator as a sentence, and the process must end
+            answer, again = {"error": f"the motion process failed ({type(error).__name__}: {error})", "exit_code": 3}, False
+        pipe.send(answer)
+        if not again:
+            break
+    os._exit(0)  # not through ur_rtde's destructors, which can hang or crash after a lost connection
+
+
+def _watch(life: Connection, orphaned: threading.Event) -> None:
+    """Sleep until the supervisor is gone; then let the loop stop, and end the process even if the library hangs."""
+    try:
+        life.recv()
+    except (EOFError, OSError):
+        orphaned.set()
+        time.sleep(ORPHAN_GRACE_S)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _do(build: Build, job: Job, ring: Ring, pipe: Connection, request: Callable[[], Request]) -> tuple[dict[str, Any], bool]:
+    """Open, say what was found, wait for the word, run. Returns the answer and whether this process may go on."""
+    fifo(DEVICE_PRIORITY)
+    devices = build(job.config, job.dry or job.kind == "calibrate")
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    try:
+        if job.kind == "calibrate":
+            return {"reference": take_reference(devices).tolist(), "about": devices.about}, True
+        explainer = explainer_of(job, devices.about.get("sensor_serial"), devices.about["delay_s"])
+        explainer.reference = explainer.reference if job.reference is not None else take_reference(devices)
+        pipe.send({"opened": devices.about, "reference": explainer.reference.tolist()})
+        if pipe.recv() != "go":
+            return {"error": "called off", "exit_code": 2}, True
+    except BaseException:
+        devices.robot.stop()
+        raise
+    finally:
+        if job.kind == "calibrate":
+            devices.robot.close()
+            devices.sensor.close()
+    sequence = sequence_of(job, devices.about["delay_s"])
+    writer = RingWriter(ring)
+    clock = RealClock(job.config.robot.rate_Hz, devices.first_tick_s)
+    loop = Loop(devices.robot, devices.sensor, clock, sequence, explainer, limits_of(job.config, job.dry), writer, request)
+    _warm_up(explainer)
+    with realtime() as granted:
+        try:
+            outcome = loop.run()
+        except Stopped as stopped:
+            outcome = Outcome("stopped", str(stopped), ticks=loop.outcome.ticks, missed=loop.outcome.missed)
+    answer = {"outcome": asdict(outcome), "missing_privileges": granted.missing, "out_of_range": explainer.out_of_range}
+    return answer, outcome.trip not in FATAL and outcome.verdict == "done"
+
+
+def take_reference(devices: Devices) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Mean wrench (6,) of a free, still probe. Raises Refused."""
+    tare = Tare()
+    until_s = time.monotonic() + REFERENCE_PATIENCE_S
+    devices.sensor.read()  # what was queued before is of another time
+    while not tare.add(devices.robot.read(), devices.sensor.read()) and time.monotonic() < until_s:
+        time.sleep(0.01)
+    refusal = tare.refusal()
+    if refusal is not None:
+        raise Refused(f"no reference tare was taken: {refusal}")
+    return tare.result()
+
+
+def _warm_up(explainer: Explainer) -> None:
+    """Run what a tick runs until caches, allocator and onnxruntime are warm: the first call costs 100 times the second."""
+    if explainer.model is not None:
+        for _ in range(200):
+            explainer.model.predict(np.zeros((8, 2)))
+
+
+class RingWriter:
+    """Puts a turn of the loop into the ring: one row, in place, no waiting."""
+
+    def __init__(self, ring: Ring) -> None:
+        self._ring = ring
+
+    def __call__(self, turn: Turn) -> None:
+        fill(self._ring.slot(), turn)
+        self._ring.publish()
+
+
+def fill(row: np.void, turn: Turn) -> None:
+    """Write a turn into a row (ROW of palpd.tick)."""
+    robot, frames, progress, verdict = turn.robot, turn.frames, turn.proposal.progress, turn.verdict
+    n = min(len(frames), MAX_FRAMES)
+    row["index"], row["planned_s"], row["now_s"] = turn.timing.index, turn.timing.planned_s, turn.timing.now_s
+    row["missed"], row["work_us"] = turn.timing.missed, turn.work_us
+    row["robot_t_s"], row["robot_timestamp_s"] = robot.t_s, robot.timestamp_s
+    row["tcp_pose"], row["tcp_speed"] = robot.tcp_pose, robot.tcp_speed
+    row["target_pose"], row["target_speed"] = robot.target_pose, robot.target_speed
+    row["tool_acceleration_m_per_s2"] = robot.tool_acceleration_m_per_s2
+    row["robot_mode"], row["safety_mode"] = robot.robot_mode, robot.safety_mode
+    row["safety_status_bits"], row["runtime_state"] = robot.safety_status_bits, robot.runtime_state
+    row["connected"], row["request"] = robot.connected, turn.request
+    row["rejected"], row["frames"] = frames.rejected, n
+    row["frame_t_s"][:n], row["counter"][:n], row["status"][:n] = frames.t_s[:n], frames.counter[:n], frames.status[:n]
+    row["wrench"][:n], row["tared"][:n], row["inertial_N"][:n] = (
+        frames.wrench[:n],
+        turn.contact.tared[:n],
+        turn.contact.inertial_N[:n],
+    )
+    row["force_N"], row["absolute_N"] = turn.contact.force_N, turn.contact.absolute_N
+    row["phase"], row["mode"], row["site"], row["repeat"] = progress.phase, progress.mode, progress.site, progress.repeat
+    row["depth_m"], row["surface_z_m"], row["cut_short"] = progress.depth_m, progress.surface_z_m, progress.cut_short
+    row["proposed_m_per_s"], row["proposed_stop"] = turn.proposal.command.velocity_m_per_s, turn.proposal.command.stop
+    row["command_m_per_s"], row["command_stop"] = verdict.command.velocity_m_per_s, verdict.command.stop
+    row["action"], row["trip"], row["trip_measured"], row["trip_limit"] = (
+        verdict.action,
+        verdict.trip,
+        verdict.measured,
+        verdict.limit,
+    )

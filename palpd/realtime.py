@@ -1,0 +1,61 @@
+"""What a thread asks of the kernel so that its ticks come on time; what was refused is said, not hidden."""
+
+import ctypes
+import gc
+import os
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+LOOP_PRIORITY = 60
+DEVICE_PRIORITY = 40
+"""The receive threads of ur_rtde inherit it from the thread that makes them: newer states at hand, still below the loop."""
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class Granted:
+    """What the kernel gave, and a sentence for each thing it did not."""
+
+    fifo: bool
+    memory_locked: bool
+    missing: tuple[str, ...] = ()
+
+
+def fifo(priority: int) -> bool:
+    """SCHED_FIFO for the calling thread; false where that is not permitted."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except (PermissionError, OSError):
+        return False
+    return True
+
+
+def lock_memory() -> bool:
+    """Keep all pages in memory. Only where the limit allows it: under a small one later allocations would fail instead."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if os.geteuid() != 0 and soft != resource.RLIM_INFINITY:
+        return False
+    return bool(ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0)
+
+
+@contextmanager
+def realtime() -> Iterator[Granted]:
+    """Within it the calling thread is a FIFO thread of a locked process without garbage collection."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    locked, urgent = lock_memory(), fifo(LOOP_PRIORITY)
+    missing = []
+    if not urgent:
+        missing.append("no real-time priority (SCHED_FIFO refused): ticks will be late under load; run as the service or grant rtprio")
+    if not locked:
+        missing.append("memory is not locked (limit memlock): a page fault can delay a tick; run as the service or raise memlock")
+    try:
+        yield Granted(urgent, locked, tuple(missing))
+    finally:
+        if urgent:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        gc.enable()
+        gc.unfreeze()

@@ -1,0 +1,175 @@
+"""`palpd serve`: waits disarmed, speaks over the control socket, runs one plan at a time, tells systemd that it lives."""
+
+import os
+import signal
+import socket
+import time
+from collections.abc import Callable
+from typing import Any
+
+import structlog
+
+from palpd.config import Config, Plan, parse_plan, refuse_unsafe
+from palpd.control import ControlSocket
+from palpd.errors import PalpdError, Refused
+from palpd.motion import Build, Job
+from palpd.ring import Ring
+from palpd.state import State
+from palpd.supervisor import Report, Run, recording_name
+from palpd.tick import Phase, Request
+
+POLL_S = 0.02
+WATCHDOG_S = 0.5
+
+
+class Service:
+    """States: disarmed, armed, running. A restart, a stop, a fault and the end of a plan all lead to disarmed."""
+
+    def __init__(self, config: Config, build: Build) -> None:
+        self._config, self._build = config, build
+        self._state = State(config.paths.state)
+        self._ring: Ring = Ring.create(config.robot.rate_Hz)
+        self._armed = False
+        self._run: Run | None = None
+        self._last: Report | None = None
+        self._log = structlog.get_logger("palpd.service")
+        self._ending = False
+
+    def serve(self) -> None:
+        """Serve until SIGTERM or SIGINT; a run that is under way is aborted and its recording closed first."""
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, self._end)
+        control = ControlSocket(self._config.paths.control_socket, self.answer)
+        latch = self._state.latch()
+        self._log.info("ready", socket=str(self._config.paths.control_socket), latched=latch.reason if latch else None)
+        _notify("READY=1")
+        fed_s, ticks = 0.0, -1
+        try:
+            while not self._ending or self._run is not None:
+                control.poll(POLL_S)
+                self._poll_run()
+                if time.monotonic() - fed_s > WATCHDOG_S:
+                    alive = self._run is None or not self._run.opened or self._ring.published != ticks
+                    fed_s, ticks = time.monotonic(), self._ring.published
+                    if alive:  # fed only while ticks advance, so that systemd sees a loop that hangs
+                        _notify("WATCHDOG=1")
+        finally:
+            _notify("STOPPING=1")
+            control.close()
+            self._ring.unlink()
+
+    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Carry out one request of the control socket; refusals are sentences and change nothing."""
+        commands: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+            "status": self._status,
+            "arm": self._arm,
+            "start": self._start,
+            "pause": lambda _: self._ask(Request.PAUSE),
+            "resume": lambda _: self._ask(Request.RESUME),
+            "abort": self._abort,
+            "clear": self._clear,
+        }
+        todo = commands.get(request["do"])
+        if todo is None:
+            return {"ok": False, "error": f"{request['do'][:32]!r} is no command; known: status, arm, start, pause, resume, abort, clear"}
+        try:
+            return {"ok": True, **todo(request)}
+        except PalpdError as error:
+            return {"ok": False, "error": str(error)}
+
+    def _status(self, _: dict[str, Any]) -> dict[str, Any]:
+        newest, _, _ = self._ring.read(self._ring.published - 1 if self._ring.published else 0)
+        latch = self._state.latch()
+        state = "running" if self._run else "armed" if self._armed else "disarmed"
+        found: dict[str, Any] = {}
+        found |= {"state": state, "latched": latch.reason if latch else None, "pid": os.getpid()}
+        if self._run is not None and len(newest):
+            row = newest[-1]
+            found |= {
+                "phase": Phase(int(row["phase"])).name.lower(),
+                "site": int(row["site"]),
+                "force_N": float(row["force_N"]),
+                "z_m": float(row["tcp_pose"][2]),
+                "tick": int(row["index"]),
+            }
+        if self._last is not None:
+            found["last"] = {
+                "verdict": self._last.verdict,
+                "reason": self._last.reason,
+                "recording": str(self._last.recording) if self._last.recording else None,
+            }
+        return found
+
+    def _arm(self, _: dict[str, Any]) -> dict[str, Any]:
+        self._refuse_running()
+        latch = self._state.latch()
+        if latch is not None:
+            raise Refused(f"the last run was stopped on {latch.date}: {latch.reason}; look at the cell, then palpd clear")
+        if self._state.calibration() is None:
+            raise Refused("there is no reference tare; run palpd calibrate with the probe free and still")
+        self._armed = True
+        self._log.info("armed")
+        return {"state": "armed"}
+
+    def _start(self, request: dict[str, Any]) -> dict[str, Any]:
+        self._refuse_running()
+        if not self._armed:
+            raise Refused("the daemon is disarmed; run palpd arm first")
+        plan: Plan = parse_plan(request.get("plan"), "the plan")
+        refuse_unsafe(self._config, plan)
+        calibration, stiffness = self._state.calibration(), self._state.machine_stiffness()
+        job = Job(
+            "palpation",
+            self._config,
+            plan,
+            reference=calibration.wrench if calibration else None,
+            machine_stiffness_N_per_m=self._config.machine.stiffness_N_per_m or (stiffness.stiffness_N_per_m if stiffness else None),
+        )
+        self._run = Run(job, self._build, self._ring, self._state, recording_name("palpation"))
+        self._armed = False
+        self._log.info("started", sites=len(plan.sites))
+        return {"state": "running"}
+
+    def _ask(self, wish: Request) -> dict[str, Any]:
+        if self._run is None:
+            raise Refused("nothing is running")
+        self._run.ask(wish)
+        return {"state": "running"}
+
+    def _abort(self, _: dict[str, Any]) -> dict[str, Any]:
+        self._armed = False
+        if self._run is not None:
+            self._run.ask(Request.ABORT)
+        return {"state": "aborting" if self._run else "disarmed"}
+
+    def _clear(self, _: dict[str, Any]) -> dict[str, Any]:
+        self._refuse_running()
+        self._state.clear_latch()
+        self._log.info("cleared")
+        return {"state": "disarmed"}
+
+    def _refuse_running(self) -> None:
+        if self._run is not None:
+            raise Refused("a plan is running; wait for its end, or palpd abort")
+
+    def _poll_run(self) -> None:
+        if self._run is None:
+            return
+        if self._ending:
+            self._run.ask(Request.ABORT)
+        report = self._run.poll()
+        if report is not None:
+            self._run, self._last = None, report
+            self._log.info("ended", verdict=report.verdict, reason=report.reason, recording=str(report.recording))
+
+    def _end(self, *_: object) -> None:
+        self._ending = True
+
+
+def _notify(message: str) -> None:
+    """sd_notify(3): one datagram to the socket that systemd names, if it does."""
+    address = os.environ.get("NOTIFY_SOCKET")
+    if address:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notifier:
+            notifier.connect("\0" + address[1:] if address.startswith("@") else address)
+            notifier.sendall(message.encode())

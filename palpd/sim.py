@@ -1,0 +1,106 @@
+"""The daemon against the cell without wires: `Cell` stands directly behind the loop, faster than real time.
+
+For the sequence and the analysis. Bytes, timing and faults are what the emulated wires are for.
+"""
+
+import math
+
+import numpy as np
+
+from palpd.cell import Cell
+from palpd.cell_file import CellFile
+from palpd.tick import PROGRAM_PLAYING, RobotMode, RobotState, SafetyMode, SensorFrames
+
+FZ_OFFSET_N = -50.0
+"""An un-zeroed sensor reads tens of newtons; here always these."""
+HOME_ABOVE_M = 0.03
+
+
+class SimCell:
+    """Advances robot, tissue and sensor together, one loop tick at a time; its two faces are a Robot and a ForceSensor."""
+
+    def __init__(self, cell: CellFile, rate_Hz: float, acceleration_m_per_s2: float = 0.5, seed: int = 0) -> None:
+        self._cell = Cell(cell, seed=seed)
+        self._steps = round(1000.0 / rate_Hz)
+        self._acceleration = acceleration_m_per_s2
+        surface_z_m = cell.tissue.surface_z_m if cell.tissue else 0.0
+        self._target = np.array([0.0, 0.0, surface_z_m + HOME_ABOVE_M])
+        self._speed = np.zeros(3)
+        self._wanted = np.zeros(3)
+        self._begun = False
+        self._ms = 0
+        self._resolution = np.array(
+            [cell.sensor.resolution_fxy_N] * 2 + [cell.sensor.resolution_fz_N] + [cell.sensor.resolution_Nm] * 3, dtype=float
+        )
+        self.robot = SimRobot(self)
+        self.sensor = SimSensor(self)
+        self.advance()
+
+    def advance(self) -> None:
+        """One tick of time."""
+        before = self._target.copy()
+        change = self._wanted - self._speed
+        size = float(np.linalg.norm(change))
+        most = self._acceleration * self._steps * 1e-3
+        self._speed = self._speed + (change if size <= most else change * (most / size))
+        if not self._begun and np.any(self._speed):
+            self._begun = True
+            self._cell.begin()
+        self._target = before + self._speed * self._steps * 1e-3
+        share = (np.arange(1, self._steps + 1) / self._steps)[:, None]
+        block = self._cell.step(before + share * (self._target - before))
+        t_s = (self._ms + np.arange(1, self._steps + 1)) * 1e-3
+        self._ms += self._steps
+        sensor = np.column_stack([block.wrench[:, 0], -block.wrench[:, 1], -block.wrench[:, 2], block.wrench[:, 3], -block.wrench[:, 4:]])
+        sensor[:, 2] += FZ_OFFSET_N
+        step = np.where(self._resolution > 0, self._resolution, 1e-12)
+        counters = (np.arange(self._ms - self._steps, self._ms) & 0xFFFF).astype(np.uint16)
+        self.frames = SensorFrames(t_s, counters, np.zeros(self._steps, np.uint16), np.round(sensor / step) * step)
+        pose = (*block.position_m[-1].tolist(), math.pi, 0.0, 0.0)
+        zeros = (0.0, 0.0, 0.0)
+        self.state = RobotState(
+            float(t_s[-1]), float(t_s[-1]), pose, (*block.velocity_m_per_s[-1].tolist(), *zeros),
+            (*self._target.tolist(), math.pi, 0.0, 0.0), (*self._speed.tolist(), *zeros), zeros,
+            RobotMode.RUNNING, SafetyMode.NORMAL, 1, PROGRAM_PLAYING, True,
+        )  # fmt: skip
+
+    def want(self, velocity_m_per_s: tuple[float, float, float]) -> None:
+        """What the controller is told."""
+        self._wanted = np.array(velocity_m_per_s)
+
+
+class SimRobot:
+    """The Robot face: time goes on with every look."""
+
+    def __init__(self, cell: SimCell) -> None:
+        self._cell = cell
+
+    def read(self) -> RobotState:
+        """The state after one more tick."""
+        self._cell.advance()
+        return self._cell.state
+
+    def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
+        """Ramp towards this speed."""
+        self._cell.want(velocity_m_per_s)
+
+    def stop(self) -> None:
+        """Ramp towards rest."""
+        self._cell.want((0.0, 0.0, 0.0))
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+class SimSensor:
+    """The ForceSensor face: the frames of the tick that the robot's last look began."""
+
+    def __init__(self, cell: SimCell) -> None:
+        self._cell = cell
+
+    def read(self) -> SensorFrames:
+        """The frames of this tick."""
+        return self._cell.frames
+
+    def close(self) -> None:
+        """Nothing to let go of."""

@@ -1,0 +1,86 @@
+"""What survives a restart: the reference tare, the machine's stiffness, and the latch of the last stop. One JSON file each."""
+
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from palpd.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Reference tare: `wrench` (6,) in the sensor's axes, N and Nm, of a free, still probe on that date by that sensor."""
+
+    wrench: tuple[float, ...]
+    date: str
+    sensor_serial: str | None
+    temperature_C: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MachineStiffness:
+    """How stiff sensor, mount and arm are together, from pressing a rigid plate."""
+
+    stiffness_N_per_m: float
+    ci95_N_per_m: tuple[float, float]
+    date: str
+    sensor_serial: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Latch:
+    """Why the last run was stopped; while it stands nothing is armed."""
+
+    reason: str
+    date: str
+
+
+class State:
+    """The folder that these are kept in; made when first written to."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def calibration(self) -> Calibration | None:
+        """The last `palpd calibrate`, if any."""
+        values = self._read("calibration")
+        return Calibration(**{**values, "wrench": tuple(values["wrench"])}) if values else None
+
+    def machine_stiffness(self) -> MachineStiffness | None:
+        """The last `palpd stiffness`, if any."""
+        values = self._read("stiffness")
+        return MachineStiffness(**{**values, "ci95_N_per_m": tuple(values["ci95_N_per_m"])}) if values else None
+
+    def latch(self) -> Latch | None:
+        """The reason of a stop that no operator has cleared."""
+        values = self._read("latch")
+        return Latch(**values) if values else None
+
+    def keep(self, name: str, thing: Calibration | MachineStiffness | Latch) -> None:
+        """Write `thing` as `name`.json so that a crash leaves the old file or the new one, never half of it."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / f"{name}.json"
+        fresh = path.with_suffix(".new")
+        with fresh.open("w") as file:
+            json.dump(asdict(thing), file, indent=1)
+            file.flush()
+            os.fsync(file.fileno())
+        fresh.replace(path)
+
+    def clear_latch(self) -> None:
+        """What an operator does; nothing else may."""
+        (self.folder / "latch.json").unlink(missing_ok=True)
+
+    def _read(self, name: str) -> dict[str, Any] | None:
+        path = self.folder / f"{name}.json"
+        try:
+            values = json.loads(path.read_text())
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"{path} cannot be read ({error}); delete it and repeat the step that makes it") from error
+        if not isinstance(values, dict):
+            raise ConfigError(f"{path} holds no record; delete it and repeat the step that makes it")
+        return values

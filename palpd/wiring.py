@@ -1,0 +1,75 @@
+"""What stands behind the loop: the real drivers, muted or not, and the emulators. With cli.py the only module that imports hw."""
+
+import time
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+from hw.emulators.process import Emulated, started
+from hw.hex_sensor import HexSensor
+from hw.muted import MutedRobot
+from hw.rtde import UrReader, UrRobot
+from palpd.config import Config
+from palpd.motion import Devices
+
+ARRIVAL_MARGIN_S = 0.001
+"""The grid of ticks begins this long after a robot state arrives, so that every tick finds a fresh one."""
+
+
+def devices(config: Config, muted: bool) -> Devices:
+    """Open sensor and robot of a configuration; muted, the robot is read and never commanded. Raises DeviceError."""
+    sensor = _sensor(config)
+    try:
+        robot = _reader(config) if muted else _robot(config)
+    except BaseException:
+        sensor.close()
+        raise
+    state = robot.read()
+    period_s = 1.0 / config.robot.rate_Hz
+    soon_s = time.monotonic() + 0.05
+    cycles = (soon_s - state.t_s) // period_s + 1
+    first_tick_s = state.t_s + cycles * period_s + ARRIVAL_MARGIN_S
+    about: dict[str, Any] = {
+        "robot_host": config.robot.host,
+        "robot_model": config.robot.model,
+        "sensor_serial": sensor.serial_number,
+        "sensor_port": config.sensor.port,
+        "counts_per_N": sensor.counts_per_N.tolist(),
+        "counts_per_Nm": sensor.counts_per_Nm.tolist(),
+        "calibration_source": sensor.calibration_source,
+        "delay_s": sensor.delay_s,
+        "epoch_offset_s": time.time() - time.monotonic(),
+    }
+    return Devices(MutedRobot(robot) if muted else robot, sensor, first_tick_s, about)
+
+
+def _reader(config: Config) -> UrReader:
+    return UrReader(config.robot.host, model=config.robot.model, rate_Hz=config.robot.rate_Hz)
+
+
+def _robot(config: Config) -> UrRobot:
+    robot = config.robot
+    return UrRobot(
+        robot.host,
+        model=robot.model,
+        rate_Hz=robot.rate_Hz,
+        watchdog_Hz=robot.watchdog_Hz,
+        acceleration_m_per_s2=robot.acceleration_m_per_s2,
+        tcp=robot.tcp,
+    )
+
+
+def _sensor(config: Config) -> HexSensor:
+    sensor = config.sensor
+    return HexSensor(
+        sensor.port,
+        rate_Hz=sensor.rate_Hz,
+        filter_cutoff_Hz=sensor.filter_cutoff_Hz,
+        counts_per_N=sensor.counts_per_N,
+        counts_per_Nm=sensor.counts_per_Nm,
+    )
+
+
+def emulated(folder: Path, model: str, cell: Path, host: str) -> AbstractContextManager[Emulated]:
+    """A UR controller and a HEX-70 before that cell, in a process of their own."""
+    return started(folder, model, cell, host)

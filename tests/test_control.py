@@ -1,0 +1,109 @@
+"""The control socket: what is malformed, oversized or slow changes nothing."""
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from palpd import control
+from palpd.control import MOST_BYTES, ControlSocket, ask
+from palpd.errors import Refused
+
+
+class Listening:
+    def __init__(self, path: Path) -> None:
+        self.path, self.heard = path, []  # type: ignore[var-annotated]
+        self.socket = ControlSocket(path, self.answer)
+        self.over = threading.Event()
+        self.thread = threading.Thread(target=self.serve)
+        self.thread.start()
+
+    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        self.heard.append(request)
+        return {"ok": request["do"] != "refuse", "error": "no", "echo": request.get("plan")}
+
+    def serve(self) -> None:
+        while not self.over.is_set():
+            self.socket.poll(0.01)
+
+    def raw(self, data: bytes) -> bytes:
+        with socket.socket(socket.AF_UNIX) as client:
+            client.settimeout(3.0)
+            client.connect(str(self.path))
+            try:
+                client.sendall(data)
+                return client.recv(65536)
+            except (ConnectionResetError, BrokenPipeError):
+                return b""
+
+
+@pytest.fixture(scope="module")
+def listening(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Listening]:
+    made = Listening(tmp_path_factory.mktemp("control") / "palpd.sock")
+    yield made
+    made.over.set()
+    made.thread.join()
+    made.socket.close()
+    assert not made.path.exists()
+
+
+def test_a_request_is_answered(listening: Listening) -> None:
+    assert ask(listening.path, {"do": "start", "plan": {"a": 1}})["echo"] == {"a": 1}
+
+
+def test_a_refusal_is_raised_with_its_sentence(listening: Listening) -> None:
+    with pytest.raises(Refused, match="no"):
+        ask(listening.path, {"do": "refuse"})
+
+
+def test_the_socket_is_not_open_to_others(listening: Listening) -> None:
+    assert listening.path.stat().st_mode & 0o007 == 0
+
+
+@pytest.mark.parametrize("data", [b"abort\n", b"[]\n", b'{"do": 3}\n', b"\xff\xfe\n", b"[" * 100_000 + b"\n"])
+def test_what_is_no_request_is_told_so_and_not_carried_out(listening: Listening, data: bytes) -> None:
+    before = len(listening.heard)
+    assert json.loads(listening.raw(data))["ok"] is False
+    assert len(listening.heard) == before
+
+
+def test_an_endless_request_is_dropped(listening: Listening) -> None:
+    before = len(listening.heard)
+    assert listening.raw(b"x" * (MOST_BYTES + 65536)) == b""
+    assert len(listening.heard) == before
+
+
+def test_a_slow_client_is_dropped_and_others_are_served_meanwhile(listening: Listening, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control, "PATIENCE_S", 0.3)
+    with socket.socket(socket.AF_UNIX) as slow:
+        slow.settimeout(3.0)
+        slow.connect(str(listening.path))
+        slow.sendall(b'{"do":')
+        began_s = time.monotonic()
+        assert ask(listening.path, {"do": "status"})["ok"]
+        assert time.monotonic() - began_s < 0.25
+        assert slow.recv(1) == b""
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(st.binary(max_size=200))
+def test_no_bytes_bring_it_down(listening: Listening, data: bytes) -> None:
+    listening.raw(data.replace(b"\n", b"") + b"\n")
+    assert ask(listening.path, {"do": "status"})["ok"]
+
+
+def test_a_second_daemon_on_the_same_socket_is_refused(listening: Listening) -> None:
+    with pytest.raises(Refused, match="another palpd"):
+        ControlSocket(listening.path, listening.answer)
+
+
+def test_no_daemon_is_said_in_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(Refused, match="no daemon answers"):
+        ask(tmp_path / "nobody.sock", {"do": "status"})

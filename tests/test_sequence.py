@@ -1,0 +1,122 @@
+"""The palpation sequence, on the cell's own physics without wires."""
+
+import numpy as np
+import pytest
+
+from palpd import results
+from palpd.config import Plan
+from palpd.tick import Phase, Request, Trip
+from tests.simulated import cell_file, ran
+
+ONE = Plan(depths_m=(0.005,), repeats=1, hold_s=1.0)
+
+
+@pytest.mark.parametrize(
+    ("modulus_Pa", "effects"),
+    [
+        (62_500, {}),
+        (132_350, {}),
+        (92_140, {"tissue.inclusion": {"contrast": 2.1, "depth_m": 0.01517}}),
+        (20_000, {}),
+    ],
+)
+def test_the_surface_is_found_within_a_tenth_of_a_millimetre(modulus_Pa: float, effects: dict[str, dict[str, float]]) -> None:
+    for seed in range(3):
+        done = ran(cell_file(tissue={"youngs_modulus_Pa": modulus_Pa, "surface_z_m": 0.0123}, effects=effects), ONE, seed=seed)
+        site = results.sites(done.rows, done.header)[0]
+        assert done.outcome.verdict == "done", done.outcome
+        assert abs(site["surface_z_m"] - 0.0123) < 1e-4
+
+
+def test_depths_are_reached_within_a_twentieth_and_never_overshot_by_a_tenth() -> None:
+    done = ran(cell_file(), Plan(depths_m=(0.003, 0.006, 0.010), repeats=1, hold_s=0.5), safety={"contact_limit_N": 15})
+    site = results.sites(done.rows, done.header)[0]
+    assert len(site["depths"]) == len(site["presses"]) == 3
+    for press in site["depths"] + site["presses"]:
+        assert abs(press["achieved_m"] - press["commanded_m"]) < 5e-5
+    lowest_m = done.rows["tcp_pose"][:, 2].min()
+    assert lowest_m > site["surface_z_m"] - 0.010 - 1e-4
+
+
+def test_the_hold_gives_the_modulus_of_the_cell() -> None:
+    done = ran(cell_file(), Plan(repeats=1, hold_s=1.0))
+    site = results.sites(done.rows, done.header)[0]
+    assert site["static_youngs_modulus_Pa"] == pytest.approx(72_000, rel=0.03)
+    assert site["dynamic_original_Pa"] == pytest.approx(72_000, rel=0.05)
+
+
+def test_a_bias_that_the_tare_did_not_see_spoils_the_dynamic_modulus_and_not_the_static_one() -> None:
+    done = ran(cell_file(effects={"sensor.bias": {"offset_N": 0.4}}), Plan(repeats=1, hold_s=1.0))
+    site = results.sites(done.rows, done.header)[0]
+    assert site["static_youngs_modulus_Pa"] == pytest.approx(72_000, rel=0.03)
+    assert site["dynamic_original_Pa"] > 1.08 * 72_000
+
+
+def test_the_sequence_ends_a_press_before_the_guard_has_to() -> None:
+    done = ran(cell_file(), Plan(depths_m=(0.010,), repeats=1), safety={"contact_limit_N": 5.0})
+    site = results.sites(done.rows, done.header)[0]
+    assert done.outcome.verdict == "done"
+    assert site["cut_short"] is True
+    assert site["cut_short_depths_m"] == [0.010]
+    assert site["depths"][0]["E_Pa"] is None
+    assert 4.4 < site["peak_force_N"] < 5.0
+
+
+def test_a_machine_that_gives_way_is_corrected_by_its_stiffness() -> None:
+    soft = cell_file(effects={"robot.compliance": {"stiffness_N_per_m": 10_000.0}})
+    plan = Plan(repeats=1, hold_s=1.0)
+    ignored, corrected = ran(soft, plan), ran(soft, plan, machine_stiffness_N_per_m=10_000.0)
+    without = results.sites(ignored.rows, ignored.header)[0]["static_youngs_modulus_Pa"]
+    with_it = results.sites(corrected.rows, corrected.header)[0]["static_youngs_modulus_Pa"]
+    assert without < 0.92 * 72_000
+    assert with_it == pytest.approx(72_000, rel=0.03)
+
+
+def test_pressing_a_rigid_plate_measures_the_machine() -> None:
+    plate = cell_file(wall={"z_m": 0.0, "stiffness_N_per_m": 1e7}, effects={"robot.compliance": {"stiffness_N_per_m": 80_000.0}})
+    done = ran(plate, Plan(search={"max_travel_m": 0.04}), kind="stiffness")  # type: ignore[arg-type]
+    assert done.outcome.verdict == "done", done.outcome
+    value, (low, high) = results.machine_stiffness(done.rows)
+    assert value == pytest.approx(80_000, rel=0.03)
+    assert low < value < high
+
+
+def test_free_motion_goes_up_and_down_ten_times_and_touches_nothing() -> None:
+    done = ran(cell_file(), kind="free_motion")
+    z_m = done.rows["tcp_pose"][:, 2]
+    assert done.outcome.verdict == "done"
+    assert np.ptp(z_m) == pytest.approx(0.02, abs=2e-4)
+    assert done.rows["repeat"].max() == 9
+    assert z_m[-1] == pytest.approx(z_m[0], abs=1e-4)
+
+
+def test_where_nothing_is_met_the_run_ends_with_the_distance() -> None:
+    done = ran(cell_file(tissue=None), Plan(search={"speed_m_per_s": 0.02, "max_travel_m": 0.02}))  # type: ignore[arg-type]
+    assert done.outcome.verdict == "stopped"
+    assert "0.02 m" in done.outcome.reason
+
+
+def test_a_pause_stands_still_and_a_resume_goes_on() -> None:
+    plain = ran(cell_file(), ONE)
+    paused = ran(cell_file(), ONE, requests={700: Request.PAUSE, 900: Request.RESUME})
+    rows = paused.rows[700:900]
+    assert set(rows["phase"]) == {Phase.PAUSED}
+    assert not rows["command_m_per_s"].any()
+    assert np.ptp(rows["target_pose"][20:, 2]) == 0.0
+    assert paused.outcome.verdict == "done"
+    assert abs(len(paused.rows) - len(plain.rows) - 200) < 30
+
+
+def test_an_abort_stops_within_the_tick() -> None:
+    done = ran(cell_file(), ONE, requests={600: Request.ABORT})
+    assert len(done.rows) == 601
+    assert done.rows["command_stop"][-1]
+    assert done.outcome.trip == Trip.OPERATOR
+
+
+def test_a_hard_wall_where_tissue_was_expected_trips_the_guard_which_retracts() -> None:
+    wall = cell_file(wall={"z_m": 0.0, "stiffness_N_per_m": 20_000.0})
+    done = ran(wall, Plan(depths_m=(0.004,), search={"speed_m_per_s": 0.02}))  # type: ignore[arg-type]
+    assert done.outcome.trip == Trip.CONTACT_FORCE
+    assert done.rows["tcp_pose"][-1, 2] > 0.02
+    assert done.rows["command_stop"][-1]
