@@ -471,8 +471,6 @@ class HexSensor:
         try:
             while chunk := os.read(self._serial.fileno(), 65536):
                 data += chunk
-                if len(chunk) < 4095:  # a terminal hands out 4095 bytes at most
-                    return data
         except BlockingIOError:
             return data
         except OSError as error:

@@ -1,0 +1,443 @@
+"""A UR controller behind ur_rtde 1.6.5: states out, tip speeds in, under a watchdog. UR5 (CB3, 125 Hz) and UR5e (e-Series, 500 Hz).
+
+What the library does, measured, and what follows here:
+
+- Its constructors hold the GIL and may wait for ever. So a bounded handshake of our own comes first, and nobody constructs
+  while a loop runs.
+- speedL never ends by itself, and a killed client leaves the arm moving. So no speed goes out unless the controller's watchdog is
+  set, and it is set again after every upload of the control script: it dies with the script.
+- kickWatchdog keeps an old speed alive. So while the arm may move only speed commands feed the watchdog.
+- After a lost connection the library uploads its script again on its own, without watchdog, hangs or crashes. So a connection
+  that was lost once is lost for good: `RobotState.connected` stays false, nothing is sent any more, the watchdog stops the arm, and
+  the process is to end; a fresh one connects anew. Objects of a lost connection are never destroyed (that crashes).
+- The control object is not thread-safe. One thread calls; a call that might block is made by a second one while the first waits.
+- Getters lock one variable each and repeat old values for ever without a word. So snapshots are taken between two equal
+  timestamps, and age comes from the controller's timestamp.
+"""
+
+import contextlib
+import ctypes
+import math
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from enum import IntEnum
+from typing import Any, Literal
+
+from rtde_control import RTDEControlInterface
+from rtde_receive import RTDEReceiveInterface
+
+from palpd.errors import RobotError
+from palpd.tick import PROGRAM_PLAYING, RobotMode, RobotState, SafetyMode
+
+Model = Literal["ur5", "ur5e"]
+MAX_RATE_HZ: dict[Model, float] = {"ur5": 125.0, "ur5e": 500.0}
+
+RTDE_PORT = 30004
+SCRIPT_PORT = 30003
+DASHBOARD_PORT = 29999
+
+VARIABLES = [
+    "timestamp",
+    "actual_TCP_pose",
+    "actual_TCP_speed",
+    "target_TCP_pose",
+    "target_TCP_speed",
+    "actual_tool_accelerometer",
+    "robot_mode",
+    "safety_mode",
+    "runtime_state",
+    "safety_status_bits",
+]
+"""All of them exist on CB3 from 3.10 and on e-Series; a short list keeps the packages small."""
+
+CONNECT_TIMEOUT_S = 2.0
+STOP_TIMEOUT_S = 0.25
+CLOSE_TIMEOUT_S = 1.5
+STOP_M_PER_S2 = 10.0
+"""Deceleration of a stop, speedStop's own default; the controller limits it to what the joints can do."""
+
+
+class UrReader:
+    """Reads the state of a UR controller and cannot command it.
+
+    `t_s` of a state is the controller's timestamp plus the smallest (host time - timestamp) seen, let up by `CLOCK_LEAK` so that a
+    slower controller clock is followed. Half a second of spinning at the start finds the shortest way (0.2 to 0.4 ms on a
+    loopback). The error is one-sided, t_s late by that way, plus at most the time between the arrival of a frame and the look
+    that finds it: under one frame period, and as small as the grid of looks stands behind `arrival_phase_s`.
+
+    Raises RobotError in one sentence when the controller cannot be reached, is silent, or is not of this model.
+    """
+
+    def __init__(self, host: str, *, model: Model, rate_Hz: float) -> None:
+        if not 0 < rate_Hz <= MAX_RATE_HZ[model]:
+            raise RobotError(f"an RTDE rate of {rate_Hz:g} Hz is not possible on a {model}; it has up to {MAX_RATE_HZ[model]:g} Hz.")
+        self.host = host
+        self.period_s = 1.0 / rate_Hz
+        self._clock = ControllerClock()
+        self._timestamp_s = math.nan
+        self._lost = False
+        _greet(host, model)
+        try:
+            self._receive = RTDEReceiveInterface(host, rate_Hz, VARIABLES, rt_priority=_PRIORITY_UNTOUCHED)
+        except RuntimeError as error:
+            raise RobotError(f"robot at {host} does not send its state ({_first_line(error)}); check its RTDE settings.") from None
+        self._find_offset(0.5)
+
+    @property
+    def connected(self) -> bool:
+        """Whether the connection has stood without a break since it was made."""
+        if not self._lost and not self._receive.isConnected():
+            self._lost = True
+        return not self._lost
+
+    @property
+    def arrival_phase_s(self) -> float:
+        """Host time of the arrival of frames, modulo the frame period."""
+        return self._clock.host_s(self._timestamp_s) % self.period_s
+
+    def read(self) -> RobotState:
+        """Newest untorn state; never waits. An old one looks like any other: judge its age by `t_s`."""
+        receive = self._receive
+        for _ in range(_TRIES):
+            before_s = receive.getTimestamp()
+            pose, speed = receive.getActualTCPPose(), receive.getActualTCPSpeed()
+            target_pose, target_speed = receive.getTargetTCPPose(), receive.getTargetTCPSpeed()
+            acceleration = receive.getActualToolAccelerometer()
+            robot_mode, safety_mode = receive.getRobotMode(), receive.getSafetyMode()
+            runtime_state, safety_bits = receive.getRuntimeState(), receive.getSafetyStatusBits()
+            if receive.getTimestamp() == before_s:
+                break
+        else:
+            raise RobotError(f"robot at {self.host} gave no untorn state in {_TRIES} attempts; lower the load of this machine.")
+        if before_s != self._timestamp_s:
+            self._clock.see(before_s, time.monotonic())
+            self._timestamp_s = before_s
+        return RobotState(
+            t_s=self._clock.host_s(before_s),
+            timestamp_s=before_s,
+            tcp_pose=tuple(pose),
+            tcp_speed=tuple(speed),
+            target_pose=tuple(target_pose),
+            target_speed=tuple(target_speed),
+            tool_acceleration_m_per_s2=tuple(acceleration),
+            robot_mode=robot_mode,
+            safety_mode=safety_mode,
+            safety_status_bits=safety_bits,
+            runtime_state=runtime_state,
+            connected=self.connected,
+        )
+
+    def close(self) -> None:
+        """Disconnect; takes half a second."""
+        _bounded(self._receive.disconnect, CLOSE_TIMEOUT_S)
+
+    def _find_offset(self, duration_s: float) -> None:
+        until_s = time.monotonic() + duration_s
+        while (now_s := time.monotonic()) < until_s:
+            timestamp_s = self._receive.getTimestamp()
+            if timestamp_s != self._timestamp_s:
+                if not math.isnan(self._timestamp_s):  # the first may have lain there for long
+                    self._clock.see(timestamp_s, now_s)
+                self._timestamp_s = timestamp_s
+        if not self._clock.found:
+            raise RobotError(f"robot at {self.host} has not sent a new state for {duration_s:g} s; restart its controller.")
+
+
+class ControllerClock:
+    """Maps the controller's timestamps to the host's monotonic clock, by the smallest delay seen, let up by `leak` s a second."""
+
+    def __init__(self, leak: float = 1e-4) -> None:
+        self._leak = leak  # two crystals and the host's clock being slewed; a faster controller pulls the offset down by itself
+        self._offset_s = math.inf
+        self._seen_s = 0.0
+
+    @property
+    def found(self) -> bool:
+        """Whether any timestamp was seen."""
+        return math.isfinite(self._offset_s)
+
+    def see(self, timestamp_s: float, now_s: float) -> None:
+        """Note that `timestamp_s` is there at `now_s`. A timestamp over a second off has been started anew."""
+        offset_s = now_s - timestamp_s
+        if abs(offset_s - self._offset_s) > 1.0:
+            self._offset_s = offset_s
+        self._offset_s = min(self._offset_s + self._leak * (now_s - self._seen_s), offset_s) if self._seen_s else offset_s
+        self._seen_s = now_s
+
+    def host_s(self, timestamp_s: float) -> float:
+        """The same instant on the host's clock."""
+        return timestamp_s + self._offset_s
+
+
+class UrRobot:
+    """Reads a UR controller and moves its tip; the one owner of the control connection.
+
+    Nothing moves and no watchdog runs until `arm` or the first `move`. From then on a command must go out `watchdog_Hz` times a
+    second, or the controller stops the program by itself.
+
+    Raises RobotError in one sentence when the controller cannot be reached, is not ready to move, or has another master.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        *,
+        model: Model,
+        rate_Hz: float,
+        watchdog_Hz: float,
+        acceleration_m_per_s2: float,
+        tcp: Sequence[float] | None = None,
+    ) -> None:
+        if not 0 < watchdog_Hz <= rate_Hz:
+            raise RobotError(
+                f"a watchdog of {watchdog_Hz:g} Hz would trip between two commands at {rate_Hz:g} Hz; choose half of that or less."
+            )
+        self.host = host
+        self._watchdog_Hz = watchdog_Hz
+        self._acceleration_m_per_s2 = acceleration_m_per_s2
+        self._tcp = None if tcp is None else [float(number) for number in tcp]
+        self._armed = False
+        self._moving = False
+        self._lost = False
+        for port in (SCRIPT_PORT, DASHBOARD_PORT):
+            _connect(host, port).close()
+        self._reader = UrReader(host, model=model, rate_Hz=rate_Hz)
+        try:
+            _refuse_unready(self._reader.read(), host)
+            self._control = _control(host, rate_Hz)
+            try:
+                self._set_tcp()
+            except BaseException:
+                _bounded(self._control.disconnect, CLOSE_TIMEOUT_S)
+                raise
+        except BaseException:
+            self._reader.close()
+            raise
+
+    @property
+    def connected(self) -> bool:
+        """Whether both connections have stood without a break since they were made; once false, false for good."""
+        if not self._lost and not (self._reader.connected and self._control.isConnected()):
+            self._give_up()
+        return not self._lost
+
+    @property
+    def arrival_phase_s(self) -> float:
+        """Host time of the arrival of frames, modulo the frame period."""
+        return self._reader.arrival_phase_s
+
+    @property
+    def period_s(self) -> float:
+        """Time between two frames."""
+        return self._reader.period_s
+
+    def read(self) -> RobotState:
+        """Newest untorn state; never waits."""
+        state = self._reader.read()
+        return state if self.connected else replace(state, connected=False)
+
+    def arm(self) -> None:
+        """Set the controller's watchdog: from now on it must be fed by `move`. Takes two controller cycles. RobotError if refused."""
+        self._refuse_lost()
+        if not self._control.setWatchdog(self._watchdog_Hz):
+            raise RobotError(self._why_not("does not set its watchdog"))
+        self._armed = True
+
+    def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
+        """Command a tip speed in base axes, orientation kept; feeds the watchdog.
+
+        True from the library only means "written to the socket": whether the arm follows shows in `read`. RobotError if it was not.
+        """
+        self._refuse_lost()
+        if not self._armed:
+            self.arm()
+        self._moving = True
+        if not self._control.speedL([*velocity_m_per_s, 0.0, 0.0, 0.0], self._acceleration_m_per_s2):
+            raise RobotError(self._why_not("does not take a speed command"))
+
+    def stop(self) -> None:
+        """Bring the tip to rest: speed zero at once, then the end of speed control, waited for at most 0.25 s. Never raises.
+
+        At rest it feeds the watchdog, so that the program lives on. If the controller does not answer, nothing is sent any more
+        and the watchdog stops the arm.
+        """
+        with contextlib.suppress(Exception):
+            if not self.connected:
+                return
+            if self._moving:
+                self._control.speedL([0.0] * 6, STOP_M_PER_S2)
+                if not _bounded(lambda: self._control.speedStop(STOP_M_PER_S2), STOP_TIMEOUT_S):
+                    self._give_up()
+                self._moving = False
+            elif self._armed:
+                self._control.kickWatchdog()
+
+    def rearm(self) -> None:
+        """Upload the control script again after the controller has stopped it, and set the watchdog again. The arm stands still.
+
+        For use after an operator has cleared a protective stop (by hand: the robot's maker forbids doing that by program).
+        RobotError when the controller is not ready, or the connection was lost: then only a new process may connect again.
+        """
+        self._refuse_lost()
+        _refuse_unready(self._reader.read(), self.host)
+        self._armed = self._moving = False
+        if self._reader.read().runtime_state != PROGRAM_PLAYING:
+            _bounded(self._control.reuploadScript, _UPLOAD_TIMEOUT_S)
+            until_s = time.monotonic() + _UPLOAD_TIMEOUT_S
+            while self._reader.read().runtime_state != PROGRAM_PLAYING:
+                if time.monotonic() > until_s:
+                    raise RobotError(self._why_not("does not start the control script again"))
+                time.sleep(0.01)
+        self._set_tcp()
+        self.arm()
+
+    def close(self) -> None:
+        """Stop, end the control script, disconnect; 1 s, at most 5. After a lost connection only the reader is closed. Never raises."""
+        self.stop()
+        if not self._lost:
+            for last_word in (self._control.stopScript, self._control.disconnect):
+                if not _bounded(last_word, CLOSE_TIMEOUT_S):
+                    self._give_up()
+                    break
+        self._lost = True
+        self._reader.close()
+
+    def _set_tcp(self) -> None:
+        if self._tcp is not None and not self._control.setTcp(self._tcp):
+            raise RobotError(self._why_not("does not take the configured TCP"))
+
+    def _give_up(self) -> None:
+        """Never touch the control connection again, nor let it be destroyed: its reconnecting thread would crash the process."""
+        if not self._lost:
+            self._lost = True
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._control))
+
+    def _refuse_lost(self) -> None:
+        if not self.connected:
+            raise RobotError(
+                f"the connection to the robot at {self.host} was lost, and is not taken up again while the arm may move; "
+                "check cable and controller, then start anew."
+            )
+
+    def _why_not(self, what: str) -> str:
+        state = self._reader.read()
+        if not self.connected:
+            return f"robot at {self.host} {what}: the connection was lost; check cable and controller, then start anew."
+        if state.safety_mode not in (SafetyMode.NORMAL, SafetyMode.REDUCED):
+            return f"robot at {self.host} {what}: its safety mode is {_name(SafetyMode, state.safety_mode)}; clear it at the teach pendant."
+        if state.runtime_state != PROGRAM_PLAYING:
+            return (
+                f"robot at {self.host} {what}: its control script is not running (runtime state {state.runtime_state}, 2 expected), "
+                "as after a tripped watchdog; arm again."
+            )
+        return f"robot at {self.host} {what}, though it is ready; look at its log."
+
+
+_TRIES = 20
+_PRIORITY_UNTOUCHED = -1  # else the library takes FIFO 90 for the thread that constructs, which is the loop's
+_UPLOAD_TIMEOUT_S = 6.0
+
+
+def _connect(host: str, port: int) -> socket.socket:
+    """An open connection, or RobotError: the library would wait for ever."""
+    try:
+        return socket.create_connection((host, port), CONNECT_TIMEOUT_S)
+    except OSError as error:
+        why = "does not answer" if isinstance(error, TimeoutError) else f"cannot be reached ({error.strerror or error})"
+        raise RobotError(
+            f"robot at {host} {why} on port {port} within {CONNECT_TIMEOUT_S:g} s; "
+            "check robot.host, the cable and that the controller is on."
+        ) from None
+
+
+def _greet(host: str, model: Model) -> None:
+    """Speak RTDE as far as the first data package, each answer within 2 s, and check that the controller is of this generation.
+
+    Packages are `size u16 | type u8 | body`, big-endian (UR's RTDE guide).
+    """
+    try:
+        with _connect(host, RTDE_PORT) as connection, connection.makefile("rb") as stream:
+
+            def send(kind: bytes, body: bytes = b"") -> None:
+                connection.sendall(struct.pack(">Hc", 3 + len(body), kind) + body)
+
+            def ask(kind: bytes, body: bytes = b"", answer: bytes | None = None) -> bytes:
+                send(kind, body)
+                for _ in range(_TRIES):  # text messages may come between
+                    size, got = struct.unpack(">Hc", stream.read(3))
+                    payload: bytes = stream.read(size - 3)
+                    if got == (answer or kind):
+                        return payload
+                raise ValueError(f"no answer to {kind!r}")
+
+            if ask(b"V", struct.pack(">H", 2)) != b"\x01":
+                raise RobotError(f"robot at {host} does not speak RTDE version 2; its software must be 3.10 or newer.")
+            major, minor, bugfix, _ = struct.unpack(">4I", ask(b"v"))
+            if (major == 3) != (model == "ur5"):
+                generation = "3.x" if model == "ur5" else "5.x"
+                raise RobotError(
+                    f"robot at {host} runs software {major}.{minor}.{bugfix}, but robot.model is {model}, which has {generation}; "
+                    "correct robot.model."
+                )
+            kinds = ask(b"O", struct.pack(">d", 10.0) + ",".join(VARIABLES).encode())[1:].decode().split(",")
+            missing = [name for name, kind in zip(VARIABLES, kinds, strict=False) if kind == "NOT_FOUND"]
+            if missing:
+                raise RobotError(f"robot at {host} with software {major}.{minor} has no {', '.join(missing)}; 3.10 or newer is needed.")
+            ask(b"S", answer=b"U")
+    except (OSError, struct.error, ValueError) as error:
+        why = (
+            f"does not answer on port {RTDE_PORT} within {CONNECT_TIMEOUT_S:g} s" if isinstance(error, TimeoutError) else "breaks off RTDE"
+        )
+        raise RobotError(f"robot at {host} {why} after the connection was made; restart its controller.") from None
+
+
+def _control(host: str, rate_Hz: float) -> Any:
+    """The library's control object, its script uploaded and playing. Holds the GIL for 0.1 to 5 s."""
+    try:
+        return RTDEControlInterface(host, rate_Hz, rt_priority=_PRIORITY_UNTOUCHED)
+    except RuntimeError as error:
+        text = _first_line(error)
+        if "in use" in text:
+            text = "its input registers are owned by another program; end that, or disable EtherNet/IP, PROFINET and MODBUS"
+        elif "remote control" in text:
+            text = "it is not in remote control; switch it at the teach pendant"
+        elif "before timeout" in text:
+            text = "the control script did not start within 5 s; check that the robot is on, released and has no popup open"
+        raise RobotError(f"robot at {host} cannot be controlled: {text}.") from None
+
+
+def _refuse_unready(state: RobotState, host: str) -> None:
+    if state.robot_mode != RobotMode.RUNNING:
+        raise RobotError(
+            f"robot at {host} is in mode {_name(RobotMode, state.robot_mode)}, RUNNING is needed; switch it on and release its brakes."
+        )
+    if state.safety_mode not in (SafetyMode.NORMAL, SafetyMode.REDUCED):
+        raise RobotError(
+            f"robot at {host} is in safety mode {_name(SafetyMode, state.safety_mode)}, NORMAL or REDUCED is needed; "
+            "clear it at the teach pendant."
+        )
+
+
+def _name(kind: type[IntEnum], value: int) -> str:
+    return kind(value).name if value in list(kind) else str(value)
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().split("\n")[0].rstrip(".!")
+
+
+def _bounded(call: Callable[[], object], timeout_s: float) -> bool:
+    """Make a call that might block for minutes; false if it has not come back in time. What it raises is dropped."""
+
+    def run() -> None:
+        with contextlib.suppress(Exception):
+            call()
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(timeout_s)
+    return not thread.is_alive()
