@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpd.errors import RecordingError
 from palpd.tick import MAX_FRAMES, ROW, Action, Floats, Mode, Phase, Request, Trip
 
 LITTLE_ENDIAN_CDR = np.frombuffer(b"\x00\x01\x00\x00", "<u4")[0]
@@ -85,7 +86,7 @@ def tick_layout(frames: int) -> np.dtype[np.void]:
 
 
 @cache
-def frames_of_length() -> dict[int, int]:
+def _frames_of_length() -> dict[int, int]:
     """How many frames a Tick message of so many bytes holds."""
     return {tick_layout(frames).itemsize: frames for frames in range(MAX_FRAMES + 1)}
 
@@ -123,10 +124,12 @@ def row_type(slots: int) -> np.dtype[np.void]:
 
 
 def unpack_ticks(messages: list[bytes]) -> NDArray[np.void]:
-    """Rows of Tick messages, with as many frame slots as the fullest needs; what was not filled is zero. Raises KeyError on a length
-    that no Tick has."""
+    """Rows of Tick messages, with as many frame slots as the fullest needs; what was not filled is zero. Raises RecordingError."""
     lengths = np.array([len(message) for message in messages], int)
-    frames_of = {int(length): frames_of_length()[int(length)] for length in np.unique(lengths)}
+    frames_of = {length: _frames_of_length().get(length, -1) for length in np.unique(lengths).tolist()}
+    for length, frames in frames_of.items():
+        if frames < 0:
+            raise RecordingError(f"a tick of {length} bytes was found, which none can have; the file was altered")
     rows = np.zeros(len(messages), row_type(max(frames_of.values(), default=0)))
     for length, frames in frames_of.items():
         at = np.flatnonzero(lengths == length)
@@ -181,7 +184,11 @@ def _tick_schema() -> str:
 TICK = _tick_schema()
 
 
+QUATERNION_STEP = 2.0**-32
+
+
 def quaternion(rotation_vector_rad: Floats) -> Floats:
-    """Unit quaternions (n, 4) as x, y, z, w of rotation vectors (n, 3)."""
+    """Quaternions (n, 4) as x, y, z, w of rotation vectors (n, 3), to 2⁻³²: finer than any robot, and half as long when compressed."""
     angle_rad = np.linalg.norm(rotation_vector_rad, axis=1, keepdims=True)
-    return np.hstack([rotation_vector_rad * (0.5 * np.sinc(angle_rad / (2 * np.pi))), np.cos(angle_rad / 2)])
+    exact = np.hstack([rotation_vector_rad * (0.5 * np.sinc(angle_rad / (2 * np.pi))), np.cos(angle_rad / 2)])
+    return np.rint(exact / QUATERNION_STEP) * QUATERNION_STEP

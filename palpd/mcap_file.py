@@ -52,6 +52,9 @@ _TOPICS = {
 _NEAR_S = 10.0
 """A sample's own time is believed within this of its tick; a robot that has never answered has none."""
 
+_LEAST_APART_S = 0.007
+"""Of states of the robot closer than this the standard topics show only some: at 500 Hz that saves 2.5 of 17 MB a minute."""
+
 _UNREADABLE = (McapError, ZstdError, struct.error, ValueError, KeyError, RuntimeError, MemoryError, OverflowError)
 """What the readers raise on bytes that were cut off or changed."""
 
@@ -73,17 +76,18 @@ class RecordingWriter:
         for taken in (self.path, self.part):
             if taken.exists():
                 raise RecordingError(f"{taken} exists and is not overwritten; choose another name or move it away")
+        header = {"epoch_offset_s": time.time() - time.monotonic(), **header}
+        self._offset_ns = round(header["epoch_offset_s"] * 1e9)
+        about = {"json": json.dumps(header)}
         try:
             self._stream = self.part.open("xb")
         except OSError as error:
             raise RecordingError(f"{self.part} cannot be written ({error.strerror}); choose a directory that can") from error
         fcntl.flock(self._stream, fcntl.LOCK_EX)
-        header = {"epoch_offset_s": time.time() - time.monotonic(), **header}
-        self._offset_ns = round(header["epoch_offset_s"] * 1e9)
         self._robot_t_s = float("nan")
         self._writer = Writer(self._stream, chunk_size=1 << 30, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="ros2", library="palpd")
-        self._writer.add_metadata(HEADER, {"json": json.dumps(header)})
+        self._writer.add_metadata(HEADER, about)
         if model_bytes is not None:
             self._writer.add_attachment(0, 0, MODEL, "application/octet-stream", model_bytes)
         schema = {name: self._writer.register_schema(name, "ros2msg", text.encode()) for name, text in _SCHEMAS.items()}
@@ -129,10 +133,12 @@ class RecordingWriter:
             self._stream.close()
 
     def _write_robot(self, rows: Rows) -> None:
-        """Pose, twist and target of every state that is new."""
-        t_s = rows["robot_t_s"]
-        new = t_s != np.concatenate([[self._robot_t_s], t_s[:-1]])
-        self._robot_t_s = float(t_s[-1])
+        """Pose, twist and target of every new state, of a controller faster than 125 Hz at about that rate."""
+        new = []
+        for number, t_s in enumerate(rows["robot_t_s"].tolist()):
+            if not abs(t_s - self._robot_t_s) < _LEAST_APART_S:
+                new.append(number)
+                self._robot_t_s = t_s
         rows = rows[new]
         stamp_ns = self._epoch_ns(rows["robot_t_s"], rows["now_s"])
         for topic, name in (("/tcp_pose", "tcp_pose"), ("/target_pose", "target_pose")):
@@ -199,6 +205,7 @@ class Contents:
                 elif isinstance(record, Attachment) and record.name == MODEL:
                     self.model_bytes = record.data
                 ended = ended or isinstance(record, DataEnd)
+            self.torn = "" if ended else "(it has no end of data)"
         except _UNREADABLE as error:
             where = "behind the data" if ended else f"at byte {stream.tell()} of {os.fstat(stream.fileno()).st_size}"
             self.torn = f"{where} ({type(error).__name__})"

@@ -47,10 +47,9 @@ class Recording:
         if contents.footer is None:
             raise RecordingError(f"{path} has no end; rename it to {path.stem}.part and run palpd recover")
         assert contents.header is not None
-        try:
-            rows = cdr.unpack_ticks(messages)
-        except KeyError as error:
-            raise RecordingError(f"{path} holds a tick of {error.args[0]} bytes, which no tick has; the file was altered") from error
+        if not messages:
+            raise RecordingError(f"{path} holds no tick; give a recording of a run that began")
+        rows = cdr.unpack_ticks(messages)
         return cls(path, rows, contents.header, contents.footer, contents.model_bytes)
 
     def site_index(self, name: str) -> int:

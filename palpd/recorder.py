@@ -19,7 +19,7 @@ from palpd.errors import RecordingError
 from palpd.mcap_file import RecordingWriter, part_of
 from palpd.ring import RecorderState, Ring
 
-CHUNK_S = 0.12
+CHUNK_S = 0.15
 """How often what has come is compressed and given to the kernel: what a kill -9 of the recorder can cost, and not more."""
 
 
@@ -96,6 +96,7 @@ def record(ring: Ring, pipe: Connection) -> None:
     ring.recorder_cursor, ring.recorder_lost, ring.recorder_errno = cursor, 0, 0
     ring.recorder_state = RecorderState.WRITING
     pipe.send(None)
+    sentence = None
     try:
         footer = _empty_into(writer, ring, cursor, pipe)
         if footer is None:
@@ -104,13 +105,14 @@ def record(ring: Ring, pipe: Connection) -> None:
             return
         writer.close({**footer, "lost_rows": ring.recorder_lost})
         ring.recorder_state = RecorderState.CLOSED
-        pipe.send(None)
     except (RecordingError, OSError) as error:
         writer.abandon()
         ring.recorder_errno = getattr(error, "errno", None) or errno.EIO
         ring.recorder_state = RecorderState.FAILED
         reason = error.strerror if isinstance(error, OSError) else error
-        pipe.send(f"the recording {path} stopped after {ring.recorder_cursor - cursor} ticks: {reason}")
+        sentence = f"the recording {path} stopped after {ring.recorder_cursor - cursor} ticks ({reason})"
+    with contextlib.suppress(OSError):  # the supervisor may have gone meanwhile
+        pipe.send(sentence)
 
 
 def _empty_into(writer: RecordingWriter, ring: Ring, cursor: int, pipe: Connection) -> dict[str, Any] | None:
