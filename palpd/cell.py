@@ -98,21 +98,21 @@ def _copy(memory: Memory) -> Memory:
 
 
 def _contact(s: Span, what: Physics, memory: Memory) -> None:
-    """Tip, depth and contact force; where the tip gives way, tip = z + force/stiffness is solved by secants, sample by sample.
+    """Tip, depth and contact force; where the tip gives way, tip = z + compliance · force is solved by secants, sample by sample.
 
     A force that grows with depth makes the residual fall at least as fast as the force rises, which bounds the secant's slope.
     """
     s.tip_m = s.z_m
     what.apply("tip", s, memory)
-    stiffness = what.constants.tip_stiffness_N_per_m
-    if not np.isfinite(stiffness):
+    compliance = what.constants.tip_compliance_m_per_N
+    if compliance == 0.0:
         _tissue(s, what, memory)
         return
     rigid_m = s.tip_m
 
     def residual_N(force_N: Floats) -> tuple[Floats, Memory]:
         trial = _copy(memory)
-        s.tip_m = rigid_m + force_N / stiffness
+        s.tip_m = rigid_m + force_N * compliance
         _tissue(s, what, trial)
         return s.contact_N - force_N, trial
 
@@ -120,7 +120,7 @@ def _contact(s: Span, what: Physics, memory: Memory) -> None:
     last_gap, trial = residual_N(last_N)
     if last_gap.any():
         stiff = 1.5 * np.abs(s.contact_N) / np.maximum(s.depth_m, np.finfo(float).tiny)
-        force_N = last_N + last_gap / (1.0 + stiff / stiffness)
+        force_N = last_N + last_gap / (1.0 + stiff * compliance)
         for _ in range(60):
             gap, trial = residual_N(force_N)
             if float(np.abs(gap).max()) <= 1e-12 * float(np.abs(force_N).max()):
@@ -415,7 +415,7 @@ def equilibrium_force_N(cell: CellFile, depth_m: float, site: str | None = None,
 
 def scale_of(cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats, fz_N: Floats | None = None) -> Scale:
     """How large things are in a recording: what bounds and starting values of effects are multiples of."""
-    stroke_m = max(float(np.ptp(z_m)), 10.0 * cell.robot.position_noise_rms_m, 1e-12)
+    stroke_m = max(float(np.ptp(z_m)), 1e-12)
     surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
     depth_m = max(surface_m - float(z_m.min()), 0.01 * stroke_m) if cell.tissue is not None else stroke_m
     largest_N = 0.0 if fz_N is None else float(np.quantile(np.abs(fz_N), 0.999))
@@ -481,6 +481,11 @@ class Cell:
         self._begun, self._rows = True, 0
         self._common = {name: value for name, value in self._common.items() if name.startswith("filtered ")}
         self._local = [{} for _ in self._places]
+        self._build()
+
+    def rest(self) -> None:
+        """As before any `begin`: what counts from the start of a recording is absent again."""
+        self._begun = False
         self._build()
 
     def set_filter(self, cutoff_Hz: float | None) -> None:

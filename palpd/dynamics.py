@@ -39,7 +39,7 @@ class Constants:
     cutoff_Hz: float
     noise_rms_N: float
     noise_rms_Nm: float
-    tip_stiffness_N_per_m: float = float("inf")
+    tip_compliance_m_per_N: float = 0.0
     wall_z_m: float = 0.0
     wall_stiffness_N_per_m: float = 0.0
     wall_after_s: float = 0.0
@@ -93,7 +93,10 @@ class Span:
     tz_Nm: Column = 0.0
 
     def touch(self, surface_m: Column) -> None:
-        """Put the surface there: depth and elastic force follow from where the tip is."""
+        """Put the surface there: depth and elastic force follow from where the tip is.
+
+        A law that moves the surface calls this, and so must act before laws that change the force.
+        """
         self.surface_m = surface_m
         self.depth_m = np.maximum(surface_m - self.tip_m, 0.0)
         self.contact_N = self.constants.elastic_force_N(self.depth_m)

@@ -67,7 +67,7 @@ BACKLASH = Effect(
 
 
 def _compliance(c: Constants, p: Values) -> None:
-    c.tip_stiffness_N_per_m = 1.0 / (1.0 / c.tip_stiffness_N_per_m + 1.0 / p["stiffness_N_per_m"])
+    c.tip_compliance_m_per_N += 1.0 / p["stiffness_N_per_m"]
 
 
 COMPLIANCE = Effect(
