@@ -88,7 +88,9 @@ def same_rows(one: Rows, other: Rows) -> NDArray[np.bool_]:
 
 
 def _bytes(values: NDArray[Any], axes: int) -> NDArray[np.uint8]:
-    return np.frombuffer(values.tobytes(), np.uint8).reshape(*values.shape[:axes], -1)
+    entries = values.shape[:axes]
+    width = values.dtype.itemsize * int(np.prod(values.shape[axes:]))
+    return np.frombuffer(values.tobytes(), np.uint8).reshape(*entries, width)
 
 
 def samples_of(recording: Recording, site: str | None = None) -> Samples:
