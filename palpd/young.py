@@ -116,10 +116,10 @@ def fit_contact(
     slopes += [np.ones_like(indentation_m)] if baseline_N is None else []
     air = indentation_m <= 0.0
     rounding_N = _undithered_N(force_N, residual_N[air])
-    sigmas, n_effective = _sigmas(np.column_stack(slopes), residual_N, np.where(air, rounding_N, 0.0))
+    sigmas, n_effective = correlated_sigmas(np.column_stack(slopes), residual_N, np.where(air, rounding_N, 0.0))
     degrees = max(n_effective * float(np.mean(~air)) - len(slopes), 1.0)
     modulus = modulus_hertz_Pa(stiffness, 1.0, tip_radius_m, poisson_ratio)
-    half = _student_t_95(degrees) * sigmas[0] * modulus / stiffness
+    half = student_t_95(degrees) * float(sigmas[0]) * modulus / stiffness
     return ContactFit(
         youngs_modulus_Pa=modulus,
         ci95_Pa=(modulus - half, modulus + half),
@@ -198,10 +198,11 @@ def _search(tip_m: Floats, force_N: Floats, contact_m: float | None, baseline_N:
     return float(stiffness[best]), float(contact[best]), float(rest_N - stiffness[best] * level[best])
 
 
-def _sigmas(slopes: Floats, residual: Floats, common: Floats) -> tuple[Floats, float]:
-    """Standard deviations (p,) of parameters with the slopes (n, p), and the effective sample size.
+def correlated_sigmas(slopes: Floats, residual: Floats, common: Floats | None = None) -> tuple[Floats, float]:
+    """Standard deviations (p,) of least-squares parameters with the slopes (n, p), and the effective sample size.
 
-    `common` (n,) is one standard deviation of an error that all its samples share.
+    The larger of a sandwich over correlated scores (Newey and West 1987) and the plain one times the residual's correlation time;
+    `common` (n,) is one standard deviation of an error that all samples share.
     """
     n, p = slopes.shape
     scale = np.sqrt(np.mean(slopes**2, axis=0))
@@ -218,7 +219,9 @@ def _sigmas(slopes: Floats, residual: Floats, common: Floats) -> tuple[Floats, f
     sandwich = np.diag(bread @ middle @ bread)
     plain = np.diag(bread) * time * float(np.mean(residual**2))
     # residuals are smaller than errors by the parameters they were fitted with
-    variance = np.maximum(sandwich, plain) * n_effective / max(n_effective - p, 1.0) + (bread @ scaled.T @ common) ** 2
+    variance = np.maximum(sandwich, plain) * n_effective / max(n_effective - p, 1.0)
+    if common is not None:
+        variance = variance + (bread @ scaled.T @ common) ** 2
     return np.sqrt(variance) / scale, n_effective
 
 
@@ -251,7 +254,8 @@ def _correlation(residual: Floats) -> tuple[float, int]:
     return max(1.0, 1.0 + 2.0 * float(np.sum(correlation[1:length]))), max(length, 1)
 
 
-def _student_t_95(degrees: float) -> float:
+def student_t_95(degrees: float) -> float:
+    """Two-sided 95 % point of Student's distribution."""
     from scipy.special import stdtrit  # here, since 26 MB of scipy are of no use to the control loop, which needs the surface only
 
     return float(stdtrit(degrees, 0.975))
