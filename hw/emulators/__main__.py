@@ -13,7 +13,7 @@ def main() -> int:
     """Parse the command line and run."""
     parser = argparse.ArgumentParser(prog="python -m hw.emulators", description="A UR controller and a HEX-70 before one emulated cell.")
     parser.add_argument("--model", choices=sorted(MODELS), default="ur5", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")
-    parser.add_argument("--cell", type=Path, help="cell file (default: the nominal cell)")
+    parser.add_argument("--cell", type=Path, help="cell file (default: the paper's phantom)")
     parser.add_argument("--host", default="127.0.0.1", help="address that the controller listens on")
     parser.add_argument("--sensor-link", type=Path, help="link to make to the sensor's terminal device")
     parser.add_argument("--control", type=Path, help="unix socket for faults and truth")

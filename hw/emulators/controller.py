@@ -5,7 +5,7 @@ ur_rtde 1.6.5 uploads, written from observed traffic; nothing here was compared 
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -152,38 +152,47 @@ class Ramp:
 
 @dataclass
 class Line:
-    """A straight way with a trapezoid of speed along it (movel; movej with the leading joint's profile)."""
+    """A straight way to a pose with a trapezoid of speed along it (movel; movej with the leading joint's profile).
 
-    way: Floats  # displacement (6,): m, and rad as a rotation vector in base axes
-    length: float
+    `length` is what speed and acceleration refer to: the longer of way (m) and turn (rad) unless given. A tip that is still moving
+    comes to rest first.
+    """
+
+    goal: Floats
     speed: float
     acceleration: float
-    elapsed_s: float = 0.0
-    share: float = 0.0
+    length: float | None = None
+    _way: Floats | None = None
+    _elapsed_s: float = 0.0
+    _share: float = 0.0
 
-    def _profile(self, t_s: float) -> tuple[float, float]:
-        """Distance gone and speed after t_s, in units of `length`."""
-        top = min(self.speed, float(np.sqrt(self.length * self.acceleration)))
+    def _profile(self, length: float, t_s: float) -> tuple[float, float]:
+        """Distance gone and speed after t_s."""
+        top = min(self.speed, float(np.sqrt(length * self.acceleration)))
         rise_s = top / self.acceleration
-        total_s = self.length / top + rise_s
-        if t_s >= total_s:
-            return self.length, 0.0
+        left_s = length / top + rise_s - t_s
+        if left_s <= 0.0:
+            return length, 0.0
         if t_s < rise_s:
             return 0.5 * self.acceleration * t_s * t_s, self.acceleration * t_s
-        left_s = total_s - t_s
         if left_s < rise_s:
-            return self.length - 0.5 * self.acceleration * left_s * left_s, self.acceleration * left_s
+            return length - 0.5 * self.acceleration * left_s * left_s, self.acceleration * left_s
         return top * (t_s - 0.5 * rise_s), top
 
     def advance(self, speed: Floats, place: Floats, cycle_s: float) -> tuple[Floats, Floats, bool]:
         """Speed and displacement (6,) at the end of a cycle, and whether the motion is over."""
-        if self.length < 1e-9:
-            return np.zeros(6), np.zeros(6), True
-        self.elapsed_s += cycle_s
-        gone, now = self._profile(self.elapsed_s)
-        step = gone / self.length - self.share
-        self.share += step
-        return self.way * (now / self.length), self.way * step, gone >= self.length
+        if self._way is None:
+            if speed.any():
+                return (*Ramp(np.zeros(6), self.acceleration).advance(speed, place, cycle_s)[:2], False)
+            self._way = displacement(place, self.goal)
+        length = self.length or max(float(np.linalg.norm(self._way[:3])), float(np.linalg.norm(self._way[3:])))
+        if length < 1e-9:
+            return np.zeros(6), self._way, True
+        self._elapsed_s += cycle_s
+        gone, now = self._profile(length, self._elapsed_s)
+        step = gone / length - self._share
+        self._share += step
+        return self._way * (now / length), self._way * step, gone >= length
 
 
 @dataclass
@@ -225,12 +234,24 @@ class Program:
     streaming: bool = False  # the thread of speedL or servoL lives
     moving: bool = False  # the thread of an asynchronous motion lives
     watchdog_s: float | None = None
-    moved: bool = False
+    moved: bool = False  # since it started
+    stops_linearly: bool = False  # the script's `stop_type`: set by the first asynchronous stop, and never taken back
 
 
+UNEMULATED = {
+    6: "forceMode",
+    12: "servoC",
+    18: "teachMode",
+    41: "jogStart",
+    45: "movePath",
+    51: "moveUntilContact",
+    52: "freedriveMode",
+}
+"""Commands that would move the arm in ways that are not emulated: the program ends with an error rather than pretend."""
+STRIPPED_ON_CB3 = frozenset({51, 52})
 STREAMED = frozenset({9, 10, 11, 24})
 """Commands carried out anew in every cycle in which the register holds them: speedJ, speedL, servoJ, servoL."""
-SILENT = frozenset({6, 25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 71})
+SILENT = frozenset({25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 71})
 """Commands that answer in every cycle and never report "done"."""
 
 
@@ -260,7 +281,14 @@ class Cycle:
 class Controller:
     """A UR controller from power-up: `write` its inputs, `upload` a script, `cycle` it."""
 
-    def __init__(self, model: Model, tip_pose: Floats, tcp: Floats, began: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        tip_pose: Floats,
+        tcp: Floats,
+        began: Callable[[], None] = lambda: None,
+        started: Callable[[], None] = lambda: None,
+    ) -> None:
         self.model = model
         self.arm = Arm(tip_pose)
         self.inputs: dict[str, tuple[float, ...]] = {}
@@ -276,7 +304,8 @@ class Controller:
         self.payload_kg, self.payload_cog = 0.0, (0.0, 0.0, 0.0)
         self.messages: list[tuple[str, int]] = []
         self.stops: list[tuple[float, str]] = []
-        self._began = began
+        self._began = began  # at a program's first motion
+        self._started = started  # when a program starts
         self._fed_s = 0.0
         self._stopped_s = 0.0
         self._operation = 0
@@ -298,7 +327,7 @@ class Controller:
         if self.power is not Power.RUNNING or self.safety is not Safety.NORMAL:
             self.messages.append(("Robot cannot run a program: it is not in normal mode", 1))
             return
-        offset = re.search(r"# float register offset\s*\n[^\n]*?(\d+)\s*\n", script)
+        offset = re.search(r"# int register offset\s*\n(\d+)", script)
         commands = "rtde_control" in script
         self.program = Program(int(offset.group(1)) if offset else 0, commands, start_s=now_s + PROGRAM_START_S)
 
@@ -377,6 +406,7 @@ class Controller:
         program = self.program
         if program is not None and not program.started and t_s >= program.start_s and self.runtime is Runtime.STOPPED:
             program.started, self.runtime, self._fed_s = True, Runtime.PLAYING, t_s
+            self._started()
             self._say(program, 0, 0)
         if program is not None and program.started:
             if program.watchdog_s is not None and t_s - self._fed_s > program.watchdog_s:
@@ -422,7 +452,7 @@ class Controller:
     def _say(self, program: Program, register: int, word: int) -> None:
         self.outputs[f"output_int_register_{program.offset + register}"] = (word,)
 
-    def _answer(self, program: Program, values: Floats | list[float]) -> None:
+    def _answer(self, program: Program, values: Iterable[float]) -> None:
         for i, value in enumerate(values, program.offset):
             self.outputs[f"output_double_register_{i}"] = (float(value),)
 
@@ -443,6 +473,8 @@ class Controller:
         if command == 0:
             program.held = False
             self._say(program, 0, 1)
+        elif command in UNEMULATED and (self.model.e_series or command not in STRIPPED_ON_CB3):
+            self._runtime_error(t_s, f"{UNEMULATED[command]} is not emulated")
         elif command in STREAMED:
             self._stream(program, command, t_s)
         elif command in SILENT:
@@ -514,12 +546,12 @@ class Controller:
             return tip_pose
         return composed(composed(tip_pose, inverse(self.tcp_true)), self.tcp)
 
-    def _go(self, program: Program, goal: Floats, leading: float, asynchronous: bool) -> None:
-        d = self._doubles(program, 8)
-        way = displacement(self.pose, goal)
-        length = leading or max(float(np.linalg.norm(way[:3])), float(np.linalg.norm(way[3:])))
-        self.motion = Line(way, length, max(float(d[6]), 1e-6), max(float(d[7]), 1e-6))
-        self._launch(program, asynchronous)
+    def _go(self, program: Program, goal: Floats, leading: float | None = None) -> None:
+        speed, acceleration = (max(float(value), 1e-6) for value in self._doubles(program, 2, 6))
+        if program.moving:
+            self._progress(program, running=False)
+        self.motion = Line(goal, speed, acceleration, leading)
+        self._launch(program, self._ints(program, 1) != 0)
 
     def _launch(self, program: Program, asynchronous: bool) -> None:
         if asynchronous:
@@ -532,7 +564,7 @@ class Controller:
 
     def _move_joints(self, program: Program, joints: Floats) -> None:
         leading = float(np.abs(joints - self.arm.joints(self.pose)).max())
-        self._go(program, self.arm.pose(joints), leading, self._ints(program, 1) != 0)
+        self._go(program, self.arm.pose(joints), leading)
 
     def _move_j(self, program: Program) -> None:
         self._move_joints(program, self._doubles(program, 6))
@@ -541,20 +573,21 @@ class Controller:
         self._move_joints(program, self.arm.joints(self._tip(self._doubles(program, 6))))
 
     def _move_l(self, program: Program) -> None:
-        self._go(program, self._tip(self._doubles(program, 6)), 0.0, self._ints(program, 1) != 0)
+        self._go(program, self._tip(self._doubles(program, 6)))
 
     def _move_l_fk(self, program: Program) -> None:
-        self._go(program, self.arm.pose(self._doubles(program, 6)), 0.0, self._ints(program, 1) != 0)
+        self._go(program, self.arm.pose(self._doubles(program, 6)))
 
     def _stop_motion(self, program: Program) -> None:
+        asynchronous = self._ints(program, 1) != 0
+        program.stops_linearly |= asynchronous
+        if program.moving:
+            program.moving = False
+            self._progress(program, running=False)
         if self.motion is not None:
             # A joint-wise stop (rad/s2) acts on the tip over an arm of about half a metre.
-            linear = self._ints(program, 0) == 33 and self._ints(program, 1) != 0
-            self._halt(float(self._doubles(program, 1)[0]) * (1.0 if linear else 0.5))
-        if self._ints(program, 1) != 0:
-            self._say(program, 0, 2)
-        else:
-            program.blocking = True
+            self._halt(max(float(self._doubles(program, 1)[0]), 1e-3) * (1.0 if program.stops_linearly else 0.5))
+        self._launch(program, asynchronous)
 
     def _stop_stream(self, program: Program) -> None:
         program.streaming = False
@@ -585,11 +618,11 @@ class Controller:
         self._answer(program, composed(d[:6], d[6:]))
 
     def _forward(self, program: Program) -> None:
-        command = self._ints(program, 0)
+        self._answer(program, self.tcp_pose(self.pose))
+
+    def _forward_of(self, program: Program) -> None:
         d = self._doubles(program, 12)
-        tip = self.arm.pose(d[:6] if command == 43 else self.arm.joints(self.pose))
-        tcp = d[6:] if command == 43 and d[6:].any() else self.tcp
-        self._answer(program, composed(composed(tip, inverse(self.tcp_true)), tcp))
+        self._answer(program, composed(composed(self.arm.pose(d[:6]), inverse(self.tcp_true)), d[6:]))
 
     def _backward(self, program: Program) -> None:
         self._answer(program, self.arm.joints(self._tip(self._doubles(program, 6))))
@@ -616,7 +649,7 @@ class Controller:
         39: _compose,
         40: _get_tcp,
         43: _forward,
-        44: _forward,
+        44: _forward_of,
         46: _backward,
         47: _is_steady,
         60: _has_solution,

@@ -22,7 +22,7 @@ from typing import Any
 from hw.emulators.controller import MODELS
 from hw.emulators.rig import SAMPLE_S, Rig
 from hw.emulators.verbs import obey
-from palpd.cell_file import load_cell, nominal
+from palpd.cell_file import PHANTOM, load_cell
 from palpd.errors import PalpdError
 
 GIVEN_UP_S = 0.5
@@ -92,12 +92,12 @@ def emulate(
 ) -> None:
     """Stand in for a controller and a sensor until SIGTERM or SIGINT; prints `robot HOST` and `sensor DEVICE` when ready.
 
-    `cell` None: the nominal cell. Raises PalpdError, in one sentence, for a bad cell file or a port that is taken.
+    `cell` None: the paper's phantom. Raises PalpdError, in one sentence, for a bad cell file or a port that is taken.
     """
     stopping: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda number, frame: stopping.append(number))
-    cell_file = load_cell(cell) if cell is not None else nominal()
+    cell_file = load_cell(cell) if cell is not None else PHANTOM
     try:
         rig = Rig(MODELS[model], cell_file, host, sensor_link, seed=seed, mount_rotation_rad=mount_rotation_rad)
     except OSError as error:
@@ -161,9 +161,7 @@ class Emulated:
 
 
 @contextlib.contextmanager
-def started(
-    folder: Path, model: str = "ur5", cell: Path | None = None, host: str = "127.0.0.1", *options: str
-) -> Iterator[Emulated]:
+def started(folder: Path, model: str = "ur5", cell: Path | None = None, host: str = "127.0.0.1", *options: str) -> Iterator[Emulated]:
     """Emulators in a process of their own, their link and control socket in `folder`; ended on leaving."""
     control = folder / "control"
     command = [sys.executable, "-m", "hw.emulators", "--model", model, "--host", host]

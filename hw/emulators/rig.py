@@ -14,7 +14,7 @@ from hw.emulators.controller import Controller, Cycle, Model, Sample
 from hw.emulators.hex_pty import Daq, Line
 from hw.emulators.pose import Floats, rotation
 from hw.emulators.ur import UrWires, Values, outputs, status_bits
-from palpd.cell import Block, Cell
+from palpd.cell import Block, Cell, true_surface_m
 from palpd.cell_file import CellFile
 
 SAMPLE_S = 0.001
@@ -34,14 +34,14 @@ class Rig:
     ) -> None:
         self.cell_file, self.model, self._host = cell_file, model, host
         self.cell = Cell(cell_file, seed=seed, step_s=SAMPLE_S)
-        self._wall_z_m = cell_file.wall.z_m if cell_file.wall is not None else None
+        self._wall_z_m: float | None = None
         self.steps = round(model.cycle_s / SAMPLE_S)
         self._random = np.random.default_rng(seed + 1)
         site = cell_file.sites[0] if cell_file.sites else None
         x_m, y_m = (site.x_m, site.y_m) if site else (0.0, 0.0)
         start = np.array([x_m, y_m, self.surface_m(x_m, y_m) + START_HEIGHT_M, np.pi, 0.0, 0.0])
         self._tcp = np.array([0.0, 0.0, FLANGE_TO_TIP_M + cell_file.probe.tip_length_m, 0.0, 0.0, 0.0])
-        self.controller = Controller(model, start, self._tcp, self.cell.begin)
+        self.controller = Controller(model, start, self._tcp, self.cell.begin, self.cell.rest)
         self.network = selectors.DefaultSelector()
         self.wires = UrWires(self.controller, self.network, host)
         self.daq, self.line = Daq(), Line(link)
@@ -61,17 +61,13 @@ class Rig:
         self._advance(Cycle(start, np.zeros(6), np.zeros(6), np.zeros(6)))
 
     def surface_m(self, x_m: float, y_m: float) -> float:
-        """Height of the true surface (or wall) at a place."""
-        cell = self.cell_file
+        """Height of the true surface (or wall) at a place; 0 with nothing in reach."""
         if self._wall_z_m is not None:
             return self._wall_z_m
-        tissue, effects = cell.tissue, cell.effects
-        if cell.sites:
-            site = min(cell.sites, key=lambda site: (site.x_m - x_m) ** 2 + (site.y_m - y_m) ** 2)
-            tissue, effects = site.tissue, cell.effects | site.effects
-        if tissue is None:
-            return 0.0
-        return tissue.surface_z_m + effects.get("tissue.surface", {}).get("offset_m", 0.0)
+        sites = self.cell_file.sites
+        near = min(sites, key=lambda site: (site.x_m - x_m) ** 2 + (site.y_m - y_m) ** 2).name if sites else None
+        surface_m = true_surface_m(self.cell_file, near)
+        return surface_m if np.isfinite(surface_m) else 0.0
 
     # One millisecond -----------------------------------------------------------------------------------------------------
 
@@ -203,7 +199,7 @@ class Rig:
         for server in self.wires.servers():
             server.close()
         self.controller.stop_program(until_s, "restart")
-        fresh = Controller(self.model, self.controller.pose, self._tcp, self.cell.begin)
+        fresh = Controller(self.model, self.controller.pose, self._tcp, self.cell.begin, self.cell.rest)
         fresh.stops = self.controller.stops
         self.controller = self.wires.controller = fresh
         self._values = _power_up_values(self.model)
@@ -249,4 +245,3 @@ def _power_up_values(model: Model) -> Values:
         "target_speed_fraction": (1.0,),
     }
     return values
-

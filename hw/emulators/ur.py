@@ -53,9 +53,12 @@ def outputs(e_series: bool) -> dict[str, str]:
         **_of_type("VECTOR3D", "actual_tool_accelerometer elbow_position elbow_velocity payload_cog"),
         **_of_type("UINT64", "actual_digital_input_bits actual_digital_output_bits"),
         **_of_type("INT32", "robot_mode safety_mode tool_output_voltage"),
-        **_of_type("UINT32", "runtime_state robot_status_bits safety_status_bits analog_io_types tool_analog_input_types "
-                   "input_bit_registers0_to_31 input_bit_registers32_to_63 output_bit_registers0_to_31 "
-                   "output_bit_registers32_to_63"),
+        **_of_type(
+            "UINT32",
+            "runtime_state robot_status_bits safety_status_bits analog_io_types tool_analog_input_types "
+            "input_bit_registers0_to_31 input_bit_registers32_to_63 output_bit_registers0_to_31 "
+            "output_bit_registers32_to_63",
+        ),
         **_of_type("VECTOR6INT32", "joint_mode"),
         **{f"output_int_register_{i}": "INT32" for i in range(48)},
         **{f"output_double_register_{i}": "DOUBLE" for i in range(48)},
@@ -352,9 +355,7 @@ class DashboardWire(Wire):
             case "unlock protective stop":
                 if robot.unlock(now_s):
                     return "Protective stop releasing"
-                return (
-                    "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
-                )
+                return "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
             case "power on":
                 robot.power_on()
                 return "Powering on"
