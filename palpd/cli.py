@@ -311,7 +311,7 @@ def recover(part: Annotated[Path, typer.Argument(help="FILE.part of a run that w
     from palpd.record import recover as restore
 
     recovered = restore(part)
-    console.print(f"{recovered.path}: {recovered.seconds:.1f} s restored.")
+    console.print(f"{recovered.path}: {recovered.ticks} ticks, {recovered.duration_s:.1f} s restored.")
 
 
 @app.command()
@@ -456,12 +456,12 @@ def _tell_curve(found: dict[str, Any]) -> None:
 
 
 def _tell_run(found: dict[str, Any]) -> None:
-    from palpd.report import depth_table, site_table
+    from palpd.report import depth_table, site_tables
 
     card = found.get("model_card")
     if found["sites"]:
         console.print(depth_table(found["sites"]))
-        console.print(site_table(found["sites"], card["bias_N"] if card else None))
+        console.print(*site_tables(found["sites"], card["bias_N"] if card else None), sep="\n")
         console.print("Inertial model: " + (f"{card['rmse_N'] * 1e3:.0f} mN rmse" if card else "none, nothing was corrected") + ".")
     for note in found["notes"]:
         console.print(f"[yellow]note:[/] {note}")

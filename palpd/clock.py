@@ -30,6 +30,10 @@ class RealClock:
         self._index = -1
         self._began_ns = 0
 
+    def begin_soon(self) -> None:
+        """Start on the next line of the grid: whatever was done until now is not counted as missed."""
+        self._first_ns += ((time.monotonic_ns() - self._first_ns) // self._period_ns + 1) * self._period_ns
+
     def wait(self) -> Timing:
         now_ns = time.monotonic_ns()
         due = self._index + 1

@@ -13,7 +13,7 @@ from palpd.cell import equilibrium_force_N
 from palpd.cell_file import PHANTOM, CellFile, save_cell
 from palpd.config import Config, ModelConfig, PathsConfig, Plan, RobotConfig, SensorConfig, Site
 from palpd.record import Recording, samples_of
-from palpd.report import depth_table, site_table
+from palpd.report import depth_table, site_tables
 from palpd.session import calibrate, carry_out, findings, job
 from palpd.train import train
 from palpd.wiring import devices, emulated
@@ -91,7 +91,7 @@ def _made(folder: Path | None) -> Path:
 def _tell(found: dict[str, Any], card: Any, console: Console) -> None:
     if found["sites"]:
         console.print(depth_table(found["sites"]))
-        console.print(site_table(found["sites"], card.bias_N))
+        console.print(*site_tables(found["sites"], card.bias_N), sep="\n")
     console.print(
         f"Inertial model: network 2-10-1 learned from the free motion above, {card.n} points, rmse {card.rmse_N * 1e3:.0f} mN. "
         f"Of what it takes away {card.bias_N:+.3f} N is bias and {card.inertial_rms_N * 1e3:.1f} mN rms is inertia."

@@ -165,7 +165,7 @@ def lowpass(u: NDArray[Any], dt_s: Column, pole_per_s: complex, memory: Memory, 
     It starts settled on its first input, or from `start`.
     """
     if "y" not in memory:
-        memory["y"] = memory["u"] = u[0] if start is None else u[0] * 0.0 + start
+        memory["y"] = memory["u"] = u[0] + 0.0 if start is None else u[0] * 0.0 + start
     n = len(u)
     if isinstance(dt_s, float):
         x = complex(pole_per_s) * dt_s
@@ -179,7 +179,7 @@ def lowpass(u: NDArray[Any], dt_s: Column, pole_per_s: complex, memory: Memory, 
         keep, old, new = _weights((pole_per_s if complex(pole_per_s).imag else complex(pole_per_s).real) * dt_s)
         before = np.concatenate(([memory["u"]], u[:-1]))
         y = recurrence(keep, old * before + new * u, memory["y"])
-    memory["y"], memory["u"] = y[-1], u[-1]
+    memory["y"], memory["u"] = y[-1], u[-1].copy()  # the caller may use its array again
     result: NDArray[Any] = y
     return result
 

@@ -3,7 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -33,6 +33,7 @@ from palpd.tick import (
 )
 
 LAST_TICKS = 50
+ONE_FRAME = SensorFrames(np.zeros(1), np.zeros(1, np.uint16), np.zeros(1, np.uint16), np.zeros((1, 6)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,10 +118,9 @@ class Explainer:
 
 
 def _without_rows(contact: Contact) -> Contact:
-    empty = Contact(
+    return Contact(
         np.empty((0, 6)), np.empty(0), contact.force_N, contact.mean_N, contact.lateral_N, contact.torque_Nm, contact.absolute_N
     )
-    return empty
 
 
 @dataclass(slots=True)
@@ -143,7 +143,7 @@ class Loop:
     _work_us: float = 0.0
 
     def run(self) -> Outcome:
-        """Turn until the sequence is over. However this is left, stop goes out `stops` times and both devices are closed."""
+        """Turn until the sequence is over. However this is left, stop goes out `stops` times; the devices are closed by who opened them."""
         try:
             self._tare.reference = self.explainer.reference
             while self.turn():
@@ -153,9 +153,16 @@ class Loop:
             raise Stopped(str(error), list(self._last)) from error
         finally:
             self._stop()
-            self.robot.close()
-            self.sensor.close()
         return self.outcome
+
+    def rehearse(self, times: int = 100) -> None:
+        """Do what a tick does short of deciding and acting, until caches and allocators are warm: a first time costs 20 ms."""
+        rehearsed = replace(self.explainer, motion=Motion(self.explainer.motion.sensor_delay_s))
+        for index in range(times):
+            robot, frames = self.robot.read(), self.sensor.read()
+            timing = Timing(index, robot.t_s, robot.t_s)
+            contact = rehearsed.contact(robot, frames if len(frames) else ONE_FRAME)
+            guard(self.limits, Guard(), self._sight(timing, robot, frames, contact, Request.NONE, Progress()), STILL)
 
     def turn(self) -> bool:
         """One tick; false when it was the last."""

@@ -24,7 +24,7 @@ from palpd.errors import PalpdError, Refused, Stopped
 from palpd.inertial import InertialModel, Motion
 from palpd.loop import Explainer, Loop, Outcome, Turn
 from palpd.realtime import DEVICE_PRIORITY, fifo, realtime
-from palpd.ring import Ring
+from palpd.ring import LoopState, Ring
 from palpd.safety import Limits
 from palpd.sequence import Body, FreeMotion, Palpation, RigidPress, Script, Sequence, Watch
 from palpd.tare import Tare
@@ -112,7 +112,7 @@ def explainer_of(job: Job, sensor_serial: str | None, delay_s: float) -> Explain
     if config.model.path is not None and job.kind == "palpation":
         model = InertialModel.load(config.model.path, probe_mass_kg=config.cell.probe.mass_kg, sensor_serial=sensor_serial)
     return Explainer(
-        reference=np.array(job.reference, dtype=float),
+        reference=np.array(job.reference or np.zeros(6), dtype=float),
         rotation_about_flange_z_rad=config.sensor.rotation_about_flange_z_rad,
         model=model,
         correction_limit_N=config.model.correction_limit_N,
@@ -173,23 +173,30 @@ def _do(build: Build, job: Job, ring: Ring, pipe: Connection, request: Callable[
         if job.kind == "calibrate":
             return {"reference": take_reference(devices).tolist(), "about": devices.about}, True
         explainer = explainer_of(job, devices.about.get("sensor_serial"), devices.about["delay_s"])
-        explainer.reference = explainer.reference if job.reference is not None else take_reference(devices)
+        if job.reference is None:
+            explainer.reference = take_reference(devices)
         pipe.send({"opened": devices.about, "reference": explainer.reference.tolist()})
         if pipe.recv() != "go":
             return {"error": "called off", "exit_code": 2}, True
-    except BaseException:
-        devices.robot.stop()
-        raise
+        ring.state = LoopState.RUNNING
+        return _run(job, devices, explainer, ring, request)
     finally:
-        if job.kind == "calibrate":
-            devices.robot.close()
-            devices.sensor.close()
-    sequence = sequence_of(job, devices.about["delay_s"])
-    writer = RingWriter(ring)
-    clock = RealClock(job.config.robot.rate_Hz, devices.first_tick_s)
-    loop = Loop(devices.robot, devices.sensor, clock, sequence, explainer, limits_of(job.config, job.dry), writer, request)
-    _warm_up(explainer)
+        ring.state = LoopState.ENDED  # from here on no ticks are due: closing a connection takes ur_rtde half a second
+        devices.robot.stop()
+        devices.robot.close()
+        devices.sensor.close()
+
+
+def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: Callable[[], Request]) -> tuple[dict[str, Any], bool]:
+    """The job itself, on a FIFO thread."""
+    sequence, limits, rate_Hz = sequence_of(job, devices.about["delay_s"]), limits_of(job.config, job.dry), job.config.robot.rate_Hz
+    clock = RealClock(rate_Hz, devices.first_tick_s)
+    loop = Loop(devices.robot, devices.sensor, clock, sequence, explainer, limits, RingWriter(ring), request)
     with realtime() as granted:
+        loop.rehearse()
+        devices.robot.move((0.0, 0.0, 0.0))  # arms the watchdog, which takes the controller some cycles: the grid begins after it
+        clock.begin_soon()
+        devices.sensor.read()  # what was queued until now is of another time
         try:
             outcome = loop.run()
         except Stopped as stopped:
@@ -209,13 +216,6 @@ def take_reference(devices: Devices) -> np.ndarray[Any, np.dtype[np.float64]]:
     if refusal is not None:
         raise Refused(f"no reference tare was taken: {refusal}")
     return tare.result()
-
-
-def _warm_up(explainer: Explainer) -> None:
-    """Run what a tick runs until caches, allocator and onnxruntime are warm: the first call costs 100 times the second."""
-    if explainer.model is not None:
-        for _ in range(200):
-            explainer.model.predict(np.zeros((8, 2)))
 
 
 class RingWriter:

@@ -5,17 +5,13 @@ from typing import Any
 from rich.table import Table
 
 
-def site_table(sites: list[dict[str, Any]], bias_N: float | None) -> Table:
-    """How stiff each site is, static against dynamic, and what the correction did. `bias_N` is the model card's."""
-    table = Table(title="How stiff each site is", title_justify="left", header_style="bold")
-    for name in ("site", "true E", "static E", "off"):
-        table.add_column(name, justify="left" if name == "site" else "right")
-    for name in ("dynamic E\noriginal", "dynamic E\ncorrected", "YMBT\noriginal", "YMBT\ncorrected", "peak\nforce", "cut\nshort"):
-        table.add_column(name, justify="right")
-    table.add_column("correction\n= bias + inertial", justify="right")
+def site_tables(sites: list[dict[str, Any]], bias_N: float | None) -> tuple[Table, Table]:
+    """How stiff each site is, static against dynamic; and what the correction did. `bias_N` is the model card's."""
+    stiff = _table("How stiff each site is (E in kPa)", "site", "true", "static", "off", "dynamic", "corrected", "YMBT", "corrected")
+    forces = _table("Forces", "site", "peak", "cut short", "correction", "= bias", "+ inertial")
     for site in sites:
-        true, static = site.get("true_youngs_modulus_Pa"), site["static_youngs_modulus_Pa"]
-        table.add_row(
+        true, static, correction_N = site.get("true_youngs_modulus_Pa"), site["static_youngs_modulus_Pa"], site["correction_N"]
+        stiff.add_row(
             site["name"],
             _kPa(true),
             _kPa(static),
@@ -24,18 +20,22 @@ def site_table(sites: list[dict[str, Any]], bias_N: float | None) -> Table:
             _kPa(site["dynamic_corrected_Pa"]),
             _percent(site["ymbt_original"]),
             _percent(site["ymbt_corrected"]),
+        )
+        parts = bias_N is not None and correction_N is not None
+        forces.add_row(
+            site["name"],
             f"{site['peak_force_N']:.2f} N" if site["peak_force_N"] is not None else "–",
             ", ".join(f"{d * 1e3:g} mm" for d in site["cut_short_depths_m"]) or "none",
-            _parts(site["correction_N"], bias_N),
+            f"{correction_N:+.3f} N" if parts else "none",
+            f"{bias_N:+.3f} N" if parts else "–",
+            f"{correction_N - bias_N:+.3f} N" if parts else "–",
         )
-    return table
+    return stiff, forces
 
 
 def depth_table(sites: list[dict[str, Any]]) -> Table:
     """Every hold: depth commanded and reached, force, modulus."""
-    table = Table(title="Static palpation", title_justify="left", header_style="bold")
-    for name in ("site", "commanded", "reached", "force", "E"):
-        table.add_column(name, justify="left" if name == "site" else "right")
+    table = _table("Static palpation", "site", "commanded", "reached", "force", "E (kPa)")
     for site in sites:
         for depth in site["depths"]:
             table.add_row(
@@ -50,17 +50,12 @@ def depth_table(sites: list[dict[str, Any]]) -> Table:
 
 def overshoot_table(predicted: dict[str, Any]) -> tuple[Table, Table]:
     """Delays between a force and the arm's answer, and what they cost in newtons."""
-    delays = Table(title="From a force to the arm at rest", title_justify="left", header_style="bold")
-    for name in ("delay", "ms", "from"):
-        delays.add_column(name, justify="right" if name == "ms" else "left")
+    delays = _table("From a force to the arm at rest", "delay", "ms", "from")
     for term in predicted["delays"]:
         delays.add_row(term["name"], f"{term['duration_s'] * 1e3:.1f}", term["source"])
     delays.add_row("together", f"{sum(term['duration_s'] for term in predicted['delays']) * 1e3:.1f}", "")
-    forces = Table(title="Predicted force beyond a limit", title_justify="left", header_style="bold")
     speeds = sorted({row["speed_m_per_s"] for row in predicted["overshoot"]})
-    forces.add_column("against", justify="right")
-    for speed in speeds:
-        forces.add_column(f"at {speed * 1e3:g} mm/s", justify="right")
+    forces = _table("Predicted force beyond a limit", "against", *(f"at {speed * 1e3:g} mm/s" for speed in speeds))
     for stiffness in sorted({row["stiffness_N_per_m"] for row in predicted["overshoot"]}):
         of = {row["speed_m_per_s"]: row["overshoot_N"] for row in predicted["overshoot"] if row["stiffness_N_per_m"] == stiffness}
         forces.add_row(f"{stiffness / 1e3:g} N/mm", *(f"{of[speed]:.2f} N" for speed in speeds))
@@ -68,14 +63,16 @@ def overshoot_table(predicted: dict[str, Any]) -> tuple[Table, Table]:
 
 
 def _kPa(modulus_Pa: float | None) -> str:
-    return f"{modulus_Pa / 1e3:.1f} kPa" if modulus_Pa is not None else "–"
+    return f"{modulus_Pa / 1e3:.1f}" if modulus_Pa is not None else "–"
 
 
 def _percent(share: float | None) -> str:
     return f"{share * 100:.1f} %" if share is not None else "–"
 
 
-def _parts(correction_N: float | None, bias_N: float | None) -> str:
-    if correction_N is None or bias_N is None:
-        return "none"
-    return f"{correction_N:+.3f} N = {bias_N:+.3f} {'+' if correction_N >= bias_N else '-'} {abs(correction_N - bias_N):.3f}"
+def _table(title: str, first: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", header_style="bold")
+    table.add_column(first)
+    for name in columns:
+        table.add_column(name, justify="left" if name == "from" else "right")
+    return table

@@ -13,7 +13,7 @@ from scipy.stats import t as student
 
 from palpd.errors import RecordingError
 from palpd.tick import Floats, Mode, Phase
-from palpd.young import modulus_peak_Pa, ymbt
+from palpd.young import fit_contact, modulus_peak_Pa, ymbt
 
 PEAK_WINDOW_S = 0.02
 """A peak is the largest mean of this long: the largest single sample would add two sigmas of noise to every force."""
@@ -67,6 +67,36 @@ def sites(rows: NDArray[np.void], header: dict[str, Any]) -> list[dict[str, Any]
     whole = track(rows, body["delay_s"], stiffness)
     tip = (body["tip_radius_m"], body["poisson_ratio"])
     return [_site(whole.where(whole.site == index), site["name"], tip) for index, site in enumerate(header["sites"])]
+
+
+def analysed(rows: NDArray[np.void], header: dict[str, Any]) -> list[dict[str, Any]]:
+    """Per site the modulus of Hertz over the whole loading of its deepest press, contact point and force baseline free."""
+    body = header["body"]
+    whole = track(rows, body["delay_s"], body["machine_stiffness_N_per_m"] or math.inf)
+    return [_loading(whole.where(whole.site == index), site["name"], body) for index, site in enumerate(header["sites"])]
+
+
+def _loading(of_site: Track, name: str, body: dict[str, Any]) -> dict[str, Any]:
+    pressed = of_site.where(np.isin(of_site.mode, (Mode.STATIC, Mode.DYNAMIC)) & np.isfinite(of_site.depth_m))
+    nothing: dict[str, Any] = {"name": name, "youngs_modulus_Pa": None, "ci95_Pa": None, "contact_point_m": None}
+    if not len(pressed.t_s):
+        return nothing | {"warnings": ["nothing was pressed here"]}
+    deepest = pressed.where(pressed.depth_m == pressed.depth_m.max())
+    one = deepest.where((deepest.mode == deepest.mode[-1]) & (deepest.repeat == deepest.repeat[-1]))
+    loading = one.where(np.isin(one.phase, (Phase.BASELINE, Phase.PRESS)))
+    try:
+        fit = fit_contact(loading.tip_z_m, loading.fz_N - loading.inertial_N, body["tip_radius_m"], body["poisson_ratio"])
+    except RecordingError as error:
+        return nothing | {"warnings": [str(error)]}
+    return {
+        "name": name,
+        "youngs_modulus_Pa": fit.youngs_modulus_Pa,
+        "ci95_Pa": list(fit.ci95_Pa),
+        "contact_point_m": fit.contact_point_m,
+        "baseline_N": fit.baseline_N,
+        "depth_m": fit.depth_m,
+        "warnings": list(fit.warnings),
+    }
 
 
 def _site(of_site: Track, name: str, tip: tuple[float, float]) -> dict[str, Any]:

@@ -57,6 +57,7 @@ class Service:
             _notify("STOPPING=1")
             control.close()
             self._ring.unlink()
+            self._ring.close()
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """Carry out one request of the control socket; refusals are sentences and change nothing."""
@@ -81,8 +82,7 @@ class Service:
         newest, _, _ = self._ring.read(self._ring.published - 1 if self._ring.published else 0)
         latch = self._state.latch()
         state = "running" if self._run else "armed" if self._armed else "disarmed"
-        found: dict[str, Any] = {}
-        found |= {"state": state, "latched": latch.reason if latch else None, "pid": os.getpid()}
+        found: dict[str, Any] = dict(state=state, latched=latch.reason if latch else None, pid=os.getpid())
         if self._run is not None and len(newest):
             row = newest[-1]
             found |= {

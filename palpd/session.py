@@ -73,6 +73,7 @@ def carry_out(work: Job, build: Build, console: Console, name: str | None = None
             report = wait(run, lambda _: _show(progress, shown, ring, work))
     finally:
         ring.unlink()
+        ring.close()
     if report.exit_code == 2:
         raise Refused(report.reason)
     return report

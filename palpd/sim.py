@@ -55,7 +55,7 @@ class SimCell:
         sensor[:, 2] += FZ_OFFSET_N
         step = np.where(self._resolution > 0, self._resolution, 1e-12)
         counters = (np.arange(self._ms - self._steps, self._ms) & 0xFFFF).astype(np.uint16)
-        self.frames = SensorFrames(t_s, counters, np.zeros(self._steps, np.uint16), np.round(sensor / step) * step)
+        self.frames = SensorFrames(t_s, counters, np.zeros(self._steps, np.uint16), np.asarray(np.round(sensor / step) * step, dtype=np.float64))
         pose = (*block.position_m[-1].tolist(), math.pi, 0.0, 0.0)
         zeros = (0.0, 0.0, 0.0)
         self.state = RobotState(

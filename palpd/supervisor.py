@@ -18,13 +18,14 @@ from palpd.errors import PalpdError, RecordingError
 from palpd.inertial import read_card
 from palpd.motion import Build, Job
 from palpd.recorder import Recorder
-from palpd.ring import RecorderState, Ring
+from palpd.ring import LoopState, RecorderState, Ring
 from palpd.state import Latch, State
 from palpd.tick import Request, Trip
 
 STALLED_S = 2.0
 """A loop whose tick counter stands still for this long is killed; the controller's watchdog has stopped the arm long before."""
 OPENING_S = 40.0
+CLOSING_S = 10.0
 UNLATCHED = {Trip.NONE, Trip.CONTACT_FORCE, Trip.OPERATOR}
 
 
@@ -74,6 +75,7 @@ class Run:
         self._lost_recorder = False
         self._began_s = time.monotonic()
         self._ticks, self._ticked_s = ring.published, self._began_s
+        ring.state = LoopState.STARTING
         self._motion = MotionProcess(build, ring)
         self._motion.pipe.send(job)
 
@@ -102,8 +104,11 @@ class Run:
         if self.opened and self._ring.recorder_state == RecorderState.FAILED and not self._lost_recorder:
             self._lost_recorder = True
             self.ask(Request.ABORT)  # a palpation that is not recorded is worth nothing
-        if self.opened and now_s - self._ticked_s > STALLED_S:
+        ticking = self._ring.state == LoopState.RUNNING
+        if ticking and now_s - self._ticked_s > STALLED_S:
             return self._kill(f"the loop stood still for {STALLED_S:g} s and was killed; the controller's watchdog stops the arm")
+        if self._ring.state == LoopState.ENDED and now_s - self._ticked_s > CLOSING_S:
+            return self._kill(f"the devices were not closed within {CLOSING_S:g} s after the last tick; the motion process was killed")
         if not self.opened and now_s - self._began_s > OPENING_S:
             return self._kill(f"the devices were not opened within {OPENING_S:g} s; is the controller's program able to start?")
         return None

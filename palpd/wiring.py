@@ -40,7 +40,7 @@ def devices(config: Config, muted: bool) -> Devices:
         "delay_s": sensor.delay_s,
         "epoch_offset_s": time.time() - time.monotonic(),
     }
-    return Devices(MutedRobot(robot) if muted else robot, sensor, first_tick_s, about)
+    return Devices(MutedRobot(robot) if isinstance(robot, UrReader) else robot, sensor, first_tick_s, about)
 
 
 def _reader(config: Config) -> UrReader:
