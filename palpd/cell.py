@@ -238,13 +238,14 @@ def _hold_dropouts(wrench: Floats, s: Span, rng: np.random.Generator, memory: Me
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How the tip moved, in arrays of (n,); `z_noise_m` is what the heights still carry of measurement noise."""
+    """How the tip moved, in arrays of (n,), and what heights and accelerations still carry of measurement noise (rms)."""
 
     t_s: Floats
     z_m: Floats
     vz_m_per_s: Floats
     az_m_per_s2: Floats
     z_noise_m: float = 0.0
+    az_noise_m_per_s2: float = 0.0
 
 
 def measured_motion(cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats | None = None) -> Motion:
@@ -261,9 +262,8 @@ def measured_motion(cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats
         vz_m_per_s = _slope(t_s, z_m, max(half, 1))
     v_noise = min(cell.robot.velocity_noise_rms_m_per_s, _white_noise(vz_m_per_s))
     z_noise = min(cell.robot.position_noise_rms_m, _white_noise(z_m))
-    width = 1
-    allowed = 0.1 * cell.sensor.noise_rms_N * dt_s
-    while width < half and cell.probe.mass_kg * v_noise > allowed * np.sqrt(width * (width + 1) * (2 * width + 1) / 3.0):
+    width, allowed = 1, 0.1 * cell.sensor.noise_rms_N
+    while width < half and cell.probe.mass_kg * _slope_noise(v_noise, dt_s, width) > allowed:
         width += 1
     acceleration = _slope(t_s, vz_m_per_s, width)
     if half:
@@ -272,7 +272,7 @@ def measured_motion(cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats
         vz_m_per_s = uniform_filter1d(vz_m_per_s, 2 * half + 1, mode="nearest")
     span = 2 * half + 1
     left_m = np.hypot(z_noise / np.sqrt(span), v_noise * dt_s * np.sqrt((span - 1) / 12.0))
-    return Motion(t_s - t_s[0], z_m, vz_m_per_s, acceleration, float(left_m))
+    return Motion(t_s - t_s[0], z_m, vz_m_per_s, acceleration, float(left_m), _slope_noise(v_noise, dt_s, width))
 
 
 def _white_noise(x: Floats) -> float:
@@ -280,6 +280,11 @@ def _white_noise(x: Floats) -> float:
     if len(x) < 8:
         return 0.0
     return float(np.median(np.abs(np.diff(x, 2)))) / (0.6745 * np.sqrt(6.0))
+
+
+def _slope_noise(noise: float, dt_s: float, half: int) -> float:
+    """What white noise does to the slope over 2·half + 1 neighbours."""
+    return float(noise / (dt_s * np.sqrt(half * (half + 1) * (2 * half + 1) / 3.0)))
 
 
 def _slope(t_s: Floats, x: Floats, half: int) -> Floats:
@@ -341,7 +346,7 @@ def wrench_of(cell: CellFile, motion: Motion, library: Library = EFFECTS, site: 
 
 
 def _span(c: Constants, m: Motion) -> Span:
-    return Span(c, m.t_s, steps(m.t_s), m.z_m, m.vz_m_per_s, m.az_m_per_s2, z_noise_m=m.z_noise_m)
+    return Span(c, m.t_s, steps(m.t_s), m.z_m, m.vz_m_per_s, m.az_m_per_s2, m.z_noise_m, m.az_noise_m_per_s2)
 
 
 def predict_wrench(

@@ -69,8 +69,8 @@ class Span:
     """Successive samples on their way from the motion of the tip to the reading of the sensor.
 
     All arrays are (n,); `t_s` counts from where histories began, `dt_s` is the step before each sample (one number where
-    even). Lateral forces and torques stay plain 0.0 until something makes them. `z_noise_m` is what a measured height still
-    carries of noise; 0 for a true one. Laws of effects change these fields.
+    even). Lateral forces and torques stay plain 0.0 until something makes them. `z_noise_m` and `az_noise_m_per_s2` are what a
+    measured motion still carries of noise; 0 for a true one. Laws of effects change these fields.
     """
 
     constants: Constants
@@ -80,6 +80,7 @@ class Span:
     vz_m_per_s: Floats
     az_m_per_s2: Floats
     z_noise_m: float = 0.0
+    az_noise_m_per_s2: float = 0.0
     lead_s: Column = 0.0
     tip_m: Floats = None  # type: ignore[assignment]
     surface_m: Column = 0.0

@@ -16,7 +16,7 @@ SKEW = Effect(
     "clock.skew",
     "clock",
     "the sensor's clock runs fast or slow against the robot's",
-    (Parameter("ratio", "1", -0.2, 0.2, lambda s: tuple(shift / s.duration_s for shift in (10 * s.step_s, -10 * s.step_s, 0.5, -0.5))),),
+    (Parameter("ratio", "1", -0.2, 0.2, lambda s: (10 * s.step_s / s.duration_s, -10 * s.step_s / s.duration_s, 5e-3, -5e-3)),),
     setting=_skew,
     afresh=True,
 )
@@ -72,12 +72,13 @@ CROSSTALK = Effect(
 def _hysteresis(s: Span, p: Values, memory: Memory) -> None:
     """Exact over a step: w goes towards +1 while fz rises and towards -1 while it falls, by exp(-|Δfz|/width).
 
-    Noise of a measured height would wear the loop down while nothing moves, so a dead band of that size comes first.
+    Noise of a measured motion would wear the loop down while nothing moves, so a dead band of that size comes first.
     """
     drive_N = s.fz_N
-    if s.z_noise_m > 0.0:
-        deepest_m = max(float(s.depth_m.max()), float(np.finfo(float).tiny))
-        drive_N = play(drive_N, 8.0 * s.z_noise_m * 1.5 * float(s.contact_N.max()) / deepest_m, memory)
+    if s.z_noise_m > 0.0 or s.az_noise_m_per_s2 > 0.0:
+        stiffness_N_per_m = 1.5 * float(s.contact_N.max()) / max(float(s.depth_m.max()), float(np.finfo(float).tiny))
+        noise_N = np.hypot(stiffness_N_per_m * s.z_noise_m, s.constants.mass_kg * s.az_noise_m_per_s2)
+        drive_N = play(drive_N, 8.0 * float(noise_N), memory)
     change_N = np.diff(drive_N, prepend=memory.get("fz_N", drive_N[0]))
     keep = np.exp(-np.abs(change_N) / p["width_N"])
     loop = recurrence(keep, np.sign(change_N) * (1.0 - keep), memory.get("w", 0.0))
