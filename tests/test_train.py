@@ -1,0 +1,160 @@
+"""Learning the inertial model, on free motion made here: a probe of known mass on a servo, a sensor with bias, noise and counts."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+from palpd.errors import BadInput, RecordingError
+from palpd.inertial import InertialModel, card_path
+from palpd.samples import Samples
+from palpd.tick import Floats
+from palpd.train import Card, train
+
+MASS_KG = 0.2
+COUNT_N = 0.131
+
+
+def free_motion(
+    seed: int = 0,
+    cycles: int = 10,
+    speed_m_per_s: float = 0.02,
+    bias_N: float = 0.19,
+    noise_N: float = 0.05,
+    mass_kg: float = MASS_KG,
+    viscous_N_s_per_m: float = 0.0,
+    stroke_m: float = 0.02,
+    rate_Hz: float = 1000.0,
+) -> Samples:
+    """Two centimetres up and down: a ramped target, a servo of 8 Hz behind it, robot states of 125 Hz interpolated to the sensor."""
+    rng = np.random.default_rng(seed)
+    t_s = np.arange(0.0, 1.0 + cycles * 2.0 * (stroke_m / speed_m_per_s + 0.3) + 0.5, 1.0 / rate_Hz)
+    half_s = stroke_m / speed_m_per_s + 0.3
+    along_s = np.clip(t_s - 1.0, 0.0, cycles * 2.0 * half_s)
+    half, within_s = np.divmod(along_s, half_s)
+    way_m = np.clip(within_s * speed_m_per_s, 0.0, stroke_m)
+    target_m = np.where(half % 2 == 0, way_m, stroke_m - way_m)
+    omega = 2.0 * np.pi * 8.0
+    system = ([[0.0, 1.0], [-(omega**2), -2.0 * omega]], [[0.0], [omega**2]], np.eye(2), np.zeros((2, 1)))
+    _, state, _ = lsim(system, target_m, t_s)
+    acceleration = omega**2 * (target_m - state[:, 0]) - 2.0 * omega * state[:, 1]
+    fz_N = bias_N - mass_kg * acceleration - viscous_N_s_per_m * state[:, 1] + rng.normal(0.0, noise_N, len(t_s))
+    wrench = rng.normal(0.0, 0.001, (len(t_s), 6))
+    wrench[:, 2] = np.round(fz_N / COUNT_N) * COUNT_N
+    robot_s = np.arange(0.0, t_s[-1] + 0.008, 0.008)
+    reported = [
+        np.interp(t_s, robot_s, np.interp(robot_s, t_s, column) + rng.normal(0.0, noise, len(robot_s)))
+        for column, noise in ((state[:, 0], 5e-6), (state[:, 1], 2e-4))
+    ]
+    return Samples(t_s, target_m, reported[0], reported[1], wrench)
+
+
+def changed(samples: Samples, fz_N: Floats) -> Samples:
+    """The same motion with another force along z."""
+    wrench = samples.wrench.copy()
+    wrench[:, 2] = fz_N
+    return Samples(samples.t_s, samples.z_cmd_m, samples.z_m, samples.vz_m_per_s, wrench)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Card, Path]:
+    out = tmp_path_factory.mktemp("model") / "inertial.onnx"
+    return train([free_motion(0), free_motion(1)], out, probe_mass_kg=MASS_KG, sensor_serial="HEX-1"), out
+
+
+def test_bias_and_mass_are_found_and_told_apart(trained: tuple[Card, Path]) -> None:
+    card, _ = trained
+    assert card.bias_N == pytest.approx(0.19, abs=0.005)
+    assert card.mass_ci95_kg[0] < MASS_KG < card.mass_ci95_kg[1]
+    assert card.mass_kg == pytest.approx(MASS_KG, abs=0.03)
+    assert card.inertial_rms_N == pytest.approx(MASS_KG * 0.082, rel=0.15)
+    assert card.rmse_N < 0.005
+    assert card.n == 500
+    assert card.repeats == 20
+    assert any("is bias" in note for note in card.notes)
+
+
+def test_the_exported_network_says_what_the_card_promises(trained: tuple[Card, Path]) -> None:
+    card, out = trained
+    model = InertialModel.load(out, probe_mass_kg=MASS_KG, sensor_serial="HEX-1")
+    still, braking = model.predict(np.array([[0.0, 0.0], [0.0, 0.3]]))
+    assert still == pytest.approx(0.19, abs=0.01)
+    assert braking == pytest.approx(0.19 - MASS_KG * 0.3, abs=0.02)
+    assert out.stat().st_size < 1000
+    stored = json.loads(card_path(out).read_text())
+    for key in ("rmse_N", "bias_N", "inputs", "input_range", "data_sha256", "model_sha256", "versions", "date", "sensor_serial"):
+        assert stored[key] == getattr(card, key)
+
+
+def test_the_same_recordings_give_the_same_model(trained: tuple[Card, Path], tmp_path: Path) -> None:
+    card, _ = trained
+    again = train([free_motion(0), free_motion(1)], tmp_path / "again.onnx", probe_mass_kg=MASS_KG, sensor_serial="HEX-1")
+    assert (again.model_sha256, again.data_sha256) == (card.model_sha256, card.data_sha256)
+
+
+def test_the_card_says_what_smoothing_with_the_future_hides(trained: tuple[Card, Path]) -> None:
+    card, _ = trained
+    assert "future" in card.smoothing["training"]
+    assert "causal" in card.smoothing["run_time"]
+    assert 0.001 < card.run_time_rms_N < 0.03
+
+
+def test_what_is_neither_bias_nor_inertia_is_said(tmp_path: Path) -> None:
+    card = train([free_motion(viscous_N_s_per_m=3.0)], tmp_path / "m.onnx", probe_mass_kg=MASS_KG)
+    assert card.other_rms_N == pytest.approx(3.0 * 0.017, rel=0.25)
+    assert card.mass_ci95_kg[0] < MASS_KG < card.mass_ci95_kg[1]
+
+
+def test_the_interval_of_the_mass_covers_it(tmp_path: Path) -> None:
+    covered = 0
+    for seed in range(8):
+        card = train([free_motion(seed, cycles=3)], tmp_path / f"{seed}.onnx", probe_mass_kg=MASS_KG)
+        covered += card.mass_ci95_kg[0] <= MASS_KG <= card.mass_ci95_kg[1]
+    assert covered >= 6
+
+
+def test_a_sensor_that_is_late_is_matched_with_the_motion_before(tmp_path: Path) -> None:
+    samples = free_motion()
+    late = changed(samples, np.interp(samples.t_s - 0.05, samples.t_s, samples.wrench[:, 2]))
+    told = train([late], tmp_path / "told.onnx", probe_mass_kg=MASS_KG, sensor_delay_s=0.05)
+    assert told.mass_kg == pytest.approx(MASS_KG, abs=0.03)
+
+
+def test_contact_in_the_recording_is_refused_with_its_place(tmp_path: Path) -> None:
+    samples = free_motion()
+    touched = changed(samples, samples.wrench[:, 2] + np.where((samples.t_s > 14.0) & (samples.z_m < 0.003), 0.6, 0.0))
+    with pytest.raises(RecordingError, match=r"recording 2 is not free: fz_N .* first at t = 1\d\.\d\d s \(z = 0\.00"):
+        train([samples, touched], tmp_path / "m.onnx", probe_mass_kg=MASS_KG)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_clipped_force_is_refused_with_its_place(tmp_path: Path) -> None:
+    samples = free_motion(noise_N=0.15)
+    clipped = changed(samples, np.minimum(samples.wrench[:, 2], COUNT_N))
+    with pytest.raises(RecordingError, match=r"recording 1 clips: .* fz_N stand at its highest value of 0\.131 N, first at t = "):
+        train([clipped], tmp_path / "m.onnx", probe_mass_kg=MASS_KG)
+
+
+def test_too_little_excitation_is_said_and_not_fitted(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="mass and bias cannot be told apart; move faster"):
+        train([free_motion(cycles=1, speed_m_per_s=0.004)], tmp_path / "m.onnx", probe_mass_kg=MASS_KG)
+
+
+def test_a_still_robot_is_no_free_motion(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="recording 1 moves by"):
+        train([free_motion(stroke_m=0.001)], tmp_path / "m.onnx", probe_mass_kg=MASS_KG)
+
+
+def test_different_motions_are_refused_with_the_place(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"recording 2 moves differently in the cycle that begins at t = "):
+        train([free_motion(), free_motion(1, cycles=3, speed_m_per_s=0.016)], tmp_path / "m.onnx", probe_mass_kg=MASS_KG)
+
+
+def test_nothing_is_overwritten(trained: tuple[Card, Path]) -> None:
+    _, out = trained
+    before = out.read_bytes()
+    with pytest.raises(BadInput, match="exists and is not overwritten"):
+        train([free_motion()], out, probe_mass_kg=MASS_KG)
+    assert out.read_bytes() == before
