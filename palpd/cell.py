@@ -10,14 +10,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
-from scipy.ndimage import uniform_filter1d
 
 from palpd.cell_file import CROSSTALK_ARM_M, CellFile, Estimated, Wall
 from palpd.cell_file import Site as Place
 from palpd.dynamics import Constants, Floats, Memory, Span, delayed, lowpass, servo, steps
 from palpd.effects import EFFECTS, Effect, Scale, Site, Values
 from palpd.errors import ConfigError
+from palpd.kinematics import Motion as Motion
+from palpd.kinematics import measured_motion as measured_motion
 
 WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 Library = Mapping[str, Effect]
@@ -234,81 +234,6 @@ def _hold_dropouts(wrench: Floats, s: Span, rng: np.random.Generator, memory: Me
 
 
 # whole recordings
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """How the tip moved, in arrays of (n,), and what heights and accelerations still carry of measurement noise (rms)."""
-
-    t_s: Floats
-    z_m: Floats
-    vz_m_per_s: Floats
-    az_m_per_s2: Floats
-    z_noise_m: float = 0.0
-    az_noise_m_per_s2: float = 0.0
-
-
-def measured_motion(cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats | None = None) -> Motion:
-    """The motion behind noisy reports of height and speed; without reported speeds they are taken from the heights.
-
-    Heights and speeds are averaged over a quarter of the servo's period, short enough for it to do nothing quickly: of the
-    heights only what the integrated speed does not already say. The acceleration is the slope of the speed over the fewest samples
-    that keep its noise, times the mass, below a tenth of the sensor's, and never over more than that quarter.
-    """
-    n = len(t_s)
-    dt_s = float(np.median(np.diff(t_s)))
-    half = min(int(0.125 / (cell.robot.servo_natural_frequency_Hz * dt_s)), (n - 1) // 2)
-    if vz_m_per_s is None:
-        vz_m_per_s = _slope(t_s, z_m, max(half, 1))
-    v_noise = min(cell.robot.velocity_noise_rms_m_per_s, _white_noise(vz_m_per_s))
-    z_noise = min(cell.robot.position_noise_rms_m, _white_noise(z_m))
-    width, allowed = 1, 0.1 * cell.sensor.noise_rms_N
-    while width < half and cell.probe.mass_kg * _slope_noise(v_noise, dt_s, width) > allowed:
-        width += 1
-    acceleration = _slope(t_s, vz_m_per_s, width)
-    if half:
-        path_m = cumulative_trapezoid(vz_m_per_s, t_s, initial=0)
-        z_m = path_m + uniform_filter1d(z_m - path_m, 2 * half + 1, mode="nearest")
-        vz_m_per_s = uniform_filter1d(vz_m_per_s, 2 * half + 1, mode="nearest")
-    span = 2 * half + 1
-    left_m = np.hypot(z_noise / np.sqrt(span), v_noise * dt_s * np.sqrt((span - 1) / 12.0))
-    return Motion(t_s - t_s[0], z_m, vz_m_per_s, acceleration, float(left_m), _slope_noise(v_noise, dt_s, width))
-
-
-def _white_noise(x: Floats) -> float:
-    """Rms of what is white in a smooth signal, from its second differences (median, so that corners do not count)."""
-    if len(x) < 8:
-        return 0.0
-    return float(np.median(np.abs(np.diff(x, 2)))) / (0.6745 * np.sqrt(6.0))
-
-
-def _slope_noise(noise: float, dt_s: float, half: int) -> float:
-    """What white noise does to the slope over 2·half + 1 neighbours."""
-    return float(noise / (dt_s * np.sqrt(half * (half + 1) * (2 * half + 1) / 3.0)))
-
-
-def _slope(t_s: Floats, x: Floats, half: int) -> Floats:
-    """Slope of the line through 2·half + 1 neighbours, at even and uneven steps; beyond the ends it continues as mirrored."""
-    half = min(half, len(x) - 1)
-    if half < 1:
-        return np.zeros_like(x)
-    dt_s = steps(t_s)
-    padded = np.pad(x, half, mode="reflect", reflect_type="odd")
-    if isinstance(dt_s, float):
-        k = np.arange(half, -half - 1, -1.0)
-        slope: Floats = np.convolve(padded, k / (np.sum(k * k) * dt_s), mode="valid")
-        return slope
-    at_s = np.pad(t_s, half, mode="reflect", reflect_type="odd")
-    n = len(x)
-    near_t = [at_s[k : k + n] - t_s for k in range(2 * half + 1)]
-    near_x = [padded[k : k + n] for k in range(2 * half + 1)]
-    mean_t = np.mean(near_t, axis=0)
-    over = np.zeros_like(x)
-    under = np.zeros_like(x)
-    for t, v in zip(near_t, near_x, strict=True):
-        over += (t - mean_t) * v
-        under += (t - mean_t) ** 2
-    return over / under
 
 
 def _place(cell: CellFile, site: str | None) -> Place | None:

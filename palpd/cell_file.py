@@ -114,12 +114,15 @@ class Estimated(Block):
 
 
 class Site(Block):
-    """A place with a tissue of its own; the one nearest to the tip counts. Its effects come on top of, or instead of, the common."""
+    """A place with a tissue of its own; the one nearest to the tip counts.
+
+    What its tissue leaves out is as in the common one, and its effects come on top of the common ones or in place of the same.
+    """
 
     name: str
     x_m: Height = 0.0
     y_m: Height = 0.0
-    tissue: Tissue = Tissue()
+    tissue: Tissue | None = Tissue()
     effects: EffectValues = {}
 
 
@@ -147,8 +150,8 @@ class CellFile(Block):
 
     @model_validator(mode="before")
     @classmethod
-    def _spread_follows_the_cell(cls, given: Any) -> Any:
-        """Tolerances and repeatability that are not given follow from noise, mass and tip."""
+    def _fill_in(cls, given: Any) -> Any:
+        """Tolerances and repeatability that are not given follow from noise, mass and tip, a site's tissue from the common one."""
         if not isinstance(given, Mapping):
             return given
         probe, sensor = _part(Probe, given.get("probe")), _part(Sensor, given.get("sensor"))
@@ -166,6 +169,8 @@ class CellFile(Block):
             stated = filled.get(block, {})
             if isinstance(stated, Mapping):
                 filled[block] = values | dict(stated)
+        if isinstance(sites := filled.get("sites"), list):
+            filled["sites"] = [_with_common_tissue(site, filled) for site in sites]
         return filled
 
     def with_effects(self, effects: EffectValues) -> "CellFile":
@@ -175,6 +180,16 @@ class CellFile(Block):
     def with_estimated(self, estimated: Estimated | None) -> "CellFile":
         """The same cell with these in-tolerance deviations."""
         return self.model_copy(update={"estimated": estimated})
+
+
+def _with_common_tissue(site: Any, cell: Mapping[str, Any]) -> Any:
+    """The site with what its tissue does not say taken from the cell's."""
+    common = cell.get("tissue", {})
+    if not isinstance(site, Mapping) or not (common is None or isinstance(common, Mapping)):
+        return site
+    own = site.get("tissue", common)
+    merged = dict(common or {}) | dict(own) if isinstance(own, Mapping) else own
+    return dict(site) | {"tissue": merged}
 
 
 def _part(model: type[T], given: Any) -> T:

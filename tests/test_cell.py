@@ -381,3 +381,20 @@ def test_a_motion_keeps_what_is_left_of_its_noise() -> None:
     still = slice(0, 200)
     assert np.std((motion.z_m - true.z_m)[still]) == pytest.approx(motion.z_noise_m, rel=0.5)
     assert replace(motion, z_noise_m=0.0).z_noise_m == 0.0
+
+
+@pytest.mark.parametrize("rate_Hz", [50.0, 500.0])
+def test_the_noise_of_an_acceleration_is_what_the_motion_says_of_it(rate_Hz: float) -> None:
+    t_s = np.arange(20000) / rate_Hz
+    speeds = RNG.normal(size=20000) * 2e-4
+    motion = measured_motion(nominal(), t_s, 0 * t_s + 0.01, speeds)
+    assert np.std(motion.az_m_per_s2) == pytest.approx(motion.az_noise_m_per_s2, rel=0.05)
+    assert 0.2 * motion.az_noise_m_per_s2 < 0.1 * 0.05 or rate_Hz < 100.0
+
+
+def test_an_acceleration_follows_a_vibration_well_above_the_servo() -> None:
+    t_s = np.arange(5000) / 500
+    omega = 2 * np.pi * 30.0
+    speeds = 0.004 * np.sin(omega * t_s) + RNG.normal(size=5000) * 2e-4
+    motion = measured_motion(nominal(), t_s, 0.01 - 0.004 / omega * np.cos(omega * t_s), speeds)
+    assert np.std(motion.az_m_per_s2) == pytest.approx(0.004 * omega / 2**0.5, rel=0.05)

@@ -67,6 +67,20 @@ def test_no_tissue_and_no_filter_are_null() -> None:
     assert cell.sensor.filter_cutoff_Hz is None
 
 
+def test_what_a_site_does_not_say_of_its_tissue_is_the_common_one() -> None:
+    given = {
+        "tissue": {"surface_z_m": 0.02, "youngs_modulus_Pa": 5e4},
+        "sites": [{"name": "same"}, {"name": "soft", "tissue": {"youngs_modulus_Pa": 1e4}}, {"name": "none", "tissue": None}],
+    }
+    same, soft, none = cell_from(given, "cell").sites
+    assert same.tissue is not None
+    assert soft.tissue is not None
+    assert (same.tissue.surface_z_m, same.tissue.youngs_modulus_Pa) == (0.02, 5e4)
+    assert (soft.tissue.surface_z_m, soft.tissue.youngs_modulus_Pa) == (0.02, 1e4)
+    assert none.tissue is None
+    assert cell_from({"tissue": None, "sites": [{"name": "A"}]}, "cell").sites[0].tissue is None
+
+
 def test_numbers_without_a_point_before_the_exponent_are_numbers() -> None:
     cell = cell_from(yaml.safe_load("tissue: {youngs_modulus_Pa: 72e3, surface_z_m: 1e-3}"), "cell")
     assert cell.tissue is not None
