@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import lsim
 
+from palpd.dynamics import servo
 from palpd.errors import BadInput, RecordingError
 from palpd.inertial import InertialModel, card_path
 from palpd.samples import Samples
@@ -36,17 +36,14 @@ def free_motion(
     half, within_s = np.divmod(along_s, half_s)
     way_m = np.clip(within_s * speed_m_per_s, 0.0, stroke_m)
     target_m = np.where(half % 2 == 0, way_m, stroke_m - way_m)
-    omega = 2.0 * np.pi * 8.0
-    system = ([[0.0, 1.0], [-(omega**2), -2.0 * omega]], [[0.0], [omega**2]], np.eye(2), np.zeros((2, 1)))
-    _, state, _ = lsim(system, target_m, t_s)
-    acceleration = omega**2 * (target_m - state[:, 0]) - 2.0 * omega * state[:, 1]
-    fz_N = bias_N - mass_kg * acceleration - viscous_N_s_per_m * state[:, 1] + rng.normal(0.0, noise_N, len(t_s))
+    z_m, vz_m_per_s, acceleration = servo(target_m, 1.0 / rate_Hz, 8.0, 1.0, {})
+    fz_N = bias_N - mass_kg * acceleration - viscous_N_s_per_m * vz_m_per_s + rng.normal(0.0, noise_N, len(t_s))
     wrench = rng.normal(0.0, 0.001, (len(t_s), 6))
     wrench[:, 2] = np.round(fz_N / COUNT_N) * COUNT_N
     robot_s = np.arange(0.0, t_s[-1] + 0.008, 0.008)
     reported = [
         np.interp(t_s, robot_s, np.interp(robot_s, t_s, column) + rng.normal(0.0, noise, len(robot_s)))
-        for column, noise in ((state[:, 0], 5e-6), (state[:, 1], 2e-4))
+        for column, noise in ((z_m, 5e-6), (vz_m_per_s, 2e-4))
     ]
     return Samples(t_s, target_m, reported[0], reported[1], wrench)
 
