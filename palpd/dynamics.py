@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 Floats = NDArray[np.float64]
 Memory = dict[str, Any]
@@ -175,6 +174,8 @@ def lowpass(u: NDArray[Any], dt_s: Column, pole_per_s: complex, memory: Memory, 
         else:
             keep, old, new = _weights(x if x.imag else x.real)
             state = np.asarray(keep * memory["y"] + old * memory["u"])[None]
+            from scipy.signal import lfilter  # here, since the control loop reads cell files and needs none of its 40 MB
+
             y, _ = lfilter([new, old], [1.0, -keep], u, axis=0, zi=state)
     else:
         keep, old, new = _weights((pole_per_s if complex(pole_per_s).imag else complex(pole_per_s).real) * dt_s)

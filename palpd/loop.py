@@ -13,7 +13,7 @@ from palpd.errors import PalpdError, Stopped
 from palpd.inertial import InertialModel, Motion
 from palpd.safety import Guard, Limits, Sight, guard, sentence
 from palpd.sequence import Look, Sequence
-from palpd.tare import Tare, base_from_sensor, to_base
+from palpd.tare import Tare, base_from_sensor, tilt_rad, to_base
 from palpd.tick import (
     STILL,
     Action,
@@ -96,15 +96,17 @@ class Explainer:
         rotation = base_from_sensor(robot.tcp_pose[3:], self.rotation_about_flange_z_rad)
         tared = to_base(frames.wrench - (self.reference if self.tare is None else self.tare), rotation)
         inertial_N = self._inertial(frames)
-        forces_N = tared[:, 2] - inertial_N
+        # a handful of rows: plain floats cost a third of numpy's calls on arrays this short
+        rows, forces_N = tared.tolist(), (tared[:, 2] - inertial_N).tolist()
+        raw = (frames.wrench[:, :3] - self.reference[:3]).tolist()
         self.last = Contact(
             tared,
             inertial_N,
-            force_N=float(forces_N.max()),
-            mean_N=float(forces_N.mean()),
-            lateral_N=float(np.hypot(tared[:, 0], tared[:, 1]).max()),
-            torque_Nm=float(np.abs(tared[:, 3:]).max()),
-            absolute_N=float(np.sqrt(((frames.wrench[:, :3] - self.reference[:3]) ** 2).sum(axis=1)).max()),
+            force_N=largest(forces_N),
+            mean_N=math.fsum(forces_N) / len(forces_N),
+            lateral_N=largest([math.hypot(fx, fy) for fx, fy, *_ in rows]),
+            torque_Nm=largest([abs(t) for *_, tx, ty, tz in rows for t in (tx, ty, tz)]),
+            absolute_N=largest([math.hypot(*force) for force in raw]),
         )
         return self.last
 
@@ -115,6 +117,11 @@ class Explainer:
         predicted_N = self.model.predict(features)
         self.out_of_range += int(len(features) - np.count_nonzero(self.model.in_range(features)))
         return np.clip(predicted_N, -self.correction_limit_N, self.correction_limit_N)
+
+
+def largest(values: list[float]) -> float:
+    """The largest, or NaN if any is: max() would pass a NaN over, and the guard must see it."""
+    return math.nan if any(map(math.isnan, values)) else max(values)
 
 
 def _without_rows(contact: Contact) -> Contact:
@@ -227,9 +234,3 @@ class Loop:
     def _stop(self) -> None:
         for _ in range(self.stops):
             self.robot.stop()
-
-
-def tilt_rad(rotation_vector_rad: tuple[float, ...]) -> float:
-    """Angle between the tool's z axis and the base's -z."""
-    cosine = -float(base_from_sensor(rotation_vector_rad, 0.0)[2, 2])
-    return math.acos(min(1.0, max(-1.0, cosine)))

@@ -34,9 +34,12 @@ FATAL = {Trip.CONNECTION, Trip.ROBOT_STALE, Trip.PROGRAM_STOPPED, Trip.SUPERVISO
 ORPHAN_GRACE_S = 1.0
 DRY_S = 10.0
 """How long a dry run watches: the arm is not moved, so no plan could come to its end."""
+CHECK_S = 1.2
+"""How long a check watches: with the second of its tare long enough for the guard to tell a stuck sensor."""
 REFERENCE_PATIENCE_S = 5.0
 
-Kind = Literal["palpation", "free_motion", "stiffness", "calibrate"]
+Kind = Literal["palpation", "free_motion", "stiffness", "calibrate", "check"]
+"""A check is a short dry run that is not recorded: what would stop a run at its beginning stops it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +58,7 @@ Build = Callable[[Config, bool], Devices]
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One thing to do with the cell. `reference` (6,) is the tare of the last calibration in the sensor's axes."""
+    """One thing to do with the cell. `reference` (6,) is the tare of the last calibration in the axes of the sensor of that serial."""
 
     kind: Kind
     config: Config
@@ -63,6 +66,7 @@ class Job:
     dry: bool = False
     reference: tuple[float, ...] | None = None
     machine_stiffness_N_per_m: float | None = None
+    reference_serial: str | None = None
 
 
 def body_of(job: Job, delay_s: float) -> Body:
@@ -102,14 +106,16 @@ def sequence_of(job: Job, delay_s: float) -> Sequence:
         "free_motion": lambda: FreeMotion(body),
         "stiffness": lambda: RigidPress(job.plan, body),
     }
-    return Sequence(Watch(body, DRY_S) if job.dry else scripts[job.kind]())
+    return Sequence(Watch(body, CHECK_S if job.kind == "check" else DRY_S) if job.dry else scripts[job.kind]())
 
 
 def explainer_of(job: Job, sensor_serial: str | None, delay_s: float) -> Explainer:
-    """Axes, reference tare and inertial model of a job. Raises ModelRefused."""
+    """Axes, reference tare and inertial model of a job. Raises ModelRefused, and Refused where the tare is another sensor's."""
     config = job.config
+    if job.reference is not None and job.reference_serial and sensor_serial and job.reference_serial != sensor_serial:
+        raise Refused(f"the reference tare is of sensor {job.reference_serial}, but {sensor_serial} is connected; run palpd calibrate")
     model = None
-    if config.model.path is not None and job.kind == "palpation":
+    if config.model.path is not None and job.kind in ("palpation", "check"):
         model = InertialModel.load(config.model.path, probe_mass_kg=config.cell.probe.mass_kg, sensor_serial=sensor_serial)
     return Explainer(
         reference=np.array(job.reference or np.zeros(6), dtype=float),
@@ -141,7 +147,6 @@ def serve(build: Build, ring_name: str, pipe: Connection, life: Connection) -> N
             return
         if job is None:
             return
-        ring.forget_requests()
         try:
             answer, again = _do(build, job, ring, pipe, request)
         except PalpdError as error:
@@ -175,10 +180,11 @@ def _do(build: Build, job: Job, ring: Ring, pipe: Connection, request: Callable[
         explainer = explainer_of(job, devices.about.get("sensor_serial"), devices.about["delay_s"])
         if job.reference is None:
             explainer.reference = take_reference(devices)
-        pipe.send({"opened": devices.about, "reference": explainer.reference.tolist()})
-        if pipe.recv() != "go":
-            return {"error": "called off", "exit_code": 2}, True
-        ring.state = LoopState.RUNNING
+        if job.kind != "check":
+            pipe.send({"opened": devices.about, "reference": explainer.reference.tolist()})
+            if pipe.recv() != "go":
+                return {"error": "called off", "exit_code": 2}, True
+            ring.state = LoopState.RUNNING
         return _run(job, devices, explainer, ring, request)
     finally:
         ring.state = LoopState.ENDED  # from here on no ticks are due: closing a connection takes ur_rtde half a second

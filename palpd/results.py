@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from palpd.errors import RecordingError
 from palpd.tick import Floats, Mode, Phase
@@ -223,5 +223,5 @@ def machine_stiffness(rows: NDArray[np.void]) -> tuple[float, tuple[float, float
     if len(slopes) < 2 or min(slopes) <= 0:
         raise RecordingError(f"{len(slopes)} presses of a rigid plate can be judged, expected at least 2; repeat palpd stiffness")
     mean = math.fsum(slopes) / len(slopes)
-    half = float(student.ppf(0.975, len(slopes) - 1)) * float(np.std(slopes, ddof=1)) / math.sqrt(len(slopes))
+    half = float(stdtrit(len(slopes) - 1, 0.975)) * float(np.std(slopes, ddof=1)) / math.sqrt(len(slopes))
     return mean, (mean - half, mean + half)

@@ -25,6 +25,8 @@ TRIM_GAIN_PER_S = 2.0
 TRIM_LIMIT_M = 2e-4
 """Below the guard's margin of depth, so that trimming alone can never trip it."""
 PATIENCE_S = 5.0
+REACTION_S = 0.1
+"""From a force to the arm at rest, rounded up; `palpd check-config` prints the terms."""
 SOFT_END = 0.9
 """Share of the contact limit at which the sequence ends a press by itself, before the guard has to."""
 BASELINE_S = 0.5
@@ -294,11 +296,23 @@ class Palpation(Script):
         is trimmed slowly, within a bound.
         """
         before_s = self.look.now_s
-        yield from self.move(vz=self._towards(self._reported(goal_z_m) + self.trim_m, self.plan.press_speed_m_per_s))
+        yield from self.move(vz=self._towards(self._reported(goal_z_m) + self.trim_m, self._governed_speed()))
         if abs(self.look.robot.target_speed[2]) < TRIM_BELOW_M_PER_S:
             missing_m = goal_z_m - self.tip_z_m()
             wanted_m = self.trim_m + TRIM_GAIN_PER_S * missing_m * (self.look.now_s - before_s)
             self.trim_m = min(max(wanted_m, -TRIM_LIMIT_M), TRIM_LIMIT_M)
+
+    def _governed_speed(self) -> float:
+        """Press speed, less where the tissue seen so far would carry the force past the contact limit before the arm is at rest.
+
+        v <= (limit - F) / (k t) with the slope k = 3F/2d of Hertz's law through the present force and depth.
+        """
+        force_N, depth_m = self.look.contact.mean_N, self.progress.surface_z_m - self.tip_z_m()
+        if force_N <= 0.0 or depth_m <= 0.0:
+            return self.plan.press_speed_m_per_s
+        stiffness_N_per_m = 1.5 * force_N / depth_m
+        room_N = max(self.body.contact_limit_N - force_N, 0.0)
+        return min(self.plan.press_speed_m_per_s, room_N / (stiffness_N_per_m * REACTION_S))
 
     def leave(self, surface_z_m: float) -> Turn:
         """Back to the safe height."""

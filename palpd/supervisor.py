@@ -5,6 +5,7 @@ It never resumes a motion: whatever ended a run, the next one begins with an ope
 
 import contextlib
 import datetime
+import math
 import multiprocessing
 import time
 from dataclasses import dataclass, field
@@ -73,9 +74,11 @@ class Run:
         self._recorder: Recorder | None = None
         self._about: dict[str, Any] = {}
         self._lost_recorder = False
+        self._ended_s = math.inf
         self._began_s = time.monotonic()
         self._ticks, self._ticked_s = ring.published, self._began_s
         ring.state = LoopState.STARTING
+        ring.forget_requests()  # what was asked of an earlier run is void; from here on every abort counts
         self._motion = MotionProcess(build, ring)
         self._motion.pipe.send(job)
 
@@ -107,7 +110,9 @@ class Run:
         ticking = self._ring.state == LoopState.RUNNING
         if ticking and now_s - self._ticked_s > STALLED_S:
             return self._kill(f"the loop stood still for {STALLED_S:g} s and was killed; the controller's watchdog stops the arm")
-        if self._ring.state == LoopState.ENDED and now_s - self._ticked_s > CLOSING_S:
+        if self._ring.state != LoopState.ENDED:
+            self._ended_s = now_s
+        elif now_s - self._ended_s > CLOSING_S:
             return self._kill(f"the devices were not closed within {CLOSING_S:g} s after the last tick; the motion process was killed")
         if not self.opened and now_s - self._began_s > OPENING_S:
             return self._kill(f"the devices were not opened within {OPENING_S:g} s; is the controller's program able to start?")

@@ -4,6 +4,7 @@ The running tare takes gravity and offset out of the wrench (f_g of Guo, Xiao, R
 disk by `palpd calibrate`; the guard's absolute limit is measured against it, so that taring under load cannot loosen a limit.
 """
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,25 +25,36 @@ FREE_N = 3.0
 def base_from_sensor(rotation_vector_rad: tuple[float, ...], about_flange_z_rad: float) -> Floats:
     """Rotation (3, 3) from the sensor's axes to the base's: the reported TCP orientation times the mounting angle.
 
-    `rotation_vector_rad` (3,) is the axis-angle vector of a UR pose (Rodrigues' formula).
+    `rotation_vector_rad` (3,) is the axis-angle vector of a UR pose (Rodrigues' formula, in plain floats: it runs in every tick).
     """
-    axis = np.asarray(rotation_vector_rad, dtype=float)
-    angle = float(np.sqrt(axis @ axis))
-    turn = np.eye(3)
-    if angle > 1e-12:
-        x, y, z = axis / angle
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        turn = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
-    c, s = np.cos(about_flange_z_rad), np.sin(about_flange_z_rad)
-    return turn @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    rx, ry, rz = rotation_vector_rad
+    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+    x, y, z = (rx / angle, ry / angle, rz / angle) if angle > 1e-12 else (0.0, 0.0, 1.0)
+    s, c = math.sin(angle), math.cos(angle)
+    v = 1.0 - c
+    first = (c + x * x * v, y * x * v + z * s, z * x * v - y * s)  # columns: where the tool's x and y point
+    second = (x * y * v - z * s, c + y * y * v, z * y * v + x * s)
+    sm, cm = math.sin(about_flange_z_rad), math.cos(about_flange_z_rad)
+    return np.array(
+        [
+            (a * cm + b * sm, b * cm - a * sm, third)
+            for a, b, third in zip(first, second, (x * z * v + y * s, y * z * v - x * s, c + z * z * v), strict=True)
+        ]
+    )
+
+
+def tilt_rad(rotation_vector_rad: tuple[float, ...]) -> float:
+    """Angle between the tool's z axis and the base's -z."""
+    rx, ry, rz = rotation_vector_rad
+    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+    z = rz / angle if angle > 1e-12 else 1.0
+    cosine = -(math.cos(angle) + z * z * (1.0 - math.cos(angle)))
+    return math.acos(min(1.0, max(-1.0, cosine)))
 
 
 def to_base(wrench: Floats, rotation: Floats) -> Floats:
     """Wrench (n, 6) in the sensor's axes turned into base axes by `rotation` (3, 3)."""
-    turned = np.empty_like(wrench)
-    turned[:, :3] = wrench[:, :3] @ rotation.T
-    turned[:, 3:] = wrench[:, 3:] @ rotation.T
-    return turned
+    return (wrench.reshape(-1, 3) @ rotation.T).reshape(wrench.shape)
 
 
 @dataclass(slots=True)

@@ -3,14 +3,16 @@
 import time
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hw.emulators.process import Emulated, started
 from hw.hex_sensor import HexSensor
 from hw.muted import MutedRobot
 from hw.rtde import UrReader, UrRobot
 from palpd.config import Config
 from palpd.motion import Devices
+
+if TYPE_CHECKING:
+    from hw.emulators.process import Emulated
 
 ARRIVAL_MARGIN_S = 0.001
 """The grid of ticks begins this long after a robot state arrives, so that every tick finds a fresh one."""
@@ -70,6 +72,8 @@ def _sensor(config: Config) -> HexSensor:
     )
 
 
-def emulated(folder: Path, model: str, cell: Path, host: str) -> AbstractContextManager[Emulated]:
+def emulated(folder: Path, model: str, cell: Path, host: str) -> "AbstractContextManager[Emulated]":
     """A UR controller and a HEX-70 before that cell, in a process of their own."""
+    from hw.emulators.process import started  # here, since the motion process needs no physics
+
     return started(folder, model, cell, host)

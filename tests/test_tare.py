@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palpd.tare import FREE_N, STABLE_RMS_N, Tare, base_from_sensor, to_base
+from palpd.tare import FREE_N, STABLE_RMS_N, Tare, base_from_sensor, tilt_rad, to_base
 from tests.scenes import frames, robot
 
 
@@ -74,3 +74,9 @@ def test_a_rotation_keeps_lengths_and_hands(vector: tuple[float, float, float], 
     rotation = base_from_sensor(vector, angle)
     assert np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+@given(st.tuples(*[st.floats(-4, 4)] * 3))
+def test_the_tilt_is_the_angle_between_the_tool_and_straight_down(vector: tuple[float, float, float]) -> None:
+    down = base_from_sensor(vector, 0.0)[2, 2]
+    assert math.cos(tilt_rad(vector)) == pytest.approx(-down, abs=1e-9)
