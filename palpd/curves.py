@@ -11,7 +11,7 @@ import numpy as np
 from palpd.errors import BadInput, RecordingError
 from palpd.samples import Samples, samples_from_columns, write_csv
 from palpd.tick import Floats
-from palpd.young import ContactFit, fit_contact, modulus_peak_Pa
+from palpd.young import FEWEST_SAMPLES, ContactFit, fit_contact, modulus_peak_Pa
 
 ForceUnit = Literal["N", "mN", "uN", "nN"]
 LengthUnit = Literal["m", "mm", "um", "nm"]
@@ -198,7 +198,13 @@ def _loading(curve: Curve) -> tuple[int, int]:
     backwards = curve.height_m[last::-1]
     fallen = np.maximum.accumulate(backwards) - backwards
     before = np.flatnonzero(fallen > TURNED * np.ptp(curve.height_m))
-    return (last - int(np.argmax(backwards[: before[0]])) if len(before) else 0), last
+    first = last - int(np.argmax(backwards[: before[0]])) if len(before) else 0
+    if last - first + 1 < FEWEST_SAMPLES:
+        raise RecordingError(
+            f"{curve.name}: only {last - first + 1} samples lead to the peak of force or depth, {FEWEST_SAMPLES} or more are needed; "
+            "check the force's sign, the columns and the direction of the height"
+        )
+    return first, last
 
 
 def _lines(path: Path) -> list[str]:
