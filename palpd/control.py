@@ -24,7 +24,19 @@ MOST_BYTES = 262_144
 MOST_CLIENTS = 16
 PATIENCE_S = 5.0
 
-Answer = Callable[[dict[str, Any]], dict[str, Any]]
+ARM_PATIENCE_S = 60.0
+"""Arming looks at the devices first; opening absent ones takes longest."""
+
+
+@dataclass(slots=True)
+class Later:
+    """An answer that takes its time: who asked waits for `answer`, others are served meanwhile; `abandoned` once nobody waits any more."""
+
+    answer: dict[str, Any] | None = None
+    abandoned: bool = False
+
+
+Answer = Callable[[dict[str, Any]], dict[str, Any] | Later]
 
 
 @dataclass(slots=True)
@@ -32,6 +44,7 @@ class _Client:
     connection: socket.socket
     since_s: float
     received: bytearray = field(default_factory=bytearray)
+    awaits: Later | None = None
 
 
 class ControlSocket:
@@ -64,8 +77,12 @@ class ControlSocket:
             else:
                 self._receive(self._clients[key.fd])
         late_s = time.monotonic() - PATIENCE_S
-        for client in [client for client in self._clients.values() if client.since_s < late_s]:
-            self._drop(client)
+        for client in list(self._clients.values()):
+            if client.awaits is None and client.since_s < late_s:
+                self._drop(client)
+            elif client.awaits is not None and client.awaits.answer is not None:
+                self._reply(client, client.awaits.answer)
+                self._drop(client)
 
     def close(self) -> None:
         """Stop listening and remove the socket's file."""
@@ -91,15 +108,20 @@ class ControlSocket:
             return
         except OSError:
             some = b""
+        if some and client.awaits is not None:
+            return  # one request a connection
         client.received += some
         if not some or len(client.received) > MOST_BYTES:
             self._drop(client)
         elif b"\n" in client.received:
-            line = bytes(client.received.split(b"\n", 1)[0])
-            self._reply(client, self._handled(line, client))
+            answer = self._handled(bytes(client.received.split(b"\n", 1)[0]), client)
+            if isinstance(answer, Later):
+                client.awaits = answer
+                return
+            self._reply(client, answer)
             self._drop(client)
 
-    def _handled(self, line: bytes, client: _Client) -> dict[str, Any]:
+    def _handled(self, line: bytes, client: _Client) -> dict[str, Any] | Later:
         try:
             request = json.loads(line)
         except (ValueError, RecursionError):
@@ -120,12 +142,14 @@ class ControlSocket:
             pass  # who asked has gone; the request itself was carried out and logged
 
     def _drop(self, client: _Client) -> None:
+        if client.awaits is not None and client.awaits.answer is None:
+            client.awaits.abandoned = True
         self._clients.pop(client.connection.fileno(), None)
         self._selector.unregister(client.connection)
         client.connection.close()
 
 
-def ask(path: Path, request: dict[str, Any], patience_s: float = 10.0) -> dict[str, Any]:
+def ask(path: Path, request: dict[str, Any], patience_s: float = PATIENCE_S) -> dict[str, Any]:
     """Send one request to the daemon and return its answer. Raises Refused, one sentence."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
         connection.settimeout(patience_s)

@@ -10,12 +10,13 @@ from typing import Any
 import structlog
 
 from palpd.config import Config, Plan, parse_plan, refuse_unsafe
-from palpd.control import ControlSocket
+from palpd.control import ControlSocket, Later
 from palpd.errors import PalpdError, Refused
-from palpd.motion import Build, Job
-from palpd.ring import Ring
+from palpd.motion import Build, Job, Kind
+from palpd.overshoot import refuse_overload
+from palpd.ring import LoopState, Ring
 from palpd.state import State
-from palpd.supervisor import Report, Run, recording_name
+from palpd.supervisor import Report, Run, now, recording_name
 from palpd.tick import Phase, Request
 
 POLL_S = 0.02
@@ -23,7 +24,11 @@ WATCHDOG_S = 0.5
 
 
 class Service:
-    """States: disarmed, armed, running. A restart, a stop, a fault and the end of a plan all lead to disarmed."""
+    """States: disarmed, checking, armed, running. A restart, a stop, a fault and the end of a plan all lead to disarmed.
+
+    Between disarmed and armed stands a check of the real devices, which are read and not commanded. One is made at the start too, for
+    the log: where a device is absent the service runs on.
+    """
 
     def __init__(self, config: Config, build: Build) -> None:
         self._config, self._build = config, build
@@ -32,6 +37,8 @@ class Service:
         self._armed = False
         self._run: Run | None = None
         self._last: Report | None = None
+        self._arming: Later | None = None
+        self._cell: dict[str, Any] | None = None
         self._log = structlog.get_logger("palpd.service")
         self._ending = False
 
@@ -39,29 +46,46 @@ class Service:
         """Serve until SIGTERM or SIGINT; a run that is under way is aborted and its recording closed first."""
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, self._end)
-        control = ControlSocket(self._config.paths.control_socket, self.answer)
+        try:
+            control = ControlSocket(self._config.paths.control_socket, self.answer)
+        except BaseException:
+            self._free_ring()
+            raise
         latch = self._state.latch()
         self._log.info("ready", socket=str(self._config.paths.control_socket), latched=latch.reason if latch else None)
         _notify("READY=1")
+        try:
+            self._check()
+        except PalpdError as error:
+            self._log.warning("not checked", reason=str(error))
         fed_s, ticks = 0.0, -1
         try:
             while not self._ending or self._run is not None:
                 control.poll(POLL_S)
                 self._poll_run()
                 if time.monotonic() - fed_s > WATCHDOG_S:
-                    alive = self._run is None or not self._run.opened or self._ring.published != ticks
+                    idle = self._run is None or self._ring.state != LoopState.RUNNING
+                    if idle or self._ring.published != ticks:  # fed only while ticks advance, so that systemd sees a loop that hangs
+                        _notify(f"WATCHDOG=1\nSTATUS={self._standing}")
                     fed_s, ticks = time.monotonic(), self._ring.published
-                    if alive:  # fed only while ticks advance, so that systemd sees a loop that hangs
-                        _notify("WATCHDOG=1")
         finally:
             _notify("STOPPING=1")
             control.close()
-            self._ring.unlink()
-            self._ring.close()
+            self._free_ring()
 
-    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+    @property
+    def _standing(self) -> str:
+        if self._run is None:
+            return "armed" if self._armed else "disarmed"
+        return "checking" if self._checking else "running"
+
+    @property
+    def _checking(self) -> bool:
+        return self._run is not None and self._run.job.kind == "check"
+
+    def answer(self, request: dict[str, Any]) -> dict[str, Any] | Later:
         """Carry out one request of the control socket; refusals are sentences and change nothing."""
-        commands: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+        commands: dict[str, Callable[[dict[str, Any]], dict[str, Any] | Later]] = {
             "status": self._status,
             "arm": self._arm,
             "start": self._start,
@@ -74,16 +98,21 @@ class Service:
         if todo is None:
             return {"ok": False, "error": f"{request['do'][:32]!r} is no command; known: status, arm, start, pause, resume, abort, clear"}
         try:
-            return {"ok": True, **todo(request)}
+            done = todo(request)
+            return done if isinstance(done, Later) else {"ok": True, **done}
         except PalpdError as error:
             return {"ok": False, "error": str(error)}
 
     def _status(self, _: dict[str, Any]) -> dict[str, Any]:
-        newest, _, _ = self._ring.read(self._ring.published - 1 if self._ring.published else 0)
+        newest = self._ring.read(max(0, self._ring.published - 1))[0]
         latch = self._state.latch()
-        state = "running" if self._run else "armed" if self._armed else "disarmed"
-        found: dict[str, Any] = dict(state=state, latched=latch.reason if latch else None, pid=os.getpid())
-        if self._run is not None and len(newest):
+        found: dict[str, Any] = {
+            "state": self._standing,
+            "latched": latch.reason if latch else None,
+            "pid": os.getpid(),
+            "cell": self._cell,
+        }
+        if self._run is not None and not self._checking and len(newest):
             row = newest[-1]
             found |= {
                 "phase": Phase(int(row["phase"])).name.lower(),
@@ -100,16 +129,53 @@ class Service:
             }
         return found
 
-    def _arm(self, _: dict[str, Any]) -> dict[str, Any]:
-        self._refuse_running()
+    def _arm(self, _: dict[str, Any]) -> dict[str, Any] | Later:
+        if not self._checking:
+            self._refuse_running()
+        if self._arming is not None:
+            raise Refused("somebody else is arming the daemon; see palpd status")
         latch = self._state.latch()
         if latch is not None:
             raise Refused(f"the last run was stopped on {latch.date}: {latch.reason}; look at the cell, then palpd clear")
         if self._state.calibration() is None:
             raise Refused("there is no reference tare; run palpd calibrate with the probe free and still")
-        self._armed = True
-        self._log.info("armed")
-        return {"state": "armed"}
+        self._armed = False
+        self._arming = Later()
+        if self._run is None:
+            self._check()
+        return self._arming
+
+    def _check(self) -> None:
+        self._run = Run(self._job("check", Plan(), dry=True), self._build, self._ring, self._state, "check")
+
+    def _checked(self, report: Report) -> None:
+        ready = report.verdict == "done" and self._run is not None and self._run.job.reference is not None
+        reason = report.reason or ("" if ready else "there is no reference tare; run palpd calibrate with the probe free and still")
+        self._cell = {"ready": ready, "reason": reason, "date": now()}
+        self._log.info("checked", **self._cell, notes=report.notes)
+        arming, self._arming = self._arming, None
+        if arming is None:
+            return
+        if not ready:
+            arming.answer = {"ok": False, "error": f"not armed: {reason}"}
+        elif arming.abandoned:
+            self._log.info("not armed: who asked for it has gone")
+        else:
+            self._armed = True
+            arming.answer = {"ok": True, "state": "armed"}
+            self._log.info("armed")
+
+    def _job(self, kind: Kind, plan: Plan, dry: bool = False) -> Job:
+        calibration, stiffness = self._state.calibration(), self._state.machine_stiffness()
+        return Job(
+            kind,
+            self._config,
+            plan,
+            dry,
+            reference=calibration.wrench if calibration else None,
+            reference_serial=calibration.sensor_serial if calibration else None,
+            machine_stiffness_N_per_m=self._config.machine.stiffness_N_per_m or (stiffness.stiffness_N_per_m if stiffness else None),
+        )
 
     def _start(self, request: dict[str, Any]) -> dict[str, Any]:
         self._refuse_running()
@@ -117,27 +183,23 @@ class Service:
             raise Refused("the daemon is disarmed; run palpd arm first")
         plan: Plan = parse_plan(request.get("plan"), "the plan")
         refuse_unsafe(self._config, plan)
-        calibration, stiffness = self._state.calibration(), self._state.machine_stiffness()
-        job = Job(
-            "palpation",
-            self._config,
-            plan,
-            reference=calibration.wrench if calibration else None,
-            machine_stiffness_N_per_m=self._config.machine.stiffness_N_per_m or (stiffness.stiffness_N_per_m if stiffness else None),
-        )
-        self._run = Run(job, self._build, self._ring, self._state, recording_name("palpation"))
+        refuse_overload(self._config, plan)
+        self._run = Run(self._job("palpation", plan), self._build, self._ring, self._state, recording_name("palpation"))
         self._armed = False
         self._log.info("started", sites=len(plan.sites))
         return {"state": "running"}
 
     def _ask(self, wish: Request) -> dict[str, Any]:
-        if self._run is None:
+        if self._run is None or self._checking:
             raise Refused("nothing is running")
         self._run.ask(wish)
         return {"state": "running"}
 
     def _abort(self, _: dict[str, Any]) -> dict[str, Any]:
         self._armed = False
+        arming, self._arming = self._arming, None
+        if arming is not None:
+            arming.answer = {"ok": False, "error": "not armed: somebody asked for an abort meanwhile"}
         if self._run is not None:
             self._run.ask(Request.ABORT)
         return {"state": "aborting" if self._run else "disarmed"}
@@ -149,6 +211,8 @@ class Service:
         return {"state": "disarmed"}
 
     def _refuse_running(self) -> None:
+        if self._checking:
+            raise Refused("the devices are being checked; try again in some seconds")
         if self._run is not None:
             raise Refused("a plan is running; wait for its end, or palpd abort")
 
@@ -158,9 +222,16 @@ class Service:
         if self._ending:
             self._run.ask(Request.ABORT)
         report = self._run.poll()
-        if report is not None:
-            self._run, self._last = None, report
+        if report is not None and self._checking:
+            self._checked(report)
+            self._run = None
+        elif report is not None:
+            self._run, self._last, self._cell = None, report, None
             self._log.info("ended", verdict=report.verdict, reason=report.reason, recording=str(report.recording))
+
+    def _free_ring(self) -> None:
+        self._ring.unlink()
+        self._ring.close()
 
     def _end(self, *_: object) -> None:
         self._ending = True

@@ -51,6 +51,7 @@ def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_referenc
         plan,
         dry,
         reference=calibration.wrench if calibration and not take_reference else None,
+        reference_serial=calibration.sensor_serial if calibration and not take_reference else None,
         machine_stiffness_N_per_m=config.machine.stiffness_N_per_m or (stiffness.stiffness_N_per_m if stiffness else None),
     )
 

@@ -1,6 +1,7 @@
 """What survives a restart: the reference tare, the machine's stiffness, and the latch of the last stop. One JSON file each."""
 
 import json
+import math
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -46,7 +47,15 @@ class State:
     def calibration(self) -> Calibration | None:
         """The last `palpd calibrate`, if any."""
         values = self._read("calibration")
-        return Calibration(**{**values, "wrench": tuple(values["wrench"])}) if values else None
+        if values is None:
+            return None
+        try:
+            calibration = Calibration(**{**values, "wrench": tuple(float(number) for number in values["wrench"])})
+        except (TypeError, ValueError, KeyError):
+            calibration = None
+        if calibration is None or len(calibration.wrench) != 6 or not all(map(math.isfinite, calibration.wrench)):
+            raise ConfigError(f"{self.folder / 'calibration.json'} holds no reference tare; run palpd calibrate again")
+        return calibration
 
     def machine_stiffness(self) -> MachineStiffness | None:
         """The last `palpd stiffness`, if any."""
@@ -54,9 +63,12 @@ class State:
         return MachineStiffness(**{**values, "ci95_N_per_m": tuple(values["ci95_N_per_m"])}) if values else None
 
     def latch(self) -> Latch | None:
-        """The reason of a stop that no operator has cleared."""
-        values = self._read("latch")
-        return Latch(**values) if values else None
+        """The reason of a stop that no operator has cleared; a file that cannot be read is one too."""
+        try:
+            values = self._read("latch")
+            return Latch(**values) if values is not None else None
+        except (ConfigError, TypeError):
+            return Latch(f"the reason kept in {self.folder / 'latch.json'} cannot be read", "an unknown date")
 
     def keep(self, name: str, thing: Calibration | MachineStiffness | Latch) -> None:
         """Write `thing` as `name`.json so that a crash leaves the old file or the new one, never half of it."""

@@ -20,9 +20,9 @@ ARRIVAL_MARGIN_S = 0.001
 
 def devices(config: Config, muted: bool) -> Devices:
     """Open sensor and robot of a configuration; muted, the robot is read and never commanded. Raises DeviceError."""
-    sensor = _sensor(config)
+    sensor = open_sensor(config)
     try:
-        robot = _reader(config) if muted else _robot(config)
+        robot = open_reader(config) if muted else _robot(config)
     except BaseException:
         sensor.close()
         raise
@@ -45,7 +45,8 @@ def devices(config: Config, muted: bool) -> Devices:
     return Devices(MutedRobot(robot) if isinstance(robot, UrReader) else robot, sensor, first_tick_s, about)
 
 
-def _reader(config: Config) -> UrReader:
+def open_reader(config: Config) -> UrReader:
+    """The robot of a configuration, read only. Raises RobotError."""
     return UrReader(config.robot.host, model=config.robot.model, rate_Hz=config.robot.rate_Hz)
 
 
@@ -61,7 +62,8 @@ def _robot(config: Config) -> UrRobot:
     )
 
 
-def _sensor(config: Config) -> HexSensor:
+def open_sensor(config: Config) -> HexSensor:
+    """The force sensor of a configuration. Raises SensorError."""
     sensor = config.sensor
     return HexSensor(
         sensor.port,
