@@ -76,6 +76,8 @@ class _Sample(NamedTuple):
     status: int
     counts: tuple[int, ...]
     raw: bytes
+    start: int
+    ambiguous: bool
 
 
 class FrameParser:
@@ -89,6 +91,7 @@ class FrameParser:
     one, 1 ms at 1 kHz, and is thrown away only on evidence:
 
     - counter: the next one continues the order of the last good one, and this one does not stand between them;
+    - place: its window holds the beginning of the next one, as when it was cut short and its sum fits all the same;
     - size: the input that a one-pole low-pass at `filter_cutoff_Hz` would have needed for this change is beyond `input_limit`
       counts, the next one is possible after the last good one, and nearer to it than to this one.
 
@@ -156,13 +159,13 @@ class FrameParser:
     def _parse(self, data: bytes) -> None:
         begin, end, at, bulk = self._begin, len(data), 0, self._bulk_frames
         while (at := data.find(0xAA, at)) >= 0:
-            if end - at >= bulk * FRAME_BYTES and data.startswith(DATA, at):
-                done = self._parse_bulk(data, at, bulk)
+            frames = min(bulk, (end - at) // FRAME_BYTES)
+            if frames >= self._bulk_frames and data.startswith(DATA, at):
+                done = self._parse_bulk(data, at, frames)
+                bulk = 2 * bulk if done == frames else self._bulk_frames
                 if done:
                     at += done * FRAME_BYTES - len(DATA) + 1  # a header may straddle the end of the last frame
-                    bulk *= 2
                     continue
-                bulk = self._bulk_frames
             header = data[at : at + 4]
             length = LENGTHS.get(header)
             if length is None:
@@ -171,18 +174,18 @@ class FrameParser:
             elif end - at < length:
                 break
             elif sum(data[at : at + length - 2]) == (data[at + length - 2] << 8 | data[at + length - 1]):
-                self._explain(begin + at, begin + at + length, header, data[at + 4 : at + length - 2])
+                ambiguous = data.find(DATA[:3], at + 1, at + length) >= 0
+                self._explain(begin + at, begin + at + length, header, data[at + 4 : at + length - 2], ambiguous)
             at += 1
         if at < 0:
             at = end
         self._tail = data[at:]
         self._begin = begin + at
 
-    def _explain(self, start: int, stop: int, header: bytes, payload: bytes) -> None:
+    def _explain(self, start: int, stop: int, header: bytes, payload: bytes, ambiguous: bool) -> None:
         if header == DATA:
             self._explained_to(start, stop)
-            counter, status, *counts = _UNPACK(payload)
-            self._judge(_Sample(counter, status, tuple(counts), payload))
+            self._judge(_sample(payload, start, ambiguous))
         elif start >= self._explained:  # inside a frame it is the frame's own payload
             self._explained_to(start, stop)
             self.packets.append(Packet(header, payload))
@@ -192,21 +195,21 @@ class FrameParser:
         self._explained = stop
 
     def _parse_bulk(self, data: bytes, at: int, frames: int) -> int:
-        """Judge up to `frames` frames in a row; 0 if they are not all whole, so that the careful way must look."""
-        size = frames * FRAME_BYTES
-        if data.count(DATA, at, at + size) != frames:
-            return 0
-        rows = np.frombuffer(data, np.uint8, size, at).reshape(frames, FRAME_BYTES)
+        """Judge the first of `frames` frames in a row that are whole and plain, and say how many; the careful way must look at the next."""
+        rows = np.frombuffer(data, np.uint8, frames * FRAME_BYTES, at).reshape(frames, FRAME_BYTES)
         sums = rows[:, :20].sum(axis=1, dtype=np.uint16)
-        if (rows[:, :4] != _DATA_BYTES).any() or (sums != rows[:, 20] * np.uint16(256) + rows[:, 21]).any():
+        whole = (rows[:, :4] == _DATA_BYTES).all(axis=1) & (sums == rows[:, 20] * np.uint16(256) + rows[:, 21])
+        done = frames if whole.all() else int(whole.argmin())
+        size = done * FRAME_BYTES
+        if not done or data.count(DATA[:3], at, at + size) != done:
             return 0
         self._explained_to(self._begin + at, self._begin + at + size)
-        self._judge_rows(np.ascontiguousarray(rows[:, 4:20]))
-        return frames
+        self._judge_rows(np.ascontiguousarray(rows[:done, 4:20]), self._begin + at)
+        return done
 
     # judging
 
-    def _judge_rows(self, rows: NDArray[np.uint8]) -> None:
+    def _judge_rows(self, rows: NDArray[np.uint8], start: int) -> None:
         frames = rows.view(_PAYLOAD)[:, 0]
         counter = frames["counter"].astype(np.int64)
         steps = (counter[1:] - counter[:-1]) & 0xFFFF
@@ -220,13 +223,13 @@ class FrameParser:
             while at < stop:
                 if at and self._suspect is None:  # the row before was accepted, so are all up to the break
                     self._accepted += rows[at:stop].tobytes()
-                    self._last = _sample(rows[stop - 1].tobytes())
+                    self._last = _sample(rows[stop - 1].tobytes(), start + (stop - 1) * FRAME_BYTES)
                     at = stop
                 else:
-                    self._judge(_sample(rows[at].tobytes()))
+                    self._judge(_sample(rows[at].tobytes(), start + at * FRAME_BYTES))
                     at += 1
             if stop < len(rows):
-                self._judge(_sample(rows[stop].tobytes()))
+                self._judge(_sample(rows[stop].tobytes(), start + stop * FRAME_BYTES))
                 at = stop + 1
 
     def _judge(self, new: _Sample) -> None:
@@ -239,7 +242,9 @@ class FrameParser:
                 self._accept(self._suspect)
         last = self._last
         if last is None or (
-            (new.counter - last.counter) & 0xFFFF == self.counter_step * (1 + self._thrown_since_last) and self._is_possible(last, new)
+            not new.ambiguous
+            and (new.counter - last.counter) & 0xFFFF == self.counter_step * (1 + self._thrown_since_last)
+            and self._is_possible(last, new)
         ):
             self._accept(new)
         else:
@@ -260,6 +265,8 @@ class FrameParser:
         assert last is not None  # the first sample is accepted as it comes
         to_suspect, to_new = (suspect.counter - last.counter) & 0xFFFF, (new.counter - last.counter) & 0xFFFF
         continues = (new.counter - suspect.counter) & 0xFFFF == self.counter_step
+        if suspect.ambiguous and continues and new.start < suspect.start + FRAME_BYTES - 1:
+            return True
         if not (continues and to_suspect) and 0 < to_new < 0x8000 and not 0 < to_suspect < to_new:
             return True
         return (
@@ -291,9 +298,9 @@ _NO_RAW = RawFrames(np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty((0,
 _DATA_BYTES = np.frombuffer(DATA, np.uint8)
 
 
-def _sample(raw: bytes) -> _Sample:
+def _sample(raw: bytes, start: int, ambiguous: bool = False) -> _Sample:
     counter, status, *counts = _UNPACK(raw)
-    return _Sample(counter, status, tuple(counts), raw)
+    return _Sample(counter, status, tuple(counts), raw, start, ambiguous)
 
 
 class SampleClock:
@@ -313,9 +320,9 @@ class SampleClock:
         self._last_s = -math.inf
 
     def stamp(self, counter: Words, arrival_s: float) -> Floats:
-        """Times (n,) in s of samples that arrived together at `arrival_s`; never earlier than one given before.
+        """Times (n,) in s of samples that arrived together at `arrival_s`; never earlier than one given before, nor after the arrival.
 
-        A counter that contradicts the time gone by, by more than the wraps of 65.536 s explain, has been started anew.
+        A counter that contradicts the time gone by, beyond what its wraps explain, has been started anew.
         """
         if not len(counter):
             return np.empty(0)
@@ -325,6 +332,7 @@ class SampleClock:
         # where the offset falls, samples are squeezed rather than turned round: at least a tenth of their distance stays
         apart = 0.1 * SAMPLE_S * (counts - self._count)
         times: Floats = np.maximum(np.maximum.accumulate(counts * SAMPLE_S + self._offset_s - apart), self._last_s) + apart
+        times = np.minimum(times, arrival_s)
         self._count = int(counts[-1])
         self._last_s = float(times[-1])
         return times
@@ -336,12 +344,13 @@ class SampleClock:
             return counts
         wraps = round((arrival_s - self._offset_s - float(counts[-1]) * SAMPLE_S) / (0x10000 * SAMPLE_S))
         counts += 0x10000 * max(0, wraps)
-        if abs(arrival_s - self._offset_s - float(counts[-1]) * SAMPLE_S) > _RESTART_S:
+        behind_s = arrival_s - self._offset_s - float(counts[-1]) * SAMPLE_S
+        if not _EARLIEST_S < behind_s < _LATEST_S:
             self._offset_s = math.inf
         return counts
 
 
-_RESTART_S = 5.0
+_EARLIEST_S, _LATEST_S = -0.05, 0.5  # a newest sample further from its arrival says that the counter was started anew
 
 
 class HexSensor:
@@ -388,7 +397,8 @@ class HexSensor:
         self._speed = round(1000 / rate_Hz)
         self.rate_Hz = 1000 / self._speed
         self._configured = None if counts_per_N is None or counts_per_Nm is None else np.array([*counts_per_N, *counts_per_Nm], float)
-        if self._configured is not None and (len(self._configured) != 6 or not (self._configured > 0).all()):
+        given = [numbers for numbers in (counts_per_N, counts_per_Nm) if numbers is not None]
+        if any(len(numbers) != 3 or not all(number > 0 for number in numbers) for numbers in given):
             raise SensorError("counts_per_N and counts_per_Nm must hold three positive numbers each, as on the calibration sheet.")
         self._fz_register = 2 if fz_sensitivity == "pressed" else 6
         self._allow_nominal = allow_nominal
