@@ -205,9 +205,10 @@ def serve(config: ConfigOption = DEFAULT_CONFIG) -> None:
 
 def _speak(request: dict[str, Any], config: Path, socket: Path | None) -> dict[str, Any]:
     from palpd.config import load_config
-    from palpd.control import ask
+    from palpd.control import ARM_PATIENCE_S, PATIENCE_S, ask
 
-    return ask(socket or load_config(config).paths.control_socket, request)
+    patience_s = ARM_PATIENCE_S if request["do"] == "arm" else PATIENCE_S
+    return ask(socket or load_config(config).paths.control_socket, request, patience_s)
 
 
 @app.command()
@@ -222,7 +223,7 @@ def status(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, j
 
 @app.command()
 def arm(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
-    """Let the daemon move at the next start."""
+    """Check the real devices, which takes some seconds, and let the daemon move at the next start."""
     console.print(_speak({"do": "arm"}, config, socket)["state"])
 
 
@@ -235,6 +236,43 @@ def start(
 
     values = load_plan(plan).model_dump(mode="json")
     console.print(_speak({"do": "start", "plan": values}, config, socket)["state"])
+
+
+@app.command()
+def doctor(
+    config: ConfigOption = DEFAULT_CONFIG,
+    weight_N: Annotated[float | None, typer.Option("--weight-N", min=0.5, max=100, help="known weight to hang on the probe")] = None,
+    watch_s: Annotated[float, typer.Option("--watch-s", min=1, max=600, help="how long the devices are watched")] = 10.0,
+    json_file: JsonOption = None,
+) -> None:
+    """Judge clock, privileges, disk and devices, and say what to do; reads, and moves nothing."""
+    from palpd import doctor as examine
+    from palpd.config import load_config
+    from palpd.wiring import open_reader, open_sensor
+
+    _writable(json_file)
+    settings = load_config(config if config.exists() else None)
+
+    def ask(what: str) -> None:
+        console.input(f"{what} Then press Enter. ")
+
+    findings = examine.examined(settings, open_sensor, open_reader, watch_s, weight_N, ask)
+    console.print(examine.table(findings))
+    failed = [finding for finding in findings if finding.verdict == "fail"]
+    _write_json(json_file, examine.as_json(findings))
+    _exit(2 if failed else 0, f"{len(failed)} of {len(findings)} checks failed: {', '.join(finding.name for finding in failed)}")
+
+
+@app.command()
+def install(
+    prefix: Annotated[Path, typer.Option("--prefix", help="folder that stands for / (a package's build root)")] = Path("/"),
+) -> None:
+    """Put the service's unit, user, device rule and configuration into place; an existing configuration is kept."""
+    from palpd.install import NEXT_STEPS, installed
+
+    for path in installed(prefix):
+        console.print(path, soft_wrap=True)
+    console.print(NEXT_STEPS, soft_wrap=True)
 
 
 @app.command()

@@ -1,0 +1,53 @@
+"""Puts the files of the service into place: unit, user, device rule, configuration."""
+
+import re
+import sys
+from pathlib import Path
+
+from palpd.errors import Refused
+
+SOURCE = Path(__file__).parent.parent
+UNIT_PYTHON = "/opt/palpd/.venv/bin/python"
+PATHS = "paths: {runs: /var/lib/palpd/runs, state: /var/lib/palpd, socket: /run/palpd/palpd.sock}"
+UNSEEN = ("/root", "/home", "/run/user", "/tmp", "/var/tmp")
+"""ProtectHome and PrivateTmp hide these folders from the service."""
+NEXT_STEPS = """\
+Then, as root:
+  systemd-sysusers && udevadm control --reload && udevadm trigger --subsystem-match=tty
+  systemctl daemon-reload && systemctl enable --now palpd
+  usermod --append --groups palpd OPERATOR      # who may speak to the daemon
+  runuser -u palpd -- palpd calibrate --config /etc/palpd/config.yaml"""
+
+
+def installed(prefix: Path) -> list[Path]:
+    """Copy the files below `prefix`, the unit with the path of this Python; returns what was written.
+
+    Raises Refused where the service could not see this Python, and where the files are not beside the code.
+    """
+    folder = SOURCE / "systemd"
+    if not (folder / "palpd.service").exists():
+        raise Refused(f"the unit is not in {folder}; run palpd install from a checkout of the repository")
+    for needed in (sys.executable, sys.base_prefix, str(SOURCE)):
+        if needed.startswith(tuple(f"{hidden}/" for hidden in UNSEEN)):
+            raise Refused(f"{needed} is hidden from the service, which sees no home and no /tmp; set palpd up in /opt")
+    unit = (folder / "palpd.service").read_text().replace(UNIT_PYTHON, sys.executable)
+    config = re.sub(r"^paths:.*$", PATHS, (SOURCE / "config.yaml").read_text(), flags=re.MULTILINE)
+    texts = {
+        "etc/systemd/system/palpd.service": unit,
+        "etc/sysusers.d/palpd.conf": (folder / "palpd.sysusers.conf").read_text(),
+        "etc/udev/rules.d/99-palpd-hex.rules": (folder / "99-palpd-hex.rules").read_text(),
+        "etc/palpd/config.yaml": config,
+    }
+    written = []
+    for name, text in texts.items():
+        path = prefix / name
+        if path.name == "config.yaml" and path.exists():
+            continue
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        except OSError as error:
+            raise Refused(f"{path} cannot be written ({error.strerror}); run palpd install as root, or give --prefix") from error
+        path.chmod(0o644)
+        written.append(path)
+    return written
