@@ -120,7 +120,7 @@ class FrameParser:
         self.lost = 0
         self.implausible = 0
         self._limits = tuple(float(limit) for limit in self.input_limit)
-        self._bulk_frames = bulk_frames
+        self._bulk_frames = self._attempt_frames = bulk_frames  # attempts double while they succeed
         self._tail = b""
         self._begin = 0  # where the tail begins, in bytes since the first
         self._explained = 0  # end of the last packet with a right sum
@@ -157,12 +157,12 @@ class FrameParser:
     # framing
 
     def _parse(self, data: bytes) -> None:
-        begin, end, at, bulk = self._begin, len(data), 0, self._bulk_frames
+        begin, end, at = self._begin, len(data), 0
         while (at := data.find(0xAA, at)) >= 0:
-            frames = min(bulk, (end - at) // FRAME_BYTES)
+            frames = min(self._attempt_frames, (end - at) // FRAME_BYTES)
             if frames >= self._bulk_frames and data.startswith(DATA, at):
                 done = self._parse_bulk(data, at, frames)
-                bulk = 2 * bulk if done == frames else self._bulk_frames
+                self._attempt_frames = min(2 * self._attempt_frames, 4096) if done == frames else self._bulk_frames
                 if done:
                     at += done * FRAME_BYTES - len(DATA) + 1  # a header may straddle the end of the last frame
                     continue
