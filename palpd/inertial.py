@@ -116,7 +116,7 @@ class InertialModel:
 
         It is not bounded: the caller clips it to the correction it allows.
         """
-        inside = np.clip(features, self.low, self.high).astype(np.float32)
+        inside = np.minimum(np.maximum(features, self.low), self.high).astype(np.float32)
         predicted: Floats = self.session.run(None, {INPUT_NAME: inside})[0][:, 0].astype(np.float64)
         finite = np.isfinite(predicted)
         if not finite.all():

@@ -120,7 +120,7 @@ def train(
     cycles = _cycles(recordings, step_s)
     _refuse_different(cycles, step_s)
     features, force_N = _average(cycles, step_s, sensor_delay_s)
-    fitted, half = _line(features, force_N, len(cycles), probe_mass_kg)
+    fitted, half = _line(cycles, step_s, sensor_delay_s, probe_mass_kg)
     mass_kg, bias_N, drag_N_s_per_m = fitted.tolist()
     mass_half_kg, bias_half_N, _ = half.tolist()
     raw_rms_N = _rms(np.concatenate([_margin_cut(cycle.fz_N, force_N) - force_N for cycle in cycles]))
@@ -249,19 +249,30 @@ def _smooth(values: Floats, width: int) -> Floats:
     return np.convolve(values, np.full(width, 1.0 / width), mode="valid")
 
 
-def _line(features: Floats, force_N: Floats, repeats: int, probe_mass_kg: float) -> tuple[Floats, Floats]:
+def _line(cycles: list[_Cycle], step_s: float, sensor_delay_s: float, probe_mass_kg: float) -> tuple[Floats, Floats]:
     """Mass, bias and drag (3,) of f = b - m a - c v in the mean cycle, and the half-widths (3,) of their 95 % intervals.
 
-    The drag stands in for cables and friction, which would otherwise pass for noise that lasts as long as a stroke.
+    The drag stands in for cables and friction, which would otherwise pass for noise that lasts as long as a stroke. The interval is
+    the wider of two: what lines fitted to single cycles scatter by, and what the residual of the mean cycle allows, which shows what all
+    cycles have in common (rounding that noise does not dither).
     """
-    slopes = np.column_stack([-features[:, 1], np.ones(len(force_N)), -features[:, 0]])
-    solution = np.asarray(np.linalg.lstsq(slopes, force_N, rcond=None)[0], dtype=float)
-    sigmas, n_effective = correlated_sigmas(slopes, force_N - slopes @ solution)
+
+    def solved(some: list[_Cycle]) -> tuple[Floats, Floats, Floats]:
+        features, force_N = _average(some, step_s, sensor_delay_s)
+        slopes = np.column_stack([-features[:, 1], np.ones(len(force_N)), -features[:, 0]])
+        solution = np.asarray(np.linalg.lstsq(slopes, force_N, rcond=None)[0], dtype=float)
+        return solution, slopes, force_N - slopes @ solution
+
+    solution, slopes, residual_N = solved(cycles)
+    sigmas, n_effective = correlated_sigmas(slopes, residual_N, slow=False)
     half = student_t_95(max(n_effective - 3.0, 3.0)) * sigmas
+    if len(cycles) > 1:
+        scatter = np.std([solved([cycle])[0] for cycle in cycles], axis=0, ddof=1) / math.sqrt(len(cycles))
+        half = np.maximum(half, student_t_95(len(cycles) - 1.0) * scatter)
     allowed_kg = MASS_CERTAINTY * probe_mass_kg
     if half[0] > allowed_kg:
         raise RecordingError(
-            f"the mean of {repeats} cycles accelerates by {_rms(features[:, 1]):.2g} m/s² rms only, which leaves the moving mass at "
+            f"the mean of {len(cycles)} cycles accelerates by {_rms(slopes[:, 0]):.2g} m/s² rms only, which leaves the moving mass at "
             f"{solution[0]:.2f} ± {half[0]:.2f} kg, expected within {allowed_kg:.2f} kg: mass and bias cannot be told apart; move faster "
             "or record more cycles"
         )

@@ -198,11 +198,14 @@ def _search(tip_m: Floats, force_N: Floats, contact_m: float | None, baseline_N:
     return float(stiffness[best]), float(contact[best]), float(rest_N - stiffness[best] * level[best])
 
 
-def correlated_sigmas(slopes: Floats, residual: Floats, common: Floats | None = None) -> tuple[Floats, float]:
+def correlated_sigmas(
+    slopes: Floats, residual: Floats, common: Floats | None = None, *, slow: bool = True
+) -> tuple[Floats, float]:
     """Standard deviations (p,) of least-squares parameters with the slopes (n, p), and the effective sample size.
 
-    The larger of a sandwich over correlated scores (Newey and West 1987) and the plain one times the residual's correlation time;
-    `common` (n,) is one standard deviation of an error that all samples share.
+    From a sandwich over correlated scores (Newey and West 1987); where the slopes are as `slow` as the residual it is too small in short
+    records, and the plain covariance times the residual's correlation time is taken if it is larger. `common` (n,) is one standard
+    deviation of an error that all samples share.
     """
     n, p = slopes.shape
     scale = np.sqrt(np.mean(slopes**2, axis=0))
@@ -216,10 +219,11 @@ def correlated_sigmas(slopes: Floats, residual: Floats, common: Floats | None = 
         product = scores[lag:].T @ scores[:-lag]
         middle += (1.0 - lag / (window + 1)) * (product + product.T)
     bread = np.linalg.pinv(scaled.T @ scaled)
-    sandwich = np.diag(bread @ middle @ bread)
-    plain = np.diag(bread) * time * float(np.mean(residual**2))
+    variance = np.diag(bread @ middle @ bread)
+    if slow:
+        variance = np.maximum(variance, np.diag(bread) * time * float(np.mean(residual**2)))
     # residuals are smaller than errors by the parameters they were fitted with
-    variance = np.maximum(sandwich, plain) * n_effective / max(n_effective - p, 1.0)
+    variance = variance * n_effective / max(n_effective - p, 1.0)
     if common is not None:
         variance = variance + (bread @ scaled.T @ common) ** 2
     return np.sqrt(variance) / scale, n_effective

@@ -136,7 +136,7 @@ def test_a_clipped_force_is_refused_with_its_place(tmp_path: Path) -> None:
 
 def test_too_little_excitation_is_said_and_not_fitted(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="mass and bias cannot be told apart; move faster"):
-        train([free_motion(cycles=1, speed_m_per_s=0.004)], tmp_path / "m.onnx", probe_mass_kg=MASS_KG)
+        train([free_motion(cycles=2, speed_m_per_s=0.001, stroke_m=0.003)], tmp_path / "m.onnx", probe_mass_kg=MASS_KG)
 
 
 def test_a_still_robot_is_no_free_motion(tmp_path: Path) -> None:
