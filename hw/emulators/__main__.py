@@ -20,6 +20,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="of every random number")
     parser.add_argument("--mount-rotation-rad", type=float, default=0.0, help="of the sensor about the flange's z")
     parser.add_argument("--no-realtime", action="store_true", help="do not ask for SCHED_FIFO")
+    parser.add_argument("--end-with-parent", action="store_true", help="end when the process that started this one is gone")
     given = parser.parse_args()
     try:
         emulate(
@@ -31,6 +32,7 @@ def main() -> int:
             seed=given.seed,
             mount_rotation_rad=given.mount_rotation_rad,
             realtime=not given.no_realtime,
+            end_with_parent=given.end_with_parent,
         )
     except PalpdError as error:
         print(error, file=sys.stderr)

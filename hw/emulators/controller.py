@@ -110,8 +110,7 @@ class Arm:
 
     def joints(self, tip_pose: Floats) -> Floats:
         """Joint angles (6,) in rad of a tip pose."""
-        turned = rotation_vector(rotation(tip_pose[3:]) @ rotation(self._origin[3:]).T)
-        joints: Floats = BASE_JOINTS_RAD + self._inverse @ np.concatenate([tip_pose[:3] - self._origin[:3], turned])
+        joints: Floats = BASE_JOINTS_RAD + self._inverse @ displacement(self._origin, tip_pose)
         return joints
 
     def pose(self, joints_rad: Floats) -> Floats:

@@ -199,7 +199,7 @@ class Daq:
 
 
 class Line:
-    """The terminal device: a pseudo-terminal behind a link, opened anew when the host closes it and when it is plugged in again.
+    """The terminal device: a pseudo-terminal, behind a link a new one each time the host closes it or it is plugged in again.
 
     Nothing is sent while no host has it open. A host that has it open and does not read finds the oldest 64 KiB or so: what
     does not fit is lost, newest first and in whole packets (assumed; what a real DAQ does is not known).
@@ -255,8 +255,9 @@ class Line:
             return b""
         events = self._poll.poll(0)
         if events and events[0][1] & select.POLLHUP:
-            if self._listened:  # its exclusive use ends with the host's last close only if the device is a new one
-                self.plug_in()
+            if self._listened and self._link is not None:
+                self.plug_in()  # exclusive use would outlive the host's last close; that of a USB device does not
+            self._listened = False
             return b""
         self._listened = True
         if not events:

@@ -5,6 +5,7 @@
 
 import contextlib
 import gc
+import itertools
 import json
 import os
 import selectors
@@ -19,14 +20,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hw.emulators.controller import MODELS
+from hw.emulators.controller import MODELS, Sample
 from hw.emulators.rig import SAMPLE_S, Rig
 from hw.emulators.verbs import obey
 from palpd.cell_file import PHANTOM, load_cell
 from palpd.errors import PalpdError
 
-GIVEN_UP_S = 0.5
-"""A process that was stopped for longer does not make up for it: the grid is moved."""
+GIVEN_UP_S = 0.1
+"""A process that is later than this does not make up for it: the time is skipped, target and tip stand still meanwhile."""
 PRIORITY = 50
 
 
@@ -89,12 +90,15 @@ def emulate(
     seed: int = 0,
     mount_rotation_rad: float = 0.0,
     realtime: bool = True,
+    end_with_parent: bool = False,
 ) -> None:
     """Stand in for a controller and a sensor until SIGTERM or SIGINT; prints `robot HOST` and `sensor DEVICE` when ready.
 
+    `end_with_parent`: also end, within a second, when the process that started this one is gone.
     `cell` None: the paper's phantom. Raises PalpdError, in one sentence, for a bad cell file or a port that is taken.
     """
     stopping: list[int] = []
+    parent = os.getppid() if end_with_parent else None
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda number, frame: stopping.append(number))
     cell_file = load_cell(cell) if cell is not None else PHANTOM
@@ -114,17 +118,19 @@ def emulate(
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
         print(f"robot {host}\nsensor {rig.line.path}", flush=True)
-        _run(rig, channel, stopping)
+        _run(rig, channel, stopping, parent)
     finally:
         rig.close()
         if channel is not None:
             channel.close()
 
 
-def _run(rig: Rig, channel: ControlChannel | None, stopping: Sequence[int]) -> None:
+def _run(rig: Rig, channel: ControlChannel | None, stopping: Sequence[int], parent: int | None) -> None:
     lateness_s: deque[float] = deque(maxlen=60_000)
     planned_s = time.monotonic()
-    while not stopping:
+    for tick in itertools.count():
+        if stopping or (parent is not None and tick % 1000 == 0 and os.getppid() != parent):
+            return
         planned_s += SAMPLE_S
         early_s = planned_s - time.monotonic()
         if early_s > 0:
@@ -132,7 +138,9 @@ def _run(rig: Rig, channel: ControlChannel | None, stopping: Sequence[int]) -> N
         now_s = time.monotonic()
         lateness_s.append(now_s - planned_s)
         if now_s - planned_s > GIVEN_UP_S:
-            planned_s = now_s
+            skipped = int((now_s - planned_s) / SAMPLE_S)
+            planned_s += skipped * SAMPLE_S
+            rig.skip(skipped)
         if channel is not None:
             channel.serve(now_s, lateness_s)
         rig.tick(planned_s, now_s, late=now_s - planned_s > rig.model.cycle_s)
@@ -159,16 +167,21 @@ class Emulated:
             raise RuntimeError(answer["error"])
         return answer
 
+    def log(self, since_s: float = 0.0) -> list[Sample]:
+        """Target and truth, a controller cycle each, since that time of the host's monotonic clock."""
+        return [Sample(*row) for row in self.ask("log", since_s=since_s)["samples"]]
+
 
 @contextlib.contextmanager
 def started(folder: Path, model: str = "ur5", cell: Path | None = None, host: str = "127.0.0.1", *options: str) -> Iterator[Emulated]:
     """Emulators in a process of their own, their link and control socket in `folder`; ended on leaving."""
     control = folder / "control"
     command = [sys.executable, "-m", "hw.emulators", "--model", model, "--host", host]
-    command += ["--sensor-link", str(folder / "hex"), "--control", str(control), *options]
+    command += ["--sensor-link", str(folder / "hex"), "--control", str(control), "--end-with-parent", *options]
     if cell is not None:
         command += ["--cell", str(cell)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # a session of its own: an interrupt from the terminal must not take the robot away from a daemon that is about to stop it
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
     assert process.stdout is not None
     assert process.stderr is not None
     try:

@@ -52,6 +52,8 @@ class Rig:
         self.cell.set_filter(self.daq.cutoff_Hz)
         self._fractions = np.arange(1, self.steps + 1) / self.steps
         self._ticks = 0
+        self._booted_s: float | None = None
+        self._published_s = 0.0
         self._frozen_until_s = self._away_until_s = self._slow_until_s = 0.0
         self.samples: deque[Sample] = deque(maxlen=round(LOGGED_S / model.cycle_s))
         self.peak_contact_N = 0.0
@@ -72,7 +74,7 @@ class Rig:
     # One millisecond -----------------------------------------------------------------------------------------------------
 
     def tick(self, planned_s: float, now_s: float, *, late: bool = False) -> None:
-        """Read what came, send what is due. `late`: the next cycle is due already, so this one's package is skipped."""
+        """Read what came, send what is due. `late`: the next cycle is due already, so this one's package may be skipped."""
         if self._away_until_s and now_s >= self._away_until_s:
             self._away_until_s = 0.0
             for server in self.wires.servers():
@@ -85,6 +87,10 @@ class Rig:
         if self._ticks % self.steps == 0:
             self._cycle(planned_s, now_s, late)
 
+    def skip(self, samples: int) -> None:
+        """So many milliseconds went by without the process; the devices' clocks have gone on."""
+        self.daq.counter = (self.daq.counter + samples) % 65536
+
     def _sense(self, planned_s: float) -> None:
         self.daq.take(self.line.receive())
         packet = self.daq.sample(self._counts[self._ticks % self.steps], planned_s)
@@ -93,6 +99,8 @@ class Rig:
         self.line.send(packet)
 
     def _cycle(self, planned_s: float, now_s: float, late: bool) -> None:
+        if self._booted_s is None:
+            self._booted_s = planned_s - self.model.cycle_s
         reported = self._block
         cycle = self.controller.cycle(planned_s)
         self._publish(planned_s, now_s, reported, cycle, late)
@@ -137,7 +145,6 @@ class Rig:
         )
         if now_s < self._frozen_until_s:
             return
-        values["timestamp"] = (values["timestamp"][0] + self.model.cycle_s,)
         actual = np.concatenate([block.position_m[-1], cycle.start[3:]])
         speed = np.concatenate([block.velocity_m_per_s[-1], cycle.speed_before[3:]])
         force = np.zeros(6)
@@ -148,6 +155,7 @@ class Rig:
         joint_speed = robot.arm.joint_speed(cycle.speed_before)
         robot_bits, safety_bits = status_bits(robot)
         values |= {
+            "timestamp": (planned_s - (self._booted_s or 0.0),),
             "actual_TCP_pose": tuple(robot.tcp_pose(actual)),
             "target_TCP_pose": tuple(robot.tcp_pose(cycle.start)),
             "actual_TCP_speed": tuple(speed),
@@ -173,7 +181,8 @@ class Rig:
             values["ft_raw_wrench"] = tuple(force)
         values |= robot.inputs
         values |= robot.outputs
-        if not late:
+        if not late or now_s - self._published_s >= self.model.cycle_s:
+            self._published_s = now_s
             self.wires.keep_every = self._keep_every if now_s < self._slow_until_s else 1
             self.wires.publish(values, now_s)
 
@@ -203,7 +212,7 @@ class Rig:
         fresh.stops = self.controller.stops
         self.controller = self.wires.controller = fresh
         self._values = _power_up_values(self.model)
-        self._away_until_s = until_s
+        self._booted_s = self._away_until_s = until_s
 
     def place_wall(self, z_m: float, stiffness_N_per_m: float) -> None:
         """A linear wall from now on, in place of the tissue."""

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable
 from hw.emulators.controller import Controller, Power, Runtime, Safety
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
+SEND_BUFFER = 65536
 UNREAD_S = 10.0
 """A client that leaves its packages unread for this long is disconnected."""
 
@@ -183,6 +184,7 @@ class Server:
             connection, _ = self._listener.accept()
             connection.setblocking(False)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
             wire = self._wire(self, connection)
             self.wires.append(wire)
             self.selector.register(connection, selectors.EVENT_READ, lambda now_s: self._receive(wire, now_s))

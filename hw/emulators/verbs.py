@@ -1,39 +1,6 @@
-"""What can be done to the emulated cell, and asked of it, over the control channel.
+"""What can be done to the emulated cell, and asked of it, over the control channel; docs/emulators.md is its reference.
 
 A request is one JSON object on a line, `{"do": VERB, …}`; the answer is one too, `{"ok": true, …}` or `{"ok": false, "error": …}`.
-Durations are `s` in seconds. Times in answers are on the host's monotonic clock, wrenches and heights in base axes.
-
-| sensor verb | does |
-|---|---|
-| `silent` `s` | sends nothing |
-| `slow` `every` `s` | sends one frame in so many |
-| `stuck` `s` | repeats its last values, the counter runs |
-| `garbage` `bytes` | so many random bytes before the next frame |
-| `lose` `bytes` | so many bytes of the next frames are lost |
-| `flip` `frames` | one bit is wrong in each of the next frames |
-| `swap` `frames` | two neighbouring bytes of the values change places (the sum does not see it) |
-| `false_header` `frames` | a header and five random bytes before each of the next frames |
-| `counter_jump` `by` | the counter leaps |
-| `status` `word` `s` | the status word |
-| `overload` `s` | the status bit of Fz overload |
-| `drift` `N_per_s` | Fz reads more and more pressed; 0 ends the drift and takes it back |
-| `unplug`, `replug` | the device goes away; comes back powered up afresh |
-
-| robot verb | does |
-|---|---|
-| `freeze` `s` | the network hangs, both directions; connections stay open |
-| `drop` | closes every RTDE connection |
-| `slow_packets` `every` `s` | sends one package in so many |
-| `protective_stop`, `emergency_stop`, `power_off`, `program_stop` | what they say; released over the dashboard |
-| `restart` `s` | the controller restarts and answers again after `s` |
-| `refuse_version` `on` | answers the protocol version with no |
-
-| cell verb | does |
-|---|---|
-| `wall` `z_m` `stiffness_N_per_m` | a linear wall from now on, in place of the tissue |
-| `truth` `reset` | `tip_z_m`, `target_z_m`, `contact_N`, `peak_contact_N` (since the last reset), `surface_z_m` under the tip |
-| `log` `since_s` | `samples` (a cycle: t_s, target speed, its vz, target z, tip z, contact force, runtime state), `stops` (t_s, reason) |
-| `stats` | wake-ups of the last minute: `late_us_p50`, `late_us_p99`, `late_us_max`, and `cpu_s`, `now_s` |
 """
 
 import time

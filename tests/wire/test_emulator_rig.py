@@ -1,8 +1,9 @@
 """Controller, cell and sensor together, millisecond by millisecond, told the time."""
 
 import os
+import socket
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import serial
 from hw.emulators.controller import MODELS, Runtime
 from hw.emulators.hex_pty import UNZEROED
 from hw.emulators.rig import Rig
+from hw.emulators.verbs import VERBS, obey
 from palpd.cell_file import cell_from
 
 SCRIPT = "def rtde_control():\n# float register offset\n0 # int register offset\n0\nend\n"
@@ -24,8 +26,8 @@ class Bench:
 
     def __init__(self, link: Path, model: str = "ur5", mount_rotation_rad: float = 0.0, **cell: Any) -> None:
         file = cell_from({"sensor": QUIET, **cell}, "test")
-        host = f"127.1.{os.getpid() % 250 + 2}.{MODELS[model].version[0]}"
-        self.rig = Rig(MODELS[model], file, host, link, mount_rotation_rad=mount_rotation_rad)
+        self.host = f"127.1.{os.getpid() % 250 + 2}.{MODELS[model].version[0]}"
+        self.rig = Rig(MODELS[model], file, self.host, link, mount_rotation_rad=mount_rotation_rad)
         self.t_s = 100.0
         self.begin_program()
 
@@ -178,3 +180,71 @@ def test_the_log_tells_when_the_target_came_to_rest(link: Path) -> None:
     moving = [sample.t_s for sample in bench.rig.samples if sample.speed_m_per_s > 0.0]
     assert 0.0 <= moving[-1] - stopped_s <= 2 * 0.008
     assert bench.rig.samples[-1].runtime == Runtime.STOPPED
+
+
+def test_a_client_that_does_not_read_is_disconnected_after_ten_seconds(link: Path) -> None:
+    bench = Bench(link)
+    with socket.socket() as lazy:
+        lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        lazy.connect((bench.host, 30004))
+        names = b"actual_q,target_q,actual_qd,target_qd,actual_TCP_pose,target_TCP_pose,actual_TCP_speed,target_TCP_speed"
+        lazy.sendall(struct.pack(">HBd", 11 + len(names), ord("O"), 125.0) + names + struct.pack(">HB", 3, ord("S")))
+        bench.run(9.0)
+        assert len(bench.rig.wires.rtde.wires) == 1
+        bench.run(5.0)
+        assert len(bench.rig.wires.rtde.wires) == 0
+
+
+def test_a_late_rig_skips_packages_and_still_sends_one_a_cycle(link: Path) -> None:
+    bench = Bench(link)
+    with socket.create_connection((bench.host, 30004), timeout=1.0) as client:
+        client.sendall(struct.pack(">HBd", 20, ord("O"), 125.0) + b"timestamp" + struct.pack(">HB", 3, ord("S")))
+        bench.run(0.02)
+        client.recv(4096)
+        for k in range(800):  # 0.8 s are made up in 0.2 s
+            bench.t_s += 0.001
+            bench.rig.tick(bench.t_s, 200.0 + 0.2 * k / 800, late=True)
+        assert len(client.recv(65536)) / 12 == pytest.approx(0.2 / 0.008, abs=2)
+
+
+def test_every_verb_stands_in_the_document() -> None:
+    document = (Path(__file__).parents[2] / "docs" / "emulators.md").read_text(encoding="utf-8")
+    assert [verb for verb in (*VERBS, "stats") if f"`{verb}`" not in document] == []
+
+
+@pytest.mark.parametrize(
+    ("request_", "seen"),
+    [
+        ({"do": "silent", "s": 1.0}, lambda rig: rig.daq.faults.silent_until_s > 100.0),
+        ({"do": "slow", "every": 4, "s": 1.0}, lambda rig: rig.daq.faults.slow_every == 4),
+        ({"do": "stuck", "s": 1.0}, lambda rig: rig.daq.faults.stuck_until_s > 100.0),
+        ({"do": "garbage", "bytes": 9}, lambda rig: len(rig.daq.faults.garbage) == 9),
+        ({"do": "lose", "bytes": 9}, lambda rig: rig.daq.faults.lose_bytes == 9),
+        ({"do": "flip"}, lambda rig: rig.daq.faults.flips == 1),
+        ({"do": "swap", "frames": 3}, lambda rig: rig.daq.faults.swaps == 3),
+        ({"do": "false_header"}, lambda rig: rig.daq.faults.false_headers == 1),
+        ({"do": "status", "word": 0x400, "s": 1.0}, lambda rig: rig.daq.faults.status == 0x400),
+        ({"do": "overload", "s": 1.0}, lambda rig: rig.daq.faults.status == 1 << 7),
+        ({"do": "drift", "N_per_s": 1.0}, lambda rig: rig.daq.faults.drift_N_per_s == 1.0),
+        ({"do": "unplug"}, lambda rig: not rig.line.plugged),
+        ({"do": "refuse_version"}, lambda rig: rig.wires.refuse_version),
+        ({"do": "emergency_stop"}, lambda rig: rig.controller.safety == 7),
+        ({"do": "protective_stop"}, lambda rig: rig.controller.safety == 3),
+        ({"do": "power_off"}, lambda rig: rig.controller.power == 3),
+        ({"do": "program_stop"}, lambda rig: rig.controller.program is None),
+        ({"do": "wall", "z_m": 0.01, "stiffness_N_per_m": 1e3}, lambda rig: rig.surface_m(0.0, 0.0) == 0.01),
+    ],
+)
+def test_a_verb_makes_its_fault(link: Path, request_: dict[str, Any], seen: Callable[[Rig], bool]) -> None:
+    rig = Bench(link).rig
+    assert not seen(rig)
+    assert obey(rig, request_, 100.5, [0.0]) == {"ok": True}
+    assert seen(rig)
+
+
+def test_the_counter_leaps_when_told_and_goes_on_where_the_process_did_not(link: Path) -> None:
+    rig = Bench(link).rig
+    before = rig.daq.counter
+    obey(rig, {"do": "counter_jump", "by": 1000}, 100.5, [0.0])
+    rig.skip(250)
+    assert (rig.daq.counter - before) % 65536 == 1250

@@ -220,17 +220,30 @@ for k in range(1000):
         killed_s = time.monotonic()
         process.wait()
     time.sleep(0.6)
-    log = [
-        dict(zip(("t_s", "speed", "vz", "target_m", "tip_m", "contact_N", "runtime"), row, strict=True))
-        for row in wires.ask("log", since_s=killed_s - 0.05)["samples"]
-    ]
-    moving = [row["t_s"] for row in log if row["speed"] > 0.0]
-    at_kill = min(log, key=lambda row: abs(row["t_s"] - killed_s))
-    assert at_kill["vz"] == pytest.approx(-0.01)
-    assert log[-1]["runtime"] == 1
+    log = wires.log(killed_s - 0.05)
+    moving = [row.t_s for row in log if row.speed_m_per_s > 0.0]
+    at_kill = min(log, key=lambda row: abs(row.t_s - killed_s))
+    assert at_kill.vz_m_per_s == pytest.approx(-0.01)
+    assert log[-1].runtime == 1
     assert 0.5 / watchdog_Hz < moving[-1] - killed_s <= stopped_s
-    assert at_kill["tip_m"] - log[-1]["tip_m"] <= travel_m
-    assert log[-1]["tip_m"] == pytest.approx(log[-1]["target_m"], abs=1e-6)
+    assert at_kill.tip_z_m - log[-1].tip_z_m <= travel_m
+    assert log[-1].tip_z_m == pytest.approx(log[-1].target_z_m, abs=1e-6)
+
+
+def test_an_emulator_that_stood_still_does_not_trip_the_watchdog_of_a_client_that_did_not(wires: Emulated) -> None:
+    body = """
+c.setWatchdog(50.0); say()
+for k in range(250):
+    c.speedL(UP if k % 100 < 50 else DOWN, 0.5); time.sleep(0.004)
+out.update(runtime=r.getRuntimeState(), late=r.getTimestamp())
+"""
+    with client(wires.host, CONNECT + body) as process:
+        told(process)
+        time.sleep(0.2)
+        os.kill(wires.pid, signal.SIGSTOP)
+        time.sleep(0.3)
+        os.kill(wires.pid, signal.SIGCONT)
+        assert told(process)["runtime"] == 2
 
 
 def test_a_blocking_move_under_a_watchdog_stops_itself(wires: Emulated) -> None:
@@ -291,8 +304,7 @@ def test_without_a_watchdog_a_killed_client_leaves_the_robot_moving_and_a_new_on
         process.send_signal(signal.SIGKILL)
         process.wait()
     time.sleep(0.4)
-    before = cb3.ask("log", since_s=time.monotonic() - 0.1)["samples"]
-    assert min(row[2] for row in before) == pytest.approx(0.01)
+    assert min(row.vz_m_per_s for row in cb3.log(time.monotonic() - 0.1)) == pytest.approx(0.01)
     said = run(cb3.host, CONNECT + "time.sleep(0.1); out.update(v=r.getTargetTCPSpeed(), runtime=r.getRuntimeState())")
     assert said == {"v": [0.0] * 6, "runtime": 2}
 
@@ -561,6 +573,19 @@ def test_it_prints_two_lines_and_ends_with_0_on_sigterm(tmp_path: Path) -> None:
         assert process.wait(timeout=5.0) == 0
         assert process.stdout.read() == ""
     assert not os.path.lexists(link)
+
+
+def test_it_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
+    code = "import sys, time; from pathlib import Path; from hw.emulators.process import started\n"
+    code += f"with started(Path(sys.argv[1]), host={next(_hosts)!r}) as wires: print(wires.pid, flush=True); time.sleep(60)"
+    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        parent.kill()
+    deadline = time.monotonic() + 3.0
+    while (alive := Path(f"/proc/{pid}").exists()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not alive
 
 
 def test_a_verb_that_is_wrong_is_refused_and_harms_nothing(cb3: Emulated) -> None:
