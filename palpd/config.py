@@ -30,7 +30,7 @@ class RobotConfig(_Frozen):
     model: Literal["ur5", "ur5e"] = "ur5"
     rtde_rate_Hz: float | None = Field(default=None, gt=0, le=500)
     tcp: tuple[float, float, float, float, float, float] | None = None
-    watchdog_Hz: float = Field(default=25.0, ge=5, le=100)
+    watchdog_Hz: float = Field(default=20.0, ge=5, le=100)
     acceleration_m_per_s2: float = Field(default=0.5, gt=0, le=5)
 
     @property

@@ -75,10 +75,11 @@ def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, model: str =
     """
     file = folder / "emulated-cell.yaml"
     save_cell(file, cell)
+    # a watchdog of 10 Hz: whoever tries the demo has other things running, and an emulated arm hurts nobody
     host = f"127.{os.getpid() >> 16 & 255}.{os.getpid() >> 8 & 255}.{os.getpid() % 253 + 2}"  # its own, so that two can run at once
     with emulated(folder, model, file, host) as wires:
         yield Config(
-            robot=RobotConfig.model_validate({"host": host, "model": model}),
+            robot=RobotConfig.model_validate({"host": host, "model": model, "watchdog_Hz": 10}),
             sensor=SensorConfig(port=wires.sensor),
             safety=SafetyConfig(contact_limit_N=16.0 if plan is SHORT else 25.0, absolute_limit_N=40.0),
             paths=PathsConfig(runs=folder, state=folder / "state"),

@@ -55,6 +55,10 @@ class Record(Protocol):
 
     def __call__(self, turn: Turn) -> None: ...
 
+    def rehearse(self, turn: Turn) -> None:
+        """Do the same and keep nothing."""
+        ...
+
 
 @dataclass(slots=True)
 class Outcome:
@@ -169,7 +173,10 @@ class Loop:
             robot, frames = self.robot.read(), self.sensor.read()
             timing = Timing(index, robot.t_s, robot.t_s)
             contact = rehearsed.contact(robot, frames if len(frames) else ONE_FRAME)
-            guard(self.limits, Guard(), self._sight(timing, robot, frames, contact, Request.NONE, Progress()), STILL)
+            sight = self._sight(timing, robot, frames, contact, Request.NONE, Progress())
+            _, verdict = guard(self.limits, Guard(), sight, STILL)
+            Tare().add(robot, frames)
+            self.record.rehearse(Turn(timing, robot, frames, contact, Request.NONE, Proposal(), verdict, 0.0))
 
     def turn(self) -> bool:
         """One tick; false when it was the last."""

@@ -234,6 +234,9 @@ class RingWriter:
         fill(self._ring.slot(), turn)
         self._ring.publish()
 
+    def rehearse(self, turn: Turn) -> None:
+        fill(self._ring.slot(), turn)  # never published, so no reader sees it
+
 
 def fill(row: np.void, turn: Turn) -> None:
     """Write a turn into a row (ROW of palpd.tick)."""

@@ -154,6 +154,9 @@ class _Compare:
                     break
         self._at += 1
 
+    def rehearse(self, turn: Turn) -> None:
+        """Nothing to warm up."""
+
 
 def replay_samples(samples: Samples, config: Config) -> dict[str, Any]:
     """Tare, compensation, contact and guard on every row of a recording that was tared when it was made; no sequence.

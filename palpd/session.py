@@ -9,7 +9,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from palpd import results
 from palpd.config import Config, Plan, refuse_unsafe
-from palpd.errors import Refused, Stopped
+from palpd.errors import RecordingError, Refused, Stopped
 from palpd.motion import Build, Job, Kind
 from palpd.overshoot import refuse_overload
 from palpd.record import Recording
@@ -102,7 +102,11 @@ def findings(report: Report) -> dict[str, Any]:
         "loop": {},
     }
     if report.recording is not None:
-        recording = Recording.load(report.recording)
+        try:
+            recording = Recording.load(report.recording)
+        except RecordingError as error:  # a run that ended before its first tick has a reason of its own, which must not be hidden
+            found["notes"].append(str(error))
+            return found
         found["loop"] = results.loop_figures(recording.rows)
         found["model_card"] = recording.header["model_card"]
         if recording.header["kind"] == "palpation":

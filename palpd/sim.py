@@ -9,7 +9,7 @@ import numpy as np
 
 from palpd.cell import Cell
 from palpd.cell_file import CellFile
-from palpd.tick import PROGRAM_PLAYING, RobotMode, RobotState, SafetyMode, SensorFrames
+from palpd.tick import PROGRAM_PLAYING, Floats, RobotMode, RobotState, SafetyMode, SensorFrames
 
 FZ_OFFSET_N = -50.0
 """An un-zeroed sensor reads tens of newtons; here always these."""
@@ -54,8 +54,9 @@ class SimCell:
         sensor = np.column_stack([block.wrench[:, 0], -block.wrench[:, 1], -block.wrench[:, 2], block.wrench[:, 3], -block.wrench[:, 4:]])
         sensor[:, 2] += FZ_OFFSET_N
         step = np.where(self._resolution > 0, self._resolution, 1e-12)
+        wrench: Floats = np.asarray(np.round(sensor / step) * step)
         counters = (np.arange(self._ms - self._steps, self._ms) & 0xFFFF).astype(np.uint16)
-        self.frames = SensorFrames(t_s, counters, np.zeros(self._steps, np.uint16), np.asarray(np.round(sensor / step) * step, dtype=np.float64))
+        self.frames = SensorFrames(t_s, counters, np.zeros(self._steps, np.uint16), wrench)
         pose = (*block.position_m[-1].tolist(), math.pi, 0.0, 0.0)
         zeros = (0.0, 0.0, 0.0)
         self.state = RobotState(

@@ -45,10 +45,13 @@ def ran(
     job = Job(kind, settings, plan or Plan(), reference=REFERENCE, machine_stiffness_N_per_m=machine_stiffness_N_per_m)  # type: ignore[arg-type]
     rows: list[np.void] = []
 
-    def record(turn: Turn) -> None:
-        row = np.zeros(1, ROW)[0]
-        fill(row, turn)
-        rows.append(row)
+    class Record:
+        def __call__(self, turn: Turn) -> None:
+            row = np.zeros(1, ROW)[0]
+            fill(row, turn)
+            rows.append(row)
+
+        def rehearse(self, turn: Turn) -> None: ...
 
     sim = SimCell(cell, 125.0, seed=seed)
     loop = Loop(
@@ -58,7 +61,7 @@ def ran(
         sequence_of(job, DELAY_S),
         Explainer(np.array(REFERENCE)),
         limits_of(settings),
-        record,
+        Record(),
         request=lambda: (requests or {}).get(len(rows), Request.NONE),
     )
     outcome = loop.run()
