@@ -49,7 +49,7 @@ class SimCell:
         self._target = before + self._speed * self._steps * 1e-3
         share = (np.arange(1, self._steps + 1) / self._steps)[:, None]
         block = self._cell.step(before + share * (self._target - before))
-        t_s = (self._ms + np.arange(1, self._steps + 1)) * 1e-3
+        t_s: Floats = np.arange(self._ms + 1, self._ms + self._steps + 1, dtype=np.float64) * 1e-3
         self._ms += self._steps
         sensor = np.column_stack([block.wrench[:, 0], -block.wrench[:, 1], -block.wrench[:, 2], block.wrench[:, 3], -block.wrench[:, 4:]])
         sensor[:, 2] += FZ_OFFSET_N
