@@ -129,8 +129,11 @@ def train(
     runs: Annotated[list[Path], typer.Argument(help="recordings of free motion (.mcap or .csv)")],
     out: Annotated[Path, typer.Option("--out", help="model to write (.onnx); its card is written beside it (.json)")],
     config: ConfigOption = DEFAULT_CONFIG,
+    method: Annotated[
+        str, typer.Option("--method", help="linear (b - m a), network (the paper's 2-10-1), prior-network or bias")
+    ] = "linear",
 ) -> None:
-    """Learn the inertial model (2-10-1) from free motion; write it with its card."""
+    """Learn the inertial model from free motion; write it with its card. Which method is best: docs/compensation.md."""
     from palpd.config import load_config
     from palpd.record import Recording, samples_of
     from palpd.samples import read
@@ -149,7 +152,13 @@ def train(
         raise BadInput(
             f"the recordings come from different sensors ({', '.join(map(str, sorted(serials, key=str)))}); train on one sensor's"
         )
-    card = learn(recordings, out, probe_mass_kg=settings.cell.probe.mass_kg, sensor_serial=next(iter(serials), None))
+    card = learn(
+        recordings,
+        out,
+        probe_mass_kg=settings.cell.probe.mass_kg,
+        sensor_serial=next(iter(serials), None),
+        method=method,  # type: ignore[arg-type]
+    )
     console.print(
         f"{out} and its card: {card.n} points, rmse {card.rmse_N * 1e3:.1f} mN; bias {card.bias_N:+.3f} N, "
         f"inertia {card.inertial_rms_N * 1e3:.1f} mN rms of a moving mass of {card.mass_kg:.3f} kg."

@@ -1,7 +1,9 @@
-"""Learning the inertial model from free motion, after Guo, Xiao, Ren 2019: repeats averaged, smoothed, differentiated, 2-10-1.
+"""Learning the inertial model from free motion, after Guo, Xiao, Ren 2019: repeats averaged, smoothed, differentiated, then fitted.
 
-What the network takes away is said in three parts on its card: a bias (tare, drift, rounding), the inertia of a mass, and the
-rest. An inertial force averages to nothing over a motion from rest to rest, so whatever mean is left is no inertia.
+What is fitted is a choice: a line b - m a, the paper's network 2-10-1, or the line with a small bounded network on top; which is
+best is measured in docs/compensation.md. What it takes away is said in three parts on its card: a bias (tare, drift, rounding),
+the inertia of a mass, and the rest. An inertial force averages to nothing over a motion from rest to rest, so whatever mean is left
+is no inertia.
 """
 
 import hashlib
@@ -13,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import onnx
@@ -29,7 +31,18 @@ from palpd.samples import Samples
 from palpd.tick import Floats, RobotMode, RobotState, SafetyMode
 from palpd.young import correlated_sigmas, student_t_95
 
+Method = Literal["linear", "network", "prior-network", "bias"]
+METHODS: tuple[Method, ...] = get_args(Method)
+"""b - m a; the paper's 2-10-1; b - m a with a bounded network on what that leaves; a constant."""
+DEFAULT_METHOD: Method = "linear"
+"""The best of those that the loop can run, by docs/compensation.md."""
 HIDDEN = 10
+PRIOR_HIDDEN = 4
+PRIOR_LIMIT_N = 0.02
+"""The most that a network on top of the line may say: cables and friction, not contact."""
+EXTRAPOLATION_N = 0.02
+LARGEST_SPEED_M_PER_S, LARGEST_ACCELERATION_M_PER_S2 = 0.25, 5.0
+"""A law may be asked beyond what it was trained on while its own uncertainty stays below that force, within what the arm can do."""
 POINTS = 500
 SMOOTHING_S = 0.025
 """Window of the centred moving average, applied twice: it leaves 1 mN of a 0.06 N noise averaged over ten cycles, and a start of the
@@ -51,14 +64,17 @@ OPSET, IR_VERSION = 17, 8
 class Card:
     """What is known of a trained model; stored beside it as JSON. Intervals are 95 %.
 
-    `rmse_N` is the network's error over its `n` training points, `raw_rms_N` the scatter of single samples around the mean cycle,
+    `input_range` is where it may be asked, `trained_range` what it has seen: a network has no more, a law reaches further.
+    `rmse_N` is the model's error over its `n` training points, `raw_rms_N` the scatter of single samples around the mean cycle,
     `run_time_rms_N` what the causal features of run time change in its output. Of its output `bias_N` is constant, `inertial_rms_N` the
     inertia -m a and `other_rms_N` neither; mass, bias and drag are a line b - m a - c v fitted to the same mean cycle.
     """
 
     schema: str
+    method: str
     inputs: list[dict[str, str]]
     input_range: dict[str, list[float]]
+    trained_range: dict[str, list[float]]
     output: dict[str, str]
     rmse_N: float
     bias_N: float
@@ -102,12 +118,15 @@ def train(
     probe_mass_kg: float,
     sensor_serial: str | None = None,
     sensor_delay_s: float = 0.0,
+    method: Method = DEFAULT_METHOD,
 ) -> Card:
-    """Learn velocity and acceleration -> fz from tared free motion, and write the network and its card.
+    """Learn velocity and acceleration -> fz from tared free motion, and write the model and its card.
 
     `sensor_delay_s` is how late the sensor's filter shows a force. Raises RecordingError where a recording contains contact, clips,
     differs in motion from the others, or moves too little to tell mass from bias; BadInput where a file would be overwritten.
     """
+    if method not in METHODS:
+        raise BadInput(f"there is no method {method!r} of training; choose one of {', '.join(METHODS)}")
     for path in (out, card_path(out)):
         if path.exists():
             raise BadInput(f"{path.name} exists and is not overwritten; choose another name or move it away")
@@ -127,16 +146,16 @@ def train(
     at = np.linspace(0.0, len(force_N) - 1.0, POINTS)
     points = np.column_stack([np.interp(at, np.arange(len(force_N)), column) for column in (*features.T, force_N)])
     features, force_N = points[:, :2], points[:, 2]
-    content, predicted_N = _network(features, force_N)
-    input_range = {
-        name: [float(low), float(high)]
-        for (name, _), low, high in zip(INPUTS, features.min(axis=0), features.max(axis=0), strict=True)
-    }
+    content, predicted_N = _model(method, features, force_N, fitted, half)
+    seen = np.stack([features.min(axis=0), features.max(axis=0)], axis=1)
+    allowed = _reach(seen, half) if method != "network" else seen
     inertia_N = -mass_kg * features[:, 1]
     card = Card(
         schema=SCHEMA,
+        method=method,
         inputs=[{"name": name, "unit": unit} for name, unit in INPUTS],
-        input_range=input_range,
+        input_range=_named(allowed),
+        trained_range=_named(seen),
         output={"name": OUTPUT_NAME, "unit": "N"},
         rmse_N=_rms(predicted_N - force_N),
         bias_N=bias_N,
@@ -279,14 +298,48 @@ def _line(cycles: list[_Cycle], step_s: float, sensor_delay_s: float, probe_mass
     return solution, half
 
 
+def _model(method: Method, features: Floats, force_N: Floats, fitted: Floats, half: Floats) -> tuple[bytes, Floats]:
+    """A model as ONNX, and what it says of its own training points in N. `fitted` and `half` (3,) are of `_line`.
+
+    The line takes the drag along only where it is larger than its uncertainty.
+    """
+    mass_kg, bias_N, drag_N_s_per_m = fitted.tolist()
+    if method == "network":
+        return _network(features, force_N)
+    weights = np.array([-drag_N_s_per_m if abs(drag_N_s_per_m) > half[2] else 0.0, -mass_kg])
+    if method == "bias":
+        weights, bias_N = np.zeros(2), float(force_N.mean())
+    line_N: Floats = features @ weights + bias_N
+    line = {"line_weights": weights[:, None], "line_offset": np.array([bias_N])}
+    if method != "prior-network":
+        return _onnx([helper.make_node("Gemm", [INPUT_NAME, *line], [OUTPUT_NAME])], line), line_N
+    rest = np.clip((force_N - line_N) / PRIOR_LIMIT_N, -0.9, 0.9)
+    hidden, predicted = _perceptron(features, np.arctanh(rest), PRIOR_HIDDEN)
+    limited = {**line, **hidden, "limit": np.array([PRIOR_LIMIT_N])}
+    nodes = [
+        helper.make_node("Gemm", [INPUT_NAME, *line], ["line"]),
+        *_layers("rest"),
+        helper.make_node("Tanh", ["rest"], ["bounded"]),
+        helper.make_node("Mul", ["bounded", "limit"], ["small"]),
+        helper.make_node("Add", ["line", "small"], [OUTPUT_NAME]),
+    ]
+    return _onnx(nodes, limited), line_N + PRIOR_LIMIT_N * np.tanh(predicted)
+
+
 def _network(features: Floats, force_N: Floats) -> tuple[bytes, Floats]:
-    """The trained network as ONNX (Gemm, Tanh, Gemm, scalers folded in), and what it says of its own training points in N."""
+    """The paper's network 2-10-1 as ONNX, and what it says of its own training points in N."""
+    weights, predicted_N = _perceptron(features, force_N, HIDDEN)
+    return _onnx(_layers(OUTPUT_NAME), weights), predicted_N
+
+
+def _perceptron(features: Floats, target: Floats, hidden: int) -> tuple[dict[str, Floats], Floats]:
+    """Weights of a trained perceptron with one hidden layer, scalers folded in, and its answers at the training points."""
     centre, scale = features.mean(axis=0), features.std(axis=0)
-    level, span = float(force_N.mean()), float(force_N.std()) or 1.0
-    fit = MLPRegressor(hidden_layer_sizes=(HIDDEN,), activation="tanh", solver="lbfgs", alpha=1e-3, max_iter=1000, random_state=0)
+    level, span = float(target.mean()), float(target.std()) or 1.0
+    fit = MLPRegressor(hidden_layer_sizes=(hidden,), activation="tanh", solver="lbfgs", alpha=1e-3, max_iter=1000, random_state=0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # a thousand steps fit what is there; more fit the noise
-        fit.fit((features - centre) / scale, (force_N - level) / span)
+        fit.fit((features - centre) / scale, (target - level) / span)
     (first, second), (first_offset, second_offset) = fit.coefs_, fit.intercepts_
     weights = {
         "hidden_weights": first / scale[:, None],
@@ -294,20 +347,39 @@ def _network(features: Floats, force_N: Floats) -> tuple[bytes, Floats]:
         "output_weights": second * span,
         "output_offset": second_offset * span + level,
     }
+    return weights, fit.predict((features - centre) / scale) * span + level
+
+
+def _layers(output: str) -> list[Any]:
+    """The nodes of a perceptron."""
+    return [
+        helper.make_node("Gemm", [INPUT_NAME, "hidden_weights", "hidden_offset"], ["hidden"]),
+        helper.make_node("Tanh", ["hidden"], ["active"]),
+        helper.make_node("Gemm", ["active", "output_weights", "output_offset"], [output]),
+    ]
+
+
+def _onnx(nodes: list[Any], weights: dict[str, Floats]) -> bytes:
     graph = helper.make_graph(
-        [
-            helper.make_node("Gemm", [INPUT_NAME, "hidden_weights", "hidden_offset"], ["hidden"]),
-            helper.make_node("Tanh", ["hidden"], ["active"]),
-            helper.make_node("Gemm", ["active", "output_weights", "output_offset"], [OUTPUT_NAME]),
-        ],
+        nodes,
         "inertial_force",
         [helper.make_tensor_value_info(INPUT_NAME, TensorProto.FLOAT, ["rows", len(INPUTS)])],
         [helper.make_tensor_value_info(OUTPUT_NAME, TensorProto.FLOAT, ["rows", 1])],
         [numpy_helper.from_array(values.astype(np.float32), name) for name, values in weights.items()],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION, producer_name="palpd")
-    predicted_N: Floats = fit.predict((features - centre) / scale) * span + level
-    return model.SerializeToString(deterministic=True), predicted_N
+    return model.SerializeToString(deterministic=True)
+
+
+def _reach(seen: Floats, half: Floats) -> Floats:
+    """Least and largest of each input (2, 2) up to which the uncertainty of drag and mass (`half` of mass, bias, drag) is small."""
+    limits = np.array([LARGEST_SPEED_M_PER_S, LARGEST_ACCELERATION_M_PER_S2])
+    reach = np.minimum(EXTRAPOLATION_N / np.maximum(half[[2, 0]], 1e-12), limits)
+    return np.stack([np.minimum(seen[:, 0], -reach), np.maximum(seen[:, 1], reach)], axis=1)
+
+
+def _named(ranges: Floats) -> dict[str, list[float]]:
+    return {name: [float(low), float(high)] for (name, _), (low, high) in zip(INPUTS, ranges, strict=True)}
 
 
 def _causal_rms_N(model: InertialModel, samples: Samples, sensor_delay_s: float) -> float:

@@ -11,7 +11,7 @@ from palpd.errors import BadInput, RecordingError
 from palpd.inertial import InertialModel, card_path
 from palpd.samples import Samples
 from palpd.tick import Floats
-from palpd.train import Card, train
+from palpd.train import METHODS, Card, Method, train
 
 MASS_KG = 0.2
 COUNT_N = 0.131
@@ -155,3 +155,28 @@ def test_nothing_is_overwritten(trained: tuple[Card, Path]) -> None:
     with pytest.raises(BadInput, match="exists and is not overwritten"):
         train([free_motion()], out, probe_mass_kg=MASS_KG)
     assert out.read_bytes() == before
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_writes_a_model_that_the_daemon_accepts(method: Method, tmp_path: Path) -> None:
+    card = train([free_motion(0, speed_m_per_s=0.03)], tmp_path / "m.onnx", probe_mass_kg=MASS_KG, method=method)
+    model = InertialModel.load(tmp_path / "m.onnx", probe_mass_kg=MASS_KG)
+    still, braking = model.predict(np.array([[0.0, 0.0], [0.0, 0.3]]))
+    assert card.method == method
+    assert still == pytest.approx(0.19, abs=0.015)
+    assert still - braking == pytest.approx(0.0 if method == "bias" else 0.3 * MASS_KG, abs=0.02)
+
+
+def test_a_line_reaches_further_than_what_it_was_trained_on_and_a_network_does_not(tmp_path: Path) -> None:
+    hard = np.array([[0.0, 2.0]])
+    for method, expected_N in (("linear", 2.0 * MASS_KG), ("network", 0.5 * MASS_KG)):
+        card = train([free_motion(0), free_motion(1)], tmp_path / f"{method}.onnx", probe_mass_kg=MASS_KG, method=method)
+        model = InertialModel.load(tmp_path / f"{method}.onnx", probe_mass_kg=MASS_KG)
+        away_N = float(model.predict(np.zeros((1, 2)))[0] - model.predict(hard)[0])
+        assert abs(away_N - expected_N) < 0.1, method
+        assert (card.input_range != card.trained_range) == (method == "linear")
+
+
+def test_an_unknown_method_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="there is no method 'magic' of training; choose one of linear, network"):
+        train([free_motion(0)], tmp_path / "m.onnx", probe_mass_kg=MASS_KG, method="magic")  # type: ignore[arg-type]

@@ -1,0 +1,203 @@
+"""Which method of compensation is best, measured on motion and days that none has seen; writes the table of docs/compensation.md.
+
+    python benchmarks/compensation.py [--seed N] [--recordings N] [--write]
+"""
+
+import argparse
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from palpd.cell_file import CellFile, Tissue
+from palpd.compensate import SENSOR_DELAY_S, Exported, Method, corrections, features, methods, stream
+from palpd.results import PEAK_WINDOW_S
+from palpd.study_cell import STEP_S, Move, Take, free_cell, ramps, setup, take
+from palpd.tick import Floats
+from palpd.train import SMOOTHING_S
+from palpd.young import student_t_95
+
+DOC = Path(__file__).parents[1] / "docs" / "compensation.md"
+BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
+HOME_M = 0.03
+TRAINED_BIAS_N = 0.19
+Effects = dict[str, dict[str, float]]
+
+
+@dataclass
+class Figures:
+    """What one method did: errors of free motion per recording, of peaks per press, in N; of moduli per press; cost in s."""
+
+    same_day: list[float] = field(default_factory=list)
+    other_day: list[float] = field(default_factory=list)
+    outside: list[float] = field(default_factory=list)
+    peak: list[float] = field(default_factory=list)
+    modulus: list[float] = field(default_factory=list)
+    step_s: float = 0.0
+
+
+def floor_N(cell: CellFile) -> float:
+    """Noise and rounding of one sample."""
+    return math.hypot(cell.sensor.noise_rms_N, cell.sensor.resolution_fz_N / math.sqrt(12.0))
+
+
+def day(rng: np.random.Generator) -> Effects:
+    """Another day: what the tare leaves, how the sensor warms up, and its hysteresis, within the data sheet (2 % of 200 N)."""
+    return {
+        "sensor.bias": {"offset_N": rng.normal(TRAINED_BIAS_N, 0.06)},
+        "sensor.warmup": {"amplitude_N": rng.uniform(-0.1, 0.3), "tau_s": rng.uniform(60.0, 600.0)},
+        "sensor.hysteresis": {"width_N": 1.0, "amplitude_N": rng.uniform(0.0, 0.03)},
+    }
+
+
+def training_day() -> Effects:
+    """The day of the free motion that all methods learned from."""
+    return {"sensor.bias": {"offset_N": TRAINED_BIAS_N}, "sensor.warmup": {"amplitude_N": 0.05, "tau_s": 600.0}}
+
+
+def strokes(rng: np.random.Generator, speed: tuple[float, float], acceleration: tuple[float, float]) -> list[Move]:
+    """Free motion of drawn speeds, accelerations and strokes."""
+    moves = [Move(HOME_M, 0.02, 1.0)]
+    for _ in range(6):
+        v, a = rng.uniform(*speed), rng.uniform(*acceleration)
+        moves += [Move(HOME_M + rng.uniform(0.005, 0.04), v, 0.3, a), Move(HOME_M, v, 0.3, a)]
+    return moves
+
+
+def presses(rng: np.random.Generator) -> list[Move]:
+    """Four presses of one depth, from 8 mm above the surface, at drawn speeds."""
+    depth_m = rng.uniform(0.002, 0.006)
+    moves = [Move(0.008, 0.02, 1.0)]
+    for _ in range(4):
+        v, a = rng.uniform(0.005, 0.05), rng.uniform(0.2, 1.0)
+        moves += [Move(-depth_m, v, 0.0, a), Move(0.008, v, 0.5, a)]
+    return moves
+
+
+def recordings(cell: CellFile, seed: int, count: int) -> tuple[list[Take], dict[str, list[Take]]]:
+    """Free motion to learn from, and recordings to be judged by, in groups."""
+    cycle = [Move(HOME_M, 0.02, 0.5), *[Move(HOME_M + stroke, 0.02, 0.3) for _ in range(10) for stroke in (0.02, 0.0)]]
+    learned = [take(free_cell(cell, training_day()), ramps(HOME_M, cycle)[0], seed * 1000 + k) for k in range(2)]
+    judged: dict[str, list[Take]] = {"same_day": [], "other_day": [], "outside": [], "contact": []}
+    for k in range(count):
+        rng = np.random.default_rng([seed, k])
+        slow, fast = ((0.005, 0.05), (0.2, 0.5)), ((0.05, 0.1), (1.0, 2.0))
+        plan = [("same_day", training_day(), slow), ("other_day", day(rng), slow), ("outside", day(rng), fast)]
+        for group, effects, drawn in plan:
+            judged[group].append(take(free_cell(cell, effects), ramps(HOME_M, strokes(rng, *drawn))[0], seed * 1000 + 100 + k))
+        tissue = cell.model_copy(update={"tissue": Tissue(youngs_modulus_Pa=rng.uniform(5e4, 1.5e5)), "effects": day(rng)})
+        judged["contact"].append(take(tissue, ramps(0.008, presses(rng))[0], seed * 1000 + 500 + k))
+    return learned, judged
+
+
+def judge(method: Method, judged: dict[str, list[Take]]) -> Figures:
+    """Run a method over all recordings."""
+    found = Figures()
+    for group in ("same_day", "other_day", "outside"):
+        getattr(found, group).extend(_rms(run.fz_N - corrections(method, run)) for run in judged[group])
+    for run in judged["contact"]:
+        corrected_N = run.fz_N - corrections(method, run)
+        for error_N, contact_N in peaks(run, corrected_N):
+            found.peak.append(error_N)
+            found.modulus.append(error_N / contact_N)
+    samples = list(stream(judged["contact"][0]))
+    method.start()
+    begin_s = time.perf_counter()
+    for sample in samples:
+        method.step(sample)
+    found.step_s = (time.perf_counter() - begin_s) / len(samples)
+    return found
+
+
+def peaks(run: Take, corrected_N: Floats) -> list[tuple[float, float]]:
+    """Error of the contact force at each peak of the reading, and the true force there, means over the window of a peak."""
+    width = round(PEAK_WINDOW_S / STEP_S)
+    mean = np.convolve(run.fz_N, np.full(width, 1.0 / width), mode="valid")
+    touching = run.contact_N[: len(mean)] > 0.1
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], touching.astype(int), [0]))))
+    found = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        at = first + int(np.argmax(mean[first:last]))
+        window = slice(at, at + width)
+        true_N = float(run.contact_N[window].mean())
+        found.append((float(corrected_N[window].mean()) - true_N, true_N))
+    return found
+
+
+def smoothing_gap_N(exported: Exported, runs: Sequence[Take]) -> float:
+    """How far a model's answer from causal features is from that with features smoothed over past and future, rms."""
+    gaps = []
+    for run in runs:
+        width = 2 * round(SMOOTHING_S / STEP_S / 2.0) + 1
+        window = np.full(width, 1.0 / width)
+        smooth = np.convolve(np.convolve(run.vz_m_per_s, window, mode="same"), window, mode="same")
+        both = np.column_stack([smooth, np.gradient(smooth, STEP_S)])
+        both = np.column_stack([np.interp(run.t_s - SENSOR_DELAY_S, run.t_s, column) for column in both.T])[width:-width]
+        causal = features(run.robot_t_s, run.robot_vz_m_per_s, run.t_s)[width:-width]
+        gaps.append(np.mean((exported.model.predict(causal) - exported.model.predict(both)) ** 2))
+    return math.sqrt(float(np.mean(gaps)))
+
+
+def table(compared: list[tuple[Method, Figures]], floor: float, seed: int, count: int) -> str:
+    """Markdown; intervals are 95 % of the mean over recordings."""
+    lines = [
+        f"Seed {seed}; {count} recordings a column of free motion, {len(compared[0][1].peak)} presses. Noise and rounding of a sample: "
+        f"{floor * 1e3:.0f} mN rms.",
+        "",
+        "| method | free motion, same day (mN rms) | other days | other days, faster than trained | peak force, rms error (mN) "
+        "| modulus at the peak, rms error (%) | cost (µs a sample) |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for method, found in compared:
+        free = [_interval(np.array(values) * 1e3) for values in (found.same_day, found.other_day, found.outside)]
+        peak, modulus = _rms_interval(np.array(found.peak) * 1e3), _rms(np.array(found.modulus)) * 100
+        lines.append(f"| {method.name} | {' | '.join(free)} | {peak} | {modulus:.1f} | {found.step_s * 1e6:.1f} |")
+    return "\n".join(lines)
+
+
+def _interval(values: Floats) -> str:
+    half = student_t_95(len(values) - 1) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    return f"{values.mean():.0f} ± {half:.0f}"
+
+
+def _rms_interval(errors: Floats) -> str:
+    """Bootstrap over recordings of four presses."""
+    squares = (errors**2).reshape(-1, 4).mean(axis=1)
+    drawn = np.random.default_rng(0).choice(squares, (2000, len(squares))).mean(axis=1)
+    low, high = np.sqrt(np.percentile(drawn, [2.5, 97.5]))
+    return f"{_rms(errors):.0f} ({low:.0f}–{high:.0f})"
+
+
+def _rms(values: Floats) -> float:
+    return math.sqrt(float(np.mean(np.square(values))))
+
+
+def main() -> None:
+    """Measure, print, and write into the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--recordings", type=int, default=16)
+    parser.add_argument("--write", action="store_true", help="put the table into docs/compensation.md")
+    asked = parser.parse_args()
+    cell = setup("A")
+    learned, judged = recordings(cell, asked.seed, asked.recordings)
+    compared = []
+    for method in methods():
+        method.fit(learned)
+        compared.append((method, judge(method, judged)))
+    text = table(compared, floor_N(cell), asked.seed, asked.recordings)
+    gaps = [(method.name, smoothing_gap_N(method, judged["outside"])) for method, _ in compared if isinstance(method, Exported)]
+    text += "\n\nWhat training with the future costs at run time without it (faster motion, mN rms): "
+    text += "; ".join(f"{name} {gap * 1e3:.1f}" for name, gap in gaps) + "."
+    print(text)
+    if asked.write:
+        page = DOC.read_text(encoding="utf-8")
+        head, rest = page.split(BEGIN)
+        DOC.write_text(f"{head}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

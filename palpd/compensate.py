@@ -1,0 +1,424 @@
+"""What fz reads beside the contact, predicted sample by sample from what is known online: the methods that were compared.
+
+All have one interface: learn from recordings of free motion, start afresh with a recording (a new tare), then say for each sensor
+sample how much of fz is no contact. Nothing is seen before it has come. Sources: [paper] Guo, Xiao, Ren 2019; [29, 30] Kubus et al.
+2008, 2009; [31] Bätz et al. 2013; [32] Farsoni et al. 2017. The free-air ones learn on during a recording, but only while the tip
+touches nothing: a bias that learns under contact would learn the contact away.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from palpd.inertial import InertialModel, Motion
+from palpd.study_cell import STEP_S, CUTOFF_Hz, Take
+from palpd.tick import Floats, RobotMode, RobotState, SafetyMode
+from palpd.train import Method as Trained
+from palpd.train import train
+
+SENSOR_DELAY_S = 1.0 / (2.0 * math.pi * CUTOFF_Hz)
+FREE_N = 0.3
+"""A corrected force below this over `FREE_S` is free air; above it the zero stands still."""
+FREE_S = 0.02
+KNOWN_FREE_S = 0.5
+"""A recording begins at rest after a tare, which is refused in contact: so long the tip is known to be free."""
+ROLLBACK_S = 0.3
+"""When contact is seen the zero goes back to what it was so long ago, before the first newtons that were not seen."""
+ZERO_S = 1.0
+"""Time over which a running zero averages: 0.065 N of noise and rounding leaves 2 mN."""
+HOLD_OFF_S = 0.2
+SPEED_NOISE_M_PER_S = 2.0e-4
+TOOL_NOISE_M_PER_S2 = 0.1
+JERK_M_PER_S3 = 8.0
+"""Change of acceleration per second that observers expect, rms: 0.5 m/s² within a servo's 60 ms."""
+BIAS_WALK_N = 0.002
+"""Change of bias in one second that observers expect: a warm-up of 0.3 N in minutes."""
+MASS_SIGMA_KG = 0.03
+READING_SIGMA_N = 0.065
+
+
+class Sample(NamedTuple):
+    """One sensor sample with what is known when it is explained. `speed` and `tool_az` are NaN unless a robot state has just come."""
+
+    t_s: float
+    fz_N: float
+    vz_m_per_s: float
+    az_m_per_s2: float
+    commanded_az_m_per_s2: float
+    speed_m_per_s: float
+    tool_az_m_per_s2: float
+
+
+class Method(Protocol):
+    """A way to say how much of fz is no contact."""
+
+    name: str
+
+    def fit(self, runs: Sequence[Take]) -> None:
+        """Learn from tared free motion."""
+        ...
+
+    def start(self) -> None:
+        """A recording begins: after a tare, at rest, in free air."""
+        ...
+
+    def step(self, sample: Sample) -> float:
+        """What of this sample's fz is no contact, N."""
+        ...
+
+
+def features(robot_t_s: Floats, speed: Floats, t_s: Floats, delay_s: float = SENSOR_DELAY_S) -> Floats:
+    """Speed and acceleration (n, 2) as the loop has them when it explains each sample: from the states up to the tick it came in."""
+    motion, found = Motion(delay_s), np.empty((len(t_s), 2))
+    zeros = (0.0,) * 6
+    ends = np.searchsorted(t_s, robot_t_s, side="right")
+    begin = 0
+    for end, when_s, vz in zip(ends.tolist(), robot_t_s.tolist(), speed.tolist(), strict=True):
+        moving = (0.0, 0.0, vz, 0.0, 0.0, 0.0)
+        motion.update(RobotState(when_s, when_s, zeros, moving, zeros, moving, zeros[:3], RobotMode.RUNNING, SafetyMode.NORMAL, 1, 2, True))
+        found[begin:end] = motion.features(t_s[begin:end])
+        begin = end
+    found[begin:] = motion.features(t_s[begin:])
+    return found
+
+
+def stream(run: Take) -> Iterator[Sample]:
+    """The samples of a recording in their order."""
+    seen = features(run.robot_t_s, run.robot_vz_m_per_s, run.t_s)
+    commanded = features(run.robot_t_s, run.target_vz_m_per_s, run.t_s)[:, 1]
+    at_state = np.full((len(run.t_s), 2), np.nan)
+    at_state[np.searchsorted(run.t_s, run.robot_t_s)] = np.column_stack([run.robot_vz_m_per_s, run.tool_az_m_per_s2])
+    columns = np.column_stack([run.t_s, run.fz_N, seen, commanded, at_state])
+    return (Sample(*row) for row in columns.tolist())
+
+
+def corrections(method: Method, run: Take) -> Floats:
+    """What a method takes from fz in each sample of a recording, (n,) in N."""
+    method.start()
+    return np.array([method.step(sample) for sample in stream(run)])
+
+
+def _line(runs: Sequence[Take]) -> tuple[float, float]:
+    """Bias and mass of fz = b - m a over all samples, with the acceleration that the loop has."""
+    az = np.concatenate([features(run.robot_t_s, run.robot_vz_m_per_s, run.t_s)[:, 1] for run in runs])
+    fz_N = np.concatenate([run.fz_N for run in runs])
+    slopes = np.column_stack([np.ones(len(az)), -az])
+    bias_N, mass_kg = np.linalg.lstsq(slopes, fz_N, rcond=None)[0].tolist()
+    return bias_N, mass_kg
+
+
+class Nothing:
+    """Every newton is contact."""
+
+    name = "none"
+
+    def fit(self, runs: Sequence[Take]) -> None:
+        """Nothing to learn."""
+
+    def start(self) -> None:
+        """Nothing to forget."""
+
+    def step(self, sample: Sample) -> float:
+        """Nothing."""
+        return 0.0
+
+
+class Bias(Nothing):
+    """The mean of free motion."""
+
+    name = "bias only"
+    bias_N = 0.0
+
+    def fit(self, runs: Sequence[Take]) -> None:
+        """The mean."""
+        self.bias_N = float(np.mean(np.concatenate([run.fz_N for run in runs])))
+
+    def step(self, sample: Sample) -> float:
+        """Always the same."""
+        return self.bias_N
+
+
+class Line(Nothing):
+    """fz = b - m a by least squares over the samples, with the features of run time."""
+
+    name = "m·a + bias"
+    bias_N = mass_kg = 0.0
+
+    def fit(self, runs: Sequence[Take]) -> None:
+        """Bias and mass."""
+        self.bias_N, self.mass_kg = _line(runs)
+
+    def step(self, sample: Sample) -> float:
+        """Bias and inertia."""
+        return self.bias_N - self.mass_kg * sample.az_m_per_s2
+
+
+class Exported(Nothing):
+    """A model as `palpd train --method` writes it and the daemon runs it, one sample a call."""
+
+    def __init__(self, method: Trained, name: str) -> None:
+        self._method, self.name = method, name
+        self.model: InertialModel
+
+    def fit(self, runs: Sequence[Take]) -> None:
+        """Train, write, and load what was written."""
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "inertial.onnx"
+            train([run.samples() for run in runs], path, probe_mass_kg=0.2, sensor_delay_s=SENSOR_DELAY_S, method=self._method)
+            self.model = InertialModel.load(path, probe_mass_kg=0.2)
+
+    def step(self, sample: Sample) -> float:
+        """The network's answer."""
+        return float(self.model.predict(np.array([[sample.vz_m_per_s, sample.az_m_per_s2]]))[0])
+
+
+class FreeAir:
+    """Whether the tip is free, judged by the corrected force over the last 20 ms."""
+
+    def __init__(self) -> None:
+        self._recent: deque[float] = deque(maxlen=max(1, round(FREE_S / STEP_S)))
+        self._begun_s = self._touched_s = -math.inf
+        self.touched = False
+
+    def start(self) -> None:
+        """A recording begins, in free air."""
+        self._recent.clear()
+        self._begun_s, self._touched_s, self.touched = math.nan, -math.inf, False
+
+    def __call__(self, t_s: float, corrected_N: float) -> bool:
+        """True in free air; `touched` is true in the sample in which contact is first seen."""
+        if math.isnan(self._begun_s):
+            self._begun_s = t_s
+        self._recent.append(corrected_N)
+        free_before = t_s - self._touched_s > HOLD_OFF_S
+        if t_s - self._begun_s < KNOWN_FREE_S:
+            self.touched = False
+            return True
+        touching = abs(math.fsum(self._recent) / len(self._recent)) > FREE_N
+        self.touched = touching and free_before
+        if touching:
+            self._touched_s = t_s
+        return not touching and free_before
+
+
+class RunningZero:
+    """Bias from the free air just before, mass from training: fz = zero(t) - m a."""
+
+    name = "m·a + running zero"
+
+    def __init__(self) -> None:
+        self.mass_kg = self._learned_N = 0.0
+        self._free = FreeAir()
+        self._zero_N = self._weight = 0.0
+        self._past: deque[float] = deque(maxlen=max(1, round(ROLLBACK_S / STEP_S)))
+
+    def fit(self, runs: Sequence[Take]) -> None:
+        """Mass; and the bias to start with."""
+        self._learned_N, self.mass_kg = _line(runs)
+
+    def start(self) -> None:
+        """The zero of the last recording is not that of this one."""
+        self._free.start()
+        self._zero_N, self._weight = self._learned_N, 0.0
+        self._past.clear()
+
+    def step(self, sample: Sample) -> float:
+        """Bias and inertia; a mean over all free samples so far until that is longer than the time over which it averages."""
+        inertia_N = -self.mass_kg * sample.az_m_per_s2
+        rest_N = sample.fz_N - inertia_N
+        if self._free(sample.t_s, rest_N - self._zero_N):
+            self._weight = min(self._weight + STEP_S, ZERO_S)
+            self._zero_N += (rest_N - self._zero_N) * STEP_S / self._weight
+            self._past.append(self._zero_N)
+        elif self._free.touched and self._past:
+            self._zero_N = self._past[0]
+            self._past.clear()
+        return self._zero_N + inertia_N
+
+
+class InstrumentalVariables:
+    """Bias and mass learned on while the tip is free, with the commanded acceleration as instrument for the noisy one [29, 30]."""
+
+    name = "recursive instrumental variables"
+    forget = math.exp(-STEP_S / 10.0)
+
+    def __init__(self) -> None:
+        self._fitted = np.zeros(2)
+        self._theta = np.zeros(2)
+        self._P = np.eye(2)
+        self._free = FreeAir()
+
+    def fit(self, runs: Sequence[Take]) -> None:
+        """What to start with."""
+        self._fitted = np.array(_line(runs))
+
+    def start(self) -> None:
+        """Back to what was learned, sure of the mass and not of the bias."""
+        self._free.start()
+        self._theta = self._fitted.copy()
+        self._P = np.diag([1.0, (MASS_SIGMA_KG / READING_SIGMA_N) ** 2])
+
+    def step(self, sample: Sample) -> float:
+        """Bias and inertia."""
+        slopes = np.array([1.0, -sample.az_m_per_s2])
+        predicted_N = float(slopes @ self._theta)
+        if self._free(sample.t_s, sample.fz_N - predicted_N):
+            instrument = np.array([1.0, -sample.commanded_az_m_per_s2])
+            gain = self._P @ instrument / (self.forget + float(slopes @ self._P @ instrument))
+            self._theta = self._theta + gain * (sample.fz_N - predicted_N)
+            self._P = (self._P - np.outer(gain, slopes @ self._P)) / self.forget
+            self._P = np.clip(self._P, -1.0, 1.0)  # without motion nothing is learned of the mass and its covariance would grow for ever
+        return predicted_N
+
+
+@dataclass(frozen=True, slots=True)
+class _Model:
+    """State (bias, mass, speed, acceleration, what the filter shows of bias and inertia) of the observers [31]."""
+
+    pole: float = 1.0 - math.exp(-2.0 * math.pi * CUTOFF_Hz * STEP_S)
+
+    def ahead(self, x: Floats) -> Floats:
+        """One sensor sample later; x is (5,) or (5, k)."""
+        bias, mass, speed, acceleration, shown = x
+        return np.array([bias, mass, speed + acceleration * STEP_S, acceleration, shown + self.pole * (bias - mass * acceleration - shown)])
+
+    def slope(self, x: Floats) -> Floats:
+        """Derivative of `ahead`, (5, 5)."""
+        F = np.eye(5)
+        F[2, 3] = STEP_S
+        F[4] = self.pole, -self.pole * x[3], 0.0, -self.pole * x[1], 1.0 - self.pole
+        return F
+
+
+def _walk(with_tool: bool) -> Floats:
+    """Covariance that one sample adds."""
+    jerk = JERK_M_PER_S3**2 * 0.06 * STEP_S  # changes of acceleration last 60 ms, so they add up like a walk of that correlation
+    return np.diag([BIAS_WALK_N**2 * STEP_S, 1e-12, 0.0, jerk, 0.0])
+
+
+READING, SPEED, TOOL = np.eye(5)[[4, 2, 3]]
+
+
+class ExtendedKalman:
+    """Observer of bias, mass and motion, linearised about its estimate; fz is believed while the tip is free [31]."""
+
+    def __init__(self, accelerometer: bool) -> None:
+        self.name = "extended Kalman" + (" + accelerometer" if accelerometer else "")
+        self._tool = accelerometer
+        self._model = _Model()
+        self._Q = _walk(accelerometer)
+        self._fitted = (0.0, 0.0)
+        self._x = np.zeros(5)
+        self._P = np.eye(5)
+        self._free = FreeAir()
+
+    def fit(self, runs: Sequence[Take]) -> None:
+        """What to start with."""
+        self._fitted = _line(runs)
+
+    def start(self) -> None:
+        """At rest, the mass known, the bias not."""
+        self._free.start()
+        bias_N, mass_kg = self._fitted
+        self._x = np.array([bias_N, mass_kg, 0.0, 0.0, bias_N])
+        self._P = np.diag([0.1**2, MASS_SIGMA_KG**2, 1e-6, 1e-4, 0.1**2])
+
+    def step(self, sample: Sample) -> float:
+        """Bias and inertia as the filter shows them."""
+        self._predict()
+        if not math.isnan(sample.speed_m_per_s):
+            self._correct(SPEED, sample.speed_m_per_s, SPEED_NOISE_M_PER_S)
+            if self._tool:
+                self._correct(TOOL, sample.tool_az_m_per_s2, TOOL_NOISE_M_PER_S2)
+        shown_N = float(self._x[4])
+        if self._free(sample.t_s, sample.fz_N - shown_N):
+            self._correct(READING, sample.fz_N, READING_SIGMA_N)
+        return shown_N
+
+    def _predict(self) -> None:
+        F = self._model.slope(self._x)
+        self._x = self._model.ahead(self._x)
+        self._P = F @ self._P @ F.T + self._Q
+
+    def _correct(self, row: Floats, measured: float, sigma: float) -> None:
+        across = self._P @ row
+        gain = across / (float(row @ across) + sigma**2)
+        self._x = self._x + gain * (measured - float(row @ self._x))
+        self._P = self._P - np.outer(gain, across)
+
+
+class UnscentedKalman(ExtendedKalman):
+    """The same observer, its uncertainty carried by eleven points instead of a slope [31]."""
+
+    def __init__(self, accelerometer: bool) -> None:
+        super().__init__(accelerometer)
+        self.name = "unscented Kalman" + (" + accelerometer" if accelerometer else "")
+
+    def _predict(self) -> None:
+        """Julier's points with kappa = 1: weights 1/6 in the middle and 1/12 around it."""
+        root = np.linalg.cholesky(6.0 * (self._P + 1e-15 * np.eye(5)))
+        points = self._x[:, None] + np.concatenate((np.zeros((5, 1)), root, -root), axis=1)
+        later = self._model.ahead(points)
+        weights = np.full(11, 1.0 / 12.0)
+        weights[0] = 1.0 / 6.0
+        self._x = later @ weights
+        away = later - self._x[:, None]
+        self._P = (away * weights) @ away.T + self._Q
+
+
+class AxisKalman(Nothing):
+    """Acceleration from speed and accelerometer by a linear Kalman filter, mass and bias from training: [32] without its rotations."""
+
+    name = "one-axis Kalman (quaternion idea)"
+
+    def __init__(self) -> None:
+        self._bias_N = self._mass_kg = self._shown_N = 0.0
+        self._x, self._P = np.zeros(2), np.eye(2)
+        self._F = np.array([[1.0, STEP_S], [0.0, 1.0]])
+        self._Q = np.diag([0.0, _walk(True)[3, 3]])
+        self._R = np.diag([SPEED_NOISE_M_PER_S**2, TOOL_NOISE_M_PER_S2**2])
+        self._pole = _Model().pole
+
+    def fit(self, runs: Sequence[Take]) -> None:
+        """Bias and mass."""
+        self._bias_N, self._mass_kg = _line(runs)
+
+    def start(self) -> None:
+        """At rest."""
+        self._x, self._P, self._shown_N = np.zeros(2), np.diag([1e-6, 1e-4]), self._bias_N
+
+    def step(self, sample: Sample) -> float:
+        """Bias and inertia as the filter shows them."""
+        self._x = self._F @ self._x
+        self._P = self._F @ self._P @ self._F.T + self._Q
+        if not math.isnan(sample.speed_m_per_s):
+            gain = self._P @ np.linalg.inv(self._P + self._R)
+            self._x = self._x + gain @ (np.array([sample.speed_m_per_s, sample.tool_az_m_per_s2]) - self._x)
+            self._P = self._P - gain @ self._P
+        self._shown_N += self._pole * (self._bias_N - self._mass_kg * float(self._x[1]) - self._shown_N)
+        return self._shown_N
+
+
+def methods() -> list[Method]:
+    """All that are compared."""
+    return [
+        Nothing(),
+        Bias(),
+        Line(),
+        Exported("linear", "m·a + bias, exported"),
+        Exported("network", "2-10-1 network (the paper's)"),
+        Exported("prior-network", "m·a + bias + bounded network"),
+        InstrumentalVariables(),
+        AxisKalman(),
+        ExtendedKalman(accelerometer=False),
+        ExtendedKalman(accelerometer=True),
+        UnscentedKalman(accelerometer=False),
+        UnscentedKalman(accelerometer=True),
+        RunningZero(),
+    ]

@@ -1,0 +1,110 @@
+"""Methods of compensation: causal, learn mass and bias, stand still under contact; on the emulated cell with the paper's sensor."""
+
+import numpy as np
+import pytest
+
+from palpd.cell_file import Tissue
+from palpd.compensate import FreeAir, Line, Method, Nothing, RunningZero, corrections, features, methods, stream
+from palpd.study_cell import STEP_S, Move, Take, free_cell, ramps, setup, take
+
+CELL = setup("A")
+BIAS = {"sensor.bias": {"offset_N": 0.19}}
+CYCLE = [Move(0.03, 0.02, 0.5), *[Move(0.03 + way, 0.05, 0.3) for _ in range(8) for way in (0.02, 0.0)]]
+
+
+@pytest.fixture(scope="module")
+def learned() -> list[Take]:
+    return [take(free_cell(CELL, BIAS), ramps(0.03, CYCLE)[0], seed) for seed in (1, 2)]
+
+
+@pytest.fixture(scope="module")
+def fitted(learned: list[Take]) -> list[Method]:
+    found = methods()
+    for method in found:
+        method.fit(learned)
+    return found
+
+
+def other_day(offset_N: float, seed: int = 7) -> Take:
+    return take(free_cell(CELL, {"sensor.bias": {"offset_N": offset_N}}), ramps(0.03, CYCLE[:9])[0], seed)
+
+
+def pressed(seed: int = 9) -> Take:
+    cell = CELL.model_copy(update={"tissue": Tissue(youngs_modulus_Pa=8e4), "effects": {"sensor.bias": {"offset_N": 0.25}}})
+    moves = [Move(0.008, 0.02, 1.0), Move(-0.004, 0.02, 3.0), Move(0.008, 0.02, 1.0)]
+    return take(cell, ramps(0.008, moves)[0], seed)
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_ramps_end_where_they_should_at_the_speed_they_may() -> None:
+    z_m, spans = ramps(0.0, [Move(0.02, 0.05, 0.1), Move(-0.001, 0.02)])
+    assert z_m[spans[0][1] - 1] == pytest.approx(0.02, abs=1e-9)
+    assert z_m[-1] == pytest.approx(-0.001, abs=2e-5)
+    assert np.abs(np.diff(z_m)).max() / STEP_S == pytest.approx(0.05, rel=1e-6)
+    assert np.abs(np.diff(z_m, 2)).max() / STEP_S**2 < 1.1
+
+
+def test_no_method_sees_the_future(fitted: list[Method]) -> None:
+    whole = pressed()
+    cut = len(whole.t_s) // 2
+    states = cut // 4 + 1
+    part = Take(*(getattr(whole, n)[: states if n.startswith(("robot", "target", "tool")) else cut] for n in Take.__slots__))
+    for method in fitted:
+        early = cut - 12  # the last tick of the part is incomplete
+        np.testing.assert_array_equal(corrections(method, whole)[:early], corrections(method, part)[:early], err_msg=method.name)
+
+
+def test_every_method_but_none_takes_away_bias_and_inertia_on_the_day_it_learned(fitted: list[Method]) -> None:
+    run = other_day(0.19)
+    for method in fitted:
+        left_N = rms(run.fz_N - corrections(method, run))
+        if type(method) is Nothing:
+            assert left_N > 0.15
+        else:
+            assert left_N < (0.12 if method.name == "bias only" else 0.075), method.name
+
+
+def test_a_learned_bias_fails_on_another_day_and_a_running_zero_does_not(fitted: list[Method]) -> None:
+    run = other_day(0.3)
+    left_N = {method.name: rms(run.fz_N - corrections(method, run)) for method in fitted}
+    assert left_N["m·a + bias"] > 0.11
+    assert left_N["2-10-1 network (the paper's)"] > 0.11
+    for name in ("m·a + running zero", "recursive instrumental variables", "extended Kalman", "unscented Kalman + accelerometer"):
+        assert left_N[name] < 0.07, name
+
+
+def test_the_mass_found_is_the_probes(learned: list[Take]) -> None:
+    line = Line()
+    line.fit(learned)
+    assert line.mass_kg == pytest.approx(0.2, abs=0.015)
+
+
+def test_a_running_zero_does_not_learn_the_contact_away(learned: list[Take]) -> None:
+    run = pressed()
+    method = RunningZero()
+    method.fit(learned)
+    held = (run.t_s > 2.5) & (run.t_s < 4.0)
+    assert run.contact_N[held].min() > 1.5
+    assert rms((run.fz_N - corrections(method, run) - run.contact_N)[held]) < 0.08
+    assert float(np.mean((run.fz_N - corrections(method, run) - run.contact_N)[held])) == pytest.approx(0.0, abs=0.04)
+
+
+def test_free_air_begins_known_and_ends_with_a_force() -> None:
+    free = FreeAir()
+    free.start()
+    assert free(0.0, 1.0)  # rest after the tare
+    assert [free(1.0 + k * STEP_S, 0.0) for k in range(150)][-1]
+    seen = [free(1.3 + k * STEP_S, 1.0) for k in range(12)]
+    assert not seen[-1]
+    assert not free(1.35, 0.0)  # a moment without force is not yet free air
+
+
+def test_features_are_those_of_the_loop() -> None:
+    run = other_day(0.0)
+    found = features(run.robot_t_s, run.robot_vz_m_per_s, run.t_s)
+    assert found.shape == (len(run.t_s), 2)
+    assert rms(found[:, 0] - np.interp(run.t_s - 0.0106, run.t_s, run.vz_m_per_s)) < 2e-3
+    assert [sample.az_m_per_s2 for sample in stream(run)][::500] == pytest.approx(found[::500, 1].tolist())
