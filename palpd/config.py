@@ -1,6 +1,7 @@
 """config.yaml and plan.yaml as frozen models: unknown keys, missing units and unsafe limits are refused in one sentence."""
 
 import difflib
+import math
 import os
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar
@@ -71,6 +72,11 @@ class SensorConfig(_Frozen):
         if any(abs(counts) < 1e-6 for counts in (*(self.counts_per_N or ()), *(self.counts_per_Nm or ()))):
             raise ValueError("counts_per_N and counts_per_Nm must not be zero")
         return self
+
+
+def filter_delay_s(cutoff_Hz: float | None) -> float:
+    """How much later than a force a one-pole low-pass shows it: 1 / (2π f_c)."""
+    return 1.0 / (2.0 * math.pi * cutoff_Hz) if cutoff_Hz else 0.0
 
 
 class ModelConfig(_Frozen):
@@ -223,7 +229,7 @@ def load_plan(path: Path) -> Plan:
 def parse_plan(values: object, where: str) -> Plan:
     """A plan that came as data. Raises ConfigError, one sentence."""
     if not isinstance(values, dict):
-        raise ConfigError(f"{where} holds {type(values).__name__}, expected keys and values; see docs/plan.md")
+        raise ConfigError(f"{where} holds {type(values).__name__}, expected keys and values; see plan.yaml in the repository")
     return _validated(Plan, values, where)
 
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from palpd.config import FZ_CAPACITY_N, Config, Plan
+from palpd.config import FZ_CAPACITY_N, Config, Plan, filter_delay_s
 from palpd.errors import ConfigError
 
 LINK_S = 0.001
@@ -26,10 +26,9 @@ class Term:
 def delays(config: Config, speed_m_per_s: float) -> tuple[Term, ...]:
     """Every delay between the force at the tip and the tip at rest."""
     sensor, robot, servo = config.sensor, config.robot, config.cell.robot
-    cutoff_Hz = sensor.filter_cutoff_Hz
     lag_s = 2.0 * servo.servo_damping_ratio / (2.0 * math.pi * servo.servo_natural_frequency_Hz)
     return (
-        Term("sensor filter", 1.0 / (2.0 * math.pi * cutoff_Hz) if cutoff_Hz else 0.0, "one pole at sensor.filter_cutoff_Hz"),
+        Term("sensor filter", filter_delay_s(sensor.filter_cutoff_Hz), "one pole at sensor.filter_cutoff_Hz"),
         Term("sensor sample", 1.0 / sensor.rate_Hz, "sensor.rate_Hz"),
         Term("serial line", LINK_S, "measured on an emulated line"),
         Term("loop", 1.0 / robot.rate_Hz, "one tick, worst phase"),

@@ -4,18 +4,15 @@ From an MCAP every decision is made again and compared bit for bit. A CSV has no
 through tare, compensation, contact and guard row by row.
 """
 
-import json
-import tempfile
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from palpd.config import Config, Plan, parse_config, parse_plan
 from palpd.errors import RecordingError
-from palpd.inertial import InertialModel, Motion, card_path
+from palpd.inertial import InertialModel, Motion
 from palpd.loop import Explainer, Loop, Turn
 from palpd.motion import Job, fill, limits_of, sequence_of
 from palpd.record import RecordedRobot, RecordedSensor, Recording
@@ -94,7 +91,7 @@ def replay(recording: Recording, config: Config | None = None) -> dict[str, Any]
     )
     model = None
     if recording.model_bytes is not None and header["model_card"] is not None:
-        model = _model(recording)
+        model = InertialModel.from_bytes(recording.model_bytes, header["model_card"])
     explainer = Explainer(
         reference=np.array(header["reference"], dtype=float),
         rotation_about_flange_z_rad=config.sensor.rotation_about_flange_z_rad,
@@ -123,16 +120,6 @@ def replay(recording: Recording, config: Config | None = None) -> dict[str, Any]
         "peak_force_N": float(rows["force_N"].max()),
         "realtime_factor": float(rows["now_s"][-1] - rows["now_s"][0]) / max(took_s, 1e-9),
     }
-
-
-def _model(recording: Recording) -> InertialModel:
-    """The model that the run used, from the recording itself."""
-    card = recording.header["model_card"]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "model.onnx"
-        path.write_bytes(recording.model_bytes or b"")
-        card_path(path).write_text(json.dumps(card))
-        return InertialModel.load(path, probe_mass_kg=card["probe"]["mass_kg"], sensor_serial=card.get("sensor_serial"))
 
 
 class _Compare:
