@@ -277,9 +277,10 @@ def test_a_robot_is_read_moved_and_stopped(emulated: Emulated) -> None:
         for _ in range(int(0.4 * rate_Hz)):
             robot.stop(); time.sleep(1 / rate_Hz)
         after = robot.read()
-        out.update(age=time.monotonic() - after.t_s, rose=after.z_m - before.z_m, moved_s=moving.timestamp_s - before.timestamp_s, vz=moving.target_speed[2],
+        out.update(age=time.monotonic() - after.t_s, rose=after.z_m - before.z_m, vz=moving.target_speed[2],
             rest=after.target_speed[2], runtime=after.runtime_state, connected=after.connected,
             mode=after.robot_mode, safety=after.safety_mode, pose=after.tcp_pose, g=after.tool_acceleration_m_per_s2)
+        out["moved_s"] = moving.timestamp_s - before.timestamp_s
         period = robot.period_s
         out["phase"] = ((after.t_s - robot.arrival_phase_s) / period) % 1.0
         began = time.monotonic(); robot.close(); out["close_s"] = time.monotonic() - began
