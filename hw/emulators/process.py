@@ -97,10 +97,7 @@ def emulate(
     `end_with_parent`: also end, within a second, when the process that started this one is gone.
     `cell` None: the paper's phantom. Raises PalpdError, in one sentence, for a bad cell file or a port that is taken.
     """
-    stopping: list[int] = []
     parent = os.getppid() if end_with_parent else None
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda number, frame: stopping.append(number))
     cell_file = load_cell(cell) if cell is not None else PHANTOM
     try:
         rig = Rig(MODELS[model], cell_file, host, sensor_link, seed=seed, mount_rotation_rad=mount_rotation_rad)
@@ -109,6 +106,9 @@ def emulate(
             f"the emulators cannot listen on {host}, ports 29999, 30003 and 30004 ({error.strerror}); "
             "end what uses them or choose another --host."
         ) from None
+    stopping: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda number, frame: stopping.append(number))
     channel = ControlChannel(control, rig) if control is not None else None
     try:
         gc.collect()
@@ -174,7 +174,10 @@ class Emulated:
 
 @contextlib.contextmanager
 def started(folder: Path, model: str = "ur5", cell: Path | None = None, host: str = "127.0.0.1", *options: str) -> Iterator[Emulated]:
-    """Emulators in a process of their own, their link and control socket in `folder`; ended on leaving."""
+    """Emulators in a process of their own, their link and control socket in `folder`; ended on leaving.
+
+    Raises PalpdError, in the process's own sentence, if it does not get ready, and RuntimeError if it did not end well.
+    """
     control = folder / "control"
     command = [sys.executable, "-m", "hw.emulators", "--model", model, "--host", host]
     command += ["--sensor-link", str(folder / "hex"), "--control", str(control), "--end-with-parent", *options]
@@ -190,6 +193,9 @@ def started(folder: Path, model: str = "ur5", cell: Path | None = None, host: st
             process.wait(timeout=5.0)
             raise PalpdError(process.stderr.read().strip() or "the emulators ended before they were ready")
         yield Emulated(words[0][1], words[1][1], process.pid, control)
+        process.terminate()
+        if process.wait(timeout=5.0):
+            raise RuntimeError(f"the emulators ended with exit code {process.returncode}: {process.stderr.read().strip()}")
     finally:
         process.terminate()
         process.wait(timeout=5.0)

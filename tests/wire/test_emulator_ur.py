@@ -20,8 +20,8 @@ from typing import Any
 import pytest
 import serial
 
+from hw.emulators.__main__ import main
 from hw.emulators.process import Emulated, started
-from palpd.errors import PalpdError
 
 pytestmark = pytest.mark.hil
 
@@ -556,36 +556,28 @@ def test_an_unplugged_sensor_comes_back_powered_up_afresh(cb3: Emulated) -> None
 # the process
 
 
-def test_a_port_that_is_taken_is_one_sentence_and_exit_2(cb3: Emulated, tmp_path: Path) -> None:
-    with pytest.raises(PalpdError, match="cannot listen on") as refused, started(tmp_path, "ur5", None, cb3.host):
-        pass
-    assert "\n" not in str(refused.value)
+def test_a_port_that_is_taken_is_one_sentence_and_exit_2(
+    cb3: Emulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["emulators", "--host", cb3.host, "--sensor-link", str(tmp_path / "hex")])
+    assert main() == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert f"cannot listen on {cb3.host}" in said.err
+    assert not os.path.lexists(tmp_path / "hex")
 
 
-def test_it_prints_two_lines_and_ends_with_0_on_sigterm(tmp_path: Path) -> None:
+def test_it_prints_two_lines_and_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
     host, link = next(_hosts), tmp_path / "hex"
-    command = [sys.executable, "-m", "hw.emulators", "--host", host, "--sensor-link", str(link)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert [process.stdout.readline(), process.stdout.readline()] == [f"robot {host}\n", f"sensor {link}\n"]
-        assert link.is_symlink()
-        process.terminate()
-        assert process.wait(timeout=5.0) == 0
-        assert process.stdout.read() == ""
-    assert not os.path.lexists(link)
-
-
-def test_it_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
-    code = "import sys, time; from pathlib import Path; from hw.emulators.process import started\n"
-    code += f"with started(Path(sys.argv[1]), host={next(_hosts)!r}) as wires: print(wires.pid, flush=True); time.sleep(60)"
-    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True) as parent:
+    command = f"{sys.executable} -m hw.emulators --host {host} --sensor-link {link} --end-with-parent & wait"
+    with subprocess.Popen(["sh", "-c", command], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
-        pid = int(parent.stdout.readline())
+        assert [parent.stdout.readline(), parent.stdout.readline()] == [f"robot {host}\n", f"sensor {link}\n"]
+        assert link.is_symlink()
         parent.kill()
-    deadline = time.monotonic() + 3.0
-    while (alive := Path(f"/proc/{pid}").exists()) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert not alive
+        assert parent.stdout.read() == ""  # ends when the emulators have
+    assert not os.path.lexists(link)
 
 
 def test_a_verb_that_is_wrong_is_refused_and_harms_nothing(cb3: Emulated) -> None:
