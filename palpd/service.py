@@ -15,7 +15,7 @@ from palpd.errors import PalpdError, Refused
 from palpd.motion import Build, Job, Kind
 from palpd.overshoot import refuse_overload
 from palpd.ring import LoopState, Ring
-from palpd.state import State
+from palpd.state import Latch, State
 from palpd.supervisor import Report, Run, now, recording_name
 from palpd.tick import Phase, Request
 
@@ -41,6 +41,7 @@ class Service:
         self._cell: dict[str, Any] | None = None
         self._log = structlog.get_logger("palpd.service")
         self._ending = False
+        self._unkept: Latch | None = None
 
     def serve(self) -> None:
         """Serve until SIGTERM or SIGINT; a run that is under way is aborted and its recording closed first."""
@@ -51,7 +52,7 @@ class Service:
         except BaseException:
             self._free_ring()
             raise
-        latch = self._state.latch()
+        latch = self._latch()
         self._log.info("ready", socket=str(self._config.paths.control_socket), latched=latch.reason if latch else None)
         _notify("READY=1")
         try:
@@ -105,7 +106,7 @@ class Service:
 
     def _status(self, _: dict[str, Any]) -> dict[str, Any]:
         newest = self._ring.read(max(0, self._ring.published - 1))[0]
-        latch = self._state.latch()
+        latch = self._latch()
         found: dict[str, Any] = {
             "state": self._standing,
             "latched": latch.reason if latch else None,
@@ -126,6 +127,7 @@ class Service:
                 "verdict": self._last.verdict,
                 "reason": self._last.reason,
                 "recording": str(self._last.recording) if self._last.recording else None,
+                "notes": list(self._last.notes),
             }
         return found
 
@@ -134,7 +136,7 @@ class Service:
             self._refuse_running()
         if self._arming is not None:
             raise Refused("somebody else is arming the daemon; see palpd status")
-        latch = self._state.latch()
+        latch = self._latch()
         if latch is not None:
             raise Refused(f"the last run was stopped on {latch.date}: {latch.reason}; look at the cell, then palpd clear")
         if self._state.calibration() is None:
@@ -206,6 +208,7 @@ class Service:
 
     def _clear(self, _: dict[str, Any]) -> dict[str, Any]:
         self._refuse_running()
+        self._unkept = None
         self._state.clear_latch()
         self._log.info("cleared")
         return {"state": "disarmed"}
@@ -216,18 +219,24 @@ class Service:
         if self._run is not None:
             raise Refused("a plan is running; wait for its end, or palpd abort")
 
+    def _latch(self) -> Latch | None:
+        return self._unkept or self._state.latch()
+
     def _poll_run(self) -> None:
         if self._run is None:
             return
         if self._ending:
             self._run.ask(Request.ABORT)
-        report = self._run.poll()
+        try:
+            report = self._run.poll()
+        except PalpdError as error:  # the latch could not be written: it holds as long as this process lives
+            report, self._unkept = Report("stopped", str(error), 3), Latch(str(error), now())
         if report is not None and self._checking:
             self._checked(report)
             self._run = None
         elif report is not None:
             self._run, self._last, self._cell = None, report, None
-            self._log.info("ended", verdict=report.verdict, reason=report.reason, recording=str(report.recording))
+            self._log.info("ended", verdict=report.verdict, reason=report.reason, recording=str(report.recording), notes=report.notes)
 
     def _free_ring(self) -> None:
         self._ring.unlink()

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from palpd.errors import ConfigError
+from palpd.errors import ConfigError, Refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,15 +71,18 @@ class State:
             return Latch(f"the reason kept in {self.folder / 'latch.json'} cannot be read", "an unknown date")
 
     def keep(self, name: str, thing: Calibration | MachineStiffness | Latch) -> None:
-        """Write `thing` as `name`.json so that a crash leaves the old file or the new one, never half of it."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        """Write `thing` as `name`.json so that a crash leaves the old file or the new one, never half of it. Raises Refused."""
         path = self.folder / f"{name}.json"
         fresh = path.with_suffix(".new")
-        with fresh.open("w") as file:
-            json.dump(asdict(thing), file, indent=1)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(path)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with fresh.open("w") as file:
+                json.dump(asdict(thing), file, indent=1)
+                file.flush()
+                os.fsync(file.fileno())
+            fresh.replace(path)
+        except OSError as error:
+            raise Refused(f"{path} cannot be written ({error.strerror}); make room there, or run as the service's user") from error
 
     def clear_latch(self) -> None:
         """What an operator does; nothing else may."""

@@ -1,0 +1,253 @@
+"""The service under a real systemd: `make test-service`. Boots a container, installs palpd as an operator would, and maltreats it.
+
+The figures it measures are printed at the end. It runs as root, in about two minutes; elsewhere it is skipped, and says why.
+"""
+
+import json
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from palpd.control import ask
+from palpd.errors import Refused
+from palpd.record import Recording, recover
+from tests.service.container import INSIDE_CODE, INSIDE_PYTHON, Container, booted, missing, until
+
+pytestmark = [pytest.mark.hil, pytest.mark.skipif(missing() is not None, reason=f"booting systemd in a container {missing()}")]
+
+PYTHON = "/opt/palpd/.venv/bin/python"
+CONFIG = "/etc/palpd/config.yaml"
+SOCKET = "/run/palpd/palpd.sock"
+EMULATORS = "/run/emulators"
+PLAN = {"sites": [{"name": "A"}], "depths_m": [0.004], "mode": "static", "hold_s": 20.0, "search": {"max_travel_m": 0.08}}
+LIBRARIES = f"LD_LIBRARY_PATH={INSIDE_PYTHON}/lib"
+"""This Python was moved to another path, where a shared libpython would not be found by itself."""
+ENVIRONMENT = f"""\
+PALPD_SENSOR__PORT={EMULATORS}/hex
+# a shared machine may stand still for longer than a cell may; how fast the guard is, is tested elsewhere
+PALPD_SAFETY__ROBOT_STALE_S=0.4
+PALPD_SAFETY__SENSOR_STALE_S=0.4
+PALPD_SAFETY__MAX_STALL_S=0.4
+PALPD_ROBOT__WATCHDOG_HZ=5
+"""
+EMULATED = f"""\
+[Service]
+# the emulated sensor is a pseudo terminal
+DeviceAllow=char-pts rw
+Environment={LIBRARIES}
+"""
+
+
+class Installed:
+    """The installed service, and what was measured of it."""
+
+    def __init__(self, container: Container) -> None:
+        self.inside, self.figures = container, {}  # type: ignore[var-annotated]
+
+    def do(self, what: str, patience_s: float = 60.0, **more: Any) -> dict[str, Any]:
+        """A request over the control socket, from outside."""
+        return ask(self.inside.path(SOCKET), {"do": what, **more}, patience_s)
+
+    def emulated(self, verb: str, **more: Any) -> dict[str, Any]:
+        """A verb of the emulators."""
+        import socket
+
+        with socket.socket(socket.AF_UNIX) as channel:
+            channel.connect(str(self.inside.path(f"{EMULATORS}/control")))
+            channel.sendall(json.dumps({"do": verb, **more}).encode() + b"\n")
+            with channel.makefile("rb") as lines:
+                return dict(json.loads(lines.readline()))
+
+    @property
+    def pid(self) -> str:
+        return self.inside.shows("palpd", "MainPID")
+
+    @property
+    def restarts(self) -> int:
+        return int(self.inside.shows("palpd", "NRestarts"))
+
+    def state(self) -> str:
+        """Of the daemon, or "away"."""
+        try:
+            return str(self.do("status", 2.0)["state"])
+        except Refused:
+            return "away"
+
+    def until_state(self, state: str, patience_s: float = 30.0) -> float:
+        return until(lambda: self.state() == state, patience_s, f"the daemon is {state}")
+
+    def begin(self) -> None:
+        """A run that is well under way: the probe moves."""
+        self.do("arm")
+        self.do("start", plan=PLAN)
+        until(lambda: self.do("status").get("phase") in ("search", "press", "hold"), 30.0, "the search begins")
+
+    def processes(self) -> list[str]:
+        """Of the user palpd, other than the emulators."""
+        lines = self.inside.run("ps", "-u", "palpd", "-o", "pid=,args=", check=False).splitlines()
+        return [line for line in lines if "hw.emulators" not in line]
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installed]:
+    """Installed as systemd/README.md says, before emulated wires."""
+    with booted(tmp_path_factory.mktemp("nspawn")) as inside:
+        made = Installed(inside)
+        inside.run(f"{INSIDE_PYTHON}/bin/python3", "-m", "venv", "--without-pip", "/opt/palpd/.venv")
+        folder = next(inside.path("/opt/palpd/.venv/lib").iterdir()).name
+        packages = f"{INSIDE_CODE}/.venv/lib/{folder}/site-packages"
+        inside.write(f"/opt/palpd/.venv/lib/{folder}/site-packages/palpd.pth", f"{INSIDE_CODE}\n{packages}\n")
+        inside.run(PYTHON, "-m", "palpd", "install")
+        inside.run("systemd-sysusers")
+        inside.write("/etc/systemd/system/palpd.service.d/emulated.conf", EMULATED)
+        inside.write("/etc/palpd/environment", ENVIRONMENT)
+        inside.run("systemctl", "daemon-reload")
+        user = ["--property=User=palpd", "--property=RuntimeDirectory=emulators", "--property=LimitRTPRIO=60", f"--setenv={LIBRARIES}"]
+        command = [PYTHON, "-m", "hw.emulators", "--sensor-link", f"{EMULATORS}/hex", "--control", f"{EMULATORS}/control"]
+        inside.run("systemd-run", "--unit=emulators", *user, *command)
+        until(lambda: inside.path(f"{EMULATORS}/control").exists(), 30.0, "the emulators are ready")
+        yield made
+        print("\nmeasured:", json.dumps(made.figures, indent=1))
+
+
+def test_the_unit_is_clean_and_its_exposure_is_low(service: Installed) -> None:
+    assert service.inside.run("systemd-analyze", "verify", "/etc/systemd/system/palpd.service") == ""
+    judged = service.inside.run("systemd-analyze", "security", "--offline=true", "--threshold=15", "--no-pager", "palpd.service")
+    service.figures["exposure"] = float(judged.split("Overall exposure level for palpd.service:")[1].split()[0])
+    assert service.figures["exposure"] <= 1.5
+
+
+def test_it_starts_is_ready_and_waits_disarmed(service: Installed) -> None:
+    began_s = time.monotonic()
+    service.inside.run("systemctl", "start", "palpd")
+    service.figures["start_s"] = time.monotonic() - began_s
+    assert service.inside.shows("palpd", "ActiveState") == "active"
+    assert service.do("status")["state"] in ("checking", "disarmed")
+    service.until_state("disarmed")
+    assert service.do("status")["cell"]["reason"].startswith("there is no reference tare")
+    with pytest.raises(Refused, match="there is no reference tare"):
+        service.do("arm")
+
+
+def test_an_operator_calibrates_beside_it_and_arms(service: Installed) -> None:
+    calibrate = [PYTHON, "-m", "palpd", "calibrate", "--config", CONFIG]
+    service.inside.run("runuser", "-u", "palpd", "--", "env", LIBRARIES, f"PALPD_SENSOR__PORT={EMULATORS}/hex", *calibrate)
+    began_s = time.monotonic()
+    service.do("arm")
+    service.figures["arm_s"] = time.monotonic() - began_s
+    assert service.state() == "armed"
+
+
+def test_it_is_not_root_and_has_no_capability(service: Installed) -> None:
+    status = service.inside.path(f"/proc/{service.pid}/status").read_text()
+    fields = dict(line.split(":", 1) for line in status.splitlines())
+    palpd = service.inside.run("id", "-u", "palpd").strip()
+    assert set(fields["Uid"].split()) == {palpd} != {"0"}
+    assert int(fields["CapBnd"], 16) == int(fields["CapEff"], 16) == 0
+    assert fields["NoNewPrivs"].strip() == "1"
+
+
+def test_only_its_group_may_speak_to_it(service: Installed) -> None:
+    assert service.inside.run("stat", "--format=%a %U %G", SOCKET).strip() == "660 palpd palpd"
+    status = ["env", LIBRARIES, PYTHON, "-m", "palpd", "status", "--config", CONFIG]
+    assert "may not speak" in service.inside.run("runuser", "-u", "nobody", "--", *status, check=False)
+    assert "state" in service.inside.run("runuser", "-u", "nobody", "-G", "palpd", "--", *status)
+
+
+def test_the_loop_runs_under_fifo_with_locked_memory_as_that_user(service: Installed) -> None:
+    service.begin()
+    threads = service.inside.run("ps", "-L", "-u", "palpd", "-o", "cls=,rtprio=,args=")
+    motion = [line.split() for line in threads.splitlines() if "spawn_main" in line]
+    assert ["FF", "60"] in [words[:2] for words in motion], threads
+    owner = service.inside.run("pgrep", "-u", "palpd", "-f", "spawn_main").split()
+    locked_kB = [int(line.split()[1]) for pid in owner for line in service.inside.run("grep", "VmLck", f"/proc/{pid}/status").splitlines()]
+    service.figures["locked_MiB"] = max(locked_kB) / 1024
+    assert max(locked_kB) > 10_000
+    service.do("abort")
+    service.until_state("disarmed")
+    last = service.do("status")["last"]
+    assert last["verdict"] == "stopped"
+    assert last["notes"] == []
+    assert Recording.load(service.inside.path(last["recording"])).rows.size
+
+
+def test_a_daemon_that_hangs_is_restarted_by_the_watchdog_and_comes_up_disarmed(service: Installed) -> None:
+    service.do("arm")
+    assert service.state() == "armed"
+    before, pid = service.restarts, service.pid
+    began_s = time.monotonic()
+    service.inside.run("kill", "-STOP", pid)
+    until(lambda: service.restarts > before and service.pid not in (pid, "0"), 30.0, "the watchdog restarts it")
+    until(lambda: service.state() != "away", 30.0, "it answers again")
+    service.figures["hang_to_restarted_s"] = time.monotonic() - began_s
+    assert service.state() in ("checking", "disarmed")
+    assert "Watchdog timeout" in service.inside.run("journalctl", "--unit=palpd", "--output=cat")
+    service.until_state("disarmed")
+
+
+def test_after_kill_9_in_mid_run_the_arm_rests_and_the_daemon_is_back_disarmed(service: Installed) -> None:
+    service.begin()
+    time.sleep(1.0)
+    before, began_s = service.restarts, time.monotonic()
+    old = [line.split()[0] for line in service.processes()]
+    service.inside.run("kill", "-KILL", service.pid)
+    until(lambda: service.emulated("log", since_s=began_s)["samples"][-1][1] == 0.0, 5.0, "the target speed is zero")
+    service.figures["kill_to_rest_s"] = time.monotonic() - began_s
+    until(lambda: service.restarts > before and service.state() in ("checking", "disarmed"), 30.0, "it is restarted")
+    service.figures["kill_to_restarted_s"] = time.monotonic() - began_s
+    assert not set(old) & {line.split()[0] for line in service.processes()}
+    service.until_state("disarmed")
+    part = next(service.inside.path("/var/lib/palpd/runs").glob("*.part"))
+    restored = recover(part)
+    assert restored.ticks > 100
+
+
+def test_the_journal_is_one_json_object_a_line(service: Installed) -> None:
+    lines = service.inside.run("journalctl", "--unit=palpd", "--output=cat", "_UID=" + service.inside.run("id", "-u", "palpd").strip())
+    events = [json.loads(line)["event"] for line in lines.splitlines() if line.startswith("{")]
+    assert {"ready", "checked", "armed", "started", "ended", "request"} <= set(events)
+    requests = [json.loads(line) for line in lines.splitlines() if '"request"' in line]
+    assert all(request["uid"] == 0 and request["pid"] >= 0 for request in requests)
+
+
+def test_stop_in_mid_run_closes_the_recording_and_ends_with_0(service: Installed) -> None:
+    service.begin()
+    before = set(service.inside.path("/var/lib/palpd/runs").glob("*.mcap"))
+    began_s = time.monotonic()
+    service.inside.run("systemctl", "stop", "palpd")
+    service.figures["stop_in_mid_run_s"] = time.monotonic() - began_s
+    assert service.inside.shows("palpd", "Result") == "success"
+    assert service.inside.shows("palpd", "ExecMainStatus") == "0"
+    assert service.processes() == []
+    assert not service.inside.path(SOCKET).exists()
+    (recording,) = set(service.inside.path("/var/lib/palpd/runs").glob("*.mcap")) - before
+    assert Recording.load(recording).rows.size
+
+
+def test_a_wrong_configuration_is_refused_once_and_not_again_and_again(service: Installed) -> None:
+    config = service.inside.path(CONFIG)
+    text = config.read_text()
+    config.write_text(text + "\nnonsense: 1\n")
+    try:
+        service.inside.run("systemctl", "start", "palpd", check=False)
+        time.sleep(2.5)
+        assert service.inside.shows("palpd", "ActiveState") == "failed"
+        assert service.inside.shows("palpd", "ExecMainStatus") == "2"
+        assert service.restarts == 0
+    finally:
+        config.write_text(text)
+
+
+def test_one_that_dies_again_and_again_is_left_alone(service: Installed) -> None:
+    service.inside.run("systemctl", "reset-failed", "palpd")
+    service.inside.run("systemctl", "start", "palpd")
+    began_s = time.monotonic()
+    while service.inside.shows("palpd", "ActiveState") != "failed":
+        assert time.monotonic() - began_s < 60.0
+        pid = service.pid
+        if pid != "0":
+            service.inside.run("kill", "-KILL", pid, check=False)
+        time.sleep(0.2)
+    assert "Start request repeated too quickly" in service.inside.run("journalctl", "--unit=palpd", "--output=cat")
