@@ -1,0 +1,232 @@
+"""A daemon and an emulated cell as real processes on real wires, and what the cell itself says of it afterwards."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from hw.emulators.process import Emulated, started
+
+PATIENCE_S = 60.0
+ABOVE_M = 0.008
+"""Where a press begins: far enough to reach its speed, near enough not to waste seconds."""
+PRESS = {
+    "sites": [{"name": "A"}],
+    "mode": "dynamic",
+    "depths_m": [0.01],
+    "press_speed_m_per_s": 0.01,
+    "repeats": 1,
+    "safe_height_m": 0.004,
+    "search": {"speed_m_per_s": 0.01, "max_travel_m": 0.03},
+}
+"""One press of 10 mm at 10 mm/s."""
+_hosts = count(2)
+
+
+class Sample(NamedTuple):
+    """Target and truth of one controller cycle, as the emulator logs them."""
+
+    t_s: float
+    speed_m_per_s: float
+    vz_m_per_s: float
+    target_z_m: float
+    tip_z_m: float
+    contact_N: float
+    runtime: int
+
+
+@dataclass
+class Daemon:
+    """A palpd command under way, in a session (and so a process group) of its own."""
+
+    process: subprocess.Popen[bytes]
+    json_file: Path
+    said: Path
+
+    def wait(self, timeout_s: float = PATIENCE_S) -> int:
+        """Exit code."""
+        return self.process.wait(timeout_s)
+
+    @property
+    def stderr(self) -> str:
+        """What it has said so far."""
+        return self.said.read_text()
+
+    @property
+    def found(self) -> dict[str, Any]:
+        """Its `--json`."""
+        found: dict[str, Any] = json.loads(self.json_file.read_text())
+        return found
+
+    @property
+    def motion_pid(self) -> int:
+        """The process that holds the robot: the child whose spawned main is none of multiprocessing's own."""
+        return next(pid for pid in family(self.process.pid) if "spawn_main" in command_of(pid))
+
+    @property
+    def recorder_pid(self) -> int:
+        """The process that writes the file."""
+        return next(pid for pid in family(self.process.pid) if "palpd.recorder" in command_of(pid))
+
+
+def family(session: int) -> list[int]:
+    """Every living process of a session, zombies left out."""
+    members = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                fields = (entry / "stat").read_text().rpartition(")")[2].split()
+            except OSError:
+                continue
+            if int(fields[3]) == session and fields[0] != "Z":
+                members.append(int(entry.name))
+    return members
+
+
+def command_of(pid: int) -> str:
+    """Its command line."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+    except OSError:
+        return ""
+
+
+def until(true: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S, every_s: float = 0.01) -> Any:
+    """Ask again until it is true, and return what it is."""
+    end_s = time.monotonic() + timeout_s
+    while time.monotonic() < end_s:
+        if answer := true():
+            return answer
+        time.sleep(every_s)
+    raise AssertionError(f"not within {timeout_s:g} s: {what}")
+
+
+@dataclass(frozen=True)
+class Wired:
+    """An emulated cell that stays, and a configuration wired to it with a folder of its own."""
+
+    wires: Emulated
+    model: str
+    folder: Path
+    blocks: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def anew(self, folder: Path, stiffness_N_per_m: float = 1000.0, **blocks: dict[str, Any]) -> "Wired":
+        """The same cell for another test: controller restarted, sensor plugged in, arm at rest 8 mm above a wall."""
+        self.wires.ask("replug")
+        self.wires.ask("restart", s=0.1)
+        fresh = Wired(self.wires, self.model, folder, blocks)
+        fresh.wall(ABOVE_M, stiffness_N_per_m)
+        time.sleep(0.3)
+        fresh.wall(ABOVE_M, stiffness_N_per_m)
+        fresh.truth(reset=True)
+        return fresh
+
+    @property
+    def config(self) -> Path:
+        """config.yaml."""
+        settings: dict[str, Any] = {
+            "robot": {"host": self.wires.host, "model": self.model},
+            "sensor": {"port": self.wires.sensor},
+            "paths": {"runs": "runs", "state": "state"},
+        }
+        for name, block in self.blocks.items():
+            settings[name] = settings.get(name, {}) | block
+        path = self.folder / "config.yaml"
+        path.write_text(yaml.safe_dump(settings))
+        return path
+
+    @property
+    def part(self) -> Path:
+        """The unfinished recording."""
+        return next((self.folder / "runs").glob("*.part"))
+
+    def palpd(self, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+        """Carry out a command to its end."""
+        command = [sys.executable, "-m", "palpd", *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+
+    def run(self, plan: dict[str, Any], *options: str) -> Daemon:
+        """`palpd run` of a plan, under way; the reference tare is taken at its start."""
+        plan_file, json_file = self.folder / "plan.yaml", self.folder / "run.json"
+        plan_file.write_text(yaml.safe_dump(plan))
+        command = [sys.executable, "-m", "palpd", "run", "--config", str(self.config), "--plan", str(plan_file), "--json", str(json_file)]
+        options = options or ("--take-reference",)
+        said = self.folder / "stderr.txt"
+        with said.open("wb") as stderr:
+            process = subprocess.Popen([*command, *options], stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True)
+        return Daemon(process, json_file, said)
+
+    def wall(self, below_m: float, stiffness_N_per_m: float) -> float:
+        """Place a wall so far below the tip and say at what height."""
+        z_m = self.truth()["tip_z_m"] - below_m
+        self.wires.ask("wall", z_m=z_m, stiffness_N_per_m=stiffness_N_per_m)
+        return z_m
+
+    def truth(self, **arguments: Any) -> dict[str, float]:
+        """Where the tip is and what it feels."""
+        return self.wires.ask("truth", **arguments)
+
+    @property
+    def worst_lateness_s(self) -> float:
+        """How late the emulator itself was at worst in the last minute: what the machine, not the daemon, adds to a figure."""
+        return float(self.wires.ask("stats")["late_us_max"]) * 1e-6
+
+    def log(self, since_s: float) -> list[Sample]:
+        """What the controller did since then."""
+        return [Sample(*values) for values in self.wires.ask("log", since_s=since_s)["samples"]]
+
+    def stops(self, since_s: float) -> list[tuple[float, str]]:
+        """When the controller ended its program or stopped, and why."""
+        return [(t_s, reason) for t_s, reason in self.wires.ask("log", since_s=since_s)["stops"]]
+
+    def until_contact(self, daemon: Daemon, force_N: float) -> None:
+        """Wait for that much true force; a daemon that ends before tells why."""
+
+        def pressed() -> bool:
+            assert daemon.process.poll() is None, f"exit code {daemon.process.returncode}: {daemon.stderr}"
+            return self.truth()["contact_N"] >= force_N
+
+        until(pressed, f"a contact of {force_N:g} N")
+
+    def rest_after_s(self, since_s: float, settle_s: float = 0.6) -> float:
+        """How long after `since_s` the target speed became zero for good; looked at `settle_s` after it.
+
+        The last ramp ends within a cycle: from speed v to rest over the way d takes 2d/v.
+        """
+        time.sleep(max(0.0, since_s + settle_s - time.monotonic()))
+        samples = self.log(since_s - 0.1)
+        last = max((index for index, sample in enumerate(samples) if sample.speed_m_per_s > 0.0), default=0)
+        assert samples[last].t_s < since_s + settle_s - 0.1, "the arm still moves"
+        ramp, rest = samples[last : last + 2]
+        ramp_s = 2.0 * abs(rest.target_z_m - ramp.target_z_m) / ramp.speed_m_per_s if ramp.speed_m_per_s else 0.0
+        return ramp.t_s + min(ramp_s, rest.t_s - ramp.t_s) - since_s
+
+    def way_after_m(self, since_s: float) -> float:
+        """How far the tip went down after `since_s`."""
+        samples = self.log(since_s - 0.1)
+        at = min(samples, key=lambda sample: abs(sample.t_s - since_s)).tip_z_m
+        return at - min(sample.tip_z_m for sample in samples if sample.t_s >= since_s)
+
+
+@contextmanager
+def wired(folder: Path, model: str = "ur5", cell: Path | None = None) -> Iterator[Wired]:
+    """An emulated cell in a process of its own on an address of its own."""
+    host = f"127.0.8{os.getpid() % 10}.{next(_hosts)}"
+    with started(folder, model, cell, host) as wires:
+        yield Wired(wires, model, folder)
+
+
+def kill(pid: int, number: int = signal.SIGKILL) -> float:
+    """Send a signal, to a whole group if negative, and say since when it stands."""
+    os.kill(pid, number)
+    return time.monotonic()
