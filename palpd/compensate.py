@@ -7,7 +7,6 @@ touches nothing: a bias that learns under contact would learn the contact away.
 """
 
 import math
-from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from palpd.compensate_zero import FreeAir, RunningZero
 from palpd.inertial import InertialModel, Motion
 from palpd.study_cell import STEP_S, CUTOFF_Hz, Take
 from palpd.tick import Floats, RobotMode, RobotState, SafetyMode
@@ -23,16 +23,6 @@ from palpd.train import Method as Trained
 from palpd.train import train
 
 SENSOR_DELAY_S = 1.0 / (2.0 * math.pi * CUTOFF_Hz)
-FREE_N = 0.3
-"""A corrected force below this over `FREE_S` is free air; above it the zero stands still."""
-FREE_S = 0.02
-KNOWN_FREE_S = 0.5
-"""A recording begins at rest after a tare, which is refused in contact: so long the tip is known to be free."""
-ROLLBACK_S = 0.3
-"""When contact is seen the zero goes back to what it was so long ago, before the first newtons that were not seen."""
-ZERO_S = 1.0
-"""Time over which a running zero averages: 0.065 N of noise and rounding leaves 2 mN."""
-HOLD_OFF_S = 0.2
 SPEED_NOISE_M_PER_S = 2.0e-4
 TOOL_NOISE_M_PER_S2 = 0.1
 JERK_M_PER_S3 = 8.0
@@ -178,68 +168,28 @@ class Exported(Nothing):
         return float(self.model.predict(np.array([[sample.vz_m_per_s, sample.az_m_per_s2]]))[0])
 
 
-class FreeAir:
-    """Whether the tip is free, judged by the corrected force over the last 20 ms."""
-
-    def __init__(self) -> None:
-        self._recent: deque[float] = deque(maxlen=max(1, round(FREE_S / STEP_S)))
-        self._begun_s = self._touched_s = -math.inf
-        self.touched = False
-
-    def start(self) -> None:
-        """A recording begins, in free air."""
-        self._recent.clear()
-        self._begun_s, self._touched_s, self.touched = math.nan, -math.inf, False
-
-    def __call__(self, t_s: float, corrected_N: float) -> bool:
-        """True in free air; `touched` is true in the sample in which contact is first seen."""
-        if math.isnan(self._begun_s):
-            self._begun_s = t_s
-        self._recent.append(corrected_N)
-        free_before = t_s - self._touched_s > HOLD_OFF_S
-        if t_s - self._begun_s < KNOWN_FREE_S:
-            self.touched = False
-            return True
-        touching = abs(math.fsum(self._recent) / len(self._recent)) > FREE_N
-        self.touched = touching and free_before
-        if touching:
-            self._touched_s = t_s
-        return not touching and free_before
-
-
-class RunningZero:
-    """Bias from the free air just before, mass from training: fz = zero(t) - m a."""
+class LineAndRunningZero:
+    """Mass from training, bias from the free air just before: fz = zero(t) - m a."""
 
     name = "m·a + running zero"
 
     def __init__(self) -> None:
-        self.mass_kg = self._learned_N = 0.0
-        self._free = FreeAir()
-        self._zero_N = self._weight = 0.0
-        self._past: deque[float] = deque(maxlen=max(1, round(ROLLBACK_S / STEP_S)))
+        self._mass_kg = 0.0
+        self._zero = RunningZero()
 
     def fit(self, runs: Sequence[Take]) -> None:
         """Mass; and the bias to start with."""
-        self._learned_N, self.mass_kg = _line(runs)
+        bias_N, self._mass_kg = _line(runs)
+        self._zero = RunningZero(bias_N)
 
     def start(self) -> None:
         """The zero of the last recording is not that of this one."""
-        self._free.start()
-        self._zero_N, self._weight = self._learned_N, 0.0
-        self._past.clear()
+        self._zero.start()
 
     def step(self, sample: Sample) -> float:
-        """Bias and inertia; a mean over all free samples so far until that is longer than the time over which it averages."""
-        inertia_N = -self.mass_kg * sample.az_m_per_s2
-        rest_N = sample.fz_N - inertia_N
-        if self._free(sample.t_s, rest_N - self._zero_N):
-            self._weight = min(self._weight + STEP_S, ZERO_S)
-            self._zero_N += (rest_N - self._zero_N) * STEP_S / self._weight
-            self._past.append(self._zero_N)
-        elif self._free.touched and self._past:
-            self._zero_N = self._past[0]
-            self._past.clear()
-        return self._zero_N + inertia_N
+        """Bias and inertia."""
+        inertia_N = -self._mass_kg * sample.az_m_per_s2
+        return self._zero.step(sample.t_s, sample.fz_N - inertia_N) + inertia_N
 
 
 class InstrumentalVariables:
@@ -420,5 +370,5 @@ def methods() -> list[Method]:
         ExtendedKalman(accelerometer=True),
         UnscentedKalman(accelerometer=False),
         UnscentedKalman(accelerometer=True),
-        RunningZero(),
+        LineAndRunningZero(),
     ]

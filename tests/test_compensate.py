@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from palpd.cell_file import Tissue
-from palpd.compensate import FreeAir, Line, Method, Nothing, RunningZero, corrections, features, methods, stream
+from palpd.compensate import Line, LineAndRunningZero, Method, Nothing, corrections, features, methods, stream
+from palpd.compensate_zero import FreeAir, RunningZero
 from palpd.study_cell import STEP_S, Move, Take, free_cell, ramps, setup, take
 
 CELL = setup("A")
@@ -84,7 +85,7 @@ def test_the_mass_found_is_the_probes(learned: list[Take]) -> None:
 
 def test_a_running_zero_does_not_learn_the_contact_away(learned: list[Take]) -> None:
     run = pressed()
-    method = RunningZero()
+    method = LineAndRunningZero()
     method.fit(learned)
     held = (run.t_s > 2.5) & (run.t_s < 4.0)
     assert run.contact_N[held].min() > 1.5
@@ -100,6 +101,16 @@ def test_free_air_begins_known_and_ends_with_a_force() -> None:
     seen = [free(1.3 + k * STEP_S, 1.0) for k in range(12)]
     assert not seen[-1]
     assert not free(1.35, 0.0)  # a moment without force is not yet free air
+
+
+def test_a_running_zero_takes_in_a_press_that_begins_slowly_only_by_its_first_newtons() -> None:
+    zero = RunningZero(0.1)
+    for k in range(1000):
+        zero.step(k * STEP_S, 0.2)
+    assert zero.zero_N == pytest.approx(0.2, abs=1e-9)
+    for k in range(1000, 2000):
+        zero.step(k * STEP_S, 0.2 + 1.0 * (k - 1000) * STEP_S)
+    assert zero.zero_N == pytest.approx(0.2, abs=0.01)
 
 
 def test_features_are_those_of_the_loop() -> None:

@@ -10,7 +10,7 @@ from scipy.optimize import curve_fit
 from palpd.tick import Floats
 from palpd.young import modulus_hertz_Pa, modulus_peak_Pa, ymbt
 
-TABLES = Path(__file__).parent / "data" / "paper"
+TABLES = Path(__file__).parents[1] / "palpd" / "data" / "paper"
 RADIUS_M, POISSON_RATIO = 0.005, 0.5
 SETUPS = ("none", "inclusion_5mm", "inclusion_8mm", "inclusion_10mm")
 

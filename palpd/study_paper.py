@@ -1,0 +1,202 @@
+"""What the published numbers of Guo, Xiao, Ren 2019 say by themselves, each with its uncertainty.
+
+Tables 1 to 3 are in palpd/data/paper (CC BY). Nothing here is simulated. Intervals are 95 %.
+"""
+
+import csv
+import math
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from palpd.tick import Floats
+from palpd.young import modulus_peak_Pa, student_t_95, ymbt
+
+SETUPS = {"A": "none", "B": "inclusion_5mm", "C": "inclusion_8mm", "D": "inclusion_10mm"}
+"""The paper's setups and how its tables call them."""
+TIP_RADIUS_M, POISSON_RATIO, PROBE_KG = 0.005, 0.5, 0.2
+MEAN_FREE_N = {"without the probe": 0.0874, "with the probe": 0.1929}
+"""Mean force of free motion. Published with a minus: the paper counts compression as negative, palpd as positive."""
+STROKE_M, STROKE_S = 0.02, 4.0
+"""2 cm up and down ten times in about 80 s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A number with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def text(self, scale: float = 1.0, digits: int = 2) -> str:
+        """As it is printed."""
+        return f"{self.value * scale:.{digits}f} ({self.low * scale:.{digits}f} to {self.high * scale:.{digits}f})"
+
+
+@dataclass(frozen=True, slots=True)
+class Averages:
+    """A row of Tables 2 and 3."""
+
+    original_Pa: float
+    corrected_Pa: float
+    static_Pa: float
+    ymbt_original: float
+    ymbt_corrected: float
+
+
+def _rows(name: str) -> list[dict[str, str]]:
+    with files("palpd").joinpath("data", "paper", name).open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+@cache
+def static(setup: str) -> tuple[Floats, Floats, Floats]:
+    """Table 1 of a setup: depths in m, forces in N and published moduli in Pa, each (8,)."""
+    rows = [row for row in _rows("table1_static.csv") if row["setup"] == SETUPS[setup]]
+    depth_m, force_N, modulus_Pa = (
+        np.array([float(row[name]) for row in rows]) for name in ("depth_m", "force_N", "published_youngs_modulus_Pa")
+    )
+    return depth_m, force_N, modulus_Pa
+
+
+@cache
+def averages(setup: str) -> Averages:
+    """Tables 2 and 3 of a setup; YMBT as a ratio."""
+    two = next(row for row in _rows("table2_average_modulus.csv") if row["setup"] == SETUPS[setup])
+    three = next(row for row in _rows("table3_bias.csv") if row["setup"] == SETUPS[setup])
+    return Averages(
+        float(two["original_Pa"]),
+        float(two["corrected_Pa"]),
+        float(two["static_Pa"]),
+        float(three["ymbt_original_static_percent"]) / 100.0,
+        float(three["ymbt_corrected_static_percent"]) / 100.0,
+    )
+
+
+def achieved_depths_m(setup: str) -> Floats:
+    """The depths (8,) at which equation 1 turns Table 1's printed forces into its printed moduli."""
+    _, force_N, modulus_Pa = static(setup)
+    unit_Pa = modulus_peak_Pa(1.0, 1.0, TIP_RADIUS_M, POISSON_RATIO)
+    return np.asarray((unit_Pa * force_N / modulus_Pa) ** (2.0 / 3.0))
+
+
+def table_1_misses() -> tuple[Floats, Floats]:
+    """Table 1 recomputed: relative miss of the moduli (32,) from forces and nominal depths, and from depths to the next 10 µm (32,)."""
+    nominal: list[float] = []
+    achieved: list[float] = []
+    for setup in SETUPS:
+        depth_m, force_N, modulus_Pa = static(setup)
+        rounded_m = np.round(achieved_depths_m(setup), 5)
+        for which, at_m in ((nominal, depth_m), (achieved, rounded_m)):
+            found = [modulus_peak_Pa(f, d, TIP_RADIUS_M, POISSON_RATIO) for f, d in zip(force_N, at_m, strict=True)]
+            which.extend(np.array(found) / modulus_Pa - 1.0)
+    return np.array(nominal), np.array(achieved)
+
+
+def count_N() -> tuple[Value, float]:
+    """The step of which all 32 forces of Table 1 are whole multiples, and the rms distance from them in N.
+
+    Forces printed to 0.01 N are 2.9 mN rms from what they were; forces that are no multiples of a step q would be q/√12 away. The
+    interval is where that rms stays within what printing explains.
+    """
+    force_N = np.concatenate([static(setup)[1] for setup in SETUPS])
+    steps_N = np.arange(0.10, 0.16, 1e-5)
+    away_N = force_N[:, None] - np.round(force_N[:, None] / steps_N) * steps_N
+    rms_N = np.sqrt(np.mean(away_N**2, axis=0))
+    good = steps_N[np.max(np.abs(away_N), axis=0) <= 0.005 + 1e-9]
+    best = int(np.argmin(rms_N))
+    low, high = (float(good.min()), float(good.max())) if len(good) else (float(steps_N[best]),) * 2
+    return Value(float(steps_N[best]), low, high), float(rms_N[best])
+
+
+def table_2_misses() -> dict[str, float]:
+    """Mean of Table 1's moduli over Table 2's static one, less one, by setup."""
+    return {setup: float(static(setup)[2].mean()) / averages(setup).static_Pa - 1.0 for setup in SETUPS}
+
+
+def table_3_misses() -> dict[str, tuple[float, float]]:
+    """YMBT from Table 2 less that of Table 3, in points of percent, original and corrected, by setup."""
+    return {
+        setup: (
+            100.0 * (ymbt(row.original_Pa, row.static_Pa) - row.ymbt_original),
+            100.0 * (ymbt(row.corrected_Pa, row.static_Pa) - row.ymbt_corrected),
+        )
+        for setup, row in ((setup, averages(setup)) for setup in SETUPS)
+    }
+
+
+def correction_Pa() -> Value:
+    """What the correction took from the modulus, mean over the four setups."""
+    return _mean(np.array([averages(setup).original_Pa - averages(setup).corrected_Pa for setup in SETUPS]))
+
+
+def depth_of_peaks_m() -> Value:
+    """Depth at which the published mean force of free motion, taken away as it is, makes that correction.
+
+    The correction of a modulus by a force is 3(1+ν)/(8 √r d^1.5) times the force, so d = (…·f/ΔE)^(2/3).
+    """
+    taken = correction_Pa()
+    depths = [
+        (modulus_peak_Pa(MEAN_FREE_N["with the probe"], 1.0, TIP_RADIUS_M, POISSON_RATIO) / each) ** (2.0 / 3.0)
+        for each in (taken.value, taken.high, taken.low)
+    ]
+    return Value(depths[0], depths[1], depths[2])
+
+
+def exponent(setup: str) -> Value:
+    """Exponent n of f ∝ d^n in Table 1, by regression of the logarithms; Hertz has 1.5."""
+    depth_m, force_N, _ = static(setup)
+    x, y = np.log(depth_m), np.log(force_N)
+    slope, offset = np.polyfit(x, y, 1)
+    left = y - slope * x - offset
+    half = student_t_95(len(x) - 2) * math.sqrt(float(np.sum(left**2)) / (len(x) - 2) / float(np.sum((x - x.mean()) ** 2)))
+    return Value(float(slope), float(slope) - half, float(slope) + half)
+
+
+def surface_offset_m(setup: str) -> Value:
+    """How far above the paper's zero of depth Hertz would have the surface, by least squares of relative errors of Table 1."""
+    depth_m, force_N, _ = static(setup)
+
+    def left(p: Floats) -> Floats:
+        return np.asarray(np.exp(p[0]) * np.maximum(depth_m * 1e3 + p[1], 1e-9) ** 1.5 / force_N - 1.0)
+
+    fit = least_squares(left, [math.log(force_N[0] / 5.2), 0.0])
+    slopes = np.asarray(fit.jac, dtype=float)
+    covariance = np.linalg.inv(slopes.T @ slopes) * 2.0 * fit.cost / (len(depth_m) - 2)
+    half = student_t_95(len(depth_m) - 2) * math.sqrt(float(covariance[1, 1]))
+    return Value(float(fit.x[1]) * 1e-3, (float(fit.x[1]) - half) * 1e-3, (float(fit.x[1]) + half) * 1e-3)
+
+
+def rate_excess(setup: str) -> Value:
+    """Corrected dynamic modulus over the static one *at the same depth*, less one.
+
+    Table 3 compares peaks at one depth with a static mean over 3 to 10 mm. Here the static modulus is that of the power law through
+    Table 1 at the depth of the peaks; the interval holds that line's scatter and the depth's.
+    """
+    depth_m, force_N, _ = static(setup)
+    x, y = np.log(depth_m), np.log(force_N)
+    slope, offset = np.polyfit(x, y, 1)
+    left = y - slope * x - offset
+    scatter = float(np.sum(left**2)) / (len(x) - 2)
+    depth = depth_of_peaks_m()
+    at = math.log(depth.value)
+    of_line = scatter * (1.0 / len(x) + (at - float(x.mean())) ** 2 / float(np.sum((x - x.mean()) ** 2)))
+    of_depth = (float(slope) - 1.5) * math.log(depth.high / depth.low) / 2.0 / student_t_95(3)
+    half = student_t_95(len(x) - 2) * math.hypot(math.sqrt(of_line), of_depth)
+    static_Pa = modulus_peak_Pa(math.exp(slope * at + offset), depth.value, TIP_RADIUS_M, POISSON_RATIO)
+    ratio = averages(setup).corrected_Pa / static_Pa
+    return Value(ratio - 1.0, ratio * math.exp(-half) - 1.0, ratio * math.exp(half) - 1.0)
+
+
+def largest_inertia_N() -> float:
+    """Inertia of the probe at the ends of a sinusoidal stroke of the paper's length and time, m A ω²: the most that motion asks for."""
+    return PROBE_KG * STROKE_M / 2.0 * (math.pi / STROKE_S) ** 2
+
+
+def _mean(values: Floats) -> Value:
+    half = student_t_95(len(values) - 1) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    return Value(float(values.mean()), float(values.mean()) - half, float(values.mean()) + half)
