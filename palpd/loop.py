@@ -28,7 +28,6 @@ from palpd.tick import (
     RobotState,
     SensorFrames,
     Timing,
-    Trip,
     Verdict,
 )
 
@@ -62,13 +61,11 @@ class Record(Protocol):
 
 @dataclass(slots=True)
 class Outcome:
-    """How a run ended. `reason` is a sentence where it was not simply done."""
+    """How a run ended. `reason` is a sentence where it was not simply done; `trips` are the guard's verdicts, one for each reason."""
 
     verdict: str = "done"
     reason: str = ""
-    trip: Trip = Trip.NONE
-    measured: float = 0.0
-    limit: float = 0.0
+    trips: list[Verdict] = field(default_factory=list)
     refused: bool = False
     ticks: int = 0
     missed: int = 0
@@ -228,9 +225,10 @@ class Loop:
     def _goes_on(self, timing: Timing, verdict: Verdict) -> bool:
         self.outcome.ticks += 1
         self.outcome.missed += timing.missed
+        if verdict.trip and verdict.trip not in {before.trip for before in self.outcome.trips}:
+            self.outcome.trips.append(verdict)
         if verdict.action == Action.STOP:
-            self.outcome.verdict, self.outcome.reason, self.outcome.trip = "stopped", sentence(verdict), verdict.trip
-            self.outcome.measured, self.outcome.limit = verdict.measured, verdict.limit
+            self.outcome.verdict, self.outcome.reason = "stopped", "; then ".join(map(sentence, self.outcome.trips))
             return False
         if self.sequence.over and verdict.action == Action.PASS:
             if self.sequence.failure:

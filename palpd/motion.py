@@ -12,7 +12,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from multiprocessing.connection import Connection
 from typing import Any, Literal
 
@@ -25,12 +25,11 @@ from palpd.inertial import InertialModel, Motion
 from palpd.loop import Explainer, Loop, Outcome, Turn
 from palpd.realtime import DEVICE_PRIORITY, fifo, realtime
 from palpd.ring import LoopState, Ring
-from palpd.safety import Limits
+from palpd.safety import Limits, sentence
 from palpd.sequence import Body, FreeMotion, Palpation, RigidPress, Script, Sequence, Watch
 from palpd.tare import Tare
-from palpd.tick import MAX_FRAMES, ForceSensor, Request, Robot, Trip
+from palpd.tick import MAX_FRAMES, ForceSensor, Request, Robot
 
-FATAL = {Trip.CONNECTION, Trip.ROBOT_STALE, Trip.PROGRAM_STOPPED, Trip.SUPERVISOR}
 ORPHAN_GRACE_S = 1.0
 DRY_S = 10.0
 """How long a dry run watches: the arm is not moved, so no plan could come to its end."""
@@ -207,8 +206,14 @@ def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: 
             outcome = loop.run()
         except Stopped as stopped:
             outcome = Outcome("stopped", str(stopped), ticks=loop.outcome.ticks, missed=loop.outcome.missed)
-    answer = {"outcome": asdict(outcome), "missing_privileges": granted.missing, "out_of_range": explainer.out_of_range}
-    return answer, outcome.trip not in FATAL and outcome.verdict == "done"
+    trips = [{"trip": v.trip.name, "measured": v.measured, "limit": v.limit, "reason": sentence(v)} for v in outcome.trips]
+    answer = {
+        "outcome": asdict(replace(outcome, trips=[])),
+        "trips": trips,
+        "missing_privileges": granted.missing,
+        "out_of_range": explainer.out_of_range,
+    }
+    return answer, outcome.verdict == "done"
 
 
 def take_reference(devices: Devices) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -97,10 +97,7 @@ def guard(limits: Limits, memory: Guard, sight: Sight, proposed: Command) -> tup
     if memory.over:
         return memory, Verdict(STOP, Action.STOP, memory.trip, memory.measured, memory.limit)
     if fault is not None:
-        trip, measured, limit = fault
-        if memory.retracting:  # the first reason is the one to report, whatever follows while leaving
-            trip, measured, limit = memory.trip, memory.measured, memory.limit
-        return _stopped(memory, trip, measured, limit)
+        return _stopped(memory, *fault)
     if not memory.retracting and sight.contact.force_N >= limits.contact_N:
         memory = replace(memory, trip=Trip.CONTACT_FORCE, measured=sight.contact.force_N, limit=limits.contact_N, retracting=True)
     if not memory.retracting:

@@ -175,12 +175,8 @@ class Run:
 
 def _report(answer: dict[str, Any]) -> Report:
     outcome = answer["outcome"]
-    trips: tuple[dict[str, Any], ...] = ()
-    if outcome["trip"]:
-        name = Trip(outcome["trip"]).name
-        trips = ({"trip": name, "measured": outcome["measured"], "limit": outcome["limit"], "reason": outcome["reason"]},)
     code = 0 if outcome["verdict"] == "done" else 2 if outcome["refused"] else 3
-    return Report(outcome["verdict"], outcome["reason"], code, trips, notes=tuple(answer["missing_privileges"]))
+    return Report(outcome["verdict"], outcome["reason"], code, tuple(answer["trips"]), notes=tuple(answer["missing_privileges"]))
 
 
 def header_of(job: Job, about: dict[str, Any], reference: list[float]) -> dict[str, Any]:

@@ -72,12 +72,12 @@ def test_a_retract_ends_with_a_stop_at_the_safe_height_and_reports_the_force() -
     assert verdict == Verdict(STOP, Action.STOP, Trip.CONTACT_FORCE, 13.0, LIMITS.contact_N)
 
 
-def test_a_fault_while_retracting_stops_there_and_keeps_the_first_reason() -> None:
+def test_a_fault_while_retracting_stops_there_for_its_own_reason() -> None:
     memory, _ = one(sight(contact=contact(force_N=13.0)))
     memory, verdict = one(sight(10.008, contact=contact(force_N=14.0, absolute_N=26.0)), memory=memory)
     assert memory.over
     assert verdict.command == STOP
-    assert verdict.trip == Trip.CONTACT_FORCE
+    assert verdict.trip == Trip.ABSOLUTE_FORCE
 
 
 def test_after_the_end_only_stops_go_out() -> None:

@@ -111,12 +111,12 @@ def test_an_abort_stops_within_the_tick() -> None:
     done = ran(cell_file(), ONE, requests={600: Request.ABORT})
     assert len(done.rows) == 601
     assert done.rows["command_stop"][-1]
-    assert done.outcome.trip == Trip.OPERATOR
+    assert [trip.trip for trip in done.outcome.trips] == [Trip.OPERATOR]
 
 
 def test_a_hard_wall_where_tissue_was_expected_trips_the_guard_which_retracts() -> None:
     wall = cell_file(wall={"z_m": 0.0, "stiffness_N_per_m": 20_000.0})
     done = ran(wall, Plan(depths_m=(0.004,), search={"speed_m_per_s": 0.02}))  # type: ignore[arg-type]
-    assert done.outcome.trip == Trip.CONTACT_FORCE
+    assert [trip.trip for trip in done.outcome.trips] == [Trip.CONTACT_FORCE]
     assert done.rows["tcp_pose"][-1, 2] > 0.02
     assert done.rows["command_stop"][-1]
