@@ -3,7 +3,7 @@ PYTHON ?= python3
 UV := .venv/bin/uv
 READY := .venv/.ready
 
-.PHONY: setup demo test lint bench clean
+.PHONY: setup demo test test-service lint bench clean
 
 setup: $(READY)
 
@@ -24,6 +24,10 @@ lint: setup
 
 test: lint
 	.venv/bin/pytest
+
+# boots systemd in a container: needs root and systemd-nspawn, and says so where it is skipped
+test-service: setup
+	timeout --kill-after=30 600 .venv/bin/pytest -rs -s tests/service/nspawn.py
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .import_linter_cache

@@ -7,11 +7,13 @@ import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 LOOP_PRIORITY = 60
 DEVICE_PRIORITY = 40
 """The receive threads of ur_rtde inherit it from the thread that makes them: newer states at hand, still below the loop."""
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
+_CAP_IPC_LOCK = 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +37,15 @@ def fifo(priority: int) -> bool:
 def lock_memory() -> bool:
     """Keep all pages in memory. Only where the limit allows it: under a small one later allocations would fail instead."""
     soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    if os.geteuid() != 0 and soft != resource.RLIM_INFINITY:
+    if soft != resource.RLIM_INFINITY and not _may_lock_any():
         return False
     return bool(ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0)
+
+
+def _may_lock_any() -> bool:
+    """Whether the limit does not apply: with CAP_IPC_LOCK it does not, and root need not have that."""
+    held = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("CapEff:"))
+    return bool(int(held.split()[1], 16) >> _CAP_IPC_LOCK & 1)
 
 
 @contextmanager

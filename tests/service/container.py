@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 INSIDE_PYTHON = Path("/opt/python")
 INSIDE_CODE = Path("/opt/palpd/code")
 CAPABILITIES = "CAP_SYS_NICE,CAP_IPC_LOCK,CAP_SYS_RESOURCE"
+CAP_SYS_RESOURCE = 24
 BOOT_S = 60.0
 
 
@@ -39,6 +40,12 @@ class Container:
         if check and done.returncode:
             raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}: {done.stdout}{done.stderr}")
         return done.stdout + done.stderr
+
+    @property
+    def raises_limits(self) -> bool:
+        """Whether its systemd may raise a limit (CAP_SYS_RESOURCE), so that LimitRTPRIO= and LimitMEMLOCK= mean something."""
+        held = next(line for line in self.path("/proc/1/status").read_text().splitlines() if line.startswith("CapEff:"))
+        return bool(int(held.split()[1], 16) >> CAP_SYS_RESOURCE & 1)
 
     def shows(self, unit: str, name: str) -> str:
         """One property of a unit."""
