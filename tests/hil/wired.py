@@ -16,8 +16,10 @@ from typing import Any, NamedTuple
 import yaml
 
 from hw.emulators.process import Emulated, started
+from palpd.record import Recording
 
 PATIENCE_S = 60.0
+SOFT_N_PER_M = 200.0
 ABOVE_M = 0.008
 """Where a press begins: far enough to reach its speed, near enough not to waste seconds."""
 PRESS = {
@@ -155,15 +157,15 @@ class Wired:
         command = [sys.executable, "-m", "palpd", *map(str, arguments)]
         return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
 
-    def run(self, plan: dict[str, Any], *options: str) -> Daemon:
-        """`palpd run` of a plan, under way; the reference tare is taken at its start."""
+    def run(self, plan: dict[str, Any], take_reference: bool = True) -> Daemon:
+        """`palpd run` of a plan, under way; the reference tare is taken at its start, or the kept one used."""
         plan_file, json_file = self.folder / "plan.yaml", self.folder / "run.json"
         plan_file.write_text(yaml.safe_dump(plan))
         command = [sys.executable, "-m", "palpd", "run", "--config", str(self.config), "--plan", str(plan_file), "--json", str(json_file)]
-        options = options or ("--take-reference",)
+        command += ["--take-reference"] if take_reference else []
         said = self.folder / "stderr.txt"
         with said.open("wb") as stderr:
-            process = subprocess.Popen([*command, *options], stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True)
+            process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True)
         return Daemon(process, json_file, said)
 
     def wall(self, below_m: float, stiffness_N_per_m: float) -> float:
@@ -216,6 +218,45 @@ class Wired:
         samples = self.log(since_s - 0.1)
         at = min(samples, key=lambda sample: abs(sample.t_s - since_s)).tip_z_m
         return at - min(sample.tip_z_m for sample in samples if sample.t_s >= since_s)
+
+
+@dataclass(frozen=True)
+class Met:
+    """What came of a press into a wall that nobody had announced; forces in N."""
+
+    code: int
+    found: dict[str, Any]
+    stderr: str
+    predicted_overshoot_N: float
+    true_peak_N: float
+    seen_peak_N: float  # largest compensated force that the daemon saw
+    left_at: dict[str, float]  # truth half a second after the end
+
+
+def press_into_wall(cell: Wired, stiffness_N_per_m: float, speed_m_per_s: float, take_reference: bool = True) -> Met:
+    """Palpate something soft; when its surface has been found and the tip is above it again, put the wall there, 3 mm below the tip.
+
+    The wall stands above the surface that the daemon knows, so that nothing it has learned makes it slow down.
+    """
+    cell.wall(0.002, SOFT_N_PER_M)
+    plan = PRESS | {"press_speed_m_per_s": speed_m_per_s, "depths_m": [0.02], "search": {"speed_m_per_s": 0.005, "max_travel_m": 0.03}}
+    daemon = cell.run(plan, take_reference)
+    printed = cell.folder / "check.json"
+    checked = cell.palpd("check-config", cell.config, "--plan", cell.folder / "plan.yaml", "--json", printed)
+    assert checked.returncode == 0, checked.stderr
+    cell.until_contact(daemon, 0.8)
+    until(lambda: cell.truth()["contact_N"] == 0.0, "the tip leaves the surface it has found")
+    time.sleep(0.35)  # it rests half a second and more before the press
+    cell.wall(0.003, stiffness_N_per_m)
+    cell.truth(reset=True)
+    code = daemon.wait()
+    peak_N = cell.truth()["peak_contact_N"]
+    time.sleep(0.5)
+    rows = Recording.load(Path(daemon.found["recording"])).rows
+    overshoots = json.loads(printed.read_text())["overshoot"]
+    of = {(entry["stiffness_N_per_m"], entry["speed_m_per_s"]): entry["overshoot_N"] for entry in overshoots}
+    predicted_N = of[stiffness_N_per_m, speed_m_per_s]
+    return Met(code, daemon.found, daemon.stderr, predicted_N, peak_N, float(rows["force_N"].max()), cell.truth())
 
 
 @contextmanager
