@@ -134,18 +134,19 @@ def train(
     ] = "linear",
 ) -> None:
     """Learn the inertial model from free motion; write it with its card. Which method is best: docs/compensation.md."""
-    from palpd.config import load_config
+    from palpd.config import filter_delay_s, load_config
     from palpd.record import Recording, samples_of
     from palpd.samples import read
     from palpd.train import train as learn
 
     settings = load_config(config if config.exists() else None)
-    recordings, serials = [], set()
+    recordings, serials, delay_s = [], set(), filter_delay_s(settings.sensor.filter_cutoff_Hz)
     for path in runs:
         if path.suffix == ".mcap":
             recording = Recording.load(path)
             recordings.append(samples_of(recording))
             serials.add(recording.header["about"].get("sensor_serial"))
+            delay_s = recording.header["about"]["delay_s"]
         else:
             recordings.append(read(path))
     if len(serials) > 1:
@@ -157,6 +158,7 @@ def train(
         out,
         probe_mass_kg=settings.cell.probe.mass_kg,
         sensor_serial=next(iter(serials), None),
+        sensor_delay_s=delay_s,
         method=method,  # type: ignore[arg-type]
     )
     console.print(
@@ -181,6 +183,38 @@ def demo(
     found = show.gap(effect, folder, console) if effect else show.palpate(full, folder, console)
     _write_json(json_file, found)
     _exit(0 if found["verdict"] == "done" else 3, found.get("reason", ""))
+
+
+@app.command()
+def sim(
+    plan: PlanOption = Path("plan.yaml"),
+    config: ConfigOption = DEFAULT_CONFIG,
+    cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml to press (default: the paper's phantom)")] = None,
+    seed: Annotated[int, typer.Option("--seed", help="of the noise")] = 0,
+    json_file: JsonOption = None,
+) -> None:
+    """Carry out a plan on the cell's physics, without wires and faster than real time."""
+    from palpd import results
+    from palpd.cell_file import PHANTOM, load_cell
+    from palpd.config import load_config, load_plan, refuse_unsafe
+    from palpd.motion import Job
+    from palpd.sim import run as simulate
+
+    settings, wanted = load_config(config), load_plan(plan)
+    refuse_unsafe(settings, wanted)
+    _writable(json_file)
+    done = simulate(Job("palpation", settings, wanted), load_cell(cell) if cell else PHANTOM, seed=seed)
+    found = {
+        "verdict": done.outcome.verdict,
+        "reason": done.outcome.reason,
+        "sites": results.sites(done.rows, done.header),
+        "loop": {"ticks": done.outcome.ticks, "missed": done.outcome.missed},
+        "recording": None,
+        "notes": ["the cell was simulated without wires: bytes, timing and faults were not part of it"],
+    }
+    _tell_run(found)
+    _write_json(json_file, found)
+    _exit(0 if done.outcome.verdict == "done" else 3, done.outcome.reason)
 
 
 @app.command()
@@ -378,6 +412,9 @@ def analyse(
     machine_stiffness: Annotated[float | None, typer.Option("--machine-stiffness-N-per-m", help="taken out of the depth")] = None,
     fit: Annotated[Literal["loading", "peak"], typer.Option("--fit")] = "loading",
     contact: Annotated[Literal["free", "zero"], typer.Option("--contact")] = "free",
+    baseline: Annotated[
+        Literal["auto", "free", "zero"], typer.Option("--baseline", help="force before contact; auto: zero for a corrected column")
+    ] = "auto",
     json_file: JsonOption = None,
 ) -> None:
     """Young's modulus with its interval, from a recording of ours or a curve of another machine."""
@@ -399,6 +436,7 @@ def analyse(
             machine_stiffness_N_per_m=machine_stiffness,
             fit=fit,
             contact=contact,
+            baseline=baseline,
         )
         _tell_curve(found)
     _write_json(json_file, found)

@@ -4,12 +4,21 @@ For the sequence and the analysis. Bytes, timing and faults are what the emulate
 """
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palpd.cell import Cell
 from palpd.cell_file import CellFile
-from palpd.tick import PROGRAM_PLAYING, Floats, RobotMode, RobotState, SafetyMode, SensorFrames
+from palpd.clock import SimClock
+from palpd.config import filter_delay_s
+from palpd.loop import Loop, Outcome, Turn
+from palpd.motion import Job, explainer_of, fill, limits_of, sequence_of
+from palpd.tick import PROGRAM_PLAYING, ROW, Floats, Request, RobotMode, RobotState, SafetyMode, SensorFrames
 
 FZ_OFFSET_N = -50.0
 """An un-zeroed sensor reads tens of newtons; here always these."""
@@ -105,3 +114,59 @@ class SimSensor:
 
     def close(self) -> None:
         """Nothing to let go of."""
+
+
+class RowList:
+    """Keeps turns as rows (ROW of palpd.tick)."""
+
+    def __init__(self) -> None:
+        self.rows: list[np.void] = []
+
+    def __call__(self, turn: Turn) -> None:
+        row = np.zeros(1, ROW)[0]
+        fill(row, turn)
+        self.rows.append(row)
+
+    def rehearse(self, turn: Turn) -> None:
+        """Nothing to warm up."""
+
+
+@dataclass(frozen=True)
+class Ran:
+    """A run without wires: how it ended, its rows (ROW), and the header that a recording of it would have."""
+
+    outcome: Outcome
+    rows: NDArray[np.void]
+    header: dict[str, Any]
+
+
+def run(job: Job, cell: CellFile, *, seed: int = 0, requests: Mapping[int, Request] = MappingProxyType({})) -> Ran:
+    """Carry out a job on that cell; `requests` maps a tick to what the operator asks in it."""
+    config = job.config
+    rate_Hz, delay_s = config.robot.rate_Hz, filter_delay_s(config.sensor.filter_cutoff_Hz)
+    sensor = cell.sensor.model_copy(update={"filter_cutoff_Hz": config.sensor.filter_cutoff_Hz, "rate_Hz": 1000.0})
+    sim = SimCell(cell.model_copy(update={"sensor": sensor}), rate_Hz, config.robot.acceleration_m_per_s2, seed)
+    job = replace(job, reference=(0.0, 0.0, FZ_OFFSET_N, 0.0, 0.0, 0.0))
+    record = RowList()
+    loop = Loop(
+        sim.robot,
+        sim.sensor,
+        SimClock(rate_Hz),
+        sequence_of(job, delay_s),
+        explainer_of(job, None, delay_s),
+        limits_of(config),
+        record,
+        request=lambda: requests.get(len(record.rows), Request.NONE),
+    )
+    outcome = loop.run()
+    poisson = cell.tissue.poisson_ratio if cell.tissue else 0.5
+    header = {
+        "sites": [site.model_dump() for site in job.plan.sites],
+        "body": {
+            "tip_radius_m": config.cell.probe.tip_radius_m,
+            "poisson_ratio": poisson,
+            "delay_s": delay_s,
+            "machine_stiffness_N_per_m": job.machine_stiffness_N_per_m,
+        },
+    }
+    return Ran(outcome, np.array(record.rows), header)
