@@ -1,0 +1,296 @@
+"""Which unmodelled effect a gap comes from: evidence for every effect and for sets of them, for none and for something unknown."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import comb, log
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from palpd.cell_file import EffectValues
+from palpd.gap.discrepancy import Left, what_is_left
+from palpd.gap.gaussian import gram, project
+from palpd.gap.hypothesis import Fit, climb, coordinates, fit, judge, start_values, stretched, values_at
+from palpd.gap.noise import FZ, Z
+from palpd.gap.problem import Linearisation, Problem
+from palpd.tick import Floats
+
+P_NONE, P_ONE, P_TWO, P_THREE = 0.3, 0.6, 0.12, 0.02
+"""Prior probabilities of that many effects; every set of one size is as likely as the others."""
+
+P_UNKNOWN = 0.15
+"""Prior probability that something outside the list is at work."""
+
+LAW_ENERGY = 0.04
+"""Mean share of its energy in which the law of a known effect is off."""
+
+KEPT = 14
+"""Effects that are fitted after the scan."""
+
+GROUP = 0.04
+"""An effect whose odds against the named one are above this cannot be told from it."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A shape of an effect before any fit, and the change it makes (channels, where not zero)."""
+
+    effect: str
+    values: dict[str, float]
+    live: tuple[int, ...]
+    change: Floats
+
+    def full(self, shape: tuple[int, int]) -> Floats:
+        """The change over all channels."""
+        out = np.zeros(shape)
+        out[list(self.live)] = self.change
+        return out
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A hypothesis with what it leaves, and its share of the probability without and with something unknown."""
+
+    fit: Fit
+    left: Left
+    share: float
+    known: float
+    unknown: float
+
+
+@dataclass
+class Attribution:
+    """All hypotheses, best first, and what follows from them."""
+
+    weighed: list[Weighed]
+    p_none: float
+    p_unknown: float
+    marginal: dict[str, float]
+    groups: dict[str, list[str]]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def best(self) -> Weighed:
+        """The most probable hypothesis."""
+        return self.weighed[0]
+
+
+def peaks(problem: Problem, residual: Floats, most: int = 3) -> list[float]:
+    """Frequencies in Hz that stand out in the residual heights and in fz."""
+    found: list[tuple[float, float]] = []
+    for run in problem.runs[:1]:
+        n = len(run.samples)
+        dt_s = problem.scale.step_s
+        raw = problem.raw_prediction(run, problem.cell)
+        for channel, measured in ((Z, run.samples.z_m), (FZ, run.samples.wrench[:, 2])):
+            if not run.judged[channel] or n < 128:
+                continue
+            left = (measured - raw[:, channel]) * np.hanning(n)
+            spectrum = np.abs(np.fft.rfft(left - left.mean(), 2 * n)) ** 2
+            frequency = np.fft.rfftfreq(2 * n, dt_s)
+            local = median_filter(spectrum, size=61, mode="reflect")
+            ratio = np.where(frequency > 3.0 / (n * dt_s), spectrum / np.maximum(local, 1e-300), 0.0)
+            for _ in range(2):
+                k = int(np.argmax(ratio))
+                if ratio[k] < 25.0:
+                    break
+                found.append((float(ratio[k]), float(frequency[k])))
+                ratio[max(0, k - 30) : k + 30] = 0.0
+    return [f for _, f in sorted(found, reverse=True)[:most]]
+
+
+def _dictionary(problem: Problem, base: Linearisation, peaks_Hz: list[float]) -> list[Candidate]:
+    out = []
+    for effect in problem.library.values():
+        if effect.variance:
+            continue
+        for values in start_values(effect, problem.scale, peaks_Hz):
+            change = problem.predict({effect.id: values}, base.eta) - base.prediction
+            live = tuple(np.flatnonzero(change.any(axis=1)).tolist())
+            if live:
+                out.append(Candidate(effect.id, values, live, change[list(live)]))
+    return out
+
+
+def _scan(
+    problem: Problem, around: Linearisation, residual: Floats, taken: list[Floats], dictionary: list[Candidate]
+) -> dict[str, list[tuple[float, float, dict[str, float]]]]:
+    """For every effect its candidates as (gain in squared sigmas, best factor, values), best first; `taken` are directions that
+    the fitted parameters can already move in."""
+    r = project(residual, around.space)
+    basis = [project(j, around.space) for j in taken]
+    normal = gram(basis)
+    inverse = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) if len(basis) else np.zeros((0, 0))
+    r_seen = np.array([b.dot(r) for b in basis])
+    shape = residual.shape
+    out: dict[str, list[tuple[float, float, dict[str, float]]]] = {}
+    for candidate in dictionary:
+        s = project(candidate.full(shape), around.space)
+        seen = np.array([b.dot(s) for b in basis])
+        rs = s.dot(r) - (seen @ inverse @ r_seen if len(basis) else 0.0)
+        ss = s.dot(s) - (seen @ inverse @ seen if len(basis) else 0.0)
+        if ss <= 1e-9 * max(float(np.vdot(s.values, s.values)), 1e-300) or ss < 1e-12:
+            continue
+        factor = rs / ss
+        one_signed = all(
+            p.bounds(problem.scale)[0] >= 0.0 or p.nominal is None for p in problem.library[candidate.effect].parameters
+        ) and not any(p.nominal not in (None, 0.0) for p in problem.library[candidate.effect].parameters)
+        gain = 0.0 if one_signed and factor < 0 else rs * rs / ss
+        out.setdefault(candidate.effect, []).append((gain, factor, candidate.values))
+    for listed in out.values():
+        listed.sort(key=lambda item: -item[0])
+    return out
+
+
+def _best_fit(
+    problem: Problem,
+    around: Linearisation,
+    name: str,
+    listed: list[tuple[float, float, dict[str, float]]],
+    beside: EffectValues,
+    starts: int,
+    iterations: int,
+) -> Fit:
+    """Multi-start: the best of several climbs of one effect, beside others that climb with it."""
+    names = (*beside, name)
+    where = coordinates([problem.library[n] for n in names], problem.scale)
+    tried = []
+    for _, factor, values in _different(listed, starts):
+        start = beside | {name: stretched(problem.library[name], values, factor, problem.scale)}
+        u = np.array([c.to(start[c.effect][c.parameter.name]) for c in where])
+        tried.append(climb(problem, around, where, u, iterations))
+    u, misfit, at, jacobian = min(tried, key=lambda t: t[1])
+    return judge(problem, names, where, u, misfit, at, jacobian, around)
+
+
+def _different(listed: list[tuple[float, float, dict[str, float]]], most: int) -> list[tuple[float, float, dict[str, float]]]:
+    """The first few candidates that differ in their gain."""
+    out: list[tuple[float, float, dict[str, float]]] = []
+    for item in listed:
+        if all(abs(item[0] - other[0]) > 1e-3 * max(other[0], 1.0) for other in out):
+            out.append(item)
+        if len(out) == most:
+            break
+    return out or listed[:1]
+
+
+def attribute(problem: Problem) -> Attribution:
+    """Weigh all hypotheses against each other."""
+    eta = np.zeros(len(problem.shared_sd))
+    base = problem.linearise({}, eta)
+    null = fit(problem, (), {}, base, rounds=2 if problem.cell.tolerances.modulus_known else 8)
+    if not problem.cell.tolerances.modulus_known:
+        base = null.linearisation
+    residual = problem.data + base.offset() - base.prediction
+    dictionary = _dictionary(problem, base, peaks(problem, residual))
+    scanned = _scan(problem, base, residual, [], dictionary)
+    fits: dict[tuple[str, ...], Fit] = {(): null}
+    order = sorted(scanned, key=lambda name: -scanned[name][0][0])
+    best_gain = scanned[order[0]][0][0] if order else 0.0
+    kept = [n for k, n in enumerate(order) if k < KEPT or scanned[n][0][0] > 0.5 * best_gain]
+    for name in kept:
+        fits[(name,)] = _best_fit(problem, base, name, scanned[name], {}, 3, 8)
+    _refine(problem, fits, 1, 8)
+    beam = _leading(fits, 1, 4)
+    for size in (2, 3):
+        if not beam or beam[0].log_evidence < null.log_evidence + 2.0:
+            break
+        for one in beam:
+            _extend(problem, fits, one, dictionary, 5 if size == 2 else 3)
+        _refine(problem, fits, size, 4)
+        pairs = _leading(fits, size, 2)
+        singles = _leading(fits, size - 1, 1)
+        if not pairs or pairs[0].log_evidence < singles[0].log_evidence + 3.0:
+            break
+        beam = pairs
+    return weigh(problem, list(fits.values()))
+
+
+def _leading(fits: Mapping[tuple[str, ...], Fit], size: int, most: int) -> list[Fit]:
+    return sorted((f for names, f in fits.items() if len(names) == size), key=lambda f: -f.log_evidence)[:most]
+
+
+def _refine(problem: Problem, fits: dict[tuple[str, ...], Fit], size: int, most: int) -> None:
+    """Linearise the tolerances of the leading hypotheses again at what was found there."""
+    leading = _leading(fits, size, most)
+    for one in leading:
+        if one.log_evidence < leading[0].log_evidence - 40.0:
+            continue
+        again = fit(problem, one.names, one.values, one.linearisation, iterations=2, rounds=2)
+        fits[one.names] = again
+
+
+def _extend(problem: Problem, fits: dict[tuple[str, ...], Fit], one: Fit, dictionary: list[Candidate], most: int) -> None:
+    around = one.linearisation
+    at = problem.predict(one.values, around.eta)
+    residual = problem.data + around.offset() - at
+    taken = []
+    for k, _ in enumerate(one.where):
+        there = one.u.copy()
+        there[k] += 1e-2
+        taken.append((problem.predict(values_at(one.where, there), around.eta) - at) / 1e-2)
+    scanned = _scan(problem, around, residual, taken, [c for c in dictionary if c.effect not in one.names])
+    order = sorted(scanned, key=lambda name: -scanned[name][0][0])[:most]
+    for name in order:
+        names = (*one.names, name)
+        if any(set(names) == set(other) for other in fits) or scanned[name][0][0] < 4.0:
+            continue
+        fits[names] = _best_fit(problem, around, name, scanned[name], one.values, 1, 5)
+
+
+def prior(problem: Problem, size: int) -> float:
+    """Log prior of one set of that size."""
+    effects = sum(not e.variance for e in problem.library.values())
+    return log((P_NONE, P_ONE, P_TWO, P_THREE)[size]) - log(comb(effects, size))
+
+
+def weigh(problem: Problem, fits: list[Fit]) -> Attribution:
+    """Probabilities of hypotheses, each without and with something unknown beside it."""
+    logs = np.array([prior(problem, len(f.names)) + f.log_evidence for f in fits])
+    total = float(np.logaddexp.reduce(logs))
+    weighed: list[Weighed] = []
+    for one, log_weight in sorted(zip(fits, logs.tolist(), strict=True), key=lambda pair: -pair[1]):
+        share = float(np.exp(log_weight - total))
+        if share < 1e-6 and one.names and weighed:
+            continue
+        left = what_is_left(problem, one.remainder, one.linearisation, one.residual)
+        unknown = share * _unknown(one, left)
+        weighed.append(Weighed(one, left, share, share - unknown, unknown))
+    marginal: dict[str, float] = {}
+    for w in weighed:
+        for name in w.fit.names:
+            marginal[name] = marginal.get(name, 0.0) + w.share
+    p_none = sum(w.known for w in weighed if not w.fit.names)
+    p_unknown = sum(w.unknown for w in weighed)
+    return Attribution(weighed, p_none, p_unknown, marginal, _groups(weighed))
+
+
+def _unknown(one: Fit, left: Left) -> float:
+    """Probability that beside these effects something unknown is at work.
+
+    What is left over (or taken up by bending the laws) is either noise, or an inexact law, whose share of the effect's energy is
+    small, or something unknown, whose share may be any.
+    """
+    bent = one.log_evidence_inexact - one.log_evidence_exact if one.names else 0.0
+    evidence = max(bent, 0.0) + left.log_bayes_factor if bent > 0 else left.log_bayes_factor
+    energy = left.energy + one.law_energy
+    share = energy / max(one.size**2 + left.energy, 1.0)
+    unknown = log(P_UNKNOWN) + evidence
+    nothing = log(1.0 - P_UNKNOWN)
+    inexact = nothing + evidence - share / LAW_ENERGY - log(LAW_ENERGY) if one.names else -np.inf
+    return float(np.exp(unknown - np.logaddexp.reduce([unknown, nothing, inexact])))
+
+
+def _groups(weighed: list[Weighed]) -> dict[str, list[str]]:
+    """For every effect of the best hypothesis the ones that could stand in its place."""
+    best = weighed[0]
+    out: dict[str, list[str]] = {}
+    for name in best.fit.names:
+        rest = set(best.fit.names) - {name}
+        rivals: list[tuple[float, str]] = []
+        for w in weighed[1:]:
+            others = set(w.fit.names) - rest
+            if rest <= set(w.fit.names) and len(others) == 1 and w.share > GROUP * best.share:
+                rivals.append((w.share, others.pop()))
+        out[name] = [other for _, other in sorted(rivals, reverse=True)]
+    return out

@@ -1,0 +1,170 @@
+"""What the command line does with recordings of cells: diagnose one, several jointly or a folder of them, simulate, estimate tolerances."""
+
+import csv
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpd.cell import simulate
+from palpd.cell_file import CellFile, load_cell, save_cell
+from palpd.effects import EFFECTS, Effect, load_effects
+from palpd.errors import BadInput, PalpdError, RecordingError
+from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.gap.tolerances import estimate_tolerances
+from palpd.samples import COLUMNS, WRENCH_COLUMNS, Samples, read, write_csv
+
+
+def library(effects: Path | None) -> Mapping[str, Effect]:
+    """The library, with a user's own effects from a Python file."""
+    return EFFECTS if effects is None else load_effects(effects)
+
+
+def diagnose_files(
+    recordings: Sequence[Path],
+    cell: Path,
+    *,
+    json_out: Path | None = None,
+    cell_out: Path | None = None,
+    effects: Path | None = None,
+    propose: bool = True,
+) -> Diagnosis:
+    """Diagnose recordings of one cell jointly; write out.json and the enriched cell where asked, and beside the JSON the motion of the
+    next experiment where one is proposed."""
+    known = library(effects)
+    nominal = load_cell(cell, known)
+    found = diagnose([read(path) for path in recordings], nominal, known, propose=propose)
+    content = found.to_json()
+    if json_out is not None:
+        if found.proposal is not None:
+            motion = json_out.with_name(f"{json_out.stem}.next.csv")
+            found.proposal.write_motion(motion)
+            content["next_experiment"]["motion_csv"] = motion.name
+        json_out.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    if cell_out is not None:
+        save_cell(cell_out, found.enriched_cell())
+    return found
+
+
+@dataclass(frozen=True)
+class FleetRow:
+    """One cell of a folder: its verdict, or the sentence of what was wrong with it."""
+
+    name: str
+    verdict: str | None
+    effects: str
+    probability: float | None
+    closed: float | None
+    sentence: str
+
+
+def _fleet_row(recording: Path, effects: Path | None) -> FleetRow:
+    try:
+        cell = recording.with_suffix(".yaml")
+        if not cell.exists():
+            raise RecordingError(f"{recording.name} has no {cell.name} beside it; give every recording its cell file.")
+        found = diagnose_files([recording], cell, json_out=recording.with_suffix(".json"), effects=effects)
+        named = ", ".join(e.id for e in found.effects)
+        probability = max((e.probability for e in found.effects), default=found.p_none)
+        closed = found.shrink.closed if found.shrink else None
+        return FleetRow(recording.stem, found.verdict, named, probability, closed, found.sentence)
+    except (PalpdError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+        return FleetRow(recording.stem, None, "", None, None, str(error))
+
+
+def recordings_in(folder: Path) -> list[Path]:
+    """The recordings of a folder, in order of name. Raises BadInput where there are none."""
+    found = sorted(p for p in folder.iterdir() if p.suffix in {".csv", ".parquet"} and not p.name.endswith(".next.csv"))
+    if not found:
+        raise BadInput(f"{folder} holds no recording; expected X.csv files, each with its X.yaml.")
+    return found
+
+
+def diagnose_folder(folder: Path, *, jobs: int = 1, effects: Path | None = None) -> Iterator[FleetRow]:
+    """Diagnose every X.csv of a folder by its X.yaml over `jobs` processes, X.json written beside; rows as they are done. A recording
+    that fails is a row with its sentence and stops nothing."""
+    recordings = recordings_in(folder)
+    if jobs <= 1:
+        for recording in recordings:
+            yield _fleet_row(recording, effects)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        waiting = {pool.submit(_fleet_row, recording, effects): recording for recording in recordings}
+        for done in as_completed(waiting):
+            error = done.exception()
+            yield done.result() if error is None else FleetRow(waiting[done].stem, None, "", None, None, f"{type(error).__name__}: {error}")
+
+
+def simulate_file(
+    motion: Path,
+    cell: Path,
+    csv_out: Path,
+    *,
+    from_commanded: bool = False,
+    noise_seed: int | None = None,
+    effects: Path | None = None,
+    overwrite: bool = False,
+) -> Samples:
+    """The recording that a cell gives on the motion of a file: driven by its `z_m`, or by `z_cmd_m` where that is absent or asked for.
+    Without noise and rounding unless a seed is given."""
+    known = library(effects)
+    columns = read_motion(motion)
+    measured = "z_m" in columns and not from_commanded
+    if from_commanded and "z_cmd_m" not in columns:
+        raise RecordingError(f"{motion.name} has no column z_cmd_m; it is needed to simulate from the command.")
+    out = simulate(
+        load_cell(cell, known),
+        columns["t_s"],
+        z_cmd_m=columns.get("z_cmd_m"),
+        z_m=columns["z_m"] if measured else None,
+        vz_m_per_s=columns.get("vz_m_per_s") if measured else None,
+        noise_seed=noise_seed,
+        library=known,
+    )
+    speed = out.get("vz_m_per_s")
+    samples = Samples(
+        columns["t_s"],
+        columns.get("z_cmd_m"),
+        out["z_m"],
+        np.gradient(out["z_m"], columns["t_s"]) if speed is None else speed,
+        np.column_stack([out[name] for name in WRENCH_COLUMNS]),
+    )
+    write_csv(csv_out, samples, overwrite=overwrite)
+    return samples
+
+
+def read_motion(path: Path) -> dict[str, Any]:
+    """The columns of a motion: `t_s` and at least one of `z_cmd_m`, `z_m`; `vz_m_per_s` where present. Raises RecordingError."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if row]
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path.name} cannot be read ({getattr(error, 'strerror', None) or 'not text'}); give a CSV.") from None
+    header = [name.strip() for name in rows[0]] if rows else []
+    if "t_s" not in header or not {"z_cmd_m", "z_m"} & set(header):
+        raise RecordingError(f"{path.name}: column t_s and one of z_cmd_m, z_m are needed in row 0 (the header).")
+    columns: dict[str, Any] = {}
+    for name in [name for name in COLUMNS[:4] if name in header]:
+        at = header.index(name)
+        try:
+            columns[name] = np.array([float(row[at]) for row in rows[1:]])
+        except (ValueError, IndexError):
+            raise RecordingError(f"{path.name}: {name} holds something that is not a number; every value must be finite.") from None
+        if not np.isfinite(columns[name]).all():
+            row = int(np.flatnonzero(~np.isfinite(columns[name]))[0]) + 1
+            raise RecordingError(f"{path.name}: {name} is not finite in row {row}; every value must be finite.")
+    backwards = np.flatnonzero(np.diff(columns["t_s"]) <= 0)
+    if len(columns["t_s"]) < 2 or len(backwards):
+        row = int(backwards[0]) + 2 if len(backwards) else 1
+        raise RecordingError(f"{path.name}: t_s does not run forwards in row {row}; a motion needs two rows or more in the order of time.")
+    return columns
+
+
+def tolerances_of(recordings: Sequence[Path], cell: Path) -> dict[str, dict[str, float]]:
+    """The blocks `tolerances` and `repeatability` as recordings of a healthy cell show them."""
+    nominal: CellFile = load_cell(cell)
+    return estimate_tolerances([read(path) for path in recordings], nominal)

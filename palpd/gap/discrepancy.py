@@ -1,0 +1,173 @@
+"""What a hypothesis leaves: is it noise, or something that no effect of the list explains?
+
+The whitened remainder is written, rest by rest and stroke by stroke, in a few smooth shapes (mean, slope, bend …; in log time at
+rest). Were it noise, every coefficient would be N(0, 1). For every channel, phase and shape the evidence that the coefficients have a
+common mean, or a larger variance, is weighed against that; besides them, single outliers and a single frequency.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import log
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from palpd.gap.noise import CHANNELS
+from palpd.gap.phases import PHASES
+from palpd.gap.problem import Linearisation, Problem
+from palpd.tick import Floats
+
+SHAPES = 5
+INCLUSION = 0.01
+"""How probable it is beforehand that one channel, phase and shape is off."""
+
+
+@dataclass(frozen=True)
+class Left:
+    """`log_bayes_factor` for something being left, its `energy` in squared sigmas, and where most of it is."""
+
+    log_bayes_factor: float
+    energy: float
+    channel: str
+    phase: str
+
+
+def what_is_left(problem: Problem, remainder: Floats, around: Linearisation, residual: Floats) -> Left:
+    """How much structure there is in a whitened remainder (7, b), and in the in-tolerance deviations that the residual asks for."""
+    coefficients, phase = _coefficients(problem, remainder)
+    total, energy, tone, tone_energy = 0.0, 0.0, -np.inf, 0.0
+    best = (-1.0, "fz_N", PHASES[0])
+    for channel in range(7):
+        if not remainder[channel].any():
+            continue
+        for p in range(len(PHASES)):
+            mine = coefficients[channel][phase == p]
+            here = 0.0
+            for d in range(mine.shape[1] if len(mine) else 0):
+                z = mine[:, d]
+                z = z[np.isfinite(z)]
+                if not len(z):
+                    continue
+                factor = _group(z)
+                gain = float(np.logaddexp(log(1.0 - INCLUSION), log(INCLUSION) + factor))
+                total += gain
+                certain = 1.0 / (1.0 + np.exp(-(np.clip(factor + log(INCLUSION), -50, 50))))
+                here += certain * max(float((z**2).sum()) - len(z), 0.0)
+            energy += here
+            if here > best[0]:
+                best = (here, CHANNELS[channel], PHASES[p])
+        factor, power = _frequency(problem, remainder[channel])
+        if factor > tone:
+            tone, tone_energy = factor, power
+    stretched, strain = _strain(problem, around, residual)
+    total, energy = total + stretched, energy + strain
+    every = np.concatenate([c[np.isfinite(c)] for c in coefficients])
+    outlier, most = _outlier(every)
+    # The same deviation may show as all three: they are alternatives, each with its own energy.
+    each = np.array([total, tone, outlier])
+    evidence = float(np.logaddexp.reduce(each) - log(3.0))
+    there = 1.0 / (1.0 + np.exp(-np.clip(evidence, -50.0, 50.0)))
+    energy = there * float(np.exp(each - np.logaddexp.reduce(each)) @ np.array([energy, tone_energy, most]))
+    return Left(evidence, energy, best[1], best[2])
+
+
+def _coefficients(problem: Problem, remainder: Floats) -> tuple[list[Floats], Floats]:
+    """Per channel (segments, SHAPES), NaN where a segment is too short; and the phase of every segment."""
+    rows: list[list[Floats]] = [[] for _ in range(7)]
+    phase: list[int] = []
+    start = 0
+    for run in problem.runs:
+        label = run.bin_phase * 1e6 + run.bin_cycle
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(label)) + 1, [len(label)]])
+        weight = np.sqrt(run.bins.count)
+        for a, b in pairwise(edges):
+            if b - a < 3:
+                continue
+            shapes = min(SHAPES, (b - a) // 2)
+            p = int(run.bin_phase[a])
+            t = run.t_s[a:b] - run.t_s[a]
+            x = t if p in (1, 2, 4) else np.log1p(t / max(float(t[-1]) / 50.0, 1e-12))
+            x = 2.0 * x / max(float(x[-1]), 1e-300) - 1.0
+            basis, _ = np.linalg.qr(weight[a:b, None] * np.polynomial.chebyshev.chebvander(x, shapes - 1))
+            z = remainder[:, start + a : start + b] @ basis
+            for channel in range(7):
+                row = np.full(SHAPES, np.nan)
+                row[:shapes] = z[channel] * np.sign(basis.sum(axis=0)[0] or 1.0)
+                rows[channel].append(row)
+            phase.append(p)
+        start += len(run.bins)
+    return [np.array(r).reshape(-1, SHAPES) for r in rows], np.array(phase)
+
+
+def _group(z: Floats) -> float:
+    """Log Bayes factor of coefficients with a common mean or a larger variance against N(0, 1)."""
+    n, mean, square = len(z), float(z.mean()), float((z**2).sum())
+    factors = []
+    for spread in (2.0, 8.0, 30.0):
+        v = 1.0 + n * spread**2
+        factors.append(-0.5 * log(v) + 0.5 * (n * mean) ** 2 * spread**2 / v)
+        factors.append(-0.5 * n * log(1.0 + spread**2) + 0.5 * square * spread**2 / (1.0 + spread**2))
+    return float(np.logaddexp.reduce(factors) - log(len(factors)))
+
+
+def _outlier(z: Floats) -> tuple[float, float]:
+    """Log Bayes factor of one coefficient being large, and its energy."""
+    spread = 10.0
+    each = -0.5 * log(1.0 + spread**2) + 0.5 * z**2 * spread**2 / (1.0 + spread**2)
+    return (float(np.logaddexp.reduce(each) - log(len(z))), float((z**2).max())) if len(z) else (0.0, 0.0)
+
+
+def _strain(problem: Problem, around: Linearisation, residual: Floats) -> tuple[float, float]:
+    """Log Bayes factor, and energy, of deviations beyond their tolerances: what belongs to the cell, to each recording and to its
+    presses. Were the cell healthy, each deviation over its spread would be N(0, 1)."""
+    space = around.space
+    found = space.coefficients(residual)
+    inverse = np.linalg.inv(space.factor)
+    spread = np.sqrt(np.maximum(1.0 - (inverse**2).sum(axis=0), 0.0))
+    z = np.where(spread > 0.5, found / np.maximum(spread, 0.5), np.nan)
+    if not problem.cell.tolerances.modulus_known:
+        z[0] = np.nan
+    first = len(around.eta)
+    groups = [[first + k for k, name in problem.press_index if name == kind] for kind in ("stiffness", "surface_z_m")]
+    pressed = {k for group in groups for k in group}
+    groups += [[k] for k in range(len(z)) if k not in pressed]
+    total, energy = 0.0, 0.0
+    for group in groups:
+        mine = z[group]
+        mine = mine[np.isfinite(mine)]
+        if not len(mine):
+            continue
+        factor = _group(mine)
+        if len(mine) > 3:
+            factor = float(np.logaddexp(factor, _outlier(mine)[0]) - log(2.0))
+        total += float(np.logaddexp(log(1.0 - INCLUSION), log(INCLUSION) + factor))
+        certain = 1.0 / (1.0 + np.exp(-(np.clip(factor + log(INCLUSION), -50, 50))))
+        energy += certain * max(float((mine**2).sum()) - len(mine), 0.0)
+    return total, energy
+
+
+def _frequency(problem: Problem, values: Floats) -> tuple[float, float]:
+    """Log Bayes factor, and energy, of one sinusoid that goes through the whole recording."""
+    start, best, power = 0, 0.0, 0.0
+    for run in problem.runs:
+        n = len(run.bins)
+        part = values[start : start + n]
+        start += n
+        t = run.t_s
+        if n < 64:
+            continue
+        step = max(float(np.quantile(np.diff(t), 0.25)), 1e-12)
+        grid = np.arange(0.0, float(t[-1]), step)[:40000]
+        even = np.interp(grid, t, part * np.sqrt(run.bins.count))
+        # Interpolated coarse bins are smooth: judge a peak against its own neighbourhood.
+        spectrum = np.abs(np.fft.rfft(even - even.mean())) ** 2
+        if len(spectrum) < 64:
+            continue
+        local = median_filter(spectrum, size=101, mode="reflect")
+        ratio = spectrum[8:-8] / np.maximum(local[8:-8] / 0.693, 1e-300)
+        peak = float(ratio.max())
+        best += peak - log(len(ratio)) - 0.5 * log(max(peak, 1.0)) - 5.0
+        power += peak
+    return best, 2.0 * power
+
+

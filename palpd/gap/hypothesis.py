@@ -1,0 +1,423 @@
+"""One hypothesis: a set of effects, fitted to a problem with everything within specification marginalised."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import product
+from math import inf, lgamma, log, pi
+
+import numpy as np
+
+from palpd.cell_file import EffectValues
+from palpd.effects import Effect, Parameter, Scale
+from palpd.gap.gaussian import Nuisances, Projected, gram, nuisances, project
+from palpd.gap.problem import Linearisation, Problem
+from palpd.tick import Floats
+
+LOG_SIZE_RANGE = 7.0
+"""An effect's size in sigmas is taken to be log-uniform over e^7, a thousand."""
+
+INEXACT = 0.15
+"""How large, as a share of the effect, each way is in which a real law may differ from the library's."""
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One free parameter of a hypothesis, in a coordinate in which steps of 1 % are sensible."""
+
+    effect: str
+    parameter: Parameter
+    lower: float
+    upper: float
+    scale: float
+    nominal: float | None
+
+    @property
+    def amplitude(self) -> bool:
+        """Whether it switches the effect off at its nominal value."""
+        return self.nominal is not None
+
+    def to(self, value: float) -> float:
+        """Coordinate of a value."""
+        return log(max(value, 1e-300)) if self.parameter.log else value / self.scale
+
+    def back(self, u: float) -> float:
+        """Value of a coordinate, inside the range."""
+        value = float(np.exp(min(u, 700.0))) if self.parameter.log else u * self.scale
+        return min(max(value, self.lower), self.upper)
+
+    @property
+    def angle(self) -> bool:
+        """Whether it goes round."""
+        return self.parameter.unit == "rad" and self.upper - self.lower > 6.28
+
+    @property
+    def range(self) -> float:
+        """Length of the range in the coordinate."""
+        return max(self.to(self.upper) - self.to(max(self.lower, 1e-300 if self.parameter.log else self.lower)), 1e-9)
+
+
+def coordinates(effects: Iterable[Effect], scale: Scale) -> list[Coordinate]:
+    """The free parameters of a set of effects, effect by effect."""
+    out = []
+    for effect in effects:
+        for parameter in effect.parameters:
+            lower, upper = parameter.bounds(scale)
+            typical = max((abs(v) for v in parameter.starts(scale)), default=0.0) or max(abs(lower), abs(upper)) or 1.0
+            out.append(Coordinate(effect.id, parameter, lower, upper, typical, parameter.nominal_value(scale)))
+    return out
+
+
+def values_at(where: Sequence[Coordinate], u: Floats) -> EffectValues:
+    """The effects with these coordinates."""
+    out: EffectValues = {}
+    for c, x in zip(where, u.tolist(), strict=True):
+        value = c.back(x)
+        if c.angle:
+            value = float((x * c.scale - c.lower) % (2.0 * pi) + c.lower)
+        out.setdefault(c.effect, {})[c.parameter.name] = value
+    return out
+
+
+def start_values(effect: Effect, scale: Scale, peaks_Hz: Sequence[float], most: int = 32) -> list[dict[str, float]]:
+    """Where to look for an effect first: every combination of its starting values, shapes also spread over their range."""
+    lists = []
+    for parameter in effect.parameters:
+        starts = list(parameter.starts(scale))
+        if parameter.nominal is None and parameter.log:
+            lower, upper = parameter.bounds(scale)
+            if upper > lower > 0:
+                spread = np.geomspace(lower, upper, 7)[1:-1].tolist()
+                starts = [*starts, *[s for s in spread if min(abs(log(s / v)) for v in starts) > 0.5]]
+        if parameter.unit == "Hz":
+            lower, upper = parameter.bounds(scale)
+            starts = [*[f for f in peaks_Hz if lower < f < upper], *starts]
+        lists.append(starts)
+    names = [p.name for p in effect.parameters]
+    combos = [dict(zip(names, combo, strict=True)) for combo in product(*lists)]
+    if len(combos) > most:
+        combos = [combos[k] for k in np.unique(np.linspace(0, len(combos) - 1, most).astype(int))]
+    return combos
+
+
+def stretched(effect: Effect, values: dict[str, float], factor: float, scale: Scale) -> dict[str, float]:
+    """The effect made `factor` times as large, by its amplitudes."""
+    out = dict(values)
+    for parameter in effect.parameters:
+        nominal = parameter.nominal_value(scale)
+        if nominal is None:
+            continue
+        lower, upper = parameter.bounds(scale)
+        value = values[parameter.name]
+        if nominal == 0.0:
+            value = value * factor
+        elif nominal == inf:
+            value = value / min(max(abs(factor), 0.03), 30.0)
+        else:
+            value = nominal * (value / nominal) ** min(max(factor, -5.0), 5.0)
+        out[parameter.name] = min(max(value, lower), upper)
+    return out
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A hypothesis at its best: the values of its effects, and how likely the data are under it.
+
+    `log_evidence` allows its laws to be inexact, `log_evidence_exact` takes them as they are; `change` (c, b) is what the effects do
+    to the whitened prediction, `covariance` that of the coordinates; `misfit` the whitened squared residual.
+    """
+
+    names: tuple[str, ...]
+    values: EffectValues
+    where: tuple[Coordinate, ...]
+    u: Floats
+    eta: Floats
+    covariance: Floats
+    change: Floats
+    size: float
+    residual: Floats
+    remainder: Floats
+    law_energy: float
+    misfit: float
+    log_evidence_exact: float
+    log_evidence_inexact: float
+    log_evidence: float
+    linearisation: Linearisation
+
+
+def _step(c: Coordinate, u: float) -> float:
+    if c.parameter.log or c.angle:
+        return 1e-2 / (c.scale if c.angle else 1.0)
+    return 1e-2 * max(abs(u), 0.1)
+
+
+def _jacobian(problem: Problem, where: Sequence[Coordinate], u: Floats, eta: Floats, at: Floats) -> list[Floats]:
+    out = []
+    for k, c in enumerate(where):
+        h = _step(c, float(u[k]))
+        if not c.angle and u[k] + h > c.to(c.upper):
+            h = -h
+        there = u.copy()
+        there[k] += h
+        out.append((problem.predict(values_at(where, there), eta) - at) / h)
+    return out
+
+
+def _clip(where: Sequence[Coordinate], u: Floats) -> Floats:
+    out = u.copy()
+    for k, c in enumerate(where):
+        if not c.angle:
+            out[k] = c.to(c.back(float(u[k])))
+    return out
+
+
+def climb(
+    problem: Problem, around: Linearisation, where: Sequence[Coordinate], u: Floats, iterations: int
+) -> tuple[Floats, float, Floats, list[Floats]]:
+    """Gauss-Newton with the nuisances of `around`: coordinates, squared residual, prediction and Jacobian there."""
+    target = problem.data + around.offset()
+    u = _clip(where, u)
+    at = problem.predict(values_at(where, u), around.eta)
+    r = project(target - at, around.space)
+    misfit = r.dot(r)
+    damping = 1e-3
+    jacobian = _jacobian(problem, where, u, around.eta, at)
+    for _ in range(iterations):
+        columns = [project(j, around.space) for j in jacobian]
+        normal = gram(columns)
+        slope = np.array([j.dot(r) for j in columns])
+        better = False
+        for _ in range(5):
+            diagonal = np.diag(normal)
+            lhs = normal + np.diag(damping * diagonal + 1e-12 * max(diagonal.max(initial=0.0), 1e-300))
+            move = np.linalg.lstsq(lhs, slope, rcond=None)[0]
+            trial = _clip(where, u + np.clip(move, -2.0, 2.0) * 1.0)
+            there = problem.predict(values_at(where, trial), around.eta)
+            r_there = project(target - there, around.space)
+            m_there = r_there.dot(r_there)
+            if m_there < misfit:
+                better = True
+                break
+            damping = max(damping, 1e-4) * 10.0
+        if not better:
+            break
+        gained = misfit - m_there
+        u, at, r, misfit = trial, there, r_there, m_there
+        damping = max(damping * 0.1, 1e-6)
+        jacobian = _jacobian(problem, where, u, around.eta, at)
+        if gained < 0.02:
+            break
+    return u, misfit, at, jacobian
+
+
+def fit(
+    problem: Problem,
+    names: tuple[str, ...],
+    start: EffectValues,
+    around: Linearisation,
+    *,
+    iterations: int = 8,
+    rounds: int = 0,
+    inexact: bool = True,
+) -> Fit:
+    """The best values of a set of effects from `start`; `rounds` times the nuisances are linearised again at what was found."""
+    where = coordinates([problem.library[name] for name in names], problem.scale)
+    u = np.array([c.to(start[c.effect][c.parameter.name]) for c in where])
+    u, misfit, at, jacobian = climb(problem, around, where, u, iterations)
+    for _ in range(rounds):
+        left = problem.data + around.offset() - at
+        eta = around.space.coefficients(left)[: len(around.eta)]
+        around = problem.linearise(values_at(where, u), np.clip(eta, around.eta - 4.0, around.eta + 4.0))
+        u, misfit, at, jacobian = climb(problem, around, where, u, max(2, iterations // 2))
+    return judge(problem, names, where, u, misfit, at, jacobian, around, inexact=inexact)
+
+
+def judge(
+    problem: Problem,
+    names: tuple[str, ...],
+    where: Sequence[Coordinate],
+    u: Floats,
+    misfit: float,
+    at: Floats,
+    jacobian: list[Floats],
+    around: Linearisation,
+    *,
+    inexact: bool = True,
+) -> Fit:
+    """Laplace evidence of a hypothesis at its best, its laws taken as exact and as inexact."""
+    values = values_at(where, u)
+    r = project(problem.data + around.offset() - at, around.space)
+    without = problem.predict({}, around.eta) if names else at
+    change = at - without
+    columns = [project(j, around.space) for j in jacobian]
+    normal = gram(columns) if columns else np.zeros((0, 0))
+    size = max(project(change, around.space).dot(project(change, around.space)), 0.0) ** 0.5
+    base = -0.5 * around.space.log_determinant
+    exact = -0.5 * misfit + base
+    covariance = np.zeros((0, 0))
+    prior = 0.0
+    if names:
+        prior, covariance = _occam(problem, names, where, values, normal, around)
+        exact += prior
+    space = around.space
+    evidence = inexact_evidence = exact
+    law_energy = 0.0
+    remainder = r.values - space.explained(space.coefficients(r.values))
+    if names and inexact:
+        law = law_columns(problem, values, at, around)
+        if len(law):
+            wide = nuisances(np.concatenate([around.columns, law]))
+            # The values may move while the laws bend: a Gauss-Newton step of the coordinates under the wider nuisances.
+            rw = project(r.values, wide)
+            jw = [project(j, wide) for j in jacobian]
+            nw = gram(jw)
+            slope = np.array([j.dot(rw) for j in jw])
+            reach = [_reach(c, x) for c, x in zip(where, u.tolist(), strict=True)]
+            move = np.linalg.solve(nw + np.diag(np.array(reach) ** -2), slope)
+            bent = rw.dot(rw) - float(slope @ move)
+            inexact_evidence = -0.5 * bent - 0.5 * wide.log_determinant + prior
+            evidence = float(np.logaddexp(exact, inexact_evidence) - log(2.0))
+            moved = r.values - np.tensordot(move, np.array(jacobian), axes=1)
+            coefficients = wide.coefficients(moved)
+            if inexact_evidence > exact:
+                remainder = moved - wide.explained(coefficients)
+                bend = np.tensordot(coefficients[len(around.columns) :], law, axes=1)
+                bend = bend + np.tensordot(move, np.array(jacobian), axes=1)
+                law_energy = _unfittable(bend, columns, normal, space)
+                covariance = _inverse(nw)
+    return Fit(
+        names,
+        values,
+        tuple(where),
+        u,
+        around.eta,
+        covariance,
+        change,
+        size,
+        r.values,
+        remainder,
+        law_energy,
+        misfit,
+        exact,
+        inexact_evidence,
+        evidence,
+        around,
+    )
+
+
+def _reach(c: Coordinate, u: float) -> float:
+    """How far a parameter moves when its law bends: by about half of itself."""
+    if c.parameter.log:
+        return 0.5
+    return 0.5 / c.scale if c.angle else 0.5 * max(abs(u), 1e-3)
+
+
+def _unfittable(bend: Floats, columns: list[Projected], normal: Floats, space: Nuisances) -> float:
+    """Energy of a change that neither the nuisances nor the parameters could have made."""
+    p = project(bend, space)
+    slope = np.array([c.dot(p) for c in columns])
+    taken = float(slope @ np.linalg.lstsq(normal, slope, rcond=None)[0]) if len(slope) else 0.0
+    return max(p.dot(p) - taken, 0.0)
+
+
+def _inverse(normal: Floats) -> Floats:
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray(np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-9, hermitian=True) / np.outer(scale, scale))
+
+
+def _occam(
+    problem: Problem,
+    names: tuple[str, ...],
+    where: Sequence[Coordinate],
+    values: EffectValues,
+    normal: Floats,
+    around: Linearisation,
+) -> tuple[float, Floats]:
+    """Log of prior × posterior volume. The prior is the same for every effect in what matters: its size in sigmas is log-uniform, its
+    direction among several amplitudes uniform, its shapes uniform over their range."""
+    # A coordinate that the data do not bind is bound by its prior range.
+    widths = np.array([1e3 if c.amplitude else c.range / 3.46 for c in where])
+    full = normal + np.diag(1.0 / widths**2)
+    sign, log_det = np.linalg.slogdet(full)
+    volume = 0.5 * (len(where) * log(2.0 * pi) - (log_det if sign > 0 else 0.0))
+    prior = 0.0
+    complete = problem.predict(values, around.eta) if len(names) > 1 else None
+    for name in names:
+        index = [k for k, c in enumerate(where) if c.effect == name]
+        amplitudes = [k for k in index if where[k].amplitude]
+        m = len(amplitudes)
+        others = {other: v for other, v in values.items() if other != name}
+        at = complete if complete is not None else problem.predict(values, around.eta)
+        change = project(at - problem.predict(others, around.eta), around.space)
+        size = max(change.dot(change), 1.0) ** 0.5
+        if m:
+            _, log_density = np.linalg.slogdet(normal[np.ix_(amplitudes, amplitudes)] + 1e-12 * np.eye(m))
+            sphere = log(2.0) + 0.5 * m * log(pi) - lgamma(0.5 * m)
+            prior += -log(LOG_SIZE_RANGE) - m * log(size) - sphere + 0.5 * log_density
+        prior -= sum(log(where[k].range) for k in index if not where[k].amplitude)
+    return prior + volume, _inverse(full)
+
+
+def law_columns(problem: Problem, values: EffectValues, at: Floats, around: Linearisation) -> Floats:
+    """Ways in which the effects' real laws may differ from the library's: stronger or weaker with depth, speed, direction, time and
+    since the motion changed, and mixed with the same law at other shapes. Each is INEXACT times as large as the effect."""
+    out = []
+    complete = at
+    for name in values:
+        others = {other: v for other, v in values.items() if other != name}
+        part = complete - problem.predict(others, around.eta)
+        energy = float(np.vdot(part, part)) ** 0.5
+        if energy <= 0:
+            continue
+        live = np.flatnonzero(part.any(axis=1))
+        shapes = []
+        for parameter in problem.library[name].parameters:
+            if parameter.nominal is None and parameter.log:
+                lower, upper = parameter.bounds(problem.scale)
+                for factor in (0.2, 0.45, 2.2, 5.0):
+                    other = min(max(values[name][parameter.name] * factor, lower), upper)
+                    bent = problem.predict(values | {name: values[name] | {parameter.name: other}}, around.eta)
+                    shapes.append(bent - complete)
+        for basis in _modulations(problem):
+            shape = np.zeros_like(part)
+            shape[live] = part[live] * basis
+            shapes.append(shape)
+        if len(live) > 1:
+            for channel in live:
+                shape = np.zeros_like(part)
+                shape[channel] = part[channel]
+                shapes.append(shape)
+        for shape in shapes:
+            norm = float(np.vdot(shape, shape)) ** 0.5
+            if norm > 1e-6 * energy:
+                out.append(shape * min(INEXACT * energy / norm, 1.0))
+    return np.array(out)
+
+
+def _modulations(problem: Problem) -> list[Floats]:
+    """Smooth functions of what the probe is doing, one value a bin."""
+    pieces = []
+    for run in problem.runs:
+        mean = run.bins.mean
+        depth = mean(run.phases.depth_m) / problem.scale.depth_m
+        speed = mean(run.phases.velocity_m_per_s) / problem.scale.speed_m_per_s
+        rest = np.log1p(mean(run.phases.since_s) / (3.0 * problem.scale.step_s))
+        rest = rest / max(rest.max(), 1e-9)
+        moving = mean(run.phases.moving.astype(float))
+        late = run.t_s / max(problem.scale.duration_s, 1e-9)
+        pieces.append(
+            np.array(
+                [
+                    depth,
+                    depth**2,
+                    np.abs(speed),
+                    np.clip(speed, -1.0, 1.0),
+                    moving,
+                    rest,
+                    rest * moving,
+                    late,
+                    np.exp(-10.0 * late),
+                    (run.bin_cycle == 0).astype(float),
+                ]
+            )
+        )
+    return [row - row.mean() for row in np.hstack(pieces)]

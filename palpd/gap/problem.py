@@ -1,0 +1,364 @@
+"""Recordings of one cell against its simulation, as one whitened vector with everything that is within specification marginalised."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpd.cell import Motion, measured_motion, predict_motion, predict_wrench, scale_of, wrench_of
+from palpd.cell_file import CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
+from palpd.effects import EFFECTS, Effect, Scale
+from palpd.gap.bins import Bins, make_bins
+from palpd.gap.gaussian import Nuisances, nuisances
+from palpd.gap.noise import FX, FZ, TX, Z, dead, declared_rms, measured_rms, resolutions
+from palpd.gap.phases import FREE_STILL, HOLDING, Phases, find_phases
+from palpd.samples import Samples
+from palpd.tick import Floats
+
+SHARED = (
+    "youngs_modulus",
+    "surface_z_m",
+    "gain",
+    "latency_s",
+    "filter_cutoff",
+    "mass_kg",
+    "servo_natural_frequency",
+    "fx_per_fz",
+    "fy_per_fz",
+    "tx_per_fz",
+    "ty_per_fz",
+)
+"""In-tolerance deviations that all recordings of a cell share; bias and drift are each recording's own, since each is tared."""
+
+RELATIVE = {"youngs_modulus", "filter_cutoff", "servo_natural_frequency"}
+"""Deviations that are fitted as logarithms, so that a modulus that is not known at all stays positive."""
+
+UNKNOWN_LOG_SD = 2.5
+"""One standard deviation of the logarithm of a modulus of which nothing is known: a factor of twelve."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recording, prepared: phases, bins, the motion behind its noisy heights, and the noise of every bin."""
+
+    samples: Samples
+    phases: Phases
+    bins: Bins  # of samples
+    steps: Bins  # of the simulation's steps, each several samples long where the motion is smooth enough
+    motion: Motion  # at those steps, and once more smoothed
+    smoother: tuple[Motion, Motion]  # its path, and its acceleration, averaged once more
+    z_cmd_m: Floats | None
+    noise_rms: Floats  # (7,) of one sample, as measured
+    noise_ratio: Floats  # (7,) measured over declared
+    noise_measured: bool  # whether there were rests to measure it in
+    judged: tuple[bool, ...]
+    t_s: Floats  # (b,)
+    bin_phase: Floats
+    bin_cycle: Floats
+    bin_press: Floats
+
+
+def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
+    """A recording of that cell, ready to be compared."""
+    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
+    phases = find_phases(samples, surface_m, cell.robot.position_noise_rms_m)
+    motion = measured_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s)
+    again = measured_motion(cell, samples.t_s, motion.z_m, motion.vz_m_per_s)
+    smoother = (replace(motion, z_m=again.z_m, vz_m_per_s=again.vz_m_per_s), replace(motion, az_m_per_s2=again.az_m_per_s2))
+    together = Bins.of_equal_length(len(samples), _together(samples, cell))
+    steps = make_bins(together.mean(samples.t_s), phases, together, max_bins)
+    bins = together.merged(steps)
+    declared = declared_rms(cell)
+    still = np.isin(phases.phase, (FREE_STILL, HOLDING)) & (phases.since_s > 0.1 * phases.since_s.max())
+    judged, measured = [], np.zeros(7)
+    for channel in range(7):
+        if channel == Z:
+            usable = samples.z_cmd_m is not None and not dead(samples.z_m)
+            signal = samples.z_m
+        else:
+            signal = samples.wrench[:, channel - 1]
+            usable = not dead(signal)
+        judged.append(usable)
+        if usable:
+            measured[channel] = measured_rms(signal[still]) if still.sum() >= 60 else min(measured_rms(signal), declared[channel])
+    floor = np.where(declared > 0, declared, np.maximum(measured, 1e-300))
+    rms = np.where(measured > 0, np.maximum(measured, 0.5 * floor), floor)
+    return Run(
+        samples,
+        phases,
+        bins,
+        steps,
+        _at_steps(motion, together),
+        (_at_steps(smoother[0], together), _at_steps(smoother[1], together)),
+        None if samples.z_cmd_m is None else together.mean(samples.z_cmd_m),
+        rms,
+        np.where(measured > 0, measured / floor, 1.0),
+        bool(still.sum() >= 60),
+        tuple(judged),
+        bins.mean(samples.t_s - samples.t_s[0]),
+        bins.first(phases.phase).astype(float),
+        bins.first(phases.cycle).astype(float),
+        bins.first(phases.press).astype(float),
+    )
+
+
+def _together(samples: Samples, cell: CellFile) -> int:
+    """How many samples one step of the simulation may take: a sixth of what the heights are averaged over, and never so many that fewer
+    than 4500 steps are left."""
+    averaged = 0.25 / cell.robot.servo_natural_frequency_Hz * samples.rate_Hz
+    return max(1, min(int(averaged / 5.0), len(samples) // 4500))
+
+
+def _at_steps(motion: Motion, together: Bins) -> Motion:
+    mean = together.mean
+    return Motion(mean(motion.t_s), mean(motion.z_m), mean(motion.vz_m_per_s), mean(motion.az_m_per_s2), motion.z_noise_m)
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """The nuisances around one state of the cell: the effects there, the shared deviations there (in standard deviations)."""
+
+    effects: EffectValues
+    eta: Floats
+    columns: Floats  # (k, c, b), the first len(eta) of them the shared deviations
+    space: Nuisances
+    prediction: Floats  # of the cell in that state
+
+    def offset(self) -> Floats:
+        """What the linear model has to give back, since its deviations count from zero and not from `eta`."""
+        return np.tensordot(self.eta, self.columns[: len(self.eta)], axes=1)
+
+
+@dataclass
+class Problem:
+    """Everything a hypothesis is judged by."""
+
+    cell: CellFile
+    runs: list[Run]
+    library: Mapping[str, Effect]
+    scale: Scale
+    shared_sd: Floats
+    sigma: Floats = field(default_factory=lambda: np.empty(0))  # (7, b)
+    data: Floats = field(default_factory=lambda: np.empty(0))  # (7, b) whitened
+    fz_step_N: float = 0.0
+    """The step that fz really has, where it is coarser than stated."""
+    simulations: int = 0
+    own_index: list[tuple[int, int, str]] = field(default_factory=list)
+    """(channel, number among the columns after the shared ones, bias or drift) of every recording's own columns."""
+    press_index: list[tuple[int, str]] = field(default_factory=list)
+    """(number among the columns after the shared ones, stiffness or surface_z_m) of every press's scatter."""
+
+    def cell_at(self, effects: EffectValues, eta: Floats) -> CellFile:
+        """The cell with these effects and shared deviations (in standard deviations)."""
+        return self.cell.with_effects(effects).with_estimated(self.estimated(eta))
+
+    def estimated(self, eta: Floats) -> Estimated:
+        """The shared deviations in the units of the cell file."""
+        value = dict(zip(SHARED, (eta * self.shared_sd).tolist(), strict=True))
+        for name in RELATIVE:
+            value[name] = float(np.expm1(np.clip(value[name], -20.0, 20.0)))
+        return Estimated.model_construct(
+            bias_N=0.0,
+            drift_N_per_min=0.0,
+            gain=value["gain"],
+            latency_s=value["latency_s"],
+            filter_cutoff=value["filter_cutoff"],
+            crosstalk=(value["fx_per_fz"], value["fy_per_fz"], value["tx_per_fz"], value["ty_per_fz"]),
+            mass_kg=value["mass_kg"],
+            youngs_modulus=value["youngs_modulus"],
+            surface_z_m=value["surface_z_m"],
+            servo_natural_frequency=value["servo_natural_frequency"],
+        )
+
+    def raw_prediction(self, run: Run, cell: CellFile) -> Floats:
+        """Heights and wrench (n, 7) at every sample; zero where a channel is not judged."""
+        samples = run.samples
+        out = np.zeros((len(samples), 7))
+        if run.judged[Z] and samples.z_cmd_m is not None:
+            out[:, Z] = predict_motion(cell, samples.t_s, samples.z_cmd_m, self.library)
+        out[:, 1:] = predict_wrench(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, self.library)
+        return out
+
+    def _simulated(self, run: Run, cell: CellFile, motion: Motion, still: Floats | None) -> Floats:
+        """Binned heights and wrench (7, b); heights, where given, from `still`."""
+        self.simulations += 1
+        out = np.zeros((7, len(run.bins)))
+        if still is not None:
+            out[Z] = still[Z]
+        elif run.judged[Z] and run.z_cmd_m is not None:
+            out[Z] = run.steps.mean(predict_motion(cell, run.motion.t_s, run.z_cmd_m, self.library))
+        wrench = wrench_of(cell, motion, self.library)
+        for axis in range(6):
+            if wrench[:, axis].any():
+                out[axis + 1] = run.steps.mean(np.ascontiguousarray(wrench[:, axis]))
+        return out
+
+    def predict(self, effects: EffectValues, eta: Floats) -> Floats:
+        """The whitened prediction (7, b)."""
+        cell = self.cell_at(effects, eta)
+        motion = any(self.library[name].motion for name in effects) or bool(eta[SHARED.index("servo_natural_frequency")])
+        parts = [
+            self._simulated(run, cell, run.motion, None if motion else still) for run, still in zip(self.runs, self._still, strict=True)
+        ]
+        # A trial far outside all reason may overflow: it then fits badly, and that is all that is asked of it.
+        return np.nan_to_num(np.hstack(parts) / self.sigma, nan=1e6, posinf=1e6, neginf=-1e6)
+
+    def __post_init__(self) -> None:
+        nothing = self.cell.with_effects({})
+        self._still = [self._simulated(run, nothing, run.motion, None) for run in self.runs]
+        measured = []
+        sigmas = []
+        for run in self.runs:
+            z = run.samples.z_m[:, None] if run.judged[Z] else np.zeros((len(run.samples), 1))
+            measured.append(self._binned(run, np.hstack([z, run.samples.wrench])))
+            sigma = run.noise_rms[:, None] / np.sqrt(run.bins.count)[None, :]
+            sigma[FZ] = np.hypot(sigma[FZ], run.motion.z_noise_m * self._stiffness(run))
+            sigma[FZ] = np.hypot(sigma[FZ], _coherent(self.fz_step_N, float(run.noise_rms[FZ])))
+            sigma[~np.array(run.judged)] = np.inf
+            sigmas.append(sigma)
+        self.sigma = np.hstack(sigmas)
+        self.data = np.hstack(measured) / self.sigma
+
+    def _binned(self, run: Run, values: Floats) -> Floats:
+        return np.ascontiguousarray(run.bins.mean(values).T)
+
+    def _stiffness(self, run: Run) -> Floats:
+        """dF/dz of the nominal tissue at every bin."""
+        if self.cell.tissue is None:
+            return np.zeros(len(run.bins))
+        tissue, radius_m = self.cell.tissue, self.cell.probe.tip_radius_m
+        depth_m = run.bins.mean(run.phases.depth_m)
+        known = self.cell.tolerances.modulus_known
+        reduced_Pa = tissue.youngs_modulus_Pa / (1.0 - tissue.poisson_ratio**2) if known else 0.0
+        return np.asarray(2.0 * reduced_Pa * np.sqrt(radius_m * depth_m))
+
+    def linearise(self, effects: EffectValues, eta: Floats) -> Linearisation:
+        """Nuisance columns around a state: shared deviations, bias and drift of every recording, scatter of every press."""
+        prediction = self.predict(effects, eta)
+        step = np.where(np.array(SHARED) == "surface_z_m", 0.3, 0.5)
+        shared = []
+        for k, sd in enumerate(self.shared_sd):
+            if sd == 0.0:
+                shared.append(np.zeros_like(prediction))
+                continue
+            h = min(step[k], 0.05 / sd) if SHARED[k] in RELATIVE else step[k]
+            there = eta.copy()
+            there[k] += h
+            shared.append((self.predict(effects, there) - prediction) / h)
+        columns = np.array([*shared, *self._own_columns(effects, eta, prediction, shared)])
+        return Linearisation(effects, eta.copy(), columns, nuisances(columns), prediction)
+
+    def _own_columns(self, effects: EffectValues, eta: Floats, prediction: Floats, shared: Sequence[Floats]) -> list[Floats]:
+        tol, rep = self.cell.tolerances, self.cell.repeatability
+        modulus, surface = shared[SHARED.index("youngs_modulus")], shared[SHARED.index("surface_z_m")]
+        sd_modulus, sd_surface = (self.shared_sd[SHARED.index(name)] for name in ("youngs_modulus", "surface_z_m"))
+        columns: list[Floats] = []
+        self.own_index, self.press_index = [], []
+        start = 0
+        for run, still in zip(self.runs, self._still, strict=True):
+            stop = start + len(run.bins)
+            here = slice(start, stop)
+
+            def column(channel: int, values: Floats, here: slice = here) -> Floats:
+                out = np.zeros_like(prediction)
+                out[channel, here] = values / self.sigma[channel, here]
+                return out
+
+            for channel in range(FX, 7):
+                if run.judged[channel]:
+                    arm = 1.0 if channel < TX else torque_arm_m(self.cell)
+                    self.own_index += [(channel, len(columns), "bias"), (channel, len(columns) + 1, "drift")]
+                    columns.append(column(channel, arm * tol.bias_N * np.ones(stop - start)))
+                    columns.append(column(channel, arm * tol.drift_N_per_min / 60.0 * run.t_s))
+            if run.judged[Z]:
+                # A target that is held between controller cycles is known to about a quarter of a step.
+                slope = np.gradient(prediction[Z, here] * self.sigma[Z, here], run.t_s)
+                columns.append(column(Z, 0.25 / run.samples.rate_Hz * slope))
+            # What averaging took away from the motion once, averaging again takes away again: so uncertain is the motion.
+            cell = self.cell_at(effects, eta)
+            here_raw = prediction[FZ, here] * self.sigma[FZ, here]
+            for motion in run.smoother:
+                columns.append(column(FZ, self._simulated(run, cell, motion, still)[FZ] - here_raw))
+            for press in range(run.phases.presses):
+                window = np.zeros(prediction.shape[1], dtype=bool)
+                window[here] = _around(run.bin_press == press)
+                for name, source, sd, scatter in (
+                    ("stiffness", modulus, sd_modulus, rep.stiffness),
+                    ("surface_z_m", surface, sd_surface, rep.surface_z_m),
+                ):
+                    if sd > 0 and scatter > 0 and source[FZ, window].any():
+                        self.press_index.append((len(columns), name))
+                        columns.append(np.where(window, source * (scatter / sd), 0.0))
+            columns.extend(self._rounding_columns(run, column))
+            start = stop
+        return columns
+
+    def _rounding_columns(self, run: Run, column: Callable[[int, Floats], Floats]) -> list[Floats]:
+        """Where noise does not dither the rounding, every rest keeps an offset of up to half a step."""
+        columns = []
+        for channel, stated in enumerate(resolutions(self.cell)):
+            step = max(stated, self.fz_step_N) if channel == FZ else stated
+            if step <= 0 or not run.judged[channel]:
+                continue
+            coherent = _coherent(step, float(run.noise_rms[channel]))
+            if coherent < 0.1 * run.noise_rms[channel]:
+                continue
+            still = np.isin(run.bin_phase, (FREE_STILL, HOLDING))
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
+            for a, b in list(zip(edges[::2], edges[1::2], strict=True))[:80]:
+                if b - a >= 3:
+                    rest = np.zeros(len(run.bins))
+                    rest[a:b] = coherent
+                    columns.append(column(channel, rest))
+        return columns
+
+
+def torque_arm_m(cell: CellFile) -> float:
+    """What turns a tolerated force into a tolerated torque: 0.05 m, and in proportion more on a probe that is longer than 0.08 m."""
+    return max(CROSSTALK_ARM_M, CROSSTALK_ARM_M / 0.08 * cell.probe.tip_length_m)
+
+
+def _coherent(step: float, rms: float) -> float:
+    """Rms of the rounding error that averaging does not remove, since noise of that rms (rounding included) does not dither it."""
+    if step <= 0.0:
+        return 0.0
+    pure = np.sqrt(max(rms**2 - step**2 / 12.0, 0.0))
+    return float(step / np.sqrt(12.0) * np.exp(-2.0 * (np.pi * pure / step) ** 2))
+
+
+def _around(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The mask and a neighbour at either side."""
+    wide = mask.copy()
+    wide[1:] |= mask[:-1]
+    wide[:-1] |= mask[1:]
+    return wide
+
+
+def make_problem(
+    recordings: Sequence[Samples],
+    cell: CellFile,
+    library: Mapping[str, Effect] = EFFECTS,
+    max_bins: int = 4500,
+    fz_step_N: float = 0.0,
+) -> Problem:
+    """The recordings of one cell against its simulation without effects."""
+    cell = cell.with_effects({}).with_estimated(None)
+    share = max(600, max_bins // len(recordings))
+    runs = [prepare(samples, cell, share) for samples in recordings]
+    longest = max(recordings, key=lambda s: s.duration_s)
+    scale = scale_of(cell, longest.t_s, longest.z_m, longest.vz_m_per_s, longest.wrench[:, 2])
+    tol = cell.tolerances
+    sd = {
+        "youngs_modulus": tol.youngs_modulus if tol.modulus_known else UNKNOWN_LOG_SD,
+        "surface_z_m": tol.surface_z_m,
+        "gain": tol.gain,
+        "latency_s": tol.latency_s,
+        "filter_cutoff": tol.filter_cutoff if cell.sensor.filter_cutoff_Hz else 0.0,
+        "mass_kg": tol.mass_kg,
+        "servo_natural_frequency": tol.servo_natural_frequency,
+    }
+    if cell.tissue is None:
+        sd["youngs_modulus"] = sd["surface_z_m"] = 0.0
+    crosstalk = {name: tol.crosstalk * (torque_arm_m(cell) / CROSSTALK_ARM_M if name[0] == "t" else 1.0) for name in SHARED[-4:]}
+    return Problem(cell, runs, library, scale, np.array([(sd | crosstalk)[name] for name in SHARED]), fz_step_N=fz_step_N)

@@ -1,0 +1,109 @@
+"""Effects that leave the mean of the readings alone and change their scatter: noise, a coarse step, held samples."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpd.cell_file import CellFile
+from palpd.gap.noise import FZ, declared_rms, held_runs, resolutions
+from palpd.gap.problem import Run
+from palpd.samples import Samples
+
+HEALTHY_RATIO = 1.2
+"""Noise up to this much above the stated is within specification."""
+
+
+@dataclass(frozen=True)
+class ScatterEffect:
+    """An effect of the scatter: how probable it is, and its parameters as (value, low, high)."""
+
+    id: str
+    probability: float
+    parameters: dict[str, tuple[float, float, float]]
+
+
+def _sigmoid(x: float) -> float:
+    return float(1.0 / (1.0 + np.exp(-np.clip(x, -60.0, 60.0))))
+
+
+def coarse_step_N(samples: Samples, cell: CellFile) -> float:
+    """The usual distance between neighbouring values of fz, 0 unless far coarser than what is stated."""
+    values = np.unique(samples.wrench[:, 2])
+    if len(values) < 3 or len(values) > 0.2 * len(samples):
+        return 0.0
+    gap = float(np.median(np.diff(values)))
+    stated = cell.sensor.resolution_fz_N
+    return gap if gap > 1.4 * stated and gap > 0.5 * cell.sensor.noise_rms_N else 0.0
+
+
+def without_held(samples: Samples) -> tuple[Samples, int, float]:
+    """The recording with rows that only repeat the last one bridged; how many such stretches, and their mean length in s.
+    Unchanged where repeats are no more than chance."""
+    runs, length, chance = held_runs(samples)
+    step_s = 1.0 / samples.rate_Hz
+    if runs < 3 or runs * length < 4.0 * chance + 10.0:
+        return samples, 0, 0.0
+    same = np.concatenate([[False], (samples.wrench[1:] == samples.wrench[:-1]).all(axis=1)])
+    keep = ~same
+    wrench = np.column_stack([np.interp(samples.t_s, samples.t_s[keep], samples.wrench[keep, k]) for k in range(6)])
+    return Samples(samples.t_s, samples.z_cmd_m, samples.z_m, samples.vz_m_per_s, wrench), runs, length * step_s
+
+
+def scatter_effects(
+    runs: Sequence[Run], originals: Sequence[Samples], cell: CellFile, held: Sequence[tuple[int, float]]
+) -> tuple[list[ScatterEffect], float]:
+    """The scatter's effects, and the probability that the noise is wrong in a way that is none of them (one axis only)."""
+    out = []
+    coarse = [step for step in (coarse_step_N(s, cell) for s in originals) if step > 0]
+    if coarse:
+        step = float(np.median(coarse))
+        out.append(ScatterEffect("sensor.quantization", 0.99, {"step_N": (step, 0.98 * step, 1.02 * step)}))
+    stretches = sum(count for count, _ in held)
+    if stretches:
+        duration_s = sum(s.duration_s for s in originals)
+        length_s = sum(count * length for count, length in held) / stretches
+        step_s = float(np.median([1.0 / s.rate_Hz for s in originals]))
+        rate_Hz = stretches / duration_s
+        spread = 1.96 / np.sqrt(stretches)
+        out.append(
+            ScatterEffect(
+                "sensor.dropout",
+                0.99,
+                {
+                    "rate_Hz": (rate_Hz, rate_Hz * (1.0 - spread), rate_Hz * (1.0 + spread)),
+                    "length_s": (length_s, max(length_s * (1.0 - spread), 0.0), length_s * (1.0 + spread) + step_s),
+                },
+            )
+        )
+    noise, other = _noise(runs, cell, bool(coarse))
+    if noise is not None:
+        out.append(noise)
+    return out, other
+
+
+def _noise(runs: Sequence[Run], cell: CellFile, coarse: bool) -> tuple[ScatterEffect | None, float]:
+    declared = declared_rms(cell)
+    rounding = resolutions(cell) ** 2 / 12.0
+    stated = np.sqrt(np.maximum(declared**2 - rounding, 0.0))
+    ratios, errors = [], []
+    for channel in range(1, 7):
+        if channel == FZ and coarse:
+            continue
+        squares = [r.noise_ratio[channel] ** 2 * declared[channel] ** 2 for r in runs if r.judged[channel] and r.noise_measured]
+        if not squares or stated[channel] <= 0:
+            continue
+        pure = np.sqrt(max(float(np.mean(squares)) - rounding[channel], 1e-4 * stated[channel] ** 2))
+        samples = sum(int(np.isin(r.phases.phase, (0, 3)).sum()) for r in runs)
+        ratios.append(float(pure / stated[channel]))
+        errors.append(1.3 / np.sqrt(max(samples, 30)))
+    if len(ratios) < 2:
+        return None, 0.0
+    ratio, error = float(np.median(ratios)), float(np.median(errors)) / np.sqrt(len(ratios))
+    width = np.hypot(error, 0.02)
+    probability = _sigmoid((np.log(ratio) - np.log(HEALTHY_RATIO + 0.06)) / width)
+    spread = float(np.max(np.abs(np.log(np.array(ratios) / ratio))))
+    lone = _sigmoid((spread - np.log(1.45)) / float(np.hypot(np.median(errors), 0.04)))
+    if probability < 1e-3:
+        return None, lone
+    return ScatterEffect("sensor.noise", probability, {"ratio": (ratio, ratio * (1 - 2.5 * error), ratio * (1 + 2.5 * error))}), lone

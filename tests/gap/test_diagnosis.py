@@ -1,0 +1,204 @@
+"""A diagnosis names what was put into a simulated cell, and keeps silent about a healthy one."""
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from palpd.cell import WRENCH, simulate
+from palpd.cell_file import CellFile, Estimated, cell_from, nominal
+from palpd.errors import RecordingError
+from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.samples import Samples
+from palpd.tick import Floats
+
+IN_TOLERANCE = Estimated(
+    bias_N=0.02,
+    drift_N_per_min=-0.008,
+    gain=0.004,
+    latency_s=-0.0008,
+    filter_cutoff=0.04,
+    crosstalk=(0.003, -0.002, 0.001, 0.002),
+    mass_kg=0.002,
+    youngs_modulus=0.02,
+    surface_z_m=-2e-5,
+    servo_natural_frequency=0.015,
+)
+
+
+def heights(rate_Hz: float = 125.0) -> tuple[Floats, Floats]:
+    """Free strokes and presses, no two alike."""
+    pieces, z = [np.full(int(1.0 * rate_Hz), 0.01)], 0.01
+    for depth, down, hold, up, top in [
+        (0.004, 0.012, 1.2, 0.02, 0.008),
+        (-0.003, 0.02, 0.4, 0.02, 0.015),
+        (0.0075, 0.02, 0.6, 0.008, 0.007),
+        (0.007, 0.01, 3.0, 0.01, 0.01),
+    ]:
+        for to, speed, rest in ((-depth, down, hold), (top, up, 0.7)):
+            pieces += [np.linspace(z, to, int(abs(z - to) / speed * rate_Hz)), np.full(int(rest * rate_Hz), to)]
+            z = to
+    commanded = np.concatenate(pieces)
+    return np.arange(len(commanded)) / rate_Hz, commanded
+
+
+def recording(cell: CellFile, effects: dict[str, dict[str, float]], seed: int = 3, estimated: Estimated | None = IN_TOLERANCE) -> Samples:
+    t_s, z_cmd_m = heights()
+    columns = simulate(cell.with_effects(effects).with_estimated(estimated), t_s, z_cmd_m=z_cmd_m, noise_seed=seed)
+    return Samples(t_s, z_cmd_m, columns["z_m"], columns["vz_m_per_s"], np.column_stack([columns[name] for name in WRENCH]))
+
+
+def quick(samples: Samples | list[Samples], cell: CellFile) -> Diagnosis:
+    return diagnose(samples if isinstance(samples, list) else [samples], cell, max_bins=900, propose=False)
+
+
+def test_a_healthy_cell_within_its_tolerances_is_not_accused() -> None:
+    found = quick(recording(nominal(), {}), nominal()).to_json()
+    assert found["verdict"] == "none"
+    assert found["effects"] == []
+    assert found["where"] is None
+    assert found["shrink"]["closed"] is None
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("tissue.viscoelastic", {"ratio": 0.2, "tau_s": 0.8}),
+        ("cable.friction", {"force_N": 0.1}),
+        ("robot.lag", {"bandwidth_ratio": 0.7}),
+        ("sensor.drift", {"rate_N_per_s": 0.01}),
+        ("contact.lateral", {"ratio": 0.08, "azimuth_rad": 2.0}),
+    ],
+)
+def test_an_effect_is_named_alone_with_its_size_and_closes_the_gap(name: str, values: dict[str, float]) -> None:
+    found = quick(recording(nominal(), {name: values}), nominal())
+    assert found.verdict == "effects"
+    (effect,) = found.effects
+    assert name in {effect.id, *effect.indistinguishable_from}
+    assert effect.id != name or all(effect.parameters[p][0] == pytest.approx(v, rel=0.25) for p, v in values.items())
+    assert found.shrink is not None
+    assert found.shrink.closed > 0.9
+
+
+def test_two_effects_are_both_named() -> None:
+    true = {"sensor.creep": {"ratio": 0.15, "tau_s": 3.0}, "robot.lag": {"bandwidth_ratio": 0.7}}
+    assert {e.id for e in quick(recording(nominal(), true), nominal()).effects} == set(true)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("sensor.noise", {"ratio": 1.6}), ("sensor.quantization", {"step_N": 0.4}), ("sensor.dropout", {"rate_Hz": 1.0, "length_s": 0.06})],
+)
+def test_effects_of_the_scatter_are_named(name: str, values: dict[str, float]) -> None:
+    found = quick(recording(nominal(), {name: values}), nominal())
+    assert [e.id for e in found.effects] == [name]
+    first = next(iter(values))
+    assert found.effects[0].parameters[first][0] == pytest.approx(values[first], rel=0.5)
+
+
+def test_something_outside_the_list_is_called_unknown() -> None:
+    healthy = recording(nominal(), {})
+    bump = 0.5 * np.exp(-0.5 * ((healthy.t_s - 5.0) / 0.2) ** 2) - 0.4 * np.exp(-0.5 * ((healthy.t_s - 12.0) / 0.3) ** 2)
+    wrench = healthy.wrench.copy()
+    wrench[:, 5] += 0.1 * bump
+    assert quick(replace(healthy, wrench=wrench), nominal()).verdict == "unknown"
+
+
+def test_the_answer_is_complete_consistent_and_the_same_every_time() -> None:
+    samples = recording(nominal(), {"tissue.viscoelastic": {"ratio": 0.2, "tau_s": 0.8}})
+    one, two = (json.dumps(quick(samples, nominal()).to_json(), sort_keys=True) for _ in range(2))
+    assert one == two
+    found: dict[str, Any] = json.loads(one)
+    for key in ("verdict", "where", "gap", "effects", "candidates", "p_none", "p_unknown", "shrink", "unexplained", "next_experiment"):
+        assert key in found
+    assert found["schema"] == "palpd.diagnosis/1"
+    assert 0.0 <= found["p_none"] + found["p_unknown"] <= 1.0
+    worst = max(found["gap"], key=lambda row: row["excess"])
+    assert found["where"] == {"channel": worst["channel"], "phase": worst["phase"]}
+
+
+def test_the_enriched_cell_predicts_another_motion() -> None:
+    cell = nominal()
+    true = cell.with_effects({"tissue.viscoelastic": {"ratio": 0.3, "tau_s": 0.8}}).with_estimated(IN_TOLERANCE)
+    enriched = quick(recording(cell, true.effects), cell).enriched_cell()
+    t_s, z_m = heights()
+    z_m = -0.5 * z_m[::-1]
+    real, before, after = (simulate(c, t_s, z_m=z_m)["fz_N"] for c in (true, enriched.with_effects({}), enriched))
+    assert np.mean((after - real) ** 2) < 0.05 * np.mean((before - real) ** 2)
+
+
+def test_without_a_commanded_height_the_robot_is_not_judged_and_that_is_said() -> None:
+    found = quick(replace(recording(nominal(), {}), z_cmd_m=None), nominal()).to_json()
+    assert not [row for row in found["gap"] if row["channel"] == "z_m"]
+    assert any("z_cmd_m" in note for note in found["notes"])
+
+
+def test_a_height_in_millimetres_is_noticed() -> None:
+    samples = recording(nominal(), {})
+    with pytest.raises(RecordingError, match="mm"):
+        quick(replace(samples, z_m=1e3 * samples.z_m), nominal())
+
+
+@pytest.mark.parametrize("case", ["no motion", "no contact", "no free motion", "dead axis", "no tissue"])
+def test_a_recording_that_shows_little_is_still_judged_for_what_it_shows(case: str) -> None:
+    samples, cell = recording(nominal(), {}), nominal()
+    n = len(samples)
+    if case == "no motion":
+        still = np.full(n, 0.01)
+        z_m = still + 1e-6 * np.sin(np.arange(n))
+        samples = Samples(samples.t_s, still, z_m, np.zeros(n), samples.wrench * 0.01)
+    elif case == "no contact":
+        cell = cell.model_copy(update={"tissue": cell.tissue.model_copy(update={"surface_z_m": -0.05})}) if cell.tissue else cell
+        samples = recording(cell, {})
+    elif case == "no free motion":
+        keep = samples.z_m < -0.0001
+        keep[np.argmax(keep) + int(np.argmin(keep[np.argmax(keep) :])) :] = False
+        samples = Samples(
+            samples.t_s[keep], samples.z_m[keep], samples.z_m[keep], samples.vz_m_per_s[keep], samples.wrench[keep]
+        )
+    elif case == "dead axis":
+        wrench = samples.wrench.copy()
+        wrench[:, 0] = 0.0
+        samples = replace(samples, wrench=wrench)
+    else:
+        cell = cell.model_copy(update={"tissue": None})
+        samples = recording(cell, {})
+    found = quick(samples, cell)
+    assert found.verdict in {"none", "unknown", "ambiguous", "effects"}
+    assert found.notes or case == "no tissue"
+
+
+def scaled(samples: Samples, cell: CellFile, length: float, force: float, time: float) -> tuple[Samples, CellFile]:
+    """The same cell in other units of length, force and time: every number of recording and cell file changes accordingly."""
+    speed, torque, mass = length / time, force * length, force * time**2 / length
+    factors = {
+        "_N": force, "_Nm": torque, "_m": length, "_m_per_s": speed, "_kg": mass, "_s": time, "_Hz": 1.0 / time,
+        "_Pa": force / length**2, "_N_per_min": force / time, "resolution_fxy_N": force,
+    }  # fmt: skip
+    content = cell.model_dump()
+    for block in ("probe", "sensor", "robot", "tissue", "tolerances", "repeatability"):
+        for key in content[block]:
+            suffix = max((s for s in factors if key.endswith(s)), key=len, default=None)
+            if suffix and content[block][key] is not None:
+                content[block][key] *= factors[suffix]
+    z_cmd_m = None if samples.z_cmd_m is None else samples.z_cmd_m * length
+    wrench = samples.wrench * np.array([force] * 3 + [torque] * 3)
+    return Samples(samples.t_s * time, z_cmd_m, samples.z_m * length, samples.vz_m_per_s * speed, wrench), cell_from(content, "scaled")
+
+
+@pytest.mark.parametrize(("length", "force", "time"), [(1e-3, 1e-6, 0.05), (20.0, 1e3, 4.0)])
+def test_the_diagnosis_does_not_know_how_large_the_cell_is(length: float, force: float, time: float) -> None:
+    cell = nominal()
+    samples = recording(cell, {"tissue.viscoelastic": {"ratio": 0.2, "tau_s": 0.8}})
+    (effect,) = quick(*scaled(samples, cell, length, force, time)).effects
+    assert effect.id == "tissue.viscoelastic"
+    assert effect.parameters["ratio"][0] == pytest.approx(0.2, rel=0.1)
+    assert effect.parameters["tau_s"][0] == pytest.approx(0.8 * time, rel=0.15)
+
+
+def test_several_recordings_are_fitted_jointly() -> None:
+    effect = {"sensor.creep": {"ratio": 0.1, "tau_s": 2.0}}
+    found = quick([recording(nominal(), effect, seed=3), recording(nominal(), effect, seed=4)], nominal())
+    assert [e.id for e in found.effects] == ["sensor.creep"]
