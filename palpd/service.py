@@ -207,7 +207,8 @@ class Service:
         return {"state": "aborting" if self._run else "disarmed"}
 
     def _clear(self, _: dict[str, Any]) -> dict[str, Any]:
-        self._refuse_running()
+        if not self._checking:
+            self._refuse_running()
         self._unkept = None
         self._state.clear_latch()
         self._log.info("cleared")
