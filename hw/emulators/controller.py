@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -130,6 +131,16 @@ class Arm:
         return speed
 
 
+class Step(NamedTuple):
+    """What a motion makes of a cycle: speed (6,) at its end, displacement (6,), whether it is over, and after which share of the
+    cycle the speed is reached, linearly in time."""
+
+    speed: Floats
+    shift: Floats
+    over: bool
+    settled: float = 1.0
+
+
 @dataclass
 class Ramp:
     """A speed that is approached with a limited acceleration and then kept (URScript's speedl; with a goal of zero, stopl)."""
@@ -137,16 +148,18 @@ class Ramp:
     goal: Floats
     acceleration: float
 
-    def advance(self, speed: Floats, place: Floats, cycle_s: float) -> tuple[Floats, Floats, bool]:
-        """Speed and displacement (6,) at the end of a cycle, and whether the motion is over."""
-        change = self.goal - speed
-        most = self.acceleration * cycle_s
+    def advance(self, speed: Floats, place: Floats, cycle_s: float) -> Step:
+        """One cycle further; over when it is a stop and the tip is at rest."""
+        after, shift, settled = speed.copy(), speed * cycle_s, 0.0
         for part in (slice(0, 3), slice(3, 6)):
-            size = float(np.linalg.norm(change[part]))
-            if size > most:
-                change[part] *= most / size
-        after = speed + change
-        return after, 0.5 * (speed + after) * cycle_s, not self.goal.any() and not after.any()
+            change = self.goal[part] - speed[part]
+            needed = float(np.linalg.norm(change)) / (self.acceleration * cycle_s)
+            if needed > 1.0:
+                change /= needed
+            after[part] += change
+            shift[part] += change * cycle_s * (1.0 - 0.5 * min(needed, 1.0))
+            settled = max(settled, min(needed, 1.0))
+        return Step(after, shift, not self.goal.any() and not after.any(), settled)
 
 
 @dataclass
@@ -178,20 +191,20 @@ class Line:
             return length - 0.5 * self.acceleration * left_s * left_s, self.acceleration * left_s
         return top * (t_s - 0.5 * rise_s), top
 
-    def advance(self, speed: Floats, place: Floats, cycle_s: float) -> tuple[Floats, Floats, bool]:
-        """Speed and displacement (6,) at the end of a cycle, and whether the motion is over."""
+    def advance(self, speed: Floats, place: Floats, cycle_s: float) -> Step:
+        """One cycle further; over when the goal is reached."""
         if self._way is None:
             if speed.any():
-                return (*Ramp(np.zeros(6), self.acceleration).advance(speed, place, cycle_s)[:2], False)
+                return Ramp(np.zeros(6), self.acceleration).advance(speed, place, cycle_s)._replace(over=False)
             self._way = displacement(place, self.goal)
         length = self.length or max(float(np.linalg.norm(self._way[:3])), float(np.linalg.norm(self._way[3:])))
         if length < 1e-9:
-            return np.zeros(6), self._way, True
+            return Step(np.zeros(6), self._way, True)
         self._elapsed_s += cycle_s
         gone, now = self._profile(length, self._elapsed_s)
         step = gone / length - self._share
         self._share += step
-        return self._way * (now / length), self._way * step, gone >= length
+        return Step(self._way * (now / length), self._way * step, gone >= length)
 
 
 @dataclass
@@ -201,13 +214,13 @@ class Servo:
     goal: Floats
     lookahead_s: float
 
-    def advance(self, speed: Floats, place: Floats, cycle_s: float) -> tuple[Floats, Floats, bool]:
+    def advance(self, speed: Floats, place: Floats, cycle_s: float) -> Step:
         """Speed and displacement (6,) at the end of a cycle; it never ends by itself."""
         after = displacement(place, self.goal) / max(self.lookahead_s, 2.0 * cycle_s)
         fastest = float(np.linalg.norm(after[:3]))
         if fastest > 1.0:
             after *= 1.0 / fastest
-        return after, 0.5 * (speed + after) * cycle_s, False
+        return Step(after, 0.5 * (speed + after) * cycle_s, False)
 
 
 Motion = Ramp | Line | Servo
@@ -254,9 +267,8 @@ SILENT = frozenset({25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 71})
 """Commands that answer in every cycle and never report "done"."""
 
 
-@dataclass(frozen=True)
-class Sample:
-    """Target and truth at one cycle, for whoever wants to know when the arm was told to rest, and where it came to rest."""
+class Sample(NamedTuple):
+    """Target and truth at one millisecond, for whoever wants to know when the arm was told to rest, and where it came to rest."""
 
     t_s: float  # of the host's monotonic clock
     speed_m_per_s: float
@@ -269,12 +281,13 @@ class Sample:
 
 @dataclass
 class Cycle:
-    """What the next cycle holds: displacement of the target (6,) and its speed at both ends."""
+    """What the next cycle holds: the target's pose (6,) at its begin, its displacement, its speed at both ends."""
 
     start: Floats
     shift: Floats
     speed_before: Floats
     speed_after: Floats
+    settled: float = 1.0  # the share of the cycle after which the speed is reached, linearly in time
 
 
 class Controller:
@@ -424,7 +437,7 @@ class Controller:
             self._still_s += self.model.cycle_s
             return Cycle(start, np.zeros(6), before, before)
         self._still_s = 0.0
-        after, shift, over = self.motion.advance(before, start, self.model.cycle_s)
+        after, shift, over, settled = self.motion.advance(before, start, self.model.cycle_s)
         program = self.program
         if program is not None and not program.moved and after.any():
             program.moved = True
@@ -437,7 +450,7 @@ class Controller:
         self.pose = pose
         if over:
             self.motion = None
-        return Cycle(start, shift, before, after)
+        return Cycle(start, shift, before, after, settled)
 
     # The program ---------------------------------------------------------------------------------------------------------
 

@@ -167,9 +167,15 @@ class Emulated:
             raise RuntimeError(answer["error"])
         return answer
 
-    def log(self, since_s: float = 0.0) -> list[Sample]:
-        """Target and truth, a controller cycle each, since that time of the host's monotonic clock."""
-        return [Sample(*row) for row in self.ask("log", since_s=since_s)["samples"]]
+    def log(self, since_s: float) -> list[Sample]:
+        """Target and truth, a millisecond each, after that time of the host's monotonic clock (the last 30 s are kept)."""
+        samples: list[Sample] = []
+        more = True
+        while more:
+            answer = self.ask("log", since_s=since_s)
+            samples += [Sample(*row) for row in answer["samples"]]
+            since_s, more = samples[-1].t_s if samples else since_s, answer["more"]
+        return samples
 
 
 @contextlib.contextmanager

@@ -23,7 +23,7 @@ START_HEIGHT_M = 0.03
 FLANGE_TO_TIP_M = 0.035  # the sensor's body; the probe's length comes on top
 GRAVITY_M_PER_S2 = 9.81
 UP_M_PER_S2 = np.array([0.0, 0.0, GRAVITY_M_PER_S2])  # what an accelerometer at rest feels
-LOGGED_S = 300.0
+LOGGED_S = 30.0
 
 
 class Rig:
@@ -55,7 +55,7 @@ class Rig:
         self._booted_s: float | None = None
         self._published_s = 0.0
         self._frozen_until_s = self._away_until_s = self._slow_until_s = 0.0
-        self.samples: deque[Sample] = deque(maxlen=round(LOGGED_S / model.cycle_s))
+        self.samples: deque[Sample] = deque(maxlen=round(LOGGED_S / SAMPLE_S))
         self.peak_contact_N = 0.0
         self._values = _power_up_values(model)
         self._last_speed = np.zeros(3)
@@ -102,6 +102,7 @@ class Rig:
         if self._booted_s is None:
             self._booted_s = planned_s - self.model.cycle_s
         reported = self._block
+        self._log(planned_s)
         cycle = self.controller.cycle(planned_s)
         self._publish(planned_s, now_s, reported, cycle, late)
         if self.daq.filter_code != self._filter:
@@ -109,11 +110,24 @@ class Rig:
             self.cell.set_filter(self.daq.cutoff_Hz)
         self._advance(cycle)
 
+    def _log(self, planned_s: float) -> None:
+        """Keep what the cycle that ends now held."""
+        speed, runtime = np.linalg.norm(self._target_speed, axis=1).tolist(), int(self.controller.runtime)
+        vz, target, tip = self._target_speed[:, 2].tolist(), self._target[:, 2].tolist(), self._block.tip_m[:, 2].tolist()
+        contact = self._block.contact_N.tolist()
+        for k in range(self.steps):
+            t_s = planned_s - (self.steps - 1 - k) * SAMPLE_S
+            self.samples.append(Sample(t_s, speed[k], vz[k], target[k], tip[k], contact[k], runtime))
+
     def _advance(self, cycle: Cycle) -> None:
-        s, duration_s = self._fractions[:, None], self.model.cycle_s
-        before, after, shift = cycle.speed_before[:3], cycle.speed_after[:3], cycle.shift[:3]
-        ramp = duration_s * (before * s + 0.5 * (after - before) * s * s)
-        self._block = self.cell.step(cycle.start[:3] + ramp + s * (shift - ramp[-1]))
+        share, settled = self._fractions, max(cycle.settled, 1e-9)
+        change = cycle.speed_after[:3] - cycle.speed_before[:3]
+        reached = np.minimum(share / settled, 1.0)
+        ramped = np.where(share < settled, share * share / (2.0 * settled), share - 0.5 * settled)
+        way = self.model.cycle_s * (np.outer(share, cycle.speed_before[:3]) + np.outer(ramped, change))
+        self._target = cycle.start[:3] + way + np.outer(share, cycle.shift[:3] - way[-1])
+        self._target_speed = cycle.speed_before[:3] + np.outer(reached, change)
+        self._block = self.cell.step(self._target)
         pose = self.controller.pose
         if not np.array_equal(pose[3:], self._orientation):
             self._turn(pose[3:])
@@ -132,17 +146,6 @@ class Rig:
 
     def _publish(self, planned_s: float, now_s: float, block: Block, cycle: Cycle, late: bool) -> None:
         robot, values = self.controller, self._values
-        self.samples.append(
-            Sample(
-                planned_s,
-                float(np.linalg.norm(cycle.speed_before[:3])),
-                float(cycle.speed_before[2]),
-                float(cycle.start[2]),
-                float(block.tip_m[-1, 2]),
-                float(block.contact_N[-1]),
-                int(robot.runtime),
-            )
-        )
         if now_s < self._frozen_until_s:
             return
         actual = np.concatenate([block.position_m[-1], cycle.start[3:]])

@@ -422,10 +422,10 @@ class UrWires:
         """Send one package of each recipe that is due; a client that does not read loses packages, and then its connection."""
         self._index += 1
         messages, self.controller.messages = self.controller.messages, []
-        for wire in list(self.clients()):
-            for text, level in messages:
+        for wire in [wire for wire in self.clients() if wire.streaming]:
+            for text, level in messages:  # not before a client has started: ur_rtde would take one for the answer to its handshake
                 wire.text(text, level, now_s)
-            if not wire.streaming or self._index % self.keep_every:
+            if self._index % self.keep_every:
                 continue
             wire.flush(now_s)
             if not wire.outbox:

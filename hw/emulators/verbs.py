@@ -3,9 +3,9 @@
 A request is one JSON object on a line, `{"do": VERB, …}`; the answer is one too, `{"ok": true, …}` or `{"ok": false, "error": …}`.
 """
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import astuple
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from hw.emulators.rig import Rig
 
 Answer = dict[str, Any]
 FZ_OVERLOAD = 1 << 7
+MOST_ROWS = 1000
+"""In one answer of the log: to write more would make the wires late."""
 
 
 def obey(rig: Rig, request: dict[str, Any], now_s: float, lateness_s: Sequence[float]) -> Answer:
@@ -148,9 +150,11 @@ def _truth(rig: Rig, now_s: float, reset: bool = False) -> Answer:
     return answer
 
 
-def _log(rig: Rig, now_s: float, since_s: float = 0.0) -> Answer:
-    samples = [astuple(sample) for sample in rig.samples if sample.t_s >= since_s]
-    return {"samples": samples, "stops": [stop for stop in rig.controller.stops if stop[0] >= since_s]}
+def _log(rig: Rig, now_s: float, since_s: float) -> Answer:
+    """The deque is in order of time, so the first row is looked for from its end."""
+    fresh = list(itertools.takewhile(lambda sample: sample.t_s > since_s, reversed(rig.samples)))
+    stops = [stop for stop in rig.controller.stops if stop[0] > since_s]
+    return {"samples": fresh[::-1][:MOST_ROWS], "more": len(fresh) > MOST_ROWS, "stops": stops}
 
 
 VERBS: dict[str, Callable[..., Answer | None]] = {
