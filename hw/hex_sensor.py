@@ -434,8 +434,9 @@ class HexSensor:
 
     def read(self) -> SensorFrames:
         """Every frame since the last call, `rejected` likewise; never waits. SensorError when the device is gone."""
-        arrival_s = time.monotonic()
-        raw = self._parser.feed(self._read_bytes())
+        data = self._read_bytes()
+        arrival_s = time.monotonic()  # after the bytes: a pause between the two may make a frame late, never early
+        raw = self._parser.feed(data)
         rejected = self._parser.rejected - self._rejected
         self._rejected += rejected
         if not len(raw.counter) and not rejected:

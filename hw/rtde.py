@@ -143,20 +143,20 @@ class UrReader:
         """Now and then look often enough to see a frame come: 40 looks of 0.3 µs, asleep between them."""
         while not self._closed.wait(WATCH_EVERY_S):
             last_s, until_s = self._receive.getTimestamp(), time.monotonic() + 2.0 * self.period_s
-            while (now_s := time.monotonic()) < until_s:
+            while time.monotonic() < until_s:
                 timestamp_s = self._receive.getTimestamp()
                 if timestamp_s != last_s:
-                    self._clock.see(timestamp_s, now_s)
+                    self._clock.see(timestamp_s, time.monotonic())  # after the look: a pause between makes it late, never early
                     break
                 time.sleep(WATCH_STEP_S)
 
     def _find_offset(self, duration_s: float) -> None:
         until_s = time.monotonic() + duration_s
-        while (now_s := time.monotonic()) < until_s:
+        while time.monotonic() < until_s:
             timestamp_s = self._receive.getTimestamp()
             if timestamp_s != self._timestamp_s:
                 if not math.isnan(self._timestamp_s):  # the first may have lain there for long
-                    self._clock.see(timestamp_s, now_s)
+                    self._clock.see(timestamp_s, time.monotonic())
                 self._timestamp_s = timestamp_s
         if not self._clock.found:
             raise RobotError(f"robot at {self.host} has not sent a new state for {duration_s:g} s; restart its controller.")
