@@ -104,7 +104,8 @@ class Run:
         now_s = time.monotonic()
         if self._ring.published != self._ticks:
             self._ticks, self._ticked_s = self._ring.published, now_s
-        if self.opened and self._ring.recorder_state == RecorderState.FAILED and not self._lost_recorder:
+        failed = self._ring.recorder_state == RecorderState.FAILED
+        if self._recorder is not None and (failed or not self._recorder.alive) and not self._lost_recorder:
             self._lost_recorder = True
             self.ask(Request.ABORT)  # a palpation that is not recorded is worth nothing
         ticking = self._ring.state == LoopState.RUNNING

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -70,12 +71,12 @@ class Daemon:
         found: dict[str, Any] = json.loads(self.json_file.read_text())
         return found
 
-    @property
+    @cached_property
     def motion_pid(self) -> int:
         """The process that holds the robot: the child whose spawned main is none of multiprocessing's own."""
         return next(pid for pid in family(self.process.pid) if "spawn_main" in command_of(pid))
 
-    @property
+    @cached_property
     def recorder_pid(self) -> int:
         """The process that writes the file."""
         return next(pid for pid in family(self.process.pid) if "palpd.recorder" in command_of(pid))
