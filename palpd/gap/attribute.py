@@ -1,8 +1,8 @@
 """Which unmodelled effect a gap comes from: evidence for every effect and for sets of them, for none and for something unknown."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from math import comb, log
+from dataclasses import dataclass, field, replace
+from math import comb, inf, log
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -23,6 +23,12 @@ P_UNKNOWN = 0.15
 
 LAW_ENERGY = 0.04
 """Mean share of its energy in which the law of a known effect is off."""
+
+EARNED = 3.0
+"""What a further effect costs at least, in nats, whatever its prior."""
+
+STRONG = 2e4
+"""A gap of so many squared sigmas is large enough to change how in-tolerance deviations act."""
 
 KEPT = 14
 """Effects that are fitted after the scan."""
@@ -131,15 +137,28 @@ def _scan(
         ss = s.dot(s) - (seen @ inverse @ seen if len(basis) else 0.0)
         if ss <= 1e-9 * max(float(np.vdot(s.values, s.values)), 1e-300) or ss < 1e-12:
             continue
-        factor = rs / ss
-        one_signed = all(
-            p.bounds(problem.scale)[0] >= 0.0 or p.nominal is None for p in problem.library[candidate.effect].parameters
-        ) and not any(p.nominal not in (None, 0.0) for p in problem.library[candidate.effect].parameters)
-        gain = 0.0 if one_signed and factor < 0 else rs * rs / ss
+        low, high = _factors(problem, candidate.effect)
+        factor = min(max(rs / ss, low), high)
+        gain = max(2.0 * factor * rs - factor**2 * ss, 0.0)
         out.setdefault(candidate.effect, []).append((gain, factor, candidate.values))
     for listed in out.values():
         listed.sort(key=lambda item: -item[0])
     return out
+
+
+def _factors(problem: Problem, name: str) -> tuple[float, float]:
+    """By how much a candidate may be made larger or smaller: freely where its change is in proportion to its amplitudes, within bounds
+    where it is not, and never to the other sign where that does not exist."""
+    low, high = -1e6, 1e6
+    for parameter in problem.library[name].parameters:
+        nominal = parameter.nominal_value(problem.scale)
+        if nominal is None:
+            continue
+        if nominal != 0.0:
+            low, high = max(low, -3.0), min(high, 4.0)
+        if parameter.bounds(problem.scale)[0] >= 0.0 and nominal in (0.0, inf):
+            low = max(low, 0.05 if nominal == inf else 0.0)
+    return low, high
 
 
 def _best_fit(
@@ -178,8 +197,14 @@ def attribute(problem: Problem) -> Attribution:
     """Weigh all hypotheses against each other."""
     eta = np.zeros(len(problem.shared_sd))
     base = problem.linearise({}, eta)
-    null = fit(problem, (), {}, base, rounds=2 if problem.cell.tolerances.modulus_known else 8)
-    if not problem.cell.tolerances.modulus_known:
+    if problem.cell.tolerances.modulus_known:
+        problem.soften(problem.data - base.prediction)
+        base = problem.linearise({}, eta)
+        null = fit(problem, (), {}, base, rounds=2)
+    else:
+        null = fit(problem, (), {}, base, rounds=8)
+        problem.soften(null.remainder)
+        null = fit(problem, (), {}, problem.linearise({}, null.eta), rounds=2)
         base = null.linearisation
     residual = problem.data + base.offset() - base.prediction
     dictionary = _dictionary(problem, base, peaks(problem, residual))
@@ -190,6 +215,8 @@ def attribute(problem: Problem) -> Attribution:
     kept = [n for k, n in enumerate(order) if k < KEPT or scanned[n][0][0] > 0.5 * best_gain]
     for name in kept:
         fits[(name,)] = _best_fit(problem, base, name, scanned[name], {}, 3, 8)
+    if best_gain > STRONG:
+        _start_afar(problem, fits, dictionary, base.eta, kept)
     _refine(problem, fits, 1, 8)
     beam = _leading(fits, 1, 4)
     for size in (2, 3):
@@ -203,7 +230,51 @@ def attribute(problem: Problem) -> Attribution:
         if not pairs or pairs[0].log_evidence < singles[0].log_evidence + 3.0:
             break
         beam = pairs
-    return weigh(problem, list(fits.values()))
+    return weigh(problem, _earned(fits))
+
+
+def _earned(fits: Mapping[tuple[str, ...], Fit]) -> list[Fit]:
+    """Every set beyond one must explain data that its smaller sets do not: its evidence over theirs is at most half the squared
+    residual that it takes away, less EARNED."""
+    out = []
+    by_set = {frozenset(names): one for names, one in fits.items()}
+    for names, one in sorted(by_set.items(), key=lambda item: len(item[0])):
+        cap = inf
+        for name in names if len(names) > 1 else ():
+            smaller = by_set.get(names - {name})
+            if smaller is not None:
+                cap = min(cap, smaller.log_evidence + 0.5 * max(smaller.least_misfit - one.least_misfit, 0.0) - EARNED)
+        if cap < one.log_evidence:
+            one = replace(one, log_evidence=cap)
+            by_set[names] = one
+        out.append(one)
+    return out
+
+
+def _start_afar(
+    problem: Problem, fits: dict[tuple[str, ...], Fit], dictionary: list[Candidate], eta: Floats, kept: list[str]
+) -> None:
+    """Where a gap is large, what is within specification acts differently in the changed cell: climb also with the nuisances of each
+    start, for what was kept and for everything between tip and tissue."""
+    for effect in problem.library.values():
+        if effect.variance or (effect.id not in kept and effect.site not in ("tip", "tissue")):
+            continue
+        starts = [c.values for c in dictionary if c.effect == effect.id]
+        starts = starts[:: max(1, len(starts) // 6)]
+        best = fits.get((effect.id,))
+        if best is not None:
+            starts.append(best.values[effect.id])
+        tried = []
+        for values in starts:
+            there = problem.linearise({effect.id: values}, eta)
+            r = project(problem.data + there.offset() - there.prediction, there.space)
+            tried.append((r.dot(r), values, there))
+        for _, values, there in sorted(tried, key=lambda item: item[0])[:2]:
+            one = fit(problem, (effect.id,), {effect.id: values}, there, iterations=6, rounds=2)
+            if best is None or one.log_evidence > best.log_evidence:
+                best = one
+        if best is not None:
+            fits[(effect.id,)] = best
 
 
 def _leading(fits: Mapping[tuple[str, ...], Fit], size: int, most: int) -> list[Fit]:

@@ -19,9 +19,12 @@ from palpd.gap.tolerances import estimate_tolerances
 from palpd.samples import COLUMNS, WRENCH_COLUMNS, Samples, read, write_csv
 
 
-def library(effects: Path | None) -> Mapping[str, Effect]:
-    """The library, with a user's own effects from a Python file."""
-    return EFFECTS if effects is None else load_effects(effects)
+def library(effects: Path | None, without: Sequence[str] = ()) -> Mapping[str, Effect]:
+    """The library, with a user's own effects from a Python file, and without those that are known not to be there."""
+    known = EFFECTS if effects is None else load_effects(effects)
+    if unknown := [name for name in without if name not in known]:
+        raise BadInput(f"there is no effect {unknown[0]!r} to leave out; expected one of {', '.join(known)}")
+    return {name: effect for name, effect in known.items() if name not in without}
 
 
 def diagnose_files(
@@ -31,11 +34,12 @@ def diagnose_files(
     json_out: Path | None = None,
     cell_out: Path | None = None,
     effects: Path | None = None,
+    without: Sequence[str] = (),
     propose: bool = True,
 ) -> Diagnosis:
     """Diagnose recordings of one cell jointly; write out.json and the enriched cell where asked, and beside the JSON the motion of the
     next experiment where one is proposed."""
-    known = library(effects)
+    known = library(effects, without)
     nominal = load_cell(cell, known)
     found = diagnose([read(path) for path in recordings], nominal, known, propose=propose)
     content = found.to_json()

@@ -16,6 +16,9 @@ from palpd.tick import Floats
 LOG_SIZE_RANGE = 7.0
 """An effect's size in sigmas is taken to be log-uniform over e^7, a thousand."""
 
+CONTRARY = 4.0
+"""How much less plausible, in nats, an effect is with the sign that it usually does not have."""
+
 INEXACT = 0.15
 """How large, as a share of the effect, each way is in which a real law may differ from the library's."""
 
@@ -138,6 +141,7 @@ class Fit:
     remainder: Floats
     law_energy: float
     misfit: float
+    least_misfit: float
     log_evidence_exact: float
     log_evidence_inexact: float
     log_evidence: float
@@ -260,7 +264,7 @@ def judge(
         exact += prior
     space = around.space
     evidence = inexact_evidence = exact
-    law_energy = 0.0
+    law_energy, least = 0.0, misfit
     remainder = r.values - space.explained(space.coefficients(r.values))
     if names and inexact:
         law = law_columns(problem, values, at, around)
@@ -279,6 +283,7 @@ def judge(
             moved = r.values - np.tensordot(move, np.array(jacobian), axes=1)
             coefficients = wide.coefficients(moved)
             if inexact_evidence > exact:
+                least = bent
                 remainder = moved - wide.explained(coefficients)
                 bend = np.tensordot(coefficients[len(around.columns) :], law, axes=1)
                 bend = bend + np.tensordot(move, np.array(jacobian), axes=1)
@@ -297,6 +302,7 @@ def judge(
         remainder,
         law_energy,
         misfit,
+        least,
         exact,
         inexact_evidence,
         evidence,
@@ -354,7 +360,13 @@ def _occam(
             sphere = log(2.0) + 0.5 * m * log(pi) - lgamma(0.5 * m)
             prior += -log(LOG_SIZE_RANGE) - m * log(size) - sphere + 0.5 * log_density
         prior -= sum(log(where[k].range) for k in index if not where[k].amplitude)
+        prior -= CONTRARY * sum(_contrary(where[k], values[name][where[k].parameter.name], problem.scale) for k in amplitudes)
     return prior + volume, _inverse(full)
+
+
+def _contrary(c: Coordinate, value: float, scale: Scale) -> bool:
+    """Whether an amplitude has a sign that is possible but not typical of its effect (a reading that creeps down under load)."""
+    return c.nominal == 0.0 and all(start * value < 0.0 for start in c.parameter.starts(scale))
 
 
 def law_columns(problem: Problem, values: EffectValues, at: Floats, around: Linearisation) -> Floats:

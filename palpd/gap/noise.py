@@ -65,6 +65,8 @@ def held_runs(samples: Samples) -> tuple[int, float, float]:
     together = same.all(axis=1)
     steps = np.diff(np.concatenate([[0], together.astype(np.int8), [0]]))
     lengths = np.flatnonzero(steps == -1) - np.flatnonzero(steps == 1)
+    if len(live) == 1 and len(lengths) and lengths.mean() < 3.0:
+        return 0, 0.0, 0.0  # one axis alone repeats itself for many reasons
     return len(lengths), float(lengths.mean()) if len(lengths) else 0.0, chance
 
 

@@ -34,6 +34,9 @@ SHARED = (
 RELATIVE = {"youngs_modulus", "filter_cutoff", "servo_natural_frequency"}
 """Deviations that are fitted as logarithms, so that a modulus that is not known at all stays positive."""
 
+TRUSTED = 0.02
+"""No cell follows the laws of a simulator to better than this share of its gap."""
+
 UNKNOWN_LOG_SD = 2.5
 """One standard deviation of the logarithm of a modulus of which nothing is known: a factor of twelve."""
 
@@ -139,7 +142,8 @@ class Problem:
     library: Mapping[str, Effect]
     scale: Scale
     shared_sd: Floats
-    sigma: Floats = field(default_factory=lambda: np.empty(0))  # (7, b)
+    sigma: Floats = field(default_factory=lambda: np.empty(0))  # (7, b), what the data are whitened by
+    floor_sigma: Floats = field(default_factory=lambda: np.empty(0))  # (7, b), of the noise alone
     data: Floats = field(default_factory=lambda: np.empty(0))  # (7, b) whitened
     fz_step_N: float = 0.0
     """The step that fz really has, where it is coarser than stated."""
@@ -217,8 +221,16 @@ class Problem:
             sigma[FZ] = np.hypot(sigma[FZ], _coherent(self.fz_step_N, float(run.noise_rms[FZ])))
             sigma[~np.array(run.judged)] = np.inf
             sigmas.append(sigma)
-        self.sigma = np.hstack(sigmas)
+        self.sigma = self.floor_sigma = np.hstack(sigmas)
         self.data = np.hstack(measured) / self.sigma
+
+    def soften(self, gap: Floats) -> None:
+        """Trust no bin to better than a small share of its channel's whitened gap (7, b): no law of a real cell is that exact."""
+        judged = np.where(np.isfinite(self.sigma), self.sigma, 0.0)
+        level = np.quantile(np.abs(gap) * judged, 0.95, axis=1)[:, None]
+        wider = np.hypot(1.0, TRUSTED * level / self.sigma)
+        self.data = self.data / wider
+        self.sigma = self.sigma * wider
 
     def _binned(self, run: Run, values: Floats) -> Floats:
         return np.ascontiguousarray(run.bins.mean(values).T)

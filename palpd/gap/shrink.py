@@ -46,6 +46,7 @@ def held_out(problem: Problem, best: Fit) -> Shrink:
     count = np.concatenate([run.bins.count for run in problem.runs])
     folds = min(FOLDS, offset)
     sigma = np.where(np.isfinite(problem.sigma), problem.sigma, 0.0)
+    floor = np.where(np.isfinite(problem.floor_sigma), problem.floor_sigma, 0.0)
     before = np.zeros_like(problem.data)
     after = np.zeros_like(problem.data)
     for fold in range(folds):
@@ -61,7 +62,7 @@ def held_out(problem: Problem, best: Fit) -> Shrink:
         left = left - space.space.explained(space.space.coefficients(left))
         after += left
         before += left + at - there.predict({}, space.eta)
-    strength = ((before - after) ** 2 * count).sum(axis=1)
+    strength = ((before - after) ** 2).sum(axis=1)
     channel = int(np.argmax(strength))
     noise = float(np.sqrt(np.mean([run.noise_rms[channel] ** 2 for run in problem.runs if run.judged[channel]])))
     n = int(count.sum())
@@ -72,7 +73,7 @@ def held_out(problem: Problem, best: Fit) -> Shrink:
         per_cycle[k] = (
             (weight * (before[channel, mine] * sigma[channel, mine]) ** 2).sum(),
             (weight * (after[channel, mine] * sigma[channel, mine]) ** 2).sum(),
-            (weight * sigma[channel, mine] ** 2).sum(),
+            (weight * floor[channel, mine] ** 2).sum(),
         )
     total = per_cycle.sum(axis=0)
     closed = _closed(total)
