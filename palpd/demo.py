@@ -7,12 +7,16 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
-from palpd.cell import equilibrium_force_N
-from palpd.cell_file import PHANTOM, CellFile, save_cell
+from palpd.cell import equilibrium_force_N, scale_of
+from palpd.cell_file import PHANTOM, CellFile, load_cell, save_cell
 from palpd.config import Config, ModelConfig, PathsConfig, Plan, RobotConfig, SafetyConfig, SensorConfig, Site
-from palpd.record import Recording, samples_of
+from palpd.effects import EFFECTS
+from palpd.errors import BadInput
+from palpd.gap.commands import diagnose_files
+from palpd.record import Recording, export, samples_of
 from palpd.report import depth_table, site_tables
 from palpd.session import calibrate, carry_out, findings, job
 from palpd.train import train
@@ -25,6 +29,7 @@ DRIFT_N_PER_S = 0.82 / 5400.0
 """A cold HEX-E, the nearest sensor measured: 0.82 N in 90 min on Fz."""
 SITES = tuple(Site(name=name, x_m=0.03 * index) for index, name in enumerate("ABCD"))
 SHORT = Plan(sites=SITES, depths_m=(0.004, 0.006, 0.008), hold_s=3.0, repeats=1)
+ONE_SITE = Plan(sites=(Site(name="A"),), depths_m=(0.003, 0.005, 0.008), hold_s=4.0, repeats=2)
 FULL = Plan(sites=SITES, depths_m=tuple(d / 1000 for d in range(3, 11)), hold_s=10.0, repeats=10)
 
 
@@ -44,8 +49,15 @@ def palpate(full: bool, folder: Path | None, console: Console) -> dict[str, Any]
         console.print("3/4 learning the inertial model (2-10-1) from it")
         recording = Recording.load(free.recording)
         model = folder / "inertial.onnx"
-        serial = recording.header["about"]["sensor_serial"]
-        card = train([samples_of(recording)], model, probe_mass_kg=config.cell.probe.mass_kg, sensor_serial=serial)
+        about = recording.header["about"]
+        card = train(
+            [samples_of(recording)],
+            model,
+            probe_mass_kg=config.cell.probe.mass_kg,
+            sensor_serial=about["sensor_serial"],
+            sensor_delay_s=about["delay_s"],
+            method="network",
+        )
         config = config.model_copy(update={"model": ModelConfig(path=model)})
         presses = len(plan.sites) * len(plan.depths_m) * (1 + plan.repeats)
         console.print(f"4/4 palpating {len(plan.sites)} sites, {presses} presses")
@@ -55,6 +67,61 @@ def palpate(full: bool, folder: Path | None, console: Console) -> dict[str, Any]
         site["true_youngs_modulus_Pa"] = true_modulus_Pa(cell, site["name"], plan)
     _tell(found, card, console)
     return found
+
+
+def gap(effect: str, folder: Path | None, console: Console) -> dict[str, Any]:
+    """Give one plain elastic site an effect that the nominal cell does not have, palpate it, diagnose it, and close the gap.
+
+    `effect` is an id of the library at its typical size, `none`, or a cell file whose effects are taken.
+    """
+    folder = _made(folder)
+    nominal = CellFile.model_validate({"sensor": {"rate_Hz": 1000.0}})
+    effects = _effects_of(effect, nominal)
+    true = ", ".join(effects) or "none"
+    console.print(f"One elastic site is emulated, with {true}; the simulator does not know. Everything is kept in {folder}.")
+    with cell_on_wires(nominal.with_effects(effects), folder, ONE_SITE) as config:
+        console.print("1/3 reference tare")
+        calibrate(config, devices, console)
+        console.print("2/3 palpating: free moves, holds, presses of different depths")
+        report = carry_out(job("palpation", config, ONE_SITE), devices, console, "palpation")
+    found = findings(report)
+    if report.recording is None or report.exit_code:
+        return found
+    csv, cell = folder / "site-A.csv", folder / "cell.yaml"
+    export(Recording.load(report.recording), csv, "A")
+    save_cell(cell, nominal)
+    console.print("3/3 diagnosing the recording against the nominal cell")
+    answer = diagnose_files([csv], cell, json_out=folder / "diagnosis.json", cell_out=folder / "enriched.yaml")
+    json = answer.to_json()
+    console.print(answer.sentence)
+    for named in json["effects"]:
+        parameters = ", ".join(
+            f"{name} {value['value']:.4g} (95 %: {value['ci95'][0]:.3g} to {value['ci95'][1]:.3g})"
+            for name, value in named["parameters"].items()
+        )
+        console.print(f"  {named['id']}, probability {named['probability']:.2f}: {parameters}")
+    shrink = json["shrink"]
+    if shrink["closed"] is not None:
+        console.print(
+            f"Gap in {shrink['channel']}: {shrink['before_rms']:.4g} before, {shrink['after_rms']:.4g} after, floor "
+            f"{shrink['noise_floor']:.4g}; {shrink['closed']:.0%} closed on data that the fit has not seen."
+        )
+    console.print(f"Report: {folder / 'gap.html'}")
+    found["diagnosis"] = {"true": true, "named": [named["id"] for named in json["effects"]], "closed": shrink["closed"], **json}
+    return found
+
+
+def _effects_of(effect: str, nominal: CellFile) -> dict[str, dict[str, float]]:
+    if effect == "none":
+        return {}
+    if Path(effect).suffix in (".yaml", ".yml"):
+        return {name: dict(values) for name, values in load_cell(effect).effects.items()}
+    if effect not in EFFECTS:
+        raise BadInput(f"{effect} is no effect of the library; known: none, {', '.join(EFFECTS)}, or the path of a cell file")
+    t_s = np.linspace(0.0, 60.0, 601)
+    z_m = 0.01 - 0.018 * np.abs(np.sin(0.3 * t_s))  # a motion like the plan's says how large an effect typically is
+    scale = scale_of(nominal, t_s, z_m, np.gradient(z_m, t_s))
+    return {effect: {parameter.name: parameter.starts(scale)[0] for parameter in EFFECTS[effect].parameters}}
 
 
 def true_modulus_Pa(cell: CellFile, site: str, plan: Plan) -> float:

@@ -244,13 +244,13 @@ class Palpation(Script):
             until_s = self.look.now_s + self.plan.hold_s
             while self.look.now_s < until_s and not self._soft_end():
                 yield from self.hold_depth(surface_z_m - depth_m)
-        yield from self.leave(surface_z_m)
+        yield from self.leave(surface_z_m, self.body.max_speed_m_per_s)
 
     def press_and_leave(self, surface_z_m: float, depth_m: float) -> Turn:
         """Dynamic palpation: press to the depth and leave at once."""
         yield from self.prepare(Mode.DYNAMIC, depth_m)
         yield from self.press(surface_z_m, depth_m, settle=False)
-        yield from self.leave(surface_z_m)
+        yield from self.leave(surface_z_m, self.plan.press_speed_m_per_s)
 
     def prepare(self, mode: Mode, depth_m: float) -> Turn:
         """Stand still above the surface for the force baseline of the press to come."""
@@ -314,10 +314,10 @@ class Palpation(Script):
         room_N = max(self.body.contact_limit_N - force_N, 0.0)
         return min(self.plan.press_speed_m_per_s, room_N / (stiffness_N_per_m * REACTION_S))
 
-    def leave(self, surface_z_m: float) -> Turn:
+    def leave(self, surface_z_m: float, speed_m_per_s: float) -> Turn:
         """Back to the safe height."""
         self.note(phase=Phase.RETRACT)
-        yield from self.go_to(surface_z_m + self.plan.safe_height_m, self.plan.press_speed_m_per_s)
+        yield from self.go_to(surface_z_m + self.plan.safe_height_m, speed_m_per_s)
         yield from self.come_to_rest()
 
     def mean_force(self, duration_s: float) -> Generator[Proposal, Look, float]:
