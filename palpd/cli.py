@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -218,6 +219,78 @@ def sim(
 
 
 @app.command()
+def study(
+    out: Annotated[Path, typer.Option("--out", help="folder for study.html and study.json")] = Path("study"),
+    seed: Annotated[int, typer.Option("--seed", help="another laboratory: noise, tares, biases")] = 0,
+    days: Annotated[int, typer.Option("--days", min=0, help="further days by the same models")] = 20,
+    bare: Annotated[list[Path] | None, typer.Option("--bare", help="recording of free motion without the probe (.mcap)")] = None,
+    free: Annotated[list[Path] | None, typer.Option("--free", help="recordings of free motion with the probe (.mcap)")] = None,
+    palpation: Annotated[Path | None, typer.Option("--palpation", help="recording of a plan with mode: both (.mcap)")] = None,
+    cell: Annotated[list[str] | None, typer.Option("--cell", help="SITE=FILE, a cell file enriched by palpd diagnose")] = None,
+) -> None:
+    """Do section 4 of Guo, Xiao, Ren 2019 again: on the emulated cell, or on recordings of a real one; one page of tables and figures."""
+    from palpd import study as studying
+    from palpd.cell_file import load_cell
+    from palpd.record import Recording
+    from palpd.study_report import means, write
+
+    if free or palpation:
+        if not free or palpation is None:
+            raise BadInput("a study of recordings needs both --free and --palpation; without either the emulated cell is studied")
+        pairs = [each.partition("=") for each in cell or []]
+        if wrong := [site for site, equals, _ in pairs if not equals]:
+            raise BadInput(f"--cell {wrong[0]} names no site; expected SITE=FILE")
+        enriched = {site: load_cell(Path(file)) for site, _, file in pairs}
+        runs = [[Recording.load(path) for path in paths] for paths in (bare or [], free)]
+        found = studying.study_of(studying.recorded(runs[0], runs[1], Recording.load(palpation), enriched))
+    else:
+        console.print("The emulated cell is studied: diagnosing four setups takes most of the time, some minutes in all.")
+        found = studying.study(seed, days)
+    page, _ = write(found, out)
+    for name, (mean, half, n) in means(found).items():
+        console.print(f"YMBT {100 * mean:5.1f} %" + (f" ± {100 * half:.1f}" if n > 1 else "") + f"  {name}")
+    console.print(f"{page}")
+
+
+@app.command("map")
+def map_(
+    out: Annotated[Path, typer.Option("--out", help="picture to write (.png)")] = Path("map.png"),
+    presses: Annotated[
+        Path | None, typer.Option("--presses", help="CSV with x_m, y_m, youngs_modulus_Pa; without it a field is emulated")
+    ] = None,
+    width_m: Annotated[float, typer.Option("--width-m", min=0.005, max=0.5)] = 0.06,
+    height_m: Annotated[float, typer.Option("--height-m", min=0.005, max=0.5)] = 0.06,
+    inclusion_m: Annotated[float, typer.Option("--inclusion-m", min=0.002, max=0.1, help="smallest inclusion not to be missed")] = 0.01,
+    seed: Annotated[int, typer.Option("--seed", help="another emulated field")] = 0,
+    json_file: JsonOption = None,
+) -> None:
+    """Map the stiffness of a field from few presses: what was found, or where to press next."""
+    from palpd import mapping
+
+    where = mapping.Field(width_m=width_m, height_m=height_m, inclusion_m=inclusion_m)
+    truth = None
+    if presses is not None:
+        survey = mapping.read_presses(presses, where)
+        found = survey.map()
+    else:
+        from palpd.mapping_field import EmulatedField
+
+        emulated = EmulatedField(where, seed)
+        survey, found = mapping.search(emulated.press, where)
+        truth = emulated.inclusion
+    mapping.draw(survey, found, out, truth)
+    _writable(json_file)
+    console.print(f"{found.sentence}.")
+    if not found.done:
+        console.print(f"Next press at x = {found.next_m[0] * 1e3:.0f} mm, y = {found.next_m[1] * 1e3:.0f} mm.")
+    elif presses is None:
+        console.print(f"Emulated field: {len(survey.places_m)} presses, a raster of 5 mm has {len(mapping.raster(where))}.")
+    console.print(f"{out}")
+    keys = {"presses": len(survey.places_m), "done": found.done, "found_m": found.found_m, "next_m": found.next_m}
+    _write_json(json_file, {**keys, "background_Pa": found.background_Pa, "sentence": found.sentence, "true_inclusion_m": truth})
+
+
+@app.command()
 def emulate(
     model: Annotated[Literal["ur5", "ur5e"], typer.Option("--model", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")] = "ur5",
     cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml of what the wires lead to (default: the paper's phantom)")] = None,
@@ -415,11 +488,21 @@ def analyse(
     baseline: Annotated[
         Literal["auto", "free", "zero"], typer.Option("--baseline", help="force before contact; auto: zero for a corrected column")
     ] = "auto",
+    cell: Annotated[
+        Path | None, typer.Option("--cell", help="cell file, as palpd diagnose enriched it: what it knows no longer passes for stiffness")
+    ] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Young's modulus with its interval, from a recording of ours or a curve of another machine."""
     _writable(json_file)
-    if file.suffix == ".mcap":
+    if cell is not None:
+        from palpd.cell_file import load_cell
+        from palpd.enriched import analysed
+
+        found = analysed(file, load_cell(cell), site)
+        for each in found.get("sites", [found]):
+            _tell_curve(each)
+    elif file.suffix == ".mcap":
         found = _analyse_recording(file, site)
     else:
         from palpd.curves import analyse_curve, read_curve
@@ -487,6 +570,72 @@ def check_config(
     _write_json(json_file, found)
 
 
+# --- the sim-to-real gap ------------------------------------------------------------------------------------------------------
+
+CellOption = Annotated[Path, typer.Option("--cell", help="cell.yaml: what the simulator believes of the cell")]
+EffectsOption = Annotated[Path | None, typer.Option("--effects", help="a Python file with effects of your own (docs/examples)")]
+
+
+@app.command()
+def diagnose(
+    recordings: Annotated[list[Path], typer.Argument(help="recordings of one cell (.csv, .parquet), or a folder of X.csv with X.yaml")],
+    cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml: what the simulator believes (not for a folder)")] = None,
+    json_file: JsonOption = None,
+    cell_out: Annotated[Path | None, typer.Option("--cell-out", help="write the cell with what was found")] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="write a report (.html)")] = None,
+    effects: EffectsOption = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="processes, for a folder")] = 1,
+) -> None:
+    """Say where measurement and simulation part, which effect causes it, and how far the gap closes."""
+    from palpd.gap.commands import diagnose_files, diagnose_folder
+    from palpd.report import fleet_table
+
+    for path in (json_file, cell_out, report):
+        _writable(path)
+    if len(recordings) == 1 and recordings[0].is_dir():
+        from rich.progress import track
+
+        rows = list(track(diagnose_folder(recordings[0], jobs=jobs, effects=effects), "diagnosing", console=console, transient=True))
+        console.print(fleet_table(rows))
+        _write_json(json_file, {"recordings": [asdict(row) for row in rows]})
+        return
+    if cell is None:
+        raise BadInput("--cell is missing: a gap is a gap to what a simulator believes; give the cell.yaml that describes the cell")
+    with console.status("diagnosing"):
+        found = diagnose_files(recordings, cell, json_out=json_file, cell_out=cell_out, effects=effects)
+    _tell_diagnosis(found)
+
+
+@app.command()
+def simulate(
+    motion: Annotated[Path, typer.Argument(help="t_s and z_m or z_cmd_m (.csv)")],
+    cell: CellOption,
+    csv: Annotated[Path, typer.Option("--csv", help="recording to write")],
+    source: Annotated[Literal["measured", "commanded"], typer.Option("--from", help="what drives it where both are there")] = "measured",
+    noise: Annotated[int | None, typer.Option("--noise", help="seed: add noise and rounding")] = None,
+    effects: EffectsOption = None,
+) -> None:
+    """What a cell, enriched or nominal, gives on any motion."""
+    from palpd.gap.commands import simulate_file
+
+    samples = simulate_file(motion, cell, csv, from_commanded=source == "commanded", noise_seed=noise, effects=effects)
+    console.print(f"{csv}: {len(samples)} rows, {samples.duration_s:.1f} s.")
+
+
+@app.command()
+def tolerances(
+    recordings: Annotated[list[Path], typer.Argument(help="recordings of a healthy cell")], cell: CellOption, json_file: JsonOption = None
+) -> None:
+    """Estimate the tolerances block of a cell file from recordings of a healthy cell."""
+    import yaml
+
+    from palpd.gap.commands import tolerances_of
+
+    found = tolerances_of(recordings, cell)
+    console.print(yaml.safe_dump(found, sort_keys=False))
+    _write_json(json_file, found)
+
+
 # --- shared -------------------------------------------------------------------------------------------------------------------
 
 
@@ -538,6 +687,16 @@ def _tell_curve(found: dict[str, Any]) -> None:
     console.print(f"E = {found['youngs_modulus_Pa']:.6g} Pa{interval}, contact at {found['contact_point_m']:.6g} m")
     for warning in found.get("warnings", []):
         console.print(f"  note: {warning}")
+
+
+def _tell_diagnosis(found: Any) -> None:
+    console.print(found.sentence, highlight=False)
+    for named in found.to_json()["effects"]:
+        values = ", ".join(
+            f"{name} = {value['value']:.4g} (95 %: {value['ci95'][0]:.4g} to {value['ci95'][1]:.4g})"
+            for name, value in named["parameters"].items()
+        )
+        console.print(f"  {named['id']}, probability {named['probability']:.2f}: {values}", highlight=False)
 
 
 def _tell_run(found: dict[str, Any]) -> None:

@@ -48,6 +48,21 @@ def depth_table(sites: list[dict[str, Any]]) -> Table:
     return table
 
 
+def fleet_table(rows: list[Any]) -> Table:
+    """Which cell, which effect, how sure, how far the gap closes."""
+    table = _table("Cells", "cell", "verdict", "effects", "probability", "closed", "what")
+    for row in sorted(rows, key=lambda row: str(row.name)):
+        table.add_row(
+            row.name,
+            row.verdict or "failed",
+            row.effects or "–",
+            f"{row.probability:.2f}" if row.probability is not None else "–",
+            f"{row.closed:.0%}" if row.closed is not None else "–",
+            row.sentence if row.verdict is None else "",
+        )
+    return table
+
+
 def overshoot_table(predicted: dict[str, Any]) -> tuple[Table, Table]:
     """Delays between a force and the arm's answer, and what they cost in newtons."""
     delays = _table("From a force to the arm at rest", "delay", "ms", "from")
