@@ -1,0 +1,111 @@
+"""Moduli of emulated cells with effects that the estimator does not know, before and after a diagnosis of another recording.
+
+python benchmarks/enriched.py [--cells N] [--seed N]
+"""
+
+import argparse
+import time
+
+import numpy as np
+
+from palpd.cell import equilibrium_force_N, true_surface_m
+from palpd.cell_file import CellFile, Tissue
+from palpd.enriched import enriched_modulus
+from palpd.gap.diagnosis import diagnose
+from palpd.study_cell import Move, Take, ramps, setup, take
+from palpd.young import modulus_peak_Pa
+
+DEPTHS_M = (0.003, 0.004, 0.005, 0.006)
+REST_M = 0.010
+DRAWN = ("tissue.viscoelastic", "tissue.surface", "robot.compliance", "sensor.latency", "sensor.bias", "tissue.inclusion")
+
+
+def effects_of(rng: np.random.Generator) -> dict[str, dict[str, float]]:
+    """One to three effects of drawn size."""
+    drawn = {
+        "tissue.viscoelastic": {"ratio": rng.uniform(0.1, 0.5), "tau_s": rng.uniform(0.3, 2.0)},
+        "tissue.surface": {"offset_m": rng.choice([-1.0, 1.0]) * rng.uniform(0.0002, 0.0006)},
+        "robot.compliance": {"stiffness_N_per_m": rng.uniform(8e3, 3e4)},
+        "sensor.latency": {"delay_s": rng.uniform(0.01, 0.04)},
+        "sensor.bias": {"offset_N": rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 0.3)},
+        "tissue.inclusion": {"contrast": rng.uniform(0.5, 2.0), "depth_m": rng.uniform(0.005, 0.010)},
+    }
+    return {name: drawn[name] for name in rng.choice(DRAWN, rng.integers(1, 4), replace=False)}
+
+
+def cells(rng: np.random.Generator) -> tuple[CellFile, CellFile]:
+    """The true cell and what is believed of it: the same sensor, no effects, a modulus that nobody knows."""
+    base = setup("A").model_copy(update={"tissue": Tissue(youngs_modulus_Pa=rng.uniform(4e4, 1.2e5))})
+    believed = base.model_copy(
+        update={"tissue": Tissue(youngs_modulus_Pa=7e4), "tolerances": base.tolerances.model_copy(update={"youngs_modulus": 1.0})}
+    )
+    return base.model_copy(update={"effects": effects_of(rng)}), believed
+
+
+def scattered(cell: CellFile, rng: np.random.Generator, moves: list[tuple[float, float, float]], seed: int) -> tuple[Take, list[slice]]:
+    """Presses (depth, speed, hold) below the believed surface, each with its own height of contact."""
+    way = [Move(REST_M, 0.02, 1.0)]
+    for depth_m, speed, hold_s in moves:
+        way += [Move(rng.normal(0.0, 2e-5) - depth_m, speed, hold_s), Move(REST_M, speed, 1.0)]
+    z_cmd_m, spans = ramps(REST_M, way)
+    return take(cell, z_cmd_m, seed), [slice(spans[k][0], spans[k][1]) for k in range(1, len(way), 2)]
+
+
+def truth_Pa(cell: CellFile) -> float:
+    """Equation 1 on the noise-free force at rest, at the true depth below the true surface, mean over the depths."""
+    return float(np.mean([modulus_peak_Pa(equilibrium_force_N(cell, d), d, 0.005, 0.5) for d in DEPTHS_M]))
+
+
+def main() -> None:
+    """Print a row for each cell and the summary."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cells", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args()
+    print("| cell | its effects | named | dynamic, peak formula | static, equation 1 | dynamic, enriched | in its 95 % interval |")
+    print("|---|---|---|---|---|---|---|")
+    errors, inside = [], []
+    for k in range(asked.cells):
+        begun_s = time.perf_counter()
+        rng = np.random.default_rng([asked.seed, k])
+        true, believed = cells(rng)
+        probing = [(0.003, 0.005, 3.0), (0.005, 0.02, 3.0), (0.006, 0.01, 2.0), (0.004, 0.04, 2.0), (0.006, 0.005, 3.0)]
+        seen, _ = scattered(true, rng, probing, 2 * k + 10_000 * asked.seed)
+        diagnosis = diagnose([seen.samples()], believed)
+        dynamic, presses = scattered(true, rng, [(d, 0.01, 0.0) for d in DEPTHS_M] * 2, 2 * k + 1 + 10_000 * asked.seed)
+        static, holds = scattered(true, rng, [(d, 0.01, 8.0) for d in DEPTHS_M], 500 + 2 * k + 10_000 * asked.seed)
+        peak = np.mean([_peak_Pa(dynamic, span) for span in presses])
+        held = np.mean([_held_Pa(static, span) for span in holds])
+        found = enriched_modulus([dynamic.samples()], diagnosis.enriched_cell())
+        true_Pa, after_Pa = truth_Pa(true), found.static_Pa(DEPTHS_M)
+        half = (found.ci95_Pa[1] / found.youngs_modulus_Pa - 1.0) * after_Pa
+        errors.append([peak / true_Pa - 1.0, held / true_Pa - 1.0, after_Pa / true_Pa - 1.0])
+        inside.append(abs(after_Pa - true_Pa) <= half)
+        shown = " | ".join(f"{100 * each:+.1f} %" for each in errors[-1])
+        named = ", ".join(effect.id for effect in diagnosis.effects) or diagnosis.verdict
+        print(
+            f"| {k + 1} | {', '.join(true.effects)} | {named} | {shown} | {'yes' if inside[-1] else 'no'} |"
+            f" <!-- surface {1e6 * (found.surface_z_m - true_surface_m(true)):+.0f} µm, {time.perf_counter() - begun_s:.0f} s -->",
+            flush=True,
+        )
+    table = np.abs(np.array(errors)) * 100
+    n = len(table)
+    print(f"\nn = {n} cells. Mean |error|: {', '.join(f'{each:.1f} %' for each in table.mean(axis=0))}; ", end="")
+    print(f"median {', '.join(f'{each:.1f} %' for each in np.median(table, axis=0))}; ", end="")
+    print(f"within 5 %: {', '.join(f'{int(each)}/{n}' for each in (table <= 5.0).sum(axis=0))} (peak, static, enriched). ", end="")
+    print(f"95 % intervals hold the truth in {sum(inside)}/{n}.")
+
+
+def _peak_Pa(run: Take, span: slice) -> float:
+    mean = np.convolve(run.fz_N[span], np.full(10, 0.1), mode="valid")
+    at = span.start + int(np.argmax(mean))
+    return modulus_peak_Pa(float(mean.max()), -float(run.z_m[at : at + 10].mean()), 0.005, 0.5)
+
+
+def _held_Pa(run: Take, span: slice) -> float:
+    held = slice(span.stop - 2500, span.stop)
+    return modulus_peak_Pa(float(run.fz_N[held].mean()), -float(run.z_m[held].mean()), 0.005, 0.5)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,53 @@
+"""An emulated field to be mapped: plain tissue with one hard inclusion at an unknown place, pressed by the emulated cell."""
+
+import math
+
+import numpy as np
+
+from palpd.cell_file import Tissue
+from palpd.mapping import Field
+from palpd.study_cell import Move, ramps, setup, take
+from palpd.young import modulus_peak_Pa
+
+INCLUSION_DEPTH_M = 0.005
+REST_M = 0.004
+HOLD_S = 1.5
+
+
+class EmulatedField:
+    """`inclusion` is the true centre (x, y) and radius in m, or None; `press` gives the modulus of equation 1 at a place.
+
+    Over the middle the tissue stiffens as the cell's inclusion does; aside the contrast falls off like a bump whose width is half the
+    inclusion and half the contact. Stiffness and surface scatter from press to press as a cell file's repeatability says.
+    """
+
+    def __init__(self, where: Field, seed: int, *, contrast: float | None = None) -> None:
+        self._field, self._seed, self._presses = where, seed, 0
+        rng = np.random.default_rng([seed, 3])
+        self.youngs_modulus_Pa = float(rng.uniform(4e4, 1.2e5))
+        margin_m = where.inclusion_m / 2.0
+        centre = rng.uniform([margin_m, margin_m], [where.width_m - margin_m, where.height_m - margin_m])
+        self.contrast = float(rng.uniform(1.0, 3.0)) if contrast is None else contrast
+        self.inclusion = (float(centre[0]), float(centre[1]), where.inclusion_m / 2.0) if self.contrast > 0.0 else None
+
+    def press(self, place_m: tuple[float, float]) -> float:
+        """Rest, press, hold; force of the hold less that of the rest. Pa."""
+        self._presses += 1
+        rng = np.random.default_rng([self._seed, 4, self._presses])
+        contrast = 0.0
+        if self.inclusion is not None:
+            away_m = math.dist(place_m, self.inclusion[:2])
+            contrast = self.contrast * math.exp(-0.5 * (away_m / self._field.length_m) ** 2)
+        effects = {
+            "tissue.inclusion": {"contrast": contrast, "depth_m": INCLUSION_DEPTH_M},
+            "tissue.viscoelastic": {"ratio": 0.2, "tau_s": 0.3},
+            "sensor.bias": {"offset_N": 0.19},
+        }
+        modulus_Pa = self.youngs_modulus_Pa * (1.0 + rng.normal(0.0, 0.01))
+        cell = setup("A").model_copy(update={"tissue": Tissue(youngs_modulus_Pa=modulus_Pa), "effects": effects})
+        depth_m = self._field.depth_m
+        z_cmd_m, spans = ramps(REST_M, [Move(REST_M, 0.02, 0.5), Move(rng.normal(0.0, 2e-5) - depth_m, 0.02, HOLD_S)])
+        run = take(cell, z_cmd_m, int(rng.integers(2**31)))
+        rest, held = slice(50, spans[0][1]), slice(len(run.t_s) - 250, len(run.t_s))
+        force_N = float(run.fz_N[held].mean()) - float(run.fz_N[rest].mean())
+        return modulus_peak_Pa(force_N, depth_m, self._field.tip_radius_m, 0.5)

@@ -1,0 +1,349 @@
+"""Section 4 of Guo, Xiao, Ren 2019 done again: free motion, training, static and dynamic palpation, moduli and their bias.
+
+On the emulated cell (`simulated`) or on recordings of a real one (`recorded`); what is done with the data is the same.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from palpd.cell import true_surface_m
+from palpd.cell_file import PHANTOM, CellFile
+from palpd.compensate import Bias, Exported, LineAndRunningZero, Method, Nothing, corrections
+from palpd.enriched import EnrichedModulus, enriched_modulus
+from palpd.errors import BadInput, RecordingError
+from palpd.gap.diagnosis import diagnose
+from palpd.record import Recording
+from palpd.results import PEAK_WINDOW_S
+from palpd.results import sites as site_results
+from palpd.study_cell import Move, Take, free_cell, ramps, setup, take
+from palpd.study_paper import MEAN_FREE_N, POISSON_RATIO, SETUPS, STROKE_M, STROKE_S, TIP_RADIUS_M, static
+from palpd.tick import Floats, Mode, Phase
+from palpd.young import modulus_peak_Pa, ymbt
+
+DEPTHS_M = tuple(float(d) for d in static("A")[0])
+PRESSES = 10
+REPEATS = 10
+DYNAMIC_DEPTH_M = 0.00373
+"""Where the published correction of the modulus and the published mean force of free motion agree (study_paper.depth_of_peaks_m)."""
+PAPER_SPEED_M_PER_S = STROKE_M / (STROKE_S - 0.1)
+"""2 cm in 4 s, of which 0.1 s go into ramps and rest."""
+REST_M = STROKE_M - DYNAMIC_DEPTH_M
+ZERO_MISS_M = {"A": 0.0005, "B": 0.0, "C": 0.0, "D": 0.0}
+"""How far above the zero of depth the surface is: what Table 1 says of setup A, and of D that it is nothing."""
+RATE_RATIO = {"A": 0.354, "B": 0.297, "C": 0.261, "D": 0.133}
+RATE_TAU_S = 1.0
+"""A standard linear solid of one second, whose ratio makes the original YMBT that of Table 3. The paper tells no relaxation."""
+BIAS_N = MEAN_FREE_N["with the probe"]
+BIAS_BETWEEN_DAYS_N = 0.03
+WARMUP_N, WARMUP_S = 0.05, 600.0
+HYSTERESIS = {"width_N": 1.0, "amplitude_N": 0.02}
+NAMED = (
+    (
+        "sensor.bias",
+        f"{BIAS_N:g} N after the tare of a dynamic series, ± {BIAS_BETWEEN_DAYS_N:g} N from day to day",
+        "mean force of free motion, section 4.2",
+    ),
+    (
+        "sensor.warmup",
+        f"up to ± {WARMUP_N:g} N over {WARMUP_S / 60:g} minutes",
+        "data sheets give none; a cold HEX-E drifts by 0.82 N in 90 minutes",
+    ),
+    ("sensor.hysteresis", f"± {HYSTERESIS['amplitude_N']:g} N", "data sheet: below 2 % of 200 N"),
+    ("rounding", "131 mN a count on Fz, each tare with a rounding error of its own", "data sheet: 125 to 133 mN"),
+    ("zero of depth", "0.5 mm below the surface in setup A", "Table 1 against Hertz (docs/paper.md)"),
+    (
+        "tissue.viscoelastic",
+        ", ".join(f"{name}: {ratio:.0%}" for name, ratio in RATE_RATIO.items()) + f", relaxing in {RATE_TAU_S:g} s",
+        "fitted to Table 3's original YMBT",
+    ),
+    ("tissue.inclusion", "setups B and C, as the phantom's cell file has them", "fitted to Table 1"),
+)
+"""What makes this cell read what the paper read: effect, size, where that is from."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """A static palpation: depth below the zero, mean force, modulus by equation 1."""
+
+    depth_m: float
+    force_N: float
+    youngs_modulus_Pa: float
+
+
+@dataclass(frozen=True)
+class Palpated:
+    """What was recorded of one setup. `presses` are the spans of samples of `dynamic`; depths count from `zero_z_m`.
+
+    `enriched` is the cell file of a diagnosis of another recording, if there is one.
+    """
+
+    name: str
+    holds: list[Hold]
+    dynamic: Take
+    presses: list[slice]
+    zero_z_m: float = 0.0
+    enriched: CellFile | None = None
+
+
+@dataclass(frozen=True)
+class Data:
+    """All recordings: free motion without and with the probe, and the setups."""
+
+    bare: list[Take]
+    free: list[Take]
+    setups: list[Palpated]
+    simulated: bool
+
+
+@dataclass(frozen=True)
+class Peak:
+    """One dynamic palpation: when and how deep its largest reading was, the forces and moduli there by method."""
+
+    t_s: float
+    depth_m: float
+    force_N: dict[str, float]
+    youngs_modulus_Pa: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One setup, evaluated. `modulus_Pa` and `ymbt` by method; the enriched cell's modulus is the static one it predicts."""
+
+    palpated: Palpated
+    corrected_N: dict[str, Floats]
+    peaks: list[Peak]
+    static_Pa: float
+    modulus_Pa: dict[str, float]
+    ymbt: dict[str, float]
+    by_enriched: EnrichedModulus | None
+
+
+NONE, BIAS, NETWORK, LINE, WINNER = "none", "bias only", "the paper's network", "m·a + bias", "m·a + running zero"
+ENRICHED = WINNER + ", enriched cell"
+METHODS = (NONE, BIAS, NETWORK, LINE, WINNER)
+
+
+@dataclass
+class Study:
+    """A whole study; `days` holds YMBT (methods by setup) of further days, by the same models."""
+
+    data: Data
+    cards: dict[str, dict[str, Any]]
+    setups: list[Judged]
+    days: list[dict[str, dict[str, float]]] = field(default_factory=list)
+
+
+def fitted(free: Sequence[Take]) -> dict[str, Method]:
+    """The methods, learned from free motion."""
+    found: dict[str, Method] = {
+        NONE: Nothing(),
+        BIAS: Bias(),
+        NETWORK: Exported("network", NETWORK),
+        LINE: Exported("linear", LINE),
+        WINNER: LineAndRunningZero(),
+    }
+    for method in found.values():
+        method.fit(free)
+    return found
+
+
+def evaluate(data: Data, methods: dict[str, Method]) -> list[Judged]:
+    """Peaks, moduli and YMBT of every setup."""
+    return [_judged(palpated, methods) for palpated in data.setups]
+
+
+def _judged(palpated: Palpated, methods: dict[str, Method]) -> Judged:
+    run = palpated.dynamic
+    corrected_N = {name: run.fz_N - corrections(method, run) for name, method in methods.items()}
+    peaks = [_peak(palpated, corrected_N, span) for span in palpated.presses]
+    static_Pa = float(np.mean([hold.youngs_modulus_Pa for hold in palpated.holds]))
+    modulus_Pa = {name: float(np.mean([peak.youngs_modulus_Pa[name] for peak in peaks])) for name in methods}
+    by_enriched = None
+    if palpated.enriched is not None:
+        by_enriched = enriched_modulus([run.samples()], palpated.enriched)
+        modulus_Pa[ENRICHED] = by_enriched.static_Pa([hold.depth_m for hold in palpated.holds], palpated.zero_z_m)
+    biases = {name: ymbt(value, static_Pa) for name, value in modulus_Pa.items()}
+    return Judged(palpated, corrected_N, peaks, static_Pa, modulus_Pa, biases, by_enriched)
+
+
+def _peak(palpated: Palpated, corrected_N: dict[str, Floats], span: slice) -> Peak:
+    """The largest mean of 20 ms of the reading."""
+    run = palpated.dynamic
+    width = max(1, round(PEAK_WINDOW_S / float(np.median(np.diff(run.t_s)))))
+    mean = np.convolve(run.fz_N[span], np.full(width, 1.0 / width), mode="valid")
+    first = span.start + int(np.argmax(mean))
+    window = slice(first, first + width)
+    depth_m = palpated.zero_z_m - float(run.z_m[window].mean())
+    forces = {name: float(values[window].mean()) for name, values in corrected_N.items()}
+    moduli = {name: modulus_peak_Pa(force, depth_m, TIP_RADIUS_M, POISSON_RATIO) for name, force in forces.items()}
+    return Peak(float(run.t_s[window].mean()), depth_m, forces, moduli)
+
+
+# the emulated cell
+
+
+def study_cell(name: str) -> CellFile:
+    """The true cell of a setup: the phantom, the zero of depth that the paper took, and the rate dependence that Table 3 asks for."""
+    cell = setup(name, PHANTOM)
+    assert cell.tissue is not None
+    tissue = cell.tissue.model_copy(update={"surface_z_m": ZERO_MISS_M[name]})
+    rate = {"tissue.viscoelastic": {"ratio": RATE_RATIO[name], "tau_s": RATE_TAU_S}, "sensor.hysteresis": HYSTERESIS}
+    return cell.model_copy(update={"tissue": tissue, "effects": cell.effects | rate})
+
+
+def believed_cell(name: str) -> CellFile:
+    """What one believes of that cell beforehand: no effects, the paper's zero, the modulus unknown."""
+    true = study_cell(name)
+    assert true.tissue is not None
+    tissue = true.tissue.model_copy(update={"surface_z_m": 0.0, "youngs_modulus_Pa": 1e5})
+    tolerances = true.tolerances.model_copy(update={"youngs_modulus": 1.0})
+    return true.model_copy(update={"tissue": tissue, "effects": {}, "tolerances": tolerances})
+
+
+def on_a_day(cell: CellFile, bias_N: float, rng: np.random.Generator) -> CellFile:
+    """The cell with that day's bias and warm-up."""
+    day = {
+        "sensor.bias": {"offset_N": bias_N},
+        "sensor.warmup": {"amplitude_N": rng.uniform(-WARMUP_N, WARMUP_N), "tau_s": WARMUP_S},
+    }
+    return cell.model_copy(update={"effects": cell.effects | day})
+
+
+def _up_and_down(seed: int, mass_kg: float, bias_N: float) -> Take:
+    """2 cm up and down ten times in 80 s."""
+    cell = study_cell("A")
+    cell = on_a_day(free_cell(cell, {"sensor.hysteresis": HYSTERESIS}), bias_N, np.random.default_rng([seed, 5]))
+    cell = cell.model_copy(update={"probe": cell.probe.model_copy(update={"mass_kg": mass_kg})})
+    moves = [Move(REST_M, 0.02, 1.0)]
+    moves += [Move(REST_M + way, PAPER_SPEED_M_PER_S, 0.09) for _ in range(PRESSES) for way in (STROKE_M, 0.0)]
+    return take(cell, ramps(REST_M, moves)[0], seed)
+
+
+def simulated(seed: int) -> Data:
+    """The paper's laboratory days on the emulated cell."""
+    bare = [_up_and_down(seed * 1000 + 1, 0.02, MEAN_FREE_N["without the probe"])]
+    rng = np.random.default_rng([seed, 6])
+    free = [_up_and_down(seed * 1000 + 10 + k, 0.2, BIAS_N + rng.normal(0.0, 0.005)) for k in range(REPEATS)]
+    enriched = {name: diagnosed(name, seed) for name in SETUPS}
+    return Data(bare, free, palpated(seed, enriched), simulated=True)
+
+
+def palpated(seed: int, enriched: dict[str, CellFile] | None = None) -> list[Palpated]:
+    """One day of static and dynamic palpation on all setups."""
+    rng = np.random.default_rng([seed, 7])
+    found = []
+    for index, name in enumerate(SETUPS):
+        cell = study_cell(name)
+        holds = [_hold(cell, depth_m, seed * 1000 + 100 + 10 * index + k) for k, depth_m in enumerate(DEPTHS_M)]
+        moves = [Move(REST_M, 0.02, 1.0)]
+        moves += [Move(z_m, PAPER_SPEED_M_PER_S, 0.09) for _ in range(PRESSES) for z_m in (-DYNAMIC_DEPTH_M, REST_M)]
+        z_cmd_m, spans = ramps(REST_M, moves)
+        bias_N = BIAS_N + rng.normal(0.0, BIAS_BETWEEN_DAYS_N)
+        dynamic = take(on_a_day(cell, bias_N, rng), z_cmd_m, seed * 1000 + 200 + index)
+        presses = [slice(spans[k][0], spans[k + 1][1]) for k in range(1, 2 * PRESSES, 2)]
+        found.append(Palpated(name, holds, dynamic, presses, 0.0, (enriched or {}).get(name)))
+    return found
+
+
+def _hold(cell: CellFile, depth_m: float, seed: int) -> Hold:
+    """Press, wait until the force is stable (8 s), take the mean of 10 s; the sensor was tared just before."""
+    z_cmd_m, _ = ramps(REST_M, [Move(REST_M, 0.02, 0.5), Move(-depth_m, 0.01, 18.0)])
+    run = take(cell, z_cmd_m, seed)
+    held = run.t_s > run.t_s[-1] - 10.0
+    force_N, at_m = float(run.fz_N[held].mean()), -float(run.z_m[held].mean())
+    return Hold(depth_m, force_N, modulus_peak_Pa(force_N, at_m, TIP_RADIUS_M, POISSON_RATIO))
+
+
+def diagnosed(name: str, seed: int) -> CellFile:
+    """The believed cell, enriched by a diagnosis of six presses of other depths and speeds on another day."""
+    moves = [Move(REST_M, 0.02, 1.0)]
+    for depth_m, speed in ((0.003, 0.005), (0.005, 0.01), (0.007, 0.02), (0.004, 0.04), (0.008, 0.01), (0.010, 0.005)):
+        moves += [Move(-depth_m, speed, 3.0), Move(REST_M, speed, 1.0)]
+    rng = np.random.default_rng([seed, 8])
+    cell = on_a_day(study_cell(name), BIAS_N + rng.normal(0.0, BIAS_BETWEEN_DAYS_N), rng)
+    run = take(cell, ramps(REST_M, moves)[0], seed * 1000 + 300)
+    return diagnose([run.samples()], believed_cell(name)).enriched_cell()
+
+
+def study(seed: int = 0, days: int = 20) -> Study:
+    """Everything on the emulated cell: the paper's section 4 once in full, then further days with the same models."""
+    data = simulated(seed)
+    methods = fitted(data.free)
+    enriched = {each.name: each.enriched for each in data.setups if each.enriched is not None}
+    found = Study(data, _cards(methods), evaluate(data, methods))
+    for day in range(1, days + 1):
+        judged = [_judged(each, methods) for each in palpated(seed * 100 + day, enriched)]
+        found.days.append({each.palpated.name: each.ymbt for each in judged})
+    return found
+
+
+def _cards(methods: dict[str, Method]) -> dict[str, dict[str, Any]]:
+    return {name: method.model.card for name, method in methods.items() if isinstance(method, Exported)}
+
+
+# recordings of a real cell
+
+
+def take_of(rows: np.ndarray[Any, np.dtype[np.void]], name: str) -> Take:
+    """The rows (ROW of palpd.tick) of a recording, as the methods take them; nobody knows the true contact. Raises RecordingError."""
+    filled = np.arange(rows["frame_t_s"].shape[1]) < rows["frames"][:, None]
+    robot_t_s, first = np.unique(rows["robot_t_s"], return_index=True)
+    t_s = rows["frame_t_s"][filled]
+    if len(t_s) < 100 or len(robot_t_s) < 30:
+        raise RecordingError(f"{name} holds {len(t_s)} sensor samples and {len(robot_t_s)} robot states; record for longer")
+    states = rows[first]
+    start_s = float(t_s[0])
+    return Take(
+        t_s - start_s,
+        np.interp(t_s, robot_t_s, states["target_pose"][:, 2]),
+        np.interp(t_s, robot_t_s, states["tcp_pose"][:, 2]),
+        np.interp(t_s, robot_t_s, states["tcp_speed"][:, 2]),
+        rows["tared"][filled][:, 2],
+        robot_t_s - start_s,
+        states["tcp_speed"][:, 2],
+        states["target_speed"][:, 2],
+        states["tool_acceleration_m_per_s2"][:, 2],
+        np.full(len(t_s), math.nan),
+    )
+
+
+def recorded(
+    bare: Sequence[Recording], free: Sequence[Recording], palpation: Recording, enriched: dict[str, CellFile] | None = None
+) -> Data:
+    """The same study of recordings: `palpd free-motion` without and with the probe, and `palpd run` in both modes.
+
+    Raises BadInput where the palpation holds no static or no dynamic presses of a site.
+    """
+    results = site_results(palpation.rows, palpation.header)
+    setups = []
+    for index, site in enumerate(results):
+        rows = palpation.rows[palpation.rows["site"] == index]
+        holds = [Hold(d["commanded_m"], d["force_N"], d["E_Pa"]) for d in site["depths"] if d["E_Pa"] is not None]
+        rows = rows[(rows["mode"] == Mode.DYNAMIC) & np.isin(rows["phase"], (Phase.BASELINE, Phase.PRESS, Phase.RETRACT))]
+        if not holds or not len(rows):
+            raise BadInput(
+                f"site {site['name']} holds {len(holds)} static presses and {len(rows)} dynamic ticks; run a plan with mode: both"
+            )
+        dynamic = take_of(rows, f"site {site['name']}")
+        keys = np.repeat(rows["depth_m"] * 1e6 + rows["repeat"] * 1e-3, rows["frames"])
+        edges = np.concatenate(([0], np.flatnonzero(np.diff(keys)) + 1, [len(keys)]))
+        presses = [slice(int(a), int(b)) for a, b in pairwise(edges)]
+        setups.append(Palpated(site["name"], holds, dynamic, presses, site["surface_z_m"], (enriched or {}).get(site["name"])))
+    takes = [[take_of(run.rows[run.rows["phase"] == Phase.FREE_MOTION], run.path.name) for run in runs] for runs in (bare, free)]
+    return Data(takes[0], takes[1], setups, simulated=False)
+
+
+def study_of(data: Data) -> Study:
+    """Everything on recordings."""
+    methods = fitted(data.free)
+    return Study(data, _cards(methods), evaluate(data, methods))
+
+
+def surface_above_zero_m(found: Judged) -> float | None:
+    """How far above the zero of depth the enriched cell has the surface."""
+    return None if found.by_enriched is None else true_surface_m(found.by_enriched.cell) - found.palpated.zero_z_m

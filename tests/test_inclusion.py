@@ -1,0 +1,97 @@
+"""Finding inclusions: by the holds of one site, and by presses over a field."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpd.errors import BadInput, RecordingError
+from palpd.inclusion import DEPTHS_M, find_inclusion, stiffening
+from palpd.mapping import Field, Survey, draw, raster, read_presses, search
+from palpd.mapping_field import EmulatedField
+
+HOLDS_M = np.tile(np.arange(1, 11) / 1000.0, 2)
+
+
+def forces_N(rng: np.random.Generator, inclusion_m: float | None, contrast: float = 1.5, surface_m: float = 0.0) -> np.ndarray:
+    depth_m = HOLDS_M + surface_m + rng.normal(0.0, 2e-5, len(HOLDS_M))
+    force_N = 4.0 / 3.0 * 8e4 / 0.75 * math.sqrt(0.005) * depth_m**1.5 * (1.0 + rng.normal(0.0, 0.01, len(HOLDS_M)))
+    return force_N * (1.0 if inclusion_m is None else stiffening(depth_m, inclusion_m, contrast)) + rng.normal(0.0, 0.01, len(HOLDS_M))
+
+
+def test_plain_tissue_is_not_accused() -> None:
+    found = [find_inclusion(HOLDS_M, forces_N(np.random.default_rng(k), None, surface_m=5e-5 * (k % 3 - 1))) for k in range(40)]
+    assert sum(each.probability > 0.5 for each in found) <= 2
+    assert np.mean([each.probability for each in found]) < 0.15
+
+
+@pytest.mark.parametrize("inclusion_m", DEPTHS_M)
+def test_an_inclusion_is_found_with_its_depth_and_contrast(inclusion_m: float) -> None:
+    found = [find_inclusion(HOLDS_M, forces_N(np.random.default_rng(k), inclusion_m)) for k in range(20)]
+    assert all(each.probability > 0.95 for each in found)
+    assert np.mean([each.depth_m == inclusion_m for each in found]) >= 0.8
+    assert np.mean([each.contrast_ci95[0] * 0.95 <= 1.5 <= each.contrast_ci95[1] * 1.05 for each in found]) >= 0.9
+    assert sum(found[0].depth_probability.values()) == pytest.approx(1.0)
+
+
+def test_a_surface_that_was_missed_is_no_inclusion() -> None:
+    missed = forces_N(np.random.default_rng(0), None, surface_m=-3e-4)
+    assert find_inclusion(HOLDS_M, missed).probability > 0.9  # accused, if the surface is believed to 50 µm
+    assert find_inclusion(HOLDS_M, missed, surface_sigma_m=3e-4).probability < 0.3
+
+
+def test_too_shallow_holds_say_so() -> None:
+    depth_m = np.array([0.0005, 0.001, 0.0015, 0.002])
+    found = find_inclusion(depth_m, 5.0 * (depth_m / 0.002) ** 1.5)
+    assert 0.1 < found.probability < 0.6
+    assert "too shallow to feel an inclusion 5 mm down" in found.warnings[0]
+
+
+def test_too_few_holds_are_refused() -> None:
+    with pytest.raises(RecordingError, match="an inclusion needs 4 or more at different depths"):
+        find_inclusion([0.001, 0.002, 0.003], [1.0, 2.0, 3.0])
+
+
+def test_a_field_is_searched_with_fewer_presses_than_a_raster_and_ends_by_itself() -> None:
+    where = Field()
+    used = []
+    for seed in (0, 1, 2):
+        emulated = EmulatedField(where, seed)
+        survey, found = search(emulated.press, where)
+        assert found.done
+        assert found.found_m is not None
+        assert emulated.inclusion is not None
+        assert math.dist(found.found_m, emulated.inclusion[:2]) < 0.005
+        used.append(len(survey.places_m))
+    assert max(used) < 0.4 * len(raster(where))
+
+
+def test_a_plain_field_ends_with_nothing_found() -> None:
+    where = Field(0.03, 0.03)
+    survey, found = search(EmulatedField(where, 5, contrast=0.0).press, where)
+    assert found.done
+    assert found.found_m is None
+    assert len(survey.places_m) < len(raster(where))
+    assert "no place is likelier" in found.sentence
+
+
+def test_presses_from_a_file_give_the_next_place_and_a_picture(tmp_path: Path) -> None:
+    file = tmp_path / "presses.csv"
+    file.write_text("x_m,y_m,youngs_modulus_Pa\n0.01,0.01,80000\n0.03,0.01,81000\n0.03,0.03,120000\n")
+    survey = read_presses(file, Field())
+    found = survey.map()
+    assert not found.done
+    assert math.dist(found.next_m, (0.03, 0.03)) < 0.01  # around what is hard
+    draw(survey, found, tmp_path / "map.png")
+    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_press_outside_the_field_or_without_a_modulus_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"the press at \(0.07, 0\) m lies outside the field of 0.06 × 0.06 m"):
+        Survey().add((0.07, 0.0), 1e5)
+    with pytest.raises(BadInput, match="has a modulus of nan Pa"):
+        Survey().add((0.0, 0.0), math.nan)
+    (tmp_path / "p.csv").write_text("x_m,y_m\n1,2\n")
+    with pytest.raises(BadInput, match=r"p\.csv, line 2: expected numbers in the columns x_m, y_m, youngs_modulus_Pa"):
+        read_presses(tmp_path / "p.csv", Field())
