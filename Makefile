@@ -11,7 +11,7 @@ $(READY): pyproject.toml uv.lock
 	@$(PYTHON) -c 'import sys; sys.exit(0 if (3, 11) <= sys.version_info[:2] < (3, 14) else "palpd needs Python 3.11 to 3.13, found " + sys.version.split()[0] + "; try make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
 	.venv/bin/python -m pip install --quiet 'uv>=0.5'
-	VIRTUAL_ENV=$(CURDIR)/.venv $(UV) sync --frozen --inexact --active --no-managed-python --quiet
+	UV_SYSTEM_CERTS=1 UV_NATIVE_TLS=1 VIRTUAL_ENV=$(CURDIR)/.venv $(UV) sync --frozen --inexact --active --no-managed-python --quiet
 	@touch $(READY)
 
 demo: setup
