@@ -128,6 +128,7 @@ def _strain(problem: Problem, around: Linearisation, residual: Floats) -> tuple[
     if not problem.cell.tolerances.modulus_known:
         z[0] = np.nan
     first = len(around.eta)
+    z[[first + k for k in problem.numerical_index]] = np.nan
     groups = [[first + k for k, name in problem.press_index if name == kind] for kind in ("stiffness", "surface_z_m")]
     pressed = {k for group in groups for k in group}
     groups += [[k] for k in range(len(z)) if k not in pressed]

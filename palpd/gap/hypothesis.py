@@ -91,6 +91,8 @@ def start_values(effect: Effect, scale: Scale, peaks_Hz: Sequence[float], most: 
             if upper > lower > 0:
                 spread = np.geomspace(lower, upper, 7)[1:-1].tolist()
                 starts = [*starts, *[s for s in spread if min(abs(log(s / v)) for v in starts) > 0.5]]
+        if parameter.unit == "N" and parameter.nominal_value(scale) == inf:
+            starts += [0.97 * scale.force_N, 0.9 * scale.force_N]  # a limit stands where the largest readings are
         if parameter.unit == "Hz":
             lower, upper = parameter.bounds(scale)
             starts = [*[f for f in peaks_Hz if lower < f < upper], *starts]

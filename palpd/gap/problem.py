@@ -152,6 +152,8 @@ class Problem:
     """(channel, number among the columns after the shared ones, bias or drift) of every recording's own columns."""
     press_index: list[tuple[int, str]] = field(default_factory=list)
     """(number among the columns after the shared ones, stiffness or surface_z_m) of every press's scatter."""
+    numerical_index: list[int] = field(default_factory=list)
+    """Numbers, among the columns after the shared ones, of what the computation and not the cell is uncertain by."""
 
     def cell_at(self, effects: EffectValues, eta: Floats) -> CellFile:
         """The cell with these effects and shared deviations (in standard deviations)."""
@@ -266,7 +268,7 @@ class Problem:
         modulus, surface = shared[SHARED.index("youngs_modulus")], shared[SHARED.index("surface_z_m")]
         sd_modulus, sd_surface = (self.shared_sd[SHARED.index(name)] for name in ("youngs_modulus", "surface_z_m"))
         columns: list[Floats] = []
-        self.own_index, self.press_index = [], []
+        self.own_index, self.press_index, self.numerical_index = [], [], []
         start = 0
         for run, still in zip(self.runs, self._still, strict=True):
             stop = start + len(run.bins)
@@ -284,13 +286,15 @@ class Problem:
                     columns.append(column(channel, arm * tol.bias_N * np.ones(stop - start)))
                     columns.append(column(channel, arm * tol.drift_N_per_min / 60.0 * run.t_s))
             if run.judged[Z]:
-                # A target that is held between controller cycles is known to about a quarter of a step.
+                # A target that is held between controller cycles is known to about a tenth of a step.
+                self.numerical_index.append(len(columns))
                 slope = np.gradient(prediction[Z, here] * self.sigma[Z, here], run.t_s)
-                columns.append(column(Z, 0.25 / run.samples.rate_Hz * slope))
+                columns.append(column(Z, 0.1 / run.samples.rate_Hz * slope))
             # What averaging took away from the motion once, averaging again takes away again: so uncertain is the motion.
             cell = self.cell_at(effects, eta)
             here_raw = prediction[FZ, here] * self.sigma[FZ, here]
             for motion in run.smoother:
+                self.numerical_index.append(len(columns))
                 columns.append(column(FZ, self._simulated(run, cell, motion, still)[FZ] - here_raw))
             for press in range(run.phases.presses):
                 window = np.zeros(prediction.shape[1], dtype=bool)

@@ -66,7 +66,7 @@ def test_a_healthy_cell_within_its_tolerances_is_not_accused() -> None:
     ("name", "values"),
     [
         ("tissue.viscoelastic", {"ratio": 0.2, "tau_s": 0.8}),
-        ("cable.friction", {"force_N": 0.1}),
+        ("cable.friction", {"force_N": 0.05}),
         ("robot.lag", {"bandwidth_ratio": 0.7}),
         ("sensor.drift", {"rate_N_per_s": 0.01}),
         ("contact.lateral", {"ratio": 0.08, "azimuth_rad": 2.0}),
@@ -202,3 +202,12 @@ def test_several_recordings_are_fitted_jointly() -> None:
     effect = {"sensor.creep": {"ratio": 0.1, "tau_s": 2.0}}
     found = quick([recording(nominal(), effect, seed=3), recording(nominal(), effect, seed=4)], nominal())
     assert [e.id for e in found.effects] == ["sensor.creep"]
+
+
+def test_what_is_ambiguous_gets_a_motion_that_separates_it() -> None:
+    samples = recording(nominal(), {"sensor.gain": {"error": 0.2}})
+    found = diagnose([samples], nominal(), max_bins=900)
+    assert {"sensor.gain", "tissue.modulus"} <= {found.effects[0].id, *found.effects[0].indistinguishable_from}
+    if found.proposal is not None:
+        assert found.proposal.expected_gain > 0
+        assert found.proposal.z_cmd_m.min() >= samples.z_m.min() - 1e-4
