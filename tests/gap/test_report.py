@@ -1,0 +1,129 @@
+"""out.json holds to its schema, and the report says on one page, without a network, what out.json says."""
+
+import copy
+import json
+import re
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from palpd.cell_file import nominal
+from palpd.effects import EFFECTS
+from palpd.errors import BadInput
+from palpd.gap import report
+from palpd.gap.diagnosis import Diagnosis
+from palpd.gap.report import Line, curves_of, page, plot
+from tests.gap.test_diagnosis import quick, recording
+
+SCHEMA: dict[str, Any] = json.loads(files("palpd.gap").joinpath("diagnosis.schema.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def healthy() -> Diagnosis:
+    return quick(recording(nominal(), {}), nominal())
+
+
+@pytest.fixture(scope="module")
+def rubbing() -> Diagnosis:
+    return quick(recording(nominal(), {"cable.friction": {"force_N": 0.1}}), nominal())
+
+
+def plain(content: dict[str, Any]) -> dict[str, Any]:
+    return dict(json.loads(json.dumps(content)))
+
+
+def test_the_schema_is_one() -> None:
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+
+
+def test_out_json_of_a_healthy_and_of_a_sick_cell_hold_to_the_schema(healthy: Diagnosis, rubbing: Diagnosis) -> None:
+    for found in (healthy, rubbing):
+        jsonschema.validate(plain(found.to_json()), SCHEMA)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda c: c.pop("unexplained"),
+        lambda c: c["effects"][0].update(indistinguishable_from=["sensor.gain", "sensor.bias", "sensor.drift"]),
+        lambda c: c.update(verdict="none"),
+        lambda c: c.update(verdict="ambiguous"),
+        lambda c: c.update(p_none=1.2),
+        lambda c: c["gap"][0].update(phase="resting"),
+    ],
+)
+def test_the_schema_refuses_what_contradicts_itself(rubbing: Diagnosis, spoil: Any) -> None:
+    content = plain(rubbing.to_json())
+    spoil(content)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(content, SCHEMA)
+
+
+def test_the_report_begins_with_the_sentence_of_the_verdict(rubbing: Diagnosis, tmp_path: Path) -> None:
+    report.write(tmp_path / "out.html", rubbing, "rubbing.csv")
+    html = (tmp_path / "out.html").read_text(encoding="utf-8")
+    headline = re.search(r"<h1>(.*?)</h1>", html)
+    assert headline is not None
+    assert headline[1] == rubbing.sentence
+    assert html.index("<h1>") < html.index("<svg")
+    assert "Coulomb" in html or EFFECTS["cable.friction"].what in html
+    for name, (value, _, _) in rubbing.effects[0].parameters.items():
+        assert name in html
+        assert f"{value:.4g}" in html
+
+
+def test_the_report_needs_no_network_and_no_script(rubbing: Diagnosis, healthy: Diagnosis) -> None:
+    for found in (rubbing, healthy):
+        html = page(found.to_json(), curves_of(found), EFFECTS, "x")
+        assert not re.search(r"(?:src|href)=|url\(|<script|@import|https?://(?!www\.w3\.org)", html)
+
+
+def test_a_healthy_cell_has_a_report_that_accuses_nobody(healthy: Diagnosis) -> None:
+    html = page(healthy.to_json(), curves_of(healthy), EFFECTS, "x")
+    assert 'class="none"' in html
+    assert "cause found" not in html
+
+
+def test_a_group_and_the_next_experiment_are_shown(rubbing: Diagnosis) -> None:
+    content = copy.deepcopy(rubbing.to_json())
+    content["verdict"] = "ambiguous"
+    content["effects"][0]["indistinguishable_from"] = ["cable.viscous", "sensor.hysteresis", "sensor.creep"]
+    rows = "\n".join(f"{k / 10},{0.004 if k % 20 < 10 else -0.002}" for k in range(60))
+    content["next_experiment"] = {
+        "sentence": "Press slowly.",
+        "plan": {"hold_s": 20.0},
+        "motion_csv": f"t_s,z_cmd_m\n{rows}\n",
+        "expected_gain": 3.0,
+    }
+    html = page(content, curves_of(rubbing), EFFECTS, "x")
+    assert "one group with cable.viscous, sensor.hysteresis, sensor.creep" in html
+    assert "Press slowly." in html
+    assert "hold_s: 20.0" in html
+    assert "commanded height in mm" in html
+
+
+def test_what_a_file_calls_itself_cannot_become_markup(rubbing: Diagnosis) -> None:
+    assert "<b>evil" not in page(rubbing.to_json(), curves_of(rubbing), EFFECTS, "<b>evil")
+
+
+def test_a_report_that_cannot_be_written_is_refused_in_one_sentence(rubbing: Diagnosis, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="could not be written"):
+        report.write(tmp_path / "absent" / "out.html", rubbing, "x")
+
+
+def test_a_long_line_is_thinned_and_stays_inside_the_plot() -> None:
+    import numpy as np
+
+    x = np.linspace(0.0, 10.0, 50_000)
+    drawing = str(plot([Line(x, np.sin(x), "#000")], (400, 200)))
+    points = re.search(r'points="([^"]*)"', drawing)
+    assert points is not None
+    pairs = np.array([[float(v) for v in pair.split(",")] for pair in points[1].split()])
+    assert len(pairs) <= report.MOST_POINTS
+    assert pairs[:, 0].min() >= 0
+    assert pairs[:, 0].max() <= 400
+    assert pairs[:, 1].min() >= 0
+    assert pairs[:, 1].max() <= 200
