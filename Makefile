@@ -25,6 +25,10 @@ lint: setup
 test: lint
 	.venv/bin/pytest
 
+# ten minutes; writes docs/benchmarks.md. Faults by themselves: .venv/bin/python benchmarks/faults.py
+bench: setup
+	.venv/bin/python benchmarks/page.py
+
 # boots systemd in a container: needs root and systemd-nspawn, and says so where it is skipped
 test-service: setup
 	timeout --kill-after=30 600 .venv/bin/pytest -rs -s tests/service/nspawn.py

@@ -8,7 +8,7 @@ import datetime
 import math
 import multiprocessing
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -159,6 +159,8 @@ class Run:
                 recording = self._recorder.close({"verdict": report.verdict, "reason": report.reason, "trips": list(report.trips)})
             except RecordingError as error:
                 notes = (*notes, str(error))
+                if self._lost_recorder:  # the abort in the trips was ours
+                    report = replace(report, reason=f"the run was stopped because it was no longer recorded: {error}")
             died = report.exit_code == 3 and not report.trips
             if died or any(Trip[trip["trip"]] not in UNLATCHED for trip in report.trips):
                 self._state.keep("latch", Latch(report.reason, now()))

@@ -1,0 +1,148 @@
+"""The daemon at work at 500 Hz with a 1 kHz sensor and the network on every sample: tick work, wake-ups against cyclictest in the
+same run, memory, recording and replay.
+
+`python benchmarks/daemon.py [--model ur5e] [--presses 6]` prints a markdown table.
+"""
+
+import argparse
+import json
+import re
+import shutil
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpd.record import Recording
+from tests.hil.wired import PRESS, Daemon, Wired, command_of, family, wired
+
+LATE_US = 1000.0
+CYCLE_US = {"ur5": 8000, "ur5e": 2000}
+
+
+class Cyclictest:
+    """cyclictest at the loop's own rate, beside the daemon; nothing where it is not installed or not permitted."""
+
+    def __init__(self, interval_us: int) -> None:
+        self._process: subprocess.Popen[str] | None = None
+        if shutil.which("cyclictest"):
+            command = ["cyclictest", "--quiet", "--mlockall", "--priority=60", f"--interval={interval_us}", "--histogram=20000"]
+            self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+
+    def end(self) -> dict[str, float] | None:
+        """p50, p99 in µs and the share later than a millisecond."""
+        if self._process is None:
+            return None
+        self._process.send_signal(2)
+        text, _ = self._process.communicate(timeout=10)
+        counts = np.array([(int(us), int(n)) for us, n in re.findall(r"^(\d{6}) (\d{6,})$", text, re.M)])
+        overflow = int(found.group(1)) if (found := re.search(r"Histogram Overflows: 0*(\d+)", text)) else 0
+        if not len(counts) or not counts[:, 1].sum():
+            return None
+        total = int(counts[:, 1].sum()) + overflow
+        share = np.cumsum(counts[:, 1]) / total
+        late = int(counts[counts[:, 0] > LATE_US, 1].sum()) + overflow
+        p50, p99 = (float(counts[np.searchsorted(share, q), 0]) if share[-1] >= q else 20000.0 for q in (0.5, 0.99))
+        return {"p50": p50, "p99": p99, "late": late / total}
+
+
+def resident_MB(daemon: Daemon) -> dict[str, float]:
+    """Resident memory of each process of the daemon, by what it is."""
+    names = {"spawn_main": "motion", "palpd.recorder": "recorder", "resource_tracker": "resource tracker", "palpd run": "main"}
+    found: dict[str, float] = {}
+    for pid in family(daemon.process.pid):
+        command = command_of(pid)
+        name = next((name for part, name in names.items() if part in command), command[:40])
+        text = Path(f"/proc/{pid}/status").read_text()
+        found[name] = int(re.search(r"VmRSS:\s+(\d+)", text).group(1)) / 1024  # type: ignore[union-attr]
+    return found
+
+
+def measure(model: str, presses: int, folder: Path) -> dict[str, Any]:
+    """Learn a model from free motion, palpate with it, and take the figures of that run."""
+    with wired(folder, model) as base:
+        cell = base.anew(folder, safety={"contact_limit_N": 16.0})
+        free, network = folder / "free.mcap", folder / "inertial.onnx"
+        _done(cell, "free-motion", "--config", cell.config, "--take-reference", "--out", free)
+        _done(cell, "train", free, "--out", network, "--config", cell.config)
+        cell.blocks["model"] = {"path": str(network)}
+        cell.wall(0.01, 1000.0)
+        daemon = cell.run(PRESS | {"repeats": presses})
+        cell.until_contact(daemon, 1.0)
+        beside = Cyclictest(CYCLE_US[model])
+        memory = {}
+        while daemon.process.poll() is None:
+            try:
+                now = resident_MB(daemon)
+            except (OSError, AttributeError):
+                break
+            memory = now if sum(now.values()) > sum(memory.values()) else memory
+            time.sleep(0.5)
+        code = daemon.wait()
+        assert code == 0, daemon.stderr
+        other = beside.end()
+    path = Path(daemon.found["recording"])
+    rows = Recording.load(path).rows
+    duration_s = float(rows["now_s"][-1] - rows["now_s"][0])
+    wakeup_us = (rows["now_s"] - rows["planned_s"]) * 1e6
+    missed = int(rows["missed"].sum())
+    _done(cell, "replay", path, "--json", folder / "replay.json")
+    again = json.loads((folder / "replay.json").read_text())
+    return {
+        **daemon.found["loop"],
+        "late": (int((wakeup_us > LATE_US).sum()) + missed) / (len(rows) + missed),
+        "cyclictest": other,
+        "memory": memory,
+        "MB_per_min": path.stat().st_size / 1e6 / duration_s * 60,
+        "replay": again["realtime_factor"],
+        "identical": again["decisions_identical"],
+    }
+
+
+def _done(cell: Wired, *arguments: str | Path) -> None:
+    done = cell.palpd(*arguments)
+    assert done.returncode == 0, done.stderr
+
+
+def table(found: dict[str, Any], model: str) -> str:
+    """Markdown."""
+    other = found["cyclictest"]
+    memory = found["memory"]
+    lines = [
+        f"| {model}, sensor 1 kHz, network on every sample | measured | target |",
+        "|---|---|---|",
+        f"| work of a tick, p50 | {found['work_us_p50']:.0f} µs | 250 µs |",
+        f"| work of a tick, p99 | {found['work_us_p99']:.0f} µs | 1000 µs |",
+        f"| wake-up, p50 and p99 | {found['wakeup_us_p50']:.0f}, {found['wakeup_us_p99']:.0f} µs | |",
+    ]
+    if other:
+        lines += [
+            f"| cyclictest in the same run, p50 and p99 | {other['p50']:.0f}, {other['p99']:.0f} µs | |",
+            f"| ticks later than 1 ms or missed, above cyclictest's {other['late']:.2%} | {found['late'] - other['late']:+.2%} | 1 % |",
+        ]
+    else:
+        lines.append(f"| ticks later than 1 ms or missed (cyclictest is not installed) | {found['late']:.2%} | |")
+    lines += [
+        f"| resident memory, all processes | {sum(memory.values()):.0f} MB | 300 MB |",
+        *(f"| – {name} | {size:.0f} MB | |" for name, size in memory.items()),
+        f"| recording | {found['MB_per_min']:.1f} MB/min | 15 MB/min |",
+        f"| replay of that run, identical: {found['identical']} | {found['replay']:.1f} × real time | 20 × at 125 Hz |",
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--model", default="ur5e", choices=("ur5", "ur5e"))
+    parser.add_argument("--presses", type=int, default=4)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        print(table(measure(options.model, options.presses, Path(folder)), options.model), flush=True)
+
+
+if __name__ == "__main__":
+    main()
