@@ -174,8 +174,11 @@ def _best_fit(
     names = (*beside, name)
     where = coordinates([problem.library[n] for n in names], problem.scale)
     tried = []
-    for _, factor, values in _different(listed, starts):
-        start = beside | {name: stretched(problem.library[name], values, factor, problem.scale)}
+    trials = [stretched(problem.library[name], values, factor, problem.scale) for _, factor, values in _different(listed, starts)]
+    if any(p.nominal_value(problem.scale) not in (None, 0.0) for p in problem.library[name].parameters):
+        trials.append(listed[0][2])  # made larger or smaller, a limit or a stiffness may lose all its effect
+    for values in trials:
+        start = beside | {name: values}
         u = np.array([c.to(start[c.effect][c.parameter.name]) for c in where])
         tried.append(climb(problem, around, where, u, iterations))
     u, misfit, at, jacobian = min(tried, key=lambda t: t[1])
