@@ -29,9 +29,12 @@ NOISE_SIGMA = 0.02
 HARD = math.log(1.2)
 """Log ratio to the background above which a place is hard."""
 CERTAIN = 0.95
-UNLIKELY = 0.20
+UNLIKELY = 0.21
 """Probability below which nowhere is worth a press; before anything is pressed it is 27 % everywhere."""
 GRID_M = 0.002
+SUSPICIOUS = 0.35
+"""Probability above which a place is followed up before others are looked at; nothing known is 27 %."""
+APART_M = 0.003
 OUTLINE_PRESSES = 4
 """Presses around a hard place before it is outlined."""
 FIRST_PRESSES = 3
@@ -127,16 +130,22 @@ class Survey:
         return False, None, f"the likeliest place is hard with {hard.max():.0%} after {presses} presses"
 
     def _next(self, grid: Floats, mean: Floats, sigma: Floats, hard: Floats, found: tuple[float, float] | None) -> tuple[float, float]:
-        """Around a hard place the least known spot; else where something hard is likeliest, of equals the nearest to the last one."""
-        last = np.array(self.places_m[-1])
-        if found is not None:
-            near = np.linalg.norm(grid - np.array(found), axis=1) <= 1.2 * self.field_.length_m
-            at = grid[int(np.argmax(np.where(near, sigma, -1.0)))]
+        """Around a hard place where it may be harder still; else where something hard is likeliest, of equals the nearest to the last.
+
+        Never where a press was before: a second one there would tell only of its own scatter.
+        """
+        places = np.array(self.places_m)
+        away_m = np.linalg.norm(grid[:, None] - places, axis=2)
+        fresh = away_m.min(axis=1) >= APART_M
+        if found is not None or float(hard.max()) >= SUSPICIOUS:
+            centre = grid[int(np.argmax(hard if found is None else mean))]
+            near = np.linalg.norm(grid - centre, axis=1) <= 2.0 * self.field_.length_m
+            at = grid[int(np.argmax(np.where(near & fresh, mean + sigma, -np.inf)))]
         else:
             inside = np.all((grid >= 0.5 * self.field_.length_m) & (grid <= grid.max(axis=0) - 0.5 * self.field_.length_m), axis=1)
-            score = np.where(inside | (hard > hard[inside].max() + 0.02), hard, -1.0)
+            score = np.where(fresh & (inside | (hard > hard[inside].max() + 0.02)), hard, -1.0)
             equal = np.flatnonzero(score >= score.max() - 0.005)
-            at = grid[equal[int(np.argmin(np.linalg.norm(grid[equal] - last, axis=1)))]]
+            at = grid[equal[int(np.argmin(away_m[equal, -1]))]]
         return float(at[0]), float(at[1])
 
 

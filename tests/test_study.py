@@ -1,6 +1,7 @@
 """The paper's published numbers by themselves, and its section 4 on the emulated cell in small."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ import pytest
 from palpd import study_paper as paper
 from palpd.cell_file import Tissue
 from palpd.compensate import Bias, LineAndRunningZero, Method, Nothing
+from palpd.config import Plan
 from palpd.enriched import enriched_modulus
-from palpd.errors import RecordingError
+from palpd.errors import BadInput, RecordingError
+from palpd.record import Recording
 from palpd.study import (
     BIAS,
     BIAS_N,
@@ -27,12 +30,16 @@ from palpd.study import (
     believed_cell,
     evaluate,
     palpated,
+    recorded,
     study_cell,
+    study_of,
     take_of,
 )
 from palpd.study_cell import Move, Take, free_cell, ramps, setup, take
 from palpd.study_report import html, means
-from palpd.tick import ROW
+from palpd.tick import ROW, Mode
+from palpd.young import modulus_peak_Pa
+from tests.simulated import cell_file, ran
 
 
 def test_the_static_forces_are_whole_counts_of_the_sensor() -> None:
@@ -173,3 +180,20 @@ def test_rows_of_a_recording_become_what_the_methods_take() -> None:
     assert run.fz_N.tolist() == [1.5] * 1600
     with pytest.raises(RecordingError, match="run holds 16 sensor samples and 2 robot states"):
         take_of(rows[:2], "run")
+
+
+def test_the_same_study_runs_on_recordings_of_the_daemon(tmp_path: Path) -> None:
+    cell = cell_file(effects={"sensor.bias": {"offset_N": BIAS_N}})
+    moved = ran(cell, kind="free_motion")
+    plan = Plan.model_validate({"depths_m": [0.004], "repeats": 2, "hold_s": 1.0})
+    pressed = ran(cell, plan)
+    free, palpation = (Recording(tmp_path / f"{n}.mcap", run.rows, run.header, {}, None) for n, run in (("f", moved), ("p", pressed)))
+    found = study_of(recorded([], [free], palpation))
+    (site,) = found.setups
+    assert len(site.peaks) == 2
+    assert site.static_Pa == pytest.approx(72000, rel=0.03)
+    assert site.modulus_Pa[NONE] - site.modulus_Pa[WINNER] == pytest.approx(modulus_peak_Pa(BIAS_N, 0.004, 0.005, 0.5), rel=0.15)
+    assert abs(site.modulus_Pa[WINNER] / 72000 - 1.0) < 0.05
+    assert "Made from recordings of a cell" in html(found)
+    with pytest.raises(BadInput, match="site A holds 0 static presses"):
+        recorded([], [free], Recording(tmp_path / "q.mcap", pressed.rows[pressed.rows["mode"] != Mode.STATIC], pressed.header, {}, None))
