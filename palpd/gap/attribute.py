@@ -348,7 +348,7 @@ def _unknown(one: Fit, left: Left) -> float:
     bent = one.log_evidence_inexact - one.log_evidence_exact if one.names else 0.0
     evidence = max(bent, 0.0) + left.log_bayes_factor if bent > 0 else left.log_bayes_factor
     energy = left.energy + one.law_energy
-    share = energy / max(one.size**2 + left.energy, 1.0)
+    share = energy / max(float(np.vdot(one.change, one.change)), one.size**2 + left.energy, 1.0)
     unknown = log(P_UNKNOWN) + evidence
     nothing = log(1.0 - P_UNKNOWN)
     inexact = nothing + evidence - share / LAW_ENERGY - log(LAW_ENERGY) if one.names else -np.inf
