@@ -588,7 +588,8 @@ def diagnose(
 ) -> None:
     """Say where measurement and simulation part, which effect causes it, and how far the gap closes."""
     from palpd.gap.commands import diagnose_files, diagnose_folder
-    from palpd.report import fleet_table
+    from palpd.gap.report import write as write_report
+    from palpd.report import diagnosis_lines, fleet_table
 
     for path in (json_file, cell_out, report):
         _writable(path)
@@ -603,7 +604,10 @@ def diagnose(
         raise BadInput("--cell is missing: a gap is a gap to what a simulator believes; give the cell.yaml that describes the cell")
     with console.status("diagnosing"):
         found = diagnose_files(recordings, cell, json_out=json_file, cell_out=cell_out, effects=effects)
-    _tell_diagnosis(found)
+    if report is not None:
+        write_report(report, found, ", ".join(path.name for path in recordings))
+    for line in diagnosis_lines(found.sentence, found.to_json()):
+        console.print(line, highlight=False)
 
 
 @app.command()
@@ -687,16 +691,6 @@ def _tell_curve(found: dict[str, Any]) -> None:
     console.print(f"E = {found['youngs_modulus_Pa']:.6g} Pa{interval}, contact at {found['contact_point_m']:.6g} m")
     for warning in found.get("warnings", []):
         console.print(f"  note: {warning}")
-
-
-def _tell_diagnosis(found: Any) -> None:
-    console.print(found.sentence, highlight=False)
-    for named in found.to_json()["effects"]:
-        values = ", ".join(
-            f"{name} = {value['value']:.4g} (95 %: {value['ci95'][0]:.4g} to {value['ci95'][1]:.4g})"
-            for name, value in named["parameters"].items()
-        )
-        console.print(f"  {named['id']}, probability {named['probability']:.2f}: {values}", highlight=False)
 
 
 def _tell_run(found: dict[str, Any]) -> None:

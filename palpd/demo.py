@@ -16,8 +16,9 @@ from palpd.config import Config, ModelConfig, PathsConfig, Plan, RobotConfig, Sa
 from palpd.effects import EFFECTS
 from palpd.errors import BadInput
 from palpd.gap.commands import diagnose_files
+from palpd.gap.report import write as write_report
 from palpd.record import Recording, export, samples_of
-from palpd.report import depth_table, site_tables
+from palpd.report import depth_table, diagnosis_lines, site_tables
 from palpd.session import calibrate, carry_out, findings, job
 from palpd.train import train
 from palpd.wiring import devices, emulated
@@ -93,21 +94,11 @@ def gap(effect: str, folder: Path | None, console: Console) -> dict[str, Any]:
     console.print("3/3 diagnosing the recording against the nominal cell")
     answer = diagnose_files([csv], cell, json_out=folder / "diagnosis.json", cell_out=folder / "enriched.yaml")
     json = answer.to_json()
-    console.print(answer.sentence)
-    for named in json["effects"]:
-        parameters = ", ".join(
-            f"{name} {value['value']:.4g} (95 %: {value['ci95'][0]:.3g} to {value['ci95'][1]:.3g})"
-            for name, value in named["parameters"].items()
-        )
-        console.print(f"  {named['id']}, probability {named['probability']:.2f}: {parameters}")
-    shrink = json["shrink"]
-    if shrink["closed"] is not None:
-        console.print(
-            f"Gap in {shrink['channel']}: {shrink['before_rms']:.4g} before, {shrink['after_rms']:.4g} after, floor "
-            f"{shrink['noise_floor']:.4g}; {shrink['closed']:.0%} closed on data that the fit has not seen."
-        )
+    write_report(folder / "gap.html", answer, f"site A, with {true}")
+    for line in diagnosis_lines(answer.sentence, json):
+        console.print(line, highlight=False)
     console.print(f"Report: {folder / 'gap.html'}")
-    found["diagnosis"] = {"true": true, "named": [named["id"] for named in json["effects"]], "closed": shrink["closed"], **json}
+    found["diagnosis"] = {"true": true, "named": [named["id"] for named in json["effects"]], "closed": json["shrink"]["closed"], **json}
     return found
 
 

@@ -48,6 +48,27 @@ def depth_table(sites: list[dict[str, Any]]) -> Table:
     return table
 
 
+def diagnosis_lines(sentence: str, content: dict[str, Any]) -> list[str]:
+    """A diagnosis in a few lines: the verdict, each effect with its parameters, before and after, what to record next."""
+    lines = [sentence]
+    for named in content["effects"]:
+        values = ", ".join(
+            f"{name} = {value['value']:.4g} (95 %: {value['ci95'][0]:.4g} to {value['ci95'][1]:.4g})"
+            for name, value in named["parameters"].items()
+        )
+        group = f"; cannot be told from {', '.join(named['indistinguishable_from'])}" if named["indistinguishable_from"] else ""
+        lines.append(f"  {named['id']}, probability {named['probability']:.2f}: {values}{group}")
+    shrink = content["shrink"]
+    if shrink and shrink["closed"] is not None:
+        lines.append(
+            f"Gap in {shrink['channel']}: {shrink['before_rms']:.4g} before, {shrink['after_rms']:.4g} after, floor "
+            f"{shrink['noise_floor']:.4g}: {shrink['closed']:.0%} closed on {shrink['on']}."
+        )
+    if content["next_experiment"]:
+        lines.append(f"Next: {content['next_experiment']['sentence']}")
+    return lines
+
+
 def fleet_table(rows: list[Any]) -> Table:
     """Which cell, which effect, how sure, how far the gap closes."""
     table = _table("Cells", "cell", "verdict", "effects", "probability", "closed", "what")
