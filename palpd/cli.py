@@ -640,6 +640,15 @@ def tolerances(
     _write_json(json_file, found)
 
 
+@app.command("effects")
+def effects_(effects: EffectsOption = None) -> None:
+    """List the effects that a cell can have, with their parameters."""
+    from palpd.gap.commands import library
+    from palpd.report import effect_table
+
+    console.print(effect_table(library(effects)))
+
+
 # --- shared -------------------------------------------------------------------------------------------------------------------
 
 

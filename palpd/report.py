@@ -1,5 +1,6 @@
 """Tables for the terminal from what other modules computed; computes nothing."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from rich.table import Table
@@ -69,6 +70,14 @@ def diagnosis_lines(sentence: str, content: dict[str, Any]) -> list[str]:
     return lines
 
 
+def effect_table(library: Mapping[str, Any]) -> Table:
+    """The effects of a library: what each does, and its parameters."""
+    table = _table("Effects", "effect", "parameters", "what it does")
+    for effect in library.values():
+        table.add_row(effect.id, ", ".join(parameter.name for parameter in effect.parameters), effect.what)
+    return table
+
+
 def fleet_table(rows: list[Any]) -> Table:
     """Which cell, which effect, how sure, how far the gap closes."""
     table = _table("Cells", "cell", "verdict", "effects", "probability", "closed", "what")
@@ -106,9 +115,12 @@ def _percent(share: float | None) -> str:
     return f"{share * 100:.1f} %" if share is not None else "–"
 
 
+LEFT = {"from", "parameters", "what it does", "what", "effects"}
+
+
 def _table(title: str, first: str, *columns: str) -> Table:
     table = Table(title=title, title_justify="left", header_style="bold")
     table.add_column(first)
     for name in columns:
-        table.add_column(name, justify="left" if name == "from" else "right")
+        table.add_column(name, justify="left" if name in LEFT else "right")
     return table
