@@ -8,6 +8,7 @@ import argparse
 import datetime
 import os
 import re
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -45,6 +46,7 @@ def main() -> None:
     parser.add_argument("--only", help="faults, separated by commas")
     options = parser.parse_args()
     faults = options.only.split(",") if options.only else list(DEEDS)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and so would its children
     all_kept = True
     with tempfile.TemporaryDirectory() as folder, wired(Path(folder), "ur5") as base:
         for fault in faults:

@@ -187,9 +187,17 @@ def _do(build: Build, job: Job, ring: Ring, pipe: Connection, request: Callable[
         return _run(job, devices, explainer, ring, request)
     finally:
         ring.state = LoopState.ENDED  # from here on no ticks are due: closing a connection takes ur_rtde half a second
-        devices.robot.stop()
-        devices.robot.close()
+        if not _lost(devices.robot):  # else ur_rtde crashes in less time than closing takes, and the reason would go with it
+            devices.robot.stop()
+            devices.robot.close()
         devices.sensor.close()
+
+
+def _lost(robot: Robot) -> bool:
+    try:
+        return not robot.read().connected
+    except PalpdError:
+        return True
 
 
 def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: Callable[[], Request]) -> tuple[dict[str, Any], bool]:

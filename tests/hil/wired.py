@@ -33,7 +33,7 @@ PRESS = {
     "search": {"speed_m_per_s": 0.01, "max_travel_m": 0.03},
 }
 """One press of 10 mm at 10 mm/s."""
-_hosts = count(2)
+_hosts = count()
 
 
 class Sample(NamedTuple):
@@ -263,7 +263,7 @@ def press_into_wall(cell: Wired, stiffness_N_per_m: float, speed_m_per_s: float,
 @contextmanager
 def wired(folder: Path, model: str = "ur5", cell: Path | None = None) -> Iterator[Wired]:
     """An emulated cell in a process of its own on an address of its own."""
-    host = f"127.0.8{os.getpid() % 10}.{next(_hosts)}"
+    host = f"127.0.8{os.getpid() % 10}.{(os.getpid() // 10 + next(_hosts)) % 250 + 2}"
     with started(folder, model, cell, host) as wires:
         yield Wired(wires, model, folder)
 
