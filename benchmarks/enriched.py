@@ -60,7 +60,9 @@ def tip_of(run: Take, stiffness_N_per_m: float) -> Samples:
     samples = run.samples()
     smooth_N = np.convolve(run.fz_N, np.full(15, 1.0 / 15.0), mode="same")
     now_N = np.interp(run.t_s + SENSOR_DELAY_S, run.t_s, smooth_N)  # the sensor's filter shows a force late
-    return replace(samples, z_m=samples.z_m + now_N / stiffness_N_per_m)
+    if math.isinf(stiffness_N_per_m):
+        return samples
+    return replace(samples, z_cmd_m=None, z_m=samples.z_m + now_N / stiffness_N_per_m)  # the robot was not told to give way
 
 
 def truth_Pa(cell: CellFile) -> float:
@@ -73,7 +75,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cells", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--stiffness-known", action="store_true", help="as palpd stiffness measures it, within 2 %%")
+    parser.add_argument("--stiffness-known", action="store_true", help="as palpd stiffness measures it, within 2 %%; only cells that give")
     asked = parser.parse_args()
     print("| cell | its effects | named | dynamic, peak formula | static, equation 1 | dynamic, enriched | in its 95 % interval |")
     print("|---|---|---|---|---|---|---|")
@@ -82,6 +84,8 @@ def main() -> None:
         begun_s = time.perf_counter()
         rng = np.random.default_rng([asked.seed, k])
         true, believed = cells(rng)
+        if asked.stiffness_known and "robot.compliance" not in true.effects:
+            continue
         probing = [(0.003, 0.005, 3.0), (0.005, 0.02, 3.0), (0.006, 0.01, 2.0), (0.004, 0.04, 2.0), (0.006, 0.005, 3.0)]
         seen, _ = scattered(true, rng, probing, 2 * k + 10_000 * asked.seed)
         give = true.effects.get("robot.compliance") if asked.stiffness_known else None

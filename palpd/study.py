@@ -317,8 +317,12 @@ def recorded(
 ) -> Data:
     """The same study of recordings: `palpd free-motion` without and with the probe, and `palpd run` in both modes.
 
-    Raises BadInput where the palpation holds no static or no dynamic presses of a site.
+    Raises BadInput where sensors differ, or the palpation holds no static or no dynamic presses of a site.
     """
+    serials = {run.path.name: run.header.get("about", {}).get("sensor_serial") for run in (*bare, *free, palpation)}
+    if len({serial for serial in serials.values() if serial}) > 1:
+        told = ", ".join(f"{name} of {serial}" for name, serial in serials.items())
+        raise BadInput(f"the recordings come from different sensors ({told}); what one reads beside the contact, another does not")
     results = site_results(palpation.rows, palpation.header)
     setups = []
     for index, site in enumerate(results):

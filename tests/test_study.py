@@ -197,3 +197,10 @@ def test_the_same_study_runs_on_recordings_of_the_daemon(tmp_path: Path) -> None
     assert "Made from recordings of a cell" in html(found)
     with pytest.raises(BadInput, match="site A holds 0 static presses"):
         recorded([], [free], Recording(tmp_path / "q.mcap", pressed.rows[pressed.rows["mode"] != Mode.STATIC], pressed.header, {}, None))
+
+
+def test_recordings_of_different_sensors_are_no_study(tmp_path: Path) -> None:
+    rows = np.zeros(3, ROW)
+    one, other = (Recording(tmp_path / f"{n}.mcap", rows, {"about": {"sensor_serial": n}}, {}, None) for n in ("HEX-1", "HEX-2"))
+    with pytest.raises(BadInput, match=r"different sensors \(HEX-1\.mcap of HEX-1, HEX-2\.mcap of HEX-2\)"):
+        recorded([], [one], other)
