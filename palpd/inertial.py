@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
-import onnxruntime
 from numpy.typing import NDArray
 
 from palpd.errors import ModelRefused
@@ -170,6 +168,8 @@ def _content(path: Path) -> bytes:
 
 def _refuse_graph(name: str, content: bytes) -> None:
     """One input (n, 2), one output (n, 1), only the operators of a small network, and every weight inside the file."""
+    import onnx  # here and not above: 30 MB with its runtime, in processes that only read the card
+
     try:
         model = onnx.load_model_from_string(content)
         onnx.checker.check_model(model)
@@ -193,9 +193,11 @@ def _refuse_graph(name: str, content: bytes) -> None:
 
 def _shape(value: Any) -> tuple[str, int]:
     """Name and number of columns of a tensor (rows, columns) of float32; 0 columns for anything else."""
+    from onnx import TensorProto
+
     kind = value.type.tensor_type
     dims = kind.shape.dim
-    return value.name, dims[1].dim_value if kind.elem_type == onnx.TensorProto.FLOAT and len(dims) == 2 else 0
+    return value.name, dims[1].dim_value if kind.elem_type == TensorProto.FLOAT and len(dims) == 2 else 0
 
 
 def _ranges(name: str, card: dict[str, Any]) -> Floats:
@@ -240,6 +242,8 @@ def _refuse_stranger(name: str, card: dict[str, Any], probe_mass_kg: float, sens
 
 
 def _session(name: str, content: bytes) -> Any:
+    import onnxruntime
+
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1  # ten neurons: a second thread only costs wake-ups
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
