@@ -124,7 +124,7 @@ class Judged:
 
 
 NONE, BIAS, NETWORK, LINE, WINNER = "none", "bias only", "the paper's network", "m·a + bias", "m·a + running zero"
-ENRICHED = WINNER + ", enriched cell"
+ENRICHED = "enriched cell, bias fitted"
 METHODS = (NONE, BIAS, NETWORK, LINE, WINNER)
 
 
