@@ -30,6 +30,7 @@ from palpd.gap.blind_laws import (
 from palpd.samples import Samples
 
 Kind = Literal["healthy", "library", "foreign", "two", "removed", "novel"]
+KINDS: tuple[Kind, ...] = ("healthy", "library", "foreign", "two", "removed", "novel")
 Planted = tuple[Law, Shape]
 
 CHANNELS = ("z_m", "fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
@@ -39,6 +40,7 @@ CROSSTALK_ARM_M = 0.05
 
 FINE_HZ = 2400.0
 BIN_S = 0.02
+SLOW_ROBOT_HZ = 125.0
 MAX_ROWS = 40_000
 TOLERANCES = (
     "bias_N",
@@ -356,10 +358,15 @@ class Ground:
 
     def means(self, change: Floats) -> Floats:
         """20 ms means over all channels in sensor sigmas of such a mean, one after another."""
-        m = max(1, round(BIN_S * self.cell.rate_Hz))
+        m = self.rows_per_bin
         whole = len(change) // m * m
         means = change[:whole].reshape(-1, m, change.shape[1]).mean(axis=1)
         return np.asarray((means / self.cell.sigmas * np.sqrt(m)).ravel(order="F"))
+
+    @property
+    def rows_per_bin(self) -> int:
+        """How many rows a mean of 20 ms takes together."""
+        return max(1, round(BIN_S * self.cell.rate_Hz))
 
     @cached_property
     def _nuisances(self) -> tuple[Floats, Floats]:
@@ -584,12 +591,12 @@ def _row_times(r: np.random.Generator, cell: Cell, duration_s: float) -> Floats:
 
 
 def measured(
-    r: np.random.Generator, cell: Cell, w: World, motion: Motion, t_s: Floats, planted: Sequence[Planted]
+    r: np.random.Generator, cell: Cell, w: World, motion: Motion, t_s: Floats, planted: Sequence[Planted], robot_rate_Hz: float
 ) -> Samples:
-    """The recording of a run: robot noise (in some recordings at 125 Hz, interpolated), sensor noise, what the electronics do, rounding."""
+    """The recording of a run: robot noise (interpolated where the robot reports slower than the sensor), sensor noise, what the
+    electronics do, rounding."""
     scale = r.uniform(0.85, 1.18, 4)
-    slow = cell.rate_Hz > 200.0 and r.random() < 0.2
-    t_robot = np.arange(0.0, t_s[-1] + 0.016, 0.008) if slow else t_s
+    t_robot = np.arange(0.0, t_s[-1] + 2.0 / robot_rate_Hz, 1.0 / robot_rate_Hz) if robot_rate_Hz < cell.rate_Hz else t_s
     z = np.interp(t_robot, w.t_s, w.z_m) + scale[0] * cell.position_noise_m * r.standard_normal(len(t_robot))
     v = np.interp(t_robot, w.t_s, w.v) + scale[1] * cell.velocity_noise_m_per_s * r.standard_normal(len(t_robot))
     wrench = rows(w, t_s)[:, 1:]
@@ -653,9 +660,11 @@ def _draw_case(r: np.random.Generator, kind: Kind, effects: Sequence[str], snrs:
             changes.append(found[1])
         planted.append((law, fitted[0]))
         told.append({"id": law.effect, "law": law.name, "parameters": fitted[0], "snr": fitted[2], "variance": law.variance})
+        told[-1]["snr_per_row_sigma"] = None if fitted[2] is None else fitted[2] / ground.rows_per_bin**0.5
     for k, one in enumerate(told):
         if len(changes) == len(told) == 2:
             one["snr_beside_the_other"] = _beside(ground.whitened(changes[k]), ground.whitened(changes[1 - k]))
+    robot_rate_Hz = SLOW_ROBOT_HZ if cell.rate_Hz > 1.5 * SLOW_ROBOT_HZ and r.random() < 0.2 else cell.rate_Hz
     sizes = ground.sizes(np.sum(changes, axis=0)) if changes else np.zeros((len(CHANNELS), len(PHASES)))
     without = tuple(effects) if kind == "removed" else ()
     truth: dict[str, Any] = {
@@ -666,13 +675,15 @@ def _draw_case(r: np.random.Generator, kind: Kind, effects: Sequence[str], snrs:
         "sizes": {c: dict(zip(PHASES, sizes[i].tolist(), strict=True)) for i, c in enumerate(CHANNELS)},
         "deviations": ground.deviations.of,
         "rate_Hz": cell.rate_Hz,
+        "robot_rate_Hz": robot_rate_Hz,
+        "rows": len(t_s),
         "duration_s": float(t_s[-1]),
         "presses": motion.presses,
         "mimic": None,
     }
     if kind in {"removed", "novel"} and changes:
         truth["mimic"] = _mimic(ground, planted, measure, without, int(r.integers(2**31)))
-    samples = measured(r, cell, ground.run(planted), motion, t_s, planted)
+    samples = measured(r, cell, ground.run(planted), motion, t_s, planted, robot_rate_Hz)
     second, truth["second"] = _second(r, cell, ground.deviations, planted)
     return Case(kind, cell.as_yaml(), samples, without, second, truth)
 
@@ -700,5 +711,5 @@ def _second(r: np.random.Generator, cell: Cell, deviations: Deviations, planted:
     floor = np.sqrt(sum(np.mean(x**2, axis=0) for x in ground.tangents[: len(TOLERANCES)]))
     change = np.sqrt(np.mean(ground.change(planted) ** 2, axis=0)) if planted else np.zeros(len(CHANNELS))
     second = Samples(t_s, motion.at(t_s), readings[:, 0], v, np.asarray(readings[:, 1:]))
-    numbers = {"floor": dict(zip(CHANNELS, floor.tolist(), strict=True)), "change": dict(zip(CHANNELS, change.tolist(), strict=True))}
-    return second, numbers
+    numbers = {"floor": floor, "change": change, "sigma": cell.sigmas}
+    return second, {name: dict(zip(CHANNELS, values.tolist(), strict=True)) for name, values in numbers.items()}
