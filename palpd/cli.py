@@ -649,6 +649,39 @@ def effects_(effects: EffectsOption = None) -> None:
     console.print(effect_table(library(effects)))
 
 
+@app.command()
+def blind(
+    cases: Annotated[int, typer.Option("--cases", min=1, help="how many cells to draw; 200 for a look, 1000 for a table")] = 200,
+    seed: Annotated[int, typer.Option("--seed", help="the same seed draws the same cells")] = 1,
+    json_file: JsonOption = None,
+    docs: Annotated[Path | None, typer.Option("--docs", help="write the table and its figures into this folder")] = None,
+    keep: Annotated[Path | None, typer.Option("--keep", help="keep recordings, answers and truths in this new folder")] = None,
+    ablation: Annotated[
+        str | None, typer.Option("--ablation", help="take a part away: 'no tolerances', 'no press scatter' or 'fz only'")
+    ] = None,
+    compare: Annotated[list[Path] | None, typer.Option("--compare", help="JSON of an ablation to set beside, in --docs")] = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="processes")] = 2,
+) -> None:
+    """Judge the diagnosis on cells whose truth is sealed: drawn by other physics, diagnosed in another process, then scored."""
+    from rich.progress import Progress
+
+    from palpd.gap.blind import ABLATIONS, run
+    from palpd.gap.blind_figures import load, write_page
+    from palpd.gap.blind_score import as_markdown
+
+    _writable(json_file)
+    chosen = next((a for a in ABLATIONS if a == ablation), None)
+    if ablation is not None and chosen is None:
+        raise BadInput(f"--ablation is {ablation!r}; expected one of {', '.join(ABLATIONS)}")
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task("blind check", total=cases)
+        result = run(cases, seed, jobs=jobs, ablation=chosen, keep=keep, progress=lambda done: bar.update(task, completed=done))
+    console.print(as_markdown(result["table"]), soft_wrap=True)
+    _write_json(json_file, result)
+    if docs is not None:
+        console.print(str(write_page(result, docs, [load(path) for path in compare or []])))
+
+
 # --- shared -------------------------------------------------------------------------------------------------------------------
 
 
