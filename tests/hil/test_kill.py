@@ -35,7 +35,8 @@ def _killed_while_pressing(cell: Callable[..., Wired], watchdog_Hz: int, victim:
             raise
         killed_s = kill(victim(daemon))
         rest_s, way_m = wired.rest_after_s(killed_s), wired.way_after_m(killed_s)
-        if patient and rest_s > REST_WITHIN_S[watchdog_Hz] and wired.worst_lateness_s > STALLED_S:
+        kept = rest_s <= REST_WITHIN_S[watchdog_Hz] and way_m <= WAY_WITHIN_M[watchdog_Hz]
+        if patient and not kept and wired.worst_lateness_s > STALLED_S:
             continue
         assert rest_s <= REST_WITHIN_S[watchdog_Hz]
         assert way_m <= WAY_WITHIN_M[watchdog_Hz]

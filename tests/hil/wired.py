@@ -14,6 +14,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import yaml
 
 from hw.emulators.process import Emulated, started
@@ -217,8 +218,8 @@ class Wired:
     def way_after_m(self, since_s: float) -> float:
         """How far the tip went down after `since_s`."""
         samples = self.log(since_s - 0.1)
-        at = min(samples, key=lambda sample: abs(sample.t_s - since_s)).tip_z_m
-        return at - min(sample.tip_z_m for sample in samples if sample.t_s >= since_s)
+        at_m = float(np.interp(since_s, [sample.t_s for sample in samples], [sample.tip_z_m for sample in samples]))
+        return at_m - min(sample.tip_z_m for sample in samples if sample.t_s >= since_s)
 
 
 @dataclass(frozen=True)
