@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter
@@ -11,6 +12,9 @@ from palpd.cell_file import CellFile
 from palpd.dynamics import Floats, steps
 
 CUBIC = 3
+
+STRAIGHT = 0.01
+"""Bends below this share of their rms are none: what is interpolated is straight to the last digits that were written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +29,26 @@ class Motion:
     az_noise_m_per_s2: float = 0.0
 
 
+def reports(t_s: Floats, x: Floats) -> NDArray[np.intp]:
+    """The samples (k,) at which a robot reported `x` (n,): all, or where it is slower than the sensor and its reports were joined by
+    straight lines, those nearest to the corners, with the first and the last sample."""
+    n = len(x)
+    every = np.arange(n)
+    bend = np.abs(np.diff(np.diff(x) / np.diff(t_s)))
+    bent = bend > STRAIGHT * float(np.sqrt(np.mean(bend**2))) if n > 32 else np.ones(1, dtype=bool)
+    if bent.mean() > 0.7 or not bent.any():
+        return every
+    first = np.flatnonzero(np.diff(bent.astype(np.int8), prepend=0) == 1)
+    after = np.minimum(first + 1, n - 3)
+    corners = np.where(bend[after] > bend[first], after, first) + 1  # a corner between two samples bends at both
+    gap_s = np.diff(t_s[corners])
+    usual_s = float(np.median(gap_s)) if len(gap_s) else 0.0
+    tolerated_s = max(0.25 * usual_s, 1.1 * float(np.median(np.diff(t_s))))
+    if len(gap_s) <= 8 or len(corners) > 0.7 * n or float(np.mean(np.abs(gap_s - usual_s) < tolerated_s)) < 0.8:
+        return every
+    return np.unique(np.concatenate([[0], corners, [n - 1]]))
+
+
 def measured_motion(cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats | None = None) -> Motion:
     """The motion behind noisy reports of height and speed; without reported speeds they are taken from the heights.
 
@@ -37,10 +61,12 @@ def measured_motion(cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats
     half = min(int(0.125 / (cell.robot.servo_natural_frequency_Hz * dt_s)), (n - 1) // 2)
     if vz_m_per_s is None:
         vz_m_per_s = _slope(t_s, z_m, max(half, 1))
-    v_noise = min(cell.robot.velocity_noise_rms_m_per_s, _white_noise(vz_m_per_s))
-    z_noise = min(cell.robot.position_noise_rms_m, _white_noise(z_m))
+    reported = reports(t_s, z_m)
+    each = n / len(reported)
+    v_noise = min(cell.robot.velocity_noise_rms_m_per_s, _white_noise(vz_m_per_s[reported]))
+    z_noise = min(cell.robot.position_noise_rms_m, _white_noise(z_m[reported]))
     width, allowed = 1, 0.1 * cell.sensor.noise_rms_N
-    while width < half and cell.probe.mass_kg * _slope_noise(v_noise, dt_s, width) > allowed:
+    while width < half and cell.probe.mass_kg * _slope_noise(v_noise, dt_s, width, each) > allowed:
         width += 1
     acceleration = _slope(t_s, vz_m_per_s, width)
     if half:
@@ -48,8 +74,8 @@ def measured_motion(cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats
         z_m = path_m + uniform_filter1d(z_m - path_m, 2 * half + 1, mode="nearest")
         vz_m_per_s = uniform_filter1d(vz_m_per_s, 2 * half + 1, mode="nearest")
     span = 2 * half + 1
-    left_m = np.hypot(z_noise / np.sqrt(span), v_noise * dt_s * np.sqrt((span - 1) / 12.0))
-    return Motion(t_s - t_s[0], z_m, vz_m_per_s, acceleration, float(left_m), _slope_noise(v_noise, dt_s, width))
+    left_m = np.hypot(z_noise / np.sqrt(span), v_noise * dt_s * np.sqrt((span - 1) / 12.0)) * np.sqrt(each)
+    return Motion(t_s - t_s[0], z_m, vz_m_per_s, acceleration, float(left_m), _slope_noise(v_noise, dt_s, width, each))
 
 
 def _white_noise(x: Floats) -> float:
@@ -59,8 +85,10 @@ def _white_noise(x: Floats) -> float:
     return float(np.median(np.abs(np.diff(x, 2)))) / (0.6745 * np.sqrt(6.0))
 
 
-def _slope_noise(noise: float, dt_s: float, half: int) -> float:
-    """What white noise does to the slope that `_slope` takes."""
+def _slope_noise(noise: float, dt_s: float, half: int, each: float) -> float:
+    """What white noise does to the slope that `_slope` takes, where straight lines of `each` samples join the noisy values."""
+    if each > 1.0:
+        return min(_slope_noise(noise * each**0.5, dt_s, half, 1.0), 2.0**0.5 * noise / (each * dt_s))
     if half < 2:
         return noise / (dt_s * 2.0**0.5)
     k2 = np.arange(-half, half + 1.0) ** 2

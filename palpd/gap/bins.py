@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from palpd.gap.phases import Ints, Phases
 from palpd.tick import Floats
@@ -21,9 +22,12 @@ class Bins:
         return len(self.begin)
 
     @staticmethod
-    def of_equal_length(n: int, count: int) -> "Bins":
-        """Of n samples, `count` together each time; the last may be shorter."""
-        begin = np.arange(0, n, count)
+    def of_equal_length(t_s: Floats, count: int) -> "Bins":
+        """Of samples at times (n,), `count` together each time, or as many as come while that many usually do; the last may be shorter."""
+        n = len(t_s)
+        width_s = count * float(np.median(np.diff(t_s)))
+        index = np.floor((t_s - t_s[0]) / width_s + 0.5 / count) if count > 1 else np.arange(n)
+        begin = np.flatnonzero(np.diff(index, prepend=-1))
         return Bins(begin, np.diff(begin, append=n))
 
     def merged(self, outer: "Bins") -> "Bins":
@@ -36,9 +40,23 @@ class Bins:
         sums = np.add.reduceat(values, self.begin, axis=0)
         return np.asarray(sums / (self.count if values.ndim == 1 else self.count[:, None]))
 
+    def means(self) -> csr_array:
+        """What takes the mean over every bin, as a matrix (b, n)."""
+        n = int(self.begin[-1] + self.count[-1])
+        return csr_array((np.repeat(1.0 / self.count, self.count), np.arange(n), np.append(self.begin, n)), shape=(len(self), n))
+
     def first(self, values: Ints) -> Ints:
         """The value in the middle of every bin, for labels."""
         return np.asarray(values[self.begin + self.count // 2])
+
+
+def straight_between(t_s: Floats, at: Ints) -> csr_array:
+    """What joins values at some of the samples (k,) by straight lines in time, as a matrix (n, k)."""
+    n, k = len(t_s), len(at)
+    left = np.clip(np.searchsorted(at, np.arange(n), side="right") - 1, 0, k - 2)
+    share = (t_s - t_s[at[left]]) / (t_s[at[left + 1]] - t_s[at[left]])
+    columns = np.column_stack([left, left + 1]).ravel()
+    return csr_array((np.column_stack([1.0 - share, share]).ravel(), columns, np.arange(0, 2 * n + 1, 2)), shape=(n, k))
 
 
 def make_bins(t_s: Floats, phases: Phases, together: Bins, max_bins: int = MAX_BINS) -> Bins:

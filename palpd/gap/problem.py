@@ -5,14 +5,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from palpd.cell import Motion, measured_motion, predict_motion, predict_wrench, scale_of, wrench_of
 from palpd.cell_file import CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
 from palpd.effects import EFFECTS, Effect, Scale
-from palpd.gap.bins import Bins, make_bins
+from palpd.gap.bins import Bins, make_bins, straight_between
 from palpd.gap.gaussian import Nuisances, nuisances
 from palpd.gap.noise import FX, FZ, TX, Z, dead, declared_rms, measured_rms, resolutions
-from palpd.gap.phases import FREE_STILL, HOLDING, Phases, find_phases
+from palpd.gap.phases import FREE_STILL, HOLDING, Ints, Phases, find_phases
+from palpd.kinematics import reports
 from palpd.samples import Samples
 from palpd.tick import Floats
 
@@ -51,7 +53,10 @@ class Run:
     steps: Bins  # of the simulation's steps, each several samples long where the motion is smooth enough
     motion: Motion  # at those steps, and once more smoothed
     smoother: tuple[Motion, Motion]  # its path, and its acceleration, averaged once more
-    z_cmd_m: Floats | None
+    reported: Ints  # samples at which the robot reported, all where it is as fast as the sensor
+    robot_t_s: Floats  # (k,) when the robot is simulated: at its reports, or at the steps
+    z_cmd_m: Floats | None  # (k,)
+    z_means: csr_array  # (b, k), means over the bins of heights at those times
     noise_rms: Floats  # (7,) of one sample, as measured
     noise_ratio: Floats  # (7,) measured over declared
     noise_measured: bool  # whether there were rests to measure it in
@@ -61,6 +66,11 @@ class Run:
     bin_cycle: Floats
     bin_press: Floats
 
+    @property
+    def samples_each(self) -> float:
+        """How many samples there are for every report of the robot."""
+        return len(self.samples) / len(self.reported)
+
 
 def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
     """A recording of that cell, ready to be compared."""
@@ -69,22 +79,31 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
     motion = measured_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s)
     again = measured_motion(cell, samples.t_s, motion.z_m, motion.vz_m_per_s)
     smoother = (replace(motion, z_m=again.z_m, vz_m_per_s=again.vz_m_per_s), replace(motion, az_m_per_s2=again.az_m_per_s2))
-    together = Bins.of_equal_length(len(samples), _together(samples, cell))
+    together = Bins.of_equal_length(samples.t_s, _together(samples, cell))
     steps = make_bins(together.mean(samples.t_s), phases, together, max_bins)
     bins = together.merged(steps)
+    reported = reports(samples.t_s, samples.z_m)
+    if len(reported) < len(samples):
+        robot_t_s = samples.t_s[reported] - samples.t_s[0]
+        z_cmd_m = None if samples.z_cmd_m is None else samples.z_cmd_m[reported]
+        z_means = bins.means() @ straight_between(samples.t_s, reported)
+    else:
+        robot_t_s = _even(together.mean(motion.t_s))
+        z_cmd_m = None if samples.z_cmd_m is None else together.mean(samples.z_cmd_m)
+        z_means = steps.means()
     declared = declared_rms(cell)
     still = np.isin(phases.phase, (FREE_STILL, HOLDING)) & (phases.since_s > 0.1 * phases.since_s.max())
     judged, measured = [], np.zeros(7)
     for channel in range(7):
         if channel == Z:
             usable = samples.z_cmd_m is not None and not dead(samples.z_m)
-            signal = samples.z_m
+            signal, rest = samples.z_m[reported], still[reported]
         else:
-            signal = samples.wrench[:, channel - 1]
+            signal, rest = samples.wrench[:, channel - 1], still
             usable = not dead(signal)
         judged.append(usable)
         if usable:
-            measured[channel] = measured_rms(signal[still]) if still.sum() >= 60 else min(measured_rms(signal), declared[channel])
+            measured[channel] = measured_rms(signal[rest]) if rest.sum() >= 60 else min(measured_rms(signal), declared[channel])
     floor = np.where(declared > 0, declared, np.maximum(measured, 1e-300))
     rms = np.where(measured > 0, np.maximum(measured, 0.5 * floor), floor)
     return Run(
@@ -94,7 +113,10 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
         steps,
         _at_steps(motion, together),
         (_at_steps(smoother[0], together), _at_steps(smoother[1], together)),
-        None if samples.z_cmd_m is None else together.mean(samples.z_cmd_m),
+        reported,
+        robot_t_s,
+        z_cmd_m,
+        z_means,
         rms,
         np.where(measured > 0, measured / floor, 1.0),
         bool(still.sum() >= 60),
@@ -114,8 +136,23 @@ def _together(samples: Samples, cell: CellFile) -> int:
 
 
 def _at_steps(motion: Motion, together: Bins) -> Motion:
-    mean = together.mean
-    return Motion(mean(motion.t_s), mean(motion.z_m), mean(motion.vz_m_per_s), mean(motion.az_m_per_s2), motion.z_noise_m)
+    t_s = together.mean(motion.t_s)
+    even_s = _even(t_s)
+
+    def at(values: Floats) -> Floats:
+        return np.interp(even_s, t_s, together.mean(values))
+
+    return Motion(even_s, at(motion.z_m), at(motion.vz_m_per_s), at(motion.az_m_per_s2), motion.z_noise_m)
+
+
+def _even(t_s: Floats) -> Floats:
+    """Times of steps, moved by up to half a step to where they are evenly spaced; the last, which may be short, by any amount.
+    As they are where that does not suffice. (A filter over even steps costs a tenth of one over uneven ones.)"""
+    if len(t_s) < 4:
+        return t_s
+    step_s = float(t_s[-2] - t_s[0]) / (len(t_s) - 2)
+    even_s = t_s[0] + step_s * np.arange(len(t_s))
+    return even_s if float(np.abs(even_s - t_s)[:-1].max()) < 0.5 * step_s else t_s
 
 
 @dataclass(frozen=True)
@@ -182,7 +219,9 @@ class Problem:
         samples = run.samples
         out = np.zeros((len(samples), 7))
         if run.judged[Z] and samples.z_cmd_m is not None:
-            out[:, Z] = predict_motion(cell, samples.t_s, samples.z_cmd_m, self.library)
+            at = samples.t_s[run.reported]
+            heights_m = predict_motion(cell, at, samples.z_cmd_m[run.reported], self.library)
+            out[:, Z] = np.interp(samples.t_s, at, heights_m)
         out[:, 1:] = predict_wrench(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, self.library)
         return out
 
@@ -193,7 +232,7 @@ class Problem:
         if still is not None:
             out[Z] = still[Z]
         elif run.judged[Z] and run.z_cmd_m is not None:
-            out[Z] = run.steps.mean(predict_motion(cell, run.motion.t_s, run.z_cmd_m, self.library))
+            out[Z] = run.z_means @ predict_motion(cell, run.robot_t_s, run.z_cmd_m, self.library)
         wrench = wrench_of(cell, motion, self.library)
         for axis in range(6):
             if wrench[:, axis].any():
@@ -219,6 +258,7 @@ class Problem:
             z = run.samples.z_m[:, None] if run.judged[Z] else np.zeros((len(run.samples), 1))
             measured.append(self._binned(run, np.hstack([z, run.samples.wrench])))
             sigma = run.noise_rms[:, None] / np.sqrt(run.bins.count)[None, :]
+            sigma[Z] *= np.sqrt(run.samples_each)  # only reports are independent
             sigma[FZ] = np.hypot(sigma[FZ], run.motion.z_noise_m * self._stiffness(run))
             sigma[FZ] = np.hypot(sigma[FZ], _coherent(self.fz_step_N, float(run.noise_rms[FZ])))
             sigma[~np.array(run.judged)] = np.inf
@@ -289,7 +329,7 @@ class Problem:
                 # A target that is held between controller cycles is known to about a tenth of a step.
                 self.numerical_index.append(len(columns))
                 slope = np.gradient(prediction[Z, here] * self.sigma[Z, here], run.t_s)
-                columns.append(column(Z, 0.1 / run.samples.rate_Hz * slope))
+                columns.append(column(Z, 0.1 * run.samples_each / run.samples.rate_Hz * slope))
             # What averaging took away from the motion once, averaging again takes away again: so uncertain is the motion.
             cell = self.cell_at(effects, eta)
             here_raw = prediction[FZ, here] * self.sigma[FZ, here]
