@@ -114,11 +114,12 @@ def table(found: dict[str, Any], model: str) -> str:
     """Markdown."""
     other = found["cyclictest"]
     memory = found["memory"]
+    fast = model == "ur5e"  # the budget of a tick is that of 500 Hz; at 125 Hz four times the frames come in one
     lines = [
         f"| {model}, sensor 1 kHz, network on every sample | measured | target |",
         "|---|---|---|",
-        f"| work of a tick, p50 | {found['work_us_p50']:.0f} µs | 250 µs |",
-        f"| work of a tick, p99 | {found['work_us_p99']:.0f} µs | 1000 µs |",
+        f"| work of a tick, p50 | {found['work_us_p50']:.0f} µs | {'250 µs' if fast else ''} |",
+        f"| work of a tick, p99 | {found['work_us_p99']:.0f} µs | {'1000 µs' if fast else ''} |",
         f"| wake-up, p50 and p99 | {found['wakeup_us_p50']:.0f}, {found['wakeup_us_p99']:.0f} µs | |",
     ]
     if other:
