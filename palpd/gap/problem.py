@@ -79,10 +79,10 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
     motion = measured_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s)
     again = measured_motion(cell, samples.t_s, motion.z_m, motion.vz_m_per_s)
     smoother = (replace(motion, z_m=again.z_m, vz_m_per_s=again.vz_m_per_s), replace(motion, az_m_per_s2=again.az_m_per_s2))
-    together = Bins.of_equal_length(samples.t_s, _together(samples, cell))
+    reported = reports(samples.t_s, samples.z_m)
+    together = Bins.of_equal_length(samples.t_s, _together(samples, cell, len(samples) / len(reported)))
     steps = make_bins(together.mean(samples.t_s), phases, together, max_bins)
     bins = together.merged(steps)
-    reported = reports(samples.t_s, samples.z_m)
     if len(reported) < len(samples):
         robot_t_s = samples.t_s[reported] - samples.t_s[0]
         z_cmd_m = None if samples.z_cmd_m is None else samples.z_cmd_m[reported]
@@ -128,11 +128,11 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
     )
 
 
-def _together(samples: Samples, cell: CellFile) -> int:
+def _together(samples: Samples, cell: CellFile, samples_each: float) -> int:
     """How many samples one step of the simulation may take: a sixth of what the heights are averaged over, and never so many that fewer
-    than 4500 steps are left."""
+    than 4500 steps are left; up to a third where the robot reports no more often, since no faster motion is known then."""
     averaged = 0.25 / cell.robot.servo_natural_frequency_Hz * samples.rate_Hz
-    return max(1, min(int(averaged / 5.0), len(samples) // 4500))
+    return max(1, min(int(averaged / 5.0), len(samples) // 4500), min(int(averaged / 3.0), int(samples_each)))
 
 
 def _at_steps(motion: Motion, together: Bins) -> Motion:

@@ -11,6 +11,7 @@ from palpd.cell import WRENCH, simulate
 from palpd.cell_file import CellFile, Estimated, cell_from, nominal
 from palpd.errors import RecordingError
 from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.kinematics import reports
 from palpd.samples import Samples
 from palpd.tick import Floats
 
@@ -44,10 +45,22 @@ def heights(rate_Hz: float = 125.0) -> tuple[Floats, Floats]:
     return np.arange(len(commanded)) / rate_Hz, commanded
 
 
-def recording(cell: CellFile, effects: dict[str, dict[str, float]], seed: int = 3, estimated: Estimated | None = IN_TOLERANCE) -> Samples:
-    t_s, z_cmd_m = heights()
-    columns = simulate(cell.with_effects(effects).with_estimated(estimated), t_s, z_cmd_m=z_cmd_m, noise_seed=seed)
+def recording(cell: CellFile, effects: dict[str, dict[str, float]], seed: int = 3, rate_Hz: float = 125.0) -> Samples:
+    t_s, z_cmd_m = heights(rate_Hz)
+    columns = simulate(cell.with_effects(effects).with_estimated(IN_TOLERANCE), t_s, z_cmd_m=z_cmd_m, noise_seed=seed)
     return Samples(t_s, z_cmd_m, columns["z_m"], columns["vz_m_per_s"], np.column_stack([columns[name] for name in WRENCH]))
+
+
+def slow_robot(samples: Samples, each: int = 8) -> Samples:
+    """The recording of a sensor `each` times as fast as its robot, whose reports are joined by straight lines between its samples."""
+    at = np.arange(0, len(samples), each)
+    report_s = samples.t_s[at] + 0.3 / samples.rate_Hz
+
+    def joined(values: Floats) -> Floats:
+        return np.interp(samples.t_s, report_s, values[at])
+
+    assert samples.z_cmd_m is not None
+    return replace(samples, z_cmd_m=joined(samples.z_cmd_m), z_m=joined(samples.z_m), vz_m_per_s=joined(samples.vz_m_per_s))
 
 
 def quick(samples: Samples | list[Samples], cell: CellFile) -> Diagnosis:
@@ -80,6 +93,29 @@ def test_an_effect_is_named_alone_with_its_size_and_closes_the_gap(name: str, va
     assert effect.id != name or all(effect.parameters[p][0] == pytest.approx(v, rel=0.25) for p, v in values.items())
     assert found.shrink is not None
     assert found.shrink.closed > 0.9
+
+
+def test_a_healthy_robot_that_reports_more_slowly_than_the_sensor_is_not_accused() -> None:
+    samples = slow_robot(recording(nominal(), {}, rate_Hz=1000.0))
+    found = quick(samples, nominal())
+    (run,) = found.problem.runs
+    assert run.samples_each == pytest.approx(8.0, rel=0.02)
+    assert run.noise_rms[0] == pytest.approx(nominal().robot.position_noise_rms_m, rel=0.1)
+    assert found.verdict == "none"
+
+
+def test_a_robot_as_fast_as_the_sensor_reports_at_every_sample_also_with_uneven_steps() -> None:
+    samples = recording(nominal(), {})
+    uneven = replace(samples, t_s=samples.t_s + 0.002 * np.random.default_rng(1).random(len(samples)))
+    for one in (samples, uneven):
+        assert len(reports(one.t_s, one.z_m)) == len(one)
+
+
+def test_an_effect_is_named_alone_also_where_the_robot_reports_more_slowly_than_the_sensor() -> None:
+    true = {"ratio": 0.2, "tau_s": 0.8}
+    (effect,) = quick(slow_robot(recording(nominal(), {"tissue.viscoelastic": true}, rate_Hz=1000.0)), nominal()).effects
+    assert effect.id == "tissue.viscoelastic"
+    assert all(effect.parameters[p][0] == pytest.approx(v, rel=0.1) for p, v in true.items())
 
 
 def test_two_effects_are_both_named() -> None:
@@ -155,9 +191,7 @@ def test_a_recording_that_shows_little_is_still_judged_for_what_it_shows(case: s
     elif case == "no free motion":
         keep = samples.z_m < -0.0001
         keep[np.argmax(keep) + int(np.argmin(keep[np.argmax(keep) :])) :] = False
-        samples = Samples(
-            samples.t_s[keep], samples.z_m[keep], samples.z_m[keep], samples.vz_m_per_s[keep], samples.wrench[keep]
-        )
+        samples = Samples(samples.t_s[keep], samples.z_m[keep], samples.z_m[keep], samples.vz_m_per_s[keep], samples.wrench[keep])
     elif case == "dead axis":
         wrench = samples.wrench.copy()
         wrench[:, 0] = 0.0
