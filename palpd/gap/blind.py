@@ -30,7 +30,7 @@ Ablation = Literal["no tolerances", "no press scatter", "fz only"]
 ABLATIONS: tuple[Ablation, ...] = ("no tolerances", "no press scatter", "fz only")
 
 SHARES: dict[Kind, float] = {"healthy": 0.2, "library": 0.27, "foreign": 0.2, "two": 0.09, "removed": 0.12, "novel": 0.12}
-SINGLE_STRATA = ("6-10", "10-20", "20-60", "10-20", "6-10", "20-60", "> 60")
+SINGLE_STRATA = ("20-60", "6-10", "10-20", "20-60", "6-10", "10-20", "> 60")
 LARGE_STRATA = ("20-60", "> 60")
 
 
