@@ -106,7 +106,7 @@ def _site(of_site: Track, name: str, tip: tuple[float, float]) -> dict[str, Any]
     presses = [press for depth_m in _depths(of_site, Mode.DYNAMIC) for press in _presses(of_site, depth_m, tip)]
     static_E = _mean(depth["E_Pa"] for depth in static)
     original_E, corrected_E = (_mean(press[key] for press in presses) for key in ("original_Pa", "corrected_Pa"))
-    pressed = of_site.where(np.isin(of_site.phase, (Phase.PRESS, Phase.HOLD)))
+    pressed = of_site.where(np.isin(of_site.phase, (Phase.SEARCH, Phase.PRESS, Phase.HOLD, Phase.RETRACT)))
     contact_N = pressed.fz_N - pressed.inertial_N
     return {
         "name": name,
