@@ -174,6 +174,7 @@ def outcome(kind: str, planted: list[str], named: list[str], **more: Any) -> Out
         "p_none": 0.05,
         "p_unknown": 0.05,
         "snr": 15.0 if planted else None,
+        "snr_per_row_sigma": 5.0 if planted else None,
         "variance": False,
         "mimic": None,
         "failed": None,
