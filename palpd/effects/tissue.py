@@ -148,15 +148,16 @@ def _adhesion(s: Span, p: Values, memory: Memory) -> None:
     """Grows over one range as the tip comes back from its deepest point, and fades over one range above the surface."""
     reach_m, lowest_m = p["range_m"], memory.get("lowest_m", inf)
     gap_m = s.tip_m - s.surface_m
-    lowest = []
-    for tip_m, gap in zip(s.tip_m.tolist(), gap_m.tolist(), strict=True):
-        if gap >= reach_m:
-            lowest_m = inf
-        elif gap <= 0.0 or lowest_m < inf:
-            lowest_m = min(lowest_m, tip_m)
-        lowest.append(lowest_m)
-    memory["lowest_m"] = lowest_m
-    bond = np.clip((s.tip_m - np.array(lowest)) / reach_m, 0.0, 1.0)
+    lowest = np.full(len(gap_m), inf)
+    within = np.diff(np.concatenate(([0], (gap_m < reach_m).astype(np.int8), [0])))
+    for a, b in zip(np.flatnonzero(within == 1).tolist(), np.flatnonzero(within == -1).tolist(), strict=True):
+        before_m = lowest_m if a == 0 else inf
+        touching = gap_m[a:b] <= 0.0
+        if before_m < inf or touching.any():
+            first = a if before_m < inf else a + int(touching.argmax())
+            lowest[first:b] = np.minimum(np.minimum.accumulate(s.tip_m[first:b]), before_m)
+    memory["lowest_m"] = float(lowest[-1])
+    bond = np.clip((s.tip_m - lowest) / reach_m, 0.0, 1.0)
     s.contact_N = s.contact_N - p["force_N"] * bond * np.clip(1.0 - gap_m / reach_m, 0.0, 1.0)
 
 

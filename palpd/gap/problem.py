@@ -39,6 +39,9 @@ RELATIVE = {"youngs_modulus", "filter_cutoff", "servo_natural_frequency"}
 TRUSTED = 0.02
 """No cell follows the laws of a simulator to better than this share of its gap."""
 
+REMEMBERED = 48
+"""So many predictions are kept, since a search comes back to where it was a moment ago."""
+
 UNKNOWN_LOG_SD = 2.5
 """One standard deviation of the logarithm of a modulus of which nothing is known: a factor of twelve."""
 
@@ -241,15 +244,25 @@ class Problem:
 
     def predict(self, effects: EffectValues, eta: Floats) -> Floats:
         """The whitened prediction (7, b)."""
+        key = (repr(effects), eta.tobytes())
+        if key not in self._known:
+            if len(self._known) >= REMEMBERED:
+                del self._known[next(iter(self._known))]
+            self._known[key] = self._predicted(effects, eta)
+        # A trial far outside all reason may overflow: it then fits badly, and that is all that is asked of it.
+        return np.nan_to_num(self._known[key] / self.sigma, nan=1e6, posinf=1e6, neginf=-1e6)
+
+    def _predicted(self, effects: EffectValues, eta: Floats) -> Floats:
+        """Binned heights and wrenches (7, b) of all recordings."""
         cell = self.cell_at(effects, eta)
         motion = any(self.library[name].motion for name in effects) or bool(eta[SHARED.index("servo_natural_frequency")])
         parts = [
             self._simulated(run, cell, run.motion, None if motion else still) for run, still in zip(self.runs, self._still, strict=True)
         ]
-        # A trial far outside all reason may overflow: it then fits badly, and that is all that is asked of it.
-        return np.nan_to_num(np.hstack(parts) / self.sigma, nan=1e6, posinf=1e6, neginf=-1e6)
+        return np.hstack(parts)
 
     def __post_init__(self) -> None:
+        self._known: dict[tuple[str, bytes], Floats] = {}
         nothing = self.cell.with_effects({})
         self._still = [self._simulated(run, nothing, run.motion, None) for run in self.runs]
         measured = []
