@@ -33,7 +33,7 @@ from palpd.tick import NO_FRAMES, Floats, SensorFrames, Words
 SAMPLE_S = 0.001
 """One step of the counter."""
 
-READ_BYTES = 4096
+READ_BYTES = 1024  # below the 4095 that a terminal gives at most, so that a short read means empty; six ticks of 1 kHz
 FRAME_BYTES = 22
 DATA = b"\xaa\x07\x08\x10"
 ANSWER = b"\xaa\x00\x50\x01"
