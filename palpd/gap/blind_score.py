@@ -234,8 +234,8 @@ def figures(outcomes: Sequence[Outcome]) -> list[Figure]:
         for low, high, target in strata:
             label = f"SNR {low:g}-{high:g}" if np.isfinite(high) else f"SNR > {low:g}"
             out.append(_share(f"right cause first, {name}, {label}", [first_right(o) for o in _between(own[name], low, high)], target))
-    for name, mine in own.items():
-        loud = [o for o in mine if (o["snr_per_row_sigma"] or 0.0) >= 6.0]
+    for name, listed in own.items():
+        loud = [o for o in listed if (o["snr_per_row_sigma"] or 0.0) >= 6.0]
         out.append(_share(f"  {name}, SNR ≥ 6 counted in sigmas of one row, not of a mean", [first_right(o) for o in loud], ""))
     for name, target in (("library laws", "≥ 0.97"), ("foreign laws", "≥ 0.93")):
         out.append(_share(f"right and nothing else named, {name}, SNR ≥ 10", [alone(o) for o in _between(own[name], 10)], target))
