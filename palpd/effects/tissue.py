@@ -40,17 +40,33 @@ def _plasticity(s: Span, p: Values, memory: Memory) -> None:
     """A press has been one when it went a hundredth of the tip's radius deep; the surface sinks when the tip has left."""
     enough_m = 0.01 * s.constants.tip_radius_m
     presses, pressed, sunk_m = memory.get("presses", 0), memory.get("pressed", False), memory.get("sunk_m", 0.0)
-    surface_m = np.broadcast_to(s.surface_m, s.tip_m.shape).tolist()
-    for k, (tip_m, unpressed_m) in enumerate(zip(s.tip_m.tolist(), surface_m, strict=True)):
-        depth_m = unpressed_m - sunk_m - tip_m
-        if not pressed:
-            pressed = depth_m > enough_m
-        elif depth_m <= 0.0:
+    unpressed_m = np.broadcast_to(s.surface_m, s.tip_m.shape)
+    below_m = unpressed_m - s.tip_m
+    surface_m = np.empty_like(below_m)
+    k = since = 0
+    while (k := _first(below_m, k, sunk_m, pressed, enough_m)) < len(below_m):
+        if pressed:
+            surface_m[since:k] = unpressed_m[since:k] - sunk_m
             sunk_m += p["set_m"] * p["ratio"] ** presses
-            presses, pressed = presses + 1, False
-        surface_m[k] = unpressed_m - sunk_m
+            presses, since = presses + 1, k
+        pressed = not pressed
+        k += 1
     memory.update(presses=presses, pressed=pressed, sunk_m=sunk_m)
-    s.touch(np.array(surface_m))
+    surface_m[since:] = unpressed_m[since:] - sunk_m
+    s.touch(surface_m)
+
+
+def _first(below_m: Floats, k: int, sunk_m: float, pressed: bool, enough_m: float) -> int:
+    """The first sample from `k` on that ends a press, or begins one; sought in stretches that double, so that many presses cost no more."""
+    length = 64
+    while k < len(below_m):
+        depth_m = below_m[k : k + length] - sunk_m
+        found = depth_m <= 0.0 if pressed else depth_m > enough_m
+        at = int(found.argmax())
+        if found[at]:
+            return k + at
+        k, length = k + length, 2 * length
+    return len(below_m)
 
 
 PLASTICITY = Effect(
