@@ -137,7 +137,7 @@ def smoothing_gap_N(exported: Exported, runs: Sequence[Take]) -> float:
         both = np.column_stack([smooth, np.gradient(smooth, STEP_S)])
         both = np.column_stack([np.interp(run.t_s - SENSOR_DELAY_S, run.t_s, column) for column in both.T])[width:-width]
         causal = features(run.robot_t_s, run.robot_vz_m_per_s, run.t_s)[width:-width]
-        gaps.append(np.mean((exported.model.predict(causal) - exported.model.predict(both)) ** 2))
+        gaps.append(np.mean((np.array(exported.model.predict(causal.tolist())) - exported.model.predict(both.tolist())) ** 2))
     return math.sqrt(float(np.mean(gaps)))
 
 

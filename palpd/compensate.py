@@ -72,9 +72,9 @@ def features(robot_t_s: Floats, speed: Floats, t_s: Floats, delay_s: float = SEN
     for end, when_s, vz in zip(ends.tolist(), robot_t_s.tolist(), speed.tolist(), strict=True):
         moving = (0.0, 0.0, vz, 0.0, 0.0, 0.0)
         motion.update(RobotState(when_s, when_s, zeros, moving, zeros, moving, zeros[:3], RobotMode.RUNNING, SafetyMode.NORMAL, 1, 2, True))
-        found[begin:end] = motion.features(t_s[begin:end])
+        found[begin:end] = motion.features(t_s[begin:end].tolist())
         begin = end
-    found[begin:] = motion.features(t_s[begin:])
+    found[begin:] = motion.features(t_s[begin:].tolist())
     return found
 
 
@@ -91,7 +91,7 @@ def stream(run: Take) -> Iterator[Sample]:
 def corrections(method: Method, run: Take) -> Floats:
     """What a method takes from fz in each sample of a recording, (n,) in N."""
     if isinstance(method, Exported):  # the same numbers in one call
-        return method.model.predict(features(run.robot_t_s, run.robot_vz_m_per_s, run.t_s))
+        return np.array(method.model.predict(features(run.robot_t_s, run.robot_vz_m_per_s, run.t_s).tolist()))
     method.start()
     return np.array([method.step(sample) for sample in stream(run)])
 
@@ -167,7 +167,7 @@ class Exported(Nothing):
 
     def step(self, sample: Sample) -> float:
         """The network's answer."""
-        return float(self.model.predict(np.array([[sample.vz_m_per_s, sample.az_m_per_s2]]))[0])
+        return self.model.predict([(sample.vz_m_per_s, sample.az_m_per_s2)])[0]
 
 
 class LineAndRunningZero:

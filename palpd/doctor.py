@@ -23,7 +23,7 @@ from palpd.realtime import DEVICE_PRIORITY, LOOP_PRIORITY, fifo, realtime
 from palpd.ring import RING_S
 from palpd.safety import TILT_RAD
 from palpd.state import State
-from palpd.tare import DRIFT_N, FREE_N, STABLE_RMS_N, base_from_sensor, tilt_rad
+from palpd.tare import DRIFT_N, FREE_N, STABLE_RMS_N, base_from_sensor, tilt_rad, to_base
 from palpd.tick import Floats, ForceSensor, Robot, RobotMode, RobotState, SafetyMode
 
 Verdict = Literal["ok", "warn", "fail"]
@@ -435,7 +435,8 @@ def weigh(sensor: ForceSensor, robot: RobotState | None, about_flange_z_rad: flo
     loaded = _mean(sensor)
     if free is None or loaded is None:
         return Finding("known weight", "fail", "no frame came from the sensor", "check its cable and power")
-    x_N, y_N, z_N = base_from_sensor(robot.tcp_pose[3:] if robot else STRAIGHT_DOWN, about_flange_z_rad) @ (loaded - free)[:3]
+    rotation = base_from_sensor(robot.tcp_pose[3:] if robot else STRAIGHT_DOWN, about_flange_z_rad)
+    x_N, y_N, z_N, *_ = to_base(loaded.tolist(), free.tolist(), rotation)
     ratio, across = -z_N / weight_N, float(np.hypot(x_N, y_N)) / weight_N
     figures = {"weight_N": weight_N, "measured_N": -z_N, "across_N": across * weight_N, "ratio": ratio}
     found = f"{-z_N:.2f} N down and {across * weight_N:.2f} N across of {weight_N:g} N hung on it"

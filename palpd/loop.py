@@ -4,7 +4,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -35,8 +35,7 @@ LAST_TICKS = 50
 ONE_FRAME = SensorFrames(np.zeros(1), np.zeros(1, np.uint16), np.zeros(1, np.uint16), np.zeros((1, 6)))
 
 
-@dataclass(frozen=True, slots=True)
-class Turn:
+class Turn(NamedTuple):
     """All of one tick: what was seen, thought and done."""
 
     timing: Timing
@@ -94,30 +93,32 @@ class Explainer:
         if not len(frames):
             self.last = _without_rows(self.last)
             return self.last
+        # two to eight rows: plain floats cost a third of numpy's calls on arrays this short
+        wrenches = frames.wrench.tolist()
         rotation = base_from_sensor(robot.tcp_pose[3:], self.rotation_about_flange_z_rad)
-        tared = to_base(frames.wrench - (self.reference if self.tare is None else self.tare), rotation)
+        zero = (self.reference if self.tare is None else self.tare).tolist()
+        x0_N, y0_N, z0_N, *_ = self.reference.tolist()
+        tared = [to_base(wrench, zero, rotation) for wrench in wrenches]
         inertial_N = self._inertial(frames)
-        # a handful of rows: plain floats cost a third of numpy's calls on arrays this short
-        rows, forces_N = tared.tolist(), (tared[:, 2] - inertial_N).tolist()
-        raw = (frames.wrench[:, :3] - self.reference[:3]).tolist()
+        forces_N = [row[2] - inertia for row, inertia in zip(tared, inertial_N, strict=True)]
         self.last = Contact(
-            tared,
-            inertial_N,
+            np.array(tared),
+            np.array(inertial_N),
             force_N=largest(forces_N),
             mean_N=math.fsum(forces_N) / len(forces_N),
-            lateral_N=largest([math.hypot(fx, fy) for fx, fy, *_ in rows]),
-            torque_Nm=largest([abs(t) for *_, tx, ty, tz in rows for t in (tx, ty, tz)]),
-            absolute_N=largest([math.hypot(*force) for force in raw]),
+            lateral_N=largest([math.hypot(row[0], row[1]) for row in tared]),
+            torque_Nm=largest([abs(torque) for row in tared for torque in row[3:]]),
+            absolute_N=largest([math.hypot(x - x0_N, y - y0_N, z - z0_N) for x, y, z, *_ in wrenches]),
         )
         return self.last
 
-    def _inertial(self, frames: SensorFrames) -> Floats:
+    def _inertial(self, frames: SensorFrames) -> list[float]:
         if self.model is None:
-            return np.zeros(len(frames))
-        features = self.motion.features(frames.t_s)
-        predicted_N = self.model.predict(features)
-        self.out_of_range += int(len(features) - np.count_nonzero(self.model.in_range(features)))
-        return np.clip(predicted_N, -self.correction_limit_N, self.correction_limit_N)
+            return [0.0] * len(frames)
+        features = self.motion.features(frames.t_s.tolist())
+        self.out_of_range += self.model.out_of_range(features)
+        limit_N = self.correction_limit_N
+        return [min(max(predicted_N, -limit_N), limit_N) for predicted_N in self.model.predict(features)]
 
 
 def largest(values: list[float]) -> float:

@@ -25,10 +25,11 @@ from palpd.inertial import InertialModel, Motion
 from palpd.loop import Explainer, Loop, Outcome, Turn
 from palpd.realtime import DEVICE_PRIORITY, fifo, realtime
 from palpd.ring import LoopState, Ring
+from palpd.rows import RowWriter
 from palpd.safety import Limits, sentence
 from palpd.sequence import Body, FreeMotion, Palpation, RigidPress, Script, Sequence, Watch
 from palpd.tare import Tare
-from palpd.tick import MAX_FRAMES, ForceSensor, Request, Robot
+from palpd.tick import ForceSensor, Request, Robot
 
 ORPHAN_GRACE_S = 1.0
 DRY_S = 10.0
@@ -242,43 +243,11 @@ class RingWriter:
 
     def __init__(self, ring: Ring) -> None:
         self._ring = ring
+        self._rows = RowWriter(ring.rows)
 
     def __call__(self, turn: Turn) -> None:
-        fill(self._ring.slot(), turn)
+        self._rows.fill(self._ring.begin(), turn)
         self._ring.publish()
 
     def rehearse(self, turn: Turn) -> None:
-        fill(self._ring.slot(), turn)  # never published, so no reader sees it
-
-
-def fill(row: np.void, turn: Turn) -> None:
-    """Write a turn into a row (ROW of palpd.tick)."""
-    robot, frames, progress, verdict = turn.robot, turn.frames, turn.proposal.progress, turn.verdict
-    n = min(len(frames), MAX_FRAMES)
-    row["index"], row["planned_s"], row["now_s"] = turn.timing.index, turn.timing.planned_s, turn.timing.now_s
-    row["missed"], row["work_us"] = turn.timing.missed, turn.work_us
-    row["robot_t_s"], row["robot_timestamp_s"] = robot.t_s, robot.timestamp_s
-    row["tcp_pose"], row["tcp_speed"] = robot.tcp_pose, robot.tcp_speed
-    row["target_pose"], row["target_speed"] = robot.target_pose, robot.target_speed
-    row["tool_acceleration_m_per_s2"] = robot.tool_acceleration_m_per_s2
-    row["robot_mode"], row["safety_mode"] = robot.robot_mode, robot.safety_mode
-    row["safety_status_bits"], row["runtime_state"] = robot.safety_status_bits, robot.runtime_state
-    row["connected"], row["request"] = robot.connected, turn.request
-    row["rejected"], row["frames"] = frames.rejected, n
-    row["frame_t_s"][:n], row["counter"][:n], row["status"][:n] = frames.t_s[:n], frames.counter[:n], frames.status[:n]
-    row["wrench"][:n], row["tared"][:n], row["inertial_N"][:n] = (
-        frames.wrench[:n],
-        turn.contact.tared[:n],
-        turn.contact.inertial_N[:n],
-    )
-    row["force_N"], row["absolute_N"] = turn.contact.force_N, turn.contact.absolute_N
-    row["phase"], row["mode"], row["site"], row["repeat"] = progress.phase, progress.mode, progress.site, progress.repeat
-    row["depth_m"], row["surface_z_m"], row["cut_short"] = progress.depth_m, progress.surface_z_m, progress.cut_short
-    row["proposed_m_per_s"], row["proposed_stop"] = turn.proposal.command.velocity_m_per_s, turn.proposal.command.stop
-    row["command_m_per_s"], row["command_stop"] = verdict.command.velocity_m_per_s, verdict.command.stop
-    row["action"], row["trip"], row["trip_measured"], row["trip_limit"] = (
-        verdict.action,
-        verdict.trip,
-        verdict.measured,
-        verdict.limit,
-    )
+        self._rows.fill(self._ring.begin(), turn)  # never published, so no reader sees it

@@ -14,8 +14,9 @@ from palpd.config import Config, Plan, parse_config, parse_plan
 from palpd.errors import RecordingError
 from palpd.inertial import InertialModel, Motion
 from palpd.loop import Explainer, Loop, Turn
-from palpd.motion import Job, fill, limits_of, sequence_of
+from palpd.motion import Job, limits_of, sequence_of
 from palpd.record import RecordedRobot, RecordedSensor, Recording
+from palpd.rows import RowWriter
 from palpd.safety import Guard, Sight, guard, sentence
 from palpd.samples import Samples
 from palpd.tare import Tare
@@ -127,17 +128,18 @@ class _Compare:
 
     def __init__(self, rows: np.ndarray[Any, np.dtype[np.void]]) -> None:
         self._rows = rows
-        self._made = np.zeros(1, ROW)[0]
+        self._made = np.zeros(1, ROW)
+        self._writer = RowWriter(self._made)
         self._at = 0
         self.first: str | None = None
 
     def __call__(self, turn: Turn) -> None:
-        fill(self._made, turn)
+        self._writer.fill(0, turn)
         recorded = self._rows[self._at]
         if self.first is None:
             for name in DECISIONS:
-                if self._made[name].tobytes() != recorded[name].tobytes():
-                    self.first = f"tick {int(recorded['index'])}, {name}: recorded {recorded[name]}, replayed {self._made[name]}"
+                if self._made[0][name].tobytes() != recorded[name].tobytes():
+                    self.first = f"tick {int(recorded['index'])}, {name}: recorded {recorded[name]}, replayed {self._made[0][name]}"
                     break
         self._at += 1
 

@@ -132,14 +132,19 @@ class Ring:
         ring.capacity = ring._capacity  # the kernel rounds the size up to whole pages
         return ring
 
-    def slot(self) -> np.void:
-        """The record to fill next, in place. It holds an old row: every field that is read later must be set."""
+    @property
+    def rows(self) -> Rows:
+        """All of the ring's memory (capacity,), for its producer."""
+        return self._rows
+
+    def begin(self) -> int:
+        """Which of `rows` to fill next, in place. It holds an old one: every field that is read later must be set."""
         number = self.published
         self._begun = number + 1
-        return self._rows[number % self.capacity]
+        return number % self.capacity
 
     def publish(self) -> None:
-        """Let readers have the record of the last `slot()`."""
+        """Let readers have the row of the last `begin()`."""
         self.published += 1
 
     def write(self, row: np.void | Rows) -> None:
@@ -185,7 +190,7 @@ class Ring:
         self.aborts_taken, self.turns_taken = self.aborts, self.turns
 
     def close(self) -> None:
-        """Let go of the memory; records given out by `slot` must not be used any more."""
+        """Let go of the memory; `rows` must not be used any more."""
         del self._rows
         self._words.release()
         with contextlib.suppress(BufferError):  # somebody still holds a record: the mapping goes with the process

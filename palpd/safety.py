@@ -6,9 +6,9 @@ no re-tare loosens the second. With a dead sensor it stops and does not retract:
 """
 
 import math
-from dataclasses import dataclass, replace
-
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from palpd.tick import (
     PROGRAM_PLAYING,
@@ -36,6 +36,10 @@ FROZEN_FRAMES = 200
 """A living sensor dithers: so many frames equal to the last digit on all six axes are a stuck one. Quiet Fz alone may rest on one count
 for long; six axes at rest move by a count or two within 0.12 s even behind the 15 Hz filter. At 1 kHz and 10 mm/s it is 2 mm blind."""
 
+ABORT, ORPHANED, RUNNING = Request.ABORT, Request.ORPHANED, RobotMode.RUNNING
+FIT_TO_MOVE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
+"""Taken out of their enums once: before Python 3.12 every look at a member costs as much as ten comparisons, and a tick has many."""
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -59,8 +63,7 @@ class Limits:
     workspace_m: tuple[tuple[float, float], ...] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Sight:
+class Sight(NamedTuple):
     """All the guard looks at in one tick. `floor_z_m` is the lowest height the present step may reach, `safe_z_m` where a retract ends."""
 
     timing: Timing
@@ -73,8 +76,7 @@ class Sight:
     tilt_rad: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Guard:
+class Guard(NamedTuple):
     """What the guard remembers from tick to tick; `trip` other than NONE is latched until a new run begins."""
 
     trip: Trip = Trip.NONE
@@ -85,7 +87,7 @@ class Guard:
     sensor_heard_s: float = math.nan
     robot_heard_s: float = math.nan
     robot_timestamp_s: float = math.nan
-    last_wrench: tuple[float, ...] = ()
+    last_wrench: Sequence[float] = ()
     equal_frames: int = 0
     rejected: float = 0.0
 
@@ -99,7 +101,7 @@ def guard(limits: Limits, memory: Guard, sight: Sight, proposed: Command) -> tup
     if fault is not None:
         return _stopped(memory, *fault)
     if not memory.retracting and sight.contact.force_N >= limits.contact_N:
-        memory = replace(memory, trip=Trip.CONTACT_FORCE, measured=sight.contact.force_N, limit=limits.contact_N, retracting=True)
+        memory = memory._replace(trip=Trip.CONTACT_FORCE, measured=sight.contact.force_N, limit=limits.contact_N, retracting=True)
     if not memory.retracting:
         return memory, Verdict(proposed)
     if sight.robot.z_m >= sight.safe_z_m:
@@ -109,7 +111,7 @@ def guard(limits: Limits, memory: Guard, sight: Sight, proposed: Command) -> tup
 
 
 def _stopped(memory: Guard, trip: Trip, measured: float, limit: float) -> tuple[Guard, Verdict]:
-    memory = replace(memory, trip=trip, measured=measured, limit=limit, over=True)
+    memory = memory._replace(trip=trip, measured=measured, limit=limit, over=True)
     return memory, Verdict(STOP, Action.STOP, trip, measured, limit)
 
 
@@ -119,13 +121,13 @@ def _listen(memory: Guard, sight: Sight) -> Guard:
     frames = sight.frames
     wrench, equal = memory.last_wrench, memory.equal_frames
     if len(frames):
-        newest = tuple(frames.wrench[-1].tolist())
-        same = bool((frames.wrench == frames.wrench[-1]).all()) and (not wrench or newest == wrench)
+        first_row, *others = frames.wrench.tolist()
+        newest = others[-1] if others else first_row
+        same = all(row == first_row for row in others) and (not wrench or first_row == wrench)
         wrench, equal = newest, (equal + len(frames) if same else 0)
     fresh = sight.robot.timestamp_s != memory.robot_timestamp_s
     first = math.isnan(memory.sensor_heard_s)
-    return replace(
-        memory,
+    return memory._replace(
         sensor_heard_s=float(frames.t_s[-1]) if len(frames) else (now_s if first else memory.sensor_heard_s),
         robot_heard_s=sight.robot.t_s if fresh else memory.robot_heard_s,
         robot_timestamp_s=sight.robot.timestamp_s,
@@ -137,51 +139,53 @@ def _listen(memory: Guard, sight: Sight) -> Guard:
 
 def _fault(limits: Limits, memory: Guard, sight: Sight, proposed: Command) -> tuple[Trip, float, float] | None:
     """First reason to stop the arm where it is: (trip, measured, limit), or None."""
-    robot, contact, now_s = sight.robot, sight.contact, sight.timing.now_s
-    checks = (
-        _above(Trip.OPERATOR, float(sight.request == Request.ABORT), 0.5),
-        _above(Trip.SUPERVISOR, float(sight.request == Request.ORPHANED), 0.5),
-        _finite(robot, sight.frames, contact, proposed, now_s),
-        _above(Trip.CONNECTION, float(not robot.connected), 0.5),
-        _above(Trip.ROBOT_STALE, now_s - memory.robot_heard_s, limits.robot_stale_s),
-        _above(Trip.SENSOR_STALE, now_s - memory.sensor_heard_s, limits.sensor_stale_s),
-        _unlike(Trip.ROBOT_MODE, robot.robot_mode, (RobotMode.RUNNING,)),
-        _unlike(Trip.SAFETY_MODE, robot.safety_mode, (SafetyMode.NORMAL, SafetyMode.REDUCED)),
-        _unlike(Trip.PROGRAM_STOPPED, robot.runtime_state, (PROGRAM_PLAYING,)) if limits.needs_program else None,
-        _above(Trip.SENSOR_STATUS, float(np.bitwise_or.reduce(sight.frames.status)) if len(sight.frames) else 0.0, 0.5),
-        _above(Trip.SENSOR_FROZEN, memory.equal_frames, FROZEN_FRAMES),
-        _above(Trip.SENSOR_REJECTS, memory.rejected, limits.max_rejected_per_s),
-        _above(Trip.LATE_TICKS, sight.timing.missed, limits.max_missed_ticks),
-        _at_least(Trip.OVERLOAD, _largest(sight.contact.tared), limits.overload_N),
-        _at_least(Trip.ABSOLUTE_FORCE, contact.absolute_N, limits.absolute_N),
-        _at_least(Trip.LATERAL_FORCE, contact.lateral_N, limits.lateral_N),
-        _at_least(Trip.TORQUE, contact.torque_Nm, limits.torque_Nm),
-        _above(Trip.TILTED, sight.tilt_rad, TILT_RAD),
-        _above(Trip.SPEED, _speed(proposed.velocity_m_per_s), limits.max_speed_m_per_s * (1 + 1e-9)),
-        _below(Trip.BELOW_MIN_Z, robot.z_m, limits.min_z_m),
-        _below(Trip.TOO_DEEP, robot.z_m, sight.floor_z_m - DEPTH_MARGIN_M),
-        _outside(robot, limits.workspace_m),
-    )
-    return next((check for check in checks if check is not None), None)
+    timing, robot, frames, contact, request, floor_z_m, _, tilt_rad = sight
+    if request == ABORT:
+        return Trip.OPERATOR, 1.0, 0.0
+    if request == ORPHANED:
+        return Trip.SUPERVISOR, 1.0, 0.0
+    if not _finite(robot, frames, contact, proposed, timing.now_s):
+        return Trip.NOT_FINITE, 1.0, 0.0
+    if not robot.connected:
+        return Trip.CONNECTION, 1.0, 0.0
+    if (age_s := timing.now_s - memory.robot_heard_s) > limits.robot_stale_s:
+        return Trip.ROBOT_STALE, age_s, limits.robot_stale_s
+    if (age_s := timing.now_s - memory.sensor_heard_s) > limits.sensor_stale_s:
+        return Trip.SENSOR_STALE, age_s, limits.sensor_stale_s
+    if robot.robot_mode != RUNNING:
+        return Trip.ROBOT_MODE, robot.robot_mode, RUNNING
+    if robot.safety_mode not in FIT_TO_MOVE:
+        return Trip.SAFETY_MODE, robot.safety_mode, FIT_TO_MOVE[0]
+    if limits.needs_program and robot.runtime_state != PROGRAM_PLAYING:
+        return Trip.PROGRAM_STOPPED, robot.runtime_state, PROGRAM_PLAYING
+    if (status := max(frames.status.tolist(), default=0)) != 0:
+        return Trip.SENSOR_STATUS, status, 0.0
+    if memory.equal_frames > FROZEN_FRAMES:
+        return Trip.SENSOR_FROZEN, memory.equal_frames, FROZEN_FRAMES
+    if memory.rejected > limits.max_rejected_per_s:
+        return Trip.SENSOR_REJECTS, memory.rejected, limits.max_rejected_per_s
+    if timing.missed > limits.max_missed_ticks:
+        return Trip.LATE_TICKS, timing.missed, limits.max_missed_ticks
+    if (largest_N := _largest(contact.tared)) >= limits.overload_N:
+        return Trip.OVERLOAD, largest_N, limits.overload_N
+    if contact.absolute_N >= limits.absolute_N:
+        return Trip.ABSOLUTE_FORCE, contact.absolute_N, limits.absolute_N
+    if contact.lateral_N >= limits.lateral_N:
+        return Trip.LATERAL_FORCE, contact.lateral_N, limits.lateral_N
+    if contact.torque_Nm >= limits.torque_Nm:
+        return Trip.TORQUE, contact.torque_Nm, limits.torque_Nm
+    if tilt_rad > TILT_RAD:
+        return Trip.TILTED, tilt_rad, TILT_RAD
+    if (speed_m_per_s := math.hypot(*proposed.velocity_m_per_s)) > limits.max_speed_m_per_s * (1 + 1e-9):
+        return Trip.SPEED, speed_m_per_s, limits.max_speed_m_per_s
+    if limits.min_z_m is not None and robot.z_m < limits.min_z_m:
+        return Trip.BELOW_MIN_Z, robot.z_m, limits.min_z_m
+    if robot.z_m < floor_z_m - DEPTH_MARGIN_M:
+        return Trip.TOO_DEEP, robot.z_m, floor_z_m - DEPTH_MARGIN_M
+    return _outside(robot, limits.workspace_m)
 
 
-def _above(trip: Trip, measured: float, limit: float) -> tuple[Trip, float, float] | None:
-    return (trip, measured, limit) if measured > limit else None
-
-
-def _at_least(trip: Trip, measured: float, limit: float) -> tuple[Trip, float, float] | None:
-    return (trip, measured, limit) if measured >= limit else None
-
-
-def _below(trip: Trip, measured: float, limit: float | None) -> tuple[Trip, float, float] | None:
-    return (trip, measured, limit) if limit is not None and measured < limit else None
-
-
-def _unlike(trip: Trip, measured: int, allowed: tuple[int, ...]) -> tuple[Trip, float, float] | None:
-    return None if measured in allowed else (trip, float(measured), float(allowed[0]))
-
-
-def _finite(robot: RobotState, frames: SensorFrames, contact: Contact, proposed: Command, now_s: float) -> tuple[Trip, float, float] | None:
+def _finite(robot: RobotState, frames: SensorFrames, contact: Contact, proposed: Command, now_s: float) -> bool:
     numbers = (
         now_s,
         robot.t_s,
@@ -194,8 +198,7 @@ def _finite(robot: RobotState, frames: SensorFrames, contact: Contact, proposed:
         contact.torque_Nm,
         *proposed.velocity_m_per_s,
     )
-    good = all(map(math.isfinite, numbers)) and bool(np.isfinite(frames.wrench).all() and np.isfinite(frames.t_s).all())
-    return None if good else (Trip.NOT_FINITE, 1.0, 0.0)
+    return all(map(math.isfinite, numbers)) and math.isfinite(frames.wrench.sum() + frames.t_s.sum())
 
 
 def _outside(robot: RobotState, workspace_m: tuple[tuple[float, float], ...] | None) -> tuple[Trip, float, float] | None:
@@ -206,11 +209,7 @@ def _outside(robot: RobotState, workspace_m: tuple[tuple[float, float], ...] | N
 
 
 def _largest(wrench: Floats) -> float:
-    return float(np.abs(wrench[:, :3]).max()) if len(wrench) else 0.0
-
-
-def _speed(velocity_m_per_s: tuple[float, float, float]) -> float:
-    return math.sqrt(sum(v * v for v in velocity_m_per_s))
+    return max((abs(force_N) for row in wrench.tolist() for force_N in row[:3]), default=0.0)
 
 
 _SENTENCES = {

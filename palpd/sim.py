@@ -17,7 +17,8 @@ from palpd.cell_file import CellFile
 from palpd.clock import SimClock
 from palpd.config import filter_delay_s
 from palpd.loop import Loop, Outcome, Turn
-from palpd.motion import Job, explainer_of, fill, limits_of, sequence_of
+from palpd.motion import Job, explainer_of, limits_of, sequence_of
+from palpd.rows import RowWriter
 from palpd.tick import PROGRAM_PLAYING, ROW, Floats, Request, RobotMode, RobotState, SafetyMode, SensorFrames
 
 FZ_OFFSET_N = -50.0
@@ -123,9 +124,9 @@ class RowList:
         self.rows: list[np.void] = []
 
     def __call__(self, turn: Turn) -> None:
-        row = np.zeros(1, ROW)[0]
-        fill(row, turn)
-        self.rows.append(row)
+        row = np.zeros(1, ROW)
+        RowWriter(row).fill(0, turn)
+        self.rows.append(row[0])
 
     def rehearse(self, turn: Turn) -> None:
         """Nothing to warm up."""

@@ -5,6 +5,7 @@ disk by `palpd calibrate`; the guard's absolute limit is measured against it, so
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,11 +22,14 @@ DRIFT_N = 0.2
 FREE_N = 3.0
 """Most that a run's tare may differ from the reference: warm-up of a cold HEX is 0.8 N in 90 min, a resting probe presses more."""
 
+Rotation = tuple[tuple[float, float, float], ...]
+"""Three rows of a rotation matrix, as plain floats: it is made anew in every tick."""
 
-def base_from_sensor(rotation_vector_rad: tuple[float, ...], about_flange_z_rad: float) -> Floats:
+
+def base_from_sensor(rotation_vector_rad: tuple[float, ...], about_flange_z_rad: float) -> Rotation:
     """Rotation (3, 3) from the sensor's axes to the base's: the reported TCP orientation times the mounting angle.
 
-    `rotation_vector_rad` (3,) is the axis-angle vector of a UR pose (Rodrigues' formula, in plain floats: it runs in every tick).
+    `rotation_vector_rad` (3,) is the axis-angle vector of a UR pose (Rodrigues' formula).
     """
     rx, ry, rz = rotation_vector_rad
     angle = math.sqrt(rx * rx + ry * ry + rz * rz)
@@ -35,12 +39,8 @@ def base_from_sensor(rotation_vector_rad: tuple[float, ...], about_flange_z_rad:
     first = (c + x * x * v, y * x * v + z * s, z * x * v - y * s)  # columns: where the tool's x and y point
     second = (x * y * v - z * s, c + y * y * v, z * y * v + x * s)
     sm, cm = math.sin(about_flange_z_rad), math.cos(about_flange_z_rad)
-    return np.array(
-        [
-            (a * cm + b * sm, b * cm - a * sm, third)
-            for a, b, third in zip(first, second, (x * z * v + y * s, y * z * v - x * s, c + z * z * v), strict=True)
-        ]
-    )
+    third = (x * z * v + y * s, y * z * v - x * s, c + z * z * v)
+    return tuple((a * cm + b * sm, b * cm - a * sm, d) for a, b, d in zip(first, second, third, strict=True))
 
 
 def tilt_rad(rotation_vector_rad: tuple[float, ...]) -> float:
@@ -52,9 +52,11 @@ def tilt_rad(rotation_vector_rad: tuple[float, ...]) -> float:
     return math.acos(min(1.0, max(-1.0, cosine)))
 
 
-def to_base(wrench: Floats, rotation: Floats) -> Floats:
-    """Wrench (n, 6) in the sensor's axes turned into base axes by `rotation` (3, 3)."""
-    return (wrench.reshape(-1, 3) @ rotation.T).reshape(wrench.shape)
+def to_base(wrench: Sequence[float], zero: Sequence[float], rotation: Rotation) -> list[float]:
+    """Wrench (6,) in the sensor's axes less its zero (6,), turned into base axes."""
+    fx, fy, fz, tx, ty, tz = (measured - offset for measured, offset in zip(wrench, zero, strict=True))
+    force = [a * fx + b * fy + c * fz for a, b, c in rotation]
+    return force + [a * tx + b * ty + c * tz for a, b, c in rotation]
 
 
 @dataclass(slots=True)

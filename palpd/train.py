@@ -389,14 +389,14 @@ def _causal_rms_N(model: InertialModel, samples: Samples, sensor_delay_s: float)
     width = max(1, 2 * round(SMOOTHING_S / ROBOT_STEP_S / 2.0) + 1)
     smooth = _smooth(_smooth(speed, width), width)
     both = np.column_stack([smooth, np.gradient(smooth, ROBOT_STEP_S)])
-    motion, causal = Motion(sensor_delay_s), np.empty((len(robot_s), 2))
+    motion, causal = Motion(sensor_delay_s), []
     zeros = (0.0,) * 6
-    for i, (t_s, vz) in enumerate(zip(robot_s.tolist(), speed.tolist(), strict=True)):
+    for t_s, vz in zip(robot_s.tolist(), speed.tolist(), strict=True):
         moving = (0.0, 0.0, vz, 0.0, 0.0, 0.0)
         motion.update(RobotState(t_s, t_s, zeros, moving, zeros, moving, zeros[:3], RobotMode.RUNNING, SafetyMode.NORMAL, 1, 2, True))
-        causal[i] = motion.features(robot_s[i : i + 1])[0]
+        causal += motion.features([t_s])
     delayed = np.column_stack([np.interp(robot_s - sensor_delay_s, robot_s[width - 1 : 1 - width or None], column) for column in both.T])
-    return _rms(model.predict(causal) - model.predict(delayed))
+    return _rms(np.array(model.predict(causal)) - model.predict(delayed.tolist()))
 
 
 def _refuse_clipping(number: int, samples: Samples) -> None:

@@ -47,4 +47,4 @@ def contact(**changes: Any) -> Contact:
 def sight(now_s: float = 10.0, **changes: Any) -> Sight:
     """All well in free air at that time."""
     seen = Sight(Timing(0, now_s, now_s), robot(now_s), frames(now_s), contact(), floor_z_m=-0.05, safe_z_m=0.03)
-    return replace(seen, **changes)
+    return seen._replace(**changes)

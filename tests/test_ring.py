@@ -26,7 +26,7 @@ def ring() -> Iterator[Ring]:
 
 def put(ring: Ring, *numbers: int) -> None:
     for number in numbers:
-        ring.slot()["index"] = number
+        ring.rows[ring.begin()]["index"] = number
         ring.publish()
 
 
@@ -60,7 +60,7 @@ def test_a_slow_reader_loses_the_oldest_rows_and_is_told_how_many(ring: Ring) ->
 
 def test_a_row_that_is_being_overwritten_is_lost_and_not_read_torn(ring: Ring) -> None:
     put(ring, *range(CAPACITY))
-    ring.slot()["index"] = 99  # begun, not published
+    ring.rows[ring.begin()]["index"] = 99  # begun, not published
     rows, cursor, lost = ring.read(0)
     assert rows["index"].tolist() == list(range(1, CAPACITY))
     assert (cursor, lost) == (CAPACITY, 1)
@@ -68,7 +68,7 @@ def test_a_row_that_is_being_overwritten_is_lost_and_not_read_torn(ring: Ring) -
 
 def test_a_row_begun_by_a_process_that_died_is_never_seen(ring: Ring) -> None:
     put(ring, 1)
-    ring.slot()["index"] = 99
+    ring.rows[ring.begin()]["index"] = 99
     successor = Ring.attach(ring.name)
     put(successor, 2)
     successor.close()

@@ -191,7 +191,7 @@ def test_a_sensor_stuck_to_the_last_digit_is_found() -> None:
             break
     assert verdict.trip == Trip.SENSOR_FROZEN
     assert step >= FROZEN_FRAMES // 8
-    _, verdict = one(sight(), memory=replace(memory, over=False, trip=Trip.NONE, equal_frames=FROZEN_FRAMES))
+    _, verdict = one(sight(), memory=memory._replace(over=False, trip=Trip.NONE, equal_frames=FROZEN_FRAMES))
     assert verdict.action == Action.PASS, "one frame that differs is life"
 
 

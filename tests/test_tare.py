@@ -59,24 +59,23 @@ def test_a_reference_close_by_does_not_refuse() -> None:
 
 def test_with_the_tool_down_pressing_is_positive_in_base_axes() -> None:
     rotation = base_from_sensor((math.pi, 0.0, 0.0), 0.0)
-    pressed = np.array([[0.0, 0.0, -5.0, 0.0, 0.0, 0.0]])
-    assert to_base(pressed, rotation)[0, 2] == pytest.approx(5.0)
+    assert to_base([1.0, 0.0, -5.0, 0.5, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0, 0.25], rotation) == pytest.approx([0, 0, 5.0, 0.5, 0, 0.25])
 
 
 def test_the_mounting_angle_turns_about_the_flange() -> None:
-    rotation = base_from_sensor((0.0, 0.0, 0.0), math.pi / 2)
+    rotation = np.array(base_from_sensor((0.0, 0.0, 0.0), math.pi / 2))
     assert np.allclose(rotation @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     assert np.allclose(rotation @ [0.0, 0.0, 1.0], [0.0, 0.0, 1.0])
 
 
 @given(st.tuples(*[st.floats(-4, 4)] * 3), st.floats(-4, 4))
 def test_a_rotation_keeps_lengths_and_hands(vector: tuple[float, float, float], angle: float) -> None:
-    rotation = base_from_sensor(vector, angle)
+    rotation = np.array(base_from_sensor(vector, angle))
     assert np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
 
 
 @given(st.tuples(*[st.floats(-4, 4)] * 3))
 def test_the_tilt_is_the_angle_between_the_tool_and_straight_down(vector: tuple[float, float, float]) -> None:
-    down = base_from_sensor(vector, 0.0)[2, 2]
+    down = base_from_sensor(vector, 0.0)[2][2]
     assert math.cos(tilt_rad(vector)) == pytest.approx(-down, abs=1e-9)
