@@ -121,6 +121,7 @@ class FrameParser:
         self.lost = 0
         self.implausible = 0
         self._limits = tuple(float(limit) for limit in self.input_limit)
+        self._usual_response = self._response(counter_step)
         self._bulk_frames = self._attempt_frames = bulk_frames  # attempts double while they succeed
         self._tail = b""
         self._begin = 0  # where the tail begins, in bytes since the first
@@ -150,10 +151,10 @@ class FrameParser:
     def _take(self) -> RawFrames:
         if not self._accepted:
             return _NO_RAW
-        frames = np.frombuffer(bytes(self._accepted), _PAYLOAD)
+        words = np.frombuffer(bytes(self._accepted), ">u2").astype(np.uint16).reshape(-1, 8)
         self._accepted.clear()
-        self.frames += len(frames)
-        return RawFrames(frames["counter"].astype(np.uint16), frames["status"].astype(np.uint16), frames["counts"].astype(np.int16))
+        self.frames += len(words)
+        return RawFrames(words[:, 0], words[:, 1], words[:, 2:].view(np.int16))
 
     # framing
 
@@ -215,7 +216,7 @@ class FrameParser:
         counter = frames["counter"].astype(np.int64)
         steps = (counter[1:] - counter[:-1]) & 0xFFFF
         counts = frames["counts"].astype(float)
-        needed = counts[:-1] + (counts[1:] - counts[:-1]) / self._response(self.counter_step)
+        needed = counts[:-1] + (counts[1:] - counts[:-1]) / self._usual_response
         overload = (frames["status"] & OVERLOAD_BITS) != 0
         possible = (np.abs(needed) <= self.input_limit).all(axis=1) | overload[1:] | overload[:-1]
         breaks = [*np.flatnonzero(~((steps == self.counter_step) & possible)) + 1, len(rows)]
@@ -279,11 +280,12 @@ class FrameParser:
     def _is_possible(self, last: _Sample, new: _Sample) -> bool:
         if (last.status | new.status) & OVERLOAD_BITS:
             return True
-        response = self._response((new.counter - last.counter) & 0xFFFF)
-        return all(
-            abs(before + (after - before) / response) <= limit
-            for before, after, limit in zip(last.counts, new.counts, self._limits, strict=True)
-        )
+        steps = (new.counter - last.counter) & 0xFFFF
+        response = self._usual_response if steps == self.counter_step else self._response(steps)
+        for before, after, limit in zip(last.counts, new.counts, self._limits, strict=True):
+            if not -limit <= before + (after - before) / response <= limit:
+                return False
+        return True
 
     def _distance(self, one: _Sample, other: _Sample) -> float:
         return max(abs(a - b) / limit for a, b, limit in zip(one.counts, other.counts, self._limits, strict=True))
