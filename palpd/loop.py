@@ -84,6 +84,7 @@ class Explainer:
     correction_limit_N: float = 0.0
     motion: Motion = field(default_factory=Motion)
     tare: Floats | None = None
+    explained: int = 0
     out_of_range: int = 0
     last: Contact = field(default_factory=lambda: Contact(np.empty((0, 6)), np.empty(0)))
 
@@ -112,10 +113,25 @@ class Explainer:
         )
         return self.last
 
+    def notes(self) -> list[str]:
+        """What the model could not do so far, for whoever reads the result."""
+        if self.model is None:
+            return []
+        notes = list(self.model.warnings)
+        if self.out_of_range:
+            notes.append(
+                f"{self.out_of_range / self.explained:.1%} of the samples moved faster or harder than the inertial model was trained for; "
+                "there it was asked for the nearest edge: train on motion like that of the plan"
+            )
+        if self.model.not_finite:
+            notes.append(f"the inertial model gave no number for {self.model.not_finite} samples, which were left uncorrected; train it again")
+        return notes
+
     def _inertial(self, frames: SensorFrames) -> list[float]:
         if self.model is None:
             return [0.0] * len(frames)
         features = self.motion.features(frames.t_s.tolist())
+        self.explained += len(features)
         self.out_of_range += self.model.out_of_range(features)
         limit_N = self.correction_limit_N
         return [min(max(predicted_N, -limit_N), limit_N) for predicted_N in self.model.predict(features)]

@@ -219,8 +219,7 @@ def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: 
     answer = {
         "outcome": asdict(replace(outcome, trips=[])),
         "trips": trips,
-        "missing_privileges": granted.missing,
-        "out_of_range": explainer.out_of_range,
+        "notes": [*granted.missing, *explainer.notes()],
     }
     return answer, outcome.verdict == "done"
 

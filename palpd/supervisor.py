@@ -179,7 +179,7 @@ class Run:
 def _report(answer: dict[str, Any]) -> Report:
     outcome = answer["outcome"]
     code = 0 if outcome["verdict"] == "done" else 2 if outcome["refused"] else 3
-    return Report(outcome["verdict"], outcome["reason"], code, tuple(answer["trips"]), notes=tuple(answer["missing_privileges"]))
+    return Report(outcome["verdict"], outcome["reason"], code, tuple(answer["trips"]), notes=tuple(answer["notes"]))
 
 
 def header_of(job: Job, about: dict[str, Any], reference: list[float]) -> dict[str, Any]:

@@ -13,10 +13,12 @@ from onnx import TensorProto, helper, numpy_helper
 
 from palpd.errors import ModelRefused
 from palpd.inertial import INPUT_NAME, INPUTS, OUTPUT_NAME, SCHEMA, WINDOW_S, InertialModel, Motion, card_path
-from palpd.tick import RobotMode, RobotState, SafetyMode
+from palpd.loop import Explainer
+from palpd.tick import RobotMode, RobotState, SafetyMode, SensorFrames
 
 MASS_KG = 0.2
 BIAS_N = 0.19
+EMPTY = (np.zeros(1, np.uint16), np.zeros(1, np.uint16))
 
 
 def state(t_s: float, vz_m_per_s: float) -> RobotState:
@@ -220,3 +222,16 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
     assert "the sensor connected tells no serial number" in load(written(tmp_path), sensor_serial=None).warnings[0]
     unknown = written(tmp_path, change=lambda card: card.update(sensor_serial=None))
     assert "the card tells no serial number" in load(unknown).warnings[0]
+
+
+def test_what_the_model_could_not_do_is_told_to_the_reader(tmp_path: Path) -> None:
+    def notes(model: InertialModel | None, speed_m_per_s: float) -> str:
+        explainer = Explainer(np.zeros(6), model=model, correction_limit_N=0.5)
+        for k in range(4):
+            explainer.contact(state(0.01 * k, speed_m_per_s), SensorFrames(np.array([0.01 * k]), *EMPTY, np.zeros((1, 6))))
+        return "; ".join(explainer.notes())
+
+    assert notes(None, 1.0) == notes(load(written(tmp_path)), 0.01) == ""
+    assert "100.0% of the samples" in notes(load(written(tmp_path)), 1.0)
+    assert "no number for 4 samples" in notes(load(written(tmp_path, linear(offset=float("nan")))), 0.01)
+    assert "not checked" in notes(load(written(tmp_path), sensor_serial=None), 0.01)
