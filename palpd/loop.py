@@ -124,7 +124,7 @@ class Explainer:
                 "there it was asked for the nearest edge: train on motion like that of the plan"
             )
         if self.model.not_finite:
-            notes.append(f"the inertial model gave no number for {self.model.not_finite} samples, which were left uncorrected; train it again")
+            notes.append(f"the inertial model gave no number for {self.model.not_finite} samples; they stay uncorrected: train it again")
         return notes
 
     def _inertial(self, frames: SensorFrames) -> list[float]:
