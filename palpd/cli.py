@@ -210,6 +210,7 @@ def sim(
         "reason": done.outcome.reason,
         "sites": results.sites(done.rows, done.header),
         "loop": {"ticks": done.outcome.ticks, "missed": done.outcome.missed},
+        "model_card": done.header["model_card"],
         "recording": None,
         "notes": ["the cell was simulated without wires: bytes, timing and faults were not part of it"],
     }

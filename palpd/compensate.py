@@ -2,8 +2,8 @@
 
 All have one interface: learn from recordings of free motion, start afresh with a recording (a new tare), then say for each sensor
 sample how much of fz is no contact. Nothing is seen before it has come. Sources: [paper] Guo, Xiao, Ren 2019; [29, 30] Kubus et al.
-2008, 2009; [31] Bätz et al. 2013; [32] Farsoni et al. 2017. The free-air ones learn on during a recording, but only while the tip
-touches nothing: a bias that learns under contact would learn the contact away.
+2008, 2009; [31] Bätz et al. 2013; [32] Farsoni et al. 2017. The free-air ones learn on during a recording, but only where the height is
+known to be clear of the tissue, and the force says so too: a bias that learns under contact would learn the contact away.
 """
 
 import math
@@ -15,8 +15,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from palpd.compensate_zero import FreeAir, RunningZero
 from palpd.inertial import InertialModel, Motion
+from palpd.running_zero import FreeAir, RunningZero
 from palpd.study_cell import STEP_S, CUTOFF_Hz, Take
 from palpd.tick import Floats, RobotMode, RobotState, SafetyMode
 from palpd.train import Method as Trained
@@ -34,7 +34,9 @@ READING_SIGMA_N = 0.065
 
 
 class Sample(NamedTuple):
-    """One sensor sample with what is known when it is explained. `speed` and `tool_az` are NaN unless a robot state has just come."""
+    """One sensor sample with what is known when it is explained. `speed` and `tool_az` are NaN unless a robot state has just come;
+    `clear` says that the tip is higher than whatever is pressed.
+    """
 
     t_s: float
     fz_N: float
@@ -43,6 +45,7 @@ class Sample(NamedTuple):
     commanded_az_m_per_s2: float
     speed_m_per_s: float
     tool_az_m_per_s2: float
+    clear: bool
 
 
 class Method(Protocol):
@@ -80,12 +83,13 @@ def features(robot_t_s: Floats, speed: Floats, t_s: Floats, delay_s: float = SEN
 
 def stream(run: Take) -> Iterator[Sample]:
     """The samples of a recording in their order."""
+    clear = run.z_m >= run.clear_z_m
     seen = features(run.robot_t_s, run.robot_vz_m_per_s, run.t_s)
     commanded = features(run.robot_t_s, run.target_vz_m_per_s, run.t_s)[:, 1]
     at_state = np.full((len(run.t_s), 2), np.nan)
     at_state[np.searchsorted(run.t_s, run.robot_t_s)] = np.column_stack([run.robot_vz_m_per_s, run.tool_az_m_per_s2])
-    columns = np.column_stack([run.t_s, run.fz_N, seen, commanded, at_state])
-    return (Sample(*row) for row in columns.tolist())
+    columns = (run.t_s, run.fz_N, *seen.T, commanded, *at_state.T, clear)
+    return map(Sample, *(column.tolist() for column in columns))
 
 
 def corrections(method: Method, run: Take) -> Floats:
@@ -176,22 +180,23 @@ class LineAndRunningZero:
     name = "m·a + running zero"
 
     def __init__(self) -> None:
-        self._mass_kg = 0.0
+        self._bias_N = self._mass_kg = 0.0
         self._zero = RunningZero()
 
     def fit(self, runs: Sequence[Take]) -> None:
         """Mass; and the bias to start with."""
-        bias_N, self._mass_kg = _line(runs)
-        self._zero = RunningZero(bias_N)
+        self._bias_N, self._mass_kg = _line(runs)
 
     def start(self) -> None:
         """The zero of the last recording is not that of this one."""
-        self._zero.start()
+        self._zero = RunningZero(self._bias_N)
 
     def step(self, sample: Sample) -> float:
         """Bias and inertia."""
         inertia_N = -self._mass_kg * sample.az_m_per_s2
-        return self._zero.step(sample.t_s, sample.fz_N - inertia_N) + inertia_N
+        if sample.clear:
+            self._zero.step(sample.t_s, sample.fz_N - inertia_N)
+        return self._zero.zero_N + inertia_N
 
 
 class InstrumentalVariables:
@@ -212,7 +217,7 @@ class InstrumentalVariables:
 
     def start(self) -> None:
         """Back to what was learned, sure of the mass and not of the bias."""
-        self._free.start()
+        self._free = FreeAir()
         self._theta = self._fitted.copy()
         self._P = np.diag([1.0, (MASS_SIGMA_KG / READING_SIGMA_N) ** 2])
 
@@ -220,7 +225,7 @@ class InstrumentalVariables:
         """Bias and inertia."""
         slopes = np.array([1.0, -sample.az_m_per_s2])
         predicted_N = float(slopes @ self._theta)
-        if self._free(sample.t_s, sample.fz_N - predicted_N):
+        if sample.clear and self._free(sample.t_s, sample.fz_N - predicted_N):
             instrument = np.array([1.0, -sample.commanded_az_m_per_s2])
             gain = self._P @ instrument / (self.forget + float(slopes @ self._P @ instrument))
             self._theta = self._theta + gain * (sample.fz_N - predicted_N)
@@ -276,7 +281,7 @@ class ExtendedKalman:
 
     def start(self) -> None:
         """At rest, the mass known, the bias not."""
-        self._free.start()
+        self._free = FreeAir()
         bias_N, mass_kg = self._fitted
         self._x = np.array([bias_N, mass_kg, 0.0, 0.0, bias_N])
         self._P = np.diag([0.1**2, MASS_SIGMA_KG**2, 1e-6, 1e-4, 0.1**2])
@@ -289,7 +294,7 @@ class ExtendedKalman:
             if self._tool:
                 self._correct(TOOL, sample.tool_az_m_per_s2, TOOL_NOISE_M_PER_S2)
         shown_N = float(self._x[4])
-        if self._free(sample.t_s, sample.fz_N - shown_N):
+        if sample.clear and self._free(sample.t_s, sample.fz_N - shown_N):
             self._correct(READING, sample.fz_N, READING_SIGMA_N)
         return shown_N
 

@@ -80,9 +80,13 @@ def filter_delay_s(cutoff_Hz: float | None) -> float:
 
 
 class ModelConfig(_Frozen):
-    """The inertial model; without a path nothing is corrected, and the output says so."""
+    """The inertial model; without a path nothing is corrected, and the output says so.
+
+    `zero` is where its bias comes from: followed in free air (running), or as it was trained (learned), which is the paper's way.
+    """
 
     path: Path | None = None
+    zero: Literal["running", "learned"] = "running"
     correction_limit_N: float = Field(default=0.5, ge=0, le=5)
 
 

@@ -47,7 +47,7 @@ def palpate(full: bool, folder: Path | None, console: Console) -> dict[str, Any]
         free = carry_out(job("free_motion", config, plan), devices, console, "free-motion")
         if free.exit_code or free.recording is None:
             return {**findings(free), "sites": []}
-        console.print("3/4 learning the inertial model (2-10-1) from it")
+        console.print("3/4 learning the inertial model from it")
         recording = Recording.load(free.recording)
         model = folder / "inertial.onnx"
         about = recording.header["about"]
@@ -57,7 +57,6 @@ def palpate(full: bool, folder: Path | None, console: Console) -> dict[str, Any]
             probe_mass_kg=config.cell.probe.mass_kg,
             sensor_serial=about["sensor_serial"],
             sensor_delay_s=about["delay_s"],
-            method="network",
         )
         config = config.model_copy(update={"model": ModelConfig(path=model)})
         presses = len(plan.sites) * len(plan.depths_m) * (1 + plan.repeats)
@@ -156,8 +155,9 @@ def _tell(found: dict[str, Any], card: Any, console: Console) -> None:
         console.print(depth_table(found["sites"]))
         console.print(*site_tables(found["sites"], card.bias_N), sep="\n")
     console.print(
-        f"Inertial model: network 2-10-1 learned from the free motion above, {card.n} points, rmse {card.rmse_N * 1e3:.0f} mN. "
-        f"Of what it takes away {card.bias_N:+.3f} N is bias and {card.inertial_rms_N * 1e3:.1f} mN rms is inertia."
+        f"Inertial model: b - m a learned from the free motion above, {card.n} points, rmse {card.rmse_N * 1e3:.0f} mN: a bias of "
+        f"{card.bias_N:+.3f} N and a mass of {card.mass_kg:.3f} kg, {card.inertial_rms_N * 1e3:.1f} mN rms of inertia. "
+        "The bias of each press is followed from there by the running zero."
     )
     for note in found["notes"]:
         console.print(f"note: {note}")

@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
@@ -11,6 +12,7 @@ import numpy as np
 from palpd.clock import Clock
 from palpd.errors import PalpdError, Stopped
 from palpd.inertial import InertialModel, Motion
+from palpd.running_zero import RunningZero
 from palpd.safety import Guard, Limits, Sight, guard, sentence
 from palpd.sequence import Look, Sequence
 from palpd.tare import Tare, base_from_sensor, tilt_rad, to_base
@@ -74,13 +76,15 @@ class Outcome:
 class Explainer:
     """Turns raw frames into contact: axes, running tare, inertial prediction. `reference` (6,) is the tare of the last calibration.
 
-    The model's correction is bounded by `correction_limit_N` and its inputs by the range it was trained in, so it can hide at most
-    that much of a contact; the absolute force never sees it.
+    What the model leaves in free air, the running `zero` takes away (without one the bias is the model's own). Both together are bounded
+    by `correction_limit_N` and the model's inputs by the range it was trained in, so they can hide at most that much of a contact; the
+    absolute force never sees them.
     """
 
     reference: Floats
     rotation_about_flange_z_rad: float = 0.0
     model: InertialModel | None = None
+    zero: RunningZero | None = None
     correction_limit_N: float = 0.0
     motion: Motion = field(default_factory=Motion)
     tare: Floats | None = None
@@ -88,8 +92,8 @@ class Explainer:
     out_of_range: int = 0
     last: Contact = field(default_factory=lambda: Contact(np.empty((0, 6)), np.empty(0)))
 
-    def contact(self, robot: RobotState, frames: SensorFrames) -> Contact:
-        """What the new frames say; without new frames the last numbers with no rows."""
+    def contact(self, robot: RobotState, frames: SensorFrames, clear_z_m: float = math.inf) -> Contact:
+        """What the new frames say; without new frames the last numbers with no rows. Above `clear_z_m` the tip touches nothing."""
         self.motion.update(robot)
         if not len(frames):
             self.last = _without_rows(self.last)
@@ -100,7 +104,7 @@ class Explainer:
         zero = (self.reference if self.tare is None else self.tare).tolist()
         x0_N, y0_N, z0_N, *_ = self.reference.tolist()
         tared = [to_base(wrench, zero, rotation) for wrench in wrenches]
-        inertial_N = self._inertial(frames)
+        inertial_N = self._inertial(frames, tared, robot.z_m >= clear_z_m)
         forces_N = [row[2] - inertia for row, inertia in zip(tared, inertial_N, strict=True)]
         self.last = Contact(
             np.array(tared),
@@ -110,6 +114,7 @@ class Explainer:
             lateral_N=largest([math.hypot(row[0], row[1]) for row in tared]),
             torque_Nm=largest([abs(torque) for row in tared for torque in row[3:]]),
             absolute_N=largest([math.hypot(x - x0_N, y - y0_N, z - z0_N) for x, y, z, *_ in wrenches]),
+            zero_N=self.zero.zero_N if self.zero is not None else 0.0,
         )
         return self.last
 
@@ -127,14 +132,20 @@ class Explainer:
             notes.append(f"the inertial model gave no number for {self.model.not_finite} samples; they stay uncorrected: train it again")
         return notes
 
-    def _inertial(self, frames: SensorFrames) -> list[float]:
+    def _inertial(self, frames: SensorFrames, tared: list[list[float]], clear: bool) -> list[float]:
+        """What model and zero take from fz at each sample. The zero learns from what the model leaves, where the tip is clear."""
         if self.model is None:
             return [0.0] * len(frames)
-        features = self.motion.features(frames.t_s.tolist())
+        t_s = frames.t_s.tolist()
+        features = self.motion.features(t_s)
         self.explained += len(features)
         self.out_of_range += self.model.out_of_range(features)
-        limit_N = self.correction_limit_N
-        return [min(max(predicted_N, -limit_N), limit_N) for predicted_N in self.model.predict(features)]
+        found_N, zero, limit_N = self.model.predict(features), self.zero, self.correction_limit_N
+        if zero is not None and clear:
+            found_N = [model_N + zero.step(at_s, row[2] - model_N) for at_s, row, model_N in zip(t_s, tared, found_N, strict=True)]
+        elif zero is not None:
+            found_N = [model_N + zero.zero_N for model_N in found_N]
+        return [min(max(correction_N, -limit_N), limit_N) for correction_N in found_N]
 
 
 def largest(values: list[float]) -> float:
@@ -143,9 +154,7 @@ def largest(values: list[float]) -> float:
 
 
 def _without_rows(contact: Contact) -> Contact:
-    return Contact(
-        np.empty((0, 6)), np.empty(0), contact.force_N, contact.mean_N, contact.lateral_N, contact.torque_Nm, contact.absolute_N
-    )
+    return replace(contact, tared=np.empty((0, 6)), inertial_N=np.empty(0))
 
 
 @dataclass(slots=True)
@@ -166,6 +175,7 @@ class Loop:
     _tare: Tare = field(default_factory=Tare)
     _last: deque[Turn] = field(default_factory=lambda: deque(maxlen=LAST_TICKS))
     _work_us: float = 0.0
+    _clear_z_m: float = math.inf
 
     def run(self) -> Outcome:
         """Turn until the sequence is over. However this is left, stop goes out `stops` times; the devices are closed by who opened them."""
@@ -182,11 +192,12 @@ class Loop:
 
     def rehearse(self, times: int = 100) -> None:
         """Do what a tick does short of deciding and acting, until caches and allocators are warm: a first time costs 20 ms."""
-        rehearsed = replace(self.explainer, motion=Motion(self.explainer.motion.sensor_delay_s))
+        motion = Motion(self.explainer.motion.sensor_delay_s)
+        rehearsed = replace(self.explainer, motion=motion, zero=deepcopy(self.explainer.zero))
         for index in range(times):
             robot, frames = self.robot.read(), self.sensor.read()
             timing = Timing(index, robot.t_s, robot.t_s)
-            contact = rehearsed.contact(robot, frames if len(frames) else ONE_FRAME)
+            contact = rehearsed.contact(robot, frames if len(frames) else ONE_FRAME, clear_z_m=-math.inf)
             sight = self._sight(timing, robot, frames, contact, Request.NONE, Progress())
             _, verdict = guard(self.limits, Guard(), sight, STILL)
             Tare().add(robot, frames)
@@ -196,9 +207,10 @@ class Loop:
         """One tick; false when it was the last."""
         timing = self.clock.wait()
         robot, frames = self.robot.read(), self.sensor.read()
-        contact = self.explainer.contact(robot, frames)
+        contact = self.explainer.contact(robot, frames, self._clear_z_m)
         request = self.request()
         proposal = self._decide(timing, robot, frames, contact, request)
+        self._clear_z_m = proposal.progress.clear_z_m
         self._memory, verdict = guard(
             self.limits, self._memory, self._sight(timing, robot, frames, contact, request, proposal.progress), proposal.command
         )

@@ -19,13 +19,14 @@ from typing import Any, Literal
 import numpy as np
 
 from palpd.clock import RealClock
-from palpd.config import Config, Plan
+from palpd.config import Config, ModelConfig, Plan
 from palpd.errors import PalpdError, Refused, Stopped
 from palpd.inertial import InertialModel, Motion
 from palpd.loop import Explainer, Loop, Outcome, Turn
 from palpd.realtime import DEVICE_PRIORITY, fifo, realtime
 from palpd.ring import LoopState, Ring
 from palpd.rows import RowWriter
+from palpd.running_zero import RunningZero
 from palpd.safety import Limits, sentence
 from palpd.sequence import Body, FreeMotion, Palpation, RigidPress, Script, Sequence, Watch
 from palpd.tare import Tare
@@ -121,9 +122,15 @@ def explainer_of(job: Job, sensor_serial: str | None, delay_s: float) -> Explain
         reference=np.array(job.reference or np.zeros(6), dtype=float),
         rotation_about_flange_z_rad=config.sensor.rotation_about_flange_z_rad,
         model=model,
+        zero=zero_of(config.model) if model is not None else None,
         correction_limit_N=config.model.correction_limit_N,
         motion=Motion(delay_s),
     )
+
+
+def zero_of(model: ModelConfig) -> RunningZero | None:
+    """The running zero that follows what the model leaves, where one was chosen."""
+    return RunningZero(limit_N=model.correction_limit_N) if model.zero == "running" else None
 
 
 def serve(build: Build, ring_name: str, pipe: Connection, life: Connection) -> None:

@@ -14,7 +14,7 @@ from palpd.config import Config, Plan, parse_config, parse_plan
 from palpd.errors import RecordingError
 from palpd.inertial import InertialModel, Motion
 from palpd.loop import Explainer, Loop, Turn
-from palpd.motion import Job, limits_of, sequence_of
+from palpd.motion import Job, limits_of, sequence_of, zero_of
 from palpd.record import RecordedRobot, RecordedSensor, Recording
 from palpd.rows import RowWriter
 from palpd.safety import Guard, Sight, guard, sentence
@@ -34,6 +34,7 @@ from palpd.tick import (
 )
 
 DECISIONS = (
+    "zero_N",
     "phase",
     "mode",
     "site",
@@ -97,6 +98,7 @@ def replay(recording: Recording, config: Config | None = None) -> dict[str, Any]
         reference=np.array(header["reference"], dtype=float),
         rotation_about_flange_z_rad=config.sensor.rotation_about_flange_z_rad,
         model=model,
+        zero=zero_of(config.model) if model is not None else None,
         correction_limit_N=config.model.correction_limit_N,
         motion=Motion(header["body"]["delay_s"]),
     )

@@ -7,7 +7,9 @@ from rich.table import Table
 
 
 def site_tables(sites: list[dict[str, Any]], bias_N: float | None) -> tuple[Table, Table]:
-    """How stiff each site is, static against dynamic; and what the correction did. `bias_N` is the model card's."""
+    """How stiff each site is, static against dynamic; and what the correction did. `bias_N` is the model card's; the running zero is
+    bias too.
+    """
     stiff = _table("How stiff each site is (E in kPa)", "site", "true", "static", "off", "dynamic", "corrected", "YMBT", "corrected")
     forces = _table("Forces", "site", "peak", "cut short", "correction", "= bias", "+ inertial")
     for site in sites:
@@ -23,13 +25,14 @@ def site_tables(sites: list[dict[str, Any]], bias_N: float | None) -> tuple[Tabl
             _percent(site["ymbt_corrected"]),
         )
         parts = bias_N is not None and correction_N is not None
+        site_bias_N = (bias_N or 0.0) + (site["running_zero_N"] or 0.0)
         forces.add_row(
             site["name"],
             f"{site['peak_force_N']:.2f} N" if site["peak_force_N"] is not None else "–",
             ", ".join(f"{d * 1e3:g} mm" for d in site["cut_short_depths_m"]) or "none",
             f"{correction_N:+.3f} N" if parts else "none",
-            f"{bias_N:+.3f} N" if parts else "–",
-            f"{correction_N - bias_N:+.3f} N" if parts else "–",
+            f"{site_bias_N:+.3f} N" if parts else "–",
+            f"{correction_N - site_bias_N:+.3f} N" if parts else "–",
         )
     return stiff, forces
 

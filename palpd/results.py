@@ -30,6 +30,7 @@ class Track:
     tip_z_m: Floats
     fz_N: Floats
     inertial_N: Floats
+    zero_N: Floats
     phase: NDArray[np.uint8]
     mode: NDArray[np.uint8]
     site: NDArray[np.int16]
@@ -56,7 +57,7 @@ def track(rows: NDArray[np.void], delay_s: float, machine_stiffness_N_per_m: flo
         tip_z_m=z_m + fz_N / machine_stiffness_N_per_m,
         fz_N=fz_N,
         inertial_N=rows["inertial_N"][filled],
-        **{name: rows[name][tick_of] for name in ("phase", "mode", "site", "repeat", "depth_m", "surface_z_m", "cut_short")},
+        **{name: rows[name][tick_of] for name in ("phase", "mode", "site", "repeat", "depth_m", "surface_z_m", "cut_short", "zero_N")},
     )
 
 
@@ -118,6 +119,7 @@ def _site(of_site: Track, name: str, tip: tuple[float, float]) -> dict[str, Any]
         "ymbt_corrected": ymbt(corrected_E, static_E) if corrected_E and static_E else None,
         "peak_force_N": float(contact_N.max()) if len(contact_N) else None,
         "correction_N": _mean(press["correction_N"] for press in presses),
+        "running_zero_N": _mean(press["running_zero_N"] for press in presses),
         "cut_short": bool(of_site.cut_short.any()),
         "cut_short_depths_m": sorted({float(d) for d in of_site.depth_m[of_site.cut_short > 0]}),
         "depths": static,
@@ -170,6 +172,7 @@ def _presses(of_site: Track, depth_m: float, tip: tuple[float, float]) -> list[d
                 "peak_depth_m": at_m,
                 "original_N": float(force_N[peak]),
                 "correction_N": float(inertial_N[peak]),
+                "running_zero_N": float(press.zero_N[peak]),
                 "original_Pa": modulus_peak_Pa(float(force_N[peak]), at_m, *tip),
                 "corrected_Pa": modulus_peak_Pa(corrected_N, at_m, *tip),
                 "cut_short": bool(press.cut_short.any()),

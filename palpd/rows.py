@@ -37,7 +37,7 @@ class RowWriter:
         )  # fmt: skip
         _TAIL.pack_into(
             self._bytes, start + _TAIL_AT,
-            contact.force_N, contact.absolute_N, progress.phase, progress.mode, progress.site, progress.repeat,
+            contact.zero_N, contact.force_N, contact.absolute_N, progress.phase, progress.mode, progress.site, progress.repeat,
             progress.depth_m, progress.surface_z_m, progress.cut_short,
             *proposed.velocity_m_per_s, proposed.stop, *command.velocity_m_per_s, command.stop,
             verdict.action, verdict.trip, verdict.measured, verdict.limit,

@@ -30,6 +30,10 @@ REACTION_S = 0.1
 SOFT_END = 0.9
 """Share of the contact limit at which the sequence ends a press by itself, before the guard has to."""
 BASELINE_S = 0.5
+CLEAR_SHARE = 0.5
+"""Of the safe height above a surface that was found: higher than this the tip is clear of tissue that bulges or clings."""
+CLEAR_BELOW_HOME_M = 0.001
+"""Where the run was tared and the arm travels is free air; the arm may be seen so far below its target."""
 SETTLE_WINDOW_S = 0.5
 SETTLED_N = 0.02
 """Change between two windows below which a force counts as stable: their means differ by 3 mN of noise alone."""
@@ -92,7 +96,7 @@ class Sequence:
         if look.request == Request.RESUME:
             self._paused = False
         if self._paused and not self.over:
-            return Proposal(STILL, replace(self._script.progress, phase=Phase.PAUSED))
+            return Proposal(STILL, replace(self._script.progress, phase=Phase.PAUSED, clear_z_m=math.inf))
         try:
             if self._turns is None:
                 self._script.begin(look)
@@ -187,6 +191,7 @@ class Palpation(Script):
         """From the first site to the last, ending above it at the height of the start."""
         for index, site in enumerate(self.plan.sites):
             self.note(site=index, mode=Mode.NONE, depth_m=math.nan, surface_z_m=math.nan, repeat=-1, cut_short=False)
+            self.note(clear_z_m=self.home[2] - CLEAR_BELOW_HOME_M)
             yield from self.travel(self.home[0] + site.x_m, self.home[1] + site.y_m)
             surface_z_m = yield from self.find_surface()
             self.note(surface_z_m=surface_z_m, safe_z_m=surface_z_m + self.plan.safe_height_m)
@@ -212,7 +217,7 @@ class Palpation(Script):
         robot_track: deque[tuple[float, float]] = deque(maxlen=kept)
         force_track: deque[tuple[float, float]] = deque(maxlen=kept)
         force_N = 0.0
-        self.note(phase=Phase.SEARCH, floor_z_m=lowest_m)
+        self.note(phase=Phase.SEARCH, floor_z_m=lowest_m, clear_z_m=math.inf)
         while force_N < CONTACT_FORCE_N:
             if self.look.robot.target_pose[2] <= lowest_m + REACHED_M:
                 raise SurfaceNotFound(
@@ -230,7 +235,7 @@ class Palpation(Script):
         height_m = np.interp(force[:, 0], robot[:, 0], robot[:, 1]) + force[:, 1] / self.body.machine_stiffness_N_per_m
         seen = force[:, 0] <= robot[-1, 0]  # a robot state newer than the frame, else its height would be guessed
         surface_z_m, _ = surface_from_approach(height_m[seen], force[seen, 1], self.body.tip_radius_m)
-        self.note(phase=Phase.RETRACT, surface_z_m=surface_z_m)
+        self.note(phase=Phase.RETRACT, surface_z_m=surface_z_m, clear_z_m=surface_z_m + CLEAR_SHARE * self.plan.safe_height_m)
         yield from self.go_to(surface_z_m + self.plan.safe_height_m, self.body.max_speed_m_per_s)
         yield from self.come_to_rest()
         return surface_z_m

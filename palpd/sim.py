@@ -160,8 +160,10 @@ def run(job: Job, cell: CellFile, *, seed: int = 0, requests: Mapping[int, Reque
         request=lambda: requests.get(len(record.rows), Request.NONE),
     )
     outcome = loop.run()
+    model = loop.explainer.model
     poisson = cell.tissue.poisson_ratio if cell.tissue else 0.5
     header = {
+        "model_card": model.card if model is not None else None,
         "sites": [site.model_dump() for site in job.plan.sites],
         "body": {
             "tip_radius_m": config.cell.probe.tip_radius_m,

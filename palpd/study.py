@@ -20,6 +20,7 @@ from palpd.gap.diagnosis import diagnose
 from palpd.record import Recording
 from palpd.results import PEAK_WINDOW_S
 from palpd.results import sites as site_results
+from palpd.sequence import CLEAR_SHARE
 from palpd.study_cell import Move, Take, free_cell, ramps, setup, take
 from palpd.study_paper import MEAN_FREE_N, POISSON_RATIO, SETUPS, STROKE_M, STROKE_S, TIP_RADIUS_M, static
 from palpd.tick import Floats, Mode, Phase
@@ -289,7 +290,7 @@ def _cards(methods: dict[str, Method]) -> dict[str, dict[str, Any]]:
 # recordings of a real cell
 
 
-def take_of(rows: np.ndarray[Any, np.dtype[np.void]], name: str) -> Take:
+def take_of(rows: np.ndarray[Any, np.dtype[np.void]], name: str, clear_z_m: float = -math.inf) -> Take:
     """The rows (ROW of palpd.tick) of a recording, as the methods take them; nobody knows the true contact. Raises RecordingError."""
     filled = np.arange(rows["frame_t_s"].shape[1]) < rows["frames"][:, None]
     robot_t_s, first = np.unique(rows["robot_t_s"], return_index=True)
@@ -309,6 +310,7 @@ def take_of(rows: np.ndarray[Any, np.dtype[np.void]], name: str) -> Take:
         states["target_speed"][:, 2],
         states["tool_acceleration_m_per_s2"][:, 2],
         np.full(len(t_s), math.nan),
+        clear_z_m,
     )
 
 
@@ -333,7 +335,9 @@ def recorded(
             raise BadInput(
                 f"site {site['name']} holds {len(holds)} static presses and {len(rows)} dynamic ticks; run a plan with mode: both"
             )
-        dynamic = take_of(rows, f"site {site['name']}")
+        rest_z_m = float(np.median(rows["tcp_pose"][rows["phase"] == Phase.BASELINE, 2]))
+        clear_z_m = site["surface_z_m"] + CLEAR_SHARE * (rest_z_m - site["surface_z_m"])
+        dynamic = take_of(rows, f"site {site['name']}", clear_z_m)
         keys = np.repeat(rows["depth_m"] * 1e6 + rows["repeat"] * 1e-3, rows["frames"])
         edges = np.concatenate(([0], np.flatnonzero(np.diff(keys)) + 1, [len(keys)]))
         presses = [slice(int(a), int(b)) for a, b in pairwise(edges)]

@@ -4,6 +4,7 @@ A whole recording is computed in one piece by the cell's physics, so an hour of 
 tell stands beside it: the true contact force.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from palpd.cell import Cell
 from palpd.cell_file import PHANTOM, CellFile
 from palpd.dynamics import lowpass, servo
 from palpd.samples import Samples
+from palpd.sequence import CLEAR_SHARE
 from palpd.tick import Floats
 
 COUNT_FZ_N = 0.131
@@ -46,6 +48,7 @@ class Take:
     """One emulated recording. Sensor samples (n,): `t_s`, `z_cmd_m`, `z_m` and `vz_m_per_s` (reported, interpolated between robot
     states), `fz_N` (tared, rounded to counts). Robot states (k,): `robot_t_s`, `robot_vz_m_per_s`, `target_vz_m_per_s`,
     `tool_az_m_per_s2`. Known to the emulator only: `contact_N` (n,), the force of the tissue on the tip as the sensor's filter shows it.
+    Above `clear_z_m` nothing is touched, as far as who drives knows.
     """
 
     t_s: Floats
@@ -58,6 +61,7 @@ class Take:
     target_vz_m_per_s: Floats
     tool_az_m_per_s2: Floats
     contact_N: Floats
+    clear_z_m: float = -math.inf
 
     def samples(self) -> Samples:
         """The same as a recording that training and diagnosis take; the five other axes are zero."""
@@ -91,7 +95,10 @@ def ramps(start_z_m: float, moves: Sequence[Move], step_s: float = STEP_S) -> tu
 
 
 def take(cell: CellFile, z_cmd_m: Floats, seed: int) -> Take:
-    """Tare the sensor at rest where the motion begins, then follow the commanded heights (n,) at 500 Hz."""
+    """Tare the sensor at rest where the motion begins, then follow the commanded heights (n,) at 500 Hz.
+
+    Above tissue whose surface is believed at 0, the upper half of the way to where the motion begins counts as clear, as in the daemon.
+    """
     rng = np.random.default_rng([seed, 1])
     count_N, sensor = cell.sensor.resolution_fz_N, cell.sensor
     physics = Cell(cell, seed=seed, step_s=STEP_S)
@@ -124,6 +131,7 @@ def take(cell: CellFile, z_cmd_m: Floats, seed: int) -> Take:
         np.gradient(z_cmd_m, STEP_S)[states],
         tool,
         seen_N,
+        CLEAR_SHARE * float(z_cmd_m[0]) if cell.tissue is not None else -math.inf,
     )
 
 

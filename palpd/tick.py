@@ -195,7 +195,8 @@ class Verdict:
 class Progress:
     """Where in the plan a tick stands. `surface_z_m` and `depth_m` are NaN until known.
 
-    `floor_z_m` is the lowest height that the present step may reach, `safe_z_m` the height at which a retract may end.
+    `floor_z_m` is the lowest height that the present step may reach, `safe_z_m` the height at which a retract may end. Above
+    `clear_z_m` the script vouches that the tip touches nothing.
     """
 
     phase: Phase = Phase.IDLE
@@ -207,6 +208,7 @@ class Progress:
     cut_short: bool = False
     floor_z_m: float = float("-inf")
     safe_z_m: float = float("inf")
+    clear_z_m: float = float("inf")
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +246,8 @@ class Contact:
     `tared` (n, 6) is the measured wrench less the running tare (f_m - f_g), `inertial_N` (n,) what the model takes from fz. Of the
     newest frames: `force_N` the largest compensated contact force (f_c of Guo, Xiao, Ren 2019, eq. 5), `mean_N` its mean, `lateral_N`
     and `torque_Nm` the largest, `absolute_N` the largest raw force against the reference tare, which no model and no re-tare touches.
-    A tick without frames repeats the last numbers: how old they may get is the guard's to judge.
+    `zero_N` is how much of `inertial_N` is the running zero. A tick without frames repeats the last numbers: how old they may get is the
+    guard's to judge.
     """
 
     tared: Floats
@@ -254,6 +257,7 @@ class Contact:
     lateral_N: float = 0.0
     torque_Nm: float = 0.0
     absolute_N: float = 0.0
+    zero_N: float = 0.0
 
 
 class Robot(Protocol):
@@ -316,6 +320,7 @@ ROW = np.dtype(
         ("wrench", "<f8", (MAX_FRAMES, 6)),  # as SensorFrames.wrench
         ("tared", "<f8", (MAX_FRAMES, 6)),  # as Contact.tared
         ("inertial_N", "<f8", (MAX_FRAMES,)),
+        ("zero_N", "<f8"),
         ("force_N", "<f8"),
         ("absolute_N", "<f8"),
         ("phase", "u1"),
