@@ -3,7 +3,7 @@ PYTHON ?= python3
 UV := .venv/bin/uv
 READY := .venv/.ready
 
-.PHONY: setup demo test test-service lint bench clean
+.PHONY: setup demo test test-service lint bench faults soak clean
 
 setup: $(READY)
 
@@ -25,9 +25,20 @@ lint: setup
 test: lint
 	.venv/bin/pytest
 
-# ten minutes; writes docs/benchmarks.md. Faults by themselves: .venv/bin/python benchmarks/faults.py
+# ten minutes; writes docs/benchmarks.md
 bench: setup
 	.venv/bin/python benchmarks/page.py
+
+# every fault of docs/faults.md N times at random moments, in PARALLEL emulated cells; some 5 minutes for each N and cell
+N ?= 3
+PARALLEL ?= 2
+faults: setup
+	.venv/bin/python benchmarks/faults.py --repeats $(N) --parallel $(PARALLEL) $(if $(KEPT),--json $(KEPT))
+
+# two hours of presses, watched minute by minute
+MINUTES ?= 120
+soak: setup
+	.venv/bin/python benchmarks/soak.py --minutes $(MINUTES)
 
 # boots systemd in a container: needs root and systemd-nspawn, and says so where it is skipped
 test-service: setup

@@ -1,64 +1,160 @@
-"""Do every fault of docs/faults.md to a run in a press and write the worst of what came into its column "measured".
+"""Do every fault of docs/faults.md to runs at random moments and write what came of it into its column "measured".
 
-`python benchmarks/faults.py [--repeats 3] [--only FAULT,FAULT]`. A minute a fault and repeat on a machine under load, 10 s on a quiet one.
-Ends with 1 where a required reaction or deadline was not kept.
+`python benchmarks/faults.py [--repeats 3] [--minutes 60] [--only FAULT,FAULT] [--parallel 2] [--json FILE]`. Some 10 s a fault that ends a
+run, 1 s one that does not; the faults take turns, so that an end by `--minutes` leaves all with as many. Results are added to FILE, and the
+table is written from all of FILE. Ends with 1 where a required reaction or deadline was not kept.
 """
 
 import argparse
 import datetime
+import json
 import os
+import queue
 import re
 import signal
 import sys
 import tempfile
+import threading
+import time
+from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
-from tests.hil.faults import DEEDS, TABLE, objection, required, suffered
+import numpy as np
+
+from tests.hil.faults import DEEDS, TABLE, Came, at_any_moment, borne, objection, required, suffered, wall_clock
 from tests.hil.wired import Wired, wired
 
 CONTACT_LIMIT_N = 16.0
-STAND = re.compile(r"^Measured on .*$", re.M)
+BORNE_AT_ONCE = 10
+MACHINE_LATE_S = 0.002
+"""An emulator that was later than this measures the machine: its figure is left out, and counted."""
+STAND = re.compile(r"^Measured (on|from) .*$", re.M)
 
 
-def written(table: str, fault: str, cell: str) -> str:
-    """The table with another last cell in the row of that fault."""
-    return re.sub(rf"^(\| {re.escape(fault)} \|.*\|)[^|]*\|$", rf"\1 {cell} |", table, flags=re.M)
+class Bench:
+    """Emulated cells side by side, and what has come of the faults done to them."""
+
+    def __init__(self, kept: Path, end_s: float) -> None:
+        self.todo: queue.SimpleQueue[tuple[str, int]] = queue.SimpleQueue()
+        self._kept, self._end_s, self._lock = kept, end_s, threading.Lock()
+
+    def work(self, folder: Path) -> None:
+        """One cell, until nothing is left to be done."""
+        with wired(folder, "ur5") as base:
+            calibration = _calibration(base, folder)
+            environment = wall_clock(folder)
+
+            def cell() -> Wired:
+                fresh = Path(tempfile.mkdtemp(prefix="fault-", dir=folder))
+                (fresh / "state").mkdir()
+                (fresh / "state" / "calibration.json").write_text(calibration)
+                ready = base.anew(fresh, safety={"contact_limit_N": CONTACT_LIMIT_N})
+                ready.environment.update(environment)
+                return ready
+
+            while time.monotonic() < self._end_s:
+                try:
+                    fault, times = self.todo.get_nowait()
+                except queue.Empty:
+                    return
+                if fault == "wall clock steps" and not environment:
+                    continue
+                try:
+                    self._do(cell, fault, times)
+                except (AssertionError, OSError) as error:  # the machine, or a run that ended by itself: no figure
+                    print(f"{fault}: nothing was measured ({error})", file=sys.stderr, flush=True)
+
+    def _do(self, cell: Any, fault: str, times: int) -> None:
+        if required()[fault].reaction.startswith("carry on"):
+            came = borne(cell, fault, times, reference=False)
+            if len(came) < times and not objection(came[-1], required()[fault]):
+                self.todo.put((fault, times - len(came)))
+        else:
+            came = [suffered(cell, fault, at_any_moment, reference=False)]
+        with self._lock, self._kept.open("a") as file:
+            for one in came:
+                why = objection(one, required()[fault])
+                entry = {"fault": fault, "ticks": one.ticks, "code": one.code, "reason": one.reason, "phase": one.phase.name, "why": why}
+                file.write(json.dumps(entry | {"late_s": one.machine_late_s, "load": os.getloadavg()[0]}) + "\n")
+        print(f"{fault}: {' '.join(_shown(one) for one in came)} {why}", flush=True)
 
 
-def worst_of(base: Wired, fault: str, repeats: int) -> tuple[str, bool]:
-    """The cell for the table, and whether every repeat kept what is required."""
-    row, ticks, kept = required()[fault], [], True
-    for _ in range(repeats):
-        cell = base.anew(Path(tempfile.mkdtemp(prefix="fault-", dir=base.folder)), safety={"contact_limit_N": CONTACT_LIMIT_N})
-        came = suffered(lambda cell=cell: cell, fault)  # type: ignore[misc]
-        ticks += [came.ticks] if came.ticks is not None else []
-        if why := objection(came, row):
-            kept = False
-            print(f"{fault}: {why}", file=sys.stderr, flush=True)
-    cell_text = f"{max(ticks):.1f} (worst of {len(ticks)})" if ticks else f"carried on ({repeats})"
-    return cell_text if kept else f"{cell_text}, **not kept**", kept
+def _calibration(base: Wired, folder: Path) -> str:
+    ready = base.anew(folder)
+    done = ready.palpd("calibrate", "--config", ready.config)
+    assert done.returncode == 0, done.stderr
+    return (folder / "state" / "calibration.json").read_text()
+
+
+def _shown(came: Came) -> str:
+    late = "" if came.machine_late_s <= MACHINE_LATE_S else f" (the machine {came.machine_late_s * 1e3:.0f} ms late)"
+    return "·" if came.ticks is None else f"{came.ticks:.1f} in {came.phase.name}{late}"
+
+
+def cell_of(entries: list[dict[str, Any]]) -> tuple[str, int]:
+    """What stands in the table for one fault: worst first. And how many of its deeds did not lead to what is required."""
+    judged = [entry for entry in entries if entry["late_s"] <= MACHINE_LATE_S or "at rest after" not in entry["why"]]
+    broken = [entry for entry in judged if entry["why"]]
+    ticks = [entry["ticks"] for entry in judged if entry["ticks"] is not None and entry["late_s"] <= MACHINE_LATE_S]
+    on, left_out = sum(entry["ticks"] is None for entry in judged), sum(entry["late_s"] > MACHINE_LATE_S for entry in entries)
+    parts = [f"{max(ticks):.1f}, p99 {np.percentile(ticks, 99):.1f}, n {len(ticks)}"] if ticks else []
+    parts += [f"carried on, n {on}"] if on else []
+    parts += [f"{left_out} left out"] if left_out else []
+    parts += [f"**{len(broken)} not kept**"] if broken else []
+    return "; ".join(parts), len(broken)
+
+
+def write_table(kept: Path) -> int:
+    """Fill the column "measured" of docs/faults.md from a file of results, and say how many deeds did not keep what is required."""
+    found: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for line in kept.read_text().splitlines():
+        entry = json.loads(line)
+        found[entry["fault"]].append(entry)
+    text, all_broken = TABLE.read_text(), 0
+    for fault, entries in found.items():
+        cell, broken = cell_of(entries)
+        all_broken += broken
+        text = re.sub(rf"^(\| {re.escape(fault)} \|.*\|)[^|]*\|$", rf"\1 {cell} |", text, flags=re.M)
+    loads = [entry["load"] for entries in found.values() for entry in entries]
+    stand = (
+        f"Measured on {datetime.date.today()}, {sum(map(len, found.values()))} deeds at random moments of search and presses, "
+        f"{os.cpu_count()} cores, load {min(loads):.1f} to {max(loads):.1f} (median {np.median(loads):.1f}), "
+        "emulated wires on the same machine."
+    )
+    TABLE.write_text(f"{STAND.sub('', text).rstrip()}\n\n{stand}\n")
+    return all_broken
 
 
 def main() -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--minutes", type=float, default=600.0, help="no fault is begun after that")
     parser.add_argument("--only", help="faults, separated by commas")
+    parser.add_argument("--parallel", type=int, default=1, help="emulated cells at a time")
+    parser.add_argument("--json", type=Path, help="results are added to this file, and the table is made of all of it")
     options = parser.parse_args()
     faults = options.only.split(",") if options.only else list(DEEDS)
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and so would its children
-    all_kept = True
-    with tempfile.TemporaryDirectory() as folder, wired(Path(folder), "ur5") as base:
-        for fault in faults:
-            cell, kept = worst_of(base, fault, options.repeats)
-            all_kept &= kept
-            print(f"{fault}: {cell}", flush=True)
-            TABLE.write_text(written(TABLE.read_text(), fault, cell))
-    load = os.getloadavg()[1]
-    stand = f"Measured on {datetime.date.today()}, {os.cpu_count()} cores, load {load:.1f} (5 min), emulated wires on the same machine."
-    text = STAND.sub("", TABLE.read_text()).rstrip()
-    TABLE.write_text(f"{text}\n\n{stand}\n")
-    sys.exit(0 if all_kept else 1)
+    with tempfile.TemporaryDirectory() as name:
+        kept = options.json or Path(name) / "faults.jsonl"
+        bench = Bench(kept, time.monotonic() + options.minutes * 60)
+        for number in range(options.repeats):
+            for fault in faults:
+                if not required()[fault].reaction.startswith("carry on"):
+                    bench.todo.put((fault, 1))
+                elif number % BORNE_AT_ONCE == 0:
+                    bench.todo.put((fault, min(BORNE_AT_ONCE, options.repeats - number)))
+        workers = []
+        for number in range(options.parallel):
+            folder = Path(name) / f"cell-{number}"
+            folder.mkdir()
+            workers.append(threading.Thread(target=bench.work, args=(folder,)))
+            workers[-1].start()
+        for worker in workers:
+            worker.join()
+        sys.exit(1 if write_table(kept) else 0)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hw.emulators.hex_pty import Daq
-from hw.emulators.rig import Rig
+from hw.emulators.rig import SAMPLE_S, Rig
 
 Answer = dict[str, Any]
 FZ_OVERLOAD = 1 << 7
@@ -24,14 +24,16 @@ def obey(rig: Rig, request: dict[str, Any], now_s: float, lateness_s: Sequence[f
     arguments = dict(request)
     verb = arguments.pop("do")
     if verb == "stats":
-        return {"ok": True, **_stats(lateness_s, now_s)}
+        return {"ok": True, **_stats(lateness_s, now_s, **arguments)}
     if verb not in VERBS:
         raise ValueError(f"there is no verb {verb!r}; there are {', '.join(sorted((*VERBS, 'stats')))}")
-    return {"ok": True, **(VERBS[verb](rig, now_s, **arguments) or {})}
+    return {"ok": True, "t_s": now_s, **(VERBS[verb](rig, now_s, **arguments) or {})}
 
 
-def _stats(lateness_s: Sequence[float], now_s: float) -> Answer:
-    p50, p99, top = np.percentile(np.array(lateness_s) * 1e6, [50, 99, 100])
+def _stats(lateness_s: Sequence[float], now_s: float, s: float = 60.0, ago_s: float = 0.0) -> Answer:
+    newest, number = round(ago_s / SAMPLE_S), max(1, round(s / SAMPLE_S))
+    window = list(itertools.islice(reversed(lateness_s), newest, newest + number)) or [0.0]
+    p50, p99, top = np.percentile(np.array(window) * 1e6, [50, 99, 100])
     return {"late_us_p50": p50, "late_us_p99": p99, "late_us_max": top, "cpu_s": time.process_time(), "now_s": now_s}
 
 
@@ -138,7 +140,6 @@ def _truth(rig: Rig, now_s: float, reset: bool = False) -> Answer:
     tip_z_m, contact_N = rig.tip
     x_m, y_m, target_z_m = (float(value) for value in rig.controller.pose[:3])
     answer = {
-        "t_s": now_s,
         "tip_z_m": tip_z_m,
         "target_z_m": target_z_m,
         "contact_N": contact_N,

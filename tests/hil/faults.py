@@ -1,37 +1,109 @@
-"""Faults as deeds, done to a run in the middle of a press, and what came of them.
+"""Faults as deeds, done to a run in the middle of its work, and what came of them.
 
 Required reactions and deadlines stand in docs/faults.md, and nowhere else.
 """
 
+import contextlib
+import mmap
+import os
 import random
 import re
 import resource
+import shutil
 import signal
+import socket
+import struct
+import subprocess
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.hil.wired import PRESS, Daemon, Wired, kill
+from hw.rtde import RTDE_PORT, SCRIPT_PORT
+from palpd.errors import PalpdError
+from palpd.tick import Phase
+from tests.hil.wired import PRESS, Daemon, Wired, kill, until
 
 TABLE = Path(__file__).parents[2] / "docs" / "faults.md"
 CYCLE_S = 0.008
-WATCHDOG_HZ = 25
 PRESSED_N = 3.0
 """More than the search leaves behind: the arm is in the press, at its full speed for 0.4 s more."""
 SPREAD_S = 0.3
+AWAKE_S = 3.2
+"""From the first tick of the search to the last of the second press: any moment of it is as good as another."""
+LOAD_S = 2.0
 
-Deed = Callable[[Wired, Daemon], object]
+Deed = Callable[[Wired, Daemon], float]
+"""Does the fault and says when, on the host's monotonic clock."""
 
 
 def _verb(name: str, **arguments: object) -> Deed:
-    return lambda cell, daemon: cell.wires.ask(name, **arguments)
+    return lambda cell, daemon: float(cell.wires.ask(name, **arguments)["t_s"])
 
 
-def _disk_full(cell: Wired, daemon: Daemon) -> None:
+def _signal(victim: Callable[[Daemon], int], number: int = signal.SIGKILL) -> Deed:
+    return lambda cell, daemon: kill(victim(daemon), number)
+
+
+def _disk_full(cell: Wired, daemon: Daemon) -> float:
     """The recorder may not write beyond what is written: its next write fails as on a full disk."""
     size = cell.part.stat().st_size
     resource.prlimit(daemon.recorder_pid, resource.RLIMIT_FSIZE, (size, size))
+    return time.monotonic()
+
+
+def _second_reader(cell: Wired, daemon: Daemon) -> float:
+    """Somebody with root's rights, whom the lock of the port does not keep out, reads from it for a second."""
+    port = os.open(cell.wires.sensor, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+
+    def steal(until_s: float) -> None:
+        while time.monotonic() < until_s:
+            with contextlib.suppress(BlockingIOError):
+                os.read(port, 64)
+            time.sleep(0.001)
+        os.close(port)
+
+    threading.Thread(target=steal, args=(time.monotonic() + 1.0,), daemon=True).start()
+    return time.monotonic()
+
+
+def _second_program(cell: Wired, daemon: Daemon) -> float:
+    """Another computer sends a program to the controller, which replaces the daemon's."""
+    done_s = time.monotonic()
+    with socket.create_connection((cell.wires.host, SCRIPT_PORT)) as connection:
+        connection.sendall(b"def other():\n  sleep(10)\nend\n")
+    return done_s
+
+
+def _second_client(cell: Wired, daemon: Daemon) -> float:
+    """Another computer asks RTDE for the registers that the daemon commands by."""
+    done_s = time.monotonic()
+    with socket.create_connection((cell.wires.host, RTDE_PORT)) as connection:
+        for kind, body in ((b"V", struct.pack(">H", 2)), (b"I", b"input_int_register_0,input_double_register_0")):
+            connection.sendall(struct.pack(">Hc", 3 + len(body), kind) + body)
+        answer = connection.recv(4096)
+        while b"IN_USE" not in answer:
+            more = connection.recv(4096)
+            assert more, answer
+            answer += more
+    return done_s
+
+
+def _clock_step(cell: Wired, daemon: Daemon) -> float:
+    """The wall clock of all of the daemon's processes leaps by up to a day, forwards or backwards."""
+    with Path(cell.environment["PALPD_TEST_WALL_CLOCK"]).open("r+b") as file, mmap.mmap(file.fileno(), 8) as page:
+        page[:8] = struct.pack("<q", random.randrange(-86400, 86400) * 10**9)
+    return time.monotonic()
+
+
+def _stress(*arguments: str) -> Deed:
+    def strain(cell: Wired, daemon: Daemon) -> float:
+        command = ["stress-ng", "--quiet", "--timeout", f"{LOAD_S:g}s", *arguments]
+        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        return time.monotonic()
+
+    return strain
 
 
 DEEDS: dict[str, Deed] = {
@@ -47,7 +119,10 @@ DEEDS: dict[str, Deed] = {
     "sensor counter jump": _verb("counter_jump", by=1000),
     "sensor status bits": _verb("status", word=1 << 10, s=2.0),
     "sensor overload": _verb("overload", s=2.0),
+    "sensor drifts pressed": _verb("drift", N_per_s=100.0),
+    "sensor drifts pulled": _verb("drift", N_per_s=-100.0),
     "sensor unplugged": _verb("unplug"),
+    "sensor has a second reader": _second_reader,
     "robot network hangs": _verb("freeze", s=1.0),
     "robot connection dropped": _verb("drop"),
     "robot states slow": _verb("slow_packets", every=20, s=2.0),
@@ -55,18 +130,36 @@ DEEDS: dict[str, Deed] = {
     "robot emergency stop": _verb("emergency_stop"),
     "robot power off": _verb("power_off"),
     "robot program stopped": _verb("program_stop"),
+    "robot program replaced": _second_program,
+    "robot has a second client": _second_client,
     "robot controller restart": _verb("restart", s=2.0),
-    "motion process killed": lambda cell, daemon: kill(daemon.motion_pid),
-    "motion process crashes": lambda cell, daemon: kill(daemon.motion_pid, signal.SIGSEGV),
-    "motion process stalled": lambda cell, daemon: kill(daemon.motion_pid, signal.SIGSTOP),
-    "main process killed": lambda cell, daemon: kill(daemon.process.pid),
-    "daemon killed": lambda cell, daemon: kill(-daemon.process.pid),
-    "main process TERM": lambda cell, daemon: kill(daemon.process.pid, signal.SIGTERM),
-    "main process INT": lambda cell, daemon: kill(daemon.process.pid, signal.SIGINT),
-    "main process HUP": lambda cell, daemon: kill(daemon.process.pid, signal.SIGHUP),
-    "recorder killed": lambda cell, daemon: kill(daemon.recorder_pid),
+    "motion process killed": _signal(lambda daemon: daemon.motion_pid),
+    "motion process crashes": _signal(lambda daemon: daemon.motion_pid, signal.SIGSEGV),
+    "motion process stalled": _signal(lambda daemon: daemon.motion_pid, signal.SIGSTOP),
+    "main process killed": _signal(lambda daemon: daemon.process.pid),
+    "daemon killed": _signal(lambda daemon: -daemon.process.pid),
+    "main process TERM": _signal(lambda daemon: daemon.process.pid, signal.SIGTERM),
+    "main process INT": _signal(lambda daemon: daemon.process.pid, signal.SIGINT),
+    "main process HUP": _signal(lambda daemon: daemon.process.pid, signal.SIGHUP),
+    "recorder killed": _signal(lambda daemon: daemon.recorder_pid),
     "disk full": _disk_full,
+    "wall clock steps": _clock_step,
+    "memory pressure": _stress("--vm", "2", "--vm-bytes", "2g", "--vm-populate"),
+    "processors busy": _stress("--cpu", str(2 * (os.cpu_count() or 1))),
 }
+PAUSE_S = {"memory pressure": LOAD_S + 1.0, "processors busy": LOAD_S + 1.0}
+"""Between two deeds that one run has to bear; the guard forgets rejected frames with a time constant of 0.8 s."""
+
+
+def wall_clock(folder: Path) -> dict[str, str]:
+    """Environment for a daemon whose wall clock can be stepped; empty where there is no C compiler."""
+    if shutil.which("cc") is None:
+        return {}
+    library, shift = folder / "wall_clock.so", folder / "wall_clock"
+    source = Path(__file__).with_name("wall_clock.c")
+    subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", str(library), str(source), "-ldl"], check=True)
+    shift.write_bytes(bytes(8))
+    return {"LD_PRELOAD": str(library), "PALPD_TEST_WALL_CLOCK": str(shift)}
 
 
 @dataclass(frozen=True)
@@ -87,6 +180,9 @@ class Came:
     ticks: float | None
     code: int
     reason: str
+    phase: Phase = Phase.PRESS
+    machine_late_s: float = 0.0
+    """How late the emulator, on a real-time thread of the same machine, was at worst from the deed to rest."""
 
 
 def required(table: Path = TABLE) -> dict[str, Required]:
@@ -105,31 +201,80 @@ def _number(cell: str) -> float | None:
     return float(found.group()) if found else None
 
 
-def suffered(cell: Callable[[], Wired], fault: str, attempts: int = 3) -> Came:
+def in_the_press(wired: Wired, daemon: Daemon) -> None:
+    """Some moment at full speed in the tissue."""
+    wired.until_contact(daemon, PRESSED_N)
+    _ = daemon.motion_pid, daemon.recorder_pid  # looked up now: it takes some ticks
+    time.sleep(random.uniform(0.0, SPREAD_S))
+
+
+def at_any_moment(wired: Wired, daemon: Daemon) -> None:
+    """Any moment between the first of the search and the end of the second press."""
+    until_searching(daemon)
+    _ = daemon.motion_pid, daemon.recorder_pid
+    time.sleep(random.uniform(0.0, AWAKE_S))
+
+
+def until_searching(daemon: Daemon) -> None:
+    """Wait until the arm looks for the surface."""
+
+    def searches() -> bool:
+        assert daemon.process.poll() is None, f"exit code {daemon.process.returncode}: {daemon.stderr}"
+        with contextlib.suppress(AssertionError, PalpdError):  # no ring yet, or one half made
+            return daemon.phase >= Phase.SEARCH and daemon.phase != Phase.TARE
+        return False
+
+    until(searches, "the arm looks for the surface")
+
+
+def suffered(
+    cell: Callable[[], Wired], fault: str, moment: Callable[[Wired, Daemon], None] = in_the_press, attempts: int = 3, reference: bool = True
+) -> Came:
     """Press at 10 mm/s into 1 N/mm, do the deed at some moment of it, wait for the end."""
     for attempt in range(attempts):
         wired = cell()
-        daemon = wired.run(PRESS)
+        daemon = wired.run(PRESS | {"repeats": 2}, take_reference=reference)
         try:
-            wired.until_contact(daemon, PRESSED_N)
+            moment(wired, daemon)
         except AssertionError:
             if attempt + 1 < attempts:  # a machine that stands still for 40 ms trips the watchdog by itself
                 continue
             raise
-        _ = daemon.motion_pid, daemon.recorder_pid  # looked up now: it takes some ticks
-        time.sleep(random.uniform(0.0, SPREAD_S))
-        done_s = time.monotonic()
-        DEEDS[fault](wired, daemon)
-        return _awaited(wired, daemon, done_s)
+        phase = daemon.phase
+        return _awaited(wired, daemon, DEEDS[fault](wired, daemon), phase)
     raise AssertionError("no attempt was made")
 
 
-def _awaited(wired: Wired, daemon: Daemon, done_s: float) -> Came:
+def borne(cell: Callable[[], Wired], fault: str, times: int, reference: bool = True) -> list[Came]:
+    """Do a fault that a run may go on under to one run again and again; what came of each. Shorter where it ended the run."""
+    wired = cell()
+    daemon = wired.run(PRESS | {"repeats": 100}, take_reference=reference)
+    until_searching(daemon)
+    pause_s = PAUSE_S.get(fault, 0.7)
+    found: list[Came] = []
+    for _ in range(times):
+        time.sleep(pause_s * random.uniform(0.7, 1.3))
+        phase = daemon.phase
+        done_s = DEEDS[fault](wired, daemon)
+        end_s = done_s + pause_s
+        while time.monotonic() < end_s and daemon.process.poll() is None:
+            time.sleep(0.02)
+        if daemon.process.poll() is not None:
+            return [*found, _awaited(wired, daemon, done_s, phase)]
+        found.append(Came(None, 0, "", phase))
+    kill(daemon.process.pid, signal.SIGTERM)
+    daemon.wait()
+    assert "operator aborted" in daemon.stderr, daemon.stderr
+    return found
+
+
+def _awaited(wired: Wired, daemon: Daemon, done_s: float, phase: Phase) -> Came:
     code = daemon.wait()
     if code == 0:
-        return Came(None, code, daemon.found["reason"])
+        return Came(None, code, daemon.found["reason"], phase)
     ticks = wired.rest_after_s(done_s, settle_s=max(0.6, time.monotonic() - done_s)) / CYCLE_S
-    return Came(ticks, code, daemon.found["reason"] if daemon.json_file.exists() else daemon.stderr)
+    reason = daemon.found["reason"] if daemon.json_file.exists() else daemon.stderr
+    return Came(max(0.0, ticks), code, reason, phase, wired.lateness_s(done_s - 0.1, 0.7))
 
 
 def objection(came: Came, row: Required) -> str:

@@ -36,7 +36,7 @@ def _killed_while_pressing(cell: Callable[..., Wired], watchdog_Hz: int, victim:
         killed_s = kill(victim(daemon))
         rest_s, way_m = wired.rest_after_s(killed_s), wired.way_after_m(killed_s)
         kept = rest_s <= REST_WITHIN_S[watchdog_Hz] and way_m <= WAY_WITHIN_M[watchdog_Hz]
-        if patient and not kept and wired.worst_lateness_s > STALLED_S:
+        if patient and not kept and wired.lateness_s() > STALLED_S:
             continue
         assert rest_s <= REST_WITHIN_S[watchdog_Hz]
         assert way_m <= WAY_WITHIN_M[watchdog_Hz]

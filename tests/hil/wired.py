@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -19,6 +20,8 @@ import yaml
 
 from hw.emulators.process import Emulated, started
 from palpd.record import Recording
+from palpd.ring import Ring
+from palpd.tick import Phase
 
 PATIENCE_S = 60.0
 SOFT_N_PER_M = 200.0
@@ -49,6 +52,13 @@ class Sample(NamedTuple):
     runtime: int
 
 
+def ring_of(pid: int) -> Ring:
+    """The ring that a process has mapped."""
+    found = re.search(r"/dev/shm/(\S+)", Path(f"/proc/{pid}/maps").read_text())
+    assert found is not None, f"process {pid} has no ring"
+    return Ring.attach(found.group(1))
+
+
 @dataclass
 class Daemon:
     """A palpd command under way, in a session (and so a process group) of its own."""
@@ -76,6 +86,17 @@ class Daemon:
     def motion_pid(self) -> int:
         """The process that holds the robot: the child whose spawned main is none of multiprocessing's own."""
         return next(pid for pid in family(self.process.pid) if "spawn_main" in command_of(pid))
+
+    @property
+    def phase(self) -> Phase:
+        """Of the newest tick."""
+        rows = self.ring.read(max(0, self.ring.published - 1))[0]
+        return Phase(int(rows[-1]["phase"])) if len(rows) else Phase.IDLE
+
+    @cached_property
+    def ring(self) -> Ring:
+        """Of the run under way."""
+        return ring_of(self.process.pid)
 
     @cached_property
     def recorder_pid(self) -> int:
@@ -123,10 +144,13 @@ class Wired:
     model: str
     folder: Path
     blocks: dict[str, dict[str, Any]] = field(default_factory=dict)
+    environment: dict[str, str] = field(default_factory=dict)
+    """Of the daemon, besides what this process has."""
 
     def anew(self, folder: Path, stiffness_N_per_m: float = 1000.0, **blocks: dict[str, Any]) -> "Wired":
         """The same cell for another test: controller restarted, sensor plugged in, arm at rest 8 mm above a wall."""
         self.wires.ask("replug")
+        self.wires.ask("refuse_version", on=False)
         self.wires.ask("restart", s=0.1)
         fresh = Wired(self.wires, self.model, folder, blocks)
         fresh.wall(ABOVE_M, stiffness_N_per_m)
@@ -167,7 +191,8 @@ class Wired:
         command += ["--take-reference"] if take_reference else []
         said = self.folder / "stderr.txt"
         with said.open("wb") as stderr:
-            process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True)
+            environment = os.environ | self.environment
+            process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True, env=environment)
         return Daemon(process, json_file, said)
 
     def wall(self, below_m: float, stiffness_N_per_m: float) -> float:
@@ -180,14 +205,14 @@ class Wired:
         """Where the tip is and what it feels."""
         return self.wires.ask("truth", **arguments)
 
-    @property
-    def worst_lateness_s(self) -> float:
-        """How late the emulator itself was at worst in the last minute: what the machine, not the daemon, adds to a figure."""
-        return float(self.wires.ask("stats")["late_us_max"]) * 1e-6
+    def lateness_s(self, since_s: float = 0.0, lasting_s: float = 60.0) -> float:
+        """How late the emulator itself was at worst in that time: what the machine, not the daemon, adds to a figure."""
+        ago_s = max(0.0, time.monotonic() - since_s - lasting_s)
+        return float(self.wires.ask("stats", s=lasting_s, ago_s=ago_s if since_s else 0.0)["late_us_max"]) * 1e-6
 
     def log(self, since_s: float) -> list[Sample]:
         """What the controller did since then."""
-        return [Sample(*values) for values in self.wires.ask("log", since_s=since_s)["samples"]]
+        return [Sample(*sample) for sample in self.wires.log(since_s)]
 
     def stops(self, since_s: float) -> list[tuple[float, str]]:
         """When the controller ended its program or stopped, and why."""
