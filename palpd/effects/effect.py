@@ -106,10 +106,15 @@ def _at(bound: Bound, scale: Scale) -> float:
 AZIMUTH = Parameter("azimuth_rad", "rad", -pi, pi, (0.0, pi / 2, pi, -pi / 2), nominal=None)
 
 
-def relaxation_time(*shares: float) -> Parameter:
-    """A time constant `tau_s`, between a sample and five recordings, to be sought from these shares of the duration."""
+def relaxation_time(*shares: float, of_a_press: float = 0.0) -> Parameter:
+    """A time constant `tau_s`, between a sample (or that share of the time in which a press goes to its depth) and five recordings, to be
+    sought from these shares of the duration."""
     starts = of("duration_s", *shares)
-    return Parameter("tau_s", "s", lambda s: s.step_s, lambda s: 5.0 * s.duration_s, starts, nominal=None, log=True)
+
+    def shortest(s: Scale) -> float:
+        return max(s.step_s, of_a_press * s.depth_m / s.speed_m_per_s)
+
+    return Parameter("tau_s", "s", shortest, lambda s: 5.0 * s.duration_s, starts, nominal=None, log=True)
 
 
 @dataclass(frozen=True, slots=True)

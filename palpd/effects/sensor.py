@@ -106,7 +106,8 @@ CREEP = Effect(
     "sensor.creep",
     "sensor",
     "reading creeps up under load",
-    (Parameter("ratio", "1", -0.5, 5.0, (0.05, 0.3)), relaxation_time(0.05, 0.3, 0.01)),
+    # what has settled before a press is over is no creep: nothing could tell it from a gain
+    (Parameter("ratio", "1", -0.5, 5.0, (0.05, 0.3)), relaxation_time(0.05, 0.3, 0.01, of_a_press=0.3)),
     law=_creep,
 )
 
