@@ -177,20 +177,31 @@ class Search(_Frozen):
     max_travel_m: float = Field(default=0.08, gt=0, le=0.3)
 
 
+class Strokes(_Frozen):
+    """Strokes in the air above a site, before anything is pressed there: up from the height of travel and back."""
+
+    strokes: int = Field(ge=1, le=200)
+    height_m: float = Field(default=0.02, ge=0.001, le=0.1)
+    speed_m_per_s: float = Field(default=0.02, gt=0, le=0.25)
+
+
 class Plan(_Frozen):
-    """plan.yaml: where, how deep, how fast, how often."""
+    """plan.yaml: where, how deep, how fast, how often. Without depths nothing is pressed or looked for, which needs free strokes."""
 
     sites: tuple[Site, ...] = Field(default=(Site(name="A"),), min_length=1, max_length=1000)
     mode: Literal["dynamic", "static", "both"] = "both"
-    depths_m: tuple[float, ...] = Field(default=(0.004, 0.006, 0.008), min_length=1, max_length=100)
+    depths_m: tuple[float, ...] = Field(default=(0.004, 0.006, 0.008), max_length=100)
     press_speed_m_per_s: float = Field(default=0.01, gt=0, le=0.05)
     repeats: int = Field(default=3, ge=1, le=100)
     hold_s: float = Field(default=3.0, ge=0.1, le=600)
     safe_height_m: float = Field(default=0.01, ge=0.002, le=0.1)
     search: Search = Search()
+    free: Strokes | None = None
 
     @model_validator(mode="after")
     def _sensible(self) -> Self:
+        if not self.depths_m and self.free is None:
+            raise ValueError("depths_m is empty and there are no free strokes: the plan does nothing; give one of them")
         for depth_m in self.depths_m:
             if not 0.0002 <= depth_m <= 0.02:
                 raise ValueError(f"a depth of {depth_m:g} m is outside 0.0002 to 0.02 m; depths are in metres (4 mm is 0.004)")
@@ -247,7 +258,10 @@ def parse_config(values: object, where: str) -> Config:
 def refuse_unsafe(config: Config, plan: Plan) -> None:
     """Refuse a plan that the limits of the configuration do not allow. Raises ConfigError."""
     safety = config.safety
-    for name, speed in (("press_speed_m_per_s", plan.press_speed_m_per_s), ("search.speed_m_per_s", plan.search.speed_m_per_s)):
+    speeds = [("press_speed_m_per_s", plan.press_speed_m_per_s), ("search.speed_m_per_s", plan.search.speed_m_per_s)]
+    if plan.free is not None:
+        speeds.append(("free.speed_m_per_s", plan.free.speed_m_per_s))
+    for name, speed in speeds:
         if speed > safety.max_speed_m_per_s:
             raise ConfigError(
                 f"the plan's {name} is {speed:g} m/s, above safety.max_speed_m_per_s of {safety.max_speed_m_per_s:g}; lower one of them"

@@ -193,6 +193,9 @@ class Palpation(Script):
             self.note(site=index, mode=Mode.NONE, depth_m=math.nan, surface_z_m=math.nan, repeat=-1, cut_short=False)
             self.note(clear_z_m=self.home[2] - CLEAR_BELOW_HOME_M)
             yield from self.travel(self.home[0] + site.x_m, self.home[1] + site.y_m)
+            yield from self.move_freely()
+            if not self.plan.depths_m:
+                continue
             surface_z_m = yield from self.find_surface()
             self.note(surface_z_m=surface_z_m, safe_z_m=surface_z_m + self.plan.safe_height_m)
             if self.plan.mode in ("static", "both"):
@@ -206,6 +209,20 @@ class Palpation(Script):
             self.note(phase=Phase.RETRACT, mode=Mode.NONE, depth_m=math.nan, cut_short=False, safe_z_m=self.home[2])
             yield from self.go_to(self.home[2], self.body.max_speed_m_per_s)
             yield from self.come_to_rest()
+
+    def move_freely(self) -> Turn:
+        """The strokes in the air that the plan asks for here."""
+        free = self.plan.free
+        if free is None:
+            return
+        self.note(phase=Phase.FREE_MOTION, mode=Mode.FREE_MOTION)
+        yield from self.wait(BASELINE_S)
+        for stroke in range(free.strokes):
+            self.note(repeat=stroke)
+            for z_m in (self.home[2] + free.height_m, self.home[2]):
+                yield from self.go_to(z_m, free.speed_m_per_s)
+                yield from self.come_to_rest()
+        self.note(repeat=-1)
 
     def find_surface(self) -> Generator[Proposal, Look, float]:
         """Go down until contact, fit the contact law to the way there, and leave. Returns the surface's height."""

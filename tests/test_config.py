@@ -87,6 +87,7 @@ def test_paths_are_relative_to_the_file(tmp_path: Path) -> None:
         ({"sites": [{"name": "../../etc"}]}, "name"),
         ({"mode": "fast"}, "mode"),
         ({"repeats": 0}, "repeats"),
+        ({"depths_m": []}, "does nothing"),
     ],
 )
 def test_a_wrong_plan_is_refused(tmp_path: Path, values: dict[str, object], word: str) -> None:

@@ -120,3 +120,15 @@ def test_a_hard_wall_where_tissue_was_expected_trips_the_guard_which_retracts() 
     assert [trip.trip for trip in done.outcome.trips] == [Trip.CONTACT_FORCE]
     assert done.rows["tcp_pose"][-1, 2] > 0.02
     assert done.rows["command_stop"][-1]
+
+
+def test_free_strokes_come_before_the_presses_or_instead_of_them() -> None:
+    alone = ran(cell_file(), Plan.model_validate({"depths_m": [], "free": {"strokes": 2, "speed_m_per_s": 0.05}}))
+    assert alone.outcome.verdict == "done"
+    z_m = alone.rows["tcp_pose"][:, 2]
+    assert np.ptp(z_m) == pytest.approx(0.02, abs=2e-4)
+    assert z_m.min() > z_m[0] - 1e-4, "nothing below the start"
+    assert np.abs(alone.rows["target_speed"][:, 2]).max() == pytest.approx(0.05, rel=1e-6)
+    both = ran(cell_file(), Plan.model_validate({"depths_m": [0.004], "mode": "dynamic", "repeats": 1, "free": {"strokes": 1}}))
+    phases = [int(phase) for phase in dict.fromkeys(both.rows["phase"].tolist())]
+    assert phases.index(Phase.FREE_MOTION) < phases.index(Phase.SEARCH) < phases.index(Phase.PRESS)
