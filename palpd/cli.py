@@ -612,6 +612,48 @@ def diagnose(
 
 
 @app.command()
+def resolve(
+    config: ConfigOption = DEFAULT_CONFIG,
+    recordings: Annotated[
+        list[Path] | None, typer.Option("--recording", help="what is there already of this cell (.csv); without it a first one is made")
+    ] = None,
+    cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml: what the simulator believes (default: cell: of --config)")] = None,
+    plan: Annotated[Path | None, typer.Option("--plan", help="plan of the first recording, one site (default: 40 s of presses)")] = None,
+    rounds: Annotated[int, typer.Option("--rounds", min=1, max=20, help="most recordings that are made")] = 4,
+    yes: Annotated[bool, typer.Option("--yes", help="do not ask before a motion; the guard stands all the same")] = False,
+    max_depth_m: Annotated[
+        float | None, typer.Option("--max-depth-m", min=0.0002, max=0.02, help="how deep a proposal may press (default: as before)")
+    ] = None,
+    take_reference: Annotated[bool, typer.Option("--take-reference", help="take the reference tare now instead of the kept one")] = False,
+    effects: EffectsOption = None,
+    folder: Annotated[Path | None, typer.Option("--out", help="where everything is kept (default: runs/resolve-<time>)")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Diagnose a running cell, propose the motion that decides what is open, run it within the guard, until nothing more is gained."""
+    from palpd import resolve as loop
+    from palpd.cell_file import load_cell
+    from palpd.config import load_config, load_plan
+    from palpd.gap.commands import library
+    from palpd.session import kept_in
+    from palpd.wiring import devices
+
+    settings = load_config(config)
+    _writable(json_file)
+    _clear_latch(settings)
+    known = library(effects)
+    kept = kept_in(folder or settings.paths.runs, "resolve" if folder is None else None)
+    settings = settings.model_copy(update={"paths": settings.paths.model_copy(update={"runs": kept})})
+    nominal = load_cell(cell, known) if cell else settings.cell
+    setting = loop.Setting(
+        settings, devices, nominal, kept, console, lambda what: yes or typer.confirm(what), known, max_depth_m, take_reference
+    )
+    found = loop.resolve(setting, load_plan(plan) if plan else loop.STANDARD, recordings or (), rounds)
+    console.print(f"Everything is kept in {kept}; the page is gap.html.", highlight=False)
+    _write_json(json_file, found)
+    _exit(3 if found["verdict"] == "stopped" else 0, found["reason"])
+
+
+@app.command()
 def simulate(
     motion: Annotated[Path, typer.Argument(help="t_s and z_m or z_cmd_m (.csv)")],
     cell: CellOption,

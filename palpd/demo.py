@@ -3,7 +3,6 @@
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from palpd.gap.commands import diagnose_files
 from palpd.gap.report import write as write_report
 from palpd.record import Recording, export, samples_of
 from palpd.report import depth_table, diagnosis_lines, site_tables
-from palpd.session import calibrate, carry_out, findings, job
+from palpd.session import calibrate, carry_out, findings, job, kept_in
 from palpd.train import train
 from palpd.wiring import devices, emulated
 from palpd.young import modulus_peak_Pa
@@ -37,7 +36,7 @@ FULL = Plan(sites=SITES, depths_m=tuple(d / 1000 for d in range(3, 11)), hold_s=
 def palpate(full: bool, folder: Path | None, console: Console) -> dict[str, Any]:
     """Calibrate, learn the inertia, palpate the paper's phantom, and compare with the truth that the emulated cell knows."""
     plan = FULL if full else SHORT
-    folder = _made(folder)
+    folder = kept_in(folder or Path("runs"), "demo" if folder is None else None)
     cell = PHANTOM.with_effects({"sensor.bias": {"offset_N": BIAS_N}, "sensor.drift": {"rate_N_per_s": DRIFT_N_PER_S}})
     console.print(f"A UR5 and a HEX-70 are emulated; everything is kept in {folder}.")
     with cell_on_wires(cell, folder, plan) as config:
@@ -74,7 +73,7 @@ def gap(effect: str, folder: Path | None, console: Console) -> dict[str, Any]:
 
     `effect` is an id of the library at its typical size, `none`, or a cell file whose effects are taken.
     """
-    folder = _made(folder)
+    folder = kept_in(folder or Path("runs"), "demo" if folder is None else None)
     nominal = CellFile.model_validate({"sensor": {"rate_Hz": 1000.0}})
     effects = _effects_of(effect, nominal)
     true = ", ".join(effects) or "none"
@@ -142,12 +141,6 @@ def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, model: str =
             paths=PathsConfig(runs=folder, state=folder / "state"),
             cell=cell.with_effects({}),
         )
-
-
-def _made(folder: Path | None) -> Path:
-    folder = folder or Path("runs") / f"demo-{datetime.now():%Y%m%d-%H%M%S}"
-    folder.mkdir(parents=True, exist_ok=folder.is_dir() and not any(folder.iterdir()))
-    return folder.resolve()
 
 
 def _tell(found: dict[str, Any], card: Any, console: Console) -> None:

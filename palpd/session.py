@@ -1,6 +1,7 @@
 """One job in the foreground: what `palpd run`, `calibrate`, `free-motion`, `stiffness` and the demo have in common."""
 
 import signal
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from palpd import results
 from palpd.config import Config, Plan, refuse_unsafe
-from palpd.errors import RecordingError, Refused, Stopped
+from palpd.errors import BadInput, RecordingError, Refused, Stopped
 from palpd.motion import Build, Job, Kind
 from palpd.overshoot import refuse_overload
 from palpd.record import Recording
@@ -120,6 +121,15 @@ def with_paths(config: Config, folder: Path, **model: Any) -> Config:
     return config.model_copy(update={"paths": paths, "model": config.model.model_copy(update=model)})
 
 
+def kept_in(folder: Path, kind: str | None = None) -> Path:
+    """The folder, made, which must be empty; or with `kind` a new one in it that is called so with the time. Raises BadInput."""
+    folder = folder / f"{kind}-{datetime.now():%Y%m%d-%H%M%S}" if kind else folder
+    if folder.is_dir() and any(folder.iterdir()):
+        raise BadInput(f"{folder} is not empty; nothing is overwritten, so give another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder.resolve()
+
+
 def _steps(work: Job) -> int:
     plan = work.plan
     if work.kind == "free_motion":
@@ -128,7 +138,7 @@ def _steps(work: Job) -> int:
         return 1
     static = len(plan.depths_m) if plan.mode in ("static", "both") else 0
     dynamic = len(plan.depths_m) * plan.repeats if plan.mode in ("dynamic", "both") else 0
-    return len(plan.sites) * (1 + static + dynamic)
+    return len(plan.sites) * ((plan.free.strokes if plan.free else 0) + bool(plan.depths_m) + static + dynamic)
 
 
 def _done(row: Any, work: Job) -> int:
@@ -140,6 +150,9 @@ def _done(row: Any, work: Job) -> int:
     per_site = _steps(work) // len(plan.sites)
     static = len(plan.depths_m) if plan.mode in ("static", "both") else 0
     before = int(row["site"]) * per_site
+    if row["mode"] == Mode.FREE_MOTION:
+        return before + max(0, int(row["repeat"]))
+    before += plan.free.strokes if plan.free else 0
     at = plan.depths_m.index(float(row["depth_m"])) if float(row["depth_m"]) in plan.depths_m else 0
     if row["mode"] == Mode.STATIC:
         return before + 1 + at

@@ -42,16 +42,21 @@ def diagnose_files(
     known = library(effects, without)
     nominal = load_cell(cell, known)
     found = diagnose([read(path) for path in recordings], nominal, known, propose=propose)
-    content = found.to_json()
     if json_out is not None:
-        if found.proposal is not None:
-            motion = json_out.with_name(f"{json_out.stem}.next.csv")
-            found.proposal.write_motion(motion)
-            content["next_experiment"]["motion_csv"] = motion.name
-        json_out.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        write_answer(json_out, found)
     if cell_out is not None:
         save_cell(cell_out, found.enriched_cell())
     return found
+
+
+def write_answer(path: Path, found: Diagnosis) -> None:
+    """Write out.json, and beside it the motion of the next experiment where one is proposed."""
+    content = found.to_json()
+    if found.proposal is not None:
+        motion = path.with_name(f"{path.stem}.next.csv")
+        found.proposal.write_motion(motion)
+        content["next_experiment"]["motion_csv"] = motion.name
+    path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 @dataclass(frozen=True)
