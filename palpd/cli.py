@@ -586,20 +586,19 @@ def diagnose(
     report: Annotated[Path | None, typer.Option("--report", help="write a report (.html)")] = None,
     effects: EffectsOption = None,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="processes, for a folder")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", help="for a folder: tcp://… of a Dask cluster (palpd[cluster]), in place of processes")
+    ] = None,
 ) -> None:
     """Say where measurement and simulation part, which effect causes it, and how far the gap closes."""
-    from palpd.gap.commands import diagnose_files, diagnose_folder
+    from palpd.gap.commands import diagnose_files
     from palpd.gap.report import write as write_report
-    from palpd.report import diagnosis_lines, fleet_table
+    from palpd.report import diagnosis_lines
 
     for path in (json_file, cell_out, report):
         _writable(path)
     if len(recordings) == 1 and recordings[0].is_dir():
-        from rich.progress import track
-
-        rows = list(track(diagnose_folder(recordings[0], jobs=jobs, effects=effects), "diagnosing", console=console, transient=True))
-        console.print(fleet_table(rows))
-        _write_json(json_file, {"recordings": [asdict(row) for row in rows]})
+        _diagnose_fleet(recordings[0], jobs, scheduler, effects, json_file)
         return
     if cell is None:
         raise BadInput("--cell is missing: a gap is a gap to what a simulator believes; give the cell.yaml that describes the cell")
@@ -609,6 +608,21 @@ def diagnose(
         write_report(report, found, ", ".join(path.name for path in recordings))
     for line in diagnosis_lines(found.sentence, found.to_json()):
         console.print(line, highlight=False)
+
+
+def _diagnose_fleet(folder: Path, jobs: int, scheduler: str | None, effects: Path | None, json_file: Path | None) -> None:
+    from rich.progress import track
+
+    from palpd.gap.fleet import by_cell, diagnose_folder, recordings_in
+    from palpd.report import fleet_table, recordings_table
+
+    doing = diagnose_folder(folder, jobs=jobs, scheduler=scheduler, effects=effects)
+    rows = list(track(doing, "diagnosing", len(recordings_in(folder)), console=console, transient=True))
+    cells = by_cell(rows)
+    console.print(recordings_table(rows))
+    if len(cells) < len(rows):
+        console.print(fleet_table(cells))
+    _write_json(json_file, {"recordings": [asdict(row) for row in rows], "cells": [asdict(cell) for cell in cells]})
 
 
 @app.command()

@@ -81,18 +81,28 @@ def effect_table(library: Mapping[str, Any]) -> Table:
     return table
 
 
-def fleet_table(rows: list[Any]) -> Table:
-    """Which cell, which effect, how sure, how far the gap closes."""
-    table = _table("Cells", "cell", "verdict", "effects", "probability", "closed", "what")
-    for row in sorted(rows, key=lambda row: str(row.name)):
+def recordings_table(rows: list[Any]) -> Table:
+    """Recording by recording: which effect, how sure, how far the gap closes."""
+    table = _table("Recordings", "recording", "verdict", "effects", "probability", "closed", "what")
+    for row in sorted(rows, key=lambda row: (str(row.cell), str(row.name))):
         table.add_row(
-            row.name,
+            row.name if row.cell == row.name else f"{row.cell}: {row.name}",
             row.verdict or "failed",
-            row.effects or "–",
+            ", ".join(row.effects) or "–",
             f"{row.probability:.2f}" if row.probability is not None else "–",
             f"{row.closed:.0%}" if row.closed is not None else "–",
             row.sentence if row.verdict is None else "",
         )
+    return table
+
+
+def fleet_table(cells: list[Any]) -> Table:
+    """Cell by cell: what it has now, since when, and the trend."""
+    table = _table("Cells", "cell", "recordings", "verdict", "effects", "since", "trend")
+    for cell in cells:
+        failed = f" ({cell.failed} failed)" if cell.failed else ""
+        verdict, effects = cell.verdict or "failed", ", ".join(cell.effects) or "–"
+        table.add_row(cell.cell, f"{cell.recordings}{failed}", verdict, effects, cell.since or "–", cell.trend)
     return table
 
 
@@ -118,7 +128,7 @@ def _percent(share: float | None) -> str:
     return f"{share * 100:.1f} %" if share is not None else "–"
 
 
-LEFT = {"from", "parameters", "what it does", "what", "effects"}
+LEFT = {"from", "parameters", "what it does", "what", "effects", "since", "trend"}
 
 
 def _table(title: str, first: str, *columns: str) -> Table:

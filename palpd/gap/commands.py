@@ -1,10 +1,8 @@
-"""What the command line does with recordings of cells: diagnose one, several jointly or a folder of them, simulate, estimate tolerances."""
+"""What the command line does with recordings of cells: diagnose one or several jointly, simulate, estimate tolerances."""
 
 import csv
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,7 @@ import numpy as np
 from palpd.cell import simulate
 from palpd.cell_file import CellFile, load_cell, save_cell
 from palpd.effects import EFFECTS, Effect, load_effects
-from palpd.errors import BadInput, PalpdError, RecordingError
+from palpd.errors import BadInput, RecordingError
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.tolerances import estimate_tolerances
 from palpd.samples import COLUMNS, WRENCH_COLUMNS, Samples, read, write_csv
@@ -57,55 +55,6 @@ def write_answer(path: Path, found: Diagnosis) -> None:
         found.proposal.write_motion(motion)
         content["next_experiment"]["motion_csv"] = motion.name
     path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-
-
-@dataclass(frozen=True)
-class FleetRow:
-    """One cell of a folder: its verdict, or the sentence of what was wrong with it."""
-
-    name: str
-    verdict: str | None
-    effects: str
-    probability: float | None
-    closed: float | None
-    sentence: str
-
-
-def _fleet_row(recording: Path, effects: Path | None) -> FleetRow:
-    try:
-        cell = recording.with_suffix(".yaml")
-        if not cell.exists():
-            raise RecordingError(f"{recording.name} has no {cell.name} beside it; give every recording its cell file.")
-        found = diagnose_files([recording], cell, json_out=recording.with_suffix(".json"), effects=effects)
-        named = ", ".join(e.id for e in found.effects)
-        probability = max((e.probability for e in found.effects), default=found.p_none)
-        closed = found.shrink.closed if found.shrink else None
-        return FleetRow(recording.stem, found.verdict, named, probability, closed, found.sentence)
-    except (PalpdError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
-        return FleetRow(recording.stem, None, "", None, None, str(error))
-
-
-def recordings_in(folder: Path) -> list[Path]:
-    """The recordings of a folder, in order of name. Raises BadInput where there are none."""
-    found = sorted(p for p in folder.iterdir() if p.suffix in {".csv", ".parquet"} and not p.name.endswith(".next.csv"))
-    if not found:
-        raise BadInput(f"{folder} holds no recording; expected X.csv files, each with its X.yaml.")
-    return found
-
-
-def diagnose_folder(folder: Path, *, jobs: int = 1, effects: Path | None = None) -> Iterator[FleetRow]:
-    """Diagnose every X.csv of a folder by its X.yaml over `jobs` processes, X.json written beside; rows as they are done. A recording
-    that fails is a row with its sentence and stops nothing."""
-    recordings = recordings_in(folder)
-    if jobs <= 1:
-        for recording in recordings:
-            yield _fleet_row(recording, effects)
-        return
-    with ProcessPoolExecutor(jobs) as pool:
-        waiting = {pool.submit(_fleet_row, recording, effects): recording for recording in recordings}
-        for done in as_completed(waiting):
-            error = done.exception()
-            yield done.result() if error is None else FleetRow(waiting[done].stem, None, "", None, None, f"{type(error).__name__}: {error}")
 
 
 def simulate_file(

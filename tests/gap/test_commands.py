@@ -9,7 +9,7 @@ from test_diagnosis import recording
 
 from palpd.cell_file import load_cell, nominal, save_cell
 from palpd.errors import BadInput, RecordingError
-from palpd.gap.commands import diagnose_files, diagnose_folder, simulate_file, tolerances_of
+from palpd.gap.commands import diagnose_files, simulate_file, tolerances_of
 from palpd.samples import read_csv, write_csv
 
 EFFECT = {"tissue.viscoelastic": {"ratio": 0.2, "tau_s": 0.8}}
@@ -28,20 +28,6 @@ def test_a_file_is_diagnosed_and_its_enriched_cell_simulates_it(tmp_path: Path) 
     assert np.std(read_csv(tmp_path / "predicted.csv").wrench[:, 2] - samples.wrench[:, 2]) < 0.08
     with pytest.raises(BadInput, match="exists"):
         simulate_file(tmp_path / "a.csv", tmp_path / "rich.yaml", tmp_path / "predicted.csv")
-
-
-def test_a_recording_of_a_folder_that_fails_is_reported_and_stops_nothing(tmp_path: Path) -> None:
-    write_csv(tmp_path / "good.csv", recording(nominal(), EFFECT))
-    save_cell(tmp_path / "good.yaml", nominal())
-    (tmp_path / "bad.csv").write_text("t_s,z_m\n0,0\n")
-    save_cell(tmp_path / "bad.yaml", nominal())
-    write_csv(tmp_path / "alone.csv", recording(nominal(), {}))
-    rows = {row.name: row for row in diagnose_folder(tmp_path)}
-    assert rows["good"].verdict == "effects"
-    assert (tmp_path / "good.json").exists()
-    assert rows["bad"].verdict is None
-    assert "missing" in rows["bad"].sentence
-    assert "alone.yaml" in rows["alone"].sentence
 
 
 def test_a_simulation_needs_a_time_and_a_height(tmp_path: Path) -> None:

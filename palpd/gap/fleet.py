@@ -1,0 +1,157 @@
+"""Many recordings of many cells: one task a recording, over processes or a Dask cluster, and a table of which cell has what since when."""
+
+import re
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from palpd.errors import BadInput, PalpdError, RecordingError
+from palpd.gap.commands import diagnose_files
+
+COMMON_CELL = "cell.yaml"
+"""In a folder of one cell's recordings this cell file stands for all that have none of their own."""
+
+
+@dataclass(frozen=True)
+class FleetRow:
+    """One recording: the verdict, what was named with which parameters (value, low, high), or the sentence of what was wrong with it."""
+
+    name: str
+    cell: str
+    verdict: str | None
+    effects: dict[str, dict[str, tuple[float, float, float]]]
+    probability: float | None
+    closed: float | None
+    sentence: str
+
+
+@dataclass(frozen=True)
+class CellRow:
+    """One cell over its recordings in order: what its last good one said, since which recording that has been so, and the trend."""
+
+    cell: str
+    recordings: int
+    failed: int
+    verdict: str | None
+    effects: tuple[str, ...]
+    since: str | None
+    trend: str
+
+
+def recordings_in(folder: Path) -> list[Path]:
+    """The recordings of a folder and of the folders in it, in order of name. Raises BadInput where there are none."""
+    inside = [p for place in (folder, *sorted(p for p in folder.iterdir() if p.is_dir())) for p in sorted(place.iterdir())]
+    found = [p for p in inside if p.suffix in {".csv", ".parquet"} and not p.name.endswith(".next.csv")]
+    if not found:
+        raise BadInput(f"{folder} holds no recording; expected X.csv files, each with its X.yaml, or folders of them.")
+    return found
+
+
+def cell_of(recording: Path, folder: Path) -> str:
+    """Which cell a recording is of: the folder it stands in, else its name without the number or date at the end."""
+    if recording.parent != folder:
+        return recording.parent.name
+    return re.sub(r"[-_.]?\d[\d\-_T.:]*$", "", recording.stem) or recording.stem
+
+
+def _cell_file(recording: Path) -> Path:
+    for file in (recording.with_suffix(".yaml"), recording.with_name(COMMON_CELL)):
+        if file.exists():
+            return file
+    raise RecordingError(f"{recording.name} has no {recording.stem}.yaml or {COMMON_CELL} beside it; give every recording its cell file.")
+
+
+def diagnose_one(recording: Path, cell: str, effects: Path | None = None) -> FleetRow:
+    """Diagnose a recording by its cell file, X.json written beside; whatever is wrong with it is a row with the sentence."""
+    try:
+        found = diagnose_files([recording], _cell_file(recording), json_out=recording.with_suffix(".json"), effects=effects)
+    except Exception as error:  # the end of this recording, whatever it is, and not of the others
+        return _failed(recording, cell, error)
+    named = {e.id: e.parameters for e in found.effects}
+    probability = max((e.probability for e in found.effects), default=found.p_none)
+    return FleetRow(recording.stem, cell, found.verdict, named, probability, found.shrink.closed if found.shrink else None, found.sentence)
+
+
+def _failed(recording: Path, cell: str, error: BaseException) -> FleetRow:
+    expected = isinstance(error, PalpdError)
+    return FleetRow(recording.stem, cell, None, {}, None, None, str(error) if expected else f"{type(error).__name__}: {error}")
+
+
+def diagnose_folder(folder: Path, *, jobs: int = 1, scheduler: str | None = None, effects: Path | None = None) -> Iterator[FleetRow]:
+    """Diagnose every recording of a folder, one task each; rows as they are done. A task that fails, or a worker that dies, is a row.
+
+    On a cluster the workers must see the folder under the same path. Raises BadInput where there is no recording or no cluster.
+    """
+    recordings = recordings_in(folder)
+    with _executor(jobs, scheduler) as pool:
+        waiting = {pool.submit(diagnose_one, path, cell_of(path, folder), effects): path for path in recordings}
+        for done in as_completed(waiting):
+            error, path = done.exception(), waiting[done]
+            yield done.result() if error is None else _failed(path, cell_of(path, folder), error)
+
+
+@contextmanager
+def _executor(jobs: int, scheduler: str | None) -> Iterator[Executor]:
+    """Processes of this machine, or the workers of a Dask cluster at that address, by the same interface."""
+    if scheduler is None:
+        with ProcessPoolExecutor(jobs) as pool:
+            yield pool
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise BadInput("--scheduler needs Dask, which is not installed; install palpd[cluster].") from None
+    try:
+        client = Client(scheduler, timeout=10.0)
+    except (OSError, ValueError) as error:
+        raise BadInput(f"there is no Dask scheduler at {scheduler} ({error}); start one with `dask scheduler`.") from None
+    with client, client.get_executor() as pool:
+        yield cast(Executor, pool)
+
+
+def by_cell(rows: Sequence[FleetRow]) -> list[CellRow]:
+    """The cells of a fleet, each by its recordings in order of name."""
+    out = []
+    for cell in sorted({row.cell for row in rows}):
+        mine = sorted((row for row in rows if row.cell == cell), key=lambda row: row.name)
+        good = [row for row in mine if row.verdict is not None]
+        if not good:
+            out.append(CellRow(cell, len(mine), len(mine), None, (), None, mine[-1].sentence))
+            continue
+        last = good[-1]
+        named = tuple(last.effects)
+        since = last.name
+        for row in reversed(good):
+            if (set(named) <= set(row.effects)) if named else row.verdict == last.verdict:
+                since = row.name
+            else:
+                break
+        trends = "; ".join(filter(None, (_trend(good, name) for name in named)))
+        out.append(CellRow(cell, len(mine), len(mine) - len(good), last.verdict, named, since if len(good) > 1 else None, trends))
+    return out
+
+
+def _trend(rows: Sequence[FleetRow], effect: str) -> str:
+    """How the first parameter of an effect went over the recordings that name it: a weighted straight line over their order, steady where
+    its slope is within two standard deviations (as the intervals or, if that is more, the scatter have it)."""
+    there = [(k, row.effects[effect]) for k, row in enumerate(rows) if row.effects.get(effect)]
+    if len(there) < 3:
+        return ""
+    name = next(iter(there[-1][1]))
+    x = np.array([float(k) for k, _ in there])
+    value, low, high = (np.array([p[name][i] for _, p in there]) for i in range(3))
+    sigma = np.maximum((high - low) / 3.92, 1e-6 * np.abs(value).max() + 1e-300)
+    w = sigma**-2 / float((sigma**-2).sum())
+    away = x - float(w @ x)
+    slope = float((w * away) @ value / ((w * away) @ away))
+    left = value - float(w @ value) - slope * away
+    misfit = max(1.0, float(np.sqrt(np.sum((left / sigma) ** 2) / (len(x) - 2))))
+    sure = abs(slope) > 2.0 * misfit * float(np.sum((away / sigma) ** 2)) ** -0.5
+    word = "steady" if not sure else "growing" if slope * value[-1] > 0 else "shrinking"
+    return f"{effect} {name} {value[0]:.3g} → {value[-1]:.3g}, {word}"
+
