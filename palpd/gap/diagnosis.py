@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from palpd.cell_file import CellFile, EffectValues
 from palpd.effects import EFFECTS, Effect
@@ -104,8 +105,7 @@ class Diagnosis:
             "sentence": self.sentence,
             "where": self.where,
             "gap": [
-                {"channel": g.channel, "phase": g.phase, "rms": g.rms, "noise_floor": g.noise_floor, "excess": g.excess}
-                for g in self.gap
+                {"channel": g.channel, "phase": g.phase, "rms": g.rms, "noise_floor": g.noise_floor, "excess": g.excess} for g in self.gap
             ],
             "effects": [
                 {
@@ -159,6 +159,12 @@ def diagnose(
     """Diagnose the recordings of one cell jointly. Deterministic. Raises RecordingError where nothing can be judged."""
     if not recordings:
         raise RecordingError("no recording was given; at least one is needed")
+    # The matrices are small: threads cost more than they bring, and add up in another order each time.
+    with threadpool_limits(1):
+        return _diagnosed(recordings, cell, effects, max_bins, propose)
+
+
+def _diagnosed(recordings: Sequence[Samples], cell: CellFile, effects: Mapping[str, Effect], max_bins: int, propose: bool) -> Diagnosis:
     notes = _check(recordings, cell)
     bridged = [without_held(s) for s in recordings]
     coarse = max(coarse_step_N(s, cell) for s in recordings)

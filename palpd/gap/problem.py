@@ -12,7 +12,7 @@ from palpd.cell_file import CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
 from palpd.effects import EFFECTS, Effect, Scale
 from palpd.gap.bins import Bins, make_bins, straight_between
 from palpd.gap.gaussian import Nuisances, nuisances
-from palpd.gap.noise import FX, FZ, TX, Z, dead, declared_rms, measured_rms, resolutions
+from palpd.gap.noise import FX, FY, FZ, TX, TY, Z, dead, declared_rms, measured_rms, resolutions
 from palpd.gap.phases import FREE_STILL, HOLDING, Ints, Phases, find_phases
 from palpd.kinematics import reports
 from palpd.samples import Samples
@@ -33,13 +33,17 @@ SHARED = (
 )
 """In-tolerance deviations that all recordings of a cell share; bias and drift are each recording's own, since each is tared."""
 
+SERVO = np.array(SHARED) == "servo_natural_frequency"
+LEAKS_INTO = {"fx_per_fz": FX, "fy_per_fz": FY, "tx_per_fz": TX, "ty_per_fz": TY}
+LEAKS = np.isin(SHARED, list(LEAKS_INTO))
+
 RELATIVE = {"youngs_modulus", "filter_cutoff", "servo_natural_frequency"}
 """Deviations that are fitted as logarithms, so that a modulus that is not known at all stays positive."""
 
 TRUSTED = 0.02
 """No cell follows the laws of a simulator to better than this share of its gap."""
 
-REMEMBERED = 48
+REMEMBERED = 96
 """So many predictions are kept, since a search comes back to where it was a moment ago."""
 
 UNKNOWN_LOG_SD = 2.5
@@ -228,43 +232,47 @@ class Problem:
         out[:, 1:] = predict_wrench(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, self.library)
         return out
 
-    def _simulated(self, run: Run, cell: CellFile, motion: Motion, still: Floats | None) -> Floats:
-        """Binned heights and wrench (7, b); heights, where given, from `still`."""
+    def _heights(self, run: Run, cell: CellFile) -> Floats:
+        """Binned heights (b,)."""
+        if not run.judged[Z] or run.z_cmd_m is None:
+            return np.zeros(len(run.bins))
+        return run.z_means @ predict_motion(cell, run.robot_t_s, run.z_cmd_m, self.library)
+
+    def _wrench(self, run: Run, cell: CellFile, motion: Motion) -> Floats:
+        """Binned wrench (6, b)."""
         self.simulations += 1
-        out = np.zeros((7, len(run.bins)))
-        if still is not None:
-            out[Z] = still[Z]
-        elif run.judged[Z] and run.z_cmd_m is not None:
-            out[Z] = run.z_means @ predict_motion(cell, run.robot_t_s, run.z_cmd_m, self.library)
         wrench = wrench_of(cell, motion, self.library)
+        out = np.zeros((6, len(run.bins)))
         for axis in range(6):
             if wrench[:, axis].any():
-                out[axis + 1] = run.steps.mean(np.ascontiguousarray(wrench[:, axis]))
+                out[axis] = run.steps.mean(np.ascontiguousarray(wrench[:, axis]))
         return out
 
     def predict(self, effects: EffectValues, eta: Floats) -> Floats:
         """The whitened prediction (7, b)."""
-        key = (repr(effects), eta.tobytes())
-        if key not in self._known:
+        servo = np.where(SERVO, eta, 0.0)
+        moves = {name: values for name, values in effects.items() if self.library[name].motion}
+        pushes = {name: values for name, values in effects.items() if name not in moves}
+        heights = self._remembered("heights", moves, servo, self._heights)
+        wrench = self._remembered("wrench", pushes, eta - servo, lambda run, cell: self._wrench(run, cell, run.motion))
+        return np.vstack([heights, wrench]) / self.sigma
+
+    def _remembered(self, what: str, effects: EffectValues, eta: Floats, simulated: Callable[[Run, CellFile], Floats]) -> Floats:
+        """Binned heights (1, b), or wrenches (6, b), of all recordings. The robot alone decides on its heights, and what is driven by
+        measured heights does not depend on it, so each is simulated only where something of its own has changed."""
+        key = (what, repr(effects), eta.tobytes())
+        known = self._known.get(key)
+        if known is None:
             if len(self._known) >= REMEMBERED:
                 del self._known[next(iter(self._known))]
-            self._known[key] = self._predicted(effects, eta)
-        # A trial far outside all reason may overflow: it then fits badly, and that is all that is asked of it.
-        return np.nan_to_num(self._known[key] / self.sigma, nan=1e6, posinf=1e6, neginf=-1e6)
-
-    def _predicted(self, effects: EffectValues, eta: Floats) -> Floats:
-        """Binned heights and wrenches (7, b) of all recordings."""
-        cell = self.cell_at(effects, eta)
-        motion = any(self.library[name].motion for name in effects) or bool(eta[SHARED.index("servo_natural_frequency")])
-        parts = [
-            self._simulated(run, cell, run.motion, None if motion else still) for run, still in zip(self.runs, self._still, strict=True)
-        ]
-        return np.hstack(parts)
+            cell = self.cell_at(effects, eta)
+            known = np.hstack([np.atleast_2d(simulated(run, cell)) for run in self.runs])
+            # A trial far outside all reason may overflow: it then fits badly, and that is all that is asked of it.
+            known = self._known[key] = known if np.isfinite(known.sum()) else np.nan_to_num(known, nan=1e100, posinf=1e100, neginf=-1e100)
+        return known
 
     def __post_init__(self) -> None:
-        self._known: dict[tuple[str, bytes], Floats] = {}
-        nothing = self.cell.with_effects({})
-        self._still = [self._simulated(run, nothing, run.motion, None) for run in self.runs]
+        self._known: dict[tuple[str, str, bytes], Floats] = {}
         measured = []
         sigmas = []
         for run in self.runs:
@@ -305,14 +313,19 @@ class Problem:
         prediction = self.predict(effects, eta)
         step = np.where(np.array(SHARED) == "surface_z_m", 0.3, 0.5)
         shared = []
+        leaking = eta + np.where(LEAKS, 0.5, 0.0)  # each into an axis of its own, so all at once
+        leaks = (self.predict(effects, leaking) - prediction) / 0.5 if self.shared_sd[LEAKS].any() else np.zeros_like(prediction)
         for k, sd in enumerate(self.shared_sd):
-            if sd == 0.0:
-                shared.append(np.zeros_like(prediction))
-                continue
-            h = min(step[k], 0.05 / sd) if SHARED[k] in RELATIVE else step[k]
-            there = eta.copy()
-            there[k] += h
-            shared.append((self.predict(effects, there) - prediction) / h)
+            column = np.zeros_like(prediction)
+            if SHARED[k] in LEAKS_INTO:
+                channel = LEAKS_INTO[SHARED[k]]
+                column[channel] = leaks[channel]
+            elif sd > 0.0:
+                h = min(step[k], 0.05 / sd) if SHARED[k] in RELATIVE else step[k]
+                there = eta.copy()
+                there[k] += h
+                column = (self.predict(effects, there) - prediction) / h
+            shared.append(column)
         columns = np.array([*shared, *self._own_columns(effects, eta, prediction, shared)])
         return Linearisation(effects, eta.copy(), columns, nuisances(columns), prediction)
 
@@ -323,7 +336,7 @@ class Problem:
         columns: list[Floats] = []
         self.own_index, self.press_index, self.numerical_index = [], [], []
         start = 0
-        for run, still in zip(self.runs, self._still, strict=True):
+        for run in self.runs:
             stop = start + len(run.bins)
             here = slice(start, stop)
 
@@ -348,7 +361,7 @@ class Problem:
             here_raw = prediction[FZ, here] * self.sigma[FZ, here]
             for motion in run.smoother:
                 self.numerical_index.append(len(columns))
-                columns.append(column(FZ, self._simulated(run, cell, motion, still)[FZ] - here_raw))
+                columns.append(column(FZ, self._wrench(run, cell, motion)[FZ - 1] - here_raw))
             for press in range(run.phases.presses):
                 window = np.zeros(prediction.shape[1], dtype=bool)
                 window[here] = _around(run.bin_press == press)

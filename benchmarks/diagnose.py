@@ -1,0 +1,110 @@
+"""What a diagnosis costs: seconds by length of the recording, memory, and how many more a second process does.
+
+`python benchmarks/diagnose.py [--length 90] [--recordings 6]`. Cells with two effects, so that pairs are searched; no two strokes alike; 500 Hz.
+Every figure comes from a process of its own, the folder's from `palpd diagnose FOLDER`. Targets: 90 s of recording in 10 s and 1 GB, time in
+proportion to length, two processes 1.8 times as fast as one. Load of other programs cancels best in the ratios, since all is timed in one run.
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from palpd.cell import WRENCH, simulate
+from palpd.cell_file import Estimated, nominal, save_cell
+from palpd.gap.commands import diagnose_files, diagnose_folder
+from palpd.samples import Samples, write_csv
+
+RATE_HZ = 500.0
+EFFECTS = {"tissue.viscoelastic": {"ratio": 0.2, "tau_s": 0.7}, "cable.friction": {"force_N": 0.06}}
+
+
+def heights(seconds: float, seed: int) -> np.ndarray:
+    """Commanded heights (n,): strokes in the air and presses, with depths, speeds and rests drawn anew each time."""
+    rng = np.random.default_rng(seed)
+    pieces, z_m, missing = [np.full(int(RATE_HZ), 0.01)], 0.01, int(seconds * RATE_HZ) - int(RATE_HZ)
+    while missing > 0:
+        free = rng.random() < 0.3
+        for to_m, rest_s in ((rng.uniform(0.003, 0.006) if free else -rng.uniform(0.004, 0.008), rng.uniform(0.3, 3.0)), (0.01, 0.6)):
+            ramp = np.linspace(z_m, to_m, int(abs(z_m - to_m) / rng.uniform(0.005, 0.03) * RATE_HZ))
+            piece = np.concatenate([ramp, np.full(int(rest_s * RATE_HZ), to_m)])
+            pieces.append(piece)
+            z_m, missing = to_m, missing - len(piece)
+    return np.concatenate(pieces)[: int(seconds * RATE_HZ)]
+
+
+def record(path: Path, seconds: float, seed: int) -> None:
+    """A recording of a cell with both effects and in-tolerance deviations, and its cell file beside it."""
+    off = Estimated(bias_N=0.015, gain=0.004, latency_s=-0.0005, mass_kg=0.002, youngs_modulus=0.015, surface_z_m=-2e-5)
+    z_cmd_m = heights(seconds, seed)
+    t_s = np.arange(len(z_cmd_m)) / RATE_HZ
+    columns = simulate(nominal().with_effects(EFFECTS).with_estimated(off), t_s, z_cmd_m=z_cmd_m, noise_seed=seed)
+    wrench = np.column_stack([columns[name] for name in WRENCH])
+    write_csv(path, Samples(t_s, z_cmd_m, columns["z_m"], columns["vz_m_per_s"], wrench))
+    save_cell(path.with_suffix(".yaml"), nominal())
+
+
+def measure(path: Path) -> None:
+    """Diagnose that recording, and print what it cost as JSON."""
+    began, before = time.perf_counter(), os.times()
+    found = diagnose_files([path], path.with_suffix(".yaml"))
+    after = os.times()
+    cost = {
+        "wall_s": time.perf_counter() - began,
+        "cpu_s": after.user + after.system - before.user - before.system,
+        "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+        "simulations": found.problem.simulations,
+        "named": [effect.id for effect in found.effects],
+    }
+    print(json.dumps(cost))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--length", type=float, default=90.0, help="seconds; half, a third and twice as much are timed too")
+    parser.add_argument("--recordings", type=int, default=6, help="how many, of a third of that length, over one and two processes")
+    parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.measure is not None:
+        measure(given.measure)
+        return
+    print(f"load {os.getloadavg()[0]:.1f} before it began, {os.cpu_count()} cores\n")
+    print("| length | wall | CPU | CPU a second recorded | peak memory | simulations | named |\n|---|---|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as name:
+        for share in (1 / 3, 2 / 3, 1.0, 2.0):
+            path = Path(name) / f"{share:.2f}.csv"
+            seconds = share * given.length
+            record(path, seconds, seed=1)
+            command = [sys.executable, __file__, "--measure", str(path)]
+            cost = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+            print(
+                f"| {seconds:.0f} s | {cost['wall_s']:.1f} s | {cost['cpu_s']:.1f} s | {1e3 * cost['cpu_s'] / seconds:.0f} ms | "
+                f"{cost['peak_MB']:.0f} MB | {cost['simulations']} | {', '.join(cost['named'])} |",
+                flush=True,
+            )
+        folder = Path(name) / "folder"
+        folder.mkdir()
+        for k in range(given.recordings):
+            record(folder / f"{k}.csv", given.length / 3, seed=10 + k)
+        wall_s = []
+        for jobs in (1, 2):
+            began = time.perf_counter()
+            rows = list(diagnose_folder(folder, jobs=jobs))
+            wall_s.append(time.perf_counter() - began)
+            assert all(row.verdict is not None for row in rows)
+        print(
+            f"\n{given.recordings} recordings of {given.length / 3:.0f} s: {wall_s[0]:.1f} s in one process, {wall_s[1]:.1f} s in two, "
+            f"{wall_s[0] / wall_s[1]:.2f} times as fast."
+        )
+
+
+if __name__ == "__main__":
+    main()
