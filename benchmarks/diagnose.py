@@ -1,8 +1,9 @@
 """What a diagnosis costs: seconds by length of the recording, memory, and how many more a second process does.
 
-`python benchmarks/diagnose.py [--length 90] [--recordings 6]`. Cells with two effects, so that pairs are searched; no two strokes alike; 500 Hz.
-Every figure comes from a process of its own, the folder's from `palpd diagnose FOLDER`. Targets: 90 s of recording in 10 s and 1 GB, time in
-proportion to length, two processes 1.8 times as fast as one. Load of other programs cancels best in the ratios, since all is timed in one run.
+`python benchmarks/diagnose.py [--length 90] [--recordings 6]`. Cells with two effects, so that pairs are searched; no two strokes alike;
+500 Hz. Every figure comes from a process of its own, the last ones from a folder as `palpd diagnose FOLDER` does it. Targets: 90 s of
+recording in 10 s and 1 GB, time in proportion to length, two processes 1.8 times as fast as one. All is timed in one run, so what
+else the machine does cancels best in the ratios.
 """
 
 import argparse
