@@ -255,40 +255,49 @@ def study(
 
 @app.command("map")
 def map_(
-    out: Annotated[Path, typer.Option("--out", help="picture to write (.png)")] = Path("map.png"),
+    out: Annotated[Path, typer.Option("--out", help="picture to write (.png); the presses are kept beside it (.csv)")] = Path("map.png"),
+    config: Annotated[
+        Path | None, typer.Option("--config", help="press with the robot of this config.yaml; where the arm stands is the field's corner")
+    ] = None,
+    emulated: Annotated[bool, typer.Option("--emulated", help="press with the real daemon on emulated wires")] = False,
     presses: Annotated[
-        Path | None, typer.Option("--presses", help="CSV with x_m, y_m, youngs_modulus_Pa; without it a field is emulated")
+        Path | None, typer.Option("--presses", help="CSV with x_m, y_m, youngs_modulus_Pa: the map of these, and where to press next")
     ] = None,
     width_m: Annotated[float, typer.Option("--width-m", min=0.005, max=0.5)] = 0.06,
     height_m: Annotated[float, typer.Option("--height-m", min=0.005, max=0.5)] = 0.06,
+    depth_m: Annotated[float, typer.Option("--depth-m", min=0.001, max=0.02, help="of a press")] = 0.005,
     inclusion_m: Annotated[float, typer.Option("--inclusion-m", min=0.002, max=0.1, help="smallest inclusion not to be missed")] = 0.01,
     seed: Annotated[int, typer.Option("--seed", help="another emulated field")] = 0,
     json_file: JsonOption = None,
 ) -> None:
-    """Map the stiffness of a field from few presses: what was found, or where to press next."""
-    from palpd import mapping
+    """Press a field where it pays most until a hard inclusion is found or excluded; draw the map.
 
-    where = mapping.Field(width_m=width_m, height_m=height_m, inclusion_m=inclusion_m)
-    truth = None
+    Without --config, --emulated or --presses the daemon presses a simulated field, faster than real time.
+    """
+    from palpd import mapping
+    from palpd.mapping_robot import mapped
+
+    where = mapping.Field(width_m=width_m, height_m=height_m, inclusion_m=inclusion_m, depth_m=depth_m)
+    for path in (json_file, out):
+        _writable(path)
+    if presses is not None and (config is not None or emulated):
+        raise BadInput("--presses draws presses that were made; leave it out to make new ones with --config or --emulated")
+    stopped, truth = None, None
     if presses is not None:
         survey = mapping.read_presses(presses, where)
-        found = survey.map()
     else:
-        from palpd.mapping_field import EmulatedField
-
-        emulated = EmulatedField(where, seed)
-        survey, found = mapping.search(emulated.press, where)
-        truth = emulated.inclusion
+        survey, truth, stopped = mapped(where, out, config, emulated, seed, console)
+    found = survey.map()
     mapping.draw(survey, found, out, truth)
-    _writable(json_file)
     console.print(f"{found.sentence}.")
     if not found.done:
         console.print(f"Next press at x = {found.next_m[0] * 1e3:.0f} mm, y = {found.next_m[1] * 1e3:.0f} mm.")
-    elif presses is None:
-        console.print(f"Emulated field: {len(survey.places_m)} presses, a raster of 5 mm has {len(mapping.raster(where))}.")
+    console.print(f"{len(survey.places_m)} presses; a raster of 5 mm has {len(mapping.raster(where))}.")
     console.print(f"{out}")
-    keys = {"presses": len(survey.places_m), "done": found.done, "found_m": found.found_m, "next_m": found.next_m}
-    _write_json(json_file, {**keys, "background_Pa": found.background_Pa, "sentence": found.sentence, "true_inclusion_m": truth})
+    told: dict[str, Any] = {"presses": len(survey.places_m), "done": found.done, "found_m": found.found_m, "next_m": found.next_m}
+    told |= {"background_Pa": found.background_Pa, "sentence": found.sentence, "true_inclusion_m": truth}
+    _write_json(json_file, {**told, "verdict": "stopped" if stopped else "done", "reason": stopped or ""})
+    _exit(3 if stopped else 0, stopped or "")
 
 
 @app.command()

@@ -156,13 +156,23 @@ def _background(logs: Floats) -> float:
     return float(np.mean(soft)) if len(soft) else median
 
 
-def search(press: Callable[[tuple[float, float]], float], where: Field, most: int = 200) -> tuple[Survey, Map]:
-    """Press where it pays most until the map says stop, or `most` presses are made; `press` gives the modulus at a place."""
-    survey = Survey(where)
+def search(
+    press: Callable[[tuple[float, float]], float],
+    where: Field,
+    most: int = 200,
+    survey: Survey | None = None,
+    watch: Callable[[Survey, Map], None] = lambda survey, found: None,
+) -> tuple[Survey, Map]:
+    """Press where it pays most until the map says stop, or `most` presses are made; `press` gives the modulus at a place.
+
+    `survey` holds presses that were made before, and all that were made where `press` raises; `watch` sees each new map.
+    """
+    survey = survey or Survey(where)
     found = survey.map()
     while not found.done and len(survey.places_m) < most:
         survey.add(found.next_m, press(found.next_m))
         found = survey.map()
+        watch(survey, found)
     return survey, found
 
 
@@ -186,6 +196,15 @@ def read_presses(path: Path, where: Field) -> Survey:
     except (OSError, UnicodeDecodeError):
         raise BadInput(f"{path} cannot be read; give a CSV file with the columns x_m, y_m, youngs_modulus_Pa") from None
     return survey
+
+
+def write_presses(path: Path, survey: Survey) -> None:
+    """A CSV file that `read_presses` reads. Raises BadInput."""
+    rows = [f"{x_m:.4f},{y_m:.4f},{modulus_Pa:.1f}" for (x_m, y_m), modulus_Pa in zip(survey.places_m, survey.moduli_Pa, strict=True)]
+    try:
+        path.write_text("\n".join(["x_m,y_m,youngs_modulus_Pa", *rows, ""]), encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"{path} cannot be written ({error.strerror}); choose another place") from None
 
 
 def draw(survey: Survey, found: Map, out: Path, truth: tuple[float, float, float] | None = None) -> None:

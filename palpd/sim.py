@@ -29,12 +29,14 @@ HOME_ABOVE_M = 0.03
 class SimCell:
     """Advances robot, tissue and sensor together, one loop tick at a time; its two faces are a Robot and a ForceSensor."""
 
-    def __init__(self, cell: CellFile, rate_Hz: float, acceleration_m_per_s2: float = 0.5, seed: int = 0) -> None:
+    def __init__(
+        self, cell: CellFile, rate_Hz: float, acceleration_m_per_s2: float = 0.5, seed: int = 0, home_above_m: float = HOME_ABOVE_M
+    ) -> None:
         self._cell = Cell(cell, seed=seed)
         self._steps = round(1000.0 / rate_Hz)
         self._acceleration = acceleration_m_per_s2
         surface_z_m = cell.tissue.surface_z_m if cell.tissue else 0.0
-        self._target = np.array([0.0, 0.0, surface_z_m + HOME_ABOVE_M])
+        self._target = np.array([0.0, 0.0, surface_z_m + home_above_m])
         self._speed = np.zeros(3)
         self._wanted = np.zeros(3)
         self._begun = False
@@ -141,12 +143,19 @@ class Ran:
     header: dict[str, Any]
 
 
-def run(job: Job, cell: CellFile, *, seed: int = 0, requests: Mapping[int, Request] = MappingProxyType({})) -> Ran:
-    """Carry out a job on that cell; `requests` maps a tick to what the operator asks in it."""
+def run(
+    job: Job,
+    cell: CellFile,
+    *,
+    seed: int = 0,
+    requests: Mapping[int, Request] = MappingProxyType({}),
+    home_above_m: float = HOME_ABOVE_M,
+) -> Ran:
+    """Carry out a job on that cell, beginning so far above its surface; `requests` maps a tick to what the operator asks in it."""
     config = job.config
     rate_Hz, delay_s = config.robot.rate_Hz, filter_delay_s(config.sensor.filter_cutoff_Hz)
     sensor = cell.sensor.model_copy(update={"filter_cutoff_Hz": config.sensor.filter_cutoff_Hz, "rate_Hz": 1000.0})
-    sim = SimCell(cell.model_copy(update={"sensor": sensor}), rate_Hz, config.robot.acceleration_m_per_s2, seed)
+    sim = SimCell(cell.model_copy(update={"sensor": sensor}), rate_Hz, config.robot.acceleration_m_per_s2, seed, home_above_m)
     job = replace(job, reference=(0.0, 0.0, FZ_OFFSET_N, 0.0, 0.0, 0.0))
     record = RowList()
     loop = Loop(
