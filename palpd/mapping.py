@@ -208,7 +208,12 @@ def write_presses(path: Path, survey: Survey) -> None:
 
 
 def draw(survey: Survey, found: Map, out: Path, truth: tuple[float, float, float] | None = None) -> None:
-    """Stiffness and its uncertainty as a PNG; `truth` is centre and radius of an emulated inclusion, in m."""
+    """Write the map as a PNG."""
+    figure_of(survey, found, truth).savefig(out)
+
+
+def figure_of(survey: Survey, found: Map, truth: tuple[float, float, float] | None = None) -> Figure:
+    """Stiffness and the probability of a hard place; `truth` is centre and radius of an emulated inclusion, in m."""
     figure = Figure(figsize=(11, 4.6), layout="constrained", dpi=120)
     left, right = figure.subplots(1, 2)
     shape = (round(survey.field_.height_m / GRID_M) + 1, round(survey.field_.width_m / GRID_M) + 1)
@@ -233,4 +238,4 @@ def draw(survey: Survey, found: Map, out: Path, truth: tuple[float, float, float
         axes.set(xlabel="x (mm)", ylabel="y (mm)", title=title, xlim=extent[:2], ylim=extent[2:])
     left.legend(loc="upper left", bbox_to_anchor=(0.0, -0.12), ncols=3, fontsize=8, frameon=False)
     figure.suptitle(found.sentence, fontsize=10)
-    figure.savefig(out)
+    return figure

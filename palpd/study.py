@@ -17,6 +17,9 @@ from palpd.compensate import Bias, Exported, LineAndRunningZero, Method, Nothing
 from palpd.enriched import EnrichedModulus, enriched_modulus
 from palpd.errors import BadInput, RecordingError
 from palpd.gap.diagnosis import diagnose
+from palpd.inclusion import FEWEST_HOLDS, FORCE_SIGMA_N, Inclusion, find_inclusion
+from palpd.mapping import Field, Map, Survey, search
+from palpd.mapping_field import EmulatedField
 from palpd.record import Recording
 from palpd.results import PEAK_WINDOW_S
 from palpd.results import sites as site_results
@@ -36,6 +39,8 @@ PAPER_SPEED_M_PER_S = STROKE_M / (STROKE_S - 0.1)
 REST_M = STROKE_M - DYNAMIC_DEPTH_M
 ZERO_MISS_M = {"A": 0.0005, "B": 0.0, "C": 0.0, "D": 0.0}
 """How far above the zero of depth the surface is: what Table 1 says of setup A, and of D that it is nothing."""
+ZERO_SIGMA_M = 0.0005
+"""One sigma of the zero of depth: Table 1 says of setup A that it was missed by so much."""
 RATE_RATIO = {"A": 0.354, "B": 0.297, "C": 0.261, "D": 0.133}
 RATE_TAU_S = 1.0
 """A standard linear solid of one second, whose ratio makes the original YMBT that of Table 3. The paper tells no relaxation."""
@@ -113,7 +118,9 @@ class Peak:
 
 @dataclass(frozen=True)
 class Judged:
-    """One setup, evaluated. `modulus_Pa` and `ymbt` by method; the enriched cell's modulus is the static one it predicts."""
+    """One setup, evaluated. `modulus_Pa` and `ymbt` by method; the enriched cell's modulus is the static one it predicts. `inclusion` is
+    what its holds say of one, where there are enough of them.
+    """
 
     palpated: Palpated
     corrected_N: dict[str, Floats]
@@ -122,21 +129,28 @@ class Judged:
     modulus_Pa: dict[str, float]
     ymbt: dict[str, float]
     by_enriched: EnrichedModulus | None
+    inclusion: Inclusion | None
 
 
 NONE, BIAS, NETWORK, LINE, WINNER = "none", "bias only", "the paper's network", "m·a + bias", "m·a + running zero"
+TRUTH = "the true contact force (known to the emulator only)"
 ENRICHED = "enriched cell, bias fitted"
 METHODS = (NONE, BIAS, NETWORK, LINE, WINNER)
+MAP_SEED = 1
+"""The field whose map is shown."""
 
 
 @dataclass
 class Study:
-    """A whole study; `days` holds YMBT (methods by setup) of further days, by the same models."""
+    """A whole study; `days` holds YMBT (methods by setup) of further days, by the same models; `field` a field that was mapped, its map
+    and the inclusion's true centre and radius.
+    """
 
     data: Data
     cards: dict[str, dict[str, Any]]
     setups: list[Judged]
     days: list[dict[str, dict[str, float]]] = field(default_factory=list)
+    mapped: tuple[Survey, Map, tuple[float, float, float] | None] | None = None
 
 
 def fitted(free: Sequence[Take]) -> dict[str, Method]:
@@ -161,15 +175,25 @@ def evaluate(data: Data, methods: dict[str, Method]) -> list[Judged]:
 def _judged(palpated: Palpated, methods: dict[str, Method]) -> Judged:
     run = palpated.dynamic
     corrected_N = {name: run.fz_N - corrections(method, run) for name, method in methods.items()}
+    if np.isfinite(run.contact_N).all():
+        corrected_N[TRUTH] = run.contact_N
     peaks = [_peak(palpated, corrected_N, span) for span in palpated.presses]
     static_Pa = float(np.mean([hold.youngs_modulus_Pa for hold in palpated.holds]))
-    modulus_Pa = {name: float(np.mean([peak.youngs_modulus_Pa[name] for peak in peaks])) for name in methods}
+    modulus_Pa = {name: float(np.mean([peak.youngs_modulus_Pa[name] for peak in peaks])) for name in corrected_N}
     by_enriched = None
     if palpated.enriched is not None:
         by_enriched = enriched_modulus([run.samples()], palpated.enriched)
         modulus_Pa[ENRICHED] = by_enriched.static_Pa([hold.depth_m for hold in palpated.holds], palpated.zero_z_m)
     biases = {name: ymbt(value, static_Pa) for name, value in modulus_Pa.items()}
-    return Judged(palpated, corrected_N, peaks, static_Pa, modulus_Pa, biases, by_enriched)
+    return Judged(palpated, corrected_N, peaks, static_Pa, modulus_Pa, biases, by_enriched, inclusion_below(palpated.holds))
+
+
+def inclusion_below(holds: Sequence[Hold], force_sigma_N: float = FORCE_SIGMA_N, surface_sigma_m: float = ZERO_SIGMA_M) -> Inclusion | None:
+    """What the static holds of a setup say of an inclusion, with the zero of depth as uncertain as the paper's was."""
+    if len({hold.depth_m for hold in holds}) < FEWEST_HOLDS:
+        return None
+    depths_m, forces_N = [hold.depth_m for hold in holds], [hold.force_N for hold in holds]
+    return find_inclusion(depths_m, forces_N, surface_sigma_m=surface_sigma_m, force_sigma_N=force_sigma_N)
 
 
 def _peak(palpated: Palpated, corrected_N: dict[str, Floats], span: slice) -> Peak:
@@ -280,6 +304,8 @@ def study(seed: int = 0, days: int = 20) -> Study:
     for day in range(1, days + 1):
         judged = [_judged(each, methods) for each in palpated(seed * 100 + day, enriched)]
         found.days.append({each.palpated.name: each.ymbt for each in judged})
+    emulated = EmulatedField(Field(), MAP_SEED)
+    found.mapped = (*search(emulated.press, Field()), emulated.inclusion)
     return found
 
 

@@ -5,6 +5,7 @@ import io
 import json
 import math
 from collections.abc import Callable
+from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,9 @@ from matplotlib.ticker import MaxNLocator
 
 from palpd import study_paper as paper
 from palpd.compensate import features
-from palpd.study import ENRICHED, METHODS, NAMED, NETWORK, NONE, WINNER, Judged, Study
+from palpd.inclusion import Inclusion
+from palpd.mapping import figure_of, raster
+from palpd.study import ENRICHED, METHODS, NAMED, NETWORK, NONE, TRUTH, WINNER, Hold, Judged, Study, inclusion_below
 from palpd.tick import Floats
 from palpd.young import student_t_95
 
@@ -61,15 +64,34 @@ def figures_of(study: Study) -> dict[str, Any]:
             for each in study.setups
         ],
         "days": study.days,
+        "ymbt_away_from_true_force": away_from_truth(study),
+        "inclusions": [
+            {"name": name, "published": asdict(published) if published else None, "here": asdict(here) if here else None}
+            for name, published, here in _inclusions(study)
+        ],
         "ymbt_mean": {name: {"mean": mean, "ci95_half": half, "n": n} for name, (mean, half, n) in means(study).items()},
     }
 
 
+def away_from_truth(study: Study) -> dict[str, float]:
+    """How far the YMBT of a method is from that of the true contact force, rms over setups and days, as a ratio like YMBT itself.
+
+    That is the error of the compensation alone: nothing of the tissue, of depths or of the static mean is in it.
+    """
+    of_setups = [setup for day in _days(study) for setup in day.values() if TRUTH in setup]
+    names = [name for name in METHODS if of_setups and all(name in setup for setup in of_setups)]
+    return {name: float(np.sqrt(np.mean([(setup[name] - setup[TRUTH]) ** 2 for setup in of_setups]))) for name in names}
+
+
+def _days(study: Study) -> list[dict[str, dict[str, float]]]:
+    return [{each.palpated.name: each.ymbt for each in study.setups}, *study.days]
+
+
 def means(study: Study) -> dict[str, tuple[float, float, int]]:
     """YMBT averaged over the setups of a day, then over days: mean, half of the 95 % interval, number of days."""
-    days = [{each.palpated.name: each.ymbt for each in study.setups}, *study.days]
+    days = _days(study)
     found = {}
-    for name in (*METHODS, ENRICHED):
+    for name in (*METHODS, TRUTH, ENRICHED):
         values = np.array([np.mean([setup[name] for setup in day.values()]) for day in days if all(name in s for s in day.values())])
         if len(values):
             spread = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
@@ -88,6 +110,10 @@ def _mean_force(takes: list[Any]) -> float | None:
 def _picture(draw: Callable[[Figure], None], width: float = 10.0, height: float = 3.0) -> str:
     figure = Figure(figsize=(width, height), layout="constrained", dpi=110)
     draw(figure)
+    return _encoded(figure)
+
+
+def _encoded(figure: Figure) -> str:
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
@@ -220,22 +246,28 @@ def _by_method(study: Study) -> str:
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
-        days = [{each.palpated.name: each.ymbt for each in study.setups}, *study.days]
+        days = _days(study)
         found = means(study)
+        colours = {ENRICHED: RED, TRUTH: BLACK}
         for row, (name, (mean, _, _)) in enumerate(found.items()):
             values = [100.0 * float(np.mean([setup[name] for setup in day.values()])) for day in days]
             axes.plot(values, np.full(len(values), row) + np.linspace(-0.2, 0.2, len(values)), ".", color=GREY)
-            axes.plot([100.0 * mean], [row], "D", color=RED if name == ENRICHED else BLUE)
+            axes.plot([100.0 * mean], [row], "D", color=colours.get(name, BLUE))
             axes.annotate(f"{100.0 * mean:.1f} %", (100.0 * mean, row), xytext=(0, 9), textcoords="offset points", ha="center", fontsize=8)
         if study.data.simulated:
             axes.axvline(14.1, color=BLACK, linestyle=":", linewidth=0.9)
             axes.annotate("published, corrected: 14.1 %", (14.1, -0.75), fontsize=8, ha="left", xytext=(4, 0), textcoords="offset points")
-        axes.set_yticks(range(len(found)), list(found))
+        axes.set_yticks(range(len(found)), [name.replace(" (", "\n(") for name in found])
         axes.set_ylim(len(found) - 0.4, -1.0)
         axes.set_xlim(left=0.0)
         _style(axes, "YMBT, mean over the setups of a day (%)", "")
 
-    return _picture(draw, height=3.4)
+    return _picture(draw, height=3.9)
+
+
+def _map(study: Study) -> str | None:
+    """The map of a field."""
+    return None if study.mapped is None else _encoded(figure_of(*study.mapped))
 
 
 # page
@@ -259,9 +291,12 @@ def html(study: Study) -> str:
             published={name: paper.averages(name) for name in known},
             table1={name: list(zip(*paper.static(name), strict=True)) for name in known},
             named=NAMED,
-            methods=[name for name in (*METHODS, ENRICHED) if all(name in each.ymbt for each in study.setups)],
+            methods=[name for name in (*METHODS, TRUTH, ENRICHED) if all(name in each.ymbt for each in study.setups)],
             means=means(study),
-            names={"none": NONE, "network": NETWORK, "winner": WINNER, "enriched": ENRICHED},
+            away=away_from_truth(study),
+            inclusions=_inclusions(study),
+            raster=len(raster(study.mapped[0].field_)) if study.mapped is not None else 0,
+            names={"none": NONE, "network": NETWORK, "winner": WINNER, "truth": TRUTH, "enriched": ENRICHED},
             mean_free={"bare": _mean_force(study.data.bare), "probe": _mean_force(study.data.free)},
             paper={
                 "mean_free": paper.MEAN_FREE_N,
@@ -283,6 +318,19 @@ def html(study: Study) -> str:
                 "palpations": [_palpation(each, NETWORK) for each in study.setups],
                 "moduli": _moduli(study),
                 "methods": _by_method(study),
+                "map": _map(study),
             },
         )
     )
+
+
+def _inclusions(study: Study) -> list[tuple[str, Inclusion | None, Inclusion | None]]:
+    """Of each setup what the published holds and those made here say of an inclusion."""
+    rows = []
+    for each in study.setups:
+        name, published = each.palpated.name, None
+        if name in paper.SETUPS:
+            holds = [Hold(*row) for row in zip(*paper.static(name), strict=True)]
+            published = inclusion_below(holds, force_sigma_N=paper.count_N()[0].value / math.sqrt(12.0))
+        rows.append((name, published, each.inclusion))
+    return rows

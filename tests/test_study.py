@@ -12,17 +12,20 @@ from palpd.compensate import Bias, LineAndRunningZero, Method, Nothing
 from palpd.config import Plan
 from palpd.enriched import enriched_modulus
 from palpd.errors import BadInput, RecordingError
+from palpd.mapping import Survey
 from palpd.record import Recording
 from palpd.study import (
     BIAS,
     BIAS_N,
     DEPTHS_M,
     ENRICHED,
+    HYSTERESIS,
     LINE,
     NETWORK,
     NONE,
     RATE_RATIO,
     RATE_TAU_S,
+    TRUTH,
     WINNER,
     ZERO_MISS_M,
     Data,
@@ -36,7 +39,7 @@ from palpd.study import (
     take_of,
 )
 from palpd.study_cell import Move, Take, free_cell, ramps, setup, take
-from palpd.study_report import html, means
+from palpd.study_report import away_from_truth, html, means
 from palpd.tick import ROW, Mode
 from palpd.young import modulus_peak_Pa
 from tests.simulated import cell_file, ran
@@ -99,7 +102,10 @@ def small() -> Study:
     for method in methods.values():
         method.fit(free)
     card = {"bias_N": BIAS_N, "mass_kg": 0.2, "mass_ci95_kg": [0.19, 0.21], "inertial_rms_N": 0.002, "rmse_N": 0.001}
-    return Study(data, {NETWORK: card}, evaluate(data, methods))
+    survey = Survey()
+    for place_m, modulus_Pa in (((0.01, 0.01), 6e4), ((0.03, 0.03), 6.1e4), ((0.05, 0.02), 9e4)):
+        survey.add(place_m, modulus_Pa)
+    return Study(data, {NETWORK: card}, evaluate(data, methods), mapped=(survey, survey.map(), (0.05, 0.02, 0.005)))
 
 
 def test_the_cell_of_the_study_reads_what_the_paper_read(small: Study) -> None:
@@ -109,6 +115,21 @@ def test_the_cell_of_the_study_reads_what_the_paper_read(small: Study) -> None:
         assert each.ymbt[NONE] == pytest.approx(published.ymbt_original, abs=0.05)
         assert each.ymbt[BIAS] == pytest.approx(published.ymbt_corrected, abs=0.05)
         assert len(each.peaks) == 10
+
+
+def test_no_correction_of_the_force_makes_ymbt_small_and_what_the_running_zero_leaves_is_hysteresis(small: Study) -> None:
+    assert means(small)[TRUTH][0] > 0.1
+    assert away_from_truth(small)[WINNER] < 0.5 * away_from_truth(small)[NONE]
+    for each in small.setups:  # zeroed on the branch of unloading, read on that of loading
+        left_N = float(np.mean([peak.force_N[WINNER] - peak.force_N[TRUTH] for peak in each.peaks[1:]]))
+        assert left_N == pytest.approx(2.0 * HYSTERESIS["amplitude_N"], abs=0.025)
+
+
+def test_an_inclusion_is_seen_where_the_phantom_stiffens_and_not_where_it_does_not(small: Study) -> None:
+    seen = {each.palpated.name: each.inclusion for each in small.setups}
+    for name, found in seen.items():
+        assert found is not None
+        assert (found.probability > 0.5) == (name in "BC"), name
 
 
 def test_what_is_known_of_a_cell_no_longer_passes_for_stiffness(small: Study) -> None:
@@ -123,8 +144,9 @@ def test_the_page_holds_every_table_and_figure_and_says_what_is_simulated(small:
         assert f"Figure {number}." in page
     assert "Figures 16 to 19." in page
     assert "What of this is simulation: everything but" in page
-    assert page.count("data:image/png;base64,") == 10
-    assert not re.search(r'(src|href)="(?!data:)', page)  # nothing is fetched
+    assert page.count("data:image/png;base64,") == 11
+    assert "Is there an inclusion below?" in page
+    assert not re.search(r'(src|href)="(?!data:|#)', page)  # nothing is fetched
     assert "nan" not in re.sub(r"base64,[^\"]+", "", page).lower()
 
 
