@@ -172,7 +172,7 @@ def train(
 def demo(
     full: Annotated[bool, typer.Option("--full", help="the paper's plan: 3 to 10 mm, 10 s holds, ten presses a depth")] = False,
     effect: Annotated[
-        str | None, typer.Option("--effect", help="effect id or cell file: give the emulated cell that effect and find it")
+        str | None, typer.Option("--effect", help="effect id, cell file or effect of yours (.py): give it to the emulated cell and find it")
     ] = None,
     json_file: JsonOption = None,
     folder: Annotated[Path | None, typer.Option("--out", help="where recordings, model and report go (default: runs/demo-<time>)")] = None,
@@ -307,11 +307,12 @@ def emulate(
     host: Annotated[str, typer.Option("--host", help="address the controller listens on")] = "127.0.0.1",
     sensor_link: Annotated[Path | None, typer.Option("--sensor-link", help="link to make to the sensor's terminal device")] = None,
     control: Annotated[Path | None, typer.Option("--control", help="unix socket for faults and truth (docs/emulators.md)")] = None,
+    effects: Annotated[Path | None, typer.Option("--effects", help="a Python file with effects that the cell file names")] = None,
 ) -> None:
     """Stand in for a UR controller and a HEX-70 until stopped; prints both addresses when ready."""
     from hw.emulators.process import emulate as stand_in
 
-    stand_in(model, cell, host, sensor_link, control)
+    stand_in(model, cell, host, sensor_link, control, effects=effects)
 
 
 # --- the service --------------------------------------------------------------------------------------------------------------
@@ -707,12 +708,30 @@ def tolerances(
 
 
 @app.command("effects")
-def effects_(effects: EffectsOption = None) -> None:
-    """List the effects that a cell can have, with their parameters."""
+def effects_(
+    names: Annotated[list[str] | None, typer.Argument(help="effects whose likes are wanted (default: those of --effects)")] = None,
+    effects: EffectsOption = None,
+    cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml that they are compared on (default: the nominal cell)")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """List the effects that a cell can have; for some, or your own, what they could be mistaken for, before anything is recorded."""
+    from palpd.cell_file import load_cell, nominal
+    from palpd.effects import own_effects
     from palpd.gap.commands import library
-    from palpd.report import effect_table
+    from palpd.gap.confounds import confounds
+    from palpd.report import confound_table, effect_table
 
-    console.print(effect_table(library(effects)))
+    known = library(effects)
+    if unknown := [name for name in names or [] if name not in known]:
+        raise BadInput(f"there is no effect {unknown[0]!r}; expected one of {', '.join(known)}")
+    wanted = [known[name] for name in names] if names else own_effects(known)
+    if not names:
+        console.print(effect_table(known))
+    if wanted:
+        with console.status("comparing"):
+            found = confounds(wanted, load_cell(cell, known) if cell else nominal(), known)
+        console.print(confound_table(found))
+        _write_json(json_file, {"confounds": [asdict(like) for like in found]})
 
 
 @app.command()
@@ -723,10 +742,11 @@ def blind(
     docs: Annotated[Path | None, typer.Option("--docs", help="write the table and its figures into this folder")] = None,
     keep: Annotated[Path | None, typer.Option("--keep", help="keep recordings, answers and truths in this new folder")] = None,
     ablation: Annotated[
-        str | None, typer.Option("--ablation", help="take a part away: 'no tolerances', 'no press scatter' or 'fz only'")
+        str | None, typer.Option("--ablation", help="take a part away: 'no tolerances', 'no press scatter', 'white noise' or 'fz only'")
     ] = None,
     compare: Annotated[list[Path] | None, typer.Option("--compare", help="JSON of an ablation to set beside, in --docs")] = None,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="processes")] = 2,
+    advice: Annotated[bool, typer.Option("--advice", help="instead: the advised next experiment against a random one")] = False,
 ) -> None:
     """Judge the diagnosis on cells whose truth is sealed: drawn by other physics, diagnosed in another process, then scored."""
     from rich.progress import Progress
@@ -736,6 +756,9 @@ def blind(
     from palpd.gap.blind_score import as_markdown
 
     _writable(json_file)
+    if advice:
+        _blind_advice(cases, seed, jobs, json_file)
+        return
     chosen = next((a for a in ABLATIONS if a == ablation), None)
     if ablation is not None and chosen is None:
         raise BadInput(f"--ablation is {ablation!r}; expected one of {', '.join(ABLATIONS)}")
@@ -746,6 +769,18 @@ def blind(
     _write_json(json_file, result)
     if docs is not None:
         console.print(str(write_page(result, docs, [load(path) for path in compare or []])))
+
+
+def _blind_advice(cases: int, seed: int, jobs: int, json_file: Path | None) -> None:
+    from rich.progress import Progress
+
+    from palpd.gap.blind_advice import run, sentence
+
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task("advice", total=cases)
+        result = run(cases, seed, jobs=jobs, progress=lambda done: bar.update(task, completed=done))
+    console.print(sentence(result["table"]), highlight=False)
+    _write_json(json_file, result)
 
 
 # --- shared -------------------------------------------------------------------------------------------------------------------

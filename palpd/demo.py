@@ -1,7 +1,7 @@
 """`palpd demo`: the whole job with the real daemon on emulated wires, in a folder of its own."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from rich.console import Console
 from palpd.cell import equilibrium_force_N, scale_of
 from palpd.cell_file import PHANTOM, CellFile, load_cell, save_cell
 from palpd.config import Config, ModelConfig, PathsConfig, Plan, RobotConfig, SafetyConfig, SensorConfig, Site
-from palpd.effects import EFFECTS
+from palpd.effects import EFFECTS, Effect, load_effects, own_effects
 from palpd.errors import BadInput
 from palpd.gap.commands import diagnose_files
 from palpd.gap.report import write as write_report
@@ -71,14 +71,16 @@ def palpate(full: bool, folder: Path | None, console: Console) -> dict[str, Any]
 def gap(effect: str, folder: Path | None, console: Console) -> dict[str, Any]:
     """Give one plain elastic site an effect that the nominal cell does not have, palpate it, diagnose it, and close the gap.
 
-    `effect` is an id of the library at its typical size, `none`, or a cell file whose effects are taken.
+    `effect` is an id of the library at its typical size, `none`, a cell file whose effects are taken, or a Python file of which the first
+    effect is taken at its typical size; the diagnosis then knows that file's effects too.
     """
     folder = kept_in(folder or Path("runs"), "demo" if folder is None else None)
     nominal = CellFile.model_validate({"sensor": {"rate_Hz": 1000.0}})
+    own = Path(effect) if Path(effect).suffix == ".py" else None
     effects = _effects_of(effect, nominal)
     true = ", ".join(effects) or "none"
     console.print(f"One elastic site is emulated, with {true}; the simulator does not know. Everything is kept in {folder}.")
-    with cell_on_wires(nominal.with_effects(effects), folder, ONE_SITE) as config:
+    with cell_on_wires(nominal.with_effects(effects), folder, ONE_SITE, effects=own) as config:
         console.print("1/3 reference tare")
         calibrate(config, devices, console)
         console.print("2/3 palpating: free moves, holds, presses of different depths")
@@ -90,7 +92,7 @@ def gap(effect: str, folder: Path | None, console: Console) -> dict[str, Any]:
     export(Recording.load(report.recording), csv, "A")
     save_cell(cell, nominal)
     console.print("3/3 diagnosing the recording against the nominal cell")
-    answer = diagnose_files([csv], cell, json_out=folder / "diagnosis.json", cell_out=folder / "enriched.yaml")
+    answer = diagnose_files([csv], cell, json_out=folder / "diagnosis.json", cell_out=folder / "enriched.yaml", effects=own)
     json = answer.to_json()
     write_report(folder / "gap.html", answer, f"site A, with {true}")
     for line in diagnosis_lines(answer.sentence, json):
@@ -105,12 +107,16 @@ def _effects_of(effect: str, nominal: CellFile) -> dict[str, dict[str, float]]:
         return {}
     if Path(effect).suffix in (".yaml", ".yml"):
         return {name: dict(values) for name, values in load_cell(effect).effects.items()}
-    if effect not in EFFECTS:
-        raise BadInput(f"{effect} is no effect of the library; known: none, {', '.join(EFFECTS)}, or the path of a cell file")
+    known: Mapping[str, Effect] = EFFECTS
+    if Path(effect).suffix == ".py":
+        known = load_effects(effect)
+        effect = own_effects(known)[0].id
+    if effect not in known:
+        raise BadInput(f"{effect} is no effect of the library; known: none, {', '.join(EFFECTS)}, or a cell file or Python file")
     t_s = np.linspace(0.0, 60.0, 601)
     z_m = 0.01 - 0.018 * np.abs(np.sin(0.3 * t_s))  # a motion like the plan's says how large an effect typically is
     scale = scale_of(nominal, t_s, z_m, np.gradient(z_m, t_s))
-    return {effect: {parameter.name: parameter.starts(scale)[0] for parameter in EFFECTS[effect].parameters}}
+    return {effect: {parameter.name: parameter.starts(scale)[0] for parameter in known[effect].parameters}}
 
 
 def true_modulus_Pa(cell: CellFile, site: str, plan: Plan) -> float:
@@ -124,7 +130,9 @@ def true_modulus_Pa(cell: CellFile, site: str, plan: Plan) -> float:
 
 
 @contextmanager
-def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, model: str = "ur5") -> Iterator[Config]:
+def cell_on_wires(
+    cell: CellFile, folder: Path, plan: Plan = SHORT, model: str = "ur5", effects: Path | None = None
+) -> Iterator[Config]:
     """An emulated cell in a process of its own, and the configuration of a daemon that is wired to it.
 
     The phantom's hardest site takes 13 N at 8 mm and 20.5 N at 10 mm: the limits are set above that, as the paper's must have been.
@@ -133,7 +141,7 @@ def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, model: str =
     save_cell(file, cell)
     # a watchdog of 10 Hz: whoever tries the demo has other things running, and an emulated arm hurts nobody
     host = f"127.{os.getpid() >> 16 & 255}.{os.getpid() >> 8 & 255}.{os.getpid() % 253 + 2}"  # its own, so that two can run at once
-    with emulated(folder, model, file, host) as wires:
+    with emulated(folder, model, file, host, effects) as wires:
         yield Config(
             robot=RobotConfig.model_validate({"host": host, "model": model, "watchdog_Hz": 10}),
             sensor=SensorConfig(port=wires.sensor),

@@ -81,6 +81,14 @@ def effect_table(library: Mapping[str, Any]) -> Table:
     return table
 
 
+def confound_table(likes: list[Any]) -> Table:
+    """What effects could be mistaken for, and from which size on not."""
+    table = _table("What it could be mistaken for (free strokes, holds and presses)", "effect", "like", "cosine", "what")
+    for like in likes:
+        table.add_row(like.effect, like.other, f"{like.cosine:.3f}", like.words)
+    return table
+
+
 def recordings_table(rows: list[Any]) -> Table:
     """Recording by recording: which effect, how sure, how far the gap closes."""
     table = _table("Recordings", "recording", "verdict", "effects", "probability", "closed", "what")
@@ -128,7 +136,7 @@ def _percent(share: float | None) -> str:
     return f"{share * 100:.1f} %" if share is not None else "–"
 
 
-LEFT = {"from", "parameters", "what it does", "what", "effects", "since", "trend"}
+LEFT = {"from", "parameters", "what it does", "what", "effects", "since", "trend", "like"}
 
 
 def _table(title: str, first: str, *columns: str) -> Table:

@@ -159,7 +159,7 @@ def _record(setting: Setting, plan: Plan, number: int) -> tuple[str, Samples | N
 def _rehearsed(setting: Setting, found: Diagnosis, plan: Plan) -> str:
     """Do the plan without wires on the cell as far as it is known; why it must not be done on the real one, or nothing."""
     with setting.console.status("rehearsing without wires"):
-        done = sim.run(Job("palpation", setting.config, plan), found.enriched_cell())
+        done = sim.run(Job("palpation", setting.config, plan), found.enriched_cell(), library=setting.library)
     if done.outcome.verdict != "done":
         return f"the proposed motion was rehearsed without wires and stopped there ({done.outcome.reason}); it is not carried out"
     rows = done.rows[done.rows["site"] >= 0]

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpd.cell import Cell
+from palpd.cell import Cell, Library
 from palpd.cell_file import CellFile
 from palpd.clock import SimClock
 from palpd.config import filter_delay_s
+from palpd.effects import EFFECTS
 from palpd.loop import Loop, Outcome, Turn
 from palpd.motion import Job, explainer_of, limits_of, sequence_of
 from palpd.rows import RowWriter
@@ -30,9 +31,15 @@ class SimCell:
     """Advances robot, tissue and sensor together, one loop tick at a time; its two faces are a Robot and a ForceSensor."""
 
     def __init__(
-        self, cell: CellFile, rate_Hz: float, acceleration_m_per_s2: float = 0.5, seed: int = 0, home_above_m: float = HOME_ABOVE_M
+        self,
+        cell: CellFile,
+        rate_Hz: float,
+        acceleration_m_per_s2: float = 0.5,
+        seed: int = 0,
+        home_above_m: float = HOME_ABOVE_M,
+        library: Library = EFFECTS,
     ) -> None:
-        self._cell = Cell(cell, seed=seed)
+        self._cell = Cell(cell, seed=seed, library=library)
         self._steps = round(1000.0 / rate_Hz)
         self._acceleration = acceleration_m_per_s2
         surface_z_m = cell.tissue.surface_z_m if cell.tissue else 0.0
@@ -150,12 +157,13 @@ def run(
     seed: int = 0,
     requests: Mapping[int, Request] = MappingProxyType({}),
     home_above_m: float = HOME_ABOVE_M,
+    library: Library = EFFECTS,
 ) -> Ran:
     """Carry out a job on that cell, beginning so far above its surface; `requests` maps a tick to what the operator asks in it."""
     config = job.config
     rate_Hz, delay_s = config.robot.rate_Hz, filter_delay_s(config.sensor.filter_cutoff_Hz)
     sensor = cell.sensor.model_copy(update={"filter_cutoff_Hz": config.sensor.filter_cutoff_Hz, "rate_Hz": 1000.0})
-    sim = SimCell(cell.model_copy(update={"sensor": sensor}), rate_Hz, config.robot.acceleration_m_per_s2, seed, home_above_m)
+    sim = SimCell(cell.model_copy(update={"sensor": sensor}), rate_Hz, config.robot.acceleration_m_per_s2, seed, home_above_m, library)
     job = replace(job, reference=(0.0, 0.0, FZ_OFFSET_N, 0.0, 0.0, 0.0))
     record = RowList()
     loop = Loop(

@@ -74,8 +74,8 @@ def open_sensor(config: Config) -> HexSensor:
     )
 
 
-def emulated(folder: Path, model: str, cell: Path, host: str) -> "AbstractContextManager[Emulated]":
-    """A UR controller and a HEX-70 before that cell, in a process of their own."""
+def emulated(folder: Path, model: str, cell: Path, host: str, effects: Path | None = None) -> "AbstractContextManager[Emulated]":
+    """A UR controller and a HEX-70 before that cell, in a process of their own; `effects`: a user's, which the cell file names."""
     from hw.emulators.process import started  # here, since the motion process needs no physics
 
-    return started(folder, model, cell, host)
+    return started(folder, model, cell, host, *(["--effects", str(effects)] if effects else []))

@@ -21,6 +21,7 @@ def main() -> int:
     parser.add_argument("--mount-rotation-rad", type=float, default=0.0, help="of the sensor about the flange's z")
     parser.add_argument("--no-realtime", action="store_true", help="do not ask for SCHED_FIFO")
     parser.add_argument("--end-with-parent", action="store_true", help="end when the process that started this one is gone")
+    parser.add_argument("--effects", type=Path, help="a Python file with effects of one's own that the cell file names")
     given = parser.parse_args()
     try:
         emulate(
@@ -33,6 +34,7 @@ def main() -> int:
             mount_rotation_rad=given.mount_rotation_rad,
             realtime=not given.no_realtime,
             end_with_parent=given.end_with_parent,
+            effects=given.effects,
         )
     except PalpdError as error:
         print(error, file=sys.stderr)

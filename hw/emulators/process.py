@@ -24,6 +24,7 @@ from hw.emulators.controller import MODELS, Sample
 from hw.emulators.rig import SAMPLE_S, Rig
 from hw.emulators.verbs import obey
 from palpd.cell_file import PHANTOM, load_cell
+from palpd.effects import EFFECTS, load_effects
 from palpd.errors import PalpdError
 
 GIVEN_UP_S = 0.1
@@ -91,16 +92,19 @@ def emulate(
     mount_rotation_rad: float = 0.0,
     realtime: bool = True,
     end_with_parent: bool = False,
+    effects: Path | None = None,
 ) -> None:
     """Stand in for a controller and a sensor until SIGTERM or SIGINT; prints `robot HOST` and `sensor DEVICE` when ready.
 
     `end_with_parent`: also end, within a second, when the process that started this one is gone.
-    `cell` None: the paper's phantom. Raises PalpdError, in one sentence, for a bad cell file or a port that is taken.
+    `cell` None: the paper's phantom; `effects`: a user's own, which it may name.
+    Raises PalpdError, in one sentence, for a bad cell file or a port that is taken.
     """
     parent = os.getppid() if end_with_parent else None
-    cell_file = load_cell(cell) if cell is not None else PHANTOM
+    library = load_effects(effects) if effects is not None else EFFECTS
+    cell_file = load_cell(cell, library) if cell is not None else PHANTOM
     try:
-        rig = Rig(MODELS[model], cell_file, host, sensor_link, seed=seed, mount_rotation_rad=mount_rotation_rad)
+        rig = Rig(MODELS[model], cell_file, host, sensor_link, seed=seed, mount_rotation_rad=mount_rotation_rad, library=library)
     except OSError as error:
         raise PalpdError(
             f"the emulators cannot listen on {host}, ports 29999, 30003 and 30004 ({error.strerror}); "

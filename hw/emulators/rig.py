@@ -14,8 +14,9 @@ from hw.emulators.controller import Controller, Cycle, Model, Sample
 from hw.emulators.hex_pty import Daq, Line
 from hw.emulators.pose import Floats, rotation
 from hw.emulators.ur import UrWires, Values, outputs, status_bits
-from palpd.cell import Block, Cell, true_surface_m
+from palpd.cell import Block, Cell, Library, true_surface_m
 from palpd.cell_file import CellFile
+from palpd.effects import EFFECTS
 
 SAMPLE_S = 0.001
 START_HEIGHT_M = 0.03
@@ -30,10 +31,18 @@ class Rig:
     """Everything behind the wires of one emulated cell; `tick` is one millisecond."""
 
     def __init__(
-        self, model: Model, cell_file: CellFile, host: str, link: Path | None, *, seed: int = 0, mount_rotation_rad: float = 0.0
+        self,
+        model: Model,
+        cell_file: CellFile,
+        host: str,
+        link: Path | None,
+        *,
+        seed: int = 0,
+        mount_rotation_rad: float = 0.0,
+        library: Library = EFFECTS,
     ) -> None:
-        self.cell_file, self.model, self._host = cell_file, model, host
-        self.cell = Cell(cell_file, seed=seed, step_s=SAMPLE_S)
+        self.cell_file, self.model, self._host, self._library = cell_file, model, host, library
+        self.cell = Cell(cell_file, seed=seed, step_s=SAMPLE_S, library=library)
         self._wall_z_m: float | None = None
         self.steps = round(model.cycle_s / SAMPLE_S)
         self._random = np.random.default_rng(seed + 1)
@@ -68,7 +77,7 @@ class Rig:
             return self._wall_z_m
         sites = self.cell_file.sites
         near = min(sites, key=lambda site: (site.x_m - x_m) ** 2 + (site.y_m - y_m) ** 2).name if sites else None
-        surface_m = true_surface_m(self.cell_file, near)
+        surface_m = true_surface_m(self.cell_file, near, self._library)
         return surface_m if np.isfinite(surface_m) else 0.0
 
     # One millisecond -----------------------------------------------------------------------------------------------------

@@ -29,4 +29,9 @@ def load_effects(path: str | Path) -> dict[str, Effect]:
     return EFFECTS | {effect.id: effect for effect in listed}
 
 
-__all__ = ["EFFECTS", "SITES", "Effect", "Parameter", "Scale", "Site", "Values", "load_effects", "of"]
+def own_effects(library: Mapping[str, Effect]) -> list[Effect]:
+    """Those of a library that are not ours."""
+    return [effect for name, effect in library.items() if EFFECTS.get(name) is not effect]
+
+
+__all__ = ["EFFECTS", "SITES", "Effect", "Parameter", "Scale", "Site", "Values", "load_effects", "of", "own_effects"]

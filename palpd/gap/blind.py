@@ -26,8 +26,9 @@ from palpd.samples import Samples, write_csv
 
 SCHEMA = "palpd.blind/1"
 BATCH = 40
-Ablation = Literal["no tolerances", "no press scatter", "fz only"]
-ABLATIONS: tuple[Ablation, ...] = ("no tolerances", "no press scatter", "fz only")
+Ablation = Literal["no tolerances", "no press scatter", "white noise", "fz only"]
+ABLATIONS: tuple[Ablation, ...] = ("no tolerances", "no press scatter", "white noise", "fz only")
+"""`white noise` takes tolerances and press scatter away together: what a fit by least squares believes of its residuals."""
 
 SHARES: dict[Kind, float] = {"healthy": 0.2, "library": 0.27, "foreign": 0.2, "two": 0.09, "removed": 0.12, "novel": 0.12}
 SINGLE_STRATA = ("20-60", "6-10", "10-20", "20-60", "6-10", "10-20", "> 60")
@@ -112,12 +113,12 @@ def _digest(file: Path) -> str:
 def _ablated(case: Case, ablation: Ablation | None) -> tuple[dict[str, Any], Samples]:
     """What the diagnosis is shown when a part of what it rests on is taken away."""
     cell, s = dict(case.cell), case.samples
-    if ablation == "no tolerances":
+    if ablation in ("no tolerances", "white noise"):
         told = _tolerances(cell)
         cell["tolerances"] = {name: 1e-4 * value for name, value in told.items()}
-    elif ablation == "no press scatter":
+    if ablation in ("no press scatter", "white noise"):
         cell["repeatability"] = {"surface_z_m": 1e-9, "stiffness": 1e-6}
-    elif ablation == "fz only":
+    if ablation == "fz only":
         wrench = np.zeros_like(s.wrench)
         wrench[:, 2] = s.wrench[:, 2]
         s = Samples(s.t_s, None, s.z_m, s.vz_m_per_s, wrench)

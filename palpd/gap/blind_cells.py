@@ -562,7 +562,8 @@ def draw_deviations(r: np.random.Generator, motion: Motion) -> Deviations:
     return Deviations(of, r.standard_normal(motion.presses), r.standard_normal(motion.presses))
 
 
-def _measure(cell: Cell, ground: Ground) -> Measure:
+def measure_of(cell: Cell, ground: Ground) -> Measure:
+    """How large things are in this cell and motion."""
     z, cutoff = ground.plain.z_m, cell.cutoff_Hz or 0.3 * cell.rate_Hz
     return Measure(
         force_N=float(ground.plain.contact_N.max()),
@@ -642,7 +643,7 @@ def _draw_case(r: np.random.Generator, kind: Kind, effects: Sequence[str], snrs:
     motion = draw_motion(r, cell)
     t_s = _row_times(r, cell, motion.duration_s)
     ground = Ground(cell, draw_deviations(r, motion), motion, t_s)
-    measure = _measure(cell, ground)
+    measure = measure_of(cell, ground)
     planted: list[Planted] = []
     told: list[dict[str, Any]] = []
     changes: list[Floats] = []

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from palpd.cell import equilibrium_force_N, predict_motion
+from palpd.cell_file import CellFile
 from palpd.errors import BadInput
 from palpd.gap.attribute import Attribution, Weighed
 from palpd.gap.gaussian import Nuisances, gram, nuisances, project
@@ -90,9 +91,9 @@ class Motion:
     stroke_m: float = FREE_HEIGHT_M
     stroke_speed_m_per_s: float = 0.02
 
-    def heights(self, step_s: float, surface_m: float, home_m: float, acceleration_m_per_s2: float) -> tuple[Floats, Floats]:
-        """Times and commanded heights (n,): rest, strokes up from home, then down and up again, press after press."""
-        legs: list[tuple[float, float, float]] = []  # to, speed, rest afterwards
+    def legs(self, surface_m: float, home_m: float) -> list[tuple[float, float, float]]:
+        """Strokes up from home, then down and up again, press after press: each as height to go to, speed, and rest afterwards in s."""
+        legs: list[tuple[float, float, float]] = []
         for _ in range(self.strokes):
             legs += [(home_m + self.stroke_m, self.stroke_speed_m_per_s, 0.15), (home_m, self.stroke_speed_m_per_s, 0.15)]
         top_m = surface_m + self.height_m
@@ -103,9 +104,17 @@ class Motion:
                 for depth_m in self.depths_m:
                     for _ in range(1 if mode == "static" else self.repeats):
                         legs += [(surface_m - depth_m, self.speed_m_per_s, rest_s), (top_m, self.speed_m_per_s, 0.7)]
-        z_m = home_m if self.strokes else top_m
+        return legs
+
+    def start_m(self, surface_m: float, home_m: float) -> float:
+        """Height at which it begins, with a rest of a second."""
+        return home_m if self.strokes else surface_m + self.height_m
+
+    def heights(self, step_s: float, surface_m: float, home_m: float, acceleration_m_per_s2: float) -> tuple[Floats, Floats]:
+        """Times and commanded heights (n,)."""
+        z_m = self.start_m(surface_m, home_m)
         pieces = [np.full(max(2, round(1.0 / step_s)), z_m)]
-        for to_m, speed, rest_s in legs:
+        for to_m, speed, rest_s in self.legs(surface_m, home_m):
             pieces += [_stroke(z_m, to_m, speed, acceleration_m_per_s2, step_s), np.full(round(rest_s / step_s), to_m)]
             z_m = to_m
         heights_m = np.concatenate(pieces)
@@ -186,6 +195,7 @@ class Proposal:
     t_s: Floats
     z_cmd_m: Floats
     expected_gain: float
+    motion: Motion
 
     def to_json(self) -> dict[str, Any]:
         """For out.json; `motion_csv` is the content until it has been written to a file."""
@@ -296,7 +306,7 @@ def _proposal(best: Scored, pair: tuple[str, str], gain: float) -> Proposal:
         f"{what[0].upper()}{what[1:]} ({best.t_s[-1]:.0f} s) and diagnose both recordings jointly: it is expected to tell "
         f"{pair[0]} from {pair[1]} by a factor of {_factor(gain)}."
     )
-    return Proposal(sentence, best.motion.plan(), best.t_s, best.z_cmd_m, gain)
+    return Proposal(sentence, best.motion.plan(), best.t_s, best.z_cmd_m, gain, best.motion)
 
 
 def _factor(gain: float) -> str:
@@ -315,15 +325,19 @@ def score(problem: Problem, rivals: Sequence[Weighed], motion: Motion, limits: L
     return Scored(motion, t_s, z_cmd_m, _log_odds(trial, rivals))
 
 
-def _trial(problem: Problem, t_s: Floats, z_cmd_m: Floats, weight: float) -> Problem:
-    """A healthy recording of that motion, each row counting for `weight` rows."""
-    random, cell = np.random.default_rng(0), problem.cell
+def blank(cell: CellFile, t_s: Floats, z_cmd_m: Floats) -> Samples:
+    """A recording of that motion whose wrench is nothing but the stated noise."""
+    random = np.random.default_rng(0)
     z_m = predict_motion(cell, t_s, z_cmd_m)
     speed = np.gradient(z_m, t_s) + random.standard_normal(len(t_s)) * cell.robot.velocity_noise_rms_m_per_s
     z_m = z_m + random.standard_normal(len(t_s)) * cell.robot.position_noise_rms_m
     noise = np.array([cell.sensor.noise_rms_N] * 3 + [max(cell.sensor.noise_rms_Nm, 1e-300)] * 3)
-    blank = Samples(t_s, z_cmd_m, z_m, speed, random.standard_normal((len(t_s), 6)) * noise)
-    trial = make_problem([blank], cell, problem.library, 1500, problem.fz_step_N)
+    return Samples(t_s, z_cmd_m, z_m, speed, random.standard_normal((len(t_s), 6)) * noise)
+
+
+def _trial(problem: Problem, t_s: Floats, z_cmd_m: Floats, weight: float) -> Problem:
+    """What a recording of that motion would be judged by, each row counting for `weight` rows."""
+    trial = make_problem([blank(problem.cell, t_s, z_cmd_m)], problem.cell, problem.library, 1500, problem.fz_step_N)
     trial.scale = problem.scale
     trial.sigma = trial.sigma / weight**0.5
     return trial

@@ -1,0 +1,101 @@
+"""Which effects a motion can tell apart, before anything is recorded: the angle between what they change."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpd.cell_file import CellFile
+from palpd.effects import Effect
+from palpd.gap.experiment import Limits, Motion, blank
+from palpd.gap.gaussian import Nuisances, Projected, gram, project
+from palpd.gap.hypothesis import coordinates, start_values, values_at
+from palpd.gap.problem import Problem, make_problem
+from palpd.tick import Floats
+
+ONE_DIRECTION = 0.98
+"""Above this cosine two effects are one to a recording of that motion."""
+
+ROWS_HZ = 250.0
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """How much of an effect's change another can imitate: the cosine of the angle between the change and what the other can make, all
+    that is within specification projected out; and at which size of the effect (SNR) the two would be told apart at odds of 20."""
+
+    effect: str
+    other: str
+    cosine: float
+    told_at_snr: float
+
+    @property
+    def words(self) -> str:
+        """In words."""
+        if self.cosine > ONE_DIRECTION:
+            return f"not to be told apart by such a motion (told at SNR {self.told_at_snr:.0f})"
+        return f"told apart at SNR {self.told_at_snr:.0f} and above" if self.cosine > 0.5 else "nothing alike"
+
+
+def standard_motion(cell: CellFile) -> tuple[Motion, Limits]:
+    """Free strokes, holds and presses of three depths, as large as this cell's tip and as fast as its servo allows without lagging far."""
+    depth_m = cell.probe.tip_radius_m
+    speed = 0.25 * depth_m * cell.robot.servo_natural_frequency_Hz
+    limits = Limits(depth_m, np.inf, depth_m, 4.0 * depth_m, speed, 3.0 * speed, 30.0 * speed)
+    depths = (0.5 * depth_m, 0.75 * depth_m, depth_m)
+    return Motion("standard", depths, speed, 4.0, 2, depth_m, "both", 3, 4.0 * depth_m, 3.0 * speed), limits
+
+
+def confounds(effects: Sequence[Effect], cell: CellFile, library: Mapping[str, Effect], most: int = 4) -> list[Likeness]:
+    """For each effect the library's that are most like it on the standard motion of that cell, most alike first."""
+    motion, limits = standard_motion(cell)
+    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else 0.0
+    t_s, z_cmd_m = motion.heights(1.0 / ROWS_HZ, surface_m, surface_m + limits.home_m, limits.acceleration_m_per_s2)
+    problem = make_problem([blank(cell, t_s, z_cmd_m)], cell, library, 2500)
+    base = problem.linearise({}, np.zeros(len(problem.shared_sd)))
+    out = []
+    spans = {name: _span(problem, other, base.prediction, base.space) for name, other in library.items() if not other.variance}
+    for effect in effects:
+        if effect.variance:
+            continue
+        change = _change(problem, effect, start_values(effect, problem.scale, ())[0], base.prediction, base.space)
+        likes = [_likeness(effect.id, change, other, span) for other, span in spans.items() if other != effect.id and span]
+        out += sorted(likes, key=lambda like: -like.cosine)[:most]
+    return out
+
+
+def _change(problem: Problem, effect: Effect, values: dict[str, float], at: Floats, space: Nuisances) -> Projected:
+    return project(problem.predict({effect.id: values}, np.zeros(len(problem.shared_sd))) - at, space)
+
+
+def _span(problem: Problem, effect: Effect, at: Floats, space: Nuisances) -> list[list[Projected]]:
+    """What the effect can change around each of its starts: the change itself and its slopes in every parameter."""
+    where = coordinates([effect], problem.scale)
+    eta = np.zeros(len(problem.shared_sd))
+    out = []
+    for values in start_values(effect, problem.scale, ()):
+        here = problem.predict({effect.id: values}, eta)
+        if not (here - at).any():
+            continue
+        u = np.array([c.to(values[c.parameter.name]) for c in where])
+        columns = [project(here - at, space)]
+        for k in range(len(where)):
+            moved = u.copy()
+            moved[k] += 1e-2
+            columns.append(project((problem.predict(values_at(where, moved), eta) - here) / 1e-2, space))
+        out.append(columns)
+    return out
+
+
+def _likeness(name: str, change: Projected, other: str, span: list[list[Projected]]) -> Likeness:
+    size2 = max(change.dot(change), 1e-300)
+    best = 0.0
+    for columns in span:
+        seen = np.array([c.dot(change) for c in columns])
+        normal = gram(columns)
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-9, hermitian=True) / np.outer(scale, scale)
+        best = max(best, float(seen @ inverse @ seen) / size2)
+    cosine = float(min(best, 1.0)) ** 0.5
+    left = max(1.0 - cosine**2, 1e-12) ** 0.5
+    return Likeness(name, other, cosine, float((2.0 * np.log(20.0)) ** 0.5 / left))
