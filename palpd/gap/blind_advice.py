@@ -140,6 +140,7 @@ def _of_legs(advised: Advised, cell: Cell, limits: Limits) -> Motion:
     for to_m, speed, rest_s in advised.legs(cell.surface_z_m, cell.surface_z_m + limits.home_m):
         acceleration, way_m = limits.acceleration_m_per_s2, abs(to_m - here)
         if way_m < 1e-9:
+            t_s += rest_s
             continue
         if to_m < cell.surface_z_m:
             presses.append(t_s - 0.05)

@@ -2,8 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from palpd.cell_file import CellFile
 from palpd.effects import Effect
@@ -37,6 +39,15 @@ class Likeness:
         return f"told apart at SNR {self.told_at_snr:.0f} and above" if self.cosine > 0.5 else "nothing alike"
 
 
+@dataclass(frozen=True)
+class Shape:
+    """An effect at some values: what it changes there, the slopes in its parameters, and how far each may go (twice or half, or round)."""
+
+    change: Projected
+    slopes: list[Projected]
+    reach: Floats
+
+
 def standard_motion(cell: CellFile) -> tuple[Motion, Limits]:
     """Free strokes, holds and presses of three depths, as large as this cell's tip and as fast as its servo allows without lagging far."""
     depth_m = cell.probe.tip_radius_m
@@ -68,8 +79,8 @@ def _change(problem: Problem, effect: Effect, values: dict[str, float], at: Floa
     return project(problem.predict({effect.id: values}, np.zeros(len(problem.shared_sd))) - at, space)
 
 
-def _span(problem: Problem, effect: Effect, at: Floats, space: Nuisances) -> list[list[Projected]]:
-    """What the effect can change around each of its starts: the change itself and its slopes in every parameter."""
+def _span(problem: Problem, effect: Effect, at: Floats, space: Nuisances) -> list[Shape]:
+    """What the effect can change around each of its starts."""
     where = coordinates([effect], problem.scale)
     eta = np.zeros(len(problem.shared_sd))
     out = []
@@ -78,24 +89,32 @@ def _span(problem: Problem, effect: Effect, at: Floats, space: Nuisances) -> lis
         if not (here - at).any():
             continue
         u = np.array([c.to(values[c.parameter.name]) for c in where])
-        columns = [project(here - at, space)]
+        slopes = []
         for k in range(len(where)):
             moved = u.copy()
             moved[k] += 1e-2
-            columns.append(project((problem.predict(values_at(where, moved), eta) - here) / 1e-2, space))
-        out.append(columns)
+            slopes.append(project((problem.predict(values_at(where, moved), eta) - here) / 1e-2, space))
+        several = 10.0 if sum(c.amplitude for c in where) > 1 else 1.0  # which may differ from each other by any factor
+        size = np.where([c.amplitude for c in where], several * np.abs(u), np.abs(u)).tolist()
+        reach = [log(2.0) if c.parameter.log else np.pi / c.scale if c.angle else x for c, x in zip(where, size, strict=True)]
+        out.append(Shape(project(here - at, space), slopes, np.array(reach)))
     return out
 
 
-def _likeness(name: str, change: Projected, other: str, span: list[list[Projected]]) -> Likeness:
+def _likeness(name: str, change: Projected, other: str, span: Sequence[Shape]) -> Likeness:
     size2 = max(change.dot(change), 1e-300)
     best = 0.0
-    for columns in span:
-        seen = np.array([c.dot(change) for c in columns])
-        normal = gram(columns)
-        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-9, hermitian=True) / np.outer(scale, scale)
-        best = max(best, float(seen @ inverse @ seen) / size2)
-    cosine = float(min(best, 1.0)) ** 0.5
-    left = max(1.0 - cosine**2, 1e-12) ** 0.5
-    return Likeness(name, other, cosine, float((2.0 * np.log(20.0)) ** 0.5 / left))
+    for shape in span:
+        amount = shape.change.dot(change) / max(shape.change.dot(shape.change), 1e-300)
+        bound = np.append(np.inf, np.maximum(abs(amount) * shape.reach, 1e-300))
+        factor = np.linalg.cholesky(_regular(gram([shape.change, *shape.slopes, change]))).T
+        fit = lsq_linear(factor[:, :-1], factor[:, -1], (-bound, bound))
+        best = max(best, 1.0 - 2.0 * float(fit.cost) / size2)
+    cosine = min(best, 1.0) ** 0.5
+    left = max(1.0 - cosine**2, 1e-4) ** 0.5
+    return Likeness(name, other, cosine, float((2.0 * log(20.0)) ** 0.5 / left))
+
+
+def _regular(normal: Floats) -> Floats:
+    """With a trace of what makes it positive definite."""
+    return np.asarray(normal + np.diag(1e-9 * np.diag(normal) + 1e-300))
