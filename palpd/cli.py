@@ -228,6 +228,10 @@ def study(
     free: Annotated[list[Path] | None, typer.Option("--free", help="recordings of free motion with the probe (.mcap)")] = None,
     palpation: Annotated[Path | None, typer.Option("--palpation", help="recording of a plan with mode: both (.mcap)")] = None,
     cell: Annotated[list[str] | None, typer.Option("--cell", help="SITE=FILE, a cell file enriched by palpd diagnose")] = None,
+    published: Annotated[
+        bool, typer.Option("--published", help="instead: what the published numbers say of their own gap, nothing simulated")
+    ] = False,
+    json_file: JsonOption = None,
 ) -> None:
     """Do section 4 of Guo, Xiao, Ren 2019 again: on the emulated cell, or on recordings of a real one; one page of tables and figures."""
     from palpd import study as studying
@@ -235,6 +239,9 @@ def study(
     from palpd.record import Recording
     from palpd.study_report import means, write
 
+    if published:
+        _published_gap(json_file)
+        return
     if free or palpation:
         if not free or palpation is None:
             raise BadInput("a study of recordings needs both --free and --palpation; without either the emulated cell is studied")
@@ -251,6 +258,16 @@ def study(
     for name, (mean, half, n) in means(found).items():
         console.print(f"YMBT {100 * mean:5.1f} %" + (f" ± {100 * half:.1f}" if n > 1 else "") + f"  {name}")
     console.print(f"{page}")
+
+
+def _published_gap(json_file: Path | None) -> None:
+    from palpd import study_paper
+    from palpd.report import published_table
+
+    found = study_paper.published()
+    console.print(published_table(found))
+    console.print(found["sentence"], highlight=False)
+    _write_json(json_file, found)
 
 
 @app.command("map")

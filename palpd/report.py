@@ -114,6 +114,19 @@ def fleet_table(cells: list[Any]) -> Table:
     return table
 
 
+def published_table(found: dict[str, Any]) -> Table:
+    """The paper's gap between dynamic and static modulus by setup, and what each would need to have it explained."""
+    table = _table("Corrected dynamic over static modulus at the same depth, and what would make it so", "setup", "gap (95 %)")
+    of = {e["what"]: e["needs"] for e in found["explanations"] if e["needs"]}
+    for name in ("a force", "a share of the contact", "a press deeper by"):
+        table.add_column(name, justify="right")
+    for setup, (value, low, high) in found["gap"].items():
+        force, share = (needs[setup] for needs in of.values())
+        interval = f"{value:.0%} ({low:.0%} to {high:.0%})"
+        table.add_row(setup, interval, f"{force:.2f} N", f"{share:.0%}", f"{found['deeper_m'][setup] * 1e3:.2f} mm")
+    return table
+
+
 def overshoot_table(predicted: dict[str, Any]) -> tuple[Table, Table]:
     """Delays between a force and the arm's answer, and what they cost in newtons."""
     delays = _table("From a force to the arm at rest", "delay", "ms", "from")

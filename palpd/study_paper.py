@@ -5,12 +5,14 @@ Tables 1 to 3 are in palpd/data/paper (CC BY). Nothing here is simulated. Interv
 
 import csv
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.stats import f as fisher
 
 from palpd.tick import Floats
 from palpd.young import modulus_peak_Pa, student_t_95, ymbt
@@ -177,6 +179,24 @@ def rate_excess(setup: str) -> Value:
     Table 3 compares peaks at one depth with a static mean over 3 to 10 mm. Here the static modulus is that of the power law through
     Table 1 at the depth of the peaks; the interval holds that line's scatter and the depth's.
     """
+    line = _static_line(setup)
+    half = student_t_95(6) * math.hypot(line.sigma, line.of_depth)
+    ratio = averages(setup).corrected_Pa / line.modulus_Pa
+    return Value(ratio - 1.0, ratio * math.exp(-half) - 1.0, ratio * math.exp(half) - 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """Power law through Table 1 of a setup at the depth of the peaks: force, modulus, and of their logarithm the standard deviation by
+    the line's scatter (6 degrees of freedom) and by the depth's, which all setups share."""
+
+    force_N: float
+    modulus_Pa: float
+    sigma: float
+    of_depth: float
+
+
+def _static_line(setup: str) -> _Line:
     depth_m, force_N, _ = static(setup)
     x, y = np.log(depth_m), np.log(force_N)
     slope, offset = np.polyfit(x, y, 1)
@@ -186,10 +206,115 @@ def rate_excess(setup: str) -> Value:
     at = math.log(depth.value)
     of_line = scatter * (1.0 / len(x) + (at - float(x.mean())) ** 2 / float(np.sum((x - x.mean()) ** 2)))
     of_depth = (float(slope) - 1.5) * math.log(depth.high / depth.low) / 2.0 / student_t_95(3)
-    half = student_t_95(len(x) - 2) * math.hypot(math.sqrt(of_line), of_depth)
-    static_Pa = modulus_peak_Pa(math.exp(slope * at + offset), depth.value, TIP_RADIUS_M, POISSON_RATIO)
-    ratio = averages(setup).corrected_Pa / static_Pa
-    return Value(ratio - 1.0, ratio * math.exp(-half) - 1.0, ratio * math.exp(half) - 1.0)
+    there_N = math.exp(slope * at + offset)
+    return _Line(there_N, modulus_peak_Pa(there_N, depth.value, TIP_RADIUS_M, POISSON_RATIO), math.sqrt(of_line), of_depth)
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """A family of effects that one peak depth cannot tell apart, as the cause of the gap of all four setups by one number.
+
+    `value` in `unit` (95 %), `misfit` the squared residual in sigmas with `freedom` degrees of freedom, `p` how often a true explanation
+    would fit as badly; `needs` what each setup by itself would take.
+    """
+
+    what: str
+    effects: tuple[str, ...]
+    unit: str
+    value: Value | None
+    misfit: float
+    freedom: int
+    p: float
+    needs: dict[str, float]
+
+
+FORCE = ("sensor.bias", "sensor.warmup", "sensor.drift", "cable.friction")
+SHARE = ("sensor.gain", "tissue.modulus", "tissue.viscoelastic", "tissue.preconditioning", "tissue.surface", "robot.compliance")
+
+
+def explanations(corrected: bool = True) -> list[Explanation]:
+    """What could make the dynamic modulus of Table 2 larger than the static one at the same depth: nothing, one force in all setups, or one
+    share of the contact force in all. Weighted least squares on the logarithms of the four ratios; the depth's error is common to all."""
+    lines = {setup: _static_line(setup) for setup in SETUPS}
+    dynamic_Pa = {s: averages(s).corrected_Pa if corrected else averages(s).original_Pa for s in SETUPS}
+    ratio = np.array([dynamic_Pa[s] / lines[s].modulus_Pa for s in SETUPS])
+    force_N = np.array([lines[s].force_N for s in SETUPS])
+    of_depth = np.array([lines[s].of_depth for s in SETUPS])
+    factor = np.linalg.cholesky(np.diag([lines[s].sigma ** 2 for s in SETUPS]) + np.outer(of_depth, of_depth))
+
+    def misses(predicted: Floats) -> Floats:
+        return np.asarray(np.linalg.solve(factor, np.log(ratio) - predicted))
+
+    def of_force(p: Floats) -> Floats:
+        return misses(np.log1p(p[0] / force_N))
+
+    def of_share(p: Floats) -> Floats:
+        return misses(np.full(4, math.log1p(p[0])))
+
+    nothing = float(np.sum(misses(np.zeros(4)) ** 2))
+    force, share = least_squares(of_force, [0.1]), least_squares(of_share, [0.1])
+    needs_N = dict(zip(SETUPS, ((ratio - 1.0) * force_N).tolist(), strict=True))
+    needs = dict(zip(SETUPS, (ratio - 1.0).tolist(), strict=True))
+    return [
+        Explanation("nothing", (), "", None, nothing, 4, _chance(nothing, 4), {}),
+        _explained("one force", FORCE, "N", force, needs_N),
+        _explained("one share of the contact force", SHARE, "1", share, needs),
+    ]
+
+
+def _explained(what: str, effects: tuple[str, ...], unit: str, fit: Any, needs: dict[str, float]) -> Explanation:
+    misfit, value = 2.0 * float(fit.cost), float(fit.x[0])
+    half = 1.96 / float(np.linalg.norm(fit.jac)) * max(1.0, math.sqrt(misfit / 3.0))
+    return Explanation(what, effects, unit, Value(value, value - half, value + half), misfit, 3, _chance(misfit, 3), needs)
+
+
+def _chance(misfit: float, freedom: int) -> float:
+    """How often noise alone is as large: F, since the sigmas themselves come from four lines of 6 degrees of freedom each."""
+    return float(fisher.sf(misfit / freedom, freedom, 24))
+
+
+def deeper_m() -> dict[str, float]:
+    """How much deeper than the static presses the dynamic peaks would have to be, by Hertz, for the whole gap of each setup."""
+    return {s: depth_of_peaks_m().value * ((1.0 + rate_excess(s).value) ** (2.0 / 3.0) - 1.0) for s in SETUPS}
+
+
+def alike_N() -> tuple[float, Value]:
+    """B and D press with nearly the same force at that depth: the difference of their static forces in N, and by how much the logarithms
+    of their gaps differ, which neither one force nor one share can make."""
+    b, d = _static_line("B"), _static_line("D")
+    difference = math.log((1.0 + rate_excess("B").value) / (1.0 + rate_excess("D").value))
+    half = student_t_95(12) * math.hypot(math.hypot(b.sigma, d.sigma), b.of_depth - d.of_depth)
+    return b.force_N - d.force_N, Value(difference, difference - half, difference + half)
+
+
+def published() -> dict[str, Any]:
+    """The diagnosis of the published gap as plain data."""
+    return {
+        "schema": "palpd.study.published/1",
+        "gap": {s: [v.value, v.low, v.high] for s, v in ((s, rate_excess(s)) for s in SETUPS)},
+        "explanations": [asdict(e) for e in explanations()],
+        "deeper_m": deeper_m(),
+        "verdict": "ambiguous" if max(e.p for e in explanations()[1:]) > 0.05 else "unknown",
+        "sentence": published_sentence(),
+    }
+
+
+def published_sentence() -> str:
+    """What the numbers can and cannot tell."""
+    nothing, force, share = explanations()
+    odds = ((1.0 + share.misfit / 24.0) / (1.0 + force.misfit / 24.0)) ** 14.0  # as of Student's t, the sigmas being estimated
+    assert force.value is not None
+    assert share.value is not None
+    away_N, differ = alike_N()
+    return (
+        f"There is a gap of one sign (no gap: misfit {nothing.misfit:.0f} with {nothing.freedom} degrees of freedom). "
+        f"One force in all setups, {force.value.text()} N, leaves {force.misfit:.1f} with 3 (p = {force.p:.2g}); one share of "
+        f"the contact, {share.value.text(100.0, 0)} %, leaves {share.misfit:.1f} (p = {share.p:.1g}): the force is {odds:.0f} times as "
+        f"likely, and neither suffices. B and D press with forces that differ by {away_N:.2f} N, and their "
+        f"ratios by a factor of {math.exp(differ.value):.2f} ({math.exp(differ.low):.2f} to {math.exp(differ.high):.2f}). "
+        "So something differs from setup to setup: how the tissue depends on rate, or where its surface was taken to be. "
+        "Peaks at one depth and one speed cannot say which."
+    )
 
 
 def largest_inertia_N() -> float:

@@ -1,6 +1,7 @@
 """The paper's published numbers by themselves, and its section 4 on the emulated cell in small."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,41 @@ def small() -> Study:
     for place_m, modulus_Pa in (((0.01, 0.01), 6e4), ((0.03, 0.03), 6.1e4), ((0.05, 0.02), 9e4)):
         survey.add(place_m, modulus_Pa)
     return Study(data, {NETWORK: card}, evaluate(data, methods), mapped=(survey, survey.map(), (0.05, 0.02, 0.005)))
+
+
+def test_the_published_gap_is_neither_one_force_nor_one_share_of_the_contact() -> None:
+    nothing, force, share = paper.explanations()
+    assert nothing.misfit > 100.0
+    assert force.value is not None
+    assert force.value.value == pytest.approx(0.464, abs=0.005)
+    assert force.misfit == pytest.approx(10.2, abs=0.1)
+    assert share.misfit == pytest.approx(22.6, abs=0.1)
+    assert share.p < force.p < 0.05
+    assert list(force.needs.values()) == pytest.approx([0.52, 0.80, 0.55, 0.33], abs=0.01)
+    assert [1e3 * depth for depth in paper.deeper_m().values()] == pytest.approx([0.57, 0.49, 0.44, 0.21], abs=0.01)
+    away_N, differ = paper.alike_N()
+    assert abs(away_N) < 0.06
+    assert differ.low > 0.0, "the two gaps differ"
+
+
+def test_a_gap_that_is_one_force_or_one_share_is_found_to_be_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def made(force_N: float, share: float) -> None:
+        rows = {s: paper._static_line(s) for s in paper.SETUPS}
+        ratio = {s: (1.0 + force_N / row.force_N) * (1.0 + share) for s, row in rows.items()}
+        new = {s: replace(paper.averages.__wrapped__(s), corrected_Pa=rows[s].modulus_Pa * ratio[s]) for s in paper.SETUPS}
+        depth = paper.depth_of_peaks_m()
+        monkeypatch.setattr(paper, "depth_of_peaks_m", lambda: depth)
+        monkeypatch.setattr(paper, "averages", new.__getitem__)
+
+    made(0.3, 0.0)
+    _, force, share = paper.explanations()
+    assert force.misfit < 1e-6 < share.misfit
+    assert force.value is not None
+    assert force.value.value == pytest.approx(0.3, rel=1e-3)
+    monkeypatch.undo()
+    made(0.0, 0.2)
+    _, force, share = paper.explanations()
+    assert share.misfit < 1e-6 < force.misfit
 
 
 def test_the_cell_of_the_study_reads_what_the_paper_read(small: Study) -> None:
