@@ -14,6 +14,7 @@ import numpy as np
 
 from palpd.cell_file import CellFile, Tissue
 from palpd.compensate import SENSOR_DELAY_S, Exported, Method, corrections, features, methods, stream
+from palpd.compensate_recurrent import Recurrent
 from palpd.results import PEAK_WINDOW_S
 from palpd.study_cell import STEP_S, Move, Take, free_cell, ramps, setup, take
 from palpd.tick import Floats
@@ -187,7 +188,7 @@ def main() -> None:
     cell = setup("A")
     learned, judged = recordings(cell, asked.seed, asked.recordings)
     compared = []
-    for method in methods():
+    for method in (*methods(), Recurrent(zero=False), Recurrent(zero=True)):
         method.fit(learned)
         compared.append((method, judge(method, judged)))
     text = table(compared, floor_N(cell), asked.seed, asked.recordings)

@@ -138,6 +138,7 @@ def train(
     from palpd.config import filter_delay_s, load_config
     from palpd.record import Recording, samples_of
     from palpd.samples import read
+    from palpd.train import refuse_other_probe
     from palpd.train import train as learn
 
     settings = load_config(config if config.exists() else None)
@@ -147,6 +148,7 @@ def train(
             recording = Recording.load(path)
             recordings.append(samples_of(recording))
             serials.add(recording.header["about"].get("sensor_serial"))
+            refuse_other_probe(recording, settings.cell.probe.mass_kg)
             delay_s = recording.header["about"]["delay_s"]
         else:
             recordings.append(read(path))

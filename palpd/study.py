@@ -27,6 +27,7 @@ from palpd.sequence import CLEAR_SHARE
 from palpd.study_cell import Move, Take, free_cell, ramps, setup, take
 from palpd.study_paper import MEAN_FREE_N, POISSON_RATIO, SETUPS, STROKE_M, STROKE_S, TIP_RADIUS_M, static
 from palpd.tick import Floats, Mode, Phase
+from palpd.train import refuse_other_probe
 from palpd.young import modulus_peak_Pa, ymbt
 
 DEPTHS_M = tuple(float(d) for d in static("A")[0])
@@ -345,12 +346,14 @@ def recorded(
 ) -> Data:
     """The same study of recordings: `palpd free-motion` without and with the probe, and `palpd run` in both modes.
 
-    Raises BadInput where sensors differ, or the palpation holds no static or no dynamic presses of a site.
+    Raises BadInput where sensors or probes differ, or the palpation holds no static or no dynamic presses of a site.
     """
     serials = {run.path.name: run.header.get("about", {}).get("sensor_serial") for run in (*bare, *free, palpation)}
     if len({serial for serial in serials.values() if serial}) > 1:
         told = ", ".join(f"{name} of {serial}" for name, serial in serials.items())
         raise BadInput(f"the recordings come from different sensors ({told}); what one reads beside the contact, another does not")
+    for run in free:
+        refuse_other_probe(run, palpation.header.get("config", {}).get("cell", {}).get("probe", {}).get("mass_kg", math.nan))
     results = site_results(palpation.rows, palpation.header)
     setups = []
     for index, site in enumerate(results):

@@ -26,7 +26,8 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPRegressor
 
 from palpd.errors import BadInput, RecordingError
-from palpd.inertial import INPUT_NAME, INPUTS, OUTPUT_NAME, SCHEMA, WINDOW_S, InertialModel, Motion, card_path
+from palpd.inertial import INPUT_NAME, INPUTS, MASS_TOLERANCE_KG, OUTPUT_NAME, SCHEMA, WINDOW_S, InertialModel, Motion, card_path
+from palpd.record import Recording
 from palpd.samples import Samples
 from palpd.tick import Floats, RobotMode, RobotState, SafetyMode
 from palpd.young import correlated_sigmas, student_t_95
@@ -195,6 +196,16 @@ def train(
     card = Card(**values | {"notes": _notes(values, recordings[0])})
     _write(out, content, card)
     return card
+
+
+def refuse_other_probe(recording: Recording, mass_kg: float) -> None:
+    """Raise BadInput where the recording was made with a probe of another mass, as far as it says."""
+    found_kg = recording.header.get("config", {}).get("cell", {}).get("probe", {}).get("mass_kg", mass_kg)
+    if abs(found_kg - mass_kg) > MASS_TOLERANCE_KG:
+        raise BadInput(
+            f"{recording.path.name} was recorded with a probe of {found_kg:g} kg, expected the {mass_kg:g} kg of cell.probe.mass_kg; "
+            "what one reads beside the contact, another does not: record it with this probe"
+        )
 
 
 def _cycles(recordings: Sequence[Samples], step_s: float) -> list[_Cycle]:

@@ -7,6 +7,7 @@ import pytest
 
 from palpd.cell_file import Tissue
 from palpd.compensate import Line, LineAndRunningZero, Method, Nothing, corrections, features, methods, stream
+from palpd.compensate_recurrent import Recurrent
 from palpd.study_cell import STEP_S, Move, Take, free_cell, ramps, setup, take
 
 CELL = setup("A")
@@ -21,7 +22,7 @@ def learned() -> list[Take]:
 
 @pytest.fixture(scope="module")
 def fitted(learned: list[Take]) -> list[Method]:
-    found = methods()
+    found = [*methods(), Recurrent(zero=True)]
     for method in found:
         method.fit(learned)
     return found
@@ -83,6 +84,17 @@ def test_the_mass_found_is_the_probes(learned: list[Take]) -> None:
     line = Line()
     line.fit(learned)
     assert line.mass_kg == pytest.approx(0.2, abs=0.015)
+
+
+def test_the_exported_recurrent_network_says_what_was_fitted(learned: list[Take]) -> None:
+    network = Recurrent(zero=False)
+    network.fit(learned[:1])
+    run = other_day(0.19)
+    motion = features(run.robot_t_s, run.robot_vz_m_per_s, run.t_s)[:500]
+    fitted_N = network._regressors(motion) @ network._readout + network._bias_N
+    network.start()
+    said_N = [network.step(sample) for sample, _ in zip(stream(run), range(500), strict=False)]
+    assert np.abs(np.array(said_N) - fitted_N).max() < 1e-4
 
 
 def test_a_running_zero_does_not_learn_the_contact_away(learned: list[Take]) -> None:

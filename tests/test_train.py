@@ -9,9 +9,10 @@ import pytest
 from palpd.dynamics import servo
 from palpd.errors import BadInput, RecordingError
 from palpd.inertial import InertialModel, card_path
+from palpd.record import Recording
 from palpd.samples import Samples
-from palpd.tick import Floats
-from palpd.train import METHODS, Card, Method, train
+from palpd.tick import ROW, Floats
+from palpd.train import METHODS, Card, Method, refuse_other_probe, train
 
 MASS_KG = 0.2
 COUNT_N = 0.131
@@ -180,3 +181,11 @@ def test_a_line_reaches_further_than_what_it_was_trained_on_and_a_network_does_n
 def test_an_unknown_method_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="there is no method 'magic' of training; choose one of linear, network"):
         train([free_motion(0)], tmp_path / "m.onnx", probe_mass_kg=MASS_KG, method="magic")  # type: ignore[arg-type]
+
+
+def test_a_recording_of_another_probe_is_refused(tmp_path: Path) -> None:
+    header = {"config": {"cell": {"probe": {"mass_kg": 0.25}}}}
+    recording = Recording(tmp_path / "free.mcap", np.zeros(1, ROW), header, {}, None)
+    with pytest.raises(BadInput, match=r"free\.mcap was recorded with a probe of 0\.25 kg, expected the 0\.2 kg"):
+        refuse_other_probe(recording, MASS_KG)
+    refuse_other_probe(recording, 0.252)
