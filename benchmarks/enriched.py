@@ -16,6 +16,7 @@ from palpd.cell import equilibrium_force_N, true_surface_m
 from palpd.cell_file import CellFile, Tissue, Wall
 from palpd.compensate import SENSOR_DELAY_S
 from palpd.config import Config, Plan
+from palpd.effects import EFFECTS
 from palpd.enriched import enriched_modulus
 from palpd.gap.diagnosis import diagnose
 from palpd.motion import Job
@@ -28,6 +29,8 @@ from palpd.young import modulus_peak_Pa
 DEPTHS_M = (0.003, 0.004, 0.005, 0.006)
 REST_M = 0.010
 PLATE_N_PER_M = 1e7
+GIVE_KNOWN = {name: effect for name, effect in EFFECTS.items() if name != "robot.compliance"}
+"""What may still be named of a machine whose give was measured and taken out (`palpd diagnose --without robot.compliance`)."""
 DRAWN = ("tissue.viscoelastic", "tissue.surface", "robot.compliance", "sensor.latency", "sensor.bias", "tissue.inclusion")
 
 
@@ -108,7 +111,7 @@ def main() -> None:
         probing = [(0.003, 0.005, 3.0), (0.005, 0.02, 3.0), (0.006, 0.01, 2.0), (0.004, 0.04, 2.0), (0.006, 0.005, 3.0)]
         seen, _ = scattered(true, rng, probing, 2 * k + 10_000 * asked.seed)
         stiffness = math.inf if asked.no_plate else plate_N_per_m(true, k + 10_000 * asked.seed)
-        diagnosis = diagnose([tip_of(seen, stiffness)], believed)
+        diagnosis = diagnose([tip_of(seen, stiffness)], believed, EFFECTS if asked.no_plate else GIVE_KNOWN)
         dynamic, presses = scattered(true, rng, [(d, 0.01, 0.0) for d in DEPTHS_M] * 2, 2 * k + 1 + 10_000 * asked.seed)
         static, holds = scattered(true, rng, [(d, 0.01, 8.0) for d in DEPTHS_M], 500 + 2 * k + 10_000 * asked.seed)
         peak = np.mean([_peak_Pa(dynamic, span) for span in presses])

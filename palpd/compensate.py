@@ -15,12 +15,12 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from palpd.inertial import InertialModel, Motion
+from palpd.inertial import InertialModel
 from palpd.running_zero import FreeAir, RunningZero
 from palpd.study_cell import STEP_S, CUTOFF_Hz, Take
-from palpd.tick import Floats, RobotMode, RobotState, SafetyMode
+from palpd.tick import Floats
 from palpd.train import Method as Trained
-from palpd.train import train
+from palpd.train import run_time_features, train
 
 SENSOR_DELAY_S = 1.0 / (2.0 * math.pi * CUTOFF_Hz)
 SPEED_NOISE_M_PER_S = 2.0e-4
@@ -67,18 +67,8 @@ class Method(Protocol):
 
 
 def features(robot_t_s: Floats, speed: Floats, t_s: Floats, delay_s: float = SENSOR_DELAY_S) -> Floats:
-    """Speed and acceleration (n, 2) as the loop has them when it explains each sample: from the states up to the tick it came in."""
-    motion, found = Motion(delay_s), np.empty((len(t_s), 2))
-    zeros = (0.0,) * 6
-    ends = np.searchsorted(t_s, robot_t_s, side="right")
-    begin = 0
-    for end, when_s, vz in zip(ends.tolist(), robot_t_s.tolist(), speed.tolist(), strict=True):
-        moving = (0.0, 0.0, vz, 0.0, 0.0, 0.0)
-        motion.update(RobotState(when_s, when_s, zeros, moving, zeros, moving, zeros[:3], RobotMode.RUNNING, SafetyMode.NORMAL, 1, 2, True))
-        found[begin:end] = motion.features(t_s[begin:end].tolist())
-        begin = end
-    found[begin:] = motion.features(t_s[begin:].tolist())
-    return found
+    """Speed and acceleration (n, 2) as the loop has them when it explains each sample."""
+    return run_time_features(robot_t_s, speed, t_s, delay_s)
 
 
 def stream(run: Take) -> Iterator[Sample]:

@@ -103,13 +103,14 @@ class Card:
 
 @dataclass(frozen=True, slots=True)
 class _Cycle:
-    """One repeat of the motion: arrays (n,) over the time since it began."""
+    """One repeat of the motion: arrays (n,) over the time since it began; `at_run_time` (n, 2) as the loop would have had it."""
 
     recording: int
     start_s: float
     z_m: Floats
     vz_m_per_s: Floats
     fz_N: Floats
+    at_run_time: Floats
 
 
 def train(
@@ -137,20 +138,22 @@ def train(
         _refuse_clipping(number, samples)
         _refuse_contact(number, samples, probe_mass_kg)
     step_s = 1.0 / recordings[0].rate_Hz
-    cycles = _cycles(recordings, step_s)
+    cycles = _cycles(recordings, step_s, sensor_delay_s)
     _refuse_different(cycles, step_s)
-    features, force_N = _average(cycles, step_s, sensor_delay_s)
+    smoothed, force_N = _average(cycles, step_s, sensor_delay_s)
+    features = _average_at_run_time(cycles, step_s)
     fitted, half = _line(cycles, step_s, sensor_delay_s, probe_mass_kg)
     mass_kg, bias_N, drag_N_s_per_m = fitted.tolist()
     mass_half_kg, bias_half_N, _ = half.tolist()
     raw_rms_N = _rms(np.concatenate([_margin_cut(cycle.fz_N, force_N) - force_N for cycle in cycles]))
     at = np.linspace(0.0, len(force_N) - 1.0, POINTS)
-    points = np.column_stack([np.interp(at, np.arange(len(force_N)), column) for column in (*features.T, force_N)])
-    features, force_N = points[:, :2], points[:, 2]
+    points = np.column_stack([np.interp(at, np.arange(len(force_N)), column) for column in (*features.T, force_N, *smoothed.T)])
+    at_run_time, force_N, smoothed = points[:, :2], points[:, 2], points[:, 3:]
+    features = smoothed if method == "network" else at_run_time  # the paper's network as the paper trained it
     content, predicted_N = _model(method, features, force_N, fitted, half)
     seen = np.stack([features.min(axis=0), features.max(axis=0)], axis=1)
     allowed = _reach(seen, half) if method != "network" else seen
-    inertia_N = -mass_kg * features[:, 1]
+    inertia_N = -mass_kg * smoothed[:, 1]
     card = Card(
         schema=SCHEMA,
         method=method,
@@ -172,7 +175,8 @@ def train(
         repeats=len(cycles),
         recordings=len(recordings),
         smoothing={
-            "training": "repeats averaged; centred moving average, twice, on speed, acceleration and force: it uses the future",
+            "training": "repeats averaged; centred moving average, twice, on features and force alike; features as at run time, "
+            "but for the paper's network, whose features are smoothed over past and future",
             "training_window_s": SMOOTHING_S,
             "run_time": "slope of a line through the last robot states, causal",
             "run_time_window_s": WINDOW_S,
@@ -191,7 +195,7 @@ def train(
         notes=[],
     )
     model = InertialModel.from_bytes(content, asdict(card), out.name)  # it must pass what the daemon asks of it
-    causal_rms_N = _causal_rms_N(model, recordings[0], sensor_delay_s)
+    causal_rms_N = _rms(np.array(model.predict(at_run_time.tolist())) - np.array(model.predict(smoothed.tolist())))
     values = asdict(card) | {"run_time_rms_N": causal_rms_N}
     card = Card(**values | {"notes": _notes(values, recordings[0])})
     _write(out, content, card)
@@ -208,7 +212,7 @@ def refuse_other_probe(recording: Recording, mass_kg: float) -> None:
         )
 
 
-def _cycles(recordings: Sequence[Samples], step_s: float) -> list[_Cycle]:
+def _cycles(recordings: Sequence[Samples], step_s: float, sensor_delay_s: float) -> list[_Cycle]:
     """Every repeat of the motion, cut where the tip rises through the middle of the first recording's stroke, less a quarter period."""
     middle_m = (float(recordings[0].z_m.min()) + float(recordings[0].z_m.max())) / 2.0
     quarter_m = float(np.ptp(recordings[0].z_m)) / 4.0
@@ -228,13 +232,15 @@ def _cycles(recordings: Sequence[Samples], step_s: float) -> list[_Cycle]:
     period_s = float(np.median(periods)) if len(periods) else min(samples.duration_s for samples in recordings)
     cycles = []
     for number, (samples, found) in enumerate(zip(recordings, rises, strict=True), start=1):
+        at_run_time = _at_run_time(samples, sensor_delay_s)
         for rise_s in found:
             start_s = rise_s - period_s / 4.0 if len(periods) else samples.t_s[0]
             grid_s = start_s + np.arange(round(period_s / step_s)) * step_s
             if grid_s[0] < samples.t_s[0] - step_s or grid_s[-1] > samples.t_s[-1] + step_s:
                 continue
             columns = (samples.z_m, samples.vz_m_per_s, samples.wrench[:, 2])
-            cycles.append(_Cycle(number, float(start_s), *(np.interp(grid_s, samples.t_s, column) for column in columns)))
+            z_m, vz_m_per_s, fz_N, *motion = (np.interp(grid_s, samples.t_s, column) for column in (*columns, *at_run_time.T))
+            cycles.append(_Cycle(number, float(start_s), z_m, vz_m_per_s, fz_N, np.column_stack(motion)))
     if not cycles:
         raise RecordingError("no recording holds a whole cycle up and down; record it with palpd free-motion")
     return cycles
@@ -266,6 +272,13 @@ def _average(cycles: list[_Cycle], step_s: float, sensor_delay_s: float) -> tupl
     at = np.arange(len(speed)) * step_s
     delayed = [np.interp(at - sensor_delay_s, at, column) for column in (speed, acceleration)]
     return np.column_stack(delayed), force_N
+
+
+def _average_at_run_time(cycles: list[_Cycle], step_s: float) -> Floats:
+    """What the loop would have had (n, 2) in the mean cycle, smoothed like the force; it keeps the lag of run time."""
+    motion = np.mean([cycle.at_run_time for cycle in cycles], axis=0)
+    width = max(1, 2 * round(SMOOTHING_S / step_s / 2.0) + 1)
+    return np.column_stack([_smooth(_smooth(column, width), width) for column in motion.T])
 
 
 def _margin_cut(whole: Floats, smoothed: Floats) -> Floats:
@@ -312,12 +325,15 @@ def _line(cycles: list[_Cycle], step_s: float, sensor_delay_s: float, probe_mass
 def _model(method: Method, features: Floats, force_N: Floats, fitted: Floats, half: Floats) -> tuple[bytes, Floats]:
     """A model as ONNX, and what it says of its own training points in N. `fitted` and `half` (3,) are of `_line`.
 
-    The line takes the drag along only where it is larger than its uncertainty.
+    The line is fitted to the features of run time, which lag behind the true ones: its weights are what predicts best with these, and
+    need not be the mass. It takes the drag along only where it is larger than its uncertainty.
     """
-    mass_kg, bias_N, drag_N_s_per_m = fitted.tolist()
     if method == "network":
         return _network(features, force_N)
-    weights = np.array([-drag_N_s_per_m if abs(drag_N_s_per_m) > half[2] else 0.0, -mass_kg])
+    dragged = abs(fitted[2]) > half[2]
+    slopes = np.column_stack([features[:, 0] if dragged else np.zeros(len(features)), features[:, 1], np.ones(len(features))])
+    *speeds, bias_N = np.linalg.lstsq(slopes, force_N, rcond=None)[0].tolist()
+    weights = np.array(speeds)
     if method == "bias":
         weights, bias_N = np.zeros(2), float(force_N.mean())
     line_N: Floats = features @ weights + bias_N
@@ -393,21 +409,25 @@ def _named(ranges: Floats) -> dict[str, list[float]]:
     return {name: [float(low), float(high)] for (name, _), (low, high) in zip(INPUTS, ranges, strict=True)}
 
 
-def _causal_rms_N(model: InertialModel, samples: Samples, sensor_delay_s: float) -> float:
-    """How far the prediction from causal features is from that with features smoothed over past and future, rms over a recording."""
-    robot_s = np.arange(samples.t_s[0], samples.t_s[-1], ROBOT_STEP_S)
-    speed = np.interp(robot_s, samples.t_s, samples.vz_m_per_s)
-    width = max(1, 2 * round(SMOOTHING_S / ROBOT_STEP_S / 2.0) + 1)
-    smooth = _smooth(_smooth(speed, width), width)
-    both = np.column_stack([smooth, np.gradient(smooth, ROBOT_STEP_S)])
-    motion, causal = Motion(sensor_delay_s), []
+def run_time_features(robot_t_s: Floats, speed: Floats, t_s: Floats, sensor_delay_s: float) -> Floats:
+    """Speed and acceleration (n, 2) as the loop has them when it explains each sample: from the states up to the tick it came in."""
+    motion, found = Motion(sensor_delay_s), np.empty((len(t_s), 2))
     zeros = (0.0,) * 6
-    for t_s, vz in zip(robot_s.tolist(), speed.tolist(), strict=True):
+    ends = np.searchsorted(t_s, robot_t_s, side="right")
+    begin = 0
+    for end, when_s, vz in zip(ends.tolist(), robot_t_s.tolist(), speed.tolist(), strict=True):
         moving = (0.0, 0.0, vz, 0.0, 0.0, 0.0)
-        motion.update(RobotState(t_s, t_s, zeros, moving, zeros, moving, zeros[:3], RobotMode.RUNNING, SafetyMode.NORMAL, 1, 2, True))
-        causal += motion.features([t_s])
-    delayed = np.column_stack([np.interp(robot_s - sensor_delay_s, robot_s[width - 1 : 1 - width or None], column) for column in both.T])
-    return _rms(np.array(model.predict(causal)) - model.predict(delayed.tolist()))
+        motion.update(RobotState(when_s, when_s, zeros, moving, zeros, moving, zeros[:3], RobotMode.RUNNING, SafetyMode.NORMAL, 1, 2, True))
+        found[begin:end] = np.reshape(motion.features(t_s[begin:end].tolist()), (-1, 2))
+        begin = end
+    found[begin:] = np.reshape(motion.features(t_s[begin:].tolist()), (-1, 2))
+    return found
+
+
+def _at_run_time(samples: Samples, sensor_delay_s: float) -> Floats:
+    """The features (n, 2) that the loop would have had at each sample of a recording, from robot states at a controller's cycle."""
+    robot_s = np.arange(samples.t_s[0], samples.t_s[-1], ROBOT_STEP_S)
+    return run_time_features(robot_s, np.interp(robot_s, samples.t_s, samples.vz_m_per_s), samples.t_s, sensor_delay_s)
 
 
 def _refuse_clipping(number: int, samples: Samples) -> None:
