@@ -39,8 +39,8 @@ LEAST_SHARE = 1e-6
 class Round:
     """One recording more: what is open after it, what it was expected to bring, and what it brought.
 
-    `gained` is the change of the log odds between the `pair` that it was to tell apart, counted for the one that was ahead before;
-    a `reversal` is a pair whose order has changed.
+    `gained` is the change of the log odds between the `pair` that it was to tell apart, counted for the one that was ahead before, a lower
+    bound where one of them is out of the question since (`settled`); a `reversal` is a pair whose order has changed.
     """
 
     number: int
@@ -53,6 +53,7 @@ class Round:
     expected_gain: float | None = None
     gained: float | None = None
     reversal: bool = False
+    settled: bool = False
 
 
 @dataclass
@@ -96,6 +97,7 @@ def resolve(setting: Setting, plan: Plan = STANDARD, recordings: Sequence[Path] 
         with setting.console.status("diagnosing"):
             found = diagnose(samples, setting.cell, setting.library, propose=False)
             new = advise(found.problem, found.attribution, _limits(setting, found))
+        found = replace(found, proposal=new.proposal)
         told.append(_round(made, names[-1], samples[-1], found, new, advice, before))
         _tell(say, told[-1])
         _keep(setting, found, made, names)
@@ -159,7 +161,8 @@ def _record(setting: Setting, plan: Plan, number: int) -> tuple[str, Samples | N
 def _rehearsed(setting: Setting, found: Diagnosis, plan: Plan) -> str:
     """Do the plan without wires on the cell as far as it is known; why it must not be done on the real one, or nothing."""
     with setting.console.status("rehearsing without wires"):
-        done = sim.run(Job("palpation", setting.config, plan), found.enriched_cell(), library=setting.library)
+        job_there = Job("palpation", setting.config, plan)
+        done = sim.run(job_there, found.enriched_cell(), home_above_m=_limits(setting, found).home_m, library=setting.library)
     if done.outcome.verdict != "done":
         return f"the proposed motion was rehearsed without wires and stopped there ({done.outcome.reason}); it is not carried out"
     rows = done.rows[done.rows["site"] >= 0]
@@ -179,14 +182,20 @@ def _round(
         return one
     old, now = log_odds(before, advice.pair), log_odds(found.attribution, advice.pair)
     ahead = 1.0 if old >= 0 else -1.0
-    return replace(one, pair=advice.pair, expected_gain=advice.proposal.expected_gain, gained=ahead * (now - old), reversal=old * now < 0)
+    settled = min(_share(found.attribution, name) for name in advice.pair) < LEAST_SHARE
+    gained, expected = ahead * (now - old), advice.proposal.expected_gain
+    return replace(one, pair=advice.pair, expected_gain=expected, gained=gained, reversal=old * now < 0, settled=settled)
 
 
 def log_odds(attribution: Attribution, pair: tuple[str, str]) -> float:
     """Log odds of the first explanation (as Advice names it) against the second."""
-    share = {" with ".join(w.fit.names) or "no effect": w.share for w in attribution.weighed}
-    first, second = (max(share.get(name, 0.0), LEAST_SHARE) for name in pair)
+    first, second = (max(_share(attribution, name), LEAST_SHARE) for name in pair)
     return log(first / second)
+
+
+def _share(attribution: Attribution, name: str) -> float:
+    """What an explanation holds, nothing where it has been dropped."""
+    return next((w.share for w in attribution.weighed if (" with ".join(w.fit.names) or "no effect") == name), 0.0)
 
 
 def _tell(say: Callable[..., None], one: Round) -> None:
@@ -194,7 +203,7 @@ def _tell(say: Callable[..., None], one: Round) -> None:
     if one.pair is not None and one.gained is not None:
         turned = ", and the order of the two has changed" if one.reversal else ""
         between = f"{one.pair[0]} and {one.pair[1]}, expected at least {one.expected_gain:.1f}{turned}"
-        say(f"  gained {one.gained:+.1f} nats between {between}", highlight=False)
+        say(f"  gained {'at least ' * one.settled}{one.gained:+.1f} nats between {between}", highlight=False)
     if len(one.open) > 1:
         say(f"  still open: {', '.join(f'{name} {share:.2f}' for name, share in one.open.items())}", highlight=False)
 

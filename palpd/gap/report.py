@@ -58,6 +58,7 @@ class Curves:
     enriched: Floats
     judged: tuple[bool, ...]
     noise_rms: Floats
+    recording: int = 0
 
 
 @dataclass(frozen=True)
@@ -80,10 +81,17 @@ def write(path: Path, found: Diagnosis, title: str) -> None:
 
 
 def curves_of(found: Diagnosis) -> Curves:
-    """The first recording of a diagnosis, with what the nominal and the enriched cell say to its motion."""
-    problem, run = found.problem, found.problem.runs[0]
+    """The recording of a diagnosis with the largest gap, with what the nominal and the enriched cell say to its motion."""
+    problem = found.problem
+    channel = found.where["channel"] if found.where is not None else ""
+    gaps = np.zeros(len(problem.runs))
+    for t in found.trend:
+        gaps[int(t["recording"])] += float(t["rms"]) ** 2 if t["channel"] == channel else 0.0
+    shown = int(np.argmax(gaps))
+    run = problem.runs[shown]
     samples: Samples = run.samples
     return Curves(
+        recording=shown,
         t_s=samples.t_s - samples.t_s[0],
         z_m=samples.z_m,
         phase=run.phases.phase,
@@ -115,7 +123,7 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
         bars=_bars(content),
         before_after=_before_after(content),
         spectrum=_spectrum(curves, channel),
-        trend=_trend(content, channel),
+        trend=_trend(content, channel, curves.recording),
         parameters=_parameters(content, library),
         motion=_motion(content),
         plan=yaml.safe_dump(proposed["plan"], sort_keys=False) if proposed else "",
@@ -289,9 +297,13 @@ def plot(
         a, b = float(py(min(above, y_high))), float(py(max(below, y_low)))
         out.append(f'<rect x="{left}" y="{a:.1f}" width="{width - left - right}" height="{b - a:.1f}" fill="{FLOOR}" opacity=".8"/>')
     decades = [10.0**k for k in range(ceil(log10(y_low)), floor(log10(y_high)) + 1)] if log else []
-    for tick in decades if log else _ticks(y_low, y_high, 4):
+    if log and len(decades) < 2:
+        decades = [m * 10.0**k for k in range(floor(log10(y_low)), ceil(log10(y_high))) for m in (1, 2, 5) if y_low < m * 10.0**k < y_high]
+    for tick in decades if log else _ticks(y_low, y_high, max(4, height // 40)):
         y = float(py(tick))
-        label = _number(tick, 4) if not log else f"10{str(round(log10(tick))).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+        power = log10(tick) if log else 0.5
+        whole = abs(power - round(power)) < 1e-9
+        label = f"10{str(round(power)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}" if whole else _number(tick, 1 if log else 4)
         out.append(f'<line x1="{left}" x2="{width - right}" y1="{y:.1f}" y2="{y:.1f}" class="grid"/>')
         out.append(f'<text x="{left - 6}" y="{y + 4:.1f}" class="tick" text-anchor="end">{label}</text>')
     powers = [10.0**k for k in range(ceil(log10(x_low)), floor(log10(x_high)) + 1)] if log else []
@@ -495,9 +507,9 @@ def _spectrum(curves: Curves, channel: str) -> Markup:
     return plot(lines, (480, 250), x_label="frequency in Hz", y_label=f"{unit} / √Hz", log=True)
 
 
-def _trend(content: Mapping[str, Any], channel: str) -> Markup:
+def _trend(content: Mapping[str, Any], channel: str, recording: int) -> Markup:
     """Mean and rms of the gap from cycle to cycle: a drift shows here first."""
-    rows = [t for t in content["trend"] if t["channel"] == channel and t["recording"] == 0]
+    rows = [t for t in content["trend"] if t["channel"] == channel and t["recording"] == recording]
     if len(rows) < 2:
         return Markup("")
     x = np.array([float(t["begin_s"]) for t in rows])

@@ -178,10 +178,10 @@ class Wired:
         """The unfinished recording."""
         return next((self.folder / "runs").glob("*.part"))
 
-    def palpd(self, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    def palpd(self, *arguments: str | Path, patience_s: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
         """Carry out a command to its end."""
         command = [sys.executable, "-m", "palpd", *map(str, arguments)]
-        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+        return subprocess.run(command, capture_output=True, text=True, timeout=patience_s, check=False)
 
     def run(self, plan: dict[str, Any], take_reference: bool = True) -> Daemon:
         """`palpd run` of a plan, under way; the reference tare is taken at its start, or the kept one used."""
