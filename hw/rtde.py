@@ -25,6 +25,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import IntEnum
+from pathlib import Path
 from typing import Any, Literal
 
 from rtde_control import RTDEControlInterface
@@ -224,6 +225,7 @@ class UrRobot:
         try:
             _refuse_unready(self._reader.read(), host)
             self._control = _control(host, rate_Hz)
+            _send_at_once(host)
             try:
                 self._set_tcp()
             except BaseException:
@@ -423,6 +425,23 @@ def _control(host: str, rate_Hz: float) -> Any:
         elif "before timeout" in text:
             text = "the control script did not start within 5 s; check that the robot is on, released and has no popup open"
         raise RobotError(f"robot at {host} cannot be controlled: {text}.") from None
+
+
+def _send_at_once(host: str) -> None:
+    """Turn Nagle's algorithm off on every RTDE connection of this process.
+
+    The library (1.6.5) asks for that on a socket that its connecting then replaces. Without it a command waits for the acknowledgement of
+    the one before, which travels with the controller's next package: 6 ms at 125 Hz.
+    """
+    address = (socket.gethostbyname(host), RTDE_PORT)
+    for entry in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):  # no socket, not connected, or closed meanwhile
+            connection = socket.socket(fileno=int(entry.name))
+            try:
+                if connection.family == socket.AF_INET and connection.getpeername() == address:
+                    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            finally:
+                connection.detach()  # it stays the library's
 
 
 def _refuse_unready(state: RobotState, host: str) -> None:

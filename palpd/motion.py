@@ -168,6 +168,7 @@ def serve(build: Build, ring_name: str, pipe: Connection, life: Connection) -> N
 
 def _watch(life: Connection, orphaned: threading.Event) -> None:
     """Sleep until the supervisor is gone; then let the loop stop, and end the process even if the library hangs."""
+    fifo(DEVICE_PRIORITY)  # else it may wait for half a second on a busy machine, or hold the interpreter's lock without running
     try:
         life.recv()
     except (EOFError, OSError):

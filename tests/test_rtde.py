@@ -353,6 +353,25 @@ def test_after_every_upload_the_watchdog_is_set_again(emulated: Emulated) -> Non
 
 
 @pytest.mark.hil
+def test_a_command_does_not_wait_for_the_acknowledgement_of_the_one_before(emulated: Emulated) -> None:
+    said = emulated.run("""
+        import os, socket
+        robot = connect(); go(robot, 0.001, 0.1); out["delayed"] = []
+        for entry in os.listdir("/proc/self/fd"):
+            try:
+                connection = socket.socket(fileno=int(entry))
+            except OSError:
+                continue
+            if connection.family == socket.AF_INET and connection.getpeername()[1] == 30004:
+                out["delayed"].append(connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) == 0)
+            connection.detach()
+        robot.close()
+        """)
+    assert said["delayed"]
+    assert not any(said["delayed"])
+
+
+@pytest.mark.hil
 def test_a_second_master_is_refused_and_a_second_reader_is_not(emulated: Emulated) -> None:
     said = emulated.run("""
         robot = connect()

@@ -5,6 +5,7 @@ ur_rtde 1.6.5 uploads, written from observed traffic; nothing here was compared 
 """
 
 import re
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -17,6 +18,7 @@ from hw.emulators.pose import Floats, composed, inverse, rotation, rotation_vect
 PROGRAM_STOP_M_PER_S2 = 5.0
 """Deceleration of the tip when a program ends under way. No published figure was found: from 10 mm/s it takes 2 ms, so one cycle."""
 EMERGENCY_STOP_M_PER_S2 = 10.0
+COMMANDS_KEPT = 15_000
 PROGRAM_START_S = 0.1
 """From the last byte of an uploaded script to its first cycle."""
 UNLOCK_AFTER_S = 5.0
@@ -316,6 +318,7 @@ class Controller:
         self.payload_kg, self.payload_cog = 0.0, (0.0, 0.0, 0.0)
         self.messages: list[tuple[str, int]] = []
         self.stops: list[tuple[float, str]] = []
+        self.commands: deque[tuple[float, float]] = deque(maxlen=COMMANDS_KEPT)  # when, and the vertical speed that was asked
         self._began = began  # at a program's first motion
         self._started = started  # when a program starts
         self._fed_s = 0.0
@@ -330,6 +333,8 @@ class Controller:
         """Take a package of inputs; it feeds the watchdog if it holds the command register."""
         self.inputs.update(values)
         offset = self.program.offset if self.program else 0
+        if f"input_double_register_{offset + 2}" in values:
+            self.commands.append((now_s, values[f"input_double_register_{offset + 2}"][0]))
         if f"input_int_register_{offset}" in values:
             self._fed_s = max(self._fed_s, now_s)
 

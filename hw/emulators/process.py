@@ -22,7 +22,7 @@ from typing import Any
 
 from hw.emulators.controller import MODELS, Sample
 from hw.emulators.rig import SAMPLE_S, Rig
-from hw.emulators.verbs import obey
+from hw.emulators.verbs import VERBS, obey
 from palpd.cell_file import PHANTOM, load_cell
 from palpd.effects import EFFECTS, load_effects
 from palpd.errors import PalpdError
@@ -45,9 +45,14 @@ class ControlChannel:
         self._listener.setblocking(False)
         self._selector.register(self._listener, selectors.EVENT_READ, None)
         self._inbox: dict[socket.socket, bytes] = {}
+        self._later: list[tuple[float, dict[str, Any]]] = []
 
     def serve(self, now_s: float, lateness_s: Sequence[float]) -> None:
-        """Answer what has come."""
+        """Answer what has come, and do what was put off until now."""
+        for due in [entry for entry in self._later if entry[0] <= now_s]:
+            self._later.remove(due)
+            with contextlib.suppress(ValueError, TypeError, KeyError):  # it was answered long ago
+                obey(self._rig, due[1], now_s, lateness_s)
         for key, _ in self._selector.select(0):
             if key.data is None:
                 connection, _ = self._listener.accept()
@@ -66,11 +71,20 @@ class ControlChannel:
         *lines, self._inbox[connection] = (self._inbox[connection] + data).split(b"\n")
         for line in lines:
             try:
-                answer = obey(self._rig, json.loads(line), now_s, lateness_s)
+                answer = self._obey(json.loads(line), now_s, lateness_s)
             except (ValueError, TypeError, KeyError, AttributeError) as error:
                 answer = {"ok": False, "error": f"{type(error).__name__}: {error}"}
             with contextlib.suppress(OSError):
                 connection.sendall(json.dumps(answer).encode() + b"\n")
+
+    def _obey(self, request: dict[str, Any], now_s: float, lateness_s: Sequence[float]) -> dict[str, Any]:
+        after_s = request.pop("after_s", None)
+        if after_s is None:
+            return obey(self._rig, request, now_s, lateness_s)
+        if request["do"] not in VERBS:
+            raise ValueError(f"there is no verb {request['do']!r}")
+        self._later.append((now_s + after_s, request))
+        return {"ok": True, "t_s": now_s + after_s}
 
     def close(self) -> None:
         """Close the socket and remove it."""

@@ -65,6 +65,8 @@ class Rig:
         self._published_s = 0.0
         self._frozen_until_s = self._away_until_s = self._slow_until_s = 0.0
         self.samples: deque[Sample] = deque(maxlen=round(LOGGED_S / SAMPLE_S))
+        self.sent: deque[tuple[float, int]] = deque(maxlen=round(LOGGED_S / SAMPLE_S))
+        """When each of the sensor's samples went out, a little before its bytes, and its counter."""
         self.peak_contact_N = 0.0
         self._values = _power_up_values(model)
         self._last_speed = np.zeros(3)
@@ -91,7 +93,7 @@ class Rig:
         if now_s >= self._frozen_until_s:
             for key, _ in self.network.select(0):
                 key.data(now_s)
-        self._sense(planned_s)
+        self._sense(planned_s, now_s)
         self._ticks += 1
         if self._ticks % self.steps == 0:
             self._cycle(planned_s, now_s, late)
@@ -100,11 +102,12 @@ class Rig:
         """So many milliseconds went by without the process; the devices' clocks have gone on."""
         self.daq.counter = (self.daq.counter + samples) % 65536
 
-    def _sense(self, planned_s: float) -> None:
+    def _sense(self, planned_s: float, now_s: float) -> None:
         self.daq.take(self.line.receive())
         packet = self.daq.sample(self._counts[self._ticks % self.steps], planned_s)
         if self.daq.answers:
             packet, self.daq.answers = self.daq.answers + packet, b""
+        self.sent.append((now_s, self.daq.counter))
         self.line.send(packet)
 
     def _cycle(self, planned_s: float, now_s: float, late: bool) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hw.emulators.hex_pty import Daq
+from hw.emulators.hex_pty import Daq, Faults
 from hw.emulators.rig import SAMPLE_S, Rig
 
 Answer = dict[str, Any]
@@ -158,6 +158,17 @@ def _log(rig: Rig, now_s: float, since_s: float) -> Answer:
     return {"samples": fresh[::-1][:MOST_ROWS], "more": len(fresh) > MOST_ROWS, "stops": stops}
 
 
+def _wire(rig: Rig, now_s: float, since_s: float) -> Answer:
+    """What went out to the host and came in from it; the first MOST_ROWS of each."""
+    sent = list(itertools.takewhile(lambda entry: entry[0] > since_s, reversed(rig.sent)))
+    heard = list(itertools.takewhile(lambda entry: entry[0] > since_s, reversed(rig.controller.commands)))
+    return {"sent": sent[::-1][:MOST_ROWS], "heard": heard[::-1][:MOST_ROWS]}
+
+
+def _heal(rig: Rig, now_s: float) -> None:
+    rig.daq.faults = Faults()
+
+
 VERBS: dict[str, Callable[..., Answer | None]] = {
     "silent": _silent,
     "slow": _slow,
@@ -171,6 +182,7 @@ VERBS: dict[str, Callable[..., Answer | None]] = {
     "status": _status,
     "overload": _overload,
     "drift": _drift,
+    "heal": _heal,
     "unplug": _unplug,
     "replug": _replug,
     "freeze": _freeze,
@@ -185,4 +197,5 @@ VERBS: dict[str, Callable[..., Answer | None]] = {
     "wall": _wall,
     "truth": _truth,
     "log": _log,
+    "wire": _wire,
 }
