@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpd.errors import BadInput, RecordingError
+from palpd.errors import BadInput, RecordingError, Stopped
 from palpd.inclusion import DEPTHS_M, find_inclusion, stiffening
-from palpd.mapping import Field, Survey, draw, raster, read_presses, search
+from palpd.mapping import Field, Survey, draw, raster, read_presses, search, write_presses
 from palpd.mapping_field import EmulatedField
+from palpd.mapping_robot import in_simulation
 
 HOLDS_M = np.tile(np.arange(1, 11) / 1000.0, 2)
 
@@ -95,3 +96,29 @@ def test_a_press_outside_the_field_or_without_a_modulus_is_refused(tmp_path: Pat
     (tmp_path / "p.csv").write_text("x_m,y_m\n1,2\n")
     with pytest.raises(BadInput, match=r"p\.csv, line 2: expected numbers in the columns x_m, y_m, youngs_modulus_Pa"):
         read_presses(tmp_path / "p.csv", Field())
+
+
+def test_the_daemon_presses_an_emulated_field_in_simulation() -> None:
+    where = Field(width_m=0.03, height_m=0.03)
+    field = EmulatedField(where, 2, contrast=2.0)
+    assert field.inclusion is not None
+    press = in_simulation(where, field.cell, 2)
+    grid = where.grid()
+    away_m = np.linalg.norm(grid - field.inclusion[:2], axis=1)
+    hard, soft = (press((float(x), float(y))) for x, y in (grid[np.argmin(away_m)], grid[np.argmax(away_m)]))
+    assert hard / soft > 1.3
+    assert soft == pytest.approx(field.youngs_modulus_Pa * 1.08, rel=0.08)  # pressed in motion: its rate dependence is in it
+
+
+def test_presses_made_before_a_stop_are_kept_and_read_again(tmp_path: Path) -> None:
+    survey, calls = Survey(), []
+
+    def press(place_m: tuple[float, float]) -> float:
+        calls.append(place_m)
+        if len(calls) == 3:
+            raise Stopped("the contact limit was reached")
+        return 6e4
+
+    with pytest.raises(Stopped):
+        search(press, Field(), survey=survey, watch=lambda survey, _: write_presses(tmp_path / "presses.csv", survey))
+    assert read_presses(tmp_path / "presses.csv", Field()).moduli_Pa == survey.moduli_Pa == [6e4, 6e4]
