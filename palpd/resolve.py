@@ -117,7 +117,7 @@ def resolve(setting: Setting, plan: Plan = STANDARD, recordings: Sequence[Path] 
 def _end(found: Diagnosis, advice: Advice, made: int, rounds: int) -> str:
     """Why the loop is over; empty while it is not."""
     if found.verdict == "none":
-        return "Resolved: there is no gap to explain."
+        return f"Resolved: no gap beyond the cell's own tolerances (probability {found.p_none:.2f})."
     if found.verdict == "effects" and not any(e.indistinguishable_from for e in found.effects):
         return f"Resolved: {' and '.join(e.id for e in found.effects)}."
     if advice.proposal is None:

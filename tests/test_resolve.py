@@ -91,6 +91,15 @@ def test_it_asks_records_and_ends_when_resolved(monkeypatch: pytest.MonkeyPatch,
     assert not second["settled"]
 
 
+def test_a_healthy_cell_needs_no_second_recording(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    healthy = answer({"no effect": 0.9, "sensor.bias": 0.05}, "none")
+    healthy[0].p_none = 0.9
+    found, plans, asked = carried_out(monkeypatch, tmp_path, [healthy])
+    assert found["resolved"]
+    assert "0.90" in found["reason"]
+    assert (len(plans), asked) == (1, [])
+
+
 def test_a_turn_of_the_odds_is_a_reversal_with_a_negative_gain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     answers = [answer({PAIR[0]: 0.6, PAIR[1]: 0.3}), answer({PAIR[1]: 0.99, PAIR[0]: 0.005})]
     second = carried_out(monkeypatch, tmp_path, answers)[0]["rounds"][1]
