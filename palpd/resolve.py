@@ -84,10 +84,11 @@ def resolve(setting: Setting, plan: Plan = STANDARD, recordings: Sequence[Path] 
     told: list[Round] = []
     advice: Advice | None = None
     before: Attribution | None = None
-    made, reason = 0, ""
+    made, reason, wanted = 0, "", plan
     while True:
         if not samples or advice is not None:
-            wanted = plan if advice is None else _plan_of(advice, plan.sites[0])
+            if advice is None:
+                _written(setting, wanted, made + 1)
             report_reason, recorded = _record(setting, wanted, made + 1)
             made += 1
             if recorded is None:
@@ -106,11 +107,14 @@ def resolve(setting: Setting, plan: Plan = STANDARD, recordings: Sequence[Path] 
             say(reason, highlight=False)
             return _found(setting, told, "done", reason, found)
         advice, before = new, found.attribution
+        wanted = _plan_of(advice, plan.sites[0])
         say(f"Next: {advice.sentence}", highlight=False)
-        refusal = _rehearsed(setting, found, _plan_of(advice, plan.sites[0]))
+        say(f"  the plan: {_written(setting, wanted, made + 1)}", highlight=False, soft_wrap=True)
+        refusal = _rehearsed(setting, found, wanted)
         if refusal:
             return _found(setting, told, "stopped", refusal, found)
         if not setting.agree("Record it?"):
+            say(f"Not recorded; still open: {_odds_text(advice)}.", highlight=False)
             return _found(setting, told, "declined", "the operator did not want the proposed motion", found)
 
 
@@ -150,12 +154,18 @@ def _plan_of(advice: Advice, site: Site) -> Plan:
 
 def _record(setting: Setting, plan: Plan, number: int) -> tuple[str, Samples | None]:
     """Carry out a plan with the daemon and export its site; the reason if it did not come to its end."""
-    (setting.folder / f"plan-{number}.yaml").write_text(yaml.safe_dump(plan.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
     work = job("palpation", setting.config, plan, take_reference=setting.take_reference)
     report = carry_out(work, setting.build, setting.console, f"round-{number}")
     if report.exit_code or report.recording is None:
         return report.reason or "nothing was recorded", None
     return "", export(Recording.load(report.recording), setting.folder / f"round-{number}.csv", plan.sites[0].name)
+
+
+def _written(setting: Setting, plan: Plan, number: int) -> Path:
+    """Keep a plan; `palpd run` takes it too."""
+    path = setting.folder / f"plan-{number}.yaml"
+    path.write_text(yaml.safe_dump(plan.model_dump(mode="json", exclude_none=True), sort_keys=False), encoding="utf-8")
+    return path
 
 
 def _rehearsed(setting: Setting, found: Diagnosis, plan: Plan) -> str:
