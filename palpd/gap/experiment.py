@@ -177,13 +177,16 @@ def motions(limits: Limits) -> list[Motion]:
 
 
 def within_force(problem: Problem, rivals: Sequence[Weighed], limits: Limits) -> Limits:
-    """The limits with the depth at which no open explanation expects more than the force allowed after a long hold."""
+    """The limits with the depth at which no open explanation expects more than the force allowed after a long hold; none where that is
+    less than a tenth of the depth allowed."""
+    if problem.cell.tissue is None:
+        return limits
     depth_m = limits.depth_m
     for w in rivals:
         cell = problem.cell_at(w.fit.values, w.fit.eta)
-        while depth_m > 0.0 and cell.tissue is not None and equilibrium_force_N(cell, depth_m, None, problem.library) > limits.force_N:
+        while depth_m > 0.1 * limits.depth_m and equilibrium_force_N(cell, depth_m, None, problem.library) > limits.force_N:
             depth_m *= 0.95
-    return replace(limits, depth_m=depth_m)
+    return replace(limits, depth_m=depth_m if depth_m > 0.1 * limits.depth_m else 0.0)
 
 
 @dataclass(frozen=True)

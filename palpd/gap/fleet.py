@@ -44,12 +44,13 @@ class CellRow:
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """The recordings of a folder and of the folders in it, in order of name. Raises BadInput where there are none."""
-    inside = [p for place in (folder, *sorted(p for p in folder.iterdir() if p.is_dir())) for p in sorted(place.iterdir())]
-    found = [p for p in inside if p.suffix in {".csv", ".parquet"} and not p.name.endswith(".next.csv")]
-    if not found:
-        raise BadInput(f"{folder} holds no recording; expected X.csv files, each with its X.yaml, or folders of them.")
-    return found
+    """The recordings of a folder, or where it has none, of the folders in it, in order of name. Raises BadInput where there are none."""
+    for places in ([folder], sorted(p for p in folder.iterdir() if p.is_dir())):
+        inside = [p for place in places for p in sorted(place.iterdir())]
+        found = [p for p in inside if p.suffix in {".csv", ".parquet"} and not p.name.endswith(".next.csv")]
+        if found:
+            return found
+    raise BadInput(f"{folder} holds no recording; expected X.csv files, each with its X.yaml, or folders of them.")
 
 
 def cell_of(recording: Path, folder: Path) -> str:

@@ -6,11 +6,12 @@ from functools import cache
 import numpy as np
 from test_diagnosis import recording
 
+from palpd.cell import equilibrium_force_N
 from palpd.cell_file import nominal
 from palpd.config import parse_plan
 from palpd.gap.attribute import Attribution
 from palpd.gap.diagnosis import Diagnosis, diagnose
-from palpd.gap.experiment import Limits, Motion, advise, motions, rivals_of, score
+from palpd.gap.experiment import Limits, Motion, advise, motions, rivals_of, score, within_force
 
 LIMITS = Limits(0.006, 9.0, 0.01, 0.02, 0.01, 0.05, 0.5)
 
@@ -76,3 +77,15 @@ def test_nothing_is_advised_where_nothing_is_open() -> None:
     assert advice.proposal is None
     assert "Nothing is open" in advice.sentence
     assert rivals_of(whole)[0] is whole.best
+
+
+def test_no_proposal_needs_more_force_than_allowed() -> None:
+    problem, rivals = wrong_gain().problem, rivals_of(wrong_gain().attribution)
+    whole = within_force(problem, rivals, LIMITS)
+    assert whole.depth_m == LIMITS.depth_m
+    weak = within_force(problem, rivals, replace(LIMITS, force_N=2.0))
+    assert 0.0 < weak.depth_m < LIMITS.depth_m
+    assert equilibrium_force_N(nominal(), weak.depth_m) <= 2.0
+    none = within_force(problem, rivals, replace(LIMITS, force_N=-1.0))
+    assert none.depth_m == 0.0
+    assert not any(motion.depths_m for motion in motions(none))
