@@ -25,7 +25,9 @@ class Bins:
     def of_equal_length(t_s: Floats, count: int) -> "Bins":
         """Of samples at times (n,), `count` together each time, or as many as come while that many usually do; the last may be shorter."""
         n = len(t_s)
-        width_s = count * float(np.median(np.diff(t_s)))
+        step_s = np.diff(t_s)
+        usual_s = float(np.median(step_s))
+        width_s = count * float(np.mean(step_s[step_s < 1.5 * usual_s]))
         index = np.floor((t_s - t_s[0]) / width_s + 0.5 / count) if count > 1 else np.arange(n)
         begin = np.flatnonzero(np.diff(index, prepend=-1))
         return Bins(begin, np.diff(begin, append=n))
@@ -50,11 +52,11 @@ class Bins:
         return np.asarray(values[self.begin + self.count // 2])
 
 
-def straight_between(t_s: Floats, at: Ints) -> csr_array:
-    """What joins values at some of the samples (k,) by straight lines in time, as a matrix (n, k)."""
-    n, k = len(t_s), len(at)
-    left = np.clip(np.searchsorted(at, np.arange(n), side="right") - 1, 0, k - 2)
-    share = (t_s - t_s[at[left]]) / (t_s[at[left + 1]] - t_s[at[left]])
+def straight_between(t_s: Floats, known_s: Floats) -> csr_array:
+    """What joins values at some times (k,) by straight lines, to have them at other times (n,), as a matrix (n, k)."""
+    n, k = len(t_s), len(known_s)
+    left = np.clip(np.searchsorted(known_s, t_s, side="right") - 1, 0, k - 2)
+    share = (t_s - known_s[left]) / (known_s[left + 1] - known_s[left])
     columns = np.column_stack([left, left + 1]).ravel()
     return csr_array((np.column_stack([1.0 - share, share]).ravel(), columns, np.arange(0, 2 * n + 1, 2)), shape=(n, k))
 

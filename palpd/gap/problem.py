@@ -93,11 +93,13 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
     if len(reported) < len(samples):
         robot_t_s = samples.t_s[reported] - samples.t_s[0]
         z_cmd_m = None if samples.z_cmd_m is None else samples.z_cmd_m[reported]
-        z_means = bins.means() @ straight_between(samples.t_s, reported)
+        z_means = bins.means() @ straight_between(samples.t_s, samples.t_s[reported])
     else:
-        robot_t_s = _even(together.mean(motion.t_s))
-        z_cmd_m = None if samples.z_cmd_m is None else together.mean(samples.z_cmd_m)
-        z_means = steps.means()
+        # The robot's lag turns a time that is off by a tenth of a step into heights that are off by more than their noise.
+        t_s = together.mean(motion.t_s)
+        robot_t_s = _even(t_s)
+        z_cmd_m = None if samples.z_cmd_m is None else np.interp(robot_t_s, t_s, together.mean(samples.z_cmd_m))
+        z_means = steps.means() @ straight_between(t_s, robot_t_s)
     declared = declared_rms(cell)
     still = np.isin(phases.phase, (FREE_STILL, HOLDING)) & (phases.since_s > 0.1 * phases.since_s.max())
     judged, measured = [], np.zeros(7)
@@ -110,7 +112,7 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
             usable = not dead(signal)
         judged.append(usable)
         if usable:
-            measured[channel] = measured_rms(signal[rest]) if rest.sum() >= 60 else min(measured_rms(signal), declared[channel])
+            measured[channel] = measured_rms(signal, rest) if rest.sum() >= 60 else min(measured_rms(signal), declared[channel])
     floor = np.where(declared > 0, declared, np.maximum(measured, 1e-300))
     rms = np.where(measured > 0, np.maximum(measured, 0.5 * floor), floor)
     return Run(
