@@ -103,6 +103,12 @@ def _at(bound: Bound, scale: Scale) -> float:
     return float(bound(scale)) if callable(bound) else float(bound)
 
 
+SLOW_ZERO = "the zero of fz moves slowly"
+SCALE_OF_FORCE = "contact forces are off by a constant factor"
+STIFFENING = "contact stiffens with depth"
+SIDEWAYS = "lateral axes follow the force along z"
+"""What families of effects do."""
+
 AZIMUTH = Parameter("azimuth_rad", "rad", -pi, pi, (0.0, pi / 2, pi, -pi / 2), nominal=None)
 
 
@@ -123,7 +129,8 @@ class Effect:
 
     `afresh`: it counts from the first row of a recording (the tare stands before that, so until then it is absent).
     `variance`: it changes scatter and lattice of the readings and leaves their mean nearly alone. `motion`: the robot reports it,
-    so it shows in the heights and not in a force prediction that is driven by the measured motion.
+    so it shows in the heights and not in a force prediction that is driven by the measured motion. `family` says what it does in
+    words that hold for other laws too, listed or not, which most motions can hardly tell from it.
     """
 
     id: str
@@ -135,6 +142,7 @@ class Effect:
     afresh: bool = False
     variance: bool = False
     motion: bool = False
+    family: str | None = None
 
     def __post_init__(self) -> None:
         """An effect without any law is a mistake of its author, and so is a site that does not exist."""

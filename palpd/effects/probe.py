@@ -3,7 +3,7 @@
 import numpy as np
 
 from palpd.dynamics import Constants, Memory, Span, mounted
-from palpd.effects.effect import AZIMUTH, Effect, Parameter, Values, of
+from palpd.effects.effect import AZIMUTH, SIDEWAYS, Effect, Parameter, Values, of
 
 REST_SPEED_M_PER_S = 0.5e-3
 """Where Coulomb friction turns over, as the nominal tanh of it has it."""
@@ -115,6 +115,7 @@ LATERAL = Effect(
     "oblique contact: lateral force in proportion to the contact force",
     (Parameter("ratio", "1", 0.0, 3.0, (0.05,)), AZIMUTH),
     law=_lateral,
+    family=SIDEWAYS,
 )
 
 
@@ -135,6 +136,7 @@ TILT = Effect(
     "sensor tilted against z",
     (Parameter("angle_rad", "rad", 0.0, 1.2, (0.05,)), AZIMUTH),
     law=_tilt,
+    family=SIDEWAYS,
 )
 
 EFFECTS = (MASS, RESONANCE, SPRING, FRICTION, VISCOUS, LATERAL, TILT)

@@ -5,7 +5,7 @@ from math import inf
 import numpy as np
 
 from palpd.dynamics import Constants, Memory, Span, lowpass, play, recurrence
-from palpd.effects.effect import Effect, Parameter, Values, of, relaxation_time
+from palpd.effects.effect import SCALE_OF_FORCE, SIDEWAYS, SLOW_ZERO, Effect, Parameter, Values, of, relaxation_time
 
 
 def _skew(c: Constants, p: Values) -> None:
@@ -45,6 +45,7 @@ GAIN = Effect(
     "fz · (1 + error)",
     (Parameter("error", "1", -0.95, 10.0, (0.1, -0.1)),),
     setting=_gain,
+    family=SCALE_OF_FORCE,
 )
 
 
@@ -66,6 +67,7 @@ CROSSTALK = Effect(
         Parameter("ty_per_fz_m", "m", lambda s: -s.tip_length_m, lambda s: s.tip_length_m, of("tip_length_m", 0.02)),
     ),
     setting=_crosstalk,
+    family=SIDEWAYS,
 )
 
 
@@ -107,7 +109,7 @@ CREEP = Effect(
     "sensor",
     "reading creeps up under load",
     # what has settled before a press is over is no creep: nothing could tell it from a gain
-    (Parameter("ratio", "1", -0.5, 5.0, (0.05, 0.3)), relaxation_time(0.05, 0.3, 0.01, of_a_press=0.3)),
+    (Parameter("ratio", "1", 0.0, 5.0, (0.05, 0.3)), relaxation_time(0.05, 0.3, 0.01, of_a_press=0.3)),
     law=_creep,
 )
 
@@ -126,6 +128,7 @@ WARMUP = Effect(
     ),
     law=_warmup,
     afresh=True,
+    family=SLOW_ZERO,
 )
 
 
@@ -163,6 +166,7 @@ BIAS = Effect(
     (Parameter("offset_N", "N", lambda s: -s.range_N, lambda s: s.range_N, of("noise_N", 2.0, -2.0)),),
     setting=_bias,
     afresh=True,
+    family=SLOW_ZERO,
 )
 
 
@@ -185,6 +189,7 @@ DRIFT = Effect(
     ),
     setting=_drift,
     afresh=True,
+    family=SLOW_ZERO,
 )
 
 

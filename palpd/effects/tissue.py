@@ -5,7 +5,7 @@ from math import inf
 import numpy as np
 
 from palpd.dynamics import Constants, Floats, Memory, Span, lowpass
-from palpd.effects.effect import Effect, Parameter, Values, of, relaxation_time
+from palpd.effects.effect import SCALE_OF_FORCE, STIFFENING, Effect, Parameter, Values, of, relaxation_time
 
 TINY = float(np.finfo(float).tiny)
 
@@ -33,6 +33,7 @@ MODULUS = Effect(
     "stiffer or softer than stated",
     (Parameter("ratio", "1", 0.01, 100.0, (1.2, 0.8, 3.0, 0.3), nominal=1.0, log=True),),
     setting=_modulus,
+    family=SCALE_OF_FORCE,
 )
 
 
@@ -108,6 +109,7 @@ THICKNESS = Effect(
         ),
     ),
     law=_thickness,
+    family=STIFFENING,
 )
 
 
@@ -125,6 +127,7 @@ INCLUSION = Effect(
         Parameter("depth_m", "m", lambda s: 0.05 * s.depth_m, lambda s: 20.0 * s.depth_m, of("depth_m", 1.0, 3.0), nominal=None, log=True),
     ),
     law=_inclusion,
+    family=STIFFENING,
 )
 
 

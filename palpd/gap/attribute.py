@@ -1,7 +1,7 @@
 """Which unmodelled effect a gap comes from: evidence for every effect and for sets of them, for none and for something unknown."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import comb, inf, log
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.ndimage import median_filter
 from palpd.cell_file import EffectValues
 from palpd.gap.discrepancy import Left, what_is_left
 from palpd.gap.gaussian import gram, project
-from palpd.gap.hypothesis import Fit, climb, coordinates, fit, judge, start_values, stretched, values_at
+from palpd.gap.hypothesis import Fit, climb, coordinates, fit, jacobian_at, judge, start_values, stretched
 from palpd.gap.noise import FZ, Z
 from palpd.gap.problem import Linearisation, Problem
 from palpd.tick import Floats
@@ -22,10 +22,14 @@ P_UNKNOWN = 0.15
 """Prior probability that something outside the list is at work."""
 
 LAW_ENERGY = 0.04
-"""Mean share of its energy in which the law of a known effect is off."""
+"""Mean share of its energy in which the law of a known effect is off; that of something unknown is as likely any. With P_UNKNOWN
+this puts even odds at a fifth."""
 
 EARNED = 3.0
 """What a further effect costs at least, in nats, whatever its prior."""
+
+JUDGED = 12
+"""So many of the likeliest hypotheses are searched for what they leave."""
 
 STRONG = 2e4
 """A gap of so many squared sigmas is large enough to change how in-tolerance deviations act."""
@@ -100,9 +104,16 @@ def peaks(problem: Problem, residual: Floats, most: int = 3) -> list[float]:
                 k = int(np.argmax(ratio))
                 if ratio[k] < 25.0:
                     break
-                found.append((float(ratio[k]), float(frequency[k])))
+                found.append((float(ratio[k]), float(frequency[k] + _summit(spectrum, k) * frequency[1])))
                 ratio[max(0, k - 30) : k + 30] = 0.0
     return [f for _, f in sorted(found, reverse=True)[:most]]
+
+
+def _summit(spectrum: Floats, k: int) -> float:
+    """How far, in bins, the summit of the parabola through the logarithms of three neighbours lies from the middle one."""
+    low, middle, high = np.log(np.maximum(spectrum[k - 1 : k + 2], 1e-300)) if 0 < k < len(spectrum) - 1 else (0.0, 0.0, 0.0)
+    bend = low - 2.0 * middle + high
+    return float(np.clip(0.5 * (low - high) / bend, -0.5, 0.5)) if bend < 0.0 else 0.0
 
 
 def _dictionary(problem: Problem, base: Linearisation, peaks_Hz: list[float]) -> list[Candidate]:
@@ -233,24 +244,17 @@ def attribute(problem: Problem) -> Attribution:
         if not pairs or pairs[0].log_evidence < singles[0].log_evidence + 3.0:
             break
         beam = pairs
-    return weigh(problem, _earned(fits))
+    return weigh(problem, fits)
 
 
-def _earned(fits: Mapping[tuple[str, ...], Fit]) -> list[Fit]:
-    """Every set beyond one must explain data that its smaller sets do not: its evidence over theirs is at most half the squared
-    residual that it takes away, less EARNED."""
-    out = []
-    by_set = {frozenset(names): one for names, one in fits.items()}
-    for names, one in sorted(by_set.items(), key=lambda item: len(item[0])):
-        cap = inf
-        for name in names if len(names) > 1 else ():
-            smaller = by_set.get(names - {name})
-            if smaller is not None:
-                cap = min(cap, smaller.log_evidence + 0.5 * max(smaller.least_misfit - one.least_misfit, 0.0) - EARNED)
-        if cap < one.log_evidence:
-            one = replace(one, log_evidence=cap)
-            by_set[names] = one
-        out.append(one)
+def _occam(fits: Mapping[tuple[str, ...], Fit]) -> dict[tuple[str, ...], float]:
+    """Prior times volume of every hypothesis, in nats. A further effect must explain data that a smaller set does not, so every set is
+    worth EARNED less than its smaller ones."""
+    by_set = {frozenset(names): one.occam for names, one in fits.items()}
+    out = {}
+    for names, one in fits.items():
+        smaller = [by_set[rest] for name in names if len(names) > 1 and (rest := frozenset(names) - {name}) in by_set]
+        out[names] = min([one.occam, *(worth - EARNED for worth in smaller)])
     return out
 
 
@@ -298,11 +302,7 @@ def _extend(problem: Problem, fits: dict[tuple[str, ...], Fit], one: Fit, dictio
     around = one.linearisation
     at = problem.predict(one.values, around.eta)
     residual = problem.data + around.offset() - at
-    taken = []
-    for k, _ in enumerate(one.where):
-        there = one.u.copy()
-        there[k] += 1e-2
-        taken.append((problem.predict(values_at(one.where, there), around.eta) - at) / 1e-2)
+    taken = jacobian_at(problem, one.where, one.u, around.eta, at)
     scanned = _scan(problem, around, residual, taken, [c for c in dictionary if c.effect not in one.names])
     order = sorted(scanned, key=lambda name: -scanned[name][0][0])[:most]
     for name in order:
@@ -318,18 +318,23 @@ def prior(problem: Problem, size: int) -> float:
     return log((P_NONE, P_ONE, P_TWO, P_THREE)[size]) - log(comb(effects, size))
 
 
-def weigh(problem: Problem, fits: list[Fit]) -> Attribution:
+def weigh(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> Attribution:
     """Probabilities of hypotheses, each without and with something unknown beside it."""
-    logs = np.array([prior(problem, len(f.names)) + f.log_evidence for f in fits])
-    total = float(np.logaddexp.reduce(logs))
-    weighed: list[Weighed] = []
-    for one, log_weight in sorted(zip(fits, logs.tolist(), strict=True), key=lambda pair: -pair[1]):
-        share = float(np.exp(log_weight - total))
-        if share < 1e-6 and one.names and weighed:
-            continue
+    occam = _occam(fits)
+    logs = {names: prior(problem, len(names)) + occam[names] + one.log_likelihood for names, one in fits.items()}
+    order = sorted(logs, key=lambda names: -logs[names])
+    found: list[tuple[Fit, Left, float, float]] = []
+    for names in dict.fromkeys([*order[:JUDGED], ()]):
+        one = fits[names]
         left = what_is_left(problem, one.remainder, one.linearisation, one.residual)
-        unknown = share * _unknown(one, left)
-        weighed.append(Weighed(one, left, share, share - unknown, unknown))
+        known, unknown = (prior(problem, len(names)) + occam[names] + w for w in _known_and_unknown(one, left))
+        found.append((one, left, known, unknown))
+    total = float(np.logaddexp.reduce([w for *_, known, unknown in found for w in (known, unknown)]))
+    weighed = []
+    for one, left, *both in found:
+        known, unknown = (float(np.exp(w - total)) for w in both)
+        weighed.append(Weighed(one, left, known + unknown, known, unknown))
+    weighed.sort(key=lambda w: -w.share)
     marginal: dict[str, float] = {}
     for w in weighed:
         for name in w.fit.names:
@@ -339,20 +344,25 @@ def weigh(problem: Problem, fits: list[Fit]) -> Attribution:
     return Attribution(weighed, p_none, p_unknown, marginal, _groups(weighed))
 
 
-def _unknown(one: Fit, left: Left) -> float:
-    """Probability that beside these effects something unknown is at work.
+def _known_and_unknown(one: Fit, left: Left) -> tuple[float, float]:
+    """Log likelihoods with these effects, without and with something unknown beside them.
 
-    What is left over (or taken up by bending the laws) is either noise, or an inexact law, whose share of the effect's energy is
-    small, or something unknown, whose share may be any.
+    Either laws as inexact as laws are suffice, or exact laws leave something of any shape. Which of both is an inexact law and which
+    something unknown is told by its share of the gap's energy: small, or any.
     """
-    bent = one.log_evidence_inexact - one.log_evidence_exact if one.names else 0.0
-    evidence = max(bent, 0.0) + left.log_bayes_factor if bent > 0 else left.log_bayes_factor
-    energy = left.energy + one.law_energy
-    share = energy / max(float(np.vdot(one.change, one.change)), one.size**2 + left.energy, 1.0)
-    unknown = log(P_UNKNOWN) + evidence
-    nothing = log(1.0 - P_UNKNOWN)
-    inexact = nothing + evidence - share / LAW_ENERGY - log(LAW_ENERGY) if one.names else -np.inf
-    return float(np.exp(unknown - np.logaddexp.reduce([unknown, nothing, inexact])))
+    if not one.names:
+        return log(1.0 - P_UNKNOWN) + one.log_exact, log(P_UNKNOWN) + one.log_exact + left.log_bayes_factor
+    gap = float((one.linearisation.space.beyond(one.change) ** 2).sum())
+    sums = []
+    for evidence, energy in (
+        (log(1.0 - P_UNKNOWN) + one.log_likelihood, one.law_energy),
+        (log(P_UNKNOWN) + one.log_exact + left.log_bayes_factor, left.energy),
+    ):
+        share = energy / (gap + energy + 1.0)
+        log_odds = log(1.0 - P_UNKNOWN) - log(P_UNKNOWN) - share / LAW_ENERGY - log(LAW_ENERGY)
+        sums.append((evidence - float(np.logaddexp(0.0, -log_odds)), evidence - float(np.logaddexp(0.0, log_odds))))
+    known, unknown = np.logaddexp(*np.array(sums))
+    return float(known), float(unknown)
 
 
 def _groups(weighed: list[Weighed]) -> dict[str, list[str]]:

@@ -13,7 +13,7 @@ from palpd.errors import RecordingError
 from palpd.gap.attribute import Attribution, attribute
 from palpd.gap.experiment import Proposal, next_experiment
 from palpd.gap.hypothesis import Fit
-from palpd.gap.localise import Gap, bands, gap_table, residuals, trend
+from palpd.gap.localise import Gap, bands, change_sizes, gap_table, most_excess, residuals, trend
 from palpd.gap.noise import CHANNELS, FZ
 from palpd.gap.phases import PHASES
 from palpd.gap.problem import Problem, make_problem
@@ -35,6 +35,7 @@ class NamedEffect:
     probability: float
     parameters: dict[str, tuple[float, float, float]]
     indistinguishable_from: list[str]
+    family: str | None
     at_bound: list[str]
 
 
@@ -69,8 +70,10 @@ class Diagnosis:
         at = f" in {self.where['channel']} while {self.where['phase']}" if self.where else ""
         if self.verdict == "unknown":
             return f"Something outside the list is at work{at} (probability {self.p_unknown:.2f}); nearest in the list: {named}."
+        families = {e.family: None for e in self.effects if e.family}
+        kind = "".join(f"; of its kind is whatever does this: {family}" for family in families)
         groups = [f"{e.id} cannot be told from {', '.join(e.indistinguishable_from)}" for e in self.effects if e.indistinguishable_from]
-        told = f"; by this recording {'; '.join(groups)}" if groups else ""
+        told = (f"; by this recording {'; '.join(groups)}" if groups else "") + kind
         if self.verdict == "ambiguous":
             return f"There is a gap{at}, but this recording does not say which effect it is: {named}{told}."
         closed = f", which closes {100 * self.shrink.closed:.0f} % of the gap" if self.shrink else ""
@@ -113,6 +116,7 @@ class Diagnosis:
                     "probability": e.probability,
                     "parameters": {n: {"value": v, "ci95": [low, high]} for n, (v, low, high) in e.parameters.items()},
                     "indistinguishable_from": e.indistinguishable_from,
+                    "family": e.family,
                     "at_bound": e.at_bound,
                 }
                 for e in self.effects
@@ -186,12 +190,12 @@ def _diagnosed(recordings: Sequence[Samples], cell: CellFile, effects: Mapping[s
     if p_none > NONE_ABOVE:
         named = []
     fit = best.fit if named else nominal
-    named += [NamedEffect(s.id, s.probability, s.parameters, [], []) for s in scatter if s.probability > 0.5]
+    named += [NamedEffect(s.id, s.probability, s.parameters, [], None, []) for s in scatter if s.probability > 0.5]
     verdict = _verdict(p_none, p_unknown, named)
     if verdict == "none":
         named = []
     shrink = held_out(problem, best.fit) if fit.names and verdict != "none" else None
-    top = max(table, key=lambda g: g.excess) if table else None
+    top = most_excess(table, change_sizes(problem, fit.change, table)) if table else None
     where = {"channel": top.channel, "phase": top.phase} if top is not None and verdict != "none" else None
     found = Diagnosis(
         verdict,
@@ -248,7 +252,7 @@ def _named(problem: Problem, best: Fit, attribution: Attribution) -> list[NamedE
                 if (value <= c.lower * (1 + 1e-9) and c.lower != 0) or value >= c.upper * (1 - 1e-9):
                     bound.append(c.parameter.name)
             parameters[c.parameter.name] = (value, min(low, value), max(high, value))
-        out.append(NamedEffect(name, attribution.marginal[name], parameters, attribution.groups[name], bound))
+        out.append(NamedEffect(name, attribution.marginal[name], parameters, attribution.groups[name], problem.library[name].family, bound))
     return sorted(out, key=lambda e: (-e.probability, e.id))
 
 

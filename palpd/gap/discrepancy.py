@@ -12,6 +12,7 @@ from math import log
 import numpy as np
 from scipy.ndimage import median_filter
 
+from palpd.gap.gaussian import PLAUSIBLE
 from palpd.gap.noise import CHANNELS
 from palpd.gap.phases import PHASES
 from palpd.gap.problem import Linearisation, Problem
@@ -60,7 +61,7 @@ def what_is_left(problem: Problem, remainder: Floats, around: Linearisation, res
         if factor > tone:
             tone, tone_energy = factor, power
     stretched, strain = _strain(problem, around, residual)
-    total, energy = total + stretched, energy + strain
+    total += stretched
     every = np.concatenate([c[np.isfinite(c)] for c in coefficients])
     outlier, most = _outlier(every)
     # The same deviation may show as all three: they are alternatives, each with its own energy.
@@ -68,7 +69,7 @@ def what_is_left(problem: Problem, remainder: Floats, around: Linearisation, res
     evidence = float(np.logaddexp.reduce(each) - log(3.0))
     there = 1.0 / (1.0 + np.exp(-np.clip(evidence, -50.0, 50.0)))
     energy = there * float(np.exp(each - np.logaddexp.reduce(each)) @ np.array([energy, tone_energy, most]))
-    return Left(evidence, energy, best[1], best[2])
+    return Left(evidence, energy + strain, best[1], best[2])
 
 
 def _coefficients(problem: Problem, remainder: Floats) -> tuple[list[Floats], Floats]:
@@ -118,8 +119,8 @@ def _outlier(z: Floats) -> tuple[float, float]:
 
 
 def _strain(problem: Problem, around: Linearisation, residual: Floats) -> tuple[float, float]:
-    """Log Bayes factor, and energy, of deviations beyond their tolerances: what belongs to the cell, to each recording and to its
-    presses. Were the cell healthy, each deviation over its spread would be N(0, 1)."""
+    """Log Bayes factor of deviations beyond their tolerances, and the energy of what they then hide: what belongs to the cell, to
+    each recording and to its presses. Were the cell healthy, each deviation over its spread would be N(0, 1)."""
     space = around.space
     found = space.coefficients(residual)
     inverse = np.linalg.inv(space.factor)
@@ -132,19 +133,18 @@ def _strain(problem: Problem, around: Linearisation, residual: Floats) -> tuple[
     groups = [[first + k for k, name in problem.press_index if name == kind] for kind in ("stiffness", "surface_z_m")]
     pressed = {k for group in groups for k in group}
     groups += [[k] for k in range(len(z)) if k not in pressed]
-    total, energy = 0.0, 0.0
+    factors = [0.0]
     for group in groups:
         mine = z[group]
         mine = mine[np.isfinite(mine)]
-        if not len(mine):
-            continue
-        factor = _group(mine)
-        if len(mine) > 3:
-            factor = float(np.logaddexp(factor, _outlier(mine)[0]) - log(2.0))
-        total += float(np.logaddexp(log(1.0 - INCLUSION), log(INCLUSION) + factor))
-        certain = 1.0 / (1.0 + np.exp(-(np.clip(factor + log(INCLUSION), -50, 50))))
-        energy += certain * max(float((mine**2).sum()) - len(mine), 0.0)
-    return total, energy
+        if len(mine):
+            factor = _group(mine)
+            if len(mine) > 3:
+                factor = float(np.logaddexp(factor, _outlier(mine)[0]) - log(2.0))
+            factors.append(log(INCLUSION) + factor)
+    # Deviations stand in for each other, so that together they say no more than the worst of them.
+    hidden = space.explained(np.where(np.isnan(z) & (spread > 0.5), 0.0, found - np.clip(found, -PLAUSIBLE, PLAUSIBLE)))
+    return float(np.logaddexp.reduce(factors)), float((hidden**2).sum())
 
 
 def _frequency(problem: Problem, values: Floats) -> tuple[float, float]:

@@ -1,15 +1,17 @@
 """One hypothesis: a set of effects, fitted to a problem with everything within specification marginalised."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import inf, lgamma, log, pi
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
 
 from palpd.cell_file import EffectValues
 from palpd.effects import Effect, Parameter, Scale
-from palpd.gap.gaussian import Nuisances, Projected, gram, nuisances, project
+from palpd.gap.gaussian import Nuisances, Projected, Widened, gram, project
 from palpd.gap.problem import Linearisation, Problem
 from palpd.tick import Floats
 
@@ -19,8 +21,11 @@ LOG_SIZE_RANGE = 7.0
 CONTRARY = 4.0
 """How much less plausible, in nats, an effect is with the sign that it usually does not have."""
 
-INEXACT = 0.15
-"""How large, as a share of the effect, each way is in which a real law may differ from the library's."""
+EXACT = 0.3
+"""How probable it is that an effect follows its law exactly."""
+
+INEXACT = ((0.02, 0.3), (0.06, 0.25), (0.12, 0.15))
+"""How large, as a share of the effect, each way may be in which a real law differs from the library's, and how probable that is."""
 
 
 @dataclass(frozen=True)
@@ -127,8 +132,10 @@ def stretched(effect: Effect, values: dict[str, float], factor: float, scale: Sc
 class Fit:
     """A hypothesis at its best: the values of its effects, and how likely the data are under it.
 
-    `log_evidence` allows its laws to be inexact, `log_evidence_exact` takes them as they are; `change` (c, b) is what the effects do
-    to the whitened prediction, `covariance` that of the coordinates; `misfit` the whitened squared residual.
+    `log_exact` is the log likelihood of exact laws at their best values, `log_likelihood` that of laws as inexact as they may be, and
+    `occam` the prior times the volume of the values. `change` (c, b) is what the effects do to the whitened prediction, `covariance`
+    that of the coordinates; `misfit` the whitened squared residual of the exact laws, `remainder` what they leave, and `law_energy`
+    how much the most likely laws differ from them beyond what tolerances hide, in squared sigmas.
     """
 
     names: tuple[str, ...]
@@ -143,23 +150,31 @@ class Fit:
     remainder: Floats
     law_energy: float
     misfit: float
-    least_misfit: float
-    log_evidence_exact: float
-    log_evidence_inexact: float
-    log_evidence: float
+    occam: float
+    log_exact: float
+    log_likelihood: float
     linearisation: Linearisation
 
+    @property
+    def log_evidence(self) -> float:
+        """Log evidence, however inexact the laws are."""
+        return self.occam + self.log_likelihood
 
-def _step(c: Coordinate, u: float) -> float:
+
+def _step(c: Coordinate, u: float, duration_s: float) -> float:
+    if c.parameter.unit == "Hz" and c.parameter.log:
+        # A hundredth of a frequency may be many turns at the end of a recording.
+        return 1e-2 / max(1.0, float(np.exp(min(u, 300.0))) * duration_s)
     if c.parameter.log or c.angle:
         return 1e-2 / (c.scale if c.angle else 1.0)
     return 1e-2 * max(abs(u), 0.1)
 
 
-def _jacobian(problem: Problem, where: Sequence[Coordinate], u: Floats, eta: Floats, at: Floats) -> list[Floats]:
+def jacobian_at(problem: Problem, where: Sequence[Coordinate], u: Floats, eta: Floats, at: Floats) -> list[Floats]:
+    """Slopes of the prediction, which is `at` there, with every coordinate."""
     out = []
     for k, c in enumerate(where):
-        h = _step(c, float(u[k]))
+        h = _step(c, float(u[k]), problem.scale.duration_s)
         if not c.angle and u[k] + h > c.to(c.upper):
             h = -h
         there = u.copy()
@@ -186,7 +201,7 @@ def climb(
     r = project(target - at, around.space)
     misfit = r.dot(r)
     damping = 1e-3
-    jacobian = _jacobian(problem, where, u, around.eta, at)
+    jacobian = jacobian_at(problem, where, u, around.eta, at)
     for _ in range(iterations):
         columns = [project(j, around.space) for j in jacobian]
         normal = gram(columns)
@@ -209,7 +224,7 @@ def climb(
         gained = misfit - m_there
         u, at, r, misfit = trial, there, r_there, m_there
         damping = max(damping * 0.1, 1e-6)
-        jacobian = _jacobian(problem, where, u, around.eta, at)
+        jacobian = jacobian_at(problem, where, u, around.eta, at)
         if gained < 0.02:
             break
     return u, misfit, at, jacobian
@@ -223,7 +238,6 @@ def fit(
     *,
     iterations: int = 8,
     rounds: int = 0,
-    inexact: bool = True,
 ) -> Fit:
     """The best values of a set of effects from `start`; `rounds` times the nuisances are linearised again at what was found."""
     where = coordinates([problem.library[name] for name in names], problem.scale)
@@ -234,7 +248,7 @@ def fit(
         eta = around.space.coefficients(left)[: len(around.eta)]
         around = problem.linearise(values_at(where, u), np.clip(eta, around.eta - 4.0, around.eta + 4.0))
         u, misfit, at, jacobian = climb(problem, around, where, u, max(2, iterations // 2))
-    return judge(problem, names, where, u, misfit, at, jacobian, around, inexact=inexact)
+    return judge(problem, names, where, u, misfit, at, jacobian, around)
 
 
 def judge(
@@ -246,51 +260,28 @@ def judge(
     at: Floats,
     jacobian: list[Floats],
     around: Linearisation,
-    *,
-    inexact: bool = True,
 ) -> Fit:
-    """Laplace evidence of a hypothesis at its best, its laws taken as exact and as inexact."""
+    """Laplace evidence of a hypothesis at its best, its laws taken as exact and as more or less inexact."""
     values = values_at(where, u)
-    r = project(problem.data + around.offset() - at, around.space)
-    without = problem.predict({}, around.eta) if names else at
-    change = at - without
-    columns = [project(j, around.space) for j in jacobian]
-    normal = gram(columns) if columns else np.zeros((0, 0))
-    size = max(project(change, around.space).dot(project(change, around.space)), 0.0) ** 0.5
-    base = -0.5 * around.space.log_determinant
-    exact = -0.5 * misfit + base
-    covariance = np.zeros((0, 0))
-    prior = 0.0
-    if names:
-        prior, covariance = _occam(problem, names, where, values, normal, around)
-        exact += prior
     space = around.space
-    evidence = inexact_evidence = exact
-    law_energy, least = 0.0, misfit
-    remainder = r.values - space.explained(space.coefficients(r.values))
-    if names and inexact:
-        law = law_columns(problem, values, at, around)
-        if len(law):
-            wide = nuisances(np.concatenate([around.columns, law]))
-            # The values may move while the laws bend: a Gauss-Newton step of the coordinates under the wider nuisances.
-            rw = project(r.values, wide)
-            jw = [project(j, wide) for j in jacobian]
-            nw = gram(jw)
-            slope = np.array([j.dot(rw) for j in jw])
-            reach = [_reach(c, x) for c, x in zip(where, u.tolist(), strict=True)]
-            move = np.linalg.solve(nw + np.diag(np.array(reach) ** -2), slope)
-            bent = rw.dot(rw) - float(slope @ move)
-            inexact_evidence = -0.5 * bent - 0.5 * wide.log_determinant + prior
-            evidence = float(np.logaddexp(exact, inexact_evidence) - log(2.0))
-            moved = r.values - np.tensordot(move, np.array(jacobian), axes=1)
-            coefficients = wide.coefficients(moved)
-            if inexact_evidence > exact:
-                least = bent
-                remainder = moved - wide.explained(coefficients)
-                bend = np.tensordot(coefficients[len(around.columns) :], law, axes=1)
-                bend = bend + np.tensordot(move, np.array(jacobian), axes=1)
-                law_energy = _unfittable(bend, columns, normal, space)
-                covariance = _inverse(nw)
+    residual = problem.data + around.offset() - at
+    remainder = residual - space.explained(space.coefficients(residual))
+    exact = -0.5 * misfit - 0.5 * space.log_determinant
+    if not names:
+        none, nothing = np.zeros((0, 0)), np.zeros_like(at)
+        return Fit(names, values, (), u, around.eta, none, nothing, 0.0, residual, remainder, 0.0, misfit, 0.0, exact, exact, around)
+    change = at - problem.predict({}, around.eta)
+    seen = project(change, space)
+    columns = [project(j, space) for j in jacobian]
+    normal = gram(columns)
+    occam, covariance = _occam(problem, names, where, values, normal, around)
+    law_energy, likelihood = 0.0, exact
+    if bent := _bent(problem, where, u, values, at, project(residual, space), jacobian, columns, normal, around):
+        every = np.array([log(EXACT), *(b.log_share + b.gained for b in bent)])
+        likelihood = exact + float(np.logaddexp.reduce(every))
+        if best := int(np.argmax(every)):
+            law_energy = _unfittable(bent[best - 1].bend(), jacobian, space)
+            covariance = bent[best - 1].covariance
     return Fit(
         names,
         values,
@@ -299,17 +290,71 @@ def judge(
         around.eta,
         covariance,
         change,
-        size,
-        r.values,
+        max(seen.dot(seen), 0.0) ** 0.5,
+        residual,
         remainder,
         law_energy,
         misfit,
-        least,
+        occam,
         exact,
-        inexact_evidence,
-        evidence,
+        likelihood,
         around,
     )
+
+
+@dataclass(frozen=True)
+class Bent:
+    """Laws bent so far as to fit best: how probable that is beforehand, what it gains in log likelihood, the bend (c, b), and the
+    values' covariance then."""
+
+    log_share: float
+    gained: float
+    bend: Callable[[], Floats]
+    covariance: Floats
+
+
+def _bent(
+    problem: Problem,
+    where: Sequence[Coordinate],
+    u: Floats,
+    values: EffectValues,
+    at: Floats,
+    r: Projected,
+    jacobian: list[Floats],
+    columns: list[Projected],
+    normal: Floats,
+    around: Linearisation,
+) -> list[Bent]:
+    """The laws bent in one kind of way or in all, as much as each of INEXACT says. The values may move while the laws bend, by a
+    Gauss-Newton step."""
+    law, kind = law_columns(problem, values, at, around)
+    if not len(law):
+        return []
+    wide = Widened.by(around.space, law)
+    against_r = wide.against(r)
+    against_j = np.array([wide.against(j) for j in columns]).T
+    slope = np.array([j.dot(r) for j in columns])
+    reach = np.diag([_reach(c, x) ** -2 for c, x in zip(where, u.tolist(), strict=True)])
+    ways = [kind == k for k in np.unique(kind)]
+    if len(ways) > 1:
+        ways.append(np.ones(len(kind), dtype=bool))
+
+    def one(way: NDArray[np.bool_], size: float, share: float) -> Bent:
+        factor = cholesky(np.eye(int(way.sum())) + size**2 * wide.squares[np.ix_(way, way)], lower=True)
+        of_r, of_j = (size * solve_triangular(factor, x[way], lower=True) for x in (against_r, against_j))
+        inner = normal - of_j.T @ of_j
+        pull = slope - of_j.T @ of_r
+        move = np.linalg.solve(inner + reach, pull)
+        gained = 0.5 * (float(of_r @ of_r) + float(pull @ move)) - float(np.log(np.diag(factor)).sum())
+
+        def bend() -> Floats:
+            coefficients = size * solve_triangular(factor, of_r - of_j @ move, lower=True, trans="T")
+            bent = np.tensordot(coefficients, law[way], axes=1) + np.tensordot(move, np.array(jacobian), axes=1)
+            return np.asarray(bent)
+
+        return Bent(log(share / len(ways)), gained, bend, _inverse(inner))
+
+    return [one(way, size, share) for size, share in INEXACT for way in ways]
 
 
 def _reach(c: Coordinate, u: float) -> float:
@@ -319,12 +364,11 @@ def _reach(c: Coordinate, u: float) -> float:
     return 0.5 / c.scale if c.angle else 0.5 * max(abs(u), 1e-3)
 
 
-def _unfittable(bend: Floats, columns: list[Projected], normal: Floats, space: Nuisances) -> float:
-    """Energy of a change that neither the nuisances nor the parameters could have made."""
-    p = project(bend, space)
-    slope = np.array([c.dot(p) for c in columns])
-    taken = float(slope @ np.linalg.lstsq(normal, slope, rcond=None)[0]) if len(slope) else 0.0
-    return max(p.dot(p) - taken, 0.0)
+def _unfittable(bend: Floats, jacobian: list[Floats], space: Nuisances) -> float:
+    """Energy of a change that neither the parameters nor tolerances could have made."""
+    slopes = np.array([j.ravel() for j in jacobian]).T
+    rest = bend.ravel() - slopes @ np.linalg.lstsq(slopes, bend.ravel(), rcond=1e-9)[0]
+    return float((space.beyond(rest.reshape(bend.shape)) ** 2).sum())
 
 
 def _inverse(normal: Floats) -> Floats:
@@ -371,44 +415,46 @@ def _contrary(c: Coordinate, value: float, scale: Scale) -> bool:
     return c.nominal == 0.0 and all(start * value < 0.0 for start in c.parameter.starts(scale))
 
 
-def law_columns(problem: Problem, values: EffectValues, at: Floats, around: Linearisation) -> Floats:
+def law_columns(problem: Problem, values: EffectValues, at: Floats, around: Linearisation) -> tuple[Floats, NDArray[np.str_]]:
     """Ways in which the effects' real laws may differ from the library's: stronger or weaker with depth, speed, direction, time and
-    since the motion changed, and mixed with the same law at other shapes. Each is INEXACT times as large as the effect."""
-    out = []
+    since the motion changed, and mixed with the same law at other shapes. Each is as large as what of the effect tolerances
+    do not hide, or smaller. Columns (m, c, b), and of what kind (m,) each is."""
+    out, kinds = [], []
     complete = at
     for name in values:
         others = {other: v for other, v in values.items() if other != name}
         part = complete - problem.predict(others, around.eta)
-        energy = float(np.vdot(part, part)) ** 0.5
-        if energy <= 0:
+        energy = float(np.linalg.norm(around.space.beyond(part)))
+        if energy < 1.0:
             continue
         live = np.flatnonzero(part.any(axis=1))
-        shapes = []
+        shapes: list[tuple[str, Floats]] = []
         for parameter in problem.library[name].parameters:
             if parameter.nominal is None and parameter.log:
                 lower, upper = parameter.bounds(problem.scale)
                 for factor in (0.2, 0.45, 2.2, 5.0):
                     other = min(max(values[name][parameter.name] * factor, lower), upper)
                     bent = problem.predict(values | {name: values[name] | {parameter.name: other}}, around.eta)
-                    shapes.append(bent - complete)
-        for basis in _modulations(problem):
+                    shapes.append(("shape", bent - complete))
+        for kind, basis in _modulations(problem):
             shape = np.zeros_like(part)
             shape[live] = part[live] * basis
-            shapes.append(shape)
+            shapes.append((kind, shape))
         if len(live) > 1:
             for channel in live:
                 shape = np.zeros_like(part)
                 shape[channel] = part[channel]
-                shapes.append(shape)
-        for shape in shapes:
+                shapes.append(("channel", shape))
+        for kind, shape in shapes:
             norm = float(np.vdot(shape, shape)) ** 0.5
             if norm > 1e-6 * energy:
-                out.append(shape * min(INEXACT * energy / norm, 1.0))
-    return np.array(out)
+                out.append(shape * min(energy / norm, 6.0))
+                kinds.append(kind)
+    return np.array(out), np.array(kinds)
 
 
-def _modulations(problem: Problem) -> list[Floats]:
-    """Smooth functions of what the probe is doing, one value a bin."""
+def _modulations(problem: Problem) -> list[tuple[str, Floats]]:
+    """Smooth functions of what the probe is doing, one value a bin, and what each is a function of."""
     pieces = []
     for run in problem.runs:
         mean = run.bins.mean
@@ -419,19 +465,16 @@ def _modulations(problem: Problem) -> list[Floats]:
         moving = mean(run.phases.moving.astype(float))
         late = run.t_s / max(problem.scale.duration_s, 1e-9)
         pieces.append(
-            np.array(
-                [
-                    depth,
-                    depth**2,
-                    np.abs(speed),
-                    np.clip(speed, -1.0, 1.0),
-                    moving,
-                    rest,
-                    rest * moving,
-                    late,
-                    np.exp(-10.0 * late),
-                    (run.bin_cycle == 0).astype(float),
-                ]
-            )
+            {
+                "depth": [depth, depth**2],
+                "speed": [np.abs(speed), np.clip(speed, -1.0, 1.0), moving],
+                "rest": [rest, rest * moving],
+                "time": [late, np.exp(-10.0 * late), (run.bin_cycle == 0).astype(float)],
+            }
         )
-    return [row - row.mean() for row in np.hstack(pieces)]
+    out = []
+    for kind, rows in pieces[0].items():
+        for k in range(len(rows)):
+            row = np.concatenate([piece[kind][k] for piece in pieces])
+            out.append((kind, row - row.mean()))
+    return out

@@ -71,6 +71,26 @@ def gap_table(problem: Problem, around: Linearisation, left: list[Floats]) -> li
     return rows
 
 
+def change_sizes(problem: Problem, change: Floats, table: list[Gap]) -> list[float]:
+    """The size of a whitened change (7, b) at every place of the table: its rms there over the floor."""
+    phase = np.concatenate([run.bin_phase for run in problem.runs]).astype(int)
+    count = np.concatenate([run.bins.count for run in problem.runs])
+    squares = (change * np.where(np.isfinite(problem.sigma), problem.sigma, 0.0)) ** 2
+    sizes = []
+    for gap in table:
+        mine = phase == PHASES.index(gap.phase)
+        total = float((squares[CHANNELS.index(gap.channel), mine] * count[mine]).sum())
+        sizes.append((total / max(float(count[mine].sum()), 1.0)) ** 0.5 / max(gap.noise_floor, 1e-300))
+    return sizes
+
+
+def most_excess(table: list[Gap], sizes: list[float]) -> Gap:
+    """The place of the largest excess, among those where the named effects show with at least half their largest size: in-tolerance
+    deviations, too, exceed their floor here or there."""
+    enough = 0.5 * max(sizes)
+    return max((gap for gap, size in zip(table, sizes, strict=True) if size >= enough), key=lambda gap: gap.excess)
+
+
 def bands(problem: Problem, left: list[Floats]) -> list[dict[str, float | str]]:
     """Rms of the gap in octaves of frequency, and what white noise of the stated rms would leave there."""
     out: list[dict[str, float | str]] = []
