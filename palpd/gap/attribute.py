@@ -323,11 +323,14 @@ def weigh(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> Attribution:
     occam = _occam(fits)
     logs = {names: prior(problem, len(names)) + occam[names] + one.log_likelihood for names, one in fits.items()}
     order = sorted(logs, key=lambda names: -logs[names])
+    none = fits[()]
+    gap = what_is_left(problem, none.remainder, none.linearisation, none.residual)
     found: list[tuple[Fit, Left, float, float]] = []
     for names in dict.fromkeys([*order[:JUDGED], ()]):
         one = fits[names]
-        left = what_is_left(problem, one.remainder, one.linearisation, one.residual)
-        known, unknown = (prior(problem, len(names)) + occam[names] + w for w in _known_and_unknown(one, left))
+        left = what_is_left(problem, one.remainder, one.linearisation, one.residual) if names else gap
+        energy = max(gap.energy, none.misfit - one.misfit + left.energy)
+        known, unknown = (prior(problem, len(names)) + occam[names] + w for w in _known_and_unknown(one, left, energy))
         found.append((one, left, known, unknown))
     total = float(np.logaddexp.reduce([w for *_, known, unknown in found for w in (known, unknown)]))
     weighed = []
@@ -344,21 +347,20 @@ def weigh(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> Attribution:
     return Attribution(weighed, p_none, p_unknown, marginal, _groups(weighed))
 
 
-def _known_and_unknown(one: Fit, left: Left) -> tuple[float, float]:
+def _known_and_unknown(one: Fit, left: Left, gap: float) -> tuple[float, float]:
     """Log likelihoods with these effects, without and with something unknown beside them.
 
     Either laws as inexact as laws are suffice, or exact laws leave something of any shape. Which of both is an inexact law and which
-    something unknown is told by its share of the gap's energy: small, or any.
+    something unknown is told by its share of the gap's energy `gap`: small, or any.
     """
     if not one.names:
         return log(1.0 - P_UNKNOWN) + one.log_exact, log(P_UNKNOWN) + one.log_exact + left.log_bayes_factor
-    gap = float((one.linearisation.space.beyond(one.change) ** 2).sum())
     sums = []
     for evidence, energy in (
         (log(1.0 - P_UNKNOWN) + one.log_likelihood, one.law_energy),
         (log(P_UNKNOWN) + one.log_exact + left.log_bayes_factor, left.energy),
     ):
-        share = energy / (gap + energy + 1.0)
+        share = min(energy / max(gap, 1.0), 1.0)
         log_odds = log(1.0 - P_UNKNOWN) - log(P_UNKNOWN) - share / LAW_ENERGY - log(LAW_ENERGY)
         sums.append((evidence - float(np.logaddexp(0.0, -log_odds)), evidence - float(np.logaddexp(0.0, log_odds))))
     known, unknown = np.logaddexp(*np.array(sums))

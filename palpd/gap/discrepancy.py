@@ -144,7 +144,8 @@ def _strain(problem: Problem, around: Linearisation, residual: Floats) -> tuple[
             factors.append(log(INCLUSION) + factor)
     # Deviations stand in for each other, so that together they say no more than the worst of them.
     hidden = space.explained(np.where(np.isnan(z) & (spread > 0.5), 0.0, found - np.clip(found, -PLAUSIBLE, PLAUSIBLE)))
-    return float(np.logaddexp.reduce(factors)), float((hidden**2).sum())
+    evidence = float(np.logaddexp.reduce(factors))
+    return evidence, -float(np.expm1(-evidence)) * float((hidden**2).sum())
 
 
 def _frequency(problem: Problem, values: Floats) -> tuple[float, float]:
