@@ -13,10 +13,27 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from palpd.gap.gaussian import PLAUSIBLE
-from palpd.gap.noise import CHANNELS
+from palpd.gap.noise import CHANNELS, FZ
 from palpd.gap.phases import PHASES
-from palpd.gap.problem import Linearisation, Problem
+from palpd.gap.problem import SHARED, Linearisation, Problem
 from palpd.tick import Floats
+
+BEYOND_TOLERANCE = {
+    "youngs_modulus": "tissue.modulus",
+    "surface_z_m": "tissue.surface",
+    "gain": "sensor.gain",
+    "latency_s": "sensor.latency",
+    "filter_cutoff": "sensor.filter",
+    "mass_kg": "probe.mass",
+    "servo_natural_frequency": "robot.lag",
+    "fx_per_fz": "sensor.crosstalk",
+    "fy_per_fz": "sensor.crosstalk",
+    "tx_per_fz": "sensor.crosstalk",
+    "ty_per_fz": "sensor.crosstalk",
+    "bias": "sensor.bias",
+    "drift": "sensor.drift",
+}
+"""The effect that a deviation is when it is more than its tolerance."""
 
 SHAPES = 5
 INCLUSION = 0.01
@@ -120,7 +137,8 @@ def _outlier(z: Floats) -> tuple[float, float]:
 
 def _strain(problem: Problem, around: Linearisation, residual: Floats) -> tuple[float, float]:
     """Log Bayes factor of deviations beyond their tolerances, and the energy of what they then hide: what belongs to the cell, to
-    each recording and to its presses. Were the cell healthy, each deviation over its spread would be N(0, 1)."""
+    each recording and to its presses. Were the cell healthy, each deviation over its spread would be N(0, 1). A deviation that is a
+    listed effect once it is out of tolerance is no evidence of something outside the list."""
     space = around.space
     found = space.coefficients(residual)
     inverse = np.linalg.inv(space.factor)
@@ -133,7 +151,9 @@ def _strain(problem: Problem, around: Linearisation, residual: Floats) -> tuple[
     groups = [[first + k for k, name in problem.press_index if name == kind] for kind in ("stiffness", "surface_z_m")]
     pressed = {k for group in groups for k in group}
     groups += [[k] for k in range(len(z)) if k not in pressed]
-    factors = [0.0]
+    listed = [k for k, name in enumerate(SHARED) if BEYOND_TOLERANCE[name] in problem.library]
+    listed += [first + k for c, k, kind in problem.own_index if c == FZ and BEYOND_TOLERANCE[kind] in problem.library]
+    outside, every = [0.0], [0.0]
     for group in groups:
         mine = z[group]
         mine = mine[np.isfinite(mine)]
@@ -141,11 +161,13 @@ def _strain(problem: Problem, around: Linearisation, residual: Floats) -> tuple[
             factor = _group(mine)
             if len(mine) > 3:
                 factor = float(np.logaddexp(factor, _outlier(mine)[0]) - log(2.0))
-            factors.append(log(INCLUSION) + factor)
+            every.append(log(INCLUSION) + factor)
+            if group[0] not in listed:
+                outside.append(every[-1])
     # Deviations stand in for each other, so that together they say no more than the worst of them.
     hidden = space.explained(np.where(np.isnan(z) & (spread > 0.5), 0.0, found - np.clip(found, -PLAUSIBLE, PLAUSIBLE)))
-    evidence = float(np.logaddexp.reduce(factors))
-    return evidence, -float(np.expm1(-evidence)) * float((hidden**2).sum())
+    certain = -float(np.expm1(-np.logaddexp.reduce(every)))
+    return float(np.logaddexp.reduce(outside)), certain * float((hidden**2).sum())
 
 
 def _frequency(problem: Problem, values: Floats) -> tuple[float, float]:
@@ -160,13 +182,14 @@ def _frequency(problem: Problem, values: Floats) -> tuple[float, float]:
             continue
         step = max(float(np.quantile(np.diff(t), 0.25)), 1e-12)
         grid = np.arange(0.0, float(t[-1]), step)[:40000]
-        even = np.interp(grid, t, part * np.sqrt(run.bins.count))
-        # Interpolated coarse bins are smooth: judge a peak against its own neighbourhood.
+        usual = float(np.quantile(run.bins.count, 0.25))
+        even = np.interp(grid, t, part * np.sqrt(usual / run.bins.count))
+        # Where coarse bins are joined the spectrum falls; it never says more than unit noise would allow.
         spectrum = np.abs(np.fft.rfft(even - even.mean())) ** 2
         if len(spectrum) < 64:
             continue
         local = median_filter(spectrum, size=101, mode="reflect")
-        ratio = spectrum[8:-8] / np.maximum(local[8:-8] / 0.693, 1e-300)
+        ratio = spectrum[8:-8] / np.maximum(local[8:-8] / 0.693, len(grid))
         peak = float(ratio.max())
         best += peak - log(len(ratio)) - 0.5 * log(max(peak, 1.0)) - 5.0
         power += peak

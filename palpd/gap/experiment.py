@@ -13,7 +13,7 @@ from palpd.cell_file import CellFile
 from palpd.errors import BadInput
 from palpd.gap.attribute import Attribution, Weighed
 from palpd.gap.gaussian import Nuisances, gram, nuisances, project
-from palpd.gap.hypothesis import law_columns, values_at
+from palpd.gap.hypothesis import INEXACT, law_columns, values_at
 from palpd.gap.problem import SHARED, Linearisation, Problem, make_problem
 from palpd.samples import Samples
 from palpd.tick import Floats
@@ -358,7 +358,8 @@ def _log_odds(trial: Problem, rivals: Sequence[Weighed]) -> Floats:
     for column, other in enumerate(rivals):
         there = trial.linearise(other.fit.values, other.fit.eta)
         free = _free_columns(trial, other, there)
-        wider = law_columns(trial, other.fit.values, there.prediction, there) if other.fit.names else np.zeros((0, 1, 1))
+        laws = law_columns(trial, other.fit.values, there.prediction, there)[0]
+        wider = max(size for size, _ in INEXACT) * laws
         wide = nuisances(np.concatenate([there.columns, wider])) if len(wider) else None
         for row, prediction in enumerate(predictions):
             if row != column:
