@@ -22,7 +22,7 @@ from palpd.clock import RealClock
 from palpd.config import Config, ModelConfig, Plan
 from palpd.errors import PalpdError, Refused, Stopped
 from palpd.inertial import InertialModel, Motion
-from palpd.loop import Explainer, Loop, Outcome, Turn
+from palpd.loop import Explainer, Loop, Turn
 from palpd.realtime import DEVICE_PRIORITY, fifo, realtime
 from palpd.ring import LoopState, Ring
 from palpd.rows import RowWriter
@@ -30,7 +30,7 @@ from palpd.running_zero import RunningZero
 from palpd.safety import Limits, sentence
 from palpd.sequence import Body, FreeMotion, Palpation, RigidPress, Script, Sequence, Watch
 from palpd.tare import Tare
-from palpd.tick import ForceSensor, Request, Robot
+from palpd.tick import ForceSensor, Request, Robot, Trip
 
 ORPHAN_GRACE_S = 1.0
 DRY_S = 10.0
@@ -214,6 +214,7 @@ def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: 
     sequence, limits, rate_Hz = sequence_of(job, devices.about["delay_s"]), limits_of(job.config, job.dry), job.config.robot.rate_Hz
     clock = RealClock(rate_Hz, devices.first_tick_s)
     loop = Loop(devices.robot, devices.sensor, clock, sequence, explainer, limits, RingWriter(ring), request)
+    failed: list[dict[str, Any]] = []
     with realtime() as granted:
         loop.rehearse()
         devices.robot.move((0.0, 0.0, 0.0))  # arms the watchdog, which takes the controller some cycles: the grid begins after it
@@ -222,8 +223,9 @@ def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: 
         try:
             outcome = loop.run()
         except Stopped as stopped:
-            outcome = Outcome("stopped", str(stopped), ticks=loop.outcome.ticks, missed=loop.outcome.missed)
-    trips = [{"trip": v.trip.name, "measured": v.measured, "limit": v.limit, "reason": sentence(v)} for v in outcome.trips]
+            outcome = replace(loop.outcome, verdict="stopped", reason=str(stopped))
+            failed = [{"trip": Trip.DEVICE.name, "measured": 1.0, "limit": 0.0, "reason": str(stopped)}]
+    trips = [{"trip": v.trip.name, "measured": v.measured, "limit": v.limit, "reason": sentence(v)} for v in outcome.trips] + failed
     answer = {
         "outcome": asdict(replace(outcome, trips=[])),
         "trips": trips,

@@ -26,6 +26,8 @@ RING_S = 4.0
 
 _MAGIC = 0x676E697270 | ROW.itemsize << 40
 _CONTROL_BYTES = 4096
+_SHARED = Path("/dev/shm")
+_PREFIX = "palpd-"
 
 
 class LoopState(IntEnum):
@@ -100,8 +102,10 @@ class Ring:
     @classmethod
     def create(cls, rate_Hz: float, seconds: float = RING_S) -> Self:
         """Make a ring for `seconds` of ticks at `rate_Hz`, every page of it touched; whoever creates it also calls `unlink`."""
+        _sweep()
         capacity = max(2, round(rate_Hz * seconds))
-        memory = SharedMemory(create=True, size=_CONTROL_BYTES + capacity * ROW.itemsize)
+        name = f"{_PREFIX}{os.getpid()}-{os.urandom(4).hex()}"
+        memory = SharedMemory(name, create=True, size=_CONTROL_BYTES + capacity * ROW.itemsize)
         buffer = memory.buf
         assert buffer is not None  # only after close
         np.frombuffer(buffer, np.uint8)[:] = 0
@@ -116,7 +120,7 @@ class Ring:
 
         Not through SharedMemory: Python before 3.13 has every process that attaches unlink the memory when it exits.
         """
-        path = Path("/dev/shm") / name
+        path = _SHARED / name
         try:
             file = os.open(path, os.O_RDWR)
         except OSError as error:
@@ -200,3 +204,12 @@ class Ring:
         """Remove the memory's name; processes that have it open keep it. For the process that created it."""
         if isinstance(self._memory, SharedMemory):
             self._memory.unlink()
+
+
+def _sweep() -> None:
+    """Remove what processes left behind that were killed together with everything that would have tidied up after them."""
+    for path in _SHARED.glob(f"{_PREFIX}*-*"):
+        pid = path.name.removeprefix(_PREFIX).partition("-")[0]
+        if pid.isdigit() and not Path("/proc", pid).exists():
+            with contextlib.suppress(OSError):  # another user's
+                path.unlink()

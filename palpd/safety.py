@@ -236,6 +236,7 @@ _SENTENCES = {
     Trip.LATE_TICKS: "{m:.0f} ticks were missed in a row, expected at most {l:.0f}; is the machine overloaded, or FIFO priority missing?",
     Trip.OPERATOR: "the operator aborted the run",
     Trip.SUPERVISOR: "the supervising process is gone",
+    Trip.DEVICE: "a device failed; the reason of the run says how",
 }
 
 

@@ -178,6 +178,7 @@ class Trip(IntEnum):
     LATE_TICKS = 21
     OPERATOR = 22
     SUPERVISOR = 23
+    DEVICE = 24  # a device failed before the guard could see why
 
 
 @dataclass(frozen=True, slots=True)

@@ -151,3 +151,18 @@ def test_memory_of_another_making_is_refused(ring: Ring) -> None:
         file.write(b"\0" * 8)
     with pytest.raises(PalpdError, match="another version"):
         Ring.attach(ring.name)
+
+
+def test_a_ring_whose_maker_was_killed_is_swept_away_by_the_next() -> None:
+    kill = "import os; from palpd.ring import Ring; print(Ring.create(125.0).name, flush=True); os.killpg(0, 9)"
+    said = subprocess.run([sys.executable, "-c", kill], capture_output=True, text=True, start_new_session=True, check=False)
+    left = Path("/dev/shm") / said.stdout.strip()
+    assert left.name.startswith("palpd-")
+    assert left.exists()
+    mine = Ring.create(125.0)
+    try:
+        assert not left.exists()
+        assert (Path("/dev/shm") / mine.name).exists()
+    finally:
+        mine.unlink()
+        mine.close()
