@@ -3,7 +3,7 @@ PYTHON ?= python3
 UV := .venv/bin/uv
 READY := .venv/.ready
 
-.PHONY: setup demo test test-service lint bench faults soak clean
+.PHONY: setup demo test test-service lint bench bench-long faults presses soak mutation audit samples clean
 
 setup: $(READY)
 
@@ -25,20 +25,44 @@ lint: setup
 test: lint
 	.venv/bin/pytest
 
-# ten minutes; writes docs/benchmarks.md
+# ten minutes; writes docs/benchmarks.md. bench-long: an hour and a half, without the soak and the faults, which have targets of their own
 bench: setup
-	.venv/bin/python benchmarks/page.py
+	.venv/bin/python -m benchmarks.page
 
-# every fault of docs/faults.md N times at random moments, in PARALLEL emulated cells; some 5 minutes for each N and cell
+bench-long: setup
+	.venv/bin/python -m benchmarks.page --long
+
+# every fault of docs/faults.md N times at random moments, in PARALLEL emulated cells: some 4 minutes for each N on a quiet machine, divided by
+# PARALLEL. make faults N=100 PARALLEL=2 KEPT=faults.jsonl may be interrupted and gone on with
 N ?= 3
 PARALLEL ?= 2
 faults: setup
-	.venv/bin/python benchmarks/faults.py --repeats $(N) --parallel $(PARALLEL) $(if $(KEPT),--json $(KEPT))
+	.venv/bin/python -m benchmarks.faults --repeats $(N) --parallel $(PARALLEL) $(if $(KEPT),--json $(KEPT))
+
+# PRESSES presses with faults at random moments, without wires
+PRESSES ?= 1000
+presses: setup
+	.venv/bin/python -m benchmarks.page --only presses --more '--presses $(PRESSES)'
 
 # two hours of presses, watched minute by minute
 MINUTES ?= 120
 soak: setup
-	.venv/bin/python benchmarks/soak.py --minutes $(MINUTES)
+	.venv/bin/python -m benchmarks.page --only soak --more '--minutes $(MINUTES)'
+
+# mutants of guard, tare and frame parser; SHARE of them
+SHARE ?= 1
+mutation: setup
+	.venv/bin/python -m benchmarks.page --only mutation --more '--share $(SHARE)'
+
+# known vulnerabilities in what uv.lock names; says so where no database can be reached
+audit: setup
+	.venv/bin/python -m benchmarks.audit
+
+# the long ones in short: a minute or two
+samples: setup audit
+	.venv/bin/python -m benchmarks.presses --presses 20
+	.venv/bin/python -m benchmarks.mutation --only safety --share 0.1
+	.venv/bin/python -m benchmarks.reaction --model ur5 --pushes 10 --each 1 --speed 0.01 --stiffness 5000
 
 # boots systemd in a container: needs root and systemd-nspawn, and says so where it is skipped
 test-service: setup

@@ -1,32 +1,53 @@
-"""Run the benchmarks and write docs/benchmarks.md: what each command printed, and what it was measured on.
+"""Run the benchmarks and write docs/benchmarks.md: what each command printed, and under what load. What is not run keeps its section.
 
-`python benchmarks/page.py [--long]`. Short: ten minutes on a quiet machine with two cores; long: every wall, more repeats, 125 and 500 Hz.
+`python benchmarks/page.py [--long] [--only NAME,NAME]`. Short: some ten minutes on a quiet machine with two cores; long: an
+hour and a half. Soak, presses and mutation run only where they are named.
 """
 
 import argparse
 import datetime
 import os
 import platform
+import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
-SHORT = {
-    "The daemon at 500 Hz": "benchmarks/daemon.py --presses 3",
-    "Replay at 125 Hz": "benchmarks/daemon.py --model ur5 --presses 2",
-    "Force past the limit at an unannounced wall": "benchmarks/walls.py --stiffness 1000,20000 --speed 0.002,0.01",
-    "Reaction": "benchmarks/reaction.py --repeats 3",
-    "Parser": "benchmarks/parser.py",
-    "Recorder": "benchmarks/recording.py --seconds 10",
-}
-LONG = {
-    "The daemon at 500 Hz": "benchmarks/daemon.py --presses 20",
-    "Replay at 125 Hz": "benchmarks/daemon.py --model ur5 --presses 20",
-    "Force past the limit at an unannounced wall": "benchmarks/walls.py",
-    "Reaction": "benchmarks/reaction.py --repeats 30",
-    "Parser": "benchmarks/parser.py",
-    "Recorder": "benchmarks/recording.py",
+
+
+class Section(NamedTuple):
+    """A title and the commands that fill it, in short and in long; `short` None: only where it is named."""
+
+    title: str
+    short: str | None
+    long: str
+
+
+SECTIONS = {
+    "daemon": Section("The daemon at 500 Hz", "benchmarks/daemon.py --presses 3", "benchmarks/daemon.py --presses 20"),
+    "replay": Section("Replay at 125 Hz", "benchmarks/daemon.py --model ur5 --presses 2", "benchmarks/daemon.py --model ur5 --presses 20"),
+    "rate": Section(
+        "Ticks, beside cyclictest and what one would write instead",
+        "benchmarks/rate.py --seconds 8 --stress --alternatives",
+        "benchmarks/rate.py --seconds 600 --stress --alternatives",
+    ),
+    "reaction": Section(
+        "Reaction and overshoot, by loop, guard and drivers",
+        "benchmarks/reaction.py --pushes 40 --each 1 --speed 0.005,0.02 --stiffness 1000,20000",
+        "benchmarks/reaction.py --pushes 300 --each 5",
+    ),
+    "walls": Section(
+        "Force past the limit at an unannounced wall, by the whole daemon",
+        "benchmarks/walls.py --stiffness 1000,20000 --speed 0.002,0.01",
+        "benchmarks/walls.py",
+    ),
+    "parser": Section("Parser", "benchmarks/parser.py", "benchmarks/parser.py"),
+    "recorder": Section("Recorder", "benchmarks/recording.py --seconds 10", "benchmarks/recording.py"),
+    "presses": Section("Presses with faults, without wires", None, "benchmarks/presses.py --presses 1000"),
+    "soak": Section("Soak", None, "benchmarks/soak.py"),
+    "mutation": Section("Mutation of guard, tare and frame parser", None, "benchmarks/mutation.py"),
 }
 
 
@@ -36,30 +57,50 @@ def processor() -> str:
     return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.processor() or "unknown")
 
 
+def run(title: str, command: str) -> tuple[str, bool]:
+    """The section, and whether the command ended well."""
+    print(f"{title}: python {command}", flush=True)
+    load = os.getloadavg()[0]
+    done = subprocess.run([sys.executable, *command.split()], cwd=PAGE.parents[1], capture_output=True, text=True, check=False)
+    said = done.stdout.strip() or f"It failed: {(done.stderr.strip().splitlines() or ['?'])[-1]}"
+    if not said.startswith("|"):
+        said = f"```\n{said}\n```"
+    print(said, flush=True)
+    missed = "" if done.returncode == 0 else f" It ended with {done.returncode}: a target is missed."
+    stand = f"`python {command}`, {datetime.date.today()}, load {load:.1f} before and {os.getloadavg()[0]:.1f} after it.{missed}"
+    return f"{stand}\n\n{said}", done.returncode == 0
+
+
 def main() -> None:
-    """Run all and write the page; ends with 1 if one of them failed."""
+    """Run what is asked for and write the page; ends with 1 if one of them failed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--long", action="store_true")
-    commands = LONG if parser.parse_args().long else SHORT
-    sections, failed = [], False
-    for title, command in commands.items():
-        print(f"{title}: python {command}", flush=True)
-        load = os.getloadavg()[0]
-        done = subprocess.run([sys.executable, *command.split()], cwd=PAGE.parents[1], capture_output=True, text=True, check=False)
-        failed |= done.returncode != 0
-        said = done.stdout.strip() if done.returncode == 0 else f"It failed: {(done.stderr.strip().splitlines() or ['?'])[-1]}"
-        if not said.startswith("|"):
-            said = f"```\n{said}\n```"
-        print(said, flush=True)
-        sections.append(f"## {title}\n\n`python {command}`, load {load:.1f} before it began.\n\n{said}\n")
-    head = (
-        "# Benchmarks\n\nWritten by `make bench`. Everything runs on one machine: daemon, emulated controller and sensor share its cores,\n"
-        "so percentiles above p99 belong to the machine, and\nfigures under load are worse than on a cell's own PC.\n\n"
-        f"Measured on {datetime.date.today()}: {processor()}, {os.cpu_count()} cores, Linux {platform.release()}, "
-        f"Python {platform.python_version()}.\n\n"
-    )
-    PAGE.write_text(head + "\n".join(sections))
-    sys.exit(failed)
+    parser.add_argument("--only", help=f"of {', '.join(SECTIONS)}, separated by commas")
+    parser.add_argument("--more", default="", help="arguments for the command of the one section that is named")
+    options = parser.parse_args()
+    named = options.only.split(",") if options.only else [name for name, section in SECTIONS.items() if section.short is not None]
+    kept = dict(re.findall(r"^## (.*?)\n\n(.*?)\n*(?=^## |\Z)", PAGE.read_text(), re.M | re.S)) if PAGE.exists() else {}
+    all_well = True
+    for name in named:
+        title, short, long = SECTIONS[name]
+        command = long if options.long or short is None else short
+        kept[title], well = run(title, f"{command} {options.more}".strip())
+        all_well &= well
+        _write(kept)
+    sys.exit(not all_well)
+
+
+def _write(kept: dict[str, str]) -> None:
+    head = f"""# Benchmarks
+
+Written by `make bench`, `bench-long`, `presses`, `soak` and `mutation`; faults have [a page of their own](faults.md).
+Everything runs on one machine: daemon, emulated controller and sensor share its cores, so percentiles above p99 belong to the
+machine, and figures under load are worse than on a cell's own PC. The load stands beside each.
+
+{processor()}, {os.cpu_count()} cores, Linux {platform.release()}, Python {platform.python_version()}.
+"""
+    bodies = (f"\n## {section.title}\n\n{kept[section.title]}\n" for section in SECTIONS.values() if section.title in kept)
+    PAGE.write_text(head + "".join(bodies))
 
 
 if __name__ == "__main__":
