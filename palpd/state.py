@@ -60,7 +60,16 @@ class State:
     def machine_stiffness(self) -> MachineStiffness | None:
         """The last `palpd stiffness`, if any."""
         values = self._read("stiffness")
-        return MachineStiffness(**{**values, "ci95_N_per_m": tuple(values["ci95_N_per_m"])}) if values else None
+        if values is None:
+            return None
+        try:
+            numbers = (float(values["stiffness_N_per_m"]), *(float(number) for number in values["ci95_N_per_m"]))
+            stiffness = MachineStiffness(**{**values, "stiffness_N_per_m": numbers[0], "ci95_N_per_m": numbers[1:]})
+        except (TypeError, ValueError, KeyError):
+            stiffness, numbers = None, ()
+        if stiffness is None or len(numbers) != 3 or not all(map(math.isfinite, numbers)) or numbers[0] <= 0:
+            raise ConfigError(f"{self.folder / 'stiffness.json'} holds no stiffness of the machine; run palpd stiffness again")
+        return stiffness
 
     def latch(self) -> Latch | None:
         """The reason of a stop that no operator has cleared; a file that cannot be read is one too."""

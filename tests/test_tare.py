@@ -57,6 +57,23 @@ def test_a_reference_close_by_does_not_refuse() -> None:
     assert collected(still(), reference=np.full(6, -50.5)).refusal() is None
 
 
+@pytest.mark.parametrize(
+    ("tare", "refused"),
+    [
+        (collected(still(0.45)), False),
+        (collected(still(0.55)), True),
+        (collected(still(), speed_m_per_s=0.0019), False),
+        (collected(still(), speed_m_per_s=-0.0021), True),
+        (collected(still(0.01) + np.linspace(0, 0.36, 1200)[:, None]), False),
+        (collected(still(0.01) + np.linspace(0, 0.44, 1200)[:, None]), True),
+        (collected(still(0.01), reference=np.array([-50.0, -50.0, -47.1, 0.0, 0.0, 0.0])), False),
+        (collected(still(0.01), reference=np.array([-50.0, -50.0, -46.9, 0.0, 0.0, 0.0])), True),
+    ],
+)
+def test_a_tare_may_shake_by_half_a_newton_move_2_mm_per_s_drift_by_a_fifth_and_be_3_N_away(tare: Tare, refused: bool) -> None:
+    assert (tare.refusal() is not None) == refused
+
+
 def test_with_the_tool_down_pressing_is_positive_in_base_axes() -> None:
     rotation = base_from_sensor((math.pi, 0.0, 0.0), 0.0)
     assert to_base([1.0, 0.0, -5.0, 0.5, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0, 0.25], rotation) == pytest.approx([0, 0, 5.0, 0.5, 0, 0.25])
