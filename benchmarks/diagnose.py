@@ -20,7 +20,8 @@ import numpy as np
 
 from palpd.cell import WRENCH, simulate
 from palpd.cell_file import Estimated, nominal, save_cell
-from palpd.gap.commands import diagnose_files, diagnose_folder
+from palpd.gap.commands import diagnose_files
+from palpd.gap.fleet import diagnose_folder
 from palpd.samples import Samples, write_csv
 
 RATE_HZ = 500.0

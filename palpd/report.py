@@ -70,7 +70,7 @@ def diagnosis_lines(sentence: str, content: dict[str, Any]) -> list[str]:
         )
     if content["next_experiment"]:
         lines.append(f"Next: {content['next_experiment']['sentence']}")
-    return lines
+    return lines + [f"Note: {note}" for note in content["notes"]]
 
 
 def effect_table(library: Mapping[str, Any]) -> Table:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from palpd.effects import motion, probe, sensor, tissue
-from palpd.effects.effect import SITES, Effect, Parameter, Scale, Site, Values, of
+from palpd.effects.effect import SITES, Bends, Effect, Parameter, Scale, Site, Values, of
 from palpd.errors import ConfigError
 
 EFFECTS: dict[str, Effect] = {effect.id: effect for effect in (*motion.EFFECTS, *tissue.EFFECTS, *probe.EFFECTS, *sensor.EFFECTS)}
@@ -34,4 +34,4 @@ def own_effects(library: Mapping[str, Effect]) -> list[Effect]:
     return [effect for name, effect in library.items() if EFFECTS.get(name) is not effect]
 
 
-__all__ = ["EFFECTS", "SITES", "Effect", "Parameter", "Scale", "Site", "Values", "load_effects", "of", "own_effects"]
+__all__ = ["EFFECTS", "SITES", "Bends", "Effect", "Parameter", "Scale", "Site", "Values", "load_effects", "of", "own_effects"]

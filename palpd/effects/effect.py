@@ -18,6 +18,9 @@ Site = Literal["robot", "tip", "tissue", "probe", "clock", "sensor"]
 SITES: tuple[Site, ...] = ("robot", "tip", "tissue", "probe", "clock", "sensor")
 """In the order in which the physics of a cell passes them."""
 
+Bends = Literal["time", "load", "any"]
+"""What a real law may deviate from the library's by: in time alone, with depth too, or also with speed and rest."""
+
 Values = Mapping[str, float]
 
 
@@ -131,6 +134,7 @@ class Effect:
     `variance`: it changes scatter and lattice of the readings and leaves their mean nearly alone. `motion`: the robot reports it,
     so it shows in the heights and not in a force prediction that is driven by the measured motion. `family` says what it does in
     words that hold for other laws too, listed or not, which most motions can hardly tell from it.
+    `bends`: what its law in a real cell may depend on that the library's does not; a zero that drifts does not know of motion.
     """
 
     id: str
@@ -143,6 +147,7 @@ class Effect:
     variance: bool = False
     motion: bool = False
     family: str | None = None
+    bends: Bends = "any"
 
     def __post_init__(self) -> None:
         """An effect without any law is a mistake of its author, and so is a site that does not exist."""

@@ -86,6 +86,7 @@ COMPLIANCE = Effect(
         ),
     ),
     setting=_compliance,
+    bends="load",
 )
 
 EFFECTS = (LAG, VIBRATION, BACKLASH, COMPLIANCE)

@@ -67,6 +67,7 @@ SPRING = Effect(
     ),
     law=_spring,
     afresh=True,
+    bends="load",
 )
 
 
@@ -116,6 +117,7 @@ LATERAL = Effect(
     (Parameter("ratio", "1", 0.0, 3.0, (0.05,)), AZIMUTH),
     law=_lateral,
     family=SIDEWAYS,
+    bends="load",
 )
 
 
@@ -137,6 +139,7 @@ TILT = Effect(
     (Parameter("angle_rad", "rad", 0.0, 1.2, (0.05,)), AZIMUTH),
     law=_tilt,
     family=SIDEWAYS,
+    bends="load",
 )
 
 EFFECTS = (MASS, RESONANCE, SPRING, FRICTION, VISCOUS, LATERAL, TILT)

@@ -46,6 +46,7 @@ GAIN = Effect(
     (Parameter("error", "1", -0.95, 10.0, (0.1, -0.1)),),
     setting=_gain,
     family=SCALE_OF_FORCE,
+    bends="load",
 )
 
 
@@ -68,6 +69,7 @@ CROSSTALK = Effect(
     ),
     setting=_crosstalk,
     family=SIDEWAYS,
+    bends="load",
 )
 
 
@@ -97,6 +99,7 @@ HYSTERESIS = Effect(
         Parameter("amplitude_N", "N", lambda s: -s.range_N, lambda s: s.range_N, of("force_N", 0.05, -0.05)),
     ),
     law=_hysteresis,
+    bends="load",
 )
 
 
@@ -129,6 +132,7 @@ WARMUP = Effect(
     law=_warmup,
     afresh=True,
     family=SLOW_ZERO,
+    bends="time",
 )
 
 
@@ -167,6 +171,7 @@ BIAS = Effect(
     setting=_bias,
     afresh=True,
     family=SLOW_ZERO,
+    bends="time",
 )
 
 
@@ -190,6 +195,7 @@ DRIFT = Effect(
     setting=_drift,
     afresh=True,
     family=SLOW_ZERO,
+    bends="time",
 )
 
 
@@ -218,6 +224,7 @@ SATURATION = Effect(
     "fz clipped",
     (Parameter("limit_N", "N", lambda s: 0.02 * s.force_N, lambda s: 2.0 * s.range_N, of("force_N", 0.8, 0.4), nominal=inf, log=True),),
     setting=_saturation,
+    bends="load",
 )
 
 

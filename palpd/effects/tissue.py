@@ -20,6 +20,7 @@ SURFACE = Effect(
     "surface higher or lower than stated",
     (Parameter("offset_m", "m", lambda s: -s.depth_m, lambda s: s.stroke_m, of("depth_m", 0.05, -0.05)),),
     setting=_surface,
+    bends="load",
 )
 
 
@@ -34,6 +35,7 @@ MODULUS = Effect(
     (Parameter("ratio", "1", 0.01, 100.0, (1.2, 0.8, 3.0, 0.3), nominal=1.0, log=True),),
     setting=_modulus,
     family=SCALE_OF_FORCE,
+    bends="load",
 )
 
 
@@ -110,6 +112,7 @@ THICKNESS = Effect(
     ),
     law=_thickness,
     family=STIFFENING,
+    bends="load",
 )
 
 
@@ -128,6 +131,7 @@ INCLUSION = Effect(
     ),
     law=_inclusion,
     family=STIFFENING,
+    bends="load",
 )
 
 
@@ -145,6 +149,7 @@ PRECONDITIONING = Effect(
     (Parameter("softening", "1", 0.0, 1.0, (0.1, 0.4)),),
     law=_preconditioning,
     afresh=True,
+    bends="load",
 )
 
 

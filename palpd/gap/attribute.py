@@ -217,7 +217,7 @@ def attribute(problem: Problem) -> Attribution:
         null = fit(problem, (), {}, base, rounds=2)
     else:
         null = fit(problem, (), {}, base, rounds=8)
-        problem.soften(null.remainder)
+        problem.soften(null.linearisation.columns[0] / problem.shared_sd[0])  # all that is in proportion to it has been fitted
         null = fit(problem, (), {}, problem.linearise({}, null.eta), rounds=2)
         base = null.linearisation
     residual = problem.data + base.offset() - base.prediction

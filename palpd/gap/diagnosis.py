@@ -26,6 +26,9 @@ SCHEMA = "palpd.diagnosis/1"
 NONE_ABOVE = 0.25
 """A cell is only accused when the probability of there being no gap is below this."""
 
+CREEPS = {"tissue.viscoelastic", "sensor.creep"}
+"""What shows as a force that changes while nothing moves."""
+
 
 @dataclass(frozen=True)
 class NamedEffect:
@@ -65,7 +68,9 @@ class Diagnosis:
     def sentence(self) -> str:
         """The verdict in words."""
         if self.verdict == "none":
-            return f"No gap beyond the cell's own tolerances (probability {self.p_none:.2f})."
+            known = self.problem.cell.tolerances.modulus_known
+            fitted = "" if known else f", once the modulus, which was not known, is fitted{self._modulus}"
+            return f"No gap beyond the cell's own tolerances (probability {self.p_none:.2f}){fitted}."
         named = " and ".join(f"{e.id} ({e.probability:.2f})" for e in self.effects) or "no effect of the list"
         at = f" in {self.where['channel']} while {self.where['phase']}" if self.where else ""
         if self.verdict == "unknown":
@@ -78,6 +83,16 @@ class Diagnosis:
             return f"There is a gap{at}, but this recording does not say which effect it is: {named}{told}."
         closed = f", which closes {100 * self.shrink.closed:.0f} % of the gap" if self.shrink else ""
         return f"The gap{at} comes from {named}{closed}{told}."
+
+    @property
+    def _modulus(self) -> str:
+        """What a modulus that was not known came out at, and what else would come out as it."""
+        estimated = self.enriched_cell().estimated
+        tissue = self.problem.cell.tissue
+        if estimated is None or tissue is None:
+            return ""
+        value_Pa = tissue.youngs_modulus_Pa * (1.0 + estimated.youngs_modulus)
+        return f" (E = {value_Pa:.3g} Pa; sensor.gain, robot.compliance or tissue.thickness would have been taken into it)"
 
     def to_json(self) -> dict[str, Any]:
         """The content of out.json, palpd.diagnosis/1."""
@@ -197,6 +212,11 @@ def _diagnosed(recordings: Sequence[Samples], cell: CellFile, effects: Mapping[s
     shrink = held_out(problem, best.fit) if fit.names and verdict != "none" else None
     top = most_excess(table, change_sizes(problem, fit.change, table)) if table else None
     where = {"channel": top.channel, "phase": top.phase} if top is not None and verdict != "none" else None
+    if CREEPS & {name for e in named for name in (e.id, *e.indistinguishable_from)}:
+        notes.append(
+            "Force that decays while the height is held is what relaxing tissue gives, and a creeping machine too (frame, grip, load "
+            "cell): this recording alone cannot tell them apart. Press something rigid and hold: what decays then is the machine's creep."
+        )
     found = Diagnosis(
         verdict,
         where,
@@ -291,6 +311,8 @@ def _check(recordings: Sequence[Samples], cell: CellFile) -> list[str]:
             )
         if stroke_m <= 6.0 * cell.robot.position_noise_rms_m and integrated < 3.0 * stroke_m + 1e-9:
             notes.append(f"{label}nothing moves (z_m spans {stroke_m:.2g} m): only bias, drift, warm-up and noise can be judged.")
+        if stroke_m == 0.0 and samples.vz_m_per_s.any():
+            raise RecordingError(f"{label}z_m is {samples.z_m[0]:g} m throughout and vz_m_per_s says that it moves: z_m is dead; record it.")
         slope = _slope_ratio(samples)
         if slope is not None and not 0.5 < slope < 2.0:
             near = min((1e3, 1e-3, 1e6, 1e-6, -1.0), key=lambda k: abs(np.log(abs(slope) / abs(k))) + (slope * k < 0) * 9)
@@ -338,10 +360,10 @@ def _channel_notes(problem: Problem) -> list[str]:
     first = problem.runs[0]
     if all(run.samples.z_cmd_m is None for run in problem.runs):
         notes.append("z_cmd_m is absent: how the robot follows its command is not judged.")
-    for channel in range(1, 7):
-        if not any(run.judged[channel] for run in problem.runs):
-            value = float(first.samples.wrench[0, channel - 1])
-            notes.append(f"{CHANNELS[channel]} never changes (it is {value:g} throughout): the channel is dead and is not judged.")
+    dead = [channel for channel in range(1, 7) if not any(run.judged[channel] for run in problem.runs)]
+    if dead:
+        names = ", ".join(f"{CHANNELS[channel]} (always {first.samples.wrench[0, channel - 1]:g})" for channel in dead)
+        notes.append(f"{names}: never changes, so it is dead or not measured, and is not judged.")
     for run in problem.runs:
         fz = run.samples.wrench[:, 2]
         top = float(fz.max())

@@ -28,6 +28,10 @@ INEXACT = ((0.02, 0.3), (0.06, 0.25), (0.12, 0.15))
 """How large, as a share of the effect, each way may be in which a real law differs from the library's, and how probable that is."""
 
 
+BENDS = {"time": ("time",), "load": ("time", "depth"), "any": ("time", "depth", "speed", "rest")}
+"""What a law may deviate by, for what an effect says of it."""
+
+
 @dataclass(frozen=True)
 class Coordinate:
     """One free parameter of a hypothesis, in a coordinate in which steps of 1 % are sensible."""
@@ -437,6 +441,8 @@ def law_columns(problem: Problem, values: EffectValues, at: Floats, around: Line
                     bent = problem.predict(values | {name: values[name] | {parameter.name: other}}, around.eta)
                     shapes.append(("shape", bent - complete))
         for kind, basis in _modulations(problem):
+            if kind not in BENDS[problem.library[name].bends]:
+                continue
             shape = np.zeros_like(part)
             shape[live] = part[live] * basis
             shapes.append((kind, shape))

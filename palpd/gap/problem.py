@@ -58,7 +58,8 @@ class Run:
     phases: Phases
     bins: Bins  # of samples
     steps: Bins  # of the simulation's steps, each several samples long where the motion is smooth enough
-    motion: Motion  # at those steps, and once more smoothed
+    motion: Motion  # at those steps, moved to even times where they were nearly even
+    step_t_s: Floats  # when those steps really are
     smoother: tuple[Motion, Motion]  # its path, and its acceleration, averaged once more
     reported: Ints  # samples at which the robot reported, all where it is as fast as the sensor
     robot_t_s: Floats  # (k,) when the robot is simulated: at its reports, or at the steps
@@ -121,6 +122,7 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
         bins,
         steps,
         _at_steps(motion, together),
+        together.mean(motion.t_s),
         (_at_steps(smoother[0], together), _at_steps(smoother[1], together)),
         reported,
         robot_t_s,
@@ -247,7 +249,7 @@ class Problem:
         out = np.zeros((6, len(run.bins)))
         for axis in range(6):
             if wrench[:, axis].any():
-                out[axis] = run.steps.mean(np.ascontiguousarray(wrench[:, axis]))
+                out[axis] = run.steps.mean(np.interp(run.step_t_s, motion.t_s, wrench[:, axis]))
         return out
 
     def predict(self, effects: EffectValues, eta: Floats) -> Floats:
@@ -360,8 +362,8 @@ class Problem:
                 columns.append(column(Z, 0.1 * run.samples_each / run.samples.rate_Hz * slope))
             # What averaging took away from the motion once, averaging again takes away again: so uncertain is the motion.
             cell = self.cell_at(effects, eta)
-            here_raw = prediction[FZ, here] * self.sigma[FZ, here]
-            for motion in run.smoother:
+            here_raw = self._wrench(run, cell, run.motion)[FZ - 1]
+            for motion in run.smoother if run.judged[FZ] else ():
                 self.numerical_index.append(len(columns))
                 columns.append(column(FZ, self._wrench(run, cell, motion)[FZ - 1] - here_raw))
             for press in range(run.phases.presses):
