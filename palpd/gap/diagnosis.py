@@ -26,6 +26,9 @@ SCHEMA = "palpd.diagnosis/1"
 NONE_ABOVE = 0.25
 """A cell is only accused when the probability of there being no gap is below this."""
 
+FEW = 4
+"""So many samples make a phase in which a gap can lie."""
+
 CREEPS = {"tissue.viscoelastic", "sensor.creep"}
 """What shows as a force that changes while nothing moves."""
 
@@ -210,7 +213,8 @@ def _diagnosed(recordings: Sequence[Samples], cell: CellFile, effects: Mapping[s
     if verdict == "none":
         named = []
     shrink = held_out(problem, best.fit) if fit.names and verdict != "none" else None
-    top = most_excess(table, change_sizes(problem, fit.change, table)) if table else None
+    long = [g for g in table if g.samples >= FEW] or table  # fewer are an accident of noise near a border between phases
+    top = most_excess(long, change_sizes(problem, fit.change, long)) if long else None
     where = {"channel": top.channel, "phase": top.phase} if top is not None and verdict != "none" else None
     if CREEPS & {name for e in named for name in (e.id, *e.indistinguishable_from)}:
         notes.append(
@@ -312,7 +316,7 @@ def _check(recordings: Sequence[Samples], cell: CellFile) -> list[str]:
         if stroke_m <= 6.0 * cell.robot.position_noise_rms_m and integrated < 3.0 * stroke_m + 1e-9:
             notes.append(f"{label}nothing moves (z_m spans {stroke_m:.2g} m): only bias, drift, warm-up and noise can be judged.")
         if stroke_m == 0.0 and samples.vz_m_per_s.any():
-            raise RecordingError(f"{label}z_m is {samples.z_m[0]:g} m throughout and vz_m_per_s says that it moves: z_m is dead; record it.")
+            raise RecordingError(f"{label}z_m is {samples.z_m[0]:g} m throughout and vz_m_per_s moves: z_m is dead; record it.")
         slope = _slope_ratio(samples)
         if slope is not None and not 0.5 < slope < 2.0:
             near = min((1e3, 1e-3, 1e6, 1e-6, -1.0), key=lambda k: abs(np.log(abs(slope) / abs(k))) + (slope * k < 0) * 9)
