@@ -51,7 +51,7 @@ def ground() -> tuple[Ground, Measure]:
         seed += 1
     t_s = np.arange(int(motion.duration_s * cell.rate_Hz)) / cell.rate_Hz
     made = Ground(cell, no_deviations(motion.presses), motion, t_s)
-    return made, blind_cells._measure(cell, made)
+    return made, blind_cells.measure_of(cell, made)
 
 
 @cache
