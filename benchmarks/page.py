@@ -45,7 +45,7 @@ SECTIONS = {
     ),
     "parser": Section("Parser", "benchmarks/parser.py", "benchmarks/parser.py"),
     "recorder": Section("Recorder", "benchmarks/recording.py --seconds 10", "benchmarks/recording.py"),
-    "presses": Section("Presses with faults, without wires", None, "benchmarks/presses.py --presses 1000"),
+    "presses": Section("Presses with faults, without wires", None, "benchmarks/presses.py"),
     "soak": Section("Soak", None, "benchmarks/soak.py"),
     "mutation": Section("Mutation of guard, tare and frame parser", None, "benchmarks/mutation.py"),
 }

@@ -6,7 +6,6 @@ is also the leash: when the supervisor is gone, the recorder writes what is left
 
 import contextlib
 import errno
-import os
 import signal
 import subprocess
 import sys
@@ -140,7 +139,6 @@ def main() -> None:
     """`python -m palpd.recorder RING DESCRIPTOR`: what `Recorder.start` starts."""
     for number in (signal.SIGINT, signal.SIGTERM):  # sent to all of palpd at once; the supervisor ends the recording in order
         signal.signal(number, signal.SIG_IGN)
-    os.nice(5)
     ring = Ring.attach(sys.argv[1])
     with Connection(int(sys.argv[2])) as pipe:
         record(ring, pipe)
