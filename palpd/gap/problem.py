@@ -153,7 +153,8 @@ def _at_steps(motion: Motion, together: Bins) -> Motion:
     def at(values: Floats) -> Floats:
         return np.interp(even_s, t_s, together.mean(values))
 
-    return Motion(even_s, at(motion.z_m), at(motion.vz_m_per_s), at(motion.az_m_per_s2), motion.z_noise_m)
+    z_m, vz_m_per_s, az_m_per_s2 = at(motion.z_m), at(motion.vz_m_per_s), at(motion.az_m_per_s2)
+    return Motion(even_s, z_m, vz_m_per_s, az_m_per_s2, motion.z_noise_m, motion.az_noise_m_per_s2)
 
 
 def _even(t_s: Floats) -> Floats:
@@ -285,6 +286,10 @@ class Problem:
             sigma = run.noise_rms[:, None] / np.sqrt(run.bins.count)[None, :]
             sigma[Z] *= np.sqrt(run.samples_each)  # only reports are independent
             sigma[FZ] = np.hypot(sigma[FZ], run.motion.z_noise_m * self._stiffness(run))
+            # Neighbours share the error of a measured acceleration over about a quarter of the servo's period.
+            alike = 0.25 / self.cell.robot.servo_natural_frequency_Hz * run.samples.rate_Hz
+            shaken_N = self.cell.probe.mass_kg * run.motion.az_noise_m_per_s2
+            sigma[FZ] = np.hypot(sigma[FZ], shaken_N * np.minimum(1.0, alike / run.bins.count))
             sigma[FZ] = np.hypot(sigma[FZ], _coherent(self.fz_step_N, float(run.noise_rms[FZ])))
             sigma[~np.array(run.judged)] = np.inf
             sigmas.append(sigma)

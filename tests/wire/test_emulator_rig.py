@@ -241,7 +241,7 @@ def test_every_verb_stands_in_the_document() -> None:
 def test_a_verb_makes_its_fault(link: Path, request_: dict[str, Any], seen: Callable[[Rig], bool]) -> None:
     rig = Bench(link).rig
     assert not seen(rig)
-    assert obey(rig, request_, 100.5, [0.0]) == {"ok": True}
+    assert obey(rig, request_, 100.5, [0.0]) == {"ok": True, "t_s": 100.5}
     assert seen(rig)
 
 
