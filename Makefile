@@ -3,7 +3,7 @@ PYTHON ?= python3
 UV := .venv/bin/uv
 READY := .venv/.ready
 
-.PHONY: setup demo test test-service lint bench bench-long faults presses soak mutation audit samples clean
+.PHONY: setup demo test check test-service lint bench bench-long faults presses soak mutation audit samples clean
 
 setup: $(READY)
 
@@ -24,6 +24,9 @@ lint: setup
 
 test: lint
 	.venv/bin/pytest
+
+# what .ci/run runs: the tests, the long measurements in short, and the service under a real systemd where root and systemd-nspawn are there
+check: test samples test-service
 
 # ten minutes; writes docs/benchmarks.md. bench-long: an hour and a half, without the soak and the faults, which have targets of their own
 bench: setup
