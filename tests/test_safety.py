@@ -237,3 +237,18 @@ def test_nothing_follows_a_stop_but_stops(forces_N: list[float]) -> None:
         assert not (stopped and not verdict.command.stop)
         stopped = stopped or verdict.command.stop
         assert stopped == any(abs(f) >= LIMITS.absolute_N for f in forces_N[: step + 1])
+
+
+def test_the_newest_of_several_frames_is_what_the_next_ones_are_compared_with() -> None:
+    one_row, other_row = np.full(6, 0.3), np.full(6, 0.4)
+    memory, _ = one(sight(frames=frames(n=2, wrench=np.array([one_row, other_row]))))
+    memory, _ = one(sight(frames=frames(n=2, wrench=np.array([other_row, other_row]))), memory=memory)
+    assert memory.equal_frames == 2
+    memory, _ = one(sight(frames=frames(n=2, wrench=np.array([other_row, one_row]))), memory=memory)
+    assert memory.equal_frames == 0
+
+
+def test_the_newest_frame_tells_how_old_the_sensor_is() -> None:
+    late = replace(frames(), t_s=np.linspace(9.9, 10.0, 8))
+    assert one(sight(frames=late))[1].action == Action.PASS
+    assert one(sight(frames=late))[0].sensor_heard_s == 10.0
