@@ -14,7 +14,7 @@ import numpy as np
 
 from palpd.config import CONTACT_FORCE_N, Plan
 from palpd.tick import STILL, Command, Contact, Mode, Phase, Progress, Proposal, Request, RobotState, SensorFrames
-from palpd.young import surface_from_approach
+from palpd.young import FEWEST_SAMPLES, surface_from_approach
 
 GAIN_PER_S = 8.0
 """Speed asked per metre still to go. The controller's target answers two to three cycles later: 8/s × 24 ms leaves 78° of phase."""
@@ -251,6 +251,11 @@ class Palpation(Script):
         robot, force = np.array(robot_track), np.array(force_track)
         height_m = np.interp(force[:, 0], robot[:, 0], robot[:, 1]) + force[:, 1] / self.body.machine_stiffness_N_per_m
         seen = force[:, 0] <= robot[-1, 0]  # a robot state newer than the frame, else its height would be guessed
+        if int(seen.sum()) < FEWEST_SAMPLES:
+            raise SurfaceNotFound(
+                f"{force_N:.1f} N stood there {len(force)} ticks after the search began: the probe touches something already, or the "
+                "sensor's zero moved; start higher above the tissue, or tare again"
+            )
         surface_z_m, _ = surface_from_approach(height_m[seen], force[seen, 1], self.body.tip_radius_m)
         self.note(phase=Phase.RETRACT, surface_z_m=surface_z_m, clear_z_m=surface_z_m + CLEAR_SHARE * self.plan.safe_height_m)
         yield from self.go_to(surface_z_m + self.plan.safe_height_m, self.body.max_speed_m_per_s)
