@@ -25,7 +25,7 @@ lint: setup
 test: lint
 	.venv/bin/pytest
 
-# what .ci/run runs: the tests, the long measurements in short, and the service under a real systemd where root and systemd-nspawn are there
+# the tests, the long measurements in short, and the service under a real systemd where root and systemd-nspawn are there
 check: test samples test-service
 
 # ten minutes; writes docs/benchmarks.md. bench-long: an hour and a half, without the soak and the faults, which have targets of their own
