@@ -431,7 +431,10 @@ def _at_run_time(samples: Samples, sensor_delay_s: float) -> Floats:
 
 
 def _refuse_clipping(number: int, samples: Samples) -> None:
-    """A clipped signal piles up on its last level; noise that is rounded thins out towards it."""
+    """A clipped signal piles up on its last level; noise that is rounded thins out towards it.
+
+    With three levels or fewer the two look alike (a bias near half a count fills the last level too), so nothing is said of those.
+    """
     for axis, force_N in zip("xyz", samples.wrench[:, :3].T, strict=True):
         for side, values in (("highest", -force_N), ("lowest", force_N)):
             levels, counts = np.unique(np.round(values, 9), return_counts=True)
