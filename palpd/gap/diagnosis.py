@@ -16,7 +16,7 @@ from palpd.gap.hypothesis import Fit
 from palpd.gap.localise import Gap, bands, change_sizes, gap_table, most_excess, residuals, trend
 from palpd.gap.noise import CHANNELS, FZ
 from palpd.gap.phases import PHASES
-from palpd.gap.problem import Problem, make_problem
+from palpd.gap.problem import Linearisation, Problem, make_problem
 from palpd.gap.shrink import Shrink, held_out
 from palpd.gap.variance import coarse_step_N, scatter_effects, without_held
 from palpd.samples import Samples
@@ -162,14 +162,15 @@ class Diagnosis:
         coefficients = around.space.coefficients(best.residual)
         shared = coefficients[: len(around.eta)]
         estimated = self.problem.estimated(shared)
-        bias, drift = _bias_and_drift(self.problem, coefficients, len(around.eta))
+        bias, drift = _bias_and_drift(self.problem, around, coefficients)
         estimated = estimated.model_copy(update={"bias_N": bias, "drift_N_per_min": drift})
         return self.problem.cell.with_effects(effects).with_estimated(estimated)
 
 
-def _bias_and_drift(problem: Problem, coefficients: Floats, first: int) -> tuple[float, float]:
+def _bias_and_drift(problem: Problem, around: Linearisation, coefficients: Floats) -> tuple[float, float]:
     """Mean over the recordings of the fz bias and drift, which stand first among each recording's own columns."""
-    found = [c for c in problem.own_index if c[0] == FZ]
+    first = len(around.eta)
+    found = [c for c in around.index.own if c[0] == FZ]
     bias = [coefficients[first + k] * problem.cell.tolerances.bias_N for _, k, kind in found if kind == "bias"]
     drift = [coefficients[first + k] * problem.cell.tolerances.drift_N_per_min for _, k, kind in found if kind == "drift"]
     return (float(np.mean(bias)) if bias else 0.0), (float(np.mean(drift)) if drift else 0.0)

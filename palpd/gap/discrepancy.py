@@ -147,12 +147,12 @@ def _strain(problem: Problem, around: Linearisation, residual: Floats) -> tuple[
     if not problem.cell.tolerances.modulus_known:
         z[0] = np.nan
     first = len(around.eta)
-    z[[first + k for k in problem.numerical_index]] = np.nan
-    groups = [[first + k for k, name in problem.press_index if name == kind] for kind in ("stiffness", "surface_z_m")]
+    z[[first + k for k in around.index.numerical]] = np.nan
+    groups = [[first + k for k, name in around.index.press if name == kind] for kind in ("stiffness", "surface_z_m")]
     pressed = {k for group in groups for k in group}
     groups += [[k] for k in range(len(z)) if k not in pressed]
     listed = [k for k, name in enumerate(SHARED) if BEYOND_TOLERANCE[name] in problem.library]
-    listed += [first + k for c, k, kind in problem.own_index if c == FZ and BEYOND_TOLERANCE[kind] in problem.library]
+    listed += [first + k for c, k, kind in around.index.own if c == FZ and BEYOND_TOLERANCE[kind] in problem.library]
     outside, every = [0.0], [0.0]
     for group in groups:
         mine = z[group]

@@ -167,6 +167,19 @@ def _even(t_s: Floats) -> Floats:
     return even_s if float(np.abs(even_s - t_s)[:-1].max()) < 0.5 * step_s else t_s
 
 
+@dataclass
+class Columns:
+    """Which of the columns after the shared ones is what; effects change which there are (a press that no longer touches has none).
+
+    `own`: (channel, number, bias or drift) of every recording's own; `press`: (number, stiffness or surface_z_m) of every press's scatter;
+    `numerical`: numbers of what the computation itself is not sure of.
+    """
+
+    own: list[tuple[int, int, str]] = field(default_factory=list)
+    press: list[tuple[int, str]] = field(default_factory=list)
+    numerical: list[int] = field(default_factory=list)
+
+
 @dataclass(frozen=True)
 class Linearisation:
     """The nuisances around one state of the cell: the effects there, the shared deviations there (in standard deviations)."""
@@ -176,6 +189,7 @@ class Linearisation:
     columns: Floats  # (k, c, b), the first len(eta) of them the shared deviations
     space: Nuisances
     prediction: Floats  # of the cell in that state
+    index: Columns
 
     def offset(self) -> Floats:
         """What the linear model has to give back, since its deviations count from zero and not from `eta`."""
@@ -197,12 +211,6 @@ class Problem:
     fz_step_N: float = 0.0
     """The step that fz really has, where it is coarser than stated."""
     simulations: int = 0
-    own_index: list[tuple[int, int, str]] = field(default_factory=list)
-    """(channel, number among the columns after the shared ones, bias or drift) of every recording's own columns."""
-    press_index: list[tuple[int, str]] = field(default_factory=list)
-    """(number among the columns after the shared ones, stiffness or surface_z_m) of every press's scatter."""
-    numerical_index: list[int] = field(default_factory=list)
-    """Numbers, among the columns after the shared ones, of what the computation and not the cell is uncertain by."""
 
     def cell_at(self, effects: EffectValues, eta: Floats) -> CellFile:
         """The cell with these effects and shared deviations (in standard deviations)."""
@@ -335,15 +343,18 @@ class Problem:
                 there[k] += h
                 column = (self.predict(effects, there) - prediction) / h
             shared.append(column)
-        columns = np.array([*shared, *self._own_columns(effects, eta, prediction, shared)])
-        return Linearisation(effects, eta.copy(), columns, nuisances(columns), prediction)
+        own, index = self._own_columns(effects, eta, prediction, shared)
+        columns = np.array([*shared, *own])
+        return Linearisation(effects, eta.copy(), columns, nuisances(columns), prediction, index)
 
-    def _own_columns(self, effects: EffectValues, eta: Floats, prediction: Floats, shared: Sequence[Floats]) -> list[Floats]:
+    def _own_columns(
+        self, effects: EffectValues, eta: Floats, prediction: Floats, shared: Sequence[Floats]
+    ) -> tuple[list[Floats], Columns]:
         tol, rep = self.cell.tolerances, self.cell.repeatability
         modulus, surface = shared[SHARED.index("youngs_modulus")], shared[SHARED.index("surface_z_m")]
         sd_modulus, sd_surface = (self.shared_sd[SHARED.index(name)] for name in ("youngs_modulus", "surface_z_m"))
         columns: list[Floats] = []
-        self.own_index, self.press_index, self.numerical_index = [], [], []
+        index = Columns()
         start = 0
         for run in self.runs:
             stop = start + len(run.bins)
@@ -357,19 +368,19 @@ class Problem:
             for channel in range(FX, 7):
                 if run.judged[channel]:
                     arm = 1.0 if channel < TX else torque_arm_m(self.cell)
-                    self.own_index += [(channel, len(columns), "bias"), (channel, len(columns) + 1, "drift")]
+                    index.own += [(channel, len(columns), "bias"), (channel, len(columns) + 1, "drift")]
                     columns.append(column(channel, arm * tol.bias_N * np.ones(stop - start)))
                     columns.append(column(channel, arm * tol.drift_N_per_min / 60.0 * run.t_s))
             if run.judged[Z]:
                 # A target that is held between controller cycles is known to about a tenth of a step.
-                self.numerical_index.append(len(columns))
+                index.numerical.append(len(columns))
                 slope = np.gradient(prediction[Z, here] * self.sigma[Z, here], run.t_s)
                 columns.append(column(Z, 0.1 * run.samples_each / run.samples.rate_Hz * slope))
             # What averaging took away from the motion once, averaging again takes away again: so uncertain is the motion.
             cell = self.cell_at(effects, eta)
             here_raw = self._wrench(run, cell, run.motion)[FZ - 1]
             for motion in run.smoother if run.judged[FZ] else ():
-                self.numerical_index.append(len(columns))
+                index.numerical.append(len(columns))
                 columns.append(column(FZ, self._wrench(run, cell, motion)[FZ - 1] - here_raw))
             for press in range(run.phases.presses):
                 window = np.zeros(prediction.shape[1], dtype=bool)
@@ -379,11 +390,11 @@ class Problem:
                     ("surface_z_m", surface, sd_surface, rep.surface_z_m),
                 ):
                     if sd > 0 and scatter > 0 and source[FZ, window].any():
-                        self.press_index.append((len(columns), name))
+                        index.press.append((len(columns), name))
                         columns.append(np.where(window, source * (scatter / sd), 0.0))
             columns.extend(self._rounding_columns(run, column))
             start = stop
-        return columns
+        return columns, index
 
     def _rounding_columns(self, run: Run, column: Callable[[int, Floats], Floats]) -> list[Floats]:
         """Where noise does not dither the rounding, every rest keeps an offset of up to half a step."""

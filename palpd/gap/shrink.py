@@ -103,4 +103,4 @@ def _restricted(around: Linearisation, bins: Floats) -> Linearisation:
     columns = np.where(bins[None, None, :], around.columns, 0.0)
     space = nuisances(columns)
     prediction = np.where(bins[None, :], around.prediction, 0.0)
-    return Linearisation(around.effects, around.eta, columns, space, prediction)
+    return Linearisation(around.effects, around.eta, columns, space, prediction, around.index)

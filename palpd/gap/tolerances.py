@@ -48,11 +48,11 @@ def _expected_squares(samples: Samples, cell: CellFile) -> list[tuple[tuple[str,
     for k, name in enumerate(SHARED):
         key = "crosstalk" if "_per_fz" in name else name
         out.append((("tolerances", key), float(square[k]) * getattr(tol, key) ** 2))
-    for channel, k, kind in problem.own_index:
+    for channel, k, kind in null.linearisation.index.own:
         if channel == FZ:
             key = "bias_N" if kind == "bias" else "drift_N_per_min"
             out.append((("tolerances", key), float(square[len(SHARED) + k]) * getattr(tol, key) ** 2))
-    for k, name in problem.press_index:
+    for k, name in null.linearisation.index.press:
         out.append((("repeatability", name), float(square[len(SHARED) + k]) * getattr(rep, name) ** 2))
     return out
 

@@ -9,8 +9,10 @@ import pytest
 
 from palpd.cell import WRENCH, simulate
 from palpd.cell_file import CellFile, Estimated, cell_from, nominal
+from palpd.effects import EFFECTS
 from palpd.errors import RecordingError
 from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.gap.problem import make_problem
 from palpd.kinematics import reports
 from palpd.samples import Samples
 from palpd.tick import Floats
@@ -245,3 +247,15 @@ def test_what_is_ambiguous_gets_a_motion_that_separates_it() -> None:
     if found.proposal is not None:
         assert found.proposal.expected_gain > 0
         assert found.proposal.z_cmd_m.min() >= samples.z_m.min() - 1e-4
+
+
+def test_a_press_that_an_effect_takes_away_takes_its_columns_along() -> None:
+    cell = nominal()
+    problem = make_problem([recording(cell, {})], cell, EFFECTS, 900)
+    eta = np.zeros(len(problem.shared_sd))
+    plain = problem.linearise({}, eta)
+    sunk = problem.linearise({"tissue.surface": {"offset_m": -0.05}}, eta)
+    for there in (plain, sunk):
+        numbers = [k for k, _ in there.index.press] + [k for _, k, _ in there.index.own] + there.index.numerical
+        assert len(there.eta) + max(numbers) < len(there.columns)
+    assert len(sunk.index.press) < len(plain.index.press)
