@@ -276,6 +276,9 @@ class Seen:
     last: RobotState | None
 
 
+DRAIN_S = 0.1
+
+
 def watch(sensor: ForceSensor | None, robot: Robot | None, duration_s: float) -> Seen:
     """Look at both twice a millisecond at the loop's priority; without devices at once over."""
     wrenches: list[Floats] = [np.empty((0, 6))]
@@ -283,8 +286,10 @@ def watch(sensor: ForceSensor | None, robot: Robot | None, duration_s: float) ->
     state_s: list[float] = []
     stamps_s: list[float] = []
     status, rejected, silence_s, last = 0, 0, 0.0, None
-    if sensor is not None:
-        sensor.read()  # what was queued before is of another time
+    ready_s = time.monotonic() + DRAIN_S
+    while sensor is not None and time.monotonic() < ready_s:
+        sensor.read()  # what was queued before is of another time, and comes out of a terminal in several pieces
+        time.sleep(0.001)
     began_s = heard_s = now_s = time.monotonic()
     until_s = began_s + (duration_s if sensor or robot else 0.0)
     urgent = fifo(LOOP_PRIORITY)
