@@ -8,9 +8,9 @@ import argparse
 import numpy as np
 
 from palpd.cell_file import CellFile, Tissue
+from palpd.gap.blind_score import wilson
 from palpd.inclusion import DEPTHS_M, Inclusion, find_inclusion
 from palpd.study_cell import Move, ramps, setup, take
-from palpd.young import student_t_95
 
 HOLDS_M = tuple(float(d) for d in np.arange(1, 11) / 1000.0) * 2
 """Every millimetre down to 10 mm, twice."""
@@ -63,9 +63,8 @@ def judged(inclusion_m: float | None, seed: int) -> Inclusion:
 
 def share(hits: list[bool]) -> str:
     """With Wilson's 95 % interval."""
-    n, p, z = len(hits), float(np.mean(hits)), student_t_95(1e9)
-    centre, half = (p + z**2 / (2 * n)) / (1 + z**2 / n), z / (1 + z**2 / n) * float(np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)))
-    return f"{100 * p:.0f} % ({100 * (centre - half):.0f}–{100 * (centre + half):.0f})"
+    low, high = wilson(sum(hits), len(hits))
+    return f"{100 * sum(hits) / len(hits):.0f} % ({100 * low:.0f}–{100 * high:.0f})"
 
 
 def main() -> None:

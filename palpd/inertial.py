@@ -106,6 +106,7 @@ class InertialModel:
         _refuse_graph(name, content)
         low, high = _ranges(name, card).T.tolist()
         return cls(card, tuple(low), tuple(high), Network(_session(name, content)))
+
     def predict(self, features: Sequence[Sequence[float]]) -> list[float]:
         """Inertial force and learned bias (n,) in N on fz for features (n, 2); 0 where the network gives no finite number.
 

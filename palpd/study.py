@@ -4,7 +4,7 @@ On the emulated cell (`simulated`) or on recordings of a real one (`recorded`); 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -253,24 +253,35 @@ def _up_and_down(seed: int, mass_kg: float, bias_N: float) -> Take:
 def simulated(seed: int) -> Data:
     """The paper's laboratory days on the emulated cell."""
     bare = [_up_and_down(seed * 1000 + 1, 0.02, MEAN_FREE_N["without the probe"])]
-    rng = np.random.default_rng([seed, 6])
-    free = [_up_and_down(seed * 1000 + 10 + k, 0.2, BIAS_N + rng.normal(0.0, 0.005)) for k in range(REPEATS)]
     enriched = {name: diagnosed(name, seed) for name in SETUPS}
-    return Data(bare, free, palpated(seed, enriched), simulated=True)
+    return Data(bare, free_motion(seed), palpated(seed, enriched), simulated=True)
 
 
-def palpated(seed: int, enriched: dict[str, CellFile] | None = None) -> list[Palpated]:
-    """One day of static and dynamic palpation on all setups."""
+def free_motion(seed: int) -> list[Take]:
+    """Ten repeats with the probe, which the methods learn from."""
+    rng = np.random.default_rng([seed, 6])
+    return [_up_and_down(seed * 1000 + 10 + k, 0.2, BIAS_N + rng.normal(0.0, 0.005)) for k in range(REPEATS)]
+
+
+def as_it_is(cell: CellFile) -> CellFile:
+    """Nothing is changed."""
+    return cell
+
+
+def palpated(
+    seed: int, enriched: dict[str, CellFile] | None = None, changed: Callable[[CellFile], CellFile] = as_it_is
+) -> list[Palpated]:
+    """One day of static and dynamic palpation on all setups; `changed` is given each cell as it is on that day."""
     rng = np.random.default_rng([seed, 7])
     found = []
     for index, name in enumerate(SETUPS):
         cell = study_cell(name)
-        holds = [_hold(cell, depth_m, seed * 1000 + 100 + 10 * index + k) for k, depth_m in enumerate(DEPTHS_M)]
+        holds = [_hold(changed(cell), depth_m, seed * 1000 + 100 + 10 * index + k) for k, depth_m in enumerate(DEPTHS_M)]
         moves = [Move(REST_M, 0.02, 1.0)]
         moves += [Move(z_m, PAPER_SPEED_M_PER_S, 0.09) for _ in range(PRESSES) for z_m in (-DYNAMIC_DEPTH_M, REST_M)]
         z_cmd_m, spans = ramps(REST_M, moves)
         bias_N = BIAS_N + rng.normal(0.0, BIAS_BETWEEN_DAYS_N)
-        dynamic = take(on_a_day(cell, bias_N, rng), z_cmd_m, seed * 1000 + 200 + index)
+        dynamic = take(changed(on_a_day(cell, bias_N, rng)), z_cmd_m, seed * 1000 + 200 + index)
         presses = [slice(spans[k][0], spans[k + 1][1]) for k in range(1, 2 * PRESSES, 2)]
         found.append(Palpated(name, holds, dynamic, presses, 0.0, (enriched or {}).get(name)))
     return found
