@@ -7,7 +7,8 @@ is done without faults by benchmarks/reaction.py and with them by benchmarks/fau
 
 The bound is the contact limit and the overshoot of the arithmetic (palpd/overshoot.py), which counts one tick more for each thing below:
 BLIND_S says for how long the guard may be blind before it must see a fault. A sensor that lies within what is plausible is bounded by depth
-alone: the force at the commanded depth, 0.5 mm and the way of a stop below it.
+alone: the force at the commanded depth, 0.5 mm and the way of a stop below it. Where such a lie began in the search, the surface was found
+too late, by as much as the lie can hide between the two forces that end a search (contact, and as much of a pull).
 """
 
 import argparse
@@ -25,7 +26,7 @@ import numpy as np
 
 from palpd.cell_file import CellFile
 from palpd.clock import SimClock
-from palpd.config import Config, Plan, Search, filter_delay_s
+from palpd.config import CONTACT_FORCE_N, Config, Plan, Search, filter_delay_s
 from palpd.loop import Loop
 from palpd.motion import Job, explainer_of, limits_of, sequence_of
 from palpd.overshoot import delays, overshoot_N
@@ -71,9 +72,8 @@ class Stuck:
         return self.state, frames
 
 
-def spoils(rng: random.Random) -> dict[str, Callable[[], Spoil]]:
-    """What can go wrong, by name."""
-    drift = rng.uniform(1.0, 100.0)
+def spoils(rng: random.Random, drift: float) -> dict[str, Callable[[], Spoil]]:
+    """What can go wrong, by name; a drift is of so many N/s."""
     return {
         "nothing": lambda: lambda state, frames, s: (state, frames),
         "sensor silent": lambda: lambda state, frames, s: (state, NO_FRAMES),
@@ -204,7 +204,8 @@ def press(seed: int) -> Press:
     cell_file = CellFile.model_validate(found)
     sensor = cell_file.sensor.model_copy(update={"filter_cutoff_Hz": config.sensor.filter_cutoff_Hz, "rate_Hz": 1000.0})
     cell = SimCell(cell_file.model_copy(update={"sensor": sensor}), RATE_HZ, config.robot.acceleration_m_per_s2, seed)
-    choices = spoils(rng)
+    drift = rng.uniform(1.0, 100.0)
+    choices = spoils(rng, drift)
     fault = rng.choice(sorted(choices))
     at_tick, wall_tick = rng.randrange(130, LAST_TICK), rng.randrange(LAST_TICK // 2, LAST_TICK)
     spoilt = Spoilt(cell, fault, choices[fault](), at_tick, rng.randrange(1, 20))
@@ -235,7 +236,7 @@ def press(seed: int) -> Press:
         cell.advance()  # until the arm is at rest
     end = outcome.trips[-1].trip.name if outcome.trips else "refused" if outcome.refused else outcome.verdict
     hardest = max(stiffness, 1.5 * _hertz_N(cell_file, depth) / depth)
-    bound_N = bound(config, fault, hardest, speed, cell_file, depth, stiffness)
+    bound_N = bound(config, fault, hardest, speed, cell_file, depth, stiffness, drift)
     return Press(fault, "wall" if wall and not appears else "wall appears" if wall else "tissue", stiffness, peak[0], bound_N, end)
 
 
@@ -246,7 +247,14 @@ def _hertz_N(cell: CellFile, depth_m: float) -> float:
 
 
 def bound(
-    config: Config, fault: str, hardest_N_per_m: float, speed_m_per_s: float, cell: CellFile, depth_m: float, wall_N_per_m: float
+    config: Config,
+    fault: str,
+    hardest_N_per_m: float,
+    speed_m_per_s: float,
+    cell: CellFile,
+    depth_m: float,
+    wall_N_per_m: float,
+    drift_N_per_s: float,
 ) -> float:
     """The most that this press may reach, in N."""
     fastest = max(speed_m_per_s, SPEED_M_PER_S)
@@ -254,8 +262,24 @@ def bound(
     seen_N += hardest_N_per_m * fastest * BLIND_S.get(fault, 0.0) + (config.model.correction_limit_N if fault == "model hides" else 0.0)
     if fault not in LIES:
         return seen_N
+
+    def pressing_N(way_m: float) -> float:
+        return max(_hertz_N(cell, way_m), wall_N_per_m * way_m)
+
     way_m = depth_m + DEPTH_MARGIN_M + 0.0005 + fastest * math.fsum(term.duration_s for term in delays(config, fastest))
-    return max(seen_N, _hertz_N(cell, way_m), wall_N_per_m * way_m)
+    way_m += found_late_m(pressing_N, drift_N_per_s) if fault == "sensor drifts pulled" else 0.0
+    return max(seen_N, pressing_N(way_m))
+
+
+def found_late_m(pressing_N: Callable[[float], float], drift_N_per_s: float) -> float:
+    """How far the search may go on in what presses while the zero falls: it ends where contact is seen, or as much of a pull."""
+    lowest_N = 0.0
+    for way_m in np.arange(0.0, Search().max_travel_m, SPEED_M_PER_S / RATE_HZ).tolist():
+        seen_N = pressing_N(way_m) - drift_N_per_s * way_m / SPEED_M_PER_S
+        lowest_N = min(lowest_N, seen_N)
+        if seen_N >= lowest_N + 2.0 * CONTACT_FORCE_N:
+            return way_m
+    return Search().max_travel_m
 
 
 def main() -> None:

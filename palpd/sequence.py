@@ -73,7 +73,7 @@ class Body:
 
 
 class SurfaceNotFound(Exception):
-    """The search went its whole way and met nothing; the sentence says how far."""
+    """The search met nothing, or what it saw cannot be believed; the sentence says why."""
 
 
 Turn = Generator[Proposal, Look, None]
@@ -244,6 +244,11 @@ class Palpation(Script):
             yield from self.move(vz=self._towards(lowest_m, search.speed_m_per_s))
             if len(self.look.frames):
                 force_N = float(np.mean(self.look.contact.tared[:, 2])) - baseline_N
+                if force_N < -CONTACT_FORCE_N:
+                    raise SurfaceNotFound(
+                        f"the force fell to {force_N:.1f} N in the search, where tissue can only press: the sensor's zero moves, or its "
+                        "sign is wrong, and either would hide the surface; check it with palpd doctor --weight-N"
+                    )
                 mean_t_s = float(np.mean(self.look.frames.t_s)) - self.body.delay_s
                 force_track.append((mean_t_s, force_N))
             robot_track.append((self.look.robot.t_s, self.look.robot.z_m))

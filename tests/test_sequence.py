@@ -138,17 +138,18 @@ def test_free_strokes_come_before_the_presses_or_instead_of_them() -> None:
     assert phases.index(Phase.FREE_MOTION) < phases.index(Phase.SEARCH) < phases.index(Phase.PRESS)
 
 
-def test_a_force_that_stands_there_when_the_search_begins_is_no_surface() -> None:
+@pytest.mark.parametrize(("standing_N", "why"), [(5.0, "touches something already"), (-1.5, "zero moves, or its sign is wrong")])
+def test_a_force_that_stands_there_when_the_search_begins_is_no_surface(standing_N: float, why: str) -> None:
     sequence = Sequence(Palpation(ONE, Body(tip_radius_m=0.005, contact_limit_N=12.0, max_speed_m_per_s=0.05, delay_s=0.001)))
     now_s, x_m, y_m, z_m, phase = 10.0, 0.0, 0.0, 0.03, Phase.IDLE
     while not sequence.over and now_s < 60.0:
         pose = (x_m, y_m, z_m, np.pi, 0.0, 0.0)
         seen = replace(robot(now_s), tcp_pose=pose, target_pose=pose)
         tared = np.zeros((8, 6))
-        tared[:, 2] = 5.0 if phase == Phase.SEARCH else 0.0
+        tared[:, 2] = standing_N if phase == Phase.SEARCH else 0.0
         proposal = sequence.step(Look(now_s, seen, frames(now_s), contact(tared=tared)))
         phase = proposal.progress.phase
         x_m, y_m, z_m = (at + 0.008 * v for at, v in zip((x_m, y_m, z_m), proposal.command.velocity_m_per_s, strict=True))
         now_s += 0.008
     assert sequence.failure is not None
-    assert "touches something already" in sequence.failure
+    assert why in sequence.failure
