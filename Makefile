@@ -2,8 +2,9 @@
 PYTHON ?= python3
 UV := .venv/bin/uv
 READY := .venv/.ready
+unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo test check test-service lint bench bench-long faults presses soak mutation audit samples clean
+.PHONY: setup demo test test-wires test-rest check test-service lint bench bench-long faults presses soak mutation audit samples clean
 
 setup: $(READY)
 
@@ -22,8 +23,15 @@ lint: setup
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 
+# what runs over emulated wires waits most of its time, so the rest goes beside it, and gives way to it
 test: lint
-	.venv/bin/pytest
+	$(MAKE) --jobs=2 --output-sync test-wires test-rest
+
+test-wires: setup
+	.venv/bin/pytest -m hil
+
+test-rest: setup
+	nice .venv/bin/pytest -m "not hil"
 
 # the tests, the long measurements in short, and the service under a real systemd where root and systemd-nspawn are there
 check: test samples test-service
