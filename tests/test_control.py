@@ -81,14 +81,14 @@ def test_an_endless_request_is_dropped(listening: Listening) -> None:
 
 
 def test_a_slow_client_is_dropped_and_others_are_served_meanwhile(listening: Listening, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(control, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(control, "PATIENCE_S", 1.0)
     with socket.socket(socket.AF_UNIX) as slow:
         slow.settimeout(3.0)
         slow.connect(str(listening.path))
         slow.sendall(b'{"do":')
         began_s = time.monotonic()
         assert ask(listening.path, {"do": "status"})["ok"]
-        assert time.monotonic() - began_s < 0.25
+        assert time.monotonic() - began_s < 0.8
         assert slow.recv(1) == b""
 
 

@@ -138,7 +138,7 @@ def test_a_sensor_is_identified_configured_and_read(daq: Callable[..., Daq]) -> 
     t_s, counter, wrench = collect(sensor, 300)
     assert (np.diff(counter.astype(int)) % 65536 == 1).all()
     assert (np.diff(t_s) > 0).all()
-    assert 0 <= time.monotonic() - t_s[-1] < 0.1
+    assert 0 <= time.monotonic() - t_s[-1] < 0.5
     np.testing.assert_allclose(wrench[0], np.array(far.counts) / [41.32, 41.11, 7.64, 1125.9, 1082.0, 9316 / 6.5])
     sensor.close()
 
@@ -151,9 +151,9 @@ def test_reading_never_waits_and_counts_rejects_of_each_look(daq: Callable[..., 
     began_s = time.monotonic()
     for _ in range(100):
         sensor.read()
-    assert time.monotonic() - began_s < 0.1
+    assert time.monotonic() - began_s < 0.5, "frames come every 10 ms: a hundred of them would take a second"
     far.before_next = bytes(range(30))
-    rejected, until_s = [], time.monotonic() + 1
+    rejected, until_s = [], time.monotonic() + 5
     while time.monotonic() < until_s and not any(rejected):
         rejected.append(sensor.read().rejected)
     assert sum(rejected) == 2

@@ -4,9 +4,11 @@ Everything that constructs an ur_rtde object runs in a process of its own: the c
 connection may crash the process.
 """
 
+import contextlib
 import json
 import os
 import select
+import signal
 import socket
 import struct
 import subprocess
@@ -22,12 +24,24 @@ from typing import Any
 import pytest
 
 from hw.muted import MutedRobot
-from hw.rtde import VARIABLES, ControllerClock, UrReader, UrRobot
+from hw.rtde import STOP_TIMEOUT_S, VARIABLES, ControllerClock, UrReader, UrRobot
 from palpd.errors import RobotError
 from palpd.tick import RobotState
+from tests.hil.wired import Wired, wired
 
 ROOT = Path(__file__).parents[1]
+WATCHDOG_HZ = 10
+REST_WITHIN_S = 0.110
+"""After the last speed command: the watchdog's 100 ms, a cycle and the ramp."""
+STOPS_WITHIN_S = STOP_TIMEOUT_S + 0.25
+"""The rest is the machine's; a call that hangs does so for seconds."""
+ATTEMPTS = 5
+CRASHES = (-signal.SIGSEGV, -signal.SIGABRT)
 _hosts = (f"127.0.{90 + os.getpid() % 100}.{n}" for n in count(1))
+
+
+class LibraryCrashed(Exception):
+    """ur_rtde took its process down with it."""
 
 
 class Controller:
@@ -187,44 +201,25 @@ def test_a_muted_robot_shows_the_state_and_commands_nothing() -> None:
 # against the emulated controller
 
 
-class Emulated:
-    """An emulator process and the control channel to it."""
+class Client:
+    """Runs a body of Python against an emulated controller, in a process of its own that has `connect`, `go`, `say` and a dict `out`."""
 
-    def __init__(self, model: str, folder: Path) -> None:
-        self.host, self.model, self.control = next(_hosts), model, folder / "control"
-        self.process = subprocess.Popen(
-            [
-                *(sys.executable, "-m", "hw.emulators", "--model", model, "--host", self.host),
-                *("--sensor-link", str(folder / "hex"), "--control", str(self.control)),
-            ],
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert self.process.stdout is not None
-        for _ in range(2):
-            assert self.process.stdout.readline(), "the emulator did not start"
+    def __init__(self, cell: Wired) -> None:
+        self.cell = cell
 
-    def ask(self, do: str, **arguments: Any) -> dict[str, Any]:
-        with socket.socket(socket.AF_UNIX) as channel:
-            channel.settimeout(5)
-            channel.connect(str(self.control))
-            channel.sendall(json.dumps({"do": do, **arguments}).encode() + b"\n")
-            answer: dict[str, Any] = json.loads(channel.makefile().readline())
-        assert answer["ok"], answer
-        return answer
-
-    def client(self, body: str) -> subprocess.Popen[str]:
-        """A process with an UrRobot `robot`; what it puts into `out` is its last line."""
-        rate_Hz = 125 if self.model == "ur5" else 500
+    def start(self, body: str) -> subprocess.Popen[str]:
+        """The process; what it puts into `out` is its last line."""
+        rate_Hz = 125 if self.cell.model == "ur5" else 500
         head = f"""
 import json, os, sys, time
 from hw.rtde import UrReader, UrRobot
 from palpd.errors import RobotError
-host, model, rate_Hz = {self.host!r}, {self.model!r}, {rate_Hz}
+from palpd.realtime import DEVICE_PRIORITY, fifo
+fifo(DEVICE_PRIORITY)  # as the motion process has it while it opens and closes
+host, model, rate_Hz = {self.cell.wires.host!r}, {self.cell.model!r}, {rate_Hz}
 out = {{}}
 def connect(**more):
-    return UrRobot(host, model=model, rate_Hz=rate_Hz, watchdog_Hz=10, acceleration_m_per_s2=0.5, **more)
+    return UrRobot(host, model=model, rate_Hz=rate_Hz, watchdog_Hz={WATCHDOG_HZ}, acceleration_m_per_s2=0.5, **more)
 def go(robot, vz, seconds):
     for _ in range(int(seconds * rate_Hz)):
         robot.read(); robot.move((0.0, 0.0, vz)); time.sleep(1 / rate_Hz)
@@ -238,7 +233,8 @@ def say(word):
         )
 
     def run(self, body: str, meanwhile: dict[str, Callable[[], object]] | None = None) -> dict[str, Any]:
-        process = self.client(body)
+        """`out` of the body. LibraryCrashed where the library took the process down with it."""
+        process = self.start(body)
         assert process.stdout is not None
         assert process.stdin is not None
         assert process.stderr is not None
@@ -246,28 +242,48 @@ def say(word):
             ready, _, _ = select.select([process.stdout], [], [], 30)
             assert ready, "the client hangs"
             line = process.stdout.readline()
-            assert line, process.stderr.read()
+            if not line:
+                told = process.stderr.read()
+                if process.wait(10) in CRASHES:
+                    raise LibraryCrashed(told)
+                raise AssertionError(told)
             if meanwhile and line.strip() in meanwhile:
                 meanwhile[line.strip()]()
-                process.stdin.write("\n")
-                process.stdin.flush()
+                with contextlib.suppress(BrokenPipeError):  # it has crashed: the next line says so
+                    process.stdin.write("\n")
+                    process.stdin.flush()
             elif line.startswith("{"):  # the library prints now and then
                 answer: dict[str, Any] = json.loads(line)
                 assert process.wait(10) == 0
                 return answer
 
+    def run_through(self, fault: str, body: str, **arguments: Any) -> dict[str, Any]:
+        """`out` of the first client that lives through a fault, done when it says "moving".
+
+        After a lost connection the library's own thread crashes the process now and then. Whether the client lived or not, the
+        controller's watchdog must have brought the arm to rest; what an emulator that was late itself adds is the machine's.
+        """
+        done_s: list[float] = []
+        for _ in range(ATTEMPTS):
+            said = None
+            with contextlib.suppress(LibraryCrashed):
+                said = self.run(body, {"moving": lambda: done_s.append(self.cell.wires.ask(fault, **arguments)["t_s"])})
+            rest_s = self.cell.rest_after_s(done_s[-1])
+            assert rest_s <= REST_WITHIN_S + self.cell.lateness_s(done_s.pop() - 0.1, 0.7)
+            if said is not None:
+                return said
+        raise AssertionError(f"the library crashed {ATTEMPTS} of {ATTEMPTS} clients after {fault!r}: our own behaviour was never seen")
+
 
 @pytest.fixture(scope="module", params=["ur5", "ur5e"])
-def emulated(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
-    wires = Emulated(request.param, tmp_path_factory.mktemp(request.param))
-    yield wires
-    wires.process.terminate()
-    wires.process.wait(10)
+def client(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    with wired(tmp_path_factory.mktemp(request.param), request.param) as cell:
+        yield Client(cell)
 
 
 @pytest.mark.hil
-def test_a_robot_is_read_moved_and_stopped(emulated: Emulated) -> None:
-    said = emulated.run("""
+def test_a_robot_is_read_moved_and_stopped(client: Client) -> None:
+    said = client.run("""
         robot = connect()
         before = robot.read()
         robot.arm()
@@ -294,13 +310,13 @@ def test_a_robot_is_read_moved_and_stopped(emulated: Emulated) -> None:
     assert min(said["phase"], 1 - said["phase"]) < 0.15
     assert len(said["pose"]) == 6
     assert len(said["g"]) == 3
-    assert said["stop_s"] < 0.3
+    assert said["stop_s"] < STOPS_WITHIN_S
     assert said["close_s"] < 5
 
 
 @pytest.mark.hil
-def test_a_configured_tcp_is_set(emulated: Emulated) -> None:
-    said = emulated.run("""
+def test_a_configured_tcp_is_set(client: Client) -> None:
+    said = client.run("""
         reader = UrReader(host, model=model, rate_Hz=rate_Hz); z = reader.read().z_m
         robot = connect(tcp=[0, 0, 0.2, 0, 0, 0]); time.sleep(0.1); out["apart"] = robot.read().z_m - z; robot.close()
         """)
@@ -308,9 +324,9 @@ def test_a_configured_tcp_is_set(emulated: Emulated) -> None:
 
 
 @pytest.mark.hil
-def test_a_killed_client_stops_by_the_watchdog_and_a_new_one_takes_over(emulated: Emulated) -> None:
-    emulated.ask("truth", reset=True)
-    process = emulated.client("""
+def test_a_killed_client_stops_by_the_watchdog_and_a_new_one_takes_over(client: Client) -> None:
+    client.cell.wires.ask("truth", reset=True)
+    process = client.start("""
         robot = connect(); go(robot, 0.01, 0.3); print("moving", flush=True); go(robot, 0.01, 5)
         """)
     assert process.stdout is not None
@@ -318,16 +334,16 @@ def test_a_killed_client_stops_by_the_watchdog_and_a_new_one_takes_over(emulated
     process.kill()
     process.wait()
     time.sleep(0.3)
-    resting = emulated.ask("truth")["target_z_m"]
+    resting = client.cell.wires.ask("truth")["target_z_m"]
     time.sleep(0.2)
-    assert emulated.ask("truth")["target_z_m"] == resting
-    said = emulated.run("robot = connect(); go(robot, -0.01, 0.3); out['vz'] = robot.read().target_speed[2]; robot.close()")
+    assert client.cell.wires.ask("truth")["target_z_m"] == resting
+    said = client.run("robot = connect(); go(robot, -0.01, 0.3); out['vz'] = robot.read().target_speed[2]; robot.close()")
     assert said["vz"] == pytest.approx(-0.01, abs=1e-4)
 
 
 @pytest.mark.hil
-def test_after_every_upload_the_watchdog_is_set_again(emulated: Emulated) -> None:
-    said = emulated.run("""
+def test_after_every_upload_the_watchdog_is_set_again(client: Client) -> None:
+    said = client.run("""
         robot = connect()
         go(robot, 0.005, 0.1); robot.stop()
         time.sleep(0.4)
@@ -353,8 +369,8 @@ def test_after_every_upload_the_watchdog_is_set_again(emulated: Emulated) -> Non
 
 
 @pytest.mark.hil
-def test_a_command_does_not_wait_for_the_acknowledgement_of_the_one_before(emulated: Emulated) -> None:
-    said = emulated.run("""
+def test_a_command_does_not_wait_for_the_acknowledgement_of_the_one_before(client: Client) -> None:
+    said = client.run("""
         import os, socket
         robot = connect(); go(robot, 0.001, 0.1); out["delayed"] = []
         for entry in os.listdir("/proc/self/fd"):
@@ -372,8 +388,8 @@ def test_a_command_does_not_wait_for_the_acknowledgement_of_the_one_before(emula
 
 
 @pytest.mark.hil
-def test_a_second_master_is_refused_and_a_second_reader_is_not(emulated: Emulated) -> None:
-    said = emulated.run("""
+def test_a_second_master_is_refused_and_a_second_reader_is_not(client: Client) -> None:
+    said = client.run("""
         robot = connect()
         reader = UrReader(host, model=model, rate_Hz=rate_Hz); out["z"] = reader.read().z_m; reader.close()
         try:
@@ -387,8 +403,9 @@ def test_a_second_master_is_refused_and_a_second_reader_is_not(emulated: Emulate
 
 
 @pytest.mark.hil
-def test_a_lost_connection_is_lost_for_good_and_nothing_hangs(emulated: Emulated) -> None:
-    said = emulated.run(
+def test_a_lost_connection_is_lost_for_good_and_nothing_hangs(client: Client) -> None:
+    said = client.run_through(
+        "drop",
         """
         robot = connect(); go(robot, 0.01, 0.2)
         say("moving")
@@ -404,36 +421,36 @@ def test_a_lost_connection_is_lost_for_good_and_nothing_hangs(emulated: Emulated
         out["connected"] = robot.read().connected
         began = time.monotonic(); robot.close(); out["close_s"] = time.monotonic() - began
         """,
-        {"moving": lambda: emulated.ask("drop")},
     )
     assert said["seen_s"] < 1.0
     assert "was lost, and is not taken up again while the arm may move" in said["refusal"]
-    assert said["stop_s"] < 0.3
+    assert said["stop_s"] < STOPS_WITHIN_S
     assert said["connected"] is False
     assert said["close_s"] < 3
 
 
 @pytest.mark.hil
-def test_a_frozen_network_does_not_hang_stop_or_close(emulated: Emulated) -> None:
-    said = emulated.run(
+def test_a_frozen_network_does_not_hang_stop_or_close(client: Client) -> None:
+    said = client.run_through(
+        "freeze",
         """
         robot = connect(); go(robot, 0.01, 0.2)
         say("moving")
         began = time.monotonic(); robot.stop(); out["stop_s"] = time.monotonic() - began
         began = time.monotonic(); robot.close(); out["close_s"] = time.monotonic() - began
         """,
-        {"moving": lambda: emulated.ask("freeze", s=1.5)},
+        s=1.5,
     )
-    assert said["stop_s"] < 0.4
+    assert said["stop_s"] < STOPS_WITHIN_S
     assert said["close_s"] < 5
     time.sleep(1.5)
 
 
 @pytest.mark.hil
 def test_a_protective_stop_shows_and_refuses_motion_with_its_reason(tmp_path: Path) -> None:
-    wires = Emulated("ur5", tmp_path)
-    try:
-        said = wires.run(
+    with wired(tmp_path, "ur5") as cell:
+        client = Client(cell)
+        said = client.run(
             """
             robot = connect(); go(robot, 0.01, 0.2)
             say("moving")
@@ -449,22 +466,19 @@ def test_a_protective_stop_shows_and_refuses_motion_with_its_reason(tmp_path: Pa
                 out["rearm"] = str(error)
             robot.stop(); robot.close()
             """,
-            {"moving": lambda: wires.ask("protective_stop")},
+            {"moving": lambda: cell.wires.ask("protective_stop")},
         )
         assert said["safety"] == 3
         assert "its safety mode is PROTECTIVE_STOP; clear it at the teach pendant" in said["refusal"]
         assert "is in safety mode PROTECTIVE_STOP" in said["rearm"]
-        wires.ask("power_off")
-        said = wires.run("""
+        cell.wires.ask("power_off")
+        said = client.run("""
             try:
                 connect(); out["refusal"] = ""
             except RobotError as error:
                 out["refusal"] = str(error)
             """)
         assert "RUNNING is needed; switch it on" in said["refusal"]
-    finally:
-        wires.process.terminate()
-        wires.process.wait(10)
 
 
 def test_the_states_that_are_read_exist_on_the_oldest_supported_controller() -> None:

@@ -225,7 +225,6 @@ def test_an_honest_forecaster_is_calibrated_and_a_boaster_is_not() -> None:
     assert calibration(boaster)[0] == pytest.approx(0.1, abs=0.03)
 
 
-@pytest.mark.hil
 def test_a_small_fixed_check_runs_end_to_end_in_another_process(tmp_path: Path) -> None:
     result = run(3, 76, keep=tmp_path / "kept")
     assert [o["failed"] for o in result["outcomes"]] == [None] * 3

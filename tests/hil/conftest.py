@@ -7,7 +7,7 @@ import pytest
 from tests.hil.wired import Wired, wired
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def cb3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Wired]:
     """A UR5 at 125 Hz and a HEX-70 at 1 kHz."""
     with wired(tmp_path_factory.mktemp("cell"), "ur5") as cell:

@@ -8,21 +8,20 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from palpd.record import Recording
-from tests.hil.wired import PRESS, Daemon, Wired, family, kill, until
+from tests.hil.wired import ATTEMPTS, PRESS, STALLED_S, Daemon, Wired, family, kill, until
 
 pytestmark = pytest.mark.hil
 
 REST_WITHIN_S = {10: 0.110, 50: 0.045}
 WAY_WITHIN_M = {10: 0.0015, 50: 0.0007}
 LOST_WITHIN_S = 0.5
-ATTEMPTS = 3
-STALLED_S = 0.002
-"""An emulator that was later than this measures the machine. At 125 Hz a watchdog of 50 Hz leaves room for one late tick only, so
-there a machine under load may also end a run before the test does."""
 
 
 def _killed_while_pressing(cell: Callable[..., Wired], watchdog_Hz: int, victim: Callable[[Daemon], int]) -> tuple[Wired, Daemon, float]:
-    """Press, kill, and see the arm come to rest; once more where the machine itself stood still meanwhile. Returns also when."""
+    """Press, kill, and see the arm come to rest; once more where the machine itself stood still meanwhile. Returns also when.
+
+    At 125 Hz a watchdog of 50 Hz leaves room for one late tick only, so there a machine under load may also end a run before the test does.
+    """
     for attempt in range(ATTEMPTS):
         wired = cell(robot={"watchdog_Hz": watchdog_Hz}, safety={"contact_limit_N": 16.0})
         daemon = wired.run(PRESS)
