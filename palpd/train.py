@@ -431,14 +431,14 @@ def _at_run_time(samples: Samples, sensor_delay_s: float) -> Floats:
 
 
 def _refuse_clipping(number: int, samples: Samples) -> None:
-    """A clipped signal piles up on its last level; noise that is rounded thins out towards it.
+    """A clipped signal piles up on its last level; noise that is rounded thins out towards it, to a tenth of the level before.
 
     With three levels or fewer the two look alike (a bias near half a count fills the last level too), so nothing is said of those.
     """
     for axis, force_N in zip("xyz", samples.wrench[:, :3].T, strict=True):
         for side, values in (("highest", -force_N), ("lowest", force_N)):
             levels, counts = np.unique(np.round(values, 9), return_counts=True)
-            if len(levels) >= 4 and counts[0] > 0.05 * len(values) and counts[0] > 1.5 * counts[1]:
+            if len(levels) >= 4 and counts[0] > 0.05 * len(values) and counts[0] > 0.5 * counts[1]:
                 first = int(np.argmin(values))
                 raise RecordingError(
                     f"recording {number} clips: {counts[0]} of {len(values)} samples of f{axis}_N stand at its {side} value of "

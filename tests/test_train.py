@@ -128,10 +128,11 @@ def test_contact_in_the_recording_is_refused_with_its_place(tmp_path: Path) -> N
     assert not list(tmp_path.iterdir())
 
 
-def test_a_clipped_force_is_refused_with_its_place(tmp_path: Path) -> None:
-    samples = free_motion(noise_N=0.15)
-    clipped = changed(samples, np.minimum(samples.wrench[:, 2], COUNT_N))
-    with pytest.raises(RecordingError, match=r"recording 1 clips: .* fz_N stand at its highest value of 0\.131 N, first at t = "):
+@pytest.mark.parametrize(("noise_N", "counts"), [(0.15, 1), (0.22, 2)])
+def test_a_clipped_force_is_refused_with_its_place(noise_N: float, counts: int, tmp_path: Path) -> None:
+    samples = free_motion(noise_N=noise_N)
+    clipped = changed(samples, np.minimum(samples.wrench[:, 2], counts * COUNT_N))
+    with pytest.raises(RecordingError, match=rf"recording 1 clips: .* fz_N stand at its highest value of 0\.{131 * counts} N, first at "):
         train([clipped], tmp_path / "m.onnx", probe_mass_kg=MASS_KG)
 
 
