@@ -3,7 +3,8 @@
 The logarithm of the stiffness is a Gaussian process over the field (scikit-learn): a constant background, which is the mean of what was
 pressed weighed against being hard, plus bumps as wide as tip and inclusion make them. The next press goes where something harder is
 likeliest, and where nothing is known that is everywhere equally; so the field is first covered as coarsely as an inclusion of the
-stated size allows, and then followed up. It stops when a hard place is certain and outlined, or when none is likely anywhere.
+stated size allows, and then followed up. It stops when a hard place is certain and located by presses around it, or when none is
+likely anywhere.
 """
 
 import csv
@@ -11,7 +12,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -35,8 +35,8 @@ GRID_M = 0.002
 SUSPICIOUS = 0.35
 """Probability above which a place is followed up before others are looked at; nothing known is 27 %."""
 APART_M = 0.003
-OUTLINE_PRESSES = 4
-"""Presses around a hard place before it is outlined."""
+LOCATING_PRESSES = 4
+"""More than so many presses around a hard place, and it is located."""
 FIRST_PRESSES = 3
 
 
@@ -122,12 +122,13 @@ class Survey:
         if float(hard.max()) >= CERTAIN and presses >= FIRST_PRESSES:
             near = int(np.sum(np.linalg.norm(places - peak, axis=1) <= 2.5 * self.field_.length_m))
             place = (float(peak[0]), float(peak[1]))
-            if near > OUTLINE_PRESSES:
-                return True, place, f"a hard place at ({place[0] * 1e3:.0f}, {place[1] * 1e3:.0f}) mm, outlined after {presses} presses"
-            return False, place, f"a hard place near ({place[0] * 1e3:.0f}, {place[1] * 1e3:.0f}) mm; {near} presses around it"
+            at = f"({place[0] * 1e3:.0f}, {place[1] * 1e3:.0f}) mm"
+            if near > LOCATING_PRESSES:
+                return True, place, f"a hard place at {at}, located by {near} presses"
+            return False, place, f"a hard place near {at}; presses around it: {near}"
         if presses >= FIRST_PRESSES and float(hard.max()) < UNLIKELY:
-            return True, None, f"no place is likelier than {UNLIKELY:.0%} to be hard after {presses} presses"
-        return False, None, f"the likeliest place is hard with {hard.max():.0%} after {presses} presses"
+            return True, None, f"no place is likelier than {UNLIKELY:.0%} to be hard"
+        return False, None, f"the likeliest place is hard with {hard.max():.0%}"
 
     def _next(self, grid: Floats, mean: Floats, sigma: Floats, hard: Floats, found: tuple[float, float] | None) -> tuple[float, float]:
         """Around a hard place where it may be harder still; else where something hard is likeliest, of equals the nearest to the last.
@@ -213,29 +214,30 @@ def draw(survey: Survey, found: Map, out: Path, truth: tuple[float, float, float
 
 
 def figure_of(survey: Survey, found: Map, truth: tuple[float, float, float] | None = None) -> Figure:
-    """Stiffness and the probability of a hard place; `truth` is centre and radius of an emulated inclusion, in m."""
-    figure = Figure(figsize=(11, 4.6), layout="constrained", dpi=120)
-    left, right = figure.subplots(1, 2)
-    shape = (round(survey.field_.height_m / GRID_M) + 1, round(survey.field_.width_m / GRID_M) + 1)
-    extent = (0.0, survey.field_.width_m * 1e3, 0.0, survey.field_.height_m * 1e3)
-    stiffness = np.exp(found.mean).reshape(shape) * found.background_Pa / 1e3
+    """Stiffness, its uncertainty, and the probability of a hard place; `truth` is centre and radius of an emulated inclusion, in m."""
+    figure = Figure(figsize=(13.5, 4.5), layout="constrained", dpi=110)
+    where = survey.field_
+    shape = (round(where.height_m / GRID_M) + 1, round(where.width_m / GRID_M) + 1)
+    edges_mm = [1e3 * (edge + side) for size in (where.width_m, where.height_m) for edge, side in ((0.0, -GRID_M / 2), (size, GRID_M / 2))]
     panels = (
-        (left, stiffness, "viridis", f"Young's modulus (kPa), {len(survey.places_m)} presses", None),
-        (right, found.hard_probability.reshape(shape), "magma", "probability of a hard place", (0.0, 1.0)),
+        (np.exp(found.mean) * found.background_Pa / 1e3, "viridis", f"Young's modulus {where.depth_m * 1e3:g} mm deep (kPa)", (None, None)),
+        (100.0 * found.sigma, "cividis", "its uncertainty, one sigma (%)", (0.0, 100.0 * BUMP_SIGMA)),
+        (found.hard_probability, "magma", f"probability of a place stiffer by {math.expm1(HARD):.0%}", (0.0, 1.0)),
     )
-    places = np.array(survey.places_m) * 1e3
-    for axes, values, colours, title, limits in panels:
-        keep: dict[str, Any] = {} if limits is None else {"vmin": limits[0], "vmax": limits[1]}
-        image = axes.imshow(values, origin="lower", extent=extent, cmap=colours, interpolation="bilinear", **keep)
-        figure.colorbar(image, ax=axes, shrink=0.9)
-        axes.scatter(places[:, 0], places[:, 1], s=14, c="white", edgecolors="black", linewidths=0.6, label="presses")
+    places_mm = 1e3 * np.array(survey.places_m).reshape(-1, 2)
+    for axes, (values, colours, title, (least, most)) in zip(figure.subplots(1, 3), panels, strict=True):
+        grid = values.reshape(shape)
+        image = axes.imshow(grid, origin="lower", extent=edges_mm, cmap=colours, interpolation="bilinear", vmin=least, vmax=most)
+        figure.colorbar(image, ax=axes, shrink=0.8)
+        axes.scatter(*places_mm.T, s=14, c="white", edgecolors="black", linewidths=0.6, label="presses")
         if truth is not None:
             turn = np.linspace(0.0, 2 * np.pi, 100)
             x, y, radius = (value * 1e3 for value in truth)
-            axes.plot(x + radius * np.cos(turn), y + radius * np.sin(turn), "r--", linewidth=1.4, label="true inclusion")
+            axes.plot(x + radius * np.cos(turn), y + radius * np.sin(turn), "r--", linewidth=1.4, label="true inclusion, emulated")
         if not found.done:
             axes.plot(found.next_m[0] * 1e3, found.next_m[1] * 1e3, "r*", markersize=12, label="next press")
-        axes.set(xlabel="x (mm)", ylabel="y (mm)", title=title, xlim=extent[:2], ylim=extent[2:])
-    left.legend(loc="upper left", bbox_to_anchor=(0.0, -0.12), ncols=3, fontsize=8, frameon=False)
-    figure.suptitle(found.sentence, fontsize=10)
+        axes.set(xlabel="x (mm)", ylabel="y (mm)", xlim=(0.0, where.width_m * 1e3), ylim=(0.0, where.height_m * 1e3))
+        axes.set_title(title, fontsize=10)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9, frameon=False)
+    figure.suptitle(f"{len(survey.places_m)} presses: {found.sentence}", fontsize=11)
     return figure

@@ -52,6 +52,7 @@ def mapped(
             if emulated:
                 _on_wires(where, field, survey, watch, console)
             else:
+                console.print(f"The daemon presses a simulated field, seed {seed}.")
                 search(in_simulation(where, field.cell, seed), where, survey=survey, watch=watch)
     except (Stopped, RecordingError) as error:
         return survey, truth, str(error)

@@ -43,7 +43,7 @@ def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_referenc
     if kind != "calibrate" and calibration is None and not take_reference:
         raise Refused(
             f"there is no reference tare in {config.paths.state.name}/; run palpd calibrate with the probe free and still, "
-            "or give --take-reference to take one now"
+            "or palpd run with --take-reference"
         )
     stiffness = state.machine_stiffness()
     return Job(

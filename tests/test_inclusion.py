@@ -5,12 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from palpd.errors import BadInput, RecordingError, Stopped
+from palpd import mapping_robot
+from palpd.errors import BadInput, RecordingError, Refused, Stopped
 from palpd.inclusion import DEPTHS_M, find_inclusion, stiffening
 from palpd.mapping import Field, Survey, draw, raster, read_presses, search, write_presses
 from palpd.mapping_field import EmulatedField
-from palpd.mapping_robot import in_simulation
+from palpd.mapping_robot import in_simulation, mapped
+from palpd.motion import Build, Job
+from palpd.state import Calibration, State
+from palpd.supervisor import Report
 
 HOLDS_M = np.tile(np.arange(1, 11) / 1000.0, 2)
 
@@ -122,3 +127,51 @@ def test_presses_made_before_a_stop_are_kept_and_read_again(tmp_path: Path) -> N
     with pytest.raises(Stopped):
         search(press, Field(), survey=survey, watch=lambda survey, _: write_presses(tmp_path / "presses.csv", survey))
     assert read_presses(tmp_path / "presses.csv", Field()).moduli_Pa == survey.moduli_Pa == [6e4, 6e4]
+
+
+class Arm:
+    """Stands where the last run left it; each run presses the emulated field there, and the third may be stopped."""
+
+    def __init__(self, field: EmulatedField, stopped_in: int | None = None) -> None:
+        self.at_m, self.runs, self._field, self._stopped_in = (0.0, 0.0), 0, field, stopped_in
+
+    def carry_out(self, work: Job, build: Build, console: Console, name: str) -> Report:
+        self.runs += 1
+        if self.runs == self._stopped_in:
+            return Report("stopped", "the contact limit was reached", 3)
+        (site,) = work.plan.sites
+        self.at_m = (self.at_m[0] + site.x_m, self.at_m[1] + site.y_m)
+        return Report("done")
+
+    def findings(self, report: Report) -> dict[str, list[dict[str, float]]]:
+        return {"sites": [{"dynamic_corrected_Pa": self._field.press(self.at_m)}]}
+
+
+@pytest.mark.parametrize("stopped_in", [None, 3])
+def test_the_robot_goes_from_place_to_place_and_a_stop_keeps_what_was_pressed(
+    stopped_in: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    where, field = Field(), EmulatedField(Field(), 1)
+    (tmp_path / "config.yaml").write_text("robot: {host: 127.0.0.1}\n")
+    console = Console(quiet=True)
+    with pytest.raises(Refused, match="there is no reference tare"):
+        mapped(where, tmp_path / "map.png", tmp_path / "config.yaml", False, 0, console)
+    State(tmp_path / "state").keep("calibration", Calibration((0.0,) * 6, "2026-01-01", None))
+    arm = Arm(field, stopped_in)
+    monkeypatch.setattr(mapping_robot, "carry_out", arm.carry_out)
+    monkeypatch.setattr(mapping_robot, "findings", arm.findings)
+    survey, truth, reason = mapped(where, tmp_path / "map.png", tmp_path / "config.yaml", False, 0, console)
+    found = survey.map()
+    assert truth is None, "of a real field nobody knows"
+    assert arm.at_m == pytest.approx(survey.places_m[-1])
+    assert np.allclose(read_presses(tmp_path / "map.csv", where).places_m, survey.places_m, atol=1e-4)
+    if stopped_in is None:
+        assert reason is None
+        assert found.found_m is not None
+        assert field.inclusion is not None
+        assert math.dist(found.found_m, field.inclusion[:2]) < where.inclusion_m / 2.0
+    else:
+        assert reason is not None
+        assert "was stopped: the contact limit was reached" in reason
+        assert len(survey.places_m) == stopped_in - 1
+        assert not found.done
