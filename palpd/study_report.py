@@ -22,6 +22,7 @@ from palpd.compensate import features
 from palpd.inclusion import Inclusion
 from palpd.mapping import figure_of, raster
 from palpd.study import ENRICHED, METHODS, NAMED, NETWORK, NONE, TRUTH, WINNER, Hold, Judged, Study, inclusion_below
+from palpd.study_cell import Take
 from palpd.tick import Floats
 from palpd.young import student_t_95
 
@@ -29,6 +30,9 @@ matplotlib.use("Agg")
 BLUE, BLACK, RED, GREY = "#2a6fbb", "#1a1a1a", "#c0392b", "#9aa5b1"
 TITLES = {"A": "A: no inclusion", "B": "B: inclusion 5 mm", "C": "C: inclusion 8 mm", "D": "D: inclusion 10 mm"}
 TEMPLATE = "study_report.html.j2"
+PUBLISHED = float(np.mean([paper.averages(name).ymbt_corrected for name in paper.SETUPS]))
+"""Mean over the setups of Table 3's corrected YMBT."""
+SMOOTH_S, ZOOM_S = 0.5, 0.9
 POINTS = 4000
 """Points of a drawn line; more cannot be seen."""
 
@@ -124,6 +128,17 @@ def _thin(*columns: Floats) -> list[Floats]:
     return [column[::step] for column in columns]
 
 
+def _smooth(run: Take) -> Floats:
+    """Moving mean of fz over `SMOOTH_S`."""
+    width = max(1, round(SMOOTH_S / float(np.median(np.diff(run.t_s)))))
+    summed = np.convolve(run.fz_N, np.ones(width), mode="same")
+    return np.asarray(summed / np.convolve(np.ones(len(run.t_s)), np.ones(width), mode="same"))
+
+
+def _legend_above(axes: Axes) -> None:
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=3, frameon=False)
+
+
 def _style(axes: Axes, x: str, y: str, title: str = "") -> None:
     axes.set_xlabel(x)
     axes.set_ylabel(y)
@@ -137,12 +152,13 @@ def _free_forces(study: Study) -> str:
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
-        for runs, colour, name in ((study.data.free[:1], BLUE, "with the probe"), (study.data.bare[:1], GREY, "without the probe")):
+        for runs, colour, name in ((study.data.bare[:1], BLACK, "without the probe"), (study.data.free[:1], BLUE, "with the probe")):
             for run in runs:
-                axes.plot(*_thin(run.t_s, run.fz_N), color=colour, linewidth=0.6, label=f"{name}, mean {run.fz_N.mean():+.3f} N")
-                axes.axhline(float(run.fz_N.mean()), color=colour, linewidth=1.5)
+                axes.plot(*_thin(run.t_s, run.fz_N), color=colour, linewidth=0.4, alpha=0.25)
+                axes.plot(*_thin(run.t_s, _smooth(run)), color=colour, linewidth=1.2, label=f"{name}, mean {run.fz_N.mean():+.3f} N")
+        axes.axhline(0.0, color=GREY, linewidth=0.7)
         _style(axes, "time (s)", "Fz (N)")
-        axes.legend(loc="upper right", fontsize=8)
+        _legend_above(axes)
 
     return _picture(draw)
 
@@ -175,7 +191,7 @@ def _averaged(study: Study) -> str:
         axes = figure.subplots()
         t_s, force_N = _average(study)
         axes.plot(*_thin(t_s, force_N), color=BLUE, linewidth=0.6)
-        axes.axhline(0.0, color=BLACK, linewidth=0.6)
+        axes.axhline(0.0, color=GREY, linewidth=0.7)
         _style(axes, "time (s)", "mean Fz (N)")
 
     return _picture(draw)
@@ -202,22 +218,25 @@ def _motion(study: Study) -> str:
 
 
 def _palpation(each: Judged, method: str) -> str:
-    """Figures 12 to 15."""
+    """Figures 12 to 15: the whole series, and its second press alone, where the correction can be seen."""
 
     def draw(figure: Figure) -> None:
-        axes = figure.subplots()
+        whole, one = figure.subplots(1, 2, width_ratios=(3, 1))
         run = each.palpated.dynamic
-        axes.plot(*_thin(run.t_s, each.corrected_N[NONE]), color=BLUE, linewidth=0.7, label="original")
-        axes.plot(*_thin(run.t_s, each.corrected_N[method]), color=BLACK, linewidth=0.7, label=f"corrected by {method}")
-        at = [peak.t_s for peak in each.peaks]
-        for name in (NONE, method):
-            axes.plot(at, [peak.force_N[name] for peak in each.peaks], "o", mfc="none", color=RED, markersize=6)
-        axes.axhline(0.0, color=GREY, linewidth=0.7)
-        _style(axes, "time (s)", "Fz (N)", TITLES.get(each.palpated.name, each.palpated.name))
-        axes.set_ylim(top=1.3 * max(peak.force_N[NONE] for peak in each.peaks))
-        axes.legend(loc="upper right", fontsize=8, ncols=2)
+        at_s = [peak.t_s for peak in each.peaks]
+        shown_s = at_s[min(1, len(at_s) - 1)]
+        near = np.abs(run.t_s - shown_s) < ZOOM_S
+        for axes, chosen in ((whole, np.ones(len(run.t_s), bool)), (one, near)):
+            for name, colour, label in ((NONE, BLUE, "original"), (method, BLACK, f"corrected by {method}")):
+                axes.plot(*_thin(run.t_s[chosen], each.corrected_N[name][chosen]), color=colour, linewidth=0.7, label=label)
+                axes.plot(at_s, [peak.force_N[name] for peak in each.peaks], "o", mfc="none", color=RED, markersize=5)
+            axes.axhline(0.0, color=GREY, linewidth=0.7)
+        _style(whole, "time (s)", "Fz (N)", TITLES.get(each.palpated.name, each.palpated.name))
+        _style(one, "time (s), one press", "")
+        one.set_xlim(shown_s - ZOOM_S, shown_s + ZOOM_S)
+        _legend_above(whole)
 
-    return _picture(draw, height=2.6)
+    return _picture(draw, height=2.7)
 
 
 def _moduli(study: Study) -> str:
@@ -255,11 +274,12 @@ def _by_method(study: Study) -> str:
             axes.plot([100.0 * mean], [row], "D", color=colours.get(name, BLUE))
             axes.annotate(f"{100.0 * mean:.1f} %", (100.0 * mean, row), xytext=(0, 9), textcoords="offset points", ha="center", fontsize=8)
         if study.data.simulated:
-            axes.axvline(14.1, color=BLACK, linestyle=":", linewidth=0.9)
-            axes.annotate("published, corrected: 14.1 %", (14.1, -0.75), fontsize=8, ha="left", xytext=(4, 0), textcoords="offset points")
+            axes.axvline(100.0 * PUBLISHED, color=BLACK, linestyle=":", linewidth=0.9)
+            label = f"published, corrected: {100.0 * PUBLISHED:.1f} %"
+            axes.annotate(label, (100.0 * PUBLISHED, -0.75), fontsize=8, ha="left", xytext=(4, 0), textcoords="offset points")
         axes.set_yticks(range(len(found)), [name.replace(" (", "\n(") for name in found])
         axes.set_ylim(len(found) - 0.4, -1.0)
-        axes.set_xlim(left=0.0)
+        axes.set_xlim(left=-0.8)
         _style(axes, "YMBT, mean over the setups of a day (%)", "")
 
     return _picture(draw, height=3.9)
