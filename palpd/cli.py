@@ -239,14 +239,18 @@ def study(
     from palpd import study as studying
     from palpd.cell_file import load_cell
     from palpd.record import Recording
-    from palpd.study_report import means, write
+    from palpd.study_report import figures_of, means, write
 
+    _writable(json_file)
+    of_recordings = bool(bare or free or palpation or cell)
     if published:
+        if of_recordings:
+            raise BadInput("--published is about the paper's printed numbers alone; leave out --bare, --free, --palpation and --cell")
         _published_gap(json_file)
         return
-    if free or palpation:
+    if of_recordings:
         if not free or palpation is None:
-            raise BadInput("a study of recordings needs both --free and --palpation; without either the emulated cell is studied")
+            raise BadInput("a study of recordings needs both --free and --palpation; without any recording the emulated cell is studied")
         pairs = [each.partition("=") for each in cell or []]
         if wrong := [site for site, equals, _ in pairs if not equals]:
             raise BadInput(f"--cell {wrong[0]} names no site; expected SITE=FILE")
@@ -260,6 +264,7 @@ def study(
     for name, (mean, half, n) in means(found).items():
         console.print(f"YMBT {100 * mean:5.1f} %" + (f" ± {100 * half:.1f}" if n > 1 else "") + f"  {name}")
     console.print(f"{page}")
+    _write_json(json_file, figures_of(found))
 
 
 def _published_gap(json_file: Path | None) -> None:
@@ -311,8 +316,10 @@ def map_(
     console.print(f"{found.sentence}.")
     if not found.done:
         console.print(f"Next press at x = {found.next_m[0] * 1e3:.0f} mm, y = {found.next_m[1] * 1e3:.0f} mm.")
+    if truth is not None:
+        console.print(f"The emulated inclusion is {truth[2] * 2e3:g} mm wide at ({truth[0] * 1e3:.1f}, {truth[1] * 1e3:.1f}) mm.")
     console.print(f"{len(survey.places_m)} presses; a raster of 5 mm has {len(mapping.raster(where))}.")
-    console.print(f"{out}")
+    console.print(f"{out}; the presses are in {presses or out.with_suffix('.csv')}")
     told: dict[str, Any] = {"presses": len(survey.places_m), "done": found.done, "found_m": found.found_m, "next_m": found.next_m}
     told |= {"background_Pa": found.background_Pa, "sentence": found.sentence, "true_inclusion_m": truth}
     _write_json(json_file, {**told, "verdict": "stopped" if stopped else "done", "reason": stopped or ""})

@@ -3,10 +3,12 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from palpd import cli
 from palpd import study_paper as paper
 from palpd.cell_file import Tissue
 from palpd.compensate import Bias, LineAndRunningZero, Method, Nothing
@@ -255,6 +257,20 @@ def test_the_same_study_runs_on_recordings_of_the_daemon(tmp_path: Path) -> None
     assert "Made from recordings of a cell" in html(found)
     with pytest.raises(BadInput, match="site A holds 0 static presses"):
         recorded([], [free], Recording(tmp_path / "q.mcap", pressed.rows[pressed.rows["mode"] != Mode.STATIC], pressed.header, {}, None))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"cell": ["A=enriched.yaml"]}, "needs both --free and --palpation"),
+        ({"bare": [Path("bare.mcap")]}, "needs both --free and --palpation"),
+        ({"published": True, "free": [Path("free.mcap")]}, "--published is about the paper's printed numbers alone"),
+    ],
+)
+def test_what_would_be_passed_over_is_refused(options: dict[str, Any], said: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=said):
+        cli.study(out=tmp_path, **options)
+    assert not list(tmp_path.iterdir())
 
 
 def test_recordings_of_different_sensors_are_no_study(tmp_path: Path) -> None:
