@@ -2,7 +2,7 @@
 
 The daemon palpates each: it tares, finds the surface by contact, holds and presses; nothing of the cell is told to it.
 
-python benchmarks/moduli.py [--cells N] [--seed N]
+python benchmarks/moduli.py [--cells N] [--seed N] [--no-hysteresis]
 """
 
 import argparse
@@ -66,12 +66,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cells", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--no-hysteresis", action="store_true", help="the same cells, their sensors without it")
     asked = parser.parse_args()
     static, dynamic, loading, covered, surface_m, half = [], [], [], [], [], []
     with TemporaryDirectory() as folder:
         models = {cutoff_Hz: trained(Path(folder), cutoff_Hz) for cutoff_Hz in FILTERS_Hz}
         for k in range(asked.cells):
             cell = drawn(np.random.default_rng([asked.seed, k]))
+            if asked.no_hysteresis:
+                cell.effects.pop("sensor.hysteresis")
             assert cell.tissue is not None
             assert cell.sensor.filter_cutoff_Hz is not None
             true_Pa = cell.tissue.youngs_modulus_Pa
