@@ -66,9 +66,9 @@ class Method(Protocol):
         ...
 
 
-def features(robot_t_s: Floats, speed: Floats, t_s: Floats, delay_s: float = SENSOR_DELAY_S) -> Floats:
+def features(robot_t_s: Floats, vz_m_per_s: Floats, t_s: Floats, delay_s: float = SENSOR_DELAY_S) -> Floats:
     """Speed and acceleration (n, 2) as the loop has them when it explains each sample."""
-    return run_time_features(robot_t_s, speed, t_s, delay_s)
+    return run_time_features(robot_t_s, vz_m_per_s, t_s, delay_s)
 
 
 def stream(run: Take) -> Iterator[Sample]:
@@ -243,7 +243,7 @@ class _Model:
         return F
 
 
-def _walk(with_tool: bool) -> Floats:
+def _walk() -> Floats:
     """Covariance that one sample adds."""
     jerk = JERK_M_PER_S3**2 * 0.06 * STEP_S  # changes of acceleration last 60 ms, so they add up like a walk of that correlation
     return np.diag([BIAS_WALK_N**2 * STEP_S, 1e-12, 0.0, jerk, 0.0])
@@ -259,7 +259,7 @@ class ExtendedKalman:
         self.name = "extended Kalman" + (" + accelerometer" if accelerometer else "")
         self._tool = accelerometer
         self._model = _Model()
-        self._Q = _walk(accelerometer)
+        self._Q = _walk()
         self._fitted = (0.0, 0.0)
         self._x = np.zeros(5)
         self._P = np.eye(5)
@@ -328,7 +328,7 @@ class AxisKalman(Nothing):
         self._bias_N = self._mass_kg = self._shown_N = 0.0
         self._x, self._P = np.zeros(2), np.eye(2)
         self._F = np.array([[1.0, STEP_S], [0.0, 1.0]])
-        self._Q = np.diag([0.0, _walk(True)[3, 3]])
+        self._Q = np.diag([0.0, _walk()[3, 3]])
         self._R = np.diag([SPEED_NOISE_M_PER_S**2, TOOL_NOISE_M_PER_S2**2])
         self._pole = _Model().pole
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from palpd.cell import true_surface_m
 from palpd.cell_file import PHANTOM, CellFile
 from palpd.compensate import Bias, Exported, LineAndRunningZero, Method, Nothing, corrections
 from palpd.enriched import EnrichedModulus, enriched_modulus
@@ -390,8 +389,3 @@ def study_of(data: Data) -> Study:
     """Everything on recordings."""
     methods = fitted(data.free)
     return Study(data, _cards(methods), evaluate(data, methods))
-
-
-def surface_above_zero_m(found: Judged) -> float | None:
-    """How far above the zero of depth the enriched cell has the surface."""
-    return None if found.by_enriched is None else true_surface_m(found.by_enriched.cell) - found.palpated.zero_z_m
