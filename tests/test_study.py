@@ -254,7 +254,10 @@ def test_the_same_study_runs_on_recordings_of_the_daemon(tmp_path: Path) -> None
     assert site.static_Pa == pytest.approx(72000, rel=0.03)
     assert site.modulus_Pa[NONE] - site.modulus_Pa[WINNER] == pytest.approx(modulus_peak_Pa(BIAS_N, 0.004, 0.005, 0.5), rel=0.15)
     assert abs(site.modulus_Pa[WINNER] / 72000 - 1.0) < 0.05
-    assert "Made from recordings of a cell" in html(found)
+    page = html(found)
+    assert "Made from recordings of a cell" in page
+    assert "On days that differ by" not in page, "nothing of the emulated cell is said of a real one"
+    assert "emulated cell has" not in page
     with pytest.raises(BadInput, match="site A holds 0 static presses"):
         recorded([], [free], Recording(tmp_path / "q.mcap", pressed.rows[pressed.rows["mode"] != Mode.STATIC], pressed.header, {}, None))
 
