@@ -1,9 +1,10 @@
 """How often inclusions at 5, 8 and 10 mm are found, and plain tissue is accused, on emulated cells.
 
-python benchmarks/inclusion.py [--seeds N]
+python benchmarks/inclusion.py [--seeds N] [--deepest-mm N] [--series N]
 """
 
 import argparse
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,8 +13,6 @@ from palpd.gap.blind_score import wilson
 from palpd.inclusion import DEPTHS_M, Inclusion, find_inclusion
 from palpd.study_cell import Move, ramps, setup, take
 
-HOLDS_M = tuple(float(d) for d in np.arange(1, 11) / 1000.0) * 2
-"""Every millimetre down to 10 mm, twice."""
 LIMIT_N = 25.0
 """Holds are left out where a press would pass this, as the daemon would."""
 
@@ -31,17 +30,17 @@ def cell_of(rng: np.random.Generator, inclusion_m: float | None) -> CellFile:
     return setup("A").model_copy(update={"tissue": tissue, "effects": effects})
 
 
-def palpate(cell: CellFile, rng: np.random.Generator, seed: int) -> tuple[list[float], list[float]]:
+def palpate(cell: CellFile, holds_m: Sequence[float], rng: np.random.Generator, seed: int) -> tuple[list[float], list[float]]:
     """Depths below the surface that was found and forces of the holds, each less the rest before it."""
     found_m = rng.normal(0.0, 5e-5)
     moves = [Move(0.006, 0.02, 0.5)]
-    for depth_m in HOLDS_M:
+    for depth_m in holds_m:
         moves += [Move(found_m + rng.normal(0.0, 2e-5) - depth_m, 0.01, 6.0), Move(0.006, 0.01, 1.5)]
     z_cmd_m, spans = ramps(0.006, moves)
     run = take(cell, z_cmd_m, seed)
     depths_m, forces_N = [], []
     rest_N = float(run.fz_N[spans[0][1] - 200 : spans[0][1]].mean())
-    for k, depth_m in enumerate(HOLDS_M):
+    for k, depth_m in enumerate(holds_m):
         _, end = spans[1 + 2 * k]
         force_N = float(run.fz_N[end - 750 : end].mean()) - rest_N
         force_N *= 1.0 + rng.normal(0.0, 0.01)
@@ -55,10 +54,10 @@ def palpate(cell: CellFile, rng: np.random.Generator, seed: int) -> tuple[list[f
     return depths_m, forces_N
 
 
-def judged(inclusion_m: float | None, seed: int) -> Inclusion:
+def judged(inclusion_m: float | None, holds_m: Sequence[float], seed: int) -> Inclusion:
     """One emulated site."""
     rng = np.random.default_rng([seed, 0 if inclusion_m is None else round(inclusion_m * 1e6)])
-    return find_inclusion(*palpate(cell_of(rng, inclusion_m), rng, seed))
+    return find_inclusion(*palpate(cell_of(rng, inclusion_m), holds_m, rng, seed))
 
 
 def share(hits: list[bool]) -> str:
@@ -71,13 +70,16 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=50)
-    count = parser.parse_args().seeds
-    plain = [judged(None, seed) for seed in range(count)]
+    parser.add_argument("--deepest-mm", type=int, default=10, help="holds at every millimetre down to this")
+    parser.add_argument("--series", type=int, default=2, help="how often")
+    asked = parser.parse_args()
+    count, holds_m = asked.seeds, [0.001 * d for d in range(1, asked.deepest_mm + 1)] * asked.series
+    plain = [judged(None, holds_m, seed) for seed in range(count)]
     print("| below the surface | said to hold an inclusion (p > 0.5) | class of depth right | contrast within its 95 % interval |")
     print("|---|---|---|---|")
     print(f"| nothing | {share([each.probability > 0.5 for each in plain])} | – | – |")
     for depth_m in DEPTHS_M:
-        found = [judged(depth_m, seed) for seed in range(count)]
+        found = [judged(depth_m, holds_m, seed) for seed in range(count)]
         true = []
         for seed in range(count):
             rng = np.random.default_rng([seed, round(depth_m * 1e6)])

@@ -17,7 +17,7 @@ from palpd.young import student_t_95
 
 Change = Callable[[CellFile], CellFile]
 DAYS_OF_PARTS = 5
-SPREADS_N = (0.0, 0.03, 0.06, 0.1)
+SPREADS_N = (0.0, 0.03, 0.06)
 """Of a day's bias, one sigma; the study has the second, docs/compensation.md the third and a larger warm-up besides."""
 
 
