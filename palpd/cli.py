@@ -319,7 +319,7 @@ def map_(
     if truth is not None:
         console.print(f"The emulated inclusion is {truth[2] * 2e3:g} mm wide at ({truth[0] * 1e3:.1f}, {truth[1] * 1e3:.1f}) mm.")
     console.print(f"{len(survey.places_m)} presses; a raster of 5 mm has {len(mapping.raster(where))}.")
-    console.print(f"{out}; the presses are in {presses or out.with_suffix('.csv')}")
+    console.print(f"{out}" + (f"; the presses are in {presses or out.with_suffix('.csv')}" if survey.places_m else ""))
     told: dict[str, Any] = {"presses": len(survey.places_m), "done": found.done, "found_m": found.found_m, "next_m": found.next_m}
     told |= {"background_Pa": found.background_Pa, "sentence": found.sentence, "true_inclusion_m": truth}
     _write_json(json_file, {**told, "verdict": "stopped" if stopped else "done", "reason": stopped or ""})

@@ -104,7 +104,8 @@ class Survey:
         if not self.places_m:
             start = (self.field_.width_m / 6.0, self.field_.height_m / 6.0)
             flat = np.zeros(len(grid))
-            return Map(grid, flat, flat + BUMP_SIGMA, flat, math.nan, start, False, None, "nothing was pressed yet")
+            unknown = flat + norm.sf(HARD / BUMP_SIGMA)
+            return Map(grid, flat, flat + BUMP_SIGMA, unknown, math.nan, start, False, None, "nothing was pressed yet")
         places, logs = np.array(self.places_m), np.log(self.moduli_Pa)
         background = _background(logs)
         kernel = ConstantKernel(BUMP_SIGMA**2, "fixed") * RBF(self.field_.length_m, "fixed") + WhiteKernel(NOISE_SIGMA**2, "fixed")
