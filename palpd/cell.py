@@ -281,9 +281,10 @@ def predict_wrench(
     vz_m_per_s: Floats | None = None,
     library: Library = EFFECTS,
     site: str | None = None,
+    z_cmd_m: Floats | None = None,
 ) -> Floats:
     """Mean wrench (n, 6) in N and Nm during a measured motion; `wrench_of(cell, measured_motion(…))` in one."""
-    return wrench_of(cell, measured_motion(cell, t_s, z_m, vz_m_per_s), library, site)
+    return wrench_of(cell, measured_motion(cell, t_s, z_m, vz_m_per_s, z_cmd_m), library, site)
 
 
 def simulate(
@@ -303,7 +304,7 @@ def simulate(
     """
     if z_m is None and z_cmd_m is None:
         raise ConfigError("a simulation needs z_m or z_cmd_m; neither was given")
-    motion = measured_motion(cell, t_s, z_m, vz_m_per_s) if z_m is not None else commanded_motion(cell, t_s, z_cmd_m, library)  # type: ignore[arg-type]
+    motion = measured_motion(cell, t_s, z_m, vz_m_per_s, z_cmd_m) if z_m is not None else commanded_motion(cell, t_s, z_cmd_m, library)  # type: ignore[arg-type]
     reported_z = z_m if z_m is not None else motion.z_m
     reported_v = vz_m_per_s if vz_m_per_s is not None else motion.vz_m_per_s
     if noise_seed is None:

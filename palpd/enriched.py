@@ -71,7 +71,7 @@ def enriched_modulus(recordings: Sequence[Samples], cell: CellFile) -> EnrichedM
     known = cell.estimated or Estimated()
     modulus = cell.tissue.youngs_modulus_Pa * (1.0 + known.youngs_modulus)
     cell = cell.with_estimated(known.model_copy(update={"youngs_modulus": 0.0}))
-    motions = [measured_motion(cell, s.t_s, s.z_m, s.vz_m_per_s) for s in recordings]
+    motions = [measured_motion(cell, s.t_s, s.z_m, s.vz_m_per_s, s.z_cmd_m) for s in recordings]
     free = [wrench_of(cell.model_copy(update={"tissue": None}), motion)[:, 2] for motion in motions]
     which = np.repeat(np.arange(len(recordings)), [len(s) for s in recordings])
     measured_N = np.concatenate([s.wrench[:, 2] for s in recordings]) - np.concatenate(free)

@@ -3,23 +3,27 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import savgol_filter
+from scipy.signal import savgol_coeffs, savgol_filter
 
 from palpd.cell_file import CellFile
-from palpd.dynamics import Floats, steps
+from palpd.dynamics import Floats, servo, steps
+from palpd.reported import find_reports
 
 CUBIC = 3
 
-STRAIGHT = 0.01
-"""Bends below this share of their rms are none: what is interpolated is straight to the last digits that were written."""
+SURE = 2.0
+"""An acceleration that the command does not explain is believed where its rms is above so many times that of its noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How the tip moved, in arrays of (n,), and what heights and accelerations still carry of measurement noise (rms)."""
+    """How the tip moved, in arrays of (n,), and what heights and accelerations still carry of measurement noise (rms).
+
+    A measured acceleration is the slope of reported speeds, each with its own error of `v_noise_m_per_s`, over `slope_half` samples to
+    either side; a share `trust` of it, where the rest is known from the command.
+    """
 
     t_s: Floats
     z_m: Floats
@@ -27,46 +31,40 @@ class Motion:
     az_m_per_s2: Floats
     z_noise_m: float = 0.0
     az_noise_m_per_s2: float = 0.0
+    v_noise_m_per_s: float = 0.0
+    slope_half: int = 0
+    trust: Floats | float = 1.0
 
 
-def reports(t_s: Floats, x: Floats) -> NDArray[np.intp]:
-    """The samples (k,) at which a robot reported `x` (n,): all, or where it is slower than the sensor and its reports were joined by
-    straight lines, those nearest to the corners, with the first and the last sample."""
-    n = len(x)
-    every = np.arange(n)
-    bend = np.abs(np.diff(np.diff(x) / np.diff(t_s)))
-    bent = bend > STRAIGHT * float(np.sqrt(np.mean(bend**2))) if n > 32 else np.ones(1, dtype=bool)
-    if bent.mean() > 0.7 or not bent.any():
-        return every
-    first = np.flatnonzero(np.diff(bent.astype(np.int8), prepend=0) == 1)
-    after = np.minimum(first + 1, n - 3)
-    corners = np.where(bend[after] > bend[first], after, first) + 1  # a corner between two samples bends at both
-    gap_s = np.diff(t_s[corners])
-    usual_s = float(np.median(gap_s)) if len(gap_s) else 0.0
-    tolerated_s = max(0.25 * usual_s, 1.1 * float(np.median(np.diff(t_s))))
-    if len(gap_s) <= 8 or len(corners) > 0.7 * n or float(np.mean(np.abs(gap_s - usual_s) < tolerated_s)) < 0.8:
-        return every
-    return np.unique(np.concatenate([[0], corners, [n - 1]]))
-
-
-def measured_motion(cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats | None = None) -> Motion:
+def measured_motion(
+    cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats | None = None, z_cmd_m: Floats | None = None
+) -> Motion:
     """The motion behind noisy reports of height and speed; without reported speeds they are taken from the heights.
 
     Heights and speeds are averaged over a quarter of the servo's period, short enough for it to do nothing quickly: of the
     heights only what the integrated speed does not already say. The acceleration is the slope of the speed over the fewest samples
     that keep its noise, times the mass, below a tenth of the sensor's, and never over more than that quarter.
+
+    Where commanded heights are given, all this is done to what the stated servo does not already say. Slopes may then be taken over half
+    its period, and are believed as far as they stand out of their noise (Wiener's filter, locally): else a filter that smooths the
+    noise of a prediction would bring it nearer to the readings.
     """
     n = len(t_s)
     dt_s = float(np.median(np.diff(t_s)))
     half = min(int(0.125 / (cell.robot.servo_natural_frequency_Hz * dt_s)), (n - 1) // 2)
     if vz_m_per_s is None:
         vz_m_per_s = _slope(t_s, z_m, max(half, 1))
-    reported = reports(t_s, z_m)
-    each = n / len(reported)
-    v_noise = min(cell.robot.velocity_noise_rms_m_per_s, _white_noise(vz_m_per_s[reported]))
-    z_noise = min(cell.robot.position_noise_rms_m, _white_noise(z_m[reported]))
+    reports = find_reports(t_s, z_m)
+    each = reports.rows_each
+    v_noise = min(cell.robot.velocity_noise_rms_m_per_s, _white_noise(reports.values(vz_m_per_s)))
+    z_noise = min(cell.robot.position_noise_rms_m, _white_noise(reports.values(z_m)))
+    widest = half
+    if z_cmd_m is not None:
+        known = servo(z_cmd_m, steps(t_s), cell.robot.servo_natural_frequency_Hz, cell.robot.servo_damping_ratio, {})
+        z_m, vz_m_per_s = z_m - reports.join(known[0], t_s), vz_m_per_s - reports.join(known[1], t_s)
+        widest = min(2 * half, (n - 1) // 2)
     width, allowed = 1, 0.1 * cell.sensor.noise_rms_N
-    while width < half and cell.probe.mass_kg * _slope_noise(v_noise, dt_s, width, each) > allowed:
+    while width < widest and cell.probe.mass_kg * _slope_noise(v_noise, dt_s, width, each) > allowed:
         width += 1
     acceleration = _slope(t_s, vz_m_per_s, width)
     if half:
@@ -75,7 +73,12 @@ def measured_motion(cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats
         vz_m_per_s = uniform_filter1d(vz_m_per_s, 2 * half + 1, mode="nearest")
     span = 2 * half + 1
     left_m = np.hypot(z_noise / np.sqrt(span), v_noise * dt_s * np.sqrt((span - 1) / 12.0)) * np.sqrt(each)
-    return Motion(t_s - t_s[0], z_m, vz_m_per_s, acceleration, float(left_m), _slope_noise(v_noise, dt_s, width, each))
+    a_noise, trust = _slope_noise(v_noise, dt_s, width, each), np.ones(n)
+    if z_cmd_m is not None:
+        square = uniform_filter1d(acceleration**2, 4 * half + 1, mode="nearest")
+        trust = np.clip(1.0 - (SURE * a_noise) ** 2 / np.maximum(square, 1e-300), 0.0, 1.0)
+        z_m, vz_m_per_s, acceleration = z_m + known[0], vz_m_per_s + known[1], known[2] + trust * acceleration
+    return Motion(t_s - t_s[0], z_m, vz_m_per_s, acceleration, float(left_m), a_noise, v_noise, width, trust)
 
 
 def _white_noise(x: Floats) -> float:
@@ -94,6 +97,14 @@ def _slope_noise(noise: float, dt_s: float, half: int, each: float) -> float:
     k2 = np.arange(-half, half + 1.0) ** 2
     s2, s4, s6 = float(k2.sum()), float((k2**2).sum()), float((k2**3).sum())
     return float(noise / dt_s * np.sqrt(s6 / (s2 * s6 - s4**2)))
+
+
+def slope_weights(dt_s: float, half: int) -> Floats:
+    """What `2 half + 1` neighbours, or three, weigh in a measured slope."""
+    if half < 2:
+        return np.array([-0.5, 0.0, 0.5]) / dt_s
+    weights: Floats = savgol_coeffs(2 * half + 1, CUBIC, deriv=1, delta=dt_s, use="dot")
+    return weights
 
 
 def _slope(t_s: Floats, x: Floats, half: int) -> Floats:

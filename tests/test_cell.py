@@ -392,6 +392,20 @@ def test_the_noise_of_an_acceleration_is_what_the_motion_says_of_it(rate_Hz: flo
     assert 0.2 * motion.az_noise_m_per_s2 < 0.1 * 0.05 or rate_Hz < 100.0
 
 
+def test_what_the_command_explains_is_not_taken_from_noisy_speeds() -> None:
+    t_s, z_cmd_m = presses(12.0, 500.0)
+    truth = commanded_motion(nominal(), t_s, z_cmd_m)
+    noisy = simulate(nominal(), t_s, z_cmd_m=z_cmd_m, noise_seed=5)
+    blind = measured_motion(nominal(), t_s, noisy["z_m"], noisy["vz_m_per_s"])
+    told = measured_motion(nominal(), t_s, noisy["z_m"], noisy["vz_m_per_s"], z_cmd_m)
+    error, error_told = (np.std(m.az_m_per_s2 - truth.az_m_per_s2) for m in (blind, told))
+    assert error_told < 0.3 * error
+    # A robot that does not do as it is told is seen for what it does.
+    shaken = 0.004 * np.sin(2 * np.pi * 30.0 * t_s)
+    moved = measured_motion(nominal(), t_s, noisy["z_m"], noisy["vz_m_per_s"] + shaken, z_cmd_m)
+    assert np.std(moved.az_m_per_s2 - truth.az_m_per_s2) == pytest.approx(0.004 * 2 * np.pi * 30.0 / 2**0.5, rel=0.05)
+
+
 def test_an_acceleration_follows_a_vibration_well_above_the_servo() -> None:
     t_s = np.arange(5000) / 500
     omega = 2 * np.pi * 30.0

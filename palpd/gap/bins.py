@@ -52,15 +52,6 @@ class Bins:
         return np.asarray(values[self.begin + self.count // 2])
 
 
-def straight_between(t_s: Floats, known_s: Floats) -> csr_array:
-    """What joins values at some times (k,) by straight lines, to have them at other times (n,), as a matrix (n, k)."""
-    n, k = len(t_s), len(known_s)
-    left = np.clip(np.searchsorted(known_s, t_s, side="right") - 1, 0, k - 2)
-    share = (t_s - known_s[left]) / (known_s[left + 1] - known_s[left])
-    columns = np.column_stack([left, left + 1]).ravel()
-    return csr_array((np.column_stack([1.0 - share, share]).ravel(), columns, np.arange(0, 2 * n + 1, 2)), shape=(n, k))
-
-
 def make_bins(t_s: Floats, phases: Phases, together: Bins, max_bins: int = MAX_BINS) -> Bins:
     """At most about `max_bins` bins of steps at `t_s`, each step `together` so many samples; one step each where there are few."""
     n = len(t_s)

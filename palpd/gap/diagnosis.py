@@ -285,19 +285,19 @@ def _unexplained(problem: Problem, best: Fit) -> dict[str, Any] | None:
     """The channel and phase in which most is left, and how much in its unit; None where what is left is noise."""
     phase = np.concatenate([run.bin_phase for run in problem.runs])
     count = np.concatenate([run.bins.count for run in problem.runs])
-    sigma = np.where(np.isfinite(problem.sigma), problem.sigma, 0.0)
     left = best.residual - best.linearisation.space.explained(best.linearisation.space.coefficients(best.residual))
+    rms = problem.noise.rms
     worst: tuple[float, dict[str, Any] | None] = (0.0, None)
     for channel, name in enumerate(CHANNELS):
         for p, label in enumerate(PHASES):
-            mine = (phase == p) & (sigma[channel] > 0)
+            mine = (phase == p) & (rms[channel] > 0)
             n = int(mine.sum())
             if n < 4:
                 continue
             energy = float((left[channel, mine] ** 2).sum()) - n
             if energy < 4.0 * np.sqrt(2.0 * n):
                 continue
-            excess = ((left[channel, mine] ** 2 - 1.0) * sigma[channel, mine] ** 2 * count[mine]).sum() / count[mine].sum()
+            excess = ((left[channel, mine] ** 2 - 1.0) * rms[channel, mine] ** 2 * count[mine]).sum() / count[mine].sum()
             if energy > worst[0] and excess > 0:
                 worst = (energy, {"channel": name, "phase": label, "rms": float(np.sqrt(excess))})
     return worst[1]

@@ -342,7 +342,7 @@ def _trial(problem: Problem, t_s: Floats, z_cmd_m: Floats, weight: float) -> Pro
     """What a recording of that motion would be judged by, each row counting for `weight` rows."""
     trial = make_problem([blank(problem.cell, t_s, z_cmd_m)], problem.cell, problem.library, 1500, problem.fz_step_N)
     trial.scale = problem.scale
-    trial.sigma = trial.sigma / weight**0.5
+    trial.weigh(weight)
     return trial
 
 

@@ -28,14 +28,12 @@ def tolerance_rms(problem: Problem, around: Linearisation) -> Floats:
     out = np.zeros((7, len(PHASES)))
     phase = np.concatenate([run.bin_phase for run in problem.runs]).astype(int)
     count = np.concatenate([run.bins.count for run in problem.runs])
-    sigma = np.where(np.isfinite(problem.sigma), problem.sigma, 0.0)
-    columns = around.columns
-    if not problem.cell.tolerances.modulus_known:
-        columns = columns[1:]  # a modulus that is not known at all has been fitted
+    # a modulus that is not known at all has been fitted
+    columns = problem.noise.natural(around.columns if problem.cell.tolerances.modulus_known else around.columns[1:])
     for p in range(len(PHASES)):
         mine = phase == p
         if mine.any():
-            squares = ((columns[:, :, mine] * sigma[:, mine]) ** 2).sum(axis=0)
+            squares = (columns[:, :, mine] ** 2).sum(axis=0)
             out[:, p] = np.sqrt((squares * count[mine]).sum(axis=1) / count[mine].sum())
     return out
 
@@ -75,7 +73,7 @@ def change_sizes(problem: Problem, change: Floats, table: list[Gap]) -> list[flo
     """The size of a whitened change (7, b) at every place of the table: its rms there over the floor."""
     phase = np.concatenate([run.bin_phase for run in problem.runs]).astype(int)
     count = np.concatenate([run.bins.count for run in problem.runs])
-    squares = (change * np.where(np.isfinite(problem.sigma), problem.sigma, 0.0)) ** 2
+    squares = problem.noise.natural(change) ** 2
     sizes = []
     for gap in table:
         mine = phase == PHASES.index(gap.phase)

@@ -1,20 +1,23 @@
 """Recordings of one cell against its simulation, as one whitened vector with everything that is within specification marginalised."""
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import block_diag, csr_array, diags_array
 
 from palpd.cell import Motion, measured_motion, predict_motion, predict_wrench, scale_of, wrench_of
 from palpd.cell_file import CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
 from palpd.effects import EFFECTS, Effect, Scale
-from palpd.gap.bins import Bins, make_bins, straight_between
+from palpd.gap.bins import Bins, make_bins
 from palpd.gap.gaussian import Nuisances, nuisances
 from palpd.gap.noise import FX, FY, FZ, TX, TY, Z, dead, declared_rms, measured_rms, resolutions
-from palpd.gap.phases import FREE_STILL, HOLDING, Ints, Phases, find_phases
-from palpd.kinematics import reports
+from palpd.gap.phases import FREE_STILL, HOLDING, Phases, find_phases
+from palpd.gap.whitening import Whitening
+from palpd.kinematics import slope_weights
+from palpd.reported import Reports, find_reports, straight_between
 from palpd.samples import Samples
 from palpd.tick import Floats
 
@@ -43,6 +46,13 @@ RELATIVE = {"youngs_modulus", "filter_cutoff", "servo_natural_frequency"}
 TRUSTED = 0.02
 """No cell follows the laws of a simulator to better than this share of its gap."""
 
+UNSHARED = 0.25
+"""Share of the noise of reported heights that every bin is given for itself, since bins shorter than reports are apart know no more
+than their neighbours."""
+
+FORGOTTEN = 4.6
+"""After so many time constants a filter remembers a hundredth."""
+
 REMEMBERED = 96
 """So many predictions are kept, since a search comes back to where it was a moment ago."""
 
@@ -61,10 +71,11 @@ class Run:
     motion: Motion  # at those steps, moved to even times where they were nearly even
     step_t_s: Floats  # when those steps really are
     smoother: tuple[Motion, Motion]  # its path, and its acceleration, averaged once more
-    reported: Ints  # samples at which the robot reported, all where it is as fast as the sensor
-    robot_t_s: Floats  # (k,) when the robot is simulated: at its reports, or at the steps
+    reports: Reports  # of the robot
+    robot_t_s: Floats  # (k,) when the robot is simulated: at the samples where it reports more slowly, else at the steps
     z_cmd_m: Floats | None  # (k,)
     z_means: csr_array  # (b, k), means over the bins of heights at those times
+    shaken_N: csr_array  # (b, r), what one standard deviation of the error of each reported speed does to fz
     noise_rms: Floats  # (7,) of one sample, as measured
     noise_ratio: Floats  # (7,) measured over declared
     noise_measured: bool  # whether there were rests to measure it in
@@ -77,24 +88,23 @@ class Run:
     @property
     def samples_each(self) -> float:
         """How many samples there are for every report of the robot."""
-        return len(self.samples) / len(self.reported)
+        return self.reports.rows_each
 
 
 def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
     """A recording of that cell, ready to be compared."""
     surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
     phases = find_phases(samples, surface_m, cell.robot.position_noise_rms_m)
-    motion = measured_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s)
-    again = measured_motion(cell, samples.t_s, motion.z_m, motion.vz_m_per_s)
+    motion = measured_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m)
+    again = measured_motion(cell, samples.t_s, motion.z_m, motion.vz_m_per_s, samples.z_cmd_m)
     smoother = (replace(motion, z_m=again.z_m, vz_m_per_s=again.vz_m_per_s), replace(motion, az_m_per_s2=again.az_m_per_s2))
-    reported = reports(samples.t_s, samples.z_m)
-    together = Bins.of_equal_length(samples.t_s, _together(samples, cell, len(samples) / len(reported)))
+    reports = find_reports(samples.t_s, samples.z_m)
+    together = Bins.of_equal_length(samples.t_s, _together(samples, cell, reports.rows_each))
     steps = make_bins(together.mean(samples.t_s), phases, together, max_bins)
     bins = together.merged(steps)
-    if len(reported) < len(samples):
-        robot_t_s = samples.t_s[reported] - samples.t_s[0]
-        z_cmd_m = None if samples.z_cmd_m is None else samples.z_cmd_m[reported]
-        z_means = bins.means() @ straight_between(samples.t_s, samples.t_s[reported])
+    if reports.rows_each > 1.0:
+        robot_t_s, z_cmd_m = samples.t_s - samples.t_s[0], samples.z_cmd_m
+        z_means = bins.means() @ reports.joined @ straight_between(reports.t_s, samples.t_s)
     else:
         # The robot's lag turns a time that is off by a tenth of a step into heights that are off by more than their noise.
         t_s = together.mean(motion.t_s)
@@ -107,7 +117,7 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
     for channel in range(7):
         if channel == Z:
             usable = samples.z_cmd_m is not None and not dead(samples.z_m)
-            signal, rest = samples.z_m[reported], still[reported]
+            signal, rest = reports.values(samples.z_m), still[np.searchsorted(samples.t_s, reports.t_s)]
         else:
             signal, rest = samples.wrench[:, channel - 1], still
             usable = not dead(signal)
@@ -124,10 +134,11 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
         _at_steps(motion, together),
         together.mean(motion.t_s),
         (_at_steps(smoother[0], together), _at_steps(smoother[1], together)),
-        reported,
+        reports,
         robot_t_s,
         z_cmd_m,
         z_means,
+        _shaken(samples, cell, motion, reports, bins) if judged[FZ] else csr_array((len(bins), 1)),
         rms,
         np.where(measured > 0, measured / floor, 1.0),
         bool(still.sum() >= 60),
@@ -137,6 +148,29 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
         bins.first(phases.cycle).astype(float),
         bins.first(phases.press).astype(float),
     )
+
+
+def _shaken(samples: Samples, cell: CellFile, motion: Motion, reports: Reports, bins: Bins) -> csr_array:
+    """What one standard deviation of the error of each reported speed (k,) does to the binned force of inertia (b,), in N.
+
+    The error of one report shows as a push forth and back over as long as reports are apart and slopes are taken over, and as long again as
+    the sensor's filter remembers: bins share it.
+    """
+    n, dt_s = len(samples), 1.0 / samples.rate_Hz
+    weights = cell.probe.mass_kg * motion.v_noise_m_per_s * slope_weights(dt_s, motion.slope_half)
+    means = bins.means()
+    if cell.sensor.filter_cutoff_Hz:
+        per_step = 2.0 * np.pi * cell.sensor.filter_cutoff_Hz * dt_s
+        remembered = np.exp(-per_step * np.arange(int(FORGOTTEN / per_step) + 1))
+        means = means @ _along(remembered[::-1] / remembered.sum(), 1 - len(remembered), n)
+    inertia = means @ diags_array(np.broadcast_to(motion.trust, n)) @ _along(weights, -(len(weights) // 2), n)
+    return csr_array(inertia @ reports.joined)
+
+
+def _along(weights: Floats, first: int, n: int) -> csr_array:
+    """What takes a weighted sum of neighbours, from `first` on, at every one of n samples."""
+    offsets = np.arange(first, first + len(weights))
+    return csr_array(diags_array(np.repeat(weights[:, None], n, axis=1), offsets=offsets, shape=(n, n)))
 
 
 def _together(samples: Samples, cell: CellFile, samples_each: float) -> int:
@@ -154,7 +188,7 @@ def _at_steps(motion: Motion, together: Bins) -> Motion:
         return np.interp(even_s, t_s, together.mean(values))
 
     z_m, vz_m_per_s, az_m_per_s2 = at(motion.z_m), at(motion.vz_m_per_s), at(motion.az_m_per_s2)
-    return Motion(even_s, z_m, vz_m_per_s, az_m_per_s2, motion.z_noise_m, motion.az_noise_m_per_s2)
+    return replace(motion, t_s=even_s, z_m=z_m, vz_m_per_s=vz_m_per_s, az_m_per_s2=az_m_per_s2)
 
 
 def _even(t_s: Floats) -> Floats:
@@ -205,9 +239,10 @@ class Problem:
     library: Mapping[str, Effect]
     scale: Scale
     shared_sd: Floats
-    sigma: Floats = field(default_factory=lambda: np.empty(0))  # (7, b), what the data are whitened by
-    floor_sigma: Floats = field(default_factory=lambda: np.empty(0))  # (7, b), of the noise alone
-    data: Floats = field(default_factory=lambda: np.empty(0))  # (7, b) whitened
+    noise: Whitening = field(init=False)
+    measured: Floats = field(init=False)  # (7, b)
+    data: Floats = field(init=False)  # (7, b) whitened
+    floor_rms: Floats = field(init=False)  # (7, b), of the noise alone
     fz_step_N: float = 0.0
     """The step that fz really has, where it is coarser than stated."""
     simulations: int = 0
@@ -239,10 +274,9 @@ class Problem:
         samples = run.samples
         out = np.zeros((len(samples), 7))
         if run.judged[Z] and samples.z_cmd_m is not None:
-            at = samples.t_s[run.reported]
-            heights_m = predict_motion(cell, at, samples.z_cmd_m[run.reported], self.library)
-            out[:, Z] = np.interp(samples.t_s, at, heights_m)
-        out[:, 1:] = predict_wrench(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, self.library)
+            heights_m = predict_motion(cell, samples.t_s, samples.z_cmd_m, self.library)
+            out[:, Z] = run.reports.joined @ np.interp(run.reports.t_s, samples.t_s, heights_m)
+        out[:, 1:] = predict_wrench(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, self.library, z_cmd_m=samples.z_cmd_m)
         return out
 
     def _heights(self, run: Run, cell: CellFile) -> Floats:
@@ -268,7 +302,7 @@ class Problem:
         pushes = {name: values for name, values in effects.items() if name not in moves}
         heights = self._remembered("heights", moves, servo, self._heights)
         wrench = self._remembered("wrench", pushes, eta - servo, lambda run, cell: self._wrench(run, cell, run.motion))
-        return np.vstack([heights, wrench]) / self.sigma
+        return self.noise.whiten(np.vstack([heights, wrench]))
 
     def _remembered(self, what: str, effects: EffectValues, eta: Floats, simulated: Callable[[Run, CellFile], Floats]) -> Floats:
         """Binned heights (1, b), or wrenches (6, b), of all recordings. The robot alone decides on its heights, and what is driven by
@@ -292,25 +326,36 @@ class Problem:
             z = run.samples.z_m[:, None] if run.judged[Z] else np.zeros((len(run.samples), 1))
             measured.append(self._binned(run, np.hstack([z, run.samples.wrench])))
             sigma = run.noise_rms[:, None] / np.sqrt(run.bins.count)[None, :]
-            sigma[Z] *= np.sqrt(run.samples_each)  # only reports are independent
+            if run.samples_each > 1.0:  # only reports are independent, and neighbours share them
+                sigma[Z] *= UNSHARED * np.sqrt(run.samples_each)
             sigma[FZ] = np.hypot(sigma[FZ], run.motion.z_noise_m * self._stiffness(run))
-            # Neighbours share the error of a measured acceleration over about a quarter of the servo's period.
-            alike = 0.25 / self.cell.robot.servo_natural_frequency_Hz * run.samples.rate_Hz
-            shaken_N = self.cell.probe.mass_kg * run.motion.az_noise_m_per_s2
-            sigma[FZ] = np.hypot(sigma[FZ], shaken_N * np.minimum(1.0, alike / run.bins.count))
             sigma[FZ] = np.hypot(sigma[FZ], _coherent(self.fz_step_N, float(run.noise_rms[FZ])))
             sigma[~np.array(run.judged)] = np.inf
             sigmas.append(sigma)
-        self.sigma = self.floor_sigma = np.hstack(sigmas)
-        self.data = np.hstack(measured) / self.sigma
+        heights_m = [run.bins.means() @ run.reports.joined * (run.noise_rms[Z] * (run.samples_each > 1.0)) for run in self.runs]
+        shared = {Z: csr_array(block_diag(heights_m)), FZ: csr_array(block_diag([run.shaken_N for run in self.runs]))}
+        self.measured = np.hstack(measured)
+        self._judge_by(Whitening.of(np.hstack(sigmas), shared))
+        self.floor_rms = self.noise.rms
+
+    def _judge_by(self, noise: Whitening) -> None:
+        self.noise = noise
+        self.data = noise.whiten(self.measured)
 
     def soften(self, gap: Floats) -> None:
         """Trust no bin to better than a small share of its channel's whitened gap (7, b): no law of a real cell is that exact."""
-        judged = np.where(np.isfinite(self.sigma), self.sigma, 0.0)
-        level = np.quantile(np.abs(gap) * judged, 0.95, axis=1)[:, None]
-        wider = np.hypot(1.0, TRUSTED * level / self.sigma)
-        self.data = self.data / wider
-        self.sigma = self.sigma * wider
+        level = np.quantile(np.abs(self.noise.natural(gap)), 0.95, axis=1)[:, None]
+        self._judge_by(self.noise.softened(np.hypot(1.0, TRUSTED * level / self.noise.sigma)))
+
+    def weigh(self, weight: float) -> None:
+        """Let each row count for so many."""
+        self._judge_by(self.noise.weighed(weight))
+
+    def only(self, bins: NDArray[np.bool_]) -> "Problem":
+        """The same problem with all other bins weighing nothing."""
+        part = copy.copy(self)
+        part._judge_by(self.noise.restricted(bins))
+        return part
 
     def _binned(self, run: Run, values: Floats) -> Floats:
         return np.ascontiguousarray(run.bins.mean(values).T)
@@ -362,8 +407,8 @@ class Problem:
 
             def column(channel: int, values: Floats, here: slice = here) -> Floats:
                 out = np.zeros_like(prediction)
-                out[channel, here] = values / self.sigma[channel, here]
-                return out
+                out[channel, here] = values
+                return self.noise.whiten(out)
 
             for channel in range(FX, 7):
                 if run.judged[channel]:
@@ -374,7 +419,7 @@ class Problem:
             if run.judged[Z]:
                 # A target that is held between controller cycles is known to about a tenth of a step.
                 index.numerical.append(len(columns))
-                slope = np.gradient(prediction[Z, here] * self.sigma[Z, here], run.t_s)
+                slope = np.gradient(prediction[Z, here] * self.noise.sigma[Z, here], run.t_s)
                 columns.append(column(Z, 0.1 * run.samples_each / run.samples.rate_Hz * slope))
             # What averaging took away from the motion once, averaging again takes away again: so uncertain is the motion.
             cell = self.cell_at(effects, eta)

@@ -1,6 +1,5 @@
 """How far the gap closes when what was found is put into the simulator, judged on cycles that the fit did not see."""
 
-import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,14 +26,6 @@ class Shrink:
     on: str
 
 
-def _only(problem: Problem, bins: Floats) -> Problem:
-    """The problem with all other bins weighing nothing."""
-    part = copy.copy(problem)
-    part.sigma = np.where(bins[None, :], problem.sigma, np.inf)
-    part.data = np.where(bins[None, :], problem.data, 0.0)
-    return part
-
-
 def held_out(problem: Problem, best: Fit) -> Shrink:
     """Fit on all but every fourth cycle, judge there, four times over. In-tolerance deviations are fitted to the judged cycles together
     with the effects as found, and the same ones stand in `before`."""
@@ -45,17 +36,15 @@ def held_out(problem: Problem, best: Fit) -> Shrink:
     cycles = np.concatenate(cycle).astype(int)
     count = np.concatenate([run.bins.count for run in problem.runs])
     folds = min(FOLDS, offset)
-    sigma = np.where(np.isfinite(problem.sigma), problem.sigma, 0.0)
-    floor = np.where(np.isfinite(problem.floor_sigma), problem.floor_sigma, 0.0)
     before = np.zeros_like(problem.data)
     after = np.zeros_like(problem.data)
     for fold in range(folds):
         judged = cycles % folds == fold
-        fitted = _only(problem, ~judged)
+        fitted = problem.only(~judged)
         around = _restricted(best.linearisation, ~judged)
         u = climb(fitted, around, best.where, best.u, 3)[0]
         values = values_at(best.where, u)
-        there = _only(problem, judged)
+        there = problem.only(judged)
         space = _restricted(best.linearisation, judged)
         at = there.predict(values, space.eta)
         left = there.data + space.offset() - at
@@ -64,6 +53,7 @@ def held_out(problem: Problem, best: Fit) -> Shrink:
         before += left + at - there.predict({}, space.eta)
     strength = ((before - after) ** 2).sum(axis=1)
     channel = int(np.argmax(strength))
+    before_there, after_there = problem.noise.natural(before)[channel], problem.noise.natural(after)[channel]
     noise = float(np.sqrt(np.mean([run.noise_rms[channel] ** 2 for run in problem.runs if run.judged[channel]])))
     n = int(count.sum())
     per_cycle = np.zeros((offset, 3))
@@ -71,9 +61,9 @@ def held_out(problem: Problem, best: Fit) -> Shrink:
         mine = cycles == k
         weight = count[mine]
         per_cycle[k] = (
-            (weight * (before[channel, mine] * sigma[channel, mine]) ** 2).sum(),
-            (weight * (after[channel, mine] * sigma[channel, mine]) ** 2).sum(),
-            (weight * floor[channel, mine] ** 2).sum(),
+            (weight * before_there[mine] ** 2).sum(),
+            (weight * after_there[mine] ** 2).sum(),
+            (weight * problem.floor_rms[channel, mine] ** 2).sum(),
         )
     total = per_cycle.sum(axis=0)
     closed = _closed(total)

@@ -13,7 +13,7 @@ from palpd.effects import EFFECTS
 from palpd.errors import RecordingError
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.problem import make_problem
-from palpd.kinematics import reports
+from palpd.reported import find_reports
 from palpd.samples import Samples
 from palpd.tick import Floats
 
@@ -110,7 +110,7 @@ def test_a_robot_as_fast_as_the_sensor_reports_at_every_sample_also_with_uneven_
     samples = recording(nominal(), {})
     uneven = replace(samples, t_s=samples.t_s + 0.002 * np.random.default_rng(1).random(len(samples)))
     for one in (samples, uneven):
-        assert len(reports(one.t_s, one.z_m)) == len(one)
+        assert find_reports(one.t_s, one.z_m).rows_each == 1.0
 
 
 def test_an_effect_is_named_alone_also_where_the_robot_reports_more_slowly_than_the_sensor() -> None:

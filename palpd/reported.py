@@ -1,0 +1,139 @@
+"""When a robot reported, found in a recording where its reports were joined by straight lines to be had at every row."""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.sparse import csr_array, eye_array
+from scipy.sparse.linalg import splu
+
+from palpd.dynamics import Floats
+
+LEAST_ROWS_EACH, MOST_ROWS_EACH = 1.4, 20.0
+"""A robot is looked for that reports so many times more slowly than the sensor."""
+
+STANDS_OUT = 30.0
+"""So many times its neighbours' power a rhythm has; of the 10^5 frequencies of a noisy recording, the largest has half of it."""
+
+EXACT = 0.15
+"""Share within which lines between reports must explain the bends, of what as many lines anywhere would leave of noise."""
+
+WINDOW = 256
+"""Rows in which the phase of the rhythm is taken."""
+
+
+@dataclass(frozen=True)
+class Reports:
+    """Reports of a robot at `t_s` (k,), and what joins them to have them at the rows of the recording, `joined` (n, k)."""
+
+    t_s: Floats
+    joined: csr_array
+
+    @property
+    def rows_each(self) -> float:
+        """How many rows there are for every report."""
+        return self.joined.shape[0] / len(self.t_s)
+
+    def values(self, x: Floats) -> Floats:
+        """What was reported (k,), given what stands in the rows (n,)."""
+        if self.rows_each == 1.0:
+            return x
+        squares = (self.joined.T @ self.joined + 1e-9 * eye_array(len(self.t_s))).tocsc()
+        return np.asarray(splu(squares).solve(self.joined.T @ x))
+
+    def join(self, x: Floats, t_s: Floats) -> Floats:
+        """What would stand in the rows, at `t_s` (n,), of a signal that is `x` (n,) in truth."""
+        return x if self.rows_each == 1.0 else np.asarray(self.joined @ np.interp(self.t_s, t_s, x))
+
+
+def straight_between(t_s: Floats, known_s: Floats) -> csr_array:
+    """What joins values at some times (k,) by straight lines, to have them at other times (n,), as a matrix (n, k)."""
+    n, k = len(t_s), len(known_s)
+    left = np.clip(np.searchsorted(known_s, t_s, side="right") - 1, 0, k - 2)
+    share = (t_s - known_s[left]) / (known_s[left + 1] - known_s[left])
+    columns = np.column_stack([left, left + 1]).ravel()
+    return csr_array((np.column_stack([1.0 - share, share]).ravel(), columns, np.arange(0, 2 * n + 1, 2)), shape=(n, k))
+
+
+def find_reports(t_s: Floats, x: Floats) -> Reports:
+    """The reports behind a reported signal `x` (n,): at every row, or where these are straight lines between fewer, at their corners.
+
+    Corners come in a rhythm, and so does the size of the bends of `x`, however the rhythm falls between the rows; its multiples, and
+    what sampling makes of it, are told apart by how well lines between corners explain the bends. Rows must be nearly even.
+    """
+    every = Reports(t_s, csr_array(eye_array(len(t_s))))
+    if len(t_s) < 2 * WINDOW:
+        return every
+    for per_row in _rhythms(x):
+        corners_s = min(_corners_s(t_s, x, per_row), key=lambda at_s: _left(t_s, x, at_s))
+        if _left(t_s, x, corners_s) < EXACT * (1.0 - per_row) ** 0.5:
+            known_s = np.concatenate([t_s[:1], corners_s[(corners_s > t_s[0]) & (corners_s < t_s[-1])], t_s[-1:]])
+            return Reports(known_s, straight_between(t_s, known_s))
+    return every
+
+
+def _bends(x: Floats) -> Floats:
+    """Size of the bend at every inner row, large ones (the motion's own) cut off."""
+    size = np.abs(np.diff(x, 2))
+    bent = size[size > 1e-3 * np.sqrt(np.mean(size**2))]
+    return np.asarray(np.minimum(size, 4.0 * float(np.median(bent)) if len(bent) else 0.0))
+
+
+def _rhythms(x: Floats) -> list[float]:
+    """Corners per row, below 1, that the rhythm of the bends may stand for, the fewest first: it, its fractions, and what is sampled
+    to it, where they stand out themselves."""
+    size = _bends(x)
+    n = len(size)
+    power = np.abs(np.fft.rfft((size - size.mean()) * np.hanning(n))) ** 2
+    frequency = np.fft.rfftfreq(n)
+    ratio = np.where(frequency > 1.0 / MOST_ROWS_EACH, power / np.maximum(median_filter(power, 101, mode="reflect"), 1e-300), 0.0)
+    k = int(np.argmax(ratio))
+    if ratio[k] < STANDS_OUT:
+        return []
+    tops = maximum_filter1d(ratio, 5)
+    found = []
+    for multiple in range(1, int(MOST_ROWS_EACH / 2)):
+        for whole, sign in product(range(multiple + 1), (-1, 1)):
+            per_row = abs(whole + sign * float(frequency[k])) / multiple
+            folded = min(per_row, 1.0 - per_row)
+            if 1.0 / MOST_ROWS_EACH < per_row < 1.0 / LEAST_ROWS_EACH and tops[round(folded * 2.0 * (len(tops) - 1))] > 0.5 * STANDS_OUT:
+                found.append(per_row)
+    return sorted(p for i, p in enumerate(found) if all(abs(p - q) > 1.0 / n for q in found[:i]))
+
+
+def _corners_s(t_s: Floats, x: Floats, per_row: float) -> list[Floats]:
+    """Times of the corners, their number per row being nearly that: phases of the rhythm, window by window, on a straight line.
+    One choice, or where rows see nothing but every other corner's side of them, several."""
+    size = _bends(x)
+    row = np.arange(1, len(x) - 1)
+    turned = (size - size.mean()) * np.exp(-2j * np.pi * per_row * row)
+    count = len(size) // WINDOW
+    phases = turned[: count * WINDOW].reshape(count, WINDOW).sum(axis=1)
+    middle = row[: count * WINDOW].reshape(count, WINDOW).mean(axis=1)
+    # Neighbours agree to less than half a turn where the number is right; the largest sums say most.
+    turns = np.unwrap(np.angle(phases)) / (2.0 * np.pi)
+    slope, first = np.polyfit(middle, turns, 1, w=np.abs(phases))
+    exact = per_row + slope
+    out = []
+    for late in np.arange(0.0, 1.0, 0.05) if abs(per_row - 0.5) < 2.0 / WINDOW else (0.0,):
+        # A corner at row r has exact · r + first whole turns: bends are largest there.
+        number = np.arange(np.ceil(first + late), exact * (len(x) - 1) + first + late)
+        out.append(np.interp((number - first - late) / exact, np.arange(len(x)), t_s))
+    return out
+
+
+def _left(t_s: Floats, x: Floats, corners_s: Floats) -> float:
+    """Rms of the bends that lines between corners leave, as a share of all, in the worst of three stretches."""
+    worst = 0.0
+    for middle in (0.2, 0.5, 0.8):
+        a = min(max(int(middle * len(x)) - WINDOW // 2, 0), len(x) - WINDOW)
+        here = slice(a, a + WINDOW)
+        known_s = corners_s[(corners_s > t_s[here][0]) & (corners_s < t_s[here][-1])]
+        known_s = np.concatenate([t_s[here][:1], known_s, t_s[here][-1:]])
+        joined = straight_between(t_s[here], known_s)
+        reported = Reports(known_s, joined)
+        bends = np.diff(x[here], 2)
+        left = np.diff(x[here] - joined @ reported.values(x[here]), 2)
+        worst = max(worst, float(np.sqrt(np.mean(left**2) / max(np.mean(bends**2), 1e-300))))
+    return worst
