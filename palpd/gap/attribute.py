@@ -34,6 +34,9 @@ JUDGED = 12
 STRONG = 2e4
 """A gap of so many squared sigmas is large enough to change how in-tolerance deviations act."""
 
+CREDIBLE = 4.0
+"""In-tolerance deviations of fewer standard deviations may be the cell's own."""
+
 KEPT = 14
 """Effects that are fitted after the scan."""
 
@@ -215,6 +218,8 @@ def attribute(problem: Problem) -> Attribution:
         problem.soften(problem.data - base.prediction)
         base = problem.linearise({}, eta)
         null = fit(problem, (), {}, base, rounds=2)
+        if np.abs(null.eta).max() < CREDIBLE:
+            base = null.linearisation  # else hypotheses that are linearised elsewhere would be judged by other tolerances
     else:
         null = fit(problem, (), {}, base, rounds=8)
         problem.soften(null.linearisation.columns[0] / problem.shared_sd[0])  # all that is in proportion to it has been fitted

@@ -330,7 +330,7 @@ def _bent(
     around: Linearisation,
 ) -> list[Bent]:
     """The laws bent in one kind of way or in all, as much as each of INEXACT says. The values may move while the laws bend, by a
-    Gauss-Newton step."""
+    Gauss-Newton step; what such a step promises without any bend, the climb has found not to be there."""
     law, kind = law_columns(problem, values, at, around)
     if not len(law):
         return []
@@ -339,6 +339,7 @@ def _bent(
     against_j = np.array([wide.against(j) for j in columns]).T
     slope = np.array([j.dot(r) for j in columns])
     reach = np.diag([_reach(c, x) ** -2 for c, x in zip(where, u.tolist(), strict=True)])
+    promised = 0.5 * float(slope @ np.linalg.solve(normal + reach, slope))
     ways = [kind == k for k in np.unique(kind)]
     if len(ways) > 1:
         ways.append(np.ones(len(kind), dtype=bool))
@@ -349,7 +350,7 @@ def _bent(
         inner = normal - of_j.T @ of_j
         pull = slope - of_j.T @ of_r
         move = np.linalg.solve(inner + reach, pull)
-        gained = 0.5 * (float(of_r @ of_r) + float(pull @ move)) - float(np.log(np.diag(factor)).sum())
+        gained = 0.5 * (float(of_r @ of_r) + float(pull @ move)) - promised - float(np.log(np.diag(factor)).sum())
 
         def bend() -> Floats:
             coefficients = size * solve_triangular(factor, of_r - of_j @ move, lower=True, trans="T")

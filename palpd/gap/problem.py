@@ -158,19 +158,25 @@ def _shaken(samples: Samples, cell: CellFile, motion: Motion, reports: Reports, 
     """
     n, dt_s = len(samples), 1.0 / samples.rate_Hz
     weights = cell.probe.mass_kg * motion.v_noise_m_per_s * slope_weights(dt_s, motion.slope_half)
-    means = bins.means()
+    first = -(len(weights) // 2)
     if cell.sensor.filter_cutoff_Hz:
         per_step = 2.0 * np.pi * cell.sensor.filter_cutoff_Hz * dt_s
         remembered = np.exp(-per_step * np.arange(int(FORGOTTEN / per_step) + 1))
-        means = means @ _along(remembered[::-1] / remembered.sum(), 1 - len(remembered), n)
-    inertia = means @ diags_array(np.broadcast_to(motion.trust, n)) @ _along(weights, -(len(weights) // 2), n)
-    return csr_array(inertia @ reports.joined)
+        weights, first = np.convolve(weights, remembered[::-1] / remembered.sum()), first - len(remembered) + 1
+    trust = bins.mean(np.broadcast_to(motion.trust, n))
+    return csr_array(diags_array(trust) @ _means_of_sums(bins, weights, first, n) @ reports.joined)
 
 
-def _along(weights: Floats, first: int, n: int) -> csr_array:
-    """What takes a weighted sum of neighbours, from `first` on, at every one of n samples."""
-    offsets = np.arange(first, first + len(weights))
-    return csr_array(diags_array(np.repeat(weights[:, None], n, axis=1), offsets=offsets, shape=(n, n)))
+def _means_of_sums(bins: Bins, weights: Floats, first: int, n: int) -> csr_array:
+    """What takes weighted sums of neighbours, from `first` on, of n samples, and their mean over every bin, as a matrix (b, n)."""
+    reach = bins.count + len(weights) - 1
+    row = np.repeat(np.arange(len(bins)), reach)
+    k = np.arange(len(row)) - np.repeat(np.cumsum(reach) - reach, reach)
+    column = bins.begin[row] + first + k
+    total = np.concatenate([[0.0], np.cumsum(weights)])
+    value = (total[np.minimum(k + 1, len(weights))] - total[np.maximum(k + 1 - bins.count[row], 0)]) / bins.count[row]
+    inside = (column >= 0) & (column < n)
+    return csr_array((value[inside], (row[inside], column[inside])), shape=(len(bins), n))
 
 
 def _together(samples: Samples, cell: CellFile, samples_each: float) -> int:
