@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palpd.errors import BadInput, RecordingError
 from palpd.tick import Floats
@@ -23,7 +24,8 @@ class Samples:
 
     `t_s` (n,) strictly increasing, `z_cmd_m` (n,) commanded height or None where the rig does not tell it, `z_m` (n,) and
     `vz_m_per_s` (n,) height and vertical speed as the robot reports them (base frame, up positive), `wrench` (n, 6) the tared
-    sensor in base axes: fx, fy, fz in N, tx, ty, tz in Nm, what the environment does to the probe.
+    sensor in base axes: fx, fy, fz in N, tx, ty, tz in Nm, what the environment does to the probe. `held` (n,) where the sensor said
+    nothing new, and what stands there was put there.
     """
 
     t_s: Floats
@@ -31,6 +33,7 @@ class Samples:
     z_m: Floats
     vz_m_per_s: Floats
     wrench: Floats
+    held: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.t_s)

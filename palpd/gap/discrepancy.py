@@ -2,7 +2,7 @@
 
 The whitened remainder is written, rest by rest and stroke by stroke, in a few smooth shapes (mean, slope, bend …; in log time at
 rest). Were it noise, every coefficient would be N(0, 1). For every channel, phase and shape the evidence that the coefficients have a
-common mean, or a larger variance, is weighed against that; besides them, single outliers and a single frequency.
+common mean, or a larger variance, is weighed against that; besides them, single outliers, a single frequency, and short pulses.
 """
 
 from dataclasses import dataclass
@@ -36,6 +36,12 @@ BEYOND_TOLERANCE = {
 """The effect that a deviation is when it is more than its tolerance."""
 
 SHAPES = 5
+PULSES = (1, 3, 9, 27)
+"""Lengths of pulses that are looked for, in bins."""
+
+PULSE = 8.0
+"""How large a pulse is beforehand, in sigmas."""
+
 INCLUSION = 0.01
 """How probable it is beforehand that one channel, phase and shape is off."""
 
@@ -53,7 +59,7 @@ class Left:
 def what_is_left(problem: Problem, remainder: Floats, around: Linearisation, residual: Floats) -> Left:
     """How much structure there is in a whitened remainder (7, b), and in the in-tolerance deviations that the residual asks for."""
     coefficients, phase = _coefficients(problem, remainder)
-    total, energy, tone, tone_energy = 0.0, 0.0, -np.inf, 0.0
+    total, energy, tone, tone_energy, pulse, pulse_energy = 0.0, 0.0, -np.inf, 0.0, -np.inf, 0.0
     best = (-1.0, "fz_N", PHASES[0])
     for channel in range(7):
         if not remainder[channel].any():
@@ -77,15 +83,18 @@ def what_is_left(problem: Problem, remainder: Floats, around: Linearisation, res
         factor, power = _frequency(problem, remainder[channel])
         if factor > tone:
             tone, tone_energy = factor, power
+        factor, power = _pulses(remainder[channel])
+        if factor > pulse:
+            pulse, pulse_energy = factor, power
     stretched, strain = _strain(problem, around, residual)
     total += stretched
     every = np.concatenate([c[np.isfinite(c)] for c in coefficients])
     outlier, most = _outlier(every)
-    # The same deviation may show as all three: they are alternatives, each with its own energy.
-    each = np.array([total, tone, outlier])
-    evidence = float(np.logaddexp.reduce(each) - log(3.0))
+    # The same deviation may show as all four: they are alternatives, each with its own energy.
+    each = np.array([total, tone, outlier, pulse])
+    evidence = float(np.logaddexp.reduce(each) - log(len(each)))
     there = 1.0 / (1.0 + np.exp(-np.clip(evidence, -50.0, 50.0)))
-    energy = there * float(np.exp(each - np.logaddexp.reduce(each)) @ np.array([energy, tone_energy, most]))
+    energy = there * float(np.exp(each - np.logaddexp.reduce(each)) @ np.array([energy, tone_energy, most, pulse_energy]))
     return Left(evidence, energy + strain, best[1], best[2])
 
 
@@ -133,6 +142,27 @@ def _outlier(z: Floats) -> tuple[float, float]:
     spread = 10.0
     each = -0.5 * log(1.0 + spread**2) + 0.5 * z**2 * spread**2 / (1.0 + spread**2)
     return (float(np.logaddexp.reduce(each) - log(len(z))), float((z**2).max())) if len(z) else (0.0, 0.0)
+
+
+def _pulses(values: Floats) -> tuple[float, float]:
+    """Log Bayes factor, and energy, of a few stretches of neighbouring bins, all of one length, each off by an amount of its own."""
+    live = values[values != 0.0]
+    sums = np.concatenate([[0.0], np.cumsum(live)])
+    factors, energies = [], []
+    for length in PULSES:
+        if len(live) < 8 * length:
+            continue
+        z = (sums[length::length] - sums[:-length:length]) / length**0.5
+        each = -0.5 * log(1.0 + PULSE**2) + 0.5 * z**2 * PULSE**2 / (1.0 + PULSE**2)
+        rare = log(3.0 / len(z))
+        gain = np.logaddexp(np.log1p(-np.exp(rare)), rare + each)
+        certain = 1.0 / (1.0 + np.exp(-np.clip(each + rare, -50.0, 50.0)))
+        factors.append(float(gain.sum()))
+        energies.append(float((certain * np.maximum(z**2 - 1.0, 0.0)).sum()))
+    if not factors:
+        return -np.inf, 0.0
+    best = int(np.argmax(factors))
+    return float(np.logaddexp.reduce(factors) - log(len(factors))), energies[best]
 
 
 def _strain(problem: Problem, around: Linearisation, residual: Floats) -> tuple[float, float]:

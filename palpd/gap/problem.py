@@ -46,6 +46,9 @@ RELATIVE = {"youngs_modulus", "filter_cutoff", "servo_natural_frequency"}
 TRUSTED = 0.02
 """No cell follows the laws of a simulator to better than this share of its gap."""
 
+MOST_HELD = 0.2
+"""Share of a bin in which the sensor may have said nothing new."""
+
 UNSHARED = 0.25
 """Share of the noise of reported heights that every bin is given for itself, since bins shorter than reports are apart know no more
 than their neighbours."""
@@ -119,7 +122,7 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
             usable = samples.z_cmd_m is not None and not dead(samples.z_m)
             signal, rest = reports.values(samples.z_m), still[np.searchsorted(samples.t_s, reports.t_s)]
         else:
-            signal, rest = samples.wrench[:, channel - 1], still
+            signal, rest = samples.wrench[:, channel - 1], still if samples.held is None else still & ~samples.held
             usable = not dead(signal)
         judged.append(usable)
         if usable:
@@ -332,6 +335,8 @@ class Problem:
             z = run.samples.z_m[:, None] if run.judged[Z] else np.zeros((len(run.samples), 1))
             measured.append(self._binned(run, np.hstack([z, run.samples.wrench])))
             sigma = run.noise_rms[:, None] / np.sqrt(run.bins.count)[None, :]
+            if run.samples.held is not None:  # what was put between two readings is none, and bends where the motion does not
+                sigma[FX:, run.bins.mean(run.samples.held.astype(float)) > MOST_HELD] = np.inf
             if run.samples_each > 1.0:  # only reports are independent, and neighbours share them
                 sigma[Z] *= UNSHARED * np.sqrt(run.samples_each)
             sigma[FZ] = np.hypot(sigma[FZ], run.motion.z_noise_m * self._stiffness(run))

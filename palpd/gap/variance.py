@@ -1,7 +1,7 @@
 """Effects that leave the mean of the readings alone and change their scatter: noise, a coarse step, held samples."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,7 +47,7 @@ def without_held(samples: Samples) -> tuple[Samples, int, float]:
     same = np.concatenate([[False], (samples.wrench[1:] == samples.wrench[:-1]).all(axis=1)])
     keep = ~same
     wrench = np.column_stack([np.interp(samples.t_s, samples.t_s[keep], samples.wrench[keep, k]) for k in range(6)])
-    return Samples(samples.t_s, samples.z_cmd_m, samples.z_m, samples.vz_m_per_s, wrench), runs, length * step_s
+    return replace(samples, wrench=wrench, held=same), runs, length * step_s
 
 
 def scatter_effects(
