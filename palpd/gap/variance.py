@@ -13,6 +13,9 @@ from palpd.samples import Samples
 HEALTHY_RATIO = 1.2
 """Noise up to this much above the stated is within specification."""
 
+UNEVEN = 0.02
+"""Noise is not the same to better than this share throughout a recording."""
+
 
 @dataclass(frozen=True)
 class ScatterEffect:
@@ -32,7 +35,9 @@ def coarse_step_N(samples: Samples, cell: CellFile) -> float:
     values = np.unique(samples.wrench[:, 2])
     if len(values) < 3 or len(values) > 0.2 * len(samples):
         return 0.0
-    gap = float(np.median(np.diff(values)))
+    gaps = np.diff(values)
+    gap = float(np.median(gaps))
+    gap = float(np.mean(gaps[gaps < 1.75 * gap]))  # what is also rounded to the stated step has gaps of two kinds
     stated = cell.sensor.resolution_fz_N
     return gap if gap > 1.4 * stated and gap > 0.5 * cell.sensor.noise_rms_N else 0.0
 
@@ -106,4 +111,5 @@ def _noise(runs: Sequence[Run], cell: CellFile, coarse: bool) -> tuple[ScatterEf
     lone = _sigmoid((spread - np.log(1.45)) / float(np.hypot(np.median(errors), 0.04)))
     if probability < 1e-3:
         return None, lone
+    error = float(np.hypot(error, UNEVEN))
     return ScatterEffect("sensor.noise", probability, {"ratio": (ratio, ratio * (1 - 2.5 * error), ratio * (1 + 2.5 * error))}), lone
