@@ -277,6 +277,7 @@ class Seen:
 
 
 DRAIN_S = 0.1
+"""What was queued before a watch is of another time; it comes out of a terminal in several pieces, for so long."""
 
 
 def watch(sensor: ForceSensor | None, robot: Robot | None, duration_s: float) -> Seen:
@@ -288,7 +289,7 @@ def watch(sensor: ForceSensor | None, robot: Robot | None, duration_s: float) ->
     status, rejected, silence_s, last = 0, 0, 0.0, None
     ready_s = time.monotonic() + DRAIN_S
     while sensor is not None and time.monotonic() < ready_s:
-        sensor.read()  # what was queued before is of another time, and comes out of a terminal in several pieces
+        sensor.read()
         time.sleep(0.001)
     began_s = heard_s = now_s = time.monotonic()
     until_s = began_s + (duration_s if sensor or robot else 0.0)
