@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 import yaml
 
-from palpd.cell_file import load_cell
+from palpd.cell_file import cell_from
 from palpd.gap.blind_cells import KINDS, STRATA, CannotDraw, Case, Kind, draw_case
 from palpd.gap.blind_laws import FOREIGN_LAWS, LIBRARY_LAWS, NOVEL_LAWS, TWINS
 from palpd.gap.blind_score import Outcome, score_case, table
@@ -127,10 +127,7 @@ def _ablated(case: Case, ablation: Ablation | None) -> tuple[dict[str, Any], Sam
 
 def _tolerances(cell: dict[str, Any]) -> dict[str, float]:
     """The tolerances of a cell file, stated or by default."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "cell.yaml"
-        file.write_text(yaml.safe_dump(cell), encoding="utf-8")
-        loaded = load_cell(file).tolerances
+    loaded = cell_from(cell, "cell").tolerances
     return {name: float(getattr(loaded, name)) for name in type(loaded).model_fields}
 
 

@@ -11,7 +11,7 @@ from palpd.cell_file import CellFile
 from palpd.effects import Effect
 from palpd.gap.experiment import Limits, Motion, blank
 from palpd.gap.gaussian import Nuisances, Projected, gram, project
-from palpd.gap.hypothesis import coordinates, start_values, values_at
+from palpd.gap.hypothesis import coordinates, jacobian_at, start_values
 from palpd.gap.problem import Problem, make_problem
 from palpd.tick import Floats
 
@@ -89,11 +89,7 @@ def _span(problem: Problem, effect: Effect, at: Floats, space: Nuisances) -> lis
         if not (here - at).any():
             continue
         u = np.array([c.to(values[c.parameter.name]) for c in where])
-        slopes = []
-        for k in range(len(where)):
-            moved = u.copy()
-            moved[k] += 1e-2
-            slopes.append(project((problem.predict(values_at(where, moved), eta) - here) / 1e-2, space))
+        slopes = [project(slope, space) for slope in jacobian_at(problem, where, u, eta, here)]
         several = 10.0 if sum(c.amplitude for c in where) > 1 else 1.0  # which may differ from each other by any factor
         size = np.where([c.amplitude for c in where], several * np.abs(u), np.abs(u)).tolist()
         reach = [log(2.0) if c.parameter.log else np.pi / c.scale if c.angle else x for c, x in zip(where, size, strict=True)]
