@@ -122,7 +122,7 @@ def _end(found: Diagnosis, advice: Advice, made: int, rounds: int) -> str:
     """Why the loop is over; empty while it is not."""
     if found.verdict == "none":
         return f"Resolved: no gap beyond the cell's own tolerances (probability {found.p_none:.2f})."
-    if found.verdict == "effects" and not any(e.indistinguishable_from for e in found.effects):
+    if found.resolved:
         return f"Resolved: {' and '.join(e.id for e in found.effects)}."
     if advice.proposal is None:
         return advice.sentence
@@ -205,7 +205,7 @@ def log_odds(attribution: Attribution, pair: tuple[str, str]) -> float:
 
 def _share(attribution: Attribution, name: str) -> float:
     """What an explanation holds, nothing where it has been dropped."""
-    return next((w.share for w in attribution.weighed if (" with ".join(w.fit.names) or "no effect") == name), 0.0)
+    return next((w.share for w in attribution.weighed if w.name == name), 0.0)
 
 
 def _tell(say: Callable[..., None], one: Round) -> None:

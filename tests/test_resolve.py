@@ -28,9 +28,12 @@ def answer(shares: dict[str, float], verdict: str = "effects") -> tuple[Any, Adv
     """A diagnosis as far as the loop looks at it, and advice to it."""
     rest = [name for name in shares if shares[name] > 0.04 * max(shares.values())]
     named = [SimpleNamespace(id=rest[0], indistinguishable_from=rest[1:])]
-    weighed = [SimpleNamespace(fit=SimpleNamespace(names=(name,)), share=share) for name, share in shares.items()]
+    weighed = [SimpleNamespace(name=name, share=share) for name, share in shares.items()]
     attribution = SimpleNamespace(weighed=weighed)
-    found = SimpleNamespace(verdict=verdict, effects=named, sentence="…", attribution=attribution, problem=None, to_json=dict)
+    resolved = verdict == "effects" and not rest[1:]
+    found = SimpleNamespace(
+        verdict=verdict, effects=named, resolved=resolved, sentence="…", attribution=attribution, problem=None, to_json=dict
+    )
     wanted = proposal() if len(rest) > 1 else None
     pair = (rest[0], rest[1]) if len(rest) > 1 else None
     return found, Advice(tuple(rest), np.array([shares[name] for name in rest]), wanted, pair, 3.0 if wanted else 0.0)

@@ -70,6 +70,11 @@ class Weighed:
     known: float
     unknown: float
 
+    @property
+    def name(self) -> str:
+        """Its effects in words."""
+        return " with ".join(self.fit.names) or "no effect"
+
 
 @dataclass
 class Attribution:

@@ -76,7 +76,7 @@ def compare(seed: int, index: int) -> dict[str, Any] | None:
     file = cell_from(cell.as_yaml(), "the drawn cell")
     first = _recorded(r, cell, deviations, motion, planted)
     found = diagnose([first], file, max_bins=MAX_BINS, propose=False)
-    if found.verdict == "none" or _alone(found):
+    if found.verdict == "none" or found.resolved:
         return None
     limits = Limits.of(found.problem)
     proposal = advise(found.problem, found.attribution, limits).proposal
@@ -177,10 +177,6 @@ def _random(r: np.random.Generator, cell: Cell, duration_s: float, limits: Limit
     return _motion(rows, [p for p in presses if p < duration_s], duration_s)
 
 
-def _alone(found: Diagnosis) -> bool:
-    return found.verdict == "effects" and not any(e.indistinguishable_from for e in found.effects)
-
-
 def _answer(found: Diagnosis, effect: str) -> dict[str, Any]:
     named = [e.id for e in found.effects]
     among = {name for e in found.effects for name in (e.id, *e.indistinguishable_from)}
@@ -188,7 +184,7 @@ def _answer(found: Diagnosis, effect: str) -> dict[str, Any]:
         "verdict": found.verdict,
         "named": named,
         "open": sorted(among),
-        "resolved": _alone(found) and named == [effect],
+        "resolved": found.resolved and named == [effect],
         "among": effect in among,
         "p": float(min(found.candidates.get(effect, 0.0), 1.0)),
     }

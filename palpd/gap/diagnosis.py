@@ -68,6 +68,11 @@ class Diagnosis:
     proposal: Proposal | None = None
 
     @property
+    def resolved(self) -> bool:
+        """Whether effects are named, and none that another could stand in for."""
+        return self.verdict == "effects" and not any(e.indistinguishable_from for e in self.effects)
+
+    @property
     def sentence(self) -> str:
         """The verdict in words."""
         if self.verdict == "none":

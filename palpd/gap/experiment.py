@@ -53,7 +53,7 @@ class Limits:
     @staticmethod
     def of(problem: Problem) -> "Limits":
         """Never deeper, harder, higher, faster or more abruptly than what the recordings have already done safely."""
-        surface_m = problem.cell.tissue.surface_z_m if problem.cell.tissue is not None else min(_lowest(problem))
+        surface_m = _surface_m(problem)
         speeds = [np.abs(run.phases.velocity_m_per_s) for run in problem.runs]
         pressing = [v[run.phases.depth_m > 0] for v, run in zip(speeds, problem.runs, strict=True) if (run.phases.depth_m > 0).any()]
         free_speed = max(float(np.quantile(v, 0.98)) for v in speeds)
@@ -72,8 +72,10 @@ class Limits:
         )
 
 
-def _lowest(problem: Problem) -> list[float]:
-    return [float(run.samples.z_m.min()) for run in problem.runs]
+def _surface_m(problem: Problem) -> float:
+    """Height of the tissue, or where there is none, the lowest that the tip has been at."""
+    lowest_m = min(float(run.samples.z_m.min()) for run in problem.runs)
+    return problem.cell.tissue.surface_z_m if problem.cell.tissue is not None else lowest_m
 
 
 @dataclass(frozen=True)
@@ -282,7 +284,7 @@ def next_experiment(problem: Problem, attribution: Attribution, verdict: str, li
 def advise(problem: Problem, attribution: Attribution, limits: Limits | None = None) -> Advice:
     """The motion that takes away most of the doubt per minute, or why there is none."""
     rivals = rivals_of(attribution)
-    names = tuple(" with ".join(w.fit.names) or "no effect" for w in rivals)
+    names = tuple(w.name for w in rivals)
     shares = np.array([w.share for w in rivals])
     shares = shares / shares.sum()
     if len(rivals) < 2:
@@ -318,7 +320,7 @@ def _factor(gain: float) -> str:
 
 def score(problem: Problem, rivals: Sequence[Weighed], motion: Motion, limits: Limits, patience: float = 1.0) -> Scored:
     """What a recording of this motion is expected to say about the rivals; `patience` as if it were recorded so many times."""
-    surface_m = problem.cell.tissue.surface_z_m if problem.cell.tissue is not None else min(_lowest(problem))
+    surface_m = _surface_m(problem)
     rows_s = max(problem.scale.step_s, 1e-4)
     home_m = surface_m + limits.home_m
     _, whole = motion.heights(20.0 * rows_s, surface_m, home_m, limits.acceleration_m_per_s2)
