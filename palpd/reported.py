@@ -1,5 +1,6 @@
 """When a robot reported, found in a recording where its reports were joined by straight lines to be had at every row."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -15,6 +16,12 @@ LEAST_ROWS_EACH, MOST_ROWS_EACH = 1.4, 20.0
 
 STANDS_OUT = 30.0
 """So many times its neighbours' power a rhythm has; of the 10^5 frequencies of a noisy recording, the largest has half of it."""
+
+UNSEEN = 1.1
+"""A corner in so many may be too flat to be seen."""
+
+STRAIGHT = 0.01
+"""Bends below this share of their rms are none: what is interpolated is straight to the last digits that were written."""
 
 EXACT = 0.15
 """Share within which lines between reports must explain the bends, of what as many lines anywhere would leave of noise."""
@@ -59,18 +66,41 @@ def straight_between(t_s: Floats, known_s: Floats) -> csr_array:
 def find_reports(t_s: Floats, x: Floats) -> Reports:
     """The reports behind a reported signal `x` (n,): at every row, or where these are straight lines between fewer, at their corners.
 
-    Corners come in a rhythm, and so does the size of the bends of `x`, however the rhythm falls between the rows; its multiples, and
-    what sampling makes of it, are told apart by how well lines between corners explain the bends. Rows must be nearly even.
+    The size of the bends of `x` comes and goes with the rhythm of the corners, however they fall between the rows; its multiples, and
+    what sampling makes of it, are told apart by how well lines between corners explain the bends. Where reports have no even rhythm,
+    corners are seen if rows between them are on a line. Rows must be nearly even.
     """
     every = Reports(t_s, csr_array(eye_array(len(t_s))))
     if len(t_s) < 2 * WINDOW:
         return every
-    for per_row in _rhythms(x):
-        corners_s = min(_corners_s(t_s, x, per_row), key=lambda at_s: _left(t_s, x, at_s))
-        if _left(t_s, x, corners_s) < EXACT * (1.0 - per_row) ** 0.5:
-            known_s = np.concatenate([t_s[:1], corners_s[(corners_s > t_s[0]) & (corners_s < t_s[-1])], t_s[-1:]])
-            return Reports(known_s, straight_between(t_s, known_s))
-    return every
+    rhythmic = (_best_s(t_s, x, _corners_s(t_s, x, per_row)) for per_row in _rhythms(x))
+    corners_s = next((found for found in rhythmic if found is not None), None)
+    seen_s = _best_s(t_s, x, [_seen_s(t_s, x)])
+    if seen_s is not None and (corners_s is None or len(corners_s) > UNSEEN * len(seen_s)):
+        corners_s = seen_s
+    if corners_s is None:
+        return every
+    known_s = np.concatenate([t_s[:1], corners_s[(corners_s > t_s[0]) & (corners_s < t_s[-1])], t_s[-1:]])
+    return Reports(known_s, straight_between(t_s, known_s))
+
+
+def _best_s(t_s: Floats, x: Floats, choices: list[Floats]) -> Floats | None:
+    """The corners, of several choices, that explain the bends best, if they do explain them."""
+    corners_s = min(choices, key=lambda at_s: _left(t_s, x, at_s, (0.5,))) if len(choices) > 1 else choices[0]
+    per_row = len(corners_s) / len(t_s)
+    likely = 1.0 / MOST_ROWS_EACH < per_row < 1.0 / LEAST_ROWS_EACH
+    return corners_s if likely and _left(t_s, x, corners_s) < EXACT * (1.0 - per_row) ** 0.5 else None
+
+
+def _seen_s(t_s: Floats, x: Floats) -> Floats:
+    """Times of corners between straight stretches of rows; a corner between two rows bends at both, the more the nearer."""
+    bend = np.diff(np.diff(x) / np.diff(t_s))
+    bent = np.abs(bend) > STRAIGHT * float(np.sqrt(np.mean(bend**2)))
+    first = np.flatnonzero(np.diff(bent.astype(np.int8), prepend=0) == 1)
+    both = np.append(bent, False)[first + 1]
+    after = np.where(both, np.append(bend, 0.0)[first + 1], 0.0)
+    share = np.clip(after / np.where(bend[first] + after == 0.0, 1.0, bend[first] + after), 0.0, 1.0)
+    return np.asarray(t_s[first + 1] + share * (t_s[np.minimum(first + 2, len(t_s) - 1)] - t_s[first + 1]))
 
 
 def _bends(x: Floats) -> Floats:
@@ -103,8 +133,8 @@ def _rhythms(x: Floats) -> list[float]:
 
 
 def _corners_s(t_s: Floats, x: Floats, per_row: float) -> list[Floats]:
-    """Times of the corners, their number per row being nearly that: phases of the rhythm, window by window, on a straight line.
-    One choice, or where rows see nothing but every other corner's side of them, several."""
+    """Times of the corners, their number per row being nearly that: phases of the rhythm, window by window, on a straight line or as
+    they wander; where rows see nothing but every other corner's side of them, several choices of each."""
     size = _bends(x)
     row = np.arange(1, len(x) - 1)
     turned = (size - size.mean()) * np.exp(-2j * np.pi * per_row * row)
@@ -118,15 +148,17 @@ def _corners_s(t_s: Floats, x: Floats, per_row: float) -> list[Floats]:
     out = []
     for late in np.arange(0.0, 1.0, 0.05) if abs(per_row - 0.5) < 2.0 / WINDOW else (0.0,):
         # A corner at row r has exact · r + first whole turns: bends are largest there.
-        number = np.arange(np.ceil(first + late), exact * (len(x) - 1) + first + late)
-        out.append(np.interp((number - first - late) / exact, np.arange(len(x)), t_s))
+        for wandering in (0.0 * turns, turns - slope * middle - first):
+            whole = exact * np.arange(len(x)) + first + late + np.interp(np.arange(len(x)), middle, wandering)
+            number = np.arange(np.ceil(whole[0]), whole[-1])
+            out.append(np.interp(np.interp(number, whole, np.arange(len(x))), np.arange(len(x)), t_s))
     return out
 
 
-def _left(t_s: Floats, x: Floats, corners_s: Floats) -> float:
-    """Rms of the bends that lines between corners leave, as a share of all, in the worst of three stretches."""
+def _left(t_s: Floats, x: Floats, corners_s: Floats, stretches: Sequence[float] = (0.2, 0.5, 0.8)) -> float:
+    """Rms of the bends that lines between corners leave, as a share of all, in the worst of some stretches of the recording."""
     worst = 0.0
-    for middle in (0.2, 0.5, 0.8):
+    for middle in stretches:
         a = min(max(int(middle * len(x)) - WINDOW // 2, 0), len(x) - WINDOW)
         here = slice(a, a + WINDOW)
         known_s = corners_s[(corners_s > t_s[here][0]) & (corners_s < t_s[here][-1])]
