@@ -33,6 +33,8 @@ SPREAD_S = 0.3
 AWAKE_S = 3.2
 """From the first tick of the search to the last of the second press: any moment of it is as good as another."""
 LOAD_S = 2.0
+STOOD_S = 3 * CYCLE_S
+"""A run whose newest tick is older stands still or is over: what is done to it then brings nothing about."""
 
 Deed = Callable[[Wired, Daemon], float]
 """Does the fault and says when, on the host's monotonic clock."""
@@ -69,11 +71,12 @@ def _second_reader(cell: Wired, daemon: Daemon) -> float:
 
 
 def _second_program(cell: Wired, daemon: Daemon) -> float:
-    """Another computer sends a program to the controller, which replaces the daemon's."""
-    done_s = time.monotonic()
+    """Another computer sends a program to the controller, which replaces the daemon's: done when the controller has it."""
+    began_s = time.monotonic()
     with socket.create_connection((cell.wires.host, SCRIPT_PORT)) as connection:
         connection.sendall(b"def other():\n  sleep(10)\nend\n")
-    return done_s
+    ((done_s, _), *_) = until(lambda: cell.stops(began_s), "the program is replaced")
+    return float(done_s)
 
 
 def _second_client(cell: Wired, daemon: Daemon) -> float:
@@ -183,6 +186,7 @@ class Came:
     phase: Phase = Phase.PRESS
     machine_late_s: float = 0.0
     """How late the emulator, on a real-time thread of the same machine, was at worst from the deed to rest."""
+    done_s: float = 0.0
 
 
 def required(table: Path = TABLE) -> dict[str, Required]:
@@ -240,7 +244,10 @@ def suffered(
             if attempt + 1 < attempts:  # a machine that stands still for 40 ms trips the watchdog by itself
                 continue
             raise
-        phase = daemon.phase
+        phase, ago_s = daemon.newest
+        if ago_s > STOOD_S and attempt + 1 < attempts:
+            daemon.wait()
+            continue
         return _awaited(wired, daemon, DEEDS[fault](wired, daemon), phase)
     raise AssertionError("no attempt was made")
 
@@ -261,7 +268,7 @@ def borne(cell: Callable[[], Wired], fault: str, times: int, reference: bool = T
             time.sleep(0.02)
         if daemon.process.poll() is not None:
             return [*found, _awaited(wired, daemon, done_s, phase)]
-        found.append(Came(None, 0, "", phase))
+        found.append(Came(None, 0, "", phase, done_s=done_s))
     kill(daemon.process.pid, signal.SIGTERM)
     daemon.wait()
     assert "operator aborted" in daemon.stderr, daemon.stderr
@@ -271,10 +278,10 @@ def borne(cell: Callable[[], Wired], fault: str, times: int, reference: bool = T
 def _awaited(wired: Wired, daemon: Daemon, done_s: float, phase: Phase) -> Came:
     code = daemon.wait()
     if code == 0:
-        return Came(None, code, daemon.found["reason"], phase)
+        return Came(None, code, daemon.found["reason"], phase, done_s=done_s)
     ticks = wired.rest_after_s(done_s, settle_s=max(0.6, time.monotonic() - done_s)) / CYCLE_S
     reason = daemon.found["reason"] if daemon.json_file.exists() else daemon.stderr
-    return Came(max(0.0, ticks), code, reason, phase, wired.lateness_s(done_s - 0.1, 0.7))
+    return Came(max(0.0, ticks), code, reason, phase, wired.lateness_s(done_s - 0.1, 0.7), done_s)
 
 
 def objection(came: Came, row: Required) -> str:

@@ -93,10 +93,15 @@ class Daemon:
         return next(pid for pid in family(self.process.pid) if "spawn_main" in command_of(pid))
 
     @property
+    def newest(self) -> tuple[Phase, float]:
+        """Phase of the newest tick, and how long ago it was."""
+        rows = self.ring.read(max(0, self.ring.published - 1))[0]
+        return (Phase(int(rows[-1]["phase"])), time.monotonic() - float(rows[-1]["now_s"])) if len(rows) else (Phase.IDLE, 0.0)
+
+    @property
     def phase(self) -> Phase:
         """Of the newest tick."""
-        rows = self.ring.read(max(0, self.ring.published - 1))[0]
-        return Phase(int(rows[-1]["phase"])) if len(rows) else Phase.IDLE
+        return self.newest[0]
 
     @cached_property
     def ring(self) -> Ring:
