@@ -79,7 +79,7 @@ def test_when_the_motion_process_is_killed_the_run_ends_with_the_reason_and_a_wh
     assert daemon.wait() == 3
     assert "ended by signal 9" in daemon.stderr
     assert daemon.found["verdict"] == "stopped"
-    assert not family(daemon.process.pid)
+    until(lambda: not family(daemon.process.pid), "nothing of the daemon is left", 5.0)
     rows = Recording.load(Path(daemon.found["recording"])).rows
     assert killed_s - float(rows["now_s"][-1]) <= LOST_WITHIN_S
     assert (wired.folder / "state" / "latch.json").exists()
