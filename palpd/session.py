@@ -115,12 +115,6 @@ def findings(report: Report) -> dict[str, Any]:
     return found
 
 
-def with_paths(config: Config, folder: Path, **model: Any) -> Config:
-    """The same configuration keeping its runs and state below `folder`."""
-    paths = config.paths.model_copy(update={"runs": folder / "runs", "state": folder / "state", "socket": None})
-    return config.model_copy(update={"paths": paths, "model": config.model.model_copy(update=model)})
-
-
 def kept_in(folder: Path, kind: str | None = None) -> Path:
     """The folder, made, which must be empty; or with `kind` a new one in it that is called so with the time. Raises BadInput."""
     folder = folder / f"{kind}-{datetime.now():%Y%m%d-%H%M%S}" if kind else folder
