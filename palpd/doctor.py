@@ -19,6 +19,7 @@ from palpd.clock import RealClock
 from palpd.config import Config
 from palpd.errors import PalpdError
 from palpd.inertial import InertialModel
+from palpd.motion import drain
 from palpd.realtime import DEVICE_PRIORITY, LOOP_PRIORITY, fifo, realtime
 from palpd.ring import RING_S
 from palpd.safety import TILT_RAD
@@ -276,10 +277,6 @@ class Seen:
     last: RobotState | None
 
 
-DRAIN_S = 0.1
-"""What was queued before a watch is of another time; it comes out of a terminal in several pieces, for so long."""
-
-
 def watch(sensor: ForceSensor | None, robot: Robot | None, duration_s: float) -> Seen:
     """Look at both twice a millisecond at the loop's priority; without devices at once over."""
     wrenches: list[Floats] = [np.empty((0, 6))]
@@ -287,10 +284,8 @@ def watch(sensor: ForceSensor | None, robot: Robot | None, duration_s: float) ->
     state_s: list[float] = []
     stamps_s: list[float] = []
     status, rejected, silence_s, last = 0, 0, 0.0, None
-    ready_s = time.monotonic() + DRAIN_S
-    while sensor is not None and time.monotonic() < ready_s:
-        sensor.read()
-        time.sleep(0.001)
+    if sensor is not None:
+        drain(sensor)
     began_s = heard_s = now_s = time.monotonic()
     until_s = began_s + (duration_s if sensor or robot else 0.0)
     urgent = fifo(LOOP_PRIORITY)

@@ -32,6 +32,7 @@ from palpd.sequence import Body, FreeMotion, Palpation, RigidPress, Script, Sequ
 from palpd.tare import Tare
 from palpd.tick import ForceSensor, Request, Robot, Trip
 
+DRAIN_S = 0.1
 ORPHAN_GRACE_S = 1.0
 DRY_S = 10.0
 """How long a dry run watches: the arm is not moved, so no plan could come to its end."""
@@ -215,6 +216,7 @@ def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: 
     clock = RealClock(rate_Hz, devices.first_tick_s)
     loop = Loop(devices.robot, devices.sensor, clock, sequence, explainer, limits, RingWriter(ring), request)
     failed: list[dict[str, Any]] = []
+    drain(devices.sensor)  # before the watchdog is set, since it takes its time
     with realtime() as granted:
         loop.rehearse()
         devices.robot.move((0.0, 0.0, 0.0))  # arms the watchdog, which takes the controller some cycles: the grid begins after it
@@ -238,13 +240,21 @@ def take_reference(devices: Devices) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Mean wrench (6,) of a free, still probe. Raises Refused."""
     tare = Tare()
     until_s = time.monotonic() + REFERENCE_PATIENCE_S
-    devices.sensor.read()  # what was queued before is of another time
+    drain(devices.sensor)
     while not tare.add(devices.robot.read(), devices.sensor.read()) and time.monotonic() < until_s:
         time.sleep(0.01)
     refusal = tare.refusal()
     if refusal is not None:
         raise Refused(f"no reference tare was taken: {refusal}")
     return tare.result()
+
+
+def drain(sensor: ForceSensor) -> None:
+    """Let out what was queued before: it is of another time, and a terminal hands out 4 kB at a time, 0.25 s of frames."""
+    until_s = time.monotonic() + DRAIN_S
+    while time.monotonic() < until_s:
+        sensor.read()
+        time.sleep(0.001)
 
 
 class RingWriter:
