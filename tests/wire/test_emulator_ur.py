@@ -263,7 +263,7 @@ out["runtime"] = wait(lambda: r.getRuntimeState() == 1)
 """,
     )
     assert not said["moved"]
-    assert 0.0 < said["way"] < 0.006
+    assert 0.0 < said["way"] < 0.010  # 5 mm, and as much for a machine that stands still; of the 20 mm that were asked for
     assert said["runtime"]
 
 
