@@ -281,10 +281,9 @@ def predict_wrench(
     vz_m_per_s: Floats | None = None,
     library: Library = EFFECTS,
     site: str | None = None,
-    z_cmd_m: Floats | None = None,
 ) -> Floats:
     """Mean wrench (n, 6) in N and Nm during a measured motion; `wrench_of(cell, measured_motion(…))` in one."""
-    return wrench_of(cell, measured_motion(cell, t_s, z_m, vz_m_per_s, z_cmd_m), library, site)
+    return wrench_of(cell, measured_motion(cell, t_s, z_m, vz_m_per_s), library, site)
 
 
 def simulate(

@@ -9,7 +9,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 
 from palpd.cell_file import CellFile
 from palpd.dynamics import Floats, servo, steps
-from palpd.reported import find_reports
+from palpd.reported import Reports, find_reports
 
 CUBIC = 3
 
@@ -37,9 +37,15 @@ class Motion:
 
 
 def measured_motion(
-    cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats | None = None, z_cmd_m: Floats | None = None
+    cell: CellFile,
+    t_s: Floats,
+    z_m: Floats,
+    vz_m_per_s: Floats | None = None,
+    z_cmd_m: Floats | None = None,
+    reports: Reports | None = None,
 ) -> Motion:
-    """The motion behind noisy reports of height and speed; without reported speeds they are taken from the heights.
+    """The motion behind noisy reports of height and speed; without reported speeds they are taken from the heights. `reports` are looked
+    for where they are not given.
 
     Heights and speeds are averaged over a quarter of the servo's period, short enough for it to do nothing quickly: of the
     heights only what the integrated speed does not already say. The acceleration is the slope of the speed over the fewest samples
@@ -54,7 +60,8 @@ def measured_motion(
     half = min(int(0.125 / (cell.robot.servo_natural_frequency_Hz * dt_s)), (n - 1) // 2)
     if vz_m_per_s is None:
         vz_m_per_s = _slope(t_s, z_m, max(half, 1))
-    reports = find_reports(t_s, z_m)
+    if reports is None:
+        reports = find_reports(t_s, z_m)
     each = reports.rows_each
     v_noise = min(cell.robot.velocity_noise_rms_m_per_s, _white_noise(reports.values(vz_m_per_s)))
     z_noise = min(cell.robot.position_noise_rms_m, _white_noise(reports.values(z_m)))

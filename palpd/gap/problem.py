@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import block_diag, csr_array, diags_array
 
-from palpd.cell import Motion, measured_motion, predict_motion, predict_wrench, scale_of, wrench_of
+from palpd.cell import Motion, measured_motion, predict_motion, scale_of, wrench_of
 from palpd.cell_file import CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
 from palpd.effects import EFFECTS, Effect, Scale
 from palpd.gap.bins import Bins, make_bins
@@ -71,6 +71,7 @@ class Run:
     phases: Phases
     bins: Bins  # of samples
     steps: Bins  # of the simulation's steps, each several samples long where the motion is smooth enough
+    sampled: Motion  # the motion behind the noisy heights, at every sample
     motion: Motion  # at those steps, moved to even times where they were nearly even
     step_t_s: Floats  # when those steps really are
     smoother: tuple[Motion, Motion]  # its path, and its acceleration, averaged once more
@@ -98,10 +99,10 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
     """A recording of that cell, ready to be compared."""
     surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
     phases = find_phases(samples, surface_m, cell.robot.position_noise_rms_m)
-    motion = measured_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m)
+    reports = find_reports(samples.t_s, samples.z_m)
+    motion = measured_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m, reports)
     again = measured_motion(cell, samples.t_s, motion.z_m, motion.vz_m_per_s, samples.z_cmd_m)
     smoother = (replace(motion, z_m=again.z_m, vz_m_per_s=again.vz_m_per_s), replace(motion, az_m_per_s2=again.az_m_per_s2))
-    reports = find_reports(samples.t_s, samples.z_m)
     together = Bins.of_equal_length(samples.t_s, _together(samples, cell, reports.rows_each))
     steps = make_bins(together.mean(samples.t_s), phases, together, max_bins)
     bins = together.merged(steps)
@@ -134,6 +135,7 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
         phases,
         bins,
         steps,
+        motion,
         _at_steps(motion, together),
         together.mean(motion.t_s),
         (_at_steps(smoother[0], together), _at_steps(smoother[1], together)),
@@ -285,7 +287,7 @@ class Problem:
         if run.judged[Z] and samples.z_cmd_m is not None:
             heights_m = predict_motion(cell, samples.t_s, samples.z_cmd_m, self.library)
             out[:, Z] = run.reports.joined @ np.interp(run.reports.t_s, samples.t_s, heights_m)
-        out[:, 1:] = predict_wrench(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, self.library, z_cmd_m=samples.z_cmd_m)
+        out[:, 1:] = wrench_of(cell, run.sampled, self.library)
         return out
 
     def _heights(self, run: Run, cell: CellFile) -> Floats:
