@@ -137,10 +137,15 @@ def _group(z: Floats) -> float:
     return float(np.logaddexp.reduce(factors) - log(len(factors)))
 
 
+def _wider(z: Floats, spread: float) -> Floats:
+    """Log Bayes factors of numbers that are N(0, 1) and something of that spread besides, against N(0, 1)."""
+    return -0.5 * log(1.0 + spread**2) + 0.5 * z**2 * spread**2 / (1.0 + spread**2)
+
+
 def _outlier(z: Floats) -> tuple[float, float]:
     """Log Bayes factor of one coefficient being large, and its energy."""
     spread = 10.0
-    each = -0.5 * log(1.0 + spread**2) + 0.5 * z**2 * spread**2 / (1.0 + spread**2)
+    each = _wider(z, spread)
     return (float(np.logaddexp.reduce(each) - log(len(z))), float((z**2).max())) if len(z) else (0.0, 0.0)
 
 
@@ -153,7 +158,7 @@ def _pulses(values: Floats) -> tuple[float, float]:
         if len(live) < 8 * length:
             continue
         z = (sums[length::length] - sums[:-length:length]) / length**0.5
-        each = -0.5 * log(1.0 + PULSE**2) + 0.5 * z**2 * PULSE**2 / (1.0 + PULSE**2)
+        each = _wider(z, PULSE)
         rare = log(3.0 / len(z))
         gain = np.logaddexp(np.log1p(-np.exp(rare)), rare + each)
         certain = 1.0 / (1.0 + np.exp(-np.clip(each + rare, -50.0, 50.0)))
