@@ -432,7 +432,7 @@ class Problem:
             if run.judged[Z]:
                 # A target that is held between controller cycles is known to about a tenth of a step.
                 index.numerical.append(len(columns))
-                slope = np.gradient(prediction[Z, here] * self.noise.sigma[Z, here], run.t_s)
+                slope = np.gradient(self.noise.natural(prediction)[Z, here], run.t_s)
                 columns.append(column(Z, 0.1 * run.samples_each / run.samples.rate_Hz * slope))
             # What averaging took away from the motion once, averaging again takes away again: so uncertain is the motion.
             cell = self.cell_at(effects, eta)
