@@ -34,7 +34,7 @@ from palpd.tick import NO_FRAMES, Floats, SensorFrames, Words
 SAMPLE_S = 0.001
 """One step of the counter."""
 
-READ_BYTES = 1024  # below the 4095 that a terminal gives at most, so that a short read means empty; six ticks of 1 kHz
+READ_BYTES = 4096  # more than a terminal gives at a time
 FRAME_BYTES = 22
 DATA = b"\xaa\x07\x08\x10"
 ANSWER = b"\xaa\x00\x50\x01"
@@ -486,27 +486,23 @@ class HexSensor:
             raise
 
     def _read_bytes(self) -> bytes:
+        """All that lies ready."""
         if self._serial is None:
             raise SensorError(f"sensor port {self.port} is closed; open it again.")
-        port, data = self._serial.fileno(), b""
+        port, data, gone = self._serial.fileno(), b"", False
         try:
-            while _waiting(port):
+            while not gone and _waiting(port):
                 chunk = os.read(port, READ_BYTES)
-                if not chunk:
-                    break
-                data += chunk
-                if len(chunk) < READ_BYTES:  # it has emptied the buffer
-                    return data
-            else:
-                return data
+                data, gone = data + chunk, not chunk
         except BlockingIOError:
-            return data
+            pass  # another reader of the port was quicker
         except OSError as error:
             if error.errno != errno.EIO:
                 raise SensorError(f"sensor port {self.port} fails with '{error.strerror}'; check the USB cable.") from None
-        if data:
-            return data
-        raise SensorError(f"sensor at {self.port} is gone (end of data from the port); plug it in and open it again.")
+            gone = True
+        if gone and not data:
+            raise SensorError(f"sensor at {self.port} is gone (end of data from the port); plug it in and open it again.")
+        return data
 
     def _write(self, data: bytes) -> None:
         assert self._serial is not None

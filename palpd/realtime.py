@@ -13,7 +13,7 @@ LOOP_PRIORITY = 60
 DEVICE_PRIORITY = 55
 """The receive threads of ur_rtde inherit it from the thread that makes them: newer states at hand, still below the loop. They hold locks
 that the loop needs, and none of these lends its holder the loop's priority, so nothing may stand between the two: interrupt threads of a
-real-time kernel have 50, and so have the emulators, behind two of which threads of 40 waited 13 ms in 20."""
+real-time kernel have 50."""
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _CAP_IPC_LOCK = 14
 
