@@ -90,6 +90,7 @@ class Guard(NamedTuple):
     last_wrench: Sequence[float] = ()
     equal_frames: int = 0
     rejected: float = 0.0
+    looked_s: float = -math.inf
 
 
 def guard(limits: Limits, memory: Guard, sight: Sight, proposed: Command) -> tuple[Guard, Verdict]:
@@ -127,13 +128,15 @@ def _listen(memory: Guard, sight: Sight) -> Guard:
         wrench, equal = newest, (equal + len(frames) if same else 0)
     fresh = sight.robot.timestamp_s != memory.robot_timestamp_s
     first = math.isnan(memory.sensor_heard_s)
+    forgotten = math.exp(min(memory.looked_s - now_s, 0.0))  # over a second, whatever the rate of the loop
     return memory._replace(
         sensor_heard_s=float(frames.t_s[-1]) if len(frames) else (now_s if first else memory.sensor_heard_s),
         robot_heard_s=sight.robot.t_s if fresh else memory.robot_heard_s,
         robot_timestamp_s=sight.robot.timestamp_s,
         last_wrench=wrench,
         equal_frames=equal,
-        rejected=memory.rejected * 0.99 + frames.rejected,
+        rejected=memory.rejected * forgotten + frames.rejected,
+        looked_s=now_s,
     )
 
 

@@ -171,6 +171,21 @@ def test_old_frames_that_arrive_late_do_not_make_the_sensor_young() -> None:
     assert verdict.trip == Trip.SENSOR_STALE
 
 
+@pytest.mark.parametrize("rate_Hz", [125, 500])
+def test_rejected_frames_are_counted_over_a_second_whatever_the_rate(rate_Hz: int) -> None:
+    def after(pause_s: float) -> Verdict:
+        memory, verdict = one(sight(frames=frames(rejected=40)))
+        for k in range(1, round(pause_s * rate_Hz) + 1):
+            now_s = 10.0 + k / rate_Hz
+            some = frames(now_s, rejected=40 if now_s >= 10.0 + pause_s else 0, seed=k)
+            memory, verdict = one(sight(now_s, frames=some), memory=memory)
+        return verdict
+
+    soon, later = after(1.2), after(1.6)  # 40 exp(-1.2) + 40 = 52.0, 40 exp(-1.6) + 40 = 48.1, and 50 are allowed
+    assert (soon.trip, later.action) == (Trip.SENSOR_REJECTS, Action.PASS)
+    assert soon.measured == pytest.approx(40 * (1 + math.exp(-1.2)))
+
+
 def test_a_robot_that_repeats_itself_is_stale() -> None:
     memory = Guard()
     for step in range(20):
