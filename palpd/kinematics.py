@@ -14,7 +14,7 @@ from palpd.reported import Reports, find_reports
 CUBIC = 3
 
 SURE = 2.0
-"""An acceleration that the command does not explain is believed where its rms is above so many times that of its noise."""
+"""A speed or an acceleration that the command does not explain is believed where its rms is above so many times that of its noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +52,8 @@ def measured_motion(
     that keep its noise, times the mass, below a tenth of the sensor's, and never over more than that quarter.
 
     Where commanded heights are given, all this is done to what the stated servo does not already say. Slopes may then be taken over half
-    its period, and are believed as far as they stand out of their noise (Wiener's filter, locally): else a filter that smooths the
-    noise of a prediction would bring it nearer to the readings.
+    its period, and speeds and slopes are believed as far as they stand out of their noise (Wiener's filter, locally): else a filter that
+    smooths the noise of a prediction would bring it nearer to the readings, and friction would feel a probe at rest that moves to and fro.
     """
     n = len(t_s)
     dt_s = float(np.median(np.diff(t_s)))
@@ -82,10 +82,17 @@ def measured_motion(
     left_m = np.hypot(z_noise / np.sqrt(span), v_noise * dt_s * np.sqrt((span - 1) / 12.0)) * np.sqrt(each)
     a_noise, trust = _slope_noise(v_noise, dt_s, width, each), np.ones(n)
     if z_cmd_m is not None:
-        square = uniform_filter1d(acceleration**2, 4 * half + 1, mode="nearest")
-        trust = np.clip(1.0 - (SURE * a_noise) ** 2 / np.maximum(square, 1e-300), 0.0, 1.0)
-        z_m, vz_m_per_s, acceleration = z_m + known[0], vz_m_per_s + known[1], known[2] + trust * acceleration
+        trust = _trust(acceleration, a_noise, 4 * half + 1)
+        vz_m_per_s = known[1] + _trust(vz_m_per_s, v_noise * (each / span) ** 0.5, 4 * half + 1) * vz_m_per_s
+        z_m, acceleration = z_m + known[0], known[2] + trust * acceleration
     return Motion(t_s - t_s[0], z_m, vz_m_per_s, acceleration, float(left_m), a_noise, v_noise, width, trust)
+
+
+def _trust(x: Floats, noise: float, span: int) -> Floats:
+    """What share of it to believe, where it is noise and something else: Wiener's filter, over `span` neighbours."""
+    square = uniform_filter1d(x**2, span, mode="nearest")
+    share: Floats = np.clip(1.0 - (SURE * noise) ** 2 / np.maximum(square, 1e-300), 0.0, 1.0)
+    return share
 
 
 def _white_noise(x: Floats) -> float:
