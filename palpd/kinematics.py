@@ -85,7 +85,8 @@ def measured_motion(
         trust = _trust(acceleration, a_noise, 4 * half + 1)
         vz_m_per_s = known[1] + _trust(vz_m_per_s, v_noise * (each / span) ** 0.5, 4 * half + 1) * vz_m_per_s
         z_m, acceleration = z_m + known[0], known[2] + trust * acceleration
-    return Motion(t_s - t_s[0], z_m, vz_m_per_s, acceleration, float(left_m), a_noise, v_noise, width, trust)
+    left_m_per_s2 = a_noise * float(np.sqrt(np.mean(trust**2)))
+    return Motion(t_s - t_s[0], z_m, vz_m_per_s, acceleration, float(left_m), left_m_per_s2, v_noise, width, trust)
 
 
 def _trust(x: Floats, noise: float, span: int) -> Floats:

@@ -73,16 +73,23 @@ CROSSTALK = Effect(
 )
 
 
+DEAD_BAND = 6.0
+"""Width of the dead band before a loop, in rms of the noise of its drive."""
+
+
 def _hysteresis(s: Span, p: Values, memory: Memory) -> None:
     """Exact over a step: w goes towards +1 while fz rises and towards -1 while it falls, by exp(-|Δfz|/width).
 
-    Noise of a measured motion would wear the loop down while nothing moves, so a dead band of that size comes first.
+    Noise of a measured motion would wear the loop down while nothing moves, so dead bands come first: in the air for the noise of
+    accelerations, in contact for that of heights, as the force to 2/3, which a sphere makes proportional to depth.
     """
     drive_N = s.fz_N
-    if s.z_noise_m > 0.0 or s.az_noise_m_per_s2 > 0.0:
-        stiffness_N_per_m = 1.5 * float(s.contact_N.max()) / max(float(s.depth_m.max()), float(np.finfo(float).tiny))
-        noise_N = np.hypot(stiffness_N_per_m * s.z_noise_m, s.constants.mass_kg * s.az_noise_m_per_s2)
-        drive_N = play(drive_N, 8.0 * float(noise_N), memory)
+    if s.z_noise_m > 0.0 or s.az_noise_m_per_s2 > 0.0:  # a whole recording, of which nothing is to be remembered
+        inertial_N = play(s.fz_N - s.contact_N, DEAD_BAND * s.constants.mass_kg * s.az_noise_m_per_s2, {})
+        as_depth = np.sign(s.contact_N) * np.abs(s.contact_N) ** (2.0 / 3.0)
+        per_m = float(as_depth.max()) / max(float(s.depth_m.max()), float(np.finfo(float).tiny))
+        as_depth = play(as_depth, DEAD_BAND * per_m * s.z_noise_m, {})
+        drive_N = inertial_N + np.sign(as_depth) * np.abs(as_depth) ** 1.5
     change_N = np.diff(drive_N, prepend=memory.get("fz_N", drive_N[0]))
     keep = np.exp(-np.abs(change_N) / p["width_N"])
     loop = recurrence(keep, np.sign(change_N) * (1.0 - keep), memory.get("w", 0.0))
