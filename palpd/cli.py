@@ -788,13 +788,16 @@ def blind(
     chosen = next((a for a in ABLATIONS if a == ablation), None)
     if ablation is not None and chosen is None:
         raise BadInput(f"--ablation is {ablation!r}; expected one of {', '.join(ABLATIONS)}")
+    beside = [load(path) for path in compare or []]
+    if other := [each["seed"] for each in beside if each["seed"] != seed]:
+        raise BadInput(f"--compare names a check of seed {other[0]}, expected {seed}: only the same cells can be compared")
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("blind check", total=cases)
         result = run(cases, seed, jobs=jobs, ablation=chosen, keep=keep, progress=lambda done: bar.update(task, completed=done))
     console.print(as_markdown(result["table"]), soft_wrap=True)
     _write_json(json_file, result)
     if docs is not None:
-        console.print(str(write_page(result, docs, [load(path) for path in compare or []])))
+        console.print(str(write_page(result, docs, beside)))
 
 
 def _blind_advice(cases: int, seed: int, jobs: int, json_file: Path | None) -> None:

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from palpd.gap.blind_cells import STRATA
-from palpd.gap.blind_score import LAWS, Outcome, alone, answer, as_markdown, by_effect, calibration, first_right, wilson
+from palpd.gap.blind_score import LAWS, Outcome, alone, answer, as_markdown, by_effect, calibration, first_right, table, wilson
 
 matplotlib.use("Agg")
 BLUE, ORANGE, GREY = "#0b7fab", "#e07b00", "#8a94a3"
@@ -39,6 +39,13 @@ COMPARED = (
     "known effect",
     "expected calibration",
 )
+
+ABLATED = {
+    "white noise": "*white noise*: the cell file states tolerances 10 000 times smaller and no press scatter: every residual is noise",
+    "no tolerances": "*no tolerances*: the cell file states them 10 000 times smaller, the scatter of presses as it is",
+    "no press scatter": "*no press scatter*: the cell file says that presses do not scatter",
+    "fz only": "*fz only*: neither the commanded heights nor the other five channels are shown",
+}
 
 
 def write_page(result: dict[str, Any], folder: Path, ablations: Sequence[dict[str, Any]] = ()) -> Path:
@@ -79,13 +86,21 @@ def write_page(result: dict[str, Any], folder: Path, ablations: Sequence[dict[st
 
 
 def _ablation_table(result: dict[str, Any], ablations: Sequence[dict[str, Any]]) -> list[str]:
-    """The same lines with a part of the method's footing taken away."""
-    every = [result, *ablations]
-    heads = [f"all ({result['cases']})", *(f"{a['ablation']} ({a['cases']})" for a in ablations)]
-    lines = ["| what | " + " | ".join(heads) + " |", "|---|" + "---|" * len(heads)]
-    for k, row in enumerate(result["table"]):
+    """Lines of the table with a part of the method's footing taken away, all of them of the cases that every check has drawn."""
+    cases = min(each["cases"] for each in [result, *ablations])
+    tables = [table(each["outcomes"][:cases]) for each in [result, *ablations]]
+    heads = ["everything", *(a["ablation"] for a in ablations)]
+    lines = [
+        f"The first {cases} cells once more, with a part taken away: `palpd blind --cases {cases} --seed {result['seed']} --ablation …`.",
+        "",
+        *(f"- {ABLATED[a['ablation']]}" for a in ablations),
+        "",
+        "| what | " + " | ".join(heads) + " |",
+        "|---|" + "---|" * len(heads),
+    ]
+    for k, row in enumerate(tables[0]):
         if row["what"].startswith(COMPARED):
-            lines.append(f"| {row['what']} | " + " | ".join(_brief(each["table"][k]) for each in every) + " |")
+            lines.append(f"| {row['what']} | " + " | ".join(_brief(each[k]) for each in tables) + " |")
     return lines
 
 

@@ -236,8 +236,11 @@ def test_a_small_fixed_check_runs_end_to_end_in_another_process(tmp_path: Path) 
     assert len(answers) == 3
     for path in answers:
         jsonschema.validate(json.loads(path.read_text(encoding="utf-8")), schema)
-    page = write_page(json.loads(json.dumps(result)), tmp_path / "docs").read_text(encoding="utf-8")
+    ablated = result | {"ablation": "fz only", "cases": 2, "outcomes": result["outcomes"][:2]}
+    page = write_page(json.loads(json.dumps(result)), tmp_path / "docs", [ablated]).read_text(encoding="utf-8")
     assert result["sealed_sha256"] in page
+    assert "The first 2 cells once more" in page
+    assert "| what | everything | fz only |" in page
     assert "| healthy cell kept silent |" in page
     assert (tmp_path / "docs" / "blind-confusion.png").stat().st_size > 10_000
 
