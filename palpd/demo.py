@@ -139,13 +139,20 @@ def cell_on_wires(
     """
     file = folder / "emulated-cell.yaml"
     save_cell(file, cell)
-    # a watchdog of 10 Hz: whoever tries the demo has other things running, and an emulated arm hurts nobody
+    # 0.1 s for watchdog and devices, twice the default: whoever tries the demo has other things running, and an emulated arm hurts nobody
+    patience_s = 0.1
     host = f"127.{os.getpid() >> 16 & 255}.{os.getpid() >> 8 & 255}.{os.getpid() % 253 + 2}"  # its own, so that two can run at once
     with emulated(folder, model, file, host, effects) as wires:
         yield Config(
-            robot=RobotConfig.model_validate({"host": host, "model": model, "watchdog_Hz": 10}),
+            robot=RobotConfig.model_validate({"host": host, "model": model, "watchdog_Hz": 1.0 / patience_s}),
             sensor=SensorConfig(port=wires.sensor),
-            safety=SafetyConfig(contact_limit_N=16.0 if plan is SHORT else 25.0, absolute_limit_N=40.0),
+            safety=SafetyConfig(
+                contact_limit_N=16.0 if plan is SHORT else 25.0,
+                absolute_limit_N=40.0,
+                robot_stale_s=patience_s,
+                sensor_stale_s=patience_s,
+                max_stall_s=patience_s,
+            ),
             paths=PathsConfig(runs=folder, state=folder / "state"),
             cell=cell.with_effects({}),
         )
