@@ -335,12 +335,19 @@ def weigh(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> Attribution:
     order = sorted(logs, key=lambda names: -logs[names])
     none = fits[()]
     gap = what_is_left(problem, none.remainder, none.linearisation, none.residual)
-    found: list[tuple[Fit, Left, float, float]] = []
+    judged: list[tuple[Fit, Left, float]] = []
     for names in dict.fromkeys([*order[:JUDGED], ()]):
         one = fits[names]
         left = what_is_left(problem, one.remainder, one.linearisation, one.residual) if names else gap
+        judged.append((one, left, prior(problem, len(names)) + occam[names]))
+    # One listed effect that leaves nothing is as good as any explanation can be: no data speak for what has any shape, alone or beside it.
+    clean = [worth + one.log_exact for one, left, worth in judged if len(one.names) == 1 and left.log_bayes_factor < 0.0]
+    most = max(clean, default=np.inf)
+    most -= log(max(1, sum(worth + one.log_exact + left.log_bayes_factor > most for one, left, worth in judged)))
+    found: list[tuple[Fit, Left, float, float]] = []
+    for one, left, worth in judged:
         energy = max(gap.energy, none.misfit - one.misfit + left.energy)
-        known, unknown = (prior(problem, len(names)) + occam[names] + w for w in _known_and_unknown(one, left, energy))
+        known, unknown = (worth + w for w in _known_and_unknown(one, left, energy, most - worth))
         found.append((one, left, known, unknown))
     total = float(np.logaddexp.reduce([w for *_, known, unknown in found for w in (known, unknown)]))
     weighed = []
@@ -357,18 +364,20 @@ def weigh(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> Attribution:
     return Attribution(weighed, p_none, p_unknown, marginal, _groups(weighed))
 
 
-def _known_and_unknown(one: Fit, left: Left, gap: float) -> tuple[float, float]:
+def _known_and_unknown(one: Fit, left: Left, gap: float, most: float) -> tuple[float, float]:
     """Log likelihoods with these effects, without and with something unknown beside them.
 
     Either laws as inexact as laws are suffice, or exact laws leave something of any shape. Which of both is an inexact law and which
-    something unknown is told by its share of the gap's energy `gap`: small, or any.
+    something unknown is told by its share of the gap's energy `gap`: small, or any. What is left, of any shape, makes the data at `most`
+    so likely.
     """
+    any_shape = log(P_UNKNOWN) + min(one.log_exact + left.log_bayes_factor, most)
     if not one.names:
-        return log(1.0 - P_UNKNOWN) + one.log_exact, log(P_UNKNOWN) + one.log_exact + left.log_bayes_factor
+        return log(1.0 - P_UNKNOWN) + one.log_exact, any_shape
     sums = []
     for evidence, energy in (
         (log(1.0 - P_UNKNOWN) + one.log_likelihood, one.law_energy),
-        (log(P_UNKNOWN) + one.log_exact + left.log_bayes_factor, left.energy),
+        (any_shape, left.energy),
     ):
         share = min(energy / max(gap, 1.0), 1.0)
         log_odds = log(1.0 - P_UNKNOWN) - log(P_UNKNOWN) - share / LAW_ENERGY - log(LAW_ENERGY)

@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from math import log
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,9 @@ from palpd.cell import WRENCH, simulate
 from palpd.cell_file import CellFile, Estimated, cell_from, nominal
 from palpd.effects import EFFECTS
 from palpd.errors import RecordingError
+from palpd.gap.attribute import P_UNKNOWN, _known_and_unknown
 from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.gap.discrepancy import Left
 from palpd.gap.problem import make_problem
 from palpd.reported import find_reports
 from palpd.samples import Samples
@@ -259,3 +263,11 @@ def test_a_press_that_an_effect_takes_away_takes_its_columns_along() -> None:
         numbers = [k for k, _ in there.index.press] + [k for _, k, _ in there.index.own] + there.index.numerical
         assert len(there.eta) + max(numbers) < len(there.columns)
     assert len(sunk.index.press) < len(plain.index.press)
+
+
+def test_what_has_any_shape_is_worth_no_more_than_the_listed_effect_that_leaves_nothing() -> None:
+    surface: Any = SimpleNamespace(names=("tissue.surface",), log_exact=-400.0, log_likelihood=-80.0, law_energy=50.0)
+    left = Left(390.0, 1000.0, "fz_N", "loading")
+    alone, beside_plasticity = (np.logaddexp(*_known_and_unknown(surface, left, 2000.0, most)) for most in (np.inf, -30.0))
+    assert alone == pytest.approx(log(P_UNKNOWN) - 10.0, abs=0.01)
+    assert beside_plasticity == pytest.approx(log(P_UNKNOWN) - 30.0, abs=0.01)
