@@ -23,17 +23,17 @@ lint: setup
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 
-# what runs over emulated wires waits most of its time, so the rest goes beside it, and gives way to it
+# what runs over emulated wires, or waits for a container, waits most of its time, so the rest goes beside it, and gives way to it
 test: lint
-	$(MAKE) --jobs=2 --output-sync test-wires test-rest
+	$(MAKE) --jobs=3 --output-sync test-wires test-rest test-service
 
 test-wires: setup
 	.venv/bin/pytest -m hil
 
-# besides the tests, the long measurements in short, and the service under a real systemd where root and systemd-nspawn are there
+# besides the tests, the long measurements in short
 test-rest: setup
 	nice .venv/bin/pytest -m "not hil"
-	nice $(MAKE) samples test-service
+	nice $(MAKE) samples
 
 # ten minutes; writes docs/benchmarks.md. bench-long: an hour and a half, without the soak and the faults, which have targets of their own
 bench: setup
@@ -75,7 +75,7 @@ samples: setup audit
 
 # boots systemd in a container: needs root and systemd-nspawn, and says so where it is skipped
 test-service: setup
-	timeout --kill-after=30 600 .venv/bin/pytest -rs -s tests/service/nspawn.py
+	nice timeout --kill-after=30 600 .venv/bin/pytest -rs -s tests/service/nspawn.py
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .import_linter_cache
