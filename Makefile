@@ -4,7 +4,7 @@ UV := .venv/bin/uv
 READY := .venv/.ready
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo test test-wires test-rest test-service lint bench bench-long faults presses soak mutation audit samples clean
+.PHONY: setup demo test test-wires test-rest check test-service lint bench bench-long faults presses soak mutation audit samples clean
 
 setup: $(READY)
 
@@ -23,17 +23,18 @@ lint: setup
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 
-# what runs over emulated wires, or waits for a container, waits most of its time, so the rest goes beside it, and gives way to it
+# what runs over emulated wires waits most of its time, so the rest goes beside it, and gives way to it
 test: lint
-	$(MAKE) --jobs=3 --output-sync test-wires test-rest test-service
+	$(MAKE) --jobs=2 --output-sync test-wires test-rest
 
 test-wires: setup
 	.venv/bin/pytest -m hil
 
-# besides the tests, the long measurements in short
 test-rest: setup
 	nice .venv/bin/pytest -m "not hil"
-	nice $(MAKE) samples
+
+# the tests, the long measurements in short, and the service under a real systemd where root and systemd-nspawn are there
+check: test samples test-service
 
 # ten minutes; writes docs/benchmarks.md. bench-long: an hour and a half, without the soak and the faults, which have targets of their own
 bench: setup
@@ -68,14 +69,15 @@ mutation: setup
 audit: setup
 	.venv/bin/python -m benchmarks.audit
 
-# the long ones in short, where no clock is looked at: half a minute. Faults, walls and reactions are tests over wires
+# the long ones in short: a minute or two
 samples: setup audit
 	.venv/bin/python -m benchmarks.presses --presses 20
 	.venv/bin/python -m benchmarks.mutation --only safety --share 0.1
+	.venv/bin/python -m benchmarks.reaction --model ur5 --pushes 10 --each 1 --speed 0.01 --stiffness 5000
 
 # boots systemd in a container: needs root and systemd-nspawn, and says so where it is skipped
 test-service: setup
-	nice timeout --kill-after=30 600 .venv/bin/pytest -rs -s tests/service/nspawn.py
+	timeout --kill-after=30 600 .venv/bin/pytest -rs -s tests/service/nspawn.py
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .import_linter_cache
