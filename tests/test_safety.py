@@ -59,6 +59,7 @@ def test_the_contact_limit_retracts_at_its_value_and_not_below() -> None:
         assert not memory.over
         if beyond:
             assert verdict.command.velocity_m_per_s == (0.0, 0.0, RETRACT_M_PER_S)
+            assert RETRACT_M_PER_S > 0.0, "up is away from the tissue"
             assert verdict.trip == Trip.CONTACT_FORCE
             assert verdict.measured == value
 
@@ -184,6 +185,14 @@ def test_rejected_frames_are_counted_over_a_second_whatever_the_rate(rate_Hz: in
     soon, later = after(1.2), after(1.6)  # 40 exp(-1.2) + 40 = 52.0, 40 exp(-1.6) + 40 = 48.1, and 50 are allowed
     assert (soon.trip, later.action) == (Trip.SENSOR_REJECTS, Action.PASS)
     assert soon.measured == pytest.approx(40 * (1 + math.exp(-1.2)))
+
+
+def test_a_robot_that_falls_silent_after_it_was_heard_is_stale() -> None:
+    memory, verdict = one(sight(10.0))
+    memory, verdict = one(sight(10.008), memory=memory)
+    assert (memory.robot_heard_s, verdict.action) == (10.008, Action.PASS)
+    _, verdict = one(sight(10.07, robot=robot(10.008)), memory=memory)
+    assert verdict.trip == Trip.ROBOT_STALE
 
 
 def test_a_robot_that_repeats_itself_is_stale() -> None:
