@@ -791,6 +791,8 @@ def blind(
     beside = [load(path) for path in compare or []]
     if other := [each["seed"] for each in beside if each["seed"] != seed]:
         raise BadInput(f"--compare names a check of seed {other[0]}, expected {seed}: only the same cells can be compared")
+    if any(each["ablation"] is None for each in beside):
+        raise BadInput("--compare names a check from which nothing was taken away; give the JSON of one with --ablation")
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("blind check", total=cases)
         result = run(cases, seed, jobs=jobs, ablation=chosen, keep=keep, progress=lambda done: bar.update(task, completed=done))
