@@ -90,7 +90,7 @@ class Guard(NamedTuple):
     last_wrench: Sequence[float] = ()
     equal_frames: int = 0
     rejected: float = 0.0
-    looked_s: float = -math.inf
+    looked_s: float = math.inf
 
 
 def guard(limits: Limits, memory: Guard, sight: Sight, proposed: Command) -> tuple[Guard, Verdict]:
@@ -201,13 +201,14 @@ def _finite(robot: RobotState, frames: SensorFrames, contact: Contact, proposed:
         contact.torque_Nm,
         *proposed.velocity_m_per_s,
     )
-    return all(map(math.isfinite, numbers)) and math.isfinite(frames.wrench.sum() + frames.t_s.sum())
+    return all(map(math.isfinite, numbers)) and math.isfinite(frames.wrench.sum()) and math.isfinite(frames.t_s.sum())
 
 
 def _outside(robot: RobotState, workspace_m: tuple[tuple[float, float], ...] | None) -> tuple[Trip, float, float] | None:
-    for position_m, (low_m, high_m) in zip(robot.tcp_pose[:3], workspace_m or (), strict=False):
-        if not low_m <= position_m <= high_m:
-            return Trip.OUTSIDE_WORKSPACE, position_m, low_m if position_m < low_m else high_m
+    for position_m, (low_m, high_m) in zip(robot.tcp_pose, workspace_m or (), strict=False):
+        nearest_m = min(max(position_m, low_m), high_m)
+        if position_m != nearest_m:
+            return Trip.OUTSIDE_WORKSPACE, position_m, nearest_m
     return None
 
 

@@ -22,6 +22,9 @@ DRIFT_N = 0.2
 FREE_N = 3.0
 """Most that a run's tare may differ from the reference: warm-up of a cold HEX is 0.8 N in 90 min, a resting probe presses more."""
 
+LINEAR = slice(3)
+"""The linear part of a wrench, a speed or a pose."""
+
 Rotation = tuple[tuple[float, float, float], ...]
 """Three rows of a rotation matrix, as plain floats: it is made anew in every tick."""
 
@@ -32,8 +35,9 @@ def base_from_sensor(rotation_vector_rad: tuple[float, ...], about_flange_z_rad:
     `rotation_vector_rad` (3,) is the axis-angle vector of a UR pose (Rodrigues' formula).
     """
     rx, ry, rz = rotation_vector_rad
-    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
-    x, y, z = (rx / angle, ry / angle, rz / angle) if angle > 1e-12 else (0.0, 0.0, 1.0)
+    angle = math.hypot(rx, ry, rz)
+    scale = 1.0 / angle if angle else 0.0
+    x, y, z = rx * scale, ry * scale, rz * scale
     s, c = math.sin(angle), math.cos(angle)
     v = 1.0 - c
     first = (c + x * x * v, y * x * v + z * s, z * x * v - y * s)  # columns: where the tool's x and y point
@@ -45,11 +49,8 @@ def base_from_sensor(rotation_vector_rad: tuple[float, ...], about_flange_z_rad:
 
 def tilt_rad(rotation_vector_rad: tuple[float, ...]) -> float:
     """Angle between the tool's z axis and the base's -z."""
-    rx, ry, rz = rotation_vector_rad
-    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
-    z = rz / angle if angle > 1e-12 else 1.0
-    cosine = -(math.cos(angle) + z * z * (1.0 - math.cos(angle)))
-    return math.acos(min(1.0, max(-1.0, cosine)))
+    x, y, z = (row[2] for row in base_from_sensor(rotation_vector_rad, 0.0))
+    return math.atan2(math.hypot(x, y), -z)
 
 
 def to_base(wrench: Sequence[float], zero: Sequence[float], rotation: Rotation) -> list[float]:
@@ -76,7 +77,7 @@ class Tare:
                 self._first_s = float(frames.t_s[0])
             self._wrenches.append(frames.wrench)
             self._last_s = float(frames.t_s[-1])
-        speed = max(abs(v) for v in robot.tcp_speed[:3])
+        speed = max(abs(v) for v in robot.tcp_speed[LINEAR])
         self._fastest_m_per_s = max(self._fastest_m_per_s, speed)
         return self._last_s - self._first_s >= DURATION_S
 
@@ -88,15 +89,14 @@ class Tare:
         """One sentence if these frames are no tare: the arm moved, the sensor shook or drifted, or the probe is not free."""
         if not self._wrenches:
             return "no frame came from the force sensor during the tare; check its cable and power"
-        wrench = np.concatenate(self._wrenches)
-        mean = wrench.mean(axis=0)
-        spread = float(wrench[:, :3].std(axis=0).max())
-        half = len(wrench) // 2
-        drift = float(np.abs(wrench[half:, :3].mean(axis=0) - wrench[:half, :3].mean(axis=0)).max()) if half else 0.0
+        forces_N = np.concatenate(self._wrenches)[:, LINEAR]
+        spread = float(forces_N.std(axis=0).max())
+        early, late = np.array_split(forces_N, 2)
+        drift = float(np.abs(late.mean(axis=0) - early.mean(axis=0)).max()) if len(late) else 0.0
         if self._fastest_m_per_s > STILL_M_PER_S:
             return (
                 f"the arm moved at {self._fastest_m_per_s * 1e3:.1f} mm/s during the tare, expected below "
-                f"{STILL_M_PER_S * 1e3:.0f} mm/s; let it come to rest"
+                f"{STILL_M_PER_S * 1e3:g} mm/s; let it come to rest"
             )
         if spread > STABLE_RMS_N:
             return (
@@ -106,7 +106,7 @@ class Tare:
         if drift > DRIFT_N:
             return f"the force moved by {drift:.2f} N during the tare, expected below {DRIFT_N:g} N; let the sensor warm up"
         if self.reference is not None:
-            away = float(np.linalg.norm(mean[:3] - self.reference[:3]))
+            away = float(np.linalg.norm(forces_N.mean(axis=0) - self.reference[LINEAR]))
             if away > FREE_N:
                 return (
                     f"the force at rest is {away:.1f} N away from the reference tare, expected below {FREE_N:g} N: the probe is loaded "

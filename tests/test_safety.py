@@ -9,21 +9,36 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palpd.safety import FROZEN_FRAMES, RETRACT_M_PER_S, TILT_RAD, Guard, Sight, guard, sentence
-from palpd.tick import NO_FRAMES, STOP, Action, Command, Request, RobotMode, SafetyMode, Timing, Trip, Verdict
+from palpd.safety import DEPTH_MARGIN_M, FROZEN_FRAMES, RETRACT_M_PER_S, TILT_RAD, Guard, Limits, Sight, guard, sentence
+from palpd.tick import NO_FRAMES, PROGRAM_PLAYING, STOP, Action, Command, Request, RobotMode, SafetyMode, Timing, Trip, Verdict
 from tests.scenes import LIMITS, contact, frames, robot, sight
 
 DOWN = Command((0.0, 0.0, -0.01))
 
 
-def one(seen: Sight, proposed: Command = DOWN, memory: Guard | None = None) -> tuple[Guard, Verdict]:
-    return guard(LIMITS, memory or Guard(), seen, proposed)
+def one(seen: Sight, proposed: Command = DOWN, memory: Guard | None = None, limits: Limits = LIMITS) -> tuple[Guard, Verdict]:
+    return guard(limits, memory or Guard(), seen, proposed)
 
 
 def test_a_healthy_sight_passes_the_proposal_unchanged() -> None:
     memory, verdict = one(sight())
     assert verdict == Verdict(DOWN)
     assert not memory.over
+    assert (memory.trip, memory.measured, memory.limit, memory.retracting) == (Trip.NONE, 0.0, 0.0, False)
+
+
+def test_a_sight_that_names_no_floor_and_no_tilt_has_none() -> None:
+    healthy = sight()
+    assert one(Sight(healthy.timing, healthy.robot, healthy.frames, healthy.contact))[1] == Verdict(DOWN)
+
+
+def test_the_numbers_of_the_safety_argument() -> None:
+    """As docs/safety.md gives them: changing one means changing the argument."""
+    assert RETRACT_M_PER_S == 0.02
+    assert DEPTH_MARGIN_M == 0.0005
+    assert math.degrees(TILT_RAD) == pytest.approx(2.0)
+    assert FROZEN_FRAMES == 200
+    assert (LIMITS.max_rejected_per_s, LIMITS.overload_N, LIMITS.needs_program) == (50.0, 200.0, True)
 
 
 def around(limit: float) -> list[tuple[float, bool]]:
@@ -47,9 +62,8 @@ LIMIT_CLAIMS = [
 def test_a_force_limit_stops_at_its_value_and_not_below(name: str, trip: Trip, limit: float) -> None:
     for value, beyond in around(limit):
         memory, verdict = one(forces(name)(value))
-        assert (verdict.trip == trip) == beyond, value
+        assert verdict == (Verdict(STOP, Action.STOP, trip, value, limit) if beyond else Verdict(DOWN))
         assert memory.over == beyond
-        assert verdict.command == (STOP if beyond else DOWN)
 
 
 def test_the_contact_limit_retracts_at_its_value_and_not_below() -> None:
@@ -59,16 +73,21 @@ def test_the_contact_limit_retracts_at_its_value_and_not_below() -> None:
         assert not memory.over
         if beyond:
             assert verdict.command.velocity_m_per_s == (0.0, 0.0, RETRACT_M_PER_S)
-            assert RETRACT_M_PER_S > 0.0, "up is away from the tissue"
-            assert verdict.trip == Trip.CONTACT_FORCE
-            assert verdict.measured == value
+            assert (verdict.trip, verdict.measured, verdict.limit) == (Trip.CONTACT_FORCE, value, LIMITS.contact_N)
+
+
+def test_a_retract_is_no_faster_than_the_arm_may_be() -> None:
+    _, verdict = one(sight(contact=contact(force_N=13.0)), limits=replace(LIMITS, max_speed_m_per_s=0.015))
+    assert verdict.command.velocity_m_per_s == (0.0, 0.0, 0.015)
 
 
 def test_a_retract_ends_with_a_stop_at_the_safe_height_and_reports_the_force() -> None:
     memory, _ = one(sight(contact=contact(force_N=13.0)))
-    memory, verdict = one(sight(10.008, contact=contact(force_N=1.0)), memory=memory)
+    memory, verdict = one(sight(10.008, contact=contact(force_N=14.0)), memory=memory)
+    assert (verdict.action, verdict.measured) == (Action.RETRACT, 13.0), "what tripped is told, not what came of it"
+    memory, verdict = one(sight(10.009, contact=contact(force_N=1.0)), memory=memory)
     assert verdict.action == Action.RETRACT, "below the limit again is no reason to go on"
-    memory, verdict = one(sight(10.016, robot=robot(10.016, z_m=0.031)), memory=memory)
+    memory, verdict = one(sight(10.016, robot=robot(10.016, z_m=0.03)), memory=memory)
     assert memory.over
     assert verdict == Verdict(STOP, Action.STOP, Trip.CONTACT_FORCE, 13.0, LIMITS.contact_N)
 
@@ -85,8 +104,7 @@ def test_after_the_end_only_stops_go_out() -> None:
     memory, _ = one(sight(contact=contact(absolute_N=30.0)))
     for step in range(1, 5):
         memory, verdict = one(sight(10.0 + 0.008 * step), memory=memory)
-        assert verdict.command == STOP
-        assert verdict.trip == Trip.ABSOLUTE_FORCE
+        assert verdict == Verdict(STOP, Action.STOP, Trip.ABSOLUTE_FORCE, 30.0, LIMITS.absolute_N)
 
 
 def test_retaring_under_load_does_not_raise_the_absolute_limit() -> None:
@@ -95,35 +113,62 @@ def test_retaring_under_load_does_not_raise_the_absolute_limit() -> None:
     assert verdict.trip == Trip.ABSOLUTE_FORCE
 
 
-FAULTS: list[tuple[Trip, Sight]] = [
-    (Trip.OPERATOR, sight(request=Request.ABORT)),
-    (Trip.SUPERVISOR, sight(request=Request.ORPHANED)),
-    (Trip.CONNECTION, sight(robot=robot(connected=False))),
-    (Trip.ROBOT_MODE, sight(robot=robot(robot_mode=RobotMode.POWER_OFF))),
-    (Trip.SAFETY_MODE, sight(robot=robot(safety_mode=SafetyMode.PROTECTIVE_STOP))),
-    (Trip.PROGRAM_STOPPED, sight(robot=robot(runtime_state=1))),
-    (Trip.SENSOR_STATUS, sight(frames=frames(status=np.array([0] * 7 + [0x0400], np.uint16)))),
-    (Trip.SENSOR_STATUS, sight(frames=frames(status=np.array([0x0200] + [0] * 7, np.uint16)))),
-    (Trip.SENSOR_REJECTS, sight(frames=frames(rejected=51))),
-    (Trip.LATE_TICKS, sight(timing=Timing(7, 10.0, 10.0, missed=7))),
-    (Trip.OVERLOAD, sight(contact=contact(tared=np.full((1, 6), 200.0)))),
-    (Trip.TILTED, sight(tilt_rad=math.nextafter(TILT_RAD, 1.0))),
-    (Trip.BELOW_MIN_Z, sight(robot=robot(z_m=-0.1001), floor_z_m=-1.0)),
-    (Trip.TOO_DEEP, sight(robot=robot(z_m=-0.0506))),
-    (Trip.OUTSIDE_WORKSPACE, sight(robot=robot(tcp_pose=(0.6, 0.0, 0.02, math.pi, 0.0, 0.0)))),
-    (Trip.OUTSIDE_WORKSPACE, sight(robot=robot(tcp_pose=(0.0, -0.6, 0.02, math.pi, 0.0, 0.0)))),
-    (Trip.NOT_FINITE, sight(contact=contact(force_N=math.nan))),
-    (Trip.NOT_FINITE, sight(robot=robot(tcp_pose=(0.0, 0.0, math.nan, math.pi, 0.0, 0.0)))),
-    (Trip.NOT_FINITE, sight(frames=frames(wrench=np.full((8, 6), np.inf)))),
+FORCE_OF_200_N = np.array([[0.0, 0.0, -200.0, 0.0, 0.0, 0.0], [0.0] * 6])
+TOO_TILTED = math.nextafter(TILT_RAD, 1.0)
+IN_FLOOR_M, IN_WALL_M = -0.1001, math.nextafter(0.5, 1.0)
+FAULTS: list[tuple[Trip, Sight, float, float]] = [  # with what is measured and what was expected
+    (Trip.OPERATOR, sight(request=Request.ABORT), 1.0, 0.0),
+    (Trip.SUPERVISOR, sight(request=Request.ORPHANED), 1.0, 0.0),
+    (Trip.CONNECTION, sight(robot=robot(connected=False)), 1.0, 0.0),
+    (Trip.ROBOT_MODE, sight(robot=robot(robot_mode=RobotMode.POWER_OFF)), RobotMode.POWER_OFF, RobotMode.RUNNING),
+    (Trip.SAFETY_MODE, sight(robot=robot(safety_mode=SafetyMode.PROTECTIVE_STOP)), SafetyMode.PROTECTIVE_STOP, SafetyMode.NORMAL),
+    (Trip.PROGRAM_STOPPED, sight(robot=robot(runtime_state=1)), 1, PROGRAM_PLAYING),
+    (Trip.SENSOR_STATUS, sight(frames=frames(status=np.array([0] * 7 + [0x0400], np.uint16))), 0x0400, 0.0),
+    (Trip.SENSOR_STATUS, sight(frames=frames(status=np.array([0x0200] + [0] * 7, np.uint16))), 0x0200, 0.0),
+    (Trip.SENSOR_REJECTS, sight(frames=frames(rejected=51)), 51.0, 50.0),
+    (Trip.LATE_TICKS, sight(timing=Timing(7, 10.0, 10.0, missed=7)), 7, LIMITS.max_missed_ticks),
+    (Trip.OVERLOAD, sight(contact=contact(tared=FORCE_OF_200_N)), 200.0, 200.0),
+    (Trip.TILTED, sight(tilt_rad=TOO_TILTED), TOO_TILTED, TILT_RAD),
+    (Trip.BELOW_MIN_Z, sight(robot=robot(z_m=IN_FLOOR_M), floor_z_m=-1.0), IN_FLOOR_M, -0.1),
+    (Trip.TOO_DEEP, sight(robot=robot(z_m=-0.0506)), -0.0506, -0.05 - DEPTH_MARGIN_M),
+    (Trip.OUTSIDE_WORKSPACE, sight(robot=robot(tcp_pose=(IN_WALL_M, 0.0, 0.02, math.pi, 0.0, 0.0))), IN_WALL_M, 0.5),
+    (Trip.OUTSIDE_WORKSPACE, sight(robot=robot(tcp_pose=(0.0, -0.6, 0.02, math.pi, 0.0, 0.0))), -0.6, -0.5),
+    (Trip.OUTSIDE_WORKSPACE, sight(robot=robot(z_m=0.51), safe_z_m=1.0), 0.51, 0.5),
 ]
 
 
-@pytest.mark.parametrize(("trip", "seen"), FAULTS, ids=lambda value: value.name if isinstance(value, Trip) else "")
-def test_a_fault_stops_the_arm_where_it_is(trip: Trip, seen: Sight) -> None:
+@pytest.mark.parametrize(("trip", "seen", "measured", "limit"), FAULTS, ids=[fault[0].name for fault in FAULTS])
+def test_a_fault_stops_the_arm_where_it_is_and_says_what_was_measured(trip: Trip, seen: Sight, measured: float, limit: float) -> None:
     memory, verdict = one(seen)
-    assert verdict.trip == trip
-    assert verdict.command == STOP
+    assert verdict == Verdict(STOP, Action.STOP, trip, measured, limit)
     assert memory.over
+
+
+def spoilt(values: tuple[float, ...], at: int) -> tuple[float, ...]:
+    return (*values[:at], math.nan, *values[at + 1 :])
+
+
+BAD = np.array([[0.0] * 6] * 7 + [[0.0] * 5 + [math.inf]])
+NOT_FINITE: list[Sight] = [
+    sight(contact=contact(force_N=math.nan)),
+    sight(contact=contact(absolute_N=math.inf)),
+    sight(contact=contact(lateral_N=-math.inf)),
+    sight(contact=contact(torque_Nm=math.nan)),
+    sight(timing=Timing(0, 10.0, math.nan)),
+    sight(robot=robot(math.inf)),
+    *[sight(robot=robot(tcp_pose=spoilt(robot().tcp_pose, at))) for at in range(6)],
+    *[sight(robot=robot(tcp_speed=spoilt(robot().tcp_speed, at))) for at in range(6)],
+    *[sight(robot=robot(target_pose=spoilt(robot().target_pose, at))) for at in range(6)],
+    sight(frames=frames(wrench=BAD)),
+    sight(frames=frames(wrench=-BAD)),
+    sight(frames=replace(frames(), t_s=np.array([math.nan] + [10.0] * 7))),
+    sight(frames=replace(frames(wrench=BAD), t_s=np.array([-math.inf] + [10.0] * 7))),
+]
+
+
+@pytest.mark.parametrize("seen", NOT_FINITE)
+def test_one_number_that_is_not_finite_stops_the_arm(seen: Sight) -> None:
+    assert one(seen)[1] == Verdict(STOP, Action.STOP, Trip.NOT_FINITE, 1.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -133,16 +178,44 @@ def test_a_fault_stops_the_arm_where_it_is(trip: Trip, seen: Sight) -> None:
         sight(timing=Timing(6, 10.0, 10.0, missed=6)),
         sight(frames=frames(rejected=50)),
         sight(tilt_rad=TILT_RAD),
-        sight(robot=robot(z_m=-0.0505), floor_z_m=-0.05),
+        sight(robot=robot(z_m=-0.05 - DEPTH_MARGIN_M), floor_z_m=-0.05),
+        sight(robot=robot(z_m=-0.1), floor_z_m=-1.0),
+        sight(robot=robot(tcp_pose=(-0.5, 0.5, 0.02, math.pi, 0.0, 0.0))),
+        sight(robot=robot(z_m=0.5), safe_z_m=1.0),
+        sight(contact=contact(tared=np.array([[199.9, -199.9, 199.9, 500.0, 500.0, 500.0]]))),
         sight(request=Request.PAUSE),
     ],
 )
 def test_what_is_just_inside_passes(seen: Sight) -> None:
-    assert one(seen)[1].action == Action.PASS
+    assert one(seen)[1] == Verdict(DOWN)
+
+
+def test_a_device_may_be_silent_for_exactly_as_long_as_it_may() -> None:
+    limits = replace(LIMITS, robot_stale_s=0.0625, sensor_stale_s=0.0625)
+    heard, _ = one(sight(), limits=limits)
+    for now_s, action in ((10.0625, Action.PASS), (math.nextafter(10.0625, 11.0), Action.STOP)):
+        silent_robot = one(sight(now_s, robot=robot(10.0)), memory=heard, limits=limits)[1]
+        silent_sensor = one(sight(now_s, frames=NO_FRAMES), memory=heard, limits=limits)[1]
+        assert (silent_robot.action, silent_sensor.action) == (action, action)
+    assert (silent_robot.trip, silent_robot.limit) == (Trip.ROBOT_STALE, 0.0625)
+    assert (silent_sensor.trip, silent_sensor.limit) == (Trip.SENSOR_STALE, 0.0625)
+    assert silent_robot.measured == silent_sensor.measured == pytest.approx(0.0625)
+
+
+def test_without_frames_there_is_no_force_to_judge() -> None:
+    silent = sight(frames=NO_FRAMES, contact=contact(tared=np.empty((0, 6))))
+    assert one(silent, limits=replace(LIMITS, overload_N=0.5))[1].action == Action.PASS
+
+
+def test_a_dry_run_needs_no_program() -> None:
+    stopped = sight(robot=robot(runtime_state=1))
+    assert one(stopped, limits=replace(LIMITS, needs_program=False))[1].action == Action.PASS
 
 
 def test_a_proposal_that_is_too_fast_or_not_finite_never_goes_out() -> None:
-    assert one(sight(), Command((0.0, 0.04, 0.04)))[1].trip == Trip.SPEED
+    _, verdict = one(sight(), Command((0.0, 0.04, 0.04)))
+    assert verdict == Verdict(STOP, Action.STOP, Trip.SPEED, math.hypot(0.04, 0.04), 0.05)
+    assert one(sight(), Command((0.0, 0.0, 0.05 * (1 + 1e-9))))[1].action == Action.PASS, "rounding is no speed"
     assert one(sight(), Command((math.nan, 0.0, 0.0)))[1].trip == Trip.NOT_FINITE
     assert one(sight(), Command((0.0, 0.0, 0.05)))[1].action == Action.PASS
 
@@ -187,6 +260,12 @@ def test_rejected_frames_are_counted_over_a_second_whatever_the_rate(rate_Hz: in
     assert soon.measured == pytest.approx(40 * (1 + math.exp(-1.2)))
 
 
+def test_time_that_goes_back_makes_no_rejects() -> None:
+    memory, _ = one(sight(frames=frames(rejected=40)))
+    memory, verdict = one(sight(9.0), memory=memory)
+    assert (verdict.action, memory.rejected) == (Action.PASS, 40.0)
+
+
 def test_a_robot_that_falls_silent_after_it_was_heard_is_stale() -> None:
     memory, verdict = one(sight(10.0))
     memory, verdict = one(sight(10.008), memory=memory)
@@ -215,8 +294,12 @@ def test_a_sensor_stuck_to_the_last_digit_is_found() -> None:
             break
     assert verdict.trip == Trip.SENSOR_FROZEN
     assert step >= FROZEN_FRAMES // 8
+    assert (verdict.measured, verdict.limit) == (memory.equal_frames, FROZEN_FRAMES)
     _, verdict = one(sight(), memory=memory._replace(over=False, trip=Trip.NONE, equal_frames=FROZEN_FRAMES))
     assert verdict.action == Action.PASS, "one frame that differs is life"
+    almost = Guard(last_wrench=stuck[0].tolist(), equal_frames=FROZEN_FRAMES - 8)
+    assert one(sight(frames=frames(wrench=stuck)), memory=almost)[1].action == Action.PASS
+    assert one(sight(frames=frames(wrench=stuck)), memory=almost._replace(equal_frames=FROZEN_FRAMES - 7))[1].trip == Trip.SENSOR_FROZEN
 
 
 def test_no_workspace_and_no_floor_mean_no_such_trip() -> None:
@@ -270,6 +353,20 @@ def test_the_newest_of_several_frames_is_what_the_next_ones_are_compared_with() 
     assert memory.equal_frames == 2
     memory, _ = one(sight(frames=frames(n=2, wrench=np.array([other_row, one_row]))), memory=memory)
     assert memory.equal_frames == 0
+
+
+def test_the_first_frames_are_compared_among_themselves_and_the_next_with_them() -> None:
+    stuck, other = np.full((8, 6), 0.3), np.full((8, 6), 0.4)
+    memory, _ = one(sight(frames=frames(wrench=stuck)))
+    assert memory.equal_frames == 8
+    memory, _ = one(sight(frames=frames(wrench=stuck)), memory=memory)
+    assert memory.equal_frames == 16
+    memory, _ = one(sight(frames=frames(n=1, wrench=other[:1])), memory=memory)
+    assert memory.equal_frames == 0
+    memory, _ = one(sight(frames=frames(wrench=other)), memory=memory)
+    assert memory.equal_frames == 8
+    memory, _ = one(sight(frames=frames(wrench=stuck)), memory=memory)
+    assert memory.equal_frames == 0, "all equal, but not what was before"
 
 
 def test_the_newest_frame_tells_how_old_the_sensor_is() -> None:
