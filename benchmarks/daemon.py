@@ -24,12 +24,15 @@ CYCLE_US = {"ur5": 8000, "ur5e": 2000}
 
 
 class Cyclictest:
-    """cyclictest at the loop's own rate, beside the daemon; nothing where it is not installed or not permitted."""
+    """cyclictest at the loop's own rate, beside the daemon; nothing where it is not installed or not permitted.
+
+    `--laptop`: it leaves it to whom it is compared with whether processors may sleep; else it forbids it for both.
+    """
 
     def __init__(self, interval_us: int) -> None:
         self._process: subprocess.Popen[str] | None = None
         if shutil.which("cyclictest"):
-            command = ["cyclictest", "--quiet", "--mlockall", "--priority=60", f"--interval={interval_us}", "--histogram=20000"]
+            command = ["cyclictest", "--quiet", "--laptop", "--mlockall", "--priority=60", f"--interval={interval_us}", "--histogram=20000"]
             self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
 
     def end(self) -> dict[str, float] | None:

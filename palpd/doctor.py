@@ -20,7 +20,7 @@ from palpd.config import Config
 from palpd.errors import PalpdError
 from palpd.inertial import InertialModel
 from palpd.motion import drain
-from palpd.realtime import DEVICE_PRIORITY, LOOP_PRIORITY, fifo, realtime
+from palpd.realtime import CPU_LATENCY, DEVICE_PRIORITY, LOOP_PRIORITY, fifo, realtime
 from palpd.ring import RING_S
 from palpd.safety import TILT_RAD
 from palpd.state import State
@@ -154,6 +154,9 @@ def wake_up(config: Config, duration_s: float = WAKE_UP_S) -> list[Finding]:
         Finding("memory lock", "ok", f"{locked_kB / 1024:.0f} MiB locked", "", {"locked_kB": locked_kB})
         if granted.memory_locked and locked_kB
         else Finding("memory lock", "warn", "memory is not locked", "run palpd as the service, or grant memlock unlimited"),
+        Finding("idle", "ok", "no processor sleeps during a run")
+        if granted.awake
+        else Finding("idle", "warn", f"{CPU_LATENCY} cannot be written", "run palpd as the service, or boot with idle=poll"),
     ]
 
 

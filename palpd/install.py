@@ -13,7 +13,7 @@ UNSEEN = ("/root", "/home", "/run/user", "/tmp", "/var/tmp")
 """ProtectHome and PrivateTmp hide these folders from the service."""
 NEXT_STEPS = """\
 Then, as root:
-  systemd-sysusers && udevadm control --reload && udevadm trigger --subsystem-match=tty
+  systemd-sysusers && udevadm control --reload && udevadm trigger --subsystem-match=tty --subsystem-match=misc
   systemctl daemon-reload && systemctl enable --now palpd
   usermod --append --groups palpd OPERATOR      # who may speak to the daemon
   runuser -u palpd -- palpd calibrate --config /etc/palpd/config.yaml"""

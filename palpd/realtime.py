@@ -4,6 +4,7 @@ import ctypes
 import gc
 import os
 import resource
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ DEVICE_PRIORITY = 55
 """The receive threads of ur_rtde inherit it from the thread that makes them: newer states at hand, still below the loop. They hold locks
 that the loop needs, and none of these lends its holder the loop's priority, so nothing may stand between the two: interrupt threads of a
 real-time kernel have 50."""
+CPU_LATENCY = "/dev/cpu_dma_latency"
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _CAP_IPC_LOCK = 14
 
@@ -24,6 +26,7 @@ class Granted:
 
     fifo: bool
     memory_locked: bool
+    awake: bool
     missing: tuple[str, ...] = ()
 
 
@@ -54,8 +57,27 @@ def _may_lock_any() -> bool:
 
 
 @contextmanager
+def awake() -> Iterator[bool]:
+    """Within it no idle processor sleeps (the kernel's PM QoS: the file asks for 0 µs of wake-up latency for as long as it is open).
+
+    One that slept between two ticks wakes late and with cold caches: without this, in a virtual machine, wake-ups take three times as
+    long and a tick's work twice (docs/benchmarks.md). Yields whether that is granted.
+    """
+    try:
+        request = os.open(CPU_LATENCY, os.O_WRONLY)
+    except OSError:
+        yield False
+        return
+    try:
+        os.write(request, struct.pack("=i", 0))
+        yield True
+    finally:
+        os.close(request)
+
+
+@contextmanager
 def realtime() -> Iterator[Granted]:
-    """Within it the calling thread is a FIFO thread of a locked process without garbage collection."""
+    """Within it the calling thread is a FIFO thread of a locked process without garbage collection, on a processor that does not sleep."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -66,7 +88,10 @@ def realtime() -> Iterator[Granted]:
     if not locked:
         missing.append("memory is not locked (limit memlock): a page fault can delay a tick; run as the service or raise memlock")
     try:
-        yield Granted(urgent, locked, tuple(missing))
+        with awake() as no_sleep:
+            if not no_sleep:
+                missing.append(f"idle processors may sleep ({CPU_LATENCY} cannot be written): ticks begin late; run as the service")
+            yield Granted(urgent, locked, no_sleep, tuple(missing))
     finally:
         if urgent:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
