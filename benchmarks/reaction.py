@@ -28,11 +28,13 @@ CONTACT_LIMIT_N = 12.0
 ABSOLUTE_LIMIT_N = 60.0
 ABOVE_M, SPREAD_M = 0.003, 0.002
 MACHINE_LATE_S = 0.002
+BEFORE_S, REST_S = 0.02, 0.05
 CYCLE_S = {"ur5": 0.008, "ur5e": 0.002}
 
 
 class Reaction(NamedTuple):
-    """One push into a wall: ms from byte to command, N past the limit in truth; `late`: the machine itself was."""
+    """One push into a wall: ms from byte to command, N past the limit in truth; `late`: the machine itself was, from shortly before the
+    byte until the arm had come to rest."""
 
     reaction_ms: float
     past_N: float
@@ -45,17 +47,19 @@ def pushed(direct: Direct, speed_m_per_s: float, stiffness_N_per_m: float) -> Re
     cell.wires.ask("wall", z_m=cell.truth()["tip_z_m"] - ABOVE_M - random.uniform(0.0, SPREAD_M), stiffness_N_per_m=stiffness_N_per_m)
     cell.truth(reset=True)
     found = direct.push(speed_m_per_s)
-    reaction_ms = reaction_of(direct, found)
-    time.sleep(0.05)
+    seen = answered(direct, found)
+    time.sleep(REST_S)
     past_N = cell.truth()["peak_contact_N"] - CONTACT_LIMIT_N
     direct.home()
-    if reaction_ms is None:
+    if seen is None:
         return None
-    return Reaction(reaction_ms, past_N, found.machine_late_s > MACHINE_LATE_S)
+    sent_s, heard_s = seen
+    late_s = cell.lateness_s(sent_s - BEFORE_S, BEFORE_S + heard_s - sent_s + REST_S)
+    return Reaction((heard_s - sent_s) * 1e3, past_N, late_s > MACHINE_LATE_S)
 
 
-def reaction_of(direct: Direct, found: Pushed) -> float | None:
-    """Milliseconds from the sensor's byte to the command, of a push that the contact limit ended."""
+def answered(direct: Direct, found: Pushed) -> tuple[float, float] | None:
+    """When the sensor's byte went out and when the command came in, of a push that the contact limit ended."""
     if not [trip for trip in found.outcome.trips if trip.trip.name == "CONTACT_FORCE"] or len(found.outcome.trips) > 1:
         return None
     row = found.rows[np.flatnonzero(found.rows["trip"])[0]]
@@ -64,8 +68,7 @@ def reaction_of(direct: Direct, found: Pushed) -> float | None:
     counter = int(row["counter"][:n][np.argmax(force_N >= CONTACT_LIMIT_N)])
     wire = direct.cell.wires.ask("wire", since_s=float(row["now_s"]) - 0.1)
     sent_s = next(t_s for t_s, number in wire["sent"] if number == counter)
-    heard_s = next(t_s for t_s, vz in wire["heard"] if t_s >= sent_s and vz >= 0.0)
-    return (heard_s - sent_s) * 1e3
+    return sent_s, next(t_s for t_s, vz in wire["heard"] if t_s >= sent_s and vz >= 0.0)
 
 
 def measure(model: str, speeds: list[float], stiffnesses: list[float], each: int, pushes: int) -> tuple[list[str], list[str]]:

@@ -52,11 +52,10 @@ class Push(Script):
 
 @dataclass(frozen=True)
 class Pushed:
-    """What came of it: the outcome, every tick as a row (ROW), and how late the emulator was at worst meanwhile."""
+    """What came of it: the outcome, and every tick as a row (ROW)."""
 
     outcome: Outcome
     rows: NDArray[np.void]
-    machine_late_s: float
 
     @property
     def tripped_s(self) -> float:
@@ -87,7 +86,7 @@ class Direct:
         robot, sensor = self._robot, self._devices.sensor
         clock = RealClock(config.robot.rate_Hz, self._devices.first_tick_s)
         loop = Loop(robot, sensor, clock, Sequence(script), explainer, limits_of(config), RingWriter(self._ring))
-        first, began_s = self._ring.published, time.monotonic()
+        first = self._ring.published
         with realtime():
             loop.rehearse()
             self._play()
@@ -99,7 +98,7 @@ class Direct:
             except Stopped as stopped:
                 outcome = Outcome("stopped", str(stopped), trips=loop.outcome.trips)
         rows, _, _ = self._ring.read(first)
-        return Pushed(outcome, rows, self.cell.lateness_s(began_s, time.monotonic() - began_s))
+        return Pushed(outcome, rows)
 
     def home(self) -> None:
         """Go up to where it began, unguarded: nothing is above."""
