@@ -13,11 +13,9 @@ import numpy as np
 
 from palpd.cell_file import CROSSTALK_ARM_M, CellFile, Estimated, Wall
 from palpd.cell_file import Site as Place
-from palpd.dynamics import Constants, Floats, Memory, Span, delayed, lowpass, servo, steps
+from palpd.dynamics import Constants, Floats, Memory, Motion, Span, delayed, lowpass, servo, steps
 from palpd.effects import EFFECTS, Effect, Scale, Site, Values
 from palpd.errors import ConfigError
-from palpd.kinematics import Motion as Motion
-from palpd.kinematics import measured_motion as measured_motion
 
 WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 Library = Mapping[str, Effect]
@@ -283,6 +281,8 @@ def predict_wrench(
     site: str | None = None,
 ) -> Floats:
     """Mean wrench (n, 6) in N and Nm during a measured motion; `wrench_of(cell, measured_motion(…))` in one."""
+    from palpd.kinematics import measured_motion
+
     return wrench_of(cell, measured_motion(cell, t_s, z_m, vz_m_per_s), library, site)
 
 
@@ -301,6 +301,8 @@ def simulate(
 
     With `noise_seed` the reported motion (if it is simulated), and the sensor, are noisy, and readings are rounded to their steps.
     """
+    from palpd.kinematics import measured_motion  # here, since an emulator needs none of what it takes a second to import
+
     if z_m is None and z_cmd_m is None:
         raise ConfigError("a simulation needs z_m or z_cmd_m; neither was given")
     motion = measured_motion(cell, t_s, z_m, vz_m_per_s, z_cmd_m) if z_m is not None else commanded_motion(cell, t_s, z_cmd_m, library)  # type: ignore[arg-type]

@@ -23,6 +23,25 @@ EVEN = 1e-3
 """Steps that agree within this fraction count as even."""
 
 
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How the tip moved, in arrays of (n,), and what heights and accelerations still carry of measurement noise (rms).
+
+    A measured acceleration is the slope of reported speeds, each with its own error of `v_noise_m_per_s`, over `slope_half` samples to
+    either side; a share `trust` of it, where the rest is known from the command.
+    """
+
+    t_s: Floats
+    z_m: Floats
+    vz_m_per_s: Floats
+    az_m_per_s2: Floats
+    z_noise_m: float = 0.0
+    az_noise_m_per_s2: float = 0.0
+    v_noise_m_per_s: float = 0.0
+    slope_half: int = 0
+    trust: Floats | float = 1.0
+
+
 @dataclass(slots=True)
 class Constants:
     """The numbers of one cell at one site, after in-tolerance deviations and effects have changed them."""

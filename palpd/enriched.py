@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from palpd.cell import equilibrium_force_N, measured_motion, true_surface_m, wrench_of
+from palpd.cell import equilibrium_force_N, true_surface_m, wrench_of
 from palpd.cell_file import CellFile, Estimated
 from palpd.errors import RecordingError
+from palpd.kinematics import measured_motion
 from palpd.record import Recording, samples_of
 from palpd.samples import Samples, read
 from palpd.tick import Floats

@@ -1,39 +1,18 @@
 """The motion of the tip behind what the robot reports of it."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from palpd.cell_file import CellFile
-from palpd.dynamics import Floats, servo, steps
+from palpd.dynamics import Floats, Motion, servo, steps
 from palpd.reported import Reports, find_reports
 
 CUBIC = 3
 
 SURE = 2.0
 """A speed or an acceleration that the command does not explain is believed where its rms is above so many times that of its noise."""
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """How the tip moved, in arrays of (n,), and what heights and accelerations still carry of measurement noise (rms).
-
-    A measured acceleration is the slope of reported speeds, each with its own error of `v_noise_m_per_s`, over `slope_half` samples to
-    either side; a share `trust` of it, where the rest is known from the command.
-    """
-
-    t_s: Floats
-    z_m: Floats
-    vz_m_per_s: Floats
-    az_m_per_s2: Floats
-    z_noise_m: float = 0.0
-    az_noise_m_per_s2: float = 0.0
-    v_noise_m_per_s: float = 0.0
-    slope_half: int = 0
-    trust: Floats | float = 1.0
 
 
 def measured_motion(

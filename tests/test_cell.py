@@ -9,10 +9,8 @@ from scipy.integrate import solve_ivp
 from palpd.cell import (
     Block,
     Cell,
-    Motion,
     commanded_motion,
     equilibrium_force_N,
-    measured_motion,
     predict_motion,
     predict_wrench,
     scale_of,
@@ -21,8 +19,9 @@ from palpd.cell import (
     wrench_of,
 )
 from palpd.cell_file import PHANTOM, CellFile, Estimated, cell_from, nominal
-from palpd.dynamics import Floats, lowpass, mounted, play, recurrence, servo, steps
+from palpd.dynamics import Floats, Motion, lowpass, mounted, play, recurrence, servo, steps
 from palpd.errors import ConfigError
+from palpd.kinematics import measured_motion
 
 RNG = np.random.default_rng(7)
 QUIET = {"sensor": {"noise_rms_N": 1e-15, "noise_rms_Nm": 0.0}, "robot": {"position_noise_rms_m": 0.0, "velocity_noise_rms_m_per_s": 0.0}}

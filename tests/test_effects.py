@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 
 from palpd.cell import (
     Cell,
-    Motion,
     commanded_motion,
     equilibrium_force_N,
     predict_motion,
@@ -21,7 +20,7 @@ from palpd.cell import (
     wrench_of,
 )
 from palpd.cell_file import CellFile, cell_from, nominal
-from palpd.dynamics import Floats
+from palpd.dynamics import Floats, Motion
 from palpd.effects import EFFECTS, Effect, Parameter, Scale, load_effects
 from palpd.effects.tissue import dimitriadis
 from palpd.errors import ConfigError

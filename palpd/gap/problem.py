@@ -8,15 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import block_diag, csr_array, diags_array
 
-from palpd.cell import Motion, measured_motion, predict_motion, scale_of, wrench_of
+from palpd.cell import predict_motion, scale_of, wrench_of
 from palpd.cell_file import CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
+from palpd.dynamics import Motion
 from palpd.effects import EFFECTS, Effect, Scale
 from palpd.gap.bins import Bins, make_bins
 from palpd.gap.gaussian import Nuisances, nuisances
 from palpd.gap.noise import FX, FY, FZ, TX, TY, Z, dead, declared_rms, measured_rms, resolutions
 from palpd.gap.phases import FREE_STILL, HOLDING, Phases, find_phases
 from palpd.gap.whitening import Whitening
-from palpd.kinematics import slope_weights
+from palpd.kinematics import measured_motion, slope_weights
 from palpd.reported import Reports, find_reports, straight_between
 from palpd.samples import Samples
 from palpd.tick import Floats
