@@ -367,6 +367,9 @@ def test_the_first_frames_are_compared_among_themselves_and_the_next_with_them()
     assert memory.equal_frames == 8
     memory, _ = one(sight(frames=frames(wrench=stuck)), memory=memory)
     assert memory.equal_frames == 0, "all equal, but not what was before"
+    mixed = np.concatenate([stuck[:2], other[:1], stuck[:1]])
+    memory, _ = one(sight(frames=frames(n=4, wrench=mixed)), memory=memory)
+    assert memory.equal_frames == 0, "one of them differs"
 
 
 def test_the_newest_frame_tells_how_old_the_sensor_is() -> None:

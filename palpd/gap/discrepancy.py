@@ -42,6 +42,9 @@ PULSES = (1, 3, 9, 27)
 PULSE = 8.0
 """How large a pulse is beforehand, in sigmas."""
 
+UNSURE = 1.15
+"""Up to so many times wider than measured is noise that is not the stated one."""
+
 INCLUSION = 0.01
 """How probable it is beforehand that one channel, phase and shape is off."""
 
@@ -58,6 +61,8 @@ class Left:
 
 def what_is_left(problem: Problem, remainder: Floats, around: Linearisation, residual: Floats) -> Left:
     """How much structure there is in a whitened remainder (7, b), and in the in-tolerance deviations that the residual asks for."""
+    if problem.noisy:
+        remainder = remainder / np.clip(remainder.std(axis=1, keepdims=True), 1.0, UNSURE)
     coefficients, phase = _coefficients(problem, remainder)
     total, energy, tone, tone_energy, pulse, pulse_energy = 0.0, 0.0, -np.inf, 0.0, -np.inf, 0.0
     best = (-1.0, "fz_N", PHASES[0])

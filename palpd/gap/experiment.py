@@ -342,7 +342,7 @@ def blank(cell: CellFile, t_s: Floats, z_cmd_m: Floats) -> Samples:
 
 def _trial(problem: Problem, t_s: Floats, z_cmd_m: Floats, weight: float) -> Problem:
     """What a recording of that motion would be judged by, each row counting for `weight` rows."""
-    trial = make_problem([blank(problem.cell, t_s, z_cmd_m)], problem.cell, problem.library, 1500, problem.fz_step_N)
+    trial = make_problem([blank(problem.cell, t_s, z_cmd_m)], problem.cell, problem.library, 1500, problem.rounding)
     trial.scale = problem.scale
     trial.weigh(weight)
     return trial

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import block_diag, csr_array, diags_array
+from scipy.special import ndtr
 
 from palpd.cell import predict_motion, scale_of, wrench_of
 from palpd.cell_file import CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
@@ -60,6 +61,10 @@ FORGOTTEN = 4.6
 REMEMBERED = 96
 """So many predictions are kept, since a search comes back to where it was a moment ago."""
 
+LEVELS, SHARPEST = 3, 0.25
+"""Rounding is followed over so many levels to either side, and never taken for sharper than with noise of that share of a step: the
+levels, and where between them a force lies, are not known better."""
+
 UNKNOWN_LOG_SD = 2.5
 """One standard deviation of the logarithm of a modulus of which nothing is known: a factor of twelve."""
 
@@ -83,7 +88,8 @@ class Run:
     shaken_N: csr_array  # (b, r), what one standard deviation of the error of each reported speed does to fz
     noise_rms: Floats  # (7,) of one sample, as measured
     noise_ratio: Floats  # (7,) measured over declared
-    noise_measured: bool  # whether there were rests to measure it in
+    rest: NDArray[np.bool_]  # (n,) where it was measured
+    noise_measured: bool  # whether that was enough
     judged: tuple[bool, ...]
     t_s: Floats  # (b,)
     bin_phase: Floats
@@ -118,13 +124,14 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
         z_means = steps.means() @ straight_between(t_s, robot_t_s)
     declared = declared_rms(cell)
     still = np.isin(phases.phase, (FREE_STILL, HOLDING)) & (phases.since_s > 0.1 * phases.since_s.max())
+    unheld = still if samples.held is None else still & ~samples.held
     judged, measured = [], np.zeros(7)
     for channel in range(7):
         if channel == Z:
             usable = samples.z_cmd_m is not None and not dead(samples.z_m)
             signal, rest = reports.values(samples.z_m), still[np.searchsorted(samples.t_s, reports.t_s)]
         else:
-            signal, rest = samples.wrench[:, channel - 1], still if samples.held is None else still & ~samples.held
+            signal, rest = samples.wrench[:, channel - 1], unheld
             usable = not dead(signal)
         judged.append(usable)
         if usable:
@@ -147,6 +154,7 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
         _shaken(samples, cell, motion, reports, bins) if judged[FZ] else csr_array((len(bins), 1)),
         rms,
         np.where(measured > 0, measured / floor, 1.0),
+        unheld,
         bool(still.sum() >= 60),
         tuple(judged),
         bins.mean(samples.t_s - samples.t_s[0]),
@@ -242,6 +250,32 @@ class Linearisation:
         return np.tensordot(self.eta, self.columns[: len(self.eta)], axes=1)
 
 
+@dataclass(frozen=True)
+class Rounding:
+    """How fz is rounded where that is coarser than stated: to `level_N` and every `step_N` from there."""
+
+    step_N: float
+    level_N: float
+    noise_rms_N: float
+
+    def mean(self, force_N: Floats) -> Floats:
+        """What readings (n,) are on average of forces (n,) with normal noise before they are rounded."""
+        sigma = max(self.noise_rms_N, SHARPEST * self.step_N)
+        nearest = np.rint((force_N - self.level_N) / self.step_N)
+        out = np.zeros_like(force_N)
+        for k in range(-LEVELS, LEVELS + 1):
+            level = (nearest + k) * self.step_N + self.level_N
+            above = np.full_like(force_N, np.inf) if k == LEVELS else (level + 0.5 * self.step_N - force_N) / sigma
+            below = np.full_like(force_N, -np.inf) if k == -LEVELS else (level - 0.5 * self.step_N - force_N) / sigma
+            out += level * (ndtr(above) - ndtr(below))
+        return out
+
+    def slope(self, force_N: Floats) -> Floats:
+        """How much of a small offset of forces (n,) is left in the mean readings."""
+        h = 0.1 * self.step_N
+        return (self.mean(force_N + h) - self.mean(force_N - h)) / (2.0 * h)
+
+
 @dataclass
 class Problem:
     """Everything a hypothesis is judged by."""
@@ -255,8 +289,10 @@ class Problem:
     measured: Floats = field(init=False)  # (7, b)
     data: Floats = field(init=False)  # (7, b) whitened
     floor_rms: Floats = field(init=False)  # (7, b), of the noise alone
-    fz_step_N: float = 0.0
-    """The step that fz really has, where it is coarser than stated."""
+    rounding: Rounding | None = None
+    """Of fz, where it is coarser than stated."""
+    noisy: bool = False
+    """Whether its noise is not the stated one, but larger."""
     simulations: int = 0
 
     def cell_at(self, effects: EffectValues, eta: Floats) -> CellFile:
@@ -301,6 +337,8 @@ class Problem:
         """Binned wrench (6, b)."""
         self.simulations += 1
         wrench = wrench_of(cell, motion, self.library)
+        if self.rounding is not None:
+            wrench[:, FZ - 1] = self.rounding.mean(wrench[:, FZ - 1])
         out = np.zeros((6, len(run.bins)))
         for axis in range(6):
             if wrench[:, axis].any():
@@ -343,7 +381,7 @@ class Problem:
             if run.samples_each > 1.0:  # only reports are independent, and neighbours share them
                 sigma[Z] *= UNSHARED * np.sqrt(run.samples_each)
             sigma[FZ] = np.hypot(sigma[FZ], run.motion.z_noise_m * self._stiffness(run))
-            sigma[FZ] = np.hypot(sigma[FZ], _coherent(self.fz_step_N, float(run.noise_rms[FZ])))
+            sigma[FZ] = np.hypot(sigma[FZ], _coherent(self.rounding.step_N if self.rounding else 0.0, float(run.noise_rms[FZ])))
             sigma[~np.array(run.judged)] = np.inf
             sigmas.append(sigma)
         heights_m = [run.bins.means() @ run.reports.joined * (run.noise_rms[Z] * (run.samples_each > 1.0)) for run in self.runs]
@@ -424,12 +462,14 @@ class Problem:
                 out[channel, here] = values
                 return self.noise.whiten(out)
 
+            felt = self._felt(run, effects, eta)
             for channel in range(FX, 7):
                 if run.judged[channel]:
                     arm = 1.0 if channel < TX else torque_arm_m(self.cell)
                     index.own += [(channel, len(columns), "bias"), (channel, len(columns) + 1, "drift")]
-                    columns.append(column(channel, arm * tol.bias_N * np.ones(stop - start)))
-                    columns.append(column(channel, arm * tol.drift_N_per_min / 60.0 * run.t_s))
+                    share = felt if channel == FZ else 1.0
+                    columns.append(column(channel, share * arm * tol.bias_N * np.ones(stop - start)))
+                    columns.append(column(channel, share * arm * tol.drift_N_per_min / 60.0 * run.t_s))
             if run.judged[Z]:
                 # A target that is held between controller cycles is known to about a tenth of a step.
                 index.numerical.append(len(columns))
@@ -455,11 +495,18 @@ class Problem:
             start = stop
         return columns, index
 
+    def _felt(self, run: Run, effects: EffectValues, eta: Floats) -> Floats | float:
+        """What share of a small offset of fz shows in every bin (b,): readings between two coarse levels do not follow it."""
+        if self.rounding is None:
+            return 1.0
+        force_N = wrench_of(self.cell_at(effects, eta), run.motion, self.library)[:, FZ - 1]
+        return run.steps.mean(np.interp(run.step_t_s, run.motion.t_s, self.rounding.slope(force_N)))
+
     def _rounding_columns(self, run: Run, column: Callable[[int, Floats], Floats]) -> list[Floats]:
         """Where noise does not dither the rounding, every rest keeps an offset of up to half a step."""
         columns = []
         for channel, stated in enumerate(resolutions(self.cell)):
-            step = max(stated, self.fz_step_N) if channel == FZ else stated
+            step = self.rounding.step_N if channel == FZ and self.rounding is not None else stated
             if step <= 0 or not run.judged[channel]:
                 continue
             coherent = _coherent(step, float(run.noise_rms[channel]))
@@ -501,7 +548,7 @@ def make_problem(
     cell: CellFile,
     library: Mapping[str, Effect] = EFFECTS,
     max_bins: int = 4500,
-    fz_step_N: float = 0.0,
+    rounding: Rounding | None = None,
 ) -> Problem:
     """The recordings of one cell against its simulation without effects."""
     cell = cell.with_effects({}).with_estimated(None)
@@ -522,4 +569,5 @@ def make_problem(
     if cell.tissue is None:
         sd["youngs_modulus"] = sd["surface_z_m"] = 0.0
     crosstalk = {name: tol.crosstalk * (torque_arm_m(cell) / CROSSTALK_ARM_M if name[0] == "t" else 1.0) for name in SHARED[-4:]}
-    return Problem(cell, runs, library, scale, np.array([(sd | crosstalk)[name] for name in SHARED]), fz_step_N=fz_step_N)
+    shared_sd = np.array([(sd | crosstalk)[name] for name in SHARED])
+    return Problem(cell, runs, library, scale, shared_sd, rounding=rounding)

@@ -4,14 +4,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from palpd.cell_file import CellFile
-from palpd.gap.noise import FZ, declared_rms, held_runs, resolutions
-from palpd.gap.problem import Run
+from palpd.gap.noise import FZ, dead, declared_rms, held_runs, measured_rms, resolutions
+from palpd.gap.problem import Rounding, Run
 from palpd.samples import Samples
 
 HEALTHY_RATIO = 1.2
 """Noise up to this much above the stated is within specification."""
+
+TAIL, TAIL_WINDOW = 2.0, 5
+"""Beyond so many sigmas from the median of so many neighbours a reading is out in the tails."""
 
 UNEVEN = 0.02
 """Noise is not the same to better than this share throughout a recording."""
@@ -39,7 +43,21 @@ def coarse_step_N(samples: Samples, cell: CellFile) -> float:
     gap = float(np.median(gaps))
     gap = float(np.mean(gaps[gaps < 1.75 * gap]))  # what is also rounded to the stated step has gaps of two kinds
     stated = cell.sensor.resolution_fz_N
-    return gap if gap > 1.4 * stated and gap > 0.5 * cell.sensor.noise_rms_N else 0.0
+    if gap <= 1.4 * stated or gap <= 0.5 * cell.sensor.noise_rms_N:
+        return 0.0
+    # Over many levels a small error of the step would shift the last by a whole one: the step is where all values agree best.
+    steps, values = gap * np.linspace(0.95, 1.05, 2001), values[:: 1 + len(values) // 500]
+    return float(steps[np.argmax(np.abs(np.exp(2j * np.pi * values / steps[:, None]).sum(axis=1)))])
+
+
+def rounding_of(recordings: Sequence[Samples], cell: CellFile) -> Rounding | None:
+    """How fz is rounded, where that is coarser than stated. Its levels: the mean of all values on the circle of one step."""
+    step_N = max(coarse_step_N(s, cell) for s in recordings)
+    if step_N <= 0.0:
+        return None
+    turns = np.exp(2j * np.pi * np.concatenate([s.wrench[:, 2] for s in recordings]) / step_N)
+    level_N = float(np.angle(turns.mean()) / (2.0 * np.pi) * step_N)
+    return Rounding(step_N, level_N, cell.sensor.noise_rms_N)
 
 
 def without_held(samples: Samples) -> tuple[Samples, int, float]:
@@ -55,8 +73,22 @@ def without_held(samples: Samples) -> tuple[Samples, int, float]:
     return replace(samples, wrench=wrench, held=same), runs, length * step_s
 
 
+def without_tails(samples: Samples, cell: CellFile) -> Samples:
+    """Where all axes are noisier than is healthy: the recording with readings that stand far out of their neighbours brought nearer.
+
+    Noise that is too large is seldom normal. What is rare and large in it would be taken for pulses of something unknown, but is the
+    same noise; where the noise is healthy, pulses are pulses.
+    """
+    rms = np.array([0.0 if dead(axis) else measured_rms(axis) for axis in samples.wrench.T])
+    live = (rms > 0.0) & (declared_rms(cell)[1:] > 0.0)
+    if live.sum() < 2 or np.median(rms[live] / declared_rms(cell)[1:][live]) < HEALTHY_RATIO:
+        return samples
+    usual = median_filter(samples.wrench, size=(TAIL_WINDOW, 1), mode="nearest")
+    return replace(samples, wrench=usual + np.clip(samples.wrench - usual, -TAIL * rms, TAIL * rms))
+
+
 def scatter_effects(
-    runs: Sequence[Run], originals: Sequence[Samples], cell: CellFile, held: Sequence[tuple[int, float]]
+    runs: Sequence[Run], originals: Sequence[Samples], bridged: Sequence[Samples], cell: CellFile, held: Sequence[tuple[int, float]]
 ) -> tuple[list[ScatterEffect], float]:
     """The scatter's effects, and the probability that the noise is wrong in a way that is none of them (one axis only)."""
     out = []
@@ -81,13 +113,13 @@ def scatter_effects(
                 },
             )
         )
-    noise, other = _noise(runs, cell, bool(coarse))
+    noise, other = _noise(runs, bridged, cell, bool(coarse))
     if noise is not None:
         out.append(noise)
     return out, other
 
 
-def _noise(runs: Sequence[Run], cell: CellFile, coarse: bool) -> tuple[ScatterEffect | None, float]:
+def _noise(runs: Sequence[Run], bridged: Sequence[Samples], cell: CellFile, coarse: bool) -> tuple[ScatterEffect | None, float]:
     declared = declared_rms(cell)
     rounding = resolutions(cell) ** 2 / 12.0
     stated = np.sqrt(np.maximum(declared**2 - rounding, 0.0))
@@ -95,7 +127,11 @@ def _noise(runs: Sequence[Run], cell: CellFile, coarse: bool) -> tuple[ScatterEf
     for channel in range(1, 7):
         if channel == FZ and coarse:
             continue
-        squares = [r.noise_ratio[channel] ** 2 * declared[channel] ** 2 for r in runs if r.judged[channel] and r.noise_measured]
+        squares = [
+            measured_rms(samples.wrench[:, channel - 1], run.rest) ** 2
+            for run, samples in zip(runs, bridged, strict=True)
+            if run.judged[channel] and run.noise_measured
+        ]
         if not squares or stated[channel] <= 0:
             continue
         pure = np.sqrt(max(float(np.mean(squares)) - rounding[channel], 1e-4 * stated[channel] ** 2))
@@ -111,5 +147,6 @@ def _noise(runs: Sequence[Run], cell: CellFile, coarse: bool) -> tuple[ScatterEf
     lone = _sigmoid((spread - np.log(1.45)) / float(np.hypot(np.median(errors), 0.04)))
     if probability < 1e-3:
         return None, lone
-    error = float(np.hypot(error, UNEVEN))
-    return ScatterEffect("sensor.noise", probability, {"ratio": (ratio, ratio * (1 - 2.5 * error), ratio * (1 + 2.5 * error))}), lone
+    # The cell's own noise, without the effect, may be anything that is within specification.
+    off = HEALTHY_RATIO * (1.0 + 2.5 * float(np.hypot(error, UNEVEN)))
+    return ScatterEffect("sensor.noise", probability, {"ratio": (ratio, ratio / off, ratio * off)}), lone

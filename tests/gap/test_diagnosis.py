@@ -140,6 +140,14 @@ def test_effects_of_the_scatter_are_named(name: str, values: dict[str, float]) -
     assert found.effects[0].parameters[first][0] == pytest.approx(values[first], rel=0.5)
 
 
+def test_noise_that_is_too_large_may_have_any_tails() -> None:
+    quiet = recording(nominal(), {})
+    sigma = np.array([nominal().sensor.noise_rms_N] * 3 + [nominal().sensor.noise_rms_Nm] * 3)
+    more = np.random.default_rng(8).standard_t(4.0, quiet.wrench.shape)
+    found = quick(replace(quiet, wrench=quiet.wrench + sigma * more), nominal())
+    assert (found.verdict, [e.id for e in found.effects]) == ("effects", ["sensor.noise"])
+
+
 def test_something_outside_the_list_is_called_unknown() -> None:
     healthy = recording(nominal(), {})
     bump = 0.5 * np.exp(-0.5 * ((healthy.t_s - 5.0) / 0.2) ** 2) - 0.4 * np.exp(-0.5 * ((healthy.t_s - 12.0) / 0.3) ** 2)

@@ -1,11 +1,16 @@
 """What the diagnosis takes for noise, and where samples stand in time."""
 
 import numpy as np
+import pytest
 from scipy.sparse import csr_array
 
+from palpd.cell_file import nominal
 from palpd.gap.bins import Bins
 from palpd.gap.noise import FZ, measured_rms
+from palpd.gap.problem import Rounding
+from palpd.gap.variance import rounding_of, without_tails
 from palpd.gap.whitening import Whitening
+from palpd.samples import Samples
 
 
 def test_noise_is_measured_within_rests_and_not_in_the_steps_between_them() -> None:
@@ -38,3 +43,36 @@ def test_noise_that_neighbours_share_is_made_white() -> None:
     half = noise.restricted(np.arange(200) < 100).whiten(drawn[:, :, 0])
     assert not half[:, 100:].any()
     np.testing.assert_allclose(half[FZ, :100], white[0, FZ, :100])
+
+
+def at_rest(wrench: np.ndarray) -> Samples:
+    t_s = np.arange(len(wrench)) / 500.0
+    return Samples(t_s, 0 * t_s, 0 * t_s, 0 * t_s, wrench)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.5])
+def test_coarse_rounding_is_found_and_followed_on_average(level: float) -> None:
+    rng = np.random.default_rng(5)
+    wrench = rng.normal(0.0, 0.1, (20_000, 6)) + np.linspace(0.0, 8.0, 20_000)[:, None]
+    wrench[:, 2] = (np.rint(wrench[:, 2] / 0.37 - level) + level) * 0.37
+    found = rounding_of([at_rest(wrench)], nominal())
+    assert found is not None
+    assert found.step_N == pytest.approx(0.37, rel=2e-3)
+    assert abs((found.level_N / 0.37 - level + 0.5) % 1.0 - 0.5) < 0.1
+    rounding = Rounding(0.37, 0.1, 0.12)
+    for force_N in (0.0, 0.2, 1.23):
+        readings = 0.1 + 0.37 * np.rint((force_N + rng.normal(0.0, 0.12, 200_000) - 0.1) / 0.37)
+        assert rounding.mean(np.array([force_N]))[0] == pytest.approx(readings.mean(), abs=2e-3)
+    assert rounding.slope(np.linspace(0.0, 3.7, 1000)).mean() == pytest.approx(1.0, abs=0.01)
+
+
+def test_tails_are_taken_out_of_noise_that_is_too_large_only() -> None:
+    rng = np.random.default_rng(6)
+    stated = np.array([nominal().sensor.noise_rms_N] * 3 + [nominal().sensor.noise_rms_Nm] * 3)
+    white = rng.standard_t(4.0, (20_000, 6)) / 2.0**0.5
+    healthy, noisy = at_rest(0.9 * stated * white), at_rest(2.0 * stated * white)
+    assert without_tails(healthy, nominal()) is healthy
+    nearer = without_tails(noisy, nominal()).wrench / stated
+    assert np.abs(noisy.wrench / stated).max() > 15.0
+    assert np.abs(nearer).max() < 9.0
+    assert np.abs(nearer.mean(axis=0)).max() < 0.05
