@@ -36,7 +36,7 @@ def base_from_sensor(rotation_vector_rad: tuple[float, ...], about_flange_z_rad:
     """
     rx, ry, rz = rotation_vector_rad
     angle = math.hypot(rx, ry, rz)
-    scale = 1.0 / angle if angle else 0.0
+    scale = 1.0 / angle if angle > 1e-12 else 0.0
     x, y, z = rx * scale, ry * scale, rz * scale
     s, c = math.sin(angle), math.cos(angle)
     v = 1.0 - c

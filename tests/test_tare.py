@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -149,6 +149,7 @@ def test_the_mounting_angle_turns_about_the_flange() -> None:
 
 
 @given(vectors, st.floats(-4, 4))
+@example((0.0, 0.0, 5e-324), 0.0)
 def test_the_axes_are_those_of_the_rotation_vector_and_the_mounting_angle(vector: tuple[float, float, float], angle: float) -> None:
     expected = Rotation.from_rotvec(vector) * Rotation.from_euler("z", angle)
     assert np.allclose(base_from_sensor(vector, angle), expected.as_matrix(), atol=1e-9)
