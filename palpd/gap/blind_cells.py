@@ -256,9 +256,8 @@ def simulate(
     laws("surface")
     w.wrench = np.zeros((len(t), 6), order="F")
     _touch(w, laws)
-    w.wrench[:, 2] = w.contact_N
+    w.wrench[:, 2] = w.contact_N - w.mass_kg * w.a
     laws("probe")
-    w.wrench[:, 2] -= w.mass_kg * w.a
     _sense(w, off, laws)
     return w
 
