@@ -1,5 +1,6 @@
 """A diagnosis as one self-contained page: the verdict first, then what it rests on; computes nothing but what is drawn."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -383,41 +384,42 @@ def _smoothed(values: Floats, width: int) -> Floats:
 
 
 def _by_phase(curves: Curves, channel: str, content: Mapping[str, Any]) -> list[Markup]:
-    """The mean gap over the course of every phase, from its beginning to its end."""
-    c = CHANNELS.index(channel)
-    shown: list[tuple[str, Floats, int]] = []
+    """The mean gap over the course of every phase, from its beginning to its end; free strokes up and down apart, which may cancel."""
+    c, z = CHANNELS.index(channel), CHANNELS.index("z_m")
+    shown: list[tuple[str, str, Floats, int]] = []
     for p, phase in enumerate(PHASES):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], (curves.phase == p).astype(int), [0]])))
-        sums: Floats = np.zeros((2, 25))
-        runs = 0
+        sums: dict[str, Floats] = {}
+        runs: Counter[str] = Counter()
         for a, b in zip(edges[::2], edges[1::2], strict=True):
             if b - a < 25:
                 continue
+            way = (" up" if curves.measured[b - 1, z] > curves.measured[a, z] else " down") if phase == "free_moving" else ""
             at = np.linspace(a, b, 26).astype(int)[:-1]
             count = np.diff(np.append(at, b))
+            mine = sums.setdefault(way, np.zeros((2, 25)))
             for row, simulated in enumerate((curves.nominal, curves.enriched)):
-                sums[row] += np.add.reduceat((curves.measured[a:b, c] - simulated[a:b, c]), at - a) / count
-            runs += 1
-        if runs:
-            shown.append((phase, sums / runs, runs))
+                mine[row] += np.add.reduceat((curves.measured[a:b, c] - simulated[a:b, c]), at - a) / count
+            runs[way] += 1
+        shown += [(phase, way, sums[way] / runs[way], runs[way]) for way in sorted(sums)]
     if not shown:
         return []
-    largest = max(float(np.abs(values).max()) for _, values, _ in shown)
+    largest = max(float(np.abs(values).max()) for _, _, values, _ in shown)
     floors = {g["phase"]: g["noise_floor"] for g in content["gap"] if g["channel"] == channel}
-    largest = max(largest, *(floors.get(phase, 0.0) for phase, _, _ in shown)) * 1.1 or 1.0
+    largest = max(largest, *(floors.get(phase, 0.0) for phase, *_ in shown)) * 1.1 or 1.0
     scale, unit = _scaled(_unit(channel), largest)
     share = np.linspace(2.0, 98.0, 25)
     return [
         plot(
             [Line(share, values[0] / scale, NOMINAL, 2.0), Line(share, values[1] / scale, ENRICHED, 2.0)],
             (320, 190),
-            title=f"{PHASE_WORDS[phase]} (mean of {runs})",
+            title=f"{PHASE_WORDS[phase]}{way} (mean of {runs})",
             x_label="% of the phase",
             y_label=unit,
             band=float(floors.get(phase, 0.0) / scale),
             y_range=(-largest / scale, largest / scale),
         )
-        for phase, values, runs in shown
+        for phase, way, values, runs in shown
     ]
 
 
