@@ -49,6 +49,8 @@ SAME = {  # the mutated part, and why no test can tell
     "angle >= 1e-12": "a turn by 1e-12 rad or none",
     "if angle > 1e-12 else 1.0": "without a turn its axis does not matter",
     "base_from_sensor(rotation_vector_rad, 1.0)": "turning about the tool's axis does not tilt it",
+    "reshape(-2, 8)": "numpy takes any negative length for the one that is not known",
+    "(32769.0,) * 6": "no count of 16 bits is between the two",
     "zip(first, second, third, strict=False)": "three rows of three by construction",
 }
 NAMES = {"min": "max", "max": "min", "any": "all", "all": "any"}

@@ -103,7 +103,26 @@ def test_rejects_are_counted_by_frames_worth_of_bytes() -> None:
     assert parser.rejected == 100  # a wrong device or baud rate shows as a storm
 
 
+def test_what_stands_before_the_first_frame_is_counted_from_the_first_byte() -> None:
+    parser = FrameParser()
+    counters(bytes(23) + frame(1), parser=parser)
+    assert parser.rejected == 2
+    assert parser.frames == 1
+
+
+def test_unasked_packets_do_not_pile_up() -> None:
+    parser = FrameParser()
+    counters(NO_ERROR * 20, parser=parser)
+    assert len(parser.packets) == 16
+
+
 # judging
+
+
+def test_without_a_filter_every_value_is_possible_and_handed_over_at_once() -> None:
+    parser = FrameParser()
+    parser.feed(frame(1, (32767,) * 6))
+    assert parser.feed(frame(2, (-32768,) * 6)).counter.tolist() == [2]
 
 
 def steady(parser: FrameParser, first: int = 100, count: int = 20, wrench: tuple[int, ...] = (-251, 37, -430, 95, -925, 6)) -> list[int]:
@@ -156,6 +175,62 @@ def test_a_restarted_counter_is_followed() -> None:
     parser = FrameParser()
     steady(parser)
     assert counters(frame(0), frame(1), frame(2), parser=parser) == [0, 1, 2]
+
+
+def test_a_gap_of_half_the_range_is_no_gap_but_another_counter() -> None:
+    for step, lost in ((0x7FFF, 0x7FFE), (0x8000, 0)):
+        parser = FrameParser()
+        assert counters(frame(0), frame(step), parser=parser) == [0, step]
+        assert parser.lost == lost
+
+
+def test_after_a_frame_that_was_thrown_away_the_next_comes_at_once_and_only_the_missing_are_lost() -> None:
+    parser = FrameParser()
+    parser.feed(frame(300) + frame(301))
+    spoilt = bytearray(frame(302))
+    spoilt[4], spoilt[5] = spoilt[5], spoilt[4]
+    assert parser.feed(bytes(spoilt)).counter.tolist() == []
+    assert parser.feed(frame(303)).counter.tolist() == [303]
+    assert (parser.implausible, parser.lost) == (1, 0)
+    parser.feed(bytes(spoilt) + frame(306) + frame(307))
+    assert (parser.implausible, parser.lost) == (2, 1)
+
+
+@pytest.mark.parametrize(
+    ("sent", "kept"),
+    [((10, 12, 12), [10, 12]), ((10, 10, 11), [10, 11]), ((10, 12, 11), [10, 11]), ((10, 12, 13), [10, 12, 13]), ((10, 9, 11), [10, 11])],
+)
+def test_of_two_that_contradict_each_other_the_one_that_continues_is_kept(sent: tuple[int, ...], kept: list[int]) -> None:
+    assert counters(*map(frame, sent)) == kept
+
+
+def test_a_frame_without_its_last_byte_is_whole_if_the_next_begins_with_it() -> None:
+    counts = next((k, 0, 0, 0, 0, 0) for k in range(256) if frame(5, (k, 0, 0, 0, 0, 0))[-1] == 0xAA)
+    assert counters(frame(4) + frame(5, counts)[:-1] + frame(6) + frame(7)) == [4, 5, 6, 7]
+
+
+@pytest.mark.parametrize(("jump", "at_once"), [(2790, True), (2805, False), (-2790, True), (-2805, False)])
+def test_a_value_may_go_61_percent_of_the_way_to_the_limit_in_a_millisecond(jump: int, at_once: bool) -> None:
+    """1 - exp(-2π 150 Hz 1 ms) = 0.610 of 4584 counts are 2797."""
+    parser = FrameParser(1, 150.0, LIMITS_XE_200N)
+    steady(parser, wrench=(0,) * 6)
+    assert parser.feed(frame(120, (0, 0, jump, 0, 0, 0))).counter.tolist() == ([120] if at_once else [])
+
+
+def test_what_is_possible_grows_with_the_time_between() -> None:
+    """1000 counts are too far for one millisecond behind 15 Hz, and not for six."""
+    for counter, kept in ((120, [121, 122]), (125, [125, 126, 127])):
+        parser = FrameParser(1, 15.0, LIMITS_XE_200N)
+        steady(parser, wrench=(0,) * 6)
+        last = (frame(counter + 1), frame(counter + 2))
+        assert counters(frame(counter, (0, 0, 1000, 0, 0, 0)), *last, parser=parser) == kept
+
+
+def test_a_frame_behind_an_overloaded_one_is_not_judged_by_size() -> None:
+    parser = FrameParser(1, 15.0, LIMITS_XE_200N)
+    steady(parser, wrench=(0,) * 6)
+    parser.feed(frame(120, (0, 0, 30000, 0, 0, 0), status=1 << 7))
+    assert parser.feed(frame(121)).counter.tolist() == [121]
 
 
 def test_a_stuck_counter_is_handed_over_for_others_to_judge() -> None:
