@@ -79,7 +79,7 @@ audit: setup
 samples: setup
 	-$(MAKE) audit # what becomes known of a dependency today is news, and no fault of this change
 	.venv/bin/python -m benchmarks.presses --presses 20
-	.venv/bin/python -m benchmarks.mutation --share 0.02
+	.venv/bin/python -m benchmarks.mutation --only safety --share 0.05
 	.venv/bin/python -m benchmarks.reaction --model ur5 --pushes 10 --each 1 --speed 0.01 --stiffness 5000
 
 # boots systemd in a container: needs root and systemd-nspawn, and says so where it is skipped
