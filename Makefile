@@ -4,7 +4,7 @@ UV := .venv/bin/uv
 READY := .venv/.ready
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo test test-wires test-rest test-beside test-service lint bench bench-long minutes faults presses soak mutation audit samples clean
+.PHONY: setup demo test test-wires test-rest test-service lint bench bench-long minutes faults presses soak mutation audit samples clean
 
 setup: $(READY)
 
@@ -23,14 +23,11 @@ lint: setup
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 
-# what runs over emulated wires waits most of its time, so the rest goes beside it and gives way to it; then the long measurements in short
+# what runs over emulated wires or boots a service waits most of its time, so the rest goes beside it and gives way to it; then the long
+# measurements in short
 test: lint
-	$(MAKE) --jobs=2 --output-sync test-wires test-beside
+	$(MAKE) --jobs=3 --output-sync test-wires test-rest test-service
 	$(MAKE) samples
-
-test-beside: setup
-	$(MAKE) test-rest
-	$(MAKE) test-service
 
 test-wires: setup
 	.venv/bin/pytest -m hil
