@@ -49,6 +49,7 @@ SAME = {  # the mutated part, and why no test can tell
     "angle >= 1e-12": "a turn by 1e-12 rad or none",
     "if angle > 1e-12 else 1.0": "without a turn its axis does not matter",
     "base_from_sensor(rotation_vector_rad, 1.0)": "turning about the tool's axis does not tilt it",
+    "self._attempt_frames = min(": "only how many frames are tried at once, and so how fast",
     "reshape(-2, 8)": "numpy takes any negative length for the one that is not known",
     "(32769.0,) * 6": "no count of 16 bits is between the two",
     "zip(first, second, third, strict=False)": "three rows of three by construction",
@@ -141,8 +142,8 @@ def killed(module: str, file: str, tree: ast.Module, tests: list[str], cpu_s: in
 
 
 def _why(what: str) -> str:
-    old, _, new = what.rpartition(" → ")
-    return next((f": the same, {why}" for part, why in SAME.items() if part in new and part not in old), "")
+    new = what.rpartition(" → ")[2]
+    return next((f": the same, {why}" for part, why in SAME.items() if part in new), "")
 
 
 def _children_s() -> float:
