@@ -93,6 +93,12 @@ def test_header_bytes_inside_a_payload_are_payload() -> None:
     assert not parser.packets
 
 
+def test_one_byte_of_a_header_inside_a_payload_delays_nothing() -> None:
+    parser = FrameParser()
+    parser.feed(frame(1))
+    assert parser.feed(frame(2, (-86, 0, 0, 0, 0, 0))).counter.tolist() == [2]  # 0xffaa
+
+
 def test_rejects_are_counted_by_frames_worth_of_bytes() -> None:
     parser = FrameParser()
     counters(frame(1) + bytes(5) + frame(2) + bytes(44) + frame(3), parser=parser)
