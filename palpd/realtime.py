@@ -60,8 +60,8 @@ def _may_lock_any() -> bool:
 def awake() -> Iterator[bool]:
     """Within it no idle processor sleeps (the kernel's PM QoS: the file asks for 0 µs of wake-up latency for as long as it is open).
 
-    One that slept between two ticks wakes late and with cold caches: without this, in a virtual machine, wake-ups take three times as
-    long and a tick's work twice (docs/benchmarks.md). Yields whether that is granted.
+    One that slept between two ticks wakes late and with cold caches: without this, in a virtual machine, wake-ups took up to three times
+    as long and a tick's work twice, and in other hours no longer (docs/benchmarks.md). Yields whether that is granted.
     """
     try:
         request = os.open(CPU_LATENCY, os.O_WRONLY)
