@@ -52,6 +52,7 @@ SAME = {  # the mutated part, and why no test can tell
     "self._attempt_frames = min(": "only how many frames are tried at once, and so how fast",
     "whole = (rows[:, :4] != ": "the careful way is taken then, which finds the same",
     "- len(DATA) + -1": "two bytes are looked at again in which no header begins",
+    "steps = counter[1:]": "the careful way is taken then, which finds the same",
     "reshape(-2, 8)": "numpy takes any negative length for the one that is not known",
     "(32769.0,) * 6": "no count of 16 bits is between the two",
     "zip(first, second, third, strict=False)": "three rows of three by construction",
