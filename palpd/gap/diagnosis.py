@@ -18,7 +18,7 @@ from palpd.gap.noise import CHANNELS, FZ
 from palpd.gap.phases import PHASES
 from palpd.gap.problem import Linearisation, Problem, make_problem
 from palpd.gap.shrink import Shrink, held_out
-from palpd.gap.variance import rounding_of, scatter_effects, without_held, without_tails
+from palpd.gap.variance import coarse_step_N, rounding_of, scatter_effects, without_held, without_tails
 from palpd.samples import Samples
 from palpd.tick import Floats
 
@@ -195,11 +195,12 @@ def diagnose(
 def _diagnosed(recordings: Sequence[Samples], cell: CellFile, effects: Mapping[str, Effect], max_bins: int, propose: bool) -> Diagnosis:
     notes = _check(recordings, cell)
     bridged = [without_held(s) for s in recordings]
+    steps_N = [coarse_step_N(s, cell) for s in recordings]
     judged = [without_tails(samples, cell) for samples, *_ in bridged]
-    problem = make_problem(judged, cell, effects, max_bins, rounding_of(recordings, cell))
+    problem = make_problem(judged, cell, effects, max_bins, rounding_of(recordings, steps_N, cell))
     problem.noisy = any(nearer is not samples for nearer, (samples, *_) in zip(judged, bridged, strict=True))
     notes += _channel_notes(problem)
-    scatter, lone_noise = scatter_effects(problem.runs, recordings, [b[0] for b in bridged], cell, [(b[1], b[2]) for b in bridged])
+    scatter, lone_noise = scatter_effects(problem.runs, [b[0] for b in bridged], steps_N, cell, [(b[1], b[2]) for b in bridged])
     scatter = [s for s in scatter if s.id in effects]
     attribution = attribute(problem)
     nominal = next(w.fit for w in attribution.weighed if not w.fit.names)

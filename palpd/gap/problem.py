@@ -342,7 +342,7 @@ class Problem:
         out = np.zeros((6, len(run.bins)))
         for axis in range(6):
             if wrench[:, axis].any():
-                out[axis] = run.steps.mean(np.interp(run.step_t_s, motion.t_s, wrench[:, axis]))
+                out[axis] = _binned_steps(run, motion, wrench[:, axis])
         return out
 
     def predict(self, effects: EffectValues, eta: Floats) -> Floats:
@@ -450,6 +450,7 @@ class Problem:
         tol, rep = self.cell.tolerances, self.cell.repeatability
         modulus, surface = shared[SHARED.index("youngs_modulus")], shared[SHARED.index("surface_z_m")]
         sd_modulus, sd_surface = (self.shared_sd[SHARED.index(name)] for name in ("youngs_modulus", "surface_z_m"))
+        cell = self.cell_at(effects, eta)
         columns: list[Floats] = []
         index = Columns()
         start = 0
@@ -462,7 +463,7 @@ class Problem:
                 out[channel, here] = values
                 return self.noise.whiten(out)
 
-            felt = self._felt(run, effects, eta)
+            felt = self._felt(run, cell)
             for channel in range(FX, 7):
                 if run.judged[channel]:
                     arm = 1.0 if channel < TX else torque_arm_m(self.cell)
@@ -476,7 +477,6 @@ class Problem:
                 slope = np.gradient(self.noise.natural(prediction)[Z, here], run.t_s)
                 columns.append(column(Z, 0.1 * run.samples_each / run.samples.rate_Hz * slope))
             # What averaging took away from the motion once, averaging again takes away again: so uncertain is the motion.
-            cell = self.cell_at(effects, eta)
             here_raw = self._wrench(run, cell, run.motion)[FZ - 1]
             for motion in run.smoother if run.judged[FZ] else ():
                 index.numerical.append(len(columns))
@@ -495,12 +495,11 @@ class Problem:
             start = stop
         return columns, index
 
-    def _felt(self, run: Run, effects: EffectValues, eta: Floats) -> Floats | float:
+    def _felt(self, run: Run, cell: CellFile) -> Floats | float:
         """What share of a small offset of fz shows in every bin (b,): readings between two coarse levels do not follow it."""
         if self.rounding is None:
             return 1.0
-        force_N = wrench_of(self.cell_at(effects, eta), run.motion, self.library)[:, FZ - 1]
-        return run.steps.mean(np.interp(run.step_t_s, run.motion.t_s, self.rounding.slope(force_N)))
+        return _binned_steps(run, run.motion, self.rounding.slope(wrench_of(cell, run.motion, self.library)[:, FZ - 1]))
 
     def _rounding_columns(self, run: Run, column: Callable[[int, Floats], Floats]) -> list[Floats]:
         """Where noise does not dither the rounding, every rest keeps an offset of up to half a step."""
@@ -520,6 +519,11 @@ class Problem:
                     rest[a:b] = coherent
                     columns.append(column(channel, rest))
         return columns
+
+
+def _binned_steps(run: Run, motion: Motion, values: Floats) -> Floats:
+    """Means over the bins (b,) of what was computed at the even times of a motion."""
+    return run.steps.mean(np.interp(run.step_t_s, motion.t_s, values))
 
 
 def torque_arm_m(cell: CellFile) -> float:

@@ -50,9 +50,9 @@ def coarse_step_N(samples: Samples, cell: CellFile) -> float:
     return float(steps[np.argmax(np.abs(np.exp(2j * np.pi * values / steps[:, None]).sum(axis=1)))])
 
 
-def rounding_of(recordings: Sequence[Samples], cell: CellFile) -> Rounding | None:
-    """How fz is rounded, where that is coarser than stated. Its levels: the mean of all values on the circle of one step."""
-    step_N = max(coarse_step_N(s, cell) for s in recordings)
+def rounding_of(recordings: Sequence[Samples], steps_N: Sequence[float], cell: CellFile) -> Rounding | None:
+    """How fz is rounded, by the coarse step of each recording. Its levels: the mean of all values on the circle of one step."""
+    step_N = max(steps_N)
     if step_N <= 0.0:
         return None
     turns = np.exp(2j * np.pi * np.concatenate([s.wrench[:, 2] for s in recordings]) / step_N)
@@ -80,27 +80,28 @@ def without_tails(samples: Samples, cell: CellFile) -> Samples:
     same noise; where the noise is healthy, pulses are pulses.
     """
     rms = np.array([0.0 if dead(axis) else measured_rms(axis) for axis in samples.wrench.T])
-    live = (rms > 0.0) & (declared_rms(cell)[1:] > 0.0)
-    if live.sum() < 2 or np.median(rms[live] / declared_rms(cell)[1:][live]) < HEALTHY_RATIO:
+    stated = declared_rms(cell)[1:]
+    live = (rms > 0.0) & (stated > 0.0)
+    if live.sum() < 2 or np.median(rms[live] / stated[live]) < HEALTHY_RATIO:
         return samples
     usual = median_filter(samples.wrench, size=(TAIL_WINDOW, 1), mode="nearest")
     return replace(samples, wrench=usual + np.clip(samples.wrench - usual, -TAIL * rms, TAIL * rms))
 
 
 def scatter_effects(
-    runs: Sequence[Run], originals: Sequence[Samples], bridged: Sequence[Samples], cell: CellFile, held: Sequence[tuple[int, float]]
+    runs: Sequence[Run], bridged: Sequence[Samples], steps_N: Sequence[float], cell: CellFile, held: Sequence[tuple[int, float]]
 ) -> tuple[list[ScatterEffect], float]:
     """The scatter's effects, and the probability that the noise is wrong in a way that is none of them (one axis only)."""
     out = []
-    coarse = [step for step in (coarse_step_N(s, cell) for s in originals) if step > 0]
+    coarse = [step for step in steps_N if step > 0]
     if coarse:
         step = float(np.median(coarse))
         out.append(ScatterEffect("sensor.quantization", 0.99, {"step_N": (step, 0.98 * step, 1.02 * step)}))
     stretches = sum(count for count, _ in held)
     if stretches:
-        duration_s = sum(s.duration_s for s in originals)
+        duration_s = sum(s.duration_s for s in bridged)
         length_s = sum(count * length for count, length in held) / stretches
-        step_s = float(np.median([1.0 / s.rate_Hz for s in originals]))
+        step_s = float(np.median([1.0 / s.rate_Hz for s in bridged]))
         rate_Hz = stretches / duration_s
         spread = 1.96 / np.sqrt(stretches)
         out.append(

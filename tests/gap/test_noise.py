@@ -8,7 +8,7 @@ from palpd.cell_file import nominal
 from palpd.gap.bins import Bins
 from palpd.gap.noise import FZ, measured_rms
 from palpd.gap.problem import Rounding
-from palpd.gap.variance import rounding_of, without_tails
+from palpd.gap.variance import coarse_step_N, rounding_of, without_tails
 from palpd.gap.whitening import Whitening
 from palpd.samples import Samples
 
@@ -55,7 +55,7 @@ def test_coarse_rounding_is_found_and_followed_on_average(level: float) -> None:
     rng = np.random.default_rng(5)
     wrench = rng.normal(0.0, 0.1, (20_000, 6)) + np.linspace(0.0, 8.0, 20_000)[:, None]
     wrench[:, 2] = (np.rint(wrench[:, 2] / 0.37 - level) + level) * 0.37
-    found = rounding_of([at_rest(wrench)], nominal())
+    found = rounding_of([at_rest(wrench)], [coarse_step_N(at_rest(wrench), nominal())], nominal())
     assert found is not None
     assert found.step_N == pytest.approx(0.37, rel=2e-3)
     assert abs((found.level_N / 0.37 - level + 0.5) % 1.0 - 0.5) < 0.1
