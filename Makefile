@@ -4,7 +4,7 @@ UV := .venv/bin/uv
 READY := .venv/.ready
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo test test-wires test-rest test-service lint bench bench-long minutes faults presses soak mutation audit samples clean
+.PHONY: setup demo test test-wires test-rest test-service coverage lint bench bench-long minutes faults signals aborts presses soak mutation audit samples clean
 
 setup: $(READY)
 
@@ -20,6 +20,7 @@ demo: setup
 
 lint: setup
 	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 
@@ -27,13 +28,17 @@ lint: setup
 # measurements in short
 test: lint
 	$(MAKE) --jobs=3 --output-sync test-wires test-rest test-service
-	$(MAKE) samples
+	$(MAKE) coverage samples
 
 test-wires: setup
 	.venv/bin/pytest -m hil
 
 test-rest: setup
 	nice .venv/bin/pytest -m "not hil"
+
+# every branch of the guard is tested, and by its own tests alone
+coverage: setup
+	COVERAGE_FILE=$(shell mktemp -u) .venv/bin/pytest tests/control/test_safety.py --cov=palpd.control.safety --cov-branch --cov-fail-under=100 --cov-report=term-missing
 
 # ten minutes; writes docs/benchmarks.md. bench-long: three quarters of an hour, without what has a target of its own
 bench: setup
@@ -52,6 +57,13 @@ N ?= 3
 PARALLEL ?= 2
 faults: setup
 	.venv/bin/python -m benchmarks.faults --repeats $(N) --parallel $(PARALLEL) $(if $(KEPT),--json $(KEPT))
+
+# N signals at random moments of every command, and N aborts under attack; KEPT as above
+signals: setup
+	.venv/bin/python -m benchmarks.signals --samples $(N) $(if $(KEPT),--json $(KEPT))
+
+aborts: setup
+	.venv/bin/python -m benchmarks.abort --samples $(N) $(if $(KEPT),--json $(KEPT))
 
 # PRESSES presses with faults at random moments, without wires
 PRESSES ?= 1000

@@ -18,9 +18,20 @@ def main() -> None:
     """Export the lock, ask the database."""
     uv = shutil.which("uv") or str(Path(sys.executable).with_name("uv"))
     with tempfile.TemporaryDirectory() as folder:
-        wanted = Path(folder) / "requirements.txt"
-        export = [uv, "export", "--frozen", "--no-emit-project", "--all-extras", "--format", "requirements-txt", "-q", "-o", str(wanted)]
-        subprocess.run(export, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+        requirements = Path(folder) / "requirements.txt"
+        export = [
+            uv,
+            "export",
+            "--frozen",
+            "--no-emit-project",
+            "--all-extras",
+            "--format",
+            "requirements-txt",
+            "-q",
+            "-o",
+            str(requirements),
+        ]
+        subprocess.run([*export, str(requirements)], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
         audit = [
             uv,
             "tool",
@@ -33,7 +44,7 @@ def main() -> None:
             "--format",
             "json",
             "-r",
-            str(wanted),
+            str(requirements),
         ]
         try:
             done = subprocess.run(audit, capture_output=True, text=True, timeout=PATIENCE_S, check=False)

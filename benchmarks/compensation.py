@@ -1,4 +1,4 @@
-"""Which method of compensation is best, measured on motion and days that none has seen; writes the table of docs/compensation.md.
+"""Comparison of the methods of compensation on motion and days that none has seen; writes the table of docs/compensation.md.
 
 python benchmarks/compensation.py [--seed N] [--recordings N] [--presses N] [--only WORDS] [--write]
 """
@@ -6,20 +6,33 @@ python benchmarks/compensation.py [--seed N] [--recordings N] [--presses N] [--o
 import argparse
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import bootstrap
 
-from palpd.cell_file import CellFile, Tissue
-from palpd.compensate import SENSOR_DELAY_S, Exported, LineAndRunningZero, Method, Sample, corrections, features, methods, stream
-from palpd.compensate_recurrent import Recurrent
-from palpd.results import PEAK_WINDOW_S
-from palpd.study_cell import STEP_S, Move, Take, free_cell, ramps, setup, take
+from benchmarks.compensation_methods import methods
+from benchmarks.recurrent_method import Recurrent
+from palpd.analysis.intervals import mean_half_width_95
+from palpd.analysis.results import PEAK_WINDOW_S
+from palpd.cell.cell_file import CellFile, TissueBlock
+from palpd.cell.motion_profile import Move, commanded_heights
+from palpd.compensation.cycles import SMOOTHING_S
+from palpd.recording.samples import runs_of_true
+from palpd.study.laboratory import STEP_S, Take, free_cell, setup, take
+from palpd.study.methods import (
+    SENSOR_DELAY_S,
+    ExportedModel,
+    LinearModelWithRunningZero,
+    Method,
+    OnlineSample,
+    corrections,
+    features,
+    stream,
+)
 from palpd.tick import Floats
-from palpd.train import SMOOTHING_S
-from palpd.young import student_t_95
 
 DOC = Path(__file__).parents[1] / "docs" / "compensation.md"
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
@@ -79,36 +92,38 @@ def presses(rng: np.random.Generator, count: int) -> list[Move]:
 
 
 def recordings(cell: CellFile, seed: int, count: int, pressed: int) -> tuple[list[Take], dict[str, list[Take]]]:
-    """Free motion to learn from, and recordings to be judged by, in groups; those of contact with so many presses each."""
+    """Free motion to learn from, and recordings for the comparison, in groups; those of contact hold `pressed` presses each."""
     cycle = [Move(HOME_M, 0.02, 0.5), *[Move(HOME_M + stroke, 0.02, 0.3) for _ in range(10) for stroke in (0.02, 0.0)]]
-    learned = [take(free_cell(cell, training_day()), ramps(HOME_M, cycle)[0], seed * 1000 + k) for k in range(2)]
+    learned = [take(free_cell(cell, training_day()), commanded_heights(HOME_M, cycle, STEP_S)[0], seed * 1000 + k) for k in range(2)]
     judged: dict[str, list[Take]] = {"same_day": [], "other_day": [], "outside": [], "contact": []}
     for k in range(count):
         rng = np.random.default_rng([seed, k])
         slow, fast = ((0.005, 0.05), (0.2, 0.5)), ((0.05, 0.1), (1.0, 2.0))
         plan = [("same_day", training_day(), slow), ("other_day", day(rng), slow), ("outside", day(rng), fast)]
         for group, effects, drawn in plan:
-            judged[group].append(take(free_cell(cell, effects), ramps(HOME_M, strokes(rng, *drawn))[0], seed * 1000 + 100 + k))
-        tissue = cell.model_copy(update={"tissue": Tissue(youngs_modulus_Pa=rng.uniform(5e4, 1.5e5)), "effects": day(rng)})
-        judged["contact"].append(take(tissue, ramps(0.008, presses(rng, pressed))[0], seed * 1000 + 500 + k))
+            judged[group].append(
+                take(free_cell(cell, effects), commanded_heights(HOME_M, strokes(rng, *drawn), STEP_S)[0], seed * 1000 + 100 + k)
+            )
+        tissue = cell.model_copy(update={"tissue": TissueBlock(youngs_modulus_Pa=rng.uniform(5e4, 1.5e5)), "effects": day(rng)})
+        judged["contact"].append(take(tissue, commanded_heights(0.008, presses(rng, pressed), STEP_S)[0], seed * 1000 + 500 + k))
     return learned, judged
 
 
-def judge(method: Method, judged: dict[str, list[Take]]) -> Figures:
+def compare(method: Method, judged: dict[str, list[Take]]) -> Figures:
     """Run a method over all recordings."""
-    found = Figures()
+    figures = Figures()
     for group in ("same_day", "other_day", "outside"):
-        getattr(found, group).extend(_rms(run.fz_N - corrections(method, run)) for run in judged[group])
+        getattr(figures, group).extend(_rms(run.fz_N - corrections(method, run)) for run in judged[group])
     for run in judged["contact"]:
         corrected_N = run.fz_N - corrections(method, run)
         pairs = peaks(run, corrected_N)
-        found.peak.append([error_N for error_N, _ in pairs])
-        found.modulus.append([error_N / contact_N for error_N, contact_N in pairs])
-    found.step_s = cost_s(method, list(stream(judged["contact"][0])))
-    return found
+        figures.peak.append([error_N for error_N, _ in pairs])
+        figures.modulus.append([error_N / contact_N for error_N, contact_N in pairs])
+    figures.step_s = cost_s(method, list(stream(judged["contact"][0])))
+    return figures
 
 
-def cost_s(method: Method, samples: list[Sample], batch: int = 100, rounds: int = 3) -> float:
+def cost_s(method: Method, samples: list[OnlineSample], batch: int = 100, rounds: int = 3) -> float:
     """Of one sample, called one by one: mean over batches, of each the quickest of some rounds, which nothing has interrupted."""
     costs_s = np.full((rounds, -(-len(samples) // batch)), math.inf)
     for of_round in costs_s:
@@ -127,17 +142,16 @@ def peaks(run: Take, corrected_N: Floats) -> list[tuple[float, float]]:
     width = round(PEAK_WINDOW_S / STEP_S)
     mean = np.convolve(run.fz_N, np.full(width, 1.0 / width), mode="valid")
     touching = run.contact_N[: len(mean)] > 0.1
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], touching.astype(int), [0]))))
-    found = []
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
+    pairs = []
+    for first, last in zip(*runs_of_true(touching), strict=True):
         at = first + int(np.argmax(mean[first:last]))
         window = slice(at, at + width)
         true_N = float(run.contact_N[window].mean())
-        found.append((float(corrected_N[window].mean()) - true_N, true_N))
-    return found
+        pairs.append((float(corrected_N[window].mean()) - true_N, true_N))
+    return pairs
 
 
-def smoothing_gap_N(exported: Exported, runs: Sequence[Take]) -> float:
+def smoothing_gap_N(exported: ExportedModel, runs: Sequence[Take]) -> float:
     """How far a model's answer from causal features is from that with features smoothed over past and future, rms."""
     gaps = []
     for run in runs:
@@ -162,29 +176,32 @@ def table(compared: list[tuple[Method, Figures]], floor: float, seed: int, count
         "| of it beyond noise and rounding | modulus at the peak, rms error (%) | cost (µs a sample) |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for method, found in compared:
-        free = [_interval(np.array(values) * 1e3) for values in (found.same_day, found.other_day, found.outside)]
-        peak, modulus = _rms_interval(np.array(found.peak) * 1e3), _rms(np.array(found.modulus)) * 100
-        beyond = math.sqrt(max(_rms(np.array(found.peak)) ** 2 - floor_of_peak**2, 0.0)) * 1e3
-        lines.append(f"| {method.name} | {' | '.join(free)} | {peak} | {beyond:.0f} | {modulus:.1f} | {found.step_s * 1e6:.1f} |")
+    for method, figures in compared:
+        free = [_interval(np.array(values) * 1e3) for values in (figures.same_day, figures.other_day, figures.outside)]
+        peak, modulus = _rms_interval(np.array(figures.peak) * 1e3), _rms(np.array(figures.modulus)) * 100
+        beyond = math.sqrt(max(_rms(np.array(figures.peak)) ** 2 - floor_of_peak**2, 0.0)) * 1e3
+        lines.append(f"| {method.name} | {' | '.join(free)} | {peak} | {beyond:.0f} | {modulus:.1f} | {figures.step_s * 1e6:.1f} |")
     return "\n".join(lines)
 
 
 def against_targets(compared: list[tuple[Method, Figures]], floor: float) -> str:
     """The daemon's default in free motion against noise and rounding, and at the peaks against the paper's network."""
-    winner = next(found for method, found in compared if isinstance(method, LineAndRunningZero))
-    network = next(found for method, found in compared if method.name.startswith("2-10-1"))
+    winner = next(figures for method, figures in compared if isinstance(method, LinearModelWithRunningZero))
+    network = next(figures for method, figures in compared if method.name.startswith("2-10-1"))
     free = [_mean_interval(np.array(values) / floor) for values in (winner.same_day, winner.other_day, winner.outside)]
     worst, half = max(free)
     floor_of_peak = floor / math.sqrt(PEAK_WINDOW_S / STEP_S)
-    ours, theirs = (_by_recording(np.array(found.peak)) for found in (winner, network))
-    drawn = np.random.default_rng(0).integers(0, len(ours), (2000, len(ours)))
-    ours_N2, theirs_N2 = (np.append(squares.mean(), squares[drawn].mean(axis=1)) - floor_of_peak**2 for squares in (ours, theirs))
-    ratios = np.sqrt(np.maximum(ours_N2, 0.0) / theirs_N2)
-    low, high = np.percentile(ratios[1:], [2.5, 97.5])
+    ours, theirs = (_by_recording(np.array(figures.peak)) for figures in (winner, network))
+
+    def ratio(ours: Floats, theirs: Floats, axis: int = -1) -> Floats:
+        """Of the errors beyond noise and rounding."""
+        beyond = (np.mean(squares, axis=axis) - floor_of_peak**2 for squares in (ours, theirs))
+        return np.asarray(np.sqrt(np.maximum(next(beyond), 0.0) / next(beyond)))
+
+    low, high = _bootstrap((ours, theirs), ratio)
     return (
         f"m·a + running zero against the targets: in free motion at most {worst:.2f} ± {half:.2f} of noise and rounding (1.2 allowed); "
-        f"at the peaks, beyond noise and rounding, {ratios[0]:.2f} ({low:.2f} to {high:.2f}) of the paper's network's error (0.5)."
+        f"at the peaks, beyond these, {ratio(ours, theirs):.2f} ({low:.2f} to {high:.2f}) of the paper's network's error (0.5)."
     )
 
 
@@ -194,7 +211,7 @@ def _interval(values: Floats) -> str:
 
 
 def _mean_interval(values: Floats) -> tuple[float, float]:
-    return float(values.mean()), student_t_95(len(values) - 1) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    return float(values.mean()), mean_half_width_95(values)
 
 
 def _by_recording(errors: Floats) -> Floats:
@@ -204,10 +221,14 @@ def _by_recording(errors: Floats) -> Floats:
 
 def _rms_interval(errors: Floats) -> str:
     """Bootstrap over recordings."""
-    squares = _by_recording(errors)
-    drawn = np.random.default_rng(0).choice(squares, (2000, len(squares))).mean(axis=1)
-    low, high = np.sqrt(np.percentile(drawn, [2.5, 97.5]))
+    low, high = np.sqrt(_bootstrap((_by_recording(errors),), np.mean))
     return f"{_rms(errors):.0f} ({low:.0f}–{high:.0f})"
+
+
+def _bootstrap(data: tuple[Floats, ...], statistic: Callable[..., Floats]) -> tuple[float, float]:
+    """95 % interval by resampling recordings, the same for all data."""
+    drawn = bootstrap(data, statistic, paired=True, n_resamples=2000, method="percentile", rng=np.random.default_rng(0))
+    return float(drawn.confidence_interval.low), float(drawn.confidence_interval.high)
 
 
 def _rms(values: Floats) -> float:
@@ -230,12 +251,12 @@ def main() -> None:
         if not any(word in method.name for word in asked.only.split(",")):
             continue
         method.fit(learned)
-        compared.append((method, judge(method, judged)))
+        compared.append((method, compare(method, judged)))
     text = table(compared, floor_N(cell), asked.seed, asked.recordings)
     if not asked.only:
         text += f"\n\n{against_targets(compared, floor_N(cell))}"
-    gaps = [(method.name, smoothing_gap_N(method, judged["outside"])) for method, _ in compared if isinstance(method, Exported)]
-    text += "\n\nWhat training with the future costs at run time without it (faster motion, mN rms): "
+    gaps = [(method.name, smoothing_gap_N(method, judged["outside"])) for method, _ in compared if isinstance(method, ExportedModel)]
+    text += "\n\nError at run time because features may not look ahead (faster motion, mN rms): "
     text += "; ".join(f"{name} {gap * 1e3:.1f}" for name, gap in gaps) + "."
     print(text)
     if asked.write:

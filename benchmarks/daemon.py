@@ -1,5 +1,6 @@
-"""The daemon at work at 500 Hz with a 1 kHz sensor and the network on every sample: tick work, wake-ups against cyclictest in the
-same run, memory, recording and replay.
+"""The daemon at work at 500 Hz with a 1 kHz sensor and the network on every sample.
+
+It measures tick work, wake-ups against cyclictest in the same run, memory, recording and replay.
 
 `python benchmarks/daemon.py [--model ur5e] [--presses 6]` prints a markdown table.
 """
@@ -15,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from palpd.record import Recording
-from palpd.replay import replay
-from tests.hil.wired import PRESS, Daemon, Wired, command_of, family, wired
+from benchmarks.emulated_cell import PRESS, Daemon, EmulatedCell, command_of, emulated_cell, family
+from palpd.daemon.replay import replay
+from palpd.recording.reader import Recording
 
 LATE_US = 1000.0
 CYCLE_US = {"ur5": 8000, "ur5e": 2000}
@@ -42,7 +43,7 @@ class Cyclictest:
         self._process.send_signal(2)
         text, _ = self._process.communicate(timeout=10)
         counts = np.array([(int(us), int(n)) for us, n in re.findall(r"^(\d{6}) (\d{6,})$", text, re.M)])
-        overflow = int(found.group(1)) if (found := re.search(r"Histogram Overflows: 0*(\d+)", text)) else 0
+        overflow = int(match.group(1)) if (match := re.search(r"Histogram Overflows: 0*(\d+)", text)) else 0
         if not len(counts) or not counts[:, 1].sum():
             return None
         total = int(counts[:, 1].sum()) + overflow
@@ -54,19 +55,19 @@ class Cyclictest:
 
 def resident_MB(daemon: Daemon) -> dict[str, float]:
     """Resident memory of each process of the daemon, by what it is."""
-    names = {"spawn_main": "motion", "palpd.recorder": "recorder", "resource_tracker": "resource tracker", "palpd run": "main"}
-    found: dict[str, float] = {}
+    names = {"spawn_main": "motion", "palpd.recording.recorder": "recorder", "resource_tracker": "resource tracker", "palpd run": "main"}
+    sizes_MB: dict[str, float] = {}
     for pid in family(daemon.process.pid):
         command = command_of(pid)
         name = next((name for part, name in names.items() if part in command), command[:40])
         text = Path(f"/proc/{pid}/status").read_text()
-        found[name] = int(re.search(r"VmRSS:\s+(\d+)", text).group(1)) / 1024  # type: ignore[union-attr]
-    return found
+        sizes_MB[name] = int(re.search(r"VmRSS:\s+(\d+)", text).group(1)) / 1024  # type: ignore[union-attr]
+    return sizes_MB
 
 
 def measure(model: str, presses: int, folder: Path) -> dict[str, Any]:
     """Learn a model from free motion, palpate with it, and take the figures of that run."""
-    with wired(folder, model) as base:
+    with emulated_cell(folder, model) as base:
         cell = base.anew(folder, safety={"contact_limit_N": 16.0})
         free, network = folder / "free.mcap", folder / "inertial.onnx"
         _done(cell, "free-motion", "--config", cell.config, "--take-reference", "--out", free)
@@ -87,7 +88,7 @@ def measure(model: str, presses: int, folder: Path) -> dict[str, Any]:
         code = daemon.wait()
         assert code == 0, daemon.stderr
         other = beside.end()
-    path = Path(daemon.found["recording"])
+    path = Path(daemon.report["recording"])
     recording = Recording.load(path)
     rows = recording.rows
     duration_s = float(rows["now_s"][-1] - rows["now_s"][0])
@@ -97,7 +98,7 @@ def measure(model: str, presses: int, folder: Path) -> dict[str, Any]:
     again = replay(recording)
     replayed_s = time.process_time() - began_s
     return {
-        **daemon.found["loop"],
+        **daemon.report["loop"],
         "late": (int((wakeup_us > LATE_US).sum()) + missed) / (len(rows) + missed),
         "cyclictest": other,
         "memory": memory,
@@ -108,36 +109,36 @@ def measure(model: str, presses: int, folder: Path) -> dict[str, Any]:
     }
 
 
-def _done(cell: Wired, *arguments: str | Path) -> None:
+def _done(cell: EmulatedCell, *arguments: str | Path) -> None:
     done = cell.palpd(*arguments)
     assert done.returncode == 0, done.stderr
 
 
-def table(found: dict[str, Any], model: str) -> str:
+def table(figures: dict[str, Any], model: str) -> str:
     """Markdown."""
-    other = found["cyclictest"]
-    memory = found["memory"]
+    other = figures["cyclictest"]
+    memory = figures["memory"]
     fast = model == "ur5e"  # the budget of a tick is that of 500 Hz; at 125 Hz four times the frames come in one
     lines = [
         f"| {model}, sensor 1 kHz, network on every sample | measured | target |",
         "|---|---|---|",
-        f"| work of a tick, p50 | {found['work_us_p50']:.0f} µs | {'250 µs' if fast else ''} |",
-        f"| work of a tick, p99 | {found['work_us_p99']:.0f} µs | {'1000 µs' if fast else ''} |",
-        f"| wake-up, p50 and p99 | {found['wakeup_us_p50']:.0f}, {found['wakeup_us_p99']:.0f} µs | |",
+        f"| work of a tick, p50 | {figures['work_us_p50']:.0f} µs | {'250 µs' if fast else ''} |",
+        f"| work of a tick, p99 | {figures['work_us_p99']:.0f} µs | {'1000 µs' if fast else ''} |",
+        f"| wake-up, p50 and p99 | {figures['wakeup_us_p50']:.0f}, {figures['wakeup_us_p99']:.0f} µs | |",
     ]
     if other:
         lines += [
             f"| cyclictest in the same run, p50 and p99 | {other['p50']:.0f}, {other['p99']:.0f} µs | |",
-            f"| ticks later than 1 ms or missed, above cyclictest's {other['late']:.2%} | {found['late'] - other['late']:+.2%} | 1 % |",
+            f"| ticks later than 1 ms or missed, above cyclictest's {other['late']:.2%} | {figures['late'] - other['late']:+.2%} | 1 % |",
         ]
     else:
-        lines.append(f"| ticks later than 1 ms or missed (cyclictest is not installed) | {found['late']:.2%} | |")
+        lines.append(f"| ticks later than 1 ms or missed (cyclictest is not installed) | {figures['late']:.2%} | |")
     lines += [
         f"| resident memory, all processes | {sum(memory.values()):.0f} MB | 300 MB |",
         *(f"| – {name} | {size:.0f} MB | |" for name, size in memory.items()),
-        f"| recording | {found['MB_per_min']:.1f} MB/min | 15 MB/min |",
-        f"| replay of that run, identical: {found['identical']} | {found['replay']:.1f} × real time | 20 × at 125 Hz |",
-        f"| the same by processor time, as with a core to itself | {found['replay_alone']:.1f} × real time | |",
+        f"| recording | {figures['MB_per_min']:.1f} MB/min | 15 MB/min |",
+        f"| replay of that run, identical: {figures['identical']} | {figures['replay']:.1f} × real time | 20 × at 125 Hz |",
+        f"| the same by processor time, as with a core to itself | {figures['replay_alone']:.1f} × real time | |",
     ]
     return "\n".join(lines)
 

@@ -1,9 +1,9 @@
-"""What a diagnosis costs: seconds by length of the recording, memory, and how many more a second process does.
+"""Cost of a diagnosis: time by length of the recording, memory, and the gain of a second process.
 
-`python benchmarks/diagnose.py [--length 90] [--recordings 6]`. Cells with two effects, so that pairs are searched; no two strokes alike;
-500 Hz. Every figure comes from a process of its own, the last ones from a folder as `palpd diagnose FOLDER` does it. Targets: 90 s of
-recording in 10 s and 1 GB, time in proportion to length, two processes 1.8 times as fast as one. All is timed in one run, so what
-else the machine does cancels best in the ratios.
+`python benchmarks/diagnose.py [--length 90] [--recordings 6]`. The cells have two effects, so pairs are searched; no two strokes are
+alike; the rate is 500 Hz. Every figure comes from its own process, the last ones from a folder as `palpd diagnose FOLDER` does it.
+Targets: 90 s of recording in 10 s and 1 GB, time in proportion to length, two processes 1.8 times as fast as one. One run times
+everything, so that other load on the machine cancels best in the ratios.
 """
 
 import argparse
@@ -18,18 +18,18 @@ from pathlib import Path
 
 import numpy as np
 
-from palpd.cell import WRENCH, simulate
-from palpd.cell_file import Estimated, nominal, save_cell
+from palpd.cell.cell_file import Estimated, nominal, save_cell
+from palpd.cell.simulation import WRENCH, simulate
 from palpd.gap.commands import diagnose_files
 from palpd.gap.fleet import diagnose_folder
-from palpd.samples import Samples, write_csv
+from palpd.recording.samples import Samples, write_csv
 
 RATE_HZ = 500.0
 EFFECTS = {"tissue.viscoelastic": {"ratio": 0.2, "tau_s": 0.7}, "cable.friction": {"force_N": 0.06}}
 
 
 def heights(seconds: float, seed: int) -> np.ndarray:
-    """Commanded heights (n,): strokes in the air and presses, with depths, speeds and rests drawn anew each time."""
+    """Commanded heights (n,) of strokes in the air and presses with random depths, speeds and rests."""
     rng = np.random.default_rng(seed)
     pieces, z_m, missing = [np.full(int(RATE_HZ), 0.01)], 0.01, int(seconds * RATE_HZ) - int(RATE_HZ)
     while missing > 0:
@@ -43,7 +43,7 @@ def heights(seconds: float, seed: int) -> np.ndarray:
 
 
 def record(path: Path, seconds: float, seed: int) -> None:
-    """A recording of a cell with both effects and in-tolerance deviations, and its cell file beside it."""
+    """Write a recording of a cell with both effects and in-tolerance deviations, and its cell file beside it."""
     off = Estimated(bias_N=0.015, gain=0.004, latency_s=-0.0005, mass_kg=0.002, youngs_modulus=0.015, surface_z_m=-2e-5)
     z_cmd_m = heights(seconds, seed)
     t_s = np.arange(len(z_cmd_m)) / RATE_HZ
@@ -54,16 +54,16 @@ def record(path: Path, seconds: float, seed: int) -> None:
 
 
 def measure(path: Path) -> None:
-    """Diagnose that recording, and print what it cost as JSON."""
+    """Diagnose a recording and print the cost as JSON."""
     began, before = time.perf_counter(), os.times()
-    found = diagnose_files([path], path.with_suffix(".yaml"))
+    diagnosis = diagnose_files([path], path.with_suffix(".yaml"))
     after = os.times()
     cost = {
         "wall_s": time.perf_counter() - began,
         "cpu_s": after.user + after.system - before.user - before.system,
         "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
-        "simulations": found.problem.simulations,
-        "named": [effect.id for effect in found.effects],
+        "simulations": diagnosis.problem.simulations,
+        "named": [effect.id for effect in diagnosis.effects],
     }
     print(json.dumps(cost))
 

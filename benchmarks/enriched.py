@@ -12,25 +12,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from palpd.cell import equilibrium_force_N, true_surface_m
-from palpd.cell_file import CellFile, Tissue, Wall
-from palpd.compensate import SENSOR_DELAY_S
+from palpd.analysis.enriched import enriched_modulus
+from palpd.analysis.results import machine_stiffness
+from palpd.analysis.young import modulus_peak_Pa
+from palpd.cell.cell_file import CellFile, TissueBlock, Wall
+from palpd.cell.effects import EFFECTS
+from palpd.cell.motion_profile import Move, commanded_heights
+from palpd.cell.simulation import equilibrium_force_N, true_surface_m
 from palpd.config import Config, Plan
-from palpd.effects import EFFECTS
-from palpd.enriched import enriched_modulus
+from palpd.daemon.motion_process import Job
+from palpd.daemon.simulated_run import run
 from palpd.gap.diagnosis import diagnose
-from palpd.motion import Job
-from palpd.results import machine_stiffness
-from palpd.samples import Samples
-from palpd.sim import run
-from palpd.study_cell import Move, Take, ramps, setup, take
-from palpd.young import modulus_peak_Pa
+from palpd.recording.samples import Samples
+from palpd.study.laboratory import STEP_S, Take, setup, take
+from palpd.study.methods import SENSOR_DELAY_S
 
 DEPTHS_M = (0.003, 0.004, 0.005, 0.006)
 REST_M = 0.010
 PLATE_N_PER_M = 1e7
 GIVE_KNOWN = {name: effect for name, effect in EFFECTS.items() if name != "robot.compliance"}
-"""What may still be named of a machine whose give was measured and taken out (`palpd diagnose --without robot.compliance`)."""
+"""Effects that may be named after the plate has removed the machine's compliance."""
 DRAWN = ("tissue.viscoelastic", "tissue.surface", "robot.compliance", "sensor.latency", "sensor.bias", "tissue.inclusion")
 
 
@@ -49,9 +50,9 @@ def effects_of(rng: np.random.Generator) -> dict[str, dict[str, float]]:
 
 def cells(rng: np.random.Generator) -> tuple[CellFile, CellFile]:
     """The true cell and what is believed of it: the same sensor, no effects, a modulus that nobody knows."""
-    base = setup("A").model_copy(update={"tissue": Tissue(youngs_modulus_Pa=rng.uniform(4e4, 1.2e5))})
+    base = setup("A").model_copy(update={"tissue": TissueBlock(youngs_modulus_Pa=rng.uniform(4e4, 1.2e5))})
     believed = base.model_copy(
-        update={"tissue": Tissue(youngs_modulus_Pa=7e4), "tolerances": base.tolerances.model_copy(update={"youngs_modulus": 1.0})}
+        update={"tissue": TissueBlock(youngs_modulus_Pa=7e4), "tolerances": base.tolerances.model_copy(update={"youngs_modulus": 1.0})}
     )
     return base.model_copy(update={"effects": effects_of(rng)}), believed
 
@@ -61,7 +62,7 @@ def scattered(cell: CellFile, rng: np.random.Generator, moves: list[tuple[float,
     way = [Move(REST_M, 0.02, 1.0)]
     for depth_m, speed, hold_s in moves:
         way += [Move(rng.normal(0.0, 2e-5) - depth_m, speed, hold_s), Move(REST_M, speed, 1.0)]
-    z_cmd_m, spans = ramps(REST_M, way)
+    z_cmd_m, spans = commanded_heights(REST_M, way, STEP_S)
     return take(cell, z_cmd_m, seed), [slice(spans[k][0], spans[k][1]) for k in range(1, len(way), 2)]
 
 
@@ -81,7 +82,7 @@ def plate_N_per_m(cell: CellFile, seed: int) -> float:
     if "robot.compliance" not in give:
         return math.inf
     wall = Wall(z_m=0.0, stiffness_N_per_m=PLATE_N_PER_M)
-    daemon = cell.model_copy(update={"tissue": Tissue(), "wall": wall, "effects": give})
+    daemon = cell.model_copy(update={"tissue": TissueBlock(), "wall": wall, "effects": give})
     done = run(Job("stiffness", Config(), Plan()), daemon, seed=seed, home_above_m=0.002)
     if done.outcome.verdict != "done":
         raise RuntimeError(f"the plate press was stopped: {done.outcome.reason}")
@@ -116,9 +117,9 @@ def main() -> None:
         static, holds = scattered(true, rng, [(d, 0.01, 8.0) for d in DEPTHS_M], 500 + 2 * k + 10_000 * asked.seed)
         peak = np.mean([_peak_Pa(dynamic, span) for span in presses])
         held = np.mean([_held_Pa(static, span) for span in holds])
-        found = enriched_modulus([tip_of(dynamic, stiffness)], diagnosis.enriched_cell())
-        true_Pa, after_Pa = truth_Pa(true), found.static_Pa(DEPTHS_M)
-        half = (found.ci95_Pa[1] / found.youngs_modulus_Pa - 1.0) * after_Pa
+        estimate = enriched_modulus([tip_of(dynamic, stiffness)], diagnosis.enriched_cell())
+        true_Pa, after_Pa = truth_Pa(true), estimate.static_Pa(DEPTHS_M)
+        half = (estimate.ci95_Pa[1] / estimate.youngs_modulus_Pa - 1.0) * after_Pa
         errors.append([peak / true_Pa - 1.0, held / true_Pa - 1.0, after_Pa / true_Pa - 1.0])
         inside.append(abs(after_Pa - true_Pa) <= half)
         shown = " | ".join(f"{100 * each:+.1f} %" for each in errors[-1])
@@ -126,7 +127,7 @@ def main() -> None:
         measured = f"{stiffness / 1e3:.2f}" if math.isfinite(stiffness) else "rigid"
         print(
             f"| {k + 1} | {', '.join(true.effects)} | {measured} | {named} | {shown} | {'yes' if inside[-1] else 'no'} |"
-            f" <!-- surface {1e6 * (found.surface_z_m - true_surface_m(true)):+.0f} µm, {time.perf_counter() - begun_s:.0f} s -->",
+            f" <!-- surface {1e6 * (estimate.surface_z_m - true_surface_m(true)):+.0f} µm, {time.perf_counter() - begun_s:.0f} s -->",
             flush=True,
         )
     table = np.abs(np.array(errors)) * 100

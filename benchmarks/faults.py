@@ -1,4 +1,4 @@
-"""Do every fault of docs/faults.md to runs at random moments and write what came of it into its column "measured".
+"""Inject every fault of docs/faults.md into runs at random moments and fill its column "measured".
 
 `python benchmarks/faults.py [--repeats 3] [--minutes 60] [--only FAULT,FAULT] [--parallel 2] [--json FILE]`. Some 10 s a fault that ends a
 run, 1 s one that does not; the faults take turns, so that an end by `--minutes` leaves all with as many. Results are added to FILE, and the
@@ -25,20 +25,30 @@ from typing import Any
 
 import numpy as np
 
-from palpd.realtime import fifo
-from tests.hil.faults import DEEDS, TABLE, Came, at_any_moment, borne, objection, required, suffered, wall_clock
-from tests.hil.wired import Wired, wired
+from benchmarks.emulated_cell import EmulatedCell, emulated_cell
+from benchmarks.fault_injection import (
+    FAULTS,
+    TABLE,
+    FaultOutcome,
+    at_any_moment,
+    inject,
+    inject_repeatedly,
+    objection,
+    required,
+    wall_clock,
+)
+from palpd.daemon.realtime import fifo
 
 CONTACT_LIMIT_N = 16.0
-BORNE_AT_ONCE = 10
+INJECTED_AT_ONCE = 10
 MACHINE_LATE_S = 0.002
-"""An emulator, or a thread of the highest priority on any core, that was later than this measures the machine: what came of the deed is
-left out, and counted. A stall of 50 ms trips the controller's watchdog by itself, and then another reason is told too."""
+"""An emulator, or a thread of the highest priority on any core, that was later than this measures the machine: the outcome of the
+fault is left out, and counted. A stall of 50 ms trips the controller's watchdog by itself, and then another reason is reported too."""
 STAND = re.compile(r"^Measured (on|from) .*$", re.M)
 
 
 def _watch(cpu: int, stalls: "multiprocessing.Queue[tuple[float, float]]") -> None:
-    """Wake every millisecond on that core, above all else, and tell of every wake-up that came too late."""
+    """Wake every millisecond on that core, above all else, and report every wake-up that came too late."""
     os.sched_setaffinity(0, {cpu})
     fifo(99)
     due_s = time.monotonic()
@@ -51,38 +61,38 @@ def _watch(cpu: int, stalls: "multiprocessing.Queue[tuple[float, float]]") -> No
             due_s += late_s
 
 
-class Watch:
+class StallWatch:
     """When each core of the machine stood still, whatever its threads' priorities."""
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self._told: multiprocessing.Queue[tuple[float, float]] = context.Queue()
+        self._reports: multiprocessing.Queue[tuple[float, float]] = context.Queue()
         self._stalls: list[tuple[float, float]] = []
         for cpu in os.sched_getaffinity(0):
-            context.Process(target=_watch, args=(cpu, self._told), daemon=True).start()
+            context.Process(target=_watch, args=(cpu, self._reports), daemon=True).start()
 
     def late_s(self, since_s: float, until_s: float) -> float:
         """The longest stall that touches that time."""
         with contextlib.suppress(queue.Empty):
             while True:
-                self._stalls.append(self._told.get_nowait())
+                self._stalls.append(self._reports.get_nowait())
         return max((late_s for at_s, late_s in self._stalls if at_s < until_s and at_s + late_s > since_s), default=0.0)
 
 
 class Bench:
-    """Emulated cells side by side, and what has come of the faults done to them."""
+    """Emulated cells side by side, and the outcomes of the faults injected into them."""
 
     def __init__(self, kept: Path, end_s: float) -> None:
         self.todo: queue.SimpleQueue[tuple[str, int]] = queue.SimpleQueue()
-        self._kept, self._end_s, self._lock, self._watch = kept, end_s, threading.Lock(), Watch()
+        self._kept, self._end_s, self._lock, self._watch = kept, end_s, threading.Lock(), StallWatch()
 
     def work(self, folder: Path) -> None:
-        """One cell, until nothing is left to be done."""
-        with wired(folder, "ur5") as base:
+        """Inject faults into one cell until the list is empty or the time is over."""
+        with emulated_cell(folder, "ur5") as base:
             calibration = _calibration(base, folder)
             environment = wall_clock(folder)
 
-            def cell() -> Wired:
+            def cell() -> EmulatedCell:
                 fresh = Path(tempfile.mkdtemp(prefix="fault-", dir=folder))
                 (fresh / "state").mkdir()
                 (fresh / "state" / "calibration.json").write_text(calibration)
@@ -104,11 +114,11 @@ class Bench:
 
     def _do(self, cell: Any, fault: str, times: int) -> None:
         if required()[fault].reaction.startswith("carry on"):
-            came = borne(cell, fault, times, reference=False)
+            came = inject_repeatedly(cell, fault, times, reference=False)
             if len(came) < times and not objection(came[-1], required()[fault]):
                 self.todo.put((fault, times - len(came)))
         else:
-            came = [suffered(cell, fault, at_any_moment, reference=False)]
+            came = [inject(cell, fault, at_any_moment, reference=False)]
         with self._lock, self._kept.open("a") as file:
             came = [replace(one, machine_late_s=max(one.machine_late_s, self._machine_late_s(one))) for one in came]
             for one in came:
@@ -117,25 +127,25 @@ class Bench:
                 file.write(json.dumps(entry | {"late_s": one.machine_late_s, "load": os.getloadavg()[0]}) + "\n")
         print(f"{fault}: {' '.join(_shown(one) for one in came)} {why}", flush=True)
 
-    def _machine_late_s(self, one: Came) -> float:
-        """Of a run that has ended: from just before the deed until the arm was at rest. One that went on has borne it."""
+    def _machine_late_s(self, one: FaultOutcome) -> float:
+        """Of a run that has ended: from just before the fault until the arm was at rest. A run that went on has survived it."""
         return 0.0 if one.ticks is None else self._watch.late_s(one.done_s - 0.1, one.done_s + 0.6)
 
 
-def _calibration(base: Wired, folder: Path) -> str:
+def _calibration(base: EmulatedCell, folder: Path) -> str:
     ready = base.anew(folder)
     done = ready.palpd("calibrate", "--config", ready.config)
     assert done.returncode == 0, done.stderr
     return (folder / "state" / "calibration.json").read_text()
 
 
-def _shown(came: Came) -> str:
+def _shown(came: FaultOutcome) -> str:
     late = "" if came.machine_late_s <= MACHINE_LATE_S else f" (the machine {came.machine_late_s * 1e3:.0f} ms late)"
     return "·" if came.ticks is None else f"{came.ticks:.1f} in {came.phase.name}{late}"
 
 
 def cell_of(entries: list[dict[str, Any]]) -> tuple[str, int]:
-    """What stands in the table for one fault: worst first. And how many of its deeds did not lead to what is required."""
+    """What stands in the table for one fault: worst first. And the number of its faults that broke a requirement."""
     judged = [entry for entry in entries if entry["late_s"] <= MACHINE_LATE_S]
     broken = [entry for entry in judged if entry["why"]]
     ticks = [entry["ticks"] for entry in judged if entry["ticks"] is not None]
@@ -148,19 +158,19 @@ def cell_of(entries: list[dict[str, Any]]) -> tuple[str, int]:
 
 
 def write_table(kept: Path) -> int:
-    """Fill the column "measured" of docs/faults.md from a file of results, and say how many deeds did not keep what is required."""
-    found: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    """Fill the column "measured" of docs/faults.md from a file of results, and return how many faults broke a requirement."""
+    by_fault: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for line in kept.read_text().splitlines():
         entry = json.loads(line)
-        found[entry["fault"]].append(entry)
+        by_fault[entry["fault"]].append(entry)
     text, all_broken = TABLE.read_text(), 0
-    for fault, entries in found.items():
+    for fault, entries in by_fault.items():
         cell, broken = cell_of(entries)
         all_broken += broken
         text = re.sub(rf"^(\| {re.escape(fault)} \|.*\|)[^|]*\|$", rf"\1 {cell} |", text, flags=re.M)
-    loads = [entry["load"] for entries in found.values() for entry in entries]
+    loads = [entry["load"] for entries in by_fault.values() for entry in entries]
     stand = (
-        f"Measured on {datetime.date.today()}, {sum(map(len, found.values()))} deeds at random moments of search and presses, "
+        f"Measured on {datetime.date.today()}, {sum(map(len, by_fault.values()))} faults at random moments of search and presses, "
         f"{os.cpu_count()} cores, load {min(loads):.1f} to {max(loads):.1f} (median {np.median(loads):.1f}), "
         "emulated wires on the same machine."
     )
@@ -177,7 +187,7 @@ def main() -> None:
     parser.add_argument("--parallel", type=int, default=1, help="emulated cells at a time")
     parser.add_argument("--json", type=Path, help="results are added to this file, and the table is made of all of it")
     options = parser.parse_args()
-    faults = options.only.split(",") if options.only else list(DEEDS)
+    faults = options.only.split(",") if options.only else list(FAULTS)
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and so would its children
     with tempfile.TemporaryDirectory() as name:
         kept = options.json or Path(name) / "faults.jsonl"
@@ -186,8 +196,8 @@ def main() -> None:
             for fault in faults:
                 if not required()[fault].reaction.startswith("carry on"):
                     bench.todo.put((fault, 1))
-                elif number % BORNE_AT_ONCE == 0:
-                    bench.todo.put((fault, min(BORNE_AT_ONCE, options.repeats - number)))
+                elif number % INJECTED_AT_ONCE == 0:
+                    bench.todo.put((fault, min(INJECTED_AT_ONCE, options.repeats - number)))
         workers = []
         for number in range(options.parallel):
             folder = Path(name) / f"cell-{number}"

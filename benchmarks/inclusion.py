@@ -7,11 +7,12 @@ import argparse
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import binomtest
 
-from palpd.cell_file import CellFile, Tissue
-from palpd.gap.blind_score import wilson
-from palpd.inclusion import DEPTHS_M, Inclusion, find_inclusion
-from palpd.study_cell import Move, ramps, setup, take
+from palpd.analysis.inclusion import DEPTHS_M, Inclusion, find_inclusion
+from palpd.cell.cell_file import CellFile, TissueBlock
+from palpd.cell.motion_profile import Move, commanded_heights
+from palpd.study.laboratory import STEP_S, setup, take
 
 LIMIT_N = 25.0
 """Holds are left out where a press would pass this, as the daemon would."""
@@ -26,7 +27,7 @@ def cell_of(rng: np.random.Generator, inclusion_m: float | None) -> CellFile:
     }
     if inclusion_m is not None:
         effects["tissue.inclusion"] = {"contrast": float(np.exp(rng.uniform(np.log(0.5), np.log(3.0)))), "depth_m": inclusion_m}
-    tissue = Tissue(youngs_modulus_Pa=rng.uniform(4e4, 1.2e5))
+    tissue = TissueBlock(youngs_modulus_Pa=rng.uniform(4e4, 1.2e5))
     return setup("A").model_copy(update={"tissue": tissue, "effects": effects})
 
 
@@ -36,7 +37,7 @@ def palpate(cell: CellFile, holds_m: Sequence[float], rng: np.random.Generator, 
     moves = [Move(0.006, 0.02, 0.5)]
     for depth_m in holds_m:
         moves += [Move(found_m + rng.normal(0.0, 2e-5) - depth_m, 0.01, 6.0), Move(0.006, 0.01, 1.5)]
-    z_cmd_m, spans = ramps(0.006, moves)
+    z_cmd_m, spans = commanded_heights(0.006, moves, STEP_S)
     run = take(cell, z_cmd_m, seed)
     depths_m, forces_N = [], []
     rest_N = float(run.fz_N[spans[0][1] - 200 : spans[0][1]].mean())
@@ -62,7 +63,7 @@ def judged(inclusion_m: float | None, holds_m: Sequence[float], seed: int) -> In
 
 def share(hits: list[bool]) -> str:
     """With Wilson's 95 % interval."""
-    low, high = wilson(sum(hits), len(hits))
+    low, high = binomtest(sum(hits), len(hits)).proportion_ci(method="wilson")
     return f"{100 * sum(hits) / len(hits):.0f} % ({100 * low:.0f}–{100 * high:.0f})"
 
 
@@ -75,19 +76,19 @@ def main() -> None:
     asked = parser.parse_args()
     count, holds_m = asked.seeds, [0.001 * d for d in range(1, asked.deepest_mm + 1)] * asked.series
     plain = [judged(None, holds_m, seed) for seed in range(count)]
-    print("| below the surface | said to hold an inclusion (p > 0.5) | class of depth right | contrast within its 95 % interval |")
+    print("| below the surface | judged to hold an inclusion (p > 0.5) | class of depth right | contrast within its 95 % interval |")
     print("|---|---|---|---|")
     print(f"| nothing | {share([each.probability > 0.5 for each in plain])} | – | – |")
     for depth_m in DEPTHS_M:
-        found = [judged(depth_m, holds_m, seed) for seed in range(count)]
+        presses = [judged(depth_m, holds_m, seed) for seed in range(count)]
         true = []
         for seed in range(count):
             rng = np.random.default_rng([seed, round(depth_m * 1e6)])
             true.append(cell_of(rng, depth_m).effects["tissue.inclusion"]["contrast"])
-        within = [each.contrast_ci95[0] * 0.95 <= c <= each.contrast_ci95[1] * 1.05 for each, c in zip(found, true, strict=True)]
+        within = [each.contrast_ci95[0] * 0.95 <= c <= each.contrast_ci95[1] * 1.05 for each, c in zip(presses, true, strict=True)]
         print(
-            f"| {depth_m * 1e3:g} mm | {share([each.probability > 0.5 for each in found])} "
-            f"| {share([each.depth_m == depth_m for each in found])} | {share(within)} |"
+            f"| {depth_m * 1e3:g} mm | {share([each.probability > 0.5 for each in presses])} "
+            f"| {share([each.depth_m == depth_m for each in presses])} | {share(within)} |"
         )
 
 

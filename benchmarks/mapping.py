@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from palpd.mapping import HARD, Field, raster, search
-from palpd.mapping_field import EmulatedField
+from palpd.analysis.stiffness_map import HARD, Field, raster, search
+from palpd.study.inclusion_field import EmulatedField
 
 
 def raster_presses(emulated: EmulatedField, where: Field) -> int:
@@ -31,15 +31,15 @@ def main() -> None:
     presses, first, hits, away_m = [], [], [], []
     for seed in range(count):
         emulated = EmulatedField(where, seed)
-        survey, found = search(emulated.press, where)
+        survey, mapped = search(emulated.press, where)
         presses.append(len(survey.places_m))
         first.append(raster_presses(EmulatedField(where, seed), where))
         assert emulated.inclusion is not None
-        away = math.dist(found.found_m, emulated.inclusion[:2]) if found.found_m is not None else math.inf
+        away = math.dist(mapped.found_m, emulated.inclusion[:2]) if mapped.found_m is not None else math.inf
         hits.append(away < where.inclusion_m / 2.0)
         away_m.append(away)
     plain = [search(EmulatedField(where, 1000 + seed, contrast=0.0).press, where) for seed in range(count // 2)]
-    alarms = sum(found.found_m is not None for _, found in plain)
+    alarms = sum(mapped.found_m is not None for _, mapped in plain)
     print(f"{count} fields with an inclusion: {sum(hits)} found within its own radius, median {np.median(away_m) * 1e3:.1f} mm off.")
     print(f"Presses: mean {np.mean(presses):.0f}, in 95 % of fields at most {np.percentile(presses, 95):.0f}; ", end="")
     print(f"a raster of 5 mm has {whole} and meets something hard after {np.mean(first):.0f} on the mean: ", end="")

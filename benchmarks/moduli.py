@@ -1,6 +1,6 @@
 """How exact moduli of plain elastic tissue are, and how often 95 % intervals hold the truth, on emulated cells that are drawn at random.
 
-The daemon palpates each: it tares, finds the surface by contact, holds and presses; nothing of the cell is told to it.
+The daemon palpates each: it tares, finds the surface by contact, holds and presses; it knows nothing of the cell.
 
 python benchmarks/moduli.py [--cells N] [--seed N] [--no-hysteresis]
 """
@@ -11,17 +11,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from scipy.stats import binomtest
 
-from palpd import results
-from palpd.cell_file import CellFile, Tissue
+from palpd.analysis import results
+from palpd.cell.cell_file import CellFile, TissueBlock
+from palpd.compensation.train import train
 from palpd.config import Config, Plan, filter_delay_s
-from palpd.gap.blind_score import wilson
-from palpd.motion import Job
-from palpd.record import Recording, samples_of
-from palpd.sim import Ran, run
-from palpd.study_cell import CUTOFF_Hz, free_cell, setup
+from palpd.daemon.motion_process import Job
+from palpd.daemon.simulated_run import SimulatedRecording, run
+from palpd.recording.reader import Recording, samples_of
+from palpd.study.laboratory import CUTOFF_Hz, free_cell, setup
 from palpd.tick import Phase
-from palpd.train import train
 
 PLAN = Plan(depths_m=(0.004, 0.006, 0.008), mode="both", repeats=1)
 HOME_ABOVE_M = 0.012
@@ -38,7 +38,7 @@ def drawn(rng: np.random.Generator) -> CellFile:
         "sensor.warmup": {"amplitude_N": rng.uniform(-0.1, 0.1), "tau_s": rng.uniform(60.0, 600.0)},
         "sensor.hysteresis": {"width_N": 1.0, "amplitude_N": rng.uniform(0.0, 0.02)},
     }
-    tissue = Tissue(youngs_modulus_Pa=rng.uniform(4e4, 1.5e5))
+    tissue = TissueBlock(youngs_modulus_Pa=rng.uniform(4e4, 1.5e5))
     return cell.model_copy(update={"sensor": sensor, "tissue": tissue, "effects": effects})
 
 
@@ -52,7 +52,7 @@ def trained(folder: Path, cutoff_Hz: float) -> Path:
     return path
 
 
-def palpated(cell: CellFile, model: Path, seed: int) -> Ran:
+def palpated(cell: CellFile, model: Path, seed: int) -> SimulatedRecording:
     """One run of the daemon's loop on the cell, the inertial model and its running zero at work."""
     config = Config.model_validate({"sensor": {"filter_cutoff_Hz": cell.sensor.filter_cutoff_Hz}, "model": {"path": model}})
     done = run(Job("palpation", config, PLAN), cell, seed=seed, home_above_m=HOME_ABOVE_M)
@@ -90,8 +90,8 @@ def main() -> None:
     print(f"{asked.cells} cells of 40 to 150 kPa, seed {asked.seed}. Error of the modulus (%):")
     print("| by | mean | rms | largest | within |")
     print("|---|---|---|---|---|")
-    told = (("static holds, equation 1", static, 3), ("dynamic peaks, corrected", dynamic, 6), ("loading curve, Hertz", loading, 3))
-    for name, errors, most in told:
+    rows = (("static holds, equation 1", static, 3), ("dynamic peaks, corrected", dynamic, 6), ("loading curve, Hertz", loading, 3))
+    for name, errors, most in rows:
         e = 100.0 * np.array(errors)
         good = (np.abs(e) <= most).tolist()
         print(
@@ -108,7 +108,7 @@ def main() -> None:
 
 def _share(hits: Sequence[bool]) -> str:
     """95 % interval of a share, in percent."""
-    low, high = wilson(sum(hits), len(hits))
+    low, high = binomtest(sum(hits), len(hits)).proportion_ci(method="wilson")
     return f"{100 * low:.0f}–{100 * high:.0f} %"
 
 

@@ -1,6 +1,8 @@
 """Change the guard, the tare and the frame parser in one place at a time, and see whether the tests notice.
 
-`python benchmarks/mutation.py [--only safety] [--share 0.1] [--json FILE]`. Each mutant is compiled in a forked process that then runs the
+`python benchmarks/mutation.py [--only safety] [--share 0.1] [--seed N] [--json FILE]`.
+
+Each mutant is compiled in a forked process that then runs the
 tests of its module; it is killed if one fails, or if they need five times the time. Changed are comparisons, arithmetic, and/or, not,
 numbers, truth values, bytes, min/max and any/all, conditions, returned values; statements are left out. Not changed: annotations, texts.
 Ends with 1 where fewer than 95 % are killed; of a share, where chance does not explain so few.
@@ -29,12 +31,12 @@ import palpd.tick  # noqa: F401
 
 ROOT = Path(__file__).parents[1]
 TARGETS = {  # name: (module, file, what of it; everything if empty, the tests)
-    "safety": ("palpd.safety", "palpd/safety.py", (), ["tests/test_safety.py"]),
-    "tare": ("palpd.tare", "palpd/tare.py", (), ["tests/test_tare.py"]),
-    "parser": ("hw.hex_sensor", "hw/hex_sensor.py", ("FrameParser", "_sample"), ["tests/wire/test_hex_parser.py"]),
+    "safety": ("palpd.control.safety", "palpd/control/safety.py", (), ["tests/control/test_safety.py"]),
+    "tare": ("palpd.control.tare", "palpd/control/tare.py", (), ["tests/control/test_tare.py"]),
+    "parser": ("hw.hex_frames", "hw/hex_frames.py", ("FrameParser", "_frame"), ["tests/wire/test_hex_parser.py"]),
 }
 PATIENCE = 5
-"""A mutant may take so many times the processor time of the unchanged module, and 5 s."""
+"""Processor time that a mutant may take, in units of the unchanged module's, besides 5 s."""
 ENOUGH = 0.95
 SWAPS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
@@ -43,17 +45,17 @@ SWAPS: dict[type[ast.AST], type[ast.AST]] = {
     ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd, ast.LShift: ast.RShift, ast.RShift: ast.LShift, ast.Pow: ast.Mult,
     ast.Continue: ast.Break, ast.Break: ast.Continue,
 }  # fmt: skip
-SAME = {  # the mutated part, and why no test can tell
+SAME = {  # the mutated part, and why no test can see it
     "row[:-3]": "three of six either way",
     "slice(-3)": "three of six either way",
-    "angle >= 1e-12": "a turn by 1e-12 rad or none",
-    "if angle > 1e-12 else 1.0": "without a turn its axis does not matter",
-    "base_from_sensor(rotation_vector_rad, 1.0)": "turning about the tool's axis does not tilt it",
-    "self._attempt_frames = min(": "only how many frames are tried at once, and so how fast",
-    "whole = (rows[:, :4] != ": "the careful way is taken then, which finds the same",
-    "- len(DATA) + -1": "two bytes are looked at again in which no header begins",
-    "steps = counter[1:]": "the careful way is taken then, which finds the same",
-    "reshape(-2, 8)": "numpy takes any negative length for the one that is not known",
+    "angle >= 1e-12": "a rotation of 1e-12 rad or none",
+    "if angle > 1e-12 else 1.0": "without a rotation its axis does not matter",
+    "base_from_sensor(rotation_vector_rad, 1.0)": "a rotation about the tool's axis does not tilt it",
+    "self._attempt_frames = min(": "it changes only the number of frames tried at once, and so the speed",
+    "whole = (rows[:, :4] != ": "the careful path runs then, with the same result",
+    "- len(DATA) + -1": "two bytes without a header are read again",
+    "steps = counter[1:]": "the careful path runs then, with the same result",
+    "reshape(-2, 8)": "numpy reads any negative length as the unknown one",
     "(32769.0,) * 6": "no count of 16 bits is between the two",
     "zip(first, second, third, strict=False)": "three rows of three by construction",
 }
@@ -138,7 +140,7 @@ def killed(module: str, file: str, tree: ast.Module, tests: list[str], cpu_s: in
             os.dup2(nowhere, 1)
             os.dup2(nowhere, 2)
             _replace(module, file, tree)
-            code = int(pytest.main(["-x", "-q", "--no-header", *(str(ROOT / test) for test in tests)]))
+            code = int(pytest.main(["-x", "-q", "--no-header", "-W", "default", *(str(ROOT / test) for test in tests)]))
         finally:
             os._exit(code)
     return os.waitpid(child, 0)[1] != 0
@@ -146,7 +148,7 @@ def killed(module: str, file: str, tree: ast.Module, tests: list[str], cpu_s: in
 
 def _why(what: str) -> str:
     new = what.rpartition(" → ")[2]
-    return next((f": the same, {why}" for part, why in SAME.items() if part in new), "")
+    return next((f": equivalent, {why}" for part, why in SAME.items() if part in new), "")
 
 
 def _children_s() -> float:
@@ -168,20 +170,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", choices=tuple(TARGETS))
     parser.add_argument("--share", type=float, default=1.0, help="of the mutants, chosen by chance")
+    parser.add_argument("--seed", type=int, default=None, help="of that chance; printed, so that the same mutants can be drawn again")
     parser.add_argument("--json", type=Path, help="survivors, as they are found")
     options = parser.parse_args()
     os.chdir(ROOT)
     hypothesis.settings.register_profile("mutation", database=None, derandomize=True, deadline=None)
     hypothesis.settings.load_profile("mutation")
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    print("| module | mutants | killed | |\n|---|---|---|---|", flush=True)
+    seed = random.randrange(2**31) if options.seed is None else options.seed
+    print(f"| module, share {options.share:g} drawn with --seed {seed} | mutants | killed | |\n|---|---|---|---|", flush=True)
     survivors, enough = [], True
     for name, (module, file, parts, tests) in TARGETS.items():
         if options.only in (None, name):
             before_s = _children_s()
             assert not killed(module, file, ast.parse((ROOT / file).read_text()), tests), "the tests fail on the unchanged module"
             cpu_s = 5 + round(PATIENCE * (_children_s() - before_s))
-            chosen = [mutant for mutant in mutants(file, parts) if random.random() < options.share]
+            chance = random.Random(f"{seed} {name}")  # one stream a module: --only draws the same mutants as all modules do
+            chosen = [mutant for mutant in mutants(file, parts) if chance.random() < options.share]
             alive = []
             for what, tree in chosen:
                 if not killed(module, file, tree, tests, cpu_s):

@@ -1,4 +1,4 @@
-"""Moduli by the package `nanite` (AFM-analysis) of curves that are known, kept in tests/nanite_reference.json for tests/test_nanite.py.
+"""Moduli by the package `nanite` (AFM-analysis) of known curves, for tests/analysis/test_nanite.py.
 
 In an environment of its own, for palpd does not need it:  pip install nanite==4.2.3 && python benchmarks/nanite_reference.py
 """
@@ -13,7 +13,7 @@ import numpy as np
 from nanite.indent import Indentation
 from nanite.model import get_init_parms
 
-OUT = Path(__file__).parents[1] / "tests" / "nanite_reference.json"
+OUT = Path(__file__).parents[1] / "tests" / "analysis" / "nanite_reference.json"
 RADIUS_M, POINTS = 0.005, 400
 ABOVE_M, DEPTH_M = 0.004, 0.004
 CURVES = (
@@ -43,23 +43,23 @@ def by_nanite(tip_m: Any, force_N: Any, poisson: float) -> dict[str, float]:
     start["R"].value, start["nu"].value = RADIUS_M, poisson
     start["E"].value = 5e4
     press.fit_model(model_key="hertz_para", params_initial=start, preprocessing=[], weight_cp=False, range_x=(0, 0), segment=0)
-    found = press.fit_properties["params_fitted"]
+    fitted = press.fit_properties["params_fitted"]
     return {
-        "youngs_modulus_Pa": found["E"].value,
-        "contact_point_m": found["contact_point"].value,
-        "baseline_N": found["baseline"].value,
+        "youngs_modulus_Pa": fitted["E"].value,
+        "contact_point_m": fitted["contact_point"].value,
+        "baseline_N": fitted["baseline"].value,
     }
 
 
 def main() -> None:
     """Write the file."""
-    found = []
+    curves = []
     for seed, (modulus_Pa, poisson, contact_m, baseline_N, noise_N) in enumerate(CURVES):
         tip_m, force_N = curve(modulus_Pa, poisson, contact_m, baseline_N, noise_N, seed)
         true = {"youngs_modulus_Pa": modulus_Pa, "poisson_ratio": poisson, "contact_point_m": contact_m, "noise_N": noise_N}
-        found.append({"true": true, "tip_m": tip_m.tolist(), "force_N": force_N.tolist(), "nanite": by_nanite(tip_m, force_N, poisson)})
-        print(f"{modulus_Pa:9.0f} Pa, noise {noise_N:g} N: nanite {found[-1]['nanite']}")
-    content = {"made_with": {"nanite": version("nanite")}, "model": "hertz_para", "tip_radius_m": RADIUS_M, "curves": found}
+        curves.append({"true": true, "tip_m": tip_m.tolist(), "force_N": force_N.tolist(), "nanite": by_nanite(tip_m, force_N, poisson)})
+        print(f"{modulus_Pa:9.0f} Pa, noise {noise_N:g} N: nanite {curves[-1]['nanite']}")
+    content = {"made_with": {"nanite": version("nanite")}, "model": "hertz_para", "tip_radius_m": RADIUS_M, "curves": curves}
     OUT.write_text(json.dumps(content) + "\n", encoding="utf-8")
 
 

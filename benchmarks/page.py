@@ -29,18 +29,18 @@ SECTIONS = {
     "daemon": Section("The daemon at 500 Hz", "benchmarks/daemon.py --presses 3", "benchmarks/daemon.py --presses 20"),
     "replay": Section("Replay at 125 Hz", "benchmarks/daemon.py --model ur5 --presses 2", "benchmarks/daemon.py --model ur5 --presses 20"),
     "rate": Section(
-        "Ticks, beside cyclictest and what one would write instead",
+        "Ticks, with cyclictest and common alternatives",
         "benchmarks/rate.py --seconds 8 --stress --alternatives",
         "benchmarks/rate.py --seconds 60 --stress --alternatives",
     ),
     "minutes": Section("Ten minutes of ticks at each rate", None, "benchmarks/rate.py --seconds 600"),
     "reaction": Section(
-        "Reaction and overshoot, by loop, guard and drivers",
+        "Reaction and overshoot of loop, guard and drivers",
         "benchmarks/reaction.py --pushes 40 --each 1 --speed 0.005,0.02 --stiffness 1000,20000",
         "benchmarks/reaction.py --pushes 300 --each 5",
     ),
     "walls": Section(
-        "Force past the limit at an unannounced wall, by the whole daemon",
+        "Force past the limit at an unannounced wall, whole daemon",
         "benchmarks/walls.py --stiffness 1000,20000 --speed 0.002,0.01",
         "benchmarks/walls.py",
     ),
@@ -63,13 +63,13 @@ def run(title: str, command: str) -> tuple[str, bool]:
     print(f"{title}: python {command}", flush=True)
     load = os.getloadavg()[0]
     done = subprocess.run([sys.executable, *command.split()], cwd=PAGE.parents[1], capture_output=True, text=True, check=False)
-    said = done.stdout.strip() or f"It failed: {(done.stderr.strip().splitlines() or ['?'])[-1]}"
-    if not said.startswith("|"):
-        said = f"```\n{said}\n```"
-    print(said, flush=True)
+    printed = done.stdout.strip() or f"It failed: {(done.stderr.strip().splitlines() or ['?'])[-1]}"
+    if not printed.startswith("|"):
+        printed = f"```\n{printed}\n```"
+    print(printed, flush=True)
     missed = "" if done.returncode == 0 else f" It ended with {done.returncode}: a target is missed."
     stand = f"`python {command}`, {datetime.date.today()}, load {load:.1f} before and {os.getloadavg()[0]:.1f} after it.{missed}"
-    return f"{stand}\n\n{said}", done.returncode == 0
+    return f"{stand}\n\n{printed}", done.returncode == 0
 
 
 def main() -> None:
@@ -94,9 +94,11 @@ def main() -> None:
 def _write(kept: dict[str, str]) -> None:
     head = f"""# Benchmarks
 
-Written by `make bench`, `bench-long`, `presses`, `soak` and `mutation`; faults have [a page of their own](faults.md).
-Everything runs on one machine: daemon, emulated controller and sensor share its cores, so percentiles above p99 belong to the
-machine, and figures under load are worse than on a cell's own PC. The load stands beside each.
+How fast the daemon ticks and reacts, how far a force runs past its limit, and what the daemon costs. `make bench`, `bench-long`, `minutes`,
+`presses`, `soak` and `mutation` write this page. Faults have [a page of their own](faults.md). Each section names its command.
+
+**Limits.** Everything runs on one machine. Daemon, emulated controller and sensor share its cores, so percentiles above p99 belong to the
+machine. Figures under load are worse than on a cell's own PC. Each section states the load.
 
 {processor()}, {os.cpu_count()} cores, Linux {platform.release()}, Python {platform.python_version()}.
 """

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from hw.hex_sensor import DATA, FrameParser
+from hw.hex_frames import DATA, FrameParser
 
 LIMITS = (24792.0, 24666.0, 4584.0, 33777.0, 32460.0, 27948.0)
 
@@ -40,9 +40,9 @@ def rate(data: bytes, piece: int) -> tuple[float, int, FrameParser]:
     """Frames a second, frames found, and the parser afterwards."""
     parser = FrameParser(1, 150.0, LIMITS)
     began_s = time.perf_counter()
-    found = sum(len(parser.feed(data[at : at + piece]).counter) for at in range(0, len(data), piece))
-    found += len(parser.flush().counter)
-    return found / (time.perf_counter() - began_s), found, parser
+    frames = sum(len(parser.feed(data[at : at + piece]).counter) for at in range(0, len(data), piece))
+    frames += len(parser.flush().counter)
+    return frames / (time.perf_counter() - began_s), frames, parser
 
 
 def main() -> None:
@@ -54,8 +54,8 @@ def main() -> None:
     for name, spoilt in (("clean", 0.0), ("1 % of frames spoilt", 0.01), ("10 % of frames spoilt", 0.1)):
         data, whole = stream(frames, spoilt)
         for label, piece in (("all", len(data)), ("4096", 4096), ("2 frames", 44)):
-            best, found, parser = max((rate(data, piece) for _ in range(3)), key=lambda run: run[0])
-            print(f"{name:<22} {label:>10} {best / 1e6:>11.3f} {whole:>8} {found:>8} {parser.rejected:>9}")
+            best, parsed, parser = max((rate(data, piece) for _ in range(3)), key=lambda run: run[0])
+            print(f"{name:<22} {label:>10} {best / 1e6:>11.3f} {whole:>8} {parsed:>8} {parser.rejected:>9}")
 
 
 if __name__ == "__main__":

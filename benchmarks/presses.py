@@ -1,14 +1,14 @@
 """A thousand presses with faults at random moments: is the force ever beyond its limit and what the arithmetic adds?
 
-`python benchmarks/presses.py [--presses 1000] [--seed N] [--json FILE]`. Without wires: the cell's physics stands behind the daemon's own
-loop, sequence and guard (palpd/sim.py), with tissues, walls, and walls that appear under way; in nearly every press something goes wrong
-with sensor, robot, model or clock at a random moment. Prints a table; ends with 1 if a press went beyond its bound. On real wires the same
-is done without faults by benchmarks/reaction.py and with them by benchmarks/faults.py.
+`python benchmarks/presses.py [--presses 1000] [--seed N] [--json FILE]`. There are no wires: the cell's physics stands directly behind the
+daemon's own loop, sequence and guard (palpd/daemon/simulated_run.py), with tissues, walls, and walls that appear under way. In nearly
+every press sensor, robot, model or clock fails at a random moment. Prints a table; ends with 1 if a press went beyond its bound.
+On real wires benchmarks/reaction.py does the same without faults and benchmarks/faults.py with them.
 
-The bound is the contact limit and the overshoot of the arithmetic (palpd/overshoot.py), which counts one tick more for each thing below:
-BLIND_S says for how long the guard may be blind before it must see a fault. A sensor that lies within what is plausible is bounded by depth
-alone: the force at the commanded depth, 0.5 mm and the way of a stop below it. Where such a lie began in the search, the surface was found
-too late, by as much as the lie can hide between the two forces that end a search (contact, and as much of a pull).
+The bound is the contact limit and the predicted overshoot (palpd/daemon/overshoot.py), which counts one more tick for each fault below:
+BLIND_S says for how long the guard may be blind before it must see a fault. A sensor that reads wrong but plausible values is bounded by
+depth alone: the force at the commanded depth, 0.5 mm and the way of a stop below it. Where such a fault began in the search, the surface
+was found too late. The error is at most what the fault can hide between the two forces that end a search (contact, and the same pull).
 """
 
 import argparse
@@ -24,14 +24,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpd.cell_file import CellFile
-from palpd.clock import SimClock
+from palpd.cell.cell_file import CellFile
 from palpd.config import CONTACT_FORCE_N, Config, Plan, Search, filter_delay_s
-from palpd.loop import Loop
-from palpd.motion import Job, explainer_of, limits_of, sequence_of
-from palpd.overshoot import delays, overshoot_N
-from palpd.safety import DEPTH_MARGIN_M
-from palpd.sim import FZ_OFFSET_N, RowList, SimCell
+from palpd.control.loop import Loop
+from palpd.control.safety import DEPTH_MARGIN_M
+from palpd.daemon.clock import SimClock
+from palpd.daemon.motion_process import Job, explainer_of, limits_of, sequence_of
+from palpd.daemon.overshoot import delays, overshoot_N
+from palpd.daemon.simulated_run import FZ_OFFSET_N, RowList, SimCell
 from palpd.tick import NO_FRAMES, Request, RobotMode, RobotState, SafetyMode, SensorFrames, Timing
 
 RATE_HZ = 125.0
@@ -73,30 +73,30 @@ class Stuck:
 
 
 def spoils(rng: random.Random, drift: float) -> dict[str, Callable[[], Spoil]]:
-    """What can go wrong, by name; a drift is of so many N/s."""
+    """Everything that can go wrong, by name; `drift` in N/s."""
     return {
-        "nothing": lambda: lambda state, frames, s: (state, frames),
-        "sensor silent": lambda: lambda state, frames, s: (state, NO_FRAMES),
+        "nothing": lambda: lambda state, frames, _s: (state, frames),
+        "sensor silent": lambda: lambda state, _frames, _s: (state, NO_FRAMES),
         "sensor sticks": lambda: Stuck().sensor,
-        "sensor loses frames": lambda: lambda state, frames, s: (state, frames if rng.random() < 0.4 else NO_FRAMES),
-        "sensor status": lambda: lambda state, frames, s: (state, replace(frames, status=np.full(len(frames), 1 << 10, np.uint16))),
-        "sensor rejects": lambda: lambda state, frames, s: (state, replace(frames, rejected=6)),
-        "sensor not finite": lambda: lambda state, frames, s: (state, _nan(frames)),
+        "sensor loses frames": lambda: lambda state, frames, _s: (state, frames if rng.random() < 0.4 else NO_FRAMES),
+        "sensor status": lambda: lambda state, frames, _s: (state, replace(frames, status=np.full(len(frames), 1 << 10, np.uint16))),
+        "sensor rejects": lambda: lambda state, frames, _s: (state, replace(frames, rejected=6)),
+        "sensor not finite": lambda: lambda state, frames, _s: (state, _nan(frames)),
         "sensor drifts pressed": lambda: lambda state, frames, s: (state, _with_fz(frames, lambda fz: fz - drift * s)),
         "sensor drifts pulled": lambda: lambda state, frames, s: (state, _with_fz(frames, lambda fz: fz + drift * s)),
-        "sensor reads half": lambda: lambda state, frames, s: (state, _with_fz(frames, lambda fz: FZ_OFFSET_N + 0.5 * (fz - FZ_OFFSET_N))),
+        "sensor reads half": lambda: lambda state, frames, _s: (state, _with_fz(frames, lambda fz: FZ_OFFSET_N + 0.5 * (fz - FZ_OFFSET_N))),
         "robot state sticks": lambda: Stuck().robot,
-        "robot protective stop": lambda: lambda state, frames, s: (replace(state, safety_mode=SafetyMode.PROTECTIVE_STOP), frames),
-        "robot power off": lambda: lambda state, frames, s: (replace(state, robot_mode=RobotMode.POWER_OFF), frames),
-        "robot program stopped": lambda: lambda state, frames, s: (replace(state, runtime_state=1), frames),
-        "robot disconnected": lambda: lambda state, frames, s: (replace(state, connected=False), frames),
-        "ticks missed": lambda: lambda state, frames, s: (state, frames),
-        "model hides": lambda: lambda state, frames, s: (state, frames),
-        "operator aborts": lambda: lambda state, frames, s: (state, frames),
+        "robot protective stop": lambda: lambda state, frames, _s: (replace(state, safety_mode=SafetyMode.PROTECTIVE_STOP), frames),
+        "robot power off": lambda: lambda state, frames, _s: (replace(state, robot_mode=RobotMode.POWER_OFF), frames),
+        "robot program stopped": lambda: lambda state, frames, _s: (replace(state, runtime_state=1), frames),
+        "robot disconnected": lambda: lambda state, frames, _s: (replace(state, connected=False), frames),
+        "ticks missed": lambda: lambda state, frames, _s: (state, frames),
+        "model hides": lambda: lambda state, frames, _s: (state, frames),
+        "operator aborts": lambda: lambda state, frames, _s: (state, frames),
     }
 
 
-class Model:
+class ForceHidingModel:
     """An inertial model that says the whole force is inertia: the worst that one can say."""
 
     card: dict[str, str] = {}  # noqa: RUF012
@@ -107,25 +107,25 @@ class Model:
         """Newtons."""
         return [1e3] * len(features)
 
-    def out_of_range(self, features: object) -> int:
+    def out_of_range(self, _features: object) -> int:
         """None, it says."""
         return 0
 
 
 class Spoilt:
-    """Robot, sensor and clock of a simulated cell of which one begins to fail at a tick."""
+    """Robot, sensor and clock of a simulated cell; one of them begins to fail at a tick."""
 
     def __init__(self, cell: SimCell, fault: str, spoil: Spoil, at_tick: int, stalls: int) -> None:
         self._cell, self._fault, self._spoil, self._at, self._stalls = cell, fault, spoil, at_tick, stalls
-        self._tick, self._skipped = -1, 0
+        self.tick, self._skipped = -1, 0
         self._frames = NO_FRAMES
         self._clock = SimClock(RATE_HZ)
 
     def wait(self) -> Timing:
         """The tick; `stalls` of them are slept through."""
-        self._tick += 1
+        self.tick += 1
         timing = self._clock.wait()
-        if self._fault != "ticks missed" or self._tick < self._at or (self._tick - self._at) % 40:
+        if self._fault != "ticks missed" or self.tick < self._at or (self.tick - self._at) % 40:
             return timing
         for _ in range(self._stalls):
             self._cell.robot.read()
@@ -139,8 +139,8 @@ class Spoilt:
     def read(self) -> RobotState:
         """What is seen of the robot; of the sensor see `frames`."""
         state, frames = self._cell.robot.read(), self._cell.sensor.read()
-        if self._tick >= self._at:
-            state, frames = self._spoil(state, frames, (self._tick - self._at) / RATE_HZ)
+        if self.tick >= self._at:
+            state, frames = self._spoil(state, frames, (self.tick - self._at) / RATE_HZ)
         self._frames = frames
         return state
 
@@ -150,7 +150,7 @@ class Spoilt:
 
     def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
         """A controller that has stopped its program moves nothing."""
-        stopped = self._tick >= self._at and self._fault in ("robot protective stop", "robot power off", "robot program stopped")
+        stopped = self.tick >= self._at and self._fault in ("robot protective stop", "robot power off", "robot program stopped")
         self._cell.robot.move((0.0, 0.0, 0.0) if stopped else velocity_m_per_s)
 
     def stop(self) -> None:
@@ -161,7 +161,7 @@ class Spoilt:
         """Nothing to let go of."""
 
 
-class Sensor:
+class SpoiltSensor:
     """The other face of `Spoilt`."""
 
     def __init__(self, spoilt: Spoilt) -> None:
@@ -176,7 +176,7 @@ class Sensor:
 
 
 class Press(NamedTuple):
-    """One press and what came of it; N."""
+    """Outcome of one press; forces in N."""
 
     fault: str
     under: str
@@ -198,10 +198,10 @@ def press(seed: int) -> Press:
         mode="dynamic", depths_m=(round(depth, 6),), press_speed_m_per_s=speed, repeats=1, search=Search(speed_m_per_s=SPEED_M_PER_S)
     )
     config = Config.model_validate({"safety": {"expected_stiffness_N_per_m": 1000.0}})
-    found = {"tissue": {"youngs_modulus_Pa": modulus}}
+    contact_with = {"tissue": {"youngs_modulus_Pa": modulus}}
     if wall and not appears:
-        found |= {"wall": {"z_m": 0.0, "stiffness_N_per_m": stiffness}}
-    cell_file = CellFile.model_validate(found)
+        contact_with |= {"wall": {"z_m": 0.0, "stiffness_N_per_m": stiffness}}
+    cell_file = CellFile.model_validate(contact_with)
     sensor = cell_file.sensor.model_copy(update={"filter_cutoff_Hz": config.sensor.filter_cutoff_Hz, "rate_Hz": 1000.0})
     cell = SimCell(cell_file.model_copy(update={"sensor": sensor}), RATE_HZ, config.robot.acceleration_m_per_s2, seed)
     drift = rng.uniform(1.0, 100.0)
@@ -209,11 +209,11 @@ def press(seed: int) -> Press:
     fault = rng.choice(sorted(choices))
     at_tick, wall_tick = rng.randrange(130, LAST_TICK), rng.randrange(LAST_TICK // 2, LAST_TICK)
     spoilt = Spoilt(cell, fault, choices[fault](), at_tick, rng.randrange(1, 20))
-    physics = cell._cell
+    physics = cell._cell  # noqa: SLF001 - walls appear under way, which no cell does by itself
     stepped, peak = physics.step, [0.0]
 
     def step(target_m: np.ndarray) -> object:
-        if appears and spoilt._tick == wall_tick:
+        if appears and spoilt.tick == wall_tick:
             physics.place_wall(min(0.0, float(target_m[-1, 2]) - 0.0005), stiffness)
         block = stepped(target_m)
         peak[0] = max(peak[0], float(block.contact_N.max()))
@@ -224,12 +224,12 @@ def press(seed: int) -> Press:
     delay_s = filter_delay_s(config.sensor.filter_cutoff_Hz)
     explainer = explainer_of(job, None, delay_s)
     if fault == "model hides":
-        explainer.model = Model()  # type: ignore[assignment]
+        explainer.model = ForceHidingModel()  # type: ignore[assignment]
         explainer.correction_limit_N = config.model.correction_limit_N
     aborts = {at_tick: Request.ABORT} if fault == "operator aborts" else {}
     record = RowList()
     sequence = sequence_of(job, delay_s)
-    loop = Loop(spoilt, Sensor(spoilt), spoilt, sequence, explainer, limits_of(config), record,
+    loop = Loop(spoilt, SpoiltSensor(spoilt), spoilt, sequence, explainer, limits_of(config), record,
                 request=lambda: aborts.get(len(record.rows), Request.NONE))  # fmt: skip
     outcome = loop.run()
     for _ in range(25):
@@ -301,11 +301,11 @@ def main() -> None:
         ends: dict[str, int] = defaultdict(int)
         for one in presses:
             ends[one.end.lower().replace("_", " ")] += 1
-        told = ", ".join(f"{end} {number}" for end, number in sorted(ends.items(), key=lambda item: -item[1]))
+        summary = ", ".join(f"{end} {number}" for end, number in sorted(ends.items(), key=lambda item: -item[1]))
         nearest = max(one.peak_N / one.bound_N for one in presses)
         beyond = sum(one.peak_N > one.bound_N for one in presses)
         over = sum(one.peak_N > 12.0 for one in presses)
-        print(f"| {fault} | {len(presses)} | {over} | {max(one.peak_N for one in presses):.1f} | {nearest:.0%} | {beyond} | {told} |")
+        print(f"| {fault} | {len(presses)} | {over} | {max(one.peak_N for one in presses):.1f} | {nearest:.0%} | {beyond} | {summary} |")
     if options.json:
         options.json.write_text(json.dumps([one._asdict() for one in done]))
     sys.exit(1 if any(one.peak_N > one.bound_N for one in done) else 0)

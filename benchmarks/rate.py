@@ -1,6 +1,7 @@
-"""Do the ticks come? The daemon's loop at 125, 500 and 1000 Hz beside cyclictest, on the machine as it is and under stress-ng; and the same
-loop as one would write it instead: on processors that may sleep, with `time.sleep`, with ur_rtde's `waitPeriod`, with Python's logger in
-every tick.
+"""Do the ticks come? The daemon's loop at 125, 500 and 1000 Hz beside cyclictest, on the machine as it is and under stress-ng.
+
+Beside it runs the loop as one would write it instead: on processors that may sleep, with `time.sleep`, with ur_rtde's `waitPeriod`, or
+with Python's logging in every tick.
 
 `python benchmarks/rate.py [--seconds 20] [--rates 125,500,1000] [--stress] [--alternatives]` prints a markdown table. Loop, guard, tare
 and ring are the daemon's own; robot and sensor are stand-ins in memory with a kilohertz of dithering frames, so that nothing but the ticks
@@ -23,17 +24,17 @@ from unittest.mock import patch
 import numpy as np
 
 from benchmarks.daemon import Cyclictest
-from palpd.clock import RealClock
 from palpd.config import Config, Plan
-from palpd.loop import Loop, Record, Turn
-from palpd.motion import Job, RingWriter, body_of, explainer_of, limits_of
-from palpd.realtime import CPU_LATENCY, realtime
-from palpd.ring import Ring
-from palpd.sequence import Sequence, Watch
-from palpd.tick import PROGRAM_PLAYING, Floats, RobotMode, RobotState, SafetyMode, SensorFrames, Timing
+from palpd.control.loop import Loop, Record
+from palpd.control.sequence import Sequence, TimedRest
+from palpd.daemon.clock import RealClock
+from palpd.daemon.motion_process import Job, RingWriter, arm_geometry_of, explainer_of, limits_of
+from palpd.daemon.realtime import CPU_LATENCY, realtime
+from palpd.recording.ring import Ring
+from palpd.tick import PROGRAM_PLAYING, Floats, RobotMode, RobotState, SafetyMode, SensorFrames, TickRecord, Timing
 
 
-class Robot:
+class IdleRobot:
     """Stands still and says so."""
 
     def read(self) -> RobotState:
@@ -54,7 +55,7 @@ class Robot:
         """Nothing."""
 
 
-class Sensor:
+class DitheringSensor:
     """A kilohertz of frames that dither about nothing."""
 
     def __init__(self) -> None:
@@ -100,14 +101,15 @@ class Logged:
         self._log.addHandler(logging.FileHandler(path))
         self._log.setLevel(logging.INFO)
 
-    def __call__(self, turn: Turn) -> None:
+    def __call__(self, record: TickRecord) -> None:
         """Both."""
-        self._writer(turn)
-        self._log.info("tick %d force %.3f N z %.5f m", turn.timing.index, turn.contact.force_N, turn.robot.z_m)
+        self._writer(record)
+        seen = record.observation
+        self._log.info("tick %d force %.3f N z %.5f m", seen.timing.index, seen.contact.force_N, seen.robot.z_m)
 
-    def rehearse(self, turn: Turn) -> None:
+    def rehearse(self, record: TickRecord) -> None:
         """The ring only."""
-        self._writer.rehearse(turn)
+        self._writer.rehearse(record)
 
 
 @contextlib.contextmanager
@@ -118,9 +120,9 @@ def waits(kind: str, rate_Hz: float, folder: Path) -> Iterator[tuple[Any, Abstra
     elif kind == "waitPeriod":
         from rtde_receive import RTDEReceiveInterface
 
-        from tests.hil.wired import wired
+        from benchmarks.emulated_cell import emulated_cell
 
-        with wired(folder, "ur5e") as cell:
+        with emulated_cell(folder, "ur5e") as cell:
             receive = RTDEReceiveInterface(cell.wires.host, 125.0, ["timestamp"])
             start = [receive.initPeriod()]
 
@@ -132,7 +134,7 @@ def waits(kind: str, rate_Hz: float, folder: Path) -> Iterator[tuple[Any, Abstra
             receive.disconnect()
     else:
         file = "/nowhere" if kind == "processors may sleep" else CPU_LATENCY
-        with patch("palpd.realtime.CPU_LATENCY", file):
+        with patch("palpd.daemon.realtime.CPU_LATENCY", file):
             yield RealClock(rate_Hz, time.monotonic() + 0.3), realtime()
 
 
@@ -142,12 +144,12 @@ def measure(kind: str, rate_Hz: float, seconds: float, stress: bool) -> str:
     job = Job("palpation", config, Plan(), reference=(0.0,) * 6)
     explainer = explainer_of(job, None, 0.001)
     explainer.tare = np.zeros(6)
-    sequence = Sequence(Watch(body_of(job, 0.001), seconds))
+    sequence = Sequence(TimedRest(arm_geometry_of(job, 0.001), seconds))
     with tempfile.TemporaryDirectory() as name, waits(kind, rate_Hz, Path(name)) as (clock, privileges):
         ring = Ring.create(rate_Hz, seconds + 2.0)
         writer = RingWriter(ring)
         record: Record = Logged(writer, Path(name) / "log") if kind == "logger" else writer
-        loop = Loop(Robot(), Sensor(), clock, sequence, explainer, limits_of(config), record)
+        loop = Loop(IdleRobot(), DitheringSensor(), clock, sequence, explainer, limits_of(config), record)
         strain = _strained(seconds + 1.0) if stress else None
         beside = Cyclictest(round(1e6 / rate_Hz))
         time.sleep(0.3)

@@ -1,8 +1,8 @@
 """How soon the daemon answers a force, and how far the force runs past its limit.
 
-Loop, guard and drivers push again and again into a wall of unknown height on emulated wires (tests/hil/direct.py). The emulator notes when
-each sample of the sensor went out and when each command came in, on CLOCK_MONOTONIC, in one process; which sample crossed the limit stands
-in the daemon's own row. So a reaction is from the sensor's byte to the first command that no longer goes down. The emulator looks at its
+Loop, guard and drivers push again and again into a wall of unknown height on emulated wires (benchmarks/direct_cell.py). The emulator notes
+when each sample of the sensor went out and when each command came in, on CLOCK_MONOTONIC, in one process. The daemon's own row says which
+sample crossed the limit. So a reaction is from the sensor's byte to the first command that no longer goes down. The emulator looks at its
 sockets once a millisecond: up to that much of a figure is its own.
 
 `python benchmarks/reaction.py [--model ur5,ur5e] [--pushes 200] [--each 5] [--speed m/s,…] [--stiffness N/m,…]` prints two markdown tables.
@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpd.overshoot import overshoot_N
-from tests.hil.direct import Direct, Pushed, opened
-from tests.hil.wired import wired
+from benchmarks.direct_cell import DirectCell, PushOutcome, opened
+from benchmarks.emulated_cell import emulated_cell
+from palpd.daemon.overshoot import overshoot_N
 
 CONTACT_LIMIT_N = 12.0
 ABSOLUTE_LIMIT_N = 60.0
@@ -33,21 +33,23 @@ CYCLE_S = {"ur5": 0.008, "ur5e": 0.002}
 
 
 class Reaction(NamedTuple):
-    """One push into a wall: ms from byte to command, N past the limit in truth; `late`: the machine itself was, from shortly before the
-    byte until the arm had come to rest."""
+    """One push into a wall: ms from byte to command, and N past the limit in truth.
+
+    `late` says that the machine itself was late, between just before the byte and the arm's rest.
+    """
 
     reaction_ms: float
     past_N: float
     late: bool
 
 
-def pushed(direct: Direct, speed_m_per_s: float, stiffness_N_per_m: float) -> Reaction | None:
+def pushed(direct: DirectCell, speed_m_per_s: float, stiffness_N_per_m: float) -> Reaction | None:
     """Push once; None where the guard ended it for another reason than the force, which only a machine that stands still brings about."""
     cell = direct.cell
     cell.wires.ask("wall", z_m=cell.truth()["tip_z_m"] - ABOVE_M - random.uniform(0.0, SPREAD_M), stiffness_N_per_m=stiffness_N_per_m)
     cell.truth(reset=True)
-    found = direct.push(speed_m_per_s)
-    seen = answered(direct, found)
+    push = direct.push(speed_m_per_s)
+    seen = answered(direct, push)
     time.sleep(REST_S)
     past_N = cell.truth()["peak_contact_N"] - CONTACT_LIMIT_N
     direct.home()
@@ -58,11 +60,11 @@ def pushed(direct: Direct, speed_m_per_s: float, stiffness_N_per_m: float) -> Re
     return Reaction((heard_s - sent_s) * 1e3, past_N, late_s > MACHINE_LATE_S)
 
 
-def answered(direct: Direct, found: Pushed) -> tuple[float, float] | None:
+def answered(direct: DirectCell, push: PushOutcome) -> tuple[float, float] | None:
     """When the sensor's byte went out and when the command came in, of a push that the contact limit ended."""
-    if not [trip for trip in found.outcome.trips if trip.trip.name == "CONTACT_FORCE"] or len(found.outcome.trips) > 1:
+    if not [trip for trip in push.outcome.trips if trip.trip.name == "CONTACT_FORCE"] or len(push.outcome.trips) > 1:
         return None
-    row = found.rows[np.flatnonzero(found.rows["trip"])[0]]
+    row = push.rows[np.flatnonzero(push.rows["trip"])[0]]
     n = int(row["frames"])
     force_N = row["tared"][:n, 2] - row["inertial_N"][:n]
     counter = int(row["counter"][:n][np.argmax(force_N >= CONTACT_LIMIT_N)])
@@ -76,7 +78,7 @@ def measure(model: str, speeds: list[float], stiffnesses: list[float], each: int
     reactions: list[Reaction] = []
     overshoots: list[str] = []
     attempts = 0
-    with tempfile.TemporaryDirectory() as name, wired(Path(name), model) as base:
+    with tempfile.TemporaryDirectory() as name, emulated_cell(Path(name), model) as base:
         safety = {"contact_limit_N": CONTACT_LIMIT_N, "absolute_limit_N": ABSOLUTE_LIMIT_N}
         cell = base.anew(Path(name), 1000.0, safety=safety)
         with opened(cell) as direct:

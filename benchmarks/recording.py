@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from palpd.record import Recording, same_rows
-from palpd.recorder import Recorder
-from palpd.ring import Ring
+from palpd.recording.reader import Recording, same_rows
+from palpd.recording.recorder import Recorder
+from palpd.recording.ring import Ring
 from palpd.tick import ROW, Mode, Phase
 
 FRAME_HZ = 1000

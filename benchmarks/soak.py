@@ -1,8 +1,8 @@
 """Hours of `palpd serve` pressing without a pause on emulated wires: memory, ticks, rate, open files, shared memory, minute by minute.
 
 `python benchmarks/soak.py [--minutes 120] [--model ur5] [--json FILE]` prints a markdown table; TERM ends it early, with the table of what
-was. A run that the guard ends is counted, its latch cleared, and the next one started. Silence is borne for 0.2 s instead of the
-default 0.05 s, so that hours on a machine shared with others measure the daemon's endurance and not the machine's pauses.
+was. A run that the guard ends is counted, its latch cleared, and the next one started. The guard tolerates silence for 0.2 s instead of
+0.05 s, so that hours on a machine shared with others measure the daemon's endurance and not the machine's pauses.
 """
 
 import argparse
@@ -21,20 +21,15 @@ from typing import Any
 
 import numpy as np
 
-from palpd.control import ARM_PATIENCE_S, ask
+from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, command_of, emulated_cell, family, until
+from palpd.daemon.socket_client import ARM_PATIENCE_S, ask
 from palpd.errors import PalpdError
-from palpd.ring import Ring
-from tests.hil.wired import PRESS, Wired, command_of, family, until, wired
+from palpd.recording.ring import Ring
 
 PLAN = PRESS | {"depths_m": [0.004, 0.006, 0.008], "repeats": 100}
 """Some quarter of an hour."""
 EVERY_S = 60.0
-PATIENT_S = 0.2
-PATIENT: dict[str, dict[str, Any]] = {
-    "robot": {"watchdog_Hz": 1.0 / PATIENT_S},
-    "safety": {"contact_limit_N": 16.0, "robot_stale_s": PATIENT_S, "sensor_stale_s": PATIENT_S, "max_stall_s": PATIENT_S},
-}
-NAMES = {"spawn_main": "motion", "palpd.recorder": "recorder", "resource_tracker": "resource tracker", "palpd serve": "main"}
+NAMES = {"spawn_main": "motion", "palpd.recording.recorder": "recorder", "resource_tracker": "resource tracker", "palpd serve": "main"}
 
 
 @dataclass
@@ -58,7 +53,7 @@ class Minute:
 class Soak:
     """One service under way and what was seen of it."""
 
-    cell: Wired
+    cell: EmulatedCell
     service: subprocess.Popen[bytes]
     minutes: list[Minute] = field(default_factory=list)
     ended: list[str] = field(default_factory=list)
@@ -161,15 +156,15 @@ class Soak:
 
 def ring_of(pid: int) -> str:
     """Name of the shared memory that a process has mapped."""
-    found = re.search(r"/dev/shm/(\S+)", Path(f"/proc/{pid}/maps").read_text())
-    assert found is not None
-    return found.group(1)
+    match = re.search(r"/dev/shm/(\S+)", Path(f"/proc/{pid}/maps").read_text())
+    assert match is not None
+    return match.group(1)
 
 
 def resident_MB(pid: int) -> float:
     """Resident memory of a process."""
-    found = re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())
-    return int(found.group(1)) / 1024 if found else 0.0
+    match = re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())
+    return int(match.group(1)) / 1024 if match else 0.0
 
 
 def flatness(minutes: list[Minute]) -> list[str]:
@@ -224,7 +219,7 @@ def main() -> None:
     stopping: list[int] = []
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and so would its children
     signal.signal(signal.SIGTERM, lambda number, _: stopping.append(number))
-    with tempfile.TemporaryDirectory() as name, wired(Path(name), options.model) as base:
+    with tempfile.TemporaryDirectory() as name, emulated_cell(Path(name), options.model) as base:
         folder = Path(name)
         cell = base.anew(folder, 1000.0, **PATIENT)
         free, network = folder / "free.mcap", folder / "inertial.onnx"
@@ -233,9 +228,9 @@ def main() -> None:
             assert done.returncode == 0, done.stderr
         cell.blocks["model"] = {"path": str(network)}
         cell.wall(0.01, 1000.0)
-        said = folder / "stderr.txt"
+        stderr_file = folder / "stderr.txt"
         command = [sys.executable, "-m", "palpd", "serve", "--config", str(cell.config)]
-        with said.open("wb") as stderr:
+        with stderr_file.open("wb") as stderr:
             service = subprocess.Popen(command, stdout=stderr, stderr=stderr, start_new_session=True)
         soak, began_s = Soak(cell, service), time.monotonic()
         try:
@@ -243,7 +238,7 @@ def main() -> None:
             soak.go(options.minutes * 60, stopping)
         except (PalpdError, AssertionError, OSError) as error:
             soak.crashes += service.poll() is not None
-            soak.ended.append(f"{type(error).__name__}: {error}; the service said: {said.read_text()[-500:]}")
+            soak.ended.append(f"{type(error).__name__}: {error}; the service said: {stderr_file.read_text()[-500:]}")
             raise
         finally:
             seconds = time.monotonic() - began_s

@@ -7,13 +7,13 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from tests.hil.wired import Met, Wired, press_into_wall, wired
+from benchmarks.emulated_cell import EmulatedCell, WallOutcome, emulated_cell, press_into_wall
 
 LIMIT_N = 12.0
 ATTEMPTS = 5
 
 
-def _met(base: Wired, folder: Path, stiffness_N_per_m: float, speed_m_per_s: float) -> Met:
+def _met(base: EmulatedCell, folder: Path, stiffness_N_per_m: float, speed_m_per_s: float) -> WallOutcome:
     """The press; once more where the machine stood still for so long that the controller's watchdog ended it before the wall."""
     for _ in range(ATTEMPTS):
         cell = base.anew(Path(tempfile.mkdtemp(dir=folder)), safety={"contact_limit_N": LIMIT_N, "absolute_limit_N": 25.0})
@@ -23,7 +23,7 @@ def _met(base: Wired, folder: Path, stiffness_N_per_m: float, speed_m_per_s: flo
             if "watchdog" not in str(error):
                 raise
             continue
-        if met.found["trips"] or met.code == 0:
+        if met.report["trips"] or met.code == 0:
             return met
     raise SystemExit("the controller's watchdog ended every attempt; repeat on a quieter machine")
 
@@ -36,11 +36,11 @@ def main() -> None:
     options = parser.parse_args()
     print("| wall | speed | end | true peak | seen by the daemon | past the limit | predicted | within 1.1 × |")
     print("|---|---|---|---|---|---|---|---|")
-    with tempfile.TemporaryDirectory() as folder, wired(Path(folder), "ur5") as base:
+    with tempfile.TemporaryDirectory() as folder, emulated_cell(Path(folder), "ur5") as base:
         for stiffness in map(float, options.stiffness.split(",")):
             for speed in map(float, options.speed.split(",")):
                 met = _met(base, Path(folder), stiffness, speed)
-                end = ", ".join(trip["trip"].lower().replace("_", " ") for trip in met.found["trips"]) or "soft end"
+                end = ", ".join(trip["trip"].lower().replace("_", " ") for trip in met.report["trips"]) or "soft end"
                 past_N = max(met.true_peak_N, met.seen_peak_N) - LIMIT_N
                 kept = "yes" if past_N <= 1.1 * met.predicted_overshoot_N else "**no**"
                 print(

@@ -1,19 +1,18 @@
-"""What the YMBT of the study's emulated cell is made of, and how compensations compare on days whose bias differs by more than there.
+"""The parts of the YMBT of the study's emulated cell, and a comparison of compensations on days with a larger scatter of bias.
 
 python benchmarks/ymbt.py [--days N]
 """
 
 import argparse
-import math
 from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from palpd.cell_file import CellFile, Robot
-from palpd.compensate import Method, Nothing
-from palpd.study import BIAS_N, LINE, NETWORK, NONE, TRUTH, WINNER, Data, evaluate, fitted, free_motion, palpated
-from palpd.study_paper import SETUPS
-from palpd.young import student_t_95
+from palpd.analysis.intervals import mean_half_width_95
+from palpd.cell.cell_file import CellFile, RobotBlock
+from palpd.study.evaluation import BIAS_N, LINE, NETWORK, NONE, TRUTH, WINNER, Data, evaluate, fitted, free_motion, palpated
+from palpd.study.methods import Method, NoCorrection
+from palpd.study.published import SETUPS
 
 Change = Callable[[CellFile], CellFile]
 DAYS_OF_PARTS = 5
@@ -29,7 +28,7 @@ def without(*effects: str) -> Change:
 def exact(cell: CellFile) -> CellFile:
     """No noise, no rounding, no filter, and a robot that says where it is."""
     ideal = {"noise_rms_N": 1e-9, "resolution_fz_N": 0.0, "filter_cutoff_Hz": None}
-    robot = Robot(position_noise_rms_m=0.0, velocity_noise_rms_m_per_s=0.0)
+    robot = RobotBlock(position_noise_rms_m=0.0, velocity_noise_rms_m_per_s=0.0)
     return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=ideal), "robot": robot})
 
 
@@ -58,12 +57,12 @@ PARTS: tuple[tuple[str, Change], ...] = (
 
 def moduli_over_static(days: Iterable[int], methods: dict[str, Method], changed: Callable[[int], Change]) -> dict[str, np.ndarray]:
     """By method (days, setups): dynamic over static modulus less one, with its sign; `changed(day)` changes the cells of a day."""
-    found: dict[str, list[list[float]]] = {}
+    excess: dict[str, list[list[float]]] = {}
     for day in days:
         judged = evaluate(Data([], [], palpated(day, changed=changed(day)), simulated=True), methods)
         for name in (*methods, TRUTH):
-            found.setdefault(name, []).append([each.modulus_Pa[name] / each.static_Pa - 1.0 for each in judged])
-    return {name: np.array(rows) for name, rows in found.items()}
+            excess.setdefault(name, []).append([each.modulus_Pa[name] / each.static_Pa - 1.0 for each in judged])
+    return {name: np.array(rows) for name, rows in excess.items()}
 
 
 def parts(days: Iterable[int]) -> None:
@@ -72,7 +71,7 @@ def parts(days: Iterable[int]) -> None:
     print("|---|" + "---|" * (len(SETUPS) + 1))
 
     def read(change: Change) -> np.ndarray:
-        methods: dict[str, Method] = {NONE: Nothing()}
+        methods: dict[str, Method] = {NONE: NoCorrection()}
         return 100.0 * moduli_over_static(days, methods, lambda _: change)[NONE].mean(axis=0)
 
     change: Change = without()
@@ -80,10 +79,10 @@ def parts(days: Iterable[int]) -> None:
     _row("as read", before)
     for name, further in PARTS:
         change = _both(change, further)
-        left = read(change)
-        _row(name, before - left)
-        before = left
-    _row("what is left", before)
+        after = read(change)
+        _row(name, before - after)
+        before = after
+    _row("residual", before)
 
 
 def _both(first: Change, then: Change) -> Change:
@@ -111,12 +110,12 @@ def spreads(days: Iterable[int], methods: dict[str, Method]) -> None:
 
             return changed
 
-        found = moduli_over_static(days, methods, on_a_day)
+        excess = moduli_over_static(days, methods, on_a_day)
         cells = []
         for name in names:
-            by_day = 100.0 * np.abs(found[name]).mean(axis=1)
-            half = student_t_95(len(by_day) - 1) * float(np.std(by_day, ddof=1)) / math.sqrt(len(by_day))
-            off = 100.0 * float(np.sqrt(np.mean((np.abs(found[name]) - np.abs(found[TRUTH])) ** 2)))
+            by_day = 100.0 * np.abs(excess[name]).mean(axis=1)
+            half = mean_half_width_95(by_day)
+            off = 100.0 * float(np.sqrt(np.mean((np.abs(excess[name]) - np.abs(excess[TRUTH])) ** 2)))
             cells.append(f"{by_day.mean():.1f} ± {half:.1f} | {off:.1f}")
         print(f"| {1e3 * sigma_N:.0f} mN | {' | '.join(cells)} |", flush=True)
 

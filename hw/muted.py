@@ -5,25 +5,29 @@ from typing import Protocol
 from palpd.tick import RobotState
 
 
-class Reader(Protocol):
-    """What can show a robot's state."""
+class StateReader(Protocol):
+    """A source of robot states."""
 
-    def read(self) -> RobotState: ...
+    def read(self) -> RobotState:
+        """Return the newest state."""
+        ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Release the connection."""
+        ...
 
 
 class MutedRobot:
-    """Shows what `reader` sees; a command goes nowhere.
+    """Shows the states of `reader` and drops every command.
 
-    Given a reader that owns no control connection, nothing in the process could move the arm.
+    With a reader that owns no control connection, no part of the process can move the arm.
     """
 
-    def __init__(self, reader: Reader) -> None:
+    def __init__(self, reader: StateReader) -> None:
         self._reader = reader
 
     def read(self) -> RobotState:
-        """Newest state of the real robot."""
+        """Return the newest state of the real robot."""
         return self._reader.read()
 
     def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
@@ -33,5 +37,5 @@ class MutedRobot:
         """Command nothing."""
 
     def close(self) -> None:
-        """Let go of the reader."""
+        """Close the reader."""
         self._reader.close()

@@ -2,17 +2,17 @@
 
 What the library does, measured, and what follows here:
 
-- Its constructors hold the GIL and may wait for ever. So a bounded handshake of our own comes first, and nobody constructs
-  while a loop runs.
+- Its constructors hold the GIL and may wait for ever. So a bounded handshake of our own comes first, and no constructor runs beside
+  the loop.
 - speedL never ends by itself, and a killed client leaves the arm moving. So no speed goes out unless the controller's watchdog is
-  set, and it is set again after every upload of the control script: it dies with the script.
+  set, and it is set again after every upload of the control script, because it ends with the script.
 - kickWatchdog keeps an old speed alive. So while the arm may move only speed commands feed the watchdog.
 - After a lost connection the library uploads its script again on its own, without watchdog, hangs or crashes. So a connection
-  that was lost once is lost for good: `RobotState.connected` stays false, nothing is sent any more, the watchdog stops the arm, and
-  the process is to end; a fresh one connects anew. Objects of a lost connection are never destroyed (that crashes).
+  that was lost once is lost for good: `RobotState.connected` stays false, the driver sends nothing more, the watchdog stops the arm,
+  and the process must end; a fresh one connects anew. Objects of a lost connection are never destroyed (that crashes).
 - The control object is not thread-safe. One thread calls; a call that might block is made by a second one while the first waits.
-- Getters lock one variable each and repeat old values for ever without a word. So snapshots are taken between two equal
-  timestamps, and age comes from the controller's timestamp.
+- Getters lock one variable each and repeat old values for ever without an error. So a snapshot lies between two equal
+  timestamps, and its age comes from the controller's timestamp.
 """
 
 import contextlib
@@ -31,11 +31,12 @@ from typing import Any, Literal
 from rtde_control import RTDEControlInterface
 from rtde_receive import RTDEReceiveInterface
 
+from hw.host_time import MinimumDelayClock
 from palpd.errors import RobotError
 from palpd.tick import PROGRAM_PLAYING, RobotMode, RobotState, SafetyMode
 
-Model = Literal["ur5", "ur5e"]
-MAX_RATE_HZ: dict[Model, float] = {"ur5": 125.0, "ur5e": 500.0}
+RobotModel = Literal["ur5", "ur5e"]
+MAX_RATE_HZ: dict[RobotModel, float] = {"ur5": 125.0, "ur5e": 500.0}
 
 RTDE_PORT = 30004
 SCRIPT_PORT = 30003
@@ -56,10 +57,18 @@ VARIABLES = [
 """All of them exist on CB3 from 3.10 and on e-Series; a short list keeps the packages small."""
 
 WATCH_EVERY_S = 1.0
+"""Pause between two arrivals that the second thread watches: in it the clocks drift apart by 0.1 ms at most."""
 WATCH_STEP_S = 0.0002
+"""Sleep between two reads of the timestamp while that thread waits for an arrival."""
 OFFSET_STEP_S = 0.00005
-"""Asleep between two looks for the first offset: of 60 arrivals the shortest way is seen all the same. A real-time thread that spun for
-half a second would let ordinary threads starve, and for that Linux keeps all real-time threads of a core waiting, for 50 ms at a time."""
+"""Sleep between two reads while the first offset is searched: among 60 arrivals the shortest way still shows.
+
+A real-time thread that spins for half a second starves ordinary threads. Linux then suspends all real-time threads of the core, for 50 ms
+at a time."""
+CLOCK_LEAK = 1e-4
+"""Largest relative drift of a slower controller clock: two crystals, and the host's clock being slewed."""
+CLOCK_JUMP_S = 1.0
+"""A timestamp that is further off was started anew with the controller."""
 CONNECT_TIMEOUT_S = 2.0
 STOP_TIMEOUT_S = 0.25
 CLOSE_TIMEOUT_S = 1.5
@@ -70,21 +79,20 @@ STOP_M_PER_S2 = 10.0
 class UrReader:
     """Reads the state of a UR controller and cannot command it.
 
-    `t_s` of a state is the controller's timestamp plus the smallest (host time - timestamp) seen, let up slowly so that a slower
-    controller clock is followed. Half a second of looking at the start finds the shortest way (0.2 to 0.4 ms on a loopback). After
-    that a second thread looks out for one arrival every `WATCH_EVERY_S`: the loop itself looks at the same phase of the frame period
-    every time, so by its looks alone the offset would creep up to that phase, and slide through a whole period as the clocks drift
-    apart. The error is one-sided, t_s late by the shortest way and some 0.2 ms.
+    `t_s` of a state is the controller's timestamp plus the smallest (host time - timestamp) seen. Half a second of reads at the start
+    finds the shortest way (0.2 to 0.4 ms on a loopback). Then a second thread watches one arrival every `WATCH_EVERY_S`. The loop alone
+    is not enough: it always reads at the same phase of the frame period, so the offset would creep up to that phase and slide through
+    a whole period as the clocks drift apart. The error is one-sided: t_s is late by the shortest way and about 0.2 ms.
 
     Raises RobotError in one sentence when the controller cannot be reached, is silent, or is not of this model.
     """
 
-    def __init__(self, host: str, *, model: Model, rate_Hz: float) -> None:
+    def __init__(self, host: str, *, model: RobotModel, rate_Hz: float) -> None:
         if not 0 < rate_Hz <= MAX_RATE_HZ[model]:
             raise RobotError(f"an RTDE rate of {rate_Hz:g} Hz is not possible on a {model}; it has up to {MAX_RATE_HZ[model]:g} Hz.")
         self.host = host
         self.period_s = 1.0 / rate_Hz
-        self._clock = ControllerClock()
+        self._clock = MinimumDelayClock(CLOCK_LEAK, CLOCK_JUMP_S)
         self._timestamp_s = math.nan
         self._lost = False
         _greet(host, model)
@@ -109,7 +117,7 @@ class UrReader:
         return self._clock.host_s(self._timestamp_s) % self.period_s
 
     def read(self) -> RobotState:
-        """Newest untorn state; never waits. An old one looks like any other: judge its age by `t_s`."""
+        """Return the newest untorn state without waiting. An old state looks like any other: judge its age by `t_s`."""
         receive = self._receive
         for _ in range(_TRIES):
             before_s = receive.getTimestamp()
@@ -144,13 +152,13 @@ class UrReader:
         _bounded(self._receive.disconnect, CLOSE_TIMEOUT_S)
 
     def _watch_arrivals(self) -> None:
-        """Now and then look often enough to see a frame come: 40 looks of 0.3 µs, asleep between them."""
+        """Every `WATCH_EVERY_S` read often enough to see one frame arrive: 40 reads of 0.3 µs, with sleep between them."""
         while not self._closed.wait(WATCH_EVERY_S):
             last_s, until_s = self._receive.getTimestamp(), time.monotonic() + 2.0 * self.period_s
             while time.monotonic() < until_s:
                 timestamp_s = self._receive.getTimestamp()
                 if timestamp_s != last_s:
-                    self._clock.see(timestamp_s, time.monotonic())  # after the look: a pause between makes it late, never early
+                    self._clock.see(timestamp_s, time.monotonic())  # after the read: a pause between makes it late, never early
                     break
                 time.sleep(WATCH_STEP_S)
 
@@ -159,38 +167,12 @@ class UrReader:
         while time.monotonic() < until_s:
             timestamp_s = self._receive.getTimestamp()
             if timestamp_s != self._timestamp_s:
-                if not math.isnan(self._timestamp_s):  # the first may have lain there for long
+                if not math.isnan(self._timestamp_s):  # the first may be old
                     self._clock.see(timestamp_s, time.monotonic())
                 self._timestamp_s = timestamp_s
             time.sleep(OFFSET_STEP_S)
-        if not self._clock.found:
+        if not self._clock.synchronised:
             raise RobotError(f"robot at {self.host} has not sent a new state for {duration_s:g} s; restart its controller.")
-
-
-class ControllerClock:
-    """Maps the controller's timestamps to the host's monotonic clock, by the smallest delay seen, let up by `leak` s a second."""
-
-    def __init__(self, leak: float = 1e-4) -> None:
-        self._leak = leak  # two crystals and the host's clock being slewed; a faster controller pulls the offset down by itself
-        self._offset_s = math.inf
-        self._seen_s = 0.0
-
-    @property
-    def found(self) -> bool:
-        """Whether any timestamp was seen."""
-        return math.isfinite(self._offset_s)
-
-    def see(self, timestamp_s: float, now_s: float) -> None:
-        """Note that `timestamp_s` is there at `now_s`. A timestamp over a second off has been started anew."""
-        offset_s = now_s - timestamp_s
-        if abs(offset_s - self._offset_s) > 1.0:
-            self._offset_s = offset_s
-        self._offset_s = min(self._offset_s + self._leak * (now_s - self._seen_s), offset_s) if self._seen_s else offset_s
-        self._seen_s = now_s
-
-    def host_s(self, timestamp_s: float) -> float:
-        """The same instant on the host's clock."""
-        return timestamp_s + self._offset_s
 
 
 class UrRobot:
@@ -206,7 +188,7 @@ class UrRobot:
         self,
         host: str,
         *,
-        model: Model,
+        model: RobotModel,
         rate_Hz: float,
         watchdog_Hz: float,
         acceleration_m_per_s2: float,
@@ -257,21 +239,21 @@ class UrRobot:
         return self._reader.period_s
 
     def read(self) -> RobotState:
-        """Newest untorn state; never waits."""
+        """Return the newest untorn state without waiting."""
         state = self._reader.read()
         return state if self.connected else replace(state, connected=False)
 
     def arm(self) -> None:
-        """Set the controller's watchdog: from now on it must be fed by `move`. Takes two controller cycles. RobotError if refused."""
+        """Set the controller's watchdog, which `move` must feed from now on. Takes two controller cycles. RobotError if refused."""
         self._refuse_lost()
         if not self._control.setWatchdog(self._watchdog_Hz):
             raise RobotError(self._why_not("does not set its watchdog"))
         self._armed = True
 
     def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
-        """Command a tip speed in base axes, orientation kept; feeds the watchdog.
+        """Command a tip speed in base axes and keep the orientation; feeds the watchdog.
 
-        True from the library only means "written to the socket": whether the arm follows shows in `read`. RobotError if it was not.
+        True from the library only means "written to the socket"; `read` shows whether the arm follows. RobotError if it was not written.
         """
         self._refuse_lost()
         if not self._armed:
@@ -281,10 +263,10 @@ class UrRobot:
             raise RobotError(self._why_not("does not take a speed command"))
 
     def stop(self) -> None:
-        """Bring the tip to rest: speed zero at once, then the end of speed control, waited for at most 0.25 s. Never raises.
+        """Bring the tip to rest: speed zero at once, then the end of speed control, within 0.25 s. Never raises.
 
-        At rest it feeds the watchdog, so that the program lives on. If the controller does not answer, nothing is sent any more
-        and the watchdog stops the arm.
+        At rest it feeds the watchdog, so that the program goes on. If the controller does not answer, the driver sends nothing more and
+        the watchdog stops the arm.
         """
         with contextlib.suppress(Exception):
             if not self.connected:
@@ -298,10 +280,10 @@ class UrRobot:
                 self._control.kickWatchdog()
 
     def rearm(self) -> None:
-        """Upload the control script again after the controller has stopped it, and set the watchdog again. The arm stands still.
+        """Upload the control script again after the controller stopped it, and set the watchdog again. The arm stands still.
 
-        For use after an operator has cleared a protective stop (by hand: the robot's maker forbids doing that by program).
-        RobotError when the controller is not ready, or the connection was lost: then only a new process may connect again.
+        For use after an operator cleared a protective stop by hand: the robot's maker forbids clearing it by program. RobotError when the
+        controller is not ready, or when the connection was lost: then only a new process may connect again.
         """
         self._refuse_lost()
         _refuse_unready(self._reader.read(), self.host)
@@ -309,7 +291,7 @@ class UrRobot:
         if self._reader.read().runtime_state != PROGRAM_PLAYING:
             _bounded(self._control.reuploadScript, _UPLOAD_TIMEOUT_S)
             until_s = time.monotonic() + _UPLOAD_TIMEOUT_S
-            # two connections: what the reader sees already, the control object may not know yet, and would refuse its next command
+            # two connections: the control object may learn of the running program later than the reader, and would refuse a command
             while self._reader.read().runtime_state != PROGRAM_PLAYING or not self._control.isProgramRunning():
                 if time.monotonic() > until_s:
                     raise RobotError(self._why_not("does not start the control script again"))
@@ -318,11 +300,11 @@ class UrRobot:
         self.arm()
 
     def close(self) -> None:
-        """Stop, end the control script, disconnect; 1 s, at most 5. After a lost connection only the reader is closed. Never raises."""
+        """Stop, end the control script and disconnect: 1 s, at most 5 s. After a lost connection close only the reader. Never raises."""
         self.stop()
         if not self._lost:
-            for last_word in (self._control.stopScript, self._control.disconnect):
-                if not _bounded(last_word, CLOSE_TIMEOUT_S):
+            for last_call in (self._control.stopScript, self._control.disconnect):
+                if not _bounded(last_call, CLOSE_TIMEOUT_S):
                     self._give_up()
                     break
         self._lost = True
@@ -333,7 +315,7 @@ class UrRobot:
             raise RobotError(self._why_not("does not take the configured TCP"))
 
     def _give_up(self) -> None:
-        """Never touch the control connection again, nor let it be destroyed: its reconnecting thread would crash the process."""
+        """Keep the control object for ever and use it no more: its destruction crashes the process, because its thread reconnects."""
         if not self._lost:
             self._lost = True
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._control))
@@ -365,7 +347,7 @@ _UPLOAD_TIMEOUT_S = 6.0
 
 
 def _connect(host: str, port: int) -> socket.socket:
-    """An open connection, or RobotError: the library would wait for ever."""
+    """Return an open connection, or raise RobotError: the library would wait for ever."""
     try:
         return socket.create_connection((host, port), CONNECT_TIMEOUT_S)
     except OSError as error:
@@ -376,8 +358,8 @@ def _connect(host: str, port: int) -> socket.socket:
         ) from None
 
 
-def _greet(host: str, model: Model) -> None:
-    """Speak RTDE as far as the first data package, each answer within 2 s, and check that the controller is of this generation.
+def _greet(host: str, model: RobotModel) -> None:
+    """Speak RTDE until the first data package, each answer within 2 s, and check the controller's generation.
 
     Packages are `size u16 | type u8 | body`, big-endian (UR's RTDE guide).
     """
@@ -389,7 +371,7 @@ def _greet(host: str, model: Model) -> None:
 
             def ask(kind: bytes, body: bytes = b"", answer: bytes | None = None) -> bytes:
                 send(kind, body)
-                for _ in range(_TRIES):  # text messages may come between
+                for _ in range(_TRIES):  # text messages may come first
                     size, got = struct.unpack(">Hc", stream.read(3))
                     payload: bytes = stream.read(size - 3)
                     if got == (answer or kind):
@@ -418,7 +400,7 @@ def _greet(host: str, model: Model) -> None:
 
 
 def _control(host: str, rate_Hz: float) -> Any:
-    """The library's control object, its script uploaded and playing. Holds the GIL for 0.1 to 5 s."""
+    """Construct the library's control object; its script plays then. Holds the GIL for 0.1 to 5 s."""
     try:
         return RTDEControlInterface(host, rate_Hz, rt_priority=_PRIORITY_UNTOUCHED)
     except RuntimeError as error:
@@ -435,8 +417,8 @@ def _control(host: str, rate_Hz: float) -> Any:
 def _send_at_once(host: str) -> None:
     """Turn Nagle's algorithm off on every RTDE connection of this process.
 
-    The library (1.6.5) asks for that on a socket that its connecting then replaces. Without it a command waits for the acknowledgement of
-    the one before, which travels with the controller's next package: 6 ms at 125 Hz.
+    The library (1.6.5) sets the option on a socket that its connect call then replaces. Without it a command waits for the acknowledgement
+    of the command before, which travels with the controller's next package: 6 ms at 125 Hz.
     """
     address = (socket.gethostbyname(host), RTDE_PORT)
     for entry in Path("/proc/self/fd").iterdir():
@@ -446,7 +428,7 @@ def _send_at_once(host: str) -> None:
                 if connection.family == socket.AF_INET and connection.getpeername() == address:
                     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             finally:
-                connection.detach()  # it stays the library's
+                connection.detach()  # the library still owns it
 
 
 def _refuse_unready(state: RobotState, host: str) -> None:
@@ -470,7 +452,7 @@ def _first_line(error: Exception) -> str:
 
 
 def _bounded(call: Callable[[], object], timeout_s: float) -> bool:
-    """Make a call that might block for minutes; false if it has not come back in time. What it raises is dropped."""
+    """Make a call that might block for minutes. Returns false if it is not back in time, and drops its exceptions."""
 
     def run() -> None:
         with contextlib.suppress(Exception):

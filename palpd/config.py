@@ -1,23 +1,32 @@
 """config.yaml and plan.yaml as frozen models: unknown keys, missing units and unsafe limits are refused in one sentence."""
 
-import difflib
 import math
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar, get_args
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictInt, ValidationError, model_validator
+from pydantic.fields import FieldInfo
+from pydantic_settings import BaseSettings, EnvSettingsSource
 
-from palpd.cell_file import CellFile, nominal
+from palpd.cell.cell_file import HINTS, CellFile, nominal
 from palpd.errors import ConfigError
+from palpd.files import Document, nearest, parse_yaml, read_yaml, refusal
 
 Model = TypeVar("Model", bound=BaseModel)
 
 ENVIRONMENT_PREFIX = "PALPD_"
+"""Begins the names of the environment variables that override config.yaml: PALPD_ROBOT__HOST, or PALPD_ROBOT with a whole block."""
+SLOWEST_M_PER_S = 1e-4
+"""Lowest speed that a file may ask for: a press of 4 mm then takes 40 s, and a slower one measures the drift of the zero."""
 FILTERS_HZ = (500.0, 150.0, 50.0, 15.0, 5.0, 1.5)
 FZ_CAPACITY_N = 200.0
 """Nominal capacity of the HEX-70 of the 200 N class on every force axis; overload begins above it."""
+
+
+Span = tuple[StrictFloat, StrictFloat]
+"""From a least to a most."""
 
 
 class _Frozen(BaseModel):
@@ -27,12 +36,12 @@ class _Frozen(BaseModel):
 class RobotConfig(_Frozen):
     """The arm and how it is spoken to."""
 
-    host: str = "127.0.0.1"
+    host: str = Field(default="127.0.0.1", pattern=r"^\S+$")
     model: Literal["ur5", "ur5e"] = "ur5"
-    rtde_rate_Hz: float | None = Field(default=None, gt=0, le=500)
-    tcp: tuple[float, float, float, float, float, float] | None = None
-    watchdog_Hz: float = Field(default=20.0, ge=5, le=100)
-    acceleration_m_per_s2: float = Field(default=0.5, gt=0, le=5)
+    rtde_rate_Hz: StrictFloat | None = Field(default=None, gt=0, le=500)
+    tcp: tuple[StrictFloat, StrictFloat, StrictFloat, StrictFloat, StrictFloat, StrictFloat] | None = None
+    watchdog_Hz: StrictFloat = Field(default=20.0, ge=5, le=100)
+    acceleration_m_per_s2: StrictFloat = Field(default=0.5, gt=0, le=5)
 
     @property
     def rate_Hz(self) -> float:
@@ -54,12 +63,12 @@ class RobotConfig(_Frozen):
 class SensorConfig(_Frozen):
     """The HEX-70 and its calibration (null: read from the DAQ's registers)."""
 
-    port: str = "/dev/palpd-hex"
-    rate_Hz: float = Field(default=1000.0, gt=0, le=1000)
-    filter_cutoff_Hz: float | None = 150.0
-    counts_per_N: tuple[float, float, float] | None = None
-    counts_per_Nm: tuple[float, float, float] | None = None
-    rotation_about_flange_z_rad: float = Field(default=0.0, ge=-6.3, le=6.3)
+    port: str = Field(default="/dev/palpd-hex", min_length=1)
+    rate_Hz: StrictFloat = Field(default=1000.0, gt=0, le=1000)
+    filter_cutoff_Hz: StrictFloat | None = 150.0
+    counts_per_N: tuple[StrictFloat, StrictFloat, StrictFloat] | None = None
+    counts_per_Nm: tuple[StrictFloat, StrictFloat, StrictFloat] | None = None
+    rotation_about_flange_z_rad: StrictFloat = Field(default=0.0, ge=-6.3, le=6.3)
 
     @model_validator(mode="after")
     def _as_the_daq_can(self) -> Self:
@@ -87,23 +96,23 @@ class ModelConfig(_Frozen):
 
     path: Path | None = None
     zero: Literal["running", "learned"] = "running"
-    correction_limit_N: float = Field(default=0.5, ge=0, le=5)
+    correction_limit_N: StrictFloat = Field(default=0.5, ge=0, le=5)
 
 
 class SafetyConfig(_Frozen):
     """Limits of the guard. Why each default is what it is stands in config.yaml."""
 
-    contact_limit_N: float = Field(default=12.0, gt=0, le=150)
-    absolute_limit_N: float = Field(default=25.0, gt=0, le=190)
-    lateral_limit_N: float = Field(default=8.0, gt=0, le=150)
-    torque_limit_Nm: float = Field(default=1.0, gt=0, le=6.5)
-    max_speed_m_per_s: float = Field(default=0.05, gt=0, le=0.25)
-    min_z_m: float | None = None
-    workspace_m: tuple[tuple[float, float], tuple[float, float], tuple[float, float]] | None = None
-    robot_stale_s: float = Field(default=0.05, gt=0, le=0.5)
-    sensor_stale_s: float = Field(default=0.05, gt=0, le=0.5)
-    max_stall_s: float = Field(default=0.05, gt=0, le=0.5)
-    expected_stiffness_N_per_m: float = Field(default=5000.0, gt=0)
+    contact_limit_N: StrictFloat = Field(default=12.0, gt=0, le=150)
+    absolute_limit_N: StrictFloat = Field(default=25.0, gt=0, le=190)
+    lateral_limit_N: StrictFloat = Field(default=8.0, gt=0, le=150)
+    torque_limit_Nm: StrictFloat = Field(default=1.0, gt=0, le=6.5)
+    max_speed_m_per_s: StrictFloat = Field(default=0.05, ge=SLOWEST_M_PER_S, le=0.25)
+    min_z_m: StrictFloat | None = None
+    workspace_m: tuple[Span, Span, Span] | None = None
+    robot_stale_s: StrictFloat = Field(default=0.05, gt=0, le=0.5)
+    sensor_stale_s: StrictFloat = Field(default=0.05, gt=0, le=0.5)
+    max_stall_s: StrictFloat = Field(default=0.05, gt=0, le=0.5)
+    expected_stiffness_N_per_m: StrictFloat = Field(default=5000.0, gt=0)
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -121,7 +130,7 @@ class SafetyConfig(_Frozen):
 class MachineConfig(_Frozen):
     """How far sensor and arm give way under load (null: the last `palpd stiffness`, or rigid and said so)."""
 
-    stiffness_N_per_m: float | None = Field(default=None, gt=0)
+    stiffness_N_per_m: StrictFloat | None = Field(default=None, gt=0)
 
 
 class PathsConfig(_Frozen):
@@ -157,44 +166,60 @@ class Config(_Frozen):
             )
         return self
 
+    def with_runs(self, folder: Path) -> "Config":
+        """The same configuration, with recordings kept in that folder."""
+        return self.model_copy(update={"paths": self.paths.model_copy(update={"runs": folder})})
+
+
+class _ConfigFromEnvironment(Config, BaseSettings):  # type: ignore[misc] # the two kinds of model_config are merged
+    """Tells pydantic-settings the keys of Config; never made, so that `Config(...)` itself does not look at the environment."""
+
 
 CONTACT_FORCE_N = 1.0
 """Force at which the surface search takes it as contact: 8 counts of Fz, 2.5 mm into 62 kPa, four times below manual palpation."""
 
 
-class Site(_Frozen):
-    """A place to press, as an offset from the start pose along the base's axes."""
+class PlanSite(_Frozen):
+    """A place to press, as an offset along the base's axes from the plan's origin, or from the start pose where it gives none."""
 
     name: str = Field(min_length=1, max_length=32, pattern=r"^[A-Za-z0-9_.-]+$")
-    x_m: float = Field(default=0.0, ge=-0.5, le=0.5)
-    y_m: float = Field(default=0.0, ge=-0.5, le=0.5)
+    x_m: StrictFloat = Field(default=0.0, ge=-0.5, le=0.5)
+    y_m: StrictFloat = Field(default=0.0, ge=-0.5, le=0.5)
+
+
+class Origin(_Frozen):
+    """A place in the base's axes that a plan counts its sites from. A UR5 reaches 0.85 m."""
+
+    x_m: StrictFloat = Field(ge=-1.0, le=1.0)
+    y_m: StrictFloat = Field(ge=-1.0, le=1.0)
 
 
 class Search(_Frozen):
     """How the surface is looked for."""
 
-    speed_m_per_s: float = Field(default=0.005, gt=0, le=0.02)
-    max_travel_m: float = Field(default=0.08, gt=0, le=0.3)
+    speed_m_per_s: StrictFloat = Field(default=0.005, ge=SLOWEST_M_PER_S, le=0.02)
+    max_travel_m: StrictFloat = Field(default=0.08, gt=0, le=0.3)
 
 
 class Strokes(_Frozen):
     """Strokes in the air above a site, before anything is pressed there: up from the height of travel and back."""
 
-    strokes: int = Field(ge=1, le=200)
-    height_m: float = Field(default=0.02, ge=0.001, le=0.1)
-    speed_m_per_s: float = Field(default=0.02, gt=0, le=0.25)
+    strokes: StrictInt = Field(ge=1, le=200)
+    height_m: StrictFloat = Field(default=0.02, ge=0.001, le=0.1)
+    speed_m_per_s: StrictFloat = Field(default=0.02, ge=SLOWEST_M_PER_S, le=0.25)
 
 
 class Plan(_Frozen):
     """plan.yaml: where, how deep, how fast, how often. Without depths nothing is pressed or looked for, which needs free strokes."""
 
-    sites: tuple[Site, ...] = Field(default=(Site(name="A"),), min_length=1, max_length=1000)
+    sites: tuple[PlanSite, ...] = Field(default=(PlanSite(name="A"),), min_length=1, max_length=1000)
+    origin: Origin | None = None
     mode: Literal["dynamic", "static", "both"] = "both"
-    depths_m: tuple[float, ...] = Field(default=(0.004, 0.006, 0.008), max_length=100)
-    press_speed_m_per_s: float = Field(default=0.01, gt=0, le=0.05)
-    repeats: int = Field(default=3, ge=1, le=100)
-    hold_s: float = Field(default=3.0, ge=0.1, le=600)
-    safe_height_m: float = Field(default=0.01, ge=0.002, le=0.1)
+    depths_m: tuple[StrictFloat, ...] = Field(default=(0.004, 0.006, 0.008), max_length=100)
+    press_speed_m_per_s: StrictFloat = Field(default=0.01, ge=SLOWEST_M_PER_S, le=0.05)
+    repeats: StrictInt = Field(default=3, ge=1, le=100)
+    hold_s: StrictFloat = Field(default=3.0, ge=0.1, le=600)
+    safe_height_m: StrictFloat = Field(default=0.01, ge=0.002, le=0.1)
     search: Search = Search()
     free: Strokes | None = None
 
@@ -212,16 +237,9 @@ class Plan(_Frozen):
 
 
 def load_config(path: Path | None) -> Config:
-    """Read config.yaml, with `PALPD_SECTION__KEY` of the environment over it. Raises ConfigError, one sentence."""
-    values = _read_yaml(path) if path else {}
-    for name, text in os.environ.items():
-        section, _, key = name.removeprefix(ENVIRONMENT_PREFIX).partition("__")
-        if name.startswith(ENVIRONMENT_PREFIX) and key:
-            block = values.setdefault(section.lower(), {})
-            if not isinstance(block, dict):
-                raise ConfigError(f"{path}: {section.lower()} is not a block of keys, so {name} cannot override it")
-            block[_key_as_spelled(section.lower(), key)] = yaml.safe_load(text)
-    config = _validated(Config, values, str(path or "the default configuration"))
+    """Read config.yaml, with the environment's PALPD_SECTION__KEY=… and PALPD_SECTION='{key: …}' over it. Raises ConfigError."""
+    document = read_yaml(path) if path else Document("the default configuration", {})
+    config = _validated(Config, _overridden(document))
     if path is None:
         return config
     base = path.resolve().parent
@@ -238,25 +256,55 @@ def load_config(path: Path | None) -> Config:
 
 def load_plan(path: Path) -> Plan:
     """Read plan.yaml. Raises ConfigError, one sentence."""
-    return _validated(Plan, _read_yaml(path), str(path))
+    return _complete_plan(read_yaml(path))
 
 
 def parse_plan(values: object, where: str) -> Plan:
-    """A plan that came as data. Raises ConfigError, one sentence."""
+    """Make a plan of data, such as a request's.
+
+    Args:
+        values: Keys and values of plan.yaml.
+        where: What an error calls them.
+
+    Returns:
+        The plan.
+
+    Raises:
+        ConfigError: Where the data is no plan, one sentence.
+    """
     if not isinstance(values, dict):
         raise ConfigError(f"{where} holds {type(values).__name__}, expected keys and values; see plan.yaml in the repository")
-    return _validated(Plan, values, where)
+    return _complete_plan(Document(where, values))
 
 
 def parse_config(values: object, where: str) -> Config:
-    """A configuration that came as data, such as a recording's. Raises ConfigError, one sentence."""
+    """Make a configuration of data, such as a recording's; the environment does not change it.
+
+    Args:
+        values: Keys and values of config.yaml.
+        where: What an error calls them.
+
+    Returns:
+        The configuration.
+
+    Raises:
+        ConfigError: Where the data is no configuration, one sentence.
+    """
     if not isinstance(values, dict):
         raise ConfigError(f"{where} holds {type(values).__name__}, expected keys and values")
-    return _validated(Config, values, where)
+    return _validated(Config, Document(where, values))
 
 
 def refuse_unsafe(config: Config, plan: Plan) -> None:
-    """Refuse a plan that the limits of the configuration do not allow. Raises ConfigError."""
+    """Refuse a plan that the limits of the configuration do not allow.
+
+    Args:
+        config: Configuration with the limits.
+        plan: Plan to judge.
+
+    Raises:
+        ConfigError: Where a speed of the plan is above the limit, or a place of it is outside the workspace.
+    """
     safety = config.safety
     speeds = [("press_speed_m_per_s", plan.press_speed_m_per_s), ("search.speed_m_per_s", plan.search.speed_m_per_s)]
     if plan.free is not None:
@@ -266,53 +314,112 @@ def refuse_unsafe(config: Config, plan: Plan) -> None:
             raise ConfigError(
                 f"the plan's {name} is {speed:g} m/s, above safety.max_speed_m_per_s of {safety.max_speed_m_per_s:g}; lower one of them"
             )
+    if plan.origin is not None and safety.workspace_m is not None:
+        _refuse_outside(plan.origin, plan.sites, safety.workspace_m)
 
 
-def _key_as_spelled(section: str, key: str) -> str:
-    """The environment often comes in capitals; a key keeps the spelling of its unit."""
-    field = Config.model_fields.get(section)
-    known = getattr(field.annotation, "model_fields", {}) if field else {}
-    return next((name for name in known if name.lower() == key.lower()), key.lower())
+def _refuse_outside(origin: Origin, sites: tuple[PlanSite, ...], workspace_m: tuple[Span, Span, Span]) -> None:
+    """Refuse an origin, or a site counted from it, that the guard would stop the arm at."""
+    places = [("origin", origin.x_m, origin.y_m)]
+    places += [(f"site {site.name}", origin.x_m + site.x_m, origin.y_m + site.y_m) for site in sites]
+    for name, *place_m in places:
+        for axis, at_m, (low_m, high_m) in zip("xy", place_m, workspace_m, strict=False):
+            if not low_m <= at_m <= high_m:
+                raise ConfigError(
+                    f"the plan's {name} is at {axis} = {at_m:g} m in the base's axes, but safety.workspace_m allows {low_m:g} to "
+                    f"{high_m:g} m; move it, or widen the workspace"
+                )
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
+def _complete_plan(document: Document) -> Plan:
+    """A plan whose author says where and how deep: a file without them must not press somewhere by default."""
+    plan = _validated(Plan, document)
+    if missing := [key for key in ("sites", "depths_m") if key not in document.keys_and_values()]:
+        raise ConfigError(
+            f"{document.name}: {' and '.join(missing)} {'are' if missing[1:] else 'is'} not given; a plan says where and how deep"
+        )
+    return plan
+
+
+def _overridden(document: Document) -> Document:
+    """The document with what the environment says in place of its own."""
+    variables = {name.upper(): name for name in os.environ if name.upper().startswith(ENVIRONMENT_PREFIX)}
+    for name in variables.values():
+        _refuse_unknown_variable(name)
+    source = _Environment(_ConfigFromEnvironment, case_sensitive=False, env_prefix=ENVIRONMENT_PREFIX, env_nested_delimiter="__")
+    values, places = dict(document.keys_and_values()), dict(document.places)
+    for section, block in source().items():
+        stated = values.get(section)
+        if stated is not None and not isinstance(stated, dict):
+            raise ConfigError(
+                f"{document.place((section,))}: {section} is not a block of keys, so the environment cannot override a key of it"
+            )
+        if not isinstance(block, dict):
+            raise ConfigError(f"{ENVIRONMENT_PREFIX}{section.upper()} is not a block of keys, expected such as {{key: value}}")
+        block = _read_texts(_fields_of(Config.model_fields[section]), block, f"{ENVIRONMENT_PREFIX}{section.upper()}")
+        values[section] = _merged(stated or {}, block)
+        for location in _locations(block, (section,)):
+            name = ENVIRONMENT_PREFIX + "__".join(map(str, location)).upper()
+            places[location] = f"environment variable {variables.get(name, ENVIRONMENT_PREFIX + section.upper())}"
+    return Document(document.name, values, places)
+
+
+class _Environment(EnvSettingsSource):
+    """Overrides from the environment; blocks and lists are read as strictly as a file."""
+
+    def decode_complex_value(self, *arguments: Any) -> Any:
+        """Read a block or a list that stands for a key. Raises ConfigError."""
+        key, _, text = arguments
+        return parse_yaml(text, f"environment variable for {key}").content
+
+
+def _refuse_unknown_variable(name: str) -> None:
+    """Refuse a variable that looks like a key of ours and overrides none; others with our prefix may belong to other programs."""
+    section, split, _ = name[len(ENVIRONMENT_PREFIX) :].lower().partition("__")
+    known = list(Config.model_fields)
+    begins = next((each for each in known if section.startswith(f"{each}_")), None)
+    if section not in known and (split or begins):
+        hint = f" (did you mean {ENVIRONMENT_PREFIX}{begins.upper()}__…?)" if begins else nearest(section, known)
+        raise ConfigError(f"environment variable {name}: {section} is not a block of config.yaml{hint}; known: {', '.join(known)}")
+
+
+def _read_texts(fields: Mapping[str, FieldInfo], block: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """The block with texts read as YAML where the key does not hold a text: the environment has no numbers."""
+    read: dict[str, Any] = {}
+    for key, value in block.items():
+        field = fields.get(key)
+        types = get_args(field.annotation) or (field.annotation,) if field else ()
+        if isinstance(value, dict):
+            read[key] = _read_texts(_fields_of(field) if field else {}, value, f"{name}__{key.upper()}")
+        elif isinstance(value, str) and (value == "null" or not {str, Path} & set(types)):
+            read[key] = parse_yaml(value, f"environment variable {name}__{key.upper()}").content
+        else:
+            read[key] = value
+    return read
+
+
+def _fields_of(field: FieldInfo) -> Mapping[str, FieldInfo]:
+    models = [each for each in (field.annotation, *get_args(field.annotation)) if hasattr(each, "model_fields")]
+    return models[0].model_fields if models else {}
+
+
+def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    both = {
+        key: _merged(below[key], above[key])
+        for key in below.keys() & above.keys()
+        if isinstance(below[key], dict) and isinstance(above[key], dict)
+    }
+    return {**below, **above, **both}
+
+
+def _locations(block: Mapping[str, Any], at: tuple[str | int, ...]) -> list[tuple[str | int, ...]]:
+    return [(*at, key) for key in block] + [
+        each for key, value in block.items() if isinstance(value, dict) for each in _locations(value, (*at, key))
+    ]
+
+
+def _validated(model: type[Model], document: Document) -> Model:
     try:
-        values = yaml.safe_load(path.read_text())
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be read ({error.strerror}); give the path of a YAML file") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        where = getattr(error, "problem_mark", None)
-        raise ConfigError(f"{path} is not YAML{f' (line {where.line + 1})' if where else ''}; correct it") from error
-    if values is None:
-        return {}
-    if not isinstance(values, dict):
-        raise ConfigError(f"{path} holds {type(values).__name__}, expected keys and values; see config.yaml in the repository")
-    return values
-
-
-def _validated(model: type[Model], values: dict[str, Any], where: str) -> Model:
-    try:
-        return model.model_validate(values)
+        return model.model_validate(document.keys_and_values())
     except ValidationError as error:
-        raise ConfigError(f"{where}: {_sentence(model, error)}") from error
-
-
-def _sentence(model: type[BaseModel], error: ValidationError) -> str:
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        known = _fields_at(model, first["loc"][:-1])
-        close = difflib.get_close_matches(str(first["loc"][-1]), known, n=1, cutoff=0.5)
-        return f"{key} is not a key" + (f"; did you mean {close[0]}?" if close else f"; known here: {', '.join(known)}")
-    message = first["msg"].removeprefix("Value error, ")
-    if first["type"] == "value_error":
-        return f"{key}: {message}" if key else message
-    return f"{key} is {first.get('input')!r}: {message[0].lower()}{message[1:]}"
-
-
-def _fields_at(model: Any, location: tuple[int | str, ...]) -> list[str]:
-    for part in location:
-        field = getattr(model, "model_fields", {}).get(part)
-        if field is not None:
-            model = field.annotation
-    return list(getattr(model, "model_fields", {}))
+        raise ConfigError(refusal(error, model, document, HINTS)) from error

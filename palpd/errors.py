@@ -52,10 +52,6 @@ class SensorError(DeviceError):
 
 
 class Stopped(PalpdError):
-    """A run was ended by the guard or by a fault; the last ticks are attached."""
+    """A run was ended by the guard or by a fault."""
 
     exit_code = 3
-
-    def __init__(self, sentence: str, last_ticks: list[object] | None = None) -> None:
-        super().__init__(sentence)
-        self.last_ticks = last_ticks or []

@@ -1,4 +1,4 @@
-"""The vocabulary: what one turn of the loop sees, thinks and does.
+"""The vocabulary: what one tick of the loop sees, decides and does.
 
 SI units. Times `t_s` are seconds on the host's monotonic clock. A wrench is (fx, fy, fz, tx, ty, tz) in N and Nm, what the
 environment does to the probe. `z` is up; pressing gives fz > 0 in base axes and raw Fz < 0 in the sensor's own axes.
@@ -6,7 +6,7 @@ environment does to the probe. `z` is up; pressing gives fz > 0 in base axes and
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,11 @@ Floats = NDArray[np.float64]
 Words = NDArray[np.uint16]
 
 MAX_FRAMES = 64
-"""Most sensor frames one row holds; a 1 kHz sensor and a loop late by 64 ms fill it, and the guard has stopped long before."""
+"""Most sensor frames that one row holds. A loop that is 64 ms late fills it at 1 kHz; the guard stops the arm long before."""
 
 
 class RobotMode(IntEnum):
-    """`robot_mode` of RTDE; anything but RUNNING is no state to move in."""
+    """`robot_mode` of RTDE. The arm may move in RUNNING only."""
 
     NO_CONTROLLER = -1
     DISCONNECTED = 0
@@ -48,7 +48,7 @@ class SafetyMode(IntEnum):
 
 
 PROGRAM_PLAYING = 2
-"""`runtime_state` of a running control program; without it a speed command goes nowhere."""
+"""`runtime_state` of a running control program. Without a running program a speed command has no effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class RobotState:
     """One untorn snapshot of the controller.
 
     Poses are (x, y, z, rx, ry, rz) in m and rad (rotation vector) in the base frame, speeds in m/s and rad/s.
-    `t_s` is when the controller took it, on the host's clock; `timestamp_s` the same on the controller's own.
+    `t_s` is the controller's sampling time on the host's clock, `timestamp_s` the same instant on the controller's own clock.
     """
 
     t_s: float
@@ -85,10 +85,10 @@ class RobotState:
 
 @dataclass(frozen=True, slots=True)
 class SensorFrames:
-    """Every frame that came since the last look, oldest first; possibly none.
+    """Every sensor frame that arrived since the last read, oldest first; there may be none.
 
-    `t_s` (n,) is sensor time on the host's clock, rebuilt from the 1 kHz counter; `wrench` (n, 6) in the sensor's axes, by its
-    calibration, not tared; `status` (n,) the sensor's own status word (0: healthy); `rejected` counts what the parser threw away.
+    `t_s` (n,) is sensor time on the host's clock, rebuilt from the 1 kHz counter. `wrench` (n, 6) is in the sensor's axes, calibrated
+    and not tared. `status` (n,) is the sensor's own status word (0: healthy). `rejected` counts the frames that the parser rejected.
     """
 
     t_s: Floats
@@ -100,13 +100,26 @@ class SensorFrames:
     def __len__(self) -> int:
         return len(self.t_s)
 
+    def newest(self, most: int) -> "SensorFrames":
+        """The newest frames.
+
+        Args:
+            most: Largest number of frames to keep.
+
+        Returns:
+            The same frames, without the oldest ones where there are more.
+        """
+        if len(self.t_s) <= most:
+            return self
+        return SensorFrames(self.t_s[-most:], self.counter[-most:], self.status[-most:], self.wrench[-most:], self.rejected)
+
 
 NO_FRAMES = SensorFrames(np.empty(0), np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty((0, 6)))
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A speed for the tip in base axes. Orientation is never commanded. `stop` ends the motion and outranks the speed."""
+    """A speed for the tip in base axes; palpd never commands orientation. `stop` ends the motion and overrides the speed."""
 
     velocity_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     stop: bool = False
@@ -117,7 +130,7 @@ STOP = Command(stop=True)
 
 
 class Phase(IntEnum):
-    """What the sequence is doing; recorded with every tick."""
+    """What the sequence is doing; every recorded tick holds it."""
 
     IDLE = 0
     TRAVEL = 1
@@ -130,6 +143,7 @@ class Phase(IntEnum):
     PAUSED = 8
     DONE = 9
     TARE = 10
+    RETURN = 11
 
 
 class Mode(IntEnum):
@@ -152,7 +166,7 @@ class Action(IntEnum):
 
 
 class Trip(IntEnum):
-    """Why the guard interfered. The sentence is made from this, the measured value and the limit."""
+    """Why the guard interfered. `safety.sentence` turns it, the measured value and the limit into text."""
 
     NONE = 0
     CONTACT_FORCE = 1
@@ -178,7 +192,7 @@ class Trip(IntEnum):
     LATE_TICKS = 21
     OPERATOR = 22
     SUPERVISOR = 23
-    DEVICE = 24  # a device failed before the guard could see why
+    DEVICE = 24  # a device failed before the guard saw a reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,10 +208,10 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Where in the plan a tick stands. `surface_z_m` and `depth_m` are NaN until known.
+    """Where in the plan a tick stands, and the bounds of the present step. `surface_z_m` and `depth_m` are NaN until known.
 
-    `floor_z_m` is the lowest height that the present step may reach, `safe_z_m` the height at which a retract may end. Above
-    `clear_z_m` the script vouches that the tip touches nothing.
+    `floor_z_m` is the lowest height that the step may reach, `safe_z_m` the height at which a retract may end. Above `clear_z_m`
+    the script guarantees that the tip touches nothing.
     """
 
     phase: Phase = Phase.IDLE
@@ -214,7 +228,7 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """What the sequence would like to do next, and where in the plan that is."""
+    """What the sequence proposes to do next, and where in the plan that stands."""
 
     command: Command = STILL
     progress: Progress = Progress()
@@ -227,12 +241,12 @@ class Request(IntEnum):
     ABORT = 1
     PAUSE = 2
     RESUME = 3
-    ORPHANED = 4  # not asked by anybody: the supervising process is gone
+    ORPHANED = 4  # no operator asked: the supervising process is gone
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """When a tick should have begun, when it did, and how many were missed before it."""
+    """When a tick was planned to begin, when it began, and how many ticks were missed before it."""
 
     index: int
     planned_s: float
@@ -244,11 +258,11 @@ class Timing:
 class Contact:
     """What the frames of one tick say about the contact, in base axes.
 
-    `tared` (n, 6) is the measured wrench less the running tare (f_m - f_g), `inertial_N` (n,) what the model takes from fz. Of the
-    newest frames: `force_N` the largest compensated contact force (f_c of Guo, Xiao, Ren 2019, eq. 5), `mean_N` its mean, `lateral_N`
-    and `torque_Nm` the largest, `absolute_N` the largest raw force against the reference tare, which no model and no re-tare touches.
-    `zero_N` is how much of `inertial_N` is the running zero. A tick without frames repeats the last numbers: how old they may get is the
-    guard's to judge.
+    `tared` (n, 6) is the measured wrench less the running tare (f_m - f_g), `inertial_N` (n,) the model's share of fz. The scalars
+    describe the newest frames: `force_N` is the largest compensated contact force (f_c of Guo, Xiao, Ren 2019, eq. 5), `mean_N` its
+    mean, `lateral_N` and `torque_Nm` are the largest. `absolute_N` is the largest raw force against the reference tare: no model and
+    no re-tare changes it. `zero_N` is the running zero's share of `inertial_N`. A tick without frames repeats the last scalars; the
+    guard limits their age.
     """
 
     tared: Floats
@@ -261,15 +275,58 @@ class Contact:
     zero_N: float = 0.0
 
 
+class Observation(NamedTuple):
+    """All that one tick saw: the loop makes it once, and sequence, guard and record read the same one.
+
+    `tilt_rad` is the angle between the tool's z axis and the base's -z.
+    """
+
+    timing: Timing
+    robot: RobotState
+    frames: SensorFrames
+    contact: Contact
+    request: Request = Request.NONE
+    tilt_rad: float = 0.0
+
+    @property
+    def now_s(self) -> float:
+        """Host time at which the tick began."""
+        return self.timing.now_s
+
+
+class TickRecord(NamedTuple):
+    """All that is kept of one tick: what it saw, what the sequence proposed, what the guard let out.
+
+    `work_us` is the work of the tick before: a tick cannot time its own last line.
+    """
+
+    observation: Observation
+    proposal: Proposal
+    verdict: Verdict
+    work_us: float
+
+
+class Clock(Protocol):
+    """Tells the loop when its next tick has come."""
+
+    def wait(self) -> Timing:
+        """Block until the next tick and say which it is."""
+        ...
+
+    def elapsed_us(self) -> float:
+        """Microseconds since the tick began."""
+        ...
+
+
 class Robot(Protocol):
-    """What the loop needs of a robot. Only `read` and `move` may raise; `stop` and `close` never do."""
+    """What the loop needs of a robot. `read` and `move` may raise; `stop` and `close` never raise."""
 
     def read(self) -> RobotState:
-        """Newest state; never waits."""
+        """Return the newest state without waiting."""
         ...
 
     def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
-        """Command a tip speed; also what feeds the controller's watchdog."""
+        """Command a tip speed in base axes; this also feeds the controller's watchdog."""
         ...
 
     def stop(self) -> None:
@@ -277,7 +334,7 @@ class Robot(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the controller. Never raises."""
+        """Release the controller. Never raises."""
         ...
 
 
@@ -285,11 +342,11 @@ class ForceSensor(Protocol):
     """What the loop needs of a force sensor."""
 
     def read(self) -> SensorFrames:
-        """Every frame since the last call; never waits."""
+        """Return every frame since the last call without waiting."""
         ...
 
     def close(self) -> None:
-        """Let go of the port. Never raises."""
+        """Release the port. Never raises."""
         ...
 
 
@@ -299,7 +356,7 @@ ROW = np.dtype(
         ("planned_s", "<f8"),
         ("now_s", "<f8"),
         ("missed", "<u4"),
-        ("work_us", "<f4"),  # of the tick before this one: a tick cannot time its own last line
+        ("work_us", "<f4"),  # as TickRecord.work_us
         ("robot_t_s", "<f8"),
         ("robot_timestamp_s", "<f8"),
         ("tcp_pose", "<f8", (6,)),
@@ -341,4 +398,4 @@ ROW = np.dtype(
         ("trip_limit", "<f8"),
     ]
 )
-"""One tick as it stands in the ring and in a recording: every input of a decision, and the decision."""
+"""One tick in the ring and in a recording: every input of a decision, and the decision."""

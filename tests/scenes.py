@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from palpd.safety import Limits, Sight
-from palpd.tick import PROGRAM_PLAYING, Contact, RobotMode, RobotState, SafetyMode, SensorFrames, Timing
+from palpd.control.safety import Limits
+from palpd.tick import PROGRAM_PLAYING, Contact, Observation, Progress, RobotMode, RobotState, SafetyMode, SensorFrames, Timing
 
 LIMITS = Limits(
     contact_N=12.0,
@@ -44,7 +44,10 @@ def contact(**changes: Any) -> Contact:
     return replace(Contact(np.zeros((8, 6)), np.zeros(8)), **changes)
 
 
-def sight(now_s: float = 10.0, **changes: Any) -> Sight:
+STEP = Progress(floor_z_m=-0.05, safe_z_m=0.03)
+"""Bounds of a step in the tissue."""
+
+
+def observation(now_s: float = 10.0, **changes: Any) -> Observation:
     """All well in free air at that time."""
-    seen = Sight(Timing(0, now_s, now_s), robot(now_s), frames(now_s), contact(), floor_z_m=-0.05, safe_z_m=0.03)
-    return seen._replace(**changes)
+    return Observation(Timing(0, now_s, now_s), robot(now_s), frames(now_s), contact())._replace(**changes)

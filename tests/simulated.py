@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from palpd.cell_file import CellFile
+from palpd.cell.cell_file import CellFile
 from palpd.config import Config, Plan
-from palpd.motion import Job, Kind
-from palpd.sim import Ran, run
+from palpd.daemon.motion_process import Job, Kind
+from palpd.daemon.simulated_run import SimulatedRecording, run
 from palpd.tick import Request
 
 
@@ -22,7 +22,7 @@ def ran(
     machine_stiffness_N_per_m: float | None = None,
     seed: int = 0,
     **config: Any,
-) -> Ran:
+) -> SimulatedRecording:
     """Run a job on that cell at 125 Hz; `requests` maps a tick to what the operator asks in it."""
     job = Job(kind, Config.model_validate(config), plan or Plan(), machine_stiffness_N_per_m=machine_stiffness_N_per_m)
     return run(job, cell, seed=seed, requests=requests or {})

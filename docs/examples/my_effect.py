@@ -6,7 +6,7 @@ A law changes the samples `s` of its site (here what the tip feels, s.contact_N)
 
 import numpy as np
 
-from palpd.effects import Effect, Parameter
+from palpd.cell.effects import Effect, Parameter
 
 
 def pulse(s, p, memory):

@@ -17,24 +17,24 @@ def main() -> int:
     parser.add_argument("--host", default="127.0.0.1", help="address that the controller listens on")
     parser.add_argument("--sensor-link", type=Path, help="link to make to the sensor's terminal device")
     parser.add_argument("--control", type=Path, help="unix socket for faults and truth")
-    parser.add_argument("--seed", type=int, default=0, help="of every random number")
-    parser.add_argument("--mount-rotation-rad", type=float, default=0.0, help="of the sensor about the flange's z")
+    parser.add_argument("--seed", type=int, default=0, help="seed of every random number")
+    parser.add_argument("--mount-rotation-rad", type=float, default=0.0, help="rotation of the sensor about the flange's z")
     parser.add_argument("--no-realtime", action="store_true", help="do not ask for SCHED_FIFO")
     parser.add_argument("--end-with-parent", action="store_true", help="end when the process that started this one is gone")
-    parser.add_argument("--effects", type=Path, help="a Python file with effects of one's own that the cell file names")
-    given = parser.parse_args()
+    parser.add_argument("--effects", type=Path, help="a Python file of a user's effects that the cell file may name")
+    options = parser.parse_args()
     try:
         emulate(
-            given.model,
-            given.cell,
-            given.host,
-            given.sensor_link,
-            given.control,
-            seed=given.seed,
-            mount_rotation_rad=given.mount_rotation_rad,
-            realtime=not given.no_realtime,
-            end_with_parent=given.end_with_parent,
-            effects=given.effects,
+            options.model,
+            options.cell,
+            options.host,
+            options.sensor_link,
+            options.control,
+            seed=options.seed,
+            mount_rotation_rad=options.mount_rotation_rad,
+            realtime=not options.no_realtime,
+            end_with_parent=options.end_with_parent,
+            effects=options.effects,
         )
     except PalpdError as error:
         print(error, file=sys.stderr)

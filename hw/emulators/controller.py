@@ -1,7 +1,7 @@
 """What a UR controller does with its registers, cycle by cycle: the control program, its watchdog, the motion, the stops.
 
-No socket and no clock: bytes are `ur.py`'s, and time is told. The program's side of the registers is that of the script which
-ur_rtde 1.6.5 uploads, written from observed traffic; nothing here was compared with a real robot.
+No socket and no clock: `ur.py` owns the bytes, and the time is an argument. The program's side of the registers follows the script that
+ur_rtde 1.6.5 uploads, as observed on the wire. Nothing here was compared with a real robot.
 """
 
 import re
@@ -13,16 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hw.emulators.arm import ArmKinematics
 from hw.emulators.pose import Floats, composed, inverse, rotation, rotation_vector
+from hw.emulators.target_motion import Ramp, Servo, TargetMotion, TrapezoidalMove
 
 PROGRAM_STOP_M_PER_S2 = 5.0
-"""Deceleration of the tip when a program ends under way. No published figure was found: from 10 mm/s it takes 2 ms, so one cycle."""
+"""Deceleration of the tip when a program ends during a motion. No figure is published; from 10 mm/s it takes 2 ms, so one cycle."""
 EMERGENCY_STOP_M_PER_S2 = 10.0
 COMMANDS_KEPT = 15_000
 PROGRAM_START_S = 0.1
 """From the last byte of an uploaded script to its first cycle."""
 UNLOCK_AFTER_S = 5.0
-"""A protective stop cannot be unlocked before."""
+"""Age of a protective stop before which it cannot be unlocked."""
 
 
 class Runtime(IntEnum):
@@ -54,8 +56,8 @@ class Safety(IntEnum):
 
 
 @dataclass(frozen=True)
-class Model:
-    """A generation of controllers: its cycle and what it calls itself."""
+class ControllerModel:
+    """A generation of controllers: its cycle and how it identifies itself."""
 
     name: str
     cycle_s: float
@@ -70,186 +72,26 @@ class Model:
 
 
 MODELS = {
-    "ur5": Model("ur5", 0.008, (3, 15, 8, 106339), "URSoftware 3.15.8.106339 (Nov 10 2022)", "2018350001"),
-    "ur5e": Model("ur5e", 0.002, (5, 17, 0, 0), "URSoftware 5.17.0.0 (Jan 10 2025)", "20235500001"),
+    "ur5": ControllerModel("ur5", 0.008, (3, 15, 8, 106339), "URSoftware 3.15.8.106339 (Nov 10 2022)", "2018350001"),
+    "ur5e": ControllerModel("ur5e", 0.002, (5, 17, 0, 0), "URSoftware 5.17.0.0 (Jan 10 2025)", "20235500001"),
 }
-
-BASE_JOINTS_RAD = np.array([0.0, -1.75, -1.95, -1.01, 1.5708, 0.0])
-"""A UR5 with its elbow up and its tool straight down."""
-JOINT_ROWS = (  # Denavit-Hartenberg d, a, alpha of the UR5 (UR's article "DH parameters")
-    (0.089159, 0.0, np.pi / 2),
-    (0.0, -0.425, 0.0),
-    (0.0, -0.39225, 0.0),
-    (0.10915, 0.0, np.pi / 2),
-    (0.09465, 0.0, -np.pi / 2),
-    (0.0823, 0.0, 0.0),
-)
-
-
-def jacobian(joints_rad: Floats) -> Floats:
-    """Geometric Jacobian (6, 6) of the UR5's flange: m/s and rad/s in base axes per rad/s."""
-    frame, frames = np.eye(4), [np.eye(4)]
-    for q, (d, a, alpha) in zip(joints_rad, JOINT_ROWS, strict=True):
-        cq, sq, ca, sa = np.cos(q), np.sin(q), np.cos(alpha), np.sin(alpha)
-        step = np.array([[cq, -sq * ca, sq * sa, a * cq], [sq, cq * ca, -cq * sa, a * sq], [0.0, sa, ca, d], [0.0, 0.0, 0.0, 1.0]])
-        frame = frame @ step
-        frames.append(frame)
-    tip = frames[-1][:3, 3]
-    columns = [np.concatenate([np.cross(f[:3, 2], tip - f[:3, 3]), f[:3, 2]]) for f in frames[:-1]]
-    return np.array(columns).T
-
-
-class Arm:
-    """Joint angles beside tip poses: the UR5's map, linear about one posture.
-
-    A cell may put its tissue anywhere in the base frame, also where no UR5 reaches, so the posture is fixed and only the
-    displacements are the arm's.
-    """
-
-    def __init__(self, tip_pose: Floats) -> None:
-        self._origin = tip_pose.copy()
-        self._jacobian = jacobian(BASE_JOINTS_RAD)
-        self._inverse = np.linalg.inv(self._jacobian)
-
-    def joints(self, tip_pose: Floats) -> Floats:
-        """Joint angles (6,) in rad of a tip pose."""
-        joints: Floats = BASE_JOINTS_RAD + self._inverse @ displacement(self._origin, tip_pose)
-        return joints
-
-    def pose(self, joints_rad: Floats) -> Floats:
-        """Tip pose (6,) of joint angles."""
-        moved = self._jacobian @ (joints_rad - BASE_JOINTS_RAD)
-        turn = rotation(moved[3:]) @ rotation(self._origin[3:])
-        return np.concatenate([self._origin[:3] + moved[:3], rotation_vector(turn)])
-
-    def joint_speed(self, tip_speed: Floats) -> Floats:
-        """Joint speeds (6,) in rad/s of a tip speed."""
-        speed: Floats = self._inverse @ tip_speed
-        return speed
-
-    def tip_speed(self, joint_speed_rad_per_s: Floats) -> Floats:
-        """Tip speed (6,) in m/s and rad/s of joint speeds."""
-        speed: Floats = self._jacobian @ joint_speed_rad_per_s
-        return speed
-
-
-class Step(NamedTuple):
-    """What a motion makes of a cycle: speed (6,) at its end, displacement (6,), whether it is over, and after which share of the
-    cycle the speed is reached, linearly in time."""
-
-    speed: Floats
-    shift: Floats
-    over: bool
-    settled: float = 1.0
-
-
-@dataclass
-class Ramp:
-    """A speed that is approached with a limited acceleration and then kept (URScript's speedl; with a goal of zero, stopl)."""
-
-    goal: Floats
-    acceleration: float
-
-    def advance(self, speed: Floats, place: Floats, cycle_s: float) -> Step:
-        """One cycle further; over when it is a stop and the tip is at rest."""
-        after, shift, settled = speed.copy(), speed * cycle_s, 0.0
-        for part in (slice(0, 3), slice(3, 6)):
-            change = self.goal[part] - speed[part]
-            needed = float(np.linalg.norm(change)) / (self.acceleration * cycle_s)
-            if needed > 1.0:
-                change /= needed
-            after[part] += change
-            shift[part] += change * cycle_s * (1.0 - 0.5 * min(needed, 1.0))
-            settled = max(settled, min(needed, 1.0))
-        return Step(after, shift, not self.goal.any() and not after.any(), settled)
-
-
-@dataclass
-class Line:
-    """A straight way to a pose with a trapezoid of speed along it (movel; movej with the leading joint's profile).
-
-    `length` is what speed and acceleration refer to: the longer of way (m) and turn (rad) unless given. A tip that is still moving
-    comes to rest first.
-    """
-
-    goal: Floats
-    speed: float
-    acceleration: float
-    length: float | None = None
-    _way: Floats | None = None
-    _elapsed_s: float = 0.0
-    _share: float = 0.0
-
-    def _profile(self, length: float, t_s: float) -> tuple[float, float]:
-        """Distance gone and speed after t_s."""
-        top = min(self.speed, float(np.sqrt(length * self.acceleration)))
-        rise_s = top / self.acceleration
-        left_s = length / top + rise_s - t_s
-        if left_s <= 0.0:
-            return length, 0.0
-        if t_s < rise_s:
-            return 0.5 * self.acceleration * t_s * t_s, self.acceleration * t_s
-        if left_s < rise_s:
-            return length - 0.5 * self.acceleration * left_s * left_s, self.acceleration * left_s
-        return top * (t_s - 0.5 * rise_s), top
-
-    def advance(self, speed: Floats, place: Floats, cycle_s: float) -> Step:
-        """One cycle further; over when the goal is reached."""
-        if self._way is None:
-            if speed.any():
-                return Ramp(np.zeros(6), self.acceleration).advance(speed, place, cycle_s)._replace(over=False)
-            self._way = displacement(place, self.goal)
-        length = self.length or max(float(np.linalg.norm(self._way[:3])), float(np.linalg.norm(self._way[3:])))
-        if length < 1e-9:
-            return Step(np.zeros(6), self._way, True)
-        self._elapsed_s += cycle_s
-        gone, now = self._profile(length, self._elapsed_s)
-        step = gone / length - self._share
-        self._share += step
-        return Step(self._way * (now / length), self._way * step, gone >= length)
-
-
-@dataclass
-class Servo:
-    """A pose that is followed with a delay (servol, servoj); speed is capped as a controller would."""
-
-    goal: Floats
-    lookahead_s: float
-
-    def advance(self, speed: Floats, place: Floats, cycle_s: float) -> Step:
-        """Speed and displacement (6,) at the end of a cycle; it never ends by itself."""
-        after = displacement(place, self.goal) / max(self.lookahead_s, 2.0 * cycle_s)
-        fastest = float(np.linalg.norm(after[:3]))
-        if fastest > 1.0:
-            after *= 1.0 / fastest
-        return Step(after, 0.5 * (speed + after) * cycle_s, False)
-
-
-Motion = Ramp | Line | Servo
-
-
-def displacement(start: Floats, end: Floats) -> Floats:
-    """What leads from one pose to another (6,): m, and a rotation vector in base axes."""
-    if np.array_equal(start[3:], end[3:]):
-        return np.concatenate([end[:3] - start[:3], np.zeros(3)])
-    return np.concatenate([end[:3] - start[:3], rotation_vector(rotation(end[3:]) @ rotation(start[3:]).T)])
 
 
 @dataclass
 class Program:
-    """The control script as far as its effects go: where its registers are, what it is busy with."""
+    """The state of the control script, as far as it has effects."""
 
     offset: int
     commands: bool  # whether it is a loop over command registers, or a script that runs once
     started: bool = False
     start_s: float = 0.0
     held: bool = False  # the register still holds the command that was executed last
-    blocking: bool = False  # a synchronous motion is under way, and nothing else is looked at
+    blocking: bool = False  # a synchronous motion is under way, and the script reads no command
     streaming: bool = False  # the thread of speedL or servoL lives
     moving: bool = False  # the thread of an asynchronous motion lives
     watchdog_s: float | None = None
     moved: bool = False  # since it started
-    stops_linearly: bool = False  # the script's `stop_type`: set by the first asynchronous stop, and never taken back
+    stops_linearly: bool = False  # the script's `stop_type`: the first asynchronous stop sets it for good
 
 
 UNEMULATED = {
@@ -261,16 +103,16 @@ UNEMULATED = {
     51: "moveUntilContact",
     52: "freedriveMode",
 }
-"""Commands that would move the arm in ways that are not emulated: the program ends with an error rather than pretend."""
+"""Motion commands that are not emulated: the program ends with an error."""
 STRIPPED_ON_CB3 = frozenset({51, 52})
 STREAMED = frozenset({9, 10, 11, 24})
-"""Commands carried out anew in every cycle in which the register holds them: speedJ, speedL, servoJ, servoL."""
+"""Commands that run again in every cycle in which the register holds them: speedJ, speedL, servoJ, servoL."""
 SILENT = frozenset({25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 71})
 """Commands that answer in every cycle and never report "done"."""
 
 
-class Sample(NamedTuple):
-    """Target and truth at one millisecond, for whoever wants to know when the arm was told to rest, and where it came to rest."""
+class TruthSample(NamedTuple):
+    """Target and truth at one millisecond: when the controller commanded rest, and where the tip came to rest."""
 
     t_s: float  # of the host's monotonic clock
     speed_m_per_s: float
@@ -282,14 +124,14 @@ class Sample(NamedTuple):
 
 
 @dataclass
-class Cycle:
-    """What the next cycle holds: the target's pose (6,) at its begin, its displacement, its speed at both ends."""
+class ControllerCycle:
+    """The next cycle of the target: its pose (6,) at the begin, its displacement (6,), its speed (6,) at both ends."""
 
     start: Floats
     shift: Floats
     speed_before: Floats
     speed_after: Floats
-    settled: float = 1.0  # the share of the cycle after which the speed is reached, linearly in time
+    settled: float = 1.0  # as Step.settled
 
 
 class Controller:
@@ -297,14 +139,14 @@ class Controller:
 
     def __init__(
         self,
-        model: Model,
+        model: ControllerModel,
         tip_pose: Floats,
         tcp: Floats,
         began: Callable[[], None] = lambda: None,
         started: Callable[[], None] = lambda: None,
     ) -> None:
         self.model = model
-        self.arm = Arm(tip_pose)
+        self.arm = ArmKinematics(tip_pose)
         self.inputs: dict[str, tuple[float, ...]] = {}
         self.outputs: dict[str, tuple[float, ...]] = {}
         self.power = Power.RUNNING
@@ -312,7 +154,7 @@ class Controller:
         self.runtime = Runtime.STOPPED
         self.speed = np.zeros(6)
         self.pose = tip_pose.copy()  # of the true tip
-        self.motion: Motion | None = None
+        self.motion: TargetMotion | None = None
         self.program: Program | None = None
         self.tcp_true, self.tcp = tcp.copy(), tcp.copy()
         self.payload_kg, self.payload_cog = 0.0, (0.0, 0.0, 0.0)
@@ -330,7 +172,12 @@ class Controller:
     # What comes over the wires -------------------------------------------------------------------------------------------
 
     def write(self, values: Mapping[str, tuple[float, ...]], now_s: float) -> None:
-        """Take a package of inputs; it feeds the watchdog if it holds the command register."""
+        """Take a package of inputs; it feeds the watchdog if it holds the command register.
+
+        Args:
+            values: value of each input field.
+            now_s: host time.
+        """
         self.inputs.update(values)
         offset = self.program.offset if self.program else 0
         if f"input_double_register_{offset + 2}" in values:
@@ -339,7 +186,12 @@ class Controller:
             self._fed_s = max(self._fed_s, now_s)
 
     def upload(self, script: str, now_s: float) -> None:
-        """Take a script; it replaces what runs, and starts a little later, if the arm may move."""
+        """Take a script. It replaces the running program and starts `PROGRAM_START_S` later, if the arm may move.
+
+        Args:
+            script: text of the script.
+            now_s: host time.
+        """
         self.stop_program(now_s, "replaced by a new script")
         if self.power is not Power.RUNNING or self.safety is not Safety.NORMAL:
             self.messages.append(("Robot cannot run a program: it is not in normal mode", 1))
@@ -349,14 +201,14 @@ class Controller:
         self.program = Program(int(offset.group(1)) if offset else 0, commands, start_s=now_s + PROGRAM_START_S)
 
     def play(self) -> bool:
-        """Resume a paused program; False where there is none."""
+        """Resume a paused program. Returns False where none is paused."""
         if self.runtime is not Runtime.PAUSED or self.safety is not Safety.NORMAL or self.program is None:
             return False
         self.runtime = Runtime.PLAYING
         return True
 
     def pause(self) -> bool:
-        """Pause a running program; False where none runs."""
+        """Pause a running program. Returns False where none runs."""
         if self.runtime is not Runtime.PLAYING:
             return False
         self.runtime = Runtime.PAUSED
@@ -364,18 +216,31 @@ class Controller:
         return True
 
     def stop_program(self, now_s: float, reason: str) -> bool:
-        """End the program, its watchdog and its motion; False where none was there."""
-        was = self.program is not None
+        """End the program, its watchdog and its motion.
+
+        Args:
+            now_s: host time.
+            reason: why, for the log.
+
+        Returns:
+            False where no program was loaded.
+        """
+        loaded = self.program is not None
         if self.program is not None and self.program.started:
             self.stops.append((now_s, reason))
         self.program = None
         if self.runtime is not Runtime.STOPPED:
             self.runtime = Runtime.STOPPING
         self._halt(PROGRAM_STOP_M_PER_S2)
-        return was
+        return loaded
 
     def protective_stop(self, now_s: float, reason: str = "protective stop") -> None:
-        """Stop the motion and pause the program until somebody unlocks."""
+        """Stop the motion and pause the program until `unlock`.
+
+        Args:
+            now_s: host time.
+            reason: why, for the log.
+        """
         if self.safety is Safety.NORMAL:
             self.safety, self._stopped_s = Safety.PROTECTIVE_STOP, now_s
             self.stops.append((now_s, reason))
@@ -385,7 +250,7 @@ class Controller:
             self._halt(EMERGENCY_STOP_M_PER_S2)
 
     def unlock(self, now_s: float) -> bool:
-        """Release a protective stop; False before its time."""
+        """Release a protective stop. Returns False while it is younger than `UNLOCK_AFTER_S`."""
         if self.safety is Safety.PROTECTIVE_STOP:
             if now_s - self._stopped_s < UNLOCK_AFTER_S:
                 return False
@@ -404,20 +269,20 @@ class Controller:
         self.power = Power.POWER_OFF
 
     def power_on(self) -> None:
-        """Give power, brakes still on; an emergency stop is released with it."""
+        """Switch the power on, brakes still on; this also releases an emergency stop."""
         self.safety = Safety.NORMAL
         if self.power is Power.POWER_OFF:
             self.power = Power.IDLE
 
     def release_brakes(self) -> None:
-        """Make the arm able to move."""
+        """Switch the power on and release the brakes."""
         self.power_on()
         self.power = Power.RUNNING
 
     # One cycle -----------------------------------------------------------------------------------------------------------
 
-    def cycle(self, t_s: float) -> Cycle:
-        """Judge the watchdog, run one pass of the program, and say where the target goes until the next cycle."""
+    def cycle(self, t_s: float) -> ControllerCycle:
+        """Check the watchdog, run one pass of the program, and return the target's way until the next cycle."""
         if self.runtime is Runtime.STOPPING and not self.speed.any():
             self.runtime = Runtime.STOPPED
         program = self.program
@@ -436,11 +301,11 @@ class Controller:
     def _halt(self, deceleration: float) -> None:
         self.motion = Ramp(np.zeros(6), deceleration) if self.speed.any() else None
 
-    def _move(self) -> Cycle:
+    def _move(self) -> ControllerCycle:
         before, start = self.speed, self.pose
         if self.motion is None:
             self._still_s += self.model.cycle_s
-            return Cycle(start, np.zeros(6), before, before)
+            return ControllerCycle(start, np.zeros(6), before, before)
         self._still_s = 0.0
         after, shift, over, settled = self.motion.advance(before, start, self.model.cycle_s)
         program = self.program
@@ -455,7 +320,7 @@ class Controller:
         self.pose = pose
         if over:
             self.motion = None
-        return Cycle(start, shift, before, after, settled)
+        return ControllerCycle(start, shift, before, after, settled)
 
     # The program ---------------------------------------------------------------------------------------------------------
 
@@ -530,7 +395,7 @@ class Controller:
             self.stop_program(t_s, "stopped by the client")
             return
         if command == 31:
-            self.protective_stop(t_s, "protective stop asked for by the client")
+            self.protective_stop(t_s, "protective stop requested by the client")
             return
         if command == 35:
             rate_Hz = float(self._doubles(program, 1)[0])
@@ -552,13 +417,20 @@ class Controller:
         self._say(program, 2, (self._operation & 0x7F) << 24 | writes << 16 | running << 15)
 
     def _tip(self, tcp_pose: Floats) -> Floats:
-        """Pose of the true tip when the active TCP is at `tcp_pose`."""
+        """Return the pose of the true tip when the active TCP is at `tcp_pose`."""
         if np.array_equal(self.tcp, self.tcp_true):
             return np.array(tcp_pose)
         return composed(composed(tcp_pose, inverse(self.tcp)), self.tcp_true)
 
     def tcp_pose(self, tip_pose: Floats) -> Floats:
-        """Pose of the active TCP when the true tip is at `tip_pose`."""
+        """Convert a pose of the true tip to one of the active TCP.
+
+        Args:
+            tip_pose: pose (6,) of the true tip, in m and rad.
+
+        Returns:
+            Pose (6,) of the active TCP.
+        """
         if np.array_equal(self.tcp, self.tcp_true):
             return tip_pose
         return composed(composed(tip_pose, inverse(self.tcp_true)), self.tcp)
@@ -567,7 +439,7 @@ class Controller:
         speed, acceleration = (max(float(value), 1e-6) for value in self._doubles(program, 2, 6))
         if program.moving:
             self._progress(program, running=False)
-        self.motion = Line(goal, speed, acceleration, leading)
+        self.motion = TrapezoidalMove(goal, speed, acceleration, leading)
         self._launch(program, self._ints(program, 1) != 0)
 
     def _launch(self, program: Program, asynchronous: bool) -> None:

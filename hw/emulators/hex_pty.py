@@ -1,7 +1,7 @@
 """An OptoForce HEX-70 behind its DAQ, at the far end of a pseudo-terminal.
 
-`Daq` turns wrenches into counts and bytes, and configuration packets into answers; `Line` is the terminal device. The numbers of
-the unit are those read from a real 200 N sensor; what no public source tells is marked "assumed".
+`Daq` turns wrenches into counts and bytes, and configuration packets into answers; `TerminalLine` is the terminal device. The unit's
+numbers were read from a real 200 N sensor; "assumed" marks behaviour without a public source.
 """
 
 import contextlib
@@ -37,7 +37,7 @@ _OVERLOAD = tuple(1 << bit for bit in (9, 8, 7, 6, 5, 4))  # Fx Fy Fz Tx Ty Tz
 
 
 def summed(packet: bytes) -> bytes:
-    """The packet with the 16-bit sum of its bytes behind it."""
+    """Append the 16-bit sum of its bytes to a packet."""
     total = 0
     for byte in packet:
         total = (total + byte) % 65536
@@ -46,7 +46,7 @@ def summed(packet: bytes) -> bytes:
 
 @dataclass
 class Faults:
-    """What goes wrong on this sensor. Durations end at a time, counts run down by frames sent; at rest everything works."""
+    """Faults of this sensor. Durations end at a host time, counts fall with each frame sent; by default everything works."""
 
     silent_until_s: float = 0.0
     slow_until_s: float = 0.0
@@ -82,11 +82,11 @@ class Daq:
 
     @property
     def cutoff_Hz(self) -> float | None:
-        """Corner of the filter that is set, None for none."""
+        """Cutoff of the present filter, None for none."""
         return FILTERS_HZ[self.filter_code]
 
     def take(self, data: bytes) -> None:
-        """Obey what the host sends; bytes that are no packet are passed over."""
+        """Obey the packets of the host; other bytes are ignored."""
         self._inbox += data
         while self._inbox:
             head = self._inbox[0]
@@ -116,7 +116,7 @@ class Daq:
         self.speed, self.filter_code = speed, code
         if zero == 0:
             self.zero, self.zeroed = np.zeros(6), False
-        elif not self.zeroed:  # a second 255 without a 0 between is passed over (assumed: the maker says to send 0 first)
+        elif not self.zeroed:  # a second 255 without a 0 between is ignored (assumed: the maker says to send 0 first)
             self.zero, self.zeroed = self.latest.copy(), True
         self.answers += summed(bytes((0xAA, 0, 80, 1, 0)))
 
@@ -137,16 +137,30 @@ class Daq:
         self.answers += summed(struct.pack(">BHB", 0xAA, address, length) + body)
 
     def measure(self, wrench: Floats) -> Floats:
-        """Counts (n, 6), not rounded and not zeroed, of wrenches (n, 6) in N and Nm in the sensor's axes.
+        """Convert wrenches to counts.
 
-        Pressed and pulled Fz have sensitivities of their own (3rd and 7th register; assumed), parted where the un-zeroed reading is 0.
+        Pressed and pulled Fz have different sensitivities (3rd and 7th register; assumed). The sign of the reading before zeroing decides.
+
+        Args:
+            wrench: wrenches (n, 6) in N and Nm in the sensor's axes.
+
+        Returns:
+            Counts (n, 6), not rounded and not zeroed.
         """
         loaded = wrench + np.array(UNZEROED) / _PRESSED
         counts: Floats = loaded * np.where(loaded > 0.0, _PULLED, _PRESSED)
         return counts
 
     def sample(self, counts: Floats, now_s: float) -> bytes:
-        """One millisecond: the counter goes on, and if a frame is due, the bytes of it (with its faults)."""
+        """Advance by one millisecond.
+
+        Args:
+            counts: counts (6,) of this sample.
+            now_s: host time.
+
+        Returns:
+            The bytes of the frame with its faults, empty if none is due.
+        """
         self.counter = (self.counter + 1) % 65536
         self.latest = counts
         self._index += 1
@@ -198,11 +212,11 @@ class Daq:
         return frame
 
 
-class Line:
-    """The terminal device: a pseudo-terminal, behind a link a new one each time the host closes it or it is plugged in again.
+class TerminalLine:
+    """The terminal device: a pseudo-terminal. Behind a link it is a new one each time the host closes it or it is plugged in again.
 
-    Nothing is sent while no host has it open. A host that has it open and does not read finds the oldest 64 KiB or so: what
-    does not fit is lost, newest first and in whole packets (assumed; what a real DAQ does is not known).
+    It sends nothing while no host has it open. A host that does not read later finds the oldest 64 KiB or so: newer packets that do not
+    fit are lost whole (assumed; a real DAQ's behaviour is not known).
     """
 
     def __init__(self, link: Path | None) -> None:
@@ -215,7 +229,7 @@ class Line:
 
     @property
     def path(self) -> str:
-        """Where a host finds the device."""
+        """Path of the device for a host."""
         return str(self._link) if self._link is not None else self.device
 
     def plug_in(self) -> None:
@@ -246,17 +260,17 @@ class Line:
 
     @property
     def plugged(self) -> bool:
-        """Whether the device is there."""
+        """Whether the device is plugged in."""
         return self._master is not None
 
     def receive(self) -> bytes:
-        """What the host has sent since the last call."""
+        """Return the bytes that the host sent since the last call."""
         if self._master is None:
             return b""
         events = self._poll.poll(0)
         if events and events[0][1] & select.POLLHUP:
             if self._listened and self._link is not None:
-                self.plug_in()  # exclusive use would outlive the host's last close; that of a USB device does not
+                self.plug_in()  # a pseudo-terminal keeps its exclusive lock after the host's last close, a USB device does not
             self._listened = False
             return b""
         self._listened = True
@@ -268,7 +282,7 @@ class Line:
             return b""
 
     def send(self, packet: bytes) -> None:
-        """Send a packet whole or not at all; the rest of one that was cut goes first."""
+        """Send a packet whole or not at all, after the rest of a packet that was cut."""
         if not packet or self._master is None or not self._listened:
             return
         try:

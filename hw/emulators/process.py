@@ -1,6 +1,6 @@
-"""The emulators' process: an absolute grid of milliseconds, a control channel for faults and truth, and how others start it.
+"""The emulators' process: an absolute grid of milliseconds, and a control channel for faults and truth.
 
-`started` is for tests and demonstrations; it talks to the process over its two lines and the control channel only.
+Tests and demonstrations use `started`, which talks to the process only over its two lines and the control channel.
 """
 
 import contextlib
@@ -20,18 +20,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hw.emulators.controller import MODELS, Sample
+from hw.emulators.controller import MODELS, TruthSample
 from hw.emulators.rig import SAMPLE_S, Rig
 from hw.emulators.verbs import VERBS, obey
-from palpd.cell_file import PHANTOM, load_cell
-from palpd.effects import EFFECTS, load_effects
+from palpd.cell.cell_file import PHANTOM, load_cell
+from palpd.cell.effects import EFFECTS, load_effects
 from palpd.errors import PalpdError
 
 GIVEN_UP_S = 0.1
-"""A process that is later than this does not make up for it: the time is skipped, target and tip stand still meanwhile."""
+"""Lateness beyond which the process skips time instead of catching up; target and tip stand still meanwhile."""
 PRIORITY = 70
-"""Above the daemon's threads: a controller and a sensor have processors of their own, which no daemon takes from them. At 50, behind the
-receive threads of ur_rtde, an emulated UR5e lost a fifth of its cycles for a while, and its states came up to 0.1 s late."""
+"""FIFO priority, above the daemon's threads: a real controller and sensor have processors of their own.
+
+At 50, behind the receive threads of ur_rtde, an emulated UR5e lost a fifth of its cycles for a while, and its states were up to 0.1 s late.
+"""
 
 
 class ControlChannel:
@@ -50,10 +52,15 @@ class ControlChannel:
         self._later: list[tuple[float, dict[str, Any]]] = []
 
     def serve(self, now_s: float, lateness_s: Sequence[float]) -> None:
-        """Answer what has come, and do what was put off until now."""
+        """Answer the requests that came, and carry out the delayed ones that are due.
+
+        Args:
+            now_s: host time.
+            lateness_s: lateness of the latest ticks.
+        """
         for due in [entry for entry in self._later if entry[0] <= now_s]:
             self._later.remove(due)
-            with contextlib.suppress(ValueError, TypeError, KeyError):  # it was answered long ago
+            with contextlib.suppress(ValueError, TypeError, KeyError):  # its answer was sent long ago
                 obey(self._rig, due[1], now_s, lateness_s)
         for key, _ in self._selector.select(0):
             if key.data is None:
@@ -110,11 +117,22 @@ def emulate(
     end_with_parent: bool = False,
     effects: Path | None = None,
 ) -> None:
-    """Stand in for a controller and a sensor until SIGTERM or SIGINT; prints `robot HOST` and `sensor DEVICE` when ready.
+    """Emulate a controller and a sensor until SIGTERM or SIGINT; print `robot HOST` and `sensor DEVICE` when ready.
 
-    `end_with_parent`: also end, within a second, when the process that started this one is gone.
-    `cell` None: the paper's phantom; `effects`: a user's own, which it may name.
-    Raises PalpdError, in one sentence, for a bad cell file or a port that is taken.
+    Args:
+        model: "ur5" or "ur5e".
+        cell: cell file; None uses the paper's phantom.
+        host: address that the controller listens on.
+        sensor_link: link to create to the sensor's terminal device.
+        control: unix socket for faults and truth.
+        seed: seed of every random number.
+        mount_rotation_rad: rotation of the sensor about the flange's z.
+        realtime: ask for SCHED_FIFO.
+        end_with_parent: also end, within a second, when the parent process is gone.
+        effects: Python file of a user's effects, which the cell file may name.
+
+    Raises:
+        PalpdError: the cell file is wrong, or a port is taken.
     """
     parent = os.getppid() if end_with_parent else None
     library = load_effects(effects) if effects is not None else EFFECTS
@@ -128,7 +146,7 @@ def emulate(
         ) from None
     stopping: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda number, frame: stopping.append(number))
+        signal.signal(number, lambda number, _: stopping.append(number))
     channel = ControlChannel(control, rig) if control is not None else None
     try:
         gc.collect()
@@ -176,7 +194,18 @@ class Emulated:
     control: Path
 
     def ask(self, verb: str, **arguments: Any) -> dict[str, Any]:
-        """Do a verb of the control channel and return its answer; RuntimeError if it is refused."""
+        """Carry out a verb of the control channel.
+
+        Args:
+            verb: its name.
+            arguments: its arguments.
+
+        Returns:
+            The answer.
+
+        Raises:
+            RuntimeError: the process refused it.
+        """
         with socket.socket(socket.AF_UNIX) as channel:
             channel.settimeout(5.0)
             channel.connect(str(self.control))
@@ -187,29 +216,41 @@ class Emulated:
             raise RuntimeError(answer["error"])
         return answer
 
-    def log(self, since_s: float) -> list[Sample]:
-        """Target and truth, a millisecond each, after that time of the host's monotonic clock (the last 30 s are kept)."""
-        samples: list[Sample] = []
+    def log(self, since_s: float) -> list[TruthSample]:
+        """Return target and truth of each millisecond after this host time; the process keeps 30 s."""
+        samples: list[TruthSample] = []
         more = True
         while more:
             answer = self.ask("log", since_s=since_s)
-            samples += [Sample(*row) for row in answer["samples"]]
+            samples += [TruthSample(*row) for row in answer["samples"]]
             since_s, more = samples[-1].t_s if samples else since_s, answer["more"]
         return samples
 
 
 @contextlib.contextmanager
 def started(folder: Path, model: str = "ur5", cell: Path | None = None, host: str = "127.0.0.1", *options: str) -> Iterator[Emulated]:
-    """Emulators in a process of their own, their link and control socket in `folder`; ended on leaving.
+    """Run emulators in a process of their own, and end it on leaving.
 
-    Raises PalpdError, in the process's own sentence, if it does not get ready, and RuntimeError if it did not end well.
+    Args:
+        folder: where link and control socket stand.
+        model: "ur5" or "ur5e".
+        cell: cell file; None uses the paper's phantom.
+        host: address that the controller listens on.
+        options: more options of `python -m hw.emulators`.
+
+    Yields:
+        The running emulators.
+
+    Raises:
+        PalpdError: the process is not ready; the text is its own sentence.
+        RuntimeError: the process did not end with exit code 0.
     """
     control = folder / "control"
     command = [sys.executable, "-m", "hw.emulators", "--model", model, "--host", host]
     command += ["--sensor-link", str(folder / "hex"), "--control", str(control), "--end-with-parent", *options]
     if cell is not None:
         command += ["--cell", str(cell)]
-    # a session of its own: an interrupt from the terminal must not take the robot away from a daemon that is about to stop it
+    # a session of its own: Ctrl-C must not end the robot before the daemon has stopped it
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
     assert process.stdout is not None
     assert process.stderr is not None

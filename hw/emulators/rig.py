@@ -1,7 +1,7 @@
 """One cell with a robot's controller and a force sensor before it, millisecond by millisecond.
 
-The controller decides at its cycle where the target goes until the next; the cell is stepped through that cycle at once, and
-its samples leave through the sensor one by one as their time comes. So both see one physics and neither sees the future.
+Each cycle the controller decides the target's way until the next one. The cell computes that cycle at once, and its samples leave
+through the sensor one by one, each at its time. So both see one physics and neither sees the future.
 """
 
 import selectors
@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from hw.emulators.controller import Controller, Cycle, Model, Sample
-from hw.emulators.hex_pty import Daq, Line
+from hw.emulators.controller import Controller, ControllerCycle, ControllerModel, TruthSample
+from hw.emulators.hex_pty import Daq, TerminalLine
 from hw.emulators.pose import Floats, rotation
 from hw.emulators.ur import UrWires, Values, outputs, status_bits
-from palpd.cell import Block, Cell, Library, true_surface_m
-from palpd.cell_file import CellFile
-from palpd.effects import EFFECTS
+from palpd.cell.cell_file import CellFile
+from palpd.cell.effects import EFFECTS
+from palpd.cell.simulation import Cell, Library, SampleBlock, true_surface_m
 
 SAMPLE_S = 0.001
 START_HEIGHT_M = 0.03
@@ -28,11 +28,11 @@ LOGGED_S = 30.0
 
 
 class Rig:
-    """Everything behind the wires of one emulated cell; `tick` is one millisecond."""
+    """Everything behind the wires of one emulated cell; `tick` advances it by one millisecond."""
 
     def __init__(
         self,
-        model: Model,
+        model: ControllerModel,
         cell_file: CellFile,
         host: str,
         link: Path | None,
@@ -53,7 +53,7 @@ class Rig:
         self.controller = Controller(model, start, self._tcp, self.cell.begin, self.cell.rest)
         self.network = selectors.DefaultSelector()
         self.wires = UrWires(self.controller, self.network, host)
-        self.daq, self.line = Daq(), Line(link)
+        self.daq, self.line = Daq(), TerminalLine(link)
         self._mount = rotation([0.0, 0.0, mount_rotation_rad])
         self._orientation = start[3:].copy()
         self._turn(start[3:])
@@ -64,17 +64,25 @@ class Rig:
         self._booted_s: float | None = None
         self._published_s = 0.0
         self._frozen_until_s = self._away_until_s = self._slow_until_s = 0.0
-        self.samples: deque[Sample] = deque(maxlen=round(LOGGED_S / SAMPLE_S))
+        self.samples: deque[TruthSample] = deque(maxlen=round(LOGGED_S / SAMPLE_S))
         self.sent: deque[tuple[float, int]] = deque(maxlen=round(LOGGED_S / SAMPLE_S))
-        """When each of the sensor's samples went out, a little before its bytes, and its counter."""
+        """Host time and counter of each sensor sample, taken just before its bytes went out."""
         self.peak_contact_N = 0.0
         self._values = _power_up_values(model)
         self._last_speed = np.zeros(3)
         self._last_joint_speed = np.zeros(6)
-        self._advance(Cycle(start, np.zeros(6), np.zeros(6), np.zeros(6)))
+        self._advance(ControllerCycle(start, np.zeros(6), np.zeros(6), np.zeros(6)))
 
     def surface_m(self, x_m: float, y_m: float) -> float:
-        """Height of the true surface (or wall) at a place; 0 with nothing in reach."""
+        """Return the height of the true surface or wall.
+
+        Args:
+            x_m: place in base axes.
+            y_m: place in base axes.
+
+        Returns:
+            The height in m; 0 where no tissue is defined.
+        """
         if self._wall_z_m is not None:
             return self._wall_z_m
         sites = self.cell_file.sites
@@ -85,7 +93,13 @@ class Rig:
     # One millisecond -----------------------------------------------------------------------------------------------------
 
     def tick(self, planned_s: float, now_s: float, *, late: bool = False) -> None:
-        """Read what came, send what is due. `late`: the next cycle is due already, so this one's package may be skipped."""
+        """Advance by one millisecond: read the wires and send what is due.
+
+        Args:
+            planned_s: host time at which this millisecond was due.
+            now_s: host time.
+            late: the next cycle is due already, so this cycle's package may be skipped.
+        """
         if self._away_until_s and now_s >= self._away_until_s:
             self._away_until_s = 0.0
             for server in self.wires.servers():
@@ -99,7 +113,7 @@ class Rig:
             self._cycle(planned_s, now_s, late)
 
     def skip(self, samples: int) -> None:
-        """So many milliseconds went by without the process; the devices' clocks have gone on."""
+        """Advance the devices' clocks over milliseconds in which the process stood still."""
         self.daq.counter = (self.daq.counter + samples) % 65536
 
     def _sense(self, planned_s: float, now_s: float) -> None:
@@ -123,15 +137,15 @@ class Rig:
         self._advance(cycle)
 
     def _log(self, planned_s: float) -> None:
-        """Keep what the cycle that ends now held."""
+        """Keep the samples of the cycle that ends now."""
         speed, runtime = np.linalg.norm(self._target_speed, axis=1).tolist(), int(self.controller.runtime)
         vz, target, tip = self._target_speed[:, 2].tolist(), self._target[:, 2].tolist(), self._block.tip_m[:, 2].tolist()
         contact = self._block.contact_N.tolist()
         for k in range(self.steps):
             t_s = planned_s - (self.steps - 1 - k) * SAMPLE_S
-            self.samples.append(Sample(t_s, speed[k], vz[k], target[k], tip[k], contact[k], runtime))
+            self.samples.append(TruthSample(t_s, speed[k], vz[k], target[k], tip[k], contact[k], runtime))
 
-    def _advance(self, cycle: Cycle) -> None:
+    def _advance(self, cycle: ControllerCycle) -> None:
         share, settled = self._fractions, max(cycle.settled, 1e-9)
         change = cycle.speed_after[:3] - cycle.speed_before[:3]
         reached = np.minimum(share / settled, 1.0)
@@ -149,14 +163,14 @@ class Rig:
         self.peak_contact_N = max(self.peak_contact_N, float(self._block.contact_N.max()))
 
     def _turn(self, orientation: Floats) -> None:
-        """The tool stands anew; the sensor's z points along the tool's, turned about it by the mount."""
+        """Set the tool's orientation; the sensor's z is the tool's, rotated about it by the mount."""
         self._orientation = orientation.copy()
         self._to_tool = rotation(orientation).T
         self._to_sensor = self._mount.T @ self._to_tool
 
-    # What RTDE tells -----------------------------------------------------------------------------------------------------
+    # RTDE output -----------------------------------------------------------------------------------------------------
 
-    def _publish(self, planned_s: float, now_s: float, block: Block, cycle: Cycle, late: bool) -> None:
+    def _publish(self, planned_s: float, now_s: float, block: SampleBlock, cycle: ControllerCycle, late: bool) -> None:
         robot, values = self.controller, self._values
         if now_s < self._frozen_until_s:
             return
@@ -203,7 +217,7 @@ class Rig:
 
     @property
     def _force_noise(self) -> float:
-        """Rms of `actual_TCP_force`: a wrist sensor's, or an estimate from the joints' currents (assumed)."""
+        """Noise of `actual_TCP_force`, rms in N: of a wrist sensor, or of an estimate from joint currents (assumed)."""
         return 0.2 if self.model.e_series else 1.0
 
     _keep_every = 1
@@ -211,15 +225,20 @@ class Rig:
     # Faults and truth --------------------------------------------------------------------------------------------------------------
 
     def freeze(self, until_s: float) -> None:
-        """The network hangs: nothing is read and nothing is sent, connections stay open."""
+        """Let the network hang: nothing is read or sent, and connections stay open."""
         self._frozen_until_s = until_s
 
     def slow_packets(self, every: int, until_s: float) -> None:
-        """Only one package in so many is sent."""
+        """Send only some of the packages.
+
+        Args:
+            every: one package of this many is sent.
+            until_s: host time at which this ends.
+        """
         self._keep_every, self._slow_until_s = every, until_s
 
     def restart(self, until_s: float) -> None:
-        """The controller's computer restarts: every connection is lost, nobody is at home until then, registers are empty."""
+        """Restart the controller's computer: every connection is lost, registers are empty, and no port answers until then."""
         for server in self.wires.servers():
             server.close()
         self.controller.stop_program(until_s, "restart")
@@ -230,13 +249,18 @@ class Rig:
         self._booted_s = self._away_until_s = until_s
 
     def place_wall(self, z_m: float, stiffness_N_per_m: float) -> None:
-        """A linear wall from now on, in place of the tissue."""
+        """Replace the tissue by a linear wall.
+
+        Args:
+            z_m: height of the wall.
+            stiffness_N_per_m: its stiffness.
+        """
         self.cell.place_wall(z_m, stiffness_N_per_m)
         self._wall_z_m = z_m
 
     @property
     def tip(self) -> tuple[float, float]:
-        """True height of the tip in m, true contact force in N; at most a controller cycle ahead of the wires."""
+        """True height of the tip in m and true contact force in N, at most one controller cycle ahead of the wires."""
         return float(self._block.tip_m[-1, 2]), float(self._block.contact_N[-1])
 
     def close(self) -> None:
@@ -247,8 +271,8 @@ class Rig:
         self.line.unplug()
 
 
-def _power_up_values(model: Model) -> Values:
-    """A value of every output field, as of a UR5 that stands still."""
+def _power_up_values(model: ControllerModel) -> Values:
+    """Return a value for every output field, as of a UR5 at rest."""
     known = outputs(model.e_series)
     sizes = {"VECTOR3D": 3, "VECTOR6D": 6, "VECTOR6INT32": 6, "VECTOR6UINT32": 6}
     values: Values = {name: (0,) * sizes.get(kind, 1) for name, kind in known.items()}

@@ -36,7 +36,7 @@ def _of_type(kind: str, names: str) -> dict[str, str]:
 
 
 def outputs(e_series: bool) -> dict[str, str]:
-    """Type of every output field that a controller of the generation knows (UR's RTDE guide)."""
+    """Return the type of every output field that a controller of the generation knows (UR's RTDE guide)."""
     known = {
         **_of_type(
             "DOUBLE",
@@ -96,14 +96,14 @@ class Recipe:
         self._package = struct.Struct(">HBB" + "".join(PACKING[kind] for kind in kinds))
 
     def package(self, values: Values) -> bytes:
-        """One output data package."""
+        """Pack one output data package."""
         flat: list[float] = []
         for name in self.names:
             flat += values[name]
         return self._package.pack(self._package.size, ord("U"), self.number, *flat)
 
     def read(self, body: bytes) -> Values:
-        """The fields of one input data package; struct.error where it has the wrong length."""
+        """Unpack one input data package; struct.error where it has the wrong length."""
         flat = self._body.unpack(body)[1:]
         values: Values = {}
         at = 0
@@ -123,15 +123,20 @@ class Wire:
         self.unread_since_s: float | None = None
 
     def take(self, now_s: float) -> None:
-        """Act on what stands in the inbox."""
+        """Act on the bytes in the inbox."""
 
     def send(self, data: bytes, now_s: float) -> None:
-        """Queue and send; what does not fit now goes out later."""
+        """Queue bytes and send as many as fit; the rest goes out later.
+
+        Args:
+            data: bytes to send.
+            now_s: host time.
+        """
         self.outbox += data
         self.flush(now_s)
 
     def flush(self, now_s: float) -> None:
-        """Send what is queued, close what nobody reads."""
+        """Send the queued bytes; close a connection that leaves them unread."""
         if not self.outbox:
             return
         try:
@@ -146,7 +151,7 @@ class Wire:
             self.close()
 
     def close(self) -> None:
-        """Close the connection; the variables it owned are free again."""
+        """Close the connection and free the variables that it owned."""
         if self in self.server.wires:
             self.server.wires.remove(self)
             with contextlib.suppress(KeyError, ValueError):
@@ -178,7 +183,7 @@ class Server:
         self._listener = listener
         self.selector.register(listener, selectors.EVENT_READ, self._accept)
 
-    def _accept(self, now_s: float) -> None:
+    def _accept(self, _now_s: float) -> None:
         assert self._listener is not None
         with contextlib.suppress(BlockingIOError):
             connection, _ = self._listener.accept()
@@ -243,13 +248,25 @@ class RtdeWire(Wire):
                 self.text(f"Malformed package of type {kind}", 1, now_s)
 
     def reply(self, kind: str, body: bytes, now_s: float) -> None:
-        """Send one message."""
+        """Send one message.
+
+        Args:
+            kind: letter of the package type.
+            body: bytes behind the header.
+            now_s: host time.
+        """
         self.send(struct.pack(">HB", 3 + len(body), ord(kind)) + body, now_s)
 
     def text(self, message: str, level: int, now_s: float) -> None:
-        """Send a text message (0 exception, 1 error, 2 warning, 3 information)."""
-        said, source = message.encode()[:255], b"RTDE"
-        self.reply("M", bytes([len(said)]) + said + bytes([len(source)]) + source + bytes([level]), now_s)
+        """Send a text message.
+
+        Args:
+            message: the text, cut at 255 bytes.
+            level: 0 exception, 1 error, 2 warning, 3 information.
+            now_s: host time.
+        """
+        text, source = message.encode()[:255], b"RTDE"
+        self.reply("M", bytes([len(text)]) + text + bytes([len(source)]) + source + bytes([level]), now_s)
 
     def _message(self, kind: str, body: bytes, now_s: float) -> None:
         model = self.robot.controller.model
@@ -324,6 +341,16 @@ class ScriptWire(Wire):
             self.robot.controller.upload(script.decode("utf-8", "replace"), now_s)
 
 
+_UNLOCK_TOO_EARLY = "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
+_FIXED_ANSWERS = {
+    "close safety popup": "closing safety popup",
+    "close popup": "closing popup",
+    "get loaded program": "Loaded program: /programs/rtde_control.urp",
+    "isprogramsaved": "true null",
+}
+"""Answers of the dashboard that do not depend on the controller's state."""
+
+
 class DashboardWire(Wire):
     """One client of the dashboard server: a line in, a line out."""
 
@@ -344,9 +371,15 @@ class DashboardWire(Wire):
             self.send(self._answer(asked, now_s).encode() + b"\n", now_s)
 
     def _answer(self, asked: str, now_s: float) -> str:
+        """Answer a command or a question; exact texts as the real server sends them."""
+        line = asked.lower()
+        answer = self._obey(line, now_s) or self._report(line) or _FIXED_ANSWERS.get(line)
+        return answer or f'could not understand: "{asked}"'
+
+    def _obey(self, command: str, now_s: float) -> str | None:
+        """Carry out a command; None if it is none."""
         robot = self.robot.controller
-        playing = robot.runtime is Runtime.PLAYING
-        match asked.lower():
+        match command:
             case "play":
                 return "Starting program" if robot.play() else "Failed to execute: play"
             case "stop":
@@ -355,9 +388,7 @@ class DashboardWire(Wire):
             case "pause":
                 return "Pausing program" if robot.pause() else "Failed to execute: pause"
             case "unlock protective stop":
-                if robot.unlock(now_s):
-                    return "Protective stop releasing"
-                return "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
+                return "Protective stop releasing" if robot.unlock(now_s) else _UNLOCK_TOO_EARLY
             case "power on":
                 robot.power_on()
                 return "Powering on"
@@ -367,13 +398,17 @@ class DashboardWire(Wire):
             case "brake release":
                 robot.release_brakes()
                 return "Brake releasing"
-            case "close safety popup":
-                return "closing safety popup"
-            case "close popup":
-                return "closing popup"
             case "restart safety":
                 robot.safety = Safety.NORMAL
                 return "Restarting safety"
+            case _:
+                return None
+
+    def _report(self, question: str) -> str | None:
+        """Report the controller's state; None if nothing of it is asked."""
+        robot = self.robot.controller
+        playing = robot.runtime is Runtime.PLAYING
+        match question:
             case "running":
                 return f"Program running: {str(playing).lower()}"
             case "robotmode":
@@ -387,10 +422,6 @@ class DashboardWire(Wire):
                 return f"{state} rtde_control.urp"
             case "polyscopeversion":
                 return robot.model.polyscope
-            case "get loaded program":
-                return "Loaded program: /programs/rtde_control.urp"
-            case "isprogramsaved":
-                return "true null"
             case "get serial number" if robot.model.e_series:
                 return robot.model.serial_number
             case "get robot model" if robot.model.e_series:
@@ -398,7 +429,7 @@ class DashboardWire(Wire):
             case "is in remote control" if robot.model.e_series:
                 return "true"
             case _:
-                return f'could not understand: "{asked}"'
+                return None
 
 
 class UrWires:
@@ -419,11 +450,16 @@ class UrWires:
         return (wire for wire in self.rtde.wires if isinstance(wire, RtdeWire))
 
     def publish(self, values: Values, now_s: float) -> None:
-        """Send one package of each recipe that is due; a client that does not read loses packages, and then its connection."""
+        """Send one package of each recipe that is due. A client that does not read loses packages, and then its connection.
+
+        Args:
+            values: value of each output field.
+            now_s: host time.
+        """
         self._index += 1
         messages, self.controller.messages = self.controller.messages, []
         for wire in [wire for wire in self.clients() if wire.streaming]:
-            for text, level in messages:  # not before a client has started: ur_rtde would take one for the answer to its handshake
+            for text, level in messages:  # only after a client has started: ur_rtde would take a message for the answer to its handshake
                 wire.text(text, level, now_s)
             if self._index % self.keep_every:
                 continue
@@ -439,7 +475,7 @@ class UrWires:
 
 
 def status_bits(controller: Controller) -> tuple[int, int]:
-    """`robot_status_bits` and `safety_status_bits`."""
+    """Return `robot_status_bits` and `safety_status_bits`."""
     robot = int(controller.power >= Power.POWER_ON) | int(controller.runtime is Runtime.PLAYING) << 1
     match controller.safety:
         case Safety.NORMAL:

@@ -1,4 +1,4 @@
-"""What can be done to the emulated cell, and asked of it, over the control channel; docs/emulators.md is its reference.
+"""The verbs of the control channel: faults of the emulated cell, and questions to it; docs/emulators.md is the reference.
 
 A request is one JSON object on a line, `{"do": VERB, …}`; the answer is one too, `{"ok": true, …}` or `{"ok": false, "error": …}`.
 """
@@ -13,14 +13,29 @@ import numpy as np
 from hw.emulators.hex_pty import Daq, Faults
 from hw.emulators.rig import SAMPLE_S, Rig
 
-Answer = dict[str, Any]
+VerbAnswer = dict[str, Any]
 FZ_OVERLOAD = 1 << 7
 MOST_ROWS = 1000
-"""In one answer of the log: to write more would make the wires late."""
+"""Most rows in one answer of the log: writing more makes the wires late."""
 
 
-def obey(rig: Rig, request: dict[str, Any], now_s: float, lateness_s: Sequence[float]) -> Answer:
-    """Do one request; ValueError where the verb is unknown, KeyError or TypeError where its arguments are wrong."""
+def obey(rig: Rig, request: dict[str, Any], now_s: float, lateness_s: Sequence[float]) -> VerbAnswer:
+    """Carry out one request.
+
+    Args:
+        rig: the emulated cell.
+        request: `do` names the verb, other keys are its arguments.
+        now_s: host time.
+        lateness_s: lateness of the latest ticks, for `stats`.
+
+    Returns:
+        The answer.
+
+    Raises:
+        ValueError: the verb is unknown.
+        KeyError: `do` is missing.
+        TypeError: an argument is wrong.
+    """
     arguments = dict(request)
     verb = arguments.pop("do")
     if verb == "stats":
@@ -30,7 +45,7 @@ def obey(rig: Rig, request: dict[str, Any], now_s: float, lateness_s: Sequence[f
     return {"ok": True, "t_s": now_s, **(VERBS[verb](rig, now_s, **arguments) or {})}
 
 
-def _stats(lateness_s: Sequence[float], now_s: float, s: float = 60.0, ago_s: float = 0.0) -> Answer:
+def _stats(lateness_s: Sequence[float], now_s: float, s: float = 60.0, ago_s: float = 0.0) -> VerbAnswer:
     newest, number = round(ago_s / SAMPLE_S), max(1, round(s / SAMPLE_S))
     window = list(itertools.islice(reversed(lateness_s), newest, newest + number)) or [0.0]
     p50, p99, top = np.percentile(np.array(window) * 1e6, [50, 99, 100])
@@ -49,27 +64,27 @@ def _stuck(rig: Rig, now_s: float, s: float) -> None:
     rig.daq.faults.stuck_until_s = now_s + s
 
 
-def _garbage(rig: Rig, now_s: float, bytes: int) -> None:
+def _garbage(rig: Rig, _now_s: float, bytes: int) -> None:
     rig.daq.faults.garbage += rig.daq.random.randbytes(bytes)
 
 
-def _lose(rig: Rig, now_s: float, bytes: int) -> None:
+def _lose(rig: Rig, _now_s: float, bytes: int) -> None:
     rig.daq.faults.lose_bytes += bytes
 
 
-def _flip(rig: Rig, now_s: float, frames: int = 1) -> None:
+def _flip(rig: Rig, _now_s: float, frames: int = 1) -> None:
     rig.daq.faults.flips += frames
 
 
-def _swap(rig: Rig, now_s: float, frames: int = 1) -> None:
+def _swap(rig: Rig, _now_s: float, frames: int = 1) -> None:
     rig.daq.faults.swaps += frames
 
 
-def _false_header(rig: Rig, now_s: float, frames: int = 1) -> None:
+def _false_header(rig: Rig, _now_s: float, frames: int = 1) -> None:
     rig.daq.faults.false_headers += frames
 
 
-def _counter_jump(rig: Rig, now_s: float, by: int) -> None:
+def _counter_jump(rig: Rig, _now_s: float, by: int) -> None:
     rig.daq.counter = (rig.daq.counter + by) % 65536
 
 
@@ -81,17 +96,17 @@ def _overload(rig: Rig, now_s: float, s: float) -> None:
     _status(rig, now_s, FZ_OVERLOAD, s)
 
 
-def _drift(rig: Rig, now_s: float, N_per_s: float) -> None:
+def _drift(rig: Rig, _now_s: float, N_per_s: float) -> None:
     rig.daq.faults.drift_N_per_s = N_per_s
     if N_per_s == 0:
         rig.daq.faults.drift_N = 0.0
 
 
-def _unplug(rig: Rig, now_s: float) -> None:
+def _unplug(rig: Rig, _now_s: float) -> None:
     rig.line.unplug()
 
 
-def _replug(rig: Rig, now_s: float) -> None:
+def _replug(rig: Rig, _now_s: float) -> None:
     rig.daq = Daq()
     rig.line.plug_in()
 
@@ -100,7 +115,7 @@ def _freeze(rig: Rig, now_s: float, s: float) -> None:
     rig.freeze(now_s + s)
 
 
-def _drop(rig: Rig, now_s: float) -> None:
+def _drop(rig: Rig, _now_s: float) -> None:
     rig.wires.rtde.drop()
 
 
@@ -128,15 +143,15 @@ def _restart(rig: Rig, now_s: float, s: float = 2.0) -> None:
     rig.restart(now_s + s)
 
 
-def _refuse_version(rig: Rig, now_s: float, on: bool = True) -> None:
+def _refuse_version(rig: Rig, _now_s: float, on: bool = True) -> None:
     rig.wires.refuse_version = on
 
 
-def _wall(rig: Rig, now_s: float, z_m: float, stiffness_N_per_m: float) -> None:
+def _wall(rig: Rig, _now_s: float, z_m: float, stiffness_N_per_m: float) -> None:
     rig.place_wall(z_m, stiffness_N_per_m)
 
 
-def _truth(rig: Rig, now_s: float, reset: bool = False) -> Answer:
+def _truth(rig: Rig, _now_s: float, reset: bool = False) -> VerbAnswer:
     tip_z_m, contact_N = rig.tip
     x_m, y_m, target_z_m = (float(value) for value in rig.controller.pose[:3])
     answer = {
@@ -151,25 +166,25 @@ def _truth(rig: Rig, now_s: float, reset: bool = False) -> Answer:
     return answer
 
 
-def _log(rig: Rig, now_s: float, since_s: float) -> Answer:
-    """The deque is in order of time, so the first row is looked for from its end."""
+def _log(rig: Rig, _now_s: float, since_s: float) -> VerbAnswer:
+    """Rows after a time; the deque is in order of time, so the search begins at its end."""
     fresh = list(itertools.takewhile(lambda sample: sample.t_s > since_s, reversed(rig.samples)))
     stops = [stop for stop in rig.controller.stops if stop[0] > since_s]
     return {"samples": fresh[::-1][:MOST_ROWS], "more": len(fresh) > MOST_ROWS, "stops": stops}
 
 
-def _wire(rig: Rig, now_s: float, since_s: float) -> Answer:
-    """What went out to the host and came in from it; the first MOST_ROWS of each."""
+def _wire(rig: Rig, _now_s: float, since_s: float) -> VerbAnswer:
+    """Sensor samples sent and robot commands received after a time, the first MOST_ROWS of each."""
     sent = list(itertools.takewhile(lambda entry: entry[0] > since_s, reversed(rig.sent)))
     heard = list(itertools.takewhile(lambda entry: entry[0] > since_s, reversed(rig.controller.commands)))
     return {"sent": sent[::-1][:MOST_ROWS], "heard": heard[::-1][:MOST_ROWS]}
 
 
-def _heal(rig: Rig, now_s: float) -> None:
+def _heal(rig: Rig, _now_s: float) -> None:
     rig.daq.faults = Faults()
 
 
-VERBS: dict[str, Callable[..., Answer | None]] = {
+VERBS: dict[str, Callable[..., VerbAnswer | None]] = {
     "silent": _silent,
     "slow": _slow,
     "stuck": _stuck,

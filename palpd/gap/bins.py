@@ -8,12 +8,10 @@ from scipy.sparse import csr_array
 from palpd.gap.phases import Ints, Phases
 from palpd.tick import Floats
 
-MAX_BINS = 4500
-
 
 @dataclass(frozen=True)
 class Bins:
-    """Neighbouring samples taken together: `begin` (b,) the first sample of each, `count` (b,) how many it has."""
+    """Stretches of neighbouring samples: `begin` (b,) is the first sample of each, `count` (b,) their number."""
 
     begin: Ints
     count: Ints
@@ -23,7 +21,15 @@ class Bins:
 
     @staticmethod
     def of_equal_length(t_s: Floats, count: int) -> "Bins":
-        """Of samples at times (n,), `count` together each time, or as many as come while that many usually do; the last may be shorter."""
+        """Bins of samples, each of `count` or of what comes in the time that `count` usually take; the last may be shorter.
+
+        Args:
+            t_s: Times of the samples (n,).
+            count: Samples in a bin.
+
+        Returns:
+            The bins.
+        """
         n = len(t_s)
         step_s = np.diff(t_s)
         usual_s = float(np.median(step_s))
@@ -33,30 +39,54 @@ class Bins:
         return Bins(begin, np.diff(begin, append=n))
 
     def merged(self, outer: "Bins") -> "Bins":
-        """Bins of samples, of bins of these bins."""
+        """Bins of samples, from bins of these bins."""
         begin = self.begin[outer.begin]
         return Bins(begin, np.diff(begin, append=int(self.begin[-1] + self.count[-1])))
 
     def mean(self, values: Floats) -> Floats:
-        """Mean over every bin of values (n,) or (n, k)."""
+        """Mean over every bin.
+
+        Args:
+            values: One value or k values per sample, (n,) or (n, k).
+
+        Returns:
+            Means (b,) or (b, k).
+        """
         sums = np.add.reduceat(values, self.begin, axis=0)
         return np.asarray(sums / (self.count if values.ndim == 1 else self.count[:, None]))
 
     def means(self) -> csr_array:
-        """What takes the mean over every bin, as a matrix (b, n)."""
+        """The matrix (b, n) that takes the mean over every bin."""
         n = int(self.begin[-1] + self.count[-1])
         return csr_array((np.repeat(1.0 / self.count, self.count), np.arange(n), np.append(self.begin, n)), shape=(len(self), n))
 
-    def first(self, values: Ints) -> Ints:
-        """The value in the middle of every bin, for labels."""
+    def label(self, values: Ints) -> Ints:
+        """The label of every bin.
+
+        Args:
+            values: Labels (n,) of the samples.
+
+        Returns:
+            The label (b,) in the middle of each bin.
+        """
         return np.asarray(values[self.begin + self.count // 2])
 
 
-def make_bins(t_s: Floats, phases: Phases, together: Bins, max_bins: int = MAX_BINS) -> Bins:
-    """At most about `max_bins` bins of steps at `t_s`, each step `together` so many samples; one step each where there are few."""
+def make_bins(t_s: Floats, phases: Phases, samples_per_step: Bins, max_bins: int) -> Bins:
+    """Bins of steps: narrow while the probe moves and just after it stops, wide (in log time) while it rests.
+
+    Args:
+        t_s: Times of the steps (n,).
+        phases: Phases of the samples.
+        samples_per_step: The samples of every step.
+        max_bins: Largest number of bins, about; with fewer steps, every step is a bin.
+
+    Returns:
+        The bins.
+    """
     n = len(t_s)
     step_s = np.diff(t_s, append=2 * t_s[-1] - t_s[-2])
-    rest_s = np.where(phases.moving, 0.0, np.minimum(phases.since_s, phases.until_s))[together.begin]
+    rest_s = np.where(phases.moving, 0.0, np.minimum(phases.since_s, phases.until_s))[samples_per_step.begin]
 
     def index(width_s: float) -> Ints:
         share = np.minimum(1.0, step_s / np.maximum(width_s, 0.15 * rest_s))

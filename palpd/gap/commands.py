@@ -1,28 +1,64 @@
 """What the command line does with recordings of cells: diagnose one or several jointly, simulate, estimate tolerances."""
 
 import csv
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from palpd.cell import simulate
-from palpd.cell_file import CellFile, load_cell, save_cell
-from palpd.effects import EFFECTS, Effect, load_effects
+from palpd.cell.cell_file import CellFile, load_cell, save_cell
+from palpd.cell.effects import EFFECTS, Effect, load_effects
+from palpd.cell.simulation import simulate
 from palpd.errors import BadInput, RecordingError
+from palpd.files import opened_text, write_json
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.tolerances import estimate_tolerances
-from palpd.samples import COLUMNS, WRENCH_COLUMNS, Samples, read, write_csv
+from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, read, write_csv
+from palpd.tick import Floats
 
 
 def library(effects: Path | None, without: Sequence[str] = ()) -> Mapping[str, Effect]:
-    """The library, with a user's own effects from a Python file, and without those that are known not to be there."""
+    """The effects that may be present.
+
+    Args:
+        effects: A Python file with user effects.
+        without: Effects that are known to be absent.
+
+    Returns:
+        The library by id.
+
+    Raises:
+        BadInput: An effect to leave out does not exist.
+    """
     known = EFFECTS if effects is None else load_effects(effects)
     if unknown := [name for name in without if name not in known]:
         raise BadInput(f"there is no effect {unknown[0]!r} to leave out; expected one of {', '.join(known)}")
     return {name: effect for name, effect in known.items() if name not in without}
+
+
+def effects_named(names: Sequence[str], known: Mapping[str, Effect]) -> list[Effect]:
+    """Effects of a library by their ids.
+
+    Args:
+        names: Ids.
+        known: The library.
+
+    Returns:
+        The effects in the order of their ids.
+
+    Raises:
+        BadInput: Where the library has no such effect.
+    """
+    if unknown := [name for name in names if name not in known]:
+        raise BadInput(f"there is no effect {unknown[0]!r}; expected one of {', '.join(known)}")
+    return [known[name] for name in names]
+
+
+def required_cell(cell: Path | None) -> Path:
+    """The cell file to diagnose against. Raises BadInput where none is given."""
+    if cell is None:
+        raise BadInput("--cell is required: give the cell.yaml that your simulator uses")
+    return cell
 
 
 def diagnose_files(
@@ -35,26 +71,43 @@ def diagnose_files(
     without: Sequence[str] = (),
     propose: bool = True,
 ) -> Diagnosis:
-    """Diagnose recordings of one cell jointly; write out.json and the enriched cell where asked, and beside the JSON the motion of the
-    next experiment where one is proposed."""
+    """Diagnose recordings of one cell jointly.
+
+    Args:
+        recordings: The recordings.
+        cell: The cell file.
+        json_out: Where to write out.json, and beside it the motion of the next experiment.
+        cell_out: Where to write the enriched cell.
+        effects: A Python file with user effects.
+        without: Effects that are known to be absent.
+        propose: Whether to look for the next experiment.
+
+    Returns:
+        The diagnosis.
+    """
     known = library(effects, without)
     nominal = load_cell(cell, known)
-    found = diagnose([read(path) for path in recordings], nominal, known, propose=propose)
+    diagnosis = diagnose([read(path) for path in recordings], nominal, known, propose=propose)
     if json_out is not None:
-        write_answer(json_out, found)
+        write_answer(json_out, diagnosis)
     if cell_out is not None:
-        save_cell(cell_out, found.enriched_cell())
-    return found
+        save_cell(cell_out, diagnosis.enriched_cell())
+    return diagnosis
 
 
-def write_answer(path: Path, found: Diagnosis) -> None:
-    """Write out.json, and beside it the motion of the next experiment where one is proposed."""
-    content = found.to_json()
-    if found.proposal is not None:
+def write_answer(path: Path, diagnosis: Diagnosis) -> None:
+    """Write out.json, and beside it the motion of the next experiment where one is proposed.
+
+    Args:
+        path: Where to write out.json.
+        diagnosis: The diagnosis.
+    """
+    content = diagnosis.to_json()
+    if diagnosis.proposal is not None:
         motion = path.with_name(f"{path.stem}.next.csv")
-        found.proposal.write_motion(motion)
+        diagnosis.proposal.write_motion(motion)
         content["next_experiment"]["motion_csv"] = motion.name
-    path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_json(path, content)
 
 
 def simulate_file(
@@ -67,8 +120,23 @@ def simulate_file(
     effects: Path | None = None,
     overwrite: bool = False,
 ) -> Samples:
-    """The recording that a cell gives on the motion of a file: driven by its `z_m`, or by `z_cmd_m` where that is absent or asked for.
-    Without noise and rounding unless a seed is given."""
+    """Simulate the recording that a cell gives on the motion of a file.
+
+    Args:
+        motion: The motion; its `z_m` drives the cell, or its `z_cmd_m` where that is absent.
+        cell: The cell file.
+        csv_out: Where to write the recording.
+        from_commanded: Drive it with `z_cmd_m` in any case.
+        noise_seed: Seed of noise and rounding; neither without one.
+        effects: A Python file with user effects.
+        overwrite: Whether to replace an existing file.
+
+    Returns:
+        The recording.
+
+    Raises:
+        RecordingError: The motion has not the columns that are needed.
+    """
     known = library(effects)
     columns = read_motion(motion)
     measured = "z_m" in columns and not from_commanded
@@ -95,17 +163,21 @@ def simulate_file(
     return samples
 
 
-def read_motion(path: Path) -> dict[str, Any]:
-    """The columns of a motion: `t_s` and at least one of `z_cmd_m`, `z_m`; `vz_m_per_s` where present. Raises RecordingError."""
+def read_motion(path: Path) -> dict[str, Floats]:
+    """The columns of a motion: `t_s` and at least one of `z_cmd_m`, `z_m`; `vz_m_per_s` where present.
+
+    Raises:
+        RecordingError: The file is no such motion.
+    """
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with opened_text(path, error=RecordingError) as file:
             rows = [row for row in csv.reader(file) if row]
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path.name} cannot be read ({getattr(error, 'strerror', None) or 'not text'}); give a CSV.") from None
+    except csv.Error as error:
+        raise RecordingError(f"{path.name} is no CSV ({error}); give a table with commas.") from None
     header = [name.strip() for name in rows[0]] if rows else []
     if "t_s" not in header or not {"z_cmd_m", "z_m"} & set(header):
         raise RecordingError(f"{path.name}: column t_s and one of z_cmd_m, z_m are needed in row 0 (the header).")
-    columns: dict[str, Any] = {}
+    columns: dict[str, Floats] = {}
     for name in [name for name in COLUMNS[:4] if name in header]:
         at = header.index(name)
         try:
@@ -123,6 +195,14 @@ def read_motion(path: Path) -> dict[str, Any]:
 
 
 def tolerances_of(recordings: Sequence[Path], cell: Path) -> dict[str, dict[str, float]]:
-    """The blocks `tolerances` and `repeatability` as recordings of a healthy cell show them."""
+    """Estimate tolerances from the files of a healthy cell.
+
+    Args:
+        recordings: Recordings of a healthy cell.
+        cell: Its cell file.
+
+    Returns:
+        The blocks `tolerances` and `repeatability`.
+    """
     nominal: CellFile = load_cell(cell)
     return estimate_tolerances([read(path) for path in recordings], nominal)

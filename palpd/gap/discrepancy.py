@@ -1,238 +1,196 @@
-"""What a hypothesis leaves: is it noise, or something that no effect of the list explains?
+"""How the real law of an effect may differ from the library's: the model discrepancy of Kennedy and O'Hagan (2001)."""
 
-The whitened remainder is written, rest by rest and stroke by stroke, in a few smooth shapes (mean, slope, bend …; in log time at
-rest). Were it noise, every coefficient would be N(0, 1). For every channel, phase and shape the evidence that the coefficients have a
-common mean, or a larger variance, is weighed against that; besides them, single outliers, a single frequency, and short pulses.
-"""
-
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from math import log
 
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
 
-from palpd.gap.gaussian import PLAUSIBLE
-from palpd.gap.noise import CHANNELS, FZ
-from palpd.gap.phases import PHASES
-from palpd.gap.problem import SHARED, Linearisation, Problem
+from palpd.cell.cell_file import EffectValues
+from palpd.gap.coordinates import Coordinate
+from palpd.gap.fit import Optimum
+from palpd.gap.linearise import Linearisation
+from palpd.gap.nuisances import Projected, Widened, stable_inverse
+from palpd.gap.problem import Problem
 from palpd.tick import Floats
 
-BEYOND_TOLERANCE = {
-    "youngs_modulus": "tissue.modulus",
-    "surface_z_m": "tissue.surface",
-    "gain": "sensor.gain",
-    "latency_s": "sensor.latency",
-    "filter_cutoff": "sensor.filter",
-    "mass_kg": "probe.mass",
-    "servo_natural_frequency": "robot.lag",
-    "fx_per_fz": "sensor.crosstalk",
-    "fy_per_fz": "sensor.crosstalk",
-    "tx_per_fz": "sensor.crosstalk",
-    "ty_per_fz": "sensor.crosstalk",
-    "bias": "sensor.bias",
-    "drift": "sensor.drift",
-}
-"""The effect that a deviation is when it is more than its tolerance."""
+P_EXACT_LAW = 0.3
+"""Prior probability that an effect follows its law exactly."""
 
-SHAPES = 5
-PULSES = (1, 3, 9, 27)
-"""Lengths of pulses that are looked for, in bins."""
+DISCREPANCY_SIZES = ((0.02, 0.3), (0.06, 0.25), (0.12, 0.15))
+"""Sizes that a discrepancy may have in each direction, as shares of the effect, and their prior probabilities. With P_EXACT_LAW they
+add up to one."""
 
-PULSE = 8.0
-"""How large a pulse is beforehand, in sigmas."""
+OTHER_SHAPES = (0.2, 0.45, 2.2, 5.0)
+"""Factors on a time constant or a width whose law is mixed in: real laws often have more than one."""
 
-UNSURE = 1.15
-"""Up to so many times wider than measured is noise that is not the stated one."""
+SMALLEST_EFFECT = 1.0
+"""Energy, in sigmas, below which an effect is too small to show a discrepancy."""
 
-INCLUSION = 0.01
-"""How probable it is beforehand that one channel, phase and shape is off."""
+LARGEST_STRETCH = 6.0
+"""Most that a direction is scaled up to the size of the effect."""
 
 
 @dataclass(frozen=True)
-class Left:
-    """`log_bayes_factor` for something being left, its `energy` in squared sigmas, and where most of it is."""
+class ModelDiscrepancy:
+    """A discrepancy of one kind and size at its best.
 
-    log_bayes_factor: float
-    energy: float
-    channel: str
-    phase: str
+    Attributes:
+        log_prior: Log of its prior probability.
+        gain: Gain of log likelihood over the exact law.
+        covariance: Covariance (k, k) of the coordinates under it.
+        change: Gives the change (7, b) of the prediction, with the move of the parameters that goes with it.
+    """
+
+    log_prior: float
+    gain: float
+    covariance: Floats
+    change: Callable[[], Floats]
 
 
-def what_is_left(problem: Problem, remainder: Floats, around: Linearisation, residual: Floats) -> Left:
-    """How much structure there is in a whitened remainder (7, b), and in the in-tolerance deviations that the residual asks for."""
-    if problem.noisy:
-        remainder = remainder / np.clip(remainder.std(axis=1, keepdims=True), 1.0, UNSURE)
-    coefficients, phase = _coefficients(problem, remainder)
-    total, energy, tone, tone_energy, pulse, pulse_energy = 0.0, 0.0, -np.inf, 0.0, -np.inf, 0.0
-    best = (-1.0, "fz_N", PHASES[0])
-    for channel in range(7):
-        if not remainder[channel].any():
+def model_discrepancies(
+    problem: Problem, best: Optimum, residual: Projected, slopes: list[Projected], normal: Floats
+) -> list[ModelDiscrepancy]:
+    """Discrepancies in one kind of direction or in all, of every size.
+
+    The parameters move with the discrepancy by one Gauss-Newton step. What such a step promises without any discrepancy does not
+    count, since the optimum has found that it is not there.
+
+    Args:
+        problem: The data and their prediction.
+        best: The optimum under the exact laws.
+        residual: The residual of that optimum.
+        slopes: The k slopes of the prediction with the coordinates.
+        normal: Their inner products (k, k).
+
+    Returns:
+        One for every size and kind; none where the effects are too small to show any.
+    """
+    columns, kind = discrepancy_columns(problem, best.values, best.prediction, best.around)
+    if not len(columns):
+        return []
+    wide = Widened.by(best.around.space, columns)
+    against_residual = wide.against(residual)
+    against_slopes = np.array([wide.against(j) for j in slopes]).T
+    slope = np.array([j.dot(residual) for j in slopes])
+    reach = np.diag([_reach(c, x) ** -2 for c, x in zip(best.where, best.u.tolist(), strict=True)])
+    promised = 0.5 * float(slope @ np.linalg.solve(normal + reach, slope))
+    ways = [kind == k for k in np.unique(kind)]
+    if len(ways) > 1:
+        ways.append(np.ones(len(kind), dtype=bool))
+
+    def discrepancy(way: NDArray[np.bool_], size: float, prior: float) -> ModelDiscrepancy:
+        factor = cholesky(np.eye(int(way.sum())) + size**2 * wide.squares[np.ix_(way, way)], lower=True)
+        of_residual, of_slopes = (size * solve_triangular(factor, x[way], lower=True) for x in (against_residual, against_slopes))
+        inner = normal - of_slopes.T @ of_slopes
+        pull = slope - of_slopes.T @ of_residual
+        move = np.linalg.solve(inner + reach, pull)
+        gain = 0.5 * (float(of_residual @ of_residual) + float(pull @ move)) - promised - float(np.log(np.diag(factor)).sum())
+
+        def change() -> Floats:
+            coefficients = size * solve_triangular(factor, of_residual - of_slopes @ move, lower=True, trans="T")
+            return np.asarray(np.tensordot(coefficients, columns[way], axes=1) + np.tensordot(move, np.array(best.jacobian), axes=1))
+
+        return ModelDiscrepancy(log(prior / len(ways)), gain, stable_inverse(inner), change)
+
+    return [discrepancy(way, size, prior) for size, prior in DISCREPANCY_SIZES for way in ways]
+
+
+def _reach(c: Coordinate, u: float) -> float:
+    """How far a parameter may move with a discrepancy: by about half of itself."""
+    if c.parameter.log:
+        return 0.5
+    return 0.5 / c.scale if c.angle else 0.5 * max(abs(u), 1e-3)
+
+
+def discrepancy_columns(problem: Problem, values: EffectValues, at: Floats, around: Linearisation) -> tuple[Floats, NDArray[np.str_]]:
+    """Directions in which real laws may differ from the library's.
+
+    A law may be stronger or weaker with depth, speed, direction, time and since the motion changed, in each channel, and it may be mixed
+    with the same law at other shapes. Each direction is as large as the part of the effect that tolerances do not hide, or smaller.
+
+    Args:
+        problem: Gives the prediction.
+        values: Parameters by effect.
+        at: The prediction (7, b) there.
+        around: The nuisances.
+
+    Returns:
+        The directions (m, 7, b), and the kind (m,) of each.
+    """
+    columns, kinds = [], []
+    modulations = list(_modulations(problem)) if values else []
+    for name in values:
+        others = {other: v for other, v in values.items() if other != name}
+        part = at - problem.predict(others, around.eta)
+        energy = float(np.linalg.norm(around.space.beyond(part)))
+        if energy < SMALLEST_EFFECT:
             continue
-        for p in range(len(PHASES)):
-            mine = coefficients[channel][phase == p]
-            here = 0.0
-            for d in range(mine.shape[1] if len(mine) else 0):
-                z = mine[:, d]
-                z = z[np.isfinite(z)]
-                if not len(z):
-                    continue
-                factor = _group(z)
-                gain = float(np.logaddexp(log(1.0 - INCLUSION), log(INCLUSION) + factor))
-                total += gain
-                certain = 1.0 / (1.0 + np.exp(-(np.clip(factor + log(INCLUSION), -50, 50))))
-                here += certain * max(float((z**2).sum()) - len(z), 0.0)
-            energy += here
-            if here > best[0]:
-                best = (here, CHANNELS[channel], PHASES[p])
-        factor, power = _frequency(problem, remainder[channel])
-        if factor > tone:
-            tone, tone_energy = factor, power
-        factor, power = _pulses(remainder[channel])
-        if factor > pulse:
-            pulse, pulse_energy = factor, power
-    stretched, strain = _strain(problem, around, residual)
-    total += stretched
-    every = np.concatenate([c[np.isfinite(c)] for c in coefficients])
-    outlier, most = _outlier(every)
-    # The same deviation may show as all four: they are alternatives, each with its own energy.
-    each = np.array([total, tone, outlier, pulse])
-    evidence = float(np.logaddexp.reduce(each) - log(len(each)))
-    there = 1.0 / (1.0 + np.exp(-np.clip(evidence, -50.0, 50.0)))
-    energy = there * float(np.exp(each - np.logaddexp.reduce(each)) @ np.array([energy, tone_energy, most, pulse_energy]))
-    return Left(evidence, energy + strain, best[1], best[2])
+        for kind, shape in _shapes(problem, values, name, at, part, around.eta, modulations):
+            norm = float(np.vdot(shape, shape)) ** 0.5
+            if norm > 1e-6 * energy:
+                columns.append(shape * min(energy / norm, LARGEST_STRETCH))
+                kinds.append(kind)
+    return np.array(columns), np.array(kinds)
 
 
-def _coefficients(problem: Problem, remainder: Floats) -> tuple[list[Floats], Floats]:
-    """Per channel (segments, SHAPES), NaN where a segment is too short; and the phase of every segment."""
-    rows: list[list[Floats]] = [[] for _ in range(7)]
-    phase: list[int] = []
-    start = 0
-    for run in problem.runs:
-        label = run.bin_phase * 1e6 + run.bin_cycle
-        edges = np.concatenate([[0], np.flatnonzero(np.diff(label)) + 1, [len(label)]])
-        weight = np.sqrt(run.bins.count)
-        for a, b in pairwise(edges):
-            if b - a < 3:
-                continue
-            shapes = min(SHAPES, (b - a) // 2)
-            p = int(run.bin_phase[a])
-            t = run.t_s[a:b] - run.t_s[a]
-            x = t if p in (1, 2, 4) else np.log1p(t / max(float(t[-1]) / 50.0, 1e-12))
-            x = 2.0 * x / max(float(x[-1]), 1e-300) - 1.0
-            basis, _ = np.linalg.qr(weight[a:b, None] * np.polynomial.chebyshev.chebvander(x, shapes - 1))
-            z = remainder[:, start + a : start + b] @ basis
-            for channel in range(7):
-                row = np.full(SHAPES, np.nan)
-                row[:shapes] = z[channel] * np.sign(basis.sum(axis=0)[0] or 1.0)
-                rows[channel].append(row)
-            phase.append(p)
-        start += len(run.bins)
-    return [np.array(r).reshape(-1, SHAPES) for r in rows], np.array(phase)
+def _shapes(
+    problem: Problem,
+    values: EffectValues,
+    name: str,
+    at: Floats,
+    part: Floats,
+    eta: Floats,
+    modulations: Sequence[tuple[str, Floats]],
+) -> Iterator[tuple[str, Floats]]:
+    """Directions for one effect, whose part of the prediction `at` is `part`."""
+    effect = problem.library[name]
+    live = np.flatnonzero(part.any(axis=1))
+    for parameter in effect.parameters:
+        if parameter.nominal is None and parameter.log and parameter.name in values[name]:
+            lower, upper = parameter.bounds(problem.scale)
+            for factor in OTHER_SHAPES:
+                other = min(max(values[name][parameter.name] * factor, lower), upper)
+                yield "shape", problem.predict(values | {name: values[name] | {parameter.name: other}}, eta) - at
+    for driver, modulation in modulations:
+        if driver in effect.discrepancy_drivers:
+            shape = np.zeros_like(part)
+            shape[live] = part[live] * modulation
+            yield driver, shape
+    if len(live) > 1:
+        for channel in live:
+            shape = np.zeros_like(part)
+            shape[channel] = part[channel]
+            yield "channel", shape
 
 
-def _group(z: Floats) -> float:
-    """Log Bayes factor of coefficients with a common mean or a larger variance against N(0, 1)."""
-    n, mean, square = len(z), float(z.mean()), float((z**2).sum())
-    factors = []
-    for spread in (2.0, 8.0, 30.0):
-        v = 1.0 + n * spread**2
-        factors.append(-0.5 * log(v) + 0.5 * (n * mean) ** 2 * spread**2 / v)
-        factors.append(-0.5 * n * log(1.0 + spread**2) + 0.5 * square * spread**2 / (1.0 + spread**2))
-    return float(np.logaddexp.reduce(factors) - log(len(factors)))
-
-
-def _wider(z: Floats, spread: float) -> Floats:
-    """Log Bayes factors of numbers that are N(0, 1) and something of that spread besides, against N(0, 1)."""
-    return -0.5 * log(1.0 + spread**2) + 0.5 * z**2 * spread**2 / (1.0 + spread**2)
-
-
-def _outlier(z: Floats) -> tuple[float, float]:
-    """Log Bayes factor of one coefficient being large, and its energy."""
-    spread = 10.0
-    each = _wider(z, spread)
-    return (float(np.logaddexp.reduce(each) - log(len(z))), float((z**2).max())) if len(z) else (0.0, 0.0)
-
-
-def _pulses(values: Floats) -> tuple[float, float]:
-    """Log Bayes factor, and energy, of a few stretches of neighbouring bins, all of one length, each off by an amount of its own."""
-    live = values[values != 0.0]
-    sums = np.concatenate([[0.0], np.cumsum(live)])
-    factors, energies = [], []
-    for length in PULSES:
-        if len(live) < 8 * length:
-            continue
-        z = (sums[length::length] - sums[:-length:length]) / length**0.5
-        each = _wider(z, PULSE)
-        rare = log(3.0 / len(z))
-        gain = np.logaddexp(np.log1p(-np.exp(rare)), rare + each)
-        certain = 1.0 / (1.0 + np.exp(-np.clip(each + rare, -50.0, 50.0)))
-        factors.append(float(gain.sum()))
-        energies.append(float((certain * np.maximum(z**2 - 1.0, 0.0)).sum()))
-    if not factors:
-        return -np.inf, 0.0
-    best = int(np.argmax(factors))
-    return float(np.logaddexp.reduce(factors) - log(len(factors))), energies[best]
-
-
-def _strain(problem: Problem, around: Linearisation, residual: Floats) -> tuple[float, float]:
-    """Log Bayes factor of deviations beyond their tolerances, and the energy of what they then hide: what belongs to the cell, to
-    each recording and to its presses. Were the cell healthy, each deviation over its spread would be N(0, 1). A deviation that is a
-    listed effect once it is out of tolerance is no evidence of something outside the list."""
-    space = around.space
-    found = space.coefficients(residual)
-    inverse = np.linalg.inv(space.factor)
-    spread = np.sqrt(np.maximum(1.0 - (inverse**2).sum(axis=0), 0.0))
-    z = np.where(spread > 0.5, found / np.maximum(spread, 0.5), np.nan)
-    if not problem.cell.tolerances.modulus_known:
-        z[0] = np.nan
-    first = len(around.eta)
-    z[[first + k for k in around.index.numerical]] = np.nan
-    groups = [[first + k for k, name in around.index.press if name == kind] for kind in ("stiffness", "surface_z_m")]
-    pressed = {k for group in groups for k in group}
-    groups += [[k] for k in range(len(z)) if k not in pressed]
-    listed = [k for k, name in enumerate(SHARED) if BEYOND_TOLERANCE[name] in problem.library]
-    listed += [first + k for c, k, kind in around.index.own if c == FZ and BEYOND_TOLERANCE[kind] in problem.library]
-    outside, every = [0.0], [0.0]
-    for group in groups:
-        mine = z[group]
-        mine = mine[np.isfinite(mine)]
-        if len(mine):
-            factor = _group(mine)
-            if len(mine) > 3:
-                factor = float(np.logaddexp(factor, _outlier(mine)[0]) - log(2.0))
-            every.append(log(INCLUSION) + factor)
-            if group[0] not in listed:
-                outside.append(every[-1])
-    # Deviations stand in for each other, so that together they say no more than the worst of them.
-    hidden = space.explained(np.where(np.isnan(z) & (spread > 0.5), 0.0, found - np.clip(found, -PLAUSIBLE, PLAUSIBLE)))
-    certain = -float(np.expm1(-np.logaddexp.reduce(every)))
-    return float(np.logaddexp.reduce(outside)), certain * float((hidden**2).sum())
-
-
-def _frequency(problem: Problem, values: Floats) -> tuple[float, float]:
-    """Log Bayes factor, and energy, of one sinusoid that goes through the whole recording."""
-    start, best, power = 0, 0.0, 0.0
-    for run in problem.runs:
-        n = len(run.bins)
-        part = values[start : start + n]
-        start += n
-        t = run.t_s
-        if n < 64:
-            continue
-        step = max(float(np.quantile(np.diff(t), 0.25)), 1e-12)
-        grid = np.arange(0.0, float(t[-1]), step)[:40000]
-        usual = float(np.quantile(run.bins.count, 0.25))
-        even = np.interp(grid, t, part * np.sqrt(usual / run.bins.count))
-        # Where coarse bins are joined the spectrum falls; it never says more than unit noise would allow.
-        spectrum = np.abs(np.fft.rfft(even - even.mean())) ** 2
-        if len(spectrum) < 64:
-            continue
-        local = median_filter(spectrum, size=101, mode="reflect")
-        ratio = spectrum[8:-8] / np.maximum(local[8:-8] / 0.693, len(grid))
-        peak = float(ratio.max())
-        best += peak - log(len(ratio)) - 0.5 * log(max(peak, 1.0)) - 5.0
-        power += peak
-    return best, 2.0 * power
-
-
+def _modulations(problem: Problem) -> Iterator[tuple[str, Floats]]:
+    """Smooth functions (b,) of what the probe is doing, and the driver that each is a function of."""
+    pieces: list[list[tuple[str, Floats]]] = []
+    for one in problem.recordings:
+        mean = one.bins.mean
+        depth = mean(one.phases.depth_m) / problem.scale.depth_m
+        speed = mean(one.phases.velocity_m_per_s) / problem.scale.speed_m_per_s
+        rest = np.log1p(mean(one.phases.since_s) / (3.0 * problem.scale.step_s))
+        rest = rest / max(rest.max(), 1e-9)
+        moving = mean(one.phases.moving.astype(float))
+        late = one.t_s / max(problem.scale.duration_s, 1e-9)
+        pieces.append(
+            [
+                ("depth", depth),
+                ("depth", depth**2),
+                ("speed", np.abs(speed)),
+                ("speed", np.clip(speed, -1.0, 1.0)),
+                ("speed", moving),
+                ("rest", rest),
+                ("rest", rest * moving),
+                ("time", late),
+                ("time", np.exp(-10.0 * late)),
+                ("time", (one.bin_cycle == 0).astype(float)),
+            ]
+        )
+    for same in zip(*pieces, strict=True):
+        row = np.concatenate([values for _, values in same])
+        yield same[0][0], row - row.mean()

@@ -1,4 +1,4 @@
-"""Many recordings of many cells: one task a recording, over processes or a Dask cluster, and a table of which cell has what since when."""
+"""Many recordings of many cells: one task a recording, over processes or a Dask cluster, and a table by cell."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,7 @@ COMMON_CELL = "cell.yaml"
 
 @dataclass(frozen=True)
 class FleetRow:
-    """One recording: the verdict, what was named with which parameters (value, low, high), or the sentence of what was wrong with it."""
+    """One recording: the verdict and the named effects with parameters (value, low, high), or the sentence of what is wrong with it."""
 
     name: str
     cell: str
@@ -32,7 +32,7 @@ class FleetRow:
 
 @dataclass(frozen=True)
 class CellRow:
-    """One cell over its recordings in order: what its last good one said, since which recording that has been so, and the trend."""
+    """One cell over its recordings in order: the last verdict, the recording since which it holds, and the trend."""
 
     cell: str
     recordings: int
@@ -44,17 +44,29 @@ class CellRow:
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """The recordings of a folder, or where it has none, of the folders in it, in order of name. Raises BadInput where there are none."""
+    """The recordings of a folder in order of name; where it has none, those of the folders in it.
+
+    Raises:
+        BadInput: There are none.
+    """
     for places in ([folder], sorted(p for p in folder.iterdir() if p.is_dir())):
         inside = [p for place in places for p in sorted(place.iterdir())]
-        found = [p for p in inside if p.suffix in {".csv", ".parquet"} and not p.name.endswith(".next.csv")]
-        if found:
-            return found
+        recordings = [p for p in inside if p.suffix in {".csv", ".parquet"} and not p.name.endswith(".next.csv")]
+        if recordings:
+            return recordings
     raise BadInput(f"{folder} holds no recording; expected X.csv files, each with its X.yaml, or folders of them.")
 
 
 def cell_of(recording: Path, folder: Path) -> str:
-    """Which cell a recording is of: the folder it stands in, else its name without the number or date at the end."""
+    """The cell of a recording: its folder, else its name without the number or date at the end.
+
+    Args:
+        recording: The recording.
+        folder: The folder of the fleet.
+
+    Returns:
+        The name of the cell.
+    """
     if recording.parent != folder:
         return recording.parent.name
     return re.sub(r"[-_.]?\d[\d\-_T.:]*$", "", recording.stem) or recording.stem
@@ -68,14 +80,24 @@ def _cell_file(recording: Path) -> Path:
 
 
 def diagnose_one(recording: Path, cell: str, effects: Path | None = None) -> FleetRow:
-    """Diagnose a recording by its cell file, X.json written beside; whatever is wrong with it is a row with the sentence."""
+    """Diagnose a recording by its cell file and write X.json beside it.
+
+    Args:
+        recording: The recording.
+        cell: The name of its cell.
+        effects: A file with user effects.
+
+    Returns:
+        The row; a recording that cannot be diagnosed is a row with the sentence of what is wrong.
+    """
     try:
-        found = diagnose_files([recording], _cell_file(recording), json_out=recording.with_suffix(".json"), effects=effects)
+        diagnosis = diagnose_files([recording], _cell_file(recording), json_out=recording.with_suffix(".json"), effects=effects)
     except Exception as error:  # the end of this recording, whatever it is, and not of the others
         return _failed(recording, cell, error)
-    named = {e.id: e.parameters for e in found.effects}
-    probability = max((e.probability for e in found.effects), default=found.p_none)
-    return FleetRow(recording.stem, cell, found.verdict, named, probability, found.shrink.closed if found.shrink else None, found.sentence)
+    named = {e.id: e.parameters for e in diagnosis.effects}
+    probability = max((e.probability for e in diagnosis.effects), default=diagnosis.p_none)
+    closed, sentence = diagnosis.shrink.closed, diagnosis.sentence
+    return FleetRow(recording.stem, cell, diagnosis.verdict, named, probability=probability, closed=closed, sentence=sentence)
 
 
 def _failed(recording: Path, cell: str, error: BaseException) -> FleetRow:
@@ -84,9 +106,19 @@ def _failed(recording: Path, cell: str, error: BaseException) -> FleetRow:
 
 
 def diagnose_folder(folder: Path, *, jobs: int = 1, scheduler: str | None = None, effects: Path | None = None) -> Iterator[FleetRow]:
-    """Diagnose every recording of a folder, one task each; rows as they are done. A task that fails, or a worker that dies, is a row.
+    """Diagnose every recording of a folder, one task each.
 
-    On a cluster the workers must see the folder under the same path. Raises BadInput where there is no recording or no cluster.
+    Args:
+        folder: The folder; on a cluster the workers must see it under the same path.
+        jobs: Number of processes.
+        scheduler: Address of a Dask cluster, in place of processes.
+        effects: A file with user effects.
+
+    Yields:
+        Rows in the order in which they end. A task that fails, or a worker that dies, is a row.
+
+    Raises:
+        BadInput: There is no recording or no cluster.
     """
     recordings = recordings_in(folder)
     with _executor(jobs, scheduler) as pool:
@@ -116,13 +148,14 @@ def _executor(jobs: int, scheduler: str | None) -> Iterator[Executor]:
 
 
 def by_cell(rows: Sequence[FleetRow]) -> list[CellRow]:
-    """The cells of a fleet, each by its recordings in order of name."""
+    """The cells of a fleet, each from its recordings in order of name."""
     out = []
     for cell in sorted({row.cell for row in rows}):
         mine = sorted((row for row in rows if row.cell == cell), key=lambda row: row.name)
         good = [row for row in mine if row.verdict is not None]
         if not good:
-            out.append(CellRow(cell, len(mine), len(mine), None, (), None, mine[-1].sentence))
+            trend = mine[-1].sentence
+            out.append(CellRow(cell, len(mine), len(mine), verdict=None, effects=(), since=None, trend=trend))
             continue
         last = good[-1]
         named = tuple(last.effects)
@@ -133,13 +166,17 @@ def by_cell(rows: Sequence[FleetRow]) -> list[CellRow]:
             else:
                 break
         trends = "; ".join(filter(None, (_trend(good, name) for name in named)))
-        out.append(CellRow(cell, len(mine), len(mine) - len(good), last.verdict, named, since if len(good) > 1 else None, trends))
+        shown = since if len(good) > 1 else None
+        out.append(CellRow(cell, len(mine), len(mine) - len(good), verdict=last.verdict, effects=named, since=shown, trend=trends))
     return out
 
 
 def _trend(rows: Sequence[FleetRow], effect: str) -> str:
-    """How the first parameter of an effect went over the recordings that name it: a weighted straight line over their order, steady where
-    its slope is within two standard deviations (as the intervals or, if that is more, the scatter have it)."""
+    """How the first parameter of an effect changed over the recordings that name it.
+
+    A straight line over their order, weighted by the intervals, or by the scatter if that is larger; steady if its slope is within two
+    standard deviations.
+    """
     there = [(k, row.effects[effect]) for k, row in enumerate(rows) if row.effects.get(effect)]
     if len(there) < 3:
         return ""
@@ -150,9 +187,8 @@ def _trend(rows: Sequence[FleetRow], effect: str) -> str:
     w = sigma**-2 / float((sigma**-2).sum())
     away = x - float(w @ x)
     slope = float((w * away) @ value / ((w * away) @ away))
-    left = value - float(w @ value) - slope * away
-    misfit = max(1.0, float(np.sqrt(np.sum((left / sigma) ** 2) / (len(x) - 2))))
+    residual = value - float(w @ value) - slope * away
+    misfit = max(1.0, float(np.sqrt(np.sum((residual / sigma) ** 2) / (len(x) - 2))))
     sure = abs(slope) > 2.0 * misfit * float(np.sum((away / sigma) ** 2)) ** -0.5
     word = "steady" if not sure else "growing" if slope * value[-1] > 0 else "shrinking"
     return f"{effect} {name} {value[0]:.3g} → {value[-1]:.3g}, {word}"
-

@@ -1,11 +1,11 @@
-"""How noisy a recording is: what is declared, what is measured, and tests of effects that change only the scatter of readings."""
+"""How noisy a recording is: the stated noise, the measured noise, the steps of readings, and readings that repeat."""
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from palpd.cell_file import CellFile
-from palpd.samples import Samples
+from palpd.cell.cell_file import CellFile
+from palpd.recording.samples import Samples, runs_of_true
 from palpd.tick import Floats
 
 CHANNELS = ("z_m", "fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
@@ -26,26 +26,47 @@ def declared_rms(cell: CellFile) -> Floats:
 
 
 def measured_rms(values: Floats, where: NDArray[np.bool_] | None = None) -> float:
-    """Rms of the white part of a signal, from its second differences (of three neighbours that all count, where some do not), with
-    the largest fiftieth left out (corners, steps)."""
-    bends = np.diff(values, 2)
+    """Rms of the white part of a signal, from its second differences without the largest 2 % (corners, steps).
+
+    Args:
+        values: The signal (n,).
+        where: Samples that count (n,); all where not given.
+
+    Returns:
+        The rms in the unit of the signal; 0 of too few samples.
+    """
+    differences = np.diff(values, 2)
     if where is not None:
-        bends = bends[where[2:] & where[1:-1] & where[:-2]]
-    if len(bends) < 6:
+        differences = differences[where[2:] & where[1:-1] & where[:-2]]
+    if len(differences) < 6:
         return 0.0
-    squares = np.sort(bends**2)
+    squares = np.sort(differences**2)
     kept = squares[: max(4, int(0.98 * len(squares)))]
     # A normal variable without its largest 2 %: |x| < 2.326 holds 0.856 of the variance in 0.98 of the probability.
     return float(np.sqrt(kept.mean() / 6.0 / 0.8735))
 
 
 def dead(values: Floats) -> bool:
-    """Whether a channel never changes."""
+    """Whether a channel (n,) never changes.
+
+    Args:
+        values: The channel (n,).
+
+    Returns:
+        True where all values are equal.
+    """
     return bool(np.all(values == values[0]))
 
 
 def lattice_step(values: Floats) -> float:
-    """The step of the lattice that readings lie on, 0 where they lie on none."""
+    """The step to whose multiples readings are rounded.
+
+    Args:
+        values: The readings (n,).
+
+    Returns:
+        The step in their unit; 0 without one.
+    """
     unique = np.unique(values)
     if len(unique) < 3 or len(unique) > 0.2 * len(values):
         return 0.0
@@ -60,16 +81,23 @@ def lattice_step(values: Floats) -> float:
 
 
 def held_runs(samples: Samples) -> tuple[int, float, float]:
-    """Runs of rows whose six readings all repeat: how many of them, their mean length in samples beyond the first, and
-    how many repeats chance alone would give (from how often each live axis repeats by itself)."""
+    """Stretches of rows whose six readings all repeat.
+
+    Args:
+        samples: The recording.
+
+    Returns:
+        Their number, their mean length in samples beyond the first, and the number of repeats that chance alone gives (each live axis
+        repeats by itself now and then).
+    """
     live = [k for k in range(6) if not dead(samples.wrench[:, k])]
     if not live:
         return 0, 0.0, 0.0
     same = samples.wrench[1:, live] == samples.wrench[:-1, live]
     chance = float(np.prod([_repeat_chance(samples.wrench[:, k]) for k in live])) * len(same)
     together = same.all(axis=1)
-    steps = np.diff(np.concatenate([[0], together.astype(np.int8), [0]]))
-    lengths = np.flatnonzero(steps == -1) - np.flatnonzero(steps == 1)
+    first, end = runs_of_true(together)
+    lengths = end - first
     if len(live) == 1 and len(lengths) and lengths.mean() < 3.0:
         return 0, 0.0, 0.0  # one axis alone repeats itself for many reasons
     return len(lengths), float(lengths.mean()) if len(lengths) else 0.0, chance

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-from palpd.samples import Samples
+from palpd.recording.samples import Samples, runs_of_true
 from palpd.tick import Floats
 
 Ints = NDArray[np.intp]
@@ -14,12 +14,30 @@ Ints = NDArray[np.intp]
 PHASES = ("free_still", "free_moving", "loading", "holding", "unloading")
 FREE_STILL, FREE_MOVING, LOADING, HOLDING, UNLOADING = range(5)
 
+PHASE_PHRASES = {
+    "free_still": "at rest in the air",
+    "free_moving": "during free motion",
+    "loading": "while the probe presses in",
+    "holding": "during holds",
+    "unloading": "while the probe retracts",
+}
+"""The phases within a sentence."""
+
 
 @dataclass(frozen=True)
 class Phases:
-    """Per sample: `phase` (n,) index into PHASES, `moving` (n,), `depth_m` (n,) below the nominal surface (0 in free space),
-    `cycle` (n,) which stretch of the recording (a press with the free motion around it), `press` (n,) the press or -1,
-    `since_s` (n,) time since the motion last began or ended, `until_s` (n,) until it next does."""
+    """What the probe does at every sample.
+
+    Attributes:
+        phase: Index into PHASES (n,).
+        moving: Whether it moves (n,).
+        velocity_m_per_s: Commanded speed (n,); the smoothed reported one without a command.
+        depth_m: Depth below the nominal surface (n,), 0 in free space.
+        cycle: Number of the stretch (n,): a press with the free motion around it.
+        press: Number of the press (n,), -1 for none.
+        since_s: Time since the motion last began or ended (n,).
+        until_s: Time until it next does (n,).
+    """
 
     phase: Ints
     moving: NDArray[np.bool_]
@@ -32,20 +50,28 @@ class Phases:
 
     @property
     def cycles(self) -> int:
-        """How many cycles there are."""
+        """Number of cycles."""
         return int(self.cycle.max()) + 1
 
     @property
     def presses(self) -> int:
-        """How many presses there are."""
+        """Number of presses."""
         return int(self.press.max()) + 1
 
 
 def find_phases(samples: Samples, surface_z_m: float, position_noise_rms_m: float) -> Phases:
-    """The five phases of a recording.
+    """Find the five phases of a recording.
 
     Contact is where the reported height is below the nominal surface. Moving is |v| > min(1 mm/s, 5 % of the 95th percentile
     of |v|), v the derivative of the commanded height where there is one, else the reported speed low-passed at 5 Hz.
+
+    Args:
+        samples: The recording.
+        surface_z_m: Height of the nominal surface.
+        position_noise_rms_m: Noise of the heights, which makes no press.
+
+    Returns:
+        The phases.
     """
     velocity = _velocity(samples)
     speed = np.abs(velocity)
@@ -76,25 +102,22 @@ def _velocity(samples: Samples) -> Floats:
 
 
 def _cycles(samples: Samples, surface_z_m: float, noise_m: float, moving: NDArray[np.bool_]) -> tuple[Ints, Ints]:
-    """Cycle and press of each sample. A press is a stay below the surface, deeper than noise; its cycle reaches half-way to the
-    next. Without two presses, strokes take their place, and without strokes eight blocks of equal length."""
+    """Cycle and press of each sample.
+
+    A press is a stay below the surface, deeper than noise; its cycle reaches half-way to the next. Without two presses, strokes take
+    their place, and without strokes eight blocks of equal length.
+    """
     n = len(samples)
     depth = surface_z_m - samples.z_m
     press = np.full(n, -1, dtype=np.intp)
-    begins, ends = _runs(depth > 0)
+    begins, ends = runs_of_true(depth > 0)
     real = [(a, b) for a, b in zip(begins, ends, strict=True) if depth[a:b].max() > 6 * noise_m + 0.02 * max(depth.max(), 0.0)]
     for k, (a, b) in enumerate(real):
         press[a:b] = k
     if len(real) >= 2:
         borders = [(real[k][1] + real[k + 1][0]) // 2 for k in range(len(real) - 1)]
     else:
-        begins, ends = _runs(moving)
+        begins, ends = runs_of_true(moving)
         borders = [int(a) for a in begins[2::2]] if len(real) == 0 and len(begins) >= 4 else [n * k // 8 for k in range(1, 8)]
     cycle = np.searchsorted(np.asarray(borders), np.arange(n), side="right").astype(np.intp)
     return cycle, press
-
-
-def _runs(mask: NDArray[np.bool_]) -> tuple[Ints, Ints]:
-    """First and one-past-last index of every run of True."""
-    steps = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
-    return np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)

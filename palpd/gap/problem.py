@@ -1,27 +1,27 @@
-"""Recordings of one cell against its simulation, as one whitened vector with everything that is within specification marginalised."""
+"""Recordings of one cell against its simulation: measured and predicted bins, in units of their noise."""
 
-import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import block_diag, csr_array, diags_array
-from scipy.special import ndtr
+from scipy.sparse import block_diag, csr_array
 
-from palpd.cell import predict_motion, scale_of, wrench_of
-from palpd.cell_file import CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
-from palpd.dynamics import Motion
-from palpd.effects import EFFECTS, Effect, Scale
-from palpd.gap.bins import Bins, make_bins
-from palpd.gap.gaussian import Nuisances, nuisances
-from palpd.gap.noise import FX, FY, FZ, TX, TY, Z, dead, declared_rms, measured_rms, resolutions
-from palpd.gap.phases import FREE_STILL, HOLDING, Phases, find_phases
+from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
+from palpd.cell.dynamics import TipMotion
+from palpd.cell.effects import EFFECTS, Effect, Scale
+from palpd.cell.simulation import predict_motion, scale_of, wrench_of
+from palpd.gap.noise import FX, FZ, Z
+from palpd.gap.prepare import PreparedRecording, prepare
+from palpd.gap.rounding import Rounding, undithered_rms
+from palpd.gap.servo_error import servo_errors
 from palpd.gap.whitening import Whitening
-from palpd.kinematics import measured_motion, slope_weights
-from palpd.reported import Reports, find_reports, straight_between
-from palpd.samples import Samples
+from palpd.recording.samples import Samples
 from palpd.tick import Floats
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 SHARED = (
     "youngs_modulus",
@@ -36,542 +36,358 @@ SHARED = (
     "tx_per_fz",
     "ty_per_fz",
 )
-"""In-tolerance deviations that all recordings of a cell share; bias and drift are each recording's own, since each is tared."""
+"""In-tolerance deviations that all recordings of a cell share. Each recording has its own bias and drift, since each is tared."""
 
-SERVO = np.array(SHARED) == "servo_natural_frequency"
-LEAKS_INTO = {"fx_per_fz": FX, "fy_per_fz": FY, "tx_per_fz": TX, "ty_per_fz": TY}
-LEAKS = np.isin(SHARED, list(LEAKS_INTO))
-
+CROSSTALK = SHARED[-4:]
 RELATIVE = {"youngs_modulus", "filter_cutoff", "servo_natural_frequency"}
-"""Deviations that are fitted as logarithms, so that a modulus that is not known at all stays positive."""
+"""Deviations that are fitted as logarithms, so that an unknown modulus stays positive."""
 
-TRUSTED = 0.02
-"""No cell follows the laws of a simulator to better than this share of its gap."""
+MODEL_ERROR_SHARE = 0.02
+"""Least error of a simulator's laws, as a share of the gap: no real cell follows them better."""
 
 MOST_HELD = 0.2
-"""Share of a bin in which the sensor may have said nothing new."""
+"""Share of held samples above which a bin does not count."""
 
-UNSHARED = 0.25
-"""Share of the noise of reported heights that every bin is given for itself, since bins shorter than reports are apart know no more
-than their neighbours."""
+OWN_HEIGHT_NOISE = 0.25
+"""Share of the noise of reported heights that every bin has for itself. Bins shorter than the time between reports know no more than
+their neighbours."""
 
-FORGOTTEN = 4.6
-"""After so many time constants a filter remembers a hundredth."""
-
-REMEMBERED = 96
-"""So many predictions are kept, since a search comes back to where it was a moment ago."""
-
-LEVELS, SHARPEST = 3, 0.25
-"""Rounding is followed over so many levels to either side, and never taken for sharper than with noise of that share of a step: the
-levels, and where between them a force lies, are not known better."""
+MOST_CACHED = 96
+"""Number of predictions that are kept: a search often returns to a recent state. This bounds the memory."""
 
 UNKNOWN_LOG_SD = 2.5
-"""One standard deviation of the logarithm of a modulus of which nothing is known: a factor of twelve."""
+"""Standard deviation of the logarithm of an unknown modulus: a factor of twelve."""
+
+MAX_BINS = 4500
+"""Number of bins of a diagnosis, about; it bounds the time and memory of a diagnosis (benchmarks/diagnose.py)."""
+
+SERVO = np.array(SHARED) == "servo_natural_frequency"
 
 
-@dataclass(frozen=True)
-class Run:
-    """One recording, prepared: phases, bins, the motion behind its noisy heights, and the noise of every bin."""
-
-    samples: Samples
-    phases: Phases
-    bins: Bins  # of samples
-    steps: Bins  # of the simulation's steps, each several samples long where the motion is smooth enough
-    sampled: Motion  # the motion behind the noisy heights, at every sample
-    motion: Motion  # at those steps, moved to even times where they were nearly even
-    step_t_s: Floats  # when those steps really are
-    smoother: tuple[Motion, Motion]  # its path, and its acceleration, averaged once more
-    reports: Reports  # of the robot
-    robot_t_s: Floats  # (k,) when the robot is simulated: at the samples where it reports more slowly, else at the steps
-    z_cmd_m: Floats | None  # (k,)
-    z_means: csr_array  # (b, k), means over the bins of heights at those times
-    shaken_N: csr_array  # (b, r), what one standard deviation of the error of each reported speed does to fz
-    noise_rms: Floats  # (7,) of one sample, as measured
-    noise_ratio: Floats  # (7,) measured over declared
-    rest: NDArray[np.bool_]  # (n,) where it was measured
-    noise_measured: bool  # whether that was enough
-    judged: tuple[bool, ...]
-    t_s: Floats  # (b,)
-    bin_phase: Floats
-    bin_cycle: Floats
-    bin_press: Floats
-
-    @property
-    def samples_each(self) -> float:
-        """How many samples there are for every report of the robot."""
-        return self.reports.rows_each
-
-
-def prepare(samples: Samples, cell: CellFile, max_bins: int) -> Run:
-    """A recording of that cell, ready to be compared."""
-    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
-    phases = find_phases(samples, surface_m, cell.robot.position_noise_rms_m)
-    reports = find_reports(samples.t_s, samples.z_m)
-    motion = measured_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m, reports)
-    again = measured_motion(cell, samples.t_s, motion.z_m, motion.vz_m_per_s, samples.z_cmd_m)
-    smoother = (replace(motion, z_m=again.z_m, vz_m_per_s=again.vz_m_per_s), replace(motion, az_m_per_s2=again.az_m_per_s2))
-    together = Bins.of_equal_length(samples.t_s, _together(samples, cell, reports.rows_each))
-    steps = make_bins(together.mean(samples.t_s), phases, together, max_bins)
-    bins = together.merged(steps)
-    if reports.rows_each > 1.0:
-        robot_t_s, z_cmd_m = samples.t_s - samples.t_s[0], samples.z_cmd_m
-        z_means = bins.means() @ reports.joined @ straight_between(reports.t_s, samples.t_s)
-    else:
-        # The robot's lag turns a time that is off by a tenth of a step into heights that are off by more than their noise.
-        t_s = together.mean(motion.t_s)
-        robot_t_s = _even(t_s)
-        z_cmd_m = None if samples.z_cmd_m is None else np.interp(robot_t_s, t_s, together.mean(samples.z_cmd_m))
-        z_means = steps.means() @ straight_between(t_s, robot_t_s)
-    declared = declared_rms(cell)
-    still = np.isin(phases.phase, (FREE_STILL, HOLDING)) & (phases.since_s > 0.1 * phases.since_s.max())
-    unheld = still if samples.held is None else still & ~samples.held
-    judged, measured = [], np.zeros(7)
-    for channel in range(7):
-        if channel == Z:
-            usable = samples.z_cmd_m is not None and not dead(samples.z_m)
-            signal, rest = reports.values(samples.z_m), still[np.searchsorted(samples.t_s, reports.t_s)]
-        else:
-            signal, rest = samples.wrench[:, channel - 1], unheld
-            usable = not dead(signal)
-        judged.append(usable)
-        if usable:
-            measured[channel] = measured_rms(signal, rest) if rest.sum() >= 60 else min(measured_rms(signal), declared[channel])
-    floor = np.where(declared > 0, declared, np.maximum(measured, 1e-300))
-    rms = np.where(measured > 0, np.maximum(measured, 0.5 * floor), floor)
-    return Run(
-        samples,
-        phases,
-        bins,
-        steps,
-        motion,
-        _at_steps(motion, together),
-        together.mean(motion.t_s),
-        (_at_steps(smoother[0], together), _at_steps(smoother[1], together)),
-        reports,
-        robot_t_s,
-        z_cmd_m,
-        z_means,
-        _shaken(samples, cell, motion, reports, bins) if judged[FZ] else csr_array((len(bins), 1)),
-        rms,
-        np.where(measured > 0, measured / floor, 1.0),
-        unheld,
-        bool(still.sum() >= 60),
-        tuple(judged),
-        bins.mean(samples.t_s - samples.t_s[0]),
-        bins.first(phases.phase).astype(float),
-        bins.first(phases.cycle).astype(float),
-        bins.first(phases.press).astype(float),
-    )
-
-
-def _shaken(samples: Samples, cell: CellFile, motion: Motion, reports: Reports, bins: Bins) -> csr_array:
-    """What one standard deviation of the error of each reported speed (k,) does to the binned force of inertia (b,), in N.
-
-    The error of one report shows as a push forth and back over as long as reports are apart and slopes are taken over, and as long again as
-    the sensor's filter remembers: bins share it.
-    """
-    n, dt_s = len(samples), 1.0 / samples.rate_Hz
-    weights = cell.probe.mass_kg * motion.v_noise_m_per_s * slope_weights(dt_s, motion.slope_half)
-    first = -(len(weights) // 2)
-    if cell.sensor.filter_cutoff_Hz:
-        per_step = 2.0 * np.pi * cell.sensor.filter_cutoff_Hz * dt_s
-        remembered = np.exp(-per_step * np.arange(int(FORGOTTEN / per_step) + 1))
-        weights, first = np.convolve(weights, remembered[::-1] / remembered.sum()), first - len(remembered) + 1
-    trust = bins.mean(np.broadcast_to(motion.trust, n))
-    return csr_array(diags_array(trust) @ _means_of_sums(bins, weights, first, n) @ reports.joined)
-
-
-def _means_of_sums(bins: Bins, weights: Floats, first: int, n: int) -> csr_array:
-    """What takes weighted sums of neighbours, from `first` on, of n samples, and their mean over every bin, as a matrix (b, n)."""
-    reach = bins.count + len(weights) - 1
-    row = np.repeat(np.arange(len(bins)), reach)
-    k = np.arange(len(row)) - np.repeat(np.cumsum(reach) - reach, reach)
-    column = bins.begin[row] + first + k
-    total = np.concatenate([[0.0], np.cumsum(weights)])
-    value = (total[np.minimum(k + 1, len(weights))] - total[np.maximum(k + 1 - bins.count[row], 0)]) / bins.count[row]
-    inside = (column >= 0) & (column < n)
-    return csr_array((value[inside], (row[inside], column[inside])), shape=(len(bins), n))
-
-
-def _together(samples: Samples, cell: CellFile, samples_each: float) -> int:
-    """How many samples one step of the simulation may take: a sixth of what the heights are averaged over, and never so many that fewer
-    than 4500 steps are left; up to a third where the robot reports no more often, since no faster motion is known then."""
-    averaged = 0.25 / cell.robot.servo_natural_frequency_Hz * samples.rate_Hz
-    return max(1, min(int(averaged / 5.0), len(samples) // 4500), min(int(averaged / 3.0), int(samples_each)))
-
-
-def _at_steps(motion: Motion, together: Bins) -> Motion:
-    t_s = together.mean(motion.t_s)
-    even_s = _even(t_s)
-
-    def at(values: Floats) -> Floats:
-        return np.interp(even_s, t_s, together.mean(values))
-
-    z_m, vz_m_per_s, az_m_per_s2 = at(motion.z_m), at(motion.vz_m_per_s), at(motion.az_m_per_s2)
-    return replace(motion, t_s=even_s, z_m=z_m, vz_m_per_s=vz_m_per_s, az_m_per_s2=az_m_per_s2)
-
-
-def _even(t_s: Floats) -> Floats:
-    """Times of steps, moved by up to half a step to where they are evenly spaced; the last, which may be short, by any amount.
-    As they are where that does not suffice. (A filter over even steps costs a tenth of one over uneven ones.)"""
-    if len(t_s) < 4:
-        return t_s
-    step_s = float(t_s[-2] - t_s[0]) / (len(t_s) - 2)
-    even_s = t_s[0] + step_s * np.arange(len(t_s))
-    return even_s if float(np.abs(even_s - t_s)[:-1].max()) < 0.5 * step_s else t_s
+def tolerance_key(deviation: str) -> str:
+    """Key in the cell file's tolerances of a shared deviation."""
+    return "crosstalk" if deviation in CROSSTALK else deviation
 
 
 @dataclass
-class Columns:
-    """Which of the columns after the shared ones is what; effects change which there are (a press that no longer touches has none).
+class _Predictions:
+    """Binned predictions by what they depend on, the newest last, and the number of simulations that they took."""
 
-    `own`: (channel, number, bias or drift) of every recording's own; `press`: (number, stiffness or surface_z_m) of every press's scatter;
-    `numerical`: numbers of what the computation itself is not sure of.
-    """
-
-    own: list[tuple[int, int, str]] = field(default_factory=list)
-    press: list[tuple[int, str]] = field(default_factory=list)
-    numerical: list[int] = field(default_factory=list)
+    known: dict[tuple[str, str, bytes], Floats] = field(default_factory=dict)
+    simulations: int = 0
 
 
 @dataclass(frozen=True)
-class Linearisation:
-    """The nuisances around one state of the cell: the effects there, the shared deviations there (in standard deviations)."""
-
-    effects: EffectValues
-    eta: Floats
-    columns: Floats  # (k, c, b), the first len(eta) of them the shared deviations
-    space: Nuisances
-    prediction: Floats  # of the cell in that state
-    index: Columns
-
-    def offset(self) -> Floats:
-        """What the linear model has to give back, since its deviations count from zero and not from `eta`."""
-        return np.tensordot(self.eta, self.columns[: len(self.eta)], axes=1)
-
-
-@dataclass(frozen=True)
-class Rounding:
-    """How fz is rounded where that is coarser than stated: to `level_N` and every `step_N` from there."""
-
-    step_N: float
-    level_N: float
-    noise_rms_N: float
-
-    def mean(self, force_N: Floats) -> Floats:
-        """What readings (n,) are on average of forces (n,) with normal noise before they are rounded."""
-        sigma = max(self.noise_rms_N, SHARPEST * self.step_N)
-        nearest = np.rint((force_N - self.level_N) / self.step_N)
-        out = np.zeros_like(force_N)
-        for k in range(-LEVELS, LEVELS + 1):
-            level = (nearest + k) * self.step_N + self.level_N
-            above = np.full_like(force_N, np.inf) if k == LEVELS else (level + 0.5 * self.step_N - force_N) / sigma
-            below = np.full_like(force_N, -np.inf) if k == -LEVELS else (level - 0.5 * self.step_N - force_N) / sigma
-            out += level * (ndtr(above) - ndtr(below))
-        return out
-
-    def slope(self, force_N: Floats) -> Floats:
-        """How much of a small offset of forces (n,) is left in the mean readings."""
-        h = 0.1 * self.step_N
-        return (self.mean(force_N + h) - self.mean(force_N - h)) / (2.0 * h)
-
-
-@dataclass
 class Problem:
-    """Everything a hypothesis is judged by."""
+    """The data of a diagnosis and the prediction that they are compared with; nothing changes it in place.
+
+    Attributes:
+        cell: The nominal cell, with the effects that are known.
+        recordings: Its recordings, prepared; b bins in all.
+        library: The effects that may be present.
+        scale: Sizes that bounds and starting values of effects refer to.
+        shared_sd: Standard deviations of SHARED (11,), in the units of the cell file, relative ones as logarithms.
+        servo_errors_m: Heights (2, b) by which a controller within specification may differ from the nominal servo.
+        rounding: Of fz, where it is coarser than stated.
+        excess_noise: Whether the noise is larger than stated.
+        measured: Measured bins (7, b) in their units.
+        noise: Noise of the bins.
+        floor_rms: Rms (7, b) of the noise without any model error.
+    """
 
     cell: CellFile
-    runs: list[Run]
+    recordings: tuple[PreparedRecording, ...]
     library: Mapping[str, Effect]
     scale: Scale
     shared_sd: Floats
-    noise: Whitening = field(init=False)
-    measured: Floats = field(init=False)  # (7, b)
-    data: Floats = field(init=False)  # (7, b) whitened
-    floor_rms: Floats = field(init=False)  # (7, b), of the noise alone
-    rounding: Rounding | None = None
-    """Of fz, where it is coarser than stated."""
-    noisy: bool = False
-    """Whether its noise is not the stated one, but larger."""
-    simulations: int = 0
+    servo_errors_m: Floats
+    rounding: Rounding | None
+    excess_noise: bool
+    measured: Floats
+    noise: Whitening
+    floor_rms: Floats
+    _predictions: _Predictions = field(default_factory=_Predictions, repr=False)
+
+    @cached_property
+    def data(self) -> Floats:
+        """Measured bins (7, b), whitened."""
+        return self.noise.whiten(self.measured)
+
+    @property
+    def nominal_eta(self) -> Floats:
+        """Shared deviations (11,) of the cell as stated."""
+        return np.zeros(len(self.shared_sd))
+
+    @property
+    def simulations(self) -> int:
+        """Number of force simulations so far."""
+        return self._predictions.simulations
+
+    def per_bin(self, of: Callable[[PreparedRecording], NDArray[Scalar]]) -> NDArray[Scalar]:
+        """Values of every recording's bins, joined.
+
+        Args:
+            of: Gives one value per bin of a recording.
+
+        Returns:
+            The values (b,) over all recordings.
+        """
+        return np.concatenate([of(recording) for recording in self.recordings])
+
+    # other problems of the same data
+
+    def with_model_error_floor(self, gap: Floats) -> "Problem":
+        """The problem in which no bin counts for more than the error of the simulator's laws allows.
+
+        Args:
+            gap: Whitened gap (7, b); a small share of its size in each channel is that error. It counts for no more than the readings
+                themselves, since a fit may run away.
+
+        Returns:
+            A new problem with wider noise.
+        """
+        spread = np.abs(self.measured - np.median(self.measured, axis=1, keepdims=True))
+        level = np.quantile(np.minimum(np.abs(self.noise.natural(gap)), spread.max(axis=1, keepdims=True)), 0.95, axis=1)[:, None]
+        return replace(self, noise=self.noise.widened(np.hypot(1.0, MODEL_ERROR_SHARE * level / self.noise.sigma)))
+
+    def with_row_weight(self, weight: float | Floats) -> "Problem":
+        """The problem in which every row counts for `weight` rows.
+
+        Args:
+            weight: The number of rows: one for all channels, or one of each channel (7,).
+
+        Returns:
+            A new problem.
+        """
+        return replace(self, noise=self.noise.with_row_weight(weight))
+
+    def with_shared_sd(self, shared_sd: Floats) -> "Problem":
+        """The problem with other tolerances.
+
+        Args:
+            shared_sd: Standard deviations of SHARED (11,).
+
+        Returns:
+            A new problem.
+        """
+        return replace(self, shared_sd=shared_sd, _predictions=_Predictions())
+
+    def own_tolerances(self, effects: Iterable[str]) -> NDArray[np.bool_]:
+        """Which of SHARED (11,) the effects themselves are, once they exceed their tolerance."""
+        keys = {self.library[name].tolerance for name in effects}
+        return np.array([tolerance_key(name) in keys for name in SHARED])
+
+    def restricted_to(self, bins: NDArray[np.bool_]) -> "Problem":
+        """The problem in which only some bins count.
+
+        Args:
+            bins: Which of them (b,).
+
+        Returns:
+            A new problem.
+        """
+        return replace(self, noise=self.noise.restricted_to(bins))
+
+    # predictions
 
     def cell_at(self, effects: EffectValues, eta: Floats) -> CellFile:
-        """The cell with these effects and shared deviations (in standard deviations)."""
-        return self.cell.with_effects(effects).with_estimated(self.estimated(eta))
+        """The cell in a state.
+
+        Args:
+            effects: Parameters by effect, beside the known ones of the cell or in place of the same.
+            eta: Shared deviations (11,) in standard deviations.
+
+        Returns:
+            Its cell file.
+        """
+        return self.cell.with_effects(self.cell.effects | effects).with_estimated(self.estimated(eta))
 
     def estimated(self, eta: Floats) -> Estimated:
-        """The shared deviations in the units of the cell file."""
+        """Shared deviations in the units of the cell file.
+
+        Args:
+            eta: The deviations (11,) in standard deviations.
+
+        Returns:
+            The block `estimated` of a cell file, without bias and drift.
+        """
         value = dict(zip(SHARED, (eta * self.shared_sd).tolist(), strict=True))
         for name in RELATIVE:
             value[name] = float(np.expm1(np.clip(value[name], -20.0, 20.0)))
-        return Estimated.model_construct(
-            bias_N=0.0,
-            drift_N_per_min=0.0,
-            gain=value["gain"],
-            latency_s=value["latency_s"],
-            filter_cutoff=value["filter_cutoff"],
-            crosstalk=(value["fx_per_fz"], value["fy_per_fz"], value["tx_per_fz"], value["ty_per_fz"]),
-            mass_kg=value["mass_kg"],
-            youngs_modulus=value["youngs_modulus"],
-            surface_z_m=value["surface_z_m"],
-            servo_natural_frequency=value["servo_natural_frequency"],
-        )
+        crosstalk = tuple(value.pop(name) for name in CROSSTALK)
+        return Estimated.model_construct(bias_N=0.0, drift_N_per_min=0.0, crosstalk=crosstalk, **value)
 
-    def raw_prediction(self, run: Run, cell: CellFile) -> Floats:
-        """Heights and wrench (n, 7) at every sample; zero where a channel is not judged."""
-        samples = run.samples
+    def raw_prediction(self, recording: PreparedRecording, cell: CellFile) -> Floats:
+        """Prediction at every sample.
+
+        Args:
+            recording: One of the recordings, n samples.
+            cell: The cell in some state.
+
+        Returns:
+            Heights and wrench (n, 7); zero where a channel is not compared.
+        """
+        samples = recording.samples
         out = np.zeros((len(samples), 7))
-        if run.judged[Z] and samples.z_cmd_m is not None:
+        if recording.judged[Z] and samples.z_cmd_m is not None:
             heights_m = predict_motion(cell, samples.t_s, samples.z_cmd_m, self.library)
-            out[:, Z] = run.reports.joined @ np.interp(run.reports.t_s, samples.t_s, heights_m)
-        out[:, 1:] = wrench_of(cell, run.sampled, self.library)
-        return out
-
-    def _heights(self, run: Run, cell: CellFile) -> Floats:
-        """Binned heights (b,)."""
-        if not run.judged[Z] or run.z_cmd_m is None:
-            return np.zeros(len(run.bins))
-        return run.z_means @ predict_motion(cell, run.robot_t_s, run.z_cmd_m, self.library)
-
-    def _wrench(self, run: Run, cell: CellFile, motion: Motion) -> Floats:
-        """Binned wrench (6, b)."""
-        self.simulations += 1
-        wrench = wrench_of(cell, motion, self.library)
-        if self.rounding is not None:
-            wrench[:, FZ - 1] = self.rounding.mean(wrench[:, FZ - 1])
-        out = np.zeros((6, len(run.bins)))
-        for axis in range(6):
-            if wrench[:, axis].any():
-                out[axis] = _binned_steps(run, motion, wrench[:, axis])
+            out[:, Z] = recording.reports.joined @ np.interp(recording.reports.t_s, samples.t_s, heights_m)
+        out[:, 1:] = wrench_of(cell, recording.sampled, self.library)
         return out
 
     def predict(self, effects: EffectValues, eta: Floats) -> Floats:
-        """The whitened prediction (7, b)."""
+        """Whitened prediction of the cell in a state.
+
+        The robot alone decides on its heights, and a force that is driven by measured heights does not depend on the robot. So each of
+        both is simulated only where something of its own has changed.
+
+        Args:
+            effects: Parameters by effect.
+            eta: Shared deviations (11,) in standard deviations.
+
+        Returns:
+            The prediction (7, b).
+        """
         servo = np.where(SERVO, eta, 0.0)
-        moves = {name: values for name, values in effects.items() if self.library[name].motion}
-        pushes = {name: values for name, values in effects.items() if name not in moves}
-        heights = self._remembered("heights", moves, servo, self._heights)
-        wrench = self._remembered("wrench", pushes, eta - servo, lambda run, cell: self._wrench(run, cell, run.motion))
+        every = self.cell.effects | effects
+        moves = {name: values for name, values in every.items() if self.library[name].motion}
+        pushes = {name: values for name, values in every.items() if name not in moves}
+        heights = self._cached("heights", moves, servo, self._binned_heights)
+        wrench = self._cached("wrench", pushes, eta - servo, lambda one, cell: self.binned_wrench(one, cell, one.motion))
         return self.noise.whiten(np.vstack([heights, wrench]))
 
-    def _remembered(self, what: str, effects: EffectValues, eta: Floats, simulated: Callable[[Run, CellFile], Floats]) -> Floats:
-        """Binned heights (1, b), or wrenches (6, b), of all recordings. The robot alone decides on its heights, and what is driven by
-        measured heights does not depend on it, so each is simulated only where something of its own has changed."""
+    def _cached(self, what: str, effects: EffectValues, eta: Floats, simulated: Callable[[PreparedRecording, CellFile], Floats]) -> Floats:
+        """Binned heights (1, b) or wrenches (6, b) of all recordings."""
         key = (what, repr(effects), eta.tobytes())
-        known = self._known.get(key)
-        if known is None:
-            if len(self._known) >= REMEMBERED:
-                del self._known[next(iter(self._known))]
-            cell = self.cell_at(effects, eta)
-            known = np.hstack([np.atleast_2d(simulated(run, cell)) for run in self.runs])
-            # A trial far outside all reason may overflow: it then fits badly, and that is all that is asked of it.
-            known = self._known[key] = known if np.isfinite(known.sum()) else np.nan_to_num(known, nan=1e100, posinf=1e100, neginf=-1e100)
-        return known
+        known = self._predictions.known
+        if key not in known:
+            if len(known) >= MOST_CACHED:
+                del known[next(iter(known))]
+            cell = self.cell.with_effects(effects).with_estimated(self.estimated(eta))
+            bins = np.hstack([np.atleast_2d(simulated(one, cell)) for one in self.recordings])
+            # A trial far outside all reason may overflow; it only has to fit badly.
+            known[key] = bins if np.isfinite(bins.sum()) else np.nan_to_num(bins, nan=1e100, posinf=1e100, neginf=-1e100)
+        return known[key]
 
-    def __post_init__(self) -> None:
-        self._known: dict[tuple[str, str, bytes], Floats] = {}
-        measured = []
-        sigmas = []
-        for run in self.runs:
-            z = run.samples.z_m[:, None] if run.judged[Z] else np.zeros((len(run.samples), 1))
-            measured.append(self._binned(run, np.hstack([z, run.samples.wrench])))
-            sigma = run.noise_rms[:, None] / np.sqrt(run.bins.count)[None, :]
-            if run.samples.held is not None:  # what was put between two readings is none, and bends where the motion does not
-                sigma[FX:, run.bins.mean(run.samples.held.astype(float)) > MOST_HELD] = np.inf
-            if run.samples_each > 1.0:  # only reports are independent, and neighbours share them
-                sigma[Z] *= UNSHARED * np.sqrt(run.samples_each)
-            sigma[FZ] = np.hypot(sigma[FZ], run.motion.z_noise_m * self._stiffness(run))
-            sigma[FZ] = np.hypot(sigma[FZ], _coherent(self.rounding.step_N if self.rounding else 0.0, float(run.noise_rms[FZ])))
-            sigma[~np.array(run.judged)] = np.inf
-            sigmas.append(sigma)
-        heights_m = [run.bins.means() @ run.reports.joined * (run.noise_rms[Z] * (run.samples_each > 1.0)) for run in self.runs]
-        shared = {Z: csr_array(block_diag(heights_m)), FZ: csr_array(block_diag([run.shaken_N for run in self.runs]))}
-        self.measured = np.hstack(measured)
-        self._judge_by(Whitening.of(np.hstack(sigmas), shared))
-        self.floor_rms = self.noise.rms
+    def _binned_heights(self, recording: PreparedRecording, cell: CellFile) -> Floats:
+        if not recording.judged[Z] or recording.z_cmd_m is None:
+            return np.zeros(len(recording.bins))
+        return recording.z_means @ predict_motion(cell, recording.robot_t_s, recording.z_cmd_m, self.library)
 
-    def _judge_by(self, noise: Whitening) -> None:
-        self.noise = noise
-        self.data = noise.whiten(self.measured)
+    def binned_wrench(self, recording: PreparedRecording, cell: CellFile, motion: TipMotion) -> Floats:
+        """Predicted wrench in the bins of a recording.
 
-    def soften(self, gap: Floats) -> None:
-        """Trust no bin to better than a small share of its channel's whitened gap (7, b): no law of a real cell is that exact."""
-        level = np.quantile(np.abs(self.noise.natural(gap)), 0.95, axis=1)[:, None]
-        self._judge_by(self.noise.softened(np.hypot(1.0, TRUSTED * level / self.noise.sigma)))
+        Args:
+            recording: One of the recordings, b bins.
+            cell: The cell in some state.
+            motion: Motion of the tip at the steps of that recording.
 
-    def weigh(self, weight: float) -> None:
-        """Let each row count for so many."""
-        self._judge_by(self.noise.weighed(weight))
-
-    def only(self, bins: NDArray[np.bool_]) -> "Problem":
-        """The same problem with all other bins weighing nothing."""
-        part = copy.copy(self)
-        part._judge_by(self.noise.restricted(bins))
-        return part
-
-    def _binned(self, run: Run, values: Floats) -> Floats:
-        return np.ascontiguousarray(run.bins.mean(values).T)
-
-    def _stiffness(self, run: Run) -> Floats:
-        """dF/dz of the nominal tissue at every bin."""
-        if self.cell.tissue is None:
-            return np.zeros(len(run.bins))
-        tissue, radius_m = self.cell.tissue, self.cell.probe.tip_radius_m
-        depth_m = run.bins.mean(run.phases.depth_m)
-        known = self.cell.tolerances.modulus_known
-        reduced_Pa = tissue.youngs_modulus_Pa / (1.0 - tissue.poisson_ratio**2) if known else 0.0
-        return np.asarray(2.0 * reduced_Pa * np.sqrt(radius_m * depth_m))
-
-    def linearise(self, effects: EffectValues, eta: Floats) -> Linearisation:
-        """Nuisance columns around a state: shared deviations, bias and drift of every recording, scatter of every press."""
-        prediction = self.predict(effects, eta)
-        step = np.where(np.array(SHARED) == "surface_z_m", 0.3, 0.5)
-        shared = []
-        leaking = eta + np.where(LEAKS, 0.5, 0.0)  # each into an axis of its own, so all at once
-        leaks = (self.predict(effects, leaking) - prediction) / 0.5 if self.shared_sd[LEAKS].any() else np.zeros_like(prediction)
-        for k, sd in enumerate(self.shared_sd):
-            column = np.zeros_like(prediction)
-            if SHARED[k] in LEAKS_INTO:
-                channel = LEAKS_INTO[SHARED[k]]
-                column[channel] = leaks[channel]
-            elif sd > 0.0:
-                h = min(step[k], 0.05 / sd) if SHARED[k] in RELATIVE else step[k]
-                there = eta.copy()
-                there[k] += h
-                column = (self.predict(effects, there) - prediction) / h
-            shared.append(column)
-        own, index = self._own_columns(effects, eta, prediction, shared)
-        columns = np.array([*shared, *own])
-        return Linearisation(effects, eta.copy(), columns, nuisances(columns), prediction, index)
-
-    def _own_columns(
-        self, effects: EffectValues, eta: Floats, prediction: Floats, shared: Sequence[Floats]
-    ) -> tuple[list[Floats], Columns]:
-        tol, rep = self.cell.tolerances, self.cell.repeatability
-        modulus, surface = shared[SHARED.index("youngs_modulus")], shared[SHARED.index("surface_z_m")]
-        sd_modulus, sd_surface = (self.shared_sd[SHARED.index(name)] for name in ("youngs_modulus", "surface_z_m"))
-        cell = self.cell_at(effects, eta)
-        columns: list[Floats] = []
-        index = Columns()
-        start = 0
-        for run in self.runs:
-            stop = start + len(run.bins)
-            here = slice(start, stop)
-
-            def column(channel: int, values: Floats, here: slice = here) -> Floats:
-                out = np.zeros_like(prediction)
-                out[channel, here] = values
-                return self.noise.whiten(out)
-
-            felt = self._felt(run, cell)
-            for channel in range(FX, 7):
-                if run.judged[channel]:
-                    arm = 1.0 if channel < TX else torque_arm_m(self.cell)
-                    index.own += [(channel, len(columns), "bias"), (channel, len(columns) + 1, "drift")]
-                    share = felt if channel == FZ else 1.0
-                    columns.append(column(channel, share * arm * tol.bias_N * np.ones(stop - start)))
-                    columns.append(column(channel, share * arm * tol.drift_N_per_min / 60.0 * run.t_s))
-            if run.judged[Z]:
-                # A target that is held between controller cycles is known to about a tenth of a step.
-                index.numerical.append(len(columns))
-                slope = np.gradient(self.noise.natural(prediction)[Z, here], run.t_s)
-                columns.append(column(Z, 0.1 * run.samples_each / run.samples.rate_Hz * slope))
-            # What averaging took away from the motion once, averaging again takes away again: so uncertain is the motion.
-            here_raw = self._wrench(run, cell, run.motion)[FZ - 1]
-            for motion in run.smoother if run.judged[FZ] else ():
-                index.numerical.append(len(columns))
-                columns.append(column(FZ, self._wrench(run, cell, motion)[FZ - 1] - here_raw))
-            for press in range(run.phases.presses):
-                window = np.zeros(prediction.shape[1], dtype=bool)
-                window[here] = _around(run.bin_press == press)
-                for name, source, sd, scatter in (
-                    ("stiffness", modulus, sd_modulus, rep.stiffness),
-                    ("surface_z_m", surface, sd_surface, rep.surface_z_m),
-                ):
-                    if sd > 0 and scatter > 0 and source[FZ, window].any():
-                        index.press.append((len(columns), name))
-                        columns.append(np.where(window, source * (scatter / sd), 0.0))
-            columns.extend(self._rounding_columns(run, column))
-            start = stop
-        return columns, index
-
-    def _felt(self, run: Run, cell: CellFile) -> Floats | float:
-        """What share of a small offset of fz shows in every bin (b,): readings between two coarse levels do not follow it."""
-        if self.rounding is None:
-            return 1.0
-        return _binned_steps(run, run.motion, self.rounding.slope(wrench_of(cell, run.motion, self.library)[:, FZ - 1]))
-
-    def _rounding_columns(self, run: Run, column: Callable[[int, Floats], Floats]) -> list[Floats]:
-        """Where noise does not dither the rounding, every rest keeps an offset of up to half a step."""
-        columns = []
-        for channel, stated in enumerate(resolutions(self.cell)):
-            step = self.rounding.step_N if channel == FZ and self.rounding is not None else stated
-            if step <= 0 or not run.judged[channel]:
-                continue
-            coherent = _coherent(step, float(run.noise_rms[channel]))
-            if coherent < 0.1 * run.noise_rms[channel]:
-                continue
-            still = np.isin(run.bin_phase, (FREE_STILL, HOLDING))
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
-            for a, b in list(zip(edges[::2], edges[1::2], strict=True))[:80]:
-                if b - a >= 3:
-                    rest = np.zeros(len(run.bins))
-                    rest[a:b] = coherent
-                    columns.append(column(channel, rest))
-        return columns
-
-
-def _binned_steps(run: Run, motion: Motion, values: Floats) -> Floats:
-    """Means over the bins (b,) of what was computed at the even times of a motion."""
-    return run.steps.mean(np.interp(run.step_t_s, motion.t_s, values))
-
-
-def torque_arm_m(cell: CellFile) -> float:
-    """What turns a tolerated force into a tolerated torque: 0.05 m, and in proportion more on a probe that is longer than 0.08 m."""
-    return max(CROSSTALK_ARM_M, CROSSTALK_ARM_M / 0.08 * cell.probe.tip_length_m)
-
-
-def _coherent(step: float, rms: float) -> float:
-    """Rms of the rounding error that averaging does not remove, since noise of that rms (rounding included) does not dither it."""
-    if step <= 0.0:
-        return 0.0
-    pure = np.sqrt(max(rms**2 - step**2 / 12.0, 0.0))
-    return float(step / np.sqrt(12.0) * np.exp(-2.0 * (np.pi * pure / step) ** 2))
-
-
-def _around(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The mask and a neighbour at either side."""
-    wide = mask.copy()
-    wide[1:] |= mask[:-1]
-    wide[:-1] |= mask[1:]
-    return wide
+        Returns:
+            Wrench (6, b) in N and Nm.
+        """
+        self._predictions.simulations += 1
+        wrench = wrench_of(cell, motion, self.library)
+        if self.rounding is not None:
+            wrench[:, FZ - 1] = self.rounding.mean(wrench[:, FZ - 1])
+        out = np.zeros((6, len(recording.bins)))
+        for axis in range(6):
+            if wrench[:, axis].any():
+                out[axis] = recording.binned_steps(motion, wrench[:, axis])
+        return out
 
 
 def make_problem(
     recordings: Sequence[Samples],
     cell: CellFile,
     library: Mapping[str, Effect] = EFFECTS,
-    max_bins: int = 4500,
+    max_bins: int = MAX_BINS,
+    *,
     rounding: Rounding | None = None,
+    excess_noise: bool = False,
+    scale: Scale | None = None,
 ) -> Problem:
-    """The recordings of one cell against its simulation without effects."""
-    cell = cell.with_effects({}).with_estimated(None)
-    share = max(600, max_bins // len(recordings))
-    runs = [prepare(samples, cell, share) for samples in recordings]
+    """Prepare the recordings of one cell for comparison with its simulation without effects.
+
+    Args:
+        recordings: The recordings.
+        cell: Its cell file; known effects in it are part of the nominal cell.
+        library: The effects that may be present.
+        max_bins: Largest number of bins of all recordings, about.
+        rounding: Of fz, where it is coarser than stated.
+        excess_noise: Whether the noise is larger than stated.
+        scale: Sizes that effects refer to, of the longest recording where not given.
+
+    Returns:
+        The problem.
+    """
+    cell = cell.with_estimated(None)
+    prepared = tuple(prepare(samples, cell, max(600, max_bins // len(recordings))) for samples in recordings)
     longest = max(recordings, key=lambda s: s.duration_s)
-    scale = scale_of(cell, longest.t_s, longest.z_m, longest.vz_m_per_s, longest.wrench[:, 2])
-    tol = cell.tolerances
-    sd = {
-        "youngs_modulus": tol.youngs_modulus if tol.modulus_known else UNKNOWN_LOG_SD,
-        "surface_z_m": tol.surface_z_m,
-        "gain": tol.gain,
-        "latency_s": tol.latency_s,
-        "filter_cutoff": tol.filter_cutoff if cell.sensor.filter_cutoff_Hz else 0.0,
-        "mass_kg": tol.mass_kg,
-        "servo_natural_frequency": tol.servo_natural_frequency,
-    }
+    errors_m = [servo_errors(one, cell, library) for one in prepared]
+    noise = _whitening(cell, prepared, rounding, errors_m)
+    return Problem(
+        cell=cell,
+        recordings=prepared,
+        library=library,
+        scale=scale or scale_of(cell, longest.t_s, longest.z_m, longest.vz_m_per_s, longest.wrench[:, 2]),
+        shared_sd=_shared_sd(cell),
+        servo_errors_m=np.hstack(errors_m),
+        rounding=rounding,
+        excess_noise=excess_noise,
+        measured=np.hstack([_measured(one) for one in prepared]),
+        noise=noise,
+        floor_rms=noise.rms,
+    )
+
+
+def _shared_sd(cell: CellFile) -> Floats:
+    sd = {name: float(getattr(cell.tolerances, tolerance_key(name))) for name in SHARED}
+    if not cell.tolerances.modulus_known:
+        sd["youngs_modulus"] = UNKNOWN_LOG_SD
+    if not cell.sensor.filter_cutoff_Hz:
+        sd["filter_cutoff"] = 0.0
     if cell.tissue is None:
         sd["youngs_modulus"] = sd["surface_z_m"] = 0.0
-    crosstalk = {name: tol.crosstalk * (torque_arm_m(cell) / CROSSTALK_ARM_M if name[0] == "t" else 1.0) for name in SHARED[-4:]}
-    shared_sd = np.array([(sd | crosstalk)[name] for name in SHARED])
-    return Problem(cell, runs, library, scale, shared_sd, rounding=rounding)
+    for name in ("tx_per_fz", "ty_per_fz"):
+        sd[name] *= torque_arm_m(cell) / CROSSTALK_ARM_M
+    return np.array([sd[name] for name in SHARED])
+
+
+def torque_arm_m(cell: CellFile) -> float:
+    """Tolerated torque over tolerated force: 0.05 m, and in proportion more on a probe that is longer than 0.08 m."""
+    return max(CROSSTALK_ARM_M, CROSSTALK_ARM_M / 0.08 * cell.probe.tip_length_m)
+
+
+def _measured(recording: PreparedRecording) -> Floats:
+    """Measured bins (7, b); zero heights where these are not compared."""
+    samples = recording.samples
+    z = samples.z_m[:, None] if recording.judged[Z] else np.zeros((len(samples), 1))
+    return np.ascontiguousarray(recording.bins.mean(np.hstack([z, samples.wrench])).T)
+
+
+def _whitening(cell: CellFile, recordings: Sequence[PreparedRecording], rounding: Rounding | None, errors_m: Sequence[Floats]) -> Whitening:
+    """Noise of the bins: of readings, of heights that drive the force, of rounding, of the controller, and of reports that bins share."""
+    sigmas = []
+    for one, (_, acceleration_m) in zip(recordings, errors_m, strict=True):
+        sigma = one.noise_rms[:, None] / np.sqrt(one.bins.count)[None, :]
+        if one.samples.held is not None:  # values interpolated between two readings are no readings
+            sigma[FX:, one.bins.mean(one.samples.held.astype(float)) > MOST_HELD] = np.inf
+        if one.samples_each > 1.0:  # only reports are independent, and neighbours share them
+            sigma[Z] *= OWN_HEIGHT_NOISE * np.sqrt(one.samples_each)
+        sigma[Z] = np.hypot(sigma[Z], acceleration_m)
+        sigma[FZ] = np.hypot(sigma[FZ], one.motion.z_noise_m * _stiffness(cell, one))
+        sigma[FZ] = np.hypot(sigma[FZ], undithered_rms(rounding.step_N if rounding else 0.0, float(one.noise_rms[FZ])))
+        sigma[~np.array(one.judged)] = np.inf
+        sigmas.append(sigma)
+    heights_m = [one.bins.means() @ one.reports.joined * (one.noise_rms[Z] * (one.samples_each > 1.0)) for one in recordings]
+    shared = {Z: csr_array(block_diag(heights_m)), FZ: csr_array(block_diag([one.inertial_noise_N for one in recordings]))}
+    return Whitening.of(np.hstack(sigmas), shared)
+
+
+def _stiffness(cell: CellFile, recording: PreparedRecording) -> Floats:
+    """dF/dz of the nominal tissue at every bin (b,), in N/m; 0 while its modulus is not known."""
+    if cell.tissue is None or not cell.tolerances.modulus_known:
+        return np.zeros(len(recording.bins))
+    depth_m = recording.bins.mean(recording.phases.depth_m)
+    reduced_Pa = cell.tissue.youngs_modulus_Pa / (1.0 - cell.tissue.poisson_ratio**2)
+    return np.asarray(2.0 * reduced_Pa * np.sqrt(cell.probe.tip_radius_m * depth_m))

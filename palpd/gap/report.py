@@ -1,37 +1,41 @@
-"""A diagnosis as one self-contained page: the verdict first, then what it rests on; computes nothing but what is drawn."""
+"""A diagnosis as one self-contained page: the verdict first, then what it rests on."""
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from itertools import pairwise
-from math import ceil, floor, log10
+from math import log10
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import numpy as np
 import yaml
-from markupsafe import Markup, escape
+from markupsafe import Markup
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
 from scipy.signal import welch
 
-from palpd.effects import Effect
-from palpd.errors import BadInput
+from palpd.analysis.figure_style import BLUE, ENRICHED, FLOOR, GREY, INK, NOMINAL, ORANGE, YELLOW, inline_svg, styled_figure, thinned
+from palpd.cell.effects import Effect
+from palpd.files import write_text
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.noise import CHANNELS
 from palpd.gap.phases import PHASES
-from palpd.samples import Samples
+from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
-MEASURED, NOMINAL, ENRICHED, FLOOR = "#2f3542", "#e07b00", "#0b7fab", "#dfe4ea"
-PHASE_TINT = {"free_still": "#ffffff", "free_moving": "#f4f6f8", "loading": "#fdeedd", "holding": "#fdf8e3", "unloading": "#e6f3f8"}
 PHASE_WORDS = {
-    "free_still": "free, at rest",
-    "free_moving": "free, moving",
-    "loading": "pressing in",
-    "holding": "holding",
-    "unloading": "pulling out",
+    "free_still": "rests in free space",
+    "free_moving": "free motion",
+    "loading": "loading",
+    "holding": "holds",
+    "unloading": "unloading",
 }
+"""Each reads after "during"."""
+PHASE_TINT = {"loading": ORANGE, "holding": YELLOW, "unloading": BLUE}
+TINT_ALPHA = 0.13
 CHANNEL_WORDS = {
     "z_m": "height z",
     "fx_N": "force fx",
@@ -41,108 +45,121 @@ CHANNEL_WORDS = {
     "ty_Nm": "torque ty",
     "tz_Nm": "torque tz",
 }
-PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
-MOST_POINTS = 700
+PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p"))
+PHASE_STEPS = 25
+"""Points of the mean course of a phase; a stretch with fewer samples is left out."""
+SMOOTH_S = 0.04
+"""Running mean of the residual curves: shorter than any phase, and long enough to see beneath the noise."""
+SHOWN_S = 15.0
+"""Longest stretch of a cycle in the figure of curves; in a longer one a press is too narrow to see."""
+MOST_CANDIDATES = 7
 
 
 @dataclass(frozen=True)
 class Curves:
-    """One recording against its simulations. `measured`, `nominal` (the cell file as it stands) and `enriched` are (n, 7) in the order of
-    CHANNELS, `phase` and `cycle` (n,) as the diagnosis cut them; `judged` says which channels there are."""
+    """One recording against its simulations.
+
+    `measured`, `nominal` (the cell file as it stands) and `enriched` are (n, 7) in the order of CHANNELS; `t_s`, `phase` and
+    `cycle` are (n,), the phases and cycles as the diagnosis cut them; `noise_rms` is (7,).
+    """
 
     t_s: Floats
-    z_m: Floats
-    phase: Any
-    cycle: Any
+    phase: NDArray[np.intp]
+    cycle: NDArray[np.intp]
     measured: Floats
     nominal: Floats
     enriched: Floats
-    judged: tuple[bool, ...]
     noise_rms: Floats
     recording: int = 0
 
-
-@dataclass(frozen=True)
-class Line:
-    """A line of a plot: where, its colour, its width, and how it is called."""
-
-    x: Floats
-    y: Floats
-    colour: str
-    width: float = 1.6
-    name: str = ""
+    def gaps(self, channel: int) -> tuple[Floats, Floats]:
+        """Measured minus simulated (n,) of a channel: by the nominal cell, and by the enriched one."""
+        measured = self.measured[:, channel]
+        return measured - self.nominal[:, channel], measured - self.enriched[:, channel]
 
 
-def write(path: Path, found: Diagnosis, title: str) -> None:
-    """Write the report of a diagnosis; `title` names the recording. Raises BadInput where the file cannot be written."""
-    try:
-        path.write_text(page(found.to_json(), curves_of(found), found.problem.library, title), encoding="utf-8")
-    except OSError as error:
-        raise BadInput(f"{path} could not be written ({error.strerror}); choose another place.") from None
+def write(path: Path, diagnosis: Diagnosis, title: str) -> None:
+    """Write the report of a diagnosis.
+
+    Args:
+        path: the HTML file.
+        diagnosis: what to report.
+        title: names the recordings.
+
+    Raises:
+        BadInput: the file cannot be written.
+    """
+    write_text(path, page(diagnosis.to_json(), curves_of(diagnosis), diagnosis.problem.library, title))
 
 
-def curves_of(found: Diagnosis) -> Curves:
-    """The recording of a diagnosis with the largest gap, with what the nominal and the enriched cell say to its motion."""
-    problem = found.problem
-    channel = found.where["channel"] if found.where is not None else ""
-    gaps = np.zeros(len(problem.runs))
-    for t in found.trend:
+def curves_of(diagnosis: Diagnosis) -> Curves:
+    """The recording with the largest gap, and what the nominal and the enriched cell predict for its motion."""
+    problem = diagnosis.problem
+    channel = diagnosis.where["channel"] if diagnosis.where is not None else ""
+    gaps = np.zeros(len(problem.recordings))
+    for t in diagnosis.trend:
         gaps[int(t["recording"])] += float(t["rms"]) ** 2 if t["channel"] == channel else 0.0
     shown = int(np.argmax(gaps))
-    run = problem.runs[shown]
+    run = problem.recordings[shown]
     samples: Samples = run.samples
     return Curves(
         recording=shown,
         t_s=samples.t_s - samples.t_s[0],
-        z_m=samples.z_m,
         phase=run.phases.phase,
         cycle=run.phases.cycle,
         measured=np.column_stack([samples.z_m, samples.wrench]),
         nominal=problem.raw_prediction(run, problem.cell),
-        enriched=problem.raw_prediction(run, found.enriched_cell()),
-        judged=tuple(run.judged),
+        enriched=problem.raw_prediction(run, diagnosis.enriched_cell()),
         noise_rms=np.asarray(run.noise_rms),
     )
 
 
 def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effect], title: str) -> str:
-    """The page as HTML from the content of out.json and the curves."""
-    channel = _channel(content)
+    """The report as HTML.
+
+    Args:
+        content: the content of out.json.
+        curves: the recording that is drawn.
+        library: effects by id; their descriptions and units.
+        title: names the recordings.
+
+    Returns:
+        The page.
+    """
+    channel = (content["where"] or content["shrink"])["channel"]
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
     template = environment.from_string(files("palpd.gap").joinpath("report.html.j2").read_text(encoding="utf-8"))
     proposed = content["next_experiment"]
     return template.render(
         title=title,
+        nominal=NOMINAL,
+        enriched=ENRICHED,
+        grey=GREY,
         d=content,
         tiles=_tiles(content),
         what={name: effect.what for name, effect in library.items()},
         channel_words=CHANNEL_WORDS[channel],
-        place=_place(content["where"]),
-        press=_press(curves, channel, content),
-        by_phase=_by_phase(curves, channel, content),
-        heat=_heat(content),
-        bars=_bars(content),
-        before_after=_before_after(content),
-        spectrum=_spectrum(curves, channel),
-        trend=_trend(content, channel, curves.recording),
+        phase_words=[PHASE_WORDS[phase] for phase in PHASES],
+        candidates=_candidates(content),
+        closing=_closing(content["shrink"]),
         parameters=_parameters(content, library),
-        motion=_motion(content),
+        gap_rows=_gap_rows(content),
         plan=yaml.safe_dump(proposed["plan"], sort_keys=False) if proposed else "",
-        colours={"measured": MEASURED, "nominal": NOMINAL, "enriched": ENRICHED},
+        figures={
+            "press": _press_figure(curves, channel, content),
+            "phases": _phase_figure(curves, channel, content),
+            "spectrum": _spectrum_figure(curves, channel),
+            "trend": _trend_figure(content, channel, curves.recording),
+            "motion": _motion_figure(content),
+        },
     )
 
 
 # words
 
 
-def _channel(content: Mapping[str, Any]) -> str:
-    """The channel that is shown: where the gap is largest, else where it would shrink."""
-    shown: str = content["where"]["channel"] if content["where"] else content["shrink"]["channel"]
-    return shown
-
-
-def _place(where: Mapping[str, str] | None) -> str:
-    return f"{CHANNEL_WORDS[where['channel']]}, {PHASE_WORDS[where['phase']]}" if where else "nowhere"
+def _place(where: Mapping[str, Any]) -> str:
+    return f"{CHANNEL_WORDS[where['channel']]} during {PHASE_WORDS[where['phase']]}"
 
 
 def _number(value: float, digits: int = 3) -> str:
@@ -154,20 +171,17 @@ def _number(value: float, digits: int = 3) -> str:
     return f"{value:.{digits}g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
-def _scaled(unit: str, size: float) -> tuple[float, str]:
-    """Divide by the first, write the second: a unit in which a size reads well."""
-    for scale, prefix in PREFIXES:
-        if size >= scale * 0.1 or scale == 1e-9:
-            return scale, prefix + unit
-    return 1.0, unit
-
-
 def _unit(channel: str) -> str:
     return channel.rsplit("_", 1)[1].replace("Nm", "N m")
 
 
+def _scaled(channel: str, size: float) -> tuple[float, str]:
+    """The unit in which a size of a channel reads well, as (value in SI units, name)."""
+    return next(((scale, prefix + _unit(channel)) for scale, prefix in PREFIXES if size >= 0.1 * scale), (1.0, _unit(channel)))
+
+
 def _quantity(value: float, channel: str) -> str:
-    scale, unit = _scaled(_unit(channel), abs(value))
+    scale, unit = _scaled(channel, abs(value))
     return f"{_number(value / scale)} {unit}"
 
 
@@ -178,42 +192,84 @@ def _percent(p: float) -> str:
 
 
 def _tiles(content: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Heading, figure and small print of what is seen first."""
-    shrink, left = content["shrink"], content["unexplained"]
+    """Heading, figure and small print of the summary."""
+    shrink, residual, named = content["shrink"], content["unexplained"], content["effects"]
     if content["verdict"] == "none":
+        tiles = [("Probability of no gap", _percent(content["p_none"]), "noise and tolerances explain the recording")]
         worst = max(content["gap"], key=lambda g: g["excess"], default=None)
-        note = f"largest excess over the floor: {worst['excess']:.2f} ({_place(worst)})" if worst else ""
-        return [("No gap", _percent(content["p_none"]), "probability that this cell is within its tolerances"), ("Where", "nowhere", note)]
-    named = content["effects"]
-    top = max((g["excess"] for g in content["gap"]), default=0.0)
-    tiles = [("Where", _place(content["where"]), f"{top:.1f} times the noise floor")]
+        return [*tiles, ("Largest excess", f"{_number(worst['excess'], 2)} times its floor", _place(worst))] if worst else tiles
+    tiles = [
+        ("Largest gap", _place(g), f"excess {_number(g['excess'], 2)} times its floor")
+        for g in content["gap"]
+        if content["where"] == {"channel": g["channel"], "phase": g["phase"]}
+    ]
+    names = ", ".join(e["id"] for e in named)
     if content["verdict"] == "unknown":
-        near = f"nearest in the list: {', '.join(e['id'] for e in named)}" if named else "nothing in the list comes near"
-        tiles.append(("Cause", "not in the list", f"probability {_percent(content['p_unknown'])}; {near}"))
+        similar = f"most similar effects: {names}" if named else "no effect of the library is similar"
+        tiles.append(("Cause", "not in the library", f"probability {_percent(content['p_unknown'])}; {similar}"))
     else:
-        family = sorted({other for e in named for other in e["indistinguishable_from"]})
-        small = " · ".join(_percent(e["probability"]) for e in named) + (f" · or {', '.join(family)}" if family else "")
-        tiles.append(("Cause", " + ".join(e["id"] for e in named), small))
+        others = sorted({other for e in named for other in e["indistinguishable_from"]})
+        small = "probability " + ", ".join(_percent(e["probability"]) for e in named)
+        tiles.append(("Cause", names.replace(", ", " + "), small + (f"; or {', '.join(others)}" if others else "")))
     if shrink["closed"] is not None:
         low, high = shrink["ci95"] or (shrink["closed"], shrink["closed"])
-        small = f"95 %: {100 * low:.0f} to {100 * high:.0f} %, {CHANNEL_WORDS[shrink['channel']]}, {shrink['on']}"
-        closing = "With the nearest laws it closes by" if content["verdict"] == "unknown" else "The gap closes by"
-        tiles.append((closing, f"{100 * shrink['closed']:.0f} %", small))
-    if left:
-        small = _place(left)
-        tiles.append(("Left unexplained", _quantity(left["rms"], left["channel"]), small))
-    else:
-        tiles.append(("Left unexplained", "nothing", "what is left looks like the stated noise"))
-    return tiles
+        by = "Closed by the most similar effects" if content["verdict"] == "unknown" else "Closed"
+        small = f"of the gap that noise and tolerances do not explain (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
+        tiles.append((by, f"{100 * shrink['closed']:.0f} %", small))
+    if residual:
+        return [*tiles, ("Residual", _quantity(residual["rms"], residual["channel"]), f"unexplained, {_place(residual)}")]
+    return [*tiles, ("Residual", "noise", "the residual looks like the stated noise")]
 
 
-def _parameters(content: Mapping[str, Any], library: Mapping[str, Effect]) -> list[dict[str, Any]]:
+def _candidates(content: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What may be the cause, most probable first; a named effect carries its indistinguishable effects."""
+    named = {e["id"]: e["indistinguishable_from"] for e in content["effects"]}
+    grouped = {other for others in named.values() for other in others}
+    rows = [
+        {
+            "name": c["id"],
+            "p": c["probability"],
+            "kind": "named" if c["id"] in named else "group" if c["id"] in grouped else "other",
+            "group": named.get(c["id"], []),
+        }
+        for c in content["candidates"][:MOST_CANDIDATES]
+    ]
+    rows.append({"name": "an effect that is not in the library", "p": content["p_unknown"], "kind": "unknown", "group": []})
+    rows.append({"name": "no gap", "p": content["p_none"], "kind": "none", "group": []})
+    return [row | {"text": _percent(row["p"])} for row in sorted(rows, key=lambda row: -row["p"])]
+
+
+def _closing(shrink: Mapping[str, Any]) -> dict[str, Any]:
+    """The gap before and after as rms, and the part beyond the noise floor, √(rms² - floor²), which alone can close."""
+    floor = shrink["noise_floor"]
+    rms_of = {"nominal cell": shrink["before_rms"]} | ({} if shrink["closed"] is None else {"enriched cell": shrink["after_rms"]})
+    beyond = {name: max(rms**2 - floor**2, 0.0) ** 0.5 for name, rms in rms_of.items()}
+    longest = max(*beyond.values(), 1e-300)
+    scale, unit = _scaled(shrink["channel"], max(*rms_of.values(), floor))
+    rows = [
+        {
+            "name": name,
+            "kind": name.split()[0],
+            "share": beyond[name] / longest,
+            "beyond": f"{beyond[name] / scale:.3f}",
+            "rms": f"{rms / scale:.3f}",
+        }
+        for name, rms in rms_of.items()
+    ]
+    return {"rows": rows, "floor": f"{floor / scale:.3f}", "unit": unit, "channel": CHANNEL_WORDS[shrink["channel"]]}
+
+
+def _certainty(value: float, low: float, high: float) -> str:
+    width = abs(high - low) / max(abs(value), 1e-300)
+    return "well known" if width < 0.2 else "roughly known" if width < 1.0 else "hardly known"
+
+
+def _parameters(content: Mapping[str, Any], library: Mapping[str, Effect]) -> list[dict[str, str]]:
     rows = []
     for effect in content["effects"]:
         units = {p.name: p.unit for p in library[effect["id"]].parameters} if effect["id"] in library else {}
         for name, p in effect["parameters"].items():
             low, high = p["ci95"]
-            wide = abs(high - low) / max(abs(p["value"]), 1e-300)
             rows.append(
                 {
                     "effect": effect["id"],
@@ -222,315 +278,186 @@ def _parameters(content: Mapping[str, Any], library: Mapping[str, Effect]) -> li
                     "low": _number(low),
                     "high": _number(high),
                     "unit": "" if units.get(name) == "1" else units.get(name, ""),
-                    "sure": "at its bound" if name in effect.get("at_bound", []) else "well known" if wide < 0.2 else
-                    "roughly known" if wide < 1.0 else "hardly known",
+                    "sure": "at its bound" if name in effect.get("at_bound", []) else _certainty(p["value"], low, high),
                 }
             )
     return rows
 
 
-# drawings
+def _gap_rows(content: Mapping[str, Any]) -> list[tuple[str, list[dict[str, Any] | None]]]:
+    """The excess over the floor of each channel (row) in each phase (column); None where the phase does not occur."""
+    gaps = {(g["channel"], g["phase"]): g for g in content["gap"]}
+
+    def shown(channel: str, phase: str) -> dict[str, Any] | None:
+        g = gaps.get((channel, phase))
+        if g is None:
+            return None
+        return {
+            "text": f"{g['excess']:.0f}" if g["excess"] >= 10 else f"{g['excess']:.1f}",
+            "heat": f"{min(1.0, log10(1.0 + g['excess']) / log10(31.0)):.2f}" if g["excess"] >= 0.3 else "0",
+            "tip": f"rms {_quantity(g['rms'], channel)}, floor {_quantity(g['noise_floor'], channel)}",
+            "largest": content["where"] == {"channel": channel, "phase": phase},
+        }
+
+    judged = [channel for channel in CHANNELS if any(channel == c for c, _ in gaps)]
+    return [(CHANNEL_WORDS[channel], [shown(channel, phase) for phase in PHASES]) for channel in judged]
 
 
-def _ticks(low: float, high: float, about: int = 5) -> list[float]:
-    if not high > low:
-        return [low]
-    step = 10.0 ** floor(log10((high - low) / about))
-    step = next(step * k for k in (1, 2, 5, 10, 20) if (high - low) / (step * k) <= about)
-    return [k * step for k in range(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1)]
+# figures
 
 
-def _thinned(line: Line) -> tuple[Floats, Floats]:
-    """As many points as can be seen, each the mean of its neighbours."""
-    n = len(line.x)
-    if n <= MOST_POINTS:
-        return line.x, line.y
-    edges = np.linspace(0, n, MOST_POINTS + 1).astype(int)[:-1]
-    count = np.diff(np.append(edges, n))
-    return np.add.reduceat(line.x, edges) / count, np.add.reduceat(line.y, edges) / count
+def _floors(content: Mapping[str, Any], channel: str) -> dict[str, float]:
+    """The noise floor of a channel by phase."""
+    return {g["phase"]: g["noise_floor"] for g in content["gap"] if g["channel"] == channel}
 
 
-def plot(
-    lines: Sequence[Line],
-    size: tuple[int, int],
-    *,
-    x_label: str = "",
-    y_label: str = "",
-    band: float | tuple[float, float] | None = None,
-    spans: Sequence[tuple[float, float, str]] = (),
-    log: bool = False,
-    title: str = "",
-    y_range: tuple[float, float] | None = None,
-    bare_x: bool = False,
-) -> Markup:
-    """Lines over one another as inline SVG; `band` is shaded between ±band (or low and high), `spans` are tinted stretches of x."""
-    width, height = size
-    left, right, top, bottom = 58, 10, 22 if title else 8, 18 if bare_x else 36
-    drawn = [_thinned(line) for line in lines]
-    x_low, x_high = min(float(x.min()) for x, _ in drawn), max(float(x.max()) for x, _ in drawn)
-    if y_range is None:
-        y_low, y_high = min(float(y.min()) for _, y in drawn), max(float(y.max()) for _, y in drawn)
-        if band is not None:
-            below, above = (-band, band) if isinstance(band, float) else band
-            y_low, y_high = min(y_low, below), max(y_high, above)
-        pad = 0.06 * (y_high - y_low) or abs(y_high) or 1.0
-        y_low, y_high = (y_low / 1.6, y_high * 1.6) if log else (y_low - pad, y_high + pad)
-    else:
-        y_low, y_high = y_range
-
-    def place(value: Any, low: float, high: float, begin: float, end: float) -> Any:
-        if log:
-            value, low, high = np.log10(value), log10(low), log10(high)
-        return begin + (value - low) / ((high - low) or 1.0) * (end - begin)
-
-    def px(x: Any) -> Any:
-        return place(x, x_low, x_high, left, width - right)
-
-    def py(y: Any) -> Any:
-        return place(y, y_low, y_high, height - bottom, top)
-
-    out = [f'<svg viewBox="0 0 {width} {height}" role="img">']
-    for begin, end, tint in spans:
-        a, b = float(px(max(begin, x_low))), float(px(min(end, x_high)))
-        out.append(f'<rect x="{a:.1f}" y="{top}" width="{max(b - a, 0):.1f}" height="{height - top - bottom}" fill="{tint}"/>')
-    if band is not None:
-        below, above = (-band, band) if isinstance(band, float) else band
-        a, b = float(py(min(above, y_high))), float(py(max(below, y_low)))
-        out.append(f'<rect x="{left}" y="{a:.1f}" width="{width - left - right}" height="{b - a:.1f}" fill="{FLOOR}" opacity=".8"/>')
-    decades = [10.0**k for k in range(ceil(log10(y_low)), floor(log10(y_high)) + 1)] if log else []
-    if log and len(decades) < 2:
-        decades = [m * 10.0**k for k in range(floor(log10(y_low)), ceil(log10(y_high))) for m in (1, 2, 5) if y_low < m * 10.0**k < y_high]
-    for tick in decades if log else _ticks(y_low, y_high, max(4, height // 40)):
-        y = float(py(tick))
-        power = log10(tick) if log else 0.5
-        whole = abs(power - round(power)) < 1e-9
-        label = f"10{str(round(power)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}" if whole else _number(tick, 1 if log else 4)
-        out.append(f'<line x1="{left}" x2="{width - right}" y1="{y:.1f}" y2="{y:.1f}" class="grid"/>')
-        out.append(f'<text x="{left - 6}" y="{y + 4:.1f}" class="tick" text-anchor="end">{label}</text>')
-    powers = [10.0**k for k in range(ceil(log10(x_low)), floor(log10(x_high)) + 1)] if log else []
-    ticks = powers or _ticks(x_low, x_high, max(5, width // 110))
-    for tick in ticks if not bare_x else []:
-        x_text = f'x="{float(px(tick)):.1f}" y="{height - bottom + 14}"'
-        out.append(f'<text {x_text} class="tick" text-anchor="middle">{_number(tick, 4)}</text>')
-    for line, (xs, ys) in zip(lines, drawn, strict=True):
-        heights = np.clip(py(ys), top, height - bottom).tolist()
-        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px(xs).tolist(), heights, strict=True))
-        out.append(f'<polyline points="{points}" fill="none" stroke="{line.colour}" stroke-width="{line.width}" stroke-linejoin="round"/>')
-    out.append(f'<text x="{(left + width - right) / 2}" y="{height - 4}" class="axis" text-anchor="middle">{escape(x_label)}</text>')
-    middle = (top + height - bottom) / 2
-    out.append(f'<text transform="translate(13 {middle}) rotate(-90)" class="axis" text-anchor="middle">{escape(y_label)}</text>')
-    if title:
-        out.append(f'<text x="{left}" y="14" class="title">{escape(title)}</text>')
-    out.append("</svg>")
-    return Markup("".join(out))
+def _stretches(phase: NDArray[np.intp]) -> list[tuple[int, int]]:
+    """Begin and end of every stretch of samples in one phase."""
+    return list(pairwise([0, *(np.flatnonzero(np.diff(phase)) + 1).tolist(), len(phase)]))
 
 
-def _spans(t_s: Floats, phase: Any) -> list[tuple[float, float, str]]:
-    edges = [0, *(np.flatnonzero(np.diff(phase)) + 1).tolist(), len(phase)]
-    return [(float(t_s[a]), float(t_s[min(b, len(t_s) - 1)]), PHASE_TINT[PHASES[phase[a]]]) for a, b in pairwise(edges)]
+def _shown_cycle(curves: Curves, channel: int, phase: int) -> NDArray[np.bool_]:
+    """The cycle with the largest gap in a phase, as a mask of samples (n,); at most SHOWN_S of it around that phase."""
+    before, _ = curves.gaps(channel)
+    there = curves.phase == phase
+    energy = np.bincount(curves.cycle[there], before[there] ** 2) if there.any() else np.zeros(1)
+    cycle = curves.cycle == int(np.argmax(energy)) if there.any() else np.ones(len(before), dtype=bool)
+    centre_s = float(np.median(curves.t_s[cycle & there] if there.any() else curves.t_s[cycle]))
+    return cycle & (np.abs(curves.t_s - centre_s) < 0.5 * SHOWN_S)
 
 
-def _shown_cycle(curves: Curves, channel: int, content: Mapping[str, Any]) -> Any:
-    """The cycle with the largest gap that has the phase in question; a mask of samples, at most 15 s of it around that phase."""
-    gap = curves.measured[:, channel] - curves.nominal[:, channel]
-    wanted = PHASES.index(content["where"]["phase"]) if content["where"] else PHASES.index("holding")
-    best, chosen = -1.0, np.ones(len(gap), dtype=bool)
-    for k in range(int(curves.cycle.max()) + 1):
-        mine = curves.cycle == k
-        there = mine & (curves.phase == wanted)
-        energy = float(np.sum(gap[there] ** 2))
-        if there.any() and energy > best:
-            best, chosen = energy, mine
-    here = chosen & (curves.phase == wanted)
-    centre = float(np.median(curves.t_s[here])) if here.any() else float(np.median(curves.t_s[chosen]))
-    return chosen & (np.abs(curves.t_s - centre) < 7.5)
-
-
-def _press(curves: Curves, channel: str, content: Mapping[str, Any]) -> Markup:
-    """One cycle: what was measured, what both simulations say, and what each leaves."""
-    c = CHANNELS.index(channel)
-    mine = _shown_cycle(curves, c, content)
-    t = curves.t_s[mine]
-    measured, nominal, enriched = curves.measured[mine, c], curves.nominal[mine, c], curves.enriched[mine, c]
-    scale, unit = _scaled(_unit(channel), float(np.ptp(measured)) + 1e-12)
-    spans = _spans(t, curves.phase[mine])
-    over = plot(
-        [Line(t, measured / scale, MEASURED, 2.6), Line(t, nominal / scale, NOMINAL, 1.5), Line(t, enriched / scale, ENRICHED, 1.5)],
-        (980, 250),
-        y_label=f"{CHANNEL_WORDS[channel]} in {unit}",
-        spans=spans,
-        bare_x=True,
-    )
-    smooth = max(1, round(0.04 * len(t) / max(t[-1] - t[0], 1e-9)))
-    before, after = _smoothed(measured - nominal, smooth), _smoothed(measured - enriched, smooth)
-    scale, unit = _scaled(_unit(channel), float(np.abs(before).max()) + 1e-12)
-    floor_ = max((g["noise_floor"] for g in content["gap"] if g["channel"] == channel), default=0.0)
-    left = plot(
-        [Line(t, before / scale, NOMINAL, 1.4), Line(t, after / scale, ENRICHED, 1.4)],
-        (980, 190),
-        x_label="time in s",
-        y_label=f"measured - simulated, {unit}",
-        spans=spans,
-        band=float(floor_ / scale),
-    )
-    return Markup("") + over + left
-
-
-def _smoothed(values: Floats, width: int) -> Floats:
+def _smoothed(values: Floats, samples: int) -> Floats:
     """Running mean over an odd number of samples."""
-    half = width // 2
+    half = samples // 2
     kernel = np.ones(2 * half + 1) / (2 * half + 1)
     return np.asarray(np.convolve(np.pad(values, half, mode="edge"), kernel, mode="valid"))
 
 
-def _by_phase(curves: Curves, channel: str, content: Mapping[str, Any]) -> list[Markup]:
-    """The mean gap over the course of every phase, from its beginning to its end; free strokes up and down apart, which may cancel."""
-    c, z = CHANNELS.index(channel), CHANNELS.index("z_m")
-    shown: list[tuple[str, str, Floats, int]] = []
-    for p, phase in enumerate(PHASES):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], (curves.phase == p).astype(int), [0]])))
-        sums: dict[str, Floats] = {}
-        runs: Counter[str] = Counter()
-        for a, b in zip(edges[::2], edges[1::2], strict=True):
-            if b - a < 25:
-                continue
-            way = (" up" if curves.measured[b - 1, z] > curves.measured[a, z] else " down") if phase == "free_moving" else ""
-            at = np.linspace(a, b, 26).astype(int)[:-1]
-            count = np.diff(np.append(at, b))
-            mine = sums.setdefault(way, np.zeros((2, 25)))
-            for row, simulated in enumerate((curves.nominal, curves.enriched)):
-                mine[row] += np.add.reduceat((curves.measured[a:b, c] - simulated[a:b, c]), at - a) / count
-            runs[way] += 1
-        shown += [(phase, way, sums[way] / runs[way], runs[way]) for way in sorted(sums)]
-    if not shown:
-        return []
-    largest = max(float(np.abs(values).max()) for _, _, values, _ in shown)
-    floors = {g["phase"]: g["noise_floor"] for g in content["gap"] if g["channel"] == channel}
-    largest = max(largest, *(floors.get(phase, 0.0) for phase, *_ in shown)) * 1.1 or 1.0
-    scale, unit = _scaled(_unit(channel), largest)
-    share = np.linspace(2.0, 98.0, 25)
-    return [
-        plot(
-            [Line(share, values[0] / scale, NOMINAL, 2.0), Line(share, values[1] / scale, ENRICHED, 2.0)],
-            (320, 190),
-            title=f"{PHASE_WORDS[phase]}{way} (mean of {runs})",
-            x_label="% of the phase",
-            y_label=unit,
-            band=float(floors.get(phase, 0.0) / scale),
-            y_range=(-largest / scale, largest / scale),
-        )
-        for phase, way, values, runs in shown
-    ]
+def _tint(axes: Axes, t_s: Floats, phase: NDArray[np.intp], *, named: bool) -> None:
+    """Colour the phases of contact, and name each once in the legend."""
+    unnamed = set(PHASE_TINT) if named else set()
+    for begin, end in _stretches(phase):
+        name = PHASES[phase[begin]]
+        if name in PHASE_TINT:
+            label = PHASE_WORDS[name] if name in unnamed else None
+            axes.axvspan(t_s[begin], t_s[min(end, len(t_s) - 1)], color=PHASE_TINT[name], alpha=TINT_ALPHA, linewidth=0, label=label)
+            unnamed.discard(name)
 
 
-def _heat(content: Mapping[str, Any]) -> Markup:
-    """Excess over the floor by channel and phase."""
-    cell_w, cell_h, left, top = 150, 34, 110, 30
-    channels = [c for c in CHANNELS if any(g["channel"] == c for g in content["gap"])]
-    width, height = left + cell_w * len(PHASES) + 6, top + cell_h * len(channels) + 6
-    out = [f'<svg viewBox="0 0 {width} {height}" role="img">']
-    for p, phase in enumerate(PHASES):
-        out.append(f'<text x="{left + (p + 0.5) * cell_w}" y="18" class="axis" text-anchor="middle">{PHASE_WORDS[phase]}</text>')
-    where = content["where"]
-    frame = ""
-    for row, channel in enumerate(channels):
-        y = top + row * cell_h
-        out.append(f'<text x="{left - 10}" y="{y + cell_h / 2 + 5}" class="axis" text-anchor="end">{CHANNEL_WORDS[channel]}</text>')
-        for p, phase in enumerate(PHASES):
-            x = left + p * cell_w
-            here = [g for g in content["gap"] if g["channel"] == channel and g["phase"] == phase]
-            if not here:
-                out.append(f'<rect x="{x + 1}" y="{y + 1}" width="{cell_w - 2}" height="{cell_h - 2}" rx="4" fill="#f6f7f9"/>')
-                continue
-            excess, rms = here[0]["excess"], here[0]["rms"]
-            heat = min(1.0, log10(1.0 + excess) / log10(31.0))
-            fill = f"rgb({255 - int(26 * heat)},{250 - int(150 * heat)},{245 - int(230 * heat)})" if excess >= 0.3 else "#f1f5f3"
-            colour = "#fff" if heat > 0.75 else "#1d2733"
-            text = f"{excess:.0f}" if excess >= 10 else f"{excess:.1f}"
-            tip = f"{channel}, {phase}: rms {_quantity(rms, channel)}, floor {_quantity(here[0]['noise_floor'], channel)}"
-            out.append(
-                f'<g><title>{tip}</title><rect x="{x + 1}" y="{y + 1}" width="{cell_w - 2}" height="{cell_h - 2}" rx="4" fill="{fill}"/>'
-                f'<text x="{x + cell_w / 2}" y="{y + cell_h / 2 + 5}" text-anchor="middle" class="cell" fill="{colour}">{text}</text></g>'
-            )
-            if where and where["channel"] == channel and where["phase"] == phase:
-                frame = (
-                    f'<rect x="{x + 1}" y="{y + 1}" width="{cell_w - 2}" height="{cell_h - 2}" rx="4" fill="none" '
-                    'stroke="#1d2733" stroke-width="2.5"/>'
-                )
-    return Markup("".join([*out, frame, "</svg>"]))
+def _press_figure(curves: Curves, channel: str, content: Mapping[str, Any]) -> Markup:
+    """One cycle: measured and simulated above, measured minus simulated below."""
+    c = CHANNELS.index(channel)
+    mine = _shown_cycle(curves, c, PHASES.index(content["where"]["phase"] if content["where"] else "holding"))
+    t_s, phase = curves.t_s[mine], curves.phase[mine]
+    samples = max(1, round(SMOOTH_S * len(t_s) / max(t_s[-1] - t_s[0], 1e-9)))
+    before, after = (_smoothed(gap[mine], samples) for gap in curves.gaps(c))
+    enriched = "enriched cell" if content["effects"] else "nominal cell, tolerances fitted"
+    with styled_figure(10.0, 4.7) as figure:
+        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(4, 3))
+        scale, unit = _scaled(channel, float(np.ptp(curves.measured[mine, c])))
+        top.plot(*thinned(t_s, curves.measured[mine, c] / scale), color=INK, label="measured")
+        top.plot(*thinned(t_s, curves.nominal[mine, c] / scale), color=NOMINAL, label="nominal cell")
+        top.plot(*thinned(t_s, curves.enriched[mine, c] / scale), color=ENRICHED, label=enriched)
+        top.set(ylabel=f"{CHANNEL_WORDS[channel]} ({unit})")
+        scale, unit = _scaled(channel, float(np.abs(before).max()))
+        floor = max(_floors(content, channel).values(), default=0.0) / scale
+        bottom.axhspan(-floor, floor, **FLOOR, label="noise floor of one sample")
+        bottom.plot(*thinned(t_s, before / scale), color=NOMINAL)
+        bottom.plot(*thinned(t_s, after / scale), color=ENRICHED)
+        bottom.set(xlabel="time (s)", ylabel=f"measured − simulated ({unit})", xlim=(t_s[0], t_s[-1]))
+        for axes in (top, bottom):
+            _tint(axes, t_s, phase, named=axes is top)
+        figure.align_ylabels()
+        figure.legend(loc="outside upper left", ncols=7)
+    return inline_svg(figure, "press")
 
 
-def _bars(content: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """What there is to believe, most probable first; the members of a named effect's group stand under it."""
-    named = {e["id"]: e for e in content["effects"]}
-    grouped = {other for e in content["effects"] for other in e["indistinguishable_from"]}
-    bars = [
-        {
-            "name": c["id"],
-            "p": c["probability"],
-            "text": _percent(c["probability"]),
-            "kind": "named" if c["id"] in named else "group" if c["id"] in grouped else "other",
-            "group": named[c["id"]]["indistinguishable_from"] if c["id"] in named else [],
-        }
-        for c in content["candidates"][:7]
-    ]
-    for name, key in (("something not in the list", "p_unknown"), ("no gap at all", "p_none")):
-        bars.append({"name": name, "p": content[key], "text": _percent(content[key]), "kind": key, "group": []})
-    return sorted(bars, key=lambda bar: -bar["p"])
+def _phase_means(curves: Curves, channel: int) -> dict[tuple[str, str], tuple[Floats, int]]:
+    """The mean course of both gaps (2, PHASE_STEPS) over all stretches of a phase, and their number.
+
+    Free motion up and down stand apart: their gaps may cancel.
+    """
+    gaps, height_m = np.stack(curves.gaps(channel)), curves.measured[:, CHANNELS.index("z_m")]
+    courses: defaultdict[tuple[str, str], list[Floats]] = defaultdict(list)
+    for begin, end in _stretches(curves.phase):
+        if end - begin < PHASE_STEPS:
+            continue
+        phase = PHASES[curves.phase[begin]]
+        direction = (" up" if height_m[end - 1] > height_m[begin] else " down") if phase == "free_moving" else ""
+        edges = np.linspace(begin, end, PHASE_STEPS + 1).astype(int)
+        courses[phase, direction].append(np.add.reduceat(gaps[:, begin:end], edges[:-1] - begin, axis=1) / np.diff(edges))
+    ordered = sorted(courses, key=lambda key: (PHASES.index(key[0]), key[1]))
+    return {key: (np.mean(courses[key], axis=0), len(courses[key])) for key in ordered}
 
 
-def _before_after(content: Mapping[str, Any]) -> list[dict[str, Any]]:
-    s = content["shrink"]
-    top = max(s["before_rms"], s["after_rms"], s["noise_floor"], 1e-300)
-    rows = [("before", s["before_rms"], NOMINAL), ("after", s["after_rms"], ENRICHED), ("noise floor", s["noise_floor"], "#b6bfca")]
-    if s["closed"] is None:
-        rows = [("gap", s["before_rms"], NOMINAL), rows[2]]
-    scale, unit = _scaled(_unit(s["channel"]), top)
-    return [{"name": name, "share": rms / top, "text": f"{_number(rms / scale)} {unit}", "colour": colour} for name, rms, colour in rows]
+def _phase_figure(curves: Curves, channel: str, content: Mapping[str, Any]) -> Markup:
+    """The mean gap over the course of every phase, from its beginning to its end."""
+    means = _phase_means(curves, CHANNELS.index(channel))
+    if not means:
+        return Markup("")
+    floors = _floors(content, channel)
+    scale, unit = _scaled(channel, max(*(float(np.abs(course).max()) for course, _ in means.values()), *floors.values()))
+    share_percent = 100.0 * (np.arange(PHASE_STEPS) + 0.5) / PHASE_STEPS
+    with styled_figure(10.0, 2.3 * ((len(means) + 2) // 3) + 0.2) as figure:
+        grid = figure.subplots((len(means) + 2) // 3, 3, sharex=True, sharey=True, squeeze=False)
+        for axes, ((phase, direction), (course, number)) in zip(grid.flat, means.items(), strict=False):
+            floor = floors.get(phase, 0.0) / scale
+            axes.axhspan(-floor, floor, **FLOOR)
+            axes.plot(share_percent, course[0] / scale, color=NOMINAL)
+            axes.plot(share_percent, course[1] / scale, color=ENRICHED)
+            axes.set(title=f"{PHASE_WORDS[phase]}{direction}, mean of {number}", xlim=(0.0, 100.0))
+            axes.tick_params(labelbottom=True)
+        for axes in grid.flat[len(means) :]:
+            axes.set_visible(False)
+        figure.supxlabel("share of the phase (%)", fontsize=9)
+        figure.supylabel(f"measured − simulated ({unit})", fontsize=9)
+    return inline_svg(figure, "phases")
 
 
-def _spectrum(curves: Curves, channel: str) -> Markup:
-    """Amplitude density of what both simulations leave, against that of the noise."""
+def _spectrum_figure(curves: Curves, channel: str) -> Markup:
+    """Amplitude density of measured minus simulated, against that of white noise as measured at rest."""
     c = CHANNELS.index(channel)
     rate_Hz = 1.0 / float(np.median(np.diff(curves.t_s)))
-    n = int(min(len(curves.t_s), max(64, 8.0 * rate_Hz)))
-    lines = []
-    for simulated, colour, width in ((curves.nominal, NOMINAL, 1.8), (curves.enriched, ENRICHED, 1.8)):
-        f, power = welch(curves.measured[:, c] - simulated[:, c], rate_Hz, nperseg=n, detrend=False)
-        edges = np.unique(np.geomspace(1, len(f), 160).astype(int))[:-1]
-        count = np.diff(np.append(edges, len(f)))
-        mean: Floats = np.add.reduceat(np.asarray(power, dtype=np.float64), edges) / count
-        middle: Floats = np.add.reduceat(np.asarray(f, dtype=np.float64), edges) / count
-        amplitude: Floats = np.sqrt(np.maximum(mean, 1e-40))
-        lines.append(Line(middle, amplitude, colour, width))
-    noise = float(curves.noise_rms[c]) / (rate_Hz / 2.0) ** 0.5
-    lines.append(Line(lines[0].x[[0, -1]], np.array([noise, noise]), "#8a94a3", 1.2))
-    unit = _unit(channel)
-    return plot(lines, (480, 250), x_label="frequency in Hz", y_label=f"{unit} / √Hz", log=True)
+    samples = int(min(len(curves.t_s), max(64, 8.0 * rate_Hz)))
+    with styled_figure(5.0, 2.7) as figure:
+        axes = figure.subplots()
+        for gap, colour in zip(curves.gaps(c), (NOMINAL, ENRICHED), strict=True):
+            frequency_Hz, power = welch(gap, rate_Hz, nperseg=samples, detrend=False)
+            edges = np.unique(np.geomspace(1, len(frequency_Hz), 160).astype(int))[:-1]
+            count = np.diff(np.append(edges, len(frequency_Hz)))
+            amplitude = np.sqrt(np.maximum(np.add.reduceat(power, edges) / count, 1e-40))
+            axes.loglog(np.add.reduceat(frequency_Hz, edges) / count, amplitude, color=colour)
+        axes.axhline(float(curves.noise_rms[c]) / (rate_Hz / 2.0) ** 0.5, color=GREY)
+        axes.set(xlabel="frequency (Hz)", ylabel=f"amplitude density ({_unit(channel)}/√Hz)")
+    return inline_svg(figure, "spectrum")
 
 
-def _trend(content: Mapping[str, Any], channel: str, recording: int) -> Markup:
-    """Mean and rms of the gap from cycle to cycle: a drift shows here first."""
+def _trend_figure(content: Mapping[str, Any], channel: str, recording: int) -> Markup:
+    """Rms and mean of the gap from cycle to cycle: a drift shows here first."""
     rows = [t for t in content["trend"] if t["channel"] == channel and t["recording"] == recording]
     if len(rows) < 2:
         return Markup("")
-    x = np.array([float(t["begin_s"]) for t in rows])
-    rms, mean = np.array([float(t["rms"]) for t in rows]), np.array([float(t["mean"]) for t in rows])
-    scale, unit = _scaled(_unit(channel), float(rms.max()))
-    floors = [g["noise_floor"] for g in content["gap"] if g["channel"] == channel]
-    return plot(
-        [Line(x, rms / scale, NOMINAL, 2.2), Line(x, mean / scale, "#8a94a3", 1.6)],
-        (480, 250),
-        x_label="begin of the cycle in s",
-        y_label=unit,
-        band=(0.0, float(np.median(floors)) / scale) if floors else None,
-    )
+    begin_s, rms, mean = (np.array([float(row[key]) for row in rows]) for key in ("begin_s", "rms", "mean"))
+    scale, unit = _scaled(channel, float(rms.max()))
+    with styled_figure(5.0, 2.7) as figure:
+        axes = figure.subplots()
+        if floors := list(_floors(content, channel).values()):
+            axes.axhspan(0.0, float(np.median(floors)) / scale, **FLOOR, label="floor")
+        axes.plot(begin_s, rms / scale, ".-", color=NOMINAL, label="rms")
+        axes.plot(begin_s, mean / scale, ".-", color=GREY, label="mean")
+        axes.set(xlabel="begin of the cycle (s)", ylabel=f"gap to the nominal cell ({unit})")
+        figure.legend(loc="outside upper left", ncols=3)
+    return inline_svg(figure, "trend")
 
 
-def _motion(content: Mapping[str, Any]) -> Markup:
+def _motion_figure(content: Mapping[str, Any]) -> Markup:
     """The motion of the next experiment."""
     proposed = content["next_experiment"]
     if not proposed or "\n" not in proposed["motion_csv"]:
         return Markup("")
     table = np.array([[float(x) for x in row.split(",")] for row in proposed["motion_csv"].strip().split("\n")[1:]])
-    return plot([Line(table[:, 0], table[:, 1] * 1e3, MEASURED, 1.6)], (480, 190), x_label="time in s", y_label="commanded height in mm")
+    with styled_figure(5.0, 2.1) as figure:
+        axes = figure.subplots()
+        axes.plot(*thinned(table[:, 0], table[:, 1] * 1e3), color=INK)
+        axes.set(xlabel="time (s)", ylabel="commanded height (mm)")
+    return inline_svg(figure, "motion")

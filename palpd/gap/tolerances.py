@@ -1,59 +1,64 @@
-"""What is within specification, as recordings of a healthy cell show it."""
+"""Estimates the tolerances of a cell from healthy recordings."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from palpd.cell_file import CellFile
-from palpd.gap.hypothesis import fit
+from palpd.cell.cell_file import CellFile
+from palpd.gap.evidence import fit
+from palpd.gap.linearise import linearise
 from palpd.gap.noise import FZ
-from palpd.gap.problem import SHARED, make_problem
-from palpd.samples import Samples
+from palpd.gap.problem import make_problem, tolerance_key
+from palpd.recording.samples import Samples
 
 ITERATIONS = 4
+"""Iterations of expectation-maximisation; each costs a fit of every recording."""
 
 
 def estimate_tolerances(recordings: Sequence[Samples], cell: CellFile) -> dict[str, dict[str, float]]:
-    """One standard deviation of every deviation over recordings of a healthy cell, in the units of the cell file.
+    """Estimate one standard deviation of every deviation over recordings of a healthy cell.
 
-    Variance components by expectation-maximisation from the stated values, which count as one more observation; what a recording does
-    not tell (a gain apart from the modulus) hence stays near what is stated.
+    Variance components by expectation-maximisation from the stated values, which count as one more observation. So a deviation that the
+    recordings do not show (a gain apart from the modulus) stays near the stated one.
+
+    Args:
+        recordings: Recordings of a healthy cell.
+        cell: Its cell file with stated tolerances.
+
+    Returns:
+        The blocks `tolerances` and `repeatability`, in the units of the cell file.
     """
     stated = {"tolerances": cell.tolerances.model_dump(), "repeatability": cell.repeatability.model_dump()}
-    found = stated
+    estimated = stated
     for _ in range(ITERATIONS):
-        tolerances = cell.tolerances.model_copy(update=found["tolerances"])
-        repeatability = cell.repeatability.model_copy(update=found["repeatability"])
+        tolerances = cell.tolerances.model_copy(update=estimated["tolerances"])
+        repeatability = cell.repeatability.model_copy(update=estimated["repeatability"])
         now = cell.model_copy(update={"tolerances": tolerances, "repeatability": repeatability})
         squares: dict[tuple[str, str], list[float]] = {}
         for samples in recordings:
             for key, square in _expected_squares(samples, now):
                 squares.setdefault(key, []).append(square)
-        found = {
+        estimated = {
             block: {name: _spread(squares.get((block, name), []), value) for name, value in values.items()}
             for block, values in stated.items()
         }
-    return found
+    return estimated
 
 
 def _expected_squares(samples: Samples, cell: CellFile) -> list[tuple[tuple[str, str], float]]:
     """The expected square of every deviation of one recording, by block and key."""
     problem = make_problem([samples], cell)
-    null = fit(problem, (), {}, problem.linearise({}, np.zeros(len(SHARED))), rounds=2)
-    space = null.linearisation.space
-    inverse = np.linalg.inv(space.factor)
-    square = space.coefficients(null.residual) ** 2 + (inverse**2).sum(axis=0)  # mean² + variance, prior 1
-    tol, rep = cell.tolerances, cell.repeatability
+    nominal = fit(problem, {}, linearise(problem, {}, problem.nominal_eta), rounds=2)
+    around = nominal.linearisation
+    inverse = np.linalg.inv(around.space.factor)
+    squares = around.space.coefficients(nominal.residual) ** 2 + (inverse**2).sum(axis=0)  # mean² + variance, prior 1
     out = []
-    for k, name in enumerate(SHARED):
-        key = "crosstalk" if "_per_fz" in name else name
-        out.append((("tolerances", key), float(square[k]) * getattr(tol, key) ** 2))
-    for channel, k, kind in null.linearisation.index.own:
-        if channel == FZ:
-            key = "bias_N" if kind == "bias" else "drift_N_per_min"
-            out.append((("tolerances", key), float(square[len(SHARED) + k]) * getattr(tol, key) ** 2))
-    for k, name in null.linearisation.index.press:
-        out.append((("repeatability", name), float(square[len(SHARED) + k]) * getattr(rep, name) ** 2))
+    for label, square in zip(around.labels, squares.tolist(), strict=True):
+        if label.scope == "cell" or (label.scope == "recording" and label.channel == FZ and label.name != "rounding"):
+            key = tolerance_key(label.name)
+            out.append((("tolerances", key), square * getattr(cell.tolerances, key) ** 2))
+        elif label.scope == "press":
+            out.append((("repeatability", label.name), square * getattr(cell.repeatability, label.name) ** 2))
     return out
 
 

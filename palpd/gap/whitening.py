@@ -1,4 +1,4 @@
-"""What turns recordings of a cell into a vector of unit noise, and back."""
+"""From binned channels to a vector of unit noise, and back."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -12,47 +12,96 @@ from scipy.sparse import csr_array
 from palpd.tick import Floats
 
 NEGLIGIBLE = 1e-3
-"""Noise that bins share is left out below this share of the variance that each has for itself."""
+"""Share of a bin's own variance below which the noise that it shares with its neighbours is left out."""
 
 
 @dataclass(frozen=True)
 class Whitening:
-    """Gaussian noise of binned channels (7, b): `sigma` (7, b), which every bin has for itself, infinite where nothing is judged; and
-    in some channels what neighbours share, `shared` (b, k) · k independent standard normal numbers."""
+    """Gaussian noise of binned channels.
+
+    Attributes:
+        sigma: Noise (7, b) that every bin has for itself, infinite where nothing is compared.
+        shared: In some channels the noise that neighbours share: a matrix (b, k) on k independent standard normal numbers.
+        factors: Lower Cholesky factors of the covariances of those channels, banded as LAPACK has them.
+    """
 
     sigma: Floats
     shared: Mapping[int, csr_array]
-    factors: Mapping[int, Floats]  # lower Cholesky factors of the covariances of those channels, banded as LAPACK has them
+    factors: Mapping[int, Floats]
 
     @staticmethod
     def of(sigma: Floats, shared: Mapping[int, csr_array]) -> "Whitening":
-        """That noise, ready to be used."""
-        found = {channel: _factor(sigma[channel] ** 2, columns) for channel, columns in shared.items()}
-        return Whitening(sigma, shared, {channel: factor for channel, factor in found.items() if factor is not None})
+        """Prepare noise for whitening.
 
-    def softened(self, wider: Floats) -> "Whitening":
-        """With what every bin has for itself so many times as wide (7, b)."""
-        return Whitening.of(self.sigma * wider, self.shared)
+        Args:
+            sigma: Noise (7, b) that every bin has for itself.
+            shared: Noise that neighbours share, by channel (b, k).
 
-    def weighed(self, weight: float) -> "Whitening":
-        """With every row counting for so many."""
-        return Whitening.of(self.sigma / weight**0.5, {channel: columns / weight**0.5 for channel, columns in self.shared.items()})
+        Returns:
+            The whitening.
+        """
+        factors = {channel: _factor(sigma[channel] ** 2, columns) for channel, columns in shared.items()}
+        return Whitening(sigma, shared, {channel: factor for channel, factor in factors.items() if factor is not None})
 
-    def restricted(self, bins: NDArray[np.bool_]) -> "Whitening":
-        """With all other bins weighing nothing."""
+    def widened(self, factor: Floats) -> "Whitening":
+        """The noise with a wider part that every bin has for itself.
+
+        Args:
+            factor: Its widening (7, b).
+
+        Returns:
+            A new whitening.
+        """
+        return Whitening.of(self.sigma * factor, self.shared)
+
+    def with_row_weight(self, weight: float | Floats) -> "Whitening":
+        """The noise in which every row counts for `weight` rows.
+
+        Args:
+            weight: The number of rows: one for all channels, or one of each channel (7,).
+
+        Returns:
+            A new whitening.
+        """
+        factor = np.broadcast_to(np.asarray(weight) ** -0.5, len(self.sigma))
+        return Whitening.of(self.sigma * factor[:, None], {channel: columns * factor[channel] for channel, columns in self.shared.items()})
+
+    def restricted_to(self, bins: NDArray[np.bool_]) -> "Whitening":
+        """The noise where only some bins count.
+
+        Args:
+            bins: Which of them (b,).
+
+        Returns:
+            A new whitening.
+        """
         return replace(self, sigma=np.where(bins, self.sigma, np.inf))
 
     def whiten(self, values: Floats) -> Floats:
-        """Values (7, b) in their units, in sigmas."""
+        """Values in units of their noise.
+
+        Args:
+            values: Values (7, b) in their units.
+
+        Returns:
+            Values (7, b) in sigmas.
+        """
         out = values / self.sigma
         for channel, factor in self.factors.items():
-            solved, failed = dtbtrs(factor, values[channel], uplo="L")
+            white, failed = dtbtrs(factor, values[channel], uplo="L")
             assert not failed, failed
-            out[channel] = np.where(np.isfinite(self.sigma[channel]), solved, 0.0)
+            out[channel] = np.where(np.isfinite(self.sigma[channel]), white, 0.0)
         return np.asarray(out)
 
     def natural(self, values: Floats) -> Floats:
-        """Values (…, 7, b) in sigmas, in their units; 0 where nothing is judged."""
+        """Values in their own units, the inverse of `whiten`.
+
+        Args:
+            values: Values (..., 7, b) in sigmas.
+
+        Returns:
+            Values (..., 7, b) in their units; 0 where nothing is compared.
+        """
         judged = np.isfinite(self.sigma)
         values = np.where(judged, values, 0.0)
         out = values * np.where(judged, self.sigma, 0.0)
@@ -65,21 +114,21 @@ class Whitening:
 
     @property
     def rms(self) -> Floats:
-        """Noise of every bin by itself, (7, b), 0 where nothing is judged."""
+        """Rms of the noise of every bin (7, b), 0 where nothing is compared."""
         square = np.where(np.isfinite(self.sigma), self.sigma, 0.0) ** 2
         for channel, columns in self.shared.items():
             square[channel] += np.where(np.isfinite(self.sigma[channel]), columns.power(2).sum(axis=1), 0.0)
         return np.asarray(np.sqrt(square))
 
 
-def _factor(own: Floats, columns: csr_array) -> Floats | None:
-    """The factor of a channel's covariance; None where what is shared does not matter."""
-    if not (columns.power(2).sum(axis=1) > NEGLIGIBLE * own).any():
+def _factor(variance: Floats, columns: csr_array) -> Floats | None:
+    """Factor of a channel's covariance; None where the shared noise does not matter."""
+    if not (columns.power(2).sum(axis=1) > NEGLIGIBLE * variance).any():
         return None
     together = (columns @ columns.T).tocoo()
     row, column = together.coords
     below = row >= column
-    band = np.zeros((int((row - column).max()) + 1, len(own)))
+    band = np.zeros((int((row - column).max()) + 1, len(variance)))
     band[(row - column)[below], column[below]] = together.data[below]
-    band[0] += np.where(np.isfinite(own), own, 1.0)
+    band[0] += np.where(np.isfinite(variance), variance, 1.0)
     return np.asarray(cholesky_banded(band, lower=True, check_finite=False))

@@ -5,12 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_diagnosis import recording
 
-from palpd.cell_file import load_cell, nominal, save_cell
+from palpd.cell.cell_file import load_cell, nominal, save_cell
+from palpd.config import Plan, PlanSite
 from palpd.errors import BadInput, RecordingError
 from palpd.gap.commands import diagnose_files, simulate_file, tolerances_of
-from palpd.samples import read_csv, write_csv
+from palpd.gap.diagnosis import diagnose
+from palpd.recording.reader import Recording, samples_of
+from palpd.recording.samples import read_csv, write_csv
+from tests.gap.test_diagnosis import recording
+from tests.simulated import ran
 
 EFFECT = {"tissue.viscoelastic": {"ratio": 0.2, "tau_s": 0.8}}
 
@@ -43,6 +47,19 @@ def test_tolerances_follow_from_healthy_recordings(tmp_path: Path) -> None:
     for seed in (1, 2):
         paths.append(tmp_path / f"{seed}.csv")
         write_csv(paths[-1], recording(nominal(), {}, seed=seed))
-    found = tolerances_of(paths, tmp_path / "cell.yaml")
-    assert 0.005 < found["tolerances"]["youngs_modulus"] < 0.05
-    assert 0.005 < found["tolerances"]["bias_N"] < 0.05
+    estimated = tolerances_of(paths, tmp_path / "cell.yaml")
+    assert 0.005 < estimated["tolerances"]["youngs_modulus"] < 0.05
+    assert 0.005 < estimated["tolerances"]["bias_N"] < 0.05
+
+
+def test_the_bias_after_the_tare_is_found_in_the_export_of_the_first_site() -> None:
+    """The emulated bias begins with the first motion of the run; the export of site A begins there too."""
+    cell = nominal().model_copy(update={"sensor": nominal().sensor.model_copy(update={"rate_Hz": 1000.0})})
+    plan = Plan(sites=(PlanSite(name="A"),), depths_m=(0.004, 0.006), hold_s=1.0, repeats=1)
+    run = ran(cell.with_effects({"sensor.bias": {"offset_N": 0.19}}), plan, safety={"contact_limit_N": 16.0, "absolute_limit_N": 40.0})
+    samples = samples_of(Recording(Path("run.mcap"), run.rows, run.header, {}, None), "A")
+    diagnosis = diagnose([samples], cell, max_bins=900, propose=False)
+    (effect,) = diagnosis.effects
+    assert "sensor.bias" in {effect.id, *effect.indistinguishable_from}, diagnosis.sentence
+    assert diagnosis.verdict == "effects"
+    assert effect.id != "sensor.bias" or abs(effect.parameters["offset_N"][0] - 0.19) < 0.04

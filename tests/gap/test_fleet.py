@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_diagnosis import recording
 
-from palpd.cell_file import nominal, save_cell
+from palpd.cell.cell_file import nominal, save_cell
 from palpd.errors import BadInput
 from palpd.gap.fleet import FleetRow, by_cell, cell_of, diagnose_folder, recordings_in
-from palpd.samples import Samples, write_csv
+from palpd.recording.samples import Samples, write_csv
+from tests.gap.test_diagnosis import recording
 
 EFFECT = {"tissue.viscoelastic": {"ratio": 0.2, "tau_s": 0.8}}
 

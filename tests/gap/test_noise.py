@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from palpd.cell_file import nominal
+from palpd.cell.cell_file import nominal
 from palpd.gap.bins import Bins
 from palpd.gap.noise import FZ, measured_rms
-from palpd.gap.problem import Rounding
-from palpd.gap.variance import coarse_step_N, rounding_of, without_tails
+from palpd.gap.rounding import Rounding, coarse_step_N, rounding_of
+from palpd.gap.scatter import without_tails
 from palpd.gap.whitening import Whitening
-from palpd.samples import Samples
+from palpd.recording.samples import Samples
 
 
 def test_noise_is_measured_within_rests_and_not_in_the_steps_between_them() -> None:
@@ -40,7 +40,7 @@ def test_noise_that_neighbours_share_is_made_white() -> None:
     assert not white[:, 0].any()
     np.testing.assert_allclose(noise.natural(white)[:, 1:], np.moveaxis(drawn, 2, 0)[:, 1:], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(noise.rms[FZ], np.std(drawn[FZ], axis=1), rtol=0.2)
-    half = noise.restricted(np.arange(200) < 100).whiten(drawn[:, :, 0])
+    half = noise.restricted_to(np.arange(200) < 100).whiten(drawn[:, :, 0])
     assert not half[:, 100:].any()
     np.testing.assert_allclose(half[FZ, :100], white[0, FZ, :100])
 
@@ -55,10 +55,10 @@ def test_coarse_rounding_is_found_and_followed_on_average(level: float) -> None:
     rng = np.random.default_rng(5)
     wrench = rng.normal(0.0, 0.1, (20_000, 6)) + np.linspace(0.0, 8.0, 20_000)[:, None]
     wrench[:, 2] = (np.rint(wrench[:, 2] / 0.37 - level) + level) * 0.37
-    found = rounding_of([at_rest(wrench)], [coarse_step_N(at_rest(wrench), nominal())], nominal())
-    assert found is not None
-    assert found.step_N == pytest.approx(0.37, rel=2e-3)
-    assert abs((found.level_N / 0.37 - level + 0.5) % 1.0 - 0.5) < 0.1
+    coarse = rounding_of([at_rest(wrench)], [coarse_step_N(at_rest(wrench), nominal())], nominal())
+    assert coarse is not None
+    assert coarse.step_N == pytest.approx(0.37, rel=2e-3)
+    assert abs((coarse.level_N / 0.37 - level + 0.5) % 1.0 - 0.5) < 0.1
     rounding = Rounding(0.37, 0.1, 0.12)
     for force_N in (0.0, 0.2, 1.23):
         readings = 0.1 + 0.37 * np.rint((force_N + rng.normal(0.0, 0.12, 200_000) - 0.1) / 0.37)

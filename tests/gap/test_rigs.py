@@ -1,19 +1,19 @@
 """Recordings of other rigs: made by a few lines of their own, and measured by other people."""
 
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from palpd.cell_file import CellFile, cell_from
-from palpd.curves import Mapping, import_curve
+from palpd.analysis.curves import Mapping, import_curve
+from palpd.cell.cell_file import CellFile, cell_from
 from palpd.gap.diagnosis import Diagnosis, diagnose
-from palpd.samples import Samples, read, samples_from_columns
+from palpd.recording.samples import Samples, read, samples_from_columns
 from palpd.tick import Floats
+from tests.paths import SHARED_DATA
 
-REAL = Path(os.environ.get("PALPD_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data")) / "real"
+REAL = SHARED_DATA / "real"
 measured = pytest.mark.skipif(not REAL.is_dir(), reason="the measurements are not in the repository (their licences differ)")
 
 
@@ -63,8 +63,8 @@ def quick(samples: Samples, cell: CellFile) -> Diagnosis:
     return diagnose([samples], cell, max_bins=600, propose=False)
 
 
-def names(found: Diagnosis) -> set[str]:
-    return {name for effect in found.effects for name in (effect.id, *effect.indistinguishable_from)}
+def names(diagnosis: Diagnosis) -> set[str]:
+    return {name for effect in diagnosis.effects for name in (effect.id, *effect.indistinguishable_from)}
 
 
 @pytest.mark.parametrize(
@@ -82,31 +82,31 @@ def names(found: Diagnosis) -> set[str]:
 )
 def test_a_healthy_rig_of_any_size_and_rate_is_not_accused(kind: dict[str, float]) -> None:
     samples, cell = rig(**kind)
-    found = quick(samples, cell)
-    assert not found.effects, found.sentence
-    assert found.verdict != "effects"
+    diagnosis = quick(samples, cell)
+    assert not diagnosis.effects, diagnosis.sentence
+    assert diagnosis.verdict != "effects"
 
 
 @pytest.mark.parametrize("kind", [{"radius_m": 1e-5, "modulus_Pa": 500.0}, {}, {"radius_m": 0.3, "modulus_Pa": 1e6}], ids=["µm", "mm", "m"])
 def test_tissue_that_relaxes_is_found_on_a_slow_indenter_of_any_size(kind: dict[str, float]) -> None:
-    found = quick(*rig(rate_Hz=5.0, seconds=40.0, relaxing=0.4, **kind))
-    assert "tissue.viscoelastic" in names(found), found.sentence
-    assert any("creep" in note for note in found.notes)
+    diagnosis = quick(*rig(rate_Hz=5.0, seconds=40.0, relaxing=0.4, **kind))
+    assert "tissue.viscoelastic" in names(diagnosis), diagnosis.sentence
+    assert any("creep" in note for note in diagnosis.notes)
 
 
 def test_an_axis_with_friction_and_no_tissue_is_told_so() -> None:
-    found = quick(*rig(rate_Hz=50.0, seconds=10.0, mass_kg=2.0, friction_N=0.3, tissue=False))
-    assert {"cable.friction", "sensor.hysteresis"} & names(found), found.sentence
+    diagnosis = quick(*rig(rate_Hz=50.0, seconds=10.0, mass_kg=2.0, friction_N=0.3, tissue=False))
+    assert {"cable.friction", "sensor.hysteresis"} & names(diagnosis), diagnosis.sentence
 
 
 def test_a_modulus_that_nobody_knows_is_fitted_and_what_hides_in_it_is_said() -> None:
     samples, cell = rig(seconds=20.0, youngs_modulus=1.0)
     assert cell.tissue is not None
     cell = cell.model_copy(update={"tissue": cell.tissue.model_copy(update={"youngs_modulus_Pa": 2e4})})
-    found = quick(samples, cell)
-    assert found.verdict == "none", found.sentence
-    assert "5e+04 Pa" in found.sentence or "4.9" in found.sentence or "5.0" in found.sentence
-    assert any("cannot be told" in note for note in found.notes)
+    diagnosis = quick(samples, cell)
+    assert diagnosis.verdict == "none", diagnosis.sentence
+    assert "5e+04 Pa" in diagnosis.sentence or "4.9" in diagnosis.sentence or "5.0" in diagnosis.sentence
+    assert any("cannot be distinguished" in note for note in diagnosis.notes)
 
 
 # measured by others
@@ -120,12 +120,12 @@ def test_silicone_that_relaxes_is_viscoelastic_against_an_elastic_cell(name: str
     whole = import_curve(path, Mapping("F_N", depth_column="u_mm", length_unit="mm", time_column="t_s"), tmp_path / "s.csv")
     end = int(np.flatnonzero(whole.z_m < whole.z_m.min() + 2e-5)[-1]) + 1
     held = Samples(whole.t_s[:end], None, whole.z_m[:end], whole.vz_m_per_s[:end], whole.wrench[:end])
-    found = quick(held, foreign_cell(5e-3, 8e3, 0.0, 10.0, 0.002, youngs_modulus=1.0, surface_z_m=5e-4))
-    assert found.effects[0].id == "tissue.viscoelastic", found.sentence
-    assert len(found.effects) <= 2  # the tip is not a known sphere, so what bends the force curve may stand beside it
-    assert found.where is not None
-    assert found.where["phase"] in {"loading", "holding"}
-    assert any("creep" in note for note in found.notes)
+    diagnosis = quick(held, foreign_cell(5e-3, 8e3, 0.0, 10.0, 0.002, youngs_modulus=1.0, surface_z_m=5e-4))
+    assert diagnosis.effects[0].id == "tissue.viscoelastic", diagnosis.sentence
+    assert len(diagnosis.effects) <= 2  # the tip is not a known sphere, so what bends the force curve may stand beside it
+    assert diagnosis.where is not None
+    assert diagnosis.where["phase"] in {"loading", "holding"}
+    assert any("creep" in note for note in diagnosis.notes)
 
 
 @measured
@@ -135,10 +135,10 @@ def test_a_stiff_sample_against_a_rigid_machine_says_what_its_modulus_hides(tmp_
         "Corrected_Force(N)", height_column="Z_Position(mm)", length_unit="mm", compression_negative=True, time_column="Timestamp(s)"
     )
     samples = import_curve(next((REAL / "asmi_indentation").glob("well_E5_*.csv")), mapping, tmp_path / "e5.csv")
-    found = quick(samples, foreign_cell(2.5e-3, 17e6, -0.07705, 8.0, 0.003, youngs_modulus=1.0))
-    assert found.verdict in {"none", "ambiguous"}, found.sentence
-    assert "robot.compliance" in found.sentence
-    estimated = found.enriched_cell().estimated
+    diagnosis = quick(samples, foreign_cell(2.5e-3, 17e6, -0.07705, 8.0, 0.003, youngs_modulus=1.0))
+    assert diagnosis.verdict in {"none", "ambiguous"}, diagnosis.sentence
+    assert "robot.compliance" in diagnosis.sentence
+    estimated = diagnosis.enriched_cell().estimated
     assert estimated is not None
     assert 17e6 * (1.0 + estimated.youngs_modulus) / 0.75 == pytest.approx(12.26e6, rel=0.03)
 

@@ -4,21 +4,21 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from tests.hil.wired import Wired, wired
+from benchmarks.emulated_cell import EmulatedCell, emulated_cell
 
 
 @pytest.fixture(scope="package")
-def cb3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Wired]:
+def cb3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedCell]:
     """A UR5 at 125 Hz and a HEX-70 at 1 kHz."""
-    with wired(tmp_path_factory.mktemp("cell"), "ur5") as cell:
+    with emulated_cell(tmp_path_factory.mktemp("cell"), "ur5") as cell:
         yield cell
 
 
 @pytest.fixture
-def cell(cb3: Wired, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Wired]:
-    """Makes the cell ready for this test; arguments as of `Wired.anew`."""
+def cell(cb3: EmulatedCell, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., EmulatedCell]:
+    """Makes the cell ready for this test; arguments as of `EmulatedCell.anew`."""
 
-    def ready(stiffness_N_per_m: float = 1000.0, **blocks: dict[str, object]) -> Wired:
+    def ready(stiffness_N_per_m: float = 1000.0, **blocks: dict[str, object]) -> EmulatedCell:
         return cb3.anew(tmp_path_factory.mktemp("run"), stiffness_N_per_m, **blocks)
 
     return ready

@@ -7,8 +7,8 @@ import mcap.reader
 import pytest
 from rosbags.highlevel import AnyReader
 
-from palpd.record import Recording
-from tests.hil.wired import ATTEMPTS, PRESS, STALLED_S, Daemon, Wired, family, kill, until
+from benchmarks.emulated_cell import ATTEMPTS, PRESS, STALLED_S, Daemon, EmulatedCell, family, kill, until
+from palpd.recording.reader import Recording
 
 pytestmark = pytest.mark.hil
 
@@ -17,7 +17,9 @@ WAY_WITHIN_M = {10: 0.0015, 50: 0.0007}
 LOST_WITHIN_S = 0.5
 
 
-def _killed_while_pressing(cell: Callable[..., Wired], watchdog_Hz: int, victim: Callable[[Daemon], int]) -> tuple[Wired, Daemon, float]:
+def _killed_while_pressing(
+    cell: Callable[..., EmulatedCell], watchdog_Hz: int, victim: Callable[[Daemon], int]
+) -> tuple[EmulatedCell, Daemon, float]:
     """Press, kill, and see the arm come to rest; once more where the machine itself stood still meanwhile. Returns also when.
 
     At 125 Hz a watchdog of 50 Hz leaves room for one late tick only, so there a machine under load may also end a run before the test does.
@@ -43,7 +45,7 @@ def _killed_while_pressing(cell: Callable[..., Wired], watchdog_Hz: int, victim:
     raise AssertionError("no attempt was made")
 
 
-def _restored(wired: Wired, killed_s: float) -> Path:
+def _restored(wired: EmulatedCell, killed_s: float) -> Path:
     """The recording after `palpd recover`, found to reach to the kill."""
     part = wired.part
     done = wired.palpd("recover", part)
@@ -55,7 +57,7 @@ def _restored(wired: Wired, killed_s: float) -> Path:
 
 
 @pytest.mark.parametrize("watchdog_Hz", [10, 50])
-def test_when_the_whole_daemon_is_killed_the_watchdog_stops_the_arm(cell: Callable[..., Wired], watchdog_Hz: int) -> None:
+def test_when_the_whole_daemon_is_killed_the_watchdog_stops_the_arm(cell: Callable[..., EmulatedCell], watchdog_Hz: int) -> None:
     wired, daemon, killed_s = _killed_while_pressing(cell, watchdog_Hz, lambda daemon: -daemon.process.pid)
     assert [reason for _, reason in wired.stops(killed_s)] == ["watchdog"]
     until(lambda: not family(daemon.process.pid), "nothing of the daemon is left")
@@ -68,18 +70,18 @@ def test_when_the_whole_daemon_is_killed_the_watchdog_stops_the_arm(cell: Callab
     assert poses > 100
 
 
-def test_when_the_main_process_is_killed_the_loop_stops_the_arm_and_all_end(cell: Callable[..., Wired]) -> None:
+def test_when_the_main_process_is_killed_the_loop_stops_the_arm_and_all_end(cell: Callable[..., EmulatedCell]) -> None:
     wired, daemon, killed_s = _killed_while_pressing(cell, 10, lambda daemon: daemon.process.pid)
     until(lambda: not family(daemon.process.pid), "nothing of the daemon is left", 5.0)
     _restored(wired, killed_s)
 
 
-def test_when_the_motion_process_is_killed_the_run_ends_with_the_reason_and_a_whole_recording(cell: Callable[..., Wired]) -> None:
+def test_when_the_motion_process_is_killed_the_run_ends_with_the_reason_and_a_whole_recording(cell: Callable[..., EmulatedCell]) -> None:
     wired, daemon, killed_s = _killed_while_pressing(cell, 50, lambda daemon: daemon.motion_pid)
     assert daemon.wait() == 3
     assert "ended by signal 9" in daemon.stderr
-    assert daemon.found["verdict"] == "stopped"
+    assert daemon.report["verdict"] == "stopped"
     until(lambda: not family(daemon.process.pid), "nothing of the daemon is left", 5.0)
-    rows = Recording.load(Path(daemon.found["recording"])).rows
+    rows = Recording.load(Path(daemon.report["recording"])).rows
     assert killed_s - float(rows["now_s"][-1]) <= LOST_WITHIN_S
     assert (wired.folder / "state" / "latch.json").exists()

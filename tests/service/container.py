@@ -10,7 +10,8 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from tests.paths import ROOT
+
 INSIDE_PYTHON = Path("/opt/python")
 INSIDE_CODE = Path("/opt/palpd/code")
 CAPABILITIES = "CAP_SYS_NICE,CAP_IPC_LOCK,CAP_SYS_RESOURCE"
@@ -113,7 +114,7 @@ def _clear(root: Path) -> None:
 def _leader(nspawn: "subprocess.Popen[bytes]", log: Path) -> int:
     """Process 1 of the container, as the host numbers it."""
     children = Path(f"/proc/{nspawn.pid}/task/{nspawn.pid}/children")
-    found: list[int] = []
+    leaders: list[int] = []
 
     def there() -> bool:
         if nspawn.poll() is not None:
@@ -121,11 +122,11 @@ def _leader(nspawn: "subprocess.Popen[bytes]", log: Path) -> int:
         for child in children.read_text().split():
             with contextlib.suppress(OSError):
                 if Path(f"/proc/{child}/comm").read_text().strip() == "systemd":
-                    found.append(int(child))
-        return bool(found)
+                    leaders.append(int(child))
+        return bool(leaders)
 
     until(there, BOOT_S, "systemd-nspawn starts systemd")
-    return found[0]
+    return leaders[0]
 
 
 def _is_up(container: Container) -> bool:

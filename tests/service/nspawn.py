@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from palpd.control import ask
+from palpd.daemon.socket_client import ask
 from palpd.errors import Refused
-from palpd.record import Recording, recover
+from palpd.recording.reader import Recording, recover
 from tests.service.container import INSIDE_CODE, INSIDE_PYTHON, Container, booted, missing, until
 
 pytestmark = [pytest.mark.hil, pytest.mark.skipif(missing() is not None, reason=f"booting systemd in a container {missing()}")]
@@ -103,7 +103,7 @@ class Installed:
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installed]:
     """Installed as systemd/README.md says, before emulated wires."""
     with booted(tmp_path_factory.mktemp("nspawn")) as inside:
-        made = Installed(inside)
+        installed = Installed(inside)
         inside.run(f"{INSIDE_PYTHON}/bin/python3", "-m", "venv", "--without-pip", "/opt/palpd/.venv")
         folder = next(inside.path("/opt/palpd/.venv/lib").iterdir()).name
         packages = f"{INSIDE_CODE}/.venv/lib/{folder}/site-packages"
@@ -113,15 +113,15 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installed]:
         inside.write("/etc/systemd/system/palpd.service.d/emulated.conf", EMULATED)
         if not inside.raises_limits:
             inside.write("/etc/systemd/system/palpd.service.d/privileged.conf", PRIVILEGED)
-        made.figures["limits_are"] = "as in the unit" if inside.raises_limits else "clamped here, capabilities instead"
+        installed.figures["limits_are"] = "as in the unit" if inside.raises_limits else "clamped here, capabilities instead"
         inside.write("/etc/palpd/environment", ENVIRONMENT)
         inside.run("systemctl", "daemon-reload")
         user = ["User=palpd", "RuntimeDirectory=emulators", "AmbientCapabilities=CAP_SYS_NICE", f"Environment={LIBRARIES}"]
         command = [PYTHON, "-m", "hw.emulators", "--sensor-link", f"{EMULATORS}/hex", "--control", f"{EMULATORS}/control"]
         inside.run("systemd-run", "--unit=emulators", *(f"--property={line}" for line in user), *command)
         until(lambda: inside.path(f"{EMULATORS}/control").exists(), 30.0, "the emulators are ready")
-        yield made
-        print("\nmeasured:", json.dumps(made.figures, indent=1))
+        yield installed
+        print("\nmeasured:", json.dumps(installed.figures, indent=1))
 
 
 def test_the_unit_is_clean_where_it_is_installed(service: Installed) -> None:
@@ -171,9 +171,9 @@ def test_the_loop_runs_under_fifo_with_locked_memory_as_that_user(service: Insta
     motion = [line.split() for line in threads.splitlines() if "spawn_main" in line]
     assert ["FF", "60"] in [words[:2] for words in motion], threads
     owner = service.inside.run("pgrep", "-u", "palpd", "-f", "spawn_main").split()
-    locked_kB = [int(line.split()[1]) for pid in owner for line in service.inside.run("grep", "VmLck", f"/proc/{pid}/status").splitlines()]
-    service.figures["locked_MiB"] = max(locked_kB) / 1024
-    assert max(locked_kB) > 10_000
+    locked = [int(line.split()[1]) for pid in owner for line in service.inside.run("grep", "VmLck", f"/proc/{pid}/status").splitlines()]
+    service.figures["locked_MiB"] = max(locked) / 1024
+    assert max(locked) > 10_000
     service.do("abort")
     service.until_state("disarmed")
     last = service.do("status")["last"]

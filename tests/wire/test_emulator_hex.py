@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import serial
 
-from hw.emulators.hex_pty import COUNTS_AT_CAPACITY, UNZEROED, Daq, Line
+from hw.emulators.hex_pty import COUNTS_AT_CAPACITY, UNZEROED, Daq, TerminalLine
 
 CONFIGURE_1_KHZ_500_HZ_ZERO = bytes.fromhex("AA0032030101FF01E0")  # from a public driver
 ANSWER_NO_ERROR = bytes.fromhex("AA0050010000FB")  # captured from a real DAQ
@@ -217,19 +217,19 @@ def test_a_drift_reads_more_and_more_pressed() -> None:
 
 
 @pytest.fixture
-def line(tmp_path: Path) -> Iterator[Line]:
-    line = Line(tmp_path / "hex")
+def line(tmp_path: Path) -> Iterator[TerminalLine]:
+    line = TerminalLine(tmp_path / "hex")
     yield line
     line.unplug()
 
 
-def opened(line: Line) -> serial.Serial:
+def opened(line: TerminalLine) -> serial.Serial:
     port = serial.Serial(line.path, 1_000_000, timeout=1.0, exclusive=True)
     line.receive()
     return port
 
 
-def test_bytes_pass_unchanged_in_both_directions(line: Line) -> None:
+def test_bytes_pass_unchanged_in_both_directions(line: TerminalLine) -> None:
     every = bytes(range(256))
     with opened(line) as port:
         line.send(every)
@@ -238,7 +238,7 @@ def test_bytes_pass_unchanged_in_both_directions(line: Line) -> None:
         assert line.receive() == every
 
 
-def test_nothing_of_what_was_sent_before_the_port_was_opened_is_found_in_it(line: Line) -> None:
+def test_nothing_of_what_was_sent_before_the_port_was_opened_is_found_in_it(line: TerminalLine) -> None:
     line.receive()
     line.send(b"old")
     with opened(line) as port:
@@ -246,7 +246,7 @@ def test_nothing_of_what_was_sent_before_the_port_was_opened_is_found_in_it(line
         assert port.read(3) == b"new"
 
 
-def test_a_host_that_does_not_read_finds_the_oldest_frames_whole_and_in_order(line: Line) -> None:
+def test_a_host_that_does_not_read_finds_the_oldest_frames_whole_and_in_order(line: TerminalLine) -> None:
     frames = [struct.pack(">H", k) + bytes(20) for k in range(8000)]
     with opened(line) as port:
         for frame in frames:
@@ -263,7 +263,7 @@ def test_a_host_that_does_not_read_finds_the_oldest_frames_whole_and_in_order(li
     assert len(numbers) < 8000
 
 
-def test_an_unplugged_device_is_gone_for_the_host_and_comes_back_behind_the_same_link(line: Line) -> None:
+def test_an_unplugged_device_is_gone_for_the_host_and_comes_back_behind_the_same_link(line: TerminalLine) -> None:
     with opened(line) as port:
         line.unplug()
         with pytest.raises(serial.SerialException):
@@ -275,7 +275,7 @@ def test_an_unplugged_device_is_gone_for_the_host_and_comes_back_behind_the_same
         assert port.read(4) == b"back"
 
 
-def test_a_port_closed_without_ceremony_can_be_opened_again(line: Line) -> None:
+def test_a_port_closed_without_ceremony_can_be_opened_again(line: TerminalLine) -> None:
     for _ in range(3):
         with opened(line) as port:
             fcntl.ioctl(port.fileno(), termios.TIOCEXCL)

@@ -15,14 +15,14 @@ from hw.emulators.controller import MODELS, Runtime
 from hw.emulators.hex_pty import UNZEROED
 from hw.emulators.rig import Rig
 from hw.emulators.verbs import VERBS, obey
-from palpd.cell_file import cell_from
+from palpd.cell.cell_file import cell_from
 
 SCRIPT = "def rtde_control():\n# float register offset\n0 # int register offset\n0\nend\n"
 QUIET = {"noise_rms_N": 1e-9, "noise_rms_Nm": 0.0}
 
 
 class Bench:
-    """A rig under a clock that is told, with a program that takes speeds."""
+    """A rig with a clock that the test sets, and a program that takes speeds."""
 
     def __init__(self, link: Path, model: str = "ur5", mount_rotation_rad: float = 0.0, **cell: Any) -> None:
         file = cell_from({"sensor": QUIET, **cell}, "test")
@@ -67,16 +67,16 @@ def link(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def rigs(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Rigs are closed after each test."""
-    made: list[Rig] = []
+    rigs: list[Rig] = []
     make = Rig.__init__
 
     def remembered(self: Rig, *args: Any, **options: Any) -> None:
         make(self, *args, **options)
-        made.append(self)
+        rigs.append(self)
 
     monkeypatch.setattr(Rig, "__init__", remembered)
     yield
-    for rig in made:
+    for rig in rigs:
         rig.close()
 
 
@@ -204,7 +204,7 @@ def test_a_late_rig_skips_packages_and_still_sends_one_a_cycle(link: Path) -> No
         client.sendall(struct.pack(">HBd", 20, ord("O"), 125.0) + b"timestamp" + struct.pack(">HB", 3, ord("S")))
         bench.run(0.02)
         client.recv(4096)
-        for k in range(800):  # 0.8 s are made up in 0.2 s
+        for k in range(800):  # 0.8 s are rigs up in 0.2 s
             bench.t_s += 0.001
             bench.rig.tick(bench.t_s, 200.0 + 0.2 * k / 800, late=True)
         assert len(client.recv(65536)) / 12 == pytest.approx(0.2 / 0.008, abs=2)

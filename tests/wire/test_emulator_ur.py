@@ -58,7 +58,7 @@ def client(host: str, body: str) -> Iterator[subprocess.Popen[str]]:
         process.communicate()
 
 
-def told(process: subprocess.Popen[str]) -> dict[str, Any]:
+def report_of(process: subprocess.Popen[str]) -> dict[str, Any]:
     """What the client says on its next line."""
     assert process.stdout is not None
     assert process.stderr is not None
@@ -71,7 +71,7 @@ def told(process: subprocess.Popen[str]) -> dict[str, Any]:
 def run(host: str, body: str) -> dict[str, Any]:
     """What a client says at its end."""
     with client(host, body) as process:
-        return told(process)
+        return report_of(process)
 
 
 @pytest.fixture(scope="module", params=["ur5", "ur5e"])
@@ -101,7 +101,7 @@ def dashboard(host: str, *lines: str) -> list[str]:
 
 
 def test_ur_rtde_connects_and_its_six_getters_tell_one_state(wires: Emulated) -> None:
-    said = run(
+    report = run(
         wires.host,
         CONNECT
         + """
@@ -111,24 +111,24 @@ out.update(rate=(r.getTimestamp() - t0) / (time.monotonic() - w0), pose=r.getAct
     runtime=r.getRuntimeState(), bits=r.getSafetyStatusBits(), robot=r.getRobotStatus(), q=r.getActualQ(), g=r.getActualToolAccelerometer())
 """,
     )
-    assert said["rate"] == pytest.approx(1.0, abs=0.05)
-    assert said["target"] == pytest.approx([0.0, 0.0, 0.03, 3.14159265, 0.0, 0.0], abs=1e-6)
-    assert said["pose"] == pytest.approx(said["target"], abs=1e-4)
-    assert max(map(abs, said["speed"])) < 0.002
-    assert (said["safety"], said["mode"], said["runtime"], said["bits"], said["robot"]) == (1, 7, 2, 1, 3)
-    assert len(said["q"]) == 6
-    assert said["g"] == pytest.approx([0.0, 0.0, -9.81], abs=1.0)
+    assert report["rate"] == pytest.approx(1.0, abs=0.05)
+    assert report["target"] == pytest.approx([0.0, 0.0, 0.03, 3.14159265, 0.0, 0.0], abs=1e-6)
+    assert report["pose"] == pytest.approx(report["target"], abs=1e-4)
+    assert max(map(abs, report["speed"])) < 0.002
+    assert (report["safety"], report["mode"], report["runtime"], report["bits"], report["robot"]) == (1, 7, 2, 1, 3)
+    assert len(report["q"]) == 6
+    assert report["g"] == pytest.approx([0.0, 0.0, -9.81], abs=1.0)
 
 
 def test_commands_that_do_not_move_answer_what_was_set(wires: Emulated) -> None:
-    said = run(
+    report = run(
         wires.host,
         CONNECT
         + """
 out["tcp"] = c.getTCPOffset(); out["set"] = c.setTcp([0, 0, 0.2, 0, 0, 0]); out["new"] = c.getTCPOffset()
 out["shown"] = wait(lambda: abs(r.getTargetTCPPose()[2] + 0.055) < 1e-6)
 c.setTcp(out["tcp"])
-out["payload"] = c.setPayload(0.4, [0.0, 0.0, 0.05]); out["told"] = wait(lambda: r.getPayload() == 0.4)
+out["payload"] = c.setPayload(0.4, [0.0, 0.0, 0.05]); out["payload_shown"] = wait(lambda: r.getPayload() == 0.4)
 out["inside"] = c.isPoseWithinSafetyLimits([0, 0, 0.03, 3.14, 0, 0]); out["outside"] = c.isPoseWithinSafetyLimits([2, 0, 0, 3.14, 0, 0])
 out["steady"] = wait(c.isSteady)
 c.speedL(UP, 0.5); time.sleep(0.1); out["unsteady"] = c.isSteady(); c.speedStop()
@@ -137,22 +137,22 @@ out["there_and_back"] = max(abs(a - b) for a, b in zip(q, back))
 out["trans"] = c.poseTrans([0, 0, 1, 0, 0, 1.5707963267948966], [1, 0, 0, 0, 0, 0])
 """,
     )
-    assert said["tcp"] == pytest.approx([0.0, 0.0, 0.115, 0.0, 0.0, 0.0])
-    assert said["new"] == pytest.approx([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
-    assert said["set"]
-    assert said["shown"]
-    assert said["payload"]
-    assert said["told"]
-    assert said["inside"]
-    assert not said["outside"]
-    assert said["steady"]
-    assert not said["unsteady"]
-    assert said["there_and_back"] < 1e-6
-    assert said["trans"][:3] == pytest.approx([0.0, 1.0, 1.0], abs=1e-9)
+    assert report["tcp"] == pytest.approx([0.0, 0.0, 0.115, 0.0, 0.0, 0.0])
+    assert report["new"] == pytest.approx([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
+    assert report["set"]
+    assert report["shown"]
+    assert report["payload"]
+    assert report["payload_shown"]
+    assert report["inside"]
+    assert not report["outside"]
+    assert report["steady"]
+    assert not report["unsteady"]
+    assert report["there_and_back"] < 1e-6
+    assert report["trans"][:3] == pytest.approx([0.0, 1.0, 1.0], abs=1e-9)
 
 
 def test_speed_goes_on_after_its_time_and_stops_when_told(wires: Emulated) -> None:
-    said = run(
+    report = run(
         wires.host,
         CONNECT
         + """
@@ -161,15 +161,15 @@ out.update(vz=r.getTargetTCPSpeed()[2], actual=r.getActualTCPSpeed()[2]); t = ti
 out.update(stopped=c.speedStop(), took=time.monotonic() - t); time.sleep(0.05); out["after"] = r.getTargetTCPSpeed()
 """,
     )
-    assert said["vz"] == pytest.approx(0.01)
-    assert said["actual"] == pytest.approx(0.01, abs=0.001)
-    assert said["stopped"]
-    assert said["took"] < 0.2
-    assert said["after"] == [0.0] * 6
+    assert report["vz"] == pytest.approx(0.01)
+    assert report["actual"] == pytest.approx(0.01, abs=0.001)
+    assert report["stopped"]
+    assert report["took"] < 0.2
+    assert report["after"] == [0.0] * 6
 
 
 def test_moves_reach_their_goals_blocking_and_not_blocking(wires: Emulated) -> None:
-    said = run(
+    report = run(
         wires.host,
         CONNECT
         + """
@@ -189,20 +189,20 @@ out["joint_error"] = max(abs(a - b) for a, b in zip(q, r.getTargetQ()))
 c.moveL(p[:2] + [0.03] + p[3:], 0.25, 1.2)
 """,
     )
-    assert said["sync"]
-    assert 0.1 <= said["took"] < 0.3
-    assert said["error"] < 1e-7
-    assert said["async"]
-    assert said["returned"] < 0.08
-    assert said["running"]
-    assert said["ended"]
-    assert said["other"]
-    assert said["async_error"] < 1e-7
-    assert said["rest"]
-    assert 0.036 < said["z"] < 0.0395
-    assert said["runtime"] == 2
-    assert said["joints"]
-    assert said["joint_error"] < 1e-6
+    assert report["sync"]
+    assert 0.1 <= report["took"] < 0.3
+    assert report["error"] < 1e-7
+    assert report["async"]
+    assert report["returned"] < 0.08
+    assert report["running"]
+    assert report["ended"]
+    assert report["other"]
+    assert report["async_error"] < 1e-7
+    assert report["rest"]
+    assert 0.036 < report["z"] < 0.0395
+    assert report["runtime"] == 2
+    assert report["joints"]
+    assert report["joint_error"] < 1e-6
 
 
 @pytest.mark.parametrize(("watchdog_Hz", "send_s", "stopped_s", "travel_m"), [(10.0, 0.008, 0.110, 0.0015), (50.0, 0.008, 0.045, 0.0007)])
@@ -218,7 +218,7 @@ for k in range(1000):
 """
     for _ in range(5):
         with client(wires.host, CONNECT + body) as process:
-            assert told(process)["watchdog"]
+            assert report_of(process)["watchdog"]
             process.send_signal(signal.SIGKILL)
             killed_s = time.monotonic()
             process.wait()
@@ -244,16 +244,16 @@ for k in range(200):
 out["runtime"] = r.getRuntimeState()
 """
     with client(wires.host, CONNECT + body) as process:
-        told(process)
+        report_of(process)
         time.sleep(0.2)
         os.kill(wires.pid, signal.SIGSTOP)
         time.sleep(0.5)
         os.kill(wires.pid, signal.SIGCONT)
-        assert told(process)["runtime"] == 2
+        assert report_of(process)["runtime"] == 2
 
 
 def test_a_blocking_move_under_a_watchdog_stops_itself(wires: Emulated) -> None:
-    said = run(
+    report = run(
         wires.host,
         CONNECT
         + """
@@ -262,13 +262,13 @@ out.update(moved=c.moveL(p[:2] + [p[2] + 0.02] + p[3:], 0.04, 1.0), way=r.getTar
 out["runtime"] = wait(lambda: r.getRuntimeState() == 1)
 """,
     )
-    assert not said["moved"]
-    assert 0.0 < said["way"] < 0.010  # 5 mm, and as much for a machine that stands still; of the 20 mm that were asked for
-    assert said["runtime"]
+    assert not report["moved"]
+    assert 0.0 < report["way"] < 0.010  # 5 mm, and as much for a machine that stands still; of the 20 mm that were asked for
+    assert report["runtime"]
 
 
 def test_a_move_while_a_commanded_speed_lives_ends_the_program_until_the_script_is_uploaded_again(wires: Emulated) -> None:
-    said = run(
+    report = run(
         wires.host,
         CONNECT
         + """
@@ -278,12 +278,12 @@ out.update(again=c.reuploadScript(), playing=wait(lambda: r.getRuntimeState() ==
 out["moved_again"] = c.moveL(p, 0.05, 1.0)
 """,
     )
-    assert not said["moved"]
-    assert said["stopped"]
-    assert said["still"]
-    assert said["again"]
-    assert said["playing"]
-    assert said["moved_again"]
+    assert not report["moved"]
+    assert report["stopped"]
+    assert report["still"]
+    assert report["again"]
+    assert report["playing"]
+    assert report["moved_again"]
 
 
 def test_a_wall_stands_where_it_was_placed(wires: Emulated) -> None:
@@ -306,17 +306,17 @@ def test_a_wall_stands_where_it_was_placed(wires: Emulated) -> None:
 
 def test_without_a_watchdog_a_killed_client_leaves_the_robot_moving_and_a_new_one_stops_it(cb3: Emulated) -> None:
     with client(cb3.host, CONNECT + "c.speedL(UP, 0.5); time.sleep(0.1); say(); time.sleep(10)") as process:
-        told(process)
+        report_of(process)
         process.send_signal(signal.SIGKILL)
         process.wait()
     time.sleep(0.4)
     assert min(row.vz_m_per_s for row in cb3.log(time.monotonic() - 0.1)) == pytest.approx(0.01)
-    said = run(cb3.host, CONNECT + "time.sleep(0.1); out.update(v=r.getTargetTCPSpeed(), runtime=r.getRuntimeState())")
-    assert said == {"v": [0.0] * 6, "runtime": 2}
+    report = run(cb3.host, CONNECT + "time.sleep(0.1); out.update(v=r.getTargetTCPSpeed(), runtime=r.getRuntimeState())")
+    assert report == {"v": [0.0] * 6, "runtime": 2}
 
 
 def test_a_second_control_is_refused_and_any_number_may_listen(cb3: Emulated) -> None:
-    said = run(
+    report = run(
         cb3.host,
         CONNECT
         + """
@@ -328,9 +328,9 @@ except RuntimeError as error:
 out["poses"] = [m.getTargetTCPPose()[2] for m in more]; out["alive"] = c.isConnected() and c.speedStop()
 """,
     )
-    assert "already in use" in said["refused"]
-    assert len(said["poses"]) == 3
-    assert said["alive"]
+    assert "already in use" in report["refused"]
+    assert len(report["poses"]) == 3
+    assert report["alive"]
 
 
 def test_receive_notices_a_drop_at_once_and_reconnects(cb3: Emulated) -> None:
@@ -342,10 +342,10 @@ out["noticed"] = wait(lambda: not r.isConnected(), 3.0); out["again"] = r.reconn
 t0 = r.getTimestamp(); out["runs"] = wait(lambda: r.getTimestamp() > t0 + 0.1)
 """,
     ) as process:
-        told(process)
+        report_of(process)
         cb3.ask("drop")
-        said = told(process)
-    assert said == {"noticed": True, "again": True, "runs": True}
+        report = report_of(process)
+    assert report == {"noticed": True, "again": True, "runs": True}
 
 
 def test_while_the_network_hangs_getters_repeat_themselves_and_say_nothing(cb3: Emulated) -> None:
@@ -357,10 +357,10 @@ t = r.getTimestamp(); time.sleep(0.5); out["stale"] = r.getTimestamp() == t; out
 out["runs"] = wait(lambda: r.getTimestamp() > t + 0.1)
 """.replace("sys.stdin.readline(); ", "time.sleep(0.2); "),
     ) as process:
-        told(process)
+        report_of(process)
         cb3.ask("freeze", s=1.2)
-        said = told(process)
-    assert said == {"stale": True, "connected": True, "runs": True}
+        report = report_of(process)
+    assert report == {"stale": True, "connected": True, "runs": True}
 
 
 def test_after_a_protective_stop_motion_needs_the_unlock_and_a_new_upload(cb3: Emulated) -> None:
@@ -376,30 +376,30 @@ out["unlocked"] = wait(lambda: r.getSafetyMode() == 1, 8.0)
 out["upload"] = c.reuploadScript(); time.sleep(0.4); out["moves"] = c.moveL(p, 0.05, 1.0)
 """,
     ) as process:
-        told(process)
+        report_of(process)
         time.sleep(0.2)
         cb3.ask("protective_stop")
         stopped_s = time.monotonic()
-        said = told(process)
-        assert said["bits"] == 0x404
-        assert (said["safety"], said["still"], said["moved"], said["again"], said["at_once"]) == (3, True, False, False, True)
+        report = report_of(process)
+        assert report["bits"] == 0x404
+        assert (report["safety"], report["still"], report["moved"], report["again"], report["at_once"]) == (3, True, False, False, True)
         assert dashboard(cb3.host, "safetystatus", "unlock protective stop")[0] == "Safetystatus: PROTECTIVE_STOP"
         assert "Cannot unlock" in dashboard(cb3.host, "unlock protective stop")[0]
         time.sleep(max(0.0, stopped_s + 5.05 - time.monotonic()))
         assert dashboard(cb3.host, "unlock protective stop") == ["Protective stop releasing"]
-        said = told(process)
-    assert said["unlocked"]
-    assert said["upload"]
-    assert said["moves"]
+        report = report_of(process)
+    assert report["unlocked"]
+    assert report["upload"]
+    assert report["moves"]
 
 
 def test_the_client_can_trigger_a_protective_stop_and_stop_the_script(cb3: Emulated) -> None:
-    said = run(cb3.host, CONNECT + "c.stopScript(); out['stopped'] = wait(lambda: r.getRuntimeState() == 1)")
-    assert said["stopped"]
-    said = run(cb3.host, CONNECT + "c.triggerProtectiveStop(); out['safety'] = wait(lambda: r.getSafetyMode() == 3)")
+    report = run(cb3.host, CONNECT + "c.stopScript(); out['stopped'] = wait(lambda: r.getRuntimeState() == 1)")
+    assert report["stopped"]
+    report = run(cb3.host, CONNECT + "c.triggerProtectiveStop(); out['safety'] = wait(lambda: r.getSafetyMode() == 3)")
     cb3.ask("restart", s=0.05)
     time.sleep(0.2)
-    assert said["safety"]
+    assert report["safety"]
 
 
 @pytest.mark.parametrize(
@@ -413,12 +413,12 @@ def test_the_client_can_trigger_a_protective_stop_and_stop_the_script(cb3: Emula
 def test_what_happens_at_the_robot_is_seen_by_the_client(cb3: Emulated, verb: str, seen: str) -> None:
     body = f"out['seen'] = wait(lambda: {seen}); out['still'] = wait(lambda: r.getTargetTCPSpeed() == STILL)"
     with client(cb3.host, CONNECT + "c.speedL(UP, 0.5); say()\n" + body) as process:
-        told(process)
+        report_of(process)
         time.sleep(0.1)
         cb3.ask(verb)
-        said = told(process)
+        report = report_of(process)
     released = dashboard(cb3.host, "power on", "brake release", "robotmode")
-    assert said == {"seen": True, "still": True}
+    assert report == {"seen": True, "still": True}
     assert released == ["Powering on", "Brake releasing", "Robotmode: RUNNING"]
 
 
@@ -427,9 +427,9 @@ def test_a_restarted_controller_is_away_and_comes_back_with_empty_registers(cb3:
     with pytest.raises(OSError, match="refused"):
         socket.create_connection((cb3.host, 30004), timeout=1.0)
     time.sleep(0.7)
-    said = run(cb3.host, CONNECT + "out.update(t=r.getTimestamp(), playing=wait(lambda: r.getRuntimeState() == 2))")
-    assert said["t"] < 5.0
-    assert said["playing"]
+    report = run(cb3.host, CONNECT + "out.update(t=r.getTimestamp(), playing=wait(lambda: r.getRuntimeState() == 2))")
+    assert report["t"] < 5.0
+    assert report["playing"]
 
 
 def test_slow_packets_are_every_so_manyeth(cb3: Emulated) -> None:
@@ -442,9 +442,9 @@ while time.monotonic() < end:
 seen = sorted(seen); out["gaps"] = [b - a for a, b in zip(seen, seen[1:])]
 """,
     ) as process:
-        told(process)
+        report_of(process)
         cb3.ask("slow_packets", every=5, s=1.0)
-        gaps = told(process)["gaps"]
+        gaps = report_of(process)["gaps"]
     time.sleep(0.5)
     assert sorted(gaps)[len(gaps) // 2] == pytest.approx(0.04)
 
@@ -513,7 +513,7 @@ def test_a_refused_protocol_version_is_a_fault_that_can_be_had(rtde: Callable[..
 
 
 def counts(port: serial.Serial, frames: int) -> list[tuple[int, ...]]:
-    """So many data frames from now on: counter, status, six counts."""
+    """That number of data frames from now on: counter, status, six counts."""
     port.reset_input_buffer()
     data = port.read(22 * (frames + 2))
     data = data[data.index(b"\xaa\x07\x08\x10") :]
@@ -567,10 +567,10 @@ def test_a_port_that_is_taken_is_one_sentence_and_exit_2(
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["emulators", "--host", cb3.host, "--sensor-link", str(tmp_path / "hex")])
     assert main() == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
-    assert f"cannot listen on {cb3.host}" in said.err
+    report = capsys.readouterr()
+    assert report.out == ""
+    assert report.err.count("\n") == 1
+    assert f"cannot listen on {cb3.host}" in report.err
     assert not os.path.lexists(tmp_path / "hex")
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hw.hex_sensor import ANSWER, CAPACITY, COUNTS_AT_CAPACITY, DATA, SERIAL_NUMBER, FrameParser, RawFrames
+from hw.hex_frames import ANSWER, CAPACITY, COUNTS_AT_CAPACITY, DATA, SERIAL_NUMBER, FrameParser, RawFrames
 
 # NO_ERROR as captured from a DAQ; the others hold what a 200 N class sensor reported, written out byte by byte
 READING = bytes.fromhex("aa 07 08 10 23 1b 00 00 ff 05 00 25 fe 52 00 5f fc 63 00 06 05 44")
@@ -34,10 +34,10 @@ def counters(*pieces: bytes, parser: FrameParser | None = None) -> list[int]:
 
 
 def test_a_frame_of_a_real_sensor_is_read() -> None:
-    found = parse(READING)
-    assert found.counter.tolist() == [8987]
-    assert found.status.tolist() == [0]
-    assert found.counts.tolist() == [[-251, 37, -430, 95, -925, 6]]
+    frames = parse(READING)
+    assert frames.counter.tolist() == [8987]
+    assert frames.status.tolist() == [0]
+    assert frames.counts.tolist() == [[-251, 37, -430, 95, -925, 6]]
 
 
 def test_answers_and_registers_between_frames_are_packets_and_no_frames() -> None:
@@ -295,8 +295,8 @@ def spoilt_streams(draw: st.DrawFn) -> tuple[bytes, list[int]]:
 @settings(max_examples=300, deadline=None)
 def test_no_frame_that_was_sent_whole_is_lost(case: tuple[bytes, list[int]]) -> None:
     stream, whole = case
-    found = iter(counters(stream))
-    assert all(counter in found for counter in whole)  # in this order
+    parsed = iter(counters(stream))
+    assert all(counter in parsed for counter in whole)  # in this order
 
 
 @given(spoilt_streams(), st.lists(st.integers(1, 60), max_size=60), st.integers(1, 4))
@@ -341,7 +341,7 @@ def test_after_any_noise_the_next_frames_are_found_without_delay(noise: bytes, c
 def test_every_swap_that_changes_an_axis_by_more_than_the_filter_lets_through_is_seen() -> None:
     rest = np.array([-251, 37, -430, 95, -925, 6])
     rng = np.random.default_rng(1)
-    seen = made = 0
+    seen = sent = 0
     for _ in range(400):
         parser = FrameParser(1, 150.0, LIMITS_XE_200N)
         noisy = [tuple((rest + rng.integers(-2, 3, 6)).tolist()) for _ in range(5)]
@@ -351,8 +351,8 @@ def test_every_swap_that_changes_an_axis_by_more_than_the_filter_lets_through_is
         change = np.abs(np.frombuffer(spoilt, ">i2", 6, 8) - np.array(noisy[2])) / LIMITS_XE_200N
         if change.max() < 0.7:
             continue
-        made += 1
+        sent += 1
         counters(*(frame(i + 1, n) if i != 2 else bytes(spoilt) for i, n in enumerate(noisy)), parser=parser)
         seen += parser.implausible
-    assert made > 50
-    assert seen == made
+    assert sent > 50
+    assert seen == sent

@@ -1,0 +1,395 @@
+"""Results of a recorded palpation: per site the surface, the depths reached, the moduli, and the effect of the correction.
+
+Computed from the recording alone, so a run, a replay and `palpd analyse` of the file give the same numbers.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NotRequired, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpd.analysis.intervals import mean_half_width_95
+from palpd.analysis.young import ContactFit, fit_contact, modulus_peak_Pa, ymbt
+from palpd.errors import RecordingError
+from palpd.recording.mcap_file import RecordedGeometry, RecordingHeader
+from palpd.recording.reader import Recording
+from palpd.tick import Floats, Mode, Phase
+
+PEAK_WINDOW_S = 0.02
+"""A peak is the largest mean of this long: the largest single sample would add two sigmas of noise to every force."""
+
+
+LOADED_N = 1.0
+"""Force against a rigid plate above which a press counts for the machine's stiffness: below it mount and plate settle."""
+
+
+SAME_MODULUS = 0.05
+"""Relative difference of two moduli of a site that needs no explanation: about the accuracy of either."""
+
+
+class DepthResult(TypedDict):
+    """Static palpation to one depth; figures that the hold does not give are None."""
+
+    commanded_m: float
+    achieved_m: float | None
+    force_N: float | None
+    E_Pa: float | None
+    cut_short: bool
+
+
+class PressResult(TypedDict):
+    """One dynamic palpation: the peak of the measured force, what of it was no contact, and the moduli with and without that."""
+
+    commanded_m: float
+    achieved_m: float
+    peak_depth_m: float
+    original_N: float
+    correction_N: float
+    running_zero_N: float
+    original_Pa: float
+    corrected_Pa: float
+    cut_short: bool
+
+
+class SiteResult(TypedDict):
+    """One site of a plan; figures that the recording does not give are None, and only an emulated cell has a true modulus."""
+
+    name: str
+    surface_z_m: float | None
+    static_youngs_modulus_Pa: float | None
+    dynamic_original_Pa: float | None
+    dynamic_corrected_Pa: float | None
+    ymbt_original: float | None
+    ymbt_corrected: float | None
+    peak_force_N: float | None
+    correction_N: float | None
+    running_zero_N: float | None
+    cut_short: bool
+    cut_short_depths_m: list[float]
+    depths: list[DepthResult]
+    presses: list[PressResult]
+    true_youngs_modulus_Pa: NotRequired[float]
+
+
+class LoadingResult(TypedDict):
+    """Hertz over the loading of the deepest press of a site; the figures are None where `warnings` say why."""
+
+    name: str
+    youngs_modulus_Pa: float | None
+    ci95_Pa: list[float] | None
+    contact_point_m: float | None
+    baseline_N: NotRequired[float]
+    depth_m: NotRequired[float]
+    rms_N: NotRequired[float]
+    peak_force_N: NotRequired[float]
+    static_youngs_modulus_Pa: NotRequired[float | None]
+    warnings: list[str]
+
+
+class LoopFigures(TypedDict):
+    """How the loop kept its rate; a recording without ticks has no times."""
+
+    ticks: int
+    missed: int
+    work_us_p50: NotRequired[float]
+    work_us_p99: NotRequired[float]
+    wakeup_us_p50: NotRequired[float]
+    wakeup_us_p99: NotRequired[float]
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Every sensor frame of a recording with the state of robot and sequence; arrays of equal length (n,).
+
+    `tip_z_m` is the height of the tip (the machine's give taken out) when the tissue gave the force that the frame reports.
+    """
+
+    t_s: Floats
+    tip_z_m: Floats
+    fz_N: Floats
+    inertial_N: Floats
+    zero_N: Floats
+    phase: NDArray[np.uint8]
+    mode: NDArray[np.uint8]
+    site: NDArray[np.int16]
+    repeat: NDArray[np.int16]
+    depth_m: Floats
+    surface_z_m: Floats
+    cut_short: NDArray[np.uint8]
+
+    def where(self, chosen: NDArray[np.bool_]) -> "Track":
+        """Some of the frames.
+
+        Args:
+            chosen: True (n,) for the frames to keep.
+
+        Returns:
+            These frames.
+        """
+        return Track(*(getattr(self, name)[chosen] for name in self.__slots__))
+
+
+def track(rows: NDArray[np.void], delay_s: float, machine_stiffness_N_per_m: float = math.inf) -> Track:
+    """Flatten the ticks of a recording to one line per sensor frame.
+
+    Args:
+        rows: Ticks, with the fields of ROW of palpd.tick.
+        delay_s: Delay of the sensor's filter.
+        machine_stiffness_N_per_m: Stiffness of the machine; its give is taken out of the heights.
+
+    Returns:
+        The frames.
+    """
+    filled = np.arange(rows["frame_t_s"].shape[1]) < rows["frames"][:, None]
+    tick_of = np.repeat(np.arange(len(rows)), rows["frames"])
+    t_s = rows["frame_t_s"][filled]
+    fz_N = rows["tared"][filled][:, 2]
+    robot_t_s, first = np.unique(rows["robot_t_s"], return_index=True)
+    z_m = np.interp(t_s - delay_s, robot_t_s, rows["tcp_pose"][first, 2])
+    return Track(
+        t_s=t_s,
+        tip_z_m=z_m + fz_N / machine_stiffness_N_per_m,
+        fz_N=fz_N,
+        inertial_N=rows["inertial_N"][filled],
+        **{name: rows[name][tick_of] for name in ("phase", "mode", "site", "repeat", "depth_m", "surface_z_m", "cut_short", "zero_N")},
+    )
+
+
+def sites(rows: NDArray[np.void], header: RecordingHeader) -> list[SiteResult]:
+    """Surface, depths and moduli of every site of the plan.
+
+    Args:
+        rows: Ticks, with the fields of ROW of palpd.tick.
+        header: Header of the recording.
+
+    Returns:
+        One result per site, in the order of the plan.
+    """
+    body = header["body"]
+    stiffness = body["machine_stiffness_N_per_m"] or math.inf
+    whole = track(rows, body["delay_s"], stiffness)
+    tip = (body["tip_radius_m"], body["poisson_ratio"])
+    return [_site(whole.where(whole.site == index), site["name"], tip) for index, site in enumerate(header["sites"])]
+
+
+def analysed(rows: NDArray[np.void], header: RecordingHeader) -> list[LoadingResult]:
+    """Young's modulus of every site by Hertz over the whole loading of its deepest press, contact point and force baseline free.
+
+    Args:
+        rows: Ticks, with the fields of ROW of palpd.tick.
+        header: Header of the recording.
+
+    Returns:
+        One result per site, in the order of the plan.
+    """
+    body = header["body"]
+    whole = track(rows, body["delay_s"], body["machine_stiffness_N_per_m"] or math.inf)
+    return [_loading(whole.where(whole.site == index), site["name"], body) for index, site in enumerate(header["sites"])]
+
+
+def analysed_sites(recording: Recording, site: str | None = None) -> list[LoadingResult]:
+    """The moduli of a recording as `analysed` gives them.
+
+    Args:
+        recording: Recording of a palpation.
+        site: Name of the only site to analyse, or None for all.
+
+    Returns:
+        One result a site.
+
+    Raises:
+        RecordingError: Where the recording has no such site.
+    """
+    if site is not None:
+        recording.site_index(site)
+    return [each for each in analysed(recording.rows, recording.header) if site in (None, each["name"])]
+
+
+def _loading(of_site: Track, name: str, body: RecordedGeometry) -> LoadingResult:
+    pressed = of_site.where(np.isin(of_site.mode, (Mode.STATIC, Mode.DYNAMIC)) & np.isfinite(of_site.depth_m))
+    if not len(pressed.t_s):
+        return _no_loading(name, "nothing was pressed here")
+    deepest = pressed.where(pressed.depth_m == pressed.depth_m.max())
+    one = deepest.where((deepest.mode == deepest.mode[-1]) & (deepest.repeat == deepest.repeat[-1]))
+    loading = one.where(np.isin(one.phase, (Phase.BASELINE, Phase.PRESS)))
+    try:
+        fit = fit_contact(loading.tip_z_m, loading.fz_N - loading.inertial_N, body["tip_radius_m"], body["poisson_ratio"])
+    except RecordingError as error:
+        return _no_loading(name, str(error))
+    held = _site(of_site, name, (body["tip_radius_m"], body["poisson_ratio"]))
+    return {
+        "name": name,
+        "youngs_modulus_Pa": fit.youngs_modulus_Pa,
+        "ci95_Pa": list(fit.ci95_Pa),
+        "contact_point_m": fit.contact_point_m,
+        "baseline_N": fit.baseline_N,
+        "depth_m": fit.depth_m,
+        "rms_N": fit.rms_N,
+        "peak_force_N": float(loading.fz_N.max() - fit.baseline_N),
+        "static_youngs_modulus_Pa": held["static_youngs_modulus_Pa"],
+        "warnings": [*fit.warnings, *_two_moduli(fit, held)],
+    }
+
+
+def _two_moduli(fit: ContactFit, held: SiteResult) -> list[str]:
+    """Why the table of a run shows another modulus: the mean of equation 1 over the holds at several depths, from the found surface."""
+    static_Pa, surface_m = held["static_youngs_modulus_Pa"], held["surface_z_m"]
+    if static_Pa is None or surface_m is None or abs(static_Pa / fit.youngs_modulus_Pa - 1.0) < SAME_MODULUS:
+        return []
+    depths = [depth["achieved_m"] for depth in held["depths"] if depth["E_Pa"] is not None and depth["achieved_m"] is not None]
+    return [
+        f"the results table of the run shows {static_Pa / 1e3:.3g} kPa. That is equation 1, the mean of {len(depths)} holds "
+        f"{min(depths) * 1e3:.2g} to {max(depths) * 1e3:.2g} mm below the surface of its search. The {fit.youngs_modulus_Pa / 1e3:.3g} kPa "
+        f"are Hertz over one whole loading, with the contact {(fit.contact_point_m - surface_m) * 1e3:+.2f} mm from that surface"
+    ]
+
+
+def _no_loading(name: str, reason: str) -> LoadingResult:
+    return {"name": name, "youngs_modulus_Pa": None, "ci95_Pa": None, "contact_point_m": None, "warnings": [reason]}
+
+
+def _site(of_site: Track, name: str, tip: tuple[float, float]) -> SiteResult:
+    known = of_site.surface_z_m[np.isfinite(of_site.surface_z_m)]
+    surface_z_m = float(known[-1]) if len(known) else None
+    static = [_held(of_site, depth_m, tip) for depth_m in _depths(of_site, Mode.STATIC)]
+    presses = [press for depth_m in _depths(of_site, Mode.DYNAMIC) for press in _presses(of_site, depth_m, tip)]
+    static_Pa = _mean(depth["E_Pa"] for depth in static)
+    original_Pa, corrected_Pa = _mean(press["original_Pa"] for press in presses), _mean(press["corrected_Pa"] for press in presses)
+    pressed = of_site.where(np.isin(of_site.phase, (Phase.SEARCH, Phase.PRESS, Phase.HOLD, Phase.RETRACT)))
+    contact_N = pressed.fz_N - pressed.inertial_N
+    return {
+        "name": name,
+        "surface_z_m": surface_z_m,
+        "static_youngs_modulus_Pa": static_Pa,
+        "dynamic_original_Pa": original_Pa,
+        "dynamic_corrected_Pa": corrected_Pa,
+        "ymbt_original": ymbt(original_Pa, static_Pa) if original_Pa and static_Pa else None,
+        "ymbt_corrected": ymbt(corrected_Pa, static_Pa) if corrected_Pa and static_Pa else None,
+        "peak_force_N": float(contact_N.max()) if len(contact_N) else None,
+        "correction_N": _mean(press["correction_N"] for press in presses),
+        "running_zero_N": _mean(press["running_zero_N"] for press in presses),
+        "cut_short": bool(of_site.cut_short.any()),
+        "cut_short_depths_m": sorted({float(d) for d in of_site.depth_m[of_site.cut_short > 0]}),
+        "depths": static,
+        "presses": presses,
+    }
+
+
+def _held(of_site: Track, depth_m: float, tip: tuple[float, float]) -> DepthResult:
+    """Static palpation to one depth: mean of the hold less the mean of the rest before it."""
+    here = of_site.where((of_site.mode == Mode.STATIC) & (of_site.depth_m == depth_m))
+    hold, rest = here.where(here.phase == Phase.HOLD), here.where(here.phase == Phase.BASELINE)
+    cut_short = bool(here.cut_short.any())
+    if not len(hold.t_s) or not len(rest.t_s):
+        pressed = here.where(here.phase == Phase.PRESS)
+        deepest_m = float(here.surface_z_m[-1] - pressed.tip_z_m.min()) if len(pressed.t_s) else None
+        return {"commanded_m": depth_m, "achieved_m": deepest_m, "force_N": None, "E_Pa": None, "cut_short": cut_short}
+    force_N = float(hold.fz_N.mean() - rest.fz_N.mean())
+    achieved_m = float(hold.surface_z_m[-1] - hold.tip_z_m.mean())
+    return {
+        "commanded_m": depth_m,
+        "achieved_m": achieved_m,
+        "force_N": force_N,
+        "E_Pa": modulus_peak_Pa(force_N, achieved_m, *tip),
+        "cut_short": cut_short,
+    }
+
+
+def _presses(of_site: Track, depth_m: float, tip: tuple[float, float]) -> list[PressResult]:
+    """Dynamic palpations to one depth: the paper's modulus at the force peak, as measured and with the inertial force taken out."""
+    here = of_site.where((of_site.mode == Mode.DYNAMIC) & (of_site.depth_m == depth_m))
+    presses: list[PressResult] = []
+    for repeat in np.unique(here.repeat):
+        press = here.where((here.repeat == repeat) & np.isin(here.phase, (Phase.PRESS, Phase.RETRACT)))
+        if len(press.t_s) < 3:
+            continue
+        width = max(1, round(PEAK_WINDOW_S / float(np.median(np.diff(press.t_s)))))
+        window = np.ones(width) / width
+        force_N, inertial_N, tip_z_m = (
+            np.convolve(values, window, mode="valid") for values in (press.fz_N, press.inertial_N, press.tip_z_m)
+        )
+        peak = int(np.argmax(force_N))
+        at_m = float(press.surface_z_m[-1] - tip_z_m[peak])
+        if at_m <= 0:
+            continue
+        corrected_N = float(force_N[peak] - inertial_N[peak])
+        presses.append(
+            {
+                "commanded_m": depth_m,
+                "achieved_m": float(press.surface_z_m[-1] - tip_z_m.min()),
+                "peak_depth_m": at_m,
+                "original_N": float(force_N[peak]),
+                "correction_N": float(inertial_N[peak]),
+                "running_zero_N": float(press.zero_N[peak]),
+                "original_Pa": modulus_peak_Pa(float(force_N[peak]), at_m, *tip),
+                "corrected_Pa": modulus_peak_Pa(corrected_N, at_m, *tip),
+                "cut_short": bool(press.cut_short.any()),
+            }
+        )
+    return presses
+
+
+def _depths(of_site: Track, mode: Mode) -> list[float]:
+    depths = of_site.depth_m[(of_site.mode == mode) & np.isfinite(of_site.depth_m)]
+    return [float(depth) for depth in np.unique(depths)]
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    finite = [value for value in values if value is not None and math.isfinite(value)]
+    return math.fsum(finite) / len(finite) if finite else None
+
+
+def loop_figures(rows: NDArray[np.void]) -> LoopFigures:
+    """How the loop kept its rate.
+
+    Args:
+        rows: Ticks, with the fields of ROW of palpd.tick.
+
+    Returns:
+        Numbers of ticks and missed ticks, and percentiles of work and wake-up delay in µs.
+    """
+    ticking = rows[rows["phase"] != Phase.IDLE]
+    if not len(ticking):
+        return {"ticks": 0, "missed": 0}
+    wakeup_us = (ticking["now_s"] - ticking["planned_s"]) * 1e6
+    work_us = ticking["work_us"][1:] if len(ticking) > 1 else ticking["work_us"]
+    return {
+        "ticks": len(ticking),
+        "missed": int(ticking["missed"].sum()),
+        "work_us_p50": float(np.percentile(work_us, 50)),
+        "work_us_p99": float(np.percentile(work_us, 99)),
+        "wakeup_us_p50": float(np.percentile(wakeup_us, 50)),
+        "wakeup_us_p99": float(np.percentile(wakeup_us, 99)),
+    }
+
+
+def machine_stiffness(rows: NDArray[np.void]) -> tuple[float, tuple[float, float]]:
+    """Stiffness of the machine: slope of force over reported travel against a rigid plate.
+
+    Args:
+        rows: Ticks of `palpd stiffness`, with the fields of ROW of palpd.tick.
+
+    Returns:
+        Mean over the presses in N/m, and its 95 % interval.
+
+    Raises:
+        RecordingError: Fewer than two presses can be evaluated, or one gives way upwards.
+    """
+    whole = track(rows, 0.0)
+    slopes = []
+    for repeat in np.unique(whole.repeat[whole.repeat >= 0]):
+        press = whole.where((whole.mode == Mode.STIFFNESS) & (whole.phase == Phase.PRESS) & (whole.repeat == repeat))
+        loaded = np.convolve(press.fz_N, np.ones(50) / 50, mode="same") > LOADED_N
+        press = press.where(loaded)
+        if len(press.t_s) > 50:
+            # 5 µm of noise on a travel of 0.1 mm would flatten a regression on travel by 4 %; time, which has none, is the instrument
+            t_s = press.t_s - press.t_s.mean()
+            slopes.append(-float((t_s @ press.fz_N) / (t_s @ press.tip_z_m)))
+    if len(slopes) < 2 or min(slopes) <= 0:
+        raise RecordingError(f"{len(slopes)} presses of a rigid plate can be evaluated, expected at least 2; repeat palpd stiffness")
+    mean = math.fsum(slopes) / len(slopes)
+    half = mean_half_width_95(slopes)
+    return mean, (mean - half, mean + half)

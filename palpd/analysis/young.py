@@ -1,0 +1,320 @@
+"""Young's modulus from force and depth: the paper's peak formula, Hertz over a whole curve, and the height of the surface.
+
+Heights are up positive and tissue is below; pressing gives positive force. One contact law throughout, Hertz for a sphere on an
+elastic half-space: f = 4/3 · E/(1-ν²) · √r · d^1.5. For a given contact point it is linear in stiffness and force baseline, so only
+the contact point is searched, on a grid that is narrowed: no start value, no iteration that could fail, the same answer every
+time. Sums are plain and not matrix products: a product may be split over threads, which changes its last bits.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from palpd.analysis.intervals import correlated_sigmas, student_t_95
+from palpd.cell.effects.tissue import dimitriadis
+from palpd.control.surface import FEWEST_SAMPLES, GRID, refuse_unfit
+from palpd.errors import BadInput, RecordingError
+from palpd.tick import Floats
+
+FINE = 9
+"""Passes of an offline fit: 64 · 16^8 steps over the curve are finer than any encoder."""
+LARGE_STRAIN = 0.3
+"""Depth over tip radius above which a sphere is no longer a paraboloid and strains are no longer small."""
+THIN_LAYER = 0.1
+"""Contact radius over thickness above which a rigid base below is felt (Dimitriadis et al. 2002: 12 % of force at 0.1)."""
+
+PLAUSIBLE_MODULUS_PA = (50.0, 1e8)
+"""Range of Young's moduli that no warning questions: from the softest gels and brain to hard rubber and cartilage."""
+
+MISFIT_NOISES, MISFIT_SHARE = 2.0, 0.01
+"""Residual above which Hertz does not fit: more than both twice the noise and 1 % of the peak force."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContactFit:
+    """Hertz fitted to a loading curve.
+
+    Attributes:
+        youngs_modulus_Pa: Young's modulus.
+        ci95_Pa: Its 95 % interval under this contact law.
+        contact_point_m: Height of the surface.
+        contact_sigma_m: One standard deviation of that height.
+        baseline_N: Force before contact.
+        rms_N: Rms of the residuals.
+        n: Number of samples.
+        n_effective: Number of independent samples that they are worth.
+        depth_m: Largest indentation.
+        warnings: Assumptions that the data strain.
+    """
+
+    youngs_modulus_Pa: float
+    ci95_Pa: tuple[float, float]
+    contact_point_m: float
+    contact_sigma_m: float
+    baseline_N: float
+    rms_N: float
+    n: int
+    n_effective: float
+    depth_m: float
+    warnings: tuple[str, ...] = ()
+
+
+def modulus_peak_Pa(force_N: float, depth_m: float, tip_radius_m: float, poisson_ratio: float) -> float:
+    """Young's modulus by eq. 1 of Guo, Xiao, Ren 2019: E = 3 f (1+ν) / (8 d √(r d)).
+
+    It equals Hertz at ν = 0.5 only; elsewhere it is Hertz times 1/(2(1-ν)): 29 % less at ν = 0.3.
+
+    Args:
+        force_N: Contact force.
+        depth_m: Indentation, above zero.
+        tip_radius_m: Radius of the spherical tip, above zero.
+        poisson_ratio: Poisson's ratio of the tissue.
+
+    Returns:
+        Young's modulus in Pa.
+
+    Raises:
+        BadInput: Depth or radius is not above zero.
+    """
+    _refuse_without_depth(depth_m, tip_radius_m)
+    return 3.0 * force_N * (1.0 + poisson_ratio) / (8.0 * depth_m * math.sqrt(tip_radius_m * depth_m))
+
+
+def modulus_hertz_Pa(force_N: float, depth_m: float, tip_radius_m: float, poisson_ratio: float) -> float:
+    """Young's modulus by Hertz for a sphere on a half-space: E = 3 f (1-ν²) / (4 √r d^1.5).
+
+    Args:
+        force_N: Contact force.
+        depth_m: Indentation, above zero.
+        tip_radius_m: Radius of the spherical tip, above zero.
+        poisson_ratio: Poisson's ratio of the tissue.
+
+    Returns:
+        Young's modulus in Pa.
+
+    Raises:
+        BadInput: Depth or radius is not above zero.
+    """
+    _refuse_without_depth(depth_m, tip_radius_m)
+    return 3.0 * force_N * (1.0 - poisson_ratio**2) / (4.0 * math.sqrt(tip_radius_m) * depth_m**1.5)
+
+
+def ymbt(dynamic_Pa: float, static_Pa: float) -> float:
+    """Young's modulus bias term |E_dynamic - E_static| / E_static (Guo, Xiao, Ren 2019, eqs. 9 and 10).
+
+    Args:
+        dynamic_Pa: Modulus of dynamic palpation.
+        static_Pa: Modulus of static palpation.
+
+    Returns:
+        The bias as a ratio.
+    """
+    return abs(dynamic_Pa - static_Pa) / static_Pa
+
+
+def fit_contact(
+    height_m: Floats,
+    force_N: Floats,
+    tip_radius_m: float,
+    poisson_ratio: float,
+    *,
+    machine_stiffness_N_per_m: float = math.inf,
+    contact_m: float | None = None,
+    baseline_N: float | None = None,
+    thickness_m: float | None = None,
+) -> ContactFit:
+    """Least squares of Hertz over a whole loading curve, contact point and force baseline free unless they are given.
+
+    The give of the machine is taken out: the tip stands (f - baseline)/k higher than the machine reports. The interval is Student's t
+    times the sigma of `correlated_sigmas`, so noise that is not white and a law that does not quite hold widen it. Its degrees of freedom
+    are the independent samples in contact. Rounding that noise does not dither shifts all samples before contact by up to half a count.
+    No residual shows that, so it is added from the count seen in the data. The interval does not hold a baseline that drifts.
+
+    Args:
+        height_m: Heights (n,) of the loading in m, up positive, with what was recorded before contact.
+        force_N: Forces (n,) in N, compression positive.
+        tip_radius_m: Radius of the spherical tip.
+        poisson_ratio: Poisson's ratio of the tissue.
+        machine_stiffness_N_per_m: Stiffness of the machine in series with the tissue.
+        contact_m: Height of contact, or None to fit it.
+        baseline_N: Force before contact, or None to fit it.
+        thickness_m: Thickness of the tissue, or None; it only decides on a warning.
+
+    Returns:
+        The fit with its interval and warnings.
+
+    Raises:
+        RecordingError: The samples cannot be fitted, or show no contact.
+    """
+    refuse_unfit(height_m, force_N)
+    hertz = _solve(np.asarray(height_m, dtype=float), force_N, machine_stiffness_N_per_m, contact_m, baseline_N)
+    if hertz.stiffness <= 0.0 or not hertz.indentation_m.any():
+        raise RecordingError(
+            f"the force over {len(height_m)} samples never rises with depth as a contact would (it spans {np.ptp(force_N):.3g} N); "
+            "check the force's sign, the columns and the direction of the height"
+        )
+    residual_N = force_N - hertz.baseline_N - hertz.stiffness * hertz.indentation_m**1.5
+    (stiffness_half, contact_sigma_m), n_effective = _uncertainty(hertz, force_N, residual_N, contact_m is None, baseline_N is None)
+    modulus, depth_m = modulus_hertz_Pa(hertz.stiffness, 1.0, tip_radius_m, poisson_ratio), float(hertz.indentation_m.max())
+    half = stiffness_half * modulus / hertz.stiffness
+    return ContactFit(
+        youngs_modulus_Pa=modulus,
+        ci95_Pa=(modulus - half, modulus + half),
+        contact_point_m=hertz.contact_m,
+        contact_sigma_m=contact_sigma_m,
+        baseline_N=hertz.baseline_N,
+        rms_N=math.sqrt(float(np.mean(residual_N**2))),
+        n=len(force_N),
+        n_effective=n_effective,
+        depth_m=depth_m,
+        warnings=(
+            *implausible_modulus(modulus),
+            *_misfit(hertz, force_N, residual_N),
+            *_strained(depth_m, tip_radius_m, thickness_m),
+            *_thin_data(hertz.indentation_m, contact_m, baseline_N),
+        ),
+    )
+
+
+class _Hertz(NamedTuple):
+    """Solution of least squares: stiffness in N/m^1.5, contact height, baseline, and indentations (n,)."""
+
+    stiffness: float
+    contact_m: float
+    baseline_N: float
+    indentation_m: Floats
+
+
+def _solve(
+    reported_m: Floats, force_N: Floats, machine_stiffness_N_per_m: float, contact_m: float | None, baseline_N: float | None
+) -> _Hertz:
+    """Hertz over all samples, with the give of the machine taken out of the reported heights."""
+    force_at_rest_N = baseline_N or 0.0
+    if contact_m is None or math.isinf(machine_stiffness_N_per_m):
+        tip_m = reported_m + (force_N - force_at_rest_N) / machine_stiffness_N_per_m
+        stiffness, contact, baseline = _search(tip_m, force_N, contact_m, baseline_N)
+        shift_m = (baseline - force_at_rest_N) / machine_stiffness_N_per_m
+        tip_m, contact = tip_m - shift_m, contact - (shift_m if contact_m is None else 0.0)
+    else:
+        for _ in range(5):  # the baseline moves a tip whose contact is held, by a share of itself: it settles at once
+            tip_m = reported_m + (force_N - force_at_rest_N) / machine_stiffness_N_per_m
+            stiffness, contact, force_at_rest_N = _search(tip_m, force_N, contact_m, baseline_N)
+        baseline = force_at_rest_N
+    return _Hertz(stiffness, contact, baseline, np.maximum(contact - tip_m, 0.0))
+
+
+def _uncertainty(
+    hertz: _Hertz, force_N: Floats, residual_N: Floats, contact_is_free: bool, baseline_is_free: bool
+) -> tuple[tuple[float, float], float]:
+    """Half-width of the stiffness's 95 % interval in N/m^1.5 and one sigma of the contact height in m; effective sample size."""
+    depth_m = hertz.indentation_m
+    slopes = [depth_m**1.5]
+    slopes += [1.5 * hertz.stiffness * np.sqrt(depth_m)] if contact_is_free else []
+    slopes += [np.ones_like(depth_m)] if baseline_is_free else []
+    air = depth_m <= 0.0
+    rounding_N = _undithered_N(force_N, residual_N[air])
+    sigmas, n_effective = correlated_sigmas(np.column_stack(slopes), residual_N, np.where(air, rounding_N, 0.0))
+    degrees = max(n_effective * float(np.mean(~air)) - len(slopes), 1.0)
+    return (student_t_95(degrees) * float(sigmas[0]), float(sigmas[1]) if contact_is_free else 0.0), n_effective
+
+
+def _search(tip_m: Floats, force_N: Floats, contact_m: float | None, baseline_N: float | None) -> tuple[float, float, float]:
+    """Stiffness in N/m^1.5, contact height and baseline with the least squares over all samples."""
+    low_m, high_m = float(tip_m.min()), float(tip_m.max())
+    for _ in range(FINE if contact_m is None else 1):
+        contact = np.linspace(low_m, high_m, GRID) if contact_m is None else np.array([contact_m])
+        depth_m = np.maximum(contact[:, None] - tip_m, 0.0)
+        hertz = depth_m * np.sqrt(depth_m)
+        level = hertz.mean(axis=1) if baseline_N is None else np.zeros(len(contact))
+        rest_N = float(force_N.mean()) if baseline_N is None else baseline_N
+        hertz -= level[:, None]
+        squares = np.sum(hertz**2, axis=1)
+        product = np.maximum(np.sum(hertz * (force_N - rest_N), axis=1), 0.0)
+        stiffness = product / np.maximum(squares, np.finfo(float).tiny)
+        best = int(np.argmax(product * stiffness))
+        step_m = (high_m - low_m) / (GRID - 1)
+        low_m, high_m = contact[best] - 2.0 * step_m, contact[best] + 2.0 * step_m
+    return float(stiffness[best]), float(contact[best]), float(rest_N - stiffness[best] * level[best])
+
+
+def _undithered_N(force_N: Floats, at_rest_N: Floats) -> float:
+    """One standard deviation of what rounding leaves in the mean of the samples at rest.
+
+    A count q that noise of sigma s dithers leaves Σ (q/πk)² exp(-(2πks/q)²)/2 of variance, q²/12 without noise (Widrow 1956).
+    """
+    levels = np.unique(force_N)
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * (levels[-1] - levels[0])]
+    if len(at_rest_N) < 2 or not len(gaps):
+        return 0.0
+    count_N = float(gaps.min())
+    noise = math.sqrt(max(float(np.var(at_rest_N)) / count_N**2 - 1.0 / 12.0, 0.0))
+    k = np.arange(1, 50)
+    return count_N * math.sqrt(float(np.sum(np.exp(-((2.0 * np.pi * k * noise) ** 2)) / (np.pi * k) ** 2)) / 2.0)
+
+
+def implausible_modulus(youngs_modulus_Pa: float) -> list[str]:
+    """A warning where no tissue has such a modulus; empty otherwise."""
+    low_Pa, high_Pa = PLAUSIBLE_MODULUS_PA
+    if low_Pa <= youngs_modulus_Pa <= high_Pa:
+        return []
+    return [
+        f"a modulus of {youngs_modulus_Pa:.3g} Pa is outside of {low_Pa:g} to {high_Pa:g} Pa, where gels, tissue and rubber lie; "
+        "check the units of force, length and tip radius"
+    ]
+
+
+def _misfit(hertz: _Hertz, force_N: Floats, residual_N: Floats) -> list[str]:
+    """A warning where the residual is more than noise, with the moduli of the shallow and of the deep part of the press."""
+    depth_m, peak_N = hertz.indentation_m, float(np.max(force_N) - hertz.baseline_N)
+    rms_N = math.sqrt(float(np.mean(residual_N**2)))
+    noise_N = math.sqrt(float(np.mean(np.diff(residual_N, 2) ** 2)) / 6.0)  # white noise has 6 variances in its second differences
+    if rms_N < MISFIT_NOISES * noise_N or rms_N < MISFIT_SHARE * peak_N:
+        return []
+    local = [
+        float(np.mean((force_N - hertz.baseline_N)[part] / depth_m[part] ** 1.5)) / hertz.stiffness - 1.0
+        for part in (
+            (depth_m > low * depth_m.max()) & (depth_m <= high * depth_m.max()) for low, high in ((0.2, 0.4), (0.4, 0.8), (0.8, 1.0))
+        )
+        if part.any()
+    ]
+    by_depth = ", ".join(f"{100 * value:+.0f} %" for value in local)
+    return [
+        f"Hertz does not fit: the residual is {rms_N:.2g} N rms and the noise {noise_N:.2g} N. From shallow to deep the force is off by "
+        f"{by_depth}. One modulus does not describe this sample (inclusion, layer, relaxation, tip shape), so compare at equal depth"
+    ]
+
+
+def _strained(depth_m: float, tip_radius_m: float, thickness_m: float | None) -> list[str]:
+    warnings = []
+    if depth_m > LARGE_STRAIN * tip_radius_m:
+        warnings.append(
+            f"the depth of {depth_m:.3g} m is {depth_m / tip_radius_m:.2f} of the tip radius of {tip_radius_m:g} m, "
+            f"above {LARGE_STRAIN:g}: Hertz assumes small strain, so compare moduli at equal depth only"
+        )
+    if thickness_m is not None:
+        x = math.sqrt(tip_radius_m * depth_m) / thickness_m
+        if x > THIN_LAYER:
+            factor = float(dimitriadis(np.array(x)))
+            warnings.append(
+                f"the contact radius is {x:.2f} of the thickness of {thickness_m:g} m, above {THIN_LAYER:g}: a rigid base makes the "
+                f"modulus at this depth up to {factor:.2f} times too large (Dimitriadis et al. 2002, bonded, ν = 0.5)"
+            )
+    return warnings
+
+
+def _thin_data(indentation_m: Floats, contact_m: float | None, baseline_N: float | None) -> list[str]:
+    before, touching = int(np.sum(indentation_m <= 0.0)), int(np.sum(indentation_m > 0.0))
+    warnings = []
+    if before < FEWEST_SAMPLES and contact_m is None and baseline_N is None:
+        warnings.append(f"only {before} samples lie before contact, so contact point and baseline rest on the contact law alone")
+    if touching < FEWEST_SAMPLES:
+        warnings.append(f"only {touching} samples lie in contact; press deeper or sample faster")
+    return warnings
+
+
+def _refuse_without_depth(depth_m: float, tip_radius_m: float) -> None:
+    if not (depth_m > 0.0 and tip_radius_m > 0.0):
+        raise BadInput(f"the depth is {depth_m:g} m at a tip radius of {tip_radius_m:g} m; a modulus needs both above zero")

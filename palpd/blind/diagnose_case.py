@@ -1,0 +1,63 @@
+"""The diagnosis of sealed cases, in a process of its own: it is given a folder of recordings and cell files and nothing else.
+
+`python -m palpd.blind.diagnose_case FOLDER JOBS` writes X.json and X.enriched.yaml beside every X.csv. X.without holds the ids of effects
+that the diagnosis is not given. A case that fails leaves X.failed with the reason.
+"""
+
+import json
+import os
+import resource
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from palpd.gap.commands import diagnose_files
+
+
+def diagnose_case(recording: Path) -> str | None:
+    """Diagnose one case; the sentence of what went wrong, or None."""
+    beside = recording.with_suffix(".without")
+    without = beside.read_text(encoding="utf-8").split() if beside.exists() else []
+    out = recording.with_suffix(".json")
+    began = os.times()
+    try:
+        diagnose_files(
+            [recording],
+            recording.with_suffix(".yaml"),
+            json_out=out,
+            cell_out=recording.with_suffix(".enriched.yaml"),
+            without=without,
+            propose=False,
+        )
+    except Exception as error:  # whatever it is, it is this case's score and not the end of the check
+        sentence = f"{type(error).__name__}: {error}"
+        recording.with_suffix(".failed").write_text(sentence, encoding="utf-8")
+        return sentence
+    ended = os.times()
+    cost = {
+        "cpu_s": ended.user + ended.system - began.user - began.system,
+        "wall_s": ended.elapsed - began.elapsed,
+        "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+    }
+    content = json.loads(out.read_text(encoding="utf-8"))
+    out.write_text(json.dumps(content | {"cost": cost}, ensure_ascii=False), encoding="utf-8")
+    return None
+
+
+def main(folder: Path, jobs: int) -> int:
+    """Diagnose every recording of a folder.
+
+    Args:
+        folder: Folder of recordings and cell files.
+        jobs: Number of processes.
+
+    Returns:
+        Number of recordings that failed.
+    """
+    recordings = sorted(folder.glob("*.csv"))
+    with ProcessPoolExecutor(jobs) as pool:
+        return sum(sentence is not None for sentence in pool.map(diagnose_case, recordings))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]))

@@ -1,0 +1,340 @@
+"""Cells and motions of the blind check: drawn at random, each within its tolerances and never on its numbers.
+
+Every press scatters, and no two cycles are alike.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from palpd.blind.laws import Floats, Ints
+
+CHANNELS = ("z_m", "fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
+PHASES = ("free_still", "free_moving", "loading", "holding", "unloading")
+CROSSTALK_ARM_M = 0.05
+"""Torque tolerance of the crosstalk per force tolerance, in Nm per N."""
+
+TOLERANCES = (
+    "bias_N",
+    "drift_N_per_min",
+    "gain",
+    "latency_s",
+    "filter_cutoff",
+    "mass_kg",
+    "youngs_modulus",
+    "surface_z_m",
+    "servo_natural_frequency",
+    "crosstalk_fx",
+    "crosstalk_fy",
+    "crosstalk_tx",
+    "crosstalk_ty",
+)
+"""Everything that lies within a tolerance, in the order in which deviations are drawn."""
+
+
+EMULATED_TOLERANCES = {
+    "bias_N": 0.02,
+    "drift_N_per_min": 0.01,
+    "gain": 0.005,
+    "latency_s": 0.001,
+    "filter_cutoff": 0.05,
+    "mass_kg": 0.003,
+    "youngs_modulus": 0.02,
+    "surface_z_m": 3.0e-5,
+    "servo_natural_frequency": 0.02,
+} | dict.fromkeys(TOLERANCES[-4:], 0.003)
+"""Standard deviations of the emulated cell. Keys without a unit are relative."""
+
+
+@dataclass(frozen=True)
+class CellRealisation:
+    """The numbers of a cell.yaml, and the standard deviations that hold for it, stated or not."""
+
+    mass_kg: float
+    tip_radius_m: float
+    tip_length_m: float
+    rate_Hz: float
+    cutoff_Hz: float | None
+    noise_N: float
+    noise_Nm: float
+    step_fxy_N: float
+    step_fz_N: float
+    step_Nm: float
+    servo_Hz: float
+    servo_damping: float
+    position_noise_m: float
+    velocity_noise_m_per_s: float
+    surface_z_m: float
+    youngs_modulus_Pa: float
+    poisson_ratio: float
+    tolerances: dict[str, float]
+    scatter_surface_m: float
+    scatter_stiffness: float
+    stated: bool = True
+
+    @property
+    def hertz_N_per_m15(self) -> float:
+        """Force over depth^1.5 of the nominal tissue."""
+        return 4.0 / 3.0 * self.youngs_modulus_Pa / (1.0 - self.poisson_ratio**2) * self.tip_radius_m**0.5
+
+    @cached_property
+    def sigmas(self) -> Floats:
+        """Noise and rounding of one row, channel by channel (7,)."""
+        steps = np.array([0.0, self.step_fxy_N, self.step_fxy_N, self.step_fz_N, *[self.step_Nm] * 3])
+        noises = np.array([self.position_noise_m, *[self.noise_N] * 3, *[self.noise_Nm] * 3])
+        return np.sqrt(noises**2 + steps**2 / 12.0)
+
+    def as_yaml(self) -> dict[str, Any]:
+        """The keys of cell.yaml."""
+        block: dict[str, Any] = {
+            "probe": {"mass_kg": self.mass_kg, "tip_radius_m": self.tip_radius_m, "tip_length_m": self.tip_length_m},
+            "sensor": {
+                "rate_Hz": self.rate_Hz,
+                "filter_cutoff_Hz": self.cutoff_Hz,
+                "noise_rms_N": self.noise_N,
+                "noise_rms_Nm": self.noise_Nm,
+                "resolution_fxy_N": self.step_fxy_N,
+                "resolution_fz_N": self.step_fz_N,
+                "resolution_Nm": self.step_Nm,
+            },
+            "robot": {
+                "servo_natural_frequency_Hz": self.servo_Hz,
+                "servo_damping_ratio": self.servo_damping,
+                "position_noise_rms_m": self.position_noise_m,
+                "velocity_noise_rms_m_per_s": self.velocity_noise_m_per_s,
+            },
+            "tissue": {
+                "surface_z_m": self.surface_z_m,
+                "youngs_modulus_Pa": self.youngs_modulus_Pa,
+                "poisson_ratio": self.poisson_ratio,
+            },
+            "effects": {},
+        }
+        if self.stated:
+            names = [name for name in TOLERANCES if not name.startswith("crosstalk_")]
+            block["tolerances"] = {name: self.tolerances[name] for name in names} | {"crosstalk": self.tolerances["crosstalk_fx"]}
+            block["repeatability"] = {"surface_z_m": self.scatter_surface_m, "stiffness": self.scatter_stiffness}
+        return block
+
+
+@dataclass(frozen=True)
+class DrawnMotion:
+    """A commanded height: rests and straight strokes with trapezoidal speed. All arrays (k,), one entry a stroke."""
+
+    begin_s: Floats
+    from_m: Floats
+    to_m: Floats
+    speed_m_per_s: Floats
+    acceleration_m_per_s2: Floats
+    press_begin_s: Floats
+    duration_s: float
+    _grids: dict[float, tuple[Floats, Floats, Ints]] = field(default_factory=dict, repr=False, compare=False)
+
+    def at(self, t_s: Floats) -> Floats:
+        """Commanded height at these times.
+
+        Args:
+            t_s: Times in s (n,).
+
+        Returns:
+            Heights in m (n,).
+        """
+        k = np.clip(np.searchsorted(self.begin_s, t_s, side="right") - 1, 0, None)
+        way = np.abs(self.to_m - self.from_m)
+        acceleration = self.acceleration_m_per_s2
+        top = np.minimum(self.speed_m_per_s, np.sqrt(way * acceleration))
+        ramp = top / acceleration
+        cruise = way / top - ramp
+        t = np.maximum(t_s - self.begin_s[k], 0.0)
+        first = np.minimum(t, ramp[k])
+        last = np.clip(t - ramp[k] - cruise[k], 0.0, ramp[k])
+        middle = np.clip(t - ramp[k], 0.0, cruise[k])
+        gone = 0.5 * acceleration[k] * first**2 + top[k] * (middle + last) - 0.5 * acceleration[k] * last**2
+        return np.asarray(self.from_m[k] + np.sign(self.to_m - self.from_m)[k] * gone)
+
+    def press(self, t_s: Floats) -> Ints:
+        """The press that each moment belongs to.
+
+        Args:
+            t_s: Times in s (n,).
+
+        Returns:
+            Indices (n,), -1 before the first press.
+        """
+        return np.asarray(np.searchsorted(self.press_begin_s, t_s, side="right") - 1)
+
+    def on_grid(self, dt_s: float) -> tuple[Floats, Floats, Ints]:
+        """Times, commanded heights and presses at even steps over the whole motion."""
+        if dt_s not in self._grids:
+            t = np.arange(0.0, self.duration_s + dt_s, dt_s)
+            self._grids[dt_s] = (t, self.at(t), self.press(t))
+        return self._grids[dt_s]
+
+    @property
+    def presses(self) -> int:
+        """Number of presses."""
+        return len(self.press_begin_s)
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """How one cell lies within its tolerances: in standard deviations for every tolerance, and press by press."""
+
+    of: dict[str, float]
+    surface: Floats
+    stiffness: Floats
+
+
+def no_deviations(presses: int) -> Deviations:
+    """A cell exactly on its numbers."""
+    return Deviations(dict.fromkeys(TOLERANCES, 0.0), np.zeros(presses), np.zeros(presses))
+
+
+def log_uniform(r: np.random.Generator, low: float, high: float) -> float:
+    """Draw from a distribution that is uniform in the logarithm.
+
+    Args:
+        r: Random generator.
+        low: Lower bound, above zero.
+        high: Upper bound.
+
+    Returns:
+        The drawn value, in the unit of the bounds.
+    """
+    return float(np.exp(r.uniform(np.log(low), np.log(high))))
+
+
+def _stated(x: float) -> float:
+    return float(f"{x:.4g}")
+
+
+def draw_cell(r: np.random.Generator) -> CellRealisation:
+    """Half of them are the emulated cell at some rate; the others are rigs of other sizes, some without stated tolerances."""
+    return _draw_emulated(r) if r.random() < 0.5 else _draw_rig(r)
+
+
+def _draw_emulated(r: np.random.Generator) -> CellRealisation:
+    return CellRealisation(
+        mass_kg=0.2,
+        tip_radius_m=0.005,
+        tip_length_m=0.08,
+        rate_Hz=float(r.choice([125.0, 250.0, 500.0, 500.0, 500.0, 1000.0])),
+        cutoff_Hz=150.0,
+        noise_N=0.05,
+        noise_Nm=0.001,
+        step_fxy_N=0.024,
+        step_fz_N=0.131,
+        step_Nm=0.001,
+        servo_Hz=8.0,
+        servo_damping=1.0,
+        position_noise_m=5.0e-6,
+        velocity_noise_m_per_s=2.0e-4,
+        surface_z_m=0.0,
+        youngs_modulus_Pa=72000.0,
+        poisson_ratio=0.5,
+        tolerances=EMULATED_TOLERANCES,
+        scatter_surface_m=2.0e-5,
+        scatter_stiffness=0.01,
+    )
+
+
+def _draw_rig(r: np.random.Generator) -> CellRealisation:
+    noise = _stated(log_uniform(r, 0.01, 0.12))
+    rate = float(r.choice([100.0, 200.0, 333.0, 500.0, 800.0]))
+    cutoff = float(r.choice([0.15, 0.3, 0.6])) * rate
+    mass = _stated(log_uniform(r, 0.06, 0.6))
+    radius = _stated(log_uniform(r, 0.0025, 0.008))
+    stated = bool(r.random() < 0.6)
+    tolerances = EMULATED_TOLERANCES | {
+        "bias_N": 0.4 * noise,
+        "drift_N_per_min": 0.2 * noise,
+        "mass_kg": 0.015 * mass,
+        "surface_z_m": 0.006 * radius,
+    }
+    if stated:
+        tolerances = {name: _stated(x * log_uniform(r, 0.5, 2.0)) for name, x in tolerances.items()}
+        tolerances |= dict.fromkeys(TOLERANCES[-4:], tolerances["crosstalk_fx"])
+    return CellRealisation(
+        mass_kg=mass,
+        tip_radius_m=radius,
+        tip_length_m=_stated(log_uniform(r, 0.04, 0.12)),
+        rate_Hz=rate,
+        cutoff_Hz=cutoff if r.random() < 0.85 else None,
+        noise_N=noise,
+        noise_Nm=_stated(0.02 * noise),
+        step_fxy_N=_stated(noise * log_uniform(r, 0.1, 1.0)),
+        step_fz_N=_stated(noise * log_uniform(r, 0.2, 2.7)),
+        step_Nm=_stated(0.02 * noise * log_uniform(r, 0.2, 1.0)),
+        servo_Hz=_stated(log_uniform(r, 4.0, min(16.0, 0.06 * rate))),
+        servo_damping=_stated(float(r.uniform(0.7, 1.0))),
+        position_noise_m=_stated(log_uniform(r, 2.0e-6, 8.0e-6)),
+        velocity_noise_m_per_s=_stated(log_uniform(r, 8.0e-5, 3.0e-4)),
+        surface_z_m=_stated(float(r.uniform(-0.05, 0.2))),
+        youngs_modulus_Pa=_stated(log_uniform(r, 2.0e4, 2.0e5)),
+        poisson_ratio=0.5,
+        tolerances=tolerances,
+        scatter_surface_m=0.004 * radius,
+        scatter_stiffness=0.01,
+        stated=stated,
+    )
+
+
+def draw_motion(r: np.random.Generator, cell: CellRealisation) -> DrawnMotion:
+    """Draw free strokes and presses in a random order, each with its own depth, speeds, acceleration, hold and rest.
+
+    Args:
+        r: Random generator.
+        cell: The cell, whose noise, tip and tissue set the depths.
+
+    Returns:
+        The motion.
+    """
+    deepest = (log_uniform(r, 60.0, 200.0) * cell.noise_N / cell.hertz_N_per_m15) ** (2.0 / 3.0)
+    deepest = float(np.clip(deepest, 0.25 * cell.tip_radius_m, 1.5 * cell.tip_radius_m))
+    height = deepest * float(r.uniform(0.8, 2.5))
+    cycles = list(r.permutation([True] * int(r.integers(4, 9)) + [False] * int(r.integers(2, 5))))
+    here = cell.surface_z_m + height
+    t = float(r.uniform(0.8, 2.0))
+    strokes: list[tuple[float, float, float, float, float]] = [(0.0, here, here - 1e-12, 1.0, 1e9)]
+    presses: list[float] = []
+
+    def go(to: float, speed: float, rest_s: float) -> None:
+        nonlocal here, t
+        acceleration = speed / float(r.uniform(0.05, 0.25))
+        way = abs(to - here)
+        top = min(speed, (way * acceleration) ** 0.5)
+        strokes.append((t, here, to, speed, acceleration))
+        t += way / top + top / acceleration + rest_s
+        here = to
+
+    for press in cycles:
+        top = cell.surface_z_m + height * float(r.uniform(0.5, 1.0))
+        if press:
+            presses.append(t - 0.05)
+            if r.random() < 0.4:
+                go(cell.surface_z_m + 0.15 * height, height / log_uniform(r, 0.3, 1.5), float(r.uniform(0.3, 0.8)))
+            depth = deepest * float(r.uniform(0.35, 1.0))
+            go(cell.surface_z_m - depth, deepest / log_uniform(r, 0.15, 2.5), log_uniform(r, 0.4, 5.0))
+            go(top, deepest / log_uniform(r, 0.15, 2.5), log_uniform(r, 0.5, 2.0))
+        else:
+            speed = height / log_uniform(r, 0.2, 1.0)
+            go(cell.surface_z_m + height * float(r.uniform(1.5, 2.5)), speed, log_uniform(r, 0.2, 1.0))
+            go(top, speed * float(r.uniform(0.5, 1.5)), log_uniform(r, 0.4, 1.0))
+    table = np.array(strokes).T
+    return DrawnMotion(table[0], table[1], table[2], table[3], table[4], np.array(presses), t)
+
+
+def draw_deviations(r: np.random.Generator, motion: DrawnMotion) -> Deviations:
+    """Draw a cell within its specification.
+
+    Args:
+        r: Random generator.
+        motion: The motion, whose presses scatter.
+
+    Returns:
+        Normal deviates, those of the tolerances cut off at three.
+    """
+    of = {name: float(np.clip(r.standard_normal(), -3.0, 3.0)) for name in TOLERANCES}
+    return Deviations(of, r.standard_normal(motion.presses), r.standard_normal(motion.presses))

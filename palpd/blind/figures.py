@@ -1,0 +1,199 @@
+"""The blind check as a page with figures for the documentation, from its JSON file alone."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from palpd.analysis.figure_style import BLUE, GREY, ORANGE, save_figure, styled_figure
+from palpd.blind.check import CheckResult
+from palpd.blind.drawn_cases import STRATA
+from palpd.blind.score import LAWS, CaseOutcome, ScoreRow, alone, answer, as_markdown, by_effect, calibration, first_right, table, wilson
+from palpd.errors import BadInput
+from palpd.files import read_json, write_text
+
+INTRODUCTION = """\
+How often the diagnosis is right on simulated cells whose truth it cannot see. `palpd blind` draws the cells, seals their truth, diagnoses
+the recordings in another process, and then scores the answers. [diagnosis.md](diagnosis.md#how-far-to-trust-it) compares these figures
+with cells from an independent generator and with recordings of other rigs, and says what this check cannot show."""
+"""What the reader gets; stands at the head of the page."""
+
+PREAMBLE = """\
+`palpd/blind/` draws the recordings and shares no physics with the library. The integrator is another one, at 2400 Hz or more. Every law is
+written anew, and the same effects also come with other laws. In every cell all tolerances are off by a normal deviate, every press
+scatters, and the noise is 0.85 to 1.18 times the stated noise. No two cycles are alike. In a fifth of the cells above 190 Hz the robot
+reports at 125 Hz and is interpolated. The SNR of an effect is the norm of its noise-free change over 20 ms
+means of all channels, in sensor sigmas of such a mean. Changes that tolerances and press scatter (as Gaussians) can hide do not count."""
+"""How the cells are drawn; stands above the table."""
+
+READING = """\
+An answer is right if it names the very effect that was planted, whatever the effect is indistinguishable from, unless the line says
+otherwise. Bias, drift, warm-up, gain, modulus, thickness, inclusion, tilt and crosstalk have an indistinguishable effect. The lines
+on the right cause and on nothing else named leave these out. The best mimic of an effect outside the library is the effect of the
+library that, fitted to its noise-free change, leaves the smallest SNR."""
+"""How the table is read; stands below it."""
+
+COMPARED = (
+    "right cause first",
+    "right and nothing",
+    "two effects",
+    "healthy cell",
+    "never given",
+    "known effect",
+    "expected calibration",
+)
+"""Beginnings of the lines of the table that are compared between ablations."""
+
+ABLATED = {
+    "white noise": "*white noise*: the cell file states no press scatter and tolerances 10 000 times smaller, so every residual is noise",
+    "no tolerances": "*no tolerances*: the cell file states tolerances 10 000 times smaller and the true press scatter",
+    "no press scatter": "*no press scatter*: the cell file states no press scatter",
+    "fz only": "*fz only*: the diagnosis sees neither the commanded heights nor the other five channels",
+}
+"""What each ablation takes away."""
+
+
+def write_page(result: CheckResult, folder: Path, ablations: Sequence[CheckResult] = ()) -> Path:
+    """Write blind.md and its figures into a folder.
+
+    Args:
+        result: the result of the check.
+        folder: where the page and the figures go; it is created.
+        ablations: results of checks with a part of the method taken away, to be compared.
+
+    Returns:
+        The path of the page.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    outcomes = result["outcomes"]
+    _confusion(outcomes, folder / "blind-confusion.png")
+    _calibration_and_size(outcomes, folder / "blind-calibration.png")
+    lines = [
+        "# The blind check",
+        "",
+        INTRODUCTION,
+        "",
+        f"{result['cases']} cells drawn with seed {result['seed']}; SHA-256 over the sealed files: `{result['sealed_sha256']}`.",
+        f"Again: `palpd blind --cases {result['cases']} --seed {result['seed']} --json blind.json --docs docs`.",
+        "",
+        PREAMBLE,
+        "",
+        as_markdown(result["table"]),
+        READING,
+        "",
+        "![what was planted and what was named](blind-confusion.png)",
+        "",
+        "![probability stated and share right; share right over SNR](blind-calibration.png)",
+        "",
+        "## By effect",
+        "",
+        "Numbers of cells: the planted effect was named first, named alone, or in the group named first, or the answer was unknown.",
+        "",
+        "| planted | n | first | alone | in the group | called unknown | named instead |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in by_effect(outcomes):
+        instead = ", ".join(f"{name} ({n})" for name, n in row["instead"].items())
+        counts = " | ".join(str(row[key]) for key in ("n", "first", "alone", "in_group", "unknown"))
+        lines.append(f"| {row['effect']} | {counts} | {instead} |")
+    if ablations:
+        lines += ["", "## What each part of the method contributes", "", *_ablation_table(result, ablations)]
+    page = folder / "blind.md"
+    write_text(page, "\n".join(lines) + "\n")
+    return page
+
+
+def _ablation_table(result: CheckResult, ablations: Sequence[CheckResult]) -> list[str]:
+    """The table of every ablation, over the cases that all checks have in common."""
+    cases = min(each["cases"] for each in [result, *ablations])
+    tables = [table(each["outcomes"][:cases]) for each in [result, *ablations]]
+    heads = ["everything", *(a["ablation"] or "" for a in ablations)]
+    lines = [
+        f"The first {cases} cells once more, without one part of the method: "
+        f"`palpd blind --cases {cases} --seed {result['seed']} --ablation …`.",
+        "",
+        *(f"- {ABLATED[a['ablation'] or '']}" for a in ablations),
+        "",
+        "| what | " + " | ".join(heads) + " |",
+        "|---|" + "---|" * len(heads),
+    ]
+    for k, row in enumerate(tables[0]):
+        if row["what"].startswith(COMPARED):
+            lines.append(f"| {row['what']} | " + " | ".join(_brief(each[k]) for each in tables) + " |")
+    return lines
+
+
+def _brief(row: ScoreRow) -> str:
+    if row["value"] is None:
+        return "–"
+    return f"{100 * row['value']:.0f} % of {row['n']}" if row["share"] else f"{row['value']:.2g}"
+
+
+def _confusion(outcomes: Sequence[CaseOutcome], path: Path) -> None:
+    """Planted against named first, singles and healthy cells."""
+    pairs: Counter[tuple[str, str]] = Counter()
+    for o in outcomes:
+        if o["kind"] in {"healthy", "library", "foreign", "novel"}:
+            true = {"healthy": "healthy", "novel": "not listed"}.get(o["kind"]) or o["planted"][0]
+            pairs[true, {"none": "healthy", "unknown": "not listed"}.get(answer(o), answer(o))] += 1
+    names = sorted({name for pair in pairs for name in pair}, key=lambda n: (n in {"healthy", "not listed", "failed"}, n))
+    counts = np.array([[pairs[a, b] for b in names] for a in names], dtype=float)
+    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
+    with styled_figure(11.0, 10.0) as figure:
+        axes = figure.subplots()
+        axes.imshow(share, cmap="Blues", vmin=0, vmax=1)
+        for i, j in zip(*np.nonzero(counts), strict=True):
+            ink = "white" if share[i, j] > 0.6 else "black"
+            axes.text(int(j), int(i), f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=7, color=ink)
+        axes.grid(visible=False)
+        axes.set_xticks(range(len(names)), names, rotation=90)
+        axes.set_yticks(range(len(names)), names)
+        axes.set(xlabel="named first (an unknown verdict counts as not listed)", ylabel="planted")
+    save_figure(figure, path)
+
+
+def _calibration_and_size(outcomes: Sequence[CaseOutcome], path: Path) -> None:
+    """Stated probability against share right; share right and alone against SNR."""
+    with styled_figure(11.0, 4.2) as figure:
+        left, right = figure.subplots(1, 2)
+        _draw_calibration(left, outcomes)
+        _draw_share_over_snr(right, outcomes)
+    save_figure(figure, path)
+
+
+def _draw_calibration(axes: Axes, outcomes: Sequence[CaseOutcome]) -> None:
+    error, rows = calibration(outcomes)
+    axes.plot([0, 1], [0, 1], color=GREY)
+    for p, share, n in rows:
+        axes.plot([p, p], wilson(round(share * n), n), color=BLUE)
+        axes.plot(p, share, "o", color=BLUE, markersize=3 + 2 * np.log10(n + 1))
+        axes.annotate(str(n), (p, share), textcoords="offset points", xytext=(7, -4), fontsize=8)
+    axes.set(xlabel="stated probability of the answer", ylabel="share right", xlim=(0, 1.05), ylim=(0, 1.05))
+    axes.set_title(f"calibration error {error:.3f}")
+
+
+def _draw_share_over_snr(axes: Axes, outcomes: Sequence[CaseOutcome]) -> None:
+    for (kind, name), colour in zip(LAWS, (BLUE, ORANGE), strict=True):
+        for is_right, style, label in ((first_right, "-o", "named first"), (alone, ":s", "alone")):
+            points = []
+            for low, high in STRATA.values():
+                mine = [o for o in outcomes if o["kind"] == kind and o["snr"] is not None and low <= o["snr"] < high]
+                if mine:
+                    points.append(((low * high) ** 0.5, sum(map(is_right, mine)) / len(mine)))
+            axes.plot(
+                [snr for snr, _ in points], [share for _, share in points], style, color=colour, label=f"{name}, {label}", markersize=5
+            )
+    axes.set(xscale="log", xlabel="SNR", ylabel="share of single effects", ylim=(0, 1.05))
+    axes.set_title("by size, indistinguishable effects included")
+    axes.legend()
+
+
+def load(path: Path) -> CheckResult:
+    """A result of the blind check from its JSON file."""
+    check = read_json(path)
+    if not isinstance(check, dict):
+        raise BadInput(f"{path} holds no result of a blind check; give the JSON of one")
+    return cast("CheckResult", check)

@@ -1,0 +1,489 @@
+"""Scores of the blind check: each case against its truth, and the table over all of them.
+
+Shares carry Wilson's 95 % interval, means and medians that of the bootstrap.
+"""
+
+import json
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import pi, sqrt
+from pathlib import Path
+from typing import Any, NotRequired, TypedDict
+
+import numpy as np
+import yaml
+from scipy.stats import binomtest, bootstrap
+
+from palpd.blind.drawn_cases import CASE_KINDS, CaseKind, Mimic, Truth
+from palpd.blind.drawn_cells import CHANNELS
+from palpd.blind.laws import INDISTINGUISHABLE, Floats
+from palpd.gap.commands import simulate_file
+from palpd.recording.samples import Samples, read_csv
+
+LAWS: tuple[tuple[CaseKind, str], ...] = (("library", "library laws"), ("foreign", "foreign laws"))
+RESAMPLES = 500
+"""Number of resamples of a bootstrap interval: the table of a thousand cases then takes seconds."""
+
+
+class Cost(TypedDict):
+    """What one diagnosis took."""
+
+    cpu_s: float
+    wall_s: float
+    peak_MB: float
+
+
+class CaseOutcome(TypedDict):
+    """One case and its answer, as in the JSON file. The keys that are not required need an answer."""
+
+    kind: CaseKind
+    planted: list[str]
+    variance: bool
+    snr: float | None
+    snr_per_row_sigma: float | None
+    mimic: Mimic | None
+    rate_Hz: float
+    robot_rate_Hz: float
+    failed: str | None
+    verdict: str | None
+    named: list[str]
+    groups: list[list[str]]
+    p: dict[str, float]
+    p_none: float
+    p_unknown: float
+    case: NotRequired[str]
+    laws: NotRequired[list[str]]
+    beside: NotRequired[float | None]
+    size: NotRequired[float]
+    rows: NotRequired[int]
+    duration_s: NotRequired[float]
+    where: NotRequired[dict[str, Any] | None]
+    where_right: NotRequired[bool | None]
+    family: NotRequired[bool]
+    covered: NotRequired[dict[str, bool]]
+    closed: NotRequired[float | None]
+    closed_without_floor: NotRequired[float | None]
+    cost: NotRequired[Cost]
+
+
+class ScoreRow(TypedDict):
+    """One line of the table, as in the JSON file."""
+
+    what: str
+    value: float | None
+    ci95: list[float] | None
+    n: int
+    target: str | None
+    met: bool | None
+    share: bool
+
+
+class EffectRow(TypedDict):
+    """How often one planted effect was named, and what was named instead."""
+
+    effect: str
+    n: int
+    first: int
+    alone: int
+    in_group: int
+    unknown: int
+    instead: dict[str, int]
+
+
+OutcomesByKind = Mapping[CaseKind, list[CaseOutcome]]
+
+# one case
+
+
+def score_case(recordings: Path, sealed: Path, name: str) -> CaseOutcome:
+    """Compare the answer to one case with its truth.
+
+    Args:
+        recordings: Folder of the recordings and answers.
+        sealed: Folder of the truths.
+        name: Name of the case.
+
+    Returns:
+        What was planted, what was named, and whether each answer is right.
+    """
+    truth: Truth = json.loads((sealed / f"{name}.json").read_text(encoding="utf-8"))
+    answer_file = recordings / f"{name}.json"
+    if answer_file.exists():
+        return _answered_outcome(name, truth, json.loads(answer_file.read_text(encoding="utf-8")), recordings, sealed)
+    failed = recordings / f"{name}.failed"
+    return _unanswered_outcome(name, truth, failed.read_text(encoding="utf-8") if failed.exists() else "no answer")
+
+
+def _unanswered_outcome(name: str, truth: Truth, failed: str | None) -> CaseOutcome:
+    effects = truth["effects"]
+    snrs = [e["snr"] for e in effects if e["snr"] is not None]
+    per_row = [e["snr_per_row_sigma"] for e in effects if e["snr_per_row_sigma"] is not None]
+    return {
+        "case": name,
+        "kind": truth["kind"],
+        "planted": [e["id"] for e in effects],
+        "laws": [e["law"] for e in effects],
+        "variance": any(e["variance"] for e in effects),
+        "snr": min(snrs) if effects and len(snrs) == len(effects) else None,
+        "snr_per_row_sigma": min(per_row, default=None),
+        "beside": min((e.get("snr_beside_the_other", np.inf) for e in effects), default=None),
+        "size": truth["size"],
+        "mimic": truth["mimic"],
+        "rate_Hz": truth["rate_Hz"],
+        "robot_rate_Hz": truth["robot_rate_Hz"],
+        "rows": truth["rows"],
+        "duration_s": truth["duration_s"],
+        "failed": failed,
+        "verdict": None,
+        "named": [],
+        "groups": [],
+        "p": {},
+        "p_none": 0.0,
+        "p_unknown": 0.0,
+    }
+
+
+def _answered_outcome(name: str, truth: Truth, diagnosis: dict[str, Any], recordings: Path, sealed: Path) -> CaseOutcome:
+    """`diagnosis` is the content of its JSON file."""
+    outcome = _unanswered_outcome(name, truth, None)
+    effects, where, sizes = diagnosis["effects"], diagnosis["where"], truth["sizes"]
+    largest = max(max(row.values()) for row in sizes.values())
+    outcome["verdict"] = diagnosis["verdict"]
+    outcome["named"] = [e["id"] for e in effects]
+    outcome["groups"] = [sorted({e["id"], *e["indistinguishable_from"]}) for e in effects]
+    outcome["p"] = {c["id"]: c["probability"] for c in diagnosis["candidates"]}
+    outcome["p_none"], outcome["p_unknown"] = diagnosis["p_none"], diagnosis["p_unknown"]
+    outcome["where"] = where
+    outcome["where_right"] = None if where is None or largest < 1.0 else sizes[where["channel"]][where["phase"]] >= 0.5 * largest
+    relatives = any(e.get("family") or e["indistinguishable_from"] for e in effects)
+    outcome["family"] = relatives or "family" in json.dumps(diagnosis["notes"])
+    outcome["covered"] = _covered(truth, diagnosis)
+    outcome["closed"] = outcome["closed_without_floor"] = None
+    if outcome["planted"] and not outcome["variance"]:
+        closing = _closing(truth, recordings / f"{name}.enriched.yaml", sealed / f"{name}.csv")
+        outcome["closed"], outcome["closed_without_floor"] = closing
+    outcome["cost"] = diagnosis["cost"]
+    return outcome
+
+
+def _covered(truth: Truth, diagnosis: dict[str, Any]) -> dict[str, bool]:
+    """Which true parameters lie in their stated intervals; library laws only, since another law has no such truth."""
+    out = {}
+    for planted in truth["effects"]:
+        if planted["law"] != "library":
+            continue
+        for effect in diagnosis["effects"]:
+            if effect["id"] == planted["id"]:
+                for name, p in effect["parameters"].items():
+                    low, high = p["ci95"]
+                    true = planted["parameters"][name]
+                    turns = (-2.0 * pi, 0.0, 2.0 * pi) if name.endswith("_rad") else (0.0,)
+                    out[f"{effect['id']} {name}"] = any(low <= true + turn <= high for turn in turns)
+    return out
+
+
+def _closing(truth: Truth, enriched: Path, second: Path) -> tuple[float | None, float]:
+    """How far the gap closes on another motion of the same cell, noise-free, in the channel that the effects change most.
+
+    First 1 - (after² - floor²)/(before² - floor²), the floor being what tolerances leave there, None where the gap does not rise
+    above it; then the same with no floor taken off. `before` has the same fitted in-tolerance deviations and no effects.
+    """
+    floors, change, sigma = (truth["second"]["floor"], truth["second"]["change"], truth["second"]["sigma"])
+    channel = max(CHANNELS, key=lambda c: change[c] / sqrt(floors[c] ** 2 + sigma[c] ** 2))
+    true = _column(read_csv(second), channel)
+    cell = yaml.safe_load(enriched.read_text(encoding="utf-8"))
+    with tempfile.TemporaryDirectory() as folder:
+        plain, out = Path(folder) / "plain.yaml", Path(folder) / "out.csv"
+        plain.write_text(yaml.safe_dump(cell | {"effects": {}}, sort_keys=False), encoding="utf-8")
+        residuals: list[float] = []
+        for file in (enriched, plain):
+            simulated = simulate_file(second, file, out, from_commanded=channel == "z_m", overwrite=True)
+            residuals.append(float(np.mean((_column(simulated, channel) - true) ** 2)))
+    after, before = residuals
+    floor = floors[channel] ** 2
+    strict = float(np.clip(1.0 - after / max(before, 1e-300), -1.0, 1.0))
+    if change[channel] ** 2 < floor or before < 2.0 * floor:
+        return None, strict
+    return float(np.clip(1.0 - (after - floor) / (before - floor), -1.0, 1.0)), strict
+
+
+def _column(samples: Samples, channel: str) -> Floats:
+    return samples.z_m if channel == "z_m" else np.asarray(samples.wrench[:, CHANNELS.index(channel) - 1])
+
+
+# the table
+
+
+@dataclass(frozen=True)
+class Score:
+    """One line of the table: value with its 95 % interval, number of cases, and target."""
+
+    what: str
+    value: float | None
+    ci95: tuple[float, float] | None
+    n: int
+    target: str
+    share: bool = True
+
+    def met(self) -> bool | None:
+        """Whether the whole 95 % interval reaches its target, or none of it; None where it holds the target, or there is no target."""
+        sign, _, bound = self.target.partition(" ")
+        if self.ci95 is None or not bound:
+            return None
+        low, high = self.ci95
+        if low <= float(bound) <= high and low != high:
+            return None
+        return low >= float(bound) if sign == "≥" else high <= float(bound)
+
+
+def wilson(right: int, n: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share.
+
+    Args:
+        right: Number of successes.
+        n: Number of trials.
+
+    Returns:
+        Lower and upper bound; 0 and 1 without a trial.
+    """
+    if n == 0:
+        return 0.0, 1.0
+    interval = binomtest(right, n).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def _share(what: str, answers: Sequence[bool], target: str) -> Score:
+    n, right = len(answers), sum(answers)
+    return Score(what, right / n if n else None, wilson(right, n) if n else None, n, target)
+
+
+def _statistic(what: str, values: Sequence[float], of: Callable[..., Any], target: str) -> Score:
+    x, n = np.asarray(values, dtype=float), len(values)
+    interval = None
+    if n > 1:  # a single value has no spread
+        drawn = bootstrap((x,), of, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)).confidence_interval
+        interval = float(drawn.low), float(drawn.high)
+    return Score(what, float(of(x)) if n else None, interval, n, target, share=False)
+
+
+def first_right(o: CaseOutcome) -> bool:
+    """The planted effect is named first."""
+    return bool(o["named"]) and o["named"][0] == o["planted"][0]
+
+
+def alone(o: CaseOutcome) -> bool:
+    """The planted effect is named and nothing else is."""
+    return o["named"] == o["planted"]
+
+
+def in_group(o: CaseOutcome) -> bool:
+    """The planted effect is in the group, of at most three, of what is named first."""
+    return bool(o["groups"]) and o["planted"][0] in o["groups"][0] and len(o["groups"][0]) <= 3
+
+
+def unknown_is_right(o: CaseOutcome) -> bool:
+    """The diagnosis was not given the effect, and nothing it was given comes near."""
+    return o["kind"] in {"removed", "novel"} and o["mimic"] is not None and o["mimic"]["snr_left"] >= 10.0
+
+
+def _between(outcomes: Sequence[CaseOutcome], low: float, high: float = np.inf) -> list[CaseOutcome]:
+    return [o for o in outcomes if o["snr"] is not None and low <= o["snr"] < high]
+
+
+def answered(o: CaseOutcome) -> tuple[float, bool] | None:
+    """The answer that the diagnosis holds most probable, as its probability and whether it is right; None where either would be."""
+    if o["verdict"] is None or o["kind"] == "two" or (o["kind"] in {"removed", "novel"} and not unknown_is_right(o)):
+        return None
+    beliefs = {**o["p"], "none": o["p_none"], "unknown": o["p_unknown"]}
+    # Listed effects may stand beside something unknown; the answer is then the latter.
+    best = "unknown" if o["p_unknown"] > 0.5 else max(beliefs, key=lambda name: beliefs[name])
+    true = "none" if o["kind"] == "healthy" else "unknown" if unknown_is_right(o) else o["planted"][0]
+    return min(beliefs[best], 1.0), best == true
+
+
+def calibration(outcomes: Sequence[CaseOutcome], bins: int = 10) -> tuple[float, list[tuple[float, float, int]]]:
+    """Expected calibration error of the most probable answer.
+
+    Args:
+        outcomes: Cases and their answers.
+        bins: Number of equal bins of the probability.
+
+    Returns:
+        The error, and for each bin that holds a case: mean probability, share right, number of cases.
+    """
+    pairs = [pair for pair in map(answered, outcomes) if pair is not None]
+    rows: list[tuple[float, float, int]] = []
+    for k in range(bins):
+        mine = [(p, right) for p, right in pairs if k / bins <= p < (k + 1) / bins or (k == bins - 1 and p >= 1.0)]
+        if mine:
+            rows.append((float(np.mean([p for p, _ in mine])), float(np.mean([right for _, right in mine])), len(mine)))
+    total = sum(n for *_, n in rows) or 1
+    return sum(n * abs(p - right) for p, right, n in rows) / total, rows
+
+
+def scores(outcomes: Sequence[CaseOutcome]) -> list[Score]:
+    """Every line of the table."""
+    by = {kind: [o for o in outcomes if o["kind"] == kind] for kind in CASE_KINDS}
+    return [
+        *_attribution_scores(by),
+        *_place_scores(by),
+        *_two_effect_scores(by["two"]),
+        *_unknown_scores(by),
+        *_probability_scores(by, outcomes),
+        *_closing_scores(by),
+        *_cost_scores(by, outcomes),
+    ]
+
+
+def _singles(by: OutcomesByKind) -> dict[str, list[CaseOutcome]]:
+    """Cases with one effect that changes the mean, by the name of their laws."""
+    return {name: [o for o in by[kind] if not o["variance"]] for kind, name in LAWS}
+
+
+def _distinct(by: OutcomesByKind) -> dict[str, list[CaseOutcome]]:
+    """Those of them whose effect can be told from all others."""
+    return {name: [o for o in mine if o["planted"][0] not in INDISTINGUISHABLE] for name, mine in _singles(by).items()}
+
+
+def _attribution_scores(by: OutcomesByKind) -> Iterator[Score]:
+    distinct, singles = _distinct(by), _singles(by)
+    targets: dict[str, tuple[tuple[float, float, str], ...]] = {
+        "library laws": ((6, 10, "≥ 0.90"), (10, 20, "≥ 0.98"), (20, np.inf, "≥ 0.995")),
+        "foreign laws": ((6, 10, "≥ 0.80"), (10, 20, "≥ 0.95"), (20, np.inf, "≥ 0.98")),
+    }
+    for name, strata in targets.items():
+        for low, high, target in strata:
+            label = f"SNR {low:g}-{high:g}" if np.isfinite(high) else f"SNR > {low:g}"
+            first = [first_right(o) for o in _between(distinct[name], low, high)]
+            yield _share(f"right cause first, {name}, {label}", first, target)
+    for name, mine in distinct.items():
+        loud = [o for o in mine if (o["snr_per_row_sigma"] or 0.0) >= 6.0]
+        yield _share(f"  {name}, SNR ≥ 6 counted in sigmas of one row, not of a mean", [first_right(o) for o in loud], "")
+    for name, target in (("library laws", "≥ 0.97"), ("foreign laws", "≥ 0.93")):
+        yield _share(f"right and nothing else named, {name}, SNR ≥ 10", [alone(o) for o in _between(distinct[name], 10)], target)
+    for name, target in (("library laws", "≥ 0.99"), ("foreign laws", "≥ 0.96")):
+        inside = [in_group(o) for o in _between(singles[name], 10)]
+        yield _share(f"truth within the group, all effects, {name}, SNR ≥ 10", inside, target)
+    sizes = [float(len(o["groups"][0])) for mine in singles.values() for o in _between(mine, 10) if o["groups"]]
+    yield _statistic("mean size of the groups", sizes, np.mean, "≤ 1.5")
+    scatter = [o for kind, _ in LAWS for o in by[kind] if o["variance"]]
+    yield _share("noise, steps, dropouts: right cause first", [first_right(o) for o in scatter], "")
+
+
+def _place_scores(by: OutcomesByKind) -> Iterator[Score]:
+    placed = [bool(o["where_right"]) for kind, _ in LAWS for o in by[kind] if o.get("where_right") is not None]
+    yield _share("where: right (size ≥ 1)", placed, "≥ 0.95")
+
+
+def _two_effect_scores(two: Sequence[CaseOutcome]) -> Iterator[Score]:
+    yield _share("two effects: both named and nothing else", [set(o["named"]) == set(o["planted"]) for o in two], "≥ 0.85")
+    yield _share("two effects: at least one named", [bool(set(o["named"]) & set(o["planted"])) for o in two], "≥ 0.99")
+
+
+def _unknown_scores(by: OutcomesByKind) -> Iterator[Score]:
+    yield _share("healthy cell kept silent", [o["verdict"] == "none" for o in by["healthy"]], "≥ 0.98")
+    strangers = {kind: [o["verdict"] == "unknown" for o in by[kind] if unknown_is_right(o)] for kind in ("removed", "novel")}
+    both = strangers["removed"] + strangers["novel"]
+    yield _share("never given, best mimic leaves SNR ≥ 10: called unknown", both, "≥ 0.90")
+    yield _share("  of these, left out of the library", strangers["removed"], "")
+    yield _share("  of these, not in the library", strangers["novel"], "")
+    known = by["library"] + by["foreign"] + by["two"]
+    yield _share("known effect called unknown", [o["verdict"] == "unknown" for o in known], "≤ 0.03")
+    for kind, name in LAWS:
+        yield _share(f"  of these, {name}", [o["verdict"] == "unknown" for o in by[kind]], "")
+    removed = [o for o in by["removed"] if o["planted"][0] in INDISTINGUISHABLE]
+    relative = [bool(set(o["named"]) & set(INDISTINGUISHABLE[o["planted"][0]])) for o in removed]
+    family = [named and bool(o.get("family")) for named, o in zip(relative, removed, strict=True)]
+    yield _share("left out, an indistinguishable effect listed: it is named with its family", family, "≥ 0.90")
+    yield _share("  it is named", relative, "")
+
+
+def _probability_scores(by: OutcomesByKind, outcomes: Sequence[CaseOutcome]) -> Iterator[Score]:
+    belief = [min(float(o["p"].get(o["planted"][0], 0.0)), 1.0) for mine in _distinct(by).values() for o in mine]
+    yield _statistic("mean probability on the true cause", belief, np.mean, "≥ 0.85")
+    n = sum(answered(o) is not None for o in outcomes)
+    yield Score("expected calibration error", calibration(outcomes)[0] if n else None, None, n, "≤ 0.04", share=False)
+
+
+def _closing_scores(by: OutcomesByKind) -> Iterator[Score]:
+    singles = [o for mine in _singles(by).values() for o in mine]
+    closed = [c for o in _between(singles, 6) if (c := o.get("closed")) is not None]
+    yield _statistic("closed fraction on another motion, median", closed, np.median, "≥ 0.95")
+    yield _share("closed fraction on another motion ≥ 0.8", [c >= 0.8 for c in closed], "≥ 0.90")
+    strict = [c for o in _between(singles, 10) if (c := o.get("closed_without_floor")) is not None]
+    yield _statistic("  SNR ≥ 10, no floor taken off, median", strict, np.median, "")
+    covered = [hit for o in by["library"] for hit in o.get("covered", {}).values()]
+    yield _share("parameter intervals cover (0.90 to 0.98)", covered, "≥ 0.90")
+
+
+def _cost_scores(by: OutcomesByKind, outcomes: Sequence[CaseOutcome]) -> Iterator[Score]:
+    slow = [o for o in by["healthy"] if o["robot_rate_Hz"] < o["rate_Hz"]]
+    yield _share("  healthy and silent where the robot reports slower than the sensor", [o["verdict"] == "none" for o in slow], "")
+    costs = [o["cost"] for o in outcomes if "cost" in o]
+    yield _statistic("CPU seconds per recording, median", [c["cpu_s"] for c in costs], np.median, "")
+    yield _statistic("CPU seconds per recording, largest", [c["cpu_s"] for c in costs], np.max, "")
+    yield _statistic("peak memory of a process in MB, largest", [c["peak_MB"] for c in costs], np.max, "")
+    yield _share("recordings that failed", [o["failed"] is not None for o in outcomes], "")
+
+
+def table(outcomes: Sequence[CaseOutcome]) -> list[ScoreRow]:
+    """The lines of the table as plain data."""
+    return [
+        {
+            "what": score.what,
+            "value": score.value,
+            "ci95": None if score.ci95 is None else list(score.ci95),
+            "n": score.n,
+            "target": score.target or None,
+            "met": score.met(),
+            "share": score.share,
+        }
+        for score in scores(outcomes)
+    ]
+
+
+def as_markdown(rows: Sequence[ScoreRow]) -> str:
+    """The table as text."""
+    lines = ["| what | measured | 95 % interval | n | at least | |", "|---|---|---|---|---|---|"]
+    for row in rows:
+        share = row["share"]
+        value = "–" if row["value"] is None else _text(row["value"], share)
+        interval = "–" if row["ci95"] is None else f"{_text(row['ci95'][0], share)} to {_text(row['ci95'][1], share)}"
+        target = ""
+        if row["target"]:
+            sign, bound = row["target"].split()
+            target = ("at most " if sign == "≤" else "") + _text(float(bound), share)
+        undecided = "too few" if row["target"] and row["value"] is not None else ""
+        met = {None: undecided, True: "met", False: "**missed**"}[row["met"]]
+        lines.append(f"| {row['what']} | {value} | {interval} | {row['n']} | {target} | {met} |")
+    return "\n".join(lines) + "\n"
+
+
+def _text(value: float, share: bool) -> str:
+    return f"{100 * value:.1f} %" if share else f"{value:.3g}"
+
+
+def by_effect(outcomes: Sequence[CaseOutcome]) -> Iterator[EffectRow]:
+    """For every planted effect: how often it was named first, alone, within its group, and what was named instead."""
+    names = sorted({o["planted"][0] for o in outcomes if o["kind"] in {"library", "foreign", "novel"}})
+    for name in names:
+        mine = [o for o in outcomes if o["kind"] in {"library", "foreign", "novel"} and o["planted"] == [name]]
+        instead = Counter(answer(o) for o in mine if not first_right(o))
+        yield {
+            "effect": name,
+            "n": len(mine),
+            "first": sum(map(first_right, mine)),
+            "alone": sum(map(alone, mine)),
+            "in_group": sum(map(in_group, mine)),
+            "unknown": sum(o["verdict"] == "unknown" for o in mine),
+            "instead": dict(instead.most_common(3)),
+        }
+
+
+def answer(o: CaseOutcome) -> str:
+    """What was answered, in a word: the first name, `none`, `unknown` or `failed`."""
+    if o["verdict"] is None:
+        return "failed"
+    return str(o["verdict"]) if o["verdict"] in {"none", "unknown"} or not o["named"] else str(o["named"][0])

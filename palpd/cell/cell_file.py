@@ -1,0 +1,301 @@
+"""cell.yaml: what the simulator believes about a cell, and how exactly it is known.
+
+Absent blocks and keys get the defaults of a nominal cell; unknown keys, effects and parameters are refused.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictFloat, ValidationError, model_validator
+
+from palpd.cell.effects import EFFECTS, Effect
+from palpd.errors import ConfigError
+from palpd.files import Document, nearest, read_yaml, refusal, write_text
+
+T = TypeVar("T", bound="YamlBlock")
+
+
+def _without_nulls(values: Any) -> Any:
+    """Parameters of an effect without those that are null: null and absent mean the same."""
+    return {name: value for name, value in values.items() if value is not None} if isinstance(values, Mapping) else values
+
+
+EffectValues = dict[str, Annotated[dict[str, StrictFloat], BeforeValidator(_without_nulls)]]
+Positive = Annotated[StrictFloat, Field(gt=0.0)]
+NotNegative = Annotated[StrictFloat, Field(ge=0.0)]
+Length = Annotated[StrictFloat, Field(gt=0.0, lt=1.0)]
+Height = Annotated[StrictFloat, Field(gt=-10.0, lt=10.0)]
+Modulus = Annotated[StrictFloat, Field(ge=1.0, le=1e13)]
+HINTS = {"_m": "is it in millimetres?", "youngs_modulus_Pa": "is it in kPa or MPa?"}
+"""Questions about a value out of range, by the end of its key."""
+
+
+class YamlBlock(BaseModel):
+    """One block of the file: no key but these, and nothing infinite."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class ProbeBlock(YamlBlock):
+    """What hangs on the sensor: its moving mass, its spherical tip, and how far that is from the sensor."""
+
+    mass_kg: NotNegative = 0.2
+    tip_radius_m: Length = 0.005
+    tip_length_m: Annotated[StrictFloat, Field(ge=0.0, lt=5.0)] = 0.08
+
+
+class SensorBlock(YamlBlock):
+    """The force sensor as its data sheet has it; `filter_cutoff_Hz` None is no filter."""
+
+    rate_Hz: Positive = 500.0
+    filter_cutoff_Hz: Positive | None = 150.0
+    noise_rms_N: Positive = 0.05
+    noise_rms_Nm: NotNegative = 0.001
+    resolution_fxy_N: NotNegative = 0.024
+    resolution_fz_N: NotNegative = 0.131
+    resolution_Nm: NotNegative = 0.001
+
+
+class RobotBlock(YamlBlock):
+    """How the tip follows its target, and how noisily that is reported."""
+
+    servo_natural_frequency_Hz: Positive = 8.0
+    servo_damping_ratio: Positive = 1.0
+    position_noise_rms_m: NotNegative = 5.0e-6
+    velocity_noise_rms_m_per_s: NotNegative = 2.0e-4
+
+
+class TissueBlock(YamlBlock):
+    """An elastic half-space below `surface_z_m`."""
+
+    surface_z_m: Height = 0.0
+    youngs_modulus_Pa: Modulus = 72000.0
+    poisson_ratio: Annotated[StrictFloat, Field(ge=0.0, le=0.5)] = 0.5
+
+
+class Tolerances(YamlBlock):
+    """One standard deviation of each deviation that is within specification.
+
+    `gain`, `filter_cutoff`, `youngs_modulus` and `servo_natural_frequency` are relative; `crosstalk` is fx/fz and fy/fz, for torques
+    times 0.05 m.
+    """
+
+    bias_N: NotNegative
+    drift_N_per_min: NotNegative
+    gain: NotNegative = 0.005
+    latency_s: NotNegative = 0.001
+    filter_cutoff: NotNegative = 0.05
+    crosstalk: NotNegative = 0.003
+    mass_kg: NotNegative
+    youngs_modulus: NotNegative = 0.02
+    surface_z_m: NotNegative
+    servo_natural_frequency: NotNegative = 0.02
+
+    @property
+    def modulus_known(self) -> bool:
+        """Whether the tissue's modulus is known at all."""
+        return self.youngs_modulus < 1.0
+
+
+class Repeatability(YamlBlock):
+    """One standard deviation from press to press: of the height of contact, and of the stiffness (relative)."""
+
+    surface_z_m: NotNegative
+    stiffness: NotNegative = 0.01
+
+
+CROSSTALK_ARM_M = 0.05
+"""What a relative crosstalk is multiplied with to give torque per force."""
+
+
+class Estimated(YamlBlock):
+    """In-tolerance deviations that a diagnosis has fitted, in the units of `tolerances`; `crosstalk` is that of fx, fy, tx, ty."""
+
+    bias_N: StrictFloat = 0.0
+    drift_N_per_min: StrictFloat = 0.0
+    gain: StrictFloat = 0.0
+    latency_s: StrictFloat = 0.0
+    filter_cutoff: Annotated[StrictFloat, Field(gt=-1.0)] = 0.0
+    crosstalk: tuple[StrictFloat, StrictFloat, StrictFloat, StrictFloat] = (0.0, 0.0, 0.0, 0.0)
+    mass_kg: StrictFloat = 0.0
+    youngs_modulus: Annotated[StrictFloat, Field(gt=-1.0)] = 0.0
+    surface_z_m: StrictFloat = 0.0
+    servo_natural_frequency: Annotated[StrictFloat, Field(gt=-1.0)] = 0.0
+
+
+class CellSite(YamlBlock):
+    """A place with a tissue of its own; the one nearest to the tip counts.
+
+    What its tissue leaves out is as in the common one, and its effects come on top of the common ones or in place of the same.
+    """
+
+    name: str
+    x_m: Height = 0.0
+    y_m: Height = 0.0
+    tissue: TissueBlock | None = TissueBlock()
+    effects: EffectValues = {}
+
+
+class Wall(YamlBlock):
+    """Something linear and hard instead of the tissue, from the start or from `appears_after_s` after the motion began."""
+
+    z_m: Height
+    stiffness_N_per_m: Positive
+    appears_after_s: NotNegative | None = None
+
+
+class CellFile(YamlBlock):
+    """The whole file. `tissue` None: nothing in reach."""
+
+    probe: ProbeBlock = ProbeBlock()
+    sensor: SensorBlock = SensorBlock()
+    robot: RobotBlock = RobotBlock()
+    tissue: TissueBlock | None = TissueBlock()
+    tolerances: Tolerances
+    repeatability: Repeatability
+    effects: EffectValues = {}
+    estimated: Estimated | None = None
+    sites: tuple[CellSite, ...] = ()
+    wall: Wall | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, given: Any) -> Any:
+        """Tolerances and repeatability that are not given follow from noise, mass and tip, a site's tissue from the common one."""
+        if not isinstance(given, Mapping):
+            return given
+        probe, sensor = _part(ProbeBlock, given.get("probe")), _part(SensorBlock, given.get("sensor"))
+        usual = {
+            "tolerances": {
+                "bias_N": 0.4 * sensor.noise_rms_N,
+                "drift_N_per_min": 0.2 * sensor.noise_rms_N,
+                "mass_kg": 0.015 * probe.mass_kg,
+                "surface_z_m": 0.006 * probe.tip_radius_m,
+            },
+            "repeatability": {"surface_z_m": 0.004 * probe.tip_radius_m},
+        }
+        filled = {key: value for key, value in given.items() if value is not None or key == "tissue"}
+        for block, values in usual.items():
+            stated = filled.get(block, {})
+            if isinstance(stated, Mapping):
+                filled[block] = values | dict(stated)
+        if isinstance(sites := filled.get("sites"), list):
+            filled["sites"] = [_with_common_tissue(site, filled) for site in sites]
+        return filled
+
+    def with_effects(self, effects: EffectValues) -> "CellFile":
+        """The same cell with these effects in place of its own (not checked: they come from a fit)."""
+        return self.model_copy(update={"effects": effects})
+
+    def with_estimated(self, estimated: Estimated | None) -> "CellFile":
+        """The same cell with these in-tolerance deviations."""
+        return self.model_copy(update={"estimated": estimated})
+
+
+def _with_common_tissue(site: Any, cell: Mapping[str, Any]) -> Any:
+    """The site with what its tissue does not say taken from the cell's."""
+    common = cell.get("tissue", {})
+    if not isinstance(site, Mapping) or not (common is None or isinstance(common, Mapping)):
+        return site
+    own = site.get("tissue", common)
+    merged = dict(common or {}) | dict(own) if isinstance(own, Mapping) else own
+    return dict(site) | {"tissue": merged}
+
+
+def _part(model: type[T], given: Any) -> T:
+    """That block if it is a good one; a bad one is complained of when its turn comes."""
+    if isinstance(given, model):
+        return given
+    try:
+        return model.model_validate(given or {})
+    except ValidationError:
+        return model()
+
+
+def nominal() -> CellFile:
+    """The emulated cell: every default, with the sensor's noise and resolution stated."""
+    return CellFile.model_validate({"sensor": SensorBlock().model_dump()})
+
+
+def cell_from(content: object, where: str, library: Mapping[str, Effect] = EFFECTS) -> CellFile:
+    """Make a cell of data, such as a `cell:` block.
+
+    Args:
+        content: Blocks of a cell file, or None for the nominal cell.
+        where: What an error calls them.
+        library: Effects that the cell may have, by id.
+
+    Returns:
+        The cell.
+
+    Raises:
+        ConfigError: Where the data is no cell, one sentence that names the key.
+    """
+    return _cell_of(Document(where, content), library)
+
+
+def load_cell(path: str | Path, library: Mapping[str, Effect] = EFFECTS) -> CellFile:
+    """Read a cell file.
+
+    Args:
+        path: File to read.
+        library: Effects that the cell may have, by id.
+
+    Returns:
+        The cell.
+
+    Raises:
+        ConfigError: Where the file is absent or no cell, one sentence that names line and key.
+    """
+    return _cell_of(read_yaml(Path(path)), library)
+
+
+def save_cell(path: str | Path, cell: CellFile) -> None:
+    """Write a cell file that `load_cell` reads back equal.
+
+    Args:
+        path: File to write; one that exists is replaced.
+        cell: Cell to write.
+
+    Raises:
+        BadInput: Where the file cannot be written.
+    """
+    content = cell.model_dump(mode="json")
+    for key in ("estimated", "wall", "sites"):
+        if not content[key]:
+            del content[key]
+    write_text(Path(path), yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+
+
+def _cell_of(document: Document, library: Mapping[str, Effect]) -> CellFile:
+    if document.content is not None and not isinstance(document.content, Mapping):
+        what = type(document.content).__name__
+        raise ConfigError(f"{document.name} holds a {what}; expected the blocks of a cell file (probe, sensor, robot, …)")
+    try:
+        cell = CellFile.model_validate(document.content or {})
+    except ValidationError as error:
+        raise ConfigError(refusal(error, CellFile, document, HINTS)) from None
+    _check_effects(cell.effects, f"{document.place(('effects',))}: effects", library)
+    for number, site in enumerate(cell.sites):
+        _check_effects(site.effects, f"{document.place(('sites', number, 'effects'))}: sites.{site.name}.effects", library)
+    return cell
+
+
+def _check_effects(effects: EffectValues, where: str, library: Mapping[str, Effect]) -> None:
+    for name, values in effects.items():
+        if name not in library:
+            near = nearest(name, list(library))
+            raise ConfigError(f"{where}: there is no effect {name!r}{near}; give one of the library's, or --effects with your own")
+        expected = [parameter.name for parameter in library[name].parameters]
+        for parameter in values:
+            if parameter not in expected:
+                raise ConfigError(f"{where}.{name}: there is no parameter {parameter!r}; expected {', '.join(expected)}")
+        needed = [parameter.name for parameter in library[name].parameters if not parameter.optional]
+        if missing := [parameter for parameter in needed if parameter not in values]:
+            raise ConfigError(f"{where}.{name}: {', '.join(missing)} not given; expected {', '.join(expected)}")
+
+
+PHANTOM = load_cell(Path(__file__).with_name("phantom.yaml"))
+"""The paper's phantom, sites A to D."""

@@ -1,0 +1,355 @@
+"""What the physics of the cell is made of: a stretch of samples, and the few dynamic systems that act on one.
+
+Every function takes a block of successive samples and a `memory` that it carries from block to block, so that a whole recording
+(one block) and a controller's cycle (blocks of one) are the same computation. Linear systems are exact for an input that is
+straight between samples, at even and at uneven steps.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Memory = dict[str, Any]
+Column = Floats | float
+
+SHORT = 64
+"""Samples up to which a relaxation uses a stored matrix: one product costs less than setting up a filter."""
+
+EVEN = 1e-3
+"""Relative spread below which time steps count as even; jitter of a thousandth moves no filter."""
+
+
+@dataclass(frozen=True, slots=True)
+class TipMotion:
+    """How the tip moved, in arrays of (n,), and what heights and accelerations still carry of measurement noise (rms).
+
+    A measured acceleration is the slope of reported speeds, each with its own error of `v_noise_m_per_s`, over `slope_half` samples to
+    either side. Where a command is known, only the share `acceleration_weight` of what it does not explain is used.
+    """
+
+    t_s: Floats
+    z_m: Floats
+    vz_m_per_s: Floats
+    az_m_per_s2: Floats
+    z_noise_m: float = 0.0
+    az_noise_m_per_s2: float = 0.0
+    v_noise_m_per_s: float = 0.0
+    slope_half: int = 0
+    acceleration_weight: Floats | float = 1.0
+
+
+@dataclass(slots=True)
+class Constants:
+    """The numbers of one cell at one site, after in-tolerance deviations and effects have changed them."""
+
+    servo_natural_frequency_Hz: float
+    servo_damping_ratio: float
+    mass_kg: float
+    tip_radius_m: float
+    tip_length_m: float
+    youngs_modulus_Pa: float
+    poisson_ratio: float
+    surface_z_m: float
+    cutoff_Hz: float
+    noise_rms_N: float
+    noise_rms_Nm: float
+    tip_compliance_m_per_N: float = 0.0
+    wall_z_m: float = 0.0
+    wall_stiffness_N_per_m: float = 0.0
+    wall_after_s: float = 0.0
+    delay_s: float = 0.0
+    skew: float = 0.0
+    gain: float = 1.0
+    fx_per_fz: float = 0.0
+    fy_per_fz: float = 0.0
+    tx_per_fz_m: float = 0.0
+    ty_per_fz_m: float = 0.0
+    bias_N: float = 0.0
+    drift_N_per_s: float = 0.0
+    limit_N: float = float("inf")
+    step_N: float = 0.0
+    dropout_rate_Hz: float = 0.0
+    dropout_length_s: float = 0.0
+
+    def elastic_force_N(self, depth_m: Floats) -> Floats:
+        """Hertz for a sphere on a half-space, 4/3 E/(1-ν²) √r d^1.5, which at ν = 0.5 is eq. 1 of Guo, Xiao, Ren 2019.
+
+        Args:
+            depth_m: Indentations (n,), zero or more, in m.
+
+        Returns:
+            Forces (n,) in N.
+        """
+        reduced_Pa = self.youngs_modulus_Pa / (1.0 - self.poisson_ratio**2)
+        force_N: Floats = (4.0 / 3.0 * reduced_Pa * self.tip_radius_m**0.5) * depth_m * np.sqrt(depth_m)
+        return force_N
+
+
+@dataclass(slots=True)
+class Span:
+    """Successive samples on their way from the motion of the tip to the reading of the sensor.
+
+    All arrays are (n,); `t_s` counts from where histories began, `dt_s` is the step before each sample (one number where
+    even). Lateral forces and torques stay plain 0.0 until something makes them. `z_noise_m` and `az_noise_m_per_s2` are what a
+    measured motion still carries of noise; 0 for a true one. Laws of effects change these fields.
+    """
+
+    constants: Constants
+    t_s: Floats
+    dt_s: Column
+    z_m: Floats
+    vz_m_per_s: Floats
+    az_m_per_s2: Floats
+    z_noise_m: float = 0.0
+    az_noise_m_per_s2: float = 0.0
+    lead_s: Column = 0.0
+    tip_m: Floats = None  # type: ignore[assignment]
+    surface_m: Column = 0.0
+    depth_m: Floats = None  # type: ignore[assignment]
+    contact_N: Floats = None  # type: ignore[assignment]
+    fx_N: Column = 0.0
+    fy_N: Column = 0.0
+    fz_N: Floats = None  # type: ignore[assignment]
+    tx_Nm: Column = 0.0
+    ty_Nm: Column = 0.0
+    tz_Nm: Column = 0.0
+
+    def touch(self, surface_m: Column) -> None:
+        """Put the surface at a height: depth and elastic force follow from where the tip is.
+
+        A law that moves the surface calls this, so it must act before laws that change the force.
+
+        Args:
+            surface_m: Height of the surface in m, one number or (n,).
+        """
+        self.surface_m = surface_m
+        self.depth_m = np.maximum(surface_m - self.tip_m, 0.0)
+        self.contact_N = self.constants.elastic_force_N(self.depth_m)
+
+    def push_sideways(self, fx_N: Column, fy_N: Column) -> None:
+        """Add a lateral force at the tip: the sensor sees the force and its torque, tx = +fy L and ty = -fx L.
+
+        Args:
+            fx_N: Force along x in N, one number or (n,).
+            fy_N: Force along y in N, one number or (n,).
+        """
+        arm_m = self.constants.tip_length_m
+        self.fx_N = self.fx_N + fx_N
+        self.fy_N = self.fy_N + fy_N
+        self.tx_Nm = self.tx_Nm + fy_N * arm_m
+        self.ty_Nm = self.ty_Nm - fx_N * arm_m
+
+
+def steps(t_s: Floats) -> Column:
+    """The time step before each sample.
+
+    Args:
+        t_s: Times (n,) in s, increasing.
+
+    Returns:
+        One number in s where the steps are even, else (n,) with the median step before the first sample.
+    """
+    if len(t_s) < 2:
+        return 1e-3
+    dt_s = np.diff(t_s)
+    mean_s = float(t_s[-1] - t_s[0]) / len(dt_s)
+    if float(dt_s.max() - dt_s.min()) <= EVEN * mean_s:
+        return mean_s
+    dt_s = np.maximum(dt_s, 1e-6 * mean_s)
+    return np.concatenate(([np.median(dt_s)], dt_s))
+
+
+def recurrence(a: NDArray[Any], b: NDArray[Any], y: Any) -> NDArray[Any]:
+    """y_k = a_k y_(k-1) + b_k with varying coefficients, by doubling: log2(n) passes, each over all samples.
+
+    Args:
+        a: Factors (n,).
+        b: Inputs (n,).
+        y: The output before the first.
+
+    Returns:
+        The outputs (n,).
+    """
+    a, b = a.copy(), b.copy()
+    b[0] += a[0] * y
+    shift = 1
+    while shift < len(b):
+        b[shift:] = b[shift:] + a[shift:] * b[:-shift]
+        a[shift:] = a[shift:] * a[:-shift]
+        shift *= 2
+        if shift < len(b) and float(np.abs(a[shift:]).max()) < 1e-30:
+            break
+    return b
+
+
+def _weights(x: Any) -> tuple[Any, Any, Any]:
+    """What the last output, the last input and the new input weigh in a relaxation over pole × step = x."""
+    shrink = np.expm1(x)
+    new = 1.0 - shrink / x
+    return shrink + 1.0, -shrink - new, new
+
+
+@lru_cache(maxsize=512)
+def _short_block(x: complex, n: int) -> NDArray[Any]:
+    """(n, n + 2): outputs of a relaxation from (last output, last input, the n inputs)."""
+    keep, old, new = _weights(x if x.imag else x.real)
+    rows = np.zeros((n, n + 2), dtype=type(keep) if isinstance(keep, complex) else np.result_type(keep))
+    row = np.zeros(n + 2, rows.dtype)
+    row[0] = 1.0
+    for k in range(n):
+        row = row * keep
+        row[k + 1] += old
+        row[k + 2] += new
+        rows[k] = row
+    rows.setflags(write=False)
+    return rows
+
+
+def lowpass(u: NDArray[Any], dt_s: Column, pole_per_s: complex, memory: Memory, start: float | None = None) -> NDArray[Any]:
+    """Relaxation towards the input, dy/dt = pole (y - u).
+
+    Args:
+        u: Input, (n,) or (n, k).
+        dt_s: Step before each sample in s, one number or (n,).
+        pole_per_s: Pole left of zero, real or complex, in 1/s.
+        memory: State that is carried from one stretch of samples to the next.
+        start: Output before the first sample; None means settled on the first input.
+
+    Returns:
+        The output, shaped as the input.
+    """
+    if "y" not in memory:
+        memory["y"] = memory["u"] = u[0] + 0.0 if start is None else u[0] * 0.0 + start
+    n = len(u)
+    if isinstance(dt_s, float):
+        x = complex(pole_per_s) * dt_s
+        if n <= SHORT:
+            y = _short_block(x, n) @ np.concatenate((np.stack((memory["y"], memory["u"])), u))
+        else:
+            keep, old, new = _weights(x if x.imag else x.real)
+            state = np.asarray(keep * memory["y"] + old * memory["u"])[None]
+            from scipy.signal import lfilter  # here, since the control loop reads cell files and needs none of its 40 MB
+
+            y, _ = lfilter([new, old], [1.0, -keep], u, axis=0, zi=state)
+    else:
+        keep, old, new = _weights((pole_per_s if complex(pole_per_s).imag else complex(pole_per_s).real) * dt_s)
+        before = np.concatenate(([memory["u"]], u[:-1]))
+        y = recurrence(keep, old * before + new * u, memory["y"])
+    memory["y"], memory["u"] = y[-1], u[-1].copy()  # the caller may use its array again
+    result: NDArray[Any] = y
+    return result
+
+
+def poles(natural_frequency_Hz: float, damping_ratio: float) -> tuple[complex, complex]:
+    """The two poles of a second-order system; a double pole is split by 1e-4, which moves the frequency by 1e-8.
+
+    Args:
+        natural_frequency_Hz: Undamped natural frequency.
+        damping_ratio: Damping ratio, 1 at critical damping.
+
+    Returns:
+        Both poles in 1/s.
+    """
+    omega = 2.0 * np.pi * natural_frequency_Hz
+    root = complex(damping_ratio**2 - 1.0) ** 0.5
+    if abs(root) < 1e-4:
+        root = complex(1e-4)
+    return omega * (-damping_ratio + root), omega * (-damping_ratio - root)
+
+
+def _pair(u: Floats, dt_s: Column, fast: complex, slow: complex, memory: Memory) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The relaxations over both poles; of a conjugate pair only one needs computing."""
+    one = lowpass(u, dt_s, fast, memory.setdefault("one", {}))
+    if fast.imag:
+        return one, one.conj()
+    return one, lowpass(u, dt_s, slow, memory.setdefault("two", {}))
+
+
+def servo(u: Floats, dt_s: Column, natural_frequency_Hz: float, damping_ratio: float, memory: Memory) -> tuple[Floats, Floats, Floats]:
+    """Second-order following of a target, at rest where it starts.
+
+    Args:
+        u: Target positions, (n,) or (n, k).
+        dt_s: Step before each sample in s, one number or (n,).
+        natural_frequency_Hz: Undamped natural frequency.
+        damping_ratio: Damping ratio, 1 at critical damping.
+        memory: State that is carried from one stretch of samples to the next.
+
+    Returns:
+        Position, speed and acceleration, each shaped as the target.
+    """
+    p, q = poles(natural_frequency_Hz, damping_ratio)
+    one, two = _pair(u, dt_s, p, q, memory)
+    weight = p * q / (q - p)
+    position = (q * one - p * two) / (q - p)
+    speed = weight * (one - two)
+    acceleration = weight * (p * (one - u) - q * (two - u))
+    return np.real(position), np.real(speed), np.real(acceleration)
+
+
+def mounted(a: Floats, dt_s: Column, frequency_Hz: float, damping_ratio: float, memory: Memory) -> Floats:
+    """Acceleration of a mass on a spring and damper whose base moves: (2ζωs + ω²)/(s² + 2ζωs + ω²).
+
+    Args:
+        a: Accelerations (n,) of the base.
+        dt_s: Step before each sample in s, one number or (n,).
+        frequency_Hz: Undamped natural frequency.
+        damping_ratio: Damping ratio ζ.
+        memory: State that is carried from one stretch of samples to the next.
+
+    Returns:
+        Accelerations (n,) of the mass.
+    """
+    p, q = poles(frequency_Hz, damping_ratio)
+    one, two = _pair(a, dt_s, p, q, memory)
+    return np.real((p * one - q * two) / (p - q))
+
+
+def play(u: Floats, width: float, memory: Memory) -> Floats:
+    """Follower with a dead band around the input, centred where it starts.
+
+    A clip of a clip is a clip, so the bounds are composed by doubling like a recurrence.
+
+    Args:
+        u: Input (n,).
+        width: Full width of the dead band, in the unit of the input.
+        memory: State that is carried from one stretch of samples to the next.
+
+    Returns:
+        The follower (n,).
+    """
+    low, high = u - width / 2.0, u + width / 2.0
+    last = memory.get("follower", u[0])
+    low[0] = high[0] = min(max(last, low[0]), high[0])
+    shift = 1
+    while shift < len(u):
+        below = np.clip(low[:-shift], low[shift:], high[shift:])
+        high[shift:] = np.clip(high[:-shift], low[shift:], high[shift:])
+        low[shift:] = below
+        shift *= 2
+    memory["follower"] = low[-1]
+    return low
+
+
+def delayed(u: Floats, t_s: Floats, when_s: Floats, memory: Memory) -> Floats:
+    """A signal at other times, straight between samples, its ends held.
+
+    Args:
+        u: Signal, (n,) or (n, k).
+        t_s: Its times (n,) in s.
+        when_s: Times (m,) to give it at, in s.
+        memory: Samples that later stretches may still need.
+
+    Returns:
+        The signal at those times, (m,) or (m, k).
+    """
+    if "t_s" in memory:
+        t_s, u = np.concatenate((memory["t_s"], t_s)), np.concatenate((memory["u"], u))
+    columns = [np.interp(when_s, t_s, column) for column in u.reshape(len(u), -1).T]
+    keep = max(int(np.searchsorted(t_s, when_s[-1])) - 2, 0)
+    memory["t_s"], memory["u"] = t_s[keep:], u[keep:]
+    return np.stack(columns, axis=-1).reshape(len(when_s), *u.shape[1:])

@@ -1,0 +1,46 @@
+"""The library of effects: what a real cell may do that the nominal one does not.
+
+One module per part of the cell, in the order in which the physics passes them; within a site, effects act in the order of EFFECTS.
+"""
+
+import runpy
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from palpd.cell.effects import motion, probe, sensor, tissue
+from palpd.cell.effects.effect import SITES, DiscrepancyDriver, Effect, Parameter, Scale, Site, Values, of
+from palpd.errors import ConfigError
+from palpd.files import opened
+
+EFFECTS: dict[str, Effect] = {effect.id: effect for effect in (*motion.EFFECTS, *tissue.EFFECTS, *probe.EFFECTS, *sensor.EFFECTS)}
+"""The effects of this library by id."""
+MOST_BYTES = 1_000_000
+"""Largest file of effects; one effect takes some 2 kB of Python."""
+
+
+def load_effects(path: str | Path) -> dict[str, Effect]:
+    """The library and the effects that a user's Python file lists as EFFECTS; one with the id of a library effect replaces it.
+
+    Raises:
+        ConfigError: The file fails, or it lists no effects.
+    """
+    with opened(Path(path), most_bytes=MOST_BYTES, error=ConfigError):
+        pass  # a pipe would be waited for, and a device read for ever
+    try:
+        names: dict[str, Any] = runpy.run_path(str(path))
+    except (Exception, SystemExit) as error:  # a user's file may fail in any way
+        raise ConfigError(f"{path} could not be read as effects ({type(error).__name__}: {error}); expected a Python file") from error
+    given = names.get("EFFECTS")
+    listed = list(given.values() if isinstance(given, Mapping) else given) if isinstance(given, Iterable) else []
+    if not listed or not all(isinstance(effect, Effect) for effect in listed):
+        raise ConfigError(f"{path} defines no EFFECTS; expected a list of palpd.cell.effects.Effect of that name")
+    return EFFECTS | {effect.id: effect for effect in listed}
+
+
+def user_effects(library: Mapping[str, Effect]) -> list[Effect]:
+    """The effects of a library that a user has added or replaced."""
+    return [effect for name, effect in library.items() if EFFECTS.get(name) is not effect]
+
+
+__all__ = ["EFFECTS", "SITES", "DiscrepancyDriver", "Effect", "Parameter", "Scale", "Site", "Values", "load_effects", "of", "user_effects"]

@@ -1,0 +1,97 @@
+"""Robot and tip: how the reported height follows the commanded one, and where the tip is when the robot reports z."""
+
+from math import inf, pi
+
+import numpy as np
+
+from palpd.cell.dynamics import Constants, Memory, Span, play
+from palpd.cell.effects.effect import LOAD, Effect, Parameter, Values, of
+
+
+def _lag(c: Constants, p: Values) -> None:
+    c.servo_natural_frequency_Hz *= p["bandwidth_ratio"]
+    c.servo_damping_ratio = p.get("damping_ratio", c.servo_damping_ratio)
+
+
+LAG = Effect(
+    "robot.lag",
+    "robot",
+    "servo slower than stated, or damped otherwise",
+    (
+        Parameter("bandwidth_ratio", "1", 0.02, 5.0, (0.7, 0.4, 1.5), nominal=1.0, log=True),
+        Parameter("damping_ratio", "1", 0.1, 5.0, (0.7,), nominal=None, log=True, optional=True),
+    ),
+    setting=_lag,
+    tolerance="servo_natural_frequency",
+    motion=True,
+)
+
+
+def _vibration(s: Span, p: Values, _memory: Memory) -> None:
+    omega = 2.0 * pi * p["frequency_Hz"]
+    angle = omega * s.t_s + p["phase_rad"]
+    swing_m = p["amplitude_m"] * np.sin(angle)
+    s.z_m = s.z_m + swing_m
+    s.vz_m_per_s = s.vz_m_per_s + omega * p["amplitude_m"] * np.cos(angle)
+    s.az_m_per_s2 = s.az_m_per_s2 - omega**2 * swing_m
+
+
+VIBRATION = Effect(
+    "robot.vibration",
+    "robot",
+    "sinusoidal motion, reported in z",
+    (
+        Parameter("amplitude_m", "m", 0.0, lambda s: s.stroke_m, of("stroke_m", 0.01)),
+        Parameter(
+            "frequency_Hz",
+            "Hz",
+            lambda s: 1.0 / s.duration_s,
+            lambda s: 0.95 * s.nyquist_Hz,
+            of("nyquist_Hz", 0.05, 0.01, 0.2),
+            nominal=None,
+            log=True,
+        ),
+        Parameter("phase_rad", "rad", -pi, pi, (0.0, pi / 2, pi, -pi / 2), nominal=None),
+    ),
+    law=_vibration,
+    motion=True,
+)
+
+
+def _backlash(s: Span, p: Values, memory: Memory) -> None:
+    s.tip_m = play(s.tip_m, p["width_m"], memory)
+
+
+BACKLASH = Effect(
+    "robot.backlash",
+    "tip",
+    "tip lags the reported height by a dead band at reversals",
+    (Parameter("width_m", "m", 0.0, lambda s: 0.5 * s.stroke_m, of("depth_m", 0.03, 0.1)),),
+    law=_backlash,
+)
+
+
+def _compliance(c: Constants, p: Values) -> None:
+    c.tip_compliance_m_per_N += 1.0 / p["stiffness_N_per_m"]
+
+
+COMPLIANCE = Effect(
+    "robot.compliance",
+    "tip",
+    "tip gives way under load, the robot does not report it",
+    (
+        Parameter(
+            "stiffness_N_per_m",
+            "N/m",
+            lambda s: 0.02 * s.stiffness_N_per_m,
+            lambda s: 1e4 * s.stiffness_N_per_m,
+            of("stiffness_N_per_m", 20.0, 3.0, 0.5),
+            nominal=inf,
+            log=True,
+        ),
+    ),
+    setting=_compliance,
+    discrepancy_drivers=LOAD,
+)
+
+EFFECTS = (LAG, VIBRATION, BACKLASH, COMPLIANCE)

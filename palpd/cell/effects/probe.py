@@ -1,0 +1,174 @@
+"""Probe: what else pushes it, and which way the sensor sees that."""
+
+import numpy as np
+
+from palpd.cell.dynamics import Constants, Memory, Span, mounted, play, recurrence
+from palpd.cell.effects.effect import AZIMUTH, DEAD_BAND, LOAD, SIDEWAYS, Effect, Parameter, Values, of
+
+REST_SPEED_M_PER_S = 0.5e-3
+"""Where Coulomb friction turns over, as the nominal tanh of it has it."""
+
+
+def _mass(c: Constants, p: Values) -> None:
+    c.mass_kg += p["delta_kg"]
+
+
+MASS = Effect(
+    "probe.mass",
+    "probe",
+    "moving mass differs",
+    (Parameter("delta_kg", "kg", lambda s: -s.mass_kg, lambda s: 20.0 * s.mass_kg, of("mass_kg", 0.3, -0.3)),),
+    setting=_mass,
+    tolerance="mass_kg",
+)
+
+
+def _resonance(s: Span, p: Values, memory: Memory) -> None:
+    ringing_m_per_s2 = mounted(s.az_m_per_s2, s.dt_s, p["frequency_Hz"], p["damping_ratio"], memory)
+    s.fz_N = s.fz_N - s.constants.mass_kg * p["participation"] * (ringing_m_per_s2 - s.az_m_per_s2)
+
+
+RESONANCE = Effect(
+    "structure.resonance",
+    "probe",
+    "part of the probe's inertia rings on a flexible mount",
+    (
+        Parameter(
+            "frequency_Hz",
+            "Hz",
+            lambda s: 0.1 * s.servo_natural_frequency_Hz,
+            lambda s: max(0.95 * s.nyquist_Hz, 0.2 * s.servo_natural_frequency_Hz),
+            of("servo_natural_frequency_Hz", 3.0, 1.5, 6.0),
+            nominal=None,
+            log=True,
+        ),
+        Parameter("damping_ratio", "1", 1e-3, 1.0, (0.05, 0.2), nominal=None, log=True),
+        Parameter("participation", "1", 0.0, 1.0, (0.5,)),
+    ),
+    law=_resonance,
+)
+
+
+def _spring(s: Span, p: Values, memory: Memory) -> None:
+    s.fz_N = s.fz_N - p["stiffness_N_per_m"] * (s.z_m - memory.setdefault("first_z_m", s.z_m[0]))
+
+
+SPRING = Effect(
+    "cable.spring",
+    "probe",
+    "a cable pulls in proportion to the travel",
+    (
+        Parameter(
+            "stiffness_N_per_m",
+            "N/m",
+            lambda s: -s.range_N / s.stroke_m,
+            lambda s: s.range_N / s.stroke_m,
+            lambda s: (0.05 * s.force_N / s.stroke_m, -0.05 * s.force_N / s.stroke_m),
+        ),
+    ),
+    law=_spring,
+    starts_at_tare=True,
+    discrepancy_drivers=LOAD,
+)
+
+
+def _friction(s: Span, p: Values, memory: Memory) -> None:
+    """Coulomb, or Dahl (1968) over the presliding length: dF/dx = (1 - F sign v) / length, exact over a step.
+
+    The friction acts on the tip: it stands still while the robot moves through a dead band. Noise of a measured motion would wear
+    the force down at rest, so a dead band comes first.
+    """
+    tip_m = s.tip_m
+    if "presliding_m" in p and s.z_noise_m > 0.0:  # a whole recording: no block follows that would need a memory
+        tip_m = play(tip_m, DEAD_BAND * s.z_noise_m, {})
+    change_m = np.diff(tip_m, prepend=memory.get("tip_m", tip_m[0]))
+    memory["tip_m"] = tip_m[-1]
+    if "presliding_m" not in p:
+        share = np.where(change_m != 0.0, np.tanh(s.vz_m_per_s / REST_SPEED_M_PER_S), 0.0)
+    else:
+        keep = np.exp(-np.abs(change_m) / p["presliding_m"])
+        share = recurrence(keep, (1.0 - keep) * np.sign(change_m), memory.get("share", 0.0))
+        memory["share"] = share[-1]
+    s.fz_N = s.fz_N - p["force_N"] * share
+
+
+FRICTION = Effect(
+    "cable.friction",
+    "probe",
+    "Coulomb force against the motion, zero at rest; with presliding it builds up over a length and stays at rest",
+    (
+        Parameter("force_N", "N", 0.0, lambda s: s.range_N, of("force_N", 0.05)),
+        Parameter(
+            "presliding_m",
+            "m",
+            lambda s: 1e-4 * s.stroke_m,
+            lambda s: s.stroke_m,
+            of("stroke_m", 0.02, 0.1),
+            nominal=None,
+            log=True,
+            optional=True,
+        ),
+    ),
+    law=_friction,
+)
+
+
+def _viscous(s: Span, p: Values, _memory: Memory) -> None:
+    s.fz_N = s.fz_N - p["coefficient_N_s_per_m"] * s.vz_m_per_s
+
+
+VISCOUS = Effect(
+    "cable.viscous",
+    "probe",
+    "force against the motion, linear in speed",
+    (
+        Parameter(
+            "coefficient_N_s_per_m",
+            "N s/m",
+            0.0,
+            lambda s: s.range_N / s.speed_m_per_s,
+            lambda s: (0.05 * s.force_N / s.speed_m_per_s,),
+        ),
+    ),
+    law=_viscous,
+)
+
+
+def _lateral(s: Span, p: Values, _memory: Memory) -> None:
+    aside_N = p["ratio"] * s.contact_N
+    s.push_sideways(np.cos(p["azimuth_rad"]) * aside_N, np.sin(p["azimuth_rad"]) * aside_N)
+
+
+LATERAL = Effect(
+    "contact.lateral",
+    "probe",
+    "oblique contact: lateral force in proportion to the contact force",
+    (Parameter("ratio", "1", 0.0, 3.0, (0.05,)), AZIMUTH),
+    law=_lateral,
+    family=SIDEWAYS,
+    discrepancy_drivers=LOAD,
+)
+
+
+def _tilt(s: Span, p: Values, _memory: Memory) -> None:
+    """The contact's share acts at the tip and so has a torque; inertia and cable act where the sensor is."""
+    across = np.sin(p["angle_rad"])
+    x, y = across * np.cos(p["azimuth_rad"]), across * np.sin(p["azimuth_rad"])
+    elsewhere_N = s.fz_N - s.contact_N
+    s.push_sideways(x * s.contact_N, y * s.contact_N)
+    s.fx_N = s.fx_N + x * elsewhere_N
+    s.fy_N = s.fy_N + y * elsewhere_N
+    s.fz_N = np.cos(p["angle_rad"]) * s.fz_N
+
+
+TILT = Effect(
+    "probe.tilt",
+    "probe",
+    "sensor tilted against z",
+    (Parameter("angle_rad", "rad", 0.0, 1.2, (0.05,)), AZIMUTH),
+    law=_tilt,
+    family=SIDEWAYS,
+    discrepancy_drivers=LOAD,
+)
+
+EFFECTS = (MASS, RESONANCE, SPRING, FRICTION, VISCOUS, LATERAL, TILT)

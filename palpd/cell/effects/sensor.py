@@ -1,0 +1,307 @@
+"""Clock and sensor: what becomes of the wrench on its way into the recording."""
+
+from math import inf
+
+import numpy as np
+
+from palpd.cell.dynamics import Constants, Memory, Span, lowpass, play, recurrence
+from palpd.cell.effects.effect import (
+    DEAD_BAND,
+    LOAD,
+    SCALE_OF_FORCE,
+    SIDEWAYS,
+    SLOW_ZERO,
+    TIME,
+    Effect,
+    Parameter,
+    Values,
+    of,
+    relaxation_time,
+)
+
+
+def _skew(c: Constants, p: Values) -> None:
+    c.skew += p["ratio"]
+
+
+LARGEST_SKEW = 3e-3
+"""Largest clock error that is sought: crystals stay within 1e-4, a clock that software corrects within some 1e-3."""
+
+
+SKEW = Effect(
+    "clock.skew",
+    "clock",
+    "the sensor's clock runs fast or slow against the robot's",
+    (Parameter("ratio", "1", -LARGEST_SKEW, LARGEST_SKEW, (1e-4, -1e-4, 1e-3, -1e-3)),),
+    setting=_skew,
+    starts_at_tare=True,
+)
+
+
+def _latency(c: Constants, p: Values) -> None:
+    c.delay_s += p["delay_s"]
+
+
+LATENCY = Effect(
+    "sensor.latency",
+    "clock",
+    "wrench late against the robot state",
+    (Parameter("delay_s", "s", lambda s: -0.02 * s.duration_s, lambda s: 0.1 * s.duration_s, of("step_s", 2.0, 10.0, 40.0)),),
+    setting=_latency,
+    tolerance="latency_s",
+)
+
+
+def _gain(c: Constants, p: Values) -> None:
+    c.gain *= 1.0 + p["error"]
+
+
+GAIN = Effect(
+    "sensor.gain",
+    "sensor",
+    "fz · (1 + error)",
+    (Parameter("error", "1", -0.95, 10.0, (0.1, -0.1)),),
+    setting=_gain,
+    tolerance="gain",
+    family=SCALE_OF_FORCE,
+    discrepancy_drivers=LOAD,
+)
+
+
+def _crosstalk(c: Constants, p: Values) -> None:
+    c.fx_per_fz += p["fx_per_fz"]
+    c.fy_per_fz += p["fy_per_fz"]
+    c.tx_per_fz_m += p["tx_per_fz_m"]
+    c.ty_per_fz_m += p["ty_per_fz_m"]
+
+
+CROSSTALK = Effect(
+    "sensor.crosstalk",
+    "sensor",
+    "fz leaks into the other axes",
+    (
+        Parameter("fx_per_fz", "1", -1.0, 1.0, (0.02,)),
+        Parameter("fy_per_fz", "1", -1.0, 1.0, (0.02,)),
+        Parameter("tx_per_fz_m", "m", lambda s: -s.tip_length_m, lambda s: s.tip_length_m, of("tip_length_m", 0.02)),
+        Parameter("ty_per_fz_m", "m", lambda s: -s.tip_length_m, lambda s: s.tip_length_m, of("tip_length_m", 0.02)),
+    ),
+    setting=_crosstalk,
+    tolerance="crosstalk",
+    family=SIDEWAYS,
+    discrepancy_drivers=LOAD,
+)
+
+
+def _hysteresis(s: Span, p: Values, memory: Memory) -> None:
+    """Exact over a step: w goes towards +1 while fz rises and towards -1 while it falls, by exp(-|Δfz|/width).
+
+    Noise of a measured motion would wear the loop down while nothing moves, so dead bands come first: in the air for the noise of
+    accelerations, in contact for that of heights, as the force to 2/3, which a sphere makes proportional to depth.
+    """
+    drive_N = s.fz_N
+    if s.z_noise_m > 0.0 or s.az_noise_m_per_s2 > 0.0:  # a whole recording: no block follows that would need a memory
+        inertial_N = play(s.fz_N - s.contact_N, DEAD_BAND * s.constants.mass_kg * s.az_noise_m_per_s2, {})
+        as_depth = np.sign(s.contact_N) * np.abs(s.contact_N) ** (2.0 / 3.0)
+        per_m = float(as_depth.max()) / max(float(s.depth_m.max()), float(np.finfo(float).tiny))
+        as_depth = play(as_depth, DEAD_BAND * per_m * s.z_noise_m, {})
+        drive_N = inertial_N + np.sign(as_depth) * np.abs(as_depth) ** 1.5
+    change_N = np.diff(drive_N, prepend=memory.get("fz_N", drive_N[0]))
+    keep = np.exp(-np.abs(change_N) / p["width_N"])
+    loop = recurrence(keep, np.sign(change_N) * (1.0 - keep), memory.get("w", 0.0))
+    memory["fz_N"], memory["w"] = drive_N[-1], loop[-1]
+    s.fz_N = s.fz_N + p["amplitude_N"] * loop
+
+
+HYSTERESIS = Effect(
+    "sensor.hysteresis",
+    "sensor",
+    "rate-independent loop",
+    (
+        Parameter("width_N", "N", lambda s: s.noise_N, lambda s: 10.0 * s.range_N, of("force_N", 0.1, 0.5), nominal=None, log=True),
+        Parameter("amplitude_N", "N", lambda s: -s.range_N, lambda s: s.range_N, of("force_N", 0.05, -0.05)),
+    ),
+    law=_hysteresis,
+    discrepancy_drivers=LOAD,
+)
+
+
+def _creep(s: Span, p: Values, memory: Memory) -> None:
+    s.fz_N = s.fz_N + p["ratio"] * lowpass(s.fz_N, s.dt_s, -1.0 / p["tau_s"], memory, start=0.0)
+
+
+def _settled_creep(p: Values, within_s: float) -> float:
+    return 1.0 + p["ratio"] if p["tau_s"] < within_s else 1.0
+
+
+CREEP = Effect(
+    "sensor.creep",
+    "sensor",
+    "reading creeps up under load",
+    # what has settled before a press is over is no creep: nothing could tell it from a gain
+    (Parameter("ratio", "1", 0.0, 5.0, (0.05, 0.3)), relaxation_time(0.05, 0.3, 0.01, of_a_press=0.3)),
+    law=_creep,
+    shows_at_rest=True,
+    gain_at_rest=_settled_creep,
+)
+
+
+def _warmup(s: Span, p: Values, _memory: Memory) -> None:
+    s.fz_N = s.fz_N - p["amplitude_N"] * np.expm1(-s.t_s / p["tau_s"])
+
+
+WARMUP = Effect(
+    "sensor.warmup",
+    "sensor",
+    "A · (1 - exp(-t/τ)) on fz",
+    (
+        Parameter("amplitude_N", "N", lambda s: -s.range_N, lambda s: s.range_N, of("noise_N", 2.0, -2.0)),
+        relaxation_time(0.2, 0.7, 0.05),
+    ),
+    law=_warmup,
+    starts_at_tare=True,
+    family=SLOW_ZERO,
+    discrepancy_drivers=TIME,
+)
+
+
+def _filter(c: Constants, p: Values) -> None:
+    c.cutoff_Hz = p["cutoff_Hz"]
+
+
+FILTER = Effect(
+    "sensor.filter",
+    "sensor",
+    "the real cutoff differs from the stated one",
+    (
+        Parameter(
+            "cutoff_Hz",
+            "Hz",
+            lambda s: 0.5 / s.duration_s,
+            lambda s: max(10.0 * s.nyquist_Hz, 2.0 * s.cutoff_Hz if s.cutoff_Hz < inf else 0.0),
+            lambda s: tuple(share * min(s.cutoff_Hz, s.nyquist_Hz) for share in (0.2, 0.05, 0.01)),
+            nominal=lambda s: s.cutoff_Hz,
+            log=True,
+        ),
+    ),
+    setting=_filter,
+    tolerance="filter_cutoff",
+)
+
+
+def _bias(c: Constants, p: Values) -> None:
+    c.bias_N += p["offset_N"]
+
+
+BIAS = Effect(
+    "sensor.bias",
+    "sensor",
+    "constant on fz after the tare",
+    (Parameter("offset_N", "N", lambda s: -s.range_N, lambda s: s.range_N, of("noise_N", 2.0, -2.0)),),
+    setting=_bias,
+    tolerance="bias_N",
+    starts_at_tare=True,
+    family=SLOW_ZERO,
+    discrepancy_drivers=TIME,
+)
+
+
+def _drift(c: Constants, p: Values) -> None:
+    c.drift_N_per_s += p["rate_N_per_s"]
+
+
+DRIFT = Effect(
+    "sensor.drift",
+    "sensor",
+    "linear in time on fz",
+    (
+        Parameter(
+            "rate_N_per_s",
+            "N/s",
+            lambda s: -s.range_N / s.duration_s,
+            lambda s: s.range_N / s.duration_s,
+            lambda s: (2.0 * s.noise_N / s.duration_s, -2.0 * s.noise_N / s.duration_s),
+        ),
+    ),
+    setting=_drift,
+    tolerance="drift_N_per_min",
+    starts_at_tare=True,
+    family=SLOW_ZERO,
+    discrepancy_drivers=TIME,
+)
+
+
+def _noise(c: Constants, p: Values) -> None:
+    c.noise_rms_N *= p["ratio"]
+    c.noise_rms_Nm *= p["ratio"]
+
+
+NOISE = Effect(
+    "sensor.noise",
+    "sensor",
+    "more noise than stated, all six axes",
+    (Parameter("ratio", "1", 0.01, 1e3, (1.5, 3.0), nominal=1.0, log=True),),
+    setting=_noise,
+    scatter="noise",
+)
+
+
+def _saturation(c: Constants, p: Values) -> None:
+    c.limit_N = min(c.limit_N, p["limit_N"])
+
+
+SATURATION = Effect(
+    "sensor.saturation",
+    "sensor",
+    "fz clipped",
+    (Parameter("limit_N", "N", lambda s: 0.02 * s.force_N, lambda s: 2.0 * s.range_N, of("force_N", 0.8, 0.4), nominal=inf, log=True),),
+    setting=_saturation,
+    discrepancy_drivers=LOAD,
+)
+
+
+def _quantization(c: Constants, p: Values) -> None:
+    c.step_N = max(c.step_N, p["step_N"])
+
+
+QUANTIZATION = Effect(
+    "sensor.quantization",
+    "sensor",
+    "coarser step than stated",
+    (Parameter("step_N", "N", 0.0, lambda s: s.range_N, lambda s: (4.0 * s.noise_N, 0.2 * s.force_N)),),
+    setting=_quantization,
+    scatter="coarse step",
+)
+
+
+def _dropout(c: Constants, p: Values) -> None:
+    c.dropout_rate_Hz, c.dropout_length_s = p["rate_Hz"], p["length_s"]
+
+
+DROPOUT = Effect(
+    "sensor.dropout",
+    "sensor",
+    "samples held now and then",
+    (
+        Parameter("rate_Hz", "Hz", 0.0, lambda s: s.nyquist_Hz, lambda s: (20.0 / s.duration_s,)),
+        Parameter("length_s", "s", lambda s: s.step_s, lambda s: 0.2 * s.duration_s, of("step_s", 5.0), nominal=None, log=True),
+    ),
+    setting=_dropout,
+    scatter="held samples",
+)
+
+EFFECTS = (
+    SKEW,
+    LATENCY,
+    GAIN,
+    CROSSTALK,
+    HYSTERESIS,
+    CREEP,
+    WARMUP,
+    FILTER,
+    BIAS,
+    DRIFT,
+    NOISE,
+    SATURATION,
+    QUANTIZATION,
+    DROPOUT,
+)

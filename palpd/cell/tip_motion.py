@@ -1,0 +1,134 @@
+"""The motion of the tip behind what the robot reports of it."""
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import savgol_coeffs, savgol_filter
+
+from palpd.cell.cell_file import CellFile
+from palpd.cell.dynamics import Floats, TipMotion, servo, steps
+from palpd.cell.report_times import Reports, find_reports
+
+CUBIC = 3
+"""Degree of the polynomial whose slope is taken: a jump of jerk bends it little over a quarter of the servo's period."""
+SURE = 2.0
+"""Ratio of rms to noise rms above which a speed or acceleration that the command does not explain is believed: two sigmas."""
+
+
+def estimate_tip_motion(
+    cell: CellFile,
+    t_s: Floats,
+    z_m: Floats,
+    vz_m_per_s: Floats | None = None,
+    z_cmd_m: Floats | None = None,
+    reports: Reports | None = None,
+) -> TipMotion:
+    """The motion of the tip behind noisy reports of height and speed.
+
+    Heights and speeds are averaged over a quarter of the servo's period, short enough for it to do nothing quickly: of the
+    heights only what the integrated speed does not already say. The acceleration is the slope of the speed over the fewest samples
+    that keep its noise, times the mass, below a tenth of the sensor's, and never over more than that quarter.
+
+    Where commanded heights are given, all this is done to what the stated servo does not already say. Slopes may then be taken over half
+    its period, and speeds and slopes are believed as far as they stand out of their noise (Wiener's filter, locally): else a filter that
+    smooths the noise of a prediction would bring it nearer to the readings, and friction would feel a probe at rest that moves to and fro.
+
+    Args:
+        cell: The cell; its servo and the stated noise of its robot and sensor are used.
+        t_s: Times (n,) in s.
+        z_m: Reported heights (n,) in m.
+        vz_m_per_s: Reported speeds (n,), or None to take them from the heights.
+        z_cmd_m: Commanded heights (n,) in m, or None.
+        reports: When the robot reported, or None to find it in the heights.
+
+    Returns:
+        The estimated motion (n,) with its remaining noise.
+    """
+    n = len(t_s)
+    dt_s = float(np.median(np.diff(t_s)))
+    half = min(int(0.125 / (cell.robot.servo_natural_frequency_Hz * dt_s)), (n - 1) // 2)
+    if vz_m_per_s is None:
+        vz_m_per_s = _slope(t_s, z_m, max(half, 1))
+    if reports is None:
+        reports = find_reports(t_s, z_m)
+    each = reports.rows_each
+    v_noise = min(cell.robot.velocity_noise_rms_m_per_s, _white_noise(reports.values(vz_m_per_s)))
+    z_noise = min(cell.robot.position_noise_rms_m, _white_noise(reports.values(z_m)))
+    widest = half
+    if z_cmd_m is not None:
+        known = servo(z_cmd_m, steps(t_s), cell.robot.servo_natural_frequency_Hz, cell.robot.servo_damping_ratio, {})
+        z_m, vz_m_per_s = z_m - reports.join(known[0], t_s), vz_m_per_s - reports.join(known[1], t_s)
+        widest = min(2 * half, (n - 1) // 2)
+    width, allowed = 1, 0.1 * cell.sensor.noise_rms_N
+    while width < widest and cell.probe.mass_kg * _slope_noise(v_noise, dt_s, width, each) > allowed:
+        width += 1
+    acceleration = _slope(t_s, vz_m_per_s, width)
+    if half:
+        path_m = cumulative_trapezoid(vz_m_per_s, t_s, initial=0)
+        z_m = path_m + uniform_filter1d(z_m - path_m, 2 * half + 1, mode="nearest")
+        vz_m_per_s = uniform_filter1d(vz_m_per_s, 2 * half + 1, mode="nearest")
+    span = 2 * half + 1
+    left_m = np.hypot(z_noise / np.sqrt(span), v_noise * dt_s * np.sqrt((span - 1) / 12.0)) * np.sqrt(each)
+    a_noise, acceleration_weight = _slope_noise(v_noise, dt_s, width, each), np.ones(n)
+    if z_cmd_m is not None:
+        acceleration_weight = _signal_share(acceleration, a_noise, 4 * half + 1)
+        vz_m_per_s = known[1] + _signal_share(vz_m_per_s, v_noise * (each / span) ** 0.5, 4 * half + 1) * vz_m_per_s
+        z_m, acceleration = z_m + known[0], known[2] + acceleration_weight * acceleration
+    left_m_per_s2 = a_noise * float(np.sqrt(np.mean(acceleration_weight**2)))
+    return TipMotion(t_s - t_s[0], z_m, vz_m_per_s, acceleration, float(left_m), left_m_per_s2, v_noise, width, acceleration_weight)
+
+
+def _signal_share(x: Floats, noise: float, span: int) -> Floats:
+    """The share of x that is not noise of the given rms, over `span` neighbours (Wiener's filter)."""
+    square = uniform_filter1d(x**2, span, mode="nearest")
+    share: Floats = np.clip(1.0 - (SURE * noise) ** 2 / np.maximum(square, 1e-300), 0.0, 1.0)
+    return share
+
+
+def _white_noise(x: Floats) -> float:
+    """Rms of what is white in a smooth signal, from its second differences (median, so that corners do not count)."""
+    if len(x) < 8:
+        return 0.0
+    return float(np.median(np.abs(np.diff(x, 2)))) / (0.6745 * np.sqrt(6.0))
+
+
+def _slope_noise(noise: float, dt_s: float, half: int, each: float) -> float:
+    """What white noise does to the slope that `_slope` takes, where straight lines of `each` samples join the noisy values."""
+    if each > 1.0:
+        return min(_slope_noise(noise * each**0.5, dt_s, half, 1.0), 2.0**0.5 * noise / (each * dt_s))
+    if half < 2:
+        return noise / (dt_s * 2.0**0.5)
+    k2 = np.arange(-half, half + 1.0) ** 2
+    s2, s4, s6 = float(k2.sum()), float((k2**2).sum()), float((k2**3).sum())
+    return float(noise / dt_s * np.sqrt(s6 / (s2 * s6 - s4**2)))
+
+
+def slope_weights(dt_s: float, half: int) -> Floats:
+    """Weights of the neighbours in a measured slope.
+
+    Args:
+        dt_s: Step between samples.
+        half: Neighbours on either side; below two the nearest ones are taken.
+
+    Returns:
+        Weights (2 half + 1,), or (3,), in 1/s.
+    """
+    if half < 2:
+        return np.array([-0.5, 0.0, 0.5]) / dt_s
+    weights: Floats = savgol_coeffs(2 * half + 1, CUBIC, deriv=1, delta=dt_s, use="dot")
+    return weights
+
+
+def _slope(t_s: Floats, x: Floats, half: int) -> Floats:
+    """Slope of the cubic through 2·half + 1 neighbours (Savitzky, Golay 1964), below five of them of the line between the nearest."""
+    half = min(half, (len(x) - 1) // 2)
+    if half < 2:
+        nearest: Floats = np.gradient(x, t_s)
+        return nearest
+    dt_s = steps(t_s)
+    if not isinstance(dt_s, float):
+        even_s = np.arange(t_s[0], t_s[-1] + 0.5 * dt_s[0], dt_s[0])
+        uneven: Floats = np.interp(t_s, even_s, _slope(even_s, np.interp(even_s, t_s, x), half))
+        return uneven
+    slope: Floats = savgol_filter(x, 2 * half + 1, CUBIC, deriv=1, delta=dt_s, mode="interp")
+    return slope

@@ -1,0 +1,218 @@
+"""Commands that turn recordings into moduli, inertial models and maps."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
+
+import typer
+
+from palpd.cli.curve_options import (
+    CompressionNegative,
+    DepthColumn,
+    ForceColumn,
+    ForceUnitOption,
+    HeightColumn,
+    HeightDownPositive,
+    LengthUnitOption,
+    TimeColumn,
+)
+from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, app, display, finish, terminal
+from palpd.files import check_writable, write_json
+
+if TYPE_CHECKING:
+    from palpd.analysis.curves import CurveResult
+    from palpd.analysis.enriched import EnrichedResult
+    from palpd.analysis.results import LoadingResult
+
+
+class MapFigures(TypedDict):
+    """The JSON of `palpd map`."""
+
+    presses: int
+    done: bool
+    found_m: tuple[float, float] | None
+    next_m: tuple[float, float]
+    background_Pa: float
+    sentence: str
+    true_inclusion_m: tuple[float, float, float] | None
+    verdict: Literal["done", "stopped"]
+    reason: str
+
+
+@app.command()
+def analyse(
+    file: Annotated[Path, typer.Argument(help="a recording (.mcap), or a curve of another machine as CSV")],
+    site: Annotated[str | None, typer.Option("--site", help="this site only (recordings)")] = None,
+    force_column: ForceColumn = None,
+    force_unit: ForceUnitOption = "N",
+    depth_column: DepthColumn = None,
+    height_column: HeightColumn = None,
+    height_down_positive: HeightDownPositive = False,
+    length_unit: LengthUnitOption = "m",
+    compression_negative: CompressionNegative = False,
+    time_column: TimeColumn = None,
+    tip_radius_m: Annotated[float | None, typer.Option("--tip-radius-m")] = None,
+    poisson_ratio: Annotated[float, typer.Option("--poisson-ratio")] = 0.5,
+    machine_stiffness_N_per_m: Annotated[float | None, typer.Option("--machine-stiffness-N-per-m", help="taken out of the depth")] = None,
+    fit: Annotated[Literal["loading", "peak"], typer.Option("--fit")] = "loading",
+    contact: Annotated[Literal["free", "zero"], typer.Option("--contact")] = "free",
+    baseline: Annotated[
+        Literal["auto", "free", "zero"], typer.Option("--baseline", help="force before contact; auto: zero for a corrected column")
+    ] = "auto",
+    cell: Annotated[
+        Path | None, typer.Option("--cell", help="cell file, as palpd diagnose enriched it: what it knows no longer passes for stiffness")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Young's modulus with its interval, from a recording of ours or a curve of another machine."""
+    from palpd.recording.reader import Recording, holds_ticks
+
+    check_writable(json_file)
+    if cell is not None:
+        from palpd.analysis.enriched import analysed
+        from palpd.cell.cell_file import load_cell
+
+        enriched = analysed(file, load_cell(cell), site)
+        for each in enriched.get("sites", [enriched]):
+            _print_modulus(each)
+        write_json(json_file, enriched)
+    elif holds_ticks(file):
+        from palpd.analysis.results import analysed_sites
+
+        sites = analysed_sites(Recording.load(file), site)
+        for loading in sites:
+            terminal().print(f"{loading['name']}: ", end="")
+            _print_modulus(loading)
+        write_json(json_file, {"sites": sites, **(sites[0] if len(sites) == 1 else {})})
+    else:
+        from palpd.analysis.curves import Mapping, analyse_curve, read_curve, refuse_unknown_tip
+
+        mapping = Mapping(
+            force_column, force_unit, depth_column, height_column, height_down_positive, length_unit, compression_negative, time_column
+        )
+        curve = analyse_curve(
+            read_curve(file, mapping),
+            tip_radius_m=refuse_unknown_tip(tip_radius_m),
+            poisson_ratio=poisson_ratio,
+            machine_stiffness_N_per_m=machine_stiffness_N_per_m,
+            fit=fit,
+            contact=contact,
+            baseline=baseline,
+        )
+        _print_modulus(curve)
+        write_json(json_file, curve)
+
+
+@app.command()
+def train(
+    runs: Annotated[list[Path], typer.Argument(help="recordings of free motion (.mcap or .csv)")],
+    out: Annotated[Path, typer.Option("--out", help="model to write (.onnx); its card is written beside it (.json)")],
+    config: ConfigOption = DEFAULT_CONFIG,
+    method: Annotated[
+        str, typer.Option("--method", help="linear (b - m a), network (the paper's 2-10-1), prior-network or bias")
+    ] = "linear",
+) -> None:
+    """Learn the inertial model from free motion; write it with its card. Which method is best: docs/compensation.md."""
+    from palpd.compensation.train import train as learn
+    from palpd.compensation.training_data import load_training_data
+    from palpd.config import load_config
+
+    settings = load_config(config if config != DEFAULT_CONFIG or config.exists() else None)
+    data = load_training_data(runs, settings)
+    card = learn(
+        data.recordings,
+        out,
+        probe_mass_kg=settings.cell.probe.mass_kg,
+        sensor_serial=data.sensor_serial,
+        sensor_delay_s=data.sensor_delay_s,
+        method=method,  # type: ignore[arg-type]
+    )
+    terminal().print(
+        f"{out} and its card: {card.n} points, rmse {card.rmse_N * 1e3:.1f} mN; bias {card.bias_N:+.3f} N, "
+        f"inertia {card.inertial_rms_N * 1e3:.1f} mN rms of a moving mass of {card.mass_kg:.3f} kg."
+    )
+
+
+@app.command("map")
+def map_(
+    out: Annotated[Path, typer.Option("--out", help="picture to write (.png); the presses are kept beside it (.csv)")] = Path("map.png"),
+    config: Annotated[
+        Path | None, typer.Option("--config", help="press with the robot of this config.yaml; where the arm stands is the field's corner")
+    ] = None,
+    emulated: Annotated[bool, typer.Option("--emulated", help="press with the real daemon on emulated wires")] = False,
+    presses: Annotated[
+        Path | None, typer.Option("--presses", help="CSV with x_m, y_m, youngs_modulus_Pa: the map of these, and where to press next")
+    ] = None,
+    width_m: Annotated[float, typer.Option("--width-m", min=0.005, max=0.5)] = 0.06,
+    height_m: Annotated[float, typer.Option("--height-m", min=0.005, max=0.5)] = 0.06,
+    depth_m: Annotated[float, typer.Option("--depth-m", min=0.001, max=0.02, help="of a press")] = 0.005,
+    inclusion_m: Annotated[float, typer.Option("--inclusion-m", min=0.002, max=0.1, help="smallest inclusion not to be missed")] = 0.01,
+    seed: Annotated[int, typer.Option("--seed", help="another emulated field")] = 0,
+    json_file: JsonOption = None,
+) -> None:
+    """Press a field where it pays most until a hard inclusion is found or excluded; draw the map.
+
+    Without --config, --emulated or --presses the daemon presses a simulated field, faster than real time.
+    """
+    from palpd.analysis import stiffness_map as mapping
+    from palpd.daemon.stiffness_survey import mapped
+
+    where = mapping.Field(width_m=width_m, height_m=height_m, inclusion_m=inclusion_m, depth_m=depth_m)
+    check_writable(json_file, out, None if presses else out.with_suffix(".csv"))
+    stopped, truth = "", None
+    if presses is not None:
+        mapping.refuse_two_sources(presses, config, emulated)
+        survey = mapping.read_presses(presses, where)
+    else:
+        pressed = mapped(where, out, config, emulated, seed, display())
+        survey, truth, stopped = pressed.survey, pressed.true_inclusion_m, pressed.stop_reason
+    result = survey.map()
+    mapping.draw(survey, result, out, truth)
+    show = terminal().print
+    show(f"{result.sentence}.")
+    if not result.done:
+        show(f"Next press at x = {result.next_m[0] * 1e3:.0f} mm, y = {result.next_m[1] * 1e3:.0f} mm.")
+    if truth is not None:
+        show(f"The emulated inclusion is {truth[2] * 2e3:g} mm wide at ({truth[0] * 1e3:.1f}, {truth[1] * 1e3:.1f}) mm.")
+    show(f"{len(survey.places_m)} presses; a raster of 5 mm has {len(mapping.raster(where))}.")
+    show(f"{out}" + (f"; the presses are in {presses or out.with_suffix('.csv')}" if survey.places_m else ""))
+    figures: MapFigures = {
+        "presses": len(survey.places_m),
+        "done": result.done,
+        "found_m": result.found_m,
+        "next_m": result.next_m,
+        "background_Pa": result.background_Pa,
+        "sentence": result.sentence,
+        "true_inclusion_m": truth,
+        "verdict": "stopped" if stopped else "done",
+        "reason": stopped,
+    }
+    write_json(json_file, figures)
+    finish(3 if stopped else 0, stopped)
+
+
+def modulus_line(result: "LoadingResult | CurveResult | EnrichedResult") -> str:
+    """A modulus that there is in a line: its interval, the model that gave it, its misfit, and where contact begins."""
+    value_Pa = result["youngs_modulus_Pa"]
+    assert value_Pa is not None
+    scale, unit = (1e6, "MPa") if value_Pa >= 1e6 else (1e3, "kPa")
+    low, high = result["ci95_Pa"] or (None, None)
+    interval = f" (95 %: {low / scale:.3g} to {high / scale:.3g} {unit})" if low is not None and high is not None else ""
+    line = f"E = {value_Pa / scale:.3g} {unit}{interval}"
+    figures: dict[str, Any] = {**result}
+    if (depth_m := figures.get("depth_m")) is not None:
+        model = "equation 1 at the peak" if figures.get("fit") == "peak" else "Hertz over the loading"
+        line += f" by {model}, {depth_m * 1e3:.3g} mm deep"
+    if (rms_N := figures.get("rms_N")) is not None and (peak_N := figures.get("peak_force_N")) is not None:
+        line += f", misfit {rms_N:.2g} N rms of {peak_N:.3g} N"
+    return f"{line}, contact at {result['contact_point_m']:.6g} m"
+
+
+def _print_modulus(result: "LoadingResult | CurveResult | EnrichedResult") -> None:
+    """Print a modulus with its interval and notes, or why there is none."""
+    show = terminal().print
+    if result.get("youngs_modulus_Pa") is None:
+        show("no modulus: " + "; ".join(result.get("warnings", ["nothing was pressed"])))
+        return
+    show(modulus_line(result))
+    for warning in result.get("warnings", []):
+        show(f"  note: {warning}")

@@ -1,0 +1,235 @@
+"""Commands for the gap between measurement and simulation: diagnose it, close it, and judge the diagnosis itself."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from palpd.cli.options import (
+    DEFAULT_CONFIG,
+    CellOption,
+    ConfigOption,
+    EffectsOption,
+    JsonOption,
+    app,
+    check_kept,
+    clear_latch,
+    display,
+    finish,
+    terminal,
+)
+from palpd.files import check_folder, check_writable, write_json
+
+
+@app.command()
+def diagnose(
+    recordings: Annotated[list[Path], typer.Argument(help="recordings of one cell (.csv, .parquet), or a folder of X.csv with X.yaml")],
+    cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml: what the simulator believes (not for a folder)")] = None,
+    json_file: JsonOption = None,
+    cell_out: Annotated[Path | None, typer.Option("--cell-out", help="write the cell with what was found")] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="write a report (.html)")] = None,
+    effects: EffectsOption = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="processes, for a folder")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", help="for a folder: tcp://… of a Dask cluster (palpd[cluster]), in place of processes")
+    ] = None,
+) -> None:
+    """Show where measurement and simulation disagree, which effect causes it, and how far the gap closes."""
+    from palpd.cli.tables import diagnosis_lines
+    from palpd.gap.commands import diagnose_files, required_cell
+    from palpd.gap.report import write as write_report
+
+    check_writable(json_file, cell_out, report)
+    if len(recordings) == 1 and recordings[0].is_dir():
+        _diagnose_fleet(recordings[0], jobs, scheduler, effects, json_file)
+        return
+    nominal = required_cell(cell)
+    with terminal().status("diagnosing"):
+        diagnosis = diagnose_files(recordings, nominal, json_out=json_file, cell_out=cell_out, effects=effects)
+    if report is not None:
+        write_report(report, diagnosis, ", ".join(path.name for path in recordings))
+    for line in diagnosis_lines(diagnosis.sentence, diagnosis.to_json()):
+        terminal().print(line, highlight=False)
+
+
+def _diagnose_fleet(folder: Path, jobs: int, scheduler: str | None, effects: Path | None, json_file: Path | None) -> None:
+    from rich.progress import track
+
+    from palpd.cli.tables import fleet_table, recordings_table
+    from palpd.gap.fleet import by_cell, diagnose_folder, recordings_in
+
+    diagnoses = diagnose_folder(folder, jobs=jobs, scheduler=scheduler, effects=effects)
+    rows = list(track(diagnoses, "diagnosing", len(recordings_in(folder)), console=terminal(), transient=True))
+    cells = by_cell(rows)
+    terminal().print(recordings_table(rows))
+    if len(cells) < len(rows):
+        terminal().print(fleet_table(cells))
+    write_json(json_file, {"recordings": [asdict(row) for row in rows], "cells": [asdict(cell) for cell in cells]})
+
+
+@app.command()
+def resolve(
+    config: ConfigOption = DEFAULT_CONFIG,
+    recordings: Annotated[
+        list[Path] | None, typer.Option("--recording", help="what is there already of this cell (.csv); without it a first one is made")
+    ] = None,
+    cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml: what the simulator believes (default: cell: of --config)")] = None,
+    plan: Annotated[Path | None, typer.Option("--plan", help="plan of the first recording, one site (default: 40 s of presses)")] = None,
+    rounds: Annotated[int, typer.Option("--rounds", min=1, max=20, help="most recordings that are made")] = 4,
+    yes: Annotated[bool, typer.Option("--yes", help="do not ask before a motion; the guard stands all the same")] = False,
+    max_depth_m: Annotated[
+        float | None, typer.Option("--max-depth-m", min=0.0002, max=0.02, help="how deep a proposal may press (default: as before)")
+    ] = None,
+    take_reference: Annotated[bool, typer.Option("--take-reference", help="take the reference tare now instead of the kept one")] = False,
+    effects: EffectsOption = None,
+    folder: Annotated[Path | None, typer.Option("--out", help="where everything is kept (default: runs/resolve-<time>)")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Diagnose a running cell, propose the motion that decides what is open, run it within the guard, until nothing more is gained."""
+    from palpd.cell.cell_file import load_cell
+    from palpd.config import load_config, load_plan
+    from palpd.daemon import resolve as loop
+    from palpd.daemon.session import kept_in
+    from palpd.daemon.wiring import devices
+    from palpd.gap.commands import library
+
+    settings = load_config(config)
+    first_plan = load_plan(plan) if plan else loop.STANDARD
+    check_writable(json_file)
+    check_folder(folder)
+    check_kept(settings)
+    clear_latch(settings)
+    known = library(effects)
+    kept = kept_in(folder or settings.paths.runs, "resolve" if folder is None else None)
+    nominal = load_cell(cell, known) if cell else settings.cell
+    setting = loop.Setting(
+        settings.with_runs(kept),
+        devices,
+        nominal,
+        kept,
+        display(),
+        lambda what: yes or typer.confirm(what),
+        known,
+        max_depth_m,
+        take_reference,
+    )
+    result = loop.resolve(setting, first_plan, recordings or (), rounds)
+    terminal().print(f"Everything is kept in {kept}; the page is gap.html.", highlight=False)
+    write_json(json_file, result)
+    finish(3 if result["verdict"] == "stopped" else 0, result["reason"])
+
+
+@app.command()
+def simulate(
+    motion: Annotated[Path, typer.Argument(help="t_s and z_m or z_cmd_m (.csv)")],
+    cell: CellOption,
+    csv: Annotated[Path, typer.Option("--csv", help="recording to write")],
+    source: Annotated[Literal["measured", "commanded"], typer.Option("--from", help="what drives it where both are there")] = "measured",
+    noise: Annotated[int | None, typer.Option("--noise", help="seed: add noise and rounding")] = None,
+    effects: EffectsOption = None,
+) -> None:
+    """What a cell, enriched or nominal, gives on any motion."""
+    from palpd.gap.commands import simulate_file
+
+    check_writable(csv, overwrite=False)
+    samples = simulate_file(motion, cell, csv, from_commanded=source == "commanded", noise_seed=noise, effects=effects)
+    terminal().print(f"{csv}: {len(samples)} rows, {samples.duration_s:.1f} s.")
+
+
+@app.command()
+def tolerances(
+    recordings: Annotated[list[Path], typer.Argument(help="recordings of a healthy cell")], cell: CellOption, json_file: JsonOption = None
+) -> None:
+    """Estimate the tolerances block of a cell file from recordings of a healthy cell."""
+    import yaml
+
+    from palpd.gap.commands import tolerances_of
+
+    check_writable(json_file)
+    blocks = tolerances_of(recordings, cell)
+    terminal().print(yaml.safe_dump(blocks, sort_keys=False))
+    write_json(json_file, blocks)
+
+
+@app.command("effects")
+def effects_(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="effects to compare with the library (default: those given with --effects)")
+    ] = None,
+    effects: EffectsOption = None,
+    cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml that they are compared on (default: the nominal cell)")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """List the effects that a cell can have; for some, or your own, what they could be mistaken for, before anything is recorded."""
+    from palpd.cell.cell_file import load_cell, nominal
+    from palpd.cell.effects import user_effects
+    from palpd.cli.tables import effect_table, similarity_table
+    from palpd.gap.commands import effects_named, library
+    from palpd.gap.similar_effects import similar_effects
+
+    check_writable(json_file)
+    known = library(effects)
+    compared = effects_named(names, known) if names else user_effects(known)
+    if not names:
+        terminal().print(effect_table(known))
+    if compared:
+        with terminal().status("comparing"):
+            similar = similar_effects(compared, load_cell(cell, known) if cell else nominal(), known)
+        terminal().print(similarity_table(similar))
+        write_json(json_file, {"confounds": [asdict(each) for each in similar]})
+
+
+@app.command()
+def blind(
+    cases: Annotated[int, typer.Option("--cases", min=1, help="how many cells to draw; 200 for a look, 1000 for a table")] = 200,
+    seed: Annotated[int, typer.Option("--seed", help="the same seed draws the same cells")] = 1,
+    json_file: JsonOption = None,
+    docs: Annotated[Path | None, typer.Option("--docs", help="write the table and its figures into this folder")] = None,
+    keep: Annotated[Path | None, typer.Option("--keep", help="keep recordings, answers and truths in this new folder")] = None,
+    ablation: Annotated[
+        str | None, typer.Option("--ablation", help="take a part away: 'no tolerances', 'no press scatter', 'white noise' or 'fz only'")
+    ] = None,
+    compare: Annotated[list[Path] | None, typer.Option("--compare", help="JSON of an ablation to set beside, in --docs")] = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="processes")] = 2,
+    advice: Annotated[bool, typer.Option("--advice", help="instead: the advised next experiment against a random one")] = False,
+) -> None:
+    """Judge the diagnosis on cells whose truth is sealed: drawn by other physics, diagnosed in another process, then scored."""
+    from palpd.blind.check import run
+    from palpd.blind.comparison import ablation_named, load_ablations
+    from palpd.blind.figures import write_page
+    from palpd.blind.score import as_markdown
+
+    check_writable(json_file)
+    check_folder(docs, keep)
+    if advice:
+        _blind_advice(cases, seed, jobs, json_file)
+        return
+    chosen, beside = ablation_named(ablation), load_ablations(compare or [], seed)
+    with _progress("blind check", cases) as advance:
+        result = run(cases, seed, jobs=jobs, ablation=chosen, keep=keep, progress=advance)
+    terminal().print(as_markdown(result["table"]), soft_wrap=True)
+    write_json(json_file, result)
+    if docs is not None:
+        terminal().print(str(write_page(result, docs, beside)))
+
+
+def _blind_advice(cases: int, seed: int, jobs: int, json_file: Path | None) -> None:
+    from palpd.blind.advice import run, sentence
+
+    with _progress("advice", cases) as advance:
+        result = run(cases, seed, jobs=jobs, progress=advance)
+    terminal().print(sentence(result["table"]), highlight=False)
+    write_json(json_file, result)
+
+
+@contextmanager
+def _progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A bar in the terminal; what it gives takes the number that is done."""
+    from rich.progress import Progress
+
+    with Progress(console=terminal(), transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda done: bar.update(task, completed=done)

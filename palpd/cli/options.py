@@ -1,0 +1,83 @@
+"""What the commands share: the application they belong to, options, the terminal, and the way out."""
+
+import sys
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from palpd.cli.at_once import DEFAULT_CONFIG
+from palpd.files import check_folder
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from palpd.cli.terminal import TerminalDisplay
+    from palpd.config import Config
+
+app = typer.Typer(
+    help="Press soft tissue with a UR5 and a HEX-70, say how stiff it is, and why a cell does not behave like its simulation.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # help in colours takes 0.3 s more to import
+    context_settings={"max_content_width": 140},
+)
+
+ConfigOption = Annotated[Path, typer.Option("--config", help="config.yaml of the cell")]
+PlanOption = Annotated[Path, typer.Option("--plan", help="plan.yaml: where, how deep, how often")]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="write the figures to this file too")]
+SocketOption = Annotated[Path | None, typer.Option("--socket", help="control socket of the daemon (default: the one of --config)")]
+CellOption = Annotated[Path, typer.Option("--cell", help="cell.yaml: what the simulator believes of the cell")]
+EffectsOption = Annotated[Path | None, typer.Option("--effects", help="a Python file with effects of your own (docs/examples)")]
+DEFAULT_PLAN = Path("plan.yaml")
+
+__all__ = [
+    "DEFAULT_CONFIG", "DEFAULT_PLAN", "CellOption", "ConfigOption", "EffectsOption", "JsonOption", "PlanOption", "SocketOption",
+    "app", "check_kept", "clear_latch", "display", "finish", "terminal",
+]  # fmt: skip
+
+
+@cache
+def terminal() -> "Console":
+    """The terminal that the commands print to; made when something is printed, since rich takes a tenth of a second to import."""
+    from rich.console import Console
+
+    return Console()
+
+
+def display() -> "TerminalDisplay":
+    """The terminal as the daemon's jobs report to it."""
+    from palpd.cli.terminal import TerminalDisplay
+
+    return TerminalDisplay(terminal())
+
+
+def finish(exit_code: int, reason: str) -> None:
+    """End the command with that exit code and its reason on stderr; go on where the code is 0.
+
+    Args:
+        exit_code: 0, 2 or 3.
+        reason: Sentence that says why.
+
+    Raises:
+        typer.Exit: Where the code is not 0.
+    """
+    if exit_code:
+        print(f"palpd: {reason}", file=sys.stderr)
+        raise typer.Exit(exit_code)
+
+
+def clear_latch(config: "Config") -> None:
+    """Clear the latch of the last stop and show what it was: who starts a run in the foreground is the operator who may."""
+    from palpd.daemon.stored_state import State
+
+    latch = State(config.paths.state).clear_latch()
+    if latch is not None:
+        terminal().print(f"[yellow]The last run was stopped on {latch.date}: {latch.reason}. This start clears it.[/]")
+
+
+def check_kept(config: "Config") -> None:
+    """Refuse folders of recordings and state that cannot be written into, before anything moves. Raises BadInput."""
+    check_folder(config.paths.runs, config.paths.state)

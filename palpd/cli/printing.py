@@ -1,0 +1,59 @@
+"""What several commands print: a run, a demonstration."""
+
+from typing import TYPE_CHECKING
+
+from palpd.cli.last_ticks import print_last_ticks
+from palpd.cli.options import terminal
+from palpd.cli.tables import depth_table, diagnosis_lines, site_tables
+
+if TYPE_CHECKING:
+    from palpd.daemon.demo import Demonstration
+    from palpd.daemon.run_result import RunResult
+
+
+def print_run(result: "RunResult") -> None:
+    """Print the tables of a run, its notes, the ticks before a stop, and the verdict."""
+    show, card = terminal().print, result.get("model_card")
+    if result["sites"]:
+        show(depth_table(result["sites"]))
+        show(*site_tables(result["sites"], card["bias_N"] if card else None), sep="\n")
+        show("Inertial model: " + (f"{card['rmse_N'] * 1e3:.0f} mN rmse" if card else "none, nothing was corrected") + ".")
+    if dry := result.get("dry"):
+        x_N, y_N, z_N = dry["force_N"]
+        x_m, y_m, z_m, *rotation_rad = dry["tcp_pose"]
+        show(f"Force ({x_N:+.2f}, {y_N:+.2f}, {z_N:+.2f}) N in base axes, tared; noise of fz {dry['noise_N'] * 1e3:.0f} mN rms.")
+        turned = ", ".join(f"{each:+.3f}" for each in rotation_rad)
+        show(f"Tip at ({x_m:+.4f}, {y_m:+.4f}, {z_m:+.4f}) m in base axes, rotation vector ({turned}) rad. Nothing was commanded.")
+    for note in result["notes"]:
+        show(f"[yellow]note:[/] {note}")
+    print_last_ticks(result["last_ticks"])
+    show(f"{result['verdict']}: {result['recording'] or 'nothing was recorded'}")
+
+
+def print_demonstration(demonstration: "Demonstration") -> None:
+    """Print what `palpd demo` measured, or its diagnosis."""
+    show, result, card = terminal().print, demonstration.result, demonstration.card
+    if "diagnosis" in result:
+        for line in diagnosis_lines(result["diagnosis"]["sentence"], result["diagnosis"]):
+            show(line, highlight=False)
+        return
+    print_last_ticks(result["last_ticks"])
+    if card is None:
+        return
+    if result["sites"]:
+        show(depth_table(result["sites"]))
+        show(*site_tables(result["sites"], card.bias_N), sep="\n")
+    show(
+        f"Inertial model: b - m a learned from the free motion above, {card.n} points, rmse {card.rmse_N * 1e3:.0f} mN: a bias of "
+        f"{card.bias_N:+.3f} N and a mass of {card.mass_kg:.3f} kg, {card.inertial_rms_N * 1e3:.1f} mN rms of inertia. "
+        "The bias of each press is followed from there by the running zero."
+    )
+    for note in result["notes"]:
+        show(f"note: {note}")
+    loop = result["loop"]
+    if loop:
+        show(
+            f"Loop: {loop['ticks']} ticks, {loop['missed']} missed, work p50 {loop.get('work_us_p50', 0):.0f} µs, "
+            f"p99 {loop.get('work_us_p99', 0):.0f} µs."
+        )
+    show(f"{result['verdict']}: {result['recording']}" + (f" ({result['reason']})" if result["reason"] else ""))

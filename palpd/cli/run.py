@@ -1,0 +1,205 @@
+"""Commands for whoever stands at the cell: run a plan, calibrate, or do it all on an emulated or simulated cell."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from palpd.cli.options import (
+    DEFAULT_CONFIG,
+    DEFAULT_PLAN,
+    ConfigOption,
+    JsonOption,
+    PlanOption,
+    SocketOption,
+    app,
+    check_kept,
+    clear_latch,
+    display,
+    finish,
+    terminal,
+)
+from palpd.files import check_folder, check_writable, write_json
+
+
+@app.command()
+def run(
+    config: ConfigOption = DEFAULT_CONFIG,
+    plan: PlanOption = DEFAULT_PLAN,
+    dry: Annotated[bool, typer.Option("--dry", help="read the real devices, command nothing")] = False,
+    take_reference: Annotated[bool, typer.Option("--take-reference", help="take the reference tare now instead of the kept one")] = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Carry out a plan in the foreground and end with it."""
+    from palpd.cli.printing import print_run
+    from palpd.config import load_config, load_plan
+    from palpd.daemon.run_result import run_result
+    from palpd.daemon.session import carry_out, job
+    from palpd.daemon.wiring import devices
+
+    settings, steps = load_config(config), load_plan(plan)
+    check_writable(json_file)
+    check_kept(settings)
+    clear_latch(settings)
+    report = carry_out(job("palpation", settings, steps, dry, take_reference), devices, display())
+    result = run_result(report)
+    print_run(result)
+    write_json(json_file, result)
+    finish(report.exit_code, report.reason)
+
+
+@app.command()
+def calibrate(
+    config: ConfigOption = DEFAULT_CONFIG,
+    temperature_C: Annotated[float | None, typer.Option("--temperature-C", help="of the sensor, if known; kept with the tare")] = None,
+) -> None:
+    """Take the reference tare: probe free, arm still. Every run's absolute force limit is measured against it."""
+    from palpd.config import load_config
+    from palpd.daemon.session import calibrate as take
+    from palpd.daemon.wiring import devices
+
+    settings = load_config(config)
+    check_kept(settings)
+    calibration = take(settings, devices, display(), temperature_C)
+    forces = ", ".join(f"{force:.2f}" for force in calibration.wrench[:3])
+    terminal().print(f"Reference tare ({forces}) N of sensor {calibration.sensor_serial or 'unknown'} kept in {settings.paths.state}.")
+
+
+@app.command("free-motion")
+def free_motion(
+    out: Annotated[Path, typer.Option("--out", help="recording to write (.mcap)")],
+    config: ConfigOption = DEFAULT_CONFIG,
+    take_reference: Annotated[bool, typer.Option("--take-reference", help="take the reference tare now")] = False,
+) -> None:
+    """Move 2 cm up and down ten times in free air and record it; `palpd train` learns from it."""
+    from palpd.cli.last_ticks import print_last_ticks
+    from palpd.config import Plan, load_config
+    from palpd.daemon.session import carry_out, job
+    from palpd.daemon.wiring import devices
+
+    target = out.with_suffix(".mcap")
+    settings = load_config(config).with_runs(target.resolve().parent)
+    check_kept(settings)
+    if settings.paths.runs.is_dir():
+        check_writable(target, overwrite=False)
+    clear_latch(settings)
+    report = carry_out(job("free_motion", settings, Plan(), take_reference=take_reference), devices, display(), target.stem)
+    print_last_ticks(report.last_ticks)
+    terminal().print(f"{report.verdict}: {report.recording}")
+    finish(report.exit_code, report.reason)
+
+
+@app.command()
+def stiffness(config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = None) -> None:
+    """Press a rigid plate and keep how far sensor and arm give way; every depth is corrected by it afterwards."""
+    from palpd.cli.last_ticks import print_last_ticks
+    from palpd.config import load_config
+    from palpd.daemon.machine_stiffness import measured_stiffness
+    from palpd.daemon.wiring import devices
+
+    settings = load_config(config)
+    check_writable(json_file)
+    check_kept(settings)
+    clear_latch(settings)
+    report, machine = measured_stiffness(settings, devices, display())
+    if machine is None:
+        print_last_ticks(report.last_ticks)
+        finish(report.exit_code or 3, report.reason)
+        return
+    value_N_per_mm, low, high = (each / 1e3 for each in (machine.stiffness_N_per_m, *machine.ci95_N_per_m))
+    terminal().print(f"The machine gives way by 1 mm per {value_N_per_mm:.1f} N (95 %: {low:.1f} to {high:.1f}).")
+    figures = {"stiffness_N_per_m": machine.stiffness_N_per_m, "ci95_N_per_m": machine.ci95_N_per_m, "recording": report.recording}
+    write_json(json_file, figures)
+
+
+@app.command()
+def retract(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+    """Leave the tissue after a stop: straight up, slowly, under the guard. Works while the stop is latched, and leaves it latched."""
+    from palpd.cli.at_once import speak
+    from palpd.daemon.socket_client import NoDaemon
+
+    try:
+        speak({"do": "retract"}, config, socket)
+    except NoDaemon:
+        if socket is not None:
+            raise
+    else:
+        terminal().print("The daemon leaves the tissue; palpd status says how it ends.")
+        return
+    _retract_in_foreground(config)
+
+
+def _retract_in_foreground(config: Path) -> None:
+    from palpd.cli.last_ticks import print_last_ticks
+    from palpd.config import Plan, load_config
+    from palpd.daemon.session import carry_out, job
+    from palpd.daemon.wiring import devices
+
+    settings = load_config(config)
+    check_kept(settings)
+    report = carry_out(job("retract", settings, Plan()), devices, display())
+    print_last_ticks(report.last_ticks)
+    terminal().print(f"{report.verdict}: {report.recording}")
+    finish(report.exit_code, report.reason)
+
+
+@app.command()
+def demo(
+    full: Annotated[bool, typer.Option("--full", help="the paper's plan: 3 to 10 mm, 10 s holds, ten presses a depth")] = False,
+    effect: Annotated[
+        str | None, typer.Option("--effect", help="effect id, cell file or effect of yours (.py): give it to the emulated cell and find it")
+    ] = None,
+    json_file: JsonOption = None,
+    folder: Annotated[Path | None, typer.Option("--out", help="where recordings, model and report go (default: runs/demo-<time>)")] = None,
+) -> None:
+    """The whole job on emulated wires: calibrate, learn the inertia, palpate four sites, say how stiff each is."""
+    from palpd.cli.printing import print_demonstration
+    from palpd.daemon import demo as show
+
+    check_writable(json_file)
+    check_folder(folder or Path("runs"))
+    demonstration = show.gap(effect, folder, display()) if effect else show.palpate(full, folder, display())
+    print_demonstration(demonstration)
+    result = demonstration.result
+    write_json(json_file, result)
+    finish(0 if result["verdict"] == "done" else 3, result["reason"])
+
+
+@app.command()
+def sim(
+    plan: PlanOption = DEFAULT_PLAN,
+    config: ConfigOption = DEFAULT_CONFIG,
+    cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml to press (default: the paper's phantom)")] = None,
+    seed: Annotated[int, typer.Option("--seed", help="of the noise")] = 0,
+    json_file: JsonOption = None,
+) -> None:
+    """Carry out a plan on the cell's physics, without wires and faster than real time."""
+    from palpd.cell.cell_file import PHANTOM, load_cell
+    from palpd.cli.printing import print_run
+    from palpd.config import load_config, load_plan, refuse_unsafe
+    from palpd.daemon.motion_process import Job
+    from palpd.daemon.run_result import simulated_result
+    from palpd.daemon.simulated_run import run as simulate
+
+    settings, steps = load_config(config), load_plan(plan)
+    refuse_unsafe(settings, steps)
+    check_writable(json_file)
+    result = simulated_result(simulate(Job("palpation", settings, steps), load_cell(cell) if cell else PHANTOM, seed=seed))
+    print_run(result)
+    write_json(json_file, result)
+    finish(0 if result["verdict"] == "done" else 3, result["reason"])
+
+
+@app.command()
+def emulate(
+    model: Annotated[Literal["ur5", "ur5e"], typer.Option("--model", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")] = "ur5",
+    cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml of what the wires lead to (default: the paper's phantom)")] = None,
+    host: Annotated[str, typer.Option("--host", help="address the controller listens on")] = "127.0.0.1",
+    sensor_link: Annotated[Path | None, typer.Option("--sensor-link", help="link to make to the sensor's terminal device")] = None,
+    control: Annotated[Path | None, typer.Option("--control", help="unix socket for faults and truth (docs/emulators.md)")] = None,
+    effects: Annotated[Path | None, typer.Option("--effects", help="a Python file with effects that the cell file names")] = None,
+) -> None:
+    """Stand in for a UR controller and a HEX-70 until stopped; prints both addresses when ready."""
+    from hw.emulators.process import emulate as stand_in
+
+    stand_in(model, cell, host, sensor_link, control, effects=effects)

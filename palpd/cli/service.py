@@ -1,0 +1,156 @@
+"""Commands for whoever keeps the daemon: serve, speak to it, install it, and judge machine, devices and configuration."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from palpd.cli import at_once
+from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, SocketOption, app, check_kept, finish, terminal
+from palpd.files import check_folder, check_writable, write_json
+
+
+@app.command()
+def serve(config: ConfigOption = DEFAULT_CONFIG) -> None:
+    """Run the daemon: connect, wait disarmed, obey the control socket."""
+    from palpd.config import load_config
+    from palpd.daemon.logs import configure
+    from palpd.daemon.service import Service
+    from palpd.daemon.wiring import devices
+
+    settings = load_config(config)
+    check_kept(settings)
+    check_folder(settings.paths.control_socket.parent)
+    configure()
+    Service(settings, devices).serve()
+
+
+@app.command()
+def status(
+    config: ConfigOption = DEFAULT_CONFIG,
+    socket: SocketOption = None,
+    json_file: JsonOption = None,
+    watch: Annotated[bool, typer.Option("--watch", help="repeat it until Ctrl-C; on a terminal in place")] = False,
+) -> None:
+    """Say what the daemon is doing: the job, its site and phase, progress, force and depth."""
+    if watch:
+        at_once.watch(config, socket)
+    at_once.status(config, socket, json_file)
+
+
+@app.command()
+def arm(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+    """Check the real devices, which takes some seconds, and let the daemon move at the next start."""
+    print(at_once.speak({"do": "arm"}, config, socket)["state"])
+
+
+@app.command()
+def start(
+    plan: Annotated[Path, typer.Argument(help="plan.yaml")], config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None
+) -> None:
+    """Start a plan on an armed daemon."""
+    from palpd.config import load_plan
+
+    values = load_plan(plan).model_dump(mode="json")
+    print(at_once.speak({"do": "start", "plan": values}, config, socket)["state"])
+
+
+@app.command()
+def pause(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+    """Hold the arm where it is; `palpd resume` goes on."""
+    print(at_once.position(at_once.speak({"do": "pause"}, config, socket)))
+
+
+@app.command()
+def resume(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+    """Go on after a pause."""
+    print(at_once.position(at_once.speak({"do": "resume"}, config, socket)))
+
+
+@app.command()
+def abort(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+    """Stop the arm and end the plan. A convenience, not an emergency stop."""
+    at_once.abort(config, socket)
+
+
+@app.command()
+def clear(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+    """Clear the latch of the last stop, after looking at the cell."""
+    print(at_once.speak({"do": "clear"}, config, socket)["state"])
+
+
+@app.command()
+def init(
+    folder: Annotated[Path, typer.Argument(help="where to write both files")] = Path(),
+    model: Annotated[Literal["ur5", "ur5e"], typer.Option("--model", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")] = "ur5",
+    limit_N: Annotated[float, typer.Option("--limit-N", min=1, max=90, help="contact limit")] = 12.0,
+    depths_mm: Annotated[str, typer.Option("--depths-mm", help="depths, such as 4,5,6 (default: what the limit allows on 143 kPa)")] = "",
+) -> None:
+    """Write a config.yaml and a plan.yaml that fit each other; files that exist are not overwritten."""
+    from palpd.daemon.starting_files import write_starting_files
+    from palpd.errors import BadInput
+
+    try:
+        depths_m = [float(word) / 1e3 for word in depths_mm.split(",") if word.strip()]
+    except ValueError:
+        raise BadInput(f"--depths-mm is {depths_mm!r}, expected numbers with commas between, such as 4,5,6") from None
+    config, plan = write_starting_files(folder, model, limit_N, depths_m)
+    terminal().print(f"{config} and {plan} fit each other. Next: set robot.host and the sensor's port, then palpd doctor.", soft_wrap=True)
+
+
+@app.command()
+def install(
+    prefix: Annotated[Path, typer.Option("--prefix", help="folder that stands for / (a package's build root)")] = Path("/"),
+) -> None:
+    """Put the service's unit, user, device rule and configuration into place; an existing configuration is kept."""
+    from palpd.daemon.install import NEXT_STEPS, installed
+
+    for path in installed(prefix):
+        terminal().print(path, soft_wrap=True)
+    terminal().print(NEXT_STEPS, soft_wrap=True)
+
+
+@app.command()
+def doctor(
+    config: ConfigOption = DEFAULT_CONFIG,
+    weight_N: Annotated[float | None, typer.Option("--weight-N", min=0.5, max=100, help="known weight to hang on the probe")] = None,
+    watch_s: Annotated[float, typer.Option("--watch-s", min=1, max=600, help="how long the devices are watched")] = 10.0,
+    json_file: JsonOption = None,
+) -> None:
+    """Judge clock, privileges, disk and devices, and say what to do; reads, and moves nothing."""
+    from palpd.cli.tables import finding_table
+    from palpd.config import load_config
+    from palpd.daemon import doctor as examine
+    from palpd.daemon.wiring import open_reader, open_sensor
+
+    check_writable(json_file)
+    settings = load_config(config if config != DEFAULT_CONFIG or config.exists() else None)
+
+    def ask(what: str) -> None:
+        terminal().input(f"{what} Then press Enter. ")
+
+    findings = examine.examined(settings, open_sensor, open_reader, watch_s, weight_N, ask)
+    terminal().print(finding_table(findings))
+    failed = [finding for finding in findings if finding.verdict == "fail"]
+    write_json(json_file, examine.as_json(findings))
+    finish(2 if failed else 0, f"{len(failed)} of {len(findings)} checks failed: {', '.join(finding.name for finding in failed)}")
+
+
+@app.command("check-config")
+def check_config(
+    config: Annotated[Path, typer.Argument(help="config.yaml")],
+    plan: Annotated[Path | None, typer.Option("--plan", help="plan.yaml to judge with it")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Refuse what is wrong or unsafe; print how far a force would run past its limit."""
+    from palpd.cli.tables import overshoot_table
+    from palpd.daemon.overshoot import predicted
+    from palpd.daemon.starting_files import checked
+
+    check_writable(json_file)
+    settings, steps = checked(config, plan)
+    prediction = predicted(settings, steps)
+    for table in overshoot_table(prediction):
+        terminal().print(table)
+    terminal().print(f"{config} is sound." if plan is None else f"{config} and {plan} are sound.")
+    write_json(json_file, prediction)

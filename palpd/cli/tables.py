@@ -1,0 +1,193 @@
+"""Tables for the terminal from what other modules computed; computes nothing."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from palpd.analysis.results import SiteResult
+    from palpd.cell.effects import Effect
+    from palpd.daemon.doctor.finding import Finding
+    from palpd.daemon.overshoot import OvershootForecast
+    from palpd.gap.fleet import CellRow, FleetRow
+    from palpd.gap.similar_effects import Similarity
+
+
+def site_tables(sites: "list[SiteResult]", bias_N: float | None) -> tuple[Table, Table]:
+    """Draw how stiff each site is, static against dynamic, and the forces with the share of the correction.
+
+    Args:
+        sites: Results of a run.
+        bias_N: Bias of the inertial model's card; None without a model. The running zero is bias too.
+
+    Returns:
+        The table of moduli and the table of forces.
+    """
+    stiff = _table("How stiff each site is (E in kPa)", "site", "true", "static", "off", "dynamic", "corrected", "YMBT", "corrected")
+    forces = _table("Forces", "site", "peak", "cut short", "correction", "= bias", "+ inertial")
+    for site in sites:
+        true, static, correction_N = site.get("true_youngs_modulus_Pa"), site["static_youngs_modulus_Pa"], site["correction_N"]
+        stiff.add_row(
+            site["name"],
+            _kPa(true),
+            _kPa(static),
+            f"{static / true - 1:+.1%}" if static and true else "–",
+            _kPa(site["dynamic_original_Pa"]),
+            _kPa(site["dynamic_corrected_Pa"]),
+            _percent(site["ymbt_original"]),
+            _percent(site["ymbt_corrected"]),
+        )
+        parts = bias_N is not None and correction_N is not None
+        site_bias_N = (bias_N or 0.0) + (site["running_zero_N"] or 0.0)
+        forces.add_row(
+            site["name"],
+            f"{site['peak_force_N']:.2f} N" if site["peak_force_N"] is not None else "–",
+            ", ".join(f"{d * 1e3:g} mm" for d in site["cut_short_depths_m"]) or "none",
+            f"{correction_N:+.3f} N" if parts else "none",
+            f"{site_bias_N:+.3f} N" if parts else "–",
+            f"{correction_N - site_bias_N:+.3f} N" if parts and correction_N is not None else "–",
+        )
+    return stiff, forces
+
+
+def depth_table(sites: "list[SiteResult]") -> Table:
+    """Every hold: depth commanded and reached, force, modulus."""
+    table = _table("Static palpation", "site", "commanded", "reached", "force", "E (kPa)")
+    for site in sites:
+        for depth in site["depths"]:
+            table.add_row(
+                site["name"],
+                f"{depth['commanded_m'] * 1e3:.1f} mm",
+                f"{depth['achieved_m'] * 1e3:.3f} mm" if depth["achieved_m"] is not None else "–",
+                f"{depth['force_N']:.2f} N" if depth["force_N"] is not None else "cut short",
+                _kPa(depth["E_Pa"]),
+            )
+    return table
+
+
+def diagnosis_lines(sentence: str, content: dict[str, Any]) -> list[str]:
+    """Write a diagnosis in a few lines: verdict, each effect with its parameters, gap before and after, next recording.
+
+    Args:
+        sentence: The verdict.
+        content: The diagnosis as its JSON has it.
+
+    Returns:
+        The lines.
+    """
+    lines = [sentence]
+    for named in content["effects"]:
+        values = ", ".join(
+            f"{name} = {value['value']:.4g} (95 %: {value['ci95'][0]:.4g} to {value['ci95'][1]:.4g})"
+            for name, value in named["parameters"].items()
+        )
+        group = f"; cannot be told from {', '.join(named['indistinguishable_from'])}" if named["indistinguishable_from"] else ""
+        lines.append(f"  {named['id']}, probability {named['probability']:.2f}: {values}{group}")
+    shrink = content["shrink"]
+    if shrink and shrink["closed"] is not None:
+        low, high = shrink["ci95"] or (shrink["closed"], shrink["closed"])
+        lines.append(
+            f"{shrink['channel']}: {shrink['before_rms']:.4g} rms before, {shrink['after_rms']:.4g} after, {shrink['noise_floor']:.4g} of "
+            f"noise. Of the part that noise and tolerances do not explain, {shrink['closed']:.0%} closed (95 %: {low:.0%} to {high:.0%}) "
+            f"on {shrink['on']}."
+        )
+    if content["next_experiment"]:
+        lines.append(f"Next: {content['next_experiment']['sentence']}")
+    return lines + [f"Note: {note}" for note in content["notes"]]
+
+
+def effect_table(library: "Mapping[str, Effect]") -> Table:
+    """The effects of a library: what each does, and its parameters."""
+    table = _table("Effects", "effect", "parameters", "what it does")
+    for effect in library.values():
+        table.add_row(effect.id, ", ".join(parameter.name for parameter in effect.parameters), effect.what)
+    return table
+
+
+def similarity_table(similar: "Sequence[Similarity]") -> Table:
+    """What effects could be mistaken for, and from which size on not."""
+    table = _table("What it could be mistaken for (free strokes, holds and presses)", "effect", "similar", "cosine", "what")
+    for pair in similar:
+        table.add_row(pair.effect, pair.other, f"{pair.cosine:.3f}", pair.words)
+    return table
+
+
+def recordings_table(rows: "Sequence[FleetRow]") -> Table:
+    """Recording by recording: which effect, how sure, how far the gap closes."""
+    table = _table("Recordings", "recording", "verdict", "effects", "probability", "closed", "what")
+    for row in sorted(rows, key=lambda row: (str(row.cell), str(row.name))):
+        table.add_row(
+            row.name if row.cell == row.name else f"{row.cell}: {row.name}",
+            row.verdict or "failed",
+            ", ".join(row.effects) or "–",
+            f"{row.probability:.2f}" if row.probability is not None else "–",
+            f"{row.closed:.0%}" if row.closed is not None else "–",
+            row.sentence if row.verdict is None else "",
+        )
+    return table
+
+
+def fleet_table(cells: "Sequence[CellRow]") -> Table:
+    """Cell by cell: what it has now, since when, and the trend."""
+    table = _table("Cells", "cell", "recordings", "verdict", "effects", "since", "trend")
+    for cell in cells:
+        failed = f" ({cell.failed} failed)" if cell.failed else ""
+        verdict, effects = cell.verdict or "failed", ", ".join(cell.effects) or "–"
+        table.add_row(cell.cell, f"{cell.recordings}{failed}", verdict, effects, cell.since or "–", cell.trend)
+    return table
+
+
+def published_table(figures: dict[str, Any]) -> Table:
+    """The paper's gap between dynamic and static modulus by setup, and what each would need to have it explained."""
+    table = _table("Corrected dynamic over static modulus at the same depth, and what would make it so", "setup", "gap (95 %)")
+    of = {e["what"]: e["needs"] for e in figures["explanations"] if e["needs"]}
+    for name in ("a force", "a share of the contact", "a press deeper by"):
+        table.add_column(name, justify="right")
+    for setup, (value, low, high) in figures["gap"].items():
+        force, share = (needs[setup] for needs in of.values())
+        interval = f"{value:.0%} ({low:.0%} to {high:.0%})"
+        table.add_row(setup, interval, f"{force:.2f} N", f"{share:.0%}", f"{figures['deeper_m'][setup] * 1e3:.2f} mm")
+    return table
+
+
+def overshoot_table(predicted: "OvershootForecast") -> tuple[Table, Table]:
+    """Delays between a force and the arm's answer, and what they cost in newtons."""
+    delays = _table("From a force to the arm at rest", "delay", "ms", "from")
+    for term in predicted["delays"]:
+        delays.add_row(term["name"], f"{term['duration_s'] * 1e3:.1f}", term["source"])
+    delays.add_row("together", f"{sum(term['duration_s'] for term in predicted['delays']) * 1e3:.1f}", "")
+    speeds = sorted({row["speed_m_per_s"] for row in predicted["overshoot"]})
+    forces = _table("Predicted force beyond a limit", "against", *(f"at {speed * 1e3:g} mm/s" for speed in speeds))
+    for stiffness in sorted({row["stiffness_N_per_m"] for row in predicted["overshoot"]}):
+        of = {row["speed_m_per_s"]: row["overshoot_N"] for row in predicted["overshoot"] if row["stiffness_N_per_m"] == stiffness}
+        forces.add_row(f"{stiffness / 1e3:g} N/mm", *(f"{of[speed]:.2f} N" for speed in speeds))
+    return delays, forces
+
+
+def finding_table(findings: "Sequence[Finding]") -> Table:
+    """One line a finding of `palpd doctor`."""
+    table = Table("check", "", "measured", "what to do")
+    colours = {"ok": "green", "warn": "yellow", "fail": "red"}
+    for finding in findings:
+        table.add_row(finding.name, f"[{colours[finding.verdict]}]{finding.verdict}[/]", finding.measured, finding.advice)
+    return table
+
+
+def _kPa(modulus_Pa: float | None) -> str:
+    return f"{modulus_Pa / 1e3:.1f}" if modulus_Pa is not None else "–"
+
+
+def _percent(share: float | None) -> str:
+    return f"{share * 100:.1f} %" if share is not None else "–"
+
+
+LEFT = {"from", "parameters", "what it does", "what", "effects", "since", "trend", "similar"}
+
+
+def _table(title: str, first: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", header_style="bold")
+    table.add_column(first)
+    for name in columns:
+        table.add_column(name, justify="left" if name in LEFT else "right")
+    return table

@@ -1,0 +1,112 @@
+"""The height of the surface, from the force of the approach.
+
+Heights are up positive and tissue is below; pressing gives positive force. Sums are plain and not matrix products: a product may be
+split over threads, which changes its last bits.
+"""
+
+import math
+
+import numpy as np
+
+from palpd.errors import RecordingError
+from palpd.tick import Floats
+
+GRID = 64
+"""Number of contact points in one grid; the next grid spans five of its steps or more, so it is at most 12.6 times finer."""
+STIFFENINGS = np.linspace(0.0, 1.0, 33) ** 2 * 3.0
+"""Values of the stiffening g·r² that a surface fit weighs, denser near zero."""
+STIFFENING_SCALE = 0.7
+"""One prior sigma of g·r². An inclusion of contrast 3 at 2 to 3 tip radii has 0.75 to 0.33, plain tissue none."""
+SURFACE_PASSES = 4
+"""Number of grids: the steps over an approach of 2 cm end below 1 µm."""
+FEWEST_SAMPLES = 10
+"""Fewest samples of an approach: the fit has four unknowns."""
+
+
+def surface_from_approach(height_m: Floats, force_N: Floats, tip_radius_m: float) -> tuple[float, float]:
+    """Extrapolate the height of the surface back from the first millimetres of contact.
+
+    The law is f = baseline + a · d^1.5 · (1 + g · d²), where g stands for tissue that stiffens with depth (an inclusion below). The force
+    is too small to fit g, and without g the surface comes out too low. So the result is the mean over all g, weighed by a half-normal
+    prior and by the data (Student's likelihood, unknown noise).
+
+    Args:
+        height_m: heights (n,) of the tip from free air into the tissue.
+        force_N: forces (n,) at these heights, the sensor's delay removed.
+        tip_radius_m: radius of the spherical tip.
+
+    Returns:
+        Height of the surface and its standard deviation, in m.
+
+    Raises:
+        RecordingError: too few samples, or a force without any change.
+    """
+    refuse_unfit(height_m, force_N)
+    stiffenings = STIFFENINGS / tip_radius_m**2
+    log_prior = -0.5 * (STIFFENINGS / STIFFENING_SCALE) ** 2
+    n = len(height_m)
+    centred_N = force_N - force_N.mean()
+    total = float(np.sum(centred_N**2))
+    if total <= 0.0:
+        raise RecordingError(f"the force stands still over all {n} samples of the approach, so no surface was met; go further down")
+    low_m, high_m = float(height_m.min()), float(height_m.max())
+    share = 1.0
+    for _ in range(SURFACE_PASSES):
+        surface_m = np.linspace(low_m, high_m, GRID)
+        depth_m = np.maximum(surface_m[:, None] - height_m, 0.0)
+        hertz = depth_m * np.sqrt(depth_m)
+        stiffer = hertz * depth_m**2
+        hertz -= hertz.mean(axis=1, keepdims=True)
+        stiffer -= stiffer.mean(axis=1, keepdims=True)
+        hh, hs, ss = (np.sum(one * other, axis=1)[:, None] for one, other in ((hertz, hertz), (hertz, stiffer), (stiffer, stiffer)))
+        squares = hh + 2.0 * stiffenings * hs + stiffenings**2 * ss
+        product = np.sum(hertz * centred_N, axis=1)[:, None] + stiffenings * np.sum(stiffer * centred_N, axis=1)[:, None]
+        slope = np.maximum(product, 0.0) / np.maximum(squares, np.finfo(float).tiny)
+        left = np.maximum(total - 2.0 * slope * product + slope**2 * squares, 1e-12 * total)
+        best = np.unravel_index(np.argmin(left), left.shape)
+        residual_N = centred_N - slope[best] * (hertz[best[0]] + stiffenings[best[1]] * stiffer[best[0]])
+        share = 1.0 / correlation_time(residual_N)[0]
+        log_weight = log_prior - 0.5 * (share * n - 4.0) * np.log(left / left.min())
+        weight = np.exp(log_weight - log_weight.max())
+        of_surface = weight.sum(axis=1) / weight.sum()
+        mean_m = float(np.sum(of_surface * surface_m))
+        sigma_m = math.sqrt(float(np.sum(of_surface * (surface_m - mean_m) ** 2)))
+        half_m = max(5.0 * sigma_m, 2.5 * (high_m - low_m) / (GRID - 1))
+        low_m, high_m = mean_m - half_m, mean_m + half_m
+    return mean_m, sigma_m
+
+
+def correlation_time(residual: Floats) -> tuple[float, int]:
+    """Estimate the integrated correlation time of a residual.
+
+    Args:
+        residual: samples (n,).
+
+    Returns:
+        The correlation time in samples (1 for white noise), and the lag at which the correlation first vanishes.
+    """
+    n = len(residual)
+    power = np.abs(np.fft.rfft(residual - residual.mean(), 2 * n)) ** 2
+    correlation = np.fft.irfft(power)[: n // 2]
+    if correlation[0] <= 0.0:
+        return 1.0, 1
+    correlation /= correlation[0]
+    vanished = np.flatnonzero(correlation <= 0.0)
+    length = int(vanished[0]) if len(vanished) else len(correlation)
+    return max(1.0, 1.0 + 2.0 * float(np.sum(correlation[1:length]))), max(length, 1)
+
+
+def refuse_unfit(height_m: Floats, force_N: Floats) -> None:
+    """Refuse an approach that no contact law can be fitted to.
+
+    Args:
+        height_m: heights (n,).
+        force_N: forces (n,).
+
+    Raises:
+        RecordingError: the lengths differ, are too short, or a number is not finite.
+    """
+    if len(height_m) != len(force_N) or len(height_m) < FEWEST_SAMPLES:
+        raise RecordingError(f"{len(height_m)} heights and {len(force_N)} forces were given; {FEWEST_SAMPLES} or more of each are needed")
+    if not (np.isfinite(height_m).all() and np.isfinite(force_N).all()):
+        raise RecordingError("a height or force is not a finite number; take such rows out")

@@ -1,0 +1,194 @@
+"""`palpd demo`: the whole job with the real daemon on emulated wires, in a folder of its own."""
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from palpd.analysis.young import modulus_peak_Pa
+from palpd.cell.cell_file import PHANTOM, CellFile, load_cell, save_cell
+from palpd.cell.effects import EFFECTS, Effect, load_effects, user_effects
+from palpd.cell.simulation import equilibrium_force_N, scale_of
+from palpd.compensation.model_card import ModelCard
+from palpd.compensation.train import train
+from palpd.config import Config, ModelConfig, PathsConfig, Plan, PlanSite, RobotConfig, SafetyConfig, SensorConfig
+from palpd.daemon.display import Display
+from palpd.daemon.run_result import RunResult, run_result
+from palpd.daemon.session import calibrate, carry_out, job, kept_in
+from palpd.daemon.wiring import devices, emulated
+from palpd.errors import BadInput
+from palpd.gap.commands import diagnose_files
+from palpd.gap.report import write as write_report
+from palpd.recording.reader import Recording, export, samples_of
+
+BIAS_N = 0.19
+"""Bias of the emulated sensor: the paper's sensor read 0.1929 N on average in free motion with the probe, after its tare."""
+DRIFT_N_PER_S = 0.82 / 5400.0
+"""Drift of the emulated sensor: that of a cold HEX-E, the nearest sensor measured, 0.82 N on Fz in 90 min."""
+SITES = tuple(PlanSite(name=name, x_m=0.03 * index) for index, name in enumerate("ABCD"))
+SHORT = Plan(sites=SITES, depths_m=(0.004, 0.006, 0.008), hold_s=3.0, repeats=1)
+ONE_SITE = Plan(sites=(PlanSite(name="A"),), depths_m=(0.003, 0.005, 0.008), hold_s=4.0, repeats=2)
+FULL = Plan(sites=SITES, depths_m=tuple(d / 1000 for d in range(3, 11)), hold_s=10.0, repeats=10)
+
+
+@dataclass(frozen=True, slots=True)
+class Demonstration:
+    """What the demo measured, and the card of the inertial model that it learned, where it came so far."""
+
+    result: RunResult
+    card: ModelCard | None = None
+
+
+def palpate(full: bool, folder: Path | None, display: Display) -> Demonstration:
+    """Calibrate, learn the inertia, palpate the paper's phantom, and add the true moduli, which the emulated cell knows.
+
+    Args:
+        full: Whether to carry out the paper's whole plan.
+        folder: Empty folder for recordings and model; by default a new one in runs/.
+        display: Shows the progress.
+
+    Returns:
+        The result of the palpation, or of the free motion where that was stopped.
+    """
+    plan = FULL if full else SHORT
+    folder = kept_in(folder or Path("runs"), "demo" if folder is None else None)
+    cell = PHANTOM.with_effects({"sensor.bias": {"offset_N": BIAS_N}, "sensor.drift": {"rate_N_per_s": DRIFT_N_PER_S}})
+    display.say(f"A UR5 and a HEX-70 are emulated; everything is kept in {folder}.")
+    with cell_on_wires(cell, folder, plan) as config:
+        display.say("1/4 reference tare")
+        calibrate(config, devices, display)
+        display.say("2/4 free motion, 2 cm up and down ten times, touching nothing")
+        free = carry_out(job("free_motion", config, plan), devices, display, "free-motion")
+        if free.exit_code or free.recording is None:
+            return Demonstration(run_result(free))
+        display.say("3/4 learning the inertial model from it")
+        card = _learn(Recording.load(free.recording), folder / "inertial.onnx", config.cell.probe.mass_kg)
+        config = config.model_copy(update={"model": ModelConfig(path=folder / "inertial.onnx")})
+        presses = len(plan.sites) * len(plan.depths_m) * (1 + plan.repeats)
+        display.say(f"4/4 palpating {len(plan.sites)} sites, {presses} presses")
+        report = carry_out(job("palpation", config, plan), devices, display, "palpation")
+    result = run_result(report)
+    for site in result["sites"]:
+        site["true_youngs_modulus_Pa"] = true_modulus_Pa(cell, site["name"], plan)
+    return Demonstration(result, card)
+
+
+def _learn(recording: Recording, model: Path, probe_mass_kg: float) -> ModelCard:
+    about = recording.header["about"]
+    serial, delay_s = about["sensor_serial"], about["delay_s"]
+    return train([samples_of(recording)], model, probe_mass_kg=probe_mass_kg, sensor_serial=serial, sensor_delay_s=delay_s)
+
+
+def gap(effect: str, folder: Path | None, display: Display) -> Demonstration:
+    """Give one plain elastic site an effect that the nominal cell does not have, palpate it, diagnose it, and close the gap.
+
+    Args:
+        effect: An id of the library, taken at its typical size; `none`; a cell file, for its effects; or a Python file, for its first
+            effect at its typical size. The diagnosis then also knows the effects of that Python file.
+        folder: Empty folder for recording and report; by default a new one in runs/.
+        display: Shows the progress.
+
+    Returns:
+        The result of the palpation, with the diagnosis where it was not stopped.
+    """
+    folder = kept_in(folder or Path("runs"), "demo" if folder is None else None)
+    nominal = CellFile.model_validate({"sensor": {"rate_Hz": 1000.0}})
+    user_effects = Path(effect) if Path(effect).suffix == ".py" else None
+    effects = _effects_of(effect, nominal)
+    true = ", ".join(effects) or "none"
+    display.say(f"One elastic site is emulated, with {true}; the simulator does not know. Everything is kept in {folder}.")
+    with cell_on_wires(nominal.with_effects(effects), folder, ONE_SITE, effects=user_effects) as config:
+        display.say("1/3 reference tare")
+        calibrate(config, devices, display)
+        display.say("2/3 palpating: free moves, holds, presses of different depths")
+        report = carry_out(job("palpation", config, ONE_SITE), devices, display, "palpation")
+    result = run_result(report)
+    if report.recording is None or report.exit_code:
+        return Demonstration(result)
+    csv, cell, page = folder / "site-A.csv", folder / "cell.yaml", folder / "gap.html"
+    export(Recording.load(report.recording), csv, "A")
+    save_cell(cell, nominal)
+    display.say("3/3 diagnosing the recording against the nominal cell")
+    diagnosis = diagnose_files([csv], cell, json_out=folder / "diagnosis.json", cell_out=folder / "enriched.yaml", effects=user_effects)
+    content = diagnosis.to_json()
+    write_report(page, diagnosis, f"site A, with {true}")
+    display.say(f"Report: {page}")
+    named = [effect["id"] for effect in content["effects"]]
+    result["diagnosis"] = {"true": true, "named": named, "closed": content["shrink"]["closed"], **content}
+    return Demonstration(result)
+
+
+def _effects_of(effect: str, nominal: CellFile) -> dict[str, dict[str, float]]:
+    if effect == "none":
+        return {}
+    if Path(effect).suffix in (".yaml", ".yml"):
+        return {name: dict(values) for name, values in load_cell(effect).effects.items()}
+    known: Mapping[str, Effect] = EFFECTS
+    if Path(effect).suffix == ".py":
+        known = load_effects(effect)
+        effect = user_effects(known)[0].id
+    if effect not in known:
+        raise BadInput(f"{effect} is no effect of the library; known: none, {', '.join(EFFECTS)}, or a cell file or Python file")
+    t_s = np.linspace(0.0, 60.0, 601)
+    z_m = 0.01 - 0.018 * np.abs(np.sin(0.3 * t_s))  # the typical size of an effect depends on the motion: take one like the plan's
+    scale = scale_of(nominal, t_s, z_m, np.gradient(z_m, t_s))
+    return {effect: {parameter.name: parameter.starts(scale)[0] for parameter in known[effect].parameters if not parameter.optional}}
+
+
+def true_modulus_Pa(cell: CellFile, site: str, plan: Plan) -> float:
+    """The true modulus of a site: the paper's equation 1 on the noise-free equilibrium force of the cell, mean over the plan's depths.
+
+    Args:
+        cell: The emulated cell.
+        site: Name of the site.
+        plan: The plan, for its depths.
+
+    Returns:
+        Young's modulus in Pa.
+    """
+    tissue = cell.tissue
+    poisson = tissue.poisson_ratio if tissue else 0.5
+    moduli = [
+        modulus_peak_Pa(equilibrium_force_N(cell, depth_m, site), depth_m, cell.probe.tip_radius_m, poisson) for depth_m in plan.depths_m
+    ]
+    return sum(moduli) / len(moduli)
+
+
+@contextmanager
+def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, model: str = "ur5", effects: Path | None = None) -> Iterator[Config]:
+    """Emulate a cell in a process of its own within the context.
+
+    The phantom's hardest site takes 13 N at 8 mm and 20.5 N at 10 mm. The limits are set above that.
+
+    Args:
+        cell: The cell.
+        folder: Folder for the cell file, the recordings and the stored state.
+        plan: The plan that the limits have to allow.
+        model: ur5 or ur5e.
+        effects: Python file with effects that the cell names.
+
+    Yields:
+        The configuration of a daemon that is wired to the emulated cell.
+    """
+    file = folder / "emulated-cell.yaml"
+    save_cell(file, cell)
+    # 0.1 s for watchdog and devices, twice the default: a PC that runs the demo is often busy, and an emulated arm is harmless
+    patience_s = 0.1
+    host = f"127.{os.getpid() >> 16 & 255}.{os.getpid() >> 8 & 255}.{os.getpid() % 253 + 2}"  # an address per process: two can run at once
+    with emulated(folder, model, file, host, effects) as wires:
+        yield Config(
+            robot=RobotConfig.model_validate({"host": host, "model": model, "watchdog_Hz": 1.0 / patience_s}),
+            sensor=SensorConfig(port=wires.sensor),
+            safety=SafetyConfig(
+                contact_limit_N=16.0 if plan is SHORT else 25.0,
+                absolute_limit_N=40.0,
+                robot_stale_s=patience_s,
+                sensor_stale_s=patience_s,
+                max_stall_s=patience_s,
+            ),
+            paths=PathsConfig(runs=folder, state=folder / "state"),
+            cell=cell.with_effects({}),
+        )

@@ -1,0 +1,65 @@
+"""Installs the files of the service: unit, user, device rule, configuration."""
+
+import re
+import sys
+from pathlib import Path
+
+from palpd.errors import Refused
+
+SOURCE = Path(__file__).parents[2]
+UNIT_PYTHON = "/opt/palpd/.venv/bin/python"
+PATHS = "paths: {runs: /var/lib/palpd/runs, state: /var/lib/palpd, socket: /run/palpd/palpd.sock}"
+UNSEEN = ("/root", "/home", "/run/user", "/tmp", "/var/tmp")
+"""Folders that ProtectHome and PrivateTmp hide from the service."""
+NEXT_STEPS = """\
+Then, as root:
+  systemd-sysusers && udevadm control --reload && udevadm trigger --subsystem-match=tty --subsystem-match=misc
+  systemctl daemon-reload && systemctl enable --now palpd
+  usermod --append --groups palpd OPERATOR      # who may speak to the daemon
+  runuser -u palpd -- palpd calibrate --config /etc/palpd/config.yaml"""
+
+
+def unit_python(prefix: Path) -> str:
+    """Path of the Python that the unit starts: this one, or in a package's build root the one in /opt where the service cannot see this.
+
+    Raises:
+        Refused: Without a build root, the service could not see this Python.
+    """
+    for needed in (sys.executable, sys.base_prefix, str(SOURCE)):
+        if needed.startswith(tuple(f"{hidden}/" for hidden in UNSEEN)):
+            if prefix != Path("/"):
+                return UNIT_PYTHON
+            raise Refused(f"{needed} is hidden from the service, which sees no home and no /tmp; set palpd up in /opt")
+    return sys.executable
+
+
+def installed(prefix: Path) -> list[Path]:
+    """Copy the files below `prefix`, with the path of this Python in the unit, and return the paths. An existing configuration stays.
+
+    Raises:
+        Refused: The service could not see this Python, or the files are not beside the code.
+    """
+    folder = SOURCE / "systemd"
+    if not (folder / "palpd.service").exists():
+        raise Refused(f"the unit is not in {folder}; run palpd install from a checkout of the repository")
+    unit = (folder / "palpd.service").read_text().replace(UNIT_PYTHON, unit_python(prefix))
+    config = re.sub(r"^paths:.*$", PATHS, (SOURCE / "config.yaml").read_text(), flags=re.MULTILINE)
+    texts = {
+        "etc/systemd/system/palpd.service": unit,
+        "etc/sysusers.d/palpd.conf": (folder / "palpd.sysusers.conf").read_text(),
+        "etc/udev/rules.d/99-palpd-hex.rules": (folder / "99-palpd-hex.rules").read_text(),
+        "etc/palpd/config.yaml": config,
+    }
+    written = []
+    for name, text in texts.items():
+        path = prefix / name
+        if path.name == "config.yaml" and path.exists():
+            continue
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        except OSError as error:
+            raise Refused(f"{path} cannot be written ({error.strerror}); run palpd install as root, or give --prefix") from error
+        path.chmod(0o644)
+        written.append(path)
+    return written

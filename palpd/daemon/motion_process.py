@@ -1,0 +1,416 @@
+"""The motion process: the only process that holds the robot.
+
+It opens the devices, runs one job at a time on a FIFO thread, and dies with its supervisor.
+
+When a connection is lost, ur_rtde can hang or crash, and it then resumes motion by itself. So a lost connection ends this process, and
+the next one starts disarmed. After a crash of the library nobody can send a stop. Then the controller's watchdog stops the arm: it
+expects the speed commands.
+"""
+
+import math
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from multiprocessing.connection import Connection
+from typing import Any, Literal, TypedDict
+
+import numpy as np
+
+from palpd.config import Config, ModelConfig, Plan
+from palpd.control.inertial import InertialModel, MotionFeatures
+from palpd.control.loop import Explainer, Loop, Outcome
+from palpd.control.running_zero import RunningZero
+from palpd.control.safety import Limits, sentence
+from palpd.control.sequence import ArmGeometry, FreeMotion, Palpation, Retract, RigidPress, Script, Sequence, TimedRest
+from palpd.control.tare import Tare
+from palpd.daemon.clock import RealClock
+from palpd.daemon.realtime import DEVICE_PRIORITY, fifo, realtime
+from palpd.errors import PalpdError, Refused, Stopped
+from palpd.recording.mcap_file import RunAbout
+from palpd.recording.ring import LoopState, Ring
+from palpd.recording.tick_rows import RowWriter
+from palpd.tick import ForceSensor, Request, Robot, TickRecord, Trip, Verdict
+
+DRAIN_S = 0.1
+"""How long queued frames are read and dropped. A terminal hands out 4 kB at a time, so several reads are needed."""
+ORPHAN_GRACE_S = 1.0
+"""Time between the death of the supervisor and the end of this process: enough for the loop to stop the arm."""
+DRY_S = 10.0
+"""How long a dry run watches. The arm does not move, so no plan could come to its end."""
+CHECK_S = 1.2
+"""How long a check watches. Together with the second of its tare, the guard has time to detect a stuck sensor."""
+REFERENCE_PATIENCE_S = 5.0
+"""Longest wait for the second of frames that a reference tare needs."""
+
+Kind = Literal["palpation", "free_motion", "stiffness", "retract", "calibrate", "check"]
+"""A retract leaves the tissue after a stop.
+
+A check is a short dry run that is not recorded. Whatever would stop a run at its beginning also stops a check."""
+
+
+GO = "go"
+CALLED_OFF = "called off"
+"""The two answers of the supervisor to `Opened`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """An opened robot and sensor. `first_tick_s` is just after the arrival of a robot state; `about` goes into the recording."""
+
+    robot: Robot
+    sensor: ForceSensor
+    first_tick_s: float
+    about: RunAbout
+
+
+Build = Callable[[Config, bool], Devices]
+"""Opens what stands behind the loop; the flag mutes the robot. It must be importable, because the motion process is spawned."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One task for the cell. `reference` (6,) is the tare of the last calibration, in the axes of the sensor with that serial number.
+
+    A palpation that is done returns to its start pose; the recordings of earlier versions end above their last site.
+    """
+
+    kind: Kind
+    config: Config
+    plan: Plan = field(default_factory=Plan)
+    dry: bool = False
+    reference: tuple[float, ...] | None = None
+    machine_stiffness_N_per_m: float | None = None
+    reference_serial: str | None = None
+    returns_to_start: bool = True
+
+
+class TripReport(TypedDict):
+    """One verdict of the guard, or a device that failed: what was measured, the limit, and both as a sentence."""
+
+    trip: str
+    measured: float
+    limit: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """The devices have answered. The motion process waits for `GO` before the loop starts. `reference` (6,) is in the sensor's axes."""
+
+    about: RunAbout
+    reference: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceTaken:
+    """A calibration is over: `reference` (6,) is the mean wrench in the sensor's axes, N and Nm."""
+
+    about: RunAbout
+    reference: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """The job has failed before its first tick, or by a defect; `exit_code` is that of the command line."""
+
+    reason: str
+    exit_code: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """The loop has ended; `outcome` says how, `trips` and `notes` are for people."""
+
+    outcome: Outcome
+    trips: tuple[TripReport, ...]
+    notes: tuple[str, ...]
+
+
+Message = Opened | ReferenceTaken | Failed | Ended
+"""Everything that the motion process sends to its supervisor."""
+
+
+def arm_geometry_of(job: Job, delay_s: float) -> ArmGeometry:
+    """The dimensions and limits of probe, sensor and machine that the sequence needs.
+
+    Args:
+        job: What is carried out.
+        delay_s: Delay of the sensor's filter.
+
+    Returns:
+        The bundle for a script.
+    """
+    return ArmGeometry(
+        tip_radius_m=job.config.cell.probe.tip_radius_m,
+        contact_limit_N=job.config.safety.contact_limit_N,
+        max_speed_m_per_s=job.config.safety.max_speed_m_per_s,
+        delay_s=delay_s,
+        machine_stiffness_N_per_m=job.machine_stiffness_N_per_m or math.inf,
+    )
+
+
+def limits_of(config: Config, muted: bool = False) -> Limits:
+    """The guard's limits of a configuration.
+
+    Args:
+        config: The configuration.
+        muted: Whether the robot is only read, so that no program needs to run on its controller.
+
+    Returns:
+        The limits.
+    """
+    safety = config.safety
+    return Limits(
+        contact_N=safety.contact_limit_N,
+        absolute_N=safety.absolute_limit_N,
+        lateral_N=safety.lateral_limit_N,
+        torque_Nm=safety.torque_limit_Nm,
+        max_speed_m_per_s=safety.max_speed_m_per_s,
+        robot_stale_s=safety.robot_stale_s,
+        sensor_stale_s=safety.sensor_stale_s,
+        max_missed_ticks=max(1, round(safety.max_stall_s * config.robot.rate_Hz)),
+        min_z_m=safety.min_z_m,
+        workspace_m=safety.workspace_m,
+        needs_program=not muted,
+    )
+
+
+def job_limits(job: Job) -> Limits:
+    """The guard's limits of a job.
+
+    A retract answers a contact force with its own slow way up, so the limits that stop the arm are its only force limits.
+    """
+    limits = limits_of(job.config, job.dry)
+    return replace(limits, contact_N=limits.absolute_N) if job.kind == "retract" else limits
+
+
+def sequence_of(job: Job, delay_s: float) -> Sequence:
+    """The script of a job.
+
+    Args:
+        job: What is carried out.
+        delay_s: Delay of the sensor's filter.
+
+    Returns:
+        The sequence, not begun.
+    """
+    arm = arm_geometry_of(job, delay_s)
+    scripts: dict[str, Callable[[], Script]] = {
+        "palpation": lambda: Palpation(job.plan, arm, job.returns_to_start),
+        "free_motion": lambda: FreeMotion(arm),
+        "stiffness": lambda: RigidPress(job.plan, arm),
+        "retract": lambda: Retract(arm),
+    }
+    return Sequence(TimedRest(arm, CHECK_S if job.kind == "check" else DRY_S) if job.dry else scripts[job.kind]())
+
+
+def explainer_of(job: Job, sensor_serial: str | None, delay_s: float) -> Explainer:
+    """Axes, reference tare and inertial model of a job.
+
+    Args:
+        job: What is carried out.
+        sensor_serial: Serial number of the connected sensor, if known.
+        delay_s: Delay of the sensor's filter.
+
+    Returns:
+        The explainer, not yet tared.
+
+    Raises:
+        Refused: The reference tare is another sensor's.
+        ModelRefused: The inertial model may not be used for this probe or sensor.
+    """
+    config = job.config
+    if job.reference is not None and job.reference_serial and sensor_serial and job.reference_serial != sensor_serial:
+        raise Refused(f"the reference tare is of sensor {job.reference_serial}, but {sensor_serial} is connected; run palpd calibrate")
+    model = None
+    if config.model.path is not None and job.kind in ("palpation", "check"):
+        model = InertialModel.load(config.model.path, probe_mass_kg=config.cell.probe.mass_kg, sensor_serial=sensor_serial)
+    return explainer_with(model, job, delay_s)
+
+
+def explainer_with(model: InertialModel | None, job: Job, delay_s: float) -> Explainer:
+    """Axes and reference tare of a job, with a model that is loaded already. A retract begins loaded, so the reference is its tare.
+
+    Args:
+        model: The inertial model, or None for no correction.
+        job: What is carried out.
+        delay_s: Delay of the sensor's filter.
+
+    Returns:
+        The explainer, not yet tared.
+    """
+    config, reference = job.config, np.array(job.reference or np.zeros(6), dtype=float)
+    return Explainer(
+        reference=reference,
+        rotation_about_flange_z_rad=config.sensor.rotation_about_flange_z_rad,
+        model=model,
+        zero=zero_of(config.model) if model is not None else None,
+        correction_limit_N=config.model.correction_limit_N,
+        motion=MotionFeatures(delay_s),
+        tare=reference.copy() if job.kind == "retract" else None,
+    )
+
+
+def zero_of(model: ModelConfig) -> RunningZero | None:
+    """The running zero that follows the residual of the model; None where the configuration chooses none."""
+    return RunningZero(limit_N=model.correction_limit_N) if model.zero == "running" else None
+
+
+def serve(build: Build, ring_name: str, pipe: Connection, life: Connection) -> None:
+    """Run the motion process until there are no more jobs.
+
+    Args:
+        build: Opens robot and sensor.
+        ring_name: Name of the shared ring that takes the ticks.
+        pipe: Jobs come in over it, messages go out.
+        life: A pipe that closes when the supervisor dies.
+    """
+    orphaned = threading.Event()
+    threading.Thread(target=_end_with_supervisor, args=(life, orphaned), daemon=True).start()
+    terminated = threading.Event()
+    for number in (signal.SIGINT, signal.SIGHUP):  # the supervisor gets them too and asks for the abort
+        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: terminated.set())
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGHUP, signal.SIGTERM))  # the supervisor blocked them at the start
+    ring = Ring.attach(ring_name)
+
+    def request() -> Request:
+        if orphaned.is_set():
+            return Request.ORPHANED
+        return Request.ABORT if terminated.is_set() else ring.request()
+
+    while not orphaned.is_set():
+        try:
+            job = pipe.recv()
+        except (EOFError, OSError):
+            return
+        if job is None:
+            return
+        again = False
+        try:
+            again = _do(build, job, ring, pipe, request)
+        except PalpdError as error:
+            pipe.send(Failed(str(error), error.exit_code))
+        except Exception as error:  # a defect of ours: it must reach the operator as a sentence, and the process must end
+            pipe.send(Failed(f"the motion process failed ({type(error).__name__}: {error})", 3))
+        if not again:
+            break
+    os._exit(0)  # not through ur_rtde's destructors, which can hang or crash after a lost connection
+
+
+def _end_with_supervisor(life: Connection, orphaned: threading.Event) -> None:
+    """Sleep until the supervisor is gone; then let the loop stop, and end the process even if the library hangs."""
+    fifo(DEVICE_PRIORITY)  # without it this thread may wait half a second on a busy machine, or hold the interpreter's lock without running
+    try:
+        life.recv()
+    except (EOFError, OSError):
+        orphaned.set()
+        time.sleep(ORPHAN_GRACE_S)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _do(build: Build, job: Job, ring: Ring, pipe: Connection, request: Callable[[], Request]) -> bool:
+    """Open the devices, report them, wait for `GO`, run, send the last message. Returns whether this process may take another job.
+
+    The last message goes out before the devices are closed, which takes ur_rtde a second: meanwhile the recording is closed.
+    """
+    fifo(DEVICE_PRIORITY)
+    devices = build(job.config, job.dry or job.kind == "calibrate")
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    try:
+        if job.kind == "calibrate":
+            pipe.send(ReferenceTaken(devices.about, tuple(take_reference(devices).tolist())))
+            return True
+        explainer = explainer_of(job, devices.about.get("sensor_serial"), devices.about["delay_s"])
+        if job.reference is None:
+            explainer.reference = take_reference(devices)
+        if job.kind != "check":
+            pipe.send(Opened(devices.about, tuple(explainer.reference.tolist())))
+            if pipe.recv() != GO:
+                pipe.send(Failed(CALLED_OFF, 2))
+                return True
+            ring.state = LoopState.RUNNING
+        ended = _run(job, devices, explainer, ring, request)
+        ring.state = LoopState.ENDED
+        pipe.send(ended)
+        return ended.outcome.verdict == "done"
+    finally:
+        ring.state = LoopState.ENDED  # from here on no ticks are due: closing a connection takes ur_rtde half a second
+        if not _lost(devices.robot):  # with a lost connection ur_rtde crashes while it closes, and the reason would be lost too
+            devices.robot.stop()
+            devices.robot.close()
+        devices.sensor.close()
+
+
+def _lost(robot: Robot) -> bool:
+    try:
+        return not robot.read().connected
+    except PalpdError:
+        return True
+
+
+def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: Callable[[], Request]) -> Ended:
+    """Run the job's loop on a FIFO thread."""
+    sequence, limits, rate_Hz = sequence_of(job, devices.about["delay_s"]), job_limits(job), job.config.robot.rate_Hz
+    clock = RealClock(rate_Hz, devices.first_tick_s)
+    loop = Loop(devices.robot, devices.sensor, clock, sequence, explainer, limits, RingWriter(ring), request)
+    failed: list[TripReport] = []
+    drain(devices.sensor)  # before the watchdog is set, because draining takes longer than the watchdog waits
+    with realtime() as granted:
+        loop.rehearse()
+        devices.robot.move((0.0, 0.0, 0.0))  # arms the watchdog, which takes the controller some cycles: the grid begins after it
+        clock.begin_soon()
+        devices.sensor.read()  # the frames that were queued until now are too old
+        try:
+            outcome = loop.run()
+        except Stopped as stopped:
+            outcome = replace(loop.outcome, verdict="stopped", reason=str(stopped))
+            failed = [{"trip": Trip.DEVICE.name, "measured": 1.0, "limit": 0.0, "reason": str(stopped)}]
+    trips = [trip_report(verdict) for verdict in outcome.trips] + failed
+    return Ended(outcome, tuple(trips), (*granted.missing, *explainer.notes()))
+
+
+def trip_report(verdict: Verdict) -> TripReport:
+    """A verdict of the guard for people and files."""
+    return TripReport(trip=verdict.trip.name, measured=verdict.measured, limit=verdict.limit, reason=sentence(verdict))
+
+
+def take_reference(devices: Devices) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Mean wrench (6,) of a free, still probe, in the sensor's axes, N and Nm. Raises Refused where the frames are no tare."""
+    tare = Tare()
+    until_s = time.monotonic() + REFERENCE_PATIENCE_S
+    drain(devices.sensor)
+    while not tare.add(devices.robot.read(), devices.sensor.read()) and time.monotonic() < until_s:
+        time.sleep(0.01)
+    refusal = tare.refusal()
+    if refusal is not None:
+        raise Refused(f"no reference tare was taken: {refusal}")
+    return tare.result()
+
+
+def drain(sensor: ForceSensor) -> None:
+    """Read and drop the queued frames: they are too old, and a terminal hands out 4 kB at a time, which is 0.25 s of frames."""
+    until_s = time.monotonic() + DRAIN_S
+    while time.monotonic() < until_s:
+        sensor.read()
+        time.sleep(0.001)
+
+
+class RingWriter:
+    """Writes each tick of the loop into the ring: one row, in place, without waiting."""
+
+    def __init__(self, ring: Ring) -> None:
+        self._ring = ring
+        self._rows = RowWriter(ring.rows)
+
+    def __call__(self, record: TickRecord) -> None:
+        """Write one tick."""
+        self._rows.fill(self._ring.begin(), record)
+        self._ring.publish()
+
+    def rehearse(self, record: TickRecord) -> None:
+        """Fill the next row without publishing it."""
+        self._rows.fill(self._ring.begin(), record)  # never published, so no reader sees it

@@ -1,0 +1,131 @@
+"""How far a force runs past the limit that trips it: stiffness × speed × the sum of all delays, before anything has moved."""
+
+import math
+from dataclasses import dataclass
+from typing import TypedDict
+
+from palpd.config import FZ_CAPACITY_N, Config, Plan, filter_delay_s
+from palpd.errors import ConfigError
+
+LINK_S = 0.001
+"""Time from a byte of the sensor to the daemon's buffer. Measured on the emulated line; a USB line was never measured."""
+CONTROLLER_CYCLES = 2.0
+"""Cycles from a speed command to its effect: it waits for the next cycle and acts in the one after."""
+WALLS_N_PER_M = (1000.0, 5000.0, 20000.0)
+"""Stiffnesses that the forecast covers besides the expected one: soft tissue, firm tissue, a board."""
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """One delay between a force and the arm's reaction, and where its value comes from."""
+
+    name: str
+    duration_s: float
+    source: str
+
+
+class DelayRow(TypedDict):
+    """A Delay as JSON."""
+
+    name: str
+    duration_s: float
+    source: str
+
+
+class OvershootRow(TypedDict):
+    """The overshoot against one stiffness at one speed."""
+
+    stiffness_N_per_m: float
+    speed_m_per_s: float
+    overshoot_N: float
+
+
+class OvershootForecast(TypedDict):
+    """Limits, delays and overshoots of a configuration with a plan."""
+
+    contact_limit_N: float
+    absolute_limit_N: float
+    delays: list[DelayRow]
+    overshoot: list[OvershootRow]
+
+
+def delays(config: Config, speed_m_per_s: float) -> tuple[Delay, ...]:
+    """Every delay between the force at the tip and the tip at rest.
+
+    Args:
+        config: The configuration.
+        speed_m_per_s: Speed of the press, for the time of braking.
+
+    Returns:
+        The delays in the order in which they occur.
+    """
+    sensor, robot, servo = config.sensor, config.robot, config.cell.robot
+    lag_s = 2.0 * servo.servo_damping_ratio / (2.0 * math.pi * servo.servo_natural_frequency_Hz)
+    return (
+        Delay("sensor filter", filter_delay_s(sensor.filter_cutoff_Hz), "one pole at sensor.filter_cutoff_Hz"),
+        Delay("sensor sample", 1.0 / sensor.rate_Hz, "sensor.rate_Hz"),
+        Delay("serial line", LINK_S, "measured on an emulated line"),
+        Delay("loop", 1.0 / robot.rate_Hz, "one tick, worst phase"),
+        Delay("controller", CONTROLLER_CYCLES * {"ur5": 0.008, "ur5e": 0.002}[robot.model], "two cycles of the controller"),
+        Delay("servo lag", lag_s, "2ζ/ωn of cell.robot, a placeholder until measured"),
+        Delay("braking", 0.5 * speed_m_per_s / robot.acceleration_m_per_s2, "v/2a of robot.acceleration_m_per_s2"),
+    )
+
+
+def overshoot_N(config: Config, speed_m_per_s: float, stiffness_N_per_m: float) -> float:
+    """Force beyond the limit at which the daemon reacts, against a linear wall: k v times all delays, three sigmas of noise, one count.
+
+    Args:
+        config: The configuration.
+        speed_m_per_s: Speed of the press.
+        stiffness_N_per_m: Stiffness of the wall.
+
+    Returns:
+        The overshoot in N.
+    """
+    sensor = config.cell.sensor
+    noise_N = 3.0 * sensor.noise_rms_N + sensor.resolution_fz_N
+    return stiffness_N_per_m * speed_m_per_s * math.fsum(delay.duration_s for delay in delays(config, speed_m_per_s)) + noise_N
+
+
+def refuse_overload(config: Config, plan: Plan) -> None:
+    """Refuse limits that let the expected stiffness overload the sensor before the arm reacts.
+
+    Args:
+        config: The configuration, for limits and delays.
+        plan: The plan, for its speeds.
+
+    Raises:
+        ConfigError: Contact limit and overshoot reach the sensor's capacity.
+    """
+    speed = max(plan.press_speed_m_per_s, plan.search.speed_m_per_s)
+    stiffness = config.safety.expected_stiffness_N_per_m
+    peak_N = config.safety.contact_limit_N + overshoot_N(config, speed, stiffness)
+    if peak_N >= FZ_CAPACITY_N:
+        raise ConfigError(
+            f"contact_limit_N of {config.safety.contact_limit_N:g} N and an overshoot of "
+            f"{peak_N - config.safety.contact_limit_N:.0f} N at {speed:g} m/s on {stiffness:g} N/m reach {peak_N:.0f} N, "
+            f"beyond the sensor's {FZ_CAPACITY_N:g} N; press slower or lower the limit"
+        )
+
+
+def predicted(config: Config, plan: Plan) -> OvershootForecast:
+    """Delays and overshoots for the speeds of a plan, against soft and hard walls and the expected stiffness.
+
+    Args:
+        config: The configuration, for limits and delays.
+        plan: The plan, for its speeds.
+
+    Returns:
+        The forecast of `palpd check-config`.
+    """
+    speeds = sorted({plan.search.speed_m_per_s, plan.press_speed_m_per_s})
+    stiffnesses = sorted({*WALLS_N_PER_M, config.safety.expected_stiffness_N_per_m})
+    return {
+        "contact_limit_N": config.safety.contact_limit_N,
+        "absolute_limit_N": config.safety.absolute_limit_N,
+        "delays": [{"name": d.name, "duration_s": d.duration_s, "source": d.source} for d in delays(config, speeds[-1])],
+        "overshoot": [
+            {"stiffness_N_per_m": k, "speed_m_per_s": v, "overshoot_N": overshoot_N(config, v, k)} for k in stiffnesses for v in speeds
+        ],
+    }

@@ -1,0 +1,349 @@
+"""Dry run against a recording: the loop and the guard of a run on recorded data, faster than real time.
+
+A replay of an MCAP makes every decision again and compares it bit for bit. A CSV has neither robot states at their own rate nor a plan.
+There the same loop tares, explains and guards row by row, and a script that stands still replaces the sequence.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Protocol, TypedDict
+
+import numpy as np
+
+from palpd.config import Config, parse_config, parse_plan
+from palpd.control.inertial import InertialModel
+from palpd.control.loop import Loop, Outcome
+from palpd.control.safety import GuardState, Limits, sentence
+from palpd.control.sequence import Script, Sequence, Steps
+from palpd.control.tare import Tare
+from palpd.daemon.motion_process import Job, arm_geometry_of, explainer_with, job_limits, limits_of, sequence_of
+from palpd.errors import RecordingError
+from palpd.recording.reader import RecordedRobot, RecordedSensor, Recording
+from palpd.recording.ring import Rows
+from palpd.recording.samples import Samples
+from palpd.recording.tick_rows import RowWriter
+from palpd.tick import PROGRAM_PLAYING, ROW, Action, Request, RobotMode, RobotState, SafetyMode, SensorFrames, TickRecord, Timing, Trip
+
+NEEDED_KEYS = ("kind", "config", "plan", "dry", "reference", "machine_stiffness_N_per_m", "body", "model_card")
+"""Keys of a recording's header without which its decisions cannot be made again."""
+DECISIONS = (
+    "zero_N",
+    "phase",
+    "mode",
+    "site",
+    "repeat",
+    "depth_m",
+    "surface_z_m",
+    "cut_short",
+    "force_N",
+    "absolute_N",
+    "proposed_m_per_s",
+    "proposed_stop",
+    "command_m_per_s",
+    "command_stop",
+    "action",
+    "trip",
+    "trip_measured",
+    "trip_limit",
+)
+"""The fields of a row that the daemon decided; it observed all others."""
+
+
+STALE_PERIODS = 3
+"""Sampling periods of a CSV after which it counts as stale: a foreign rig of 8 Hz is not stale at 125 ms."""
+
+
+class ReplayResult(TypedDict):
+    """Whether a replay made the same decisions, and how fast."""
+
+    ticks: int
+    decisions_identical: bool
+    first_difference: str | None
+    verdict: str
+    reason: str
+    peak_force_N: float
+    realtime_factor: float
+
+
+class CsvTrip(TypedDict):
+    """A verdict of the guard on a row of a CSV."""
+
+    row: int
+    t_s: float
+    trip: str
+    reason: str
+
+
+class CsvResult(TypedDict):
+    """The guard's verdict on the rows of a CSV; `tare` says where the zero came from."""
+
+    ticks: int
+    verdict: str
+    trips: list[CsvTrip]
+    tare: str
+    peak_force_N: float
+    realtime_factor: float
+
+
+class Steppable(Protocol):
+    """A device of a recording."""
+
+    def advance(self, number: int) -> None:
+        """Go to the tick of that row."""
+        ...
+
+
+@dataclass(slots=True)
+class RecordedClock:
+    """Hands out the recorded ticks, one after the other, and steps the recorded devices with them."""
+
+    ticks: int
+    timing: Callable[[int], Timing]
+    devices: tuple[Steppable, ...]
+    at: int = -1
+
+    @property
+    def over(self) -> bool:
+        """Whether the last tick was handed out."""
+        return self.at + 1 >= self.ticks
+
+    def wait(self) -> Timing:
+        """The next tick."""
+        self.at += 1
+        for device in self.devices:
+            device.advance(self.at)
+        return self.timing(self.at)
+
+    def elapsed_us(self) -> float:
+        """Nothing: no time passes within a recorded tick."""
+        return 0.0
+
+
+# --- a recording of the daemon ------------------------------------------------------------------------------------------------
+
+
+def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
+    """Make every decision of a recorded run again.
+
+    Args:
+        recording: The run.
+        config: Another configuration to judge it by; then decisions may differ, and the first difference is named.
+
+    Returns:
+        Whether the decisions are identical, and the figures of the replay.
+
+    Raises:
+        RecordingError: The recording holds no tick.
+    """
+    header, rows = recording.header, recording.rows
+    if not len(rows):
+        raise RecordingError("the recording holds no tick; there is nothing to replay")
+    if missing := [key for key in NEEDED_KEYS if key not in header]:
+        raise RecordingError(f"the header of {recording.path} has no {', '.join(missing)}; give a recording of palpd run")
+    job = Job(
+        header["kind"],
+        config or parse_config(header["config"], "the recording's configuration"),
+        parse_plan(header["plan"], "the recording's plan"),
+        header["dry"],
+        reference=tuple(header["reference"]),
+        machine_stiffness_N_per_m=header["machine_stiffness_N_per_m"],
+        returns_to_start=header.get("returns_to_start", False),
+    )
+    delay_s = header["body"]["delay_s"]
+    model = None
+    if recording.model_bytes is not None and header["model_card"] is not None:
+        model = InertialModel.from_bytes(recording.model_bytes, header["model_card"])
+    robot, sensor, comparison = RecordedRobot(rows), RecordedSensor(rows), _Comparison(rows)
+    clock = RecordedClock(len(rows), lambda at: _timing(rows[at]), (robot, sensor))
+    loop = Loop(
+        robot, sensor, clock, sequence_of(job, delay_s), explainer_with(model, job, delay_s), job_limits(job), comparison,
+        request=lambda: Request(int(rows[clock.at]["request"])),
+    )  # fmt: skip
+    began_s = time.perf_counter()
+    while not clock.over and loop.tick():
+        pass
+    took_s = time.perf_counter() - began_s
+    difference = comparison.first or (None if clock.over else "the replay ended earlier")
+    return {
+        "ticks": clock.at + 1,
+        "decisions_identical": difference is None,
+        "first_difference": difference,
+        "verdict": recording.footer.get("verdict", "stopped") if not comparison.first else loop.outcome.verdict,
+        "reason": loop.outcome.reason,
+        "peak_force_N": float(rows["force_N"].max()),
+        "realtime_factor": float(rows["now_s"][-1] - rows["now_s"][0]) / max(took_s, 1e-9),
+    }
+
+
+def _timing(row: np.void) -> Timing:
+    return Timing(int(row["index"]), float(row["planned_s"]), float(row["now_s"]), int(row["missed"]))
+
+
+class _Comparison:
+    """Takes the ticks of a replay and compares each with its recorded row; `first` names the first difference."""
+
+    def __init__(self, rows: Rows) -> None:
+        self._rows = rows
+        self._replayed = np.zeros(1, ROW)
+        self._writer = RowWriter(self._replayed)
+        self._at = 0
+        self.first: str | None = None
+
+    def __call__(self, record: TickRecord) -> None:
+        self._writer.fill(0, record)
+        recorded, replayed = self._rows[self._at], self._replayed[0]
+        if self.first is None:
+            for name in DECISIONS:
+                if replayed[name].tobytes() != recorded[name].tobytes():
+                    self.first = f"tick {int(recorded['index'])}, {name}: recorded {recorded[name]}, replayed {replayed[name]}"
+                    break
+        self._at += 1
+
+    def rehearse(self, record: TickRecord) -> None:
+        """Nothing to warm up."""
+
+
+# --- a CSV --------------------------------------------------------------------------------------------------------------------
+
+
+def replay_samples(samples: Samples, config: Config) -> CsvResult:
+    """Tare, compensation, contact and guard on every row of a CSV that was tared when it was recorded; no sequence.
+
+    Where the guard ends a run, the next row begins a new one, so that every row has a verdict.
+
+    Args:
+        samples: The rows, in base axes.
+        config: The configuration that judges them.
+
+    Returns:
+        The trips of the guard and the figures of the replay.
+    """
+    job = Job("palpation", config)
+    model = None
+    if config.model.path is not None:
+        model = InertialModel.load(config.model.path, probe_mass_kg=config.cell.probe.mass_kg, sensor_serial=None)
+    explainer = replace(explainer_with(model, job, delay_s=0.0), rotation_about_flange_z_rad=0.0, zero=None)
+    robot, sensor, trips = SampledRobot(samples), SampledSensor(samples), _Trips()
+    clock = RecordedClock(len(samples), lambda at: Timing(at, float(samples.t_s[at]), float(samples.t_s[at])), (robot, sensor))
+    standing = Sequence(StandStill(job, safe_z_m=float(samples.z_m.max())))
+    tare = Tare()
+    loop = Loop(robot, sensor, clock, standing, explainer, _limits_at_rate_of(samples, config), trips, _tare=tare)
+    began_s = time.perf_counter()
+    while not clock.over:
+        goes_on = loop.tick()
+        if loop.outcome.refused:
+            explainer.tare = np.zeros(6)
+        if not goes_on:
+            loop = replace(loop, outcome=Outcome(), _guard_state=GuardState())
+    took_s = time.perf_counter() - began_s
+    return {
+        "ticks": len(samples),
+        "verdict": "stopped" if trips.kept else "done",
+        "trips": trips.kept,
+        "tare": _tare_sentence(tare, tared=explainer.tare is not None),
+        "peak_force_N": trips.peak_N,
+        "realtime_factor": samples.duration_s / max(took_s, 1e-9),
+    }
+
+
+def _tare_sentence(tare: Tare, tared: bool) -> str:
+    if not tared:
+        return "as recorded: the recording is shorter than a tare"
+    refusal = tare.refusal()
+    return f"as recorded: {refusal}" if refusal else "from the first rows"
+
+
+def _limits_at_rate_of(samples: Samples, config: Config) -> Limits:
+    limits, patience_s = limits_of(config), STALE_PERIODS * float(np.median(np.diff(samples.t_s)))
+    stale_s = max(limits.robot_stale_s, patience_s), max(limits.sensor_stale_s, patience_s)
+    return replace(limits, robot_stale_s=stale_s[0], sensor_stale_s=stale_s[1])
+
+
+class StandStill(Script):
+    """Proposes no motion, as long as it is asked."""
+
+    def __init__(self, job: Job, safe_z_m: float) -> None:
+        super().__init__(arm_geometry_of(job, delay_s=0.0))
+        self._safe_z_m = safe_z_m
+
+    def run(self) -> Steps:
+        """Stand still without end."""
+        self.note(floor_z_m=-math.inf, safe_z_m=self._safe_z_m)
+        while True:
+            yield from self.move()
+
+
+@dataclass(slots=True)
+class _Trips:
+    """Takes the ticks of a replay; keeps the first row of each trip and the peak of the contact force."""
+
+    kept: list[CsvTrip] = field(default_factory=list)
+    peak_N: float = -math.inf
+    _row: int = 0
+    _last: Trip = Trip.NONE
+
+    def __call__(self, record: TickRecord) -> None:
+        verdict = record.verdict
+        self.peak_N = max(self.peak_N, float(record.observation.contact.force_N))
+        if verdict.action != Action.PASS and verdict.trip != self._last:
+            self.kept.append({"row": self._row, "t_s": record.observation.now_s, "trip": verdict.trip.name, "reason": sentence(verdict)})
+        self._last = verdict.trip
+        self._row += 1
+
+    def rehearse(self, record: TickRecord) -> None:
+        """Nothing to warm up."""
+
+
+class SampledRobot:
+    """The Robot of a CSV: the tool points straight down, and everything is healthy that the row does not contradict."""
+
+    def __init__(self, samples: Samples) -> None:
+        self._samples, self._at = samples, 0
+
+    def advance(self, number: int) -> None:
+        """Go to that row."""
+        self._at = number
+
+    def read(self) -> RobotState:
+        """The state of this row."""
+        samples, at = self._samples, self._at
+        t_s, z_m = float(samples.t_s[at]), float(samples.z_m[at])
+        target_z_m = float(samples.z_cmd_m[at]) if samples.z_cmd_m is not None else z_m
+        speed = (0.0, 0.0, float(samples.vz_m_per_s[at]), 0.0, 0.0, 0.0)
+        return RobotState(
+            t_s, t_s, (0.0, 0.0, z_m, np.pi, 0.0, 0.0), speed, (0.0, 0.0, target_z_m, np.pi, 0.0, 0.0), speed, (0.0, 0.0, 0.0),
+            RobotMode.RUNNING, SafetyMode.NORMAL, 1, PROGRAM_PLAYING, True,
+        )  # fmt: skip
+
+    def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
+        """Nothing moves: the samples are recorded."""
+
+    def stop(self) -> None:
+        """Nothing stops: the samples are recorded."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class SampledSensor:
+    """The ForceSensor of a CSV: one frame a row, in the axes of a sensor that points down."""
+
+    BASE_FROM_SENSOR = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
+
+    def __init__(self, samples: Samples) -> None:
+        self._samples, self._at = samples, 0
+
+    def advance(self, number: int) -> None:
+        """Go to that row."""
+        self._at = number
+
+    def read(self) -> SensorFrames:
+        """The frame of this row."""
+        t_s, wrench = self._samples.t_s[self._at], self._samples.wrench[self._at] * self.BASE_FROM_SENSOR
+        counter = np.array([self._at & 0xFFFF], np.uint16)
+        return SensorFrames(np.array([t_s]), counter, np.zeros(1, np.uint16), wrench[None, :])
+
+    def close(self) -> None:
+        """Nothing is open."""

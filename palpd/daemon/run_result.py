@@ -1,0 +1,130 @@
+"""The JSON of a run, with and without wires."""
+
+from typing import Any, NotRequired, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpd.analysis import results
+from palpd.analysis.results import LoopFigures, SiteResult
+from palpd.control.sequence import SOFT_END
+from palpd.daemon.motion_process import TripReport, trip_report
+from palpd.daemon.simulated_run import SimulatedRecording
+from palpd.daemon.socket_client import LastTick
+from palpd.daemon.supervisor import LAST_TICKS, Report, last_ticks_of
+from palpd.errors import RecordingError
+from palpd.recording.reader import Recording
+from palpd.tick import Phase
+
+NO_WIRES = "the cell was simulated without wires: bytes, timing and faults were not part of it"
+
+
+class DryFigures(TypedDict):
+    """What a dry run saw, in base axes: mean tared force, noise of fz (standard deviation), and the mean pose of the tip."""
+
+    force_N: list[float]
+    noise_N: float
+    tcp_pose: list[float]
+
+
+class RunResult(TypedDict):
+    """How a run ended and what it measured. `trips` and `last_ticks` are empty where nothing stopped it."""
+
+    verdict: str
+    reason: str
+    trips: list[TripReport]
+    recording: str | None
+    notes: list[str]
+    sites: list[SiteResult]
+    loop: LoopFigures
+    last_ticks: list[LastTick]
+    model_card: NotRequired[dict[str, Any] | None]
+    diagnosis: NotRequired[dict[str, Any]]
+    dry: NotRequired[DryFigures | None]
+
+
+def dry_figures(rows: NDArray[np.void]) -> DryFigures | None:
+    """Force, noise and pose of a dry run.
+
+    Args:
+        rows: Ticks, with the fields of ROW of palpd.tick.
+
+    Returns:
+        The figures after the tare; None where the run ended before.
+    """
+    watched = rows[rows["phase"] != Phase.TARE]
+    filled = np.arange(rows["frame_t_s"].shape[1]) < watched["frames"][:, None]
+    forces_N = watched["tared"][filled][:, :3]
+    if not len(forces_N):
+        return None
+    return {
+        "force_N": forces_N.mean(axis=0).tolist(),
+        "noise_N": float(forces_N[:, 2].std()),
+        "tcp_pose": watched["tcp_pose"].mean(axis=0).tolist(),
+    }
+
+
+def cut_short_notes(sites: list[SiteResult], contact_limit_N: float) -> list[str]:
+    """Say of every press that was cut short which limit ended it.
+
+    Args:
+        sites: Results of a run.
+        contact_limit_N: The contact limit of its configuration.
+
+    Returns:
+        One sentence for each site, kind of press and depth.
+    """
+    reason = f"{contact_limit_N:g} N limit reached (the sequence ends a press at {SOFT_END:g} x contact_limit_N)"
+    presses = [
+        (site["name"], kind, press["commanded_m"])
+        for site in sites
+        for kind, all_presses in (("static", site["depths"]), ("dynamic", site["presses"]))
+        for press in all_presses
+        if press["cut_short"]
+    ]
+    return [f"site {name}, {kind} press to {depth_m * 1e3:g} mm: {reason}" for name, kind, depth_m in dict.fromkeys(presses)]
+
+
+def run_result(report: Report) -> RunResult:
+    """The result of a run: its report, and what its recording says of the loop and of each site."""
+    result = RunResult(
+        verdict=report.verdict,
+        reason=report.reason,
+        trips=list(report.trips),
+        recording=str(report.recording) if report.recording else None,
+        notes=list(report.notes),
+        sites=[],
+        loop=LoopFigures(ticks=0, missed=0),
+        last_ticks=list(report.last_ticks),
+    )
+    if report.recording is None:
+        return result
+    try:
+        recording = Recording.load(report.recording)
+    except RecordingError as error:  # a run that ended before its first tick has a reason of its own, which must not be hidden
+        result["notes"].append(str(error))
+        return result
+    result["loop"] = results.loop_figures(recording.rows)
+    result["model_card"] = recording.header["model_card"]
+    if recording.header["dry"]:
+        result["dry"] = dry_figures(recording.rows)
+    elif recording.header["kind"] == "palpation":
+        result["sites"] = results.sites(recording.rows, recording.header)
+        result["notes"] += cut_short_notes(result["sites"], recording.header["config"]["safety"]["contact_limit_N"])
+    return result
+
+
+def simulated_result(simulated: SimulatedRecording) -> RunResult:
+    """The same of a run without wires."""
+    outcome, sites = simulated.outcome, results.sites(simulated.rows, simulated.header)
+    return RunResult(
+        verdict=outcome.verdict,
+        reason=outcome.reason,
+        trips=[trip_report(trip) for trip in outcome.trips],
+        recording=None,
+        notes=[NO_WIRES, *cut_short_notes(sites, simulated.header["config"]["safety"]["contact_limit_N"])],
+        sites=sites,
+        loop={"ticks": outcome.ticks, "missed": outcome.missed},
+        last_ticks=list(last_ticks_of(simulated.rows[-LAST_TICKS:])) if outcome.verdict != "done" else [],
+        model_card=simulated.header["model_card"],
+    )

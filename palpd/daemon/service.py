@@ -1,0 +1,327 @@
+"""`palpd serve`: waits disarmed, answers over the control socket, runs one plan at a time, and feeds the watchdog of systemd."""
+
+import math
+import os
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import structlog
+
+from palpd.config import Config, Plan, parse_plan, refuse_unsafe
+from palpd.daemon.control_socket import ControlSocket, Later
+from palpd.daemon.interrupts import held, received, shielded
+from palpd.daemon.job_progress import job_progress, job_steps
+from palpd.daemon.motion_process import Build, Job, Kind
+from palpd.daemon.overshoot import refuse_overload
+from palpd.daemon.session import measured_job
+from palpd.daemon.socket_client import CheckedCell, ControlAnswer, ControlRequest, LastRun
+from palpd.daemon.stored_state import Latch, State
+from palpd.daemon.supervisor import JobRun, Report, now, recording_name
+from palpd.errors import PalpdError, Refused
+from palpd.recording.ring import LoopState, Ring
+from palpd.tick import Phase, Request
+
+POLL_S = 0.02
+"""Longest wait for a request before the run is polled again."""
+PAUSE_PATIENCE_S = 1.0
+"""Longest wait for a pause to be seen in the ticks. The sequence takes it within a tick, but not before the tare is over."""
+WATCHDOG_S = 0.5
+"""Period of feeding the watchdog of systemd: a small part of WatchdogSec in the unit."""
+
+
+@dataclass(frozen=True, slots=True)
+class PendingPause:
+    """A pause or a resume whose effect was not seen yet. `ticks` is the number of ticks when it was asked for."""
+
+    later: Later
+    wish: Request
+    ticks: int
+    until_s: float
+
+
+class Service:
+    """States: disarmed, checking, armed, running. A restart, a stop, a fault and the end of a plan all lead to disarmed.
+
+    Before it arms, the service checks the real devices: it reads them and commands nothing. It also checks them once at the start, for
+    the log; if a device is absent, it keeps running.
+    """
+
+    def __init__(self, config: Config, build: Build) -> None:
+        self._config, self._build = config, build
+        self._state = State(config.paths.state)
+        with shielded():
+            self._ring: Ring = Ring.create(config.robot.rate_Hz)
+        self._armed = False
+        self._run: JobRun | None = None
+        self._last: Report | None = None
+        self._arming: Later | None = None
+        self._pausing: PendingPause | None = None
+        self._first_tick = 0
+        self._cell: CheckedCell | None = None
+        self._log = structlog.get_logger("palpd.service")
+        self._ending = False
+        self._unkept: Latch | None = None
+
+    def serve(self) -> None:
+        """Serve until SIGTERM, SIGINT or SIGHUP. It aborts a running plan and closes the recording first."""
+        with held(self._end):
+            self._serve()
+
+    def _serve(self) -> None:
+        try:
+            control = ControlSocket(self._config.paths.control_socket, self.answer)
+        except BaseException:
+            self._free_ring()
+            raise
+        latch = self._latch()
+        self._log.info("ready", socket=str(self._config.paths.control_socket), latched=latch.reason if latch else None)
+        _notify("READY=1")
+        try:
+            self._check()
+        except PalpdError as error:
+            self._log.warning("not checked", reason=str(error))
+        fed_s, ticks = 0.0, -1
+        try:
+            while not self._ending or self._run is not None:
+                control.poll(POLL_S)
+                self._poll_run()
+                self._answer_pause()
+                if time.monotonic() - fed_s > WATCHDOG_S:
+                    idle = self._run is None or self._ring.state != LoopState.RUNNING
+                    if idle or self._ring.published != ticks:  # fed only while ticks advance, so that systemd notices a loop that hangs
+                        _notify(f"WATCHDOG=1\nSTATUS={self._standing}")
+                    fed_s, ticks = time.monotonic(), self._ring.published
+        finally:
+            _notify("STOPPING=1")
+            control.close()
+            self._free_ring()
+
+    @property
+    def _standing(self) -> str:
+        if self._run is None:
+            return "armed" if self._armed else "disarmed"
+        return "checking" if self._checking else "running"
+
+    @property
+    def _checking(self) -> bool:
+        return self._run is not None and self._run.job.kind == "check"
+
+    def answer(self, request: ControlRequest) -> ControlAnswer | Later:
+        """Carry out one request of the control socket; refusals are sentences and change nothing."""
+        commands: dict[str, Callable[[ControlRequest], ControlAnswer | Later]] = {
+            "status": self._status,
+            "arm": self._arm,
+            "start": self._start,
+            "pause": lambda _: self._ask(Request.PAUSE),
+            "resume": lambda _: self._ask(Request.RESUME),
+            "abort": self._abort,
+            "retract": self._retract,
+            "clear": self._clear,
+        }
+        command = commands.get(request["do"])
+        if command is None:
+            return {"ok": False, "error": f"{request['do'][:32]!r} is no command; known: {', '.join(commands)}"}
+        try:
+            answer = command(request)
+            return answer if isinstance(answer, Later) else {"ok": True, **answer}
+        except PalpdError as error:
+            return {"ok": False, "error": str(error)}
+
+    def _status(self, _: ControlRequest) -> ControlAnswer:
+        latch = self._latch()
+        answer: ControlAnswer = {
+            "state": self._standing,
+            "latched": latch.reason if latch else None,
+            "pid": os.getpid(),
+            "cell": self._cell,
+        }
+        if self._run is not None and not self._checking:
+            answer.update(self._under_way(self._run.job))
+        if self._last is not None:
+            answer["last"] = LastRun(
+                verdict=self._last.verdict,
+                reason=self._last.reason,
+                recording=str(self._last.recording) if self._last.recording else None,
+                notes=list(self._last.notes),
+                last_ticks=list(self._last.last_ticks),
+            )
+        return answer
+
+    def _under_way(self, job: Job) -> ControlAnswer:
+        """Where the running job stands by its newest tick; without a tick only what it is."""
+        row, progress = self._newest(), job_progress(job, self._ring)
+        if row is None or progress is None:
+            return {"job": job.kind, "activity": "opening robot and sensor"}
+        depth_m = float(row["surface_z_m"] - row["tcp_pose"][2])
+        return {
+            "job": job.kind,
+            "activity": progress.activity,
+            "steps_done": progress.steps_done,
+            "steps": job_steps(job),
+            "phase": Phase(int(row["phase"])).name.lower(),
+            "site": int(row["site"]),
+            "force_N": progress.force_N,
+            "z_m": progress.z_m,
+            "depth_m": depth_m if math.isfinite(depth_m) else None,
+            "tick": int(row["index"]),
+        }
+
+    def _newest(self) -> np.void | None:
+        """The newest tick of the running job; the ring also holds those of jobs before."""
+        if self._ring.published <= self._first_tick:
+            return None
+        rows = self._ring.read(self._ring.published - 1)[0]
+        return rows[-1] if len(rows) else None
+
+    def _arm(self, _: ControlRequest) -> ControlAnswer | Later:
+        if not self._checking:
+            self._refuse_running()
+        if self._arming is not None:
+            raise Refused("another client is arming the daemon; see palpd status")
+        latch = self._latch()
+        if latch is not None:
+            raise Refused(
+                f"the last run was stopped on {latch.date}: {latch.reason}; look at the cell, leave the tissue with palpd retract, "
+                "then palpd clear"
+            )
+        if self._state.calibration() is None:
+            raise Refused("there is no reference tare; run palpd calibrate with the probe free and still")
+        self._armed = False
+        self._arming = Later()
+        if self._run is None:
+            self._check()
+        return self._arming
+
+    def _check(self) -> None:
+        self._run = JobRun(self._job("check", Plan(), dry=True), self._build, self._ring, self._state, "check")
+
+    def _checked(self, report: Report) -> None:
+        ready = report.verdict == "done" and self._run is not None and self._run.job.reference is not None
+        reason = report.reason or ("" if ready else "there is no reference tare; run palpd calibrate with the probe free and still")
+        self._cell = {"ready": ready, "reason": reason, "date": now()}
+        self._log.info("checked", ready=ready, reason=reason, date=self._cell["date"], notes=report.notes)
+        arming, self._arming = self._arming, None
+        if arming is None:
+            return
+        if not ready:
+            arming.answer = {"ok": False, "error": f"not armed: {reason}"}
+        elif arming.abandoned:
+            self._log.info("not armed: the client has gone")
+        else:
+            self._armed = True
+            arming.answer = {"ok": True, "state": "armed"}
+            self._log.info("armed")
+
+    def _job(self, kind: Kind, plan: Plan, dry: bool = False) -> Job:
+        return measured_job(kind, self._config, plan, dry, self._state.calibration())
+
+    def _start(self, request: ControlRequest) -> ControlAnswer:
+        self._refuse_running()
+        if not self._armed:
+            raise Refused("the daemon is disarmed; run palpd arm first")
+        plan = parse_plan(request.get("plan"), "the plan")
+        refuse_unsafe(self._config, plan)
+        refuse_overload(self._config, plan)
+        self._begin("palpation", plan)
+        self._log.info("started", sites=len(plan.sites))
+        return {"state": "running"}
+
+    def _retract(self, _: ControlRequest) -> ControlAnswer:
+        """Leave the tissue after a stop. It needs no arming and no cleared latch: it is the way out, and the guard watches it."""
+        self._refuse_running()
+        if self._state.calibration() is None:
+            raise Refused("there is no reference tare to judge the force by; free the probe by hand at the pendant")
+        self._begin("retract", Plan())
+        self._log.info("retracting")
+        return {"state": "running"}
+
+    def _begin(self, kind: Kind, plan: Plan) -> None:
+        self._first_tick, self._armed = self._ring.published, False
+        self._run = JobRun(self._job(kind, plan), self._build, self._ring, self._state, recording_name(kind))
+
+    def _ask(self, wish: Request) -> Later:
+        if self._run is None or self._checking:
+            raise Refused("nothing is running")
+        if self._pausing is not None:
+            raise Refused("another client is pausing or resuming the run; see palpd status")
+        self._run.ask(wish)
+        self._pausing = PendingPause(Later(), wish, self._ring.published, time.monotonic() + PAUSE_PATIENCE_S)
+        return self._pausing.later
+
+    def _answer_pause(self) -> None:
+        """Answer a pause or a resume as soon as a tick shows it, or the run has ended."""
+        if self._pausing is None:
+            return
+        pending, row = self._pausing, self._newest()
+        paused = row is not None and row["phase"] == Phase.PAUSED
+        if self._run is None:
+            pending.later.answer = {"ok": False, "error": "the run ended meanwhile; see palpd status"}
+        elif self._ring.published > pending.ticks and paused == (pending.wish == Request.PAUSE) and row is not None:
+            pending.later.answer = {"ok": True, "state": "paused" if paused else "running", **self._under_way(self._run.job)}
+        elif time.monotonic() > pending.until_s:
+            done = "paused" if pending.wish == Request.PAUSE else "resumed"
+            reason = f"the run was not {done} within {PAUSE_PATIENCE_S:g} s: it still opens its devices or tares; try again"
+            pending.later.answer = {"ok": False, "error": reason}
+        if pending.later.answer is not None:
+            self._pausing = None
+
+    def _abort(self, _: ControlRequest) -> ControlAnswer:
+        self._armed = False
+        arming, self._arming = self._arming, None
+        if arming is not None:
+            arming.answer = {"ok": False, "error": "not armed: a client asked for an abort meanwhile"}
+        if self._run is not None:
+            self._run.ask(Request.ABORT)
+        return {"state": "aborting" if self._run else "disarmed"}
+
+    def _clear(self, _: ControlRequest) -> ControlAnswer:
+        if not self._checking:
+            self._refuse_running()
+        self._unkept = None
+        self._state.clear_latch()
+        self._log.info("cleared")
+        return {"state": "disarmed"}
+
+    def _refuse_running(self) -> None:
+        if self._checking:
+            raise Refused("the devices are being checked; try again in some seconds")
+        if self._run is not None:
+            raise Refused("a plan is running; wait for its end, or palpd abort")
+
+    def _latch(self) -> Latch | None:
+        return self._unkept or self._state.latch()
+
+    def _poll_run(self) -> None:
+        if self._run is None:
+            return
+        if self._ending:
+            self._run.interrupt(received())
+        try:
+            report = self._run.poll()
+        except PalpdError as error:  # the latch could not be written: it holds until this process ends
+            report, self._unkept = Report("stopped", str(error), 3), Latch(str(error), now())
+        if report is not None and self._checking:
+            self._checked(report)
+            self._run = None
+        elif report is not None:
+            self._run, self._last, self._cell = None, report, None
+            self._log.info("ended", verdict=report.verdict, reason=report.reason, recording=str(report.recording), notes=report.notes)
+
+    def _free_ring(self) -> None:
+        self._ring.unlink()
+        self._ring.close()
+
+    def _end(self) -> None:
+        self._ending = True
+
+
+def _notify(message: str) -> None:
+    """sd_notify(3): send one datagram to the socket that systemd names, if there is one."""
+    address = os.environ.get("NOTIFY_SOCKET")
+    if address:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notifier:
+            notifier.connect("\0" + address[1:] if address.startswith("@") else address)
+            notifier.sendall(message.encode())

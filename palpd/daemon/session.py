@@ -1,0 +1,179 @@
+"""One job in the foreground: the common part of `palpd run`, `calibrate`, `free-motion`, `stiffness` and the demo."""
+
+import contextlib
+from datetime import datetime
+from pathlib import Path
+
+from palpd.config import Config, Plan, refuse_unsafe
+from palpd.daemon.display import Display, ShowProgress
+from palpd.daemon.interrupts import Interrupted, held, leave_within, received, shielded
+from palpd.daemon.job_progress import job_progress, job_steps
+from palpd.daemon.motion_process import Build, Job, Kind
+from palpd.daemon.overshoot import refuse_overload
+from palpd.daemon.stored_state import Calibration, State
+from palpd.daemon.supervisor import JobRun, Report, now, recording_name, wait
+from palpd.errors import BadInput, Refused, Stopped
+from palpd.recording.ring import Ring
+
+TABLES_S = 2.0
+"""Time for the tables of an interrupted run. The recording is closed by then, so `palpd analyse` can make them again."""
+
+
+def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_reference: bool = False) -> Job:
+    """A job with the reference tare and the stiffness that earlier steps have measured.
+
+    Args:
+        kind: What to do.
+        config: The configuration of the cell.
+        plan: The plan of a palpation; other kinds ignore it.
+        dry: Whether to read the devices and command nothing.
+        take_reference: Whether the run takes its own reference tare.
+
+    Returns:
+        The job.
+
+    Raises:
+        Refused: A reference tare is needed and missing, or the plan is unsafe for this cell.
+        ConfigError: The limits let the expected stiffness overload the sensor.
+    """
+    state = State(config.paths.state)
+    if kind == "palpation":
+        refuse_unsafe(config, plan)
+        refuse_overload(config, plan)
+    calibration = state.calibration()
+    if kind == "retract" and calibration is None:
+        raise Refused("there is no reference tare to judge the force by; free the probe by hand at the pendant")
+    if kind != "calibrate" and calibration is None and not take_reference:
+        raise Refused(
+            f"there is no reference tare in {config.paths.state.name}/; run palpd calibrate with the probe free and still, "
+            "or palpd run with --take-reference"
+        )
+    return measured_job(kind, config, plan, dry, None if take_reference else calibration)
+
+
+def measured_job(kind: Kind, config: Config, plan: Plan, dry: bool, calibration: Calibration | None) -> Job:
+    """A job with a reference tare and the stiffness of the machine, if it was measured.
+
+    Args:
+        kind: What to do.
+        config: The configuration of the cell.
+        plan: The plan.
+        dry: Whether to read the devices and command nothing.
+        calibration: The reference tare; without one the run takes its own.
+
+    Returns:
+        The job.
+    """
+    stiffness = State(config.paths.state).machine_stiffness()
+    return Job(
+        kind,
+        config,
+        plan,
+        dry,
+        reference=calibration.wrench if calibration else None,
+        reference_serial=calibration.sensor_serial if calibration else None,
+        machine_stiffness_N_per_m=config.machine.stiffness_N_per_m or (stiffness.stiffness_N_per_m if stiffness else None),
+    )
+
+
+def carry_out(work: Job, build: Build, display: Display, name: str | None = None) -> Report:
+    """Do a job from opening the devices to the closed recording. SIGINT, SIGTERM and SIGHUP abort it at any moment.
+
+    Args:
+        work: The job.
+        build: Opens robot and sensor.
+        display: Shows the progress.
+        name: File name of the recording without suffix; by default the time and the kind of the job.
+
+    Returns:
+        How the job ended; a run that the guard stopped is reported, not raised.
+
+    Raises:
+        Refused: The job was refused before anything moved.
+        Interrupted: A signal came before anything moved, or after the last motion.
+    """
+    run: JobRun | None = None
+
+    def abort() -> None:
+        if run is not None:
+            run.interrupt(received())
+
+    with held(abort):
+        with shielded():
+            ring = Ring.create(work.config.robot.rate_Hz)
+        try:
+            run = JobRun(work, build, ring, State(work.config.paths.state), name or recording_name(work.kind))
+            if received():  # before there was a run
+                abort()
+            report = _watched(run, work, ring, display)
+        finally:
+            ring.unlink()
+            ring.close()
+    if received() and report.exit_code == 0:
+        kept = f"; {report.recording} is complete" if report.recording else ""
+        raise Interrupted(f"interrupted by {received()} after the last motion{kept}")
+    if received() and run.called_off:
+        raise Interrupted(report.reason)
+    if report.exit_code == 2:
+        raise Refused(report.reason)
+    if received():
+        leave_within(TABLES_S, report.reason, report.exit_code)
+    return report
+
+
+def _watched(run: JobRun, work: Job, ring: Ring, display: Display) -> Report:
+    """Show the progress until the run is over. A terminal that is gone hides nothing of how it ended."""
+    reports: list[Report] = []
+
+    def show_newest(show: ShowProgress) -> None:
+        progress = job_progress(work, ring)
+        if progress is not None:
+            show(progress)
+
+    with contextlib.suppress(OSError), display.job(job_steps(work)) as show:
+        reports.append(wait(run, lambda: show_newest(show)))
+    return reports[0] if reports else wait(run)
+
+
+def calibrate(config: Config, build: Build, display: Display, temperature_C: float | None = None) -> Calibration:
+    """Take the reference tare and keep it.
+
+    Args:
+        config: The configuration of the cell.
+        build: Opens robot and sensor.
+        display: Shows the progress.
+        temperature_C: Temperature of the sensor, if known.
+
+    Returns:
+        The tare, as it is kept.
+
+    Raises:
+        Refused: A device is absent, or the probe is not free and still.
+        Stopped: The motion process died.
+    """
+    report = carry_out(job("calibrate", config, Plan()), build, display)
+    if report.reference is None:
+        raise Stopped(report.reason or "no reference tare came back")
+    calibration = Calibration(report.reference, now(), report.about.get("sensor_serial"), temperature_C)
+    State(config.paths.state).keep("calibration", calibration)
+    return calibration
+
+
+def kept_in(folder: Path, kind: str | None = None) -> Path:
+    """Make the folder that a command keeps its files in.
+
+    Args:
+        folder: The folder, which must be empty; with `kind` its parent.
+        kind: Name of the command: the folder is then called so, with the time.
+
+    Returns:
+        The absolute path.
+
+    Raises:
+        BadInput: The folder is not empty.
+    """
+    folder = folder / f"{kind}-{datetime.now():%Y%m%d-%H%M%S}" if kind else folder
+    if folder.is_dir() and any(folder.iterdir()):
+        raise BadInput(f"{folder} is not empty; nothing is overwritten, so give another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder.resolve()

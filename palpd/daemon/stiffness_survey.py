@@ -1,0 +1,173 @@
+"""The stiffness map made by the daemon. Each press is a run of its own, with tare, surface search, guard and recording.
+
+The arm stands above the field's corner at the start, and every run returns there.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from palpd.analysis import results
+from palpd.analysis.results import SiteResult
+from palpd.analysis.stiffness_map import Field, Map, Survey, search, write_presses
+from palpd.cell.cell_file import CellFile
+from palpd.config import Config, Plan, load_config
+from palpd.daemon.display import Display
+from palpd.daemon.motion_process import Build, Job
+from palpd.daemon.run_result import run_result
+from palpd.daemon.session import calibrate, carry_out, job, kept_in
+from palpd.daemon.simulated_run import run
+from palpd.errors import RecordingError, Stopped
+from palpd.study.inclusion_field import EmulatedField
+
+Place = tuple[float, float]
+Press = Callable[[Place], float]
+HOME_ABOVE_M = 0.012
+"""Height above the surface at which a simulated arm begins. From higher, a search at 5 mm/s only takes longer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mapped:
+    """A finished or interrupted survey. `stop_reason` is empty unless a press was stopped.
+
+    `true_inclusion_m` is the x, y and radius of the inclusion; only an emulated field knows it.
+    """
+
+    survey: Survey
+    true_inclusion_m: tuple[float, float, float] | None = None
+    stop_reason: str = ""
+
+
+def mapped(where: Field, out: Path, config: Path | None, emulated: bool, seed: int, display: Display) -> Mapped:
+    """Press until the map is certain. After each press, a CSV beside the picture holds all presses so far.
+
+    Args:
+        where: The field.
+        out: The picture.
+        config: Configuration of the robot that presses; without it the field is simulated or emulated.
+        emulated: Whether to press on emulated wires instead of in simulation.
+        seed: Seed of the simulated or emulated field.
+        display: Shows the presses.
+
+    Returns:
+        The survey, also where a press was stopped.
+    """
+    survey = Survey(where)
+    field = EmulatedField(where, seed) if config is None else None
+
+    def show_press(survey: Survey, estimate: Map) -> None:
+        write_presses(out.with_suffix(".csv"), survey)
+        (x_m, y_m), modulus_Pa = survey.places_m[-1], survey.moduli_Pa[-1]
+        display.say(f"{len(survey.places_m):3d}  ({x_m * 1e3:2.0f}, {y_m * 1e3:2.0f}) mm  {modulus_Pa / 1e3:6.1f} kPa  {estimate.sentence}")
+
+    stop_reason = ""
+    try:
+        if config is not None:
+            from palpd.daemon.wiring import devices
+
+            search(on_the_robot(where, load_config(config), devices, display), where, survey=survey, watch=show_press)
+        elif field is not None and emulated:
+            _on_wires(where, field, survey, show_press, display)
+        elif field is not None:
+            display.say(f"The daemon presses a simulated field, seed {seed}.")
+            search(in_simulation(where, field.cell, seed), where, survey=survey, watch=show_press)
+    except (Stopped, RecordingError) as error:
+        stop_reason = str(error)
+    return Mapped(survey, field.inclusion if field is not None else None, stop_reason)
+
+
+def plan_at(place_m: Place, where: Field) -> Plan:
+    """One press in motion. A press that nears the contact limit ends early and still has a modulus.
+
+    Args:
+        place_m: Way from the field's corner to the place, x and y.
+        where: The field, for the depth.
+
+    Returns:
+        The plan.
+    """
+    return Plan.model_validate(
+        {"sites": [{"name": "place", "x_m": place_m[0], "y_m": place_m[1]}], "mode": "dynamic", "depths_m": [where.depth_m], "repeats": 1}
+    )
+
+
+def on_the_robot(where: Field, config: Config, build: Build, display: Display) -> Press:
+    """Presses by the daemon on a cell or on emulated wires.
+
+    Args:
+        where: The field.
+        config: The configuration of the cell.
+        build: Opens robot and sensor.
+        display: Shows the progress of each run.
+
+    Returns:
+        The function that presses one place and returns its modulus in Pa.
+
+    Raises:
+        Stopped: By that function, where the run was stopped.
+    """
+    began = datetime.now()
+    count = 0
+
+    def press(place_m: Place) -> float:
+        nonlocal count
+        count += 1
+        name = f"{began:%Y%m%d-%H%M%S}-map-{count:03d}"
+        report = carry_out(job("palpation", config, plan_at(place_m, where)), build, display, name)
+        if report.exit_code:
+            raise Stopped(f"the press at {_millimetres(place_m)} was stopped: {report.reason}")
+        return _modulus_of(run_result(report)["sites"][0], place_m)
+
+    return press
+
+
+def in_simulation(where: Field, cell_of: Callable[[int], CellFile], seed: int) -> Press:
+    """Presses by the daemon's loop on simulated cells, faster than real time; each begins at the field's corner.
+
+    Args:
+        where: The field.
+        cell_of: The cell under each place, by the number of the press.
+        seed: Seed of the noise.
+
+    Returns:
+        The function that presses one place and returns its modulus in Pa.
+
+    Raises:
+        Stopped: By that function, where the run was stopped.
+    """
+    count = 0
+
+    def press(place_m: Place) -> float:
+        nonlocal count
+        count += 1
+        work = Job("palpation", Config(), plan_at(place_m, where))
+        simulated = run(work, cell_of(count), seed=1000 * seed + count, home_above_m=HOME_ABOVE_M)
+        if simulated.outcome.verdict != "done":
+            raise Stopped(f"the press at {_millimetres(place_m)} was stopped: {simulated.outcome.reason}")
+        return _modulus_of(results.sites(simulated.rows, simulated.header)[0], place_m)
+
+    return press
+
+
+def _on_wires(where: Field, field: EmulatedField, survey: Survey, watch: Callable[[Survey, Map], None], display: Display) -> None:
+    """Press the field behind real drivers and emulated wires; runs and state are kept in a folder of their own."""
+    from palpd.daemon.demo import cell_on_wires
+    from palpd.daemon.wiring import devices
+
+    folder = kept_in(Path("runs"), "map")
+    display.say(f"A UR5 and a HEX-70 are emulated; recordings are kept in {folder}.")
+    with cell_on_wires(field.cell(0), folder) as config:
+        calibrate(config, devices, display)
+        search(on_the_robot(where, config, devices, display), where, survey=survey, watch=watch)
+
+
+def _modulus_of(site: SiteResult, place_m: Place) -> float:
+    modulus_Pa: float | None = site["dynamic_corrected_Pa"]
+    if modulus_Pa is None:
+        raise RecordingError(f"the press at {_millimetres(place_m)} has no force peak below the surface; look at its recording")
+    return modulus_Pa
+
+
+def _millimetres(place_m: Place) -> str:
+    return f"({place_m[0] * 1e3:.0f}, {place_m[1] * 1e3:.0f}) mm"

@@ -1,0 +1,119 @@
+"""What survives a restart: the reference tare, the machine's stiffness, and the latch of the last stop. One JSON file each."""
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from palpd.errors import BadInput, ConfigError, Refused
+from palpd.files import read_json, write_json
+
+MOST_BYTES = 100_000
+"""Largest file of state; each holds a few numbers and a sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Reference tare: `wrench` (6,) in the sensor's axes, N and Nm, of a free, still probe on that date by that sensor."""
+
+    wrench: tuple[float, ...]
+    date: str
+    sensor_serial: str | None
+    temperature_C: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MachineStiffness:
+    """How stiff sensor, mount and arm are together, from pressing a rigid plate."""
+
+    stiffness_N_per_m: float
+    ci95_N_per_m: tuple[float, float]
+    date: str
+    sensor_serial: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Latch:
+    """Why the last run was stopped; while it stands nothing is armed."""
+
+    reason: str
+    date: str
+
+
+class State:
+    """The folder that these are kept in; made when first written to."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def calibration(self) -> Calibration | None:
+        """The last `palpd calibrate`, if any."""
+        values = self._read("calibration")
+        if values is None:
+            return None
+        try:
+            calibration = Calibration(**{**values, "wrench": tuple(float(number) for number in values["wrench"])})
+        except (TypeError, ValueError, KeyError):
+            calibration = None
+        if calibration is None or len(calibration.wrench) != 6 or not all(map(math.isfinite, calibration.wrench)):
+            raise ConfigError(f"{self.folder / 'calibration.json'} holds no reference tare; run palpd calibrate again")
+        return calibration
+
+    def machine_stiffness(self) -> MachineStiffness | None:
+        """The last `palpd stiffness`, if any."""
+        values = self._read("stiffness")
+        if values is None:
+            return None
+        try:
+            numbers = (float(values["stiffness_N_per_m"]), *(float(number) for number in values["ci95_N_per_m"]))
+            stiffness = MachineStiffness(**{**values, "stiffness_N_per_m": numbers[0], "ci95_N_per_m": numbers[1:]})
+        except (TypeError, ValueError, KeyError):
+            stiffness, numbers = None, ()
+        if stiffness is None or len(numbers) != 3 or not all(map(math.isfinite, numbers)) or numbers[0] <= 0:
+            raise ConfigError(f"{self.folder / 'stiffness.json'} holds no stiffness of the machine; run palpd stiffness again")
+        return stiffness
+
+    def latch(self) -> Latch | None:
+        """The reason of a stop that no operator has cleared; a file that cannot be read is one too."""
+        try:
+            values = self._read("latch")
+            return Latch(**values) if values is not None else None
+        except (ConfigError, TypeError):
+            return Latch(f"the reason kept in {self.folder / 'latch.json'} cannot be read", "an unknown date")
+
+    def keep(self, name: str, thing: Calibration | MachineStiffness | Latch) -> None:
+        """Write a state file so that a crash leaves the old file or the new one, never half of it.
+
+        Args:
+            name: Name of the file, without `.json`.
+            thing: What it holds.
+
+        Raises:
+            Refused: The file cannot be written.
+        """
+        path = self.folder / f"{name}.json"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            write_json(path, asdict(thing))
+        except OSError as error:
+            raise Refused(f"{path} cannot be written ({error.strerror}); make room there, or run as the service's user") from error
+        except BadInput as error:
+            raise Refused(f"{error}; make room there, or run as the service's user") from error
+
+    def clear_latch(self) -> Latch | None:
+        """Clear the latch, which only an operator may do, and return what it was."""
+        latch = self.latch()
+        (self.folder / "latch.json").unlink(missing_ok=True)
+        return latch
+
+    def _read(self, name: str) -> dict[str, Any] | None:
+        path = self.folder / f"{name}.json"
+        try:
+            values = read_json(path, most_bytes=MOST_BYTES, error=ConfigError)
+        except ConfigError as error:
+            if isinstance(error.__cause__, FileNotFoundError):
+                return None
+            raise ConfigError(f"{error}; delete it and repeat the step that makes it") from error
+        if not isinstance(values, dict):
+            raise ConfigError(f"{path} holds no record; delete it and repeat the step that makes it")
+        return values

@@ -1,0 +1,399 @@
+"""The main process: small, without ur_rtde. It owns the ring, starts motion process and recorder, notices their death, keeps the reason.
+
+It never resumes a motion. Whatever ended a run, the next run begins with an operator's start and a new motion process.
+"""
+
+import contextlib
+import datetime
+import math
+import multiprocessing
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from importlib.metadata import version
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from palpd.config import CONTACT_FORCE_N
+from palpd.control.inertial import read_card
+from palpd.daemon import motion_process as motion
+from palpd.daemon.interrupts import shielded
+from palpd.daemon.motion_process import (
+    CALLED_OFF,
+    GO,
+    Build,
+    Ended,
+    Failed,
+    Job,
+    Kind,
+    Message,
+    Opened,
+    ReferenceTaken,
+    TripReport,
+)
+from palpd.daemon.socket_client import LastTick
+from palpd.daemon.stored_state import Latch, State
+from palpd.errors import PalpdError, RecordingError
+from palpd.recording.mcap_file import RecordingHeader, RunAbout
+from palpd.recording.recorder import Recorder
+from palpd.recording.ring import LoopState, RecorderState, Ring, Rows
+from palpd.tick import Phase, Request, Trip
+
+STALLED_S = 2.0
+"""A loop whose tick counter stands still for this long is killed. The controller's watchdog has stopped the arm long before."""
+OPENING_S = 40.0
+"""Longest wait for the devices to open, including the start of the program on the controller."""
+CLOSING_S = 10.0
+"""Longest wait for the devices to close. ur_rtde needs a second; it can also hang."""
+RECORDER_S = 20.0
+"""Longest wait for the recorder to open its file, imports included."""
+FOOTER_S = 60.0
+"""Longest wait for the recorder to close its file: a slow disk must not cost the recording."""
+SIGNAL_S = 0.6
+"""Longest time from a signal to the end of the loop and of the devices: together with the recording and the tables within 1 s."""
+UNLATCHED = {Trip.NONE, Trip.CONTACT_FORCE, Trip.OPERATOR}
+"""Trips that are no fault: the next start needs no `palpd clear`."""
+CALLED_OFF_WHILE: dict[Kind, str] = {
+    "calibrate": "while the reference tare was being taken",
+    "check": "while the devices were being checked",
+}
+"""What a job was doing before its loop began, where it is not only opening the devices."""
+LAST_TICKS = 10
+"""Number of ticks before a stop that are kept for the operator: 80 ms at 125 Hz, a table that fits the terminal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """How a run ended, for the operator and the exit code. `last_ticks` is filled where a run was stopped."""
+
+    verdict: str
+    reason: str = ""
+    exit_code: int = 0
+    trips: tuple[TripReport, ...] = ()
+    recording: Path | None = None
+    about: RunAbout = field(default_factory=lambda: RunAbout())
+    notes: tuple[str, ...] = ()
+    reference: tuple[float, ...] | None = None
+    last_ticks: tuple[LastTick, ...] = ()
+
+
+class MotionProcess:
+    """A spawned motion process and the pipes to it. It dies together with the process of this object."""
+
+    def __init__(self, build: Build, ring: Ring) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, far = context.Pipe()
+        far_life, self._life = context.Pipe(duplex=False)
+        self.process = context.Process(target=motion.serve, args=(build, ring.name, far, far_life), name="palpd-motion")
+        self.process.start()
+        far.close()
+        far_life.close()
+
+    def end(self) -> None:
+        """Ask the process to end, without waiting for it."""
+        with contextlib.suppress(OSError):
+            self.pipe.send(None)
+
+
+class JobRun:
+    """One job under way. `poll` never waits; it returns a report when the job is over, the devices and the recording are closed."""
+
+    def __init__(self, job: Job, build: Build, ring: Ring, state: State, name: str) -> None:
+        self.job, self._ring, self._state, self._name = job, ring, state, name
+        self._recorder: Recorder | None = None
+        self._about: RunAbout = {}
+        self._reported = self._going = self._lost_recorder = self._interrupted = False
+        self._abort_cause = ""
+        self._report: Report | None = None
+        self._ended_s = self._end_by_s = math.inf
+        self._began_s = self._closing_s = time.monotonic()
+        self._first_tick = self._ticks = ring.published
+        self._ticked_s = self._began_s
+        ring.state = LoopState.STARTING
+        ring.forget_requests()  # requests for an earlier run are void; from here on every abort counts
+        with shielded():
+            self._motion = MotionProcess(build, ring)
+        self._motion.pipe.send(job)
+
+    def ask(self, request: Request) -> None:
+        """Pass an operator's request to the loop. An abort before the loop was started calls the job off."""
+        self._ring.ask(request)
+        if request == Request.ABORT:
+            self._abort_cause = self._abort_cause or "the operator aborted"
+
+    def interrupt(self, name: str) -> None:
+        """Abort because of that signal. What has not ended `SIGNAL_S` later is killed, and the controller's watchdog stops the arm."""
+        if not self._interrupted:
+            self._interrupted, self._end_by_s = True, time.monotonic() + SIGNAL_S
+            self._abort_cause = self._abort_cause or f"interrupted by {name}"
+            self._ring.ask(Request.ABORT)
+
+    @property
+    def called_off(self) -> bool:
+        """Whether the job was aborted before its loop was started."""
+        return bool(self._abort_cause) and not self._going
+
+    def poll(self) -> Report | None:
+        """A report when the job is over, else None."""
+        if self._report is None:
+            report = self._call_off() if self.called_off else self._advance()
+            if report is None:
+                return None
+            self._begin_closing(report)
+        return self._closed()
+
+    def _advance(self) -> Report | None:
+        """Take what has come from the motion process and the recorder. A report when nothing more is to be expected of the loop."""
+        pipe: Connection = self._motion.pipe
+        try:
+            if pipe.poll():
+                return self._received(pipe.recv())
+        except (EOFError, OSError):
+            return Report("stopped", self._death(), 3)
+        if not self._motion.process.is_alive():
+            return Report("stopped", self._death(), 3)
+        if self._recorder is not None and not self._going:
+            return self._begin_loop(self._recorder)
+        return self._watched()
+
+    def _watched(self) -> Report | None:
+        """Judge how long everything takes, and whether the run is still recorded."""
+        now_s = time.monotonic()
+        if self._ring.published != self._ticks:
+            self._ticks, self._ticked_s = self._ring.published, now_s
+        failed = self._ring.recorder_state == RecorderState.FAILED
+        if self._recorder is not None and (failed or not self._recorder.alive) and not self._lost_recorder:
+            self._lost_recorder = True
+            self._ring.ask(Request.ABORT)  # a palpation that is not recorded is worth nothing
+        ticking = self._ring.state == LoopState.RUNNING
+        if ticking and now_s - self._ticked_s > STALLED_S:
+            return self._kill(f"the loop stood still for {STALLED_S:g} s and was killed; the controller's watchdog stops the arm")
+        if self._ring.state != LoopState.ENDED:
+            self._ended_s = now_s
+        elif now_s - self._ended_s > CLOSING_S:
+            return self._kill(f"the devices were not closed within {CLOSING_S:g} s after the last tick; the motion process was killed")
+        if not self._reported and now_s - self._began_s > OPENING_S:
+            return self._kill(f"the devices were not opened within {OPENING_S:g} s; is the controller's program able to start?")
+        if now_s > self._end_by_s:
+            return self._kill(
+                f"the operator aborted the run, its loop had not ended {SIGNAL_S:g} s later and was killed; "
+                "the controller's watchdog stops the arm"
+            )
+        return None
+
+    def _received(self, message: Message) -> Report | None:
+        match message:
+            case Opened():
+                return self._begin_recording(message)
+            case ReferenceTaken(about, reference):
+                return Report("done", about=about, reference=reference)
+            case Failed(reason, exit_code):
+                return Report("refused" if exit_code == 2 else "stopped", reason, exit_code)
+            case Ended(outcome, trips, notes):
+                exit_code = 0 if outcome.verdict == "done" else 2 if outcome.refused else 3
+                by_signal = f" ({self._abort_cause})" if self._interrupted and exit_code else ""
+                return Report(outcome.verdict, outcome.reason + by_signal, exit_code, trips, notes=notes)
+
+    def _begin_recording(self, opened: Opened) -> Report | None:
+        self._reported, self._about = True, opened.about
+        header = header_of(self.job, opened.about, opened.reference)
+        model = self.job.config.model.path if self.job.kind == "palpation" else None
+        folder = self.job.config.paths.runs
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with shielded():
+                self._recorder = Recorder.begin(self._ring, folder / f"{self._name}.mcap", header, model.read_bytes() if model else None)
+        except OSError as error:
+            return self._refuse_recording(error)
+        self._began_s = time.monotonic()
+        return None
+
+    def _begin_loop(self, recorder: Recorder) -> Report | None:
+        """Start the loop when the recording is open."""
+        if not recorder.answered and time.monotonic() - self._began_s < RECORDER_S:
+            return None
+        try:
+            recorder.confirm()
+        except RecordingError as error:
+            self._recorder = None
+            return self._refuse_recording(error)
+        self._motion.pipe.send(GO)
+        self._going, self._ticked_s = True, time.monotonic()
+        return None
+
+    def _refuse_recording(self, error: Exception) -> Report:
+        self._motion.pipe.send(CALLED_OFF)
+        return Report("refused", f"nothing was moved: {error}", 2)
+
+    def _call_off(self) -> Report:
+        """End a job whose loop was not started: nothing has moved, so nothing needs to be stopped."""
+        moment = CALLED_OFF_WHILE.get(self.job.kind, "while the devices were being opened")
+        if self._reported:
+            moment = "while the recording was being opened"
+            with contextlib.suppress(OSError):
+                self._motion.pipe.send(CALLED_OFF)
+        else:
+            self._motion.process.kill()  # it may be inside a call that takes seconds
+        if self._recorder is not None:
+            self._recorder.discard()
+            self._recorder = None
+        return Report("refused", f"{self._abort_cause} {moment}; nothing was moved", 2)
+
+    def _death(self) -> str:
+        self._motion.process.join(0.5)
+        code = self._motion.process.exitcode
+        how = f"by signal {-code}" if code is not None and code < 0 else f"with code {code}"
+        return f"the motion process ended {how}; the controller's watchdog stops the arm"
+
+    def _kill(self, reason: str) -> Report:
+        self._motion.process.kill()
+        return Report("stopped", reason, 3)
+
+    def _begin_closing(self, report: Report) -> None:
+        self._report, self._closing_s = report, time.monotonic()
+        self._motion.end()
+        if self._recorder is not None:
+            self._recorder.finish({"verdict": report.verdict, "reason": report.reason, "trips": list(report.trips)})
+
+    def _closed(self) -> Report | None:
+        """The report when motion process and recorder have ended, else None."""
+        assert self._report is not None
+        now_s = time.monotonic()
+        if self._motion.process.is_alive():
+            if now_s < min(self._closing_s + CLOSING_S, self._end_by_s):
+                return None
+            self._motion.process.kill()
+            self._motion.process.join()
+        if self._recorder is not None and not self._recorder.answered and now_s < self._closing_s + FOOTER_S:
+            return None
+        return self._over(self._report)
+
+    def _over(self, report: Report) -> Report:
+        recording, notes = None, report.notes
+        if self._recorder is not None:
+            try:
+                recording = self._recorder.close(timeout_s=0.0)
+            except RecordingError as error:
+                notes = (*notes, str(error))
+                if self._lost_recorder:  # the abort in the trips was ours
+                    report = replace(report, reason=f"the run was stopped because it was no longer recorded: {error}")
+            died = report.exit_code == 3 and not report.trips
+            stands = self.job.kind == "retract" and self._state.latch() is not None  # the reason of the stop before stays
+            if not stands and (died or any(Trip[trip["trip"]] not in UNLATCHED for trip in report.trips)):
+                self._state.keep("latch", Latch(report.reason, now()))
+        last_ticks = self._last_ticks() if report.exit_code == 3 else ()
+        if last_ticks and last_ticks[-1]["force_N"] >= CONTACT_FORCE_N:
+            notes = (*notes, f"the probe still presses with {last_ticks[-1]['force_N']:.1f} N; palpd retract leaves the tissue")
+        return replace(report, recording=recording, about=report.about or self._about, notes=notes, last_ticks=last_ticks)
+
+    def _last_ticks(self) -> tuple[LastTick, ...]:
+        """The newest rows of this run. They come from the ring: it also holds them after a crash or without a recording."""
+        rows, _, _ = self._ring.read(max(self._first_tick, self._ring.published - LAST_TICKS))
+        return last_ticks_of(rows)
+
+
+def last_ticks_of(rows: Rows) -> tuple[LastTick, ...]:
+    """Force, height, speed and command of each row.
+
+    Args:
+        rows: Rows (n,) of the ring or of a recording, oldest first.
+
+    Returns:
+        One entry a row, in the same order.
+    """
+    return tuple(
+        LastTick(
+            before_end_s=float(rows["now_s"][-1] - row["now_s"]),
+            phase=Phase(int(row["phase"])).name.lower(),
+            force_N=float(row["force_N"]),
+            z_m=float(row["tcp_pose"][2]),
+            vz_m_per_s=float(row["tcp_speed"][2]),
+            command_m_per_s=row["command_m_per_s"].tolist(),
+            command_stop=bool(row["command_stop"]),
+        )
+        for row in rows
+    )
+
+
+def header_of(job: Job, about: RunAbout, reference: tuple[float, ...]) -> RecordingHeader:
+    """Everything that a replay needs to make the decisions again, and where the recording came from.
+
+    Args:
+        job: What is carried out.
+        about: What the opened devices say of themselves.
+        reference: Reference tare (6,) in the sensor's axes, N and Nm.
+
+    Returns:
+        The header of the recording.
+    """
+    arm = motion.arm_geometry_of(job, about["delay_s"])
+    return {
+        "kind": job.kind,
+        "dry": job.dry,
+        "config": job.config.model_dump(mode="json"),
+        "plan": job.plan.model_dump(mode="json"),
+        "sites": [{"name": site.name, "x_m": site.x_m, "y_m": site.y_m} for site in job.plan.sites],
+        "returns_to_start": job.returns_to_start,
+        "reference": list(reference),
+        "machine_stiffness_N_per_m": job.machine_stiffness_N_per_m,
+        "body": {
+            "tip_radius_m": arm.tip_radius_m,
+            "poisson_ratio": job.config.cell.tissue.poisson_ratio if job.config.cell.tissue else 0.5,
+            "delay_s": arm.delay_s,
+            "machine_stiffness_N_per_m": job.machine_stiffness_N_per_m,
+        },
+        "about": about,
+        "epoch_offset_s": about["epoch_offset_s"],
+        "model_card": _card(job),
+        "versions": {name: version(name) for name in ("palpd", "numpy", "ur-rtde", "onnxruntime")},
+        "started": now(),
+    }
+
+
+def _card(job: Job) -> dict[str, Any] | None:
+    path = job.config.model.path
+    return read_card(path) if path and job.kind == "palpation" else None
+
+
+def now() -> str:
+    """Date and time with time zone, ISO 8601."""
+    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+
+
+def recording_name(kind: str) -> str:
+    """A file name that sorts by time."""
+    return f"{datetime.datetime.now():%Y%m%d-%H%M%S}-{kind.replace('_', '-')}"
+
+
+def wait(run: JobRun, on_poll: Callable[[], None] | None = None, poll_s: float = 0.02) -> Report:
+    """Poll a run until it is over. If `on_poll` fails, the run is aborted, and the error raised when the arm is at rest.
+
+    Args:
+        run: The run.
+        on_poll: Called after each poll that found the run still under way.
+        poll_s: Pause between two polls.
+
+    Returns:
+        How the run ended.
+
+    Raises:
+        PalpdError: `on_poll` raised it.
+    """
+    failure: PalpdError | None = None
+    while True:
+        report = run.poll()
+        if report is not None:
+            if failure is not None:
+                raise failure
+            return report
+        if on_poll is not None:
+            try:
+                on_poll()
+            except OSError:  # the terminal is gone: nobody can watch or interrupt the run any more
+                run.interrupt("the end of the terminal")
+                on_poll = None
+            except PalpdError as error:
+                run.ask(Request.ABORT)
+                failure, on_poll = error, None
+        time.sleep(poll_s)

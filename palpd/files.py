@@ -1,0 +1,614 @@
+"""The one way in and the one way out for files: what is read is checked first, what is written appears whole or not at all."""
+
+import io
+import json
+import os
+import re
+import stat
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import MappingProxyType
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
+
+import yaml
+
+from palpd.errors import BadInput, ConfigError, PalpdError
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
+
+Location = tuple[str | int, ...]
+
+MOST_YAML_BYTES = 262_144
+"""Largest YAML file; a plan of a thousand sites has 60 kB, and a larger one takes seconds to parse."""
+MOST_JSON_BYTES = 64_000_000
+"""Largest JSON file; a blind check of 1000 cases has some 5 MB."""
+MOST_TABLE_BYTES = 2_000_000_000
+"""Largest CSV file; a million samples of ten columns have 200 MB."""
+MOST_LEVELS = 32
+"""Deepest nesting of YAML and JSON; our own files have 6 levels."""
+MOST_NODES = 200_000
+"""Most values that a YAML file may stand for with its aliases written out; 256 kB of plain YAML hold fewer."""
+STREAMS = ("/dev/stdout", "/dev/stderr", "/dev/fd/", "/proc/self/fd/")
+"""Names of what a process has open already: a regular file behind one of them is appended to, never replaced."""
+MOST_DIGITS = 40
+"""Longest whole number; a 64-bit one has 19 digits, and Python refuses more than 4300."""
+
+
+# --- reading ------------------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def opened(path: Path, *, most_bytes: int = MOST_TABLE_BYTES, error: type[PalpdError] = BadInput) -> Iterator[IO[bytes]]:
+    """Open a regular file of bounded size for reading; a failed read inside the block is refused too.
+
+    Args:
+        path: File to read.
+        most_bytes: Largest size in bytes.
+        error: Class of the refusal.
+
+    Yields:
+        The bytes of the file.
+
+    Raises:
+        PalpdError: Of the class `error`, where the file is absent, no regular file, too large or not readable.
+    """
+    try:
+        kind = path.stat().st_mode  # before it is opened: opening a serial device or a pipe has effects of its own
+        if not stat.S_ISREG(kind):
+            raise error(f"{path} is {_kind(kind)}, expected a regular file; give the path of a file")
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as stream:
+            size = os.fstat(stream.fileno()).st_size
+            if size > most_bytes:
+                raise error(f"{path} has {size} bytes, expected at most {most_bytes}; is it the right file?")
+            yield stream
+    except OSError as failure:
+        raise error(f"{path} cannot be read ({failure.strerror or failure}); give the path of a file that exists") from failure
+
+
+@contextmanager
+def opened_text(path: Path, *, error: type[PalpdError] = BadInput) -> Iterator[IO[str]]:
+    """Open a table for reading as UTF-8, with or without a byte order mark, line ends as they are.
+
+    Args:
+        path: File to read.
+        error: Class of the refusal.
+
+    Yields:
+        The text of the file.
+
+    Raises:
+        PalpdError: Of the class `error`, as `opened` does, and where the bytes are not UTF-8.
+    """
+    with opened(path, error=error) as stream, io.TextIOWrapper(stream, encoding="utf-8-sig", newline="") as text:
+        try:
+            yield text
+        except UnicodeDecodeError as failure:
+            raise error(f"{path} is not text in UTF-8 (byte {failure.start}); save it as UTF-8") from failure
+
+
+def read_text(path: Path, *, most_bytes: int = MOST_YAML_BYTES, error: type[PalpdError] = BadInput) -> str:
+    """Read a whole text file in UTF-8.
+
+    Args:
+        path: File to read.
+        most_bytes: Largest size in bytes.
+        error: Class of the refusal.
+
+    Returns:
+        The text without a byte order mark.
+
+    Raises:
+        PalpdError: Of the class `error`, as `opened` does, and where the bytes are not UTF-8.
+    """
+    with opened(path, most_bytes=most_bytes, error=error) as stream:
+        content = stream.read(most_bytes + 1)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as failure:
+        line = content.count(b"\n", 0, failure.start) + 1
+        raise error(f"{path}, line {line}: a byte is not UTF-8, expected text; save the file as UTF-8") from failure
+
+
+class Document(NamedTuple):
+    """What a YAML file holds, and where: `places` gives a key's place, such as "plan.yaml, line 3", by its path of keys."""
+
+    name: str
+    content: Any
+    places: Mapping[Location, str] = MappingProxyType({})
+
+    def place(self, location: Location) -> str:
+        """Where that key stands, or the nearest block around it that has a place."""
+        for length in range(len(location), 0, -1):
+            if location[:length] in self.places:
+                return self.places[location[:length]]
+        return self.name
+
+    def keys_and_values(self) -> dict[str, Any]:
+        """The content of a file that must be a mapping; an empty file is an empty one. Raises ConfigError."""
+        if self.content is None:
+            return {}
+        if not isinstance(self.content, dict):
+            raise ConfigError(f"{self.name} holds a {type(self.content).__name__}, expected keys and values")
+        return self.content
+
+
+def read_yaml(path: Path, *, error: type[PalpdError] = ConfigError) -> Document:
+    """Read a YAML file; a key that stands twice in one block is refused with both line numbers.
+
+    Args:
+        path: File to read.
+        error: Class of the refusal.
+
+    Returns:
+        Its content, None where the file is empty, with the line of each key.
+
+    Raises:
+        PalpdError: Of the class `error`, as `read_text` does, and where the text is not what `parse_yaml` accepts.
+    """
+    return parse_yaml(read_text(path, error=error), str(path), error=error)
+
+
+def parse_yaml(text: str, name: str, *, error: type[PalpdError] = ConfigError) -> Document:
+    """Parse YAML in which every key stands once and numbers are decimal (1e-3 is a number; 1:30 and 0x1F are text).
+
+    Args:
+        text: One YAML document.
+        name: What an error calls it.
+        error: Class of the refusal.
+
+    Returns:
+        Its content with the line of each key.
+
+    Raises:
+        PalpdError: Of the class `error`, one sentence with the line.
+    """
+    try:
+        loader = _StrictLoader(text)
+        node = loader.get_single_node()
+        content = None if node is None else loader.construct_document(node)
+    except yaml.MarkedYAMLError as failure:
+        mark = failure.problem_mark or failure.context_mark
+        line = f", line {mark.line + 1}" if mark else ""
+        ours = isinstance(failure, _Refusal)
+        what = failure.problem if ours else f"this is not YAML ({failure.problem or failure.context}); correct it"
+        raise error(f"{name}{line}: {what}") from failure
+    except (yaml.YAMLError, ValueError) as failure:
+        raise error(f"{name} is not YAML ({str(failure).splitlines()[0]}); correct it") from failure
+    places = {} if node is None else {location: f"{name}, line {line}" for location, line in _lines(node, ())}
+    return Document(name, content, places)
+
+
+def read_json(path: Path, *, most_bytes: int = MOST_JSON_BYTES, error: type[PalpdError] = BadInput) -> Any:
+    """Read a JSON file; a key that stands twice in one object is refused.
+
+    Args:
+        path: File to read.
+        most_bytes: Largest size in bytes.
+        error: Class of the refusal.
+
+    Returns:
+        Its content.
+
+    Raises:
+        PalpdError: Of the class `error`, as `read_text` does, and where the text is not what `parse_json` accepts.
+    """
+    return parse_json(read_text(path, most_bytes=most_bytes, error=error), str(path), error=error)
+
+
+def parse_json(text: str, name: str, *, error: type[PalpdError] = BadInput) -> Any:
+    """Parse JSON in which every key stands once.
+
+    Args:
+        text: One JSON value.
+        name: What an error calls it.
+        error: Class of the refusal.
+
+    Returns:
+        Its content.
+
+    Raises:
+        PalpdError: Of the class `error`, one sentence.
+    """
+    try:
+        content = json.loads(text, object_pairs_hook=_pairs, parse_int=_whole)
+    except json.JSONDecodeError as failure:
+        raise error(f"{name}, line {failure.lineno}: this is not JSON ({failure.msg}); correct it") from failure
+    except ValueError as failure:
+        raise error(f"{name}: {failure}") from failure
+    except RecursionError as failure:
+        raise error(_too_deep(name)) from failure
+    if _deeper_than(content, MOST_LEVELS):
+        raise error(_too_deep(name))
+    return content
+
+
+# --- what a model says of a file ----------------------------------------------------------------------------------------------
+
+
+def refusal(error: "ValidationError", model: "type[BaseModel]", document: Document, hints: Mapping[str, str] | None = None) -> str:
+    """Turn the first complaint of pydantic into one sentence: file, line, what was found, what was expected.
+
+    Args:
+        error: What validation raised.
+        model: Model that the document was validated against.
+        document: Names the file and the lines of its keys.
+        hints: Questions to ask about a number out of range, by the end of the key that it belongs to.
+
+    Returns:
+        The sentence.
+    """
+    first = error.errors(include_url=False)[0]
+    location: Location = first["loc"]
+    key, place, message = ".".join(map(str, location)) or "the file", document.place(location), first["msg"]
+    if first["type"] == "extra_forbidden":
+        known = _fields_at(model, location[:-1])
+        return f"{place}: there is no key {key!r}{nearest(str(location[-1]), known)}; expected {', '.join(known)}"
+    if first["type"] == "missing":
+        return f"{place}: {key} is not given; it has no default"
+    if first["type"] == "value_error":
+        return f"{place}: {f'{key}: ' if location else ''}{message.removeprefix('Value error, ')}"
+    ranged = first["type"] in ("less_than", "less_than_equal", "greater_than", "greater_than_equal") or isinstance(first["input"], str)
+    hint = next((f" ({hint})" for end, hint in (hints or {}).items() if ranged and key.endswith(end)), "")
+    expected = message.replace("Input should be", "expected").replace("a valid ", "a ")
+    return f"{place}: {key} is {_shown(first['input'])}{hint}; {expected[0].lower()}{expected[1:]}"
+
+
+def nearest(word: str, known: list[str]) -> str:
+    """Ask whether a known word was meant: " (did you mean 'x'?)", or nothing where none is like it.
+
+    Args:
+        word: What was written.
+        known: What could have been written.
+
+    Returns:
+        The question, or an empty text.
+    """
+    import difflib  # here and not above: only a refusal needs it, and an abort must not wait for it
+
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+# --- writing ------------------------------------------------------------------------------------------------------------------
+
+
+def check_writable(*paths: Path | None, overwrite: bool = True) -> None:
+    """Try the places of output files before any work begins.
+
+    Args:
+        paths: Files that will be written; None is no file.
+        overwrite: Whether a file that exists may be replaced.
+
+    Raises:
+        BadInput: Where a file could not be written.
+    """
+    for path in paths:
+        if path is not None and not _is_stream(path):
+            _try_place(path, overwrite)
+
+
+def check_folder(*folders: Path | None) -> None:
+    """Try folders that will be made or written into; the nearest one that exists must take a file.
+
+    Args:
+        folders: Folders of outputs; None is no folder.
+
+    Raises:
+        BadInput: Where no file could be written.
+    """
+    for folder in folders:
+        if folder is not None:
+            inside = folder / "palpd-tries-to-write-here"
+            while not os.path.lexists(inside.parent) and inside.parent != inside.parent.parent:
+                inside = inside.parent
+            _try_place(inside, overwrite=True)
+
+
+@contextmanager
+def writing(path: Path, *, overwrite: bool = True) -> Iterator[IO[bytes]]:
+    """Write a file that appears whole, on disk, when the block ends; where it raises, the place stays as it was.
+
+    A device or a pipe that stands at `path` (/dev/stdout) is written to directly.
+
+    Args:
+        path: File to write.
+        overwrite: Whether a file that exists may be replaced.
+
+    Yields:
+        A stream for the bytes.
+
+    Raises:
+        BadInput: Where the file cannot be written, or exists and may not be replaced.
+    """
+    if _is_stream(path):
+        with _refusing(path), path.open("ab") as device:
+            yield device
+        return
+    with _beside(path, overwrite) as (stream, target):
+        yield stream
+        stream.flush()
+        os.fsync(stream.fileno())
+        Path(stream.name).replace(target)
+        folder = os.open(target.parent, os.O_RDONLY)
+        with suppress(OSError):  # a file system that cannot synchronise a folder has written the file all the same
+            os.fsync(folder)
+        os.close(folder)
+
+
+@contextmanager
+def writing_text(path: Path, *, overwrite: bool = True) -> Iterator[IO[str]]:
+    """Write a text file in UTF-8 as `writing` does, line ends as given.
+
+    Args:
+        path: File to write.
+        overwrite: Whether a file that exists may be replaced.
+
+    Yields:
+        A stream for the text.
+
+    Raises:
+        BadInput: As `writing` does.
+    """
+    with writing(path, overwrite=overwrite) as stream:
+        text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
+        yield text
+        text.flush()
+        text.detach()
+
+
+def write_bytes(path: Path, content: bytes, *, overwrite: bool = True) -> None:
+    """Write a file whole or not at all.
+
+    Args:
+        path: File to write.
+        content: Its bytes.
+        overwrite: Whether a file that exists may be replaced.
+
+    Raises:
+        BadInput: As `writing` does.
+    """
+    with writing(path, overwrite=overwrite) as stream:
+        stream.write(content)
+
+
+def write_text(path: Path, text: str, *, overwrite: bool = True) -> None:
+    """Write a text file in UTF-8 whole or not at all.
+
+    Args:
+        path: File to write.
+        text: Its text.
+        overwrite: Whether a file that exists may be replaced.
+
+    Raises:
+        BadInput: As `writing` does.
+    """
+    write_bytes(path, text.encode("utf-8", "backslashreplace"), overwrite=overwrite)
+
+
+def write_json(path: Path | None, content: object, *, overwrite: bool = True) -> None:
+    """Write data as JSON whole or not at all; what JSON has no word for (a path) is written as text.
+
+    Args:
+        path: File to write; None writes nothing.
+        content: Data of dictionaries, lists, texts and numbers.
+        overwrite: Whether a file that exists may be replaced.
+
+    Raises:
+        BadInput: As `writing` does.
+    """
+    if path is not None:
+        write_text(path, json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n", overwrite=overwrite)
+
+
+# --- how --------------------------------------------------------------------------------------------------------------------------
+
+
+class _Refusal(yaml.MarkedYAMLError):
+    """A refusal of ours; its problem is a sentence already."""
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """YAML as our files use it: no duplicate keys, bounded nesting and aliases, numbers in decimal only."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012 - PyYAML declares it so
+        first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith((":int", ":float"))]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._level = 0
+        self._sizes: dict[int, int] = {}
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """Compose the next node, and refuse nesting that is too deep and aliases that stand for too much.
+
+        Args:
+            parent: Node around it.
+            index: Its key or number there.
+
+        Returns:
+            The node.
+
+        Raises:
+            yaml.MarkedYAMLError: Where it is refused.
+        """
+        mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+        if self._level >= MOST_LEVELS:
+            raise _Refusal(problem=f"blocks are nested deeper than {MOST_LEVELS} levels; write it flatter", problem_mark=mark)
+        alias = self.check_event(yaml.AliasEvent)
+        self._level += 1
+        node = super().compose_node(parent, index)
+        self._level -= 1
+        if node is None or id(node) in self._sizes:
+            return node
+        if alias:
+            raise _Refusal(problem="an alias stands inside what it names; write the value out", problem_mark=mark)
+        children = [child for pair in node.value for child in pair] if isinstance(node, yaml.MappingNode) else node.value
+        inner = children if isinstance(node, yaml.CollectionNode) else []
+        self._sizes[id(node)] = 1 + sum(self._sizes[id(child)] for child in inner)
+        if self._sizes[id(node)] > MOST_NODES:
+            raise _Refusal(problem=f"the aliases stand for more than {MOST_NODES} values; write fewer", problem_mark=mark)
+        return node
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Construct a mapping, and refuse a key that stands in it twice.
+
+        Args:
+            node: The mapping's node.
+            deep: Whether what it holds is constructed at once.
+
+        Returns:
+            The mapping.
+
+        Raises:
+            yaml.MarkedYAMLError: Where a key stands twice or is no name.
+        """
+        lines: dict[Any, int] = {}
+        for key_node, _ in node.value:
+            merge = key_node.tag == "tag:yaml.org,2002:merge"
+            key = "<<" if merge else self.construct_object(key_node, deep=True)
+            if not isinstance(key, str | int | float | bool | None):
+                raise _Refusal(problem=f"a {type(key).__name__} is no key; expected a name", problem_mark=key_node.start_mark)
+            line = key_node.start_mark.line + 1
+            if key in lines:
+                raise _Refusal(
+                    problem=f"the key {str(key)!r} stands here and in line {lines[key]}, expected once; remove one of them",
+                    problem_mark=key_node.start_mark,
+                )
+            lines[key] = line
+        return super().construct_mapping(node, deep)
+
+    def whole_number(self, node: yaml.ScalarNode) -> int:
+        """Construct a decimal whole number of bounded length."""
+        try:
+            return _whole(node.value)
+        except ValueError as failure:
+            raise _Refusal(problem=str(failure), problem_mark=node.start_mark) from failure
+
+
+_StrictLoader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"^[-+]?[0-9]+$"), list("-+0123456789"))
+_StrictLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^(?:[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"),
+    list("-+0123456789."),
+)
+_StrictLoader.add_constructor("tag:yaml.org,2002:int", _StrictLoader.whole_number)
+
+
+def _lines(node: yaml.Node, at: Location) -> Iterator[tuple[Location, int]]:
+    """The line of every key and list entry of a node, by its path of keys."""
+    if isinstance(node, yaml.MappingNode):
+        inner = [(key.value, key, value) for key, value in node.value if isinstance(key, yaml.ScalarNode)]
+    elif isinstance(node, yaml.SequenceNode):
+        inner = [(number, value, value) for number, value in enumerate(node.value)]
+    else:
+        return
+    for key, where, value in inner:
+        yield (*at, key), where.start_mark.line + 1
+        yield from _lines(value, (*at, key))
+
+
+def _pairs(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the key {twice!r} stands twice in one object, expected once; remove one of them")
+    return content
+
+
+def _whole(text: str) -> int:
+    if len(text) > MOST_DIGITS:
+        raise ValueError(f"a whole number has {len(text)} digits, expected at most {MOST_DIGITS}; correct it")
+    return int(text)
+
+
+def _too_deep(name: str) -> str:
+    return f"{name}: blocks are nested deeper than {MOST_LEVELS} levels; write it flatter"
+
+
+def _deeper_than(content: object, levels: int) -> bool:
+    inner = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
+    return any(levels <= 1 or _deeper_than(each, levels - 1) for each in inner)
+
+
+def _shown(value: object) -> str:
+    """A value as the file has it, cut short."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    import reprlib
+
+    return "null" if value is None else reprlib.repr(value)
+
+
+def _fields_at(model: Any, location: Location) -> list[str]:
+    """The keys that a block may hold, by its place in the file."""
+    for part in location:
+        inner = getattr(model, "model_fields", {}).get(part)
+        if inner is not None:
+            model = _model_in(inner.annotation) or model
+    return list(getattr(model, "model_fields", {}))
+
+
+def _model_in(annotation: Any) -> Any:
+    """The model that an annotation such as `tuple[Site, ...]` or `Wall | None` speaks of."""
+    if hasattr(annotation, "model_fields"):
+        return annotation
+    return next((model for part in getattr(annotation, "__args__", ()) if (model := _model_in(part))), None)
+
+
+def _kind(mode: int) -> str:
+    kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+    return kinds.get(stat.S_IFMT(mode), "a device")
+
+
+def _is_stream(path: Path) -> bool:
+    """Whether a device or a pipe stands there, which is written to and not replaced."""
+    with _refusing(path):
+        mode = path.stat().st_mode if path.exists() else stat.S_IFREG
+    return str(path).startswith(STREAMS) or not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+@contextmanager
+def _beside(path: Path, overwrite: bool) -> Iterator[tuple[IO[bytes], Path]]:
+    """A new file beside the one to write, gone afterwards unless it was renamed; and what it is to be renamed to."""
+    with _refusing(path):
+        target = Path(os.path.realpath(path))  # behind a link, so that the link stays
+        mode = target.stat().st_mode if target.exists() else None
+        if target.is_symlink():
+            raise BadInput(f"{path} cannot be written, because it is a link that leads back to itself; remove it")
+        if mode is not None and stat.S_ISDIR(mode):
+            raise BadInput(f"{path} is a folder, expected the name of a file; give one")
+        if mode is not None and not overwrite:
+            raise BadInput(f"{path} exists and is not overwritten; choose another name or move it away")
+        if not target.parent.is_dir():
+            raise BadInput(f"{path} cannot be written, because {target.parent} is no folder; make it first")
+        if mode is not None and not os.access(target, os.W_OK):
+            raise BadInput(f"{path} cannot be written (it is read-only); choose another place")
+        fresh = target.with_name(f".palpd-{os.urandom(6).hex()}")
+        try:
+            with fresh.open("xb") as stream:
+                if mode is not None:
+                    os.fchmod(stream.fileno(), stat.S_IMODE(mode))
+                yield stream, target
+        finally:
+            fresh.unlink(missing_ok=True)
+
+
+def _try_place(path: Path, overwrite: bool) -> None:
+    """Write a byte beside a file and take it back: a full disk takes a file, but no content."""
+    with _beside(path, overwrite) as (stream, _):
+        stream.write(b"\0")
+        stream.flush()
+
+
+@contextmanager
+def _refusing(path: Path) -> Iterator[None]:
+    """Turn what the system says of a file that cannot be written into a sentence."""
+    try:
+        yield
+    except OSError as failure:
+        raise BadInput(f"{path} cannot be written ({failure.strerror or failure}); choose another place") from failure

@@ -1,0 +1,171 @@
+"""Stage 4 of a diagnosis: how likely the data are under one hypothesis, a set of effects at its best."""
+
+from dataclasses import dataclass
+from math import lgamma, log, pi
+
+import numpy as np
+
+from palpd.cell.cell_file import EffectValues
+from palpd.cell.effects import Scale
+from palpd.gap.coordinates import Coordinate
+from palpd.gap.discrepancy import P_EXACT_LAW, model_discrepancies
+from palpd.gap.fit import Optimum, fit_values
+from palpd.gap.linearise import Linearisation
+from palpd.gap.nuisances import Nuisances, gram, project, stable_inverse
+from palpd.gap.problem import Problem
+from palpd.tick import Floats
+
+LOG_SIZE_RANGE = 7.0
+"""Width of the prior of an effect's size in sigmas, log-uniform: e^7 is a factor of a thousand."""
+
+CONTRARY_NATS = 4.0
+"""Price of an amplitude with the sign that is possible but not typical of its effect (a reading that creeps down under load)."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A hypothesis at its best, and how likely the data are under it.
+
+    Attributes:
+        names: Its effects.
+        values: Their parameters.
+        where: The k free parameters.
+        u: Their coordinates (k,).
+        covariance: Covariance (k, k) of the coordinates.
+        change: What the effects do to the whitened prediction (7, b).
+        residual: Data minus prediction (7, b), whitened.
+        remainder: The residual without what the nuisances explain (7, b).
+        misfit: Squared whitened residual of the exact laws.
+        log_exact: Log likelihood with exact laws at their best parameters.
+        log_likelihood: Log likelihood with laws of any discrepancy.
+        occam: Log of prior times posterior volume of the parameters.
+        discrepancy_energy: Squared sigmas by which the most likely laws differ from the exact ones, beyond what tolerances hide.
+        linearisation: The nuisances.
+    """
+
+    names: tuple[str, ...]
+    values: EffectValues
+    where: tuple[Coordinate, ...]
+    u: Floats
+    covariance: Floats
+    change: Floats
+    residual: Floats
+    remainder: Floats
+    misfit: float
+    log_exact: float
+    log_likelihood: float
+    occam: float
+    discrepancy_energy: float
+    linearisation: Linearisation
+
+    @property
+    def eta(self) -> Floats:
+        """Shared deviations (11,) around which it was fitted, in standard deviations."""
+        return self.linearisation.eta
+
+    @property
+    def log_evidence(self) -> float:
+        """Log evidence with laws of any discrepancy."""
+        return self.occam + self.log_likelihood
+
+
+def fit(problem: Problem, start: EffectValues, around: Linearisation, *, iterations: int = 8, rounds: int = 0) -> Fit:
+    """Fit a set of effects and weigh it.
+
+    Args:
+        problem: The data and their prediction.
+        start: Parameters by effect at which the search starts; empty for a cell without effects.
+        around: Nuisances to begin with.
+        iterations: Most iterations of the first search.
+        rounds: Number of times that the nuisances are linearised again.
+
+    Returns:
+        The hypothesis at its best.
+    """
+    return laplace_evidence(problem, fit_values(problem, start, around, iterations=iterations, rounds=rounds))
+
+
+def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
+    """Laplace's approximation of the evidence of a hypothesis, over parameters, nuisances and model discrepancies.
+
+    Args:
+        problem: The data and their prediction.
+        best: The optimum under the exact laws.
+
+    Returns:
+        The hypothesis with its evidence.
+    """
+    space, at, eta = best.around.space, best.prediction, best.around.eta
+    residual = problem.data + best.around.offset() - at
+    log_exact = -0.5 * best.misfit - 0.5 * space.log_determinant
+    slopes = [project(j, space) for j in best.jacobian]
+    normal = gram(slopes)
+    occam, covariance, change = 0.0, np.zeros((0, 0)), np.zeros_like(at)
+    log_likelihood, discrepancy_energy = log_exact, 0.0
+    if best.names:
+        occam, covariance = _occam(problem, best, normal)
+        change = at - problem.predict({}, eta)
+        if discrepancies := model_discrepancies(problem, best, project(residual, space), slopes, normal):
+            each = np.array([log(P_EXACT_LAW), *(one.log_prior + one.gain for one in discrepancies)])
+            log_likelihood = log_exact + float(np.logaddexp.reduce(each))
+            if likeliest := int(np.argmax(each)):
+                discrepancy_energy = _unfittable_energy(discrepancies[likeliest - 1].change(), best.jacobian, space)
+                covariance = discrepancies[likeliest - 1].covariance
+    return Fit(
+        names=best.names,
+        values=best.values,
+        where=best.where,
+        u=best.u,
+        covariance=covariance,
+        change=change,
+        residual=residual,
+        remainder=residual - space.explained(space.coefficients(residual)),
+        misfit=best.misfit,
+        log_exact=log_exact,
+        log_likelihood=log_likelihood,
+        occam=occam,
+        discrepancy_energy=discrepancy_energy,
+        linearisation=best.around,
+    )
+
+
+def _unfittable_energy(change: Floats, jacobian: list[Floats], space: Nuisances) -> float:
+    """Energy of a change that neither the parameters nor tolerances could have made."""
+    slopes = np.array([j.ravel() for j in jacobian]).T
+    rest = change.ravel() - slopes @ np.linalg.lstsq(slopes, change.ravel(), rcond=1e-9)[0]
+    return float((space.beyond(rest.reshape(change.shape)) ** 2).sum())
+
+
+def _occam(problem: Problem, best: Optimum, normal: Floats) -> tuple[float, Floats]:
+    """Log of prior times posterior volume, and the covariance of the coordinates.
+
+    The prior is the same for every effect in what matters: its size in sigmas is log-uniform, its direction among several amplitudes
+    uniform, and its shapes are uniform over their range.
+    """
+    where, values, around = best.where, best.values, best.around
+    # The prior range binds a coordinate that the data do not bind.
+    widths = np.array([1e3 if c.amplitude else c.range / 3.46 for c in where])
+    full = normal + np.diag(1.0 / widths**2)
+    sign, log_det = np.linalg.slogdet(full)
+    volume = 0.5 * (len(where) * log(2.0 * pi) - (log_det if sign > 0 else 0.0))
+    prior = 0.0
+    at = problem.predict(values, around.eta)
+    for name in values:
+        index = [k for k, c in enumerate(where) if c.effect == name]
+        amplitudes = [k for k in index if where[k].amplitude]
+        m = len(amplitudes)
+        others = {other: v for other, v in values.items() if other != name}
+        change = project(at - problem.predict(others, around.eta), around.space)
+        size = max(change.dot(change), 1.0) ** 0.5
+        if m:
+            _, log_density = np.linalg.slogdet(normal[np.ix_(amplitudes, amplitudes)] + 1e-12 * np.eye(m))
+            sphere = log(2.0) + 0.5 * m * log(pi) - lgamma(0.5 * m)
+            prior += -log(LOG_SIZE_RANGE) - m * log(size) - sphere + 0.5 * log_density
+        prior -= sum(log(where[k].range) for k in index if not where[k].amplitude)
+        prior -= CONTRARY_NATS * sum(_contrary(where[k], values[name][where[k].parameter.name], problem.scale) for k in amplitudes)
+    return prior + volume, stable_inverse(full)
+
+
+def _contrary(c: Coordinate, value: float, scale: Scale) -> bool:
+    """Whether an amplitude has the opposite sign of all its starting values."""
+    return c.nominal == 0.0 and all(start * value < 0.0 for start in c.parameter.starts(scale))

@@ -1,0 +1,227 @@
+"""Everything within specification around one state of the cell, as columns of a linear model with coefficients N(0, 1)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpd.cell.cell_file import CellFile, EffectValues
+from palpd.cell.simulation import wrench_of
+from palpd.gap.noise import FX, FY, FZ, TX, TY, Z, resolutions
+from palpd.gap.nuisances import Nuisances, nuisances
+from palpd.gap.phases import FREE_STILL, HOLDING
+from palpd.gap.prepare import PreparedRecording
+from palpd.gap.problem import CROSSTALK, RELATIVE, SHARED, Problem, torque_arm_m
+from palpd.gap.rounding import undithered_rms
+from palpd.recording.samples import runs_of_true
+from palpd.tick import Floats
+
+LEAKS_INTO = {"fx_per_fz": FX, "fy_per_fz": FY, "tx_per_fz": TX, "ty_per_fz": TY}
+LEAKS = np.isin(SHARED, CROSSTALK)
+
+MOST_RESTS = 80
+"""Rests of a recording that keep a rounding offset of their own; more would cost time and say little."""
+
+
+class Column(NamedTuple):
+    """What a column stands for: a deviation of the cell, of one recording or of one press, or an error of the computation."""
+
+    scope: Literal["cell", "recording", "press", "computation"]
+    name: str
+    channel: int = -1
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """The nuisances around one state of the cell.
+
+    Attributes:
+        effects: The effects in that state.
+        eta: The shared deviations there (11,), in standard deviations.
+        columns: Changes (k, 7, b) by one standard deviation of each nuisance, whitened; the first 11 are the shared deviations.
+        labels: What each column stands for (k,). Effects change the list: a press that no longer touches has no columns.
+        space: The same columns, prepared to be projected out.
+        prediction: Whitened prediction (7, b) of the cell in that state.
+    """
+
+    effects: EffectValues
+    eta: Floats
+    columns: Floats
+    labels: tuple[Column, ...]
+    space: Nuisances
+    prediction: Floats
+
+    def numbers(self, scope: str, name: str | None = None, channel: int | None = None) -> list[int]:
+        """Numbers of the columns of one kind.
+
+        Args:
+            scope: What they belong to, as in Column.
+            name: Name of the deviation; any where not given.
+            channel: Channel; any where not given.
+
+        Returns:
+            The numbers in ascending order.
+        """
+        return [
+            k
+            for k, label in enumerate(self.labels)
+            if label.scope == scope and name in (None, label.name) and channel in (None, label.channel)
+        ]
+
+    def offset(self) -> Floats:
+        """Prediction (7, b) to give back, since the coefficients count from zero and not from `eta`."""
+        return np.tensordot(self.eta, self.columns[: len(self.eta)], axes=1)
+
+    def restricted_to(self, bins: NDArray[np.bool_]) -> "Linearisation":
+        """The nuisances of a problem in which only some bins count.
+
+        Args:
+            bins: Which of them (b,).
+
+        Returns:
+            A new linearisation.
+        """
+        columns = np.where(bins[None, None, :], self.columns, 0.0)
+        prediction = np.where(bins[None, :], self.prediction, 0.0)
+        return Linearisation(self.effects, self.eta, columns, self.labels, nuisances(columns), prediction)
+
+
+def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisation:
+    """Nuisance columns around a state of the cell.
+
+    A deviation that one of the effects stands for is the effect's own: it is fitted, not marginalised, and its column is zero.
+
+    Args:
+        problem: The data and their prediction.
+        effects: Parameters by effect.
+        eta: Shared deviations (11,) in standard deviations.
+
+    Returns:
+        Shared deviations first, then those of every recording and its presses.
+    """
+    eta = np.where(problem.own_tolerances(effects), 0.0, eta)
+    prediction = problem.predict(effects, eta)
+    shared = _shared_columns(problem, effects, eta, prediction)
+    own = list(_own_columns(problem, effects, eta, prediction, shared))
+    columns = np.array([*shared, *(values for _, values in own)])
+    labels = (*(Column("cell", name) for name in SHARED), *(label for label, _ in own))
+    return Linearisation(effects, eta, columns, labels, nuisances(columns), prediction)
+
+
+def _shared_columns(problem: Problem, effects: EffectValues, eta: Floats, prediction: Floats) -> list[Floats]:
+    """Forward differences of the prediction with every shared deviation."""
+    sd = np.where(problem.own_tolerances(effects), 0.0, problem.shared_sd)
+    leaking = eta + np.where(LEAKS, 0.5, 0.0)  # each into an axis of its own, so all at once
+    leaks = (problem.predict(effects, leaking) - prediction) / 0.5 if sd[LEAKS].any() else np.zeros_like(prediction)
+    columns = []
+    for k, name in enumerate(SHARED):
+        column = np.zeros_like(prediction)
+        if sd[k] > 0.0 and name in LEAKS_INTO:
+            channel = LEAKS_INTO[name]
+            column[channel] = leaks[channel]
+        elif sd[k] > 0.0:
+            step = 0.3 if name == "surface_z_m" else 0.5
+            h = min(step, 0.05 / sd[k]) if name in RELATIVE else step
+            there = eta.copy()
+            there[k] += h
+            column = (problem.predict(effects, there) - prediction) / h
+        columns.append(column)
+    return columns
+
+
+def _own_columns(
+    problem: Problem, effects: EffectValues, eta: Floats, prediction: Floats, shared: list[Floats]
+) -> Iterator[tuple[Column, Floats]]:
+    """Labelled columns (7, b) of every recording in turn: its zeros, errors of the computation, press scatter, rounding."""
+    cell = problem.cell_at(effects, eta)
+    owned = {problem.library[name].tolerance for name in effects}
+    z_m = problem.noise.natural(prediction)[Z]
+    start = 0
+    for recording in problem.recordings:
+        here = slice(start, start + len(recording.bins))
+        start = here.stop
+
+        def whitened(label: Column, values: Floats, here: slice = here) -> tuple[Column, Floats]:
+            column = np.zeros_like(prediction)
+            column[label.channel, here] = values
+            return label, problem.noise.whiten(column)
+
+        for label, values in _zeros(problem, recording, cell):
+            yield whitened(label, 0.0 * values if label.channel == FZ and label.name in owned else values)
+        for label, values in _computation_errors(problem, recording, cell, z_m[here]):
+            yield whitened(label, values)
+        if recording.judged[Z]:
+            for name, values in zip(("hidden delay", "controller order"), problem.servo_errors_m[:, here], strict=True):
+                yield whitened(Column("computation", name, Z), values)
+        yield from _press_columns(problem, recording, here, shared)
+        for label, values in _rounding_offsets(problem, recording):
+            yield whitened(label, values)
+
+
+def _zeros(problem: Problem, recording: PreparedRecording, cell: CellFile) -> Iterator[tuple[Column, Floats]]:
+    """Bias and drift of every axis; where fz is rounded coarsely, readings between two levels do not follow them."""
+    tolerances, b = problem.cell.tolerances, len(recording.bins)
+    felt: Floats | float = 1.0
+    if problem.rounding is not None:
+        fz_N = wrench_of(cell, recording.motion, problem.library)[:, FZ - 1]
+        felt = recording.binned_steps(recording.motion, problem.rounding.slope(fz_N))
+    for channel in range(FX, 7):
+        if recording.judged[channel]:
+            arm = 1.0 if channel < TX else torque_arm_m(problem.cell)
+            share = felt if channel == FZ else 1.0
+            yield Column("recording", "bias_N", channel), share * arm * tolerances.bias_N * np.ones(b)
+            yield Column("recording", "drift_N_per_min", channel), share * arm * tolerances.drift_N_per_min / 60.0 * recording.t_s
+
+
+def _computation_errors(problem: Problem, recording: PreparedRecording, cell: CellFile, z_m: Floats) -> Iterator[tuple[Column, Floats]]:
+    """Errors of the times of commanded heights and of the motion that drives the force."""
+    if recording.judged[Z]:
+        # A target that is held between controller cycles is known to about a tenth of a step.
+        slope = np.gradient(z_m, recording.t_s)
+        yield Column("computation", "time", Z), 0.1 * recording.samples_each / recording.samples.rate_Hz * slope
+    # Averaging removed a part of the motion; averaging once more removes about as much again, which is how uncertain the motion is.
+    fz_N = problem.binned_wrench(recording, cell, recording.motion)[FZ - 1]
+    for motion in recording.smoother if recording.judged[FZ] else ():
+        yield Column("computation", "motion", FZ), problem.binned_wrench(recording, cell, motion)[FZ - 1] - fz_N
+
+
+def _press_columns(problem: Problem, recording: PreparedRecording, here: slice, shared: list[Floats]) -> Iterator[tuple[Column, Floats]]:
+    """Scatter of stiffness and surface of every press, as the shared deviations act within it."""
+    repeatability = problem.cell.repeatability
+    for press in range(recording.phases.presses):
+        window = np.zeros(shared[0].shape[1], dtype=bool)
+        window[here] = _and_neighbours(recording.bin_press == press)
+        for name, deviation, scatter in (
+            ("stiffness", "youngs_modulus", repeatability.stiffness),
+            ("surface_z_m", "surface_z_m", repeatability.surface_z_m),
+        ):
+            source, sd = shared[SHARED.index(deviation)], problem.shared_sd[SHARED.index(deviation)]
+            if sd > 0 and scatter > 0 and source[FZ, window].any():
+                yield Column("press", name), np.where(window, source * (scatter / sd), 0.0)
+
+
+def _rounding_offsets(problem: Problem, recording: PreparedRecording) -> Iterator[tuple[Column, Floats]]:
+    """Where noise does not dither the rounding, every rest keeps an offset of up to half a step."""
+    for channel, stated in enumerate(resolutions(problem.cell)):
+        step = problem.rounding.step_N if channel == FZ and problem.rounding is not None else stated
+        if step <= 0 or not recording.judged[channel]:
+            continue
+        offset = undithered_rms(step, float(recording.noise_rms[channel]))
+        if offset < 0.1 * recording.noise_rms[channel]:
+            continue
+        first, end = runs_of_true(np.isin(recording.bin_phase, (FREE_STILL, HOLDING)))
+        for a, b in zip(first[:MOST_RESTS], end[:MOST_RESTS], strict=True):
+            if b - a >= 3:
+                rest = np.zeros(len(recording.bins))
+                rest[a:b] = offset
+                yield Column("recording", "rounding", channel), rest
+
+
+def _and_neighbours(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The mask and one bin at either side."""
+    wide = mask.copy()
+    wide[1:] |= mask[:-1]
+    wide[:-1] |= mask[1:]
+    return wide

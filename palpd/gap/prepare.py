@@ -1,0 +1,226 @@
+"""Stage 1 of a diagnosis: a recording is cut into phases and bins; the motion of its tip and the noise of its channels are estimated."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array
+
+from palpd.cell.cell_file import CellFile
+from palpd.cell.dynamics import TipMotion
+from palpd.cell.report_times import Reports, find_reports, straight_between
+from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
+from palpd.gap.bins import Bins, make_bins
+from palpd.gap.noise import FZ, Z, dead, declared_rms, measured_rms
+from palpd.gap.phases import FREE_STILL, HOLDING, Ints, Phases, find_phases
+from palpd.recording.samples import Samples
+from palpd.tick import Floats
+
+FILTER_MEMORY = 4.6
+"""Time constants after which a filter has forgotten all but one hundredth of its input."""
+
+REST_SAMPLES = 60
+"""Fewest samples at rest from which the noise is measured; with fewer, the whole recording is used."""
+
+
+@dataclass(frozen=True)
+class PreparedRecording:
+    """One recording of n samples in b bins, with the noise of every bin and the motion behind its noisy heights."""
+
+    samples: Samples
+    phases: Phases
+    bins: Bins  # of samples
+    steps: Bins  # of the simulation's steps; a step is several samples long where the motion is smooth enough
+    sampled: TipMotion  # at every sample
+    motion: TipMotion  # at the steps, moved to even times where these were nearly even
+    step_t_s: Floats  # the true times of the steps
+    smoother: tuple[TipMotion, TipMotion]  # `motion` with its path averaged once more, and with its acceleration averaged once more
+    reports: Reports  # of the robot
+    robot_t_s: Floats  # (k,) times at which the robot is simulated: the samples where it reports more slowly, else the steps
+    z_cmd_m: Floats | None  # (k,) at those times
+    z_means: csr_array  # (b, k) takes means over the bins of heights at those times
+    inertial_noise_N: csr_array  # (b, r) effect on fz of one standard deviation of the error of each reported speed
+    noise_rms: Floats  # (7,) of one sample, as measured
+    rest: NDArray[np.bool_]  # (n,) samples at which the noise was measured
+    noise_measured: bool  # whether there were enough of them
+    judged: tuple[bool, ...]  # which of the 7 channels are compared
+
+    @cached_property
+    def samples_each(self) -> float:
+        """Number of samples per report of the robot."""
+        return self.reports.rows_each
+
+    @cached_property
+    def t_s(self) -> Floats:
+        """Mean time of every bin (b,), from the first sample."""
+        return self.bins.mean(self.samples.t_s - self.samples.t_s[0])
+
+    @cached_property
+    def bin_phase(self) -> Ints:
+        """Phase of every bin (b,)."""
+        return self.bins.label(self.phases.phase)
+
+    @cached_property
+    def bin_cycle(self) -> Ints:
+        """Cycle of every bin (b,)."""
+        return self.bins.label(self.phases.cycle)
+
+    @cached_property
+    def bin_press(self) -> Ints:
+        """Press of every bin (b,), -1 for none."""
+        return self.bins.label(self.phases.press)
+
+    def binned_steps(self, motion: TipMotion, values: Floats) -> Floats:
+        """Means over the bins of what was computed at the even times of a motion.
+
+        Args:
+            motion: Motion at the steps of this recording.
+            values: One value per time of that motion.
+
+        Returns:
+            Means (b,) in the unit of the values.
+        """
+        return self.steps.mean(np.interp(self.step_t_s, motion.t_s, values))
+
+
+def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecording:
+    """Prepare a recording for comparison with the simulation of a cell.
+
+    Args:
+        samples: The recording.
+        cell: Its nominal cell.
+        max_bins: Largest number of bins, about.
+
+    Returns:
+        The prepared recording.
+    """
+    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
+    phases = find_phases(samples, surface_m, cell.robot.position_noise_rms_m)
+    reports = find_reports(samples.t_s, samples.z_m)
+    sampled = estimate_tip_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m, reports)
+    again = estimate_tip_motion(cell, samples.t_s, sampled.z_m, sampled.vz_m_per_s, samples.z_cmd_m)
+    samples_per_step = Bins.of_equal_length(samples.t_s, _step_length(samples, cell, reports.rows_each))
+    steps = make_bins(samples_per_step.mean(samples.t_s), phases, samples_per_step, max_bins)
+    bins = samples_per_step.merged(steps)
+    robot_t_s, z_cmd_m, z_means = _robot_grid(samples, reports, sampled, samples_per_step, steps, bins)
+    still = np.isin(phases.phase, (FREE_STILL, HOLDING)) & (phases.since_s > 0.1 * phases.since_s.max())
+    rest = still if samples.held is None else still & ~samples.held
+    judged, noise_rms = _noise(samples, cell, reports, still, rest)
+    return PreparedRecording(
+        samples=samples,
+        phases=phases,
+        bins=bins,
+        steps=steps,
+        sampled=sampled,
+        motion=_at_steps(sampled, samples_per_step),
+        step_t_s=samples_per_step.mean(sampled.t_s),
+        smoother=(
+            _at_steps(replace(sampled, z_m=again.z_m, vz_m_per_s=again.vz_m_per_s), samples_per_step),
+            _at_steps(replace(sampled, az_m_per_s2=again.az_m_per_s2), samples_per_step),
+        ),
+        reports=reports,
+        robot_t_s=robot_t_s,
+        z_cmd_m=z_cmd_m,
+        z_means=z_means,
+        inertial_noise_N=_inertial_noise(samples, cell, sampled, reports, bins) if judged[FZ] else csr_array((len(bins), 1)),
+        noise_rms=noise_rms,
+        rest=rest,
+        noise_measured=bool(still.sum() >= REST_SAMPLES),
+        judged=judged,
+    )
+
+
+def _robot_grid(
+    samples: Samples, reports: Reports, sampled: TipMotion, samples_per_step: Bins, steps: Bins, bins: Bins
+) -> tuple[Floats, Floats | None, csr_array]:
+    """Times at which the robot is simulated (k,), its commanded heights there (k,), and the matrix of means over the bins (b, k)."""
+    if reports.rows_each > 1.0:
+        z_means = bins.means() @ reports.joined @ straight_between(reports.t_s, samples.t_s)
+        return samples.t_s - samples.t_s[0], samples.z_cmd_m, z_means
+    # A time that is off by a tenth of a step makes, by the robot's lag, a height that is off by more than its noise.
+    t_s = samples_per_step.mean(sampled.t_s)
+    robot_t_s = _even(t_s)
+    z_cmd_m = None if samples.z_cmd_m is None else np.interp(robot_t_s, t_s, samples_per_step.mean(samples.z_cmd_m))
+    return robot_t_s, z_cmd_m, steps.means() @ straight_between(t_s, robot_t_s)
+
+
+def _noise(
+    samples: Samples, cell: CellFile, reports: Reports, still: NDArray[np.bool_], rest: NDArray[np.bool_]
+) -> tuple[tuple[bool, ...], Floats]:
+    """Which channels are compared, and the noise rms of one sample of each (7,): as measured, at least half of the stated."""
+    declared = declared_rms(cell)
+    judged, measured = [], np.zeros(7)
+    for channel in range(7):
+        if channel == Z:
+            usable = samples.z_cmd_m is not None and not dead(samples.z_m)
+            signal, where = reports.values(samples.z_m), still[np.searchsorted(samples.t_s, reports.t_s)]
+        else:
+            signal, where = samples.wrench[:, channel - 1], rest
+            usable = not dead(signal)
+        judged.append(usable)
+        if usable:
+            measured[channel] = measured_rms(signal, where) if where.sum() >= REST_SAMPLES else min(measured_rms(signal), declared[channel])
+    floor = np.where(declared > 0, declared, np.maximum(measured, 1e-300))
+    return tuple(judged), np.where(measured > 0, np.maximum(measured, 0.5 * floor), floor)
+
+
+def _inertial_noise(samples: Samples, cell: CellFile, motion: TipMotion, reports: Reports, bins: Bins) -> csr_array:
+    """Effect of one standard deviation of the error of each reported speed (r,) on the binned force of inertia (b,), in N.
+
+    The error of one report pushes forth and back for the time over which slopes are taken, and for the memory of the sensor's filter
+    after that. Bins share it.
+    """
+    n, dt_s = len(samples), 1.0 / samples.rate_Hz
+    weights = cell.probe.mass_kg * motion.v_noise_m_per_s * slope_weights(dt_s, motion.slope_half)
+    first = -(len(weights) // 2)
+    if cell.sensor.filter_cutoff_Hz:
+        per_step = 2.0 * np.pi * cell.sensor.filter_cutoff_Hz * dt_s
+        remembered = np.exp(-per_step * np.arange(int(FILTER_MEMORY / per_step) + 1))
+        weights, first = np.convolve(weights, remembered[::-1] / remembered.sum()), first - len(remembered) + 1
+    weight = bins.mean(np.broadcast_to(motion.acceleration_weight, n))
+    return csr_array(diags_array(weight) @ _means_of_sums(bins, weights, first, n) @ reports.joined)
+
+
+def _means_of_sums(bins: Bins, weights: Floats, first: int, n: int) -> csr_array:
+    """Matrix (b, n) that takes weighted sums of neighbours of n samples, from `first` on, and their mean over every bin."""
+    reach = bins.count + len(weights) - 1
+    row = np.repeat(np.arange(len(bins)), reach)
+    k = np.arange(len(row)) - np.repeat(np.cumsum(reach) - reach, reach)
+    column = bins.begin[row] + first + k
+    total = np.concatenate([[0.0], np.cumsum(weights)])
+    value = (total[np.minimum(k + 1, len(weights))] - total[np.maximum(k + 1 - bins.count[row], 0)]) / bins.count[row]
+    inside = (column >= 0) & (column < n)
+    return csr_array((value[inside], (row[inside], column[inside])), shape=(len(bins), n))
+
+
+def _step_length(samples: Samples, cell: CellFile, samples_each: float) -> int:
+    """Number of samples in one step of the simulation.
+
+    A step takes at most a fifth of the time over which heights are averaged, and at least 4500 steps remain. It takes up to a third where
+    the robot reports no more often, since no faster motion is known there.
+    """
+    averaged = 0.25 / cell.robot.servo_natural_frequency_Hz * samples.rate_Hz
+    return max(1, min(int(averaged / 5.0), len(samples) // 4500), min(int(averaged / 3.0), int(samples_each)))
+
+
+def _at_steps(motion: TipMotion, samples_per_step: Bins) -> TipMotion:
+    t_s = samples_per_step.mean(motion.t_s)
+    even_s = _even(t_s)
+
+    def at(values: Floats) -> Floats:
+        return np.interp(even_s, t_s, samples_per_step.mean(values))
+
+    return replace(motion, t_s=even_s, z_m=at(motion.z_m), vz_m_per_s=at(motion.vz_m_per_s), az_m_per_s2=at(motion.az_m_per_s2))
+
+
+def _even(t_s: Floats) -> Floats:
+    """Times of steps on an even grid, since a filter over even steps costs a tenth of one over uneven ones.
+
+    They move by up to half a step; the last step may be short and move further. Where that does not suffice they stay.
+    """
+    if len(t_s) < 4:
+        return t_s
+    step_s = float(t_s[-2] - t_s[0]) / (len(t_s) - 2)
+    even_s = t_s[0] + step_s * np.arange(len(t_s))
+    return even_s if float(np.abs(even_s - t_s)[:-1].max()) < 0.5 * step_s else t_s

@@ -1,0 +1,84 @@
+"""Noise and resolution of a sensor as its recordings show them, for what the cell file does not state."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpd.cell.cell_file import CellFile
+from palpd.gap.noise import FX, FY, FZ, TX, TY, TZ, dead, lattice_step, measured_rms
+from palpd.gap.phases import FREE_STILL, HOLDING, find_phases
+from palpd.gap.prepare import REST_SAMPLES
+from palpd.recording.samples import Samples
+from palpd.tick import Floats
+
+NOISE = {"noise_rms_N": (FX, FY, FZ), "noise_rms_Nm": (TX, TY, TZ)}
+RESOLUTION = {"resolution_fxy_N": (FX, FY), "resolution_fz_N": (FZ,), "resolution_Nm": (TX, TY, TZ)}
+"""Channels that a key of the cell file's sensor block is about."""
+
+FAR_FROM_STATED = 5.0
+"""Ratio of measured and stated noise from which on a note says so: no surroundings change a healthy sensor this far."""
+
+
+def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[CellFile, list[str]]:
+    """Take noise and resolution that a cell file does not state from the recordings.
+
+    Args:
+        recordings: The recordings of the cell.
+        cell: The cell file.
+
+    Returns:
+        The cell with every value stated, and one sentence for each value that was measured or is far from the stated one.
+    """
+    resolution = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
+    rests = [_rests(samples, cell) for samples in recordings]
+    resting = all(rest is not None for rest in rests)
+    noise = {key: _noise_rms(recordings, rests, channels) for key, channels in NOISE.items()}
+    stated = cell.sensor.model_fields_set
+    measured: dict[str, float] = {key: step for key, step in resolution.items() if key not in stated}
+    notes = []
+    for key, rms in noise.items():
+        if rms is None:
+            continue
+        before = float(getattr(cell.sensor, key))
+        if key not in stated:
+            measured[key] = rms
+        elif resting and not rms / FAR_FROM_STATED <= before <= rms * FAR_FROM_STATED and before > 0.0:
+            notes.append(f"sensor.{key} is {before:.3g} and the recording shows {rms:.3g}, expected within a factor of 5; correct it.")
+    if not measured:
+        return cell, notes
+    values = ", ".join(f"{key} {value:.3g}" for key, value in measured.items())
+    notes.append(f"the cell file does not state all noise and resolution, so the recording's own count: {values}.")
+    return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=measured)}), notes
+
+
+def _rests(samples: Samples, cell: CellFile) -> NDArray[np.bool_] | None:
+    """Samples at rest (n,); None where there are too few to measure noise."""
+    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
+    still = np.isin(find_phases(samples, surface_m, cell.robot.position_noise_rms_m).phase, (FREE_STILL, HOLDING))
+    return still if still.sum() >= REST_SAMPLES else None
+
+
+def _noise_rms(recordings: Sequence[Samples], rests: Sequence[NDArray[np.bool_] | None], channels: tuple[int, ...]) -> float | None:
+    """Noise of one sample before rounding, the median over live axes and recordings; None without a live axis."""
+    values = []
+    for samples, rest in zip(recordings, rests, strict=True):
+        for channel in channels:
+            signal = samples.wrench[:, channel - 1]
+            if not dead(signal):
+                rounding = lattice_step(signal) ** 2 / 12.0
+                square = (_quiet_rms(signal) if rest is None else measured_rms(signal, rest)) ** 2
+                values.append(max(square - rounding, 0.01 * square, (1e-9 * float(np.ptp(signal))) ** 2) ** 0.5)
+    return float(np.median(values)) if values else None
+
+
+def _quiet_rms(values: Floats) -> float:
+    """Rms of the white part of a signal that never rests, from the lower quartile of its second differences."""
+    quartile = float(np.quantile(np.abs(np.diff(values, 2)), 0.25)) if len(values) > 2 else 0.0
+    return quartile / (0.3186 * 6.0**0.5) or measured_rms(values)  # |x| < 0.3186 σ in a quarter of normal cases
+
+
+def _step(recordings: Sequence[Samples], channels: tuple[int, ...]) -> float:
+    """Finest step of the readings; 0 without one."""
+    steps = [lattice_step(samples.wrench[:, channel - 1]) for samples in recordings for channel in channels]
+    return min((step for step in steps if step > 0.0), default=0.0)

@@ -1,0 +1,196 @@
+"""Stage 5 of a diagnosis: from probabilities to a verdict, and the named effects with their intervals."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from palpd.cell.cell_file import CellFile, EffectValues
+from palpd.gap.evidence import Fit
+from palpd.gap.noise import FZ
+from palpd.gap.posterior import Attribution
+from palpd.gap.problem import Problem, tolerance_key
+from palpd.gap.scatter import Scatter
+from palpd.tick import Floats
+
+P_NONE_TO_ACQUIT = 0.25
+"""Probability of no gap above which no effect is named: a false accusation costs more than a missed effect."""
+
+P_TO_NAME = 0.5
+"""Probability above which an effect, alone or with those that could stand in its place, or something unknown is named."""
+
+FAR_OUT_SD = 4.0
+"""Standard deviations beyond which a deviation is reported: one in 16 000 healthy cells has such a one."""
+
+LARGEST_GROUP = 2
+"""Number of indistinguishable effects above which the verdict is ambiguous."""
+
+Kind = Literal["effects", "none", "unknown", "ambiguous"]
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """An effect that the diagnosis names: parameters as (value, low, high), and the effects that it cannot be distinguished from."""
+
+    id: str
+    probability: float
+    parameters: dict[str, tuple[float, float, float]]
+    indistinguishable_from: list[str]
+    family: str | None
+    at_bound: list[str]
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `effects` of out.json."""
+        return vars(self) | {"parameters": {n: {"value": v, "ci95": [low, high]} for n, (v, low, high) in self.parameters.items()}}
+
+
+@dataclass(frozen=True)
+class DiagnosisVerdict:
+    """What the recordings say.
+
+    Attributes:
+        kind: One of the four verdicts.
+        effects: The named effects, the most probable first, those of the scatter last; each is probable alone or with its group.
+        candidates: Probability of every effect.
+        p_none: Probability that there is no gap.
+        p_unknown: Probability that something outside the list is at work.
+        fit: The hypothesis of the named effects.
+    """
+
+    kind: Kind
+    effects: list[NamedEffect]
+    candidates: dict[str, float]
+    p_none: float
+    p_unknown: float
+    fit: Fit
+
+
+def decide(problem: Problem, nominal: Fit, attribution: Attribution, scatter: Scatter) -> DiagnosisVerdict:
+    """Decide which effects to name.
+
+    Args:
+        problem: The recordings.
+        nominal: The hypothesis without effects.
+        attribution: The posterior over hypotheses.
+        scatter: The effects of the scatter.
+
+    Returns:
+        The verdict.
+    """
+    p_unknown = 1.0 - (1.0 - attribution.p_unknown) * (1.0 - scatter.p_lone_axis)
+    p_healthy_scatter = float(np.prod([1.0 - s.probability for s in scatter.effects]))
+    p_none = attribution.p_none * (1.0 - scatter.p_lone_axis) * p_healthy_scatter
+    best = attribution.best.fit
+    named: list[NamedEffect] = []
+    if best.names and p_none <= P_NONE_TO_ACQUIT:
+        named = _named(problem, best, attribution)
+    fit = best if named else nominal  # an improbable member is not named, but the set explains how far the gap closes
+    named += [NamedEffect(s.id, s.probability, s.parameters, [], None, []) for s in scatter.effects if s.probability > P_TO_NAME]
+    kind = _kind(p_none, p_unknown, named)
+    candidates = attribution.marginal | {s.id: s.probability for s in scatter.effects}
+    return DiagnosisVerdict(kind, [] if kind == "none" else named, candidates, p_none, p_unknown, fit)
+
+
+def _kind(p_none: float, p_unknown: float, named: list[NamedEffect]) -> Kind:
+    if p_none > P_NONE_TO_ACQUIT:
+        return "none"
+    if p_unknown > P_TO_NAME or not named:
+        return "unknown" if p_unknown > p_none else "none"
+    if any(len(e.indistinguishable_from) > LARGEST_GROUP for e in named):
+        return "ambiguous"
+    return "effects"
+
+
+def _named(problem: Problem, best: Fit, attribution: Attribution) -> list[NamedEffect]:
+    """The effects of a hypothesis that are probable, with 95 % intervals of their parameters, the most probable first."""
+    out = []
+    groups = _probable_groups(best, attribution)
+    spread = 1.96 * np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
+    for name in groups:
+        parameters, bound = {}, []
+        for k, c in enumerate(best.where):
+            if c.effect != name:
+                continue
+            value = best.values[name][c.parameter.name]
+            if c.angle:
+                low, high = value - spread[k] * c.scale, value + spread[k] * c.scale
+            else:
+                low, high = sorted((c.back(float(best.u[k] - spread[k])), c.back(float(best.u[k] + spread[k]))))
+                margin = 1e-9 * max(abs(c.lower), abs(c.upper))
+                if (value <= c.lower + margin and c.lower != 0) or value >= c.upper - margin:
+                    bound.append(c.parameter.name)
+            parameters[c.parameter.name] = (value, min(low, value), max(high, value))
+        out.append(NamedEffect(name, attribution.marginal[name], parameters, groups[name], problem.library[name].family, bound))
+    return sorted(out, key=lambda e: (-e.probability, e.id))
+
+
+def _probable_groups(best: Fit, attribution: Attribution) -> dict[str, list[str]]:
+    """The effects of a hypothesis that are probable, alone or together with those that could stand in their place, and these.
+
+    Where none is, the likeliest one stands with the next likeliest effects until they are probable together.
+    """
+    marginal = attribution.marginal
+    groups = {name: attribution.groups[name] for name in best.names}
+    probable = {name: others for name, others in groups.items() if sum(marginal.get(one, 0.0) for one in (name, *others)) >= P_TO_NAME}
+    if probable:
+        return probable
+    first = max(best.names, key=lambda name: marginal[name])
+    others = list(groups[first])
+    for name in sorted(marginal, key=lambda name: -marginal[name]):
+        if marginal[first] + sum(marginal.get(one, 0.0) for one in others) >= P_TO_NAME:
+            break
+        if name not in (first, *others):
+            others.append(name)
+    return {first: others}
+
+
+def deviation_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
+    """One sentence for every deviation that the verdict leaves far out of tolerance.
+
+    Args:
+        problem: The recordings.
+        verdict: The verdict.
+
+    Returns:
+        The sentences; none where all deviations are within specification.
+    """
+    around = verdict.fit.linearisation
+    deviation_sd = around.space.coefficients(verdict.fit.residual)
+    notes = []
+    for k, label in enumerate(around.labels):
+        judged = label.scope == "cell" or (label.scope == "recording" and label.channel == FZ and label.name != "rounding")
+        unknown = label.name == "youngs_modulus" and not problem.cell.tolerances.modulus_known
+        if judged and not unknown and abs(deviation_sd[k]) > FAR_OUT_SD:
+            key = tolerance_key(label.name)
+            notes.append(
+                f"{label.name} is {deviation_sd[k]:+.1f} standard deviations off, expected at most {FAR_OUT_SD:g}; "
+                f"check tolerances.{key} ({getattr(problem.cell.tolerances, key):.3g}) and the cell itself."
+            )
+    return notes
+
+
+def enriched_cell(problem: Problem, verdict: DiagnosisVerdict) -> CellFile:
+    """The cell with the named effects and the in-tolerance deviations that were fitted with them.
+
+    Args:
+        problem: The recordings.
+        verdict: The verdict.
+
+    Returns:
+        The cell file.
+    """
+    named: EffectValues = {e.id: {n: v for n, (v, _, _) in e.parameters.items()} for e in verdict.effects}
+    effects = verdict.fit.values | named if named else named
+    around = verdict.fit.linearisation
+    coefficients = around.space.coefficients(verdict.fit.residual)
+    estimated = problem.estimated(coefficients[: len(around.eta)])
+    zeros = {name: _mean_zero(problem, verdict.fit, coefficients, name) for name in ("bias_N", "drift_N_per_min")}
+    cell = problem.cell.with_effects(problem.cell.effects | effects)
+    return cell.with_estimated(estimated.model_copy(update=zeros))
+
+
+def _mean_zero(problem: Problem, fit: Fit, coefficients: Floats, name: str) -> float:
+    """Mean over the recordings of the bias or drift of fz, in the unit of the cell file."""
+    tolerance = getattr(problem.cell.tolerances, name)
+    values = [coefficients[k] * tolerance for k in fit.linearisation.numbers("recording", name, FZ)]
+    return float(np.mean(values)) if values else 0.0

@@ -1,0 +1,495 @@
+"""A recording on disk: MCAP with ROS 2 messages that any MCAP or ROS 2 tool opens. Its topic /tick returns every row bit for bit.
+
+/tick alone holds the whole row; the other topics show parts of it in standard messages. In a compressed chunk the repeated numbers
+cost almost nothing, and reading back needs one topic. An unfinished recording is called FILE.part.
+"""
+
+import contextlib
+import fcntl
+import io
+import itertools
+import json
+import mmap
+import os
+import struct
+import time
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, Literal, TypedDict
+
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Metadata, Schema
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+from zstandard import ZstdError
+
+from palpd.errors import RecordingError
+from palpd.recording import cdr
+from palpd.tick import Floats
+
+Rows = NDArray[np.void]
+
+TICK_TOPIC = "/tick"
+HEADER, FOOTER, MODEL = "palpd.header", "palpd.footer", "model.onnx"
+_SCHEMAS = {
+    "geometry_msgs/msg/PoseStamped": cdr.POSE_STAMPED,
+    "geometry_msgs/msg/TwistStamped": cdr.TWIST_STAMPED,
+    "geometry_msgs/msg/WrenchStamped": cdr.WRENCH_STAMPED,
+    "palpd_msgs/msg/Tick": cdr.TICK,
+}
+_TOPICS = {
+    "/tcp_pose": "geometry_msgs/msg/PoseStamped",
+    "/tcp_twist": "geometry_msgs/msg/TwistStamped",
+    "/target_pose": "geometry_msgs/msg/PoseStamped",
+    "/wrench_raw": "geometry_msgs/msg/WrenchStamped",
+    "/wrench": "geometry_msgs/msg/WrenchStamped",
+    TICK_TOPIC: "palpd_msgs/msg/Tick",
+}
+_NEAR_S = 10.0
+"""Largest distance between a sample's own time and its tick: beyond it the tick's time counts, as for a robot that never answered."""
+
+_LEAST_APART_S = 0.007
+"""Least distance of robot states in the standard topics: at 500 Hz leaving states out saves 2.5 of 17 MB a minute."""
+
+_UNREADABLE = (McapError, ZstdError, struct.error, ValueError, KeyError, RuntimeError, MemoryError, OverflowError)
+"""What the MCAP reader raises on truncated or altered bytes."""
+
+
+class RunAbout(TypedDict, total=False):
+    """The devices of a run, as they were opened; empty where they were not. `delay_s` is the sensor filter's delay."""
+
+    robot_host: str
+    robot_model: str
+    sensor_serial: str
+    sensor_port: str
+    counts_per_N: list[float]
+    counts_per_Nm: list[float]
+    calibration_source: str
+    delay_s: float
+    epoch_offset_s: float
+
+
+class RecordedSite(TypedDict):
+    """A place of the plan, as an offset along the base's axes from the plan's origin, or from the start pose where it gives none."""
+
+    name: str
+    x_m: float
+    y_m: float
+
+
+class RecordedGeometry(TypedDict):
+    """What the moduli of a run depend on. Without a measured machine stiffness the machine counts as rigid."""
+
+    tip_radius_m: float
+    poisson_ratio: float
+    delay_s: float
+    machine_stiffness_N_per_m: float | None
+
+
+class RecordingHeader(TypedDict, total=False):
+    """What a recording holds besides its ticks, so that every decision can be made again.
+
+    `config` and `plan` are config.yaml and plan.yaml as parsed, `model_card` is the inertial model's card, `reference` (6,) the tare of
+    the last calibration. `epoch_offset_s` turns monotonic seconds into Unix time. A palpation without `returns_to_start` ended above
+    its last site. A simulated run fills only what the analysis reads.
+    """
+
+    kind: Literal["palpation", "free_motion", "stiffness", "retract", "calibrate", "check"]
+    dry: bool
+    config: dict[str, Any]
+    plan: dict[str, Any]
+    sites: list[RecordedSite]
+    returns_to_start: bool
+    reference: list[float]
+    machine_stiffness_N_per_m: float | None
+    body: RecordedGeometry
+    about: RunAbout
+    epoch_offset_s: float
+    model_card: dict[str, Any] | None
+    versions: dict[str, str]
+    started: str
+
+
+class RecordedTrip(TypedDict):
+    """A verdict of the guard, or a device that failed: measured value and limit, and both as a sentence."""
+
+    trip: str
+    measured: float
+    limit: float
+    reason: str
+
+
+class RecordingFooter(TypedDict, total=False):
+    """How a recorded run ended.
+
+    `lost_rows` is the number of ticks that were overwritten before the recorder read them, `damaged_ticks` the number that `recover` could
+    not restore.
+    """
+
+    verdict: str
+    reason: str
+    trips: list[RecordedTrip]
+    lost_rows: int
+    damaged_ticks: int
+
+
+_MAGIC = b"\x89MCAP0\r\n"
+_RECORD_HEAD = struct.Struct("<BQ")
+"""Opcode and length of a record's content, by the MCAP specification."""
+
+_ZSTD, _BEFORE_ZSTD = b"\x04\x00\x00\x00zstd", _RECORD_HEAD.size + struct.calcsize("<QQQI")
+"""Name of a chunk's compression, and the number of bytes of the chunk before it: head, times, size and checksum."""
+
+
+def part_of(path: Path) -> Path:
+    """Return the name of FILE.mcap while it is unfinished."""
+    return path.with_suffix(".part")
+
+
+class RecordingWriter:
+    """Writes one recording; flushed data survives the death of this process.
+
+    The constructor measures `epoch_offset_s` where the header does not give it.
+    Raises RecordingError where `path` or its .part exists, OSError where the disk fails.
+    """
+
+    def __init__(self, path: Path, header: RecordingHeader, model_bytes: bytes | None = None, part: Path | None = None) -> None:
+        self.path, self.part = path, part or part_of(path)
+        for taken in (self.path, self.part):
+            if taken.exists():
+                raise RecordingError(f"{taken} exists and is not overwritten; choose another name or move it away")
+        header = {"epoch_offset_s": time.time() - time.monotonic(), **header}
+        self._offset_ns = round(header["epoch_offset_s"] * 1e9)
+        try:
+            self._stream = self.part.open("xb")
+        except OSError as error:
+            raise RecordingError(f"{self.part} cannot be written ({error.strerror}); choose a directory that can") from error
+        fcntl.flock(self._stream, fcntl.LOCK_EX)
+        self._robot_t_s = float("nan")
+        self._writer = Writer(self._stream, chunk_size=1 << 30, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        self._writer.start(profile="ros2", library="palpd")
+        self._writer.add_metadata(HEADER, {"json": json.dumps(header)})
+        if model_bytes is not None:
+            self._writer.add_attachment(0, 0, MODEL, "application/octet-stream", model_bytes)
+        schema = {name: self._writer.register_schema(name, "ros2msg", text.encode()) for name, text in _SCHEMAS.items()}
+        self._channel = {topic: self._writer.register_channel(topic, "cdr", schema[name]) for topic, name in _TOPICS.items()}
+        self._sequence = dict.fromkeys(_TOPICS, 0)
+        self._writer.flush()
+
+    def write(self, rows: Rows) -> None:
+        """Add rows; they reach the disk with `flush`.
+
+        Args:
+            rows: ticks (n,) with the fields of ROW, in their order.
+        """
+        if not len(rows):
+            return
+        with np.errstate(all="ignore"):  # record a sensor that sends nonsense without warnings
+            self._write_robot(rows)
+            self._write_frames(rows)
+            stamp_ns = self._epoch_ns(rows["now_s"], rows["now_s"])
+        self._add(TICK_TOPIC, stamp_ns, cdr.pack_ticks(stamp_ns, rows))
+
+    def flush(self) -> None:
+        """Close the present chunk and pass it to the kernel."""
+        self._writer.flush()
+
+    def close(self, footer: RecordingFooter) -> Path:
+        """Finish the file, sync it to the disk and rename it. Raises RecordingError where that name exists by now."""
+        self._writer.flush()
+        self._writer.add_metadata(FOOTER, {"json": json.dumps(footer)})
+        self._writer.finish()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        if self.path.exists():
+            raise RecordingError(f"{self.path} was created during the run; {self.part} holds the whole recording: rename it")
+        self.part.rename(self.path)
+        self._stream.close()
+        directory = os.open(self.path.parent, os.O_RDONLY)
+        try:
+            os.fsync(directory)
+        finally:
+            os.close(directory)
+        return self.path
+
+    def abandon(self) -> None:
+        """Close the file and leave it unfinished."""
+        with contextlib.suppress(OSError):  # the full disk was reported before
+            self._stream.close()
+
+    def _write_robot(self, rows: Rows) -> None:
+        """Pose, twist and target of every new state, of a controller faster than 125 Hz at about that rate."""
+        new = []
+        for number, t_s in enumerate(rows["robot_t_s"].tolist()):
+            if not abs(t_s - self._robot_t_s) < _LEAST_APART_S:
+                new.append(number)
+                self._robot_t_s = t_s
+        rows = rows[new]
+        stamp_ns = self._epoch_ns(rows["robot_t_s"], rows["now_s"])
+        for topic, name in (("/tcp_pose", "tcp_pose"), ("/target_pose", "target_pose")):
+            pose = np.hstack([rows[name][:, :3], cdr.quaternion(rows[name][:, 3:])])
+            self._add(topic, stamp_ns, cdr.pack_stamped(stamp_ns, cdr.BASE_FRAME, pose))
+        self._add("/tcp_twist", stamp_ns, cdr.pack_stamped(stamp_ns, cdr.BASE_FRAME, rows["tcp_speed"]))
+
+    def _write_frames(self, rows: Rows) -> None:
+        """The wrench of every sensor frame, as measured and as compensated."""
+        filled = np.arange(rows["frame_t_s"].shape[1]) < rows["frames"][:, None]
+        stamp_ns = self._epoch_ns(rows["frame_t_s"][filled], np.repeat(rows["now_s"], rows["frames"]))
+        contact = rows["tared"][filled]
+        contact[:, 2] -= rows["inertial_N"][filled]
+        self._add("/wrench_raw", stamp_ns, cdr.pack_stamped(stamp_ns, cdr.SENSOR_FRAME, rows["wrench"][filled]))
+        self._add("/wrench", stamp_ns, cdr.pack_stamped(stamp_ns, cdr.BASE_FRAME, contact))
+
+    def _epoch_ns(self, t_s: Floats, tick_s: Floats) -> cdr.Nanoseconds:
+        t_s = np.where(np.abs(t_s - tick_s) < _NEAR_S, t_s, tick_s)
+        t_s = np.clip(np.nan_to_num(t_s), 0.0, 1e9)
+        since_boot_ns: cdr.Nanoseconds = np.rint(t_s * 1e9).astype(np.int64)
+        return np.maximum(since_boot_ns + self._offset_ns, 0)
+
+    def _add(self, topic: str, stamp_ns: cdr.Nanoseconds, messages: list[bytes]) -> None:
+        channel, sequence = self._channel[topic], self._sequence[topic]
+        for number, (time_ns, data) in enumerate(zip(stamp_ns.tolist(), messages, strict=True), sequence):
+            self._writer.add_message(channel, time_ns, data, time_ns, number & 0xFFFFFFFF)
+        self._sequence[topic] += len(messages)
+
+
+@dataclass
+class Contents:
+    """What a file holds, as far as it is readable. `torn` says where and why reading stopped; it is empty for a whole file."""
+
+    header: RecordingHeader | None = None
+    footer: RecordingFooter | None = None
+    model_bytes: bytes | None = None
+    schema: str | None = None
+    torn: str = ""
+    _ticks: int | None = field(default=None, repr=False)
+
+    def batches(self, path: Path, *, skip_damaged: bool = False) -> Iterator[list[bytes]]:
+        """Yield the Tick messages chunk by chunk and fill the other attributes meanwhile.
+
+        Args:
+            path: the file.
+            skip_damaged: go on with the next whole chunk after a damaged one; otherwise reading stops there.
+
+        Yields:
+            The messages of one chunk, as bytes.
+
+        Raises:
+            RecordingError: the file cannot be read, or is no MCAP file.
+        """
+        try:
+            stream = path.open("rb")
+        except OSError as error:
+            raise RecordingError(f"{path} cannot be read ({error.strerror}); give a recording that exists") from error
+        with stream:
+            start = stream.read(len(_MAGIC))
+            if start != _MAGIC:
+                raise RecordingError(f"{path} is not an MCAP file: it begins with {start!r}; give a recording of palpd run")
+            stream.seek(0)
+            yield from self._salvage(stream) if skip_damaged else self._read(stream)
+
+    def _salvage(self, stream: IO[bytes]) -> Iterator[list[bytes]]:
+        """Yield from every chunk whose checksum is right, wherever the file is damaged besides."""
+        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            position, ended = len(_MAGIC), False
+            while 0 <= position < len(data) and not ended:
+                end, ended = _end_of_record(data, position), data[position] == Opcode.DATA_END
+                try:
+                    if end is None:
+                        raise ValueError("no record begins here")
+                    if (batch := self._salvaged(data[position], data[position + _RECORD_HEAD.size : end])) is not None:
+                        yield batch
+                    if ended:
+                        self._check_data(data[:position], data[position + _RECORD_HEAD.size : end])
+                    position = end
+                except _UNREADABLE as error:
+                    self.torn = self.torn or f"at byte {position} of {len(data)} ({type(error).__name__})"
+                    # The length of a damaged record is believed only where a record begins behind it.
+                    after = end is not None and _end_of_record(data, end) is not None
+                    position = end if after and end is not None else _next_chunk(data, position + 1)
+            if not ended and not self.torn:
+                self.torn = "(it has no end of data)"
+
+    def _check_data(self, before: bytes, content: bytes) -> None:
+        """Compare the checksum of all records, which covers the header and the footer too; zero stands for none."""
+        stated = int.from_bytes(content[:4], "little")
+        if not self.torn and stated not in (0, zlib.crc32(before)):
+            self.torn = "outside of its chunks: header or footer may be altered"
+
+    def _salvaged(self, opcode: int, content: bytes) -> list[bytes] | None:
+        """The Tick messages of a chunk; of other records the content is kept, and the answer is None."""
+        if opcode == Opcode.CHUNK:
+            return self._ticks_of(Chunk.read(ReadDataStream(io.BytesIO(content))))
+        if opcode == Opcode.METADATA:
+            metadata = Metadata.read(ReadDataStream(io.BytesIO(content)))
+            if metadata.name == HEADER:
+                self.header = json.loads(metadata.metadata["json"])
+            elif metadata.name == FOOTER:
+                self.footer = json.loads(metadata.metadata["json"])
+        elif opcode == Opcode.ATTACHMENT:
+            if zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little"):
+                raise ValueError("the checksum of the attachment is wrong")
+            attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
+            self.model_bytes = attachment.data if attachment.name == MODEL else self.model_bytes
+        return None
+
+    def _read(self, stream: IO[bytes]) -> Iterator[list[bytes]]:
+        ended = False
+        try:
+            for record in StreamReader(stream, emit_chunks=True, validate_crcs=True).records:
+                if isinstance(record, Chunk):
+                    yield self._ticks_of(record)
+                elif isinstance(record, Metadata) and record.name == HEADER:
+                    self.header = json.loads(record.metadata["json"])
+                elif isinstance(record, Metadata) and record.name == FOOTER:
+                    self.footer = json.loads(record.metadata["json"])
+                elif isinstance(record, Attachment) and record.name == MODEL:
+                    self.model_bytes = record.data
+                ended = ended or isinstance(record, DataEnd)
+            self.torn = "" if ended else "(it has no end of data)"
+        except _UNREADABLE as error:
+            where = "behind the data" if ended else f"at byte {stream.tell()} of {os.fstat(stream.fileno()).st_size}"
+            self.torn = f"{where} ({type(error).__name__})"
+
+    def _ticks_of(self, chunk: Chunk) -> list[bytes]:
+        content, _ = get_chunk_data_stream(chunk, validate_crc=True)
+        data = content.read(chunk.uncompressed_size)
+        head = struct.Struct("<BQH")
+        messages, position = [], 0
+        while position < len(data):
+            opcode, length, number = head.unpack_from(data, position)
+            position += 9
+            if opcode == Opcode.MESSAGE:
+                if number == self._ticks:
+                    messages.append(data[position + 22 : position + length])
+            elif opcode == Opcode.SCHEMA:
+                schema = Schema.read(ReadDataStream(io.BytesIO(data[position : position + length])))
+                if schema.name == _TOPICS[TICK_TOPIC]:
+                    self.schema = schema.data.decode()
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(ReadDataStream(io.BytesIO(data[position : position + length])))
+                if channel.topic == TICK_TOPIC:
+                    self._ticks = channel.id
+            position += length
+        return messages
+
+    def refuse_foreign(self, path: Path) -> None:
+        """Refuse a file that is no recording of palpd, or whose ticks have other fields. Raises RecordingError."""
+        if self.header is None:
+            raise RecordingError(f"{path} is an MCAP file but no recording of palpd: it has no {HEADER}; give a recording of palpd run")
+        if self.schema is not None and cdr.fields_of(self.schema) != cdr.fields_of(cdr.TICK):
+            raise RecordingError(f"{path} was written by a version of palpd whose ticks have other fields; read it with that version")
+
+
+def _end_of_record(data: mmap.mmap, position: int) -> int | None:
+    """Where the record at a position ends; None where no record can begin there."""
+    if position + _RECORD_HEAD.size > len(data):
+        return None
+    opcode, length = _RECORD_HEAD.unpack_from(data, position)
+    end = position + _RECORD_HEAD.size + int(length)
+    return end if Opcode.HEADER <= opcode <= Opcode.DATA_END and end <= len(data) else None
+
+
+def _next_chunk(data: mmap.mmap, position: int) -> int:
+    """Where the next chunk of zstd begins; -1 without one."""
+    while (match := data.find(_ZSTD, position)) >= 0:
+        begin = match - _BEFORE_ZSTD
+        if begin >= position and data[begin] == Opcode.CHUNK and _end_of_record(data, begin) is not None:
+            return begin
+        position = match + 1
+    return -1
+
+
+@dataclass(frozen=True, slots=True)
+class LostTicks:
+    """Ticks that no whole chunk holds: their number, and the times since the first restored tick between which they are missing."""
+
+    ticks: int
+    begin_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """What `recover` restored, and what it could not. `torn` says where the file is damaged; it is empty for a whole one."""
+
+    path: Path
+    ticks: int
+    duration_s: float
+    lost: tuple[LostTicks, ...] = ()
+    torn: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """What was restored, and which ticks are missing at what time."""
+        restored = f"{self.ticks} ticks, {self.duration_s:.1f} s restored."
+        if self.lost:
+            places = ", ".join(f"{one.ticks} from {one.begin_s:.2f} s to {one.end_s:.2f} s" for one in self.lost)
+            return f"{restored} {sum(one.ticks for one in self.lost)} ticks are missing ({places}): the file is damaged {self.torn}."
+        return f"{restored} The file is damaged {self.torn}; what stood there or after the last tick is lost." if self.torn else restored
+
+
+def recover(part: Path) -> Recovered:
+    """Write FILE.mcap with all whole chunks of FILE.part, and keep FILE.part. Raises RecordingError, also where FILE.mcap exists."""
+    path = part.with_suffix("") if part.name.endswith(".mcap.part") else part.with_suffix(".mcap")
+    if path == part:
+        raise RecordingError(f"{part} is not called .part; give the unfinished file, or rename a damaged one to .part")
+    _refuse_growing(part)
+    contents = Contents()
+    batches = contents.batches(part, skip_damaged=True)
+    first = next((batch for batch in batches if batch), [])
+    contents.refuse_foreign(part)
+    assert contents.header is not None
+    if not first:
+        raise RecordingError(f"{part} holds no whole tick ({contents.torn or 'it ends after the header'}); there is nothing to recover")
+    recovering = part.with_suffix(".recovering")
+    try:
+        writer = RecordingWriter(path, contents.header, contents.model_bytes, part=recovering)
+    except OSError as error:
+        recovering.unlink(missing_ok=True)
+        raise _no_room(path, error) from error
+    begin_s, end_s, ticks, last = float("nan"), float("nan"), 0, -1
+    lost: list[LostTicks] = []
+    try:
+        for batch in filter(None, itertools.chain([first], batches)):
+            rows = cdr.unpack_ticks(batch)
+            writer.write(rows)
+            writer.flush()
+            begin_s = float(rows["now_s"][0]) if ticks == 0 else begin_s
+            # A tick that was late counts those before it as missed: they never were.
+            absent = int(rows["index"][0]) - last - 1 - int(rows["missed"][0])
+            if ticks and contents.torn and absent > 0:
+                lost.append(LostTicks(absent, end_s - begin_s, float(rows["now_s"][0]) - begin_s))
+            end_s, ticks, last = float(rows["now_s"][-1]), ticks + len(rows), int(rows["index"][-1])
+        unclosed: RecordingFooter = {"verdict": "unfinished", "reason": "the recording was not closed; recovered from what was whole"}
+        footer = contents.footer or unclosed
+        if lost:
+            footer["damaged_ticks"] = sum(one.ticks for one in lost)
+        writer.close(footer)
+    except BaseException as error:
+        writer.abandon()
+        recovering.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise _no_room(path, error) from error
+        raise
+    return Recovered(path, ticks, end_s - begin_s, tuple(lost), contents.torn)
+
+
+def _no_room(path: Path, error: OSError) -> RecordingError:
+    return RecordingError(f"{path} cannot be written ({error.strerror or error}); make room, or recover a copy on another disk")
+
+
+def _refuse_growing(part: Path) -> None:
+    if part.exists() and not part.is_file():
+        raise RecordingError(f"{part} is no regular file; give the unfinished recording of a run")
+    with contextlib.suppress(OSError), part.open("rb") as stream:  # the reader refuses a file that does not exist
+        try:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RecordingError(f"{part} is still being written; wait for the run to end") from None

@@ -1,0 +1,220 @@
+"""A recording as rows of samples: commanded height, reported height and speed, and the wrench of the sensor."""
+
+import csv
+import itertools
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpd.errors import RecordingError
+from palpd.files import opened, opened_text, writing_text
+from palpd.recording.tables import Layout, cells_of, is_comment, read_layout, with_points
+from palpd.tick import Floats
+
+WRENCH_COLUMNS = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
+COLUMNS = ("t_s", "z_cmd_m", "z_m", "vz_m_per_s", *WRENCH_COLUMNS)
+OPTIONAL_COLUMN = "z_cmd_m"
+SITE_COLUMN = "site"
+"""Column with the name of the site of every row, in a table of several sites; empty between sites."""
+MIN_SAMPLES = 30
+LARGEST = 1e12
+"""Largest value of any column; Unix time has 1.7e9 s, and squares of larger numbers overflow sooner or later."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """One recording of one cell, sample by sample.
+
+    `t_s` (n,) strictly increasing, `z_cmd_m` (n,) commanded height or None where the rig does not tell it, `z_m` (n,) and
+    `vz_m_per_s` (n,) height and vertical speed as the robot reports them (base frame, up positive), `wrench` (n, 6) the tared
+    sensor in base axes: fx, fy, fz in N, tx, ty, tz in Nm, what the environment does to the probe. `held` (n,) where the sensor sent
+    nothing new, and what stands there was put there.
+    """
+
+    t_s: Floats
+    z_cmd_m: Floats | None
+    z_m: Floats
+    vz_m_per_s: Floats
+    wrench: Floats
+    held: NDArray[np.bool_] | None = None
+    sites: tuple[str, ...] = ()
+    """Names in the column `site` of a file, in their order; empty without that column."""
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    @property
+    def rate_Hz(self) -> float:
+        """The usual number of samples per second."""
+        return 1.0 / float(np.median(np.diff(self.t_s)))
+
+    @property
+    def duration_s(self) -> float:
+        """From the first sample to the last."""
+        return float(self.t_s[-1] - self.t_s[0])
+
+
+def runs_of_true(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Runs of successive True values.
+
+    Args:
+        mask: Values (n,).
+
+    Returns:
+        The first index of every run (k,), and the index after its last (k,).
+    """
+    edges = np.diff(mask.astype(np.int8), prepend=0, append=0)
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+
+
+def read(path: Path) -> Samples:
+    """A recording from a `.parquet` or a CSV file. Raises RecordingError."""
+    return read_parquet(path) if path.suffix.lower() in {".parquet", ".pq"} else read_csv(path)
+
+
+def read_csv(path: Path) -> Samples:
+    """A recording from a CSV file with a header; of other columns only `site` is read, for its names. Raises RecordingError.
+
+    Semicolons and tabs between cells, decimal commas between these, and comments behind `#` are understood.
+    """
+    try:
+        with opened_text(path, error=RecordingError) as file:
+            layout = read_layout(file, path.name, COLUMNS)
+            present = _present(path, layout.header)
+            at = [layout.header.index(name) for name in present]
+            rows = (with_points(line, layout) for line in file) if layout.decimal_comma else file
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", UserWarning)  # a header alone is refused below, in our own words
+                    values = np.loadtxt(rows, delimiter=layout.delimiter, usecols=at, ndmin=2, comments="#", quotechar='"', dtype=float)
+            except ValueError:
+                raise RecordingError(_first_wrong_cell(path, present, at, layout)) from None
+    except csv.Error:
+        raise RecordingError(f"{path.name} is not text; a recording is a CSV file with the header {','.join(COLUMNS)}.") from None
+    samples = samples_from_columns({name: values[:, k] for k, name in enumerate(present)}, path.name)
+    return replace(samples, sites=_site_names(path, layout)) if SITE_COLUMN in layout.header else samples
+
+
+def read_parquet(path: Path) -> Samples:
+    """A recording from a Parquet file with the columns of the CSV. Raises RecordingError, also where pyarrow is not installed."""
+    try:
+        from pyarrow import ArrowException, parquet
+    except ImportError:
+        raise RecordingError(f"{path.name} is Parquet and pyarrow is not installed: install palpd[parquet] or give a CSV.") from None
+    try:
+        with opened(path, error=RecordingError) as file:
+            table = parquet.read_table(file)
+        present = _present(path, list(table.column_names))
+        columns = {name: np.asarray(table.column(name).to_numpy(zero_copy_only=False), dtype=float) for name in present}
+        names = table.column(SITE_COLUMN).to_pylist() if SITE_COLUMN in table.column_names else []
+    except (OSError, ValueError, TypeError, ArrowException):
+        raise RecordingError(f"{path.name} cannot be read as Parquet with numbers in every column; write it again or give a CSV.") from None
+    return replace(samples_from_columns(columns, path.name), sites=_distinct(map(str, names)))
+
+
+def samples_from_columns(columns: dict[str, Floats], name: str) -> Samples:
+    """Check named columns and make samples of them.
+
+    Args:
+        columns: arrays (n,) by the names of COLUMNS.
+        name: what errors call the recording.
+
+    Returns:
+        The samples.
+
+    Raises:
+        RecordingError: a column is missing, too short or not finite, or time does not increase.
+    """
+    present = _present(Path(name), list(columns))
+    rows = len(columns["t_s"])
+    if rows < MIN_SAMPLES:
+        raise RecordingError(f"{name} has {rows} rows and at least {MIN_SAMPLES} are needed to judge a cell; record for longer.")
+    for column in present:
+        wrong = np.flatnonzero(~(np.abs(columns[column]) <= LARGEST))
+        if len(wrong):
+            row = int(wrong[0])
+            expected = "every value must be a finite number" + ("" if not np.isfinite(columns[column][row]) else f" up to {LARGEST:g}")
+            raise RecordingError(f"{name}: {column} is {columns[column][row]} in {_row(row)}; {expected}.")
+    step_s = np.diff(columns["t_s"])
+    backwards = np.flatnonzero(step_s <= 0)
+    if len(backwards):
+        row = int(backwards[0]) + 1
+        raise RecordingError(
+            f"{name}: t_s {'runs backwards' if step_s[row - 1] < 0 else 'stands still'} in {_row(row)} "
+            f"({columns['t_s'][row - 1]:.9g} s, then {columns['t_s'][row]:.9g} s); rows must be in the order of time, each with its own."
+        )
+    wrench = np.column_stack([columns[column] for column in WRENCH_COLUMNS])
+    return Samples(columns["t_s"], columns.get(OPTIONAL_COLUMN), columns["z_m"], columns["vz_m_per_s"], wrench)
+
+
+def write_csv(
+    path: Path, samples: Samples, *, overwrite: bool = False, extra: Mapping[str, Sequence[str | float]] = MappingProxyType({})
+) -> None:
+    """Write a recording as CSV; reading it gives the same numbers to the last bit.
+
+    Args:
+        path: file to write.
+        samples: the recording, n samples.
+        overwrite: replace an existing file.
+        extra: further columns (n,) by their names.
+
+    Raises:
+        BadInput: the file exists.
+    """
+    columns = [samples.t_s, *([] if samples.z_cmd_m is None else [samples.z_cmd_m]), samples.z_m, samples.vz_m_per_s]
+    header = [*(name for name in COLUMNS if name != OPTIONAL_COLUMN or samples.z_cmd_m is not None), *extra]
+    table: list[list[str | float]] = np.column_stack([*columns, samples.wrench]).tolist()
+    for row, *values in zip(table, *extra.values(), strict=True):
+        row += values
+    with writing_text(path, overwrite=overwrite) as file:
+        file.write(",".join(header) + "\n")
+        file.writelines(",".join(map(str, row)) + "\n" for row in table)
+
+
+def _present(path: Path, header: Sequence[str]) -> list[str]:
+    missing = [name for name in COLUMNS if name not in header and name != OPTIONAL_COLUMN]
+    if missing:
+        raise RecordingError(
+            f"{path.name}: column {', '.join(missing)} is missing in row 0 (the header); expected {','.join(COLUMNS)} "
+            f"({OPTIONAL_COLUMN} may be absent)."
+        )
+    twice = [name for name in COLUMNS if list(header).count(name) > 1]
+    if twice:
+        raise RecordingError(f"{path.name}: column {twice[0]} stands twice in row 0 (the header); leave one of them.")
+    return [name for name in COLUMNS if name in header]
+
+
+def _site_names(path: Path, layout: Layout) -> tuple[str, ...]:
+    column = layout.header.index(SITE_COLUMN)
+    with opened_text(path, error=RecordingError) as file:
+        read_layout(file, path.name, COLUMNS)
+        rows = (cells_of(line, layout.delimiter) for line in file if not is_comment(line))
+        return _distinct(cells[column] for cells in rows if column < len(cells))
+
+
+def _distinct(names: Iterable[str]) -> tuple[str, ...]:
+    """Names in the order of their first row, without empty ones."""
+    return tuple(name for name in dict.fromkeys(each.strip() for each in names) if name)
+
+
+def _row(index: int) -> str:
+    return f"row {index + 1} (line {index + 2} of a CSV)"
+
+
+def _first_wrong_cell(path: Path, present: Sequence[str], at: Sequence[int], layout: Layout) -> str:
+    with opened_text(path, error=RecordingError) as file:
+        rows = [line for line in itertools.islice(file, layout.lines, None) if not is_comment(line)]
+        for index, cells in enumerate(csv.reader(rows, delimiter=layout.delimiter)):
+            for name, column in zip(present, at, strict=True):
+                text = with_points(cells[column].strip(), layout) if column < len(cells) else ""
+                try:
+                    float(text)
+                except ValueError:
+                    value = f"is {text[:40]!r}" if text else "is empty"
+                    return f"{path.name}: {name} {value} in {_row(index)}; every value must be a finite number."
+    return f"{path.name} is not a table of numbers; every row must have the {len(present)} columns of the header."

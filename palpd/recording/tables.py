@@ -1,0 +1,121 @@
+"""How a table of text is laid out: what separates its cells, which lines are comments, and whether commas are decimal.
+
+Instruments and spreadsheets write tables with commas, semicolons or tabs, with comments behind `#`, and, in many languages, with a decimal
+comma. A decimal comma is understood where something else separates the cells.
+"""
+
+import csv
+from collections.abc import Iterator, Sequence
+from typing import IO, NamedTuple
+
+from palpd.errors import RecordingError
+
+DELIMITERS = (",", ";", "\t")
+LONGEST_LINE = 100_000
+"""Longest header or first row in letters; a recording of ten columns has 200."""
+
+
+class Layout(NamedTuple):
+    """Columns of a table, what separates its cells, whether commas are decimal, and the number of lines up to the header."""
+
+    header: list[str]
+    delimiter: str
+    decimal_comma: bool
+    lines: int
+
+
+def is_comment(line: str) -> bool:
+    """Whether a line holds nothing, or a comment."""
+    return line.lstrip()[:1] in ("", "#")
+
+
+def cells_of(line: str, delimiter: str) -> list[str]:
+    """Split a line into cells without blanks around them.
+
+    Args:
+        line: One line of a table.
+        delimiter: What separates its cells.
+
+    Returns:
+        The cells (n,).
+
+    Raises:
+        RecordingError: A cell is longer than any number or name.
+    """
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+    except csv.Error as error:
+        raise RecordingError(f"a line that begins with {line[:20]!r} is no row of a table ({error}); give a table of numbers") from None
+
+
+def with_points(text: str, layout: Layout) -> str:
+    """A cell or a line of a table with decimal points.
+
+    Args:
+        text: The text.
+        layout: Layout of the table.
+
+    Returns:
+        The text, changed where the table has decimal commas.
+    """
+    return text.replace(",", ".") if layout.decimal_comma else text
+
+
+def read_layout(file: IO[str], name: str, columns: Sequence[str]) -> Layout:
+    """Read the header of a table and go on to its first row.
+
+    Args:
+        file: The table, at its beginning; afterwards it stands behind the header.
+        name: What errors call it.
+        columns: Names that the header should have.
+
+    Returns:
+        The layout.
+
+    Raises:
+        RecordingError: The lines are too long, or decimal commas separate nothing.
+    """
+    above, line = _next_line(file, name)
+    splits = {delimiter: cells_of(line, delimiter) for delimiter in DELIMITERS}
+    delimiter = max(splits, key=lambda each: len(set(splits[each]) & set(columns)))
+    header = splits[delimiter]
+    place = file.tell()
+    row = _next_line(file, name)[1]
+    file.seek(place)
+    refuse_decimal_commas(name, header, cells_of(row, delimiter), delimiter)
+    return Layout(header, delimiter, delimiter != "," and "," in row, above)
+
+
+def refuse_decimal_commas(name: str, header: Sequence[str], row: Sequence[str], delimiter: str) -> None:
+    """Refuse a row in which commas stand both for the decimal point and between cells.
+
+    Args:
+        name: What errors call the table.
+        header: Cells of the header.
+        row: Cells of a row.
+        delimiter: What separates them.
+
+    Raises:
+        RecordingError: The row has more cells than the header.
+    """
+    filled = [cell for cell in row if cell]
+    if delimiter == "," and len(filled) > len(header):
+        raise RecordingError(
+            f"{name}: a row has {len(filled)} cells and the header {len(header)}; if its commas are decimal, "
+            "separate the cells with semicolons or tabs"
+        )
+
+
+def _next_line(file: IO[str], name: str) -> tuple[int, str]:
+    """The next line that is no comment, and how many lines were read for it."""
+    for number, line in enumerate(_lines(file), start=1):
+        if len(line) >= LONGEST_LINE:
+            raise RecordingError(f"{name} has a line of more than {LONGEST_LINE} letters; a recording is a table with one row a sample")
+        if not is_comment(line):
+            return number, line
+    return 0, ""
+
+
+def _lines(file: IO[str]) -> Iterator[str]:
+    while line := file.readline(LONGEST_LINE):  # not `for`: afterwards the file could not tell its place
+        yield line

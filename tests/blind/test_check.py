@@ -1,0 +1,255 @@
+"""The blind check: its cells owe nothing to the library, its truths are sealed, and its scores are what they say."""
+
+import ast
+import json
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+from palpd.blind.check import make_case, plan, run
+from palpd.blind.detectability import Detectability, fit_strength, scales_of
+from palpd.blind.drawn_cases import CASE_KINDS, CaseKind, DrawnCase, draw_case
+from palpd.blind.drawn_cells import CHANNELS, TOLERANCES, Deviations, draw_cell, draw_deviations, draw_motion, no_deviations
+from palpd.blind.figures import write_page
+from palpd.blind.laws import FOREIGN_LAWS, LIBRARY_LAWS, NOVEL_LAWS, CellScales, Law
+from palpd.blind.score import CaseOutcome, Score, ScoreRow, as_markdown, calibration, score_case, scores, wilson
+from palpd.blind.simulated_run import rows
+from palpd.cell.cell_file import Estimated, cell_from
+from palpd.cell.effects import EFFECTS
+from palpd.cell.simulation import simulate as library_simulate
+
+MODULES = ("drawn_cases.py", "drawn_cells.py", "detectability.py", "simulated_run.py", "laws.py")
+MEANS = [law for law in LIBRARY_LAWS if not law.variance]
+
+
+@cache
+def nominal_cell() -> tuple[Detectability, CellScales]:
+    """A cell of the emulated kind exactly on its numbers, at 500 Hz, and how large things are in it."""
+    seed = 0
+    while True:
+        r = np.random.default_rng([99, seed])
+        cell = draw_cell(r)
+        motion = draw_motion(r, cell)
+        if cell.stated and cell.surface_z_m == 0.0 and cell.rate_Hz == 500.0 and motion.duration_s < 35.0:
+            break
+        seed += 1
+    t_s = np.arange(int(motion.duration_s * cell.rate_Hz)) / cell.rate_Hz
+    detectability = Detectability(cell, no_deviations(motion.presses), motion, t_s)
+    return detectability, scales_of(detectability)
+
+
+@cache
+def case(kind: CaseKind, *effects: str) -> DrawnCase:
+    return draw_case(3, 8, kind, effects, "20-60")
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_cells_are_drawn_without_the_library_that_is_judged(name: str) -> None:
+    tree = ast.parse(files("palpd.blind").joinpath(name).read_text(encoding="utf-8"))
+    imported = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    imported |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    ours = {module for module in imported if module.startswith("palpd")}
+    assert ours <= {"palpd.recording.samples", *(f"palpd.blind.{module.removesuffix('.py')}" for module in MODULES)}
+
+
+def test_every_effect_of_the_library_has_its_own_law_and_another_one() -> None:
+    assert {law.effect for law in LIBRARY_LAWS} == set(EFFECTS)
+    assert {law.effect for law in FOREIGN_LAWS} == set(EFFECTS)
+    assert not {law.effect for law in NOVEL_LAWS} & set(EFFECTS)
+
+
+@pytest.mark.parametrize("law", [None, *MEANS], ids=lambda law: law.effect if law else "nominal")
+def test_two_physics_written_apart_agree_within_what_could_be_known_at_best(law: Law | None) -> None:
+    detectability, scales = nominal_cell()
+    planted = [(law, law.at(law.draw(np.random.default_rng(1), scales), 1.0))] if law else []
+    effects = {law.effect: {p.name: planted[0][1][p.name] for p in EFFECTS[law.effect].parameters if not p.optional}} if law else {}
+    nominal = cell_from(detectability.cell.as_yaml(), "cell.yaml").with_effects(effects)
+    theirs = library_simulate(nominal, detectability.t_s, z_cmd_m=detectability.motion.at(detectability.t_s))
+    ours = rows(detectability.run(planted), detectability.t_s, planted)
+    assert detectability.snr(ours - np.column_stack([theirs[name] for name in CHANNELS])) < 1.0
+
+
+def test_in_tolerance_deviations_mean_the_same_to_both() -> None:
+    detectability, _ = nominal_cell()
+    drawn = draw_deviations(np.random.default_rng(4), detectability.motion)
+    deviations = Deviations(drawn.of, 0.0 * drawn.surface, 0.0 * drawn.stiffness)
+    moved = Detectability(detectability.cell, deviations, detectability.motion, detectability.t_s)
+    off = {name: value * detectability.cell.tolerances[name] for name, value in deviations.of.items()}
+    axes = tuple(off[f"crosstalk_{axis}"] for axis in ("fx", "fy", "tx", "ty"))
+    estimated = Estimated(**{name: off[name] for name in TOLERANCES if not name.startswith("crosstalk")}, crosstalk=axes)
+    nominal = cell_from(detectability.cell.as_yaml(), "cell.yaml").with_estimated(estimated)
+    theirs = library_simulate(nominal, detectability.t_s, z_cmd_m=detectability.motion.at(detectability.t_s))
+    change = moved.plain_rows - detectability.plain_rows
+    residual = moved.plain_rows - np.column_stack([theirs[name] for name in CHANNELS])
+    assert np.linalg.norm(detectability.means(residual)) < 0.03 * np.linalg.norm(detectability.means(change))
+
+
+def test_what_a_tolerance_can_explain_is_worth_its_own_deviation_and_no_more() -> None:
+    detectability, _ = nominal_cell()
+    for tangent in detectability.tangents:
+        assert detectability.snr(5.0 * tangent) < 5.01
+        assert detectability.snr(-tangent) == pytest.approx(detectability.snr(tangent))
+
+
+def test_the_snr_of_white_noise_sized_changes_is_the_norm_over_means() -> None:
+    detectability, _ = nominal_cell()
+    change = np.zeros((len(detectability.t_s), 7))
+    change[:, CHANNELS.index("tz_Nm")] = 0.1 * detectability.cell.sigmas[-1]  # no tolerance reaches tz
+    assert detectability.snr(change) == pytest.approx(0.1 * len(detectability.t_s) ** 0.5, rel=0.01)
+
+
+def test_every_law_can_be_scaled_to_a_wanted_snr() -> None:
+    detectability, scales = nominal_cell()
+    missed = []
+    for law in (*MEANS, *NOVEL_LAWS):
+        fitted = fit_strength(detectability, law, law.draw(np.random.default_rng(2), scales), 12.0)
+        if fitted is None or not 0.7 * 12.0 < fitted.snr < 1.3 * 12.0:
+            missed.append(law.effect)
+    # What this one cell cannot show at all is drawn in another cell.
+    assert len(missed) <= 3
+
+
+def test_a_case_is_the_same_each_time_and_sized_as_ordered() -> None:
+    one, other = case("library", "cable.friction"), draw_case(3, 8, "library", ("cable.friction",), "20-60")
+    assert np.array_equal(one.samples.wrench, other.samples.wrench)
+    assert one.truth == other.truth
+    (effect,) = one.truth["effects"]
+    assert 20.0 <= effect["snr"] <= 63.0
+    assert one.cell["effects"] == {}
+
+
+def test_no_case_is_on_its_numbers_and_no_two_presses_are_alike() -> None:
+    healthy = case("healthy")
+    assert all(value != 0.0 for value in healthy.truth["deviations"].values())
+    motion = draw_motion(np.random.default_rng(5), nominal_cell()[0].cell)
+    depths = motion.to_m[motion.to_m < nominal_cell()[0].cell.surface_z_m]
+    assert len(set(np.round(depths, 7))) == len(depths) == motion.presses
+
+
+def test_a_case_hides_its_truth_and_is_sealed(tmp_path: Path) -> None:
+    recordings, sealed = tmp_path / "recordings", tmp_path / "sealed"
+    recordings.mkdir()
+    sealed.mkdir()
+    spec = next(o for o in plan(60, 3) if o.kind == "removed")
+    digests = make_case(spec, 3, recordings, sealed)
+    assert len(digests) == 4
+    shown = "".join(file.read_text(encoding="utf-8") for file in recordings.iterdir() if file.suffix != ".without")
+    assert spec.effects[0] not in shown
+    assert (recordings / f"{spec.index:05d}.without").read_text(encoding="utf-8") == spec.effects[0]
+
+
+def test_a_plan_holds_every_kind_in_its_share_and_a_short_one_begins_a_long_one() -> None:
+    long = plan(1000, 1)
+    assert plan(200, 1) == long[:200]
+    count = {kind: sum(o.kind == kind for o in long) for kind in CASE_KINDS}
+    assert count["healthy"] >= 200
+    assert count["removed"] + count["novel"] >= 200
+    assert {o.effects[0] for o in long if o.kind == "library"} == set(EFFECTS)
+
+
+def outcome(kind: str, planted: list[str], named: list[str], **more: Any) -> CaseOutcome:
+    base: CaseOutcome = {
+        "kind": kind,
+        "planted": planted,
+        "named": named,
+        "groups": [[n] for n in named],
+        "verdict": "effects" if named else "none",
+        "p": dict.fromkeys(named, 0.9),
+        "p_none": 0.05,
+        "p_unknown": 0.05,
+        "snr": 15.0 if planted else None,
+        "snr_per_row_sigma": 5.0 if planted else None,
+        "variance": False,
+        "mimic": None,
+        "failed": None,
+        "rate_Hz": 500.0,
+        "robot_rate_Hz": 500.0,
+    }
+    return base | more
+
+
+def test_scores_count_what_they_say() -> None:
+    outcomes = [
+        outcome("library", ["cable.friction"], ["cable.friction"]),
+        outcome("library", ["cable.friction"], ["cable.friction", "robot.lag"]),
+        outcome("library", ["cable.friction"], ["robot.lag"]),
+        outcome("library", ["sensor.gain"], ["tissue.modulus"], groups=[["sensor.gain", "tissue.modulus"]]),
+        outcome("healthy", [], []),
+        outcome("healthy", [], ["robot.lag"]),
+        outcome("novel", ["hum"], [], verdict="unknown", mimic={"id": "", "snr_left": 30.0}),
+        outcome("novel", ["hum"], ["sensor.creep"], mimic={"id": "", "snr_left": 5.0}),
+        outcome("two", ["cable.friction", "robot.lag"], ["robot.lag", "cable.friction"]),
+        outcome("removed", ["sensor.gain"], ["tissue.modulus"], mimic={"id": "", "snr_left": 1.0}, family=True),
+    ]
+    by = {f.what: f for f in scores(outcomes)}
+    first = by["right cause first, library laws, SNR 10-20"]
+    assert (first.value, first.n) == (pytest.approx(2 / 3), 3)
+    assert by["right and nothing else named, library laws, SNR ≥ 10"].value == pytest.approx(1 / 3)
+    assert by["truth within the group, all effects, library laws, SNR ≥ 10"].value == 0.75
+    assert by["healthy cell kept silent"].value == 0.5
+    stranger = by["never given, best mimic leaves SNR ≥ 10: called unknown"]
+    assert (stranger.value, stranger.n) == (1.0, 1)
+    assert by["two effects: both named and nothing else"].value == 1.0
+    assert by["left out, an indistinguishable effect listed: it is named with its family"].value == 1.0
+    assert by["healthy cell kept silent"].met() is False
+    assert by["right cause first, foreign laws, SNR > 20"].met() is None
+
+
+@pytest.mark.parametrize(
+    ("right", "n", "met", "word"), [(1, 1, None, "too few"), (3, 3, None, "too few"), (200, 200, True, "met"), (0, 9, False, "missed")]
+)
+def test_the_interval_decides_whether_a_target_is_met(right: int, n: int, met: bool | None, word: str) -> None:
+    score = Score("share", right / n, wilson(right, n), n, "≥ 0.97")
+    assert score.met() is met
+    row = ScoreRow(what="share", value=score.value, ci95=list(wilson(right, n)), n=n, target="≥ 0.97", met=score.met(), share=True)
+    assert word in as_markdown([row])
+
+
+def test_wilsons_interval_is_the_published_one() -> None:
+    # Newcombe 1998, table I: 81 of 263 and 0 of 20.
+    assert wilson(81, 263) == (pytest.approx(0.2553, abs=2e-4), pytest.approx(0.3662, abs=2e-4))
+    assert wilson(0, 20) == (0.0, pytest.approx(0.1611, abs=2e-4))
+
+
+def test_an_honest_forecaster_is_calibrated_and_a_boaster_is_not() -> None:
+    random = np.random.default_rng(0)
+    honest = [outcome("library", ["cable.friction"], ["cable.friction" if random.random() < 0.9 else "robot.lag"]) for _ in range(2000)]
+    assert calibration(honest)[0] < 0.03
+    boaster = [o | {"p": dict.fromkeys(o["named"], 1.0)} for o in honest]
+    assert calibration(boaster)[0] == pytest.approx(0.1, abs=0.03)
+
+
+def test_a_small_fixed_check_runs_end_to_end_in_another_process(tmp_path: Path) -> None:
+    result = run(3, 76, keep=tmp_path / "kept")
+    assert [o["failed"] for o in result["outcomes"]] == [None] * 3
+    by = {o["kind"]: o for o in result["outcomes"]}
+    assert by["library"]["named"] == by["library"]["planted"] == ["cable.friction"]
+    assert by["healthy"]["verdict"] == "none"
+    schema = json.loads(files("palpd.gap").joinpath("diagnosis.schema.json").read_text(encoding="utf-8"))
+    answers = sorted((tmp_path / "kept").glob("batch-*/recordings/*.json"))
+    assert len(answers) == 3
+    for path in answers:
+        jsonschema.validate(json.loads(path.read_text(encoding="utf-8")), schema)
+    ablated = result | {"ablation": "fz only", "cases": 2, "outcomes": result["outcomes"][:2]}
+    page = write_page(json.loads(json.dumps(result)), tmp_path / "docs", [ablated]).read_text(encoding="utf-8")
+    assert result["sealed_sha256"] in page
+    assert "The first 2 cells once more" in page
+    assert "| what | everything | fz only |" in page
+    assert "| healthy cell kept silent |" in page
+    assert (tmp_path / "docs" / "blind-confusion.png").stat().st_size > 10_000
+
+
+def test_a_case_that_was_not_answered_counts_as_wrong(tmp_path: Path) -> None:
+    spec = next(o for o in plan(60, 3) if o.kind == "healthy")
+    recordings, sealed = tmp_path / "recordings", tmp_path / "sealed"
+    recordings.mkdir()
+    sealed.mkdir()
+    make_case(spec, 3, recordings, sealed)
+    outcome = score_case(recordings, sealed, f"{spec.index:05d}")
+    assert outcome["failed"] == "no answer"
+    assert {score.what: score.value for score in scores([outcome])}["healthy cell kept silent"] == 0.0

@@ -1,0 +1,209 @@
+"""The command line as a whole: what it imports, what it refuses, and the way to the daemon that does not wait for imports."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from palpd.cli import app, at_once, main
+from palpd.config import load_config
+from palpd.daemon import interrupts
+from palpd.errors import PalpdError, Refused
+from tests.paths import ROOT
+
+HEAVY = ("numpy", "pydantic", "rich", "typer", "structlog", "scipy", "dataclasses", "inspect")
+COMMANDS = (
+    "run", "calibrate", "free-motion", "stiffness", "retract", "demo", "sim", "emulate", "serve", "status", "arm", "start", "pause",
+    "resume", "abort", "clear", "init", "install", "doctor", "check-config", "replay", "export", "recover", "import", "analyse",
+    "train", "map", "diagnose", "resolve", "simulate", "tolerances", "effects", "blind", "study",
+)  # fmt: skip
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "config.yaml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("command", ["abort", "status"])
+def test_what_is_carried_out_at_once_imports_nothing_heavy(tmp_path: Path, command: str) -> None:
+    code = (
+        f"import sys; from palpd.cli import main\ntry: main()\nfinally: print(sorted(set(sys.modules) & set({HEAVY!r})), file=sys.stderr)"
+    )
+    config = written(tmp_path, "paths: {state: here}")
+    done = subprocess.run(
+        [sys.executable, "-c", code, command, "--config", str(config)], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    sentence, imported = sorted(done.stderr.splitlines(), reverse=True)
+    assert done.returncode == 2
+    assert sentence.startswith(f"palpd: no daemon answers at {tmp_path}/here/palpd.sock")
+    assert imported == "[]"
+
+
+def test_help_imports_neither_numbers_nor_models_nor_colours() -> None:
+    code = (
+        "import sys; from palpd.cli import main\n"
+        "try: main()\n"
+        "finally: print(sorted(set(sys.modules) & {'numpy', 'pydantic', 'rich', 'structlog', 'scipy'}), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, "--help"], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 0
+    assert done.stderr == "[]\n"
+    shown = [line.split()[0] for line in done.stdout.partition("Commands:")[2].splitlines() if line.strip()]
+    assert tuple(shown) == COMMANDS
+
+
+@pytest.mark.parametrize(
+    ("text", "variables"),
+    [
+        ("", {}),
+        ("robot: {model: ur5}", {}),
+        ("paths: {state: kept}", {}),
+        ("paths: {state: /var/lib/palpd, socket: /run/palpd/palpd.sock}", {}),
+        ("paths: {runs: a, state: b, socket: c.sock}", {}),
+        ("paths: {socket: null}", {}),
+        ("paths: {}", {}),
+        ("paths: {state: kept}", {"PALPD_PATHS__SOCKET": "/run/other.sock"}),
+        ("paths: {state: kept}", {"PALPD_PATHS": '{"state": "elsewhere"}'}),
+        ("paths: {state: kept}", {"palpd_paths__state": "lower"}),
+        ("paths: {state: ''}", {}),
+    ],
+)
+def test_both_ways_to_the_control_socket_agree(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, variables: dict[str, str]
+) -> None:
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    config = written(tmp_path, text)
+    assert at_once.control_socket(config) == load_config(config).paths.control_socket
+    monkeypatch.chdir(tmp_path)
+    assert at_once.control_socket(Path("config.yaml")) == load_config(Path("config.yaml")).paths.control_socket
+
+
+@pytest.mark.parametrize(
+    "text", ["paths: 5", "paths: {socket: 5}", "paths: {state: null}", "paths: null", "- 1", "paths: {state: a, state: b}"]
+)
+def test_both_ways_to_the_control_socket_refuse_the_same(tmp_path: Path, text: str) -> None:
+    config = written(tmp_path, text)
+    sentences = []
+    for way in (at_once.control_socket, load_config):
+        with pytest.raises(PalpdError) as refused:
+            way(config)
+        sentences.append(str(refused.value))
+    assert sentences[0] == sentences[1]
+
+
+def test_an_abort_does_not_depend_on_the_rest_of_the_configuration(tmp_path: Path) -> None:
+    assert at_once.control_socket(written(tmp_path, "safety: {contact_limit_N: yes}")) == tmp_path / "state" / "palpd.sock"
+
+
+@pytest.mark.parametrize(
+    "spelling", [["--socket", "/a", "--config", "c.yaml"], ["--config=c.yaml", "--socket=/a"], ["--socket=/b", "--socket", "/a"]]
+)
+@pytest.mark.parametrize("command", ["abort", "status"])
+def test_the_short_way_and_the_whole_command_line_ask_the_same(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str, spelling: list[str]
+) -> None:
+    asked: list[tuple[Path, str]] = []
+    tick = {"before_end_s": 0.008, "phase": "press", "force_N": 12.1, "z_m": 0.0, "vz_m_per_s": 0.0, "command_stop": True}
+
+    def answer(socket: Path, request: dict[str, str], patience_s: float) -> dict[str, object]:
+        assert patience_s == at_once.PATIENCE_S
+        asked.append((socket, request["do"]))
+        return {"ok": True, "state": "disarmed", "last": {"verdict": "stopped", "last_ticks": [tick]}}
+
+    monkeypatch.setattr(at_once, "ask", answer)
+    assert at_once.done_at_once([command, *spelling])
+    short = capsys.readouterr().out
+    whole = CliRunner().invoke(app, [command, *spelling])
+    assert asked == [(Path("/a"), command)] * 2
+    assert whole.output == short
+    assert "disarmed" in short
+    assert ("12.10 N" in short) == (command == "status")
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["--help"], ["abort", "--help"], ["abort", "now"], ["abort", "--json", "a"], ["abort", "--socket"], ["arm"]]
+)
+def test_what_is_not_spelled_plainly_is_left_to_the_whole_command_line(monkeypatch: pytest.MonkeyPatch, arguments: list[str]) -> None:
+    monkeypatch.setattr(at_once, "ask", lambda *_: pytest.fail("nothing is asked"))
+    assert not at_once.done_at_once(arguments)
+
+
+def test_a_status_is_written_as_json_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(at_once, "ask", lambda *_: {"ok": True, "state": "armed", "latched": None})
+    assert at_once.done_at_once(["status", "--socket", "/a", "--json", str(tmp_path / "status.json")])
+    assert json.loads((tmp_path / "status.json").read_text()) == {"ok": True, "state": "armed", "latched": None}
+
+
+def test_a_status_for_people_says_what_where_and_how_far() -> None:
+    answer = {
+        "ok": True, "state": "running", "latched": None, "job": "palpation", "activity": "site B: holding", "steps_done": 9, "steps": 28,
+        "phase": "hold", "site": 1, "force_N": 5.2134567890123456, "z_m": 0.0123, "depth_m": 0.00402, "tick": 5000,
+        "cell": {"ready": True, "reason": "", "date": "2026-01-01T12:00:00"},
+        "last": {"verdict": "stopped", "reason": "the operator aborted the run", "recording": "runs/a.mcap", "notes": ["it presses"]},
+    }  # fmt: skip
+    assert at_once.status_lines(answer) == [  # type: ignore[arg-type]
+        "running: palpation, site B: holding, 9 of 28 steps done, force 5.21 N, 4.0 mm deep",
+        "Robot and sensor, checked 2026-01-01T12:00:00: ready.",
+        "Last job: stopped (the operator aborted the run), recording runs/a.mcap.",
+        "  note: it presses",
+    ]
+    idle = {"ok": True, "state": "disarmed", "latched": "the lateral force was 9 N"}
+    lines = at_once.status_lines(idle)  # type: ignore[arg-type]
+    assert lines[0] == "disarmed"
+    assert "palpd retract" in lines[1]
+
+
+def test_a_watch_without_a_terminal_prints_a_line_whenever_the_status_has_changed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    states = iter(["disarmed", "disarmed", "armed"])
+    monkeypatch.setattr(at_once.time, "sleep", lambda _: None)
+
+    def answer(*_: object) -> dict[str, object]:
+        try:
+            return {"ok": True, "state": next(states)}
+        except StopIteration:
+            raise KeyboardInterrupt from None
+
+    monkeypatch.setattr(at_once, "ask", answer)
+    with pytest.raises(KeyboardInterrupt):
+        at_once.watch(Path("c.yaml"), Path("/a"))
+    assert capsys.readouterr().out == "disarmed\narmed\n"
+
+
+def test_an_error_is_one_sentence_and_its_exit_code(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def refuse(*_: object) -> None:
+        raise Refused("nothing is running")
+
+    monkeypatch.setattr(at_once, "ask", refuse)
+    monkeypatch.setattr(interrupts, "listen", lambda: None)  # the handlers of this process are pytest's
+    monkeypatch.setattr(interrupts, "ignore", lambda: None)
+    monkeypatch.setattr(sys, "argv", ["palpd", "abort", "--socket", "/a"])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    assert capsys.readouterr().err == "palpd: nothing is running\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--colour"], "no such option: --colour; palpd --help shows what is expected"),
+        (["bogus"], "no such command 'bogus'; palpd --help shows what is expected"),
+        (["export", "run.mcap"], "missing option '--csv'; palpd export --help shows what is expected"),
+        (["start", "a\nb.yaml"], "a b.yaml cannot be read (No such file or directory); give the path of a file that exists"),
+    ],
+)
+def test_words_that_fit_no_command_are_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], sentence: str
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["palpd", *words])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    assert capsys.readouterr().err == f"palpd: {sentence}\n"

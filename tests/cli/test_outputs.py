@@ -1,0 +1,138 @@
+"""Every command tries the places of its outputs before it works, and refuses bad input in one sentence."""
+
+import os
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from palpd.cli import app
+from palpd.errors import BadInput, ConfigError, PalpdError
+from tests.paths import ROOT
+
+CONFIG, PLAN, PHANTOM = ROOT / "config.yaml", ROOT / "plan.yaml", ROOT / "palpd" / "cell" / "phantom.yaml"
+
+
+def refused(*arguments: str | Path) -> PalpdError:
+    """What a command raises; it must be an error of ours."""
+    result: Result = CliRunner().invoke(app, [str(each) for each in arguments])
+    assert isinstance(result.exception, PalpdError), result.output
+    return result.exception
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to work in, with the shipped files."""
+    for file in (CONFIG, PLAN):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["run"], ["stiffness"], ["demo"], ["sim"], ["doctor"], ["check-config", "config.yaml"], ["replay", "no.mcap"],
+        ["analyse", "no.csv"], ["map"], ["diagnose", "no.csv"], ["resolve"], ["tolerances", "no.csv", "--cell", "no.yaml"], ["effects"],
+        ["blind"], ["study"],
+    ],
+)  # fmt: skip
+def test_a_json_that_cannot_be_written_is_refused_before_anything_else(home: Path, command: list[str]) -> None:
+    before = sorted(home.rglob("*"))
+    error = refused(*command, "--json", "missing/out.json")
+    assert "out.json cannot be written" in str(error)
+    assert sorted(home.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        (["export", "no.mcap"], "--csv"), (["import", "no.csv"], "--csv"), (["simulate", "no.csv", "--cell", "no.yaml"], "--csv"),
+        (["map"], "--out"), (["diagnose", "no.csv"], "--cell-out"), (["diagnose", "no.csv"], "--report"),
+    ],
+)  # fmt: skip
+def test_an_output_that_cannot_be_written_is_refused_before_the_input_is_read(home: Path, command: list[str], option: str) -> None:
+    (home / "folder.csv").mkdir()
+    assert "cannot be written" in str(refused(*command, option, "missing/out.png"))
+    assert "is a folder" in str(refused(*command, option, "folder.csv"))
+
+
+@pytest.mark.parametrize("command", [["export", "no.mcap"], ["import", "no.csv"], ["simulate", "no.csv", "--cell", "no.yaml"]])
+def test_a_recording_that_exists_is_not_overwritten(home: Path, command: list[str]) -> None:
+    (home / "out.csv").write_text("kept")
+    assert "exists and is not overwritten" in str(refused(*command, "--csv", "out.csv"))
+    assert (home / "out.csv").read_text() == "kept"
+
+
+def test_folders_that_cannot_be_written_into_are_refused_before_the_arm_is_spoken_to(home: Path) -> None:
+    (home / "config.yaml").write_text("paths: {runs: /proc/runs, state: state}")
+    for command in (["run"], ["calibrate"], ["serve"], ["stiffness"], ["resolve"]):
+        error = refused(*command)
+        assert isinstance(error, BadInput)
+        assert "cannot be written" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("safety: {contact_limit_N: 5}\nsafety: {contact_limit_N: 24}\n", "line 2: the key 'safety' stands here and in line 1"),
+        ("safety: {contact_limit_N: yes}\n", "line 1: safety.contact_limit_N is true; expected a number"),
+        ("robot: {host: ''}\n", "robot.host is ''"),
+        ("safety: {contact_limit_N: " + "9" * 5000 + "}\n", "5000 digits"),
+        ("[" * 5000, "nested deeper"),
+    ],
+)
+def test_check_config_refuses_what_would_move_a_limit(home: Path, text: str, words: str) -> None:
+    (home / "config.yaml").write_text(text)
+    error = refused("check-config", "config.yaml")
+    assert isinstance(error, ConfigError)
+    assert words in str(error)
+    assert "\n" not in str(error)
+
+
+def test_a_pipe_and_a_device_are_refused_as_input(home: Path) -> None:
+    os.mkfifo(home / "pipe")
+    for path in ("pipe", "/dev/zero"):
+        for command in (
+            ["check-config", path],
+            ["check-config", "config.yaml", "--plan", path],
+            ["diagnose", "no.csv", "--cell", path],
+            ["diagnose", path, "--cell", str(PHANTOM)],
+            ["simulate", path, "--cell", str(PHANTOM), "--csv", "out.csv"],
+            ["analyse", path, "--force-column", "F", "--depth-column", "z"],
+            ["map", "--presses", path],
+            ["blind", "--compare", path],
+            ["train", path, "--out", "model.onnx"],
+            ["replay", path],
+        ):
+            assert "expected a regular file" in str(refused(*command)), command
+
+
+def test_an_empty_plan_is_refused(home: Path) -> None:
+    (home / "plan.yaml").write_text("")
+    for command in (["run"], ["sim"], ["start", "plan.yaml"], ["check-config", "config.yaml", "--plan", "plan.yaml"]):
+        assert "plan.yaml: sites and depths_m are not given" in str(refused(*command))
+
+
+def test_what_belongs_together_is_asked_for(home: Path) -> None:
+    for command, words in (
+        (["diagnose", "no.csv"], "--cell is required: give the cell.yaml that your simulator uses"),
+        (["map", "--presses", "p.csv", "--emulated"], "--presses draws presses that were made"),
+        (["effects", "no.such"], "there is no effect 'no.such'"),
+        (["blind", "--ablation", "nothing"], "--ablation is 'nothing'; expected one of"),
+        (["study", "--free", "a.mcap"], "needs both --free and --palpation"),
+        (["study", "--published", "--free", "a.mcap"], "leave out --bare"),
+    ):
+        assert words in str(refused(*command)), command
+
+
+def test_a_file_of_effects_is_read_or_refused(home: Path) -> None:
+    os.mkfifo(home / "pipe.py")
+    (home / "exits.py").write_text("import sys; sys.exit(0)")
+    assert "expected a regular file" in str(refused("effects", "--effects", "pipe.py"))
+    assert "could not be read as effects (SystemExit" in str(refused("effects", "--effects", "exits.py"))
+
+
+@pytest.mark.parametrize("command", [["train", "no.mcap", "--out", "model.onnx"], ["doctor"]])
+def test_a_configuration_that_is_named_must_exist(home: Path, command: list[str]) -> None:
+    assert "other.yaml cannot be read" in str(refused(*command, "--config", "other.yaml"))

@@ -1,0 +1,74 @@
+"""What a tick of the loop sees and keeps."""
+
+from typing import Any
+
+import numpy as np
+
+from palpd.config import Config, Plan
+from palpd.control.loop import Loop
+from palpd.control.sequence import Sequence, TimedRest
+from palpd.daemon.motion_process import Job, arm_geometry_of, explainer_with, limits_of
+from palpd.recording.tick_rows import RowWriter
+from palpd.tick import MAX_FRAMES, ROW, RobotState, SensorFrames, TickRecord, Timing
+from tests import scenes
+
+
+class StalledDevices:
+    """Clock, robot and sensor of a computer that stood still: the only tick finds that number of frames."""
+
+    def __init__(self, frames: int) -> None:
+        self._frames = scenes.frames(n=frames)
+
+    def wait(self) -> Timing:
+        return Timing(0, 10.0, 10.0)
+
+    def elapsed_us(self) -> float:
+        return 0.0
+
+    def read(self) -> SensorFrames:
+        return self._frames
+
+
+class StillRobot:
+    def read(self) -> RobotState:
+        return scenes.robot()
+
+    def move(self, velocity_m_per_s: tuple[float, float, float]) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class Rows:
+    """Writes every tick into a row, rehearsed or not."""
+
+    def __init__(self) -> None:
+        self._writer = RowWriter(np.zeros(1, ROW))
+
+    def __call__(self, record: TickRecord) -> None:
+        self._writer.fill(0, record)
+
+    rehearse = __call__
+
+
+def loop_of(record: Any) -> tuple[Loop, StalledDevices]:
+    devices = StalledDevices(MAX_FRAMES + 42)
+    job = Job("palpation", Config(), Plan(), reference=(0.0,) * 6)
+    sequence = Sequence(TimedRest(arm_geometry_of(job, 0.0), 1.0))
+    return Loop(StillRobot(), devices, devices, sequence, explainer_with(None, job, 0.0), limits_of(job.config, True), record), devices
+
+
+def test_a_rehearsal_after_a_stall_fits_a_row_too() -> None:
+    loop, _ = loop_of(Rows())
+    loop.rehearse(1)
+    loop.tick()
+
+
+def test_a_tick_decides_by_no_more_frames_than_its_row_holds() -> None:
+    records: list[TickRecord] = []
+    loop, devices = loop_of(records.append)
+    loop.tick()
+    (record,) = records
+    assert len(record.observation.frames) == MAX_FRAMES == len(record.observation.contact.tared)
+    assert np.array_equal(record.observation.frames.wrench, devices.read().wrench[-MAX_FRAMES:]), "the newest count"

@@ -1,0 +1,249 @@
+"""The palpation sequence, on the cell's own physics without wires."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpd.analysis import results
+from palpd.cell.cell_file import CellFile
+from palpd.config import Config, Plan
+from palpd.control.sequence import ArmGeometry, Palpation, Sequence
+from palpd.daemon.motion_process import Job
+from palpd.daemon.simulated_run import SimulatedRecording, run
+from palpd.tick import Phase, Request, Trip
+from tests.scenes import contact, observation, robot
+from tests.simulated import cell_file, ran
+
+ONE = Plan(depths_m=(0.005,), repeats=1, hold_s=1.0)
+
+
+@pytest.mark.parametrize(
+    ("modulus_Pa", "effects"),
+    [
+        (62_500, {}),
+        (132_350, {}),
+        (92_140, {"tissue.inclusion": {"contrast": 2.1, "depth_m": 0.01517}}),
+        (20_000, {}),
+    ],
+)
+def test_the_surface_is_found_within_a_tenth_of_a_millimetre(modulus_Pa: float, effects: dict[str, dict[str, float]]) -> None:
+    for seed in range(3):
+        done = ran(cell_file(tissue={"youngs_modulus_Pa": modulus_Pa, "surface_z_m": 0.0123}, effects=effects), ONE, seed=seed)
+        site = results.sites(done.rows, done.header)[0]
+        assert done.outcome.verdict == "done", done.outcome
+        assert abs(site["surface_z_m"] - 0.0123) < 1e-4
+
+
+def test_depths_are_reached_within_a_twentieth_and_never_overshot_by_a_tenth() -> None:
+    done = ran(cell_file(), Plan(depths_m=(0.003, 0.006, 0.010), repeats=1, hold_s=0.5), safety={"contact_limit_N": 15})
+    site = results.sites(done.rows, done.header)[0]
+    assert len(site["depths"]) == len(site["presses"]) == 3
+    for press in site["depths"] + site["presses"]:
+        assert abs(press["achieved_m"] - press["commanded_m"]) < 5e-5
+    lowest_m = done.rows["tcp_pose"][:, 2].min()
+    assert lowest_m > site["surface_z_m"] - 0.010 - 1e-4
+
+
+def test_the_hold_gives_the_modulus_of_the_cell() -> None:
+    done = ran(cell_file(), Plan(repeats=1, hold_s=1.0))
+    site = results.sites(done.rows, done.header)[0]
+    assert site["static_youngs_modulus_Pa"] == pytest.approx(72_000, rel=0.03)
+    assert site["dynamic_original_Pa"] == pytest.approx(72_000, rel=0.05)
+
+
+def test_a_bias_that_the_tare_did_not_see_spoils_the_dynamic_modulus_and_not_the_static_one() -> None:
+    done = ran(cell_file(effects={"sensor.bias": {"offset_N": 0.4}}), Plan(repeats=1, hold_s=1.0))
+    site = results.sites(done.rows, done.header)[0]
+    assert site["static_youngs_modulus_Pa"] == pytest.approx(72_000, rel=0.03)
+    assert site["dynamic_original_Pa"] > 1.08 * 72_000
+
+
+def test_the_sequence_ends_a_press_before_the_guard_has_to() -> None:
+    done = ran(cell_file(), Plan(depths_m=(0.010,), repeats=1), safety={"contact_limit_N": 5.0})
+    site = results.sites(done.rows, done.header)[0]
+    assert done.outcome.verdict == "done"
+    assert site["cut_short"] is True
+    assert site["cut_short_depths_m"] == [0.010]
+    assert site["depths"][0]["E_Pa"] is None
+    assert 4.4 < site["peak_force_N"] < 5.0
+
+
+def test_a_machine_that_gives_way_is_corrected_by_its_stiffness() -> None:
+    soft = cell_file(effects={"robot.compliance": {"stiffness_N_per_m": 10_000.0}})
+    plan = Plan(repeats=1, hold_s=1.0)
+    ignored, corrected = ran(soft, plan), ran(soft, plan, machine_stiffness_N_per_m=10_000.0)
+    without = results.sites(ignored.rows, ignored.header)[0]["static_youngs_modulus_Pa"]
+    with_it = results.sites(corrected.rows, corrected.header)[0]["static_youngs_modulus_Pa"]
+    assert without < 0.92 * 72_000
+    assert with_it == pytest.approx(72_000, rel=0.03)
+
+
+def test_pressing_a_rigid_plate_measures_the_machine() -> None:
+    plate = cell_file(wall={"z_m": 0.0, "stiffness_N_per_m": 1e7}, effects={"robot.compliance": {"stiffness_N_per_m": 80_000.0}})
+    done = ran(plate, Plan(search={"max_travel_m": 0.04}), kind="stiffness")  # type: ignore[arg-type]
+    assert done.outcome.verdict == "done", done.outcome
+    value, (low, high) = results.machine_stiffness(done.rows)
+    assert value == pytest.approx(80_000, rel=0.03)
+    assert low < value < high
+
+
+def test_free_motion_goes_up_and_down_ten_times_and_touches_nothing() -> None:
+    done = ran(cell_file(), kind="free_motion")
+    z_m = done.rows["tcp_pose"][:, 2]
+    assert done.outcome.verdict == "done"
+    assert np.ptp(z_m) == pytest.approx(0.02, abs=2e-4)
+    assert done.rows["repeat"].max() == 9
+    assert z_m[-1] == pytest.approx(z_m[0], abs=1e-4)
+
+
+def test_where_nothing_is_met_the_run_ends_with_the_distance() -> None:
+    done = ran(cell_file(tissue=None), Plan(search={"speed_m_per_s": 0.02, "max_travel_m": 0.02}))  # type: ignore[arg-type]
+    assert done.outcome.verdict == "stopped"
+    assert "0.02 m" in done.outcome.reason
+
+
+TWO_SITES = {"sites": [{"name": "A"}, {"name": "B", "x_m": 0.02, "y_m": -0.01}], "depths_m": [0.004], "mode": "dynamic", "repeats": 1}
+
+
+def test_a_run_that_is_done_returns_to_its_start_above_the_tissue() -> None:
+    done = ran(cell_file(), Plan.model_validate(TWO_SITES))
+    back = done.rows[done.rows["phase"] == Phase.RETURN]
+    assert done.outcome.verdict == "done"
+    assert done.rows["target_pose"][-1, :3] == pytest.approx(done.rows["target_pose"][0, :3], abs=2e-5)
+    assert back["tcp_pose"][:, 2] == pytest.approx(done.rows["tcp_pose"][0, 2], abs=1e-3), "at the height of the start"
+    assert np.hypot(*back["command_m_per_s"][:, :2].T).max() == pytest.approx(0.05, rel=1e-6), "at the speed of travel"
+    assert set(back["site"]) == {-1}, "the way back belongs to no site"
+
+
+def test_a_run_that_the_operator_aborted_stays_where_it_is() -> None:
+    plan = Plan.model_validate(TWO_SITES)
+    whole = ran(cell_file(), plan)
+    at_second_site = int(np.flatnonzero(whole.rows["site"] == 1)[-1])
+    aborted = ran(cell_file(), plan, requests={at_second_site: Request.ABORT})
+    assert not (aborted.rows["phase"] == Phase.RETURN).any()
+    assert aborted.rows["target_pose"][-1, 0] > 0.015
+
+
+def test_sites_count_from_the_origin_where_the_plan_gives_one_and_the_arm_returns_all_the_same() -> None:
+    done = ran(cell_file(), Plan.model_validate({**TWO_SITES, "origin": {"x_m": -0.04, "y_m": 0.03}}))
+    for index, place_m in enumerate([(-0.04, 0.03), (-0.02, 0.02)]):
+        pressing = done.rows[(done.rows["site"] == index) & (done.rows["phase"] == Phase.PRESS)]
+        assert pressing["target_pose"][:, :2] == pytest.approx(np.tile(place_m, (len(pressing), 1)), abs=2e-5)
+    assert done.rows["target_pose"][-1, :2] == pytest.approx(done.rows["target_pose"][0, :2], abs=2e-5)
+
+
+def test_an_origin_that_is_too_far_away_is_refused_before_anything_moves() -> None:
+    done = ran(cell_file(), Plan.model_validate({**TWO_SITES, "origin": {"x_m": 0.31, "y_m": 0.0}}))
+    assert (done.outcome.verdict, done.outcome.refused) == ("stopped", True)
+    assert "0.310 m from where the arm stands" in done.outcome.reason
+    assert not done.rows["command_m_per_s"].any()
+
+
+def test_a_pause_stands_still_and_a_resume_goes_on() -> None:
+    plain = ran(cell_file(), ONE)
+    paused = ran(cell_file(), ONE, requests={700: Request.PAUSE, 900: Request.RESUME})
+    rows = paused.rows[700:900]
+    assert set(rows["phase"]) == {Phase.PAUSED}
+    assert not rows["command_m_per_s"].any()
+    assert np.ptp(rows["target_pose"][20:, 2]) == 0.0
+    assert paused.outcome.verdict == "done"
+    assert abs(len(paused.rows) - len(plain.rows) - 200) < 30
+
+
+def test_an_abort_stops_within_the_tick() -> None:
+    done = ran(cell_file(), ONE, requests={600: Request.ABORT})
+    assert len(done.rows) == 601
+    assert done.rows["command_stop"][-1]
+    assert [trip.trip for trip in done.outcome.trips] == [Trip.OPERATOR]
+
+
+def test_a_hard_wall_where_tissue_was_expected_trips_the_guard_which_retracts() -> None:
+    wall = cell_file(wall={"z_m": 0.0, "stiffness_N_per_m": 20_000.0})
+    done = ran(wall, Plan(depths_m=(0.004,), search={"speed_m_per_s": 0.02}))  # type: ignore[arg-type]
+    assert [trip.trip for trip in done.outcome.trips] == [Trip.CONTACT_FORCE]
+    assert done.rows["tcp_pose"][-1, 2] > 0.02
+    assert done.rows["command_stop"][-1]
+
+
+def test_free_strokes_come_before_the_presses_or_instead_of_them() -> None:
+    alone = ran(cell_file(), Plan.model_validate({"depths_m": [], "free": {"strokes": 2, "speed_m_per_s": 0.05}}))
+    assert alone.outcome.verdict == "done"
+    z_m = alone.rows["tcp_pose"][:, 2]
+    assert np.ptp(z_m) == pytest.approx(0.02, abs=2e-4)
+    assert z_m.min() > z_m[0] - 1e-4, "nothing below the start"
+    assert np.abs(alone.rows["target_speed"][:, 2]).max() == pytest.approx(0.05, rel=1e-6)
+    both = ran(cell_file(), Plan.model_validate({"depths_m": [0.004], "mode": "dynamic", "repeats": 1, "free": {"strokes": 1}}))
+    phases = [int(phase) for phase in dict.fromkeys(both.rows["phase"].tolist())]
+    assert phases.index(Phase.FREE_MOTION) < phases.index(Phase.SEARCH) < phases.index(Phase.PRESS)
+
+
+@pytest.mark.parametrize(("standing_N", "why"), [(5.0, "touches something already"), (-1.5, "zero moves, or its sign is wrong")])
+def test_a_force_that_stands_there_when_the_search_begins_is_no_surface(standing_N: float, why: str) -> None:
+    sequence = Sequence(Palpation(ONE, ArmGeometry(tip_radius_m=0.005, contact_limit_N=12.0, max_speed_m_per_s=0.05, delay_s=0.001)))
+    now_s, x_m, y_m, z_m, phase = 10.0, 0.0, 0.0, 0.03, Phase.IDLE
+    while not sequence.over and now_s < 60.0:
+        pose = (x_m, y_m, z_m, np.pi, 0.0, 0.0)
+        seen = replace(robot(now_s), tcp_pose=pose, target_pose=pose)
+        tared = np.zeros((8, 6))
+        tared[:, 2] = standing_N if phase == Phase.SEARCH else 0.0
+        proposal = sequence.step(observation(now_s, robot=seen, contact=contact(tared=tared)))
+        phase = proposal.progress.phase
+        x_m, y_m, z_m = (at + 0.008 * v for at, v in zip((x_m, y_m, z_m), proposal.command.velocity_m_per_s, strict=True))
+        now_s += 0.008
+    assert sequence.failure is not None
+    assert why in sequence.failure
+
+
+# --- leaving the tissue after a stop ------------------------------------------------------------------------------------------
+
+
+def retracted(start_above_m: float, cell: CellFile | None = None, requests: dict[int, Request] | None = None) -> SimulatedRecording:
+    """A retract that begins there, with the tip below the surface where negative."""
+    return run(Job("retract", Config()), cell or cell_file(), home_above_m=start_above_m, requests=requests or {})
+
+
+def test_a_retract_leaves_the_tissue_straight_up_and_slowly() -> None:
+    done = retracted(-0.006)
+    commands = done.rows["command_m_per_s"]
+    assert done.rows["force_N"][50] > 4.0, "it began loaded"
+    assert done.outcome.verdict == "done", done.outcome
+    assert not commands[:, :2].any()
+    assert commands[:, 2].min() >= 0.0
+    assert commands[:, 2].max() <= 0.005
+    assert 0.003 < done.rows["tcp_pose"][-1, 2] < 0.008, "clear of the tissue, and not far above it"
+
+
+def test_a_retract_of_a_clear_arm_is_refused_and_moves_nothing() -> None:
+    done = retracted(0.01)
+    assert (done.outcome.verdict, done.outcome.refused) == ("stopped", True)
+    assert "clear of the tissue" in done.outcome.reason
+    assert not done.rows["command_m_per_s"].any()
+
+
+def test_a_retract_goes_no_farther_than_its_limit() -> None:
+    drifting = cell_file(effects={"sensor.drift": {"rate_N_per_s": 0.3}}, wall={"z_m": 0.0, "stiffness_N_per_m": 400.0}, tissue=None)
+    done = retracted(-0.008, drifting)
+    assert done.outcome.verdict == "stopped"
+    assert "still changes after 60 mm" in done.outcome.reason
+    assert done.rows["target_pose"][-1, 2] < -0.008 + 0.0601
+
+
+@pytest.mark.parametrize(("depth_m", "stiffness_N_per_m", "trip"), [(0.004, 7000.0, Trip.ABSOLUTE_FORCE)])
+def test_a_retract_above_the_absolute_limit_is_left_to_hands(depth_m: float, stiffness_N_per_m: float, trip: Trip) -> None:
+    done = retracted(-depth_m, cell_file(tissue=None, wall={"z_m": 0.0, "stiffness_N_per_m": stiffness_N_per_m}))
+    assert [each.trip for each in done.outcome.trips] == [trip]
+    assert not done.rows["command_m_per_s"].any()
+
+
+def test_a_retract_above_the_contact_limit_is_still_slow() -> None:
+    done = retracted(-0.004, cell_file(tissue=None, wall={"z_m": 0.0, "stiffness_N_per_m": 4000.0}))
+    assert done.rows["force_N"][50] > 12.0
+    assert done.outcome.verdict == "done", done.outcome
+    assert done.rows["command_m_per_s"][:, 2].max() <= 0.005
+
+
+def test_an_abort_stops_a_retract() -> None:
+    done = retracted(-0.006, requests={120: Request.ABORT})
+    assert [trip.trip for trip in done.outcome.trips] == [Trip.OPERATOR]
+    assert done.rows["command_stop"][-1]

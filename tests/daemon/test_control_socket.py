@@ -1,0 +1,184 @@
+"""The control socket: what is malformed, oversized or slow changes nothing."""
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from palpd.daemon import control_socket as control
+from palpd.daemon.control_socket import MOST_BYTES, ControlSocket
+from palpd.daemon.socket_client import ask
+from palpd.errors import Refused
+
+
+class Listening:
+    def __init__(self, path: Path) -> None:
+        self.path, self.heard = path, []  # type: ignore[var-annotated]
+        self.socket = ControlSocket(path, self.answer)
+        self.over = threading.Event()
+        self.thread = threading.Thread(target=self.serve)
+        self.thread.start()
+
+    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        self.heard.append(request)
+        return {"ok": request["do"] != "refuse", "error": "no", "echo": request.get("plan")}
+
+    def serve(self) -> None:
+        while not self.over.is_set():
+            self.socket.poll(0.01)
+
+    def raw(self, data: bytes) -> bytes:
+        with socket.socket(socket.AF_UNIX) as client:
+            client.settimeout(3.0)
+            client.connect(str(self.path))
+            try:
+                client.sendall(data)
+                return client.recv(65536)
+            except (ConnectionResetError, BrokenPipeError):
+                return b""
+
+
+@pytest.fixture(scope="module")
+def listening(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Listening]:
+    server = Listening(tmp_path_factory.mktemp("control") / "palpd.sock")
+    yield server
+    server.over.set()
+    server.thread.join()
+    server.socket.close()
+    assert not server.path.exists()
+
+
+def test_a_request_is_answered(listening: Listening) -> None:
+    assert ask(listening.path, {"do": "start", "plan": {"a": 1}})["echo"] == {"a": 1}
+
+
+def test_a_refusal_is_raised_with_its_sentence(listening: Listening) -> None:
+    with pytest.raises(Refused, match="no"):
+        ask(listening.path, {"do": "refuse"})
+
+
+def test_the_socket_is_not_open_to_others(listening: Listening) -> None:
+    assert listening.path.stat().st_mode & 0o007 == 0
+
+
+@pytest.mark.parametrize("data", [b"abort\n", b"[]\n", b'{"do": 3}\n', b"\xff\xfe\n", b"[" * 100_000 + b"\n"])
+def test_what_is_no_request_is_told_so_and_not_carried_out(listening: Listening, data: bytes) -> None:
+    before = len(listening.heard)
+    assert json.loads(listening.raw(data))["ok"] is False
+    assert len(listening.heard) == before
+
+
+def test_an_endless_request_is_dropped(listening: Listening) -> None:
+    before = len(listening.heard)
+    assert listening.raw(b"x" * (MOST_BYTES + 65536)) == b""
+    assert len(listening.heard) == before
+
+
+def test_a_slow_client_is_dropped_and_others_are_served_meanwhile(listening: Listening, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control, "LINE_S", 0.5)
+    with socket.socket(socket.AF_UNIX) as slow:
+        slow.settimeout(3.0)
+        slow.connect(str(listening.path))
+        slow.sendall(b'{"do":')
+        began_s = time.monotonic()
+        assert ask(listening.path, {"do": "status"})["ok"]
+        assert time.monotonic() - began_s < 0.8
+        assert slow.recv(1) == b""
+
+
+def _crowd(path: Path, number: int, line: bytes = b"") -> list[socket.socket]:
+    clients = [socket.socket(socket.AF_UNIX) for _ in range(number)]
+    for client in clients:
+        client.settimeout(3.0)
+        client.connect(str(path))
+        client.sendall(line)
+    return clients
+
+
+@pytest.mark.parametrize("line", [b"", b'{"do": "status"'])
+def test_an_abort_gets_through_200_connections_that_never_complete_a_line(listening: Listening, line: bytes) -> None:
+    crowd = _crowd(listening.path, 200, line)
+    before = len(listening.heard)
+    assert ask(listening.path, {"do": "abort"})["ok"]
+    assert listening.heard[before:] == [{"do": "abort"}]
+    for client in crowd:
+        client.close()
+
+
+def test_an_abort_overtakes_requests_that_came_before_it(tmp_path: Path) -> None:
+    heard: list[str] = []
+
+    def answer(request: Any) -> Any:
+        heard.append(request["do"])
+        return {"ok": True}
+
+    server = ControlSocket(tmp_path / "palpd.sock", answer)
+    crowd = _crowd(tmp_path / "palpd.sock", 20, b'{"do": "status"}\n') + _crowd(tmp_path / "palpd.sock", 1, b'{"do": "abort"}\n')
+    server.poll()
+    assert heard[0] == "abort"
+    server.close()
+    for client in crowd:
+        client.close()
+
+
+def test_an_abort_is_carried_out_although_its_client_has_gone(tmp_path: Path) -> None:
+    heard: list[str] = []
+
+    def answer(request: Any) -> Any:
+        heard.append(request["do"])
+        return {"ok": True}
+
+    server = ControlSocket(tmp_path / "palpd.sock", answer)
+    for client in _crowd(tmp_path / "palpd.sock", 1, b'{"do": "abort"}\n'):
+        client.close()
+    server.poll()
+    server.poll()
+    server.close()
+    assert heard == ["abort"]
+
+
+@pytest.mark.hil
+def test_an_abort_gets_through_a_flood_of_requests_and_connections(listening: Listening) -> None:
+    over = threading.Event()
+
+    def flood() -> None:
+        while not over.is_set():
+            listening.raw(b'{"do": "status"}\n')
+
+    threads = [threading.Thread(target=flood) for _ in range(20)]
+    crowd = _crowd(listening.path, 200)
+    for thread in threads:
+        thread.start()
+    try:
+        for _ in range(10):
+            assert ask(listening.path, {"do": "abort"})["ok"]
+    finally:
+        over.set()
+        for thread in threads:
+            thread.join()
+        for client in crowd:
+            client.close()
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(st.binary(max_size=200))
+def test_no_bytes_bring_it_down(listening: Listening, data: bytes) -> None:
+    listening.raw(data.replace(b"\n", b"") + b"\n")
+    assert ask(listening.path, {"do": "status"})["ok"]
+
+
+def test_a_second_daemon_on_the_same_socket_is_refused(listening: Listening) -> None:
+    with pytest.raises(Refused, match="another palpd"):
+        ControlSocket(listening.path, listening.answer)
+
+
+def test_no_daemon_is_said_in_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(Refused, match="no daemon answers"):
+        ask(tmp_path / "nobody.sock", {"do": "status"})

@@ -1,0 +1,54 @@
+"""Signals in a process of its own: what is printed, and the exit code."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from palpd.daemon import interrupts
+from tests.paths import ROOT
+
+PATIENCE_S = 60.0
+
+
+def _ended(code: str) -> tuple[int, str]:
+    # A shell ignores SIGINT in what it runs in the background, and palpd leaves an ignored signal ignored.
+    default = "for number in interrupts.SIGNALS: signal.signal(number, signal.SIG_DFL)"
+    lines = f"import os, signal\nfrom palpd.daemon import interrupts\n{default}\ninterrupts.listen()\n{code}"
+    done = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, cwd=ROOT, check=False, timeout=PATIENCE_S)
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize("name", [number.name for number in interrupts.SIGNALS])
+def test_a_signal_at_the_start_ends_the_process_with_one_sentence(name: str) -> None:
+    code, stderr = _ended(f"os.kill(os.getpid(), signal.{name})\nwhile True: pass")
+    assert (code, stderr) == (130, f"palpd: interrupted by {name} while palpd was starting; nothing was moved\n")
+
+
+def test_code_that_swallows_every_exception_ends_all_the_same() -> None:
+    swallowing = "while True:\n  try: os.kill(os.getpid(), signal.SIGINT)\n  except BaseException: pass"
+    assert _ended(f"interrupts.started()\n{swallowing}") == (130, "palpd: interrupted by SIGINT\n")
+
+
+def test_a_signal_that_was_ignored_stays_ignored() -> None:
+    lines = "signal.signal(signal.SIGHUP, signal.SIG_IGN)\ninterrupts.listen()\nos.kill(os.getpid(), signal.SIGHUP)\nprint('on')"
+    done = subprocess.run(
+        [sys.executable, "-c", f"import os, signal\nfrom palpd.daemon import interrupts\n{lines}"],
+        capture_output=True, text=True, cwd=ROOT, check=True,
+    )  # fmt: skip
+    assert done.stdout == "on\n"
+
+
+def test_during_a_job_a_signal_raises_nothing_and_a_second_one_changes_nothing() -> None:
+    body = "heard = []\nwith interrupts.held(lambda: heard.append(interrupts.received())):\n"
+    body += "  for number in (signal.SIGTERM, signal.SIGINT): os.kill(os.getpid(), number)\nassert heard == ['SIGTERM'] * 2"
+    assert _ended(body) == (0, "")
+
+
+def test_a_child_inherits_that_the_signals_wait() -> None:
+    with interrupts.shielded():
+        command = "import signal; print(sorted(signal.pthread_sigmask(signal.SIG_BLOCK, ())) == [1, 2, 15])"
+        done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
+    assert done.stdout == "True\n"
+    assert not set(interrupts.SIGNALS) & signal.pthread_sigmask(signal.SIG_BLOCK, ())

@@ -1,0 +1,500 @@
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hw.emulators.process import Emulated, started
+from palpd.cli.at_once import position
+from palpd.config import Config, load_config, parse_config
+from palpd.daemon.control_socket import Later
+from palpd.daemon.install import installed, unit_python
+from palpd.daemon.motion_process import Job
+from palpd.daemon.service import Service
+from palpd.daemon.socket_client import ask
+from palpd.daemon.stored_state import Calibration, Latch, State
+from palpd.daemon.supervisor import Report
+from palpd.errors import Refused
+from palpd.recording.reader import Recording, recover
+from palpd.tick import ROW, Phase, Request
+from tests.paths import ROOT
+
+HOST = "127.0.9.72"
+PHANTOM = ROOT / "palpd" / "cell" / "phantom.yaml"
+TARE = Calibration((0.0,) * 6, "2026-01-01", "PRE00042")
+PLAN = {"sites": [{"name": "A"}], "depths_m": [0.004], "mode": "static", "hold_s": 20.0, "search": {"speed_m_per_s": 0.02}}
+SLOW = {**PLAN, "search": {"speed_m_per_s": 0.001}}
+
+# --- who may do what, without devices -----------------------------------------------------------------------------------------
+
+
+class ScriptedRun:
+    """Stands for a run under way; `ends_with` is what the next poll reports."""
+
+    def __init__(self, job: Job, *_: Any) -> None:
+        self.job, self.ends_with, self.asked = job, None, []  # type: ignore[var-annotated]
+
+    def poll(self) -> Report | None:
+        if isinstance(self.ends_with, Exception):
+            raise self.ends_with
+        return self.ends_with
+
+    def ask(self, request: Request) -> None:
+        self.asked.append(request)
+
+
+@pytest.fixture
+def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
+    monkeypatch.setattr("palpd.daemon.service.JobRun", ScriptedRun)
+    service = Service(settings(tmp_path), lambda *_: pytest.fail("nothing is opened here"))
+    yield service
+    service._free_ring()
+
+
+def settings(folder: Path, **more: Any) -> Config:
+    return parse_config({"paths": {"state": str(folder / "state"), "runs": str(folder / "runs")}, **more}, "the test's configuration")
+
+
+def end(service: Service, report: Report | Exception) -> None:
+    service._run.ends_with = report  # type: ignore[union-attr]
+    service._poll_run()
+
+
+def refusal(service: Service, **request: Any) -> str:
+    answer = service.answer(request)
+    assert isinstance(answer, dict)
+    assert not answer["ok"]
+    return str(answer["error"])
+
+
+def armed(service: Service) -> None:
+    service._state.keep("calibration", TARE)
+    later = service.answer({"do": "arm"})
+    end(service, Report("done"))
+    assert isinstance(later, Later)
+    assert later.answer == {"ok": True, "state": "armed"}
+
+
+def status(service: Service) -> dict[str, Any]:
+    answer = service.answer({"do": "status"})
+    assert isinstance(answer, dict)
+    return answer
+
+
+def test_it_begins_disarmed_and_does_not_start(service: Service) -> None:
+    assert status(service)["state"] == "disarmed"
+    assert "disarmed" in refusal(service, do="start", plan=PLAN)
+
+
+def test_nothing_is_armed_without_a_reference_tare(service: Service) -> None:
+    assert "palpd calibrate" in refusal(service, do="arm")
+
+
+def test_arming_waits_for_a_check_of_the_devices_that_commands_nothing(service: Service) -> None:
+    service._state.keep("calibration", TARE)
+    later = service.answer({"do": "arm"})
+    assert isinstance(later, Later)
+    assert later.answer is None
+    assert status(service)["state"] == "checking"
+    assert service._run is not None
+    assert service._run.job.dry
+    assert service._run.job.reference == TARE.wrench
+    end(service, Report("done"))
+    assert later.answer == {"ok": True, "state": "armed"}
+    assert status(service)["state"] == "armed"
+
+
+def test_a_check_that_finds_something_refuses_with_its_sentence(service: Service) -> None:
+    service._state.keep("calibration", TARE)
+    later = service.answer({"do": "arm"})
+    end(service, Report("refused", "the sensor is silent", 2))
+    assert isinstance(later, Later)
+    assert later.answer == {"ok": False, "error": "not armed: the sensor is silent"}
+    assert status(service)["state"] == "disarmed"
+    assert status(service)["cell"]["reason"] == "the sensor is silent"
+
+
+def test_an_abort_during_the_check_leaves_it_disarmed_whatever_the_check_says(service: Service) -> None:
+    service._state.keep("calibration", TARE)
+    later = service.answer({"do": "arm"})
+    run = service._run
+    service.answer({"do": "abort"})
+    assert isinstance(later, Later)
+    assert later.answer is not None
+    assert not later.answer["ok"]
+    assert run.asked == [Request.ABORT]  # type: ignore[union-attr]
+    end(service, Report("done"))
+    assert status(service)["state"] == "disarmed"
+
+
+def test_who_no_longer_waits_for_the_answer_has_armed_nothing(service: Service) -> None:
+    service._state.keep("calibration", TARE)
+    later = service.answer({"do": "arm"})
+    assert isinstance(later, Later)
+    later.abandoned = True
+    end(service, Report("done"))
+    assert status(service)["state"] == "disarmed"
+
+
+def test_two_cannot_arm_at_once(service: Service) -> None:
+    service._state.keep("calibration", TARE)
+    service.answer({"do": "arm"})
+    assert "another client" in refusal(service, do="arm")
+
+
+def test_a_start_spends_the_arming(service: Service) -> None:
+    armed(service)
+    assert service.answer({"do": "start", "plan": PLAN}) == {"ok": True, "state": "running"}
+    assert "running" in refusal(service, do="arm")
+    end(service, Report("done"))
+    assert status(service)["state"] == "disarmed"
+    assert "disarmed" in refusal(service, do="start", plan=PLAN)
+
+
+@pytest.mark.parametrize(
+    "plan",
+    [None, [], {"depths_m": [4]}, {"press_speed_m_per_s": 0.05, "search": {"speed_m_per_s": 0.9}}, {"sites": []}, {"unknown": 1}],
+)
+def test_a_wrong_plan_starts_nothing_and_leaves_it_armed(service: Service, plan: Any) -> None:
+    armed(service)
+    refusal(service, do="start", plan=plan)
+    assert status(service)["state"] == "armed"
+
+
+def test_a_latch_is_cleared_by_an_operator_only(service: Service) -> None:
+    service._state.keep("calibration", TARE)
+    service._state.keep("latch", Latch("the lateral force was 9 N", "yesterday"))
+    assert "lateral" in refusal(service, do="arm")
+    again = Service(service._config, service._build)  # a restart
+    try:
+        assert "lateral" in refusal(again, do="arm")
+    finally:
+        again._free_ring()
+    service.answer({"do": "clear"})
+    assert isinstance(service.answer({"do": "arm"}), Later)
+
+
+def test_a_latch_that_cannot_be_read_is_one(service: Service) -> None:
+    service._state.keep("calibration", TARE)
+    (service._state.folder / "latch.json").write_text("{half")
+    assert "cannot be read" in refusal(service, do="arm")
+    service.answer({"do": "clear"})
+    assert isinstance(service.answer({"do": "arm"}), Later)
+
+
+def test_a_latch_that_cannot_be_written_holds_all_the_same(service: Service) -> None:
+    armed(service)
+    service.answer({"do": "start", "plan": PLAN})
+    end(service, Refused("state/latch.json cannot be written (no space left)"))
+    assert "no space left" in refusal(service, do="arm")
+    service.answer({"do": "clear"})
+    assert isinstance(service.answer({"do": "arm"}), Later)
+
+
+@pytest.mark.parametrize("wrench", [[1, 2, 3], ["x"] * 6, None, [float("nan")] * 6])
+def test_a_damaged_reference_tare_is_refused(service: Service, wrench: Any) -> None:
+    service._state.keep("calibration", TARE)
+    path = service._state.folder / "calibration.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "wrench": wrench}))
+    assert "palpd calibrate" in refusal(service, do="arm")
+
+
+def test_a_retract_needs_neither_arming_nor_a_cleared_latch_and_leaves_the_latch(service: Service) -> None:
+    service._state.keep("calibration", TARE)
+    service._state.keep("latch", Latch("the lateral force was 9 N", "yesterday"))
+    assert service.answer({"do": "retract"}) == {"ok": True, "state": "running"}
+    assert service._run is not None
+    assert service._run.job.kind == "retract"
+    assert service._run.job.reference == TARE.wrench
+    assert "running" in refusal(service, do="retract")
+    end(service, Report("done"))
+    assert "lateral" in refusal(service, do="arm")
+
+
+def test_a_retract_without_a_reference_tare_is_left_to_hands(service: Service) -> None:
+    assert "by hand" in refusal(service, do="retract")
+
+
+def test_a_pause_answers_where_the_arm_stopped_once_a_tick_shows_it(service: Service) -> None:
+    armed(service)
+    service.answer({"do": "start", "plan": PLAN})
+    later = service.answer({"do": "pause"})
+    assert isinstance(later, Later)
+    assert "another client" in refusal(service, do="resume")
+    service._answer_pause()
+    assert later.answer is None
+    row = np.zeros(1, ROW)
+    row["phase"], row["site"], row["force_N"], row["surface_z_m"] = Phase.PAUSED, 0, 3.25, 0.004
+    service._ring.write(row)
+    service._answer_pause()
+    assert later.answer is not None
+    assert (later.answer["state"], later.answer["force_N"], later.answer["depth_m"]) == ("paused", 3.25, 0.004)
+    assert position(later.answer) == "paused: palpation, site A: paused, 0 of 2 steps done, force 3.25 N, 4.0 mm deep"
+
+
+def test_a_pause_that_no_tick_shows_is_refused_after_a_second(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    armed(service)
+    service.answer({"do": "start", "plan": PLAN})
+    later = service.answer({"do": "pause"})
+    now_s = time.monotonic()
+    monkeypatch.setattr("palpd.daemon.service.time.monotonic", lambda: now_s + 2.0)
+    service._answer_pause()
+    assert isinstance(later, Later)
+    assert later.answer is not None
+    assert "not paused within 1 s" in later.answer["error"]
+
+
+def test_an_unknown_command_is_told_what_there_is(service: Service) -> None:
+    assert "clear" in refusal(service, do="dance")
+
+
+# --- installation -------------------------------------------------------------------------------------------------------------
+
+
+def test_installed_files_fit_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("palpd.daemon.install.UNSEEN", ())
+    assert len(installed(tmp_path)) == 4
+    unit = (tmp_path / "etc/systemd/system/palpd.service").read_text()
+    assert f"ExecStart={sys.executable} -m palpd serve --config /etc/palpd/config.yaml" in unit
+    paths = load_config(tmp_path / "etc/palpd/config.yaml").paths
+    assert (str(paths.state), str(paths.control_socket)) == ("/var/lib/palpd", "/run/palpd/palpd.sock")
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
+def test_the_unit_is_clean_and_its_exposure_is_low(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("palpd.daemon.install.UNSEEN", ())
+    installed(tmp_path)
+    unit = str(tmp_path / "etc/systemd/system/palpd.service")
+    verified = subprocess.run(["systemd-analyze", "verify", "--man=no", unit], capture_output=True, text=True, check=False)
+    assert (verified.returncode, verified.stdout + verified.stderr) == (0, "")
+    command = ["systemd-analyze", "security", "--offline=true", "--threshold=15", "--no-pager", unit]
+    judged = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert judged.returncode == 0, judged.stdout
+
+
+def test_an_existing_configuration_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("palpd.daemon.install.UNSEEN", ())
+    installed(tmp_path)
+    config = tmp_path / "etc/palpd/config.yaml"
+    config.write_text("mine: 1\n")
+    assert len(installed(tmp_path)) == 3
+    assert config.read_text() == "mine: 1\n"
+
+
+def test_a_python_that_the_service_could_not_see_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("palpd.daemon.install.UNSEEN", (str(Path(sys.executable).parents[2]),))
+    with pytest.raises(Refused, match="hidden from the service"):
+        unit_python(Path("/"))
+
+
+def test_a_build_root_takes_the_python_of_opt_where_the_service_could_not_see_this_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("palpd.daemon.install.UNSEEN", (str(Path(sys.executable).parents[2]),))
+    assert len(installed(tmp_path)) == 4
+    unit = (tmp_path / "etc/systemd/system/palpd.service").read_text()
+    assert "ExecStart=/opt/palpd/.venv/bin/python -m palpd serve" in unit
+
+
+# --- the real thing over emulated wires ---------------------------------------------------------------------------------------
+
+
+class Daemon:
+    """`palpd serve` as a process of its own."""
+
+    def __init__(self, folder: Path, emulated: Emulated) -> None:
+        self.folder, self.emulated = folder, emulated
+        self.config = folder / "config.yaml"
+        self.notices = folder / "notices.jsonl"
+        self.config.write_text(
+            f"robot: {{host: {emulated.host}, watchdog_Hz: 10}}\nsensor: {{port: {emulated.sensor}}}\n"
+            "safety: {robot_stale_s: 0.2, sensor_stale_s: 0.2, max_stall_s: 0.2}\n"  # a shared machine; timing is tested elsewhere
+        )
+        self.begin()
+
+    def begin(self) -> None:
+        command = [sys.executable, "-m", "palpd", "serve", "--config", str(self.config)]
+        with self.notices.open("ab") as log:
+            self.process = subprocess.Popen(command, stderr=log, cwd=self.folder, start_new_session=True)
+        until(lambda: (self.folder / "state/palpd.sock").exists() and self.state() != "away", 30.0)
+
+    def do(self, what: str, **more: Any) -> dict[str, Any]:
+        return ask(self.folder / "state/palpd.sock", {"do": what, **more}, 60.0)
+
+    def state(self) -> str:
+        try:
+            return str(self.do("status")["state"])
+        except Refused:
+            return "away"
+
+    def events(self, name: str) -> list[dict[str, Any]]:
+        lines = [line for line in self.notices.read_text().splitlines() if line.startswith("{")]
+        return [event for event in map(json.loads, lines) if event["event"] == name]
+
+    def run(self, plan: dict[str, Any], phase: str) -> None:
+        """Armed, started, and as far as that phase."""
+        self.arm()
+        self.do("start", plan=plan)
+        until(lambda: self.do("status").get("phase") == phase, 40.0)
+
+    def arm(self) -> None:
+        """As an operator does: again, where the machine had stood still and what the devices said was rightly found too old."""
+        for _ in range(4):
+            try:
+                self.do("arm")
+                return
+            except Refused as refused:
+                if " s old, expected at most" not in str(refused):
+                    raise
+                time.sleep(1.0)
+        self.do("arm")
+
+    def children(self) -> list[int]:
+        """Every process of its session but itself."""
+        pids = []
+        for stat in Path("/proc").glob("[0-9]*/stat"):
+            try:
+                words = stat.read_text().rsplit(")", 1)[1].split()
+            except OSError:
+                continue
+            if int(words[3]) == self.process.pid and int(stat.parent.name) != self.process.pid and words[0] != "Z":
+                pids.append(int(stat.parent.name))
+        return pids
+
+    def recordings(self, suffix: str) -> set[Path]:
+        return set((self.folder / "runs").glob(f"*{suffix}"))
+
+
+def until(true: Callable[[], bool], patience_s: float) -> None:
+    until_s = time.monotonic() + patience_s
+    while not true():
+        assert time.monotonic() < until_s, f"not within {patience_s:g} s"
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    folder = tmp_path_factory.mktemp("daemon")
+    with started(folder, "ur5", PHANTOM, HOST) as emulated:
+        served = Daemon(folder, emulated)
+        yield served
+        served.process.kill()
+        served.process.wait()
+
+
+def at_rest(emulated: Emulated, since_s: float) -> bool:
+    return bool(emulated.ask("log", since_s=since_s)["samples"][-1][1] == 0.0)
+
+
+@pytest.mark.hil
+def test_the_cell_is_looked_at_once_at_the_start_and_found_uncalibrated(daemon: Daemon) -> None:
+    until(lambda: bool(daemon.events("checked")), 30.0)
+    (checked,) = daemon.events("checked")
+    assert "palpd calibrate" in checked["reason"]
+    calibrate = [sys.executable, "-m", "palpd", "calibrate", "--config", str(daemon.config)]
+    subprocess.run(calibrate, check=True, capture_output=True, timeout=60)
+    assert State(daemon.folder / "state").calibration() is not None
+
+
+@pytest.mark.hil
+def test_arming_is_refused_while_the_sensor_is_dead_and_others_are_served_meanwhile(daemon: Daemon) -> None:
+    daemon.emulated.ask("silent", s=60.0)
+    command = [sys.executable, "-m", "palpd", "arm", "--config", str(daemon.config)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as arming:
+        until(lambda: daemon.state() == "checking", 30.0)
+        assert daemon.state() == "checking"
+        assert arming.poll() is None
+        _, stderr = arming.communicate(timeout=60)
+    daemon.emulated.ask("silent", s=0.0)
+    assert "not armed: sensor" in stderr
+    assert daemon.state() == "disarmed"
+
+
+@pytest.mark.hil
+def test_arming_is_refused_while_the_robot_is_off(daemon: Daemon) -> None:
+    daemon.emulated.ask("protective_stop")
+    try:
+        with pytest.raises(Refused, match=r"not armed: .*safety mode"):
+            daemon.do("arm")
+    finally:
+        # a controller unlocks only some seconds after the stop
+        until(lambda: "releasing" in dashboard(daemon.emulated.host, "unlock protective stop"), 15.0)
+
+
+@pytest.mark.hil
+def test_killed_in_mid_run_nothing_of_it_survives_the_arm_rests_and_the_recording_is_restored(daemon: Daemon) -> None:
+    until(lambda: daemon.state() == "disarmed", 30.0)
+    daemon.run(SLOW, "search")
+    began_s = daemon.emulated.ask("stats")["now_s"]
+    daemon.process.kill()
+    daemon.process.wait()
+    until(lambda: at_rest(daemon.emulated, began_s), 2.0)
+    until(lambda: daemon.children() == [], 10.0)
+    (part,) = daemon.recordings(".part")
+    restored = recover(part)
+    assert restored.ticks > 100
+    assert Recording.load(restored.path).rows["phase"].max() > 0
+    daemon.begin()
+    assert daemon.state() in ("checking", "disarmed")
+
+
+@pytest.mark.hil
+def test_a_motion_process_that_dies_in_mid_run_latches_over_a_restart(daemon: Daemon) -> None:
+    until(lambda: daemon.state() == "disarmed", 30.0)
+    daemon.run(SLOW, "search")
+    motion = [pid for pid in daemon.children() if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    began_s = daemon.emulated.ask("stats")["now_s"]
+    for pid in motion:
+        os.kill(pid, signal.SIGSEGV)
+    until(lambda: daemon.state() == "disarmed", 20.0)
+    until(lambda: at_rest(daemon.emulated, began_s), 2.0)
+    assert "signal 11" in daemon.do("status")["latched"]
+    daemon.process.terminate()
+    assert daemon.process.wait(20.0) == 0
+    daemon.begin()
+    with pytest.raises(Refused, match="signal 11"):
+        daemon.do("arm")
+    daemon.do("clear")
+    assert daemon.do("status")["latched"] is None
+    until(lambda: daemon.state() == "disarmed", 30.0)
+
+
+@pytest.mark.hil
+def test_terminated_in_mid_press_it_rests_closes_the_recording_and_ends_with_0(daemon: Daemon) -> None:
+    daemon.run(PLAN, "hold")
+    before, began_s = daemon.recordings(".mcap"), daemon.emulated.ask("stats")["now_s"]
+    daemon.process.send_signal(signal.SIGTERM)
+    assert daemon.process.wait(20.0) == 0
+    assert at_rest(daemon.emulated, began_s)
+    until(lambda: daemon.children() == [], 10.0)
+    (recording,) = daemon.recordings(".mcap") - before
+    assert Recording.load(recording).footer["verdict"] == "stopped"
+
+
+@pytest.mark.hil
+def test_it_serves_where_no_device_is_there(tmp_path: Path) -> None:
+    nobody = Emulated("127.0.9.79", str(tmp_path / "no-sensor"), 0, tmp_path / "no-control")
+    daemon = Daemon(tmp_path, nobody)
+    try:
+        until(lambda: bool(daemon.events("checked")), 30.0)
+        assert not daemon.events("checked")[0]["ready"]
+        assert daemon.state() == "disarmed"
+    finally:
+        daemon.process.terminate()
+        assert daemon.process.wait(20.0) == 0
+
+
+def dashboard(host: str, words: str) -> str:
+    with socket.create_connection((host, 29999), 5.0) as connection, connection.makefile("rb") as lines:
+        lines.readline()
+        connection.sendall(words.encode() + b"\n")
+        return lines.readline().decode()

@@ -1,0 +1,22 @@
+"""Rows of a smooth residual count for less when listed effects are compared."""
+
+import numpy as np
+import pytest
+
+from palpd.gap.correlated_residual import correlation_time, row_weights
+
+
+def test_white_noise_counts_fully() -> None:
+    remainder = np.random.default_rng(0).standard_normal((7, 2000))
+    assert (row_weights(remainder) == 1.0).all()
+
+
+def test_a_first_order_process_is_correlated_over_its_own_time() -> None:
+    rng, rho = np.random.default_rng(1), 0.9
+    values = np.zeros(50_000)
+    for k in range(1, len(values)):
+        values[k] = rho * values[k - 1] + rng.standard_normal()
+    assert correlation_time(values) == pytest.approx((1 + rho) / (1 - rho), rel=0.15)
+    weights = row_weights(np.vstack([values, np.zeros_like(values), rng.standard_normal(len(values))]))
+    assert weights[0] < 0.02
+    assert weights[1:] == pytest.approx(1.0)

@@ -1,0 +1,52 @@
+"""What is named is probable, and the gap before is that of the best cell without the effects."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.plain_cells import cell_of, recording
+from palpd.cell.cell_file import CellFile
+from palpd.gap.problem import SHARED, Problem, make_problem
+from palpd.gap.shrink import _without_effects_at_its_modulus
+from palpd.gap.verdict import _probable_groups
+
+
+def groups(names: tuple[str, ...], marginal: dict[str, float], alternatives: dict[str, list[str]]) -> dict[str, list[str]]:
+    return _probable_groups(SimpleNamespace(names=names), SimpleNamespace(marginal=marginal, groups=alternatives))
+
+
+def test_an_improbable_member_of_the_best_set_is_not_named() -> None:
+    marginal = {"a": 1.0, "b": 0.85, "c": 0.28}
+    assert groups(("a", "b", "c"), marginal, {"a": [], "b": [], "c": []}) == {"a": [], "b": []}
+
+
+def test_a_group_that_is_probable_together_is_named() -> None:
+    marginal = {"a": 0.4, "b": 0.3}
+    assert groups(("a",), marginal, {"a": ["b"]}) == {"a": ["b"]}
+
+
+def test_where_nothing_is_probable_the_likeliest_stands_with_the_next_ones() -> None:
+    marginal = {"a": 0.2, "b": 0.2, "c": 0.15, "d": 0.1}
+    assert groups(("a",), marginal, {"a": []}) == {"a": ["b", "c"]}
+
+
+def of_unknown_modulus() -> Problem:
+    cell = cell_of("second order").model_dump(exclude_unset=True)
+    unknown = CellFile.model_validate(cell | {"tolerances": {"youngs_modulus": 1.0}})
+    return make_problem([recording("second order", 101)], unknown, max_bins=600)
+
+
+def test_an_unknown_modulus_is_fitted_anew_for_the_gap_before() -> None:
+    problem = of_unknown_modulus()
+    eta = problem.nominal_eta
+    twice = eta + np.where(np.array(SHARED) == "youngs_modulus", np.log(2.0) / problem.shared_sd, 0.0)
+    again = _without_effects_at_its_modulus(problem, problem.predict({}, twice), eta)
+    assert again == pytest.approx(problem.predict({}, twice), abs=1e-3 * np.abs(again).max())
+
+
+def test_a_fit_that_runs_away_does_not_raise_the_floor_above_the_readings() -> None:
+    problem = of_unknown_modulus()
+    calm = problem.with_model_error_floor(problem.data)
+    wild = problem.with_model_error_floor(1e6 * problem.data)
+    assert wild.noise.sigma[3].max() < 10.0 * calm.noise.sigma[3].max()

@@ -1,0 +1,146 @@
+"""Recordings that no cell can make are refused or questioned before any effect is named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpd.cell.cell_file import CellFile, cell_from, nominal
+from palpd.cell.effects import EFFECTS
+from palpd.errors import RecordingError
+from palpd.gap.plausibility import channel_notes, check_recordings
+from palpd.gap.problem import make_problem
+from palpd.recording.samples import Samples
+from palpd.tick import Floats
+from tests.gap.test_diagnosis import quick, recording
+
+HEALTHY = recording(nominal(), {})
+
+
+def with_forces(factor: float | Floats) -> Samples:
+    return replace(HEALTHY, wrench=HEALTHY.wrench * factor)
+
+
+def with_modulus_unknown() -> CellFile:
+    return cell_from({"tolerances": {"youngs_modulus": 1.0}}, "unknown")
+
+
+def test_a_healthy_recording_gets_no_note() -> None:
+    assert check_recordings([HEALTHY], nominal()) == []
+
+
+@pytest.mark.parametrize("axes", [[2], [0, 1, 2, 3, 4, 5]], ids=["fz", "all"])
+@pytest.mark.parametrize("cell", [nominal(), with_modulus_unknown()], ids=["known", "unknown modulus"])
+def test_a_force_that_is_constant_while_the_probe_presses_is_refused_as_dead(axes: list[int], cell: CellFile) -> None:
+    wrench = HEALTHY.wrench.copy()
+    wrench[:, axes] = 0.0
+    with pytest.raises(RecordingError, match=r"fz_N is 0 throughout while the probe goes 7\.\d+ mm into the tissue.*dead"):
+        check_recordings([replace(HEALTHY, wrench=wrench)], cell)
+
+
+def test_dead_lateral_axes_are_noted_and_the_rest_is_judged() -> None:
+    wrench = HEALTHY.wrench.copy()
+    wrench[:, [0, 1, 3, 4, 5]] = 0.0
+    diagnosis = quick(replace(HEALTHY, wrench=wrench), nominal())
+    assert diagnosis.verdict == "none"
+    assert any("fx_N (always 0)" in note for note in diagnosis.notes)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "mN"), (1e-3, "kN")])
+def test_forces_in_another_unit_are_refused_with_the_unit(factor: float, unit: str) -> None:
+    stated = cell_from({"sensor": {"noise_rms_N": 5e-5, "resolution_fz_N": 1.31e-4}}, "fine")
+    with pytest.raises(RecordingError, match=f"looks like {unit}"):
+        check_recordings([with_forces(factor)], stated if factor < 1 else nominal())
+
+
+def test_an_odd_force_is_questioned_and_not_refused() -> None:
+    assert any("check the unit of fz_N" in note for note in check_recordings([with_forces(30.0)], nominal()))
+
+
+def test_an_unknown_modulus_is_questioned_where_no_tissue_has_it() -> None:
+    assert check_recordings([with_forces(100.0)], with_modulus_unknown()) == []
+    assert any("a modulus of" in note for note in check_recordings([with_forces(1e5)], with_modulus_unknown()))
+
+
+@pytest.mark.parametrize("cell", [nominal(), with_modulus_unknown()], ids=["known", "unknown modulus"])
+def test_a_force_with_the_wrong_sign_is_refused(cell: CellFile) -> None:
+    with pytest.raises(RecordingError, match="multiply the forces by -1"):
+        check_recordings([with_forces(-1.0)], cell)
+
+
+@pytest.mark.parametrize("zero_m", [0.0, 0.011, 0.02])
+def test_a_height_that_is_positive_downwards_is_refused(zero_m: float) -> None:
+    assert HEALTHY.z_cmd_m is not None
+    mirrored = replace(HEALTHY, z_m=zero_m - HEALTHY.z_m, z_cmd_m=zero_m - HEALTHY.z_cmd_m, vz_m_per_s=-HEALTHY.vz_m_per_s)
+    with pytest.raises(RecordingError, match="positive downwards"):
+        check_recordings([mirrored], nominal())
+
+
+def test_an_hour_missing_in_time_is_refused_with_the_place_to_split() -> None:
+    t_s = HEALTHY.t_s.copy()
+    t_s[700:] += 3600.0
+    with pytest.raises(RecordingError, match=r"after row 700.*split the file there"):
+        check_recordings([replace(HEALTHY, t_s=t_s)], nominal())
+
+
+def test_a_recording_split_at_its_hole_is_judged_as_two() -> None:
+    assert HEALTHY.z_cmd_m is not None
+    at_rest = (np.abs(HEALTHY.z_cmd_m - 0.015) < 1e-9) & (HEALTHY.t_s > 0.5)
+    cut = int(np.flatnonzero(at_rest)[-10])
+    parts = [
+        Samples(HEALTHY.t_s[part], HEALTHY.z_cmd_m[part], HEALTHY.z_m[part], HEALTHY.vz_m_per_s[part], HEALTHY.wrench[part])
+        for part in (slice(None, cut), slice(cut, None))
+    ]
+    assert quick(parts, nominal()).verdict == "none"
+
+
+def test_a_short_hole_is_noted_with_its_time() -> None:
+    keep = np.ones(len(HEALTHY), dtype=bool)
+    keep[300:350] = False
+    assert HEALTHY.z_cmd_m is not None
+    holed = Samples(HEALTHY.t_s[keep], HEALTHY.z_cmd_m[keep], HEALTHY.z_m[keep], HEALTHY.vz_m_per_s[keep], HEALTHY.wrench[keep])
+    assert [note for note in check_recordings([holed], nominal()) if "missing at 1 place, the longest time 0.408 s from 2.39" in note]
+
+
+def test_time_in_milliseconds_is_refused() -> None:
+    with pytest.raises(RecordingError, match="t_s like ms"):
+        check_recordings([replace(HEALTHY, t_s=1e3 * HEALTHY.t_s)], nominal())
+
+
+def test_a_touch_far_from_the_stated_surface_is_noted_with_both_heights() -> None:
+    cell = cell_from({"tissue": {"surface_z_m": 0.009}}, "high")
+    (note,) = [note for note in check_recordings([HEALTHY], cell) if "begins to rise" in note]
+    touch_m = float(note.split("z = ")[1].split(" m")[0])
+    assert touch_m == pytest.approx(0.0, abs=1e-3)
+    assert "0.009 m" in note
+
+
+def test_a_sensor_that_fails_in_mid_press_is_noted_with_its_time() -> None:
+    wrench = HEALTHY.wrench.copy()
+    first = int(np.argmin(HEALTHY.z_m)) - 60
+    wrench[first : first + 400] = wrench[first]
+    notes = check_recordings([replace(HEALTHY, wrench=wrench)], nominal())
+    assert any(f"from {HEALTHY.t_s[first]:.4g} s" in note and "sensor or its cable failed" in note for note in notes)
+
+
+def test_noise_far_from_the_stated_is_noted() -> None:
+    quiet = cell_from({"sensor": {"noise_rms_N": 0.005, "resolution_fz_N": 0.01}}, "quiet sensor")
+    for cell, expected in ((quiet, 1), (nominal(), 0)):
+        notes = channel_notes(make_problem([HEALTHY], cell, EFFECTS, 300))
+        assert len([note for note in notes if "noise of fz_N at rest" in note]) == expected
+
+
+def test_a_force_that_never_answers_the_press_is_noted() -> None:
+    wrench = HEALTHY.wrench.copy()
+    wrench[:, 2] = np.random.default_rng(1).normal(0.0, 0.05, len(HEALTHY))
+    assert any("does not feel the press" in note for note in check_recordings([replace(HEALTHY, wrench=wrench)], nominal()))
+
+
+def test_recordings_of_several_sites_are_refused_and_named() -> None:
+    with pytest.raises(RecordingError, match=r"holds 2 sites \(A, B\), expected one; export each with palpd export --site"):
+        check_recordings([replace(HEALTHY, sites=("A", "B"))], nominal())
+
+
+def test_a_cell_file_with_sites_says_which_tissue_counts() -> None:
+    cell = cell_from({"sites": [{"name": "A"}, {"name": "B", "x_m": 0.03}]}, "sites")
+    assert any("has sites (A, B)" in note for note in check_recordings([HEALTHY], cell))

@@ -1,0 +1,46 @@
+"""What the cell file does not state of noise and known effects comes from the recording and from the file's own list."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.plain_cells import recording
+from palpd.cell.cell_file import CellFile, nominal
+from palpd.cell.simulation import WRENCH, simulate
+from palpd.gap.diagnosis import diagnose
+from palpd.gap.problem import make_problem
+from palpd.gap.recorded_noise import with_recorded_noise
+from palpd.recording.samples import Samples
+
+
+def in_nanonewtons(samples: Samples) -> Samples:
+    return replace(samples, wrench=1e-9 * samples.wrench)
+
+
+def test_noise_and_resolution_that_are_not_stated_are_those_of_the_recording() -> None:
+    cell, notes = with_recorded_noise([in_nanonewtons(recording("second order", 101))], CellFile.model_validate({}))
+    assert cell.sensor.noise_rms_N == pytest.approx(0.05e-9, rel=0.1)
+    assert cell.sensor.resolution_fz_N == pytest.approx(0.131e-9, rel=0.01)
+    assert "noise_rms_N" in notes[0]
+
+
+def test_stated_noise_stays_and_is_questioned_where_the_recording_shows_another() -> None:
+    samples = recording("second order", 101)
+    assert with_recorded_noise([samples], nominal()) == (nominal(), [])
+    cell, notes = with_recorded_noise([in_nanonewtons(samples)], nominal())
+    assert cell == nominal()
+    assert "sensor.noise_rms_N is 0.05 and the recording shows 4.94e-11" in notes[0]
+
+
+def test_known_effects_of_the_cell_file_are_no_gap() -> None:
+    known = nominal().with_effects({"cable.spring": {"stiffness_N_per_m": 30.0}, "robot.lag": {"bandwidth_ratio": 0.7}})
+    samples = recording("second order", 101)
+    assert samples.z_cmd_m is not None
+    columns = simulate(known, samples.t_s, z_cmd_m=samples.z_cmd_m, noise_seed=1)
+    same = Samples(samples.t_s, samples.z_cmd_m, columns["z_m"], columns["vz_m_per_s"], np.column_stack([columns[name] for name in WRENCH]))
+    diagnosis = diagnose([same], known, max_bins=900, propose=False)
+    assert diagnosis.verdict == "none", diagnosis.sentence
+    assert diagnosis.enriched_cell().effects == known.effects
+    problem = make_problem([same], nominal(), max_bins=600)
+    assert np.abs(problem.data - problem.predict({}, problem.nominal_eta)).max() > 20.0

@@ -1,0 +1,30 @@
+"""What effects could be mistaken for, before anything is recorded."""
+
+from palpd.cell.cell_file import nominal
+from palpd.cell.effects import EFFECTS, load_effects, user_effects
+from palpd.gap.similar_effects import ONE_DIRECTION, similar_effects
+from tests.paths import EXAMPLE
+
+FEW = ("sensor.gain", "tissue.modulus", "robot.lag", "cable.friction", "contact.lateral", "probe.tilt")
+
+
+def test_a_tilt_is_like_a_lateral_force_and_a_gain_like_a_modulus() -> None:
+    library = {name: EFFECTS[name] for name in FEW}
+    similar = similar_effects([EFFECTS["sensor.gain"], EFFECTS["contact.lateral"]], nominal(), library)
+    of = {effect: [one for one in similar if one.effect == effect] for effect in ("sensor.gain", "contact.lateral")}
+    assert of["contact.lateral"][0].other == "probe.tilt"
+    assert of["contact.lateral"][0].cosine > ONE_DIRECTION
+    assert "indistinguishable" in of["contact.lateral"][0].words
+    assert of["contact.lateral"][1].cosine < 0.2, "nothing else here pushes sideways"
+    assert of["sensor.gain"][0].other == "tissue.modulus"
+    assert 0.8 < of["sensor.gain"][0].cosine < ONE_DIRECTION, "the inertia of the strokes tells them"
+    assert of["sensor.gain"][0].told_at_snr > of["sensor.gain"][1].told_at_snr
+
+
+def test_a_user_effect_is_compared_with_the_library() -> None:
+    known = load_effects(EXAMPLE)
+    (pulse,) = user_effects(known)
+    assert pulse.id == "tissue.pulse"
+    similar = similar_effects([pulse], nominal(), {name: known[name] for name in (*FEW, pulse.id)})
+    assert {one.other for one in similar} <= set(FEW)
+    assert max(one.cosine for one in similar) < 0.5

@@ -1,0 +1,166 @@
+"""Every stored physical quantity carries its unit: fields of the files, of public dataclasses, and options of the command line."""
+
+import dataclasses
+import importlib
+import pkgutil
+import re
+import typing
+from collections.abc import Iterator
+
+import pytest
+import typer
+from pydantic import BaseModel
+
+import hw
+import palpd
+from palpd.cli import app
+
+UNITS = (
+    "N", "Nm", "m", "s", "ms", "us", "ns", "Hz", "kg", "Pa", "rad", "MB", "C", "W", "ppm", "percent",
+    "m_per_s", "m_per_s2", "rad_per_s", "rad_per_s2", "N_per_m", "N_s_per_m", "N_per_s", "N_per_min", "N_per_m15", "m_per_N", "Nm_per_rad",
+    "m2", "per_s", "per_min", "MB_per_min", "s_per_s", "kg_m2",
+)  # fmt: skip
+SUFFIX = re.compile(r"(^|_)(" + "|".join(sorted(UNITS, key=len, reverse=True)) + r")$")
+
+DIMENSIONLESS = {
+    "clock_skew": "ratio of two clocks, less one",
+    "closed": "share of a gap",
+    "contrast": "ratio of two moduli",
+    "cosine": "cosine of an angle between two changes",
+    "crosstalk": "ratio of forces",
+    "damping_ratio": "ratio",
+    "energy": "share of a gap's energy",
+    "excess": "in units of the noise",
+    "expected_gain": "information, in nats",
+    "factor": "ratio",
+    "filter_cutoff": "relative tolerance",
+    "forever": "probability",
+    "fx_per_fz": "ratio of forces",
+    "fy_per_fz": "ratio of forces",
+    "gain": "ratio",
+    "gained": "log probability",
+    "log_bayes_factor": "log probability",
+    "log_determinant": "log of a ratio of volumes",
+    "log_exact": "log probability",
+    "log_likelihood": "log probability",
+    "log_prior": "log probability",
+    "misfit": "chi squared",
+    "most": "information, in nats",
+    "n_effective": "number",
+    "noise_ratio": "ratio",
+    "occam": "log probability",
+    "p": "probability",
+    "p_lone_axis": "probability",
+    "p_none": "probability",
+    "p_unknown": "probability",
+    "participation": "share of the mass",
+    "poisson_ratio": "ratio",
+    "probability": "probability",
+    "reached_snr": "signal-to-noise ratio",
+    "scatter_stiffness": "relative standard deviation",
+    "servo_damping": "damping ratio",
+    "servo_damping_ratio": "ratio",
+    "servo_natural_frequency": "relative tolerance",
+    "servo_ratio": "ratio of frequencies",
+    "settled": "share",
+    "share": "probability",
+    "share_known": "probability",
+    "sign": "plus or minus one",
+    "skew": "ratio of two clocks, less one",
+    "snr": "signal-to-noise ratio",
+    "sought_snr": "signal-to-noise ratio",
+    "stiffness": "relative standard deviation",
+    "strongest": "strength, a multiple of the drawn shape",
+    "told_at_snr": "signal-to-noise ratio",
+    "youngs_modulus": "relative tolerance",
+}
+"""Names of quantities without a unit, and why they have none."""
+
+ANY_UNIT = {
+    "Coordinate": "a parameter of any effect, in the unit of its name",
+    "Gap": "a channel of any unit, which stands beside",
+    "Shrink": "a channel of any unit, which stands beside",
+    "GuardState": "of whatever tripped, which stands beside with its unit",
+    "Step": "a motion of lengths and angles at once, in m and rad",
+    "Ramp": "a speed of the tip in m and rad at once, as URScript has it",
+    "TrapezoidalMove": "a way in m or rad, whichever leads, as URScript has it",
+    "Verdict": "of whatever tripped, which stands beside with its unit",
+    "Value": "a published figure, whose unit stands beside",
+    "Score": "a line of a table; `share` tells the unit",
+    "Fit": "a fit to gaps of any unit, in units of the noise",
+    "Explanation": "a statistic of published figures",
+    "Averages": "a published figure, whose unit stands in the table's head",
+}
+"""Classes whose numbers have a unit that is data, and where it stands."""
+
+
+def public_classes() -> Iterator[type]:
+    """Pydantic models, dataclasses and named tuples of palpd and hw."""
+    for package in (palpd, hw):
+        for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if info.name.endswith("__main__"):
+                continue
+            for name, item in vars(importlib.import_module(info.name)).items():
+                if isinstance(item, type) and item.__module__ == info.name and not name.startswith("_"):
+                    yield item
+
+
+def float_fields(item: type) -> list[str]:
+    """Public fields that hold one float."""
+    if not (issubclass(item, BaseModel) or dataclasses.is_dataclass(item) or hasattr(item, "_fields")):
+        return []
+    hints = typing.get_type_hints(item)
+    return [name for name, hint in hints.items() if hint in (float, float | None) and not name.startswith("_")]
+
+
+def float_options() -> Iterator[tuple[str, str]]:
+    """(command, parameter) of every option and argument of the command line that takes a float."""
+
+    def walk(group: typer.Typer) -> Iterator[tuple[str, str]]:
+        for nested in group.registered_groups:
+            if nested.typer_instance is not None:
+                yield from walk(nested.typer_instance)
+        for command in group.registered_commands:
+            assert command.callback is not None
+            for name, hint in typing.get_type_hints(command.callback).items():
+                if hint in (float, float | None) or typing.get_args(hint)[:1] == (float,):
+                    yield command.callback.__name__, name
+
+    return walk(app)
+
+
+def has_unit(name: str) -> bool:
+    """Whether a name ends with a unit, or stands for a quantity that has none."""
+    return bool(SUFFIX.search(name)) or name in DIMENSIONLESS
+
+
+def test_every_float_field_has_a_unit_or_a_reason() -> None:
+    bare = [
+        f"{item.__module__}.{item.__name__}.{name}"
+        for item in public_classes()
+        if item.__name__ not in ANY_UNIT
+        for name in float_fields(item)
+        if not has_unit(name)
+    ]
+    assert not bare, "\n".join(bare)
+
+
+def test_every_float_option_has_a_unit_or_a_reason() -> None:
+    options = list(float_options())
+    assert options, "no option takes a float; the check reads the command line in a wrong way"
+    bare = [f"{command}: {name}" for command, name in options if not has_unit(name)]
+    assert not bare, "\n".join(bare)
+
+
+def test_no_exception_is_left_over() -> None:
+    classes = list(public_classes())
+    fields = {name for item in classes for name in float_fields(item)} | {name for _, name in float_options()}
+    assert not sorted(DIMENSIONLESS.keys() - fields)
+    assert not sorted(ANY_UNIT.keys() - {item.__name__ for item in classes})
+
+
+@pytest.mark.parametrize(
+    ("name", "has"), [("force_N", True), ("speed_m_per_s", True), ("m", True), ("force", False), ("depth_mm", False), ("gain", True)]
+)
+def test_the_check_knows_a_unit_from_a_word(name: str, has: bool) -> None:
+    assert has_unit(name) is has
