@@ -79,22 +79,27 @@ def diagnosis_lines(sentence: str, content: dict[str, Any]) -> list[str]:
     lines = [sentence]
     for named in content["effects"]:
         values = ", ".join(
-            f"{name} = {value['value']:.4g} (95 %: {value['ci95'][0]:.4g} to {value['ci95'][1]:.4g})"
+            f"{name} = {_plain(value['value'])} (95 %: {_plain(value['ci95'][0])} to {_plain(value['ci95'][1])})"
             for name, value in named["parameters"].items()
         )
-        group = f"; cannot be told from {', '.join(named['indistinguishable_from'])}" if named["indistinguishable_from"] else ""
+        group = f"; cannot be distinguished from {', '.join(named['indistinguishable_from'])}" if named["indistinguishable_from"] else ""
         lines.append(f"  {named['id']}, probability {named['probability']:.2f}: {values}{group}")
     shrink = content["shrink"]
     if shrink and shrink["closed"] is not None:
         low, high = shrink["ci95"] or (shrink["closed"], shrink["closed"])
         lines.append(
-            f"{shrink['channel']}: {shrink['before_rms']:.4g} rms before, {shrink['after_rms']:.4g} after, {shrink['noise_floor']:.4g} of "
-            f"noise. Of the part that noise and tolerances do not explain, {shrink['closed']:.0%} closed (95 %: {low:.0%} to {high:.0%}) "
-            f"on {shrink['on']}."
+            f"{shrink['channel']}: {_plain(shrink['before_rms'])} rms before, {_plain(shrink['after_rms'])} after, "
+            f"{_plain(shrink['noise_floor'])} of noise. Of the part that noise and tolerances do not explain, {shrink['closed']:.0%} "
+            f"closed (95 %: {low:.0%} to {high:.0%}) on {shrink['on']}."
         )
     if content["next_experiment"]:
         lines.append(f"Next: {content['next_experiment']['sentence']}")
     return lines + [f"Note: {note}" for note in content["notes"]]
+
+
+def _plain(value: float) -> str:
+    """Four digits, without an exponent where a person reads the number more easily without."""
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e6 else f"{value:.4g}"
 
 
 def effect_table(library: "Mapping[str, Effect]") -> Table:

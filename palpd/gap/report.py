@@ -168,7 +168,7 @@ def _number(value: float, digits: int = 3) -> str:
     if value != 0.0 and not 1e-3 <= abs(value) < 1e5:
         mantissa, power = f"{value:.{digits - 1}e}".split("e")
         return f"{mantissa}·10{str(int(power)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
-    return f"{value:.{digits}g}" if abs(value) < 1000 else f"{value:.0f}"
+    return f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
 
 
 def _unit(channel: str) -> str:
@@ -245,18 +245,20 @@ def _closing(shrink: Mapping[str, Any]) -> dict[str, Any]:
     rms_of = {"nominal cell": shrink["before_rms"]} | ({} if shrink["closed"] is None else {"enriched cell": shrink["after_rms"]})
     beyond = {name: max(rms**2 - floor**2, 0.0) ** 0.5 for name, rms in rms_of.items()}
     longest = max(*beyond.values(), 1e-300)
-    scale, unit = _scaled(shrink["channel"], max(*rms_of.values(), floor))
+    largest = max(*rms_of.values(), floor)
+    scale, unit = _scaled(shrink["channel"], largest)
+    decimals = max(0, 2 - int(np.floor(np.log10(max(largest / scale, 1e-3)))))
     rows = [
         {
             "name": name,
             "kind": name.split()[0],
             "share": beyond[name] / longest,
-            "beyond": f"{beyond[name] / scale:.3f}",
-            "rms": f"{rms / scale:.3f}",
+            "beyond": f"{beyond[name] / scale:.{decimals}f}",
+            "rms": f"{rms / scale:.{decimals}f}",
         }
         for name, rms in rms_of.items()
     ]
-    return {"rows": rows, "floor": f"{floor / scale:.3f}", "unit": unit, "channel": CHANNEL_WORDS[shrink["channel"]]}
+    return {"rows": rows, "floor": f"{floor / scale:.{decimals}f}", "unit": unit, "channel": CHANNEL_WORDS[shrink["channel"]]}
 
 
 def _certainty(value: float, low: float, high: float) -> str:
