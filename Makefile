@@ -4,7 +4,7 @@ UV := .venv/bin/uv
 READY := .venv/.ready
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo test test-wires test-rest test-service coverage lint bench bench-long minutes faults signals aborts presses soak mutation audit samples clean
+.PHONY: setup demo test test-wires test-rest test-service coverage lint bench bench-long minutes faults arming signals aborts presses soak mutation audit samples clean
 
 setup: $(READY)
 
@@ -57,6 +57,10 @@ N ?= 3
 PARALLEL ?= 2
 faults: setup
 	.venv/bin/python -m benchmarks.faults --repeats $(N) --parallel $(PARALLEL) $(if $(KEPT),--json $(KEPT))
+
+# N runs for each way in which arming can fail
+arming: setup
+	.venv/bin/python -m benchmarks.arming --samples $(N) $(if $(KEPT),--json $(KEPT))
 
 # N signals at random moments of every command, and N aborts under attack; KEPT as above
 signals: setup

@@ -7,12 +7,10 @@ table is written from all of FILE. Ends with 1 where a required reaction or dead
 
 import argparse
 import contextlib
-import datetime
 import json
 import multiprocessing
 import os
 import queue
-import re
 import signal
 import sys
 import tempfile
@@ -37,6 +35,7 @@ from benchmarks.fault_injection import (
     required,
     wall_clock,
 )
+from benchmarks.measured_column import condition, fill
 from palpd.daemon.realtime import fifo
 
 CONTACT_LIMIT_N = 16.0
@@ -44,7 +43,6 @@ INJECTED_AT_ONCE = 10
 MACHINE_LATE_S = 0.002
 """An emulator, or a thread of the highest priority on any core, that was later than this measures the machine: the outcome of the
 fault is left out, and counted. A stall of 50 ms trips the controller's watchdog by itself, and then another reason is reported too."""
-STAND = re.compile(r"^Measured (on|from) .*$", re.M)
 
 
 def _watch(cpu: int, stalls: "multiprocessing.Queue[tuple[float, float]]") -> None:
@@ -163,18 +161,12 @@ def write_table(kept: Path) -> int:
     for line in kept.read_text().splitlines():
         entry = json.loads(line)
         by_fault[entry["fault"]].append(entry)
-    text, all_broken = TABLE.read_text(), 0
+    cells, all_broken = {}, 0
     for fault, entries in by_fault.items():
-        cell, broken = cell_of(entries)
+        cells[fault], broken = cell_of(entries)
         all_broken += broken
-        text = re.sub(rf"^(\| {re.escape(fault)} \|.*\|)[^|]*\|$", rf"\1 {cell} |", text, flags=re.M)
     loads = [entry["load"] for entries in by_fault.values() for entry in entries]
-    stand = (
-        f"Measured on {datetime.date.today()}, {sum(map(len, by_fault.values()))} faults at random moments of search and presses, "
-        f"{os.cpu_count()} cores, load {min(loads):.1f} to {max(loads):.1f} (median {np.median(loads):.1f}), "
-        "emulated wires on the same machine."
-    )
-    TABLE.write_text(f"{STAND.sub('', text).rstrip()}\n\n{stand}\n")
+    fill(TABLE, cells, "Faults measured", condition(loads, f"{len(loads)} faults at random moments of search and presses"))
     return all_broken
 
 

@@ -11,6 +11,8 @@ What the library does, measured, and what follows here:
   that was lost once is lost for good: `RobotState.connected` stays false, the driver sends nothing more, the watchdog stops the arm,
   and the process must end; a fresh one connects anew. Objects of a lost connection are never destroyed (that crashes).
 - The control object is not thread-safe. One thread calls; a call that might block is made by a second one while the first waits.
+- A command that waits for the control script waits 4 s and more where the script was stopped, was replaced, or hears nothing. Speeds wait
+  after another command only. So whatever waits is given up as soon as the state says why, at the latest after half a second.
 - Getters lock one variable each and repeat old values for ever without an error. So a snapshot lies between two equal
   timestamps, and its age comes from the controller's timestamp.
 """
@@ -71,6 +73,10 @@ CLOCK_JUMP_S = 1.0
 """A timestamp that is further off was started anew with the controller."""
 CONNECT_TIMEOUT_S = 2.0
 STOP_TIMEOUT_S = 0.25
+SCRIPT_TIMEOUT_S = 0.5
+"""Longest wait for an answer of the control script, which takes two controller cycles. A machine that stands still may take 0.1 s more."""
+SILENT_S = 0.1
+"""Age from which a state explains why a command was not taken: twelve frames at 125 Hz."""
 CLOSE_TIMEOUT_S = 1.5
 STOP_M_PER_S2 = 10.0
 """Deceleration of a stop, speedStop's own default; the controller limits it to what the joints can do."""
@@ -205,6 +211,7 @@ class UrRobot:
         self._armed = False
         self._moving = False
         self._lost = False
+        self._fed_s = math.nan
         for port in (SCRIPT_PORT, DASHBOARD_PORT):
             _connect(host, port).close()
         self._reader = UrReader(host, model=model, rate_Hz=rate_Hz)
@@ -244,11 +251,10 @@ class UrRobot:
         return state if self.connected else replace(state, connected=False)
 
     def arm(self) -> None:
-        """Set the controller's watchdog, which `move` must feed from now on. Takes two controller cycles. RobotError if refused."""
+        """Set the controller's watchdog, which `move` must feed from now on. Takes two controller cycles. RobotError with the reason."""
         self._refuse_lost()
-        if not self._control.setWatchdog(self._watchdog_Hz):
-            raise RobotError(self._why_not("does not set its watchdog"))
-        self._armed = True
+        self._armed, self._fed_s = True, time.monotonic()
+        self._await_script("does not set its watchdog", lambda: self._control.setWatchdog(self._watchdog_Hz))
 
     def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
         """Command a tip speed in base axes and keep the orientation; feeds the watchdog.
@@ -258,9 +264,18 @@ class UrRobot:
         self._refuse_lost()
         if not self._armed:
             self.arm()
-        self._moving = True
-        if not self._control.speedL([*velocity_m_per_s, 0.0, 0.0, 0.0], self._acceleration_m_per_s2):
-            raise RobotError(self._why_not("does not take a speed command"))
+        refused, speed = "does not take a speed command", [*velocity_m_per_s, 0.0, 0.0, 0.0]
+        if not self._moving:
+            self._moving = True
+            self._await_script(refused, lambda: self._control.speedL(speed, self._acceleration_m_per_s2))
+            return
+        try:
+            written = self._control.speedL(speed, self._acceleration_m_per_s2)
+        except RuntimeError:  # the library's own thread is connecting anew
+            written = False
+        if not written:
+            raise RobotError(self._why_not(refused))
+        self._fed_s = time.monotonic()
 
     def stop(self) -> None:
         """Bring the tip to rest: speed zero at once, then the end of speed control, within 0.25 s. Never raises.
@@ -278,6 +293,7 @@ class UrRobot:
                 self._moving = False
             elif self._armed:
                 self._control.kickWatchdog()
+                self._fed_s = time.monotonic()
 
     def rearm(self) -> None:
         """Upload the control script again after the controller stopped it, and set the watchdog again. The arm stands still.
@@ -300,19 +316,61 @@ class UrRobot:
         self.arm()
 
     def close(self) -> None:
-        """Stop, end the control script and disconnect: 1 s, at most 5 s. After a lost connection close only the reader. Never raises."""
+        """Stop, end the control script and disconnect: half a second, at most 5 s. Never raises.
+
+        Of a lost connection only the reader is closed.
+        """
         self.stop()
-        if not self._lost:
-            for last_call in (self._control.stopScript, self._control.disconnect):
-                if not _bounded(last_call, CLOSE_TIMEOUT_S):
-                    self._give_up()
-                    break
+        if not (self._lost or _bounded(self._end_script, CLOSE_TIMEOUT_S)):
+            self._give_up()
+        reader = threading.Thread(target=self._reader.close, daemon=True)
+        reader.start()  # each connection takes half a second to close
+        if not (self._lost or _bounded(self._control.disconnect, CLOSE_TIMEOUT_S)):
+            self._give_up()
+        reader.join()
         self._lost = True
-        self._reader.close()
+
+    def _end_script(self) -> None:
+        """End the control script if it plays: the library waits a second for one that does not."""
+        if self._reader.read().runtime_state == PROGRAM_PLAYING:
+            self._control.stopScript()
 
     def _set_tcp(self) -> None:
-        if self._tcp is not None and not self._control.setTcp(self._tcp):
-            raise RobotError(self._why_not("does not take the configured TCP"))
+        if self._tcp is not None:
+            self._await_script("does not take the configured TCP", lambda: self._control.setTcp(self._tcp))
+
+    def _await_script(self, what: str, command: Callable[[], bool]) -> None:
+        """Send a command that the control script must answer, and wait until it has, or until the state says that it cannot.
+
+        A command that is still waiting then is left alone, and the control object is used no more.
+
+        Args:
+            what: What the robot does not do if it does not answer, for the sentence.
+            command: The library's call; false where it was refused.
+
+        Raises:
+            RobotError: It was not answered.
+        """
+        answers: list[bool] = []
+
+        def send() -> None:
+            with contextlib.suppress(RuntimeError):  # the library's own thread is connecting anew
+                answers.append(command())
+
+        sender = threading.Thread(target=send, daemon=True)
+        sender.start()
+        until_s, unfit = time.monotonic() + SCRIPT_TIMEOUT_S, False
+        while sender.is_alive() and not unfit and time.monotonic() < until_s:
+            sender.join(self.period_s)
+            unfit = sender.is_alive() and self._unfit(self._reader.read()) is not None
+        if not sender.is_alive() and answers == [True] and self.connected:
+            self._fed_s = time.monotonic()
+            return
+        why = self._why_not(what)
+        sender.join(_GRACE_S)
+        if sender.is_alive():
+            self._give_up()
+        raise RobotError(why)
 
     def _give_up(self) -> None:
         """Keep the control object for ever and use it no more: its destruction crashes the process, because its thread reconnects."""
@@ -328,20 +386,45 @@ class UrRobot:
             )
 
     def _why_not(self, what: str) -> str:
-        state = self._reader.read()
-        if not self.connected:
-            return f"robot at {self.host} {what}: the connection was lost; check cable and controller, then start anew."
+        """One sentence. The control connection may know of a stop some cycles before the reader, so a state that explains it is awaited."""
+        until_s = time.monotonic() + SILENT_S
+        while (reason := self._unfit(self._reader.read())) is None and time.monotonic() < until_s:
+            time.sleep(self.period_s / 2.0)
+        age_s = time.monotonic() - self._reader.read().t_s
+        if reason is None and age_s > SILENT_S:
+            reason = f"its newest state is {age_s:.2f} s old, expected one every {self.period_s:g} s; check cable and controller"
+        return f"robot at {self.host} {what}: {reason or _NO_ANSWER}."
+
+    def _unfit(self, state: RobotState) -> str | None:
+        """Why the control script cannot answer, as far as the state says it."""
+        if self._lost or not state.connected:
+            return "the connection was lost; check cable and controller, then start anew"
         if state.safety_mode not in (SafetyMode.NORMAL, SafetyMode.REDUCED):
-            return f"robot at {self.host} {what}: its safety mode is {_name(SafetyMode, state.safety_mode)}; clear it at the teach pendant."
+            return f"its safety mode is {_name(SafetyMode, state.safety_mode)}; clear it at the teach pendant"
+        if state.robot_mode != RobotMode.RUNNING:
+            return f"its mode is {_name(RobotMode, state.robot_mode)}, RUNNING is needed; switch it on and release its brakes"
         if state.runtime_state != PROGRAM_PLAYING:
-            return (
-                f"robot at {self.host} {what}: its control script is not running (runtime state {state.runtime_state}, 2 expected), "
-                "as after a tripped watchdog; arm again."
-            )
-        return f"robot at {self.host} {what}, though it is ready; look at its log."
+            runtime = f"runtime state {state.runtime_state}, {PROGRAM_PLAYING} expected"
+            return f"its control script was stopped ({runtime}) {self._stopped_by(state)}"
+        return None
+
+    def _stopped_by(self, state: RobotState) -> str:
+        """Whether the watchdog can have stopped the control script, by the time from the last command to the first state without it."""
+        waited_s, allowed_s = state.t_s - self._fed_s, 1.0 / self._watchdog_Hz
+        if not self._armed or waited_s <= 0.0:
+            return "before this command: at the pendant, or by another client; start anew"
+        measured = f"{waited_s * 1e3:.0f} ms after the last command, and its watchdog allows {allowed_s * 1e3:.0f} ms"
+        if waited_s < allowed_s - self.period_s:
+            return f"{measured}: so at the pendant, or by another client; start anew"
+        return f"{measured}: so by its watchdog; lower the load of this machine and of the network, or robot.watchdog_Hz, and start anew"
 
 
+_NO_ANSWER = (
+    "a program plays there and does not answer, so another client or the pendant has replaced the control script, or commands are lost "
+    "on their way; look at the pendant, end the other client and start anew"
+)
 _TRIES = 20
+_GRACE_S = 0.05  # for a call of the library that sees by itself, some cycles later, that it cannot be answered
 _PRIORITY_UNTOUCHED = -1  # else the library takes FIFO 90 for the thread that constructs, which is the loop's
 _UPLOAD_TIMEOUT_S = 6.0
 

@@ -85,11 +85,13 @@ class Program:
     commands: bool  # whether it is a loop over command registers, or a script that runs once
     started: bool = False
     start_s: float = 0.0
+    end_s: float = 0.0  # of a script that runs once
     held: bool = False  # the register still holds the command that was executed last
     blocking: bool = False  # a synchronous motion is under way, and the script reads no command
     streaming: bool = False  # the thread of speedL or servoL lives
     moving: bool = False  # the thread of an asynchronous motion lives
     watchdog_s: float | None = None
+    watchdog_set_s: float | None = None
     moved: bool = False  # since it started
     stops_linearly: bool = False  # the script's `stop_type`: the first asynchronous stop sets it for good
 
@@ -152,6 +154,7 @@ class Controller:
         self.power = Power.RUNNING
         self.safety = Safety.NORMAL
         self.runtime = Runtime.STOPPED
+        self.remote_control = True
         self.speed = np.zeros(6)
         self.pose = tip_pose.copy()  # of the true tip
         self.motion: TargetMotion | None = None
@@ -160,6 +163,8 @@ class Controller:
         self.payload_kg, self.payload_cog = 0.0, (0.0, 0.0, 0.0)
         self.messages: list[tuple[str, int]] = []
         self.stops: list[tuple[float, str]] = []
+        self.armings: list[float] = []
+        """When the control program set its watchdog."""
         self.commands: deque[tuple[float, float]] = deque(maxlen=COMMANDS_KEPT)  # when, and the vertical speed that was asked
         self._began = began  # at a program's first motion
         self._started = started  # when a program starts
@@ -188,17 +193,23 @@ class Controller:
     def upload(self, script: str, now_s: float) -> None:
         """Take a script. It replaces the running program and starts `PROGRAM_START_S` later, if the arm may move.
 
+        A script without command registers sleeps for as long as its `sleep` lines say, and ends. In local control scripts are ignored.
+
         Args:
             script: text of the script.
             now_s: host time.
         """
+        if not self.remote_control:
+            return
         self.stop_program(now_s, "replaced by a new script")
         if self.power is not Power.RUNNING or self.safety is not Safety.NORMAL:
             self.messages.append(("Robot cannot run a program: it is not in normal mode", 1))
             return
         offset = re.search(r"# int register offset\s*\n(\d+)", script)
         commands = "rtde_control" in script
-        self.program = Program(int(offset.group(1)) if offset else 0, commands, start_s=now_s + PROGRAM_START_S)
+        start_s = now_s + PROGRAM_START_S
+        end_s = start_s + sum(float(slept_s) for slept_s in re.findall(r"\bsleep\(([0-9.]+)\)", script))
+        self.program = Program(int(offset.group(1)) if offset else 0, commands, start_s=start_s, end_s=end_s)
 
     def play(self) -> bool:
         """Resume a paused program. Returns False where none is paused."""
@@ -340,6 +351,8 @@ class Controller:
 
     def _run(self, program: Program, t_s: float) -> None:
         if not program.commands:
+            if t_s < program.end_s:
+                return
             self._say(program, 0, 2)
             self.stop_program(t_s, "script ended")
             return
@@ -400,6 +413,8 @@ class Controller:
         if command == 35:
             rate_Hz = float(self._doubles(program, 1)[0])
             program.watchdog_s = 1.0 / rate_Hz if rate_Hz > 0 else None
+            program.watchdog_set_s = t_s
+            self.armings.append(t_s)
             self._fed_s = max(self._fed_s, t_s)
         question = self._questions.get(command)
         if question is not None:

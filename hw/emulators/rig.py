@@ -6,6 +6,7 @@ through the sensor one by one, each at its time. So both see one physics and nei
 
 import selectors
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +64,8 @@ class Rig:
         self._ticks = 0
         self._booted_s: float | None = None
         self._published_s = 0.0
-        self._frozen_until_s = self._away_until_s = self._slow_until_s = 0.0
+        self._frozen_until_s = self._deaf_until_s = self._away_until_s = self._slow_until_s = 0.0
+        self._on_arming: tuple[float, Callable[[float], object]] | None = None
         self.samples: deque[TruthSample] = deque(maxlen=round(LOGGED_S / SAMPLE_S))
         self.sent: deque[tuple[float, int]] = deque(maxlen=round(LOGGED_S / SAMPLE_S))
         """Host time and counter of each sensor sample, taken just before its bytes went out."""
@@ -104,7 +106,8 @@ class Rig:
             self._away_until_s = 0.0
             for server in self.wires.servers():
                 server.listen()
-        if now_s >= self._frozen_until_s:
+        self._meet_arming(now_s)
+        if now_s >= max(self._frozen_until_s, self._deaf_until_s):
             for key, _ in self.network.select(0):
                 key.data(now_s)
         self._sense(planned_s, now_s)
@@ -228,6 +231,28 @@ class Rig:
         """Let the network hang: nothing is read or sent, and connections stay open."""
         self._frozen_until_s = until_s
 
+    def deafen(self, until_s: float) -> None:
+        """Let the network hang towards the controller: nothing is read, and states are still sent."""
+        self._deaf_until_s = until_s
+
+    def on_arming(self, after_s: float, action: Callable[[float], object]) -> None:
+        """Do something once, when the control program has set its watchdog.
+
+        Args:
+            after_s: time between the two; at 0 it happens before the controller reads anything more.
+            action: what is done, with the host time.
+        """
+        self._on_arming = (after_s, action)
+
+    def _meet_arming(self, now_s: float) -> None:
+        program = self.controller.program
+        if self._on_arming is None or program is None or program.watchdog_set_s is None:
+            return
+        after_s, action = self._on_arming
+        if now_s >= program.watchdog_set_s + after_s:
+            self._on_arming = None
+            action(now_s)
+
     def slow_packets(self, every: int, until_s: float) -> None:
         """Send only some of the packages.
 
@@ -238,12 +263,14 @@ class Rig:
         self._keep_every, self._slow_until_s = every, until_s
 
     def restart(self, until_s: float) -> None:
-        """Restart the controller's computer: every connection is lost, registers are empty, and no port answers until then."""
+        """Restart the controller's computer: connections and faults of its network end, registers are empty, no port answers until then."""
+        self._frozen_until_s = self._deaf_until_s = 0.0
         for server in self.wires.servers():
             server.close()
         self.controller.stop_program(until_s, "restart")
         fresh = Controller(self.model, self.controller.pose, self._tcp, self.cell.begin, self.cell.rest)
-        fresh.stops = self.controller.stops
+        fresh.stops, fresh.armings = self.controller.stops, self.controller.armings
+        self._on_arming = None
         self.controller = self.wires.controller = fresh
         self._values = _power_up_values(self.model)
         self._booted_s = self._away_until_s = until_s

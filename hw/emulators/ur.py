@@ -349,6 +349,8 @@ _FIXED_ANSWERS = {
     "isprogramsaved": "true null",
 }
 """Answers of the dashboard that do not depend on the controller's state."""
+_COMMANDS = {"play", "stop", "pause", "unlock protective stop", "power on", "power off", "brake release", "restart safety"}
+"""What the dashboard carries out in remote control only."""
 
 
 class DashboardWire(Wire):
@@ -373,6 +375,8 @@ class DashboardWire(Wire):
     def _answer(self, asked: str, now_s: float) -> str:
         """Answer a command or a question; exact texts as the real server sends them."""
         line = asked.lower()
+        if not self.robot.controller.remote_control and line in _COMMANDS:
+            return "Command is not allowed due to safety reasons, please switch robot to Remote Control mode and reconnect to port 29999"
         answer = self._obey(line, now_s) or self._report(line) or _FIXED_ANSWERS.get(line)
         return answer or f'could not understand: "{asked}"'
 
@@ -427,7 +431,7 @@ class DashboardWire(Wire):
             case "get robot model" if robot.model.e_series:
                 return "UR5"
             case "is in remote control" if robot.model.e_series:
-                return "true"
+                return str(robot.remote_control).lower()
             case _:
                 return None
 

@@ -115,6 +115,10 @@ def _freeze(rig: Rig, now_s: float, s: float) -> None:
     rig.freeze(now_s + s)
 
 
+def _deaf(rig: Rig, now_s: float, s: float) -> None:
+    rig.deafen(now_s + s)
+
+
 def _drop(rig: Rig, _now_s: float) -> None:
     rig.wires.rtde.drop()
 
@@ -137,6 +141,20 @@ def _power_off(rig: Rig, now_s: float) -> None:
 
 def _program_stop(rig: Rig, now_s: float) -> None:
     rig.controller.stop_program(now_s, "stopped at the pendant")
+
+
+def _other_program(rig: Rig, now_s: float, s: float) -> None:
+    rig.controller.upload(f"def other():\n  sleep({s})\nend\n", now_s)
+
+
+def _local_control(rig: Rig, _now_s: float, on: bool = True) -> None:
+    rig.controller.remote_control = not on
+
+
+def _on_arming(rig: Rig, _now_s: float, then: dict[str, Any], delay_s: float = 0.0) -> None:
+    if then.get("do") not in VERBS:
+        raise ValueError(f"there is no verb {then.get('do')!r}")
+    rig.on_arming(delay_s, lambda at_s: obey(rig, then, at_s, ()))
 
 
 def _restart(rig: Rig, now_s: float, s: float = 2.0) -> None:
@@ -170,7 +188,8 @@ def _log(rig: Rig, _now_s: float, since_s: float) -> VerbAnswer:
     """Rows after a time; the deque is in order of time, so the search begins at its end."""
     fresh = list(itertools.takewhile(lambda sample: sample.t_s > since_s, reversed(rig.samples)))
     stops = [stop for stop in rig.controller.stops if stop[0] > since_s]
-    return {"samples": fresh[::-1][:MOST_ROWS], "more": len(fresh) > MOST_ROWS, "stops": stops}
+    armings = [at_s for at_s in rig.controller.armings if at_s > since_s]
+    return {"samples": fresh[::-1][:MOST_ROWS], "more": len(fresh) > MOST_ROWS, "stops": stops, "armings": armings}
 
 
 def _wire(rig: Rig, _now_s: float, since_s: float) -> VerbAnswer:
@@ -201,12 +220,16 @@ VERBS: dict[str, Callable[..., VerbAnswer | None]] = {
     "unplug": _unplug,
     "replug": _replug,
     "freeze": _freeze,
+    "deaf": _deaf,
     "drop": _drop,
     "slow_packets": _slow_packets,
     "protective_stop": _protective_stop,
     "emergency_stop": _emergency_stop,
     "power_off": _power_off,
     "program_stop": _program_stop,
+    "other_program": _other_program,
+    "local_control": _local_control,
+    "on_arming": _on_arming,
     "restart": _restart,
     "refuse_version": _refuse_version,
     "wall": _wall,

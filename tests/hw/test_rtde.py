@@ -342,7 +342,7 @@ def test_after_every_upload_the_watchdog_is_set_again(client: Client) -> None:
         robot.close()
         """)
     assert report["tripped"] != 2
-    assert "does not take a speed command: its control script is not running" in report["refusal"]
+    assert "does not take a speed command: its control script was stopped (runtime state 1, 2 expected)" in report["refusal"]
     assert report["again"] == 2
     assert report["vz"] == pytest.approx(0.005, abs=1e-4)
     assert report["tripped_again"] != 2

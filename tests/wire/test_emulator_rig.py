@@ -235,6 +235,8 @@ def test_every_verb_stands_in_the_document() -> None:
         ({"do": "protective_stop"}, lambda rig: rig.controller.safety == 3),
         ({"do": "power_off"}, lambda rig: rig.controller.power == 3),
         ({"do": "program_stop"}, lambda rig: rig.controller.program is None),
+        ({"do": "other_program", "s": 5.0}, lambda rig: rig.controller.program is not None and not rig.controller.program.commands),
+        ({"do": "local_control"}, lambda rig: not rig.controller.remote_control),
         ({"do": "wall", "z_m": 0.01, "stiffness_N_per_m": 1e3}, lambda rig: rig.surface_m(0.0, 0.0) == 0.01),
     ],
 )
@@ -243,6 +245,72 @@ def test_a_verb_makes_its_fault(link: Path, request_: dict[str, Any], seen: Call
     assert not seen(rig)
     assert obey(rig, request_, 100.5, [0.0]) == {"ok": True, "t_s": 100.5}
     assert seen(rig)
+
+
+def test_a_fault_on_arming_comes_when_the_program_has_set_its_watchdog_and_once(link: Path) -> None:
+    bench = Bench(link)
+    rig, set_watchdog = bench.rig, {"input_int_register_0": (35,), "input_double_register_0": (10.0,)}
+    obey(rig, {"do": "on_arming", "then": {"do": "local_control"}, "delay_s": 0.05}, bench.t_s, [0.0])
+    bench.run(0.1)
+    assert rig.controller.remote_control
+    rig.controller.write(set_watchdog, bench.t_s)
+    bench.run(0.03)
+    assert rig.controller.remote_control
+    bench.run(0.06)
+    assert not rig.controller.remote_control
+    rig.controller.remote_control = True
+    bench.run(0.2)
+    assert rig.controller.remote_control
+    with pytest.raises(ValueError, match="there is no verb 'nonsense'"):
+        obey(rig, {"do": "on_arming", "then": {"do": "nonsense"}}, bench.t_s, [0.0])
+
+
+def test_a_deaf_controller_still_sends_its_states_and_trips_the_watchdog(link: Path) -> None:
+    bench = Bench(link)
+    rig = bench.rig
+    rig.controller.write({"input_int_register_0": (35,), "input_double_register_0": (10.0,)}, bench.t_s)
+    bench.run(0.02)
+    with socket.create_connection((bench.host, 30004)) as client:
+        client.sendall(struct.pack(">HcH", 5, b"V", 2))
+        obey(rig, {"do": "deaf", "s": 0.3}, bench.t_s, [0.0])
+        bench.run(0.25)
+        client.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            client.recv(100)
+        assert rig.controller.stops[-1][1] == "watchdog"
+        bench.run(0.1)
+        assert client.recv(100) == struct.pack(">HcB", 4, b"V", 1)
+
+
+def test_another_clients_program_plays_for_its_time_and_answers_no_command(link: Path) -> None:
+    bench = Bench(link)
+    rig = bench.rig
+    obey(rig, {"do": "other_program", "s": 1.0}, bench.t_s, [0.0])
+    bench.run(0.5)
+    before = dict(rig.controller.outputs)
+    rig.controller.write({"input_int_register_0": (35,)}, bench.t_s)
+    bench.run(0.3)
+    assert rig.controller.runtime is Runtime.PLAYING
+    assert rig.controller.outputs == before
+    bench.run(0.5)
+    assert rig.controller.runtime is Runtime.STOPPED
+
+
+def test_in_local_control_scripts_and_the_dashboards_commands_are_ignored(link: Path) -> None:
+    bench = Bench(link, "ur5e")
+    rig = bench.rig
+    obey(rig, {"do": "local_control"}, bench.t_s, [0.0])
+    rig.controller.upload("def other():\n  sleep(1)\nend\n", bench.t_s)
+    bench.run(0.3)
+    assert rig.controller.program is not None
+    assert rig.controller.program.commands
+    with socket.create_connection((bench.host, 29999)) as client:
+        client.sendall(b"is in remote control\nstop\n")
+        bench.run(0.05)
+        _, remote, stop = client.recv(1000).decode().splitlines()
+    assert remote == "false"
+    assert stop.startswith("Command is not allowed")
+    assert rig.controller.runtime is Runtime.PLAYING
 
 
 def test_the_counter_leaps_when_told_and_goes_on_where_the_process_did_not(link: Path) -> None:
