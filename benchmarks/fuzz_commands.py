@@ -44,6 +44,7 @@ run --config {config} --plan {plan} --json {out.json}
 calibrate --config {config}
 free-motion --out {new.mcap} --config {config}
 stiffness --config {config} --json {out.json}
+retract --config {config}
 demo --json {out.json} --out {folder}
 sim --plan {plan} --config {config} --cell {cell} --json {out.json}
 emulate --cell {cell} --effects {effect} --sensor-link link
@@ -55,6 +56,7 @@ pause --config {config}
 resume --config {config}
 abort --config {config}
 clear --config {config}
+init {folder} --depths-mm 2,3
 install --prefix {folder}
 doctor --config {config} --watch-s 1 --json {out.json}
 check-config {config} --plan {plan} --json {out.json}
@@ -80,6 +82,8 @@ study --out {folder} --days 0 --free {mcap} --palpation {mcap} --json {out.json}
 CONTRADICTIONS = """
 map --presses {presses} --emulated
 map --presses {presses} --config {config}
+map --out /
+map --out {csv}/x.png
 map --emulated --config {config}
 analyse {csv} --depth-column z_m --height-column z_m --force-column fz_N --tip-radius-m 0.005
 analyse {csv} --depth-column z_m --height-down-positive --force-column fz_N --tip-radius-m 0.005
@@ -119,15 +123,24 @@ import {csv} --csv out.csv --force-column fz_N --height-column z_m --time-column
 import {csv} --csv out.csv --force-column fz_N --height-column z_m
 abort --config {config} --socket {csv}
 abort now
+init {config}
+init {folder} --depths-mm deep
+init {folder} --depths-mm 2,,-3
+init {folder} --depths-mm nan
+init {folder} --depths-mm 1e300
+init {folder} --depths-mm 900
+init {folder} --limit-N 1 --depths-mm 8
+retract {config}
+retract --socket {csv}
 status --json
 status --socket
 """
 SLOW = ("diagnose", "resolve", "serve", "blind", "study", "demo", "emulate")
 """Commands that work for long, or for ever, on what they accept: they are given only what they must refuse."""
-NO_DEVICE = ("run", "calibrate", "free-motion", "stiffness", "status", "arm", "start", "pause", "resume", "abort", "clear")
+NO_DEVICE = ("run", "calibrate", "free-motion", "stiffness", "retract", "status", "arm", "start", "pause", "resume", "abort", "clear")
 """Commands that need a daemon or devices, which are not there: they refuse every line."""
-FINE = {("map", "header alone"), ("import", "unclosed quote"), ("analyse", "unclosed quote")}
-"""Faults that a command need not refuse: no press yet; rows before the numbers, which it counts and names."""
+FINE = {("map", "header alone"), ("import", "unclosed quote"), ("analyse", "unclosed quote"), ("simulate", "three rows")}
+"""Faults that a command need not refuse: no press yet; rows before the numbers, which it counts and names; a short motion."""
 NUMBERS = ("nan", "inf", "-inf", "-1", "0", "1e300", "1e-300", "9" * 5000, "10000000000000000000", "0x10", "1,5", "", "one", " ", "1_000")
 SURE = ("nan", "inf", "-inf", "1e300", "9" * 5000, "0x10", "1,5", "", "one", " ")
 """Numbers that no option accepts."""
@@ -172,6 +185,7 @@ def lines(sound: dict[str, Path], spoilt: dict[str, Any], outputs: list[tuple[st
             for file in spoilt.get(kind, ()):
                 if (file.refused and not (words[0] in SLOW and "model" in file.path)) or words[0] not in SLOW:
                     unread = "model" in file.path and words[0] not in ("doctor", "replay")
+                    unread = unread or (words[0] == "simulate" and file.kind.endswith(" in a cell"))  # a force, which it does not read
                     refused = (file.refused and not unread and (words[0], file.kind) not in FINE) or words[0] in NO_DEVICE
                     yield Line((*good[:at], file.path, *good[at + 1 :]), f"{kind}: {file.kind}", refused, good, file.same)
             if kind not in spoilt:
@@ -189,7 +203,7 @@ def _filled(word: str, sound: dict[str, Path]) -> str:
 def _bad_outputs(good: tuple[str, ...], at: int, kind: str, outputs: list[tuple[str, str]]) -> Iterator[Line]:
     suffix = Path(kind).suffix
     for place, fault in outputs:
-        if kind == "folder" and fault in ("missing folder", "full disk"):
+        if kind == "folder" and fault in ("missing folder", "folder", "empty name", "root folder"):  # sound places for a folder
             continue
         path = place.replace("SUFFIX", suffix)
         yield Line((*good[:at], path, *good[at + 1 :]), f"output: {fault}", refused=True)
@@ -251,15 +265,17 @@ def bad_outputs(folder: Path, full: Path | None) -> list[tuple[str, str]]:
         (folder / f"locked{suffix}").write_text("kept")
         (folder / f"locked{suffix}").chmod(0o444)
         (folder / f"loop{suffix}").symlink_to(f"loop{suffix}")
-    (folder / "folder").rename(folder / "gone")  # a folder is a sound place for a folder
     return [
         ("missing/xSUFFIX", "missing folder"),
         *([] if full is None else [(f"{full}/xSUFFIX", "full disk")]),
         (f"{folder}/read-only/xSUFFIX", "read-only folder"),
+        (f"{folder}/folderSUFFIX", "folder"),
         (f"{folder}/folderSUFFIX/inside/xSUFFIX", "under a file"),
         (f"{folder}/lockedSUFFIX", "read-only file"),
         (f"{folder}/loopSUFFIX", "loop of links"),
         ("/proc/xSUFFIX", "/proc"),
+        ("", "empty name"),
+        ("/", "root folder"),
         ("n" * 300 + "SUFFIX", "name too long"),
     ]
 

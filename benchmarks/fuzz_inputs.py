@@ -40,6 +40,32 @@ SCALARS: dict[str, tuple[str, bool]] = {
     "python tag": ("!!python/object/apply:os.system [true]", True),
 }
 """Values in the place of a number, and whether every number refuses them."""
+TEXTS = {
+    "no text": '""',
+    "root folder": "/",
+    "NUL": '"a\\0b"',
+    "newline": '"a\\nb"',
+    "5000 letters": "x" * 5000,
+    "home": "~/x",
+    "no value": "null",
+    "emoji": "😀",
+    "half a surrogate": '"\\ud800"',
+}
+REFUSED_TEXTS = ("NUL", "half a surrogate")
+"""Values in the place of a text, and those that every key refuses."""
+CELLS = {
+    "NaN": "nan",
+    "infinity": "inf",
+    "text": "N/A",
+    "empty cell": "",
+    "hexadecimal": "0x1F",
+    "5000 digits": DIGITS,
+    "two points": "1.2.3",
+    "1e999": "1e999",
+    "1e300": "1e300",
+    "NUL": "1\x002",
+}
+"""What stands in a cell of a table and is no number that a force can have."""
 PLAN = {
     "sites": [{"name": "A", "x_m": 0.0, "y_m": 0.0}],
     "mode": "dynamic",
@@ -212,7 +238,11 @@ def _yaml_faults(folder: Path, sound: Path) -> Iterator[SpoiltFile]:
     }
     for kind, spoilt in whole.items():
         yield SpoiltFile(write(kind, spoilt.encode()), kind)
-    for place in _numbers(content, ()):
+    for place in _places(content, (), str):
+        name = ".".join(map(str, place))
+        for kind, value in TEXTS.items():
+            yield SpoiltFile(write(f"{kind} at {name}", _with(content, place, value).encode()), kind, kind in REFUSED_TEXTS)
+    for place in _places(content, (), int | float):
         name = ".".join(map(str, place))
         for kind, (value, refused) in SCALARS.items():
             yield SpoiltFile(write(f"{kind} at {name}", _with(content, place, value).encode()), kind, refused)
@@ -222,12 +252,13 @@ def _yaml_faults(folder: Path, sound: Path) -> Iterator[SpoiltFile]:
                 yield SpoiltFile(write(f"{value} for {key}", _with(content, (key,), value).encode()), "wrong type")
 
 
-def _numbers(content: Any, at: tuple[str | int, ...]) -> Iterator[tuple[str | int, ...]]:
+def _places(content: Any, at: tuple[str | int, ...], kind: Any) -> Iterator[tuple[str | int, ...]]:
+    """Where values of that kind stand."""
     inner = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
-    if isinstance(content, int | float):
+    if isinstance(content, kind):
         yield at
     for key, value in inner:
-        yield from _numbers(value, (*at, key))
+        yield from _places(value, (*at, key), kind)
 
 
 def _with(content: Any, place: tuple[str | int, ...], value: str) -> str:
@@ -266,18 +297,7 @@ def _table_faults(folder: Path, sound: Path) -> Iterator[SpoiltFile]:
     }
     for kind, content in alike.items():
         yield SpoiltFile(write(kind, content), kind, False, True)
-    values = {
-        "NaN": "nan",
-        "infinity": "inf",
-        "text": "N/A",
-        "empty cell": "",
-        "hexadecimal": "0x1F",
-        "5000 digits": DIGITS,
-        "two points": "1.2.3",
-        "1e999": "1e999",
-        "1e300": "1e300",
-    }
-    for kind, value in values.items():
+    for kind, value in CELLS.items():
         yield SpoiltFile(write(f"{kind} in a cell", cell(value)), f"{kind} in a cell")
     whole = {
         "header alone": table(header, []),
@@ -285,7 +305,6 @@ def _table_faults(folder: Path, sound: Path) -> Iterator[SpoiltFile]:
         "missing column": table(header[1:], [row[1:] for row in rows]),
         "column twice": table([header[0], *header], [[row[0], *row] for row in rows]),
         "decimal commas and commas": table(header, commas),
-        "NUL in a cell": cell("1\x002"),
         "short row": table(header, [*rows[:3], rows[3][:2], *rows[4:]]),
         "spaces for commas": table(header, rows, " "),
         "semicolons in one row": table(header, [*rows[:3], [";".join(rows[3])], *rows[4:]]),
@@ -357,13 +376,15 @@ def _forged_cards(folder: Path, sound: dict[str, Path]) -> Iterator[SpoiltFile]:
         path = Path(write(f"card {kind}", text.encode()))
         path.with_suffix(".onnx").write_bytes(sound["model"].read_bytes())
         yield _naming(path.with_suffix(".onnx"), config, f"forged card: {kind}")
+    for path in (Path("/"), Path("/.."), Path("/proc/self/mem")):
+        yield _naming(path, config, f"model: {path}", folder / f"model {len(str(path))}.yaml")
     for path in (folder / "pipe.onnx", folder / "zero.onnx", folder / "folder.onnx", folder / "binary.onnx", folder / "huge.onnx"):
         path.with_suffix(".json").write_text(json.dumps(card))
         yield _naming(path, config, f"model: {path.stem}")
 
 
-def _naming(model: Path, config: dict[str, Any], kind: str) -> SpoiltFile:
-    path = model.with_suffix(".yaml")
+def _naming(model: Path, config: dict[str, Any], kind: str, path: Path | None = None) -> SpoiltFile:
+    path = path or model.with_suffix(".yaml")
     path.write_text(yaml.safe_dump(config | {"model": {"path": str(model)}}))
     return SpoiltFile(str(path), kind)
 

@@ -433,8 +433,8 @@ def _connect(host: str, port: int) -> socket.socket:
     """Return an open connection, or raise RobotError: the library would wait for ever."""
     try:
         return socket.create_connection((host, port), CONNECT_TIMEOUT_S)
-    except OSError as error:
-        why = "does not answer" if isinstance(error, TimeoutError) else f"cannot be reached ({error.strerror or error})"
+    except (OSError, UnicodeError) as error:  # a name that is none of a host fails in its encoding
+        why = "does not answer" if isinstance(error, TimeoutError) else f"cannot be reached ({getattr(error, 'strerror', None) or error})"
         raise RobotError(
             f"robot at {host} {why} on port {port} within {CONNECT_TIMEOUT_S:g} s; "
             "check robot.host, the cable and that the controller is on."

@@ -36,7 +36,7 @@ class _Frozen(BaseModel):
 class RobotConfig(_Frozen):
     """The arm and how it is spoken to."""
 
-    host: str = Field(default="127.0.0.1", pattern=r"^\S+$")
+    host: str = Field(default="127.0.0.1", pattern=r"^\S+$", max_length=253)
     model: Literal["ur5", "ur5e"] = "ur5"
     rtde_rate_Hz: StrictFloat | None = Field(default=None, gt=0, le=500)
     tcp: tuple[StrictFloat, StrictFloat, StrictFloat, StrictFloat, StrictFloat, StrictFloat] | None = None

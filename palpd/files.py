@@ -213,6 +213,8 @@ def parse_json(text: str, name: str, *, error: type[PalpdError] = BadInput) -> A
     """
     try:
         content = json.loads(text, object_pairs_hook=_pairs, parse_int=_whole)
+        if "\\u" in text:  # else nothing but a plain letter can stand in it
+            _refuse_letters(content)
     except json.JSONDecodeError as failure:
         raise error(f"{name}, line {failure.lineno}: this is not JSON ({failure.msg}); correct it") from failure
     except ValueError as failure:
@@ -304,6 +306,24 @@ def check_folder(*folders: Path | None) -> None:
             while not os.path.lexists(inside.parent) and inside.parent != inside.parent.parent:
                 inside = inside.parent
             _try_place(inside, overwrite=True)
+
+
+def with_ending(path: Path, ending: str) -> Path:
+    """Give an output another ending.
+
+    Args:
+        path: File that was asked for.
+        ending: Ending with its dot.
+
+    Returns:
+        The path with that ending in place of its own.
+
+    Raises:
+        BadInput: Where the path names no file.
+    """
+    if not path.name:
+        raise BadInput(f"the output is {str(path)!r}, expected the name of a file; give one")
+    return path.with_suffix(ending)
 
 
 @contextmanager
@@ -481,6 +501,13 @@ class _StrictLoader(yaml.SafeLoader):
             lines[key] = line
         return super().construct_mapping(node, deep)
 
+    def text(self, node: yaml.ScalarNode) -> str:
+        """Construct a text that file names and terminals can hold."""
+        try:
+            return _plain(node.value)
+        except ValueError as failure:
+            raise _Refusal(problem=str(failure), problem_mark=node.start_mark) from failure
+
     def whole_number(self, node: yaml.ScalarNode) -> int:
         """Construct a decimal whole number of bounded length."""
         try:
@@ -496,6 +523,7 @@ _StrictLoader.add_implicit_resolver(
     list("-+0123456789."),
 )
 _StrictLoader.add_constructor("tag:yaml.org,2002:int", _StrictLoader.whole_number)
+_StrictLoader.add_constructor("tag:yaml.org,2002:str", _StrictLoader.text)
 
 
 def _lines(node: yaml.Node, at: Location) -> Iterator[tuple[Location, int]]:
@@ -520,6 +548,16 @@ def _pairs(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return content
 
 
+def _plain(text: str) -> str:
+    try:
+        os.fsencode(text)  # as Python gives it to the system: a byte of a file name that is not UTF-8 stands for itself
+    except UnicodeEncodeError as failure:
+        raise ValueError(f"a text holds {text[failure.start]!r}, which no file name can hold; remove it") from failure
+    if "\0" in text:
+        raise ValueError("a text holds '\\x00', which no file name can hold; remove it")
+    return text
+
+
 def _whole(text: str) -> int:
     if len(text) > MOST_DIGITS:
         raise ValueError(f"a whole number has {len(text)} digits, expected at most {MOST_DIGITS}; correct it")
@@ -533,6 +571,14 @@ def _too_deep(name: str) -> str:
 def _deeper_than(content: object, levels: int) -> bool:
     inner = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
     return any(levels <= 1 or _deeper_than(each, levels - 1) for each in inner)
+
+
+def _refuse_letters(content: object) -> None:
+    """Refuse JSON that holds a letter which is none. Raises ValueError."""
+    if isinstance(content, str):
+        _plain(content)
+    for each in (*content, *content.values()) if isinstance(content, dict) else content if isinstance(content, list) else ():
+        _refuse_letters(each)
 
 
 def _shown(value: object) -> str:

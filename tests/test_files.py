@@ -126,6 +126,17 @@ def test_a_number_of_5000_digits_is_refused_in_a_sentence(parse: Callable[[str, 
         parse('{"repeats": ' + "9" * 5000 + "}", "it")
 
 
+@pytest.mark.parametrize("text", ['{"a": ["\\u0000"]}', '{"a": "b\\ud800"}', '{"\\udfff": 1}'])
+@pytest.mark.parametrize("parse", [parse_yaml, parse_json])
+def test_letters_that_no_file_name_can_hold_are_refused(parse: Callable[[str, str], Any], text: str) -> None:
+    with pytest.raises(BadInput, match="which no file name can hold"):
+        parse(text, "it")
+
+
+def test_letters_that_are_written_as_numbers_are_read() -> None:
+    assert parse_json('{"a": "\\ud83d\\ude00 \\\\u0000"}', "it") == {"a": "😀 \\u0000"}
+
+
 def test_aliases_that_stand_for_millions_of_values_are_refused() -> None:
     text = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n"
     text += "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 9))

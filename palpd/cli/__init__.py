@@ -6,6 +6,8 @@ signal while nothing moved. This file imports little, so that
 """
 
 import contextlib
+import io
+import os
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +22,8 @@ def main() -> None:
     from palpd.daemon import interrupts
 
     interrupts.listen()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a name, or a sign such as ±, that the terminal cannot show ends no command
     try:
         try:
             exit_code = _carry_out()
@@ -43,15 +47,33 @@ def _carry_out() -> int:
 
             interrupts.started()
             carry_out(sys.argv[1:])
+        if sys.stdout:
+            sys.stdout.flush()
     except PalpdError as error:
         return _say(str(error), error.exit_code)
     except SystemExit as ended:
         return ended.code if isinstance(ended.code, int) else 0
-    except Exception:  # a library that was interrupted in its import raises anything, and a closed terminal takes no tables
-        if not interrupts.received():
+    except Exception as error:  # a library that was interrupted in its import raises anything, and a closed terminal takes no tables
+        if interrupts.received():
+            return _say(*interrupts.last_words())
+        failure = _failure_of_stdout() if isinstance(error, OSError) and sys.stdout else None
+        if failure is None:
             raise
-        return _say(*interrupts.last_words())
+        if isinstance(failure, BrokenPipeError):  # `palpd effects | head` has all that it asked for
+            return 1
+        return _say(f"what it prints cannot be written ({failure.strerror}); send it to another place", 2)
     return 0
+
+
+def _failure_of_stdout() -> OSError | None:
+    """Why stdout takes nothing more, if so; what stands in its buffer is given up, so that the way out does not try it again."""
+    try:
+        sys.stdout.flush()
+        os.write(sys.stdout.fileno(), b"\n")  # a buffer that has failed once has forgotten what it held, and flushes well
+    except OSError as failure:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return failure
+    return None
 
 
 def _say(sentence: str, exit_code: int) -> int:

@@ -16,7 +16,7 @@ from palpd.cli.curve_options import (
     TimeColumn,
 )
 from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, app, display, finish, terminal
-from palpd.files import check_writable, write_json
+from palpd.files import check_writable, with_ending, write_json
 
 if TYPE_CHECKING:
     from palpd.analysis.curves import CurveResult
@@ -112,10 +112,12 @@ def train(
     ] = "linear",
 ) -> None:
     """Learn the inertial model from free motion; write it with its card. Which method is best: docs/compensation.md."""
+    from palpd.compensation.model_card import refuse_place
     from palpd.compensation.train import train as learn
     from palpd.compensation.training_data import load_training_data
     from palpd.config import load_config
 
+    refuse_place(out)
     settings = load_config(config if config != DEFAULT_CONFIG or config.exists() else None)
     data = load_training_data(runs, settings)
     card = learn(
@@ -157,7 +159,7 @@ def map_(
     from palpd.daemon.stiffness_survey import mapped
 
     where = mapping.Field(width_m=width_m, height_m=height_m, inclusion_m=inclusion_m, depth_m=depth_m)
-    check_writable(json_file, out, None if presses else out.with_suffix(".csv"))
+    check_writable(json_file, out, None if presses else with_ending(out, ".csv"))
     stopped, truth = "", None
     if presses is not None:
         mapping.refuse_two_sources(presses, config, emulated)

@@ -19,7 +19,7 @@ from palpd.cli.options import (
     finish,
     terminal,
 )
-from palpd.files import check_folder, check_writable, write_json
+from palpd.files import check_folder, check_writable, with_ending, write_json
 
 
 @app.command()
@@ -77,8 +77,8 @@ def free_motion(
     from palpd.daemon.session import carry_out, job
     from palpd.daemon.wiring import devices
 
-    target = out.with_suffix(".mcap")
-    settings = load_config(config).with_runs(target.resolve().parent)
+    target = with_ending(out, ".mcap")
+    settings = load_config(config).with_runs(target.absolute().parent)
     check_kept(settings)
     if settings.paths.runs.is_dir():
         check_writable(target, overwrite=False)

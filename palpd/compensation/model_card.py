@@ -15,7 +15,7 @@ import sklearn
 from palpd.compensation.cycles import SMOOTHING_S
 from palpd.control.inertial import WINDOW_S, card_path
 from palpd.errors import BadInput
-from palpd.files import write_bytes, write_json
+from palpd.files import check_writable, write_bytes, write_json
 from palpd.recording.samples import Samples
 
 SMOOTHING: dict[str, Any] = {
@@ -117,6 +117,19 @@ def data_sha256(recordings: Sequence[Samples]) -> str:
     return digest.hexdigest()
 
 
+def refuse_place(out: Path) -> None:
+    """Refuse a place where a model and its card cannot be written, before any work.
+
+    Raises:
+        BadInput: The name is not that of a model, or one of both files exists or cannot be written.
+    """
+    if out.suffix != ".onnx":
+        raise BadInput(
+            f"the model's file is to be {str(out)!r}, expected a name that ends in .onnx; its card is written beside it as .json"
+        )
+    check_writable(out, card_path(out), overwrite=False)
+
+
 def write_model(out: Path, content: bytes, card: ModelCard) -> None:
     """Write a model and its card beside it.
 
@@ -128,9 +141,5 @@ def write_model(out: Path, content: bytes, card: ModelCard) -> None:
     Raises:
         BadInput: A file cannot be written.
     """
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(out, content, overwrite=False)
-        write_json(card_path(out), asdict(card), overwrite=False)
-    except OSError as error:
-        raise BadInput(f"{out} cannot be written ({error.strerror}); choose another place") from None
+    write_bytes(out, content, overwrite=False)
+    write_json(card_path(out), asdict(card), overwrite=False)

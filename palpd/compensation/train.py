@@ -21,9 +21,9 @@ from sklearn.neural_network import MLPRegressor
 
 from palpd.analysis.intervals import correlated_sigmas, student_t_95
 from palpd.compensation.cycles import Cycle, find_cycles, mean_cycle, mean_cycle_at_run_time
-from palpd.compensation.model_card import SMOOTHING, ModelCard, data_sha256, notes_of, software_versions, write_model
+from palpd.compensation.model_card import SMOOTHING, ModelCard, data_sha256, notes_of, refuse_place, software_versions, write_model
 from palpd.compensation.refusals import refuse_clipping, refuse_contact, refuse_different
-from palpd.control.inertial import INPUT_NAME, INPUTS, OUTPUT_NAME, SCHEMA, InertialModel, card_path
+from palpd.control.inertial import INPUT_NAME, INPUTS, OUTPUT_NAME, SCHEMA, InertialModel
 from palpd.errors import BadInput, RecordingError
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -87,7 +87,7 @@ def train(
 
     Raises:
         RecordingError: A recording contains contact, clips, differs in motion from the others, or moves too little.
-        BadInput: The method is unknown, no recording was given, or a file would be overwritten.
+        BadInput: The method is unknown, no recording was given, or a file cannot be written.
     """
     _refuse_arguments(recordings, out, method)
     for number, samples in enumerate(recordings, start=1):
@@ -121,9 +121,7 @@ def train(
 def _refuse_arguments(recordings: Sequence[Samples], out: Path, method: Method) -> None:
     if method not in METHODS:
         raise BadInput(f"there is no method {method!r} of training; choose one of {', '.join(METHODS)}")
-    for path in (out, card_path(out)):
-        if path.exists():
-            raise BadInput(f"{path.name} exists and is not overwritten; choose another name or move it away")
+    refuse_place(out)
     if not recordings:
         raise BadInput("no recording was given; train on at least one of palpd free-motion")
 

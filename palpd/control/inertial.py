@@ -194,7 +194,7 @@ class Network:
 
 def card_path(model: Path) -> Path:
     """Return the path of a model's card: `inertial.onnx` has `inertial.json`."""
-    return model.with_suffix(".json")
+    return model.parent / f"{model.stem}.json"  # not with_suffix, which raises for a path without a name, such as /
 
 
 def read_card(model: Path) -> dict[str, Any]:

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from palpd.errors import Refused
+from palpd.files import check_folder, write_text
 
 SOURCE = Path(__file__).parents[2]
 UNIT_PYTHON = "/opt/palpd/.venv/bin/python"
@@ -37,13 +38,15 @@ def installed(prefix: Path) -> list[Path]:
     """Copy the files below `prefix`, with the path of this Python in the unit, and return the paths. An existing configuration stays.
 
     Raises:
-        Refused: The service could not see this Python, or the files are not beside the code.
+        BadInput: A file cannot be written.
+        Refused: The service could not see this Python, the files are not beside the code, or a folder cannot be made.
     """
     folder = SOURCE / "systemd"
     if not (folder / "palpd.service").exists():
         raise Refused(f"the unit is not in {folder}; run palpd install from a checkout of the repository")
     unit = (folder / "palpd.service").read_text().replace(UNIT_PYTHON, unit_python(prefix))
     config = re.sub(r"^paths:.*$", PATHS, (SOURCE / "config.yaml").read_text(), flags=re.MULTILINE)
+    check_folder(prefix)
     texts = {
         "etc/systemd/system/palpd.service": unit,
         "etc/sysusers.d/palpd.conf": (folder / "palpd.sysusers.conf").read_text(),
@@ -57,9 +60,9 @@ def installed(prefix: Path) -> list[Path]:
             continue
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text)
+            write_text(path, text)
+            path.chmod(0o644)
         except OSError as error:
             raise Refused(f"{path} cannot be written ({error.strerror}); run palpd install as root, or give --prefix") from error
-        path.chmod(0o644)
         written.append(path)
     return written

@@ -1,15 +1,16 @@
 """`palpd init`: a config.yaml and a plan.yaml that fit each other, made from those of the repository."""
 
 import math
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from palpd.config import Config, Plan, load_config, load_plan, refuse_unsafe
+from palpd.config import Config, Plan, load_config, load_plan, parse_config, parse_plan, refuse_unsafe
 from palpd.control.sequence import SOFT_END
 from palpd.daemon.overshoot import refuse_overload
 from palpd.errors import BadInput, ConfigError, Refused
-from palpd.files import write_text
+from palpd.files import check_folder, parse_yaml, write_text
 
 SOURCE = Path(__file__).parents[2]
 HARDEST_PA = 143_200.0
@@ -35,8 +36,7 @@ def checked(config_file: Path, plan_file: Path | None) -> tuple[Config, Plan]:
     """
     config = load_config(config_file)
     plan = load_plan(plan_file) if plan_file else Plan()
-    refuse_unsafe(config, plan)
-    refuse_overload(config, plan)
+    _refuse_together(config, plan)
     return config, plan
 
 
@@ -53,44 +53,57 @@ def write_starting_files(folder: Path, model: str, limit_N: float, depths_m: Seq
         Paths of both files.
 
     Raises:
-        BadInput: A file exists.
+        BadInput: A file exists, or the folder cannot be made or written into.
         ConfigError: The limit, or the depths with it, are refused; nothing is written then.
         Refused: The files to start from are not beside the code.
     """
     files = folder / "config.yaml", folder / "plan.yaml"
+    check_folder(folder)
     for file in files:
-        if file.exists():
+        if os.path.lexists(file):
             raise BadInput(f"{file} exists and is not overwritten; give another folder")
     if not (SOURCE / "plan.yaml").exists():
         raise Refused(f"config.yaml and plan.yaml to start from are not in {SOURCE}; run palpd init from a checkout of the repository")
     tip_radius_m = Config().cell.probe.tip_radius_m
     deepest_m = STEP_M * math.floor((SOFT_END**2 * limit_N / (_stiffness(tip_radius_m))) ** (2 / 3) / STEP_M)
     chosen_m = tuple(depths_m) or tuple(STEP_M * math.floor(deepest_m * share / 6 / STEP_M + 1e-9) for share in (4, 5, 6))
-    force_N = _stiffness(tip_radius_m) * max(chosen_m) ** 1.5
+    absolute_N = max(25.0, ABSOLUTE_PER_CONTACT * limit_N)
+    config_text = _with(
+        (SOURCE / "config.yaml").read_text(),
+        {
+            "model: ur5": f"model: {model}",
+            "contact_limit_N: 12": f"contact_limit_N: {limit_N:g}",
+            "absolute_limit_N: 25": f"absolute_limit_N: {absolute_N:g}",
+        },
+    )
+    plan_text = re.sub(
+        r"^depths_m:.*$",
+        f"depths_m: [{', '.join(f'{d:g}' for d in chosen_m)}]   # fit contact_limit_N of {limit_N:g} N on 143 kPa",
+        (SOURCE / "plan.yaml").read_text(),
+        flags=re.MULTILINE,
+    )
+    config = parse_config(parse_yaml(config_text, str(files[0])).content, str(files[0]))
+    plan = parse_plan(parse_yaml(plan_text, str(files[1])).content, str(files[1]))
+    _refuse_together(config, plan)
+    force_N = _stiffness(tip_radius_m) * max(plan.depths_m) ** 1.5
     if force_N > SOFT_END * limit_N:
         raise ConfigError(
-            f"{max(chosen_m) * 1e3:g} mm into {HARDEST_PA / 1e3:.0f} kPa needs {force_N:.1f} N, above the {SOFT_END * limit_N:.1f} N "
+            f"{max(plan.depths_m) * 1e3:g} mm into {HARDEST_PA / 1e3:.0f} kPa needs {force_N:.1f} N, above the {SOFT_END * limit_N:.1f} N "
             "at which a press is cut short; choose shallower depths or a higher limit"
         )
-    absolute_N = max(25.0, ABSOLUTE_PER_CONTACT * limit_N)
-    texts = (
-        _with(
-            (SOURCE / "config.yaml").read_text(), {"model: ur5": f"model: {model}", "contact_limit_N: 12": f"contact_limit_N: {limit_N:g}",
-            "absolute_limit_N: 25": f"absolute_limit_N: {absolute_N:g}"},
-        ),
-        re.sub(r"^depths_m:.*$", f"depths_m: [{', '.join(f'{d:g}' for d in chosen_m)}]   # fit contact_limit_N of {limit_N:g} N on 143 kPa",
-               (SOURCE / "plan.yaml").read_text(), flags=re.MULTILINE),
-    )  # fmt: skip
-    folder.mkdir(parents=True, exist_ok=True)
-    for file, text in zip(files, texts, strict=True):
-        write_text(file, text)
     try:
-        checked(*files)
-    except ConfigError:
-        for file in files:
-            file.unlink()
-        raise
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as failure:
+        raise BadInput(f"{folder} cannot be made ({failure.strerror or failure}); give another folder") from failure
+    for file, text in zip(files, (config_text, plan_text), strict=True):
+        write_text(file, text, overwrite=False)
     return files
+
+
+def _refuse_together(config: Config, plan: Plan) -> None:
+    """Refuse limits and a plan that do not fit each other. Raises ConfigError."""
+    refuse_unsafe(config, plan)
+    refuse_overload(config, plan)
 
 
 def _stiffness(tip_radius_m: float) -> float:

@@ -1,6 +1,5 @@
 """What the command line does with recordings of cells: diagnose one or several jointly, simulate, estimate tolerances."""
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -10,10 +9,10 @@ from palpd.cell.cell_file import CellFile, load_cell, save_cell
 from palpd.cell.effects import EFFECTS, Effect, load_effects
 from palpd.cell.simulation import simulate
 from palpd.errors import BadInput, RecordingError
-from palpd.files import opened_text, write_json
+from palpd.files import write_json
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.tolerances import estimate_tolerances
-from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, read, write_csv
+from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, named_once, read, read_columns, refuse_values, write_csv
 from palpd.tick import Floats
 
 
@@ -169,29 +168,17 @@ def read_motion(path: Path) -> dict[str, Floats]:
     Raises:
         RecordingError: The file is no such motion.
     """
-    try:
-        with opened_text(path, error=RecordingError) as file:
-            rows = [row for row in csv.reader(file) if row]
-    except csv.Error as error:
-        raise RecordingError(f"{path.name} is no CSV ({error}); give a table with commas.") from None
-    header = [name.strip() for name in rows[0]] if rows else []
+    columns, _ = read_columns(path, _motion_columns)
+    if len(columns["t_s"]) < 2:
+        raise RecordingError(f"{path.name} has {len(columns['t_s'])} rows; a motion needs two rows or more in the order of time.")
+    refuse_values(columns, path.name)
+    return columns
+
+
+def _motion_columns(path: Path, header: Sequence[str]) -> list[str]:
     if "t_s" not in header or not {"z_cmd_m", "z_m"} & set(header):
         raise RecordingError(f"{path.name}: column t_s and one of z_cmd_m, z_m are needed in row 0 (the header).")
-    columns: dict[str, Floats] = {}
-    for name in [name for name in COLUMNS[:4] if name in header]:
-        at = header.index(name)
-        try:
-            columns[name] = np.array([float(row[at]) for row in rows[1:]])
-        except (ValueError, IndexError):
-            raise RecordingError(f"{path.name}: {name} holds something that is not a number; every value must be finite.") from None
-        if not np.isfinite(columns[name]).all():
-            row = int(np.flatnonzero(~np.isfinite(columns[name]))[0]) + 1
-            raise RecordingError(f"{path.name}: {name} is not finite in row {row}; every value must be finite.")
-    backwards = np.flatnonzero(np.diff(columns["t_s"]) <= 0)
-    if len(columns["t_s"]) < 2 or len(backwards):
-        row = int(backwards[0]) + 2 if len(backwards) else 1
-        raise RecordingError(f"{path.name}: t_s does not run forwards in row {row}; a motion needs two rows or more in the order of time.")
-    return columns
+    return named_once(path, header, COLUMNS[:4])
 
 
 def tolerances_of(recordings: Sequence[Path], cell: Path) -> dict[str, dict[str, float]]:

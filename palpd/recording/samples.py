@@ -3,7 +3,7 @@
 import csv
 import itertools
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -82,22 +82,39 @@ def read_csv(path: Path) -> Samples:
 
     Semicolons and tabs between cells, decimal commas between these, and comments behind `#` are understood.
     """
+    columns, layout = read_columns(path, _present)
+    samples = samples_from_columns(columns, path.name)
+    return replace(samples, sites=_site_names(path, layout)) if SITE_COLUMN in layout.header else samples
+
+
+def read_columns(path: Path, present: Callable[[Path, Sequence[str]], list[str]]) -> tuple[dict[str, Floats], Layout]:
+    """Read columns of numbers from a CSV file.
+
+    Args:
+        path: The file.
+        present: Which columns are read of a header; it refuses a header that lacks some.
+
+    Returns:
+        Arrays (n,) by the names of the columns, and the layout of the table.
+
+    Raises:
+        RecordingError: The file is no such table.
+    """
     try:
         with opened_text(path, error=RecordingError) as file:
             layout = read_layout(file, path.name, COLUMNS)
-            present = _present(path, layout.header)
-            at = [layout.header.index(name) for name in present]
+            names = present(path, layout.header)
+            at = [layout.header.index(name) for name in names]
             rows = (with_points(line, layout) for line in file) if layout.decimal_comma else file
             try:
                 with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", UserWarning)  # a header alone is refused below, in our own words
+                    warnings.simplefilter("ignore", UserWarning)  # a header alone is refused later, in our own words
                     values = np.loadtxt(rows, delimiter=layout.delimiter, usecols=at, ndmin=2, comments="#", quotechar='"', dtype=float)
             except ValueError:
-                raise RecordingError(_first_wrong_cell(path, present, at, layout)) from None
+                raise RecordingError(_first_wrong_cell(path, names, at, layout)) from None
     except csv.Error:
         raise RecordingError(f"{path.name} is not text; a recording is a CSV file with the header {','.join(COLUMNS)}.") from None
-    samples = samples_from_columns({name: values[:, k] for k, name in enumerate(present)}, path.name)
-    return replace(samples, sites=_site_names(path, layout)) if SITE_COLUMN in layout.header else samples
+    return {name: values[:, k] for k, name in enumerate(names)}, layout
 
 
 def read_parquet(path: Path) -> Samples:
@@ -130,11 +147,26 @@ def samples_from_columns(columns: dict[str, Floats], name: str) -> Samples:
     Raises:
         RecordingError: a column is missing, too short or not finite, or time does not increase.
     """
-    present = _present(Path(name), list(columns))
+    _present(Path(name), list(columns))
     rows = len(columns["t_s"])
     if rows < MIN_SAMPLES:
         raise RecordingError(f"{name} has {rows} rows and at least {MIN_SAMPLES} are needed to judge a cell; record for longer.")
-    for column in present:
+    refuse_values(columns, name)
+    wrench = np.column_stack([columns[column] for column in WRENCH_COLUMNS])
+    return Samples(columns["t_s"], columns.get(OPTIONAL_COLUMN), columns["z_m"], columns["vz_m_per_s"], wrench)
+
+
+def refuse_values(columns: Mapping[str, Floats], name: str) -> None:
+    """Refuse values that no recording and no motion has.
+
+    Args:
+        columns: Arrays (n,) by the names of COLUMNS, with `t_s`.
+        name: What errors call the recording.
+
+    Raises:
+        RecordingError: A value is not finite, or time does not increase.
+    """
+    for column in columns:
         wrong = np.flatnonzero(~(np.abs(columns[column]) <= LARGEST))
         if len(wrong):
             row = int(wrong[0])
@@ -148,8 +180,6 @@ def samples_from_columns(columns: dict[str, Floats], name: str) -> Samples:
             f"{name}: t_s {'runs backwards' if step_s[row - 1] < 0 else 'stands still'} in {_row(row)} "
             f"({columns['t_s'][row - 1]:.9g} s, then {columns['t_s'][row]:.9g} s); rows must be in the order of time, each with its own."
         )
-    wrench = np.column_stack([columns[column] for column in WRENCH_COLUMNS])
-    return Samples(columns["t_s"], columns.get(OPTIONAL_COLUMN), columns["z_m"], columns["vz_m_per_s"], wrench)
 
 
 def write_csv(
@@ -183,10 +213,27 @@ def _present(path: Path, header: Sequence[str]) -> list[str]:
             f"{path.name}: column {', '.join(missing)} is missing in row 0 (the header); expected {','.join(COLUMNS)} "
             f"({OPTIONAL_COLUMN} may be absent)."
         )
-    twice = [name for name in COLUMNS if list(header).count(name) > 1]
+    return named_once(path, header, COLUMNS)
+
+
+def named_once(path: Path, header: Sequence[str], names: Sequence[str]) -> list[str]:
+    """The names that a header holds; one that stands in it twice is refused.
+
+    Args:
+        path: File of the table.
+        header: Its columns.
+        names: Columns that may be there.
+
+    Returns:
+        Those that are, in the order of `names`.
+
+    Raises:
+        RecordingError: One stands there twice.
+    """
+    twice = [name for name in names if list(header).count(name) > 1]
     if twice:
         raise RecordingError(f"{path.name}: column {twice[0]} stands twice in row 0 (the header); leave one of them.")
-    return [name for name in COLUMNS if name in header]
+    return [name for name in names if name in header]
 
 
 def _site_names(path: Path, layout: Layout) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """The command line as a whole: what it imports, what it refuses, and the way to the daemon that does not wait for imports."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -207,3 +208,34 @@ def test_words_that_fit_no_command_are_one_sentence(
         main()
     assert left.value.code == 2
     assert capsys.readouterr().err == f"palpd: {sentence}\n"
+
+
+PALPD = [sys.executable, "-m", "palpd"]
+
+
+@pytest.mark.parametrize("words", [["--help"], ["check-config", "config.yaml"]])
+def test_a_stdout_on_a_full_disk_is_one_sentence(words: list[str]) -> None:
+    with open("/dev/full", "w") as full:  # noqa: PTH123 - a device
+        done = subprocess.run([*PALPD, *words], stdout=full, stderr=subprocess.PIPE, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "palpd: what it prints cannot be written (No space left on device); send it to another place\n"
+
+
+def test_a_reader_that_leaves_early_is_no_error_to_speak_of() -> None:
+    with subprocess.Popen([*PALPD, "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        assert process.stderr is not None
+        assert process.stderr.read() == ""
+    assert process.returncode == 1
+
+
+def test_a_terminal_without_the_signs_gets_the_tables_all_the_same(tmp_path: Path) -> None:
+    config = tmp_path / os.fsdecode(b"c\xff.yaml")
+    config.write_bytes((ROOT / "config.yaml").read_bytes())
+    done = subprocess.run(
+        [*PALPD, "check-config", config], capture_output=True, cwd=ROOT, check=False, env=os.environ | {"PYTHONIOENCODING": "ascii"}
+    )
+    assert done.returncode == 0
+    assert done.stderr == b""
+    assert done.stdout.rstrip().endswith(b"c\\udcff.yaml is sound.")

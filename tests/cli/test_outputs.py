@@ -136,3 +136,10 @@ def test_a_file_of_effects_is_read_or_refused(home: Path) -> None:
 @pytest.mark.parametrize("command", [["train", "no.mcap", "--out", "model.onnx"], ["doctor"]])
 def test_a_configuration_that_is_named_must_exist(home: Path, command: list[str]) -> None:
     assert "other.yaml cannot be read" in str(refused(*command, "--config", "other.yaml"))
+
+
+@pytest.mark.parametrize("command", [["free-motion"], ["map"], ["train", "no.csv"]])
+@pytest.mark.parametrize("name", ["", "/", "loop.mcap"])
+def test_an_output_that_is_no_name_of_a_file_is_refused(home: Path, command: list[str], name: str) -> None:
+    (home / "loop.mcap").symlink_to("loop.mcap")
+    assert isinstance(refused(*command, "--out", name), BadInput)

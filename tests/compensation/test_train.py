@@ -161,6 +161,16 @@ def test_nothing_is_overwritten(trained: tuple[ModelCard, Path]) -> None:
     assert out.read_bytes() == before
 
 
+def test_a_place_where_no_model_can_stand_is_refused_before_the_work(tmp_path: Path) -> None:
+    for out, sentence in (
+        ("m.txt", r"expected a name that ends in \.onnx"),
+        ("none/m.onnx", "is no folder"),
+        ("n" * 300 + ".onnx", "too long"),
+    ):
+        with pytest.raises(BadInput, match=sentence):
+            train([], tmp_path / out, probe_mass_kg=MASS_KG)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_writes_a_model_that_the_daemon_accepts(method: Method, tmp_path: Path) -> None:
     card = train([free_motion(0, speed_m_per_s=0.03)], tmp_path / "m.onnx", probe_mass_kg=MASS_KG, method=method)

@@ -183,6 +183,8 @@ def test_a_model_without_a_readable_card_is_refused(tmp_path: Path) -> None:
     card_path(path).unlink()
     with pytest.raises(ModelRefused, match=r"has no card inertial\.json"):
         load(path)
+    with pytest.raises(ModelRefused, match="has no card"):
+        load(Path("/"))
 
 
 @pytest.mark.parametrize(

@@ -202,8 +202,11 @@ def test_a_serial_port_that_bursts_is_reported_with_the_remedy(tmp_path: Path, m
     assert "echo 1" in named(machine.port(str(device)), "serial latency").advice
 
 
-def test_absent_devices_are_a_warning_and_no_failure(tmp_path: Path) -> None:
-    lonely = config(tmp_path, robot={"host": "127.0.9.78"}, sensor={"port": str(tmp_path / "none")})
+@pytest.mark.parametrize(
+    ("host", "port"), [("127.0.9.78", "none"), ("x" * 200, "n" * 300)], ids=["nothing there", "names that are too long to be any"]
+)
+def test_absent_devices_are_a_warning_and_no_failure(tmp_path: Path, host: str, port: str) -> None:
+    lonely = config(tmp_path, robot={"host": host}, sensor={"port": str(tmp_path / port)}, paths={"runs": tmp_path / ("r" * 300)})
     findings = doctor.examined(lonely, pytest.fail, pytest.fail, 1.0, None, pytest.fail)
     for name in ("sensor", "robot"):
         assert named(findings, name).verdict == "warn"

@@ -29,3 +29,17 @@ def test_files_that_exist_are_kept(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="not overwritten"):
         write_starting_files(tmp_path, "ur5", 12.0, [])
     assert [each.name for each in tmp_path.iterdir()] == ["plan.yaml"]
+
+
+def test_depths_that_overflow_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="depths are in metres"):
+        write_starting_files(tmp_path / "cell", "ur5", 12.0, [1e297])
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "loop").symlink_to("loop")
+    for folder in (tmp_path / "file", tmp_path / "loop", Path("/proc/x"), tmp_path / ("n" * 300)):
+        with pytest.raises(BadInput, match=r"cannot be (written|made)"):
+            write_starting_files(folder, "ur5", 12.0, [])

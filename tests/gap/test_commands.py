@@ -41,6 +41,32 @@ def test_a_simulation_needs_a_time_and_a_height(tmp_path: Path) -> None:
         simulate_file(tmp_path / "m.csv", tmp_path / "cell.yaml", tmp_path / "out.csv")
 
 
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_a_motion_is_a_table_like_any_recording(tmp_path: Path, delimiter: str) -> None:
+    rows = ["t_s,z_m,remark", *(f"{k / 1000},{0.01 - k * 1e-5},free" for k in range(40))]
+    (tmp_path / "m.csv").write_text("# by hand\n" + "\n".join(rows).replace(",", delimiter) + "\n")
+    save_cell(tmp_path / "cell.yaml", nominal())
+    assert len(simulate_file(tmp_path / "m.csv", tmp_path / "cell.yaml", tmp_path / "out.csv")) == 40
+
+
+@pytest.mark.parametrize(
+    ("rows", "sentence"),
+    [
+        ("t_s,t_s,z_m\n0,0,1\n1,1,1\n", "column t_s stands twice"),
+        ("t_s,z_m\n0,1\n", "has 1 rows; a motion needs two"),
+        ("t_s,z_m\n1,1\n0,1\n", "t_s runs backwards in row 2"),
+        ("t_s,z_m\n0,1\n1,nan\n", "z_m is nan in row 2"),
+        ("t_s,z_m\n0,1\n1,1e300\n", r"z_m is 1e\+300 in row 2"),
+        ("t_s,z_m\n0,1\n1,up\n", "z_m is 'up' in row 2"),
+    ],
+)
+def test_a_motion_that_none_can_make_is_refused_with_the_row(tmp_path: Path, rows: str, sentence: str) -> None:
+    (tmp_path / "m.csv").write_text(rows)
+    save_cell(tmp_path / "cell.yaml", nominal())
+    with pytest.raises(RecordingError, match=sentence):
+        simulate_file(tmp_path / "m.csv", tmp_path / "cell.yaml", tmp_path / "out.csv")
+
+
 def test_tolerances_follow_from_healthy_recordings(tmp_path: Path) -> None:
     save_cell(tmp_path / "cell.yaml", nominal())
     paths = []

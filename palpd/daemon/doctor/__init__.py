@@ -5,13 +5,12 @@ import socket
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any, TypedDict
 
 from palpd.config import Config
 from palpd.daemon.doctor.devices import IdentifiedSensor, judge_robot, judge_sensor, observed
 from palpd.daemon.doctor.finding import Finding, Judgement
-from palpd.daemon.doctor.machine import examine_machine, port
+from palpd.daemon.doctor.machine import examine_machine, is_there, port
 from palpd.daemon.doctor.stored import examine_stored
 from palpd.daemon.doctor.weight import AskOperator, check_weight
 from palpd.daemon.realtime import DEVICE_PRIORITY, fifo
@@ -46,7 +45,7 @@ def examined(
     """
     findings = [*examine_machine(config), *examine_stored(config), *port(config.sensor.port)]
     with ExitStack() as opened:
-        sensor, about_sensor = _opened(opened, "sensor.port", config, open_sensor, Path(config.sensor.port).exists(), config.sensor.port)
+        sensor, about_sensor = _opened(opened, "sensor.port", config, open_sensor, is_there(config.sensor.port), config.sensor.port)
         robot, about_robot = _opened(opened, "robot.host", config, open_robot, _answers(config.robot.host), config.robot.host)
         record = observed(sensor, robot, watch_s)
         findings += [about_sensor, *judge_sensor(record, config, sensor)] if sensor else [about_sensor]
@@ -93,6 +92,6 @@ def _opened(opened: ExitStack, key: str, config: Config, build: Callable[[Config
 def _answers(host: str) -> bool:
     try:
         socket.create_connection((host, RTDE_PORT), PATIENCE_S).close()
-    except OSError:
+    except (OSError, UnicodeError):  # a name that is none of a host fails in its encoding
         return False
     return True
