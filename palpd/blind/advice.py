@@ -13,9 +13,10 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from palpd.blind.detectability import Detectability, fit_strength, scales_of
-from palpd.blind.drawn_cases import CannotDraw, laws_of, measured
+from palpd.blind.drawn_cases import laws_of, measured
 from palpd.blind.drawn_cells import CellRealisation, Deviations, DrawnMotion, draw_cell, draw_deviations, draw_motion
 from palpd.blind.laws import Floats, Planted, Shape
+from palpd.blind.truth import CannotDraw
 from palpd.cell.cell_file import CellFile, cell_from
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.motions import MotionLimits, TestMotion

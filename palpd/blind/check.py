@@ -1,123 +1,79 @@
 """The blind check: cases sealed by hash, diagnosed in another process that sees recordings and cell files only, then scored.
 
-The cases come from drawn_cases, which shares no physics with the library.
+The cases come from `sources`, which share no physics with the library.
 """
 
-import contextlib
 import hashlib
 import json
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypedDict
 
 import numpy as np
 import yaml
 
-from palpd.blind.drawn_cases import CASE_KINDS, STRATA, CannotDraw, CaseKind, DrawnCase, draw_case
-from palpd.blind.laws import FOREIGN_LAWS, INDISTINGUISHABLE, LIBRARY_LAWS, NOVEL_LAWS
-from palpd.blind.score import CaseOutcome, ScoreRow, score_case, table
+from palpd.blind.plans import plan, plan_large
+from palpd.blind.score import CaseOutcome, ScoreRow, score_case, tables_by_source
+from palpd.blind.sources import Hosts, draw
+from palpd.blind.truth import CaseSpec, SealedCase, Source
 from palpd.cell.cell_file import cell_from
+from palpd.errors import BadInput
+from palpd.files import parse_json, read_text, write_text
 from palpd.recording.samples import Samples, write_csv
 
-SCHEMA = "palpd.blind/1"
-BATCH = 40
-"""Cases that are drawn, sealed and diagnosed before the next ones: their recordings fill some 200 MB of disk."""
+SCHEMA = "palpd.blind/2"
+BATCH = 20
+"""Cases that are drawn, sealed and diagnosed before the next ones: their recordings fill some 100 MB of disk, and an interrupted check
+loses at most that work."""
+MOST_RESUME_BYTES = 2**28
+"""Largest file to resume from: some 100 000 cases."""
 Ablation = Literal["no tolerances", "no press scatter", "white noise", "fz only"]
 ABLATIONS: tuple[Ablation, ...] = ("no tolerances", "no press scatter", "white noise", "fz only")
 """`white noise` takes tolerances and press scatter away together: what a fit by least squares believes of its residuals."""
 
-SHARES: dict[CaseKind, float] = {"healthy": 0.2, "library": 0.27, "foreign": 0.2, "two": 0.09, "removed": 0.12, "novel": 0.12}
-"""Share of each kind among the cases."""
-SINGLE_STRATA = ("20-60", "6-10", "10-20", "20-60", "6-10", "10-20", "> 60")
-"""Strata of single effects, in turn: most of them where a diagnosis is hard."""
-LARGE_STRATA = ("20-60", "> 60")
-"""Strata of effects that are not in the library: where there is enough to see that nothing listed fits."""
-
-
-@dataclass(frozen=True)
-class CaseSpec:
-    """What a case shall be."""
-
-    index: int
-    kind: CaseKind
-    effects: tuple[str, ...]
-    stratum: str
-
 
 class CheckResult(TypedDict):
-    """The content of the JSON file of a check."""
+    """The content of the JSON file of a check: `cases` of each source, and a table by source and one over `all`."""
 
     schema: str
     cases: int
+    large: int
+    sources: list[Source]
+    recordings: str | None
     seed: int
     ablation: Ablation | None
     sealed_sha256: str
-    table: list[ScoreRow]
+    tables: dict[str, list[ScoreRow]]
     outcomes: list[CaseOutcome]
 
 
-def plan(cases: int, seed: int) -> list[CaseSpec]:
-    """Choose kind, effects and stratum of every case.
+class ScoredBatch(TypedDict):
+    """One line of the file that an interrupted check continues from."""
 
-    Every kind has its share, every effect and stratum its turn, so a shorter check is a fair sample of a longer one.
-
-    Args:
-        cases: Number of cases.
-        seed: Seed of the order of the effects.
-
-    Returns:
-        One specification a case.
-    """
-    random = np.random.default_rng([seed, 7])
-    scatter = {law.effect for law in LIBRARY_LAWS if law.variance}
-    library = _shuffled(random, sorted({law.effect for law in LIBRARY_LAWS}))
-    foreign = _shuffled(random, sorted({law.effect for law in FOREIGN_LAWS}))
-    novel = _shuffled(random, sorted({law.effect for law in NOVEL_LAWS}))
-    means = [effect for effect in library if effect not in scatter]
-    specs: list[CaseSpec] = []
-    counts = dict.fromkeys(CASE_KINDS, 0)
-    for index in range(cases):
-        kind = min(CASE_KINDS, key=lambda k: (counts[k] + 0.5) / SHARES[k])
-        n = counts[kind]
-        counts[kind] += 1
-        if kind == "healthy":
-            specs.append(CaseSpec(index, kind, (), "20-60"))
-        elif kind == "two":
-            one = means[n % len(means)]
-            free = [e for e in means if e != one and e not in INDISTINGUISHABLE.get(one, ())]
-            specs.append(CaseSpec(index, kind, (one, free[int(random.integers(len(free)))]), ("10-20", "20-60")[n % 2]))
-        elif kind in {"removed", "novel"}:
-            names = means if kind == "removed" else novel
-            specs.append(CaseSpec(index, kind, (names[n % len(names)],), LARGE_STRATA[n // len(names) % 2]))
-        else:
-            names = library if kind == "library" else foreign
-            specs.append(CaseSpec(index, kind, (names[n % len(names)],), SINGLE_STRATA[(n + n // len(names)) % len(SINGLE_STRATA)]))
-    return specs
-
-
-def _shuffled(random: np.random.Generator, names: list[str]) -> list[str]:
-    return [names[int(k)] for k in random.permutation(len(names))]
+    batch: str
+    digests: dict[str, str]
+    outcomes: list[CaseOutcome]
 
 
 # sealing
 
 
-def make_case(spec: CaseSpec, seed: int, recordings: Path, sealed: Path, ablation: Ablation | None = None) -> dict[str, str]:
+def make_case(
+    spec: CaseSpec, seed: int, recordings: Path, sealed: Path, hosts: Hosts | None = None, ablation: Ablation | None = None
+) -> dict[str, str]:
     """Draw a case and write it: recording and cell file for the diagnosis, truth and second motion to be sealed.
-
-    An effect that no cell shows at the wanted SNR is drawn at the next lower one.
 
     Args:
         spec: What the case shall be.
         seed: Seed of the check.
         recordings: Folder that the diagnosis sees.
         sealed: Folder that it does not see.
+        hosts: Where injected cases find their recordings.
         ablation: What is taken away from the diagnosis.
 
     Returns:
@@ -126,32 +82,26 @@ def make_case(spec: CaseSpec, seed: int, recordings: Path, sealed: Path, ablatio
     Raises:
         CannotDraw: No cell shows the effect at any SNR.
     """
-    case, stratum = _draw_at_or_below(spec, seed)
-    name = f"{spec.index:05d}"
+    case = draw(spec, seed, hosts or Hosts())
     cell, samples = _ablated(case, ablation)
-    write_csv(recordings / f"{name}.csv", samples)
-    (recordings / f"{name}.yaml").write_text(yaml.safe_dump(cell, sort_keys=False), encoding="utf-8")
+    files = [recordings / f"{spec.name}.csv", recordings / f"{spec.name}.yaml", sealed / f"{spec.name}.json"]
+    write_csv(files[0], samples)
+    files[1].write_text(yaml.safe_dump(cell, sort_keys=False), encoding="utf-8")
+    files[2].write_text(json.dumps(case.truth), encoding="utf-8")
     if case.without:
-        (recordings / f"{name}.without").write_text(" ".join(case.without), encoding="utf-8")
-    write_csv(sealed / f"{name}.csv", case.second)
-    (sealed / f"{name}.json").write_text(json.dumps(case.truth | {"stratum": stratum}), encoding="utf-8")
-    files = [recordings / f"{name}.csv", recordings / f"{name}.yaml", sealed / f"{name}.csv", sealed / f"{name}.json"]
+        files.append(recordings / f"{spec.name}.without")
+        files[-1].write_text(" ".join(case.without), encoding="utf-8")
+    if case.second is not None:
+        files.append(sealed / f"{spec.name}.csv")
+        write_csv(files[-1], case.second)
     return {f"{file.parent.name}/{file.name}": _digest(file) for file in files}
-
-
-def _draw_at_or_below(spec: CaseSpec, seed: int) -> tuple[DrawnCase, str]:
-    strata = list(STRATA)
-    for stratum in strata[strata.index(spec.stratum) : 0 : -1]:
-        with contextlib.suppress(CannotDraw):
-            return draw_case(seed, spec.index, spec.kind, spec.effects, stratum), stratum
-    return draw_case(seed, spec.index, spec.kind, spec.effects, strata[0]), strata[0]
 
 
 def _digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def _ablated(case: DrawnCase, ablation: Ablation | None) -> tuple[dict[str, Any], Samples]:
+def _ablated(case: SealedCase, ablation: Ablation | None) -> tuple[dict[str, Any], Samples]:
     """What the diagnosis is shown when a part of what it rests on is taken away."""
     cell, s = dict(case.cell), case.samples
     if ablation in ("no tolerances", "white noise"):
@@ -178,19 +128,27 @@ def run(
     cases: int,
     seed: int,
     *,
+    sources: Sequence[Source] = ("drawn",),
+    hosts: Hosts | None = None,
+    large: int = 0,
     jobs: int = 2,
     ablation: Ablation | None = None,
     keep: Path | None = None,
+    resume: Path | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> CheckResult:
     """Draw, seal, diagnose and score cases, batch by batch. The diagnosis runs in another process, which sees the recordings only.
 
     Args:
-        cases: Number of cases.
+        cases: Number of cases of each source.
         seed: The same seed draws the same cases.
+        sources: Where the cases come from.
+        hosts: Where injected cases find their recordings; None: MuJoCo simulates them.
+        large: Number of further drawn cases with one effect of SNR > 20.
         jobs: Number of processes.
         ablation: What is taken away from the diagnosis.
         keep: New folder for recordings, answers and truths; None: they are removed.
+        resume: File that takes every scored batch; batches that it holds are not run again.
         progress: Called with the number of scored cases.
 
     Returns:
@@ -198,45 +156,73 @@ def run(
 
     Raises:
         RuntimeError: A sealed file has changed.
+        BadInput: The file to resume from is of another check.
     """
-    specs = plan(cases, seed)
-    outcomes: list[CaseOutcome] = []
+    hosts = hosts or Hosts()
+    result = CheckResult(
+        schema=SCHEMA, cases=cases, large=large, sources=list(sources), recordings=None if hosts.folder is None else hosts.folder.name,
+        seed=seed, ablation=ablation, sealed_sha256="", tables={}, outcomes=[],
+    )  # fmt: skip
+    begun = {"seed": seed, "recordings": result["recordings"], "ablation": ablation}
+    done = _batches_in(resume, begun)
     seal = hashlib.sha256()
     folder = Path(tempfile.mkdtemp(prefix="palpd-blind-")) if keep is None else keep
     try:
-        for first in range(0, len(specs), BATCH):
-            batch = specs[first : first + BATCH]
-            batch_folder = folder / f"batch-{first:05d}"
-            digests = _seal_batch(batch, seed, batch_folder, ablation, jobs)
-            for name in sorted(digests):
-                seal.update(f"{digests[name]}  {name}\n".encode())
-            # From here to the comparison of the digests nothing but the other process touches the recordings.
-            command = [sys.executable, "-m", "palpd.blind.diagnose_case", str(batch_folder / "recordings"), str(jobs)]
-            subprocess.run(command, check=True)
-            outcomes += _score_batch(batch, batch_folder, digests, jobs)
+        for batch in _batches(cases, seed, sources, large):
+            scored = done.get(_batch_name(batch)) or _run_batch(batch, seed, folder / _batch_name(batch), hosts, ablation, jobs)
+            if resume is not None and scored["batch"] not in done:
+                done[scored["batch"]] = scored
+                write_text(resume, "".join(json.dumps(line) + "\n" for line in (begun, *done.values())))
+            for name in sorted(scored["digests"]):
+                seal.update(f"{scored['digests'][name]}  {name}\n".encode())
+            result["outcomes"] += scored["outcomes"]
             if keep is None:
-                shutil.rmtree(batch_folder)
-            progress(len(outcomes))
+                shutil.rmtree(folder / scored["batch"], ignore_errors=True)
+            progress(len(result["outcomes"]))
     finally:
         if keep is None:
             shutil.rmtree(folder, ignore_errors=True)
-    return {
-        "schema": SCHEMA,
-        "cases": cases,
-        "seed": seed,
-        "ablation": ablation,
-        "sealed_sha256": seal.hexdigest(),
-        "table": table(outcomes),
-        "outcomes": outcomes,
-    }
+    result["sealed_sha256"] = seal.hexdigest()
+    result["tables"] = tables_by_source(result["outcomes"])
+    return result
 
 
-def _seal_batch(batch: list[CaseSpec], seed: int, folder: Path, ablation: Ablation | None, jobs: int) -> dict[str, str]:
+def _batches(cases: int, seed: int, sources: Sequence[Source], large: int) -> Iterator[list[CaseSpec]]:
+    """Batches of the sources in turn, so that an interrupted check has some of each; the extra cases come last."""
+    plans = [plan(source, cases, seed) for source in sources]
+    for first in range(0, cases, BATCH):
+        yield from (specs[first : first + BATCH] for specs in plans)
+    extra = plan_large(large, seed)
+    yield from (extra[first : first + BATCH] for first in range(0, large, BATCH))
+
+
+def _batch_name(batch: Sequence[CaseSpec]) -> str:
+    return f"{batch[0].name}-{len(batch)}"
+
+
+def _batches_in(resume: Path | None, begun: dict[str, Any]) -> dict[str, ScoredBatch]:
+    """The batches of a file to resume from; none where there is no file yet."""
+    if resume is None or not resume.exists():
+        return {}
+    first, *lines = [parse_json(line, resume.name) for line in read_text(resume, most_bytes=MOST_RESUME_BYTES).splitlines()] or [None]
+    if first != begun:
+        raise BadInput(f"{resume} holds the check {first}, and this one is {begun}; name another file")
+    return {batch["batch"]: batch for batch in lines}
+
+
+def _run_batch(batch: list[CaseSpec], seed: int, folder: Path, hosts: Hosts, ablation: Ablation | None, jobs: int) -> ScoredBatch:
+    digests = _seal_batch(batch, seed, folder, hosts, ablation, jobs)
+    # From here to the comparison of the digests nothing but the other process touches the recordings.
+    subprocess.run([sys.executable, "-m", "palpd.blind.diagnose_case", str(folder / "recordings"), str(jobs)], check=True)
+    return {"batch": _batch_name(batch), "digests": digests, "outcomes": _score_batch(batch, folder, digests, jobs)}
+
+
+def _seal_batch(batch: list[CaseSpec], seed: int, folder: Path, hosts: Hosts, ablation: Ablation | None, jobs: int) -> dict[str, str]:
     recordings, sealed = folder / "recordings", folder / "sealed"
     recordings.mkdir(parents=True)
     sealed.mkdir()
     with ProcessPoolExecutor(jobs) as pool:
-        each_case = pool.map(make_case, batch, *([x] * len(batch) for x in (seed, recordings, sealed, ablation)))
+        each_case = pool.map(make_case, batch, *([x] * len(batch) for x in (seed, recordings, sealed, hosts, ablation)))
         return {name: digest for digests in each_case for name, digest in digests.items()}
 
 
@@ -245,5 +231,4 @@ def _score_batch(batch: list[CaseSpec], folder: Path, digests: dict[str, str], j
         if _digest(folder / name) != digest:
             raise RuntimeError(f"{name} has changed since it was sealed; the check is void, run it again")
     with ProcessPoolExecutor(jobs) as pool:
-        names = [f"{spec.index:05d}" for spec in batch]
-        return list(pool.map(score_case, [folder / "recordings"] * len(batch), [folder / "sealed"] * len(batch), names))
+        return list(pool.map(score_case, [folder / "recordings"] * len(batch), [folder / "sealed"] * len(batch), batch))

@@ -7,20 +7,25 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 
-from palpd.blind.drawn_cells import CHANNELS, PHASES, TOLERANCES, CellRealisation, Deviations, DrawnMotion
+from palpd.blind.drawn_cells import CHANNELS, PHASES, TOLERANCES, CellRealisation, Deviations, PressedMotion
 from palpd.blind.laws import LIBRARY_LAWS, CellScales, Floats, Ints, Law, Planted, Shape, SimulatedRun
 from palpd.blind.simulated_run import rows, simulate
+from palpd.blind.truth import NearestLaw
 
 FINE_HZ = 2400.0
 """Least rate of the fine grid: more than twice that of the fastest recording. The grid takes the next multiple of a recording's rate."""
 BIN_S = 0.02
 """Length of the means over which the SNR is counted; shorter than any phase of a motion."""
+COARSE_HZ = 500.0
+"""Grid of the search for the nearest law, which needs thousands of simulations and no more than two digits."""
+SHAPES_DRAWN, SHAPES_FITTED = 4, 6
+"""Number of shapes that are drawn of each law, and of starts that are fitted in all parameters."""
 
 
 class Detectability:
     """One cell, within its tolerances, on one motion: what effects change in its gap, and how large that is."""
 
-    def __init__(self, cell: CellRealisation, deviations: Deviations, motion: DrawnMotion, t_s: Floats, fine_Hz: float = FINE_HZ) -> None:
+    def __init__(self, cell: CellRealisation, deviations: Deviations, motion: PressedMotion, t_s: Floats, fine_Hz: float = FINE_HZ) -> None:
         self.cell, self.deviations, self.motion, self.t_s = cell, deviations, motion, t_s
         self.dt_s = 1.0 / (cell.rate_Hz * np.ceil(fine_Hz / cell.rate_Hz))
         self.plain = simulate(cell, deviations, motion, dt_s=self.dt_s)
@@ -181,56 +186,71 @@ def fit_strength(detectability: Detectability, law: Law, shape: Shape, snr: floa
     return FittedStrength(parameters, change, now) if abs(now - snr) < 0.25 * snr else None
 
 
-def best_mimic(detectability: Detectability, target: Floats, scales: CellScales, without: Sequence[str], seed: int) -> tuple[str, float]:
-    """Find the listed effect that explains a change best.
+def nearest_law(
+    detectability: Detectability, target: Floats, scales: CellScales, seed: int, *, without: Sequence[str] = (), only: str | None = None
+) -> NearestLaw:
+    """Find the listed law that explains a change best.
 
-    Shapes are drawn, strengths fitted in proportion; the six best are then fitted in all their parameters.
+    Shapes are drawn, strengths fitted in proportion; the best ones are then fitted in all their parameters.
 
     Args:
         detectability: The cell and motion.
         target: The whitened change (7k,).
         scales: Characteristic sizes of the cell.
-        without: Effects that may not be used.
         seed: Seed of the drawn shapes.
+        without: Effects that may not be used.
+        only: The one effect that may be used; None: all.
 
     Returns:
-        Id of the effect, empty where none helps, and the SNR of the residual that it leaves.
+        Effect (empty where none helps), parameters, and the SNR of the residual that it leaves.
     """
     random = np.random.default_rng(seed)
     tried: list[tuple[float, Law, Shape, float]] = []
     for law in LIBRARY_LAWS:
-        if law.effect in without or law.variance:
+        if law.variance or law.effect in without or only not in (None, law.effect):
             continue
-        for _ in range(4):
+        for _ in range(SHAPES_DRAWN):
             shape = law.draw(random, scales)
             x = detectability.whitened(detectability.change([(law, law.at(shape, 0.5))]))
             fit = float(x @ target) / max(float(x @ x), 1e-30)
             if fit > 0.0:
                 strength = min(0.5 * fit, law.strongest)
                 tried.append((float(np.linalg.norm(target - x * strength / 0.5)), law, shape, strength))
-    best = (float(np.linalg.norm(target)), "")
-    for left, law, shape, strength in sorted(tried, key=lambda x: x[0])[:6]:
-        names = [name for name, value in shape.items() if value != 0.0]
+    best = NearestLaw(id="", parameters={}, snr_left=float(np.linalg.norm(target)))
+    for left, law, shape, strength in sorted(tried, key=lambda x: x[0])[: SHAPES_FITTED if only is None else 2]:
+        fitted = _fitted(detectability, target, law, shape, strength, left)
+        if fitted["snr_left"] < best["snr_left"]:
+            best = fitted
+    return best
 
-        def miss(q: Floats, law: Law = law, shape: Shape = shape, names: list[str] = names, strength: float = strength) -> Floats:
-            s = min(strength * float(np.exp(q[0])), law.strongest)
-            trial = shape | {n: shape[n] * float(np.exp(v)) for n, v in zip(names, q[1:], strict=True)}
-            return detectability.whitened(detectability.change([(law, law.at(trial, s))])) - target
 
-        n = 1 + len(names)
-        fitted = least_squares(miss, np.zeros(n), bounds=(-2.5, 2.5), diff_step=np.full(n, 0.02), max_nfev=12, x_scale=0.5)
-        best = min(best, (min(left, float(np.sqrt(2.0 * fitted.cost))), law.effect))
-    return best[1], best[0]
+def _fitted(detectability: Detectability, target: Floats, law: Law, shape: Shape, strength: float, left: float) -> NearestLaw:
+    """A law fitted to a change in its strength and shape, from a start that leaves `left`."""
+    names = [name for name, value in shape.items() if value != 0.0]
+
+    def at(q: Floats) -> Shape:
+        moved = {n: shape[n] + v if n.endswith("_rad") else shape[n] * float(np.exp(v)) for n, v in zip(names, q[1:], strict=True)}
+        return law.at(shape | moved, min(strength * float(np.exp(q[0])), law.strongest))
+
+    def miss(q: Floats) -> Floats:
+        return detectability.whitened(detectability.change([(law, at(q))])) - target
+
+    n = 1 + len(names)
+    fitted = least_squares(miss, np.zeros(n), bounds=(-2.5, 2.5), diff_step=np.full(n, 0.02), max_nfev=10, x_scale=0.5)
+    snr_left = float(np.sqrt(2.0 * fitted.cost))
+    parameters = at(fitted.x) if snr_left < left else law.at(shape, strength)
+    return NearestLaw(id=law.effect, parameters={name: float(x) for name, x in parameters.items()}, snr_left=min(left, snr_left))
 
 
 def scales_of(detectability: Detectability) -> CellScales:
     """Characteristic sizes of a cell on its motion."""
-    cell, z = detectability.cell, detectability.plain.z_m
+    cell, plain, z = detectability.cell, detectability.plain, detectability.plain.z_m
+    stroke_m = float(np.ptp(z))
     cutoff_Hz = cell.cutoff_Hz or 0.3 * cell.rate_Hz
     return CellScales(
-        force_N=float(detectability.plain.contact_N.max()),
-        depth_m=float(detectability.plain.depth_m.max()),
-        stroke_m=float(np.ptp(z)),
+        force_N=float(plain.contact_N.max()) or float(np.percentile(np.abs(plain.wrench[:, 2]), 99.0)),
+        depth_m=max(float(plain.depth_m.max()), 1e-3 * stroke_m),  # without a tissue there is no depth to scale by
+        stroke_m=stroke_m,
         speed_m_per_s=float(np.abs(detectability.plain.vz_m_per_s).max()),
         acceleration_m_per_s2=float(np.abs(detectability.plain.az_m_per_s2).max()),
         duration_s=float(detectability.t_s[-1]),

@@ -5,11 +5,10 @@ Nothing here comes from the library that is judged.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NotRequired, TypedDict
 
 import numpy as np
 
-from palpd.blind.detectability import Detectability, best_mimic, fit_strength, scales_of
+from palpd.blind.detectability import COARSE_HZ, Detectability, fit_strength, nearest_law, scales_of
 from palpd.blind.drawn_cells import (
     CHANNELS,
     PHASES,
@@ -24,83 +23,15 @@ from palpd.blind.drawn_cells import (
 )
 from palpd.blind.laws import FOREIGN_LAWS, LIBRARY_LAWS, NOVEL_LAWS, Floats, Law, Planted, SensorRows, Shape, SimulatedRun
 from palpd.blind.simulated_run import rows
+from palpd.blind.truth import CannotDraw, CaseKind, CaseSpec, NearestLaw, SealedCase, SealedEffect, SecondMotion, Truth
 from palpd.recording.samples import Samples
 
-CaseKind = Literal["healthy", "library", "foreign", "two", "removed", "novel"]
-CASE_KINDS: tuple[CaseKind, ...] = ("healthy", "library", "foreign", "two", "removed", "novel")
 SLOW_ROBOT_HZ = 125.0
 """Rate of a robot that reports slower than its sensor: that of a UR5 of the CB3 series."""
 MAX_ROWS = 40_000
 """Longest recording, in rows; a longer one would only make its diagnosis slow."""
-COARSE_HZ = 500.0
-"""Grid of the search for the best mimic, which needs thousands of simulations and no more than two digits."""
 STRATA: dict[str, tuple[float, float]] = {"6-10": (6.0, 10.0), "10-20": (10.0, 20.0), "20-60": (20.0, 60.0), "> 60": (60.0, 200.0)}
 """Ranges of the signal-to-noise ratio, from what can just be seen to what nobody can miss."""
-
-
-class CannotDraw(Exception):
-    """This cell and motion cannot show the wanted effect at the wanted size; draw again."""
-
-
-class SealedEffect(TypedDict):
-    """One planted effect as the truth keeps it. `snr` is None for effects that change scatter and not the mean."""
-
-    id: str
-    law: str
-    parameters: Shape
-    snr: float | None
-    variance: bool
-    snr_per_row_sigma: float | None
-    snr_beside_the_other: NotRequired[float]
-
-
-class Mimic(TypedDict):
-    """The listed effect that explains a planted one best, and the SNR of the residual that it leaves."""
-
-    id: str
-    snr_left: float
-
-
-class SecondMotion(TypedDict):
-    """Rms by channel on another motion: what tolerances leave there, what the effects change, the noise of one row."""
-
-    floor: dict[str, float]
-    change: dict[str, float]
-    sigma: dict[str, float]
-
-
-class Truth(TypedDict):
-    """The sealed truth of a case, written as JSON. `sizes` is by channel and phase."""
-
-    kind: CaseKind
-    effects: list[SealedEffect]
-    without: list[str]
-    size: float
-    sizes: dict[str, dict[str, float]]
-    deviations: dict[str, float]
-    rate_Hz: float
-    robot_rate_Hz: float
-    rows: int
-    duration_s: float
-    presses: int
-    mimic: Mimic | None
-    second: SecondMotion
-    stratum: NotRequired[str]
-
-
-@dataclass(frozen=True)
-class DrawnCase:
-    """One case: what the diagnosis may see (`cell`, `samples`, `without`) and what is sealed (`second`, `truth`).
-
-    `cell` holds the keys of cell.yaml. `second` is the true cell on another motion, without noise and rounding.
-    """
-
-    kind: CaseKind
-    cell: dict[str, Any]
-    samples: Samples
-    without: tuple[str, ...]
-    second: Samples
-    truth: Truth
 
 
 def _row_times(r: np.random.Generator, cell: CellRealisation, duration_s: float) -> Floats:
@@ -163,15 +94,12 @@ def laws_of(kind: CaseKind, effect: str) -> list[Law]:
     return [law for law in table if law.effect == effect]
 
 
-def draw_case(seed: int, index: int, kind: CaseKind, effects: Sequence[str] = (), stratum: str = "20-60") -> DrawnCase:
+def draw_case(seed: int, spec: CaseSpec) -> SealedCase:
     """Draw a case: cell, deviations, motion, planted effects, recording and truth. The same arguments give the same case.
 
     Args:
         seed: Seed of the check.
-        index: Number of the case in the check.
-        kind: Kind of the case.
-        effects: Ids of the planted effects: two for `two`, none for `healthy`.
-        stratum: Range of the signal-to-noise ratio, a key of STRATA.
+        spec: What the case shall be: two effects for `two`, none for `healthy`; the stratum is a key of STRATA.
 
     Returns:
         The case.
@@ -181,14 +109,14 @@ def draw_case(seed: int, index: int, kind: CaseKind, effects: Sequence[str] = ()
     """
     for attempt in range(40):
         try:
-            return _draw_case(np.random.default_rng([seed, index, attempt]), kind, effects, STRATA[stratum])
+            return _draw_case(np.random.default_rng([seed, spec.index, attempt]), spec)
         except CannotDraw:
             continue
-    raise CannotDraw(f"case {index}: no cell shows {', '.join(effects)} at an SNR of {stratum}")
+    raise CannotDraw(f"case {spec.index}: no cell shows {', '.join(spec.effects)} at an SNR of {spec.stratum}")
 
 
 @dataclass(frozen=True)
-class _Plant:
+class FittedLaw:
     """One effect fitted to its size. `change` (m, 7) is None for a law that changes scatter and not the mean."""
 
     law: Law
@@ -197,17 +125,40 @@ class _Plant:
     snr: float | None
 
 
-def _plant(r: np.random.Generator, detectability: Detectability, law: Law, snrs: tuple[float, float]) -> _Plant:
+def plant(r: np.random.Generator, detectability: Detectability, law: Law, snrs: tuple[float, float]) -> FittedLaw:
+    """Draw a law's shape and scale it to a drawn signal-to-noise ratio.
+
+    Args:
+        r: Random generator.
+        detectability: The cell and motion.
+        law: The law.
+        snrs: Range of the ratio.
+
+    Returns:
+        The fitted law.
+
+    Raises:
+        CannotDraw: This cell does not show the law at that size.
+    """
     shape, snr = law.draw(r, scales_of(detectability)), log_uniform(r, *snrs)
     if law.variance:
-        return _Plant(law, law.at(shape, log_uniform(r, 1.0, 5.0)), None, None)
+        return FittedLaw(law, law.at(shape, log_uniform(r, 1.0, 5.0)), None, None)
     fitted = fit_strength(detectability, law, shape, snr)
     if fitted is None or not snrs[0] <= fitted.snr <= snrs[1] * 1.05:
         raise CannotDraw(law.effect)
-    return _Plant(law, fitted.parameters, fitted.change, fitted.snr)
+    return FittedLaw(law, fitted.parameters, fitted.change, fitted.snr)
 
 
-def _described(plants: Sequence[_Plant], detectability: Detectability) -> list[SealedEffect]:
+def describe(plants: Sequence[FittedLaw], detectability: Detectability) -> list[SealedEffect]:
+    """The planted laws as the truth keeps them.
+
+    Args:
+        plants: The laws with their sizes.
+        detectability: The cell and motion.
+
+    Returns:
+        One entry a law.
+    """
     described: list[SealedEffect] = [
         {
             "id": one.law.effect,
@@ -226,52 +177,67 @@ def _described(plants: Sequence[_Plant], detectability: Detectability) -> list[S
     return described
 
 
-def _draw_case(r: np.random.Generator, kind: CaseKind, effects: Sequence[str], snrs: tuple[float, float]) -> DrawnCase:
+def _draw_case(r: np.random.Generator, spec: CaseSpec) -> SealedCase:
+    kind, effects = spec.kind, spec.effects
     cell = draw_cell(r)
     motion = draw_motion(r, cell)
     t_s = _row_times(r, cell, motion.duration_s)
     detectability = Detectability(cell, draw_deviations(r, motion), motion, t_s)
-    plants: list[_Plant] = []
+    plants: list[FittedLaw] = []
     for effect in effects:
         laws = laws_of(kind, effect)
-        plants.append(_plant(r, detectability, laws[int(r.integers(len(laws)))], snrs))
+        plants.append(plant(r, detectability, laws[int(r.integers(len(laws)))], STRATA[spec.stratum]))
     planted: list[Planted] = [(one.law, one.parameters) for one in plants]
     changes = [one.change for one in plants if one.change is not None]
     robot_rate_Hz = SLOW_ROBOT_HZ if cell.rate_Hz > 1.5 * SLOW_ROBOT_HZ and r.random() < 0.2 else cell.rate_Hz
     sizes = detectability.sizes(np.sum(changes, axis=0)) if changes else np.zeros((len(CHANNELS), len(PHASES)))
     without = tuple(effects) if kind == "removed" else ()
-    mimic: Mimic | None = None
+    sealed = describe(plants, detectability)
+    mimic: NearestLaw | None = None
     if kind in {"removed", "novel"} and changes:
-        mimic = _mimic(detectability, planted, without, int(r.integers(2**31)))
+        mimic = _nearest(detectability, planted, int(r.integers(2**31)), without=without)
+    elif kind == "foreign" and changes:
+        sealed[0]["nearest"] = _nearest(detectability, planted, spec.index, only=effects[0])
     samples = measured(r, cell, detectability.run(planted), motion, t_s, planted, robot_rate_Hz)
     second, rms = _second(r, cell, detectability.deviations, planted)
     truth: Truth = {
+        "source": "drawn",
         "kind": kind,
-        "effects": _described(plants, detectability),
+        "effects": sealed,
+        "host_causes": [],
         "without": list(without),
         "size": float(sizes.max()),
-        "sizes": {c: dict(zip(PHASES, sizes[i].tolist(), strict=True)) for i, c in enumerate(CHANNELS)},
-        "deviations": detectability.deviations.of,
+        "sizes": by_place(sizes),
         "rate_Hz": cell.rate_Hz,
         "robot_rate_Hz": robot_rate_Hz,
         "rows": len(t_s),
         "duration_s": float(t_s[-1]),
-        "presses": motion.presses,
         "mimic": mimic,
         "second": rms,
+        "about": {"deviations": detectability.deviations.of, "presses": motion.presses, "stratum": spec.stratum},
     }
-    return DrawnCase(kind, cell.as_yaml(), samples, without, second, truth)
+    return SealedCase(cell.as_yaml(), samples, without, second, truth)
+
+
+def by_place(sizes: Floats) -> dict[str, dict[str, float]]:
+    """Sizes (7, 5) by the names of channel and phase."""
+    return {channel: dict(zip(PHASES, sizes[i].tolist(), strict=True)) for i, channel in enumerate(CHANNELS)}
+
+
+def by_channel(values: Floats) -> dict[str, float]:
+    """Values (7,) by the names of the channels."""
+    return dict(zip(CHANNELS, values.tolist(), strict=True))
 
 
 def _beside(x: Floats, other: Floats) -> float:
     return float(np.linalg.norm(x - other * float(x @ other) / float(other @ other)))
 
 
-def _mimic(detectability: Detectability, planted: Sequence[Planted], without: Sequence[str], seed: int) -> Mimic:
-    d = detectability
-    coarse = Detectability(d.cell, d.deviations, d.motion, d.t_s, fine_Hz=COARSE_HZ)
-    effect, left = best_mimic(coarse, coarse.whitened(coarse.change(planted)), scales_of(d), without, seed)
-    return {"id": effect, "snr_left": left}
+def _nearest(
+    fine: Detectability, planted: Sequence[Planted], seed: int, *, without: Sequence[str] = (), only: str | None = None
+) -> NearestLaw:
+    coarse = Detectability(fine.cell, fine.deviations, fine.motion, fine.t_s, fine_Hz=COARSE_HZ)
+    return nearest_law(coarse, coarse.whitened(coarse.change(planted)), scales_of(fine), seed, without=without, only=only)
 
 
 def _second(
@@ -286,11 +252,21 @@ def _second(
     w = detectability.run(planted)
     readings = rows(w, t_s, planted)
     v = np.interp(t_s, w.t_s, w.vz_m_per_s)
-    floor = np.sqrt(sum(np.mean(x**2, axis=0) for x in detectability.tangents[: len(TOLERANCES)]))
-    change = np.sqrt(np.mean(detectability.change(planted) ** 2, axis=0)) if planted else np.zeros(len(CHANNELS))
+    change = detectability.change(planted) if planted else np.zeros((len(t_s), len(CHANNELS)))
     second = Samples(t_s, motion.at(t_s), readings[:, 0], v, np.asarray(readings[:, 1:]))
+    return second, second_rms(detectability, change)
 
-    def by_channel(values: Floats) -> dict[str, float]:
-        return dict(zip(CHANNELS, values.tolist(), strict=True))
 
-    return second, {"floor": by_channel(floor), "change": by_channel(change), "sigma": by_channel(cell.sigmas)}
+def second_rms(detectability: Detectability, change: Floats) -> SecondMotion:
+    """What tolerances and effects make on the second motion.
+
+    Args:
+        detectability: The cell on that motion, without press scatter.
+        change: What the effects change there, row by row (m, 7).
+
+    Returns:
+        Rms by channel.
+    """
+    floor = np.sqrt(sum(np.mean(x**2, axis=0) for x in detectability.tangents[: len(TOLERANCES)]))
+    rms = np.sqrt(np.mean(change**2, axis=0))
+    return {"floor": by_channel(floor), "change": by_channel(rms), "sigma": by_channel(detectability.cell.sigmas)}

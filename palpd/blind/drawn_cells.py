@@ -5,7 +5,7 @@ Every press scatters, and no two cycles are alike.
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -50,7 +50,10 @@ EMULATED_TOLERANCES = {
 
 @dataclass(frozen=True)
 class CellRealisation:
-    """The numbers of a cell.yaml, and the standard deviations that hold for it, stated or not."""
+    """The numbers of a cell.yaml, and the standard deviations that hold for it, stated or not.
+
+    `silent` are the columns of CHANNELS that a recording does not hold; nothing can be seen there.
+    """
 
     mass_kg: float
     tip_radius_m: float
@@ -73,6 +76,7 @@ class CellRealisation:
     scatter_surface_m: float
     scatter_stiffness: float
     stated: bool = True
+    silent: tuple[int, ...] = ()
 
     @property
     def hertz_N_per_m15(self) -> float:
@@ -84,7 +88,9 @@ class CellRealisation:
         """Noise and rounding of one row, channel by channel (7,)."""
         steps = np.array([0.0, self.step_fxy_N, self.step_fxy_N, self.step_fz_N, *[self.step_Nm] * 3])
         noises = np.array([self.position_noise_m, *[self.noise_N] * 3, *[self.noise_Nm] * 3])
-        return np.sqrt(noises**2 + steps**2 / 12.0)
+        sigmas = np.sqrt(noises**2 + steps**2 / 12.0)
+        sigmas[list(self.silent)] = np.inf
+        return sigmas
 
     def as_yaml(self) -> dict[str, Any]:
         """The keys of cell.yaml."""
@@ -117,6 +123,33 @@ class CellRealisation:
             block["tolerances"] = {name: self.tolerances[name] for name in names} | {"crosstalk": self.tolerances["crosstalk_fx"]}
             block["repeatability"] = {"surface_z_m": self.scatter_surface_m, "stiffness": self.scatter_stiffness}
         return block
+
+
+@dataclass(frozen=True)
+class Departure:
+    """How a recorded cell departs from the nominal one on a fine grid: height, speed, acceleration (n,) and wrench (n, 6)."""
+
+    z_m: Floats
+    vz_m_per_s: Floats
+    az_m_per_s2: Floats
+    wrench: Floats
+
+
+class PressedMotion(Protocol):
+    """A commanded height with presses, drawn or recorded."""
+
+    @property
+    def presses(self) -> int:
+        """Number of presses."""
+
+    def at(self, t_s: Floats) -> Floats:
+        """Commanded height in m (n,) at these times in s (n,)."""
+
+    def on_grid(self, dt_s: float) -> tuple[Floats, Floats, Ints]:
+        """Times, commanded heights and presses at even steps over the whole motion."""
+
+    def departure(self, dt_s: float) -> Departure | None:
+        """What a recorded cell does besides; None for a drawn one."""
 
 
 @dataclass(frozen=True)
@@ -176,6 +209,10 @@ class DrawnMotion:
     def presses(self) -> int:
         """Number of presses."""
         return len(self.press_begin_s)
+
+    def departure(self, dt_s: float) -> None:  # noqa: ARG002 - the same call as for a recorded motion
+        """A drawn cell has no other motion than its servo's."""
+        return
 
 
 @dataclass(frozen=True)

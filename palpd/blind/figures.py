@@ -9,39 +9,70 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from palpd.analysis.figure_style import BLUE, GREY, ORANGE, save_figure, styled_figure
-from palpd.blind.check import CheckResult
+from palpd.blind.check import SCHEMA, CheckResult
 from palpd.blind.drawn_cases import STRATA
-from palpd.blind.score import LAWS, CaseOutcome, ScoreRow, alone, answer, as_markdown, by_effect, calibration, first_right, table, wilson
+from palpd.blind.score import (
+    LAWS,
+    SOURCE_TITLES,
+    CaseOutcome,
+    ScoreRow,
+    alone,
+    answer,
+    answered,
+    by_effect,
+    calibration,
+    calibration_error,
+    first_right,
+    table,
+    tables_as_markdown,
+    wilson,
+)
+from palpd.blind.truth import SOURCES
 from palpd.errors import BadInput
 from palpd.files import read_json, write_text
 
 INTRODUCTION = """\
-How often the diagnosis is right on simulated cells whose truth it cannot see. `palpd blind` draws the cells, seals their truth, diagnoses
-the recordings in another process, and then scores the answers. [diagnosis.md](diagnosis.md#how-far-to-trust-it) compares these figures
-with cells from an independent generator and with recordings of other rigs, and says what this check cannot show."""
+How often the diagnosis is right on cells whose truth it cannot see. `palpd blind` makes the cells, seals their truth, diagnoses
+the recordings in another process, and then scores the answers. Each source of cells has its own table, the worst first.
+[diagnosis.md](diagnosis.md#how-far-to-trust-it) compares these figures with recordings of other rigs, and says what this check cannot
+show."""
 """What the reader gets; stands at the head of the page."""
 
 PREAMBLE = """\
-`palpd/blind/` draws the recordings and shares no physics with the library. The integrator is another one, at 2400 Hz or more. Every law is
-written anew, and the same effects also come with other laws. In every cell all tolerances are off by a normal deviate, every press
-scatters, and the noise is 0.85 to 1.18 times the stated noise. No two cycles are alike. In a fifth of the cells above 190 Hz the robot
-reports at 125 Hz and is interpolated. The SNR of an effect is the norm of its noise-free change over 20 ms
-means of all channels, in sensor sigmas of such a mean. Changes that tolerances and press scatter (as Gaussians) can hide do not count."""
-"""How the cells are drawn; stands above the table."""
+No source shares physics or laws with the library.
+
+| source | motion and force | laws |
+|---|---|---|
+| `drawn` | own integrator at 2400 Hz or more, a second-order servo | written anew, with the contract's formula and with others |
+| `mujoco` | MuJoCo: a slide or a six-axis arm with one of five controllers | changes of its model, and an own sensor model |
+| `injected` | recorded: real cells (`--recordings`), or healthy cells of MuJoCo's | other laws than the contract's, planted |
+
+In every simulated cell all tolerances are off by a normal deviate, every press scatters, and the noise is 0.85 to 1.18 times the stated
+noise. No two cycles are alike. MuJoCo's controllers hold their targets (125 or 500 Hz), have a third order, or limit the jerk. In a fifth
+of the drawn cells above 190 Hz, and in most of MuJoCo's, the robot reports slower than the sensor.
+
+The SNR of an effect is the norm of its noise-free change over 20 ms means of all channels, in sensor sigmas of such a mean. Changes that
+tolerances and press scatter (as Gaussians) can hide do not count. It is 6 to 200 in drawn and injected cells, and 4 to 60 in MuJoCo's."""
+"""How the cells are made; stands above the tables."""
 
 READING = """\
+A target is met if the estimate reaches it. With fewer cases than the line needs there is no verdict. The worst source is the one with the
+largest mean shortfall from its targets.
+
 An answer is right if it names the very effect that was planted, whatever the effect is indistinguishable from, unless the line says
 otherwise. Bias, drift, warm-up, gain, modulus, thickness, inclusion, tilt and crosstalk have an indistinguishable effect. The lines
-on the right cause and on nothing else named leave these out. The best mimic of an effect outside the library is the effect of the
-library that, fitted to its noise-free change, leaves the smallest SNR."""
-"""How the table is read; stands below it."""
+on the right cause and on nothing else named leave these out. The best mimic of an effect outside the list is the effect of the
+library that, fitted to its noise-free change, leaves the smallest SNR. Where another law was planted, an interval covers if it holds the
+parameter of the listed law that is nearest to the planted change. The declared causes of a real host count neither for nor against an
+answer."""
+"""How the tables are read; stands below them."""
 
 COMPARED = (
     "right cause first",
     "right and nothing",
     "two effects",
     "healthy cell",
-    "never given",
+    "outside the list",
     "known effect",
     "expected calibration",
 )
@@ -70,18 +101,23 @@ def write_page(result: CheckResult, folder: Path, ablations: Sequence[CheckResul
     folder.mkdir(parents=True, exist_ok=True)
     outcomes = result["outcomes"]
     _confusion(outcomes, folder / "blind-confusion.png")
+    numbers = f"{result['cases']} cells of each source ({', '.join(result['sources'])})"
+    if result["large"]:
+        numbers += f" and {result['large']} further drawn cells with one effect of SNR > 20"
     _calibration_and_size(outcomes, folder / "blind-calibration.png")
     lines = [
         "# The blind check",
         "",
         INTRODUCTION,
         "",
-        f"{result['cases']} cells drawn with seed {result['seed']}; SHA-256 over the sealed files: `{result['sealed_sha256']}`.",
-        f"Again: `palpd blind --cases {result['cases']} --seed {result['seed']} --json blind.json --docs docs`.",
+        f"{numbers}, seed {result['seed']}; SHA-256 over the sealed files: `{result['sealed_sha256']}`.",
+        f"Again: `{_command(result)}`.",
         "",
         PREAMBLE,
         "",
-        as_markdown(result["table"]),
+        "## Results",
+        "",
+        tables_as_markdown(result["tables"]),
         READING,
         "",
         "![what was planted and what was named](blind-confusion.png)",
@@ -91,14 +127,9 @@ def write_page(result: CheckResult, folder: Path, ablations: Sequence[CheckResul
         "## By effect",
         "",
         "Numbers of cells: the planted effect was named first, named alone, or in the group named first, or the answer was unknown.",
-        "",
-        "| planted | n | first | alone | in the group | called unknown | named instead |",
-        "|---|---|---|---|---|---|---|",
     ]
-    for row in by_effect(outcomes):
-        instead = ", ".join(f"{name} ({n})" for name, n in row["instead"].items())
-        counts = " | ".join(str(row[key]) for key in ("n", "first", "alone", "in_group", "unknown"))
-        lines.append(f"| {row['effect']} | {counts} | {instead} |")
+    for source in (source for source in SOURCES if source in result["sources"]):
+        lines += ["", f"### {SOURCE_TITLES[source]}", "", *_effect_table([o for o in outcomes if o["source"] == source])]
     if ablations:
         lines += ["", "## What each part of the method contributes", "", *_ablation_table(result, ablations)]
     page = folder / "blind.md"
@@ -106,13 +137,35 @@ def write_page(result: CheckResult, folder: Path, ablations: Sequence[CheckResul
     return page
 
 
+def _command(result: CheckResult) -> str:
+    source = "all" if len(result["sources"]) == len(SOURCES) else result["sources"][0]
+    parts = [f"palpd blind --source {source} --cases {result['cases']} --seed {result['seed']}"]
+    parts += [f"--large {result['large']}"] if result["large"] else []
+    parts += [f"--recordings {result['recordings']}"] if result["recordings"] else []
+    return " ".join([*parts, "--json blind.json --docs docs"])
+
+
+def _effect_table(outcomes: Sequence[CaseOutcome]) -> list[str]:
+    lines = [
+        "| planted | n | first | alone | in the group | called unknown | named instead |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in by_effect(outcomes):
+        instead = ", ".join(f"{name} ({n})" for name, n in row["instead"].items())
+        counts = " | ".join(str(row[key]) for key in ("n", "first", "alone", "in_group", "unknown"))
+        lines.append(f"| {row['effect']} | {counts} | {instead} |")
+    return lines
+
+
 def _ablation_table(result: CheckResult, ablations: Sequence[CheckResult]) -> list[str]:
     """The table of every ablation, over the cases that all checks have in common."""
     cases = min(each["cases"] for each in [result, *ablations])
-    tables = [table(each["outcomes"][:cases]) for each in [result, *ablations]]
+    names = [{o["case"] for o in each["outcomes"]} for each in [result, *ablations]]
+    common = set.intersection(*names)
+    tables = [table([o for o in each["outcomes"] if o["case"] in common]) for each in [result, *ablations]]
     heads = ["everything", *(a["ablation"] or "" for a in ablations)]
     lines = [
-        f"The first {cases} cells once more, without one part of the method: "
+        f"The first {cases} cells of each source once more, without one part of the method: "
         f"`palpd blind --cases {cases} --seed {result['seed']} --ablation …`.",
         "",
         *(f"- {ABLATED[a['ablation'] or '']}" for a in ablations),
@@ -165,7 +218,8 @@ def _calibration_and_size(outcomes: Sequence[CaseOutcome], path: Path) -> None:
 
 
 def _draw_calibration(axes: Axes, outcomes: Sequence[CaseOutcome]) -> None:
-    error, rows = calibration(outcomes)
+    pairs = [pair for pair in map(answered, outcomes) if pair is not None]
+    error, rows = calibration_error(pairs), calibration(pairs)
     axes.plot([0, 1], [0, 1], color=GREY)
     for p, share, n in rows:
         axes.plot([p, p], wilson(round(share * n), n), color=BLUE)
@@ -194,6 +248,6 @@ def _draw_share_over_snr(axes: Axes, outcomes: Sequence[CaseOutcome]) -> None:
 def load(path: Path) -> CheckResult:
     """A result of the blind check from its JSON file."""
     check = read_json(path)
-    if not isinstance(check, dict):
-        raise BadInput(f"{path} holds no result of a blind check; give the JSON of one")
+    if not isinstance(check, dict) or check.get("schema") != SCHEMA:
+        raise BadInput(f"{path} holds no result of a blind check of this version ({SCHEMA}); give the JSON of one")
     return cast("CheckResult", check)

@@ -535,13 +535,18 @@ def _bouc_wen(w: SimulatedRun, p: Shape) -> None:
 
 
 def _loop(f: Floats, width_N: float, exponent: float) -> Floats:
-    """Bouc-Wen: dw = df/width · (1 - sign(w df)·|w|^n), n = 1 being the listed law, by Heun's rule."""
+    """Bouc-Wen: dw = df/width · (1 - sign(w df)·|w|^n), n = 1 being the listed law; that is exact step by step, others by Heun's rule."""
 
     def slope(x: float, up: float) -> float:
         return 1.0 - float(np.copysign(1.0, x * up)) * abs(x) ** exponent
 
-    x, out = 0.0, [0.0]
-    for change in (np.diff(f) / width_N).tolist():
+    x, out, steps = 0.0, [0.0], np.diff(f) / width_N
+    if exponent == 1.0:
+        for target, kept in zip(np.sign(steps).tolist(), np.exp(-np.abs(steps)).tolist(), strict=True):
+            x = target + (x - target) * kept
+            out.append(x)
+        return np.array(out)
+    for change in steps.tolist():
         if change != 0.0:
             pieces = min(1 + int(abs(change) / 0.05), 50)
             h = change / pieces

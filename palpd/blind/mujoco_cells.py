@@ -1,7 +1,7 @@
 """Test cells with independent physics: MuJoCo moves a rig, this code presses it into tissue, and the truth is sealed.
 
 One case is a recording and a cell.yaml as the contract asks, a second recording of the same cell on another motion, and the truth:
-which effects act, how large they are (§5), and where they show. `draw_case(seed, index)` is deterministic.
+which effects act, how large they are (§5), and where they show. The same seed and specification give the same case.
 
 Rigs: a vertical slide, and a six-axis arm with the UR5's lengths and link masses. Five controllers: second order; its targets held at
 125 or 500 Hz; a third pole; a jerk-limiting average. The stated servo is a second-order fit to a noisy free motion of the healthy cell.
@@ -29,67 +29,105 @@ What MuJoCo cannot make, and what stands in its place:
   healthy cell has no torque).
 """
 
-import argparse
-import json
-import os
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
-from pathlib import Path
+from typing import Any
 
-import yaml
+import numpy as np
 
+from palpd.blind.detectability import COARSE_HZ, Detectability, nearest_law, scales_of
+from palpd.blind.drawn_cases import by_place, second_rms
+from palpd.blind.drawn_cells import CHANNELS, PHASES, no_deviations
 from palpd.blind.mujoco.cases import EFFECTS, KINDS, MujocoCase, change_by, draw_case, healthy_mismatch, sealed_truth
-from palpd.recording.samples import write_csv
+from palpd.blind.mujoco.nominal import force_residual, phase_of
+from palpd.blind.mujoco.snr import sizes
+from palpd.blind.plans import VARIANCE
+from palpd.blind.recorded_cells import RecordedMotion, cell_of
+from palpd.blind.truth import CannotDraw, CaseSpec, NearestLaw, SealedCase, SealedEffect, SecondMotion, Truth
+from palpd.recording.samples import Samples
 
-__all__ = ["EFFECTS", "KINDS", "MujocoCase", "change_by", "draw_case", "healthy_mismatch", "main", "sealed_truth", "write_case"]
+__all__ = ["EFFECTS", "KINDS", "MujocoCase", "change_by", "draw_case", "draw_mujoco", "healthy_mismatch", "sealed_truth"]
+
+LEAST_SNR = 3.6
+"""Least signal-to-noise ratio of a planted effect; a motion that shows it less is drawn again."""
+CELLS_TRIED = 12
+"""Number of cells that are tried for one specification."""
+NEXT_CELL = 1_000_003
+"""Step in the number of the cell from one trial to the next, so that no two specifications share a cell."""
 
 
-def write_case(index: int, seed: int, directory: Path, effects: tuple[str, ...] | None = None) -> str:
-    """Draw one case and write its recordings, its cell file and its truth.
+def draw_mujoco(spec: CaseSpec, seed: int) -> SealedCase:
+    """Draw a case with MuJoCo's physics. The same arguments give the same case.
 
     Args:
-        index: number of the case.
-        seed: seed of the set.
-        directory: where the files go.
-        effects: ids of effects to plant; None: drawn.
+        spec: What the case shall be; its stratum is not used, the ratios are log-uniform over `SNR_RANGE`.
+        seed: Seed of the check.
 
     Returns:
-        The name that the files begin with.
+        The case.
+
+    Raises:
+        CannotDraw: No cell shows the effects.
     """
-    case = draw_case(seed, index, effects=effects)
-    name = f"mujoco_{seed}_{index:04d}"
-    write_csv(directory / f"{name}.csv", case.recording())
-    write_csv(directory / f"{name}_other.csv", case.recording(other=True))
-    (directory / f"{name}.yaml").write_text(yaml.safe_dump(case.stated.as_yaml(), sort_keys=False), encoding="utf-8")
-    (directory / f"{name}.truth.json").write_text(json.dumps(sealed_truth(case), indent=1), encoding="utf-8")
-    return name
+    for attempt in range(CELLS_TRIED):
+        case = draw_case(seed, spec.index + attempt * NEXT_CELL, effects=spec.effects)
+        unfiltered = case.stated.filter_cutoff_Hz is None and "sensor.filter" in spec.effects
+        if not unfiltered and all(each.reached_snr >= LEAST_SNR for each in case.planted):
+            return _sealed(spec, case)
+    raise CannotDraw(f"case {spec.index}: no cell shows {', '.join(spec.effects)}")
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Write cases from the command line.
+def _sealed(spec: CaseSpec, case: MujocoCase) -> SealedCase:
+    content, about = case.stated.as_yaml(), sealed_truth(case)
+    healthy = case.reading([]).samples
+    here = _detectability(content, healthy)
+    change = change_by(case, case.planted)
+    effects = [_sealed_effect(effect, here) for effect in about.pop("effects")]
+    mimic: NearestLaw | None = None
+    if spec.kind == "novel":
+        mimic = nearest_law(here, here.whitened(change), scales_of(here), spec.index)
+    elif spec.kind == "foreign" and not effects[0]["variance"]:
+        effects[0]["nearest"] = nearest_law(here, here.whitened(change), scales_of(here), spec.index, only=effects[0]["id"])
+    table = np.zeros((len(CHANNELS), len(PHASES)))
+    for entry in sizes(change, phase_of(healthy, case.stated), case.yardstick()):
+        table[CHANNELS.index(entry["channel"]), PHASES.index(entry["phase"])] = entry["size"]
+    truth: Truth = {
+        "source": "mujoco",
+        "kind": spec.kind,
+        "effects": effects,
+        "host_causes": [],
+        "without": [],
+        "size": float(table.max()),
+        "sizes": by_place(table),
+        "rate_Hz": case.stated.rate_Hz,
+        "robot_rate_Hz": min(case.stated.rate_Hz, case.stated.report_rate_Hz),
+        "rows": len(healthy),
+        "duration_s": healthy.duration_s,
+        "mimic": mimic,
+        "second": _second(case),
+        "about": about,
+    }
+    return SealedCase(content, case.recording(), (), case.reading(other=True).samples, truth)
 
-    Args:
-        arguments: command line; None: the process's own.
-    """
-    parser = argparse.ArgumentParser(prog="python -m palpd.blind.mujoco_cells", description="Draw test cells with MuJoCo's physics.")
-    parser.add_argument("--cases", type=int, default=20, help="number of cases")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the set")
-    parser.add_argument("--out", type=Path, required=True, help="directory for the files")
-    parser.add_argument("--jobs", type=int, default=1, help="number of processes")
-    parser.add_argument("--effects", nargs="+", choices=sorted(EFFECTS), help="plant these in every case (default: drawn)")
-    options = parser.parse_args(arguments)
-    options.out.mkdir(parents=True, exist_ok=True)
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")
-    work = partial(write_case, seed=options.seed, directory=options.out, effects=tuple(options.effects) if options.effects else None)
-    if options.jobs == 1:
-        for index in range(options.cases):
-            print(work(index))
-        return
-    with ProcessPoolExecutor(options.jobs) as pool:
-        for name in pool.map(work, range(options.cases)):
-            print(name)
+
+def _sealed_effect(effect: dict[str, Any], here: Detectability) -> SealedEffect:
+    return {
+        "id": effect["id"],
+        "law": "library" if effect["law"] == "same" else effect["description"],
+        "parameters": effect["parameters"],
+        "snr": effect["snr"],
+        "variance": effect["id"] in VARIANCE,
+        "snr_per_row_sigma": effect["snr"] / here.rows_per_bin**0.5,
+    }
 
 
-if __name__ == "__main__":
-    main()
+def _second(case: MujocoCase) -> SecondMotion:
+    path, stated = case.other_path, case.stated
+    healthy = case.reading([], other=True).samples
+    there = _detectability(stated.as_yaml(), healthy)
+    change = force_residual(case.reading(other=True).samples, stated, path) - force_residual(healthy, stated, path)
+    return second_rms(there, change)
+
+
+def _detectability(content: dict[str, Any], samples: Samples) -> Detectability:
+    cell = cell_of(content, samples)
+    motion = RecordedMotion(cell, samples, noise_free=True)
+    return Detectability(cell, no_deviations(motion.presses), motion, motion.t_s, fine_Hz=COARSE_HZ)

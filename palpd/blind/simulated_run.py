@@ -7,14 +7,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from palpd.blind.drawn_cells import CROSSTALK_ARM_M, CellRealisation, Deviations, DrawnMotion
+from palpd.blind.drawn_cells import CROSSTALK_ARM_M, CellRealisation, Deviations, PressedMotion
 from palpd.blind.laws import Floats, Planted, SensorRows, SimulatedRun, one_pole, second_order
 
 
 def simulate(
     cell: CellRealisation,
     deviations: Deviations,
-    motion: DrawnMotion,
+    motion: PressedMotion,
     planted: Sequence[Planted] = (),
     *,
     dt_s: float,
@@ -34,6 +34,7 @@ def simulate(
         The run, all arrays (n,).
     """
     t, command, press = motion.on_grid(dt_s)
+    besides = motion.departure(dt_s)
     off = {name: value * cell.tolerances[name] for name, value in deviations.of.items()}
     inside = np.maximum(press, 0)
     cutoff = cell.cutoff_Hz if cell.cutoff_Hz else np.inf
@@ -68,6 +69,9 @@ def simulate(
         w.z_m = start + second_order(drive, dt_s, [omega2], w.servo_Hz, w.servo_damping)
         w.vz_m_per_s = second_order(drive, dt_s, [omega2, 0.0], w.servo_Hz, w.servo_damping)
         w.az_m_per_s2 = second_order(drive, dt_s, [omega2, 0.0, 0.0], w.servo_Hz, w.servo_damping)
+        if besides is not None:
+            w.z_m, w.vz_m_per_s = w.z_m + besides.z_m, w.vz_m_per_s + besides.vz_m_per_s
+            w.az_m_per_s2 = w.az_m_per_s2 + besides.az_m_per_s2
         laws("motion")
     else:
         w.z_m, w.vz_m_per_s, w.az_m_per_s2 = reported.z_m, reported.vz_m_per_s, reported.az_m_per_s2
@@ -77,6 +81,8 @@ def simulate(
     w.wrench = np.zeros((len(t), 6), order="F")
     _touch(w, laws)
     w.wrench[:, 2] = w.contact_N - w.mass_kg * w.az_m_per_s2
+    if besides is not None:
+        w.wrench += besides.wrench
     laws("probe")
     _sense(w, off, laws)
     return w

@@ -184,11 +184,22 @@ def effects_(
 
 @app.command()
 def blind(
-    cases: Annotated[int, typer.Option("--cases", min=1, help="how many cells to draw; 200 for a look, 1000 for a table")] = 200,
+    cases: Annotated[int, typer.Option("--cases", min=1, help="how many cells of each source; 200 for a look, 1000 for a table")] = 200,
     seed: Annotated[int, typer.Option("--seed", help="the same seed draws the same cells")] = 1,
+    source: Annotated[str, typer.Option("--source", help="drawn, mujoco, injected or all")] = "drawn",
+    recordings: Annotated[
+        Path | None, typer.Option("--recordings", help="for injected: folder of X.csv and X.yaml to plant effects into (default: MuJoCo's)")
+    ] = None,
+    causes: Annotated[
+        Path | None, typer.Option("--causes", help="what acts in these recordings (.yaml; default: causes.yaml in that folder)")
+    ] = None,
+    large: Annotated[int, typer.Option("--large", min=0, help="further drawn cells with one effect of SNR > 20")] = 0,
     json_file: JsonOption = None,
     docs: Annotated[Path | None, typer.Option("--docs", help="write the table and its figures into this folder")] = None,
     keep: Annotated[Path | None, typer.Option("--keep", help="keep recordings, answers and truths in this new folder")] = None,
+    resume: Annotated[
+        Path | None, typer.Option("--resume", help="save each scored batch here and continue after the last")
+    ] = None,
     ablation: Annotated[
         str | None, typer.Option("--ablation", help="take a part away: 'no tolerances', 'no press scatter', 'white noise' or 'fz only'")
     ] = None,
@@ -200,17 +211,22 @@ def blind(
     from palpd.blind.check import run
     from palpd.blind.comparison import ablation_named, load_ablations
     from palpd.blind.figures import write_page
-    from palpd.blind.score import as_markdown
+    from palpd.blind.score import tables_as_markdown
+    from palpd.blind.sources import Hosts, sources_named
 
-    check_writable(json_file)
+    check_writable(json_file, resume)
     check_folder(docs, keep)
     if advice:
         _blind_advice(cases, seed, jobs, json_file)
         return
     chosen, beside = ablation_named(ablation), load_ablations(compare or [], seed)
-    with _progress("blind check", cases) as advance:
-        result = run(cases, seed, jobs=jobs, ablation=chosen, keep=keep, progress=advance)
-    terminal().print(as_markdown(result["table"]), soft_wrap=True)
+    hosts = Hosts(recordings, causes)
+    sources = sources_named(source, hosts)
+    with _progress("blind check", cases * len(sources) + large) as advance:
+        result = run(
+            cases, seed, sources=sources, hosts=hosts, large=large, jobs=jobs, ablation=chosen, keep=keep, resume=resume, progress=advance
+        )
+    terminal().print(tables_as_markdown(result["tables"]), soft_wrap=True)
     write_json(json_file, result)
     if docs is not None:
         terminal().print(str(write_page(result, docs, beside)))

@@ -136,18 +136,19 @@ class MujocoCase:
             self._yardstick = healthy_variation(self)
         return self._yardstick
 
-    def recording(self, *, other: bool = False) -> Samples:
+    def recording(self, *, other: bool = False, stated: StatedCell | None = None) -> Samples:
         """The recording with noise and rounding.
 
         Args:
             other: on the second motion.
+            stated: gives noise and resolution; None: the cell's own.
 
         Returns:
             The rows of the CSV.
         """
         rng = np.random.default_rng([self.seed, self.index, 7 + other])
         path = self.other_path if other else self.path
-        return record(self.reading(other=other), self.stated, path, rng, self.deviations["noise_ratio"])
+        return record(self.reading(other=other), stated or self.stated, path, rng, self.deviations["noise_ratio"])
 
 
 def draw_case(seed: int, index: int, kinds: Mapping[str, float] = KINDS, effects: Sequence[str] | None = None) -> MujocoCase:

@@ -1,0 +1,94 @@
+"""What the cases of a check shall be: every kind has its share, every effect and stratum its turn."""
+
+import numpy as np
+
+from palpd.blind.laws import FOREIGN_LAWS, INDISTINGUISHABLE, LIBRARY_LAWS, NOVEL_LAWS
+from palpd.blind.mujoco.effects import LISTED
+from palpd.blind.mujoco.unlisted import UNLISTED
+from palpd.blind.truth import CASE_KINDS, CaseKind, CaseSpec, Source
+
+SHARES: dict[Source, dict[CaseKind, float]] = {
+    "drawn": {"healthy": 0.2, "library": 0.27, "foreign": 0.2, "two": 0.09, "removed": 0.12, "novel": 0.12},
+    "mujoco": {"healthy": 0.2, "library": 0.22, "foreign": 0.26, "two": 0.14, "novel": 0.18},
+    "injected": {"healthy": 0.2, "foreign": 0.48, "two": 0.14, "novel": 0.18},
+}
+"""Share of each kind among the cases of a source."""
+SINGLE_STRATA = ("20-60", "6-10", "10-20", "20-60", "6-10", "10-20", "> 60")
+"""Strata of single effects, in turn: most of them where a diagnosis is hard."""
+LARGE_STRATA = ("20-60", "> 60")
+"""Strata of effects that are not in the library: where there is enough to see that nothing listed fits."""
+FIRST_EXTRA = 900_000
+"""Index of the first extra case."""
+VARIANCE = {law.effect for law in LIBRARY_LAWS if law.variance}
+"""Effects that change scatter and not the mean."""
+
+
+def effects_of(source: Source) -> dict[CaseKind, list[str]]:
+    """The effects that a source plants, by kind of case.
+
+    An effect of MuJoCo's that the drawn cells do not list counts as outside the list.
+    """
+    listed = {law.effect for law in LIBRARY_LAWS}
+    foreign, novel = sorted({law.effect for law in FOREIGN_LAWS}), sorted({law.effect for law in NOVEL_LAWS})
+    if source == "mujoco":
+        same, other = ([e.id for e in LISTED if e.law == law and e.id in listed] for law in ("same", "other"))
+        outside = [e.id for e in (*LISTED, *UNLISTED) if e.id not in listed]
+        return {"library": same, "foreign": other, "two": sorted({*same, *other} - VARIANCE), "novel": outside}
+    means = sorted(listed - VARIANCE)
+    if source == "injected":
+        return {"foreign": foreign, "two": means, "novel": novel}
+    return {"library": sorted(listed), "foreign": foreign, "two": means, "removed": means, "novel": novel}
+
+
+def plan(source: Source, cases: int, seed: int) -> list[CaseSpec]:
+    """Choose kind, effects and stratum of every case; a shorter check is a fair sample of a longer one.
+
+    Args:
+        source: Where the cases come from.
+        cases: Number of cases.
+        seed: Seed of the order of the effects.
+
+    Returns:
+        One specification a case.
+    """
+    random = np.random.default_rng([seed, 7, len(source)])
+    shares = SHARES[source]
+    names = {kind: [effects[int(k)] for k in random.permutation(len(effects))] for kind, effects in effects_of(source).items()}
+    specs: list[CaseSpec] = []
+    counts = dict.fromkeys(CASE_KINDS, 0)
+    for index in range(cases):
+        kind = min(shares, key=lambda k: (counts[k] + 0.5) / shares[k])
+        n = counts[kind]
+        counts[kind] += 1
+        if kind == "healthy":
+            specs.append(CaseSpec(source, index, kind, (), "20-60"))
+            continue
+        mine = names[kind]
+        effect = mine[n % len(mine)]
+        if kind == "two":
+            free = [e for e in mine if e != effect and e not in INDISTINGUISHABLE.get(effect, ())]
+            specs.append(CaseSpec(source, index, kind, (effect, free[int(random.integers(len(free)))]), ("10-20", "20-60")[n % 2]))
+        elif kind in {"removed", "novel"}:
+            specs.append(CaseSpec(source, index, kind, (effect,), LARGE_STRATA[n // len(mine) % 2]))
+        else:
+            specs.append(CaseSpec(source, index, kind, (effect,), SINGLE_STRATA[(n + n // len(mine)) % len(SINGLE_STRATA)]))
+    return specs
+
+
+def plan_large(cases: int, seed: int) -> list[CaseSpec]:
+    """Further drawn cells with one effect of SNR > 20, the law of the contract, and no indistinguishable effect.
+
+    Args:
+        cases: Number of cases.
+        seed: Seed of the order of the effects.
+
+    Returns:
+        One specification a case; they count in the line of their class alone.
+    """
+    random = np.random.default_rng([seed, 11])
+    mine = [e for e in effects_of("drawn")["library"] if e not in VARIANCE and e not in INDISTINGUISHABLE]
+    order = [mine[int(k)] for k in random.permutation(len(mine))]
+    return [
+        CaseSpec("drawn", FIRST_EXTRA + n, "library", (order[n % len(order)],), LARGE_STRATA[n // len(order) % 2], extra=True)
+        for n in range(cases)
+    ]

@@ -1,0 +1,173 @@
+"""A recorded cell in the physics of the blind check: its motion as it was recorded, its force as the nominal law and the rest beside it.
+
+Any law can then be planted into the recording, and any change be measured in its noise.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from palpd.blind.drawn_cells import EMULATED_TOLERANCES, CellRealisation, Departure, no_deviations
+from palpd.blind.laws import Floats, Ints
+from palpd.blind.simulated_run import rows, simulate
+from palpd.recording.samples import Samples
+
+MOTION_HZ = 20.0
+"""Cutoff of the recorded motion: a robot moves slower, and the noise of its reports is faster."""
+FORCE_HZ = 5.0
+"""Cutoff of the force that the nominal law does not give; what is faster stays in the recording as noise."""
+MIN_FREE_S = 0.2
+"""Shortest time out of contact that ends a press."""
+
+
+def cell_of(content: Mapping[str, Any], samples: Samples) -> CellRealisation:
+    """The numbers of a cell file, with the contract's defaults, and of the recording where the file states no noise.
+
+    Args:
+        content: The keys of cell.yaml.
+        samples: The recording.
+
+    Returns:
+        The cell. Channels that do not change in the recording count as not recorded.
+    """
+
+    def block(name: str) -> dict[str, Any]:
+        return dict(content.get(name) or {})
+
+    probe, sensor, robot, tissue = (block(name) for name in ("probe", "sensor", "robot", "tissue"))
+    if content.get("tissue", {}) is None:
+        tissue = {"surface_z_m": float(samples.z_m.min()) - 1.0, "youngs_modulus_Pa": 0.0}
+    noise_N = float(sensor.get("noise_rms_N") or row_noise(samples.wrench[:, 2]))
+    noise_Nm = float(sensor.get("noise_rms_Nm") or row_noise(samples.wrench[:, 3]))
+    mass_kg, radius_m = float(probe.get("mass_kg", 0.2)), float(probe.get("tip_radius_m", 0.005))
+    tolerances = EMULATED_TOLERANCES | {
+        "bias_N": 0.4 * noise_N,
+        "drift_N_per_min": 0.2 * noise_N,
+        "mass_kg": 0.015 * mass_kg,
+        "surface_z_m": 0.006 * radius_m,
+    }
+    stated = block("tolerances")
+    crosstalk = stated.pop("crosstalk", 0.003)
+    tolerances |= stated | {name: crosstalk for name in tolerances if name.startswith("crosstalk_")}
+    scatter = {"surface_z_m": 0.004 * radius_m, "stiffness": 0.01} | block("repeatability")
+    still = [k + 1 for k in range(6) if np.ptp(samples.wrench[:, k]) == 0.0]
+    position_noise_m = float(robot.get("position_noise_rms_m", 5e-6)) or row_noise(samples.z_m)
+    return CellRealisation(
+        mass_kg=mass_kg,
+        tip_radius_m=radius_m,
+        tip_length_m=float(probe.get("tip_length_m", 0.08)),
+        rate_Hz=samples.rate_Hz,
+        cutoff_Hz=sensor.get("filter_cutoff_Hz", 150.0),
+        noise_N=noise_N,
+        noise_Nm=noise_Nm,
+        step_fxy_N=float(sensor.get("resolution_fxy_N") or 0.0),
+        step_fz_N=float(sensor.get("resolution_fz_N") or 0.0),
+        step_Nm=float(sensor.get("resolution_Nm") or 0.0),
+        servo_Hz=float(robot.get("servo_natural_frequency_Hz", 8.0)),
+        servo_damping=float(robot.get("servo_damping_ratio", 1.0)),
+        position_noise_m=position_noise_m,
+        velocity_noise_m_per_s=float(robot.get("velocity_noise_rms_m_per_s", 2e-4)),
+        surface_z_m=float(tissue.get("surface_z_m", 0.0)),
+        youngs_modulus_Pa=float(tissue.get("youngs_modulus_Pa", 72000.0)),
+        poisson_ratio=float(tissue.get("poisson_ratio", 0.5)),
+        tolerances=tolerances,
+        scatter_surface_m=float(scatter["surface_z_m"]),
+        scatter_stiffness=float(scatter["stiffness"]),
+        silent=(*([0] if samples.z_cmd_m is None else []), *still),
+    )
+
+
+def row_noise(values: Floats) -> float:
+    """White noise of a channel from its second differences, which a slow signal hardly reaches.
+
+    Args:
+        values: The channel (n,).
+
+    Returns:
+        One standard deviation, in the unit of the channel.
+    """
+    second = np.diff(values, 2)
+    return float(np.median(np.abs(second - np.median(second))) / 0.6745 / 6.0**0.5)
+
+
+@dataclass(frozen=True)
+class RecordedMotion:
+    """The motion of a recording, as the blind check's physics is given it. Its time begins at 0.
+
+    `noise_free`: the recording holds no noise, and nothing in it is smoothed.
+    """
+
+    cell: CellRealisation
+    samples: Samples
+    noise_free: bool = False
+    _grids: dict[float, tuple[Floats, Floats, Ints]] = field(default_factory=dict, repr=False, compare=False)
+    _departures: dict[float, Departure] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def t_s(self) -> Floats:
+        """Times of the rows from 0 (m,)."""
+        return self.samples.t_s - self.samples.t_s[0]
+
+    @property
+    def press_begin_s(self) -> Floats:
+        """When each press begins; one that never happens where nothing is touched."""
+        t_s, touches = self.t_s, self._smooth(self.samples.z_m, MOTION_HZ) < self.cell.surface_z_m
+        begins = [float(t) for t in t_s[1:][touches[1:] & ~touches[:-1]]]
+        ends = [float(t) for t in t_s[1:][touches[:-1] & ~touches[1:]]]
+        kept = [t for t in begins if not any(0.0 <= t - end < MIN_FREE_S for end in ends)]
+        if touches[0]:
+            kept.insert(0, 0.0)
+        return np.array(kept or [0.0])
+
+    @property
+    def presses(self) -> int:
+        """Number of presses."""
+        return len(self.press_begin_s)
+
+    def at(self, t_s: Floats) -> Floats:
+        """Commanded height, or the reported one where no command was recorded.
+
+        Args:
+            t_s: Times in s (n,).
+
+        Returns:
+            Heights in m (n,).
+        """
+        s = self.samples
+        return np.interp(t_s, self.t_s, self._smooth(s.z_m, MOTION_HZ) if s.z_cmd_m is None else s.z_cmd_m)
+
+    def on_grid(self, dt_s: float) -> tuple[Floats, Floats, Ints]:
+        """Times, commanded heights and presses at even steps over the whole motion."""
+        if dt_s not in self._grids:
+            t = np.arange(0.0, self.t_s[-1] + dt_s, dt_s)
+            self._grids[dt_s] = (t, self.at(t), np.searchsorted(self.press_begin_s, t, side="right") - 1)
+        return self._grids[dt_s]
+
+    def departure(self, dt_s: float) -> Departure:
+        """What the recorded cell does besides the nominal one: the motion that its servo does not make, the force that Hertz does not."""
+        if dt_s not in self._departures:
+            t = self.on_grid(dt_s)[0]
+            bare = replace(self, _departures={dt_s: _nothing(len(t))})
+            still = no_deviations(self.presses)
+            nominal = simulate(self.cell, still, bare, dt_s=dt_s)
+            z, v = (np.interp(t, self.t_s, self._smooth(x, MOTION_HZ)) for x in (self.samples.z_m, self.samples.vz_m_per_s))
+            a = np.gradient(v, dt_s)
+            moved = Departure(z - nominal.z_m, v - nominal.vz_m_per_s, a - nominal.az_m_per_s2, np.zeros((len(t), 6)))
+            bare = replace(bare, _departures={dt_s: moved})
+            own = self.samples.wrench - rows(simulate(self.cell, still, bare, dt_s=dt_s), self.t_s)[:, 1:]
+            wrench = np.column_stack([np.interp(t, self.t_s, self._smooth(column, FORCE_HZ)) for column in own.T])
+            self._departures[dt_s] = Departure(moved.z_m, moved.vz_m_per_s, moved.az_m_per_s2, wrench)
+        return self._departures[dt_s]
+
+    def _smooth(self, values: Floats, cutoff_Hz: float) -> Floats:
+        rate_Hz = self.samples.rate_Hz
+        if self.noise_free or cutoff_Hz > 0.2 * rate_Hz:
+            return values
+        return np.asarray(sosfiltfilt(butter(2, cutoff_Hz, fs=rate_Hz, output="sos"), values))
+
+
+def _nothing(n: int) -> Departure:
+    return Departure(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, 6)))
