@@ -197,9 +197,7 @@ def blind(
     json_file: JsonOption = None,
     docs: Annotated[Path | None, typer.Option("--docs", help="write the table and its figures into this folder")] = None,
     keep: Annotated[Path | None, typer.Option("--keep", help="keep recordings, answers and truths in this new folder")] = None,
-    resume: Annotated[
-        Path | None, typer.Option("--resume", help="save each scored batch here and continue after the last")
-    ] = None,
+    resume: Annotated[Path | None, typer.Option("--resume", help="save each scored batch here and continue after the last")] = None,
     ablation: Annotated[
         str | None, typer.Option("--ablation", help="take a part away: 'no tolerances', 'no press scatter', 'white noise' or 'fz only'")
     ] = None,

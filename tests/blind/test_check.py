@@ -11,17 +11,31 @@ import jsonschema
 import numpy as np
 import pytest
 
-from palpd.blind.check import make_case, plan, run
-from palpd.blind.detectability import Detectability, fit_strength, scales_of
-from palpd.blind.drawn_cases import CASE_KINDS, CaseKind, DrawnCase, draw_case
+from palpd.blind.check import make_case, run
+from palpd.blind.detectability import Detectability, fit_strength, nearest_law, scales_of
+from palpd.blind.drawn_cases import draw_case
 from palpd.blind.drawn_cells import CHANNELS, TOLERANCES, Deviations, draw_cell, draw_deviations, draw_motion, no_deviations
 from palpd.blind.figures import write_page
 from palpd.blind.laws import FOREIGN_LAWS, LIBRARY_LAWS, NOVEL_LAWS, CellScales, Law
-from palpd.blind.score import CaseOutcome, Score, ScoreRow, as_markdown, calibration, score_case, scores, wilson
+from palpd.blind.plans import plan, plan_large
+from palpd.blind.score import (
+    CaseOutcome,
+    Score,
+    answered,
+    as_markdown,
+    calibration_error,
+    score_case,
+    scores,
+    table,
+    tables_by_source,
+    wilson,
+)
 from palpd.blind.simulated_run import rows
+from palpd.blind.truth import CASE_KINDS, CaseKind, CaseSpec, SealedCase
 from palpd.cell.cell_file import Estimated, cell_from
 from palpd.cell.effects import EFFECTS
 from palpd.cell.simulation import simulate as library_simulate
+from palpd.errors import BadInput
 
 MODULES = ("drawn_cases.py", "drawn_cells.py", "detectability.py", "simulated_run.py", "laws.py")
 MEANS = [law for law in LIBRARY_LAWS if not law.variance]
@@ -44,8 +58,8 @@ def nominal_cell() -> tuple[Detectability, CellScales]:
 
 
 @cache
-def case(kind: CaseKind, *effects: str) -> DrawnCase:
-    return draw_case(3, 8, kind, effects, "20-60")
+def case(kind: CaseKind, *effects: str) -> SealedCase:
+    return draw_case(3, CaseSpec("drawn", 8, kind, effects, "20-60"))
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -54,7 +68,7 @@ def test_the_cells_are_drawn_without_the_library_that_is_judged(name: str) -> No
     imported = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     imported |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     ours = {module for module in imported if module.startswith("palpd")}
-    assert ours <= {"palpd.recording.samples", *(f"palpd.blind.{module.removesuffix('.py')}" for module in MODULES)}
+    assert ours <= {"palpd.recording.samples", "palpd.blind.truth", *(f"palpd.blind.{module.removesuffix('.py')}" for module in MODULES)}
 
 
 def test_every_effect_of_the_library_has_its_own_law_and_another_one() -> None:
@@ -115,7 +129,7 @@ def test_every_law_can_be_scaled_to_a_wanted_snr() -> None:
 
 
 def test_a_case_is_the_same_each_time_and_sized_as_ordered() -> None:
-    one, other = case("library", "cable.friction"), draw_case(3, 8, "library", ("cable.friction",), "20-60")
+    one, other = case("library", "cable.friction"), draw_case(3, CaseSpec("drawn", 8, "library", ("cable.friction",), "20-60"))
     assert np.array_equal(one.samples.wrench, other.samples.wrench)
     assert one.truth == other.truth
     (effect,) = one.truth["effects"]
@@ -125,7 +139,7 @@ def test_a_case_is_the_same_each_time_and_sized_as_ordered() -> None:
 
 def test_no_case_is_on_its_numbers_and_no_two_presses_are_alike() -> None:
     healthy = case("healthy")
-    assert all(value != 0.0 for value in healthy.truth["deviations"].values())
+    assert all(value != 0.0 for value in healthy.truth["about"]["deviations"].values())
     motion = draw_motion(np.random.default_rng(5), nominal_cell()[0].cell)
     depths = motion.to_m[motion.to_m < nominal_cell()[0].cell.surface_z_m]
     assert len(set(np.round(depths, 7))) == len(depths) == motion.presses
@@ -135,17 +149,17 @@ def test_a_case_hides_its_truth_and_is_sealed(tmp_path: Path) -> None:
     recordings, sealed = tmp_path / "recordings", tmp_path / "sealed"
     recordings.mkdir()
     sealed.mkdir()
-    spec = next(o for o in plan(60, 3) if o.kind == "removed")
+    spec = next(o for o in plan("drawn", 60, 3) if o.kind == "removed")
     digests = make_case(spec, 3, recordings, sealed)
-    assert len(digests) == 4
+    assert len(digests) == 5
     shown = "".join(file.read_text(encoding="utf-8") for file in recordings.iterdir() if file.suffix != ".without")
     assert spec.effects[0] not in shown
-    assert (recordings / f"{spec.index:05d}.without").read_text(encoding="utf-8") == spec.effects[0]
+    assert (recordings / f"{spec.name}.without").read_text(encoding="utf-8") == spec.effects[0]
 
 
 def test_a_plan_holds_every_kind_in_its_share_and_a_short_one_begins_a_long_one() -> None:
-    long = plan(1000, 1)
-    assert plan(200, 1) == long[:200]
+    long = plan("drawn", 1000, 1)
+    assert plan("drawn", 200, 1) == long[:200]
     count = {kind: sum(o.kind == kind for o in long) for kind in CASE_KINDS}
     assert count["healthy"] >= 200
     assert count["removed"] + count["novel"] >= 200
@@ -154,8 +168,11 @@ def test_a_plan_holds_every_kind_in_its_share_and_a_short_one_begins_a_long_one(
 
 def outcome(kind: str, planted: list[str], named: list[str], **more: Any) -> CaseOutcome:
     base: CaseOutcome = {
+        "source": "drawn",
+        "extra": False,
         "kind": kind,
         "planted": planted,
+        "host_causes": [],
         "named": named,
         "groups": [[n] for n in named],
         "verdict": "effects" if named else "none",
@@ -181,10 +198,10 @@ def test_scores_count_what_they_say() -> None:
         outcome("library", ["sensor.gain"], ["tissue.modulus"], groups=[["sensor.gain", "tissue.modulus"]]),
         outcome("healthy", [], []),
         outcome("healthy", [], ["robot.lag"]),
-        outcome("novel", ["hum"], [], verdict="unknown", mimic={"id": "", "snr_left": 30.0}),
-        outcome("novel", ["hum"], ["sensor.creep"], mimic={"id": "", "snr_left": 5.0}),
+        outcome("novel", ["hum"], [], verdict="unknown", mimic={"id": "", "parameters": {}, "snr_left": 30.0}),
+        outcome("novel", ["hum"], ["sensor.creep"], mimic={"id": "", "parameters": {}, "snr_left": 5.0}),
         outcome("two", ["cable.friction", "robot.lag"], ["robot.lag", "cable.friction"]),
-        outcome("removed", ["sensor.gain"], ["tissue.modulus"], mimic={"id": "", "snr_left": 1.0}, family=True),
+        outcome("removed", ["sensor.gain"], ["tissue.modulus"], mimic={"id": "", "parameters": {}, "snr_left": 1.0}, family=True),
     ]
     by = {f.what: f for f in scores(outcomes)}
     first = by["right cause first, library laws, SNR 10-20"]
@@ -192,22 +209,62 @@ def test_scores_count_what_they_say() -> None:
     assert by["right and nothing else named, library laws, SNR ≥ 10"].value == pytest.approx(1 / 3)
     assert by["truth within the group, all effects, library laws, SNR ≥ 10"].value == 0.75
     assert by["healthy cell kept silent"].value == 0.5
-    stranger = by["never given, best mimic leaves SNR ≥ 10: called unknown"]
+    stranger = by["outside the list, best mimic leaves SNR ≥ 10: called unknown"]
     assert (stranger.value, stranger.n) == (1.0, 1)
-    assert by["two effects: both named and nothing else"].value == 1.0
+    assert by["two effects, both SNR ≥ 10: both named and nothing else"].value == 1.0
     assert by["left out, an indistinguishable effect listed: it is named with its family"].value == 1.0
-    assert by["healthy cell kept silent"].met() is False
-    assert by["right cause first, foreign laws, SNR > 20"].met() is None
+    assert by["healthy cell kept silent"].met() is None, "two cells are too few for a verdict"
 
 
 @pytest.mark.parametrize(
-    ("right", "n", "met", "word"), [(1, 1, None, "too few"), (3, 3, None, "too few"), (200, 200, True, "met"), (0, 9, False, "missed")]
+    ("right", "n", "target", "met", "word"),
+    [
+        (49, 49, "≥ 0.97", None, "n < 50"),
+        (50, 50, "≥ 0.97", True, "met"),
+        (194, 200, "≥ 0.97", True, "met"),
+        (193, 200, "≥ 0.97", False, "missed"),
+        (6, 200, "≤ 0.03", True, "met"),
+        (7, 200, "≤ 0.03", False, "missed"),
+        (190, 200, "in 0.93 to 0.97", True, "met"),
+        (198, 200, "in 0.93 to 0.97", False, "missed"),
+    ],
 )
-def test_the_interval_decides_whether_a_target_is_met(right: int, n: int, met: bool | None, word: str) -> None:
-    score = Score("share", right / n, wilson(right, n), n, "≥ 0.97")
+def test_a_target_is_met_if_the_estimate_reaches_it_and_there_are_enough_cases(
+    right: int, n: int, target: str, met: bool | None, word: str
+) -> None:
+    score = Score("share", right / n, wilson(right, n), n, target)
     assert score.met() is met
-    row = ScoreRow(what="share", value=score.value, ci95=list(wilson(right, n)), n=n, target="≥ 0.97", met=score.met(), share=True)
+    assert (score.shortfall() > 0.0) is (met is False)
+    row = table([outcome("healthy", [], [])])[0] | {"value": right / n, "n": n, "target": target, "met": score.met()}
     assert word in as_markdown([row])
+
+
+def test_the_worst_source_stands_first_and_all_together_last() -> None:
+    good = [outcome("healthy", [], [])] * 200
+    bad = [outcome("healthy", [], ["robot.lag"], source="mujoco")] * 200
+    assert list(tables_by_source(good + bad)) == ["mujoco", "drawn", "all"]
+    assert list(tables_by_source(good)) == ["drawn"]
+
+
+def test_extra_cases_count_in_their_own_line_alone() -> None:
+    extra = outcome("library", ["cable.friction"], ["robot.lag"], extra=True, snr=30.0, verdict="unknown")
+    by = {score.what: score for score in scores([outcome("library", ["cable.friction"], ["cable.friction"], snr=30.0), extra])}
+    assert (by["right cause first, library laws, SNR > 20"].value, by["right cause first, library laws, SNR > 20"].n) == (0.5, 2)
+    assert by["known effect called unknown"].n == 1
+    specs = plan_large(200, 1)
+    assert all(spec.extra and spec.kind == "library" for spec in specs)
+    assert not {spec.index for spec in specs} & {spec.index for spec in plan("drawn", 1000, 1)}
+
+
+def test_the_nearest_law_of_an_exact_change_is_that_law_with_its_parameters() -> None:
+    detectability, scales = nominal_cell()
+    law = next(law for law in LIBRARY_LAWS if law.effect == "sensor.creep")
+    shape = law.at({"ratio": 0.1, "tau_s": 2.0}, 1.0)
+    target = detectability.whitened(detectability.change([(law, shape)]))
+    nearest = nearest_law(detectability, target, scales, 0, only="sensor.creep")
+    assert nearest["id"] == "sensor.creep"
+    assert nearest["parameters"] == pytest.approx({"ratio": 0.1, "tau_s": 2.0}, rel=0.05)
+    assert nearest["snr_left"] < 0.1 * np.linalg.norm(target)
 
 
 def test_wilsons_interval_is_the_published_one() -> None:
@@ -219,37 +276,45 @@ def test_wilsons_interval_is_the_published_one() -> None:
 def test_an_honest_forecaster_is_calibrated_and_a_boaster_is_not() -> None:
     random = np.random.default_rng(0)
     honest = [outcome("library", ["cable.friction"], ["cable.friction" if random.random() < 0.9 else "robot.lag"]) for _ in range(2000)]
-    assert calibration(honest)[0] < 0.03
+    assert error_of(honest) < 0.03
     boaster = [o | {"p": dict.fromkeys(o["named"], 1.0)} for o in honest]
-    assert calibration(boaster)[0] == pytest.approx(0.1, abs=0.03)
+    assert error_of(boaster) == pytest.approx(0.1, abs=0.03)
+
+
+def error_of(outcomes: list[CaseOutcome]) -> float:
+    return calibration_error([pair for pair in map(answered, outcomes) if pair is not None])
 
 
 def test_a_small_fixed_check_runs_end_to_end_in_another_process(tmp_path: Path) -> None:
-    result = run(3, 76, keep=tmp_path / "kept")
+    result = run(3, 76, keep=tmp_path / "kept", resume=tmp_path / "batches.jsonl")
+    again = run(3, 76, resume=tmp_path / "batches.jsonl", progress=lambda done: None)
+    assert json.dumps(again) == json.dumps(result), "what is scored is not run again"
+    with pytest.raises(BadInput, match="name another file"):
+        run(3, 77, resume=tmp_path / "batches.jsonl")
     assert [o["failed"] for o in result["outcomes"]] == [None] * 3
     by = {o["kind"]: o for o in result["outcomes"]}
-    assert by["library"]["named"] == by["library"]["planted"] == ["cable.friction"]
+    assert by["library"]["named"] == by["library"]["planted"] == ["sensor.saturation"]
     assert by["healthy"]["verdict"] == "none"
     schema = json.loads(files("palpd.gap").joinpath("diagnosis.schema.json").read_text(encoding="utf-8"))
-    answers = sorted((tmp_path / "kept").glob("batch-*/recordings/*.json"))
+    answers = sorted((tmp_path / "kept").glob("drawn-*/recordings/*.json"))
     assert len(answers) == 3
     for path in answers:
         jsonschema.validate(json.loads(path.read_text(encoding="utf-8")), schema)
     ablated = result | {"ablation": "fz only", "cases": 2, "outcomes": result["outcomes"][:2]}
     page = write_page(json.loads(json.dumps(result)), tmp_path / "docs", [ablated]).read_text(encoding="utf-8")
     assert result["sealed_sha256"] in page
-    assert "The first 2 cells once more" in page
+    assert "The first 2 cells of each source once more" in page
     assert "| what | everything | fz only |" in page
     assert "| healthy cell kept silent |" in page
     assert (tmp_path / "docs" / "blind-confusion.png").stat().st_size > 10_000
 
 
 def test_a_case_that_was_not_answered_counts_as_wrong(tmp_path: Path) -> None:
-    spec = next(o for o in plan(60, 3) if o.kind == "healthy")
+    spec = next(o for o in plan("drawn", 60, 3) if o.kind == "healthy")
     recordings, sealed = tmp_path / "recordings", tmp_path / "sealed"
     recordings.mkdir()
     sealed.mkdir()
     make_case(spec, 3, recordings, sealed)
-    outcome = score_case(recordings, sealed, f"{spec.index:05d}")
+    outcome = score_case(recordings, sealed, spec)
     assert outcome["failed"] == "no answer"
     assert {score.what: score.value for score in scores([outcome])}["healthy cell kept silent"] == 0.0

@@ -1,8 +1,5 @@
 """Cells with MuJoCo's physics: drawn the same twice, healthy within tolerance, and each effect where it belongs."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -14,9 +11,10 @@ from palpd.blind.mujoco.cases import PlantedEffect, change_by
 from palpd.blind.mujoco.effects import Values
 from palpd.blind.mujoco.nominal import CHANNELS, PHASES, phase_of
 from palpd.blind.mujoco.setup import StatedCell
-from palpd.blind.mujoco_cells import EFFECTS, MujocoCase, draw_case, main, sealed_truth
-from palpd.cell.cell_file import load_cell
-from palpd.recording.samples import COLUMNS, Samples, read_csv
+from palpd.blind.mujoco_cells import EFFECTS, MujocoCase, _detectability, draw_case, draw_mujoco, sealed_truth
+from palpd.blind.truth import CaseSpec
+from palpd.cell.cell_file import cell_from
+from palpd.recording.samples import Samples
 
 SEED = 11
 Floats = NDArray[np.float64]
@@ -54,19 +52,28 @@ def test_the_same_seed_gives_the_same_case_to_the_last_bit() -> None:
     assert not np.array_equal(one.recording().wrench, draw_case(SEED, 6, effects=["cable.friction"]).recording().wrench)
 
 
-def test_the_files_of_a_case_are_what_the_contract_asks_for(tmp_path: Path) -> None:
-    main(["--cases", "1", "--seed", "3", "--out", str(tmp_path), "--effects", "sensor.gain"])
-    name = "mujoco_3_0000"
-    for recording in (f"{name}.csv", f"{name}_other.csv"):
-        assert (tmp_path / recording).read_text().splitlines()[0] == ",".join(COLUMNS)
-        assert 20 <= read_csv(tmp_path / recording).duration_s <= 120
-    cell = load_cell(tmp_path / f"{name}.yaml")
+def test_a_case_of_the_check_is_what_the_contract_asks_for_and_keeps_its_truth() -> None:
+    case = draw_mujoco(CaseSpec("mujoco", 0, "library", ("sensor.gain",), "20-60"), 3)
+    assert case.second is not None
+    for samples in (case.samples, case.second):
+        assert 20 <= samples.duration_s <= 120
+    cell = cell_from(case.cell, "cell")
     assert cell.effects == {}
-    assert read_csv(tmp_path / f"{name}.csv").rate_Hz == pytest.approx(cell.sensor.rate_Hz)
-    truth = json.loads((tmp_path / f"{name}.truth.json").read_text())
-    assert truth["kind"] == "single"
-    assert [effect["id"] for effect in truth["effects"]] == ["sensor.gain"]
-    assert truth["effects"][0]["where"]["channel"] == "fz_N"
+    assert case.samples.rate_Hz == pytest.approx(cell.sensor.rate_Hz)
+    (effect,) = case.truth["effects"]
+    assert (effect["id"], effect["law"]) == ("sensor.gain", "library")
+    places = {(channel, phase): size for channel, row in case.truth["sizes"].items() for phase, size in row.items()}
+    assert max(places, key=lambda place: places[place])[0] == "fz_N"
+    assert case.truth["second"] is not None
+    assert case.truth["second"]["change"]["fz_N"] > case.truth["second"]["floor"]["z_m"]
+
+
+def test_the_ratio_of_an_effect_is_the_same_in_mujocos_own_yardstick_and_in_the_drawn_cells() -> None:
+    """Both count the same recording in noise beside tolerances and press scatter, by code of their own."""
+    case = draw_case(SEED, 90, effects=["sensor.creep"])
+    here = _detectability(case.stated.as_yaml(), case.reading([]).samples)
+    own = sealed_truth(case)["effects"][0]["snr"]
+    assert here.snr(change_by(case, case.planted)) == pytest.approx(own, rel=0.15)
 
 
 def contract_prediction(samples: Samples, cell: StatedCell, d: Floats, case: MujocoCase) -> Floats:
