@@ -11,7 +11,7 @@ from palpd.analysis.young import ContactFit, fit_contact, modulus_peak_Pa
 from palpd.control.surface import FEWEST_SAMPLES
 from palpd.errors import BadInput, RecordingError
 from palpd.files import opened
-from palpd.recording.samples import LARGEST, Samples, samples_from_columns, write_csv
+from palpd.recording.samples import LARGEST, Samples, refuse_values, samples_from_columns, write_csv
 from palpd.recording.tables import DELIMITERS, cells_of, is_comment, refuse_decimal_commas
 from palpd.tick import Floats
 
@@ -20,7 +20,7 @@ LengthUnit = Literal["m", "mm", "um", "nm"]
 FORCE_UNITS: dict[str, float] = {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "nN": 1e-9}
 LENGTH_UNITS: dict[str, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
 OWN = ("fz_N", "z_m", "t_s")
-"""Force, height and time of our own recordings, taken where no column is named."""
+"""Force, height and time of our own recordings, taken where no column is named; the time also where force and height are named so."""
 TARED_NAMES = ("corrected", "tared", "zeroed", "baselined")
 """Words in a column's name that say its baseline has already been taken out."""
 TURNED = 0.2
@@ -103,6 +103,8 @@ def read_curve(path: Path, mapping: Mapping) -> Curve:
             f"{path.name}: no row below the header (row {at + 1}) has numbers in {', '.join(names)}; is it the right file?"
         )
     values = np.array(table.values)
+    if names == list(OWN):  # other machines may round their time, and nothing but an import needs it
+        refuse_values({"t_s": values[:, 2]}, path.name)
     sign = -1.0 if mapping.depth_column is not None or mapping.height_down_positive else 1.0
     return Curve(
         name=path.name,
@@ -323,7 +325,7 @@ def _column_names(path: Path, lines: list[str], mapping: Mapping) -> tuple[str, 
     if mapping.depth_column is not None and mapping.height_down_positive:
         raise BadInput("--height-down-positive belongs to --height-column; a depth always grows inwards")
     length = mapping.depth_column or mapping.height_column
-    if mapping.force_column is None and length is None:
+    if (mapping.force_column, length, mapping.time_column) in ((None, None, None), (*OWN[:2], None)):
         header = next((line for line in lines if not is_comment(line)), "")
         if any(set(OWN) <= set(cells_of(header, delimiter)) for delimiter in DELIMITERS):
             return OWN

@@ -2,11 +2,11 @@
 
 | moment | what a signal does |
 |---|---|
-| palpd imports its commands | the process ends at once with 130 |
+| palpd imports its commands | the process ends at once with 130 (`palpd.cli.main`) |
 | no job is under way | `Interrupted` is raised in the main thread, and the process ends with 130, at the latest after `LEAVE_S` |
 | a job is under way (`held`) | the job is asked to end; it goes its own way to a closed recording |
 
-The first signal counts. A later one changes nothing. This file imports little, because it comes first.
+The first signal counts. A later one changes nothing. This file imports little, because an abort imports it.
 """
 
 import contextlib
@@ -37,22 +37,18 @@ class _Received:
 
     name = ""
     at_s = 0.0
-    starting = False
     on_signal: Callable[[], None] | None = None
     last_sentence = "interrupted"
     last_code = EXIT_CODE
 
 
 def listen() -> None:
-    """Install the handler. Until `started`, a signal ends the process at once. A signal that was ignored stays ignored (nohup)."""
-    _Received.starting = True
+    """Install the handler: from here on a signal raises `Interrupted`, so that files, displays and emulators are closed in order.
+
+    A signal that was ignored stays ignored (nohup).
+    """
     signal.signal(signal.SIGALRM, _leave)
     _install()
-
-
-def started() -> None:
-    """From here on a signal raises `Interrupted`, so that files, displays and emulators are closed in order."""
-    _Received.starting = False
 
 
 def ignore() -> None:
@@ -142,8 +138,6 @@ def _handle(number: int, _frame: FrameType | None) -> None:
         _Received.on_signal()
     elif first:
         sentence = f"interrupted by {_Received.name}"
-        if _Received.starting:
-            _end_saying(f"{sentence} while palpd was starting; nothing was moved", EXIT_CODE)
         leave_within(LEAVE_S, sentence, EXIT_CODE)
         raise Interrupted(sentence)
 

@@ -171,6 +171,14 @@ def test_time_that_runs_backwards_is_refused_on_import(tmp_path: Path) -> None:
     assert not (tmp_path / "out.csv").exists()
 
 
+@pytest.mark.parametrize("mapping", [Mapping(), Mapping(force_column="fz_N", height_column="z_m")])
+def test_our_own_recording_in_the_wrong_order_is_refused(tmp_path: Path, mapping: Mapping) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t_s,z_m,fz_N\n" + "".join(f"{-k},{-k * 1e-4},{k}\n" for k in range(40)))
+    with pytest.raises(RecordingError, match=r"t_s runs backwards in row 2 "):
+        read_curve(path, mapping)
+
+
 def test_figures_that_cannot_be_are_refused(tmp_path: Path) -> None:
     curve = read_curve(machine(tmp_path), MACHINE)
     for figures, sentence in (

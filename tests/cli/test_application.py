@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -182,13 +183,35 @@ def test_an_error_is_one_sentence_and_its_exit_code(monkeypatch: pytest.MonkeyPa
         raise Refused("nothing is running")
 
     monkeypatch.setattr(at_once, "ask", refuse)
-    monkeypatch.setattr(interrupts, "listen", lambda: None)  # the handlers of this process are pytest's
-    monkeypatch.setattr(interrupts, "ignore", lambda: None)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # the handlers of this process are pytest's
     monkeypatch.setattr(sys, "argv", ["palpd", "abort", "--socket", "/a"])
     with pytest.raises(SystemExit) as left:
         main()
     assert left.value.code == 2
     assert capsys.readouterr().err == "palpd: nothing is running\n"
+
+
+@pytest.mark.parametrize("name", [number.name for number in interrupts.SIGNALS])
+def test_a_signal_while_palpd_imports_its_commands_is_one_sentence(name: str) -> None:
+    code = (
+        "import os, signal, sys\n"
+        "for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP): signal.signal(number, signal.SIG_DFL)\n"  # a shell may ignore them
+        "class Interrupting:\n"
+        "    def find_spec(self, name, *_):\n"
+        f"        if name == 'palpd.cli.command_line': os.kill(os.getpid(), signal.{name})\n"
+        "sys.meta_path.insert(0, Interrupting())\n"
+        "from palpd.cli import main\n"
+        "main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code, "effects"], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 130
+    assert done.stderr == f"palpd: interrupted by {name} while palpd was starting; nothing was moved\n"
+
+
+def test_before_the_handler_of_signals_almost_nothing_is_imported() -> None:
+    code = "import sys; before = set(sys.modules); import palpd.cli; print(*(set(sys.modules) - before - {'palpd', 'palpd.cli'}))"
+    done = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert not {"typing", "contextlib", "collections", "enum", "signal", "re", "palpd.errors"} & set(done.stdout.split())
 
 
 @pytest.mark.parametrize(

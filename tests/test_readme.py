@@ -1,0 +1,86 @@
+"""The README's commands, in its order, in a copy of the repository.
+
+Blocks marked `bash` are run as they stand. The `palpd` commands in the section on a real cell are run on emulated wires. Each exception
+stands here with its reason, so a new command cannot be left out by accident.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hw.emulators.process import started
+from tests.paths import ROOT
+
+TOO_LONG = {"make demo": "4 minutes; test_demo.py runs its parts", "make test": "this is it"}
+HANDS = {
+    "palpd init CELL --model ur5e --limit-N 12": "the first block runs it",
+    "palpd doctor": "judges this computer, which need not be fit",
+    "palpd doctor --weight-N 5": "a weight is hung on the probe by hand",
+    "palpd stiffness": "needs a rigid plate; test_faults.py presses one",
+    "palpd run --plan plan.yaml": "2 minutes; make demo presses the same four sites",
+    "palpd retract": "needs a stop in the tissue; test_faults.py makes one",
+}
+HOST = "127.0.9.61"
+
+
+@pytest.fixture(scope="module")
+def clone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What git knows of the working tree, with the set-up that `make setup` makes."""
+    folder = tmp_path_factory.mktemp("clone")
+    names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False).stdout.split("\0")
+    if not any(names):
+        pytest.skip("the repository is no clone, so nobody knows which files belong to it")
+    for name in filter(None, names):
+        if (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes((ROOT / name).read_bytes())
+    (folder / ".venv").symlink_to(sys.prefix)
+    return folder
+
+
+def environment(clone: Path, **variables: str) -> dict[str, str]:
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    return os.environ | {"PYTHONPATH": str(clone), "PATH": path} | variables
+
+
+def blocks() -> Iterator[str]:
+    yield from re.findall(r"^```bash\n(.*?)^```", (ROOT / "README.md").read_text(), flags=re.MULTILINE | re.DOTALL)
+
+
+def run(line: str, clone: Path, **variables: str) -> str:
+    done = subprocess.run(
+        ["bash", "-euc", line], cwd=clone, env=environment(clone, **variables), capture_output=True, text=True, check=False,
+        stdin=subprocess.DEVNULL, timeout=220,
+    )  # fmt: skip
+    assert done.returncode == 0, f"{line}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+    return done.stdout
+
+
+def test_the_blocks_of_the_readme_run_in_order(clone: Path) -> None:
+    lines = [line for block in blocks() for line in block.splitlines()]
+    left_out = [line for line in lines if line.partition("#")[0].strip() in TOO_LONG]
+    assert len(left_out) == len(TOO_LONG)
+    kept = [line for line in lines if line not in left_out]
+    assert len(kept) >= 7
+    for line in kept:
+        run(line, clone)
+    for name in ("cell/config.yaml", "cell/plan.yaml", "look.html", "look.yaml", "predicted.csv"):
+        assert (clone / name).stat().st_size > 100
+
+
+@pytest.mark.hil
+def test_the_commands_for_a_real_cell_run_in_order_on_emulated_wires(clone: Path, tmp_path: Path) -> None:
+    section = (ROOT / "README.md").read_text().partition("## Your real cell")[2].partition("\n## ")[0]
+    commands = re.findall(r"`(palpd [^`]*)`", section)
+    assert set(HANDS) <= set(commands)
+    kept = [command for command in commands if command not in HANDS]
+    assert len(kept) >= 5
+    with started(tmp_path, "ur5", None, HOST) as emulated:
+        for command in kept:
+            run(command, clone, PALPD_ROBOT__HOST=HOST, PALPD_SENSOR__PORT=str(emulated.sensor))
+    assert (clone / "models" / "inertial.onnx").exists()
