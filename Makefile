@@ -69,6 +69,12 @@ signals: setup
 aborts: setup
 	.venv/bin/python -m benchmarks.abort --samples $(N) $(if $(KEPT),--json $(KEPT))
 
+# LINES bad command lines: some 5 minutes for 1000 on a quiet machine; SEED draws others
+LINES ?= 1000
+SEED ?= 1
+fuzz: setup
+	.venv/bin/python -m benchmarks.fuzz_commands --lines $(LINES) --seed $(SEED)
+
 # PRESSES presses with faults at random moments, without wires
 PRESSES ?= 1000
 presses: setup
@@ -92,6 +98,7 @@ audit: setup
 samples: setup
 	-$(MAKE) audit # what becomes known of a dependency today is news, and no fault of this change
 	.venv/bin/python -m benchmarks.presses --presses 20
+	.venv/bin/python -m benchmarks.fuzz_commands --lines 60 --real 2 --seconds 12
 	.venv/bin/python -m benchmarks.mutation --only safety --share 0.05
 	.venv/bin/python -m benchmarks.reaction --model ur5 --pushes 10 --each 1 --speed 0.01 --stiffness 5000
 

@@ -10,21 +10,27 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer.main
 
 from hw.emulators.process import started
+from palpd.cli import app
 from tests.paths import ROOT
 
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), ROOT / "tests" / "README.md", *(ROOT / "systemd").glob("*.md")])
 TOO_LONG = {"make demo": "4 minutes; test_demo.py runs its parts", "make test": "this is it"}
 HANDS = {
     "palpd init CELL --model ur5e --limit-N 12": "the first block runs it",
     "palpd doctor": "judges this computer, which need not be fit",
     "palpd doctor --weight-N 5": "a weight is hung on the probe by hand",
-    "palpd stiffness": "needs a rigid plate; test_faults.py presses one",
+    "palpd stiffness": "needs a rigid plate below the probe",
     "palpd run --plan plan.yaml": "2 minutes; make demo presses the same four sites",
-    "palpd retract": "needs a stop in the tissue; test_faults.py makes one",
+    "palpd retract": "needs a stop in the tissue",
 }
+MADE_LATER = {"models/inertial.onnx"}
+"""Files that a page names and a command makes."""
 HOST = "127.0.9.61"
 
 
@@ -84,3 +90,27 @@ def test_the_commands_for_a_real_cell_run_in_order_on_emulated_wires(clone: Path
         for command in kept:
             run(command, clone, PALPD_ROBOT__HOST=HOST, PALPD_SENSOR__PORT=str(emulated.sensor))
     assert (clone / "models" / "inertial.onnx").exists()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}/{page.name}")
+def test_every_command_that_a_page_quotes_exists_with_its_options(page: Path) -> None:
+    commands: Any = typer.main.get_command(app)
+    text = page.read_text()
+    code = re.findall(r"^```.*?^```", text, flags=re.MULTILINE | re.DOTALL)
+    code += re.findall(r"`([^`\n]+)`", re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL))
+    for name, rest in re.findall(r"(?:^|(?<=[\s`/]))palpd ([a-z][a-z-]*)([^#|;\n]*)", "\n".join(code), flags=re.MULTILINE):
+        assert name in commands.commands, f"{page.name}: palpd {name}{rest}"
+        known = {option for parameter in commands.commands[name].params for option in parameter.opts} | {"--help"}
+        for option in re.findall(r"(?<=\s)--[A-Za-z][A-Za-z-]*", rest):
+            assert option in known, f"{page.name}: palpd {name}{rest}: there is no {option}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}/{page.name}")
+def test_every_test_and_file_that_a_page_names_exists(page: Path) -> None:
+    text = page.read_text()
+    tests = {name for file in (ROOT / "tests").rglob("*.py") for name in re.findall(r"def (test_\w+)", file.read_text())}
+    named = set(re.findall(r"`(test_\w+)`", text))
+    assert named <= tests, named - tests
+    files = set(re.findall(r"`((?:palpd|hw|tests|benchmarks|docs|systemd|models)/[\w/.-]+\.(?:py|md|yaml|service|onnx|c))`", text))
+    absent = {name for name in files if not (ROOT / name).exists()}
+    assert not absent - MADE_LATER, absent
