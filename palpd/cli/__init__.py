@@ -25,6 +25,10 @@ def main() -> None:
     for number in SIGNALS:
         if _signal.getsignal(number) != _signal.SIG_IGN:  # what was ignored stays ignored (nohup)
             _signal.signal(number, _end_at_once)
+    if sys.argv[1:2] == ["abort"]:
+        from palpd.cli.first_abort import send_first_abort
+
+        send_first_abort(sys.argv[2:])
     from palpd.cli.command_line import exit_code_of
 
     sys.exit(exit_code_of(sys.argv[1:]))

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from palpd.cli import app, at_once, main
+from palpd.cli.first_abort import socket_path
 from palpd.config import load_config
 from palpd.daemon import interrupts
 from palpd.errors import PalpdError, Refused
@@ -96,6 +98,63 @@ def test_both_ways_to_the_control_socket_refuse_the_same(tmp_path: Path, text: s
             way(config)
         sentences.append(str(refused.value))
     assert sentences[0] == sentences[1]
+
+
+PLAIN = "robot:\n  host: a # b\n# c\npaths:\n  state: kept/here # d\n  runs: runs\nsafety: {contact_limit_N: 5}\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "robot: {model: ur5}", "paths: {state: kept}", "paths: {state: /var/lib, socket: /run/p.sock}", "paths: {socket: null}", PLAIN],
+)
+def test_the_first_abort_goes_where_the_daemon_listens(tmp_path: Path, text: str) -> None:
+    config = written(tmp_path, text)
+    expected = str(load_config(config).paths.control_socket)
+    assert socket_path(["--config", str(config)]) == expected
+    assert socket_path(["--socket", "/a"]) == "/a"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "paths: 5", "paths: {state: null}", "paths: {state: 'a'}", "paths: {state: a, state: b}", "paths:\n  state: a\n    b",
+        "paths: {state: yes}", "paths: {state: 5}", "paths: {state: a}\npaths: {state: b}", "'paths': {state: a}", "paths: {State: a}",
+        "paths:{state: a}", "<<: {paths: {state: a}}", "paths: {state: {a: b}}", "paths: {state: a", "paths: ~", "paths: &x {}", "- 1",
+    ],
+)  # fmt: skip
+def test_the_first_abort_leaves_to_the_whole_reader_what_is_not_plain(tmp_path: Path, text: str) -> None:
+    assert socket_path(["--config", str(written(tmp_path, text))]) is None
+
+
+def test_the_first_abort_leaves_other_options_and_variables_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert socket_path([]) is None
+    written(tmp_path, "")
+    assert socket_path([]) == str(tmp_path / "state" / "palpd.sock")
+    assert socket_path(["--help"]) is None
+    assert socket_path(["--socket", "/a", "--config", "b"]) is None
+    monkeypatch.setenv("palpd_paths__state", "elsewhere")
+    assert socket_path([]) is None
+
+
+def test_an_abort_is_sent_before_anything_large_is_imported(tmp_path: Path) -> None:
+    path = tmp_path / "palpd.sock"
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+        listener.listen()
+        code = (
+            "import sys; from palpd.cli import main, first_abort\n"
+            "sent = first_abort.send_first_abort\n"
+            "def show(arguments):\n"
+            "  sent(arguments); print(*sorted({'typing', 're', 'json', 'socket', 'yaml'} & set(sys.modules))); sys.exit()\n"
+            "first_abort.send_first_abort = show\nmain()"
+        )
+        command = [sys.executable, "-S", "-c", code, "abort", "--socket", str(path)]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
+        connection, _ = listener.accept()
+        with connection:
+            assert json.loads(connection.recv(100)) == {"do": "abort"}
+    assert done.stdout == "\n"
 
 
 def test_an_abort_does_not_depend_on_the_rest_of_the_configuration(tmp_path: Path) -> None:
