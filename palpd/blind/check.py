@@ -11,12 +11,14 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, TypedDict
 
 import numpy as np
 import yaml
 
+from palpd.blind.injected_cells import hosts_in
 from palpd.blind.plans import plan, plan_large
 from palpd.blind.score import CaseOutcome, ScoreRow, score_case, tables_by_source
 from palpd.blind.sources import Hosts, draw
@@ -24,6 +26,7 @@ from palpd.blind.truth import CaseSpec, SealedCase, Source
 from palpd.cell.cell_file import cell_from
 from palpd.errors import BadInput
 from palpd.files import parse_json, read_text, write_text
+from palpd.gap.calibration import stored_map
 from palpd.recording.samples import Samples, write_csv
 
 SCHEMA = "palpd.blind/2"
@@ -47,6 +50,7 @@ class CheckResult(TypedDict):
     recordings: str | None
     seed: int
     ablation: Ablation | None
+    probability_map: dict[str, Any]
     sealed_sha256: str
     tables: dict[str, list[ScoreRow]]
     outcomes: list[CaseOutcome]
@@ -161,14 +165,14 @@ def run(
     hosts = hosts or Hosts()
     result = CheckResult(
         schema=SCHEMA, cases=cases, large=large, sources=list(sources), recordings=None if hosts.folder is None else hosts.folder.name,
-        seed=seed, ablation=ablation, sealed_sha256="", tables={}, outcomes=[],
+        seed=seed, ablation=ablation, probability_map=asdict(stored_map()), sealed_sha256="", tables={}, outcomes=[],
     )  # fmt: skip
     begun = {"seed": seed, "recordings": result["recordings"], "ablation": ablation}
     done = _batches_in(resume, begun)
     seal = hashlib.sha256()
     folder = Path(tempfile.mkdtemp(prefix="palpd-blind-")) if keep is None else keep
     try:
-        for batch in _batches(cases, seed, sources, large):
+        for batch in _batches(cases, seed, sources, large, hosts):
             scored = done.get(_batch_name(batch)) or _run_batch(batch, seed, folder / _batch_name(batch), hosts, ablation, jobs)
             if resume is not None and scored["batch"] not in done:
                 done[scored["batch"]] = scored
@@ -187,9 +191,10 @@ def run(
     return result
 
 
-def _batches(cases: int, seed: int, sources: Sequence[Source], large: int) -> Iterator[list[CaseSpec]]:
+def _batches(cases: int, seed: int, sources: Sequence[Source], large: int, hosts: Hosts) -> Iterator[list[CaseSpec]]:
     """Batches of the sources in turn, so that an interrupted check has some of each; the extra cases come last."""
-    plans = [plan(source, cases, seed) for source in sources]
+    recordings = len(hosts_in(hosts.folder, hosts.causes))
+    plans = [plan(source, cases, seed, recordings if source == "injected" else 0) for source in sources]
     for first in range(0, cases, BATCH):
         yield from (specs[first : first + BATCH] for specs in plans)
     extra = plan_large(large, seed)

@@ -140,7 +140,10 @@ def plant(r: np.random.Generator, detectability: Detectability, law: Law, snrs: 
     Raises:
         CannotDraw: This cell does not show the law at that size.
     """
-    shape, snr = law.draw(r, scales_of(detectability)), log_uniform(r, *snrs)
+    try:
+        shape, snr = law.draw(r, scales_of(detectability)), log_uniform(r, *snrs)
+    except ValueError:
+        raise CannotDraw(f"{law.effect} has no parameters at the rate and length of this recording") from None
     if law.variance:
         return FittedLaw(law, law.at(shape, log_uniform(r, 1.0, 5.0)), None, None)
     fitted = fit_strength(detectability, law, shape, snr)
@@ -220,12 +223,26 @@ def _draw_case(r: np.random.Generator, spec: CaseSpec) -> SealedCase:
 
 
 def by_place(sizes: Floats) -> dict[str, dict[str, float]]:
-    """Sizes (7, 5) by the names of channel and phase."""
+    """Sizes by the names of channel and phase.
+
+    Args:
+        sizes: Sizes (7, 5), as in CHANNELS and PHASES.
+
+    Returns:
+        The sizes of every phase by channel.
+    """
     return {channel: dict(zip(PHASES, sizes[i].tolist(), strict=True)) for i, channel in enumerate(CHANNELS)}
 
 
 def by_channel(values: Floats) -> dict[str, float]:
-    """Values (7,) by the names of the channels."""
+    """Values by the names of the channels.
+
+    Args:
+        values: Values (7,), as in CHANNELS.
+
+    Returns:
+        One value a channel.
+    """
     return dict(zip(CHANNELS, values.tolist(), strict=True))
 
 

@@ -143,7 +143,14 @@ class PressedMotion(Protocol):
         """Number of presses."""
 
     def at(self, t_s: Floats) -> Floats:
-        """Commanded height in m (n,) at these times in s (n,)."""
+        """Commanded height at these times.
+
+        Args:
+            t_s: Times in s (n,).
+
+        Returns:
+            Heights in m (n,).
+        """
 
     def on_grid(self, dt_s: float) -> tuple[Floats, Floats, Ints]:
         """Times, commanded heights and presses at even steps over the whole motion."""

@@ -97,13 +97,13 @@ def declared_recordings(folder: Path, causes: Path | None) -> list[tuple[Path, D
     Raises:
         BadInput: A declared recording is missing.
     """
-    found = []
+    recordings = []
     for name, declared in load_causes(causes or folder / "causes.yaml").items():
         paths = [path for path in sorted(folder.rglob(f"{name}.csv")) if path.with_suffix(".yaml").exists()]
         if len(paths) != 1:
             raise BadInput(f"{folder} holds {len(paths)} recordings {name}.csv with {name}.yaml; expected one for each declared name")
-        found.append((paths[0], declared))
-    return found
+        recordings.append((paths[0], declared))
+    return recordings
 
 
 def load_hosts(folder: Path, causes: Path | None) -> list[Host]:
@@ -163,14 +163,14 @@ def draw_injected(spec: CaseSpec, seed: int, hosts: Sequence[Host]) -> SealedCas
         CannotDraw: No host shows the effects.
     """
     strata = list(STRATA)
-    wanted = strata.index(spec.stratum)
+    first = strata.index(spec.stratum)
     for attempt in range(HOSTS_TRIED):
         host = hosts[(spec.index + attempt) % len(hosts)] if hosts else simulated_host(seed + 1, HOSTS_TRIED * spec.index + attempt)
         fine = _detectability(host.content, host.samples)
         taken = {*host.causes, *(other for cause in host.causes for other in INDISTINGUISHABLE.get(cause, ()))}
         if taken & set(spec.effects):
             continue
-        for stratum in (*strata[wanted::-1], *strata[wanted + 1 :]):
+        for stratum in (*strata[first::-1], *strata[first + 1 :]):
             r = np.random.default_rng([seed, spec.index, attempt, strata.index(stratum)])
             with contextlib.suppress(CannotDraw):
                 return _inject(r, replace(spec, stratum=stratum), host, fine)
@@ -279,5 +279,13 @@ def rounded(samples: Samples, cell: CellRealisation) -> Samples:
 
 @cache
 def hosts_in(folder: Path | None, causes: Path | None) -> tuple[Host, ...]:
-    """The hosts of a folder, read once a process; none without a folder."""
+    """The hosts of a folder, read once a process.
+
+    Args:
+        folder: It holds X.csv and X.yaml; None: there are no hosts.
+        causes: The file of causes; None: `causes.yaml` in the folder.
+
+    Returns:
+        The hosts.
+    """
     return () if folder is None else tuple(load_hosts(folder, causes))

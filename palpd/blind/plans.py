@@ -40,23 +40,24 @@ def effects_of(source: Source) -> dict[CaseKind, list[str]]:
     return {"library": sorted(listed), "foreign": foreign, "two": means, "removed": means, "novel": novel}
 
 
-def plan(source: Source, cases: int, seed: int) -> list[CaseSpec]:
+def plan(source: Source, cases: int, seed: int, hosts: int = 0) -> list[CaseSpec]:
     """Choose kind, effects and stratum of every case; a shorter check is a fair sample of a longer one.
 
     Args:
         source: Where the cases come from.
         cases: Number of cases.
         seed: Seed of the order of the effects.
+        hosts: Number of real recordings that effects are planted into; each comes once as it is, before all others. 0: none.
 
     Returns:
         One specification a case.
     """
     random = np.random.default_rng([seed, 7, len(source)])
-    shares = SHARES[source]
+    shares = {kind: share for kind, share in SHARES[source].items() if not hosts or kind != "healthy"}
     names = {kind: [effects[int(k)] for k in random.permutation(len(effects))] for kind, effects in effects_of(source).items()}
-    specs: list[CaseSpec] = []
+    specs = [CaseSpec(source, index, "healthy", (), "20-60") for index in range(min(hosts, cases))]
     counts = dict.fromkeys(CASE_KINDS, 0)
-    for index in range(cases):
+    for index in range(len(specs), cases):
         kind = min(shares, key=lambda k: (counts[k] + 0.5) / shares[k])
         n = counts[kind]
         counts[kind] += 1

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import EFFECTS, Effect
+from palpd.gap.calibration import as_stated, stored_map
 from palpd.gap.correlated_residual import compare_again
 from palpd.gap.hypotheses import fit_nominal, search
 from palpd.gap.next_experiment import ExperimentProposal, next_experiment
@@ -95,7 +96,7 @@ def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str,
     scatter = scatter_effects(problem.recordings, readings, cell, library)
 
     # 5. Verdict: which effects to name.
-    verdict = decide(problem, nominal.fit, attribution, scatter)
+    verdict = as_stated(decide(problem, nominal.fit, attribution, scatter), stored_map())
     notes += deviation_notes(problem, verdict)
     gap = verdict.kind != "none"
     where = largest_gap(problem, table, verdict.fit.change) if gap else None

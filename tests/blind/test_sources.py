@@ -151,6 +151,7 @@ def test_every_source_plants_every_kind_in_turn(source: Source) -> None:
     for kind, effects in effects_of(source).items():
         assert {spec.effects[0] for spec in specs if spec.kind == kind} <= set(effects)
     assert sum(spec.kind == "healthy" for spec in specs) == 80
+    assert [spec.kind for spec in plan(source, 100, 1, hosts=3)].count("healthy") == 3, "a real recording comes once as it is"
 
 
 def test_a_source_that_does_not_exist_or_needs_what_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,130 @@
+"""Diagnose recordings of other rigs and write docs/real.md: the answer to each beside what is known to act in it.
+
+`python benchmarks/real_recordings.py FOLDER [--causes FILE] [--docs docs]`. FOLDER holds X.csv with X.yaml; the file of causes says
+what acts in each (default: benchmarks/real_causes.yaml).
+"""
+
+import argparse
+import time
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+from palpd.blind.injected_cells import DeclaredCauses, declared_recordings
+from palpd.blind.score import wilson
+from palpd.errors import PalpdError
+from palpd.files import write_text
+from palpd.gap.commands import diagnose_files
+
+CAUSES = Path(__file__).with_name("real_causes.yaml")
+TARGET = 0.8
+"""Least share of recordings with the right cause and nothing wrong beside it."""
+
+HEAD = """\
+# Recordings of other rigs
+
+What the diagnosis answers on public recordings that nobody here made, beside what their makers say or show about them. The recordings
+are not in the repository, since their licences differ. `python benchmarks/real_recordings.py FOLDER` writes this page.
+
+An answer is *right* if it names a known cause, alone or with its group, and nothing else. Where something outside the list acts, the
+right answer is `unknown`, and a known cause may stand beside it. It is *partly right* if it names a known cause and something else.
+"""
+
+
+@dataclass(frozen=True)
+class RealAnswer:
+    """The answer to one recording."""
+
+    name: str
+    declared: DeclaredCauses
+    verdict: str
+    named: list[tuple[str, float, list[str]]]
+    p_unknown: float
+    closed: float | None
+    seconds: float
+    warned: list[str]
+
+    @property
+    def right_names(self) -> list[str]:
+        """Named effects that are known causes, themselves or by their group."""
+        return [name for name, _, group in self.named if {name, *group} & set(self.declared.causes)]
+
+    @property
+    def judgement(self) -> str:
+        """`right`, `partly right` or `wrong`."""
+        all_right = len(self.right_names) == len(self.named)
+        if self.declared.unlisted:
+            return "right" if self.verdict == "unknown" and all_right else "partly right" if self.right_names else "wrong"
+        if not self.right_names:
+            return "wrong"
+        return "right" if all_right and self.verdict != "unknown" else "partly right"
+
+    @property
+    def missing(self) -> list[str]:
+        """Known causes that nothing named stands for."""
+        return [cause for cause in self.declared.causes if not any(cause in {name, *group} for name, _, group in self.named)]
+
+
+def diagnosed(path: Path, declared: DeclaredCauses) -> RealAnswer:
+    """Diagnose one recording.
+
+    Args:
+        path: The recording.
+        declared: What acts in it.
+
+    Returns:
+        The answer; its verdict is the error where there is none.
+    """
+    began = time.perf_counter()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            answer = diagnose_files([path], path.with_suffix(".yaml")).to_json()
+        except PalpdError as error:
+            answer = {"verdict": f"refused: {error}", "effects": [], "p_unknown": 0.0, "shrink": {"closed": None}}
+    seconds = time.perf_counter() - began
+    named = [(e["id"], e["probability"], e["indistinguishable_from"]) for e in answer["effects"]]
+    closed = (answer["shrink"] or {"closed": None})["closed"]
+    warned = [f"{w.category.__name__}: {w.message}" for w in caught]
+    return RealAnswer(path.stem, declared, answer["verdict"], named, answer["p_unknown"], closed, seconds, warned)
+
+
+def page(answers: list[RealAnswer]) -> str:
+    """The page of the answers."""
+    right, n = sum(a.judgement == "right" for a in answers), len(answers)
+    low, high = wilson(right, n)
+    warned = sum(len(a.warned) for a in answers)
+    lines = [
+        HEAD,
+        f"Right: {right} of {n} ({right / n:.0%}, 95 % interval {low:.0%} to {high:.0%}; target {TARGET:.0%}). "
+        f"Python warnings: {warned} (target 0).",
+        "",
+        "| recording | known to act | verdict | named | not named | answer | gap closed | seconds |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for a in answers:
+        known = ", ".join([f"`{cause}`" for cause in a.declared.causes] + (["something outside the list"] if a.declared.unlisted else []))
+        named = ", ".join(f"`{name}` {p:.2f}" + (f" (or {', '.join(group)})" if group else "") for name, p, group in a.named) or "nothing"
+        missing = ", ".join(f"`{cause}`" for cause in a.missing)
+        closed = "–" if a.closed is None else f"{a.closed:.2f}"
+        lines.append(f"| {a.name} | {known} | {a.verdict} | {named} | {missing} | {a.judgement} | {closed} | {a.seconds:.1f} |")
+    if warned:
+        lines += ["", "Warnings:", "", *(f"- {a.name}: {text}" for a in answers for text in a.warned)]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Diagnose the recordings of a folder and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="X.csv with X.yaml, also in folders inside")
+    parser.add_argument("--causes", type=Path, default=CAUSES, help="what acts in each recording (.yaml)")
+    parser.add_argument("--docs", type=Path, help="write real.md into this folder")
+    options = parser.parse_args()
+    text = page([diagnosed(path, declared) for path, declared in declared_recordings(options.folder, options.causes)])
+    print(text)
+    if options.docs is not None:
+        write_text(options.docs / "real.md", text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""Stated probabilities that hold: the engine's own, tempered and mixed with the prior by two numbers that were fitted on sealed cells.
+
+Laws are never exact and the list is never complete, so an engine that trusts both is too sure. The map changes no verdict and no name;
+it changes what is stated about them. `benchmarks/calibrate.py` fits it on cells of the blind check, and stores it beside this file.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+
+from palpd.files import parse_json
+from palpd.gap.verdict import DiagnosisVerdict
+
+PRIOR_NONE, PRIOR_UNKNOWN = 0.3, 0.15
+"""Prior probabilities of no effect and of something outside the list, as in the posterior; the rest is the listed effects'."""
+MAP_FILE = "calibration.json"
+
+
+@dataclass(frozen=True)
+class ProbabilityMap:
+    """How stated probabilities follow from the engine's.
+
+    Attributes:
+        power: Exponent of the odds; below 1 they come nearer to even.
+        doubt: Share of the prior that is mixed in: what even the surest answer concedes.
+        cells: Number of cells that it was fitted on; 0 for the map that changes nothing.
+        how: On which cells, and when.
+    """
+
+    power: float = 1.0
+    doubt: float = 0.0
+    cells: int = 0
+    how: str = "not fitted"
+
+    def of_classes(self, p_none: float, p_unknown: float) -> tuple[float, float]:
+        """The stated probabilities of no gap and of something outside the list.
+
+        Args:
+            p_none: The engine's probability of no gap.
+            p_unknown: The engine's probability of something outside the list.
+
+        Returns:
+            Both as stated; what remains to 1 is that of listed effects alone.
+        """
+        p_listed = max(1.0 - p_none - p_unknown, 0.0)
+        none, unknown, listed = (max(p, 0.0) ** self.power for p in (p_none, p_unknown, p_listed))
+        total = none + unknown + listed
+        return (
+            (1.0 - self.doubt) * none / total + self.doubt * PRIOR_NONE,
+            (1.0 - self.doubt) * unknown / total + self.doubt * PRIOR_UNKNOWN,
+        )
+
+    def of_effects(self, marginal: Mapping[str, float]) -> dict[str, float]:
+        """The stated probabilities of listed effects.
+
+        Args:
+            marginal: The engine's probability that each is present.
+
+        Returns:
+            Those as stated.
+        """
+        prior = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / max(len(marginal), 1)
+        stated = {}
+        for name, p in marginal.items():
+            present, absent = min(max(p, 0.0), 1.0) ** self.power, min(max(1.0 - p, 0.0), 1.0) ** self.power
+            stated[name] = (1.0 - self.doubt) * present / (present + absent) + self.doubt * prior if p > 0.0 else 0.0
+        return stated
+
+
+@cache
+def stored_map() -> ProbabilityMap:
+    """The map of this version."""
+    content = parse_json(files("palpd.gap").joinpath(MAP_FILE).read_text(encoding="utf-8"), MAP_FILE)
+    return ProbabilityMap(**content)
+
+
+def as_stated(verdict: DiagnosisVerdict, by: ProbabilityMap) -> DiagnosisVerdict:
+    """A verdict with the probabilities that are stated.
+
+    Args:
+        verdict: The engine's verdict.
+        by: The map.
+
+    Returns:
+        The same verdict and names with other probabilities.
+    """
+    if not by.cells:
+        return verdict
+    candidates = by.of_effects(verdict.candidates)
+    p_none, p_unknown = by.of_classes(verdict.p_none, verdict.p_unknown)
+    effects = [replace(effect, probability=candidates[effect.id]) for effect in verdict.effects]
+    return replace(verdict, effects=effects, candidates=candidates, p_none=p_none, p_unknown=p_unknown)

@@ -1,0 +1,62 @@
+"""Stated probabilities: a map that changes nothing changes nothing, a fitted one keeps the order and the sum, and a fit finds it again."""
+
+import numpy as np
+import pytest
+
+from benchmarks.calibrate import fit, log_loss, pairs_of
+from palpd.blind.score import CaseOutcome
+from palpd.errors import BadInput
+from palpd.gap.calibration import ProbabilityMap, stored_map
+
+DOUBTING = ProbabilityMap(power=0.4, doubt=0.1, cells=500, how="a test")
+
+
+def test_the_stored_map_says_on_how_many_cells_it_was_fitted() -> None:
+    stored = stored_map()
+    assert 0.0 < stored.power <= 1.0
+    assert 0.0 <= stored.doubt < 0.5
+    assert stored.cells == 0 or stored.cells >= 100
+    assert (stored.cells == 0) == (stored == ProbabilityMap())
+
+
+@pytest.mark.parametrize("p", [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.2, 0.3), (1e-200, 1e-12)])
+def test_classes_still_add_up_to_one(p: tuple[float, float]) -> None:
+    none, unknown = DOUBTING.of_classes(*p)
+    assert 0.0 <= none <= 1.0
+    assert 0.0 <= unknown <= 1.0
+    assert none + unknown <= 1.0 + 1e-12
+    assert ProbabilityMap().of_classes(*p) == pytest.approx(p)
+
+
+def test_a_map_keeps_the_order_of_the_effects_and_leaves_room_for_doubt() -> None:
+    marginal = {"cable.friction": 1.0, "robot.lag": 0.7, "sensor.gain": 0.02, "probe.mass": 0.0}
+    stated = DOUBTING.of_effects(marginal)
+    assert sorted(stated, key=lambda name: -stated[name]) == list(marginal)
+    assert 0.89 < stated["cable.friction"] < 0.95
+    assert stated["probe.mass"] == 0.0
+    assert ProbabilityMap().of_effects(marginal) == pytest.approx(marginal)
+
+
+def boasting(n: int, right: float) -> list[CaseOutcome]:
+    """Answers of probability 0.9999 that are right that often."""
+    random = np.random.default_rng(0)
+    base: CaseOutcome = {
+        "source": "drawn", "extra": False, "kind": "library", "planted": ["cable.friction"], "host_causes": [], "variance": False,
+        "snr": 15.0, "snr_per_row_sigma": 5.0, "mimic": None, "rate_Hz": 500.0, "robot_rate_Hz": 500.0, "failed": None,
+        "verdict": "effects", "named": [], "groups": [], "p": {}, "p_none": 1e-4, "p_unknown": 0.0,
+    }  # fmt: skip
+    return [base | {"p": {"cable.friction" if random.random() < right else "robot.lag": 0.9999}} for _ in range(n)]
+
+
+def test_a_boaster_is_taken_back_to_how_often_it_is_right() -> None:
+    outcomes = boasting(1000, 0.85)
+    fitted = fit(outcomes, "a test")
+    stated = [p for p, _ in pairs_of(outcomes, fitted)]
+    assert np.mean(stated) == pytest.approx(0.85, abs=0.03)
+    assert log_loss(pairs_of(outcomes, fitted)) < log_loss(pairs_of(outcomes, ProbabilityMap()))
+    assert fitted.cells == 1000
+
+
+def test_two_numbers_are_not_fitted_on_a_handful_of_cells() -> None:
+    with pytest.raises(BadInput, match="expected at least 100"):
+        fit(boasting(99, 0.9), "a test")
