@@ -100,6 +100,10 @@ diagnose {csv} --cell {cell} --effects {cell}
 effects no.such.effect
 effects tissue.inclusion tissue.no
 blind --ablation everything
+blind --source everything
+blind --source drawn --recordings {folder}
+blind --source injected --causes {plan}
+blind --source injected --recordings {folder} --causes {plan}
 blind --compare {plan}
 train {free} --out model.txt
 train {free} --out model.onnx --method magic

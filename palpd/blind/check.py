@@ -224,6 +224,8 @@ def _run_batch(batch: list[CaseSpec], seed: int, folder: Path, hosts: Hosts, abl
 
 def _seal_batch(batch: list[CaseSpec], seed: int, folder: Path, hosts: Hosts, ablation: Ablation | None, jobs: int) -> dict[str, str]:
     recordings, sealed = folder / "recordings", folder / "sealed"
+    if folder.exists():
+        raise BadInput(f"{folder} exists already; name a new folder with --keep, or remove the batch that was interrupted")
     recordings.mkdir(parents=True)
     sealed.mkdir()
     with ProcessPoolExecutor(jobs) as pool:

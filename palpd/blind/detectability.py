@@ -262,5 +262,6 @@ def scales_of(detectability: Detectability) -> CellScales:
         tip_length_m=cell.tip_length_m,
         cutoff_Hz=min(cutoff_Hz, 0.3 * cell.rate_Hz),
         servo_Hz=cell.servo_Hz,
+        servo_damping=cell.servo_damping,
         presses=detectability.motion.presses,
     )

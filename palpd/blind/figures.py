@@ -67,6 +67,23 @@ parameter of the listed law that is nearest to the planted change. The declared 
 answer."""
 """How the tables are read; stands below them."""
 
+OWN_RECORDINGS = """\
+## On your own recordings
+
+`palpd blind --source injected --recordings FOLDER` plants effects into recordings of your cells. It says how well the diagnosis does on
+your motions and your noise. FOLDER holds X.csv with X.yaml, and `causes.yaml` (or another file, with `--causes`) that says what acts in each:
+
+```yaml
+X: {causes: []}                                    # healthy
+Y: {causes: [cable.friction, robot.backlash]}      # known causes: never planted again, and naming them is right
+Z: {causes: [sensor.saturation], unlisted: true}   # something outside the list acts too: this one is no host
+```
+
+The effect's change is computed on the recorded motion and added to the recorded channels. Sensor effects act on the recorded force.
+Effects of the robot change the reported height. A channel that a recording does not hold stays as it is. If the step of the readings is larger than
+their noise, they are rounded twice. The gap closed on another motion is judged on simulated hosts only."""
+"""How to plant effects into recordings; stands below the effects."""
+
 COMPARED = (
     "right cause first",
     "right and nothing",
@@ -130,6 +147,7 @@ def write_page(result: CheckResult, folder: Path, ablations: Sequence[CheckResul
     ]
     for source in (source for source in SOURCES if source in result["sources"]):
         lines += ["", f"### {SOURCE_TITLES[source]}", "", *_effect_table([o for o in outcomes if o["source"] == source])]
+    lines += ["", OWN_RECORDINGS]
     if ablations:
         lines += ["", "## What each part of the method contributes", "", *_ablation_table(result, ablations)]
     page = folder / "blind.md"

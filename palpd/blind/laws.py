@@ -38,6 +38,7 @@ class CellScales:
     tip_length_m: float
     cutoff_Hz: float
     servo_Hz: float
+    servo_damping: float
     presses: int
 
 
@@ -237,6 +238,11 @@ def _lag(w: SimulatedRun, p: Shape) -> None:
     w.servo_Hz *= p["bandwidth_ratio"]
 
 
+def _lag_damped_otherwise(w: SimulatedRun, p: Shape) -> None:
+    w.servo_Hz *= p["bandwidth_ratio"]
+    w.servo_damping = p["damping_ratio"]
+
+
 def _lag_extra_pole(w: SimulatedRun, p: Shape) -> None:
     w.command_m = relax(w.command_m, w.dt_s, p["extra_tau_s"], float(w.command_m[0]))
     w.servo_Hz *= p["bandwidth_ratio"]
@@ -418,6 +424,10 @@ def _spring_cubic(w: SimulatedRun, p: Shape) -> None:
 
 def _friction(w: SimulatedRun, p: Shape) -> None:
     w.wrench[:, 2] -= p["force_N"] * np.tanh(w.vz_m_per_s / 0.5e-3)
+
+
+def _friction_dahl(w: SimulatedRun, p: Shape) -> None:
+    w.wrench[:, 2] -= p["force_N"] * _loop(w.z_m, p["presliding_m"], 1.0)
 
 
 def _friction_stribeck(w: SimulatedRun, p: Shape) -> None:
@@ -688,10 +698,6 @@ def _slow_servo(w: SimulatedRun, p: Shape) -> None:
     w.command_m = np.array(out)
 
 
-def _overshooting_servo(w: SimulatedRun, p: Shape) -> None:
-    w.servo_damping *= p["damping"]
-
-
 def _stair_servo(w: SimulatedRun, p: Shape) -> None:
     """A drive that goes in coarse steps."""
     w.command_m = np.round(w.command_m / p["step_m"]) * p["step_m"]
@@ -784,6 +790,15 @@ LIBRARY_LAWS: tuple[Law, ...] = (
         lambda r, m: {"bandwidth_ratio": 0.8 if r.random() < 0.7 else 1.25},
         _power("bandwidth_ratio"),
         _lag,
+        strongest=6.0,
+    ),
+    Law(
+        "robot.lag",
+        "library",
+        "command",
+        lambda r, m: {"bandwidth_ratio": 1.0, "damping_ratio": m.servo_damping},
+        lambda p, s: {**p, "damping_ratio": p["damping_ratio"] * 0.8**s},
+        _lag_damped_otherwise,
         strongest=6.0,
     ),
     Law("robot.vibration", "library", "motion", _vibration_shape, _times("amplitude_m"), _vibration),
@@ -880,6 +895,14 @@ LIBRARY_LAWS: tuple[Law, ...] = (
         _spring,
     ),
     Law("cable.friction", "library", "probe", lambda r, m: {"force_N": 0.02 * m.force_N}, _times("force_N"), _friction),
+    Law(
+        "cable.friction",
+        "library",
+        "probe",
+        lambda r, m: {"force_N": 0.02 * m.force_N, "presliding_m": m.depth_m * _between(r, 0.02, 0.2)},
+        _times("force_N"),
+        _friction_dahl,
+    ),
     Law(
         "cable.viscous",
         "library",
@@ -1108,7 +1131,6 @@ NOVEL_LAWS: tuple[Law, ...] = (
         _slow_servo,
         strongest=40.0,
     ),
-    Law("overshooting servo", "novel", "command", lambda r, m: {"damping": 0.8}, _power("damping"), _overshooting_servo, strongest=6.0),
     Law("drive in steps", "novel", "command", lambda r, m: {"step_m": 0.02 * m.depth_m}, _times("step_m"), _stair_servo, strongest=10.0),
     Law(
         "rubbing shaft",

@@ -39,6 +39,8 @@ def sources_named(name: str, hosts: Hosts) -> tuple[Source, ...]:
         raise BadInput(f"--source is {name!r}; expected one of {', '.join((*SOURCES, 'all'))}")
     if hosts.folder is not None and "injected" not in chosen:
         raise BadInput(f"--recordings belongs to --source injected, and --source is {name!r}; leave one of them out")
+    if hosts.causes is not None and hosts.folder is None:
+        raise BadInput("--causes says what acts in --recordings, which is missing; give both")
     needing = [source for source in chosen if source == "mujoco" or (source == "injected" and hosts.folder is None)]
     if needing and find_spec("mujoco") is None:
         raise BadInput(

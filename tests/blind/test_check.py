@@ -81,7 +81,9 @@ def test_every_effect_of_the_library_has_its_own_law_and_another_one() -> None:
 def test_two_physics_written_apart_agree_within_what_could_be_known_at_best(law: Law | None) -> None:
     detectability, scales = nominal_cell()
     planted = [(law, law.at(law.draw(np.random.default_rng(1), scales), 1.0))] if law else []
-    effects = {law.effect: {p.name: planted[0][1][p.name] for p in EFFECTS[law.effect].parameters if not p.optional}} if law else {}
+    effects = (
+        {law.effect: {p.name: planted[0][1][p.name] for p in EFFECTS[law.effect].parameters if p.name in planted[0][1]}} if law else {}
+    )
     nominal = cell_from(detectability.cell.as_yaml(), "cell.yaml").with_effects(effects)
     theirs = library_simulate(nominal, detectability.t_s, z_cmd_m=detectability.motion.at(detectability.t_s))
     ours = rows(detectability.run(planted), detectability.t_s, planted)

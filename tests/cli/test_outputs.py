@@ -48,7 +48,7 @@ def test_a_json_that_cannot_be_written_is_refused_before_anything_else(home: Pat
     ("command", "option"),
     [
         (["export", "no.mcap"], "--csv"), (["import", "no.csv"], "--csv"), (["simulate", "no.csv", "--cell", "no.yaml"], "--csv"),
-        (["map"], "--out"), (["diagnose", "no.csv"], "--cell-out"), (["diagnose", "no.csv"], "--report"),
+        (["map"], "--out"), (["diagnose", "no.csv"], "--cell-out"), (["diagnose", "no.csv"], "--report"), (["blind"], "--resume"),
     ],
 )  # fmt: skip
 def test_an_output_that_cannot_be_written_is_refused_before_the_input_is_read(home: Path, command: list[str], option: str) -> None:
@@ -120,6 +120,10 @@ def test_what_belongs_together_is_asked_for(home: Path) -> None:
         (["map", "--presses", "p.csv", "--emulated"], "--presses draws presses that were made"),
         (["effects", "no.such"], "there is no effect 'no.such'"),
         (["blind", "--ablation", "nothing"], "--ablation is 'nothing'; expected one of"),
+        (["blind", "--source", "nothing"], "--source is 'nothing'; expected one of"),
+        (["blind", "--recordings", "."], "--recordings belongs to --source injected"),
+        (["blind", "--source", "injected", "--causes", "plan.yaml"], "--causes says what acts in --recordings"),
+        (["blind", "--source", "injected", "--recordings", "."], "causes.yaml"),
         (["study", "--free", "a.mcap"], "needs both --free and --palpation"),
         (["study", "--published", "--free", "a.mcap"], "leave out --bare"),
     ):
