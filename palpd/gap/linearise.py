@@ -181,8 +181,11 @@ def _computation_errors(problem: Problem, recording: PreparedRecording, cell: Ce
         # A target that is held between controller cycles is known to about a tenth of a step.
         slope = np.gradient(z_m, recording.t_s)
         yield Column("computation", "time", Z), 0.1 * recording.samples_each / recording.samples.rate_Hz * slope
-    # Averaging removed a part of the motion; averaging once more removes about as much again, which is how uncertain the motion is.
     fz_N = problem.binned_wrench(recording, cell, recording.motion)[FZ - 1]
+    if recording.judged[Z] and fz_N.any():
+        # A position loop gives way under load. What one report of the height cannot resolve is within specification.
+        yield Column("recording", "give under load", Z), recording.noise_rms[Z] * fz_N / np.abs(fz_N).max()
+    # Averaging removed a part of the motion; averaging once more removes about as much again, which is how uncertain the motion is.
     for motion in recording.smoother if recording.judged[FZ] else ():
         yield Column("computation", "motion", FZ), problem.binned_wrench(recording, cell, motion)[FZ - 1] - fz_N
 
