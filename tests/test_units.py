@@ -48,6 +48,7 @@ DIMENSIONLESS = {
     "misfit": "chi squared",
     "most": "information, in nats",
     "n_effective": "number",
+    "natural": "in the unit of its parameter",
     "noise_ratio": "ratio",
     "occam": "log probability",
     "p": "probability",

@@ -47,7 +47,7 @@ class ProbeBlock(YamlBlock):
 
 
 class SensorBlock(YamlBlock):
-    """The force sensor as its data sheet has it; `filter_cutoff_Hz` None is no filter."""
+    """The force sensor as its data sheet has it; `filter_cutoff_Hz` None is no filter, `stiffness_N_per_m` None is rigid."""
 
     rate_Hz: Positive = 500.0
     filter_cutoff_Hz: Positive | None = 150.0
@@ -56,6 +56,7 @@ class SensorBlock(YamlBlock):
     resolution_fxy_N: NotNegative = 0.024
     resolution_fz_N: NotNegative = 0.131
     resolution_Nm: NotNegative = 0.001
+    stiffness_N_per_m: Positive | None = None
 
 
 class RobotBlock(YamlBlock):

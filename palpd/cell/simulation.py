@@ -75,6 +75,7 @@ def physics(cell: CellFile, place: Place | None = None, library: Library = EFFEC
         wall_stiffness_N_per_m=wall.stiffness_N_per_m if wall and (begun or wall.appears_after_s is None) else 0.0,
         wall_after_s=(wall.appears_after_s or 0.0) if wall else 0.0,
         delay_s=known.latency_s,
+        tip_compliance_m_per_N=1.0 / (cell.sensor.stiffness_N_per_m or np.inf),
         gain=1.0 + known.gain,
         fx_per_fz=known.crosstalk[0],
         fy_per_fz=known.crosstalk[1],

@@ -11,6 +11,8 @@ from palpd.cell.report_times import Reports, find_reports
 
 CUBIC = 3
 """Degree of the polynomial whose slope is taken: a jump of jerk bends it little over a quarter of the servo's period."""
+AVERAGED = 1.5
+"""Rms that averaging of speeds may remove, in those of their noise, where no command says how fast the robot is."""
 SURE = 2.0
 """Ratio of rms to noise rms above which a speed or acceleration that the command does not explain is believed: two sigmas."""
 
@@ -29,7 +31,8 @@ def estimate_tip_motion(
     heights only what the integrated speed does not already say. The acceleration is the slope of the speed over the fewest samples
     that keep its noise, times the mass, below a tenth of the sensor's, and never over more than that quarter.
 
-    Where commanded heights are given, all this is done to what the stated servo does not already say. Slopes may then be taken over half
+    Where no commanded heights are given, the servo is unknown too: speeds and heights are then averaged only as far as that removes noise.
+    Where they are given, all this is done to what the stated servo does not already say. Slopes may then be taken over half
     its period, and speeds and slopes are believed as far as they stand out of their noise (Wiener's filter, locally): else a filter that
     smooths the noise of a prediction would bring it nearer to the readings, and friction would feel a probe at rest that moves to and fro.
 
@@ -54,6 +57,8 @@ def estimate_tip_motion(
     each = reports.rows_each
     v_noise = min(cell.robot.velocity_noise_rms_m_per_s, _white_noise(reports.values(vz_m_per_s)))
     z_noise = min(cell.robot.position_noise_rms_m, _white_noise(reports.values(z_m)))
+    if z_cmd_m is None:
+        half = _half_that_removes_noise(vz_m_per_s, v_noise, half)
     widest = half
     if z_cmd_m is not None:
         known = servo(z_cmd_m, steps(t_s), cell.robot.servo_natural_frequency_Hz, cell.robot.servo_damping_ratio, {})
@@ -76,6 +81,13 @@ def estimate_tip_motion(
         z_m, acceleration = z_m + known[0], known[2] + acceleration_weight * acceleration
     left_m_per_s2 = a_noise * float(np.sqrt(np.mean(acceleration_weight**2)))
     return TipMotion(t_s - t_s[0], z_m, vz_m_per_s, acceleration, float(left_m), left_m_per_s2, v_noise, width, acceleration_weight)
+
+
+def _half_that_removes_noise(v: Floats, noise: float, half: int) -> int:
+    """The largest number of neighbours on either side, at most `half`, over which averaging of speeds removes no more than noise."""
+    while half and float(np.mean((v - uniform_filter1d(v, 2 * half + 1, mode="nearest")) ** 2)) > (AVERAGED * noise) ** 2:
+        half //= 2
+    return half
 
 
 def _signal_share(x: Floats, noise: float, span: int) -> Floats:

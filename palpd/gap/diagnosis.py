@@ -14,16 +14,18 @@ from palpd.cell.effects import EFFECTS, Effect
 from palpd.gap.calibration import as_stated, stored_map
 from palpd.gap.correlated_residual import compare_again
 from palpd.gap.hypotheses import fit_nominal, search
+from palpd.gap.linearise import linearise
 from palpd.gap.next_experiment import ExperimentProposal, next_experiment
 from palpd.gap.phases import PHASE_PHRASES
 from palpd.gap.plausibility import channel_notes, check_recordings
 from palpd.gap.posterior import Attribution, posterior
+from palpd.gap.prepare import without_rounding
 from palpd.gap.problem import MAX_BINS, Problem, make_problem
 from palpd.gap.recorded_noise import with_recorded_noise
 from palpd.gap.rounding import rounding_of
 from palpd.gap.scatter import Readings, scatter_effects
 from palpd.gap.shrink import Shrink, held_out, without_effects
-from palpd.gap.verdict import DiagnosisVerdict, NamedEffect, decide, deviation_notes, enriched_cell
+from palpd.gap.verdict import DiagnosisVerdict, NamedEffect, decide, deviation_notes, enriched_cell, unnatural_notes
 from palpd.gap.where import Band, Gap, Place, Trend, Unexplained, bands, gap_table, largest_gap, residuals, trend, unexplained
 from palpd.recording.samples import Samples
 
@@ -68,6 +70,7 @@ def diagnose(
 
 def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str, Effect], max_bins: int, propose: bool) -> "Diagnosis":
     # 1. Prepare: clean the readings, cut them into bins, estimate noise and tip motion.
+    recordings = [without_rounding(samples) for samples in recordings]
     notes = check_recordings(recordings, cell)
     cell, noise_notes = with_recorded_noise(recordings, cell)
     notes += noise_notes
@@ -97,8 +100,13 @@ def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str,
 
     # 5. Verdict: which effects to name.
     verdict = as_stated(decide(problem, nominal.fit, attribution, scatter), stored_map())
-    notes += deviation_notes(problem, verdict)
+    notes += deviation_notes(problem, verdict) + unnatural_notes(problem, verdict)
     gap = verdict.kind != "none"
+    if gap and verdict.fit.names and not cell.tolerances.modulus_known:
+        # The nominal fit lays its modulus through the middle of the effects.
+        stated = linearise(problem, {}, verdict.fit.eta)
+        residual = residuals(problem, stated)
+        table = gap_table(problem, stated, residual)
     where = largest_gap(problem, table, verdict.fit.change) if gap else None
     involved = {name for e in verdict.effects for name in (e.id, *e.indistinguishable_from)}
     if any(library[name].shows_at_rest for name in involved):

@@ -162,8 +162,16 @@ def _occam(problem: Problem, best: Optimum, normal: Floats) -> tuple[float, Floa
             sphere = log(2.0) + 0.5 * m * log(pi) - lgamma(0.5 * m)
             prior += -log(LOG_SIZE_RANGE) - m * log(size) - sphere + 0.5 * log_density
         prior -= sum(log(where[k].range) for k in index if not where[k].amplitude)
+        prior -= sum(_unnatural(where[k], values[name][where[k].parameter.name]) for k in index)
         prior -= CONTRARY_NATS * sum(_contrary(where[k], values[name][where[k].parameter.name], problem.scale) for k in amplitudes)
     return prior + volume, stable_inverse(full)
+
+
+def _unnatural(c: Coordinate, value: float) -> float:
+    """Nats by which a value is less probable for being larger than its natural size: normal beyond that, with half of it as its scale."""
+    if c.parameter.natural is None:
+        return 0.0
+    return 0.5 * (max(abs(value) / c.parameter.natural - 1.0, 0.0) / 0.5) ** 2
 
 
 def _contrary(c: Coordinate, value: float, scale: Scale) -> bool:

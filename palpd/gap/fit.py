@@ -9,7 +9,7 @@ from palpd.cell.cell_file import EffectValues
 from palpd.gap.coordinates import Coordinate, coordinates, coordinates_of, inside, values_at
 from palpd.gap.linearise import Linearisation, linearise
 from palpd.gap.nuisances import gram, project
-from palpd.gap.problem import Problem
+from palpd.gap.problem import MODULUS, Problem
 from palpd.tick import Floats
 
 GAIN_TO_STOP = 0.02
@@ -23,6 +23,9 @@ LARGEST_STEP_SD = 4.0
 
 LARGEST_DEVIATION_SD = 8.0
 """Largest shared deviation around which the nuisances are linearised: beyond any tolerance, and near enough to stay a cell."""
+
+LEAST_MODULUS_FACTOR = 0.01
+"""Least factor of a modulus in one linearisation."""
 
 LARGEST_MOVE = 2.0
 """Largest move of a coordinate in one iteration: two units, or a factor of seven."""
@@ -77,6 +80,7 @@ def fit_values(problem: Problem, start: EffectValues, around: Linearisation, *, 
     for _ in range(rounds):
         residual = problem.data + around.offset() - best.prediction
         eta = around.space.coefficients(residual)[: len(around.eta)]
+        eta = _with_modulus_by_its_factor(problem, around.eta, eta)
         eta = np.clip(eta, around.eta - LARGEST_STEP_SD, around.eta + LARGEST_STEP_SD)
         eta = np.clip(eta, -LARGEST_DEVIATION_SD, LARGEST_DEVIATION_SD)
         move = np.abs(eta - around.eta).max()
@@ -85,6 +89,13 @@ def fit_values(problem: Problem, start: EffectValues, around: Linearisation, *, 
         if move < CONVERGED_SD:
             break
     return best
+
+
+def _with_modulus_by_its_factor(problem: Problem, before: Floats, linear: Floats) -> Floats:
+    """Shared deviations (11,) after a linear step, the logarithm of the modulus moved so that the force grows as that step says."""
+    factor = 1.0 + (linear - before) * problem.shared_sd
+    step = np.log(np.maximum(factor, LEAST_MODULUS_FACTOR)) / np.maximum(problem.shared_sd, 1e-300)
+    return np.where(MODULUS, before + step, linear)
 
 
 def gauss_newton(problem: Problem, around: Linearisation, where: tuple[Coordinate, ...], u: Floats, iterations: int) -> Optimum:

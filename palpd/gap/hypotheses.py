@@ -2,19 +2,21 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from math import inf
 
 import numpy as np
 from scipy.ndimage import median_filter
 
 from palpd.cell.cell_file import EffectValues
+from palpd.cell.effects import Effect, Scale
 from palpd.gap.coordinates import coordinates, coordinates_of, start_values, stretched
 from palpd.gap.evidence import Fit, fit, laplace_evidence
 from palpd.gap.fit import gauss_newton, jacobian_at
 from palpd.gap.linearise import Linearisation, linearise
 from palpd.gap.noise import FZ, Z
 from palpd.gap.nuisances import gram, project
-from palpd.gap.problem import Problem
+from palpd.gap.problem import MODULUS, Problem
 from palpd.tick import Floats
 
 LARGE_GAP = 2e4
@@ -34,6 +36,9 @@ LARGEST_SET = 3
 
 FURTHER_EFFECT_NATS = (2.0, 3.0)
 """Evidence by which one effect must beat none, and a set the smaller ones, before larger sets are sought."""
+
+STIFFER = (1.0, 3.0, 10.0)
+"""Factors on an unknown modulus at which a limit of the readings is sought."""
 
 LEAST_GAIN = 4.0
 """Gain, in squared sigmas, below which a further effect is not fitted: noise gives as much."""
@@ -164,8 +169,8 @@ class _Search:
         kept = [name for k, name in enumerate(order) if k < FITTED_AFTER_SCAN or matches[name][0].gain > 0.5 * best_gain]
         for name in kept:
             self.fits[(name,)] = self._best_of_starts(self.around, name, matches[name], {}, starts=3, iterations=8)
-        if best_gain > LARGE_GAP:
-            self._start_afar(kept)
+        if best_gain > LARGE_GAP or not self.problem.cell.tolerances.modulus_known:
+            self._start_afar(kept, all_near_the_tip=best_gain > LARGE_GAP)
 
     def leading(self, size: int, most: int) -> list[Fit]:
         """The most probable fits of one size.
@@ -228,23 +233,29 @@ class _Search:
             best_of_forms.append(laplace_evidence(self.problem, min(optima, key=lambda optimum: optimum.misfit)))
         return max(best_of_forms, key=lambda one: one.log_evidence)
 
-    def _start_afar(self, kept: Sequence[str]) -> None:
+    def _start_afar(self, kept: Sequence[str], *, all_near_the_tip: bool) -> None:
         """Search also with the nuisances of each start, since a large gap changes how in-tolerance deviations act.
 
-        This covers the effects that were kept and everything between tip and tissue.
+        This covers the effects that were kept and everything between tip and tissue. Where the modulus is not known, a limit of the
+        readings is always sought so: it hides how stiff the tissue is, and the nominal modulus then lies below all that it could clip.
         """
         problem = self.problem
         for effect in problem.library.values():
-            if effect.scatter or (effect.id not in kept and effect.site not in ("tip", "tissue")):
+            limited = _limits_readings(effect, problem.scale) and not problem.cell.tolerances.modulus_known
+            near = all_near_the_tip and (effect.id in kept or effect.site in ("tip", "tissue"))
+            if effect.scatter or not (near or limited):
                 continue
             starts = [c.values for c in self.candidates if c.effect == effect.id]
             starts = starts[:: max(1, len(starts) // 6)]
             best = self.fits.get((effect.id,))
             if best is not None:
                 starts.append(best.values[effect.id])
+            if limited:
+                starts = start_values(effect, problem.scale, [])
+            etas = [self.around.eta, *(self._stiffer(factor) for factor in STIFFER if limited)]
             tried = []
-            for values in starts:
-                there = linearise(problem, {effect.id: values}, self.around.eta)
+            for values, eta in product(starts, etas):
+                there = linearise(problem, {effect.id: values}, eta)
                 residual = project(problem.data + there.offset() - there.prediction, there.space)
                 tried.append((residual.dot(residual), values, there))
             for _, values, there in sorted(tried, key=lambda item: item[0])[:2]:
@@ -253,6 +264,16 @@ class _Search:
                     best = one
             if best is not None:
                 self.fits[(effect.id,)] = best
+
+    def _stiffer(self, factor: float) -> Floats:
+        """Shared deviations (11,) of the cell as stated, with the nominal fit's modulus times a factor."""
+        modulus = self.around.eta + np.log(factor) / np.maximum(self.problem.shared_sd, 1e-300)
+        return np.where(MODULUS, modulus, self.problem.nominal_eta)
+
+
+def _limits_readings(effect: Effect, scale: Scale) -> bool:
+    """Whether an effect caps the readings: it is absent where its limit is infinite."""
+    return any(p.unit == "N" and p.nominal_value(scale) == inf for p in effect.parameters)
 
 
 def scan(

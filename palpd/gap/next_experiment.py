@@ -16,6 +16,7 @@ from palpd.gap.linearise import Linearisation, linearise
 from palpd.gap.motions import MotionLimits, TestMotion, blank_recording, motions, surface_of
 from palpd.gap.nuisances import Nuisances, gram, nuisances, project
 from palpd.gap.posterior import Attribution, Hypothesis
+from palpd.gap.prepare import moves
 from palpd.gap.problem import CROSSTALK, SHARED, Problem, make_problem
 from palpd.tick import Floats
 
@@ -168,6 +169,8 @@ def advise(problem: Problem, attribution: Attribution, limits: MotionLimits | No
     shares = shares / shares.sum()
     if len(rivals) < 2:
         return Advice(names, shares, None, None, 0.0)
+    if limits is None and not any(moves(one.samples, problem.cell) for one in problem.recordings):
+        return Advice(names, shares, None, (names[0], names[1]), 0.0, 0.0)  # no motion has been shown to be safe
     limits = within_force(problem, rivals, limits or MotionLimits.of(problem))
     scored = [score(problem, rivals, motion, limits) for motion in motions(limits)]
     pairs = [(i, j) for i in range(len(rivals)) for j in range(i + 1, len(rivals))]

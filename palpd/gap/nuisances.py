@@ -10,6 +10,9 @@ from palpd.tick import Floats
 
 Ints = NDArray[np.intp]
 
+SMALLEST_SQUARE = 1e-24
+"""Square of a row, as a share of the largest one's, below which the row is taken for zero: 16 digits hold no more."""
+
 PLAUSIBLE_SD = 2.0
 """Standard deviations that a deviation within specification may have: 95 % of all are smaller."""
 
@@ -173,5 +176,7 @@ def stable_inverse(normal: Floats) -> Floats:
     Returns:
         Its pseudo-inverse (k, k).
     """
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-9, hermitian=True) / np.outer(scale, scale))
+    diagonal = np.abs(np.diag(normal))
+    scale = np.sqrt(np.maximum(diagonal, max(SMALLEST_SQUARE * float(diagonal.max(initial=0.0)), 1e-300)))
+    scaled = normal / scale / scale[:, None]
+    return np.asarray(np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) / scale / scale[:, None])

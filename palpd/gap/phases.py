@@ -24,6 +24,10 @@ PHASE_PHRASES = {
 """The phases within a sentence."""
 
 
+ROUNDING = 1e-12
+"""Change of a height, as a share of its size, that only rounding makes: numbers of 16 digits keep 12 of them through a conversion."""
+
+
 @dataclass(frozen=True)
 class Phases:
     """What the probe does at every sample.
@@ -75,7 +79,8 @@ def find_phases(samples: Samples, surface_z_m: float, position_noise_rms_m: floa
     """
     velocity = _velocity(samples)
     speed = np.abs(velocity)
-    moving = speed > min(1e-3, 0.05 * float(np.percentile(speed, 95)))
+    rounding_m_per_s = ROUNDING * float(np.abs(samples.z_m).max()) * samples.rate_Hz
+    moving = speed > max(min(1e-3, 0.05 * float(np.percentile(speed, 95))), rounding_m_per_s)
     contact = samples.z_m < surface_z_m
     phase = np.where(
         contact,

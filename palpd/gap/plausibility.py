@@ -11,7 +11,8 @@ import numpy as np
 from palpd.analysis.young import PLAUSIBLE_MODULUS_PA
 from palpd.cell.cell_file import CellFile, TissueBlock
 from palpd.errors import RecordingError
-from palpd.gap.noise import CHANNELS, FZ, dead, declared_rms, measured_rms
+from palpd.gap.noise import CHANNELS, FZ, dead, declared_rms, lattice_step, measured_rms
+from palpd.gap.prepare import moves
 from palpd.gap.problem import Problem
 from palpd.recording.samples import Samples, runs_of_true
 from palpd.tick import Floats
@@ -22,8 +23,12 @@ LONGEST_STROKE_M = 5.0
 DEEPEST_TIP_RADII, DEEPEST_M = 20.0, 0.2
 """A press that is deeper than both has its height in another unit; one deeper than the first is at least worth a note."""
 
-SATURATED_SHARE = 0.02
-"""Share of samples at the very largest value above which a channel looks saturated."""
+SATURATED_ROWS, SATURATED_STEPS, SATURATED_STROKE_SHARE = 4, 3.0, 0.02
+"""Rows in succession at the very largest or smallest value from which a channel looks saturated, if the height changes meanwhile by
+this share of the stroke, and enough to change the force by this many of its steps."""
+
+SAME_SHARE = 1e-3
+"""Change of a reading, as a share of all that it does, that counts as none: a limit is read with its last digit to and fro."""
 
 UNITS = {1e3: "z_m looks like mm", 1e-3: "vz_m_per_s looks like mm/s, or t_s like ms", -1.0: "their signs disagree"}
 
@@ -135,7 +140,7 @@ def _motion_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
         raise RecordingError(
             f"{label}z_m spans {stroke_m:.3g} m, expected a stroke of millimetres to decimetres; it looks like mm, divide by 1000."
         )
-    if stroke_m <= 6.0 * cell.robot.position_noise_rms_m and path_m < 3.0 * stroke_m + 1e-9:
+    if not moves(samples, cell) and path_m < 3.0 * stroke_m + 1e-9:
         notes.append(f"nothing moves (z_m spans {stroke_m:.2g} m): only bias, drift, warm-up and noise can be judged.")
     if stroke_m == 0.0 and samples.vz_m_per_s.any():
         raise RecordingError(f"{label}z_m is {samples.z_m[0]:g} m throughout and vz_m_per_s moves: z_m is dead; record it.")
@@ -310,17 +315,34 @@ def channel_notes(problem: Problem) -> list[str]:
         notes.append(f"{names}: never changes, so it is dead or not measured, and is not judged.")
     notes += _noise_notes(problem)
     for one in problem.recordings:
-        fz_N = one.samples.wrench[:, 2]
-        top_N = float(fz_N.max())
-        share = float(np.mean(fz_N == top_N))
-        if one.judged[FZ] and top_N > 0 and share > SATURATED_SHARE and top_N > 10 * problem.cell.sensor.noise_rms_N:
-            notes.append(f"fz_N equals its largest value {top_N:g} N in {100 * share:.0f} % of the samples: it looks saturated.")
+        if one.judged[FZ]:
+            notes += _saturation_notes(one.samples, problem.cell)
     if not problem.cell.tolerances.modulus_known:
         notes.append(
             "The modulus is not known, so it was fitted. A wrong gain, or anything else in proportion to the contact force, cannot be "
             "distinguished from it. Surface height, thickness, inclusion and compliance of the machine differ from it only in the shape "
             "of the force curve."
         )
+    return notes
+
+
+def _saturation_notes(samples: Samples, cell: CellFile) -> list[str]:
+    """Plateaus of fz at its largest or smallest value while the probe moves."""
+    fz_N, z_m = samples.wrench[:, 2], samples.z_m
+    swing_N, stroke_m = float(np.ptp(fz_N)), float(np.ptp(z_m))
+    step_N = max(cell.sensor.resolution_fz_N, lattice_step(fz_N), measured_rms(fz_N))
+    least_m = max(SATURATED_STROKE_SHARE, SATURATED_STEPS * step_N / swing_N) * stroke_m
+    least_m = max(least_m, CLEAR_NOISES * cell.robot.position_noise_rms_m)
+    notes = []
+    for which, limit_N in (("largest", float(fz_N.max())), ("smallest", float(fz_N.min()))):
+        begins, ends = runs_of_true(np.abs(fz_N - limit_N) <= SAME_SHARE * swing_N)
+        flat = [(a, b) for a, b in zip(begins, ends, strict=True) if b - a >= SATURATED_ROWS and np.ptp(z_m[a:b]) > least_m]
+        if flat and abs(limit_N) > CLEAR_NOISES * cell.sensor.noise_rms_N:
+            rows = sum(b - a for a, b in flat)
+            notes.append(
+                f"fz_N stays at its {which} value {limit_N:.4g} N for {rows} rows while the probe moves, expected to follow it: it looks "
+                "saturated; press less deep, or use a sensor with a larger range."
+            )
     return notes
 
 

@@ -13,12 +13,15 @@ from palpd.cell.report_times import Reports, find_reports, straight_between
 from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
 from palpd.gap.bins import Bins, make_bins
 from palpd.gap.noise import FZ, Z, dead, declared_rms, measured_rms
-from palpd.gap.phases import FREE_STILL, HOLDING, Ints, Phases, find_phases
+from palpd.gap.phases import FREE_STILL, HOLDING, ROUNDING, Ints, Phases, find_phases
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
 FILTER_MEMORY = 4.6
 """Time constants after which a filter has forgotten all but one hundredth of its input."""
+
+STILL_NOISES = 6.0
+"""Span of 98 % of the heights, in standard deviations of their noise, below which nothing moves: noise alone spans five."""
 
 REST_SAMPLES = 60
 """Fewest samples at rest from which the noise is measured; with fewer, the whole recording is used."""
@@ -82,6 +85,40 @@ class PreparedRecording:
             Means (b,) in the unit of the values.
         """
         return self.steps.mean(np.interp(self.step_t_s, motion.t_s, values))
+
+
+def without_rounding(samples: Samples) -> Samples:
+    """Take rounding out of heights that stand still, so that it is not taken for motion.
+
+    Args:
+        samples: The recording.
+
+    Returns:
+        The recording, its heights and speeds constant where only rounding changes them.
+    """
+    least_m = ROUNDING * float(np.abs(samples.z_m).max())
+    still_m, z_cmd_m = float(samples.z_m[0]), samples.z_cmd_m
+    if float(np.ptp(samples.z_m)) > least_m:
+        return samples
+    if z_cmd_m is not None and float(np.ptp(z_cmd_m)) <= least_m:
+        z_cmd_m = np.full_like(z_cmd_m, z_cmd_m[0])
+    resting = float(np.abs(samples.vz_m_per_s).max()) <= least_m * samples.rate_Hz
+    speeds = np.zeros_like(samples.vz_m_per_s) if resting else samples.vz_m_per_s
+    return replace(samples, z_m=np.full_like(samples.z_m, still_m), z_cmd_m=z_cmd_m, vz_m_per_s=speeds)
+
+
+def moves(samples: Samples, cell: CellFile) -> bool:
+    """Whether the heights of a recording span more than their noise.
+
+    Args:
+        samples: The recording.
+        cell: Its cell file.
+
+    Returns:
+        True where something moves.
+    """
+    low_m, high_m = np.quantile(samples.z_m, (0.01, 0.99))
+    return bool(high_m - low_m > STILL_NOISES * cell.robot.position_noise_rms_m)
 
 
 def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecording:

@@ -61,6 +61,7 @@ UNKNOWN_LOG_SD = 2.5
 MAX_BINS = 4500
 """Number of bins of a diagnosis, about; it bounds the time and memory of a diagnosis (benchmarks/diagnose.py)."""
 
+MODULUS = np.array(SHARED) == "youngs_modulus"
 SERVO = np.array(SHARED) == "servo_natural_frequency"
 
 

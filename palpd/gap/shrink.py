@@ -7,20 +7,18 @@ from typing import Any
 import numpy as np
 
 from palpd.gap.evidence import Fit
-from palpd.gap.fit import gauss_newton
+from palpd.gap.fit import LEAST_MODULUS_FACTOR, gauss_newton
 from palpd.gap.noise import CHANNELS
 from palpd.gap.phases import Ints
-from palpd.gap.problem import SHARED, Problem
+from palpd.gap.problem import MODULUS, Problem
 from palpd.gap.where import Gap
 from palpd.tick import Floats
 
 FOLDS = 4
 """Every fourth cycle is held out in turn: enough presses remain to fit, and each is judged once."""
 
-MODULUS = np.array(SHARED) == "youngs_modulus"
-
-MODULUS_STEP, MODULUS_ROUNDS, LEAST_MODULUS_FACTOR = 0.01, 3, 0.01
-"""Step of the logarithm of a modulus for its slope, number of its fits, and the least factor of one fit."""
+MODULUS_STEP, MODULUS_ROUNDS = 0.01, 3
+"""Step of the logarithm of a modulus for its slope, and number of its fits."""
 
 RESAMPLES = 400
 """Number of bootstrap samples of the cycles: the ends of a 95 % interval then rest on ten each."""

@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 
 from palpd.cell.cell_file import CellFile, EffectValues
+from palpd.gap.coordinates import Coordinate
 from palpd.gap.evidence import Fit
 from palpd.gap.noise import FZ
 from palpd.gap.posterior import Attribution
@@ -116,12 +117,19 @@ def _named(problem: Problem, best: Fit, attribution: Attribution) -> list[NamedE
                 low, high = value - spread[k] * c.scale, value + spread[k] * c.scale
             else:
                 low, high = sorted((c.back(float(best.u[k] - spread[k])), c.back(float(best.u[k] + spread[k]))))
-                margin = 1e-9 * max(abs(c.lower), abs(c.upper))
-                if (value <= c.lower + margin and c.lower != 0) or value >= c.upper - margin:
+                if _at_bound(c, value):
                     bound.append(c.parameter.name)
             parameters[c.parameter.name] = (value, min(low, value), max(high, value))
         out.append(NamedEffect(name, attribution.marginal[name], parameters, groups[name], problem.library[name].family, bound))
     return sorted(out, key=lambda e: (-e.probability, e.id))
+
+
+def _at_bound(c: Coordinate, value: float) -> bool:
+    """Whether a value is at the end of its range, other than zero, or beyond its natural size."""
+    margin = 1e-9 * max(abs(c.lower), abs(c.upper))
+    if (value <= c.lower + margin and c.lower != 0) or value >= c.upper - margin:
+        return True
+    return c.parameter.natural is not None and abs(value) >= c.parameter.natural
 
 
 def _probable_groups(best: Fit, attribution: Attribution) -> dict[str, list[str]]:
@@ -142,6 +150,25 @@ def _probable_groups(best: Fit, attribution: Attribution) -> dict[str, list[str]
         if name not in (first, *others):
             others.append(name)
     return {first: others}
+
+
+def unnatural_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
+    """One sentence for every parameter of a named effect that is larger than working parts have.
+
+    Args:
+        problem: The recordings.
+        verdict: The verdict.
+
+    Returns:
+        The sentences.
+    """
+    return [
+        f"{effect.id} has {parameter.name} {effect.parameters[parameter.name][0]:.3g} {parameter.unit}, expected at most "
+        f"{parameter.natural:g} of parts that work; check the times in the recording, and whether rows are missing."
+        for effect in verdict.effects
+        for parameter in problem.library[effect.id].parameters
+        if parameter.natural is not None and abs(effect.parameters[parameter.name][0]) >= parameter.natural
+    ]
 
 
 def deviation_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:

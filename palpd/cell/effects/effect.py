@@ -89,7 +89,8 @@ class Parameter:
     """One number of an effect: its unit, the range it is sought in, where to start, and the value at which it does nothing.
 
     `nominal` is None where another parameter of the effect switches it off. `log` means that its order of magnitude is unknown and
-    that it is positive throughout its range. `optional` means that the law also works without it; a diagnosis tries both.
+    that it is positive throughout its range. `optional` means that the law also works without it; a diagnosis tries both. `natural` is
+    the largest size that working parts have: a diagnosis doubts and reports a larger one.
     """
 
     name: str
@@ -100,6 +101,7 @@ class Parameter:
     nominal: Bound | None = 0.0
     log: bool = False
     optional: bool = False
+    natural: float | None = None
 
     def bounds(self, scale: Scale) -> tuple[float, float]:
         """The range to search, (lower, upper)."""
