@@ -120,6 +120,8 @@ def inside(where: Sequence[Coordinate], u: Floats) -> Floats:
 def start_values(effect: Effect, scale: Scale, peaks_Hz: Sequence[float]) -> list[dict[str, float]]:
     """Starting points for one effect: every combination of its starting values; time constants are also spread over their range.
 
+    Several amplitudes of either sign start one at a time: a combination with a wrong sign would look like nothing at all.
+
     Args:
         effect: The effect.
         scale: Sizes that its starting values refer to.
@@ -141,7 +143,11 @@ def start_values(effect: Effect, scale: Scale, peaks_Hz: Sequence[float]) -> lis
             starts = [*[f for f in peaks_Hz if lower < f < upper], *starts]
         lists.append([None, *starts] if parameter.optional else [*starts])
     names = [p.name for p in effect.parameters]
-    combos = [{n: v for n, v in zip(names, combo, strict=True) if v is not None} for combo in product(*lists)]
+    free = [k for k, p in enumerate(effect.parameters) if p.nominal == 0.0 and p.bounds(scale)[0] < 0.0]
+    choices = [lists]
+    if len(free) > 1:
+        choices = [[values if k == one or k not in free else [0.0] for k, values in enumerate(lists)] for one in free]
+    combos = [{n: v for n, v in zip(names, combo, strict=True) if v is not None} for these in choices for combo in product(*these)]
     if len(combos) > MOST_STARTS:
         combos = [combos[k] for k in np.unique(np.linspace(0, len(combos) - 1, MOST_STARTS).astype(int))]
     return combos

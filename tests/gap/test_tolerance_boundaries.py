@@ -38,3 +38,8 @@ def test_a_deviation_of_two_standard_deviations_is_no_gap(controller: str, key: 
 def test_a_deviation_out_of_tolerance_is_named_or_reported_and_nothing_else_is(controller: str, key: str, off_sd: float) -> None:
     outcome = answer_to(Boundary(controller, key, off_sd))
     assert outcome.right, outcome
+
+
+def test_leaks_of_opposite_signs_are_named_as_leaks() -> None:
+    outcome = answer_to(Boundary("jerk limit", "crosstalk", 5.0))
+    assert "sensor.crosstalk" in outcome.answer, outcome
