@@ -71,7 +71,8 @@ OWN_RECORDINGS = """\
 ## On your own recordings
 
 `palpd blind --source injected --recordings FOLDER` plants effects into recordings of your cells. It says how well the diagnosis does on
-your motions and your noise. FOLDER holds X.csv with X.yaml, and `causes.yaml` (or another file, with `--causes`) that says what acts in each:
+your motions and your noise. FOLDER holds X.csv with X.yaml, and `causes.yaml` (or another file, with `--causes`). That file says what
+acts in each:
 
 ```yaml
 X: {causes: []}                                    # healthy
@@ -80,8 +81,8 @@ Z: {causes: [sensor.saturation], unlisted: true}   # something outside the list 
 ```
 
 The effect's change is computed on the recorded motion and added to the recorded channels. Sensor effects act on the recorded force.
-Effects of the robot change the reported height. A channel that a recording does not hold stays as it is. If the step of the readings is larger than
-their noise, they are rounded twice. The gap closed on another motion is judged on simulated hosts only."""
+Effects of the robot change the reported height. A channel that a recording does not hold stays as it is. If the step of the readings is
+larger than their noise, they are rounded twice. The gap closed on another motion is judged on simulated hosts only."""
 """How to plant effects into recordings; stands below the effects."""
 
 COMPARED = (
