@@ -1,6 +1,8 @@
 """Every command tries the places of its outputs before it works, and refuses bad input in one sentence."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -70,6 +72,22 @@ def test_folders_that_cannot_be_written_into_are_refused_before_the_arm_is_spoke
         error = refused(*command)
         assert isinstance(error, BadInput)
         assert "cannot be written" in str(error)
+
+
+@pytest.mark.parametrize("place", ["state", "runs"])
+def test_a_service_with_a_read_only_folder_ends_with_one_sentence(home: Path, place: str) -> None:
+    (home / "config.yaml").write_text("paths: {runs: runs, state: state}")
+    (home / place).mkdir()
+    mount = f"mount --bind {place} {place} && mount -o remount,ro,bind {place} || exit 77"
+    done = subprocess.run(
+        ["unshare", "--mount", "sh", "-c", f"{mount}; exec {sys.executable} -m palpd serve"],
+        capture_output=True, text=True, check=False, timeout=60.0, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    if done.returncode not in (0, 2):
+        pytest.skip(f"this user may not mount: {done.stderr}")
+    assert done.returncode == 2
+    assert "Read-only file system" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize(

@@ -158,11 +158,30 @@ def test_it_is_not_root_and_has_no_capability_but_what_stands_for_its_limits(ser
     assert fields["NoNewPrivs"].strip() == "1"
 
 
+LIMITS = {"LimitRTPRIO": ("80", "Max realtime priority"), "LimitMEMLOCK": ("infinity", "Max locked memory")}
+"""What the unit asks for, and under which name the kernel shows it."""
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+def test_systemd_has_read_the_real_time_limits_of_the_unit(service: Installed, limit: str) -> None:
+    assert service.inside.shows("palpd", limit) == LIMITS[limit][0]
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+def test_the_process_has_the_real_time_limits_of_the_unit(service: Installed, limit: str) -> None:
+    value, name = LIMITS[limit]
+    limits = service.inside.path(f"/proc/{service.pid}/limits").read_text()
+    got = next(line for line in limits.splitlines() if line.startswith(name))[len(name) :].split()[:2]
+    if not service.inside.raises_limits:
+        pytest.skip(f"not verified: process 1 may not raise limits here (no CAP_SYS_RESOURCE), so {limit} is clamped to {got}")
+    assert got == [value.replace("infinity", "unlimited")] * 2
+
+
 def test_only_its_group_may_speak_to_it(service: Installed) -> None:
     assert service.inside.run("stat", "--format=%a %U %G", SOCKET).strip() == "660 palpd palpd"
     status = ["env", LIBRARIES, PYTHON, "-m", "palpd", "status", "--config", CONFIG]
-    assert "may not speak" in service.inside.run("runuser", "-u", "nobody", "--", *status, check=False)
-    assert "state" in service.inside.run("runuser", "-u", "nobody", "-G", "palpd", "--", *status)
+    assert "you may not connect to the daemon" in service.inside.run("runuser", "-u", "nobody", "--", *status, check=False)
+    assert service.inside.run("runuser", "-u", "nobody", "-G", "palpd", "--", *status).startswith("armed")
 
 
 def test_the_loop_runs_under_fifo_with_locked_memory_as_that_user(service: Installed) -> None:
@@ -233,6 +252,17 @@ def test_stop_in_mid_run_closes_the_recording_and_ends_with_0(service: Installed
     assert not service.inside.path(SOCKET).exists()
     (recording,) = set(service.inside.path("/var/lib/palpd/runs").glob("*.mcap")) - before
     assert Recording.load(recording).rows.size
+
+
+@pytest.mark.parametrize("after_s", [0.03, 0.3, 1.0])
+def test_a_stop_while_it_starts_is_no_failure(service: Installed, after_s: float) -> None:
+    service.inside.run("systemctl", "start", "--no-block", "palpd")
+    until(lambda: service.pid != "0", 10.0, "its process is there", every_s=0.005)
+    time.sleep(after_s)
+    service.inside.run("systemctl", "stop", "palpd")
+    assert service.inside.shows("palpd", "ActiveState") == "inactive"
+    assert service.inside.shows("palpd", "Result") == "success"
+    assert service.processes() == []
 
 
 def test_a_wrong_configuration_is_refused_once_and_not_again_and_again(service: Installed) -> None:
