@@ -124,7 +124,7 @@ sim --config {config} --plan {config}
 check-config {csv}
 check-config {config} {plan}
 import {csv} --csv out.csv --force-column fz_N --height-column z_m --time-column z_m
-import {csv} --csv out.csv --force-column fz_N --height-column z_m
+import {presses} --csv out.csv --force-column youngs_modulus_Pa --height-column x_m
 abort --config {config} --socket {csv}
 abort now
 init {config}

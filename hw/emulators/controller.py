@@ -172,7 +172,6 @@ class Controller:
         self._stopped_s = 0.0
         self._operation = 0
         self._still_s = 0.0
-        self._start_power_s: float | None = None
 
     # What comes over the wires -------------------------------------------------------------------------------------------
 

@@ -42,7 +42,7 @@ class Rig:
         mount_rotation_rad: float = 0.0,
         library: Library = EFFECTS,
     ) -> None:
-        self.cell_file, self.model, self._host, self._library = cell_file, model, host, library
+        self.cell_file, self.model, self._library = cell_file, model, library
         self.cell = Cell(cell_file, seed=seed, step_s=SAMPLE_S, library=library)
         self._wall_z_m: float | None = None
         self.steps = round(model.cycle_s / SAMPLE_S)

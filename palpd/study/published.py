@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from scipy.stats import f as fisher
 
 from palpd.analysis.intervals import mean_half_width_95, student_t_95
-from palpd.analysis.young import modulus_peak_Pa, ymbt
+from palpd.analysis.young import modulus_peak_Pa
 from palpd.tick import Floats
 
 SETUPS = {"A": "none", "B": "inclusion_5mm", "C": "inclusion_8mm", "D": "inclusion_10mm"}
@@ -122,22 +122,6 @@ def count_N() -> tuple[Value, float]:
     best = int(np.argmin(rms_N))
     low, high = (float(good.min()), float(good.max())) if len(good) else (float(steps_N[best]),) * 2
     return Value(float(steps_N[best]), low, high), float(rms_N[best])
-
-
-def table_2_misses() -> dict[str, float]:
-    """Mean of Table 1's moduli over Table 2's static one, less one, by setup."""
-    return {setup: float(static(setup)[2].mean()) / averages(setup).static_Pa - 1.0 for setup in SETUPS}
-
-
-def table_3_misses() -> dict[str, tuple[float, float]]:
-    """YMBT from Table 2 less that of Table 3, in points of percent, original and corrected, by setup."""
-    return {
-        setup: (
-            100.0 * (ymbt(row.original_Pa, row.static_Pa) - row.ymbt_original),
-            100.0 * (ymbt(row.corrected_Pa, row.static_Pa) - row.ymbt_corrected),
-        )
-        for setup, row in ((setup, averages(setup)) for setup in SETUPS)
-    }
 
 
 def correction_Pa() -> Value:
