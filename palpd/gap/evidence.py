@@ -32,6 +32,7 @@ class Fit:
         where: The k free parameters.
         u: Their coordinates (k,).
         covariance: Covariance (k, k) of the coordinates.
+        sizes: Size of each effect, in sigmas, that nothing within specification hides.
         change: What the effects do to the whitened prediction (7, b).
         residual: Data minus prediction (7, b), whitened.
         remainder: The residual without what the nuisances explain (7, b).
@@ -48,6 +49,7 @@ class Fit:
     where: tuple[Coordinate, ...]
     u: Floats
     covariance: Floats
+    sizes: dict[str, float]
     change: Floats
     residual: Floats
     remainder: Floats
@@ -101,9 +103,10 @@ def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
     slopes = [project(j, space) for j in best.jacobian]
     normal = gram(slopes)
     occam, covariance, change = 0.0, np.zeros((0, 0)), np.zeros_like(at)
+    sizes = _sizes(problem, best)
     log_likelihood, discrepancy_energy = log_exact, 0.0
     if best.names:
-        occam, covariance = _occam(problem, best, normal)
+        occam, covariance = _occam(problem, best, normal, sizes)
         change = at - problem.predict({}, eta)
         if discrepancies := model_discrepancies(problem, best, project(residual, space), slopes, normal):
             each = np.array([log(P_EXACT_LAW), *(one.log_prior + one.gain for one in discrepancies)])
@@ -117,6 +120,7 @@ def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
         where=best.where,
         u=best.u,
         covariance=covariance,
+        sizes=sizes,
         change=change,
         residual=residual,
         remainder=residual - space.explained(space.coefficients(residual)),
@@ -136,27 +140,34 @@ def _unfittable_energy(change: Floats, jacobian: list[Floats], space: Nuisances)
     return float((space.beyond(rest.reshape(change.shape)) ** 2).sum())
 
 
-def _occam(problem: Problem, best: Optimum, normal: Floats) -> tuple[float, Floats]:
+def _sizes(problem: Problem, best: Optimum) -> dict[str, float]:
+    """Norm of the change that each effect makes beside the others, with everything within specification projected out."""
+    out = {}
+    for name in best.values:
+        others = {other: v for other, v in best.values.items() if other != name}
+        change = project(best.prediction - problem.predict(others, best.around.eta), best.around.space)
+        out[name] = max(change.dot(change), 0.0) ** 0.5
+    return out
+
+
+def _occam(problem: Problem, best: Optimum, normal: Floats, sizes: dict[str, float]) -> tuple[float, Floats]:
     """Log of prior times posterior volume, and the covariance of the coordinates.
 
     The prior is the same for every effect in what matters: its size in sigmas is log-uniform, its direction among several amplitudes
     uniform, and its shapes are uniform over their range.
     """
-    where, values, around = best.where, best.values, best.around
+    where, values = best.where, best.values
     # The prior range binds a coordinate that the data do not bind.
     widths = np.array([1e3 if c.amplitude else c.range / 3.46 for c in where])
     full = normal + np.diag(1.0 / widths**2)
     sign, log_det = np.linalg.slogdet(full)
     volume = 0.5 * (len(where) * log(2.0 * pi) - (log_det if sign > 0 else 0.0))
     prior = 0.0
-    at = problem.predict(values, around.eta)
     for name in values:
         index = [k for k, c in enumerate(where) if c.effect == name]
         amplitudes = [k for k in index if where[k].amplitude]
         m = len(amplitudes)
-        others = {other: v for other, v in values.items() if other != name}
-        change = project(at - problem.predict(others, around.eta), around.space)
-        size = max(change.dot(change), 1.0) ** 0.5
+        size = max(sizes[name], 1.0)
         if m:
             _, log_density = np.linalg.slogdet(normal[np.ix_(amplitudes, amplitudes)] + 1e-12 * np.eye(m))
             sphere = log(2.0) + 0.5 * m * log(pi) - lgamma(0.5 * m)

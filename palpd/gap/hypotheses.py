@@ -151,7 +151,7 @@ class _Search:
 
     def __post_init__(self) -> None:
         """Make the candidates of every effect that changes the mean of the readings."""
-        peaks_Hz = spectral_peaks(self.problem)
+        peaks_Hz = spectral_peaks(self.problem, self.fits[()].eta)
         self.candidates = []
         for effect in self.problem.library.values():
             for values in start_values(effect, self.problem.scale, peaks_Hz) if not effect.scatter else ():
@@ -338,11 +338,12 @@ def _different(matches: list[Match], most: int) -> list[Match]:
     return out or matches[:1]
 
 
-def spectral_peaks(problem: Problem, most: int = 3) -> list[float]:
+def spectral_peaks(problem: Problem, eta: Floats, most: int = 3) -> list[float]:
     """Frequencies that stand out in the residual heights and in fz of the first recording.
 
     Args:
         problem: The data and their prediction.
+        eta: Shared deviations (11,) of the cell without effects: what they explain would hide a small line.
         most: Number of frequencies.
 
     Returns:
@@ -351,7 +352,7 @@ def spectral_peaks(problem: Problem, most: int = 3) -> list[float]:
     peaks: list[tuple[float, float]] = []
     recording = problem.recordings[0]
     n, dt_s = len(recording.samples), problem.scale.step_s
-    predicted = problem.raw_prediction(recording, problem.cell)
+    predicted = problem.raw_prediction(recording, problem.cell_at({}, eta))
     for channel, measured in ((Z, recording.samples.z_m), (FZ, recording.samples.wrench[:, 2])):
         if not recording.judged[channel] or n < 128:
             continue

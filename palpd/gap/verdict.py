@@ -20,6 +20,9 @@ P_NONE_TO_ACQUIT = 0.25
 P_TO_NAME = 0.5
 """Probability above which an effect, alone or with those that could stand in its place, or something unknown is named."""
 
+P_TO_NAME_WEAK, WEAK_SIGMAS = 0.8, 8.0
+"""The same for an effect below that size that stands beside a larger one: a false second name then costs more than a missed one."""
+
 FAR_OUT_SD = 4.0
 """Standard deviations beyond which a deviation is reported: one in 16 000 healthy cells has such a one."""
 
@@ -139,7 +142,9 @@ def _probable_groups(best: Fit, attribution: Attribution) -> dict[str, list[str]
     """
     marginal = attribution.marginal
     groups = {name: attribution.groups[name] for name in best.names}
-    probable = {name: others for name, others in groups.items() if sum(marginal.get(one, 0.0) for one in (name, *others)) >= P_TO_NAME}
+    largest = max(best.names, key=lambda name: best.sizes[name])
+    needed = {name: P_TO_NAME_WEAK if best.sizes[name] < WEAK_SIGMAS and name != largest else P_TO_NAME for name in best.names}
+    probable = {name: others for name, others in groups.items() if sum(marginal.get(one, 0.0) for one in (name, *others)) >= needed[name]}
     if probable:
         return probable
     first = max(best.names, key=lambda name: marginal[name])

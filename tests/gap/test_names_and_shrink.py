@@ -12,13 +12,24 @@ from palpd.gap.shrink import _without_effects_at_its_modulus
 from palpd.gap.verdict import _probable_groups
 
 
-def groups(names: tuple[str, ...], marginal: dict[str, float], alternatives: dict[str, list[str]]) -> dict[str, list[str]]:
-    return _probable_groups(SimpleNamespace(names=names), SimpleNamespace(marginal=marginal, groups=alternatives))
+def groups(
+    names: tuple[str, ...], marginal: dict[str, float], alternatives: dict[str, list[str]], sizes: dict[str, float] | None = None
+) -> dict[str, list[str]]:
+    best = SimpleNamespace(names=names, sizes=sizes or dict.fromkeys(names, 20.0))
+    return _probable_groups(best, SimpleNamespace(marginal=marginal, groups=alternatives))
 
 
 def test_an_improbable_member_of_the_best_set_is_not_named() -> None:
     marginal = {"a": 1.0, "b": 0.85, "c": 0.28}
     assert groups(("a", "b", "c"), marginal, {"a": [], "b": [], "c": []}) == {"a": [], "b": []}
+
+
+def test_a_weak_effect_beside_a_larger_one_needs_more_to_be_named() -> None:
+    marginal, alone = {"a": 1.0, "b": 0.62, "c": 0.05}, {"a": [], "b": ["c"]}
+    assert groups(("a", "b"), marginal, alone, {"a": 30.0, "b": 5.0}) == {"a": []}
+    assert groups(("a", "b"), marginal, alone, {"a": 30.0, "b": 12.0}) == {"a": [], "b": ["c"]}
+    assert groups(("a", "b"), marginal | {"b": 0.85}, alone, {"a": 30.0, "b": 5.0}) == {"a": [], "b": ["c"]}
+    assert groups(("b",), marginal, {"b": ["c"]}, {"b": 5.0}) == {"b": ["c"]}
 
 
 def test_a_group_that_is_probable_together_is_named() -> None:

@@ -6,11 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.plain_cells import cell_of, recording
+from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.cell.cell_file import CellFile
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.gap.hypotheses import fit_nominal, spectral_peaks
 from palpd.gap.phases import find_phases
+from palpd.gap.problem import make_problem
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 from tests.gap.test_rigs import names, quick, rig
@@ -168,3 +170,10 @@ def test_the_place_of_a_gap_does_not_depend_on_a_modulus_that_nobody_knows(modul
     free, stated = quick(samples, unknown), quick(samples, known)
     assert "tissue.viscoelastic" in names(free), free.sentence
     assert free.where == stated.where
+
+
+def test_a_slow_vibration_is_found_below_what_the_servo_explains() -> None:
+    samples, cell = recording("second order", 101, PlantedDeviations(servo_natural_frequency=-0.04)), cell_of("second order")
+    swinging = replace(samples, z_m=samples.z_m + 8e-7 * np.sin(2.0 * np.pi * 2.0 * samples.t_s))
+    nominal = fit_nominal(make_problem([swinging], cell, max_bins=900))
+    assert any(abs(peak_Hz - 2.0) < 0.02 for peak_Hz in spectral_peaks(nominal.problem, nominal.fit.eta))
