@@ -64,7 +64,7 @@ arming: setup
 
 # N signals at random moments of every command, and N aborts under attack; KEPT as above
 signals: setup
-	.venv/bin/python -m benchmarks.signals --samples $(N) $(if $(KEPT),--json $(KEPT))
+	.venv/bin/python -m benchmarks.signals --samples $(N) --parallel $(PARALLEL) $(if $(KEPT),--json $(KEPT))
 
 aborts: setup
 	.venv/bin/python -m benchmarks.abort --samples $(N) $(if $(KEPT),--json $(KEPT))

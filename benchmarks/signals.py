@@ -1,8 +1,9 @@
 """Signals at random moments of every command that moves the arm: when the arm rests, when the process is gone, whether the reason is true.
 
-`python -m benchmarks.signals [--samples 100] [--only run,serve] [--minutes 60] [--json FILE]`. The moment is uniform over the life of the
-command, start and shut-down included. The emulated controller's log says when the arm rests. Results are added to FILE, so that a
-measurement can be interrupted and continued; the table is made of all of FILE. Ends with 1 where something was not kept.
+`python -m benchmarks.signals [--samples 100] [--parallel 2] [--only run,serve] [--minutes 60] [--json FILE]`. The moment is random: in the
+start of the command, in the first seconds of its motion, or in its shut-down (`STAGES`). The emulated controller's log says when the arm
+rests. Results are added to FILE, so that a measurement can be interrupted and continued; the column "measured" of docs/faults.md is made of
+all of FILE. Some 7 s a sample on a quiet machine. Ends with 1 where something was not kept.
 """
 
 import argparse
@@ -10,6 +11,7 @@ import contextlib
 import json
 import os
 import pty
+import queue
 import random
 import select
 import shutil
@@ -28,6 +30,7 @@ import numpy as np
 import yaml
 
 from benchmarks.emulated_cell import ABOVE_M, PRESS, EmulatedCell, emulated_cell, family
+from benchmarks.measured_column import FAULTS, condition, fill, spread
 from palpd.daemon.socket_client import ask
 from palpd.errors import PalpdError
 from palpd.recording.reader import Recording
@@ -38,6 +41,14 @@ PATIENCE_S = 60.0
 CALIBRATION = "calibration.json"
 SETTLE_S = 0.6
 """Time after the end of the main process in which its helpers (the keeper of the shared memory) may end too."""
+STAGES = {"start": 0.65, "motion": 0.31, "end": 0.04}
+"""Share of the signals that come before the loop runs, in the first `MOTION_S` of it, and after its recording was closed.
+
+Every moment of a long motion is like another, and the end of a long command costs a minute, so these are not drawn by their lengths."""
+MOTION_S = 4.0
+END_S = 1.5
+RIGID_N_PER_M = 20000.0
+"""Stiffness of the plate for `palpd stiffness`."""
 STARTING_S = 0.5
 """Python's own start, before the first line of palpd. A signal then ends Python by its own rules; nothing has been opened."""
 
@@ -78,6 +89,7 @@ class SignalOutcome:
     """What one signal led to. `rest_s` is None where the emulated cell belongs to the command and ended with it."""
 
     command: str
+    stage: str
     signal: str
     moment_s: float
     rest_s: float | None
@@ -151,14 +163,32 @@ def _send(process: subprocess.Popen[bytes], window: Reader, name: str) -> float:
     return sent_s
 
 
-def interrupted(cell: EmulatedCell, command: str, name: str, moment_s: float) -> SignalOutcome | None:
+def _awaited(cell: EmulatedCell, process: subprocess.Popen[bytes], stage: str, start_s: float) -> float | None:
+    """Wait until a random moment of the stage. Returns when it was, s after the start of the process; None where that ended before."""
+    began_s = time.monotonic()
+    until_s = began_s + random.uniform(0.0, start_s)
+    if stage != "start":
+        suffix = "*.part" if stage == "motion" else "*.mcap"
+        while not any((cell.folder / "runs").rglob(suffix)):
+            if process.poll() is not None or time.monotonic() > began_s + PATIENCE_S:
+                return None
+            time.sleep(0.01)
+        until_s = time.monotonic() + random.uniform(0.0, MOTION_S if stage == "motion" else END_S)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(max(0.0, until_s - time.monotonic()))
+        return None
+    return time.monotonic() - began_s
+
+
+def interrupted(cell: EmulatedCell, command: str, name: str, stage: str, start_s: float) -> SignalOutcome | None:
     """Start a command, send it a signal, and judge its end.
 
     Args:
         cell: The cell, ready.
         command: One of `COMMANDS`.
         name: One of `SIGNALS`.
-        moment_s: When, s after the start of the process.
+        stage: One of `STAGES`.
+        start_s: How long the command takes to start.
 
     Returns:
         The outcome; None where the command was over before the signal.
@@ -167,8 +197,9 @@ def interrupted(cell: EmulatedCell, command: str, name: str, moment_s: float) ->
     window = Reader(terminal)
     if command == "serve":
         threading.Thread(target=_operate, args=(cell, process), daemon=True).start()
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(moment_s)
+    moment_s = _awaited(cell, process, stage, start_s)
+    if moment_s is None:
+        _end(process)
         window.close()
         return None
     sent_s = _send(process, window, name)
@@ -184,10 +215,14 @@ def interrupted(cell: EmulatedCell, command: str, name: str, moment_s: float) ->
     time.sleep(max(0.0, sent_s + gone_s + SETTLE_S - time.monotonic()))
     left = family(process.pid)
     objections = _objections(cell, command, moment_s, code, sentence) + ([f"{len(left)} processes are left"] if left else [])
-    late = [f"rest after {rest_s * 1e3:.0f} ms"] if rest_s is not None and rest_s > REST_TARGET_S else []
-    late += [f"gone after {gone_s:.2f} s"] if gone_s > GONE_TARGET_S else []
-    why = "; ".join(objections + late)
-    return SignalOutcome(command, name, moment_s, rest_s, gone_s, code, sentence[-300:], why, os.getloadavg()[0])
+    return SignalOutcome(command, stage, name, moment_s, rest_s, gone_s, code, sentence[-300:], "; ".join(objections), os.getloadavg()[0])
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a command that is not measured."""
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGTERM)
+        process.wait(PATIENCE_S)
 
 
 def _objections(cell: EmulatedCell, command: str, moment_s: float, code: int, sentence: str) -> list[str]:
@@ -212,90 +247,113 @@ def _objections(cell: EmulatedCell, command: str, moment_s: float, code: int, se
     return objections
 
 
-def life_s(cell: EmulatedCell, command: str) -> float:
-    """How long a command lives without a signal; the service, until it has pressed for some seconds."""
+def start_s(cell: EmulatedCell, command: str) -> float:
+    """How long a command takes until its loop runs; of one without a recording, its whole life.
+
+    Args:
+        cell: The cell, ready.
+        command: One of `COMMANDS`.
+
+    Returns:
+        The time.
+    """
     began_s = time.monotonic()
     process, terminal, _ = _begin(cell, command)
     window = Reader(terminal)
     if command == "serve":
-        _operate(cell, process)
-        time.sleep(6.0)
-    else:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(PATIENCE_S)
-    lived_s = time.monotonic() - began_s
-    if process.poll() is None:
-        os.killpg(process.pid, signal.SIGTERM)
-        process.wait(PATIENCE_S)
+        threading.Thread(target=_operate, args=(cell, process), daemon=True).start()
+    while process.poll() is None and not any((cell.folder / "runs").rglob("*.part")) and time.monotonic() < began_s + PATIENCE_S:
+        time.sleep(0.01)
+    lasted_s = time.monotonic() - began_s
+    _end(process)
     window.close()
-    return lived_s
+    return lasted_s
 
 
-def table(outcomes: Sequence[dict[str, Any]]) -> list[str]:
-    """Lines of a markdown table, one row a command."""
-    lines = ["| command | n | rest p50, ms | p99 | max | gone p50, s | p99 | max | not kept |", "|---|---|---|---|---|---|---|---|---|"]
+class Bench:
+    """Emulated cells side by side, and what signals led to in them."""
+
+    def __init__(self, kept: Path, end_s: float) -> None:
+        self.todo: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._kept, self._end_s, self._lock = kept, end_s, threading.Lock()
+        self._starts_s: dict[str, float] = {}
+
+    def work(self, folder: Path) -> None:
+        """Interrupt commands in one cell until the list is empty or the time is over."""
+        with emulated_cell(folder) as base:
+            first = base.anew(folder)
+            calibrated = first.palpd("calibrate", "--config", first.config)
+            assert calibrated.returncode == 0, calibrated.stderr
+
+            def fresh(command: str) -> EmulatedCell:
+                own = Path(tempfile.mkdtemp(prefix="signal-", dir=folder))
+                (own / "state").mkdir()
+                shutil.copy(folder / "state" / CALIBRATION, own / "state" / CALIBRATION)
+                rigid = {"stiffness_N_per_m": RIGID_N_PER_M} if command == "stiffness" else {}
+                return base.anew(own, **rigid, safety={"contact_limit_N": 16.0})
+
+            while time.monotonic() < self._end_s:
+                try:
+                    command = self.todo.get_nowait()
+                except queue.Empty:
+                    return
+                try:
+                    self._do(lambda: fresh(command), command)  # noqa: B023 - called before the next command
+                except (AssertionError, OSError, RuntimeError) as error:  # the machine, or a run that ended by itself: no figure
+                    print(f"{command}: nothing was measured ({error})", file=sys.stderr, flush=True)
+                    self.todo.put(command)
+
+    def _do(self, fresh: Callable[[], EmulatedCell], command: str) -> None:
+        if command not in self._starts_s:
+            self._starts_s[command] = start_s(fresh(), command)
+        stage = "start" if command == "calibrate" else random.choices(list(STAGES), list(STAGES.values()))[0]
+        outcome = interrupted(fresh(), command, random.choice(SIGNALS), stage, self._starts_s[command])
+        if outcome is None:
+            self.todo.put(command)
+            return
+        with self._lock, self._kept.open("a") as file:
+            file.write(json.dumps(asdict(outcome)) + "\n")
+        rest = "not known" if outcome.rest_s is None else f"{outcome.rest_s * 1e3:.0f} ms"
+        print(
+            f"{command}, {stage}, {outcome.signal} at {outcome.moment_s:.2f} s: code {outcome.code}, rest {rest}, "
+            f"gone {outcome.gone_s:.2f} s {outcome.why}",
+            flush=True,
+        )
+
+
+def write_table(outcomes: Sequence[dict[str, Any]]) -> bool:
+    """Fill the column "measured" of docs/faults.md, and say whether everything was kept.
+
+    Args:
+        outcomes: All results.
+
+    Returns:
+        The verdict.
+    """
+    cells, kept = {}, True
     for command in COMMANDS:
         of_command = [outcome for outcome in outcomes if outcome["command"] == command]
         if not of_command:
             continue
         rests_ms = [outcome["rest_s"] * 1e3 for outcome in of_command if outcome["rest_s"] is not None]
-        rest = " | ".join(f"{value:.0f}" for value in _spread(rests_ms)) if rests_ms else "– | – | –"
-        gone = " | ".join(f"{value:.2f}" for value in _spread([outcome["gone_s"] for outcome in of_command]))
+        gone_s = [outcome["gone_s"] for outcome in of_command]
         broken = sum(bool(outcome["why"]) for outcome in of_command)
-        lines.append(f"| {command} | {len(of_command)} | {rest} | {gone} | {broken} |")
-    loads = [outcome["load"] for outcome in outcomes]
-    return [*lines, "", f"{os.cpu_count()} cores, load {min(loads):.1f} to {max(loads):.1f} (median {np.median(loads):.1f})."]
-
-
-def _spread(values: Sequence[float]) -> tuple[float, float, float]:
-    return float(np.median(values)), float(np.percentile(values, 99)), max(values)
-
-
-def measure(commands: Sequence[str], samples: int, end_s: float, kept: Path, folder: Path) -> None:
-    """Interrupt each command until FILE holds that many samples of it, in turn.
-
-    Args:
-        commands: Names of `COMMANDS`.
-        samples: Number of samples a command.
-        end_s: Host time after which no sample is begun.
-        kept: File that takes a line a sample.
-        folder: Folder for the files of the commands.
-    """
-    with emulated_cell(folder) as base:
-        first = base.anew(folder)
-        assert first.palpd("calibrate", "--config", first.config).returncode == 0
-
-        def fresh() -> EmulatedCell:
-            own = Path(tempfile.mkdtemp(prefix="signal-", dir=folder))
-            (own / "state").mkdir()
-            shutil.copy(folder / "state" / CALIBRATION, own / "state" / CALIBRATION)
-            return base.anew(own, safety={"contact_limit_N": 16.0})
-
-        lives_s: dict[str, float] = {}
-        for number in range(samples):
-            for command in commands:
-                have = sum(json.loads(line)["command"] == command for line in kept.read_text().splitlines()) if kept.exists() else 0
-                if have > number:
-                    continue
-                if time.monotonic() > end_s:
-                    return
-                if command not in lives_s:
-                    lives_s[command] = life_s(fresh(), command)
-                outcome = interrupted(fresh(), command, random.choice(SIGNALS), random.uniform(0.0, lives_s[command]))
-                if outcome is not None:
-                    with kept.open("a") as file:
-                        file.write(json.dumps(asdict(outcome)) + "\n")
-                    print(
-                        f"{command} {outcome.signal} at {outcome.moment_s:.2f} s of {lives_s[command]:.1f}: code {outcome.code}, "
-                        f"gone {outcome.gone_s:.2f} s, rest {outcome.rest_s}; {outcome.why or 'kept'}",
-                        flush=True,
-                    )
+        late = (["rest"] if rests_ms and np.percentile(rests_ms, 99) > REST_TARGET_S * 1e3 else []) + (
+            ["gone"] if np.percentile(gone_s, 99) > GONE_TARGET_S else []
+        )
+        rest = f"rest {spread(rests_ms, 0)} ms; " if rests_ms else ""
+        notes = f"; **{broken} not kept**" * bool(broken) + f"; **p99 of {' and '.join(late)} not kept**" * bool(late)
+        cells[f"palpd {command}"] = f"{rest}gone {spread(gone_s, 2)} s; n {len(of_command)}{notes}"
+        kept = kept and not broken and not late
+    fill(FAULTS, cells, "Signals measured", condition([outcome["load"] for outcome in outcomes], f"{len(outcomes)} signals"))
+    return kept
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--samples", type=int, default=100, help="a command")
+    parser.add_argument("--parallel", type=int, default=2, help="emulated cells at a time")
     parser.add_argument("--only", help="commands, separated by commas")
     parser.add_argument("--minutes", type=float, default=600.0, help="no sample is begun after that")
     parser.add_argument("--json", type=Path, help="results are added to this file")
@@ -303,14 +361,27 @@ def main() -> None:
     commands = options.only.split(",") if options.only else list(COMMANDS)
     with tempfile.TemporaryDirectory() as name:
         kept = options.json or Path(name) / "signals.jsonl"
-        measure(commands, options.samples, time.monotonic() + options.minutes * 60.0, kept, Path(name))
+        have = [json.loads(line)["command"] for line in kept.read_text().splitlines()] if kept.exists() else []
+        bench = Bench(kept, time.monotonic() + options.minutes * 60.0)
+        for number in range(options.samples):
+            for command in commands:
+                if have.count(command) <= number:
+                    bench.todo.put(command)
+        workers = []
+        for number in range(options.parallel):
+            folder = Path(name) / f"cell-{number}"
+            folder.mkdir()
+            workers.append(threading.Thread(target=bench.work, args=(folder,)))
+            workers[-1].start()
+        for worker in workers:
+            worker.join()
         outcomes = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
-    if outcomes:
-        print("\n".join(table(outcomes)))
     for outcome in outcomes:
         if outcome["why"]:
-            print(f"not kept: {outcome['command']}, {outcome['signal']} at {outcome['moment_s']:.2f} s: {outcome['why']}")
-    sys.exit(1 if any(outcome["why"] for outcome in outcomes) else 0)
+            print(
+                f"not kept: {outcome['command']}, {outcome['stage']}, {outcome['signal']} at {outcome['moment_s']:.2f} s: {outcome['why']}"
+            )
+    sys.exit(0 if outcomes and write_table(outcomes) else 1)
 
 
 if __name__ == "__main__":

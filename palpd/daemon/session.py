@@ -6,7 +6,7 @@ from pathlib import Path
 
 from palpd.config import Config, Plan, refuse_unsafe
 from palpd.daemon.display import Display, ShowProgress
-from palpd.daemon.interrupts import Interrupted, held, leave_within, received, shielded
+from palpd.daemon.interrupts import Interrupted, held, leave_within, received, shielded, waited_s
 from palpd.daemon.job_progress import job_progress, job_steps
 from palpd.daemon.motion_process import Build, Job, Kind
 from palpd.daemon.overshoot import refuse_overload
@@ -15,8 +15,10 @@ from palpd.daemon.supervisor import JobRun, Report, now, recording_name, wait
 from palpd.errors import BadInput, Refused, Stopped
 from palpd.recording.ring import Ring
 
-TABLES_S = 2.0
-"""Time for the tables of an interrupted run. The recording is closed by then, so `palpd analyse` can make them again."""
+GONE_S = 0.9
+"""Longest time from a signal to the end of the process. The recording is closed by then; `palpd analyse` makes tables that were cut off."""
+TABLES_S = 0.1
+"""Shortest time for the tables of an interrupted run, where the end of the loop took longer."""
 
 
 def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_reference: bool = False) -> Job:
@@ -117,7 +119,7 @@ def carry_out(work: Job, build: Build, display: Display, name: str | None = None
     if report.exit_code == 2:
         raise Refused(report.reason)
     if received():
-        leave_within(TABLES_S, report.reason, report.exit_code)
+        leave_within(max(TABLES_S, GONE_S - waited_s()), report.reason, report.exit_code)
     return report
 
 

@@ -1,6 +1,7 @@
-"""Ctrl-C in the phases of a run that are the hardest to interrupt: it reaches all processes of palpd, and the reason is true."""
+"""Signals to every command that moves the arm, in the phases that are the hardest to interrupt: all processes end, the reason is true."""
 
 import os
+import shutil
 import signal
 from collections.abc import Callable
 from contextlib import suppress
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.emulated_cell import PATIENT, PRESS, Daemon, EmulatedCell, command_of, family, until
+from benchmarks.signals import CALIBRATION, COMMANDS, RIGID_N_PER_M, interrupted
 from palpd.recording.reader import Recording
 
 pytestmark = pytest.mark.hil
@@ -65,3 +67,34 @@ def test_a_signal_in_the_press_stops_the_arm_and_closes_the_recording(cell: Call
     assert not list(wired.folder.glob("runs/*.part"))
     (recording,) = map(Recording.load, Path(wired.folder, "runs").glob("*.mcap"))
     assert recording.footer["verdict"] == "stopped"
+
+
+STAGE_OF = dict.fromkeys(COMMANDS, "motion") | {"calibrate": "start", "demo": "start"}
+"""When each command is interrupted here; the benchmark interrupts all at random moments."""
+START_S = 6.0
+"""Longest time to the signal of those that are interrupted at the start."""
+
+
+@pytest.fixture(scope="module")
+def calibration(cb3: EmulatedCell, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A reference tare for all commands."""
+    cell = cb3.anew(tmp_path_factory.mktemp("calibrated"))
+    done = cell.palpd("calibrate", "--config", cell.config)
+    assert done.returncode == 0, done.stderr
+    return cell.folder / "state" / CALIBRATION
+
+
+NAMES = ("SIGTERM", "Ctrl-C", "SIGINT twice", "terminal closed") * 2
+
+
+@pytest.mark.parametrize(("command", "name"), list(zip(COMMANDS, NAMES, strict=True)))
+def test_every_command_that_moves_ends_with_the_true_reason(
+    cell: Callable[..., EmulatedCell], calibration: Path, command: str, name: str
+) -> None:
+    wired = cell(RIGID_N_PER_M if command == "stiffness" else 1000.0, **PATIENT)
+    (wired.folder / "state").mkdir()
+    shutil.copy(calibration, wired.folder / "state" / CALIBRATION)
+    outcome = interrupted(wired, command, name, STAGE_OF[command], START_S)
+    assert outcome is not None, "the command ended before the signal"
+    assert not outcome.why, outcome
+    assert outcome.gone_s < END_S
