@@ -29,8 +29,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks.emulated_cell import ABOVE_M, PRESS, EmulatedCell, emulated_cell, family
+from benchmarks.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell, emulated_cell, family
 from benchmarks.measured_column import FAULTS, condition, fill, spread
+from hw.emulators.controller import TruthSample
+from hw.emulators.process import Emulated
 from palpd.daemon.socket_client import ask
 from palpd.errors import PalpdError
 from palpd.recording.reader import Recording
@@ -86,7 +88,7 @@ SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "Ctrl-C", "terminal closed", "SIGINT t
 
 @dataclass(frozen=True)
 class SignalOutcome:
-    """What one signal led to. `rest_s` is None where the emulated cell belongs to the command and ended with it."""
+    """What one signal led to. `rest_s` is None where the emulated cell of the command itself was not there yet, or was gone before."""
 
     command: str
     stage: str
@@ -132,6 +134,30 @@ class Reader:
             self._over.set()
             self._thread.join()
             os.close(self.terminal)
+
+
+class OwnCell:
+    """Keeps the log of an emulated cell that belongs to a command, and ends with it."""
+
+    def __init__(self, control: Path) -> None:
+        self._wires, self._since_s = Emulated("", "", 0, control), time.monotonic() - 0.1
+        self._samples: list[TruthSample] = []
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        with contextlib.suppress(OSError, ValueError, RuntimeError):  # it has ended, or was not there yet
+            while True:
+                self._samples += self._wires.log(self._samples[-1].t_s if self._samples else self._since_s)
+                time.sleep(0.01)
+
+    def rest_s(self, sent_s: float) -> float | None:
+        """Time from `sent_s` to a target speed of zero; None where there was no cell, or it ended before."""
+        self._thread.join(PATIENCE_S)
+        if not self._samples or self._samples[-1].speed_m_per_s > 0.0:
+            return None
+        moving_s = [sample.t_s for sample in self._samples if sample.speed_m_per_s > 0.0]
+        return max(0.0, moving_s[-1] - sent_s) if moving_s else 0.0
 
 
 def _operate(cell: EmulatedCell, process: subprocess.Popen[bytes]) -> None:
@@ -202,6 +228,7 @@ def interrupted(cell: EmulatedCell, command: str, name: str, stage: str, start_s
         _end(process)
         window.close()
         return None
+    own_cell = OwnCell(cell.folder / "runs" / "control") if command == "demo" else None
     sent_s = _send(process, window, name)
     try:
         code = process.wait(PATIENCE_S)
@@ -210,7 +237,7 @@ def interrupted(cell: EmulatedCell, command: str, name: str, stage: str, start_s
         code = process.wait()
     gone_s = time.monotonic() - sent_s
     window.close()
-    rest_s = None if command == "demo" else max(0.0, cell.rest_after_s(sent_s, settle_s=max(0.6, gone_s)))
+    rest_s = own_cell.rest_s(sent_s) if own_cell is not None else max(0.0, cell.rest_after_s(sent_s, settle_s=max(0.6, gone_s)))
     sentence = stderr.read_text()
     time.sleep(max(0.0, sent_s + gone_s + SETTLE_S - time.monotonic()))
     left = family(process.pid)
@@ -270,7 +297,7 @@ def start_s(cell: EmulatedCell, command: str) -> float:
     return lasted_s
 
 
-class Bench:
+class SignalBench:
     """Emulated cells side by side, and what signals led to in them."""
 
     def __init__(self, kept: Path, end_s: float) -> None:
@@ -290,7 +317,7 @@ class Bench:
                 (own / "state").mkdir()
                 shutil.copy(folder / "state" / CALIBRATION, own / "state" / CALIBRATION)
                 rigid = {"stiffness_N_per_m": RIGID_N_PER_M} if command == "stiffness" else {}
-                return base.anew(own, **rigid, safety={"contact_limit_N": 16.0})
+                return base.anew(own, **rigid, **PATIENT)
 
             while time.monotonic() < self._end_s:
                 try:
@@ -362,7 +389,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         kept = options.json or Path(name) / "signals.jsonl"
         have = [json.loads(line)["command"] for line in kept.read_text().splitlines()] if kept.exists() else []
-        bench = Bench(kept, time.monotonic() + options.minutes * 60.0)
+        bench = SignalBench(kept, time.monotonic() + options.minutes * 60.0)
         for number in range(options.samples):
             for command in commands:
                 if have.count(command) <= number:

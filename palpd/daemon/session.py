@@ -15,7 +15,7 @@ from palpd.daemon.supervisor import JobRun, Report, now, recording_name, wait
 from palpd.errors import BadInput, Refused, Stopped
 from palpd.recording.ring import Ring
 
-GONE_S = 0.9
+GONE_S = 0.8
 """Longest time from a signal to the end of the process. The recording is closed by then; `palpd analyse` makes tables that were cut off."""
 TABLES_S = 0.1
 """Shortest time for the tables of an interrupted run, where the end of the loop took longer."""
