@@ -37,7 +37,7 @@ class PreparedRecording:
     steps: Bins  # of the simulation's steps; a step is several samples long where the motion is smooth enough
     sampled: TipMotion  # at every sample
     motion: TipMotion  # at the steps, moved to even times where these were nearly even
-    step_t_s: Floats  # the true times of the steps
+    step_means: csr_array  # (b, steps) takes means over the bins of what is known at the times of `motion`
     smoother: tuple[TipMotion, TipMotion]  # `motion` with its path averaged once more, and with its acceleration averaged once more
     reports: Reports  # of the robot
     robot_t_s: Floats  # (k,) times at which the robot is simulated: the samples where it reports more slowly, else the steps
@@ -84,7 +84,8 @@ class PreparedRecording:
         Returns:
             Means (b,) in the unit of the values.
         """
-        return self.steps.mean(np.interp(self.step_t_s, motion.t_s, values))
+        assert len(motion.t_s) == self.step_means.shape[1]
+        return np.asarray(self.step_means @ values)
 
 
 def without_rounding(samples: Samples) -> Samples:
@@ -151,7 +152,7 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecordin
         steps=steps,
         sampled=sampled,
         motion=_at_steps(sampled, samples_per_step),
-        step_t_s=samples_per_step.mean(sampled.t_s),
+        step_means=_step_means(sampled, samples_per_step, steps),
         smoother=(
             _at_steps(replace(sampled, z_m=again.z_m, vz_m_per_s=again.vz_m_per_s), samples_per_step),
             _at_steps(replace(sampled, az_m_per_s2=again.az_m_per_s2), samples_per_step),
@@ -249,6 +250,13 @@ def _at_steps(motion: TipMotion, samples_per_step: Bins) -> TipMotion:
         return np.interp(even_s, t_s, samples_per_step.mean(values))
 
     return replace(motion, t_s=even_s, z_m=at(motion.z_m), vz_m_per_s=at(motion.vz_m_per_s), az_m_per_s2=at(motion.az_m_per_s2))
+
+
+def _step_means(sampled: TipMotion, samples_per_step: Bins, steps: Bins) -> csr_array:
+    """The matrix (b, steps) from values at the even times of the steps to means over bins of their true times."""
+    t_s = samples_per_step.mean(sampled.t_s)
+    even_s = _even(t_s)
+    return steps.means() @ straight_between(np.clip(t_s, even_s[0], even_s[-1]), even_s)
 
 
 def _even(t_s: Floats) -> Floats:
