@@ -2,7 +2,8 @@
 
 Neighbours in a smooth residual are not independent, and a further effect of any kind then explains some of it. So the noise that
 listed effects are compared with is the residual's own (a model discrepancy in the sense of Kennedy and O'Hagan, 2001). Whether
-something outside the list is at work is still judged by the stated noise.
+something outside the list is at work is still judged by the stated noise, hypothesis by hypothesis. Its total is not taken from the
+posterior with the stated noise: that sees fewer effects outside the list.
 """
 
 from collections.abc import Mapping
