@@ -128,7 +128,7 @@ def write_page(result: CheckResult, folder: Path, ablations: Sequence[CheckResul
         "",
         INTRODUCTION,
         "",
-        f"{numbers}, seed {result['seed']}; SHA-256 over the sealed files: `{result['sealed_sha256']}`.",
+        f"{numbers}, seed {result['seed']} ({result['seed']:08x} in hex); SHA-256 over the sealed files: `{result['sealed_sha256']}`.",
         f"Again: `{_command(result)}`.",
         "",
         PREAMBLE,

@@ -36,7 +36,7 @@ import numpy as np
 from palpd.blind.detectability import COARSE_HZ, Detectability, nearest_law, scales_of
 from palpd.blind.drawn_cases import by_place, second_rms
 from palpd.blind.drawn_cells import CHANNELS, PHASES, no_deviations
-from palpd.blind.mujoco.cases import EFFECTS, KINDS, MujocoCase, change_by, draw_case, healthy_mismatch, sealed_truth
+from palpd.blind.mujoco.cases import EFFECTS, MujocoCase, change_by, draw_case, healthy_mismatch, sealed_truth
 from palpd.blind.mujoco.nominal import force_residual, phase_of
 from palpd.blind.mujoco.snr import sizes
 from palpd.blind.plans import VARIANCE
@@ -44,7 +44,7 @@ from palpd.blind.recorded_cells import RecordedMotion, cell_of
 from palpd.blind.truth import CannotDraw, CaseSpec, NearestLaw, SealedCase, SealedEffect, SecondMotion, Truth
 from palpd.recording.samples import Samples
 
-__all__ = ["EFFECTS", "KINDS", "MujocoCase", "change_by", "draw_case", "draw_mujoco", "healthy_mismatch", "sealed_truth"]
+__all__ = ["EFFECTS", "MujocoCase", "change_by", "draw_case", "draw_mujoco", "healthy_mismatch", "sealed_truth"]
 
 LEAST_SNR = 3.6
 """Least signal-to-noise ratio of a planted effect; a motion that shows it less is drawn again."""

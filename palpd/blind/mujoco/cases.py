@@ -1,6 +1,6 @@
 """One case: a cell that is drawn, simulated with MuJoCo, and sealed with its truth."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -30,8 +30,6 @@ from palpd.blind.mujoco.snr import Yardstick, sizes, snr, yardstick
 from palpd.blind.mujoco.unlisted import UNLISTED
 from palpd.recording.samples import Samples
 
-KINDS = {"none": 0.20, "single": 0.45, "pair": 0.15, "unlisted": 0.20}
-"""Share of each kind of case."""
 SNR_RANGE = (4.0, 60.0)
 """Signal-to-noise ratios are log-uniform over this range."""
 SNR_ACCURACY = 0.04
@@ -66,7 +64,6 @@ class MujocoCase:
 
     seed: int
     index: int
-    kind: str
     stated: StatedCell
     healthy: CellSetup
     deviations: dict[str, Any]
@@ -151,50 +148,25 @@ class MujocoCase:
         return record(self.reading(other=other), stated or self.stated, path, rng, self.deviations["noise_ratio"])
 
 
-def draw_case(seed: int, index: int, kinds: Mapping[str, float] = KINDS, effects: Sequence[str] | None = None) -> MujocoCase:
+def draw_case(seed: int, index: int, effects: Sequence[str] = ()) -> MujocoCase:
     """Draw one case; the same arguments give the same case to the last bit.
 
     Args:
         seed: seed of the whole set.
         index: number of the case in the set.
-        kinds: share of each kind.
-        effects: ids of the effects to plant, in place of drawn ones.
+        effects: ids of the effects to plant.
 
     Returns:
-        The case, its effects scaled to their signal-to-noise ratios.
+        The case, its effects scaled to their signal-to-noise ratios. A motion that hardly shows an effect at any size gives a lower one.
     """
     rng = np.random.default_rng([seed, index])
-    kind = str(rng.choice(list(kinds), p=np.array(list(kinds.values())) / sum(kinds.values())))
     rig: Rig = "arm" if rng.random() < ARM_SHARE else "slide"
-    case = _draw_cell(rng, seed, index, kind, rig)
-    ids = list(effects) if effects is not None else _draw_ids(rng, kind, case)
-    own_contact = any(name.startswith(OWN_CONTACT) for name in ids)
+    case = _draw_cell(rng, seed, index, rig)
+    own_contact = any(name.startswith(OWN_CONTACT) for name in effects)
     if rig == "slide" and rng.random() < ENGINE_SHARE and not own_contact:
         case.healthy = replace(case.healthy, plant=replace(case.healthy.plant, engine_contact=True))
-    if effects is not None:
-        case.kind = (
-            "none" if not ids else "unlisted" if any(not EFFECTS[name].listed for name in ids) else "pair" if len(ids) > 1 else "single"
-        )
-    if not ids:
-        return case
-    planted = [_scaled(case, EFFECTS[name], case.yardstick(), rng) for name in ids]
-    while effects is None and any(each.reached_snr < 0.9 * SNR_RANGE[0] for each in planted):
-        # This motion hardly shows the effect at any size: another one takes its place.
-        ids = _draw_ids(rng, kind, case)
-        if case.healthy.plant.engine_contact and any(name.startswith(OWN_CONTACT) for name in ids):
-            continue
-        planted = [_scaled(case, EFFECTS[name], case.yardstick(), rng) for name in ids]
-    case.planted = tuple(planted)
+    case.planted = tuple(_scaled(case, EFFECTS[name], case.yardstick(), rng) for name in effects)
     return case
-
-
-def _draw_ids(rng: np.random.Generator, kind: str, case: MujocoCase) -> list[str]:
-    listed = [effect.id for effect in LISTED if effect.id != "sensor.filter" or case.stated.filter_cutoff_Hz is not None]
-    if kind == "none":
-        return []
-    if kind == "unlisted":
-        return [str(rng.choice([effect.id for effect in UNLISTED]))]
-    return [str(name) for name in rng.choice(listed, size=2 if kind == "pair" else 1, replace=False)]
 
 
 def _draw_servo(rng: np.random.Generator) -> ServoDesign:
@@ -227,7 +199,7 @@ def _draw_stated(rng: np.random.Generator) -> StatedCell:
     )  # fmt: skip
 
 
-def _draw_cell(rng: np.random.Generator, seed: int, index: int, kind: str, rig: Rig) -> MujocoCase:
+def _draw_cell(rng: np.random.Generator, seed: int, index: int, rig: Rig) -> MujocoCase:
     stated = _draw_stated(rng)
     servo = _draw_servo(rng)
     if rig == "arm":
@@ -245,7 +217,7 @@ def _draw_cell(rng: np.random.Generator, seed: int, index: int, kind: str, rig: 
     path = draw_path(rng, stated, log_uniform(rng, 20.0, long_s), force)
     healthy = replace(healthy, plant=replace(healthy.plant, deepest_m=path.deepest_m))
     other = draw_path(rng, stated, 25.0, force * rng.uniform(0.6, 1.1))
-    return MujocoCase(seed, index, kind, stated, healthy, deviations, path, other)
+    return MujocoCase(seed, index, stated, healthy, deviations, path, other)
 
 
 def _calibrated(rng: np.random.Generator, plant: PlantSetup, stated: StatedCell) -> tuple[float, float]:
@@ -394,11 +366,11 @@ def sealed_truth(case: MujocoCase) -> dict[str, Any]:
         case: the case.
 
     Returns:
-        Kind, rig, deviations, every effect with its parameters, signal-to-noise ratios and sizes, and how exact the healthy cell is.
+        Rig, deviations, every effect with its parameters, signal-to-noise ratios and sizes, and how exact the healthy cell is.
     """
     plant = case.healthy.plant
     truth: dict[str, Any] = {
-        "schema": "palpd.mujoco_truth/1", "seed": case.seed, "index": case.index, "kind": case.kind, "rig": plant.rig,
+        "schema": "palpd.mujoco_truth/1", "seed": case.seed, "index": case.index, "rig": plant.rig,
         "controller": vars(plant.servo), "physics_step_s": plant.step_s, "report_rate_Hz": case.stated.report_rate_Hz,
         "contact": "MuJoCo's soft contact" if plant.engine_contact else "Hertz, by xfrc_applied at the tip",
         "deviations": case.deviations,
