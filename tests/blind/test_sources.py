@@ -1,6 +1,8 @@
 """The sources of the blind check: what is planted into a recording is there and nothing else, and a small part of each is diagnosed."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -167,6 +169,12 @@ def test_a_source_that_does_not_exist_or_needs_what_is_not_there_is_refused(monk
     with pytest.raises(BadInput, match="needs MuJoCo"):
         sources_named("injected", Hosts())
     assert sources_named("injected", Hosts(Path("somewhere"))) == ("injected",)
+
+
+def test_drawn_cells_need_no_mujoco() -> None:
+    line = "import sys; sys.modules['mujoco'] = None; from palpd.blind.check import run; print(len(run(1, 1, jobs=1)['outcomes']))"
+    printed = subprocess.run([sys.executable, "-c", line], capture_output=True, text=True, check=False)
+    assert printed.stdout.strip() == "1", printed.stderr
 
 
 @pytest.mark.parametrize(("source", "cases", "seed"), [("mujoco", 3, 14), ("injected", 2, 16)])

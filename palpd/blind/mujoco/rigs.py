@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from palpd.blind.mujoco.servos import setpoint
-from palpd.blind.mujoco.setup import Array, PlantSetup
+from palpd.blind.mujoco.setup import Array, GRAVITY_m_per_s2, PlantSetup
 
 UR5_DH = (
     (0.089159, 0.0, np.pi / 2), (0.0, -0.425, 0.0), (0.0, -0.39225, 0.0), (0.10915, 0.0, np.pi / 2), (0.09465, 0.0, -np.pi / 2),
@@ -26,8 +26,6 @@ ARMATURE_m2 = 0.2
 ARM_BASE_BELOW_SURFACE_m = 0.15
 WRIST_SHARE = 0.08
 """Reflected inertia of a wrist joint relative to that of a big joint: smaller motors, the same gear ratio."""
-GRAVITY_m_per_s2 = 9.81
-"""Acceleration of free fall in the models."""
 LOOSE_MASS_kg = 0.02
 """Mass of the plate between a loose screw's stops."""
 HARD = 'solref="0.004 1" solimp="0.999 0.999 0.001"'

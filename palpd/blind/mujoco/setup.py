@@ -11,6 +11,8 @@ from palpd.recording.samples import Samples
 
 Array = NDArray[np.float64]
 Rig = Literal["slide", "arm"]
+GRAVITY_m_per_s2 = 9.81
+"""Acceleration of free fall in the models."""
 TORQUE_ARM_M = 0.05
 """The contract states crosstalk as force per force; for torques it counts times this arm."""
 

@@ -15,9 +15,20 @@ from palpd.blind.mujoco.effects import (
     peak_force_N,
     sign,
 )
-from palpd.blind.mujoco.rigs import GRAVITY_m_per_s2
 from palpd.blind.mujoco.sensor import low_pass
-from palpd.blind.mujoco.setup import Array, Cable, CellSetup, ForceTerm, LateralTerm, PlantRun, PressPath, ProbeTerm, StatedCell, Table
+from palpd.blind.mujoco.setup import (
+    Array,
+    Cable,
+    CellSetup,
+    ForceTerm,
+    GRAVITY_m_per_s2,
+    LateralTerm,
+    PlantRun,
+    PressPath,
+    ProbeTerm,
+    StatedCell,
+    Table,
+)
 
 
 def _surface_motion(setup: CellSetup, motion: Callable[[PressPath, Array], Array]) -> CellSetup:
