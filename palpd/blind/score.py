@@ -267,12 +267,15 @@ class Score:
             return float(low) <= self.value <= float(high)
         return self.value >= float(bound) if sign == "≥" else self.value <= float(bound)
 
-    def shortfall(self) -> float:
-        """By how much the estimate misses its target; 0 where it reaches it or there is no verdict."""
-        if self.met() is not False or self.value is None:
-            return 0.0
-        low, _, high = self.target.partition(" ")[2].partition(" to ")
-        return min(abs(self.value - float(bound)) for bound in (low, high or low))
+    def shortfall(self) -> float | None:
+        """By how much the estimate misses its target, however few the cases; None where there is no target or no case."""
+        sign, _, bounds = self.target.partition(" ")
+        if self.value is None or not bounds:
+            return None
+        low, _, high = bounds.partition(" to ")
+        below = 0.0 if sign == "≤" else max(float(low) - self.value, 0.0)
+        above = 0.0 if sign == "≥" else max(self.value - float(high or low), 0.0)
+        return below + above
 
 
 def wilson(right: int, n: int) -> tuple[float, float]:
@@ -494,7 +497,7 @@ def _p95(values: Floats, axis: int = -1) -> Floats:
 def tables_by_source(outcomes: Sequence[CaseOutcome]) -> dict[str, list[ScoreRow]]:
     """The table of every source, the worst first, and after them one over all; one table alone where there is one source.
 
-    The worst source is the one that misses its targets by the most: the mean shortfall over the lines that have a verdict.
+    The worst source is the one that misses its targets by the most: the mean shortfall over all lines with a target.
     """
     by = {source: [o for o in outcomes if o["source"] == source] for source in SOURCES}
     by = {source: mine for source, mine in by.items() if mine}
@@ -504,8 +507,8 @@ def tables_by_source(outcomes: Sequence[CaseOutcome]) -> dict[str, list[ScoreRow
 
 
 def _mean_shortfall(lines: Sequence[Score]) -> float:
-    judged = [line.shortfall() for line in lines if line.met() is not None]
-    return float(np.mean(judged)) if judged else 0.0
+    missed = [shortfall for line in lines if (shortfall := line.shortfall()) is not None]
+    return float(np.mean(missed)) if missed else 0.0
 
 
 def table(outcomes: Sequence[CaseOutcome]) -> list[ScoreRow]:

@@ -236,7 +236,9 @@ def test_a_target_is_met_if_the_estimate_reaches_it_and_there_are_enough_cases(
 ) -> None:
     score = Score("share", right / n, wilson(right, n), n, target)
     assert score.met() is met
-    assert (score.shortfall() > 0.0) is (met is False)
+    missed_by = score.shortfall()
+    assert missed_by is not None
+    assert (missed_by > 0.0) is (met is False)
     row = table([outcome("healthy", [], [])])[0] | {"value": right / n, "n": n, "target": target, "met": score.met()}
     assert word in as_markdown([row])
 
