@@ -17,7 +17,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, Literal, TypedDict
+from typing import IO, Any, Literal, TypedDict, cast
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -59,6 +59,8 @@ _LEAST_APART_S = 0.007
 
 _UNREADABLE = (McapError, ZstdError, struct.error, ValueError, KeyError, RuntimeError, MemoryError, OverflowError)
 """What the MCAP reader raises on truncated or altered bytes."""
+LATEST_S = 1e11
+"""Unix time beyond which no recording was made: the year 5138."""
 
 
 class RunAbout(TypedDict, total=False):
@@ -327,11 +329,7 @@ class Contents:
         if opcode == Opcode.CHUNK:
             return self._ticks_of(Chunk.read(ReadDataStream(io.BytesIO(content))))
         if opcode == Opcode.METADATA:
-            metadata = Metadata.read(ReadDataStream(io.BytesIO(content)))
-            if metadata.name == HEADER:
-                self.header = json.loads(metadata.metadata["json"])
-            elif metadata.name == FOOTER:
-                self.footer = json.loads(metadata.metadata["json"])
+            self._keep(Metadata.read(ReadDataStream(io.BytesIO(content))))
         elif opcode == Opcode.ATTACHMENT:
             if zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little"):
                 raise ValueError("the checksum of the attachment is wrong")
@@ -345,10 +343,8 @@ class Contents:
             for record in StreamReader(stream, emit_chunks=True, validate_crcs=True).records:
                 if isinstance(record, Chunk):
                     yield self._ticks_of(record)
-                elif isinstance(record, Metadata) and record.name == HEADER:
-                    self.header = json.loads(record.metadata["json"])
-                elif isinstance(record, Metadata) and record.name == FOOTER:
-                    self.footer = json.loads(record.metadata["json"])
+                elif isinstance(record, Metadata):
+                    self._keep(record)
                 elif isinstance(record, Attachment) and record.name == MODEL:
                     self.model_bytes = record.data
                 ended = ended or isinstance(record, DataEnd)
@@ -356,6 +352,21 @@ class Contents:
         except _UNREADABLE as error:
             where = "behind the data" if ended else f"at byte {stream.tell()} of {os.fstat(stream.fileno()).st_size}"
             self.torn = f"{where} ({type(error).__name__})"
+
+    def _keep(self, metadata: Metadata) -> None:
+        """Keep the recording's header or footer. Raises ValueError where it holds no keys."""
+        if metadata.name not in (HEADER, FOOTER):
+            return
+        content = json.loads(metadata.metadata["json"])
+        if not isinstance(content, dict):
+            raise ValueError(f"{metadata.name} holds a {type(content).__name__}, expected keys and values")
+        offset_s = content.get("epoch_offset_s", 0.0)
+        if not isinstance(offset_s, int | float) or not abs(offset_s) < LATEST_S:
+            raise ValueError(f"epoch_offset_s is {offset_s!r}, expected the seconds of Unix time at which the clock began")
+        if metadata.name == HEADER:
+            self.header = cast(RecordingHeader, content)
+        else:
+            self.footer = cast(RecordingFooter, content)
 
     def _ticks_of(self, chunk: Chunk) -> list[bytes]:
         content, _ = get_chunk_data_stream(chunk, validate_crc=True)
@@ -437,8 +448,8 @@ class Recovered:
 
 def recover(part: Path) -> Recovered:
     """Write FILE.mcap with all whole chunks of FILE.part, and keep FILE.part. Raises RecordingError, also where FILE.mcap exists."""
-    path = part.with_suffix("") if part.name.endswith(".mcap.part") else part.with_suffix(".mcap")
-    if path == part:
+    path = part.parent / f"{part.name.removesuffix('.part').removesuffix('.mcap')}.mcap"
+    if part.suffix != ".part":
         raise RecordingError(f"{part} is not called .part; give the unfinished file, or rename a damaged one to .part")
     _refuse_growing(part)
     contents = Contents()
@@ -486,10 +497,12 @@ def _no_room(path: Path, error: OSError) -> RecordingError:
 
 
 def _refuse_growing(part: Path) -> None:
-    if part.exists() and not part.is_file():
-        raise RecordingError(f"{part} is no regular file; give the unfinished recording of a run")
-    with contextlib.suppress(OSError), part.open("rb") as stream:  # the reader refuses a file that does not exist
-        try:
-            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise RecordingError(f"{part} is still being written; wait for the run to end") from None
+    with contextlib.suppress(OSError):  # the reader refuses a file that does not exist
+        if not part.is_file():
+            part.stat()
+            raise RecordingError(f"{part} is no regular file; give the unfinished recording of a run")
+        with part.open("rb") as stream:
+            try:
+                fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise RecordingError(f"{part} is still being written; wait for the run to end") from None

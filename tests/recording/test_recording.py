@@ -2,6 +2,7 @@
 
 import csv
 import errno
+import json
 import os
 import resource
 import signal
@@ -356,6 +357,33 @@ def test_an_altered_header_is_said_though_every_chunk_is_whole(tmp_path: Path) -
     recovered = recover(tmp_path / "run.part")
     assert recovered.ticks == 40
     assert "header or footer may be altered" in recovered.sentence
+
+
+@pytest.mark.parametrize(
+    "forged", ["[]", "5", "null", '{"epoch_offset_s": "noon"}', '{"epoch_offset_s": NaN}', '{"epoch_offset_s": 1e300}']
+)
+def test_a_header_that_no_recording_has_is_refused_and_nothing_is_restored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, forged: str
+) -> None:
+    with monkeypatch.context() as forging:
+        forging.setattr(json, "dumps", lambda *_: forged)
+        writer = RecordingWriter(tmp_path / "run.mcap", HEADER)
+    writer.write(palpation(40))
+    writer.close({"verdict": "done", "reason": ""})
+    with pytest.raises(RecordingError):
+        Recording.load(tmp_path / "run.mcap")
+    (tmp_path / "run.mcap").rename(tmp_path / "other.part")
+    with pytest.raises(RecordingError, match="no recording of palpd"):
+        recover(tmp_path / "other.part")
+    assert [path.name for path in tmp_path.iterdir()] == ["other.part"]
+
+
+@pytest.mark.parametrize("name", ["", "/", "x.mcap", "n" * 300 + ".part", "missing.part", ".part"])
+def test_a_name_behind_which_no_part_stands_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RecordingError):
+        recover(Path(name))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_restored_file_opens_everywhere_and_says_what_it_is(tmp_path: Path) -> None:
