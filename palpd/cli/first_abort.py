@@ -16,6 +16,8 @@ SEND_S = 0.1
 """Longest wait for the daemon to accept. It accepts at once unless a thousand others wait."""
 REQUEST = b'{"do": "abort"}\n'
 DEFAULT_CONFIG = "config.yaml"
+MOST_LETTERS = 262_144
+"""Longest configuration, as for every YAML file."""
 LETTERS = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-./")
 NOT_NAMES = frozenset(("null", "true", "false", "yes", "no", "on", "off", "y", "n"))
 """What YAML reads as something else than a text."""
@@ -57,11 +59,14 @@ def socket_path(arguments: "Sequence[str]") -> str | None:
 def _configured_path(config: str) -> str | None:
     if any(name.upper().startswith("PALPD_PATHS") for name in os.environ):
         return None
+    if not os.path.isfile(config):  # noqa: PTH113 - pathlib takes 4 ms to import; a pipe or a device would keep the abort waiting
+        return None
     try:
-        with open(config, encoding="utf-8") as file:  # noqa: PTH123 - pathlib takes 4 ms to import
-            paths = _plain_paths(file.read())
+        with open(config, encoding="utf-8") as file:  # noqa: PTH123
+            text = file.read(MOST_LETTERS + 1)
     except (OSError, ValueError):
         return None
+    paths = _plain_paths(text) if len(text) <= MOST_LETTERS else None
     if paths is None:
         return None
     folder = os.path.dirname(os.path.realpath(config))  # noqa: PTH120

@@ -126,6 +126,15 @@ def test_the_first_abort_leaves_to_the_whole_reader_what_is_not_plain(tmp_path: 
     assert socket_path(["--config", str(written(tmp_path, text))]) is None
 
 
+def test_the_first_abort_waits_for_no_pipe_and_no_device(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.yaml")
+    (tmp_path / "zero.yaml").symlink_to("/dev/zero")
+    (tmp_path / "huge.yaml").write_text("")
+    os.truncate(tmp_path / "huge.yaml", 3_000_000_000)
+    for name in ("pipe.yaml", "zero.yaml", "huge.yaml", "", "a\0b"):
+        assert socket_path(["--config", str(tmp_path / name)]) is None
+
+
 def test_the_first_abort_leaves_other_options_and_variables_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert socket_path([]) is None
