@@ -6,6 +6,7 @@ stands here with its reason, so a new command cannot be left out by accident.
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,7 +16,7 @@ from typing import Any
 import pytest
 import typer.main
 
-from hw.emulators.process import started
+from benchmarks.emulated_cell import EmulatedCell, emulated_cell, retry_if_machine_stalled
 from palpd.cli import app
 from tests.paths import ROOT
 
@@ -31,7 +32,6 @@ HANDS = {
 }
 MADE_LATER = {"models/inertial.onnx"}
 """Files that a page names and a command makes."""
-HOST = "127.0.9.61"
 
 
 @pytest.fixture(scope="module")
@@ -80,16 +80,22 @@ def test_the_blocks_of_the_readme_run_in_order(clone: Path) -> None:
 
 
 @pytest.mark.hil
-def test_the_commands_for_a_real_cell_run_in_order_on_emulated_wires(clone: Path, tmp_path: Path) -> None:
+def test_the_commands_for_a_real_cell_run_in_order_on_emulated_wires(clone: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     section = (ROOT / "README.md").read_text().partition("## Your real cell")[2].partition("\n## ")[0]
     commands = re.findall(r"`(palpd [^`]*)`", section)
     assert set(HANDS) <= set(commands)
     kept = [command for command in commands if command not in HANDS]
     assert len(kept) >= 5
-    with started(tmp_path, "ur5", None, HOST) as emulated:
+
+    def attempt(cell: EmulatedCell) -> None:
+        here = tmp_path_factory.mktemp("attempt") / "clone"
+        shutil.copytree(clone, here, symlinks=True)
         for command in kept:
-            run(command, clone, PALPD_ROBOT__HOST=HOST, PALPD_SENSOR__PORT=str(emulated.sensor))
-    assert (clone / "models" / "inertial.onnx").exists()
+            run(command, here, PALPD_ROBOT__HOST=cell.wires.host, PALPD_SENSOR__PORT=str(cell.wires.sensor))
+        assert (here / "models" / "inertial.onnx").exists()
+
+    with emulated_cell(tmp_path_factory.mktemp("cell")) as wired:
+        retry_if_machine_stalled(lambda: wired.anew(tmp_path_factory.mktemp("run")), attempt)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}/{page.name}")
