@@ -91,7 +91,8 @@ class Linearisation:
 def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisation:
     """Nuisance columns around a state of the cell.
 
-    A deviation that one of the effects stands for is the effect's own: it is fitted, not marginalised, and its column is zero.
+    A deviation that one of the effects stands for is the effect's own: it is fitted, not marginalised, and its column is zero. The press
+    scatter of that deviation stays, since an effect changes all presses alike.
 
     Args:
         problem: The data and their prediction.
@@ -101,18 +102,19 @@ def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisa
     Returns:
         Shared deviations first, then those of every recording and its presses.
     """
-    eta = np.where(problem.own_tolerances(effects), 0.0, eta)
+    owned = problem.own_tolerances(effects)
+    eta = np.where(owned, 0.0, eta)
     prediction = problem.predict(effects, eta)
     shared = _shared_columns(problem, effects, eta, prediction)
     own = list(_own_columns(problem, effects, eta, prediction, shared))
-    columns = np.array([*shared, *(values for _, values in own)])
+    columns = np.array([*np.where(owned[:, None, None], 0.0, shared), *(values for _, values in own)])
     labels = (*(Column("cell", name) for name in SHARED), *(label for label, _ in own))
     return Linearisation(effects, eta, columns, labels, nuisances(columns), prediction)
 
 
 def _shared_columns(problem: Problem, effects: EffectValues, eta: Floats, prediction: Floats) -> list[Floats]:
-    """Forward differences of the prediction with every shared deviation."""
-    sd = np.where(problem.own_tolerances(effects), 0.0, problem.shared_sd)
+    """Forward differences of the prediction with every shared deviation, also with those that the effects stand for."""
+    sd = problem.shared_sd
     leaking = eta + np.where(LEAKS, 0.5, 0.0)  # each into an axis of its own, so all at once
     leaks = (problem.predict(effects, leaking) - prediction) / 0.5 if sd[LEAKS].any() else np.zeros_like(prediction)
     columns = []

@@ -1,0 +1,40 @@
+"""The nuisances of a hypothesis: what its effects stand for is no nuisance, and everything else stays one."""
+
+import numpy as np
+import pytest
+
+from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
+from palpd.cell.cell_file import CellFile, EffectValues
+from palpd.gap.diagnosis import diagnose
+from palpd.gap.linearise import linearise
+from palpd.gap.problem import SHARED, Problem, make_problem
+from palpd.recording.samples import Samples
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return make_problem([recording("second order", 3)], cell_of("second order"), max_bins=400)
+
+
+@pytest.mark.parametrize(
+    ("effects", "deviation"),
+    [({"tissue.modulus": {"ratio": 1.15}}, "youngs_modulus"), ({"tissue.surface": {"offset_m": 1e-4}}, "surface_z_m")],
+)
+def test_an_effect_on_all_presses_keeps_their_scatter(problem: Problem, effects: EffectValues, deviation: str) -> None:
+    nominal, there = linearise(problem, {}, problem.nominal_eta), linearise(problem, effects, problem.nominal_eta)
+    assert not there.columns[SHARED.index(deviation)].any()
+    assert [label for label in there.labels if label.scope == "press"] == [label for label in nominal.labels if label.scope == "press"]
+    scatter = there.columns[there.numbers("press")]
+    assert np.abs(scatter).max(axis=(1, 2)) == pytest.approx(np.abs(nominal.columns[nominal.numbers("press")]).max(axis=(1, 2)), rel=0.3)
+
+
+@pytest.fixture
+def stiff() -> tuple[Samples, CellFile]:
+    return recording("second order", 4, PlantedDeviations(gain=0.12)), cell_of("second order")
+
+
+def test_a_wrong_gain_is_not_taken_for_a_wrong_modulus_with_certainty(stiff: tuple[Samples, CellFile]) -> None:
+    samples, cell = stiff
+    answer = diagnose([samples], cell, max_bins=900, propose=False)
+    names = {name for effect in answer.effects for name in (effect.id, *effect.indistinguishable_from)}
+    assert "sensor.gain" in names
