@@ -50,7 +50,7 @@ ARMING_FAULTS = {
 
 @dataclass(frozen=True)
 class ArmingOutcome:
-    """What a run said after a fault: `said_s` from the fault to the end of its process, and how far the target went."""
+    """What a run said after a fault: `said_s` from the fault to the sentence, and how far the target went."""
 
     fault: str
     said_s: float
@@ -92,19 +92,20 @@ def failed_arming(cell: EmulatedCell, fault: str) -> ArmingOutcome:
     if kind.when == "opening":
         _opened(cell, daemon)
         done_s = float(cell.wires.ask(kind.verb, **kind.arguments)["t_s"])
-    code, gone_s = daemon.wait(), time.monotonic()
+    until(lambda: "palpd: " in daemon.stderr or daemon.process.poll() is not None, "the run says why it ends")
+    said_s, code = time.monotonic(), daemon.wait()
     log = cell.wires.ask("log", since_s=began_s)
     if kind.when == "arming":
         assert log["armings"], f"the run did not arm: {daemon.stderr}"
         done_s = float(log["armings"][0])
     samples = cell.log(began_s)
     moved_m = max(sample.target_z_m for sample in samples) - min(sample.target_z_m for sample in samples)
-    return ArmingOutcome(fault, gone_s - (began_s if done_s is None else done_s), code, daemon.stderr.strip(), moved_m, os.getloadavg()[0])
+    return ArmingOutcome(fault, said_s - (began_s if done_s is None else done_s), code, daemon.stderr.strip(), moved_m, os.getloadavg()[0])
 
 
 @dataclass(frozen=True)
 class ArmingRow:
-    """One row of the table: a phrase of the sentence, and the longest time from the fault to the end of the process."""
+    """One row of the table: a phrase of the sentence, and the longest time from the fault to the sentence."""
 
     phrase: str
     deadline_s: float

@@ -286,19 +286,22 @@ def serve(build: Build, ring_name: str, pipe: Connection, life: Connection) -> N
         try:
             job = pipe.recv()
         except (EOFError, OSError):
-            return
+            break
         if job is None:
-            return
-        again = False
+            break
         try:
-            again = _do(build, job, ring, pipe, request)
+            fifo(DEVICE_PRIORITY)
+            devices = build(job.config, job.dry or job.kind == "calibrate")  # kept here: see the end
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            if not _do(devices, job, ring, pipe, request):
+                break
         except PalpdError as error:
             pipe.send(Failed(str(error), error.exit_code))
+            os._exit(0)  # while the error still holds the devices
         except Exception as error:  # a defect of ours: it must reach the operator as a sentence, and the process must end
             pipe.send(Failed(f"the motion process failed ({type(error).__name__}: {error})", 3))
-        if not again:
-            break
-    os._exit(0)  # not through ur_rtde's destructors, which can hang or crash after a lost connection
+            os._exit(0)
+    os._exit(0)  # not through ur_rtde's destructors: they take a second, and after a lost connection they can hang or crash
 
 
 def _end_with_supervisor(life: Connection, orphaned: threading.Event) -> None:
@@ -312,14 +315,11 @@ def _end_with_supervisor(life: Connection, orphaned: threading.Event) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
 
-def _do(build: Build, job: Job, ring: Ring, pipe: Connection, request: Callable[[], Request]) -> bool:
-    """Open the devices, report them, wait for `GO`, run, send the last message. Returns whether this process may take another job.
+def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Callable[[], Request]) -> bool:
+    """Report the devices, wait for `GO`, run, send the last message, close. Returns whether this process may take another job.
 
-    The last message goes out before the devices are closed, which takes ur_rtde a second: meanwhile the recording is closed.
+    The last message goes out before the devices are closed, which takes ur_rtde half a second: meanwhile the recording is closed.
     """
-    fifo(DEVICE_PRIORITY)
-    devices = build(job.config, job.dry or job.kind == "calibrate")
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     try:
         if job.kind == "calibrate":
             pipe.send(ReferenceTaken(devices.about, tuple(take_reference(devices).tolist())))
