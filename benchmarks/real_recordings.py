@@ -27,7 +27,8 @@ What the diagnosis answers on public recordings that nobody here made, beside wh
 are not in the repository, since their licences differ. `python benchmarks/real_recordings.py FOLDER` writes this page.
 
 An answer is *right* if it names a known cause, alone or with its group, and nothing else. Where something outside the list acts, the
-right answer is `unknown`, and a known cause may stand beside it. It is *partly right* if it names a known cause and something else.
+right answer is `unknown`; what is named beside it is a cause or the nearest mimic. An answer is *partly right* if it names a known cause
+and something else, or calls it unknown.
 """
 
 
@@ -54,7 +55,7 @@ class RealAnswer:
         """`right`, `partly right` or `wrong`."""
         all_right = len(self.right_names) == len(self.named)
         if self.declared.unlisted:
-            return "right" if self.verdict == "unknown" and all_right else "partly right" if self.right_names else "wrong"
+            return "right" if self.verdict == "unknown" else "partly right" if self.right_names else "wrong"
         if not self.right_names:
             return "wrong"
         return "right" if all_right and self.verdict != "unknown" else "partly right"
