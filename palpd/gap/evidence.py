@@ -114,6 +114,9 @@ def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
             if likeliest := int(np.argmax(each)):
                 discrepancy_energy = _unfittable_energy(discrepancies[likeliest - 1].change(), best.jacobian, space)
                 covariance = discrepancies[likeliest - 1].covariance
+        # The fit sees the sum of an effect and of the deviation within tolerance that it stands for.
+        shift = covariance @ np.array([[slope.dot(project(c, space)) for c in best.around.owned] for slope in slopes])
+        covariance = covariance + shift @ shift.T
     return Fit(
         names=best.names,
         values=best.values,

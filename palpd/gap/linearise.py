@@ -13,7 +13,7 @@ from palpd.gap.noise import FX, FY, FZ, TX, TY, Z, resolutions
 from palpd.gap.nuisances import Nuisances, nuisances
 from palpd.gap.phases import FREE_STILL, HOLDING
 from palpd.gap.prepare import PreparedRecording
-from palpd.gap.problem import CROSSTALK, RELATIVE, SHARED, Problem, torque_arm_m
+from palpd.gap.problem import CROSSTALK, RELATIVE, SHARED, Problem, tolerance_key, torque_arm_m
 from palpd.gap.rounding import undithered_rms
 from palpd.recording.samples import runs_of_true
 from palpd.tick import Floats
@@ -44,6 +44,7 @@ class Linearisation:
         labels: What each column stands for (k,). Effects change the list: a press that no longer touches has no columns.
         space: The same columns, prepared to be projected out.
         prediction: Whitened prediction (7, b) of the cell in that state.
+        owned: Changes (m, 7, b) by one standard deviation of what the effects stand for, which is no nuisance here.
     """
 
     effects: EffectValues
@@ -52,6 +53,7 @@ class Linearisation:
     labels: tuple[Column, ...]
     space: Nuisances
     prediction: Floats
+    owned: Floats
 
     def numbers(self, scope: str, name: str | None = None, channel: int | None = None) -> list[int]:
         """Numbers of the columns of one kind.
@@ -85,7 +87,8 @@ class Linearisation:
         """
         columns = np.where(bins[None, None, :], self.columns, 0.0)
         prediction = np.where(bins[None, :], self.prediction, 0.0)
-        return Linearisation(self.effects, self.eta, columns, self.labels, nuisances(columns), prediction)
+        owned = np.where(bins[None, None, :], self.owned, 0.0)
+        return Linearisation(self.effects, self.eta, columns, self.labels, nuisances(columns), prediction, owned)
 
 
 def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisation:
@@ -102,14 +105,17 @@ def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisa
     Returns:
         Shared deviations first, then those of every recording and its presses.
     """
-    owned = problem.own_tolerances(effects)
-    eta = np.where(owned, 0.0, eta)
+    eta = np.where(problem.own_tolerances(effects), 0.0, eta)
     prediction = problem.predict(effects, eta)
     shared = _shared_columns(problem, effects, eta, prediction)
     own = list(_own_columns(problem, effects, eta, prediction, shared))
-    columns = np.array([*np.where(owned[:, None, None], 0.0, shared), *(values for _, values in own)])
+    columns = np.array([*shared, *(values for _, values in own)])
     labels = (*(Column("cell", name) for name in SHARED), *(label for label, _ in own))
-    return Linearisation(effects, eta, columns, labels, nuisances(columns), prediction)
+    keys = {problem.library[name].tolerance for name in effects}
+    replaced = np.array([label.scope != "press" and label.channel in (-1, FZ) and tolerance_key(label.name) in keys for label in labels])
+    owned = columns[replaced]
+    columns[replaced] = 0.0
+    return Linearisation(effects, eta, columns, labels, nuisances(columns), prediction, owned)
 
 
 def _shared_columns(problem: Problem, effects: EffectValues, eta: Floats, prediction: Floats) -> list[Floats]:
@@ -138,7 +144,6 @@ def _own_columns(
 ) -> Iterator[tuple[Column, Floats]]:
     """Labelled columns (7, b) of every recording in turn: its zeros, errors of the computation, press scatter, rounding."""
     cell = problem.cell_at(effects, eta)
-    owned = {problem.library[name].tolerance for name in effects}
     z_m = problem.noise.natural(prediction)[Z]
     start = 0
     for recording in problem.recordings:
@@ -151,7 +156,7 @@ def _own_columns(
             return label, problem.noise.whiten(column)
 
         for label, values in _zeros(problem, recording, cell):
-            yield whitened(label, 0.0 * values if label.channel == FZ and label.name in owned else values)
+            yield whitened(label, values)
         for label, values in _computation_errors(problem, recording, cell, z_m[here]):
             yield whitened(label, values)
         if recording.judged[Z]:

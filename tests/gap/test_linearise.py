@@ -38,3 +38,12 @@ def test_a_wrong_gain_is_not_taken_for_a_wrong_modulus_with_certainty(stiff: tup
     answer = diagnose([samples], cell, max_bins=900, propose=False)
     names = {name for effect in answer.effects for name in (effect.id, *effect.indistinguishable_from)}
     assert "sensor.gain" in names
+
+
+def test_the_interval_of_an_effect_holds_the_tolerance_that_it_stands_for() -> None:
+    cell = cell_of("second order")
+    answer = diagnose([recording("second order", 5, PlantedDeviations(surface_z_m=4e-4))], cell, max_bins=900, propose=False)
+    offset_m, low_m, high_m = answer.effects[0].parameters["offset_m"]
+    assert answer.effects[0].id == "tissue.surface"
+    assert low_m < 4e-4 < high_m
+    assert min(offset_m - low_m, high_m - offset_m) >= 1.96 * cell.tolerances.surface_z_m
