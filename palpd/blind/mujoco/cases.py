@@ -403,7 +403,7 @@ def healthy_mismatch(case: MujocoCase, scale: Yardstick) -> dict[str, Any]:
         scale: its healthy directions.
 
     Returns:
-        For every channel the rms in standard deviations of one sample, and the signal-to-noise ratio of the whole.
+        For every channel the rms in standard deviations of one sample, and the signal-to-noise ratios of the whole and of the forces.
     """
     samples = case.reading([]).samples
     assert samples.z_cmd_m is not None
@@ -413,8 +413,10 @@ def healthy_mismatch(case: MujocoCase, scale: Yardstick) -> dict[str, Any]:
     d = np.column_stack([scale.whitened(direction) for direction in scale.directions])
     fitted = np.linalg.solve(np.eye(d.shape[1]) + d.T @ d, d.T @ scale.whitened(rest))
     left = rest - np.tensordot(fitted, scale.directions, axes=1)
+    forces = np.concatenate([np.zeros_like(left[:, :1]), left[:, 1:]], axis=1)
     return {
         "rms_sigma": dict(zip(CHANNELS, (np.sqrt((left**2).mean(axis=0)) / stated.sigma).tolist(), strict=True)),
         "largest_sigma": dict(zip(CHANNELS, (np.abs(left).max(axis=0) / stated.sigma).tolist(), strict=True)),
         "snr": float(np.linalg.norm(scale.whitened(left))),
+        "snr_of_forces": float(np.linalg.norm(scale.whitened(forces))),
     }
