@@ -26,6 +26,7 @@ import numpy as np
 
 from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell, until
 from benchmarks.measured_column import FAULTS, condition, fill, spread
+from benchmarks.terminal import take_signals
 from palpd.daemon.socket_client import ask
 from palpd.errors import PalpdError
 from palpd.recording.reader import Recording
@@ -236,6 +237,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="results are added to this file")
     parser.add_argument("--crowd", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()
+    take_signals()
     if options.crowd:
         _crowd_in(Path(options.crowd[0]), int(options.crowd[1]), int(options.crowd[2]))
     with tempfile.TemporaryDirectory() as name:

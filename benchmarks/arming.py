@@ -16,6 +16,7 @@ from typing import Any
 
 from benchmarks.emulated_cell import PRESS, Daemon, EmulatedCell, emulated_cell, until
 from benchmarks.measured_column import FAULTS, condition, fill, spread
+from benchmarks.terminal import take_signals
 from palpd.tick import PROGRAM_PLAYING
 
 HANGS_S = 6.0
@@ -214,6 +215,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=600.0, help="no sample is begun after that")
     parser.add_argument("--json", type=Path, help="results are added to this file")
     options = parser.parse_args()
+    take_signals()
     with tempfile.TemporaryDirectory() as name:
         kept = options.json or Path(name) / "arming.jsonl"
         measure(options.samples, time.monotonic() + options.minutes * 60.0, kept, Path(name))

@@ -11,7 +11,6 @@ import json
 import multiprocessing
 import os
 import queue
-import signal
 import sys
 import tempfile
 import threading
@@ -36,6 +35,7 @@ from benchmarks.fault_injection import (
     wall_clock,
 )
 from benchmarks.measured_column import condition, fill
+from benchmarks.terminal import take_signals
 from palpd.daemon.realtime import fifo
 
 CONTACT_LIMIT_N = 16.0
@@ -180,7 +180,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="results are added to this file, and the table is made of all of it")
     options = parser.parse_args()
     faults = options.only.split(",") if options.only else list(FAULTS)
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and so would its children
+    take_signals()
     with tempfile.TemporaryDirectory() as name:
         kept = options.json or Path(name) / "faults.jsonl"
         bench = Bench(kept, time.monotonic() + options.minutes * 60)

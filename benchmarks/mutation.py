@@ -16,7 +16,6 @@ import json
 import os
 import random
 import resource
-import signal
 import sys
 import types
 from collections.abc import Iterator
@@ -28,6 +27,7 @@ import pytest
 from scipy.stats import binom
 
 import palpd.tick  # noqa: F401
+from benchmarks.terminal import take_signals
 
 ROOT = Path(__file__).parents[1]
 TARGETS = {  # name: (module, file, what of it; everything if empty, the tests)
@@ -176,7 +176,7 @@ def main() -> None:
     os.chdir(ROOT)
     hypothesis.settings.register_profile("mutation", database=None, derandomize=True, deadline=None)
     hypothesis.settings.load_profile("mutation")
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    take_signals()
     seed = random.randrange(2**31) if options.seed is None else options.seed
     print(f"| module, share {options.share:g} drawn with --seed {seed} | mutants | killed | |\n|---|---|---|---|", flush=True)
     survivors, enough = [], True

@@ -31,6 +31,7 @@ import yaml
 
 from benchmarks.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell, emulated_cell, family
 from benchmarks.measured_column import FAULTS, condition, fill, spread
+from benchmarks.terminal import take_signals
 from hw.emulators.controller import TruthSample
 from hw.emulators.process import Emulated
 from palpd.daemon.socket_client import ask
@@ -385,6 +386,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=600.0, help="no sample is begun after that")
     parser.add_argument("--json", type=Path, help="results are added to this file")
     options = parser.parse_args()
+    take_signals()
     commands = options.only.split(",") if options.only else list(COMMANDS)
     with tempfile.TemporaryDirectory() as name:
         kept = options.json or Path(name) / "signals.jsonl"

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, command_of, emulated_cell, family, until
+from benchmarks.terminal import take_signals
 from palpd.daemon.socket_client import ARM_PATIENCE_S, ask
 from palpd.errors import PalpdError
 from palpd.recording.ring import Ring
@@ -217,7 +218,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="every minute's figures")
     options = parser.parse_args()
     stopping: list[int] = []
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and so would its children
+    take_signals()
     signal.signal(signal.SIGTERM, lambda number, _: stopping.append(number))
     with tempfile.TemporaryDirectory() as name, emulated_cell(Path(name), options.model) as base:
         folder = Path(name)
