@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell, until
-from benchmarks.measured_column import FAULTS, condition, fill, spread
+from benchmarks.measured_column import FAULTS, condition, fill, results_in, spread
 from benchmarks.terminal import take_signals
 from palpd.daemon.socket_client import ask
 from palpd.errors import PalpdError
@@ -183,8 +183,7 @@ def measure(samples: int, end_s: float, kept: Path, folder: Path) -> None:
             until(path.exists, "the service listens", every_s=0.1)
             for number in range(samples):
                 for crowd in CROWDS:
-                    lines = kept.read_text().splitlines() if kept.exists() else []
-                    if sum(json.loads(line)["crowd"] == crowd for line in lines) > number:
+                    if sum(result["crowd"] == crowd for result in results_in(kept)) > number:
                         continue
                     if time.monotonic() > end_s:
                         return
@@ -243,7 +242,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         kept = options.json or Path(name) / "abort.jsonl"
         measure(options.samples, time.monotonic() + options.minutes * 60.0, kept, Path(name))
-        entries = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+        entries = results_in(kept)
     sys.exit(0 if entries and write_table(entries) else 1)
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.emulated_cell import PRESS, Daemon, EmulatedCell, emulated_cell, until
-from benchmarks.measured_column import FAULTS, condition, fill, spread
+from benchmarks.measured_column import FAULTS, condition, fill, results_in, spread
 from benchmarks.terminal import take_signals
 from palpd.tick import PROGRAM_PLAYING
 
@@ -174,8 +174,7 @@ def measure(samples: int, end_s: float, kept: Path, folder: Path) -> None:
             calibration = prepared(base)
             for number in range(samples):
                 for fault in [name for name, kind in ARMING_FAULTS.items() if kind.model == model]:
-                    lines = kept.read_text().splitlines() if kept.exists() else []
-                    if sum(json.loads(line)["fault"] == fault for line in lines) > number:
+                    if sum(result["fault"] == fault for result in results_in(kept)) > number:
                         continue
                     if time.monotonic() > end_s:
                         return
@@ -223,7 +222,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         kept = options.json or Path(name) / "arming.jsonl"
         measure(options.samples, time.monotonic() + options.minutes * 60.0, kept, Path(name))
-        entries = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+        entries = results_in(kept)
     sys.exit(0 if entries and write_table(entries) else 1)
 
 

@@ -34,7 +34,7 @@ from benchmarks.fault_injection import (
     required,
     wall_clock,
 )
-from benchmarks.measured_column import condition, fill
+from benchmarks.measured_column import condition, fill, results_in
 from benchmarks.terminal import take_signals
 from palpd.daemon.realtime import fifo
 
@@ -158,8 +158,7 @@ def cell_of(entries: list[dict[str, Any]]) -> tuple[str, int]:
 def write_table(kept: Path) -> int:
     """Fill the column "measured" of docs/faults.md from a file of results, and return how many faults broke a requirement."""
     by_fault: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for line in kept.read_text().splitlines():
-        entry = json.loads(line)
+    for entry in results_in(kept):
         by_fault[entry["fault"]].append(entry)
     cells, all_broken = {}, 0
     for fault, entries in by_fault.items():

@@ -1,15 +1,29 @@
 """The column "measured" of a table in docs/: a benchmark fills it from all of its results, and writes below it how it was measured."""
 
 import datetime
+import json
 import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 FAULTS = Path(__file__).parents[1] / "docs" / "faults.md"
 """The page with the tables of faults, failed arming, signals and aborts."""
+
+
+def results_in(kept: Path) -> list[dict[str, Any]]:
+    """Results that a resumable benchmark has kept, one JSON object a line.
+
+    Args:
+        kept: The file; it need not exist yet.
+
+    Returns:
+        The results, oldest first.
+    """
+    return [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
 
 
 def fill(document: Path, cells: Mapping[str, str], subject: str, condition: str) -> None:

@@ -30,7 +30,7 @@ import numpy as np
 import yaml
 
 from benchmarks.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell, emulated_cell, family
-from benchmarks.measured_column import FAULTS, condition, fill, spread
+from benchmarks.measured_column import FAULTS, condition, fill, results_in, spread
 from benchmarks.terminal import take_signals
 from hw.emulators.controller import TruthSample
 from hw.emulators.process import Emulated
@@ -390,7 +390,7 @@ def main() -> None:
     commands = options.only.split(",") if options.only else list(COMMANDS)
     with tempfile.TemporaryDirectory() as name:
         kept = options.json or Path(name) / "signals.jsonl"
-        have = [json.loads(line)["command"] for line in kept.read_text().splitlines()] if kept.exists() else []
+        have = [result["command"] for result in results_in(kept)]
         bench = SignalBench(kept, time.monotonic() + options.minutes * 60.0)
         for number in range(options.samples):
             for command in commands:
@@ -404,7 +404,7 @@ def main() -> None:
             workers[-1].start()
         for worker in workers:
             worker.join()
-        outcomes = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+        outcomes = results_in(kept)
     for outcome in outcomes:
         if outcome["why"]:
             print(

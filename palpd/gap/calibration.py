@@ -10,10 +10,9 @@ from functools import cache
 from importlib.resources import files
 
 from palpd.files import parse_json
+from palpd.gap.posterior import P_NONE, P_UNKNOWN
 from palpd.gap.verdict import DiagnosisVerdict
 
-PRIOR_NONE, PRIOR_UNKNOWN = 0.3, 0.15
-"""Prior probabilities of no effect and of something outside the list, as in the posterior; the rest is the listed effects'."""
 MAP_FILE = "calibration.json"
 
 
@@ -47,8 +46,8 @@ class ProbabilityMap:
         none, unknown, listed = (max(p, 0.0) ** self.power for p in (p_none, p_unknown, p_listed))
         total = none + unknown + listed
         return (
-            (1.0 - self.doubt) * none / total + self.doubt * PRIOR_NONE,
-            (1.0 - self.doubt) * unknown / total + self.doubt * PRIOR_UNKNOWN,
+            (1.0 - self.doubt) * none / total + self.doubt * P_NONE,
+            (1.0 - self.doubt) * unknown / total + self.doubt * P_UNKNOWN,
         )
 
     def of_effects(self, marginal: Mapping[str, float]) -> dict[str, float]:
@@ -60,7 +59,7 @@ class ProbabilityMap:
         Returns:
             Those as stated.
         """
-        prior = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / max(len(marginal), 1)
+        prior = (1.0 - P_NONE - P_UNKNOWN) / max(len(marginal), 1)
         stated = {}
         for name, p in marginal.items():
             present, absent = min(max(p, 0.0), 1.0) ** self.power, min(max(1.0 - p, 0.0), 1.0) ** self.power
