@@ -87,15 +87,17 @@ def held_runs(samples: Samples) -> tuple[int, float, float]:
         samples: The recording.
 
     Returns:
-        Their number, their mean length in samples beyond the first, and the number of repeats that chance alone gives (each live axis
-        repeats by itself now and then).
+        Their number, their mean length in samples beyond the first, and the number of repeats that chance alone gives: each live axis
+        repeats by itself as often as it does while another one changes.
     """
     live = [k for k in range(6) if not dead(samples.wrench[:, k])]
     if not live:
         return 0, 0.0, 0.0
     same = samples.wrench[1:, live] == samples.wrench[:-1, live]
-    chance = float(np.prod([_repeat_chance(samples.wrench[:, k]) for k in live])) * len(same)
     together = same.all(axis=1)
+    alone = [same[~np.delete(same, k, axis=1).all(axis=1), k] for k in range(len(live))] if len(live) > 1 else []
+    shares = [max(float(axis.mean()), 1e-6) for axis in alone if len(axis)] or [_repeat_chance(samples.wrench[:, k]) for k in live]
+    chance = float(np.prod(shares)) * len(same)
     first, end = runs_of_true(together)
     lengths = end - first
     if len(live) == 1 and len(lengths) and lengths.mean() < 3.0:

@@ -8,7 +8,7 @@ from palpd.cell.cell_file import nominal
 from palpd.gap.bins import Bins
 from palpd.gap.noise import FZ, measured_rms
 from palpd.gap.rounding import Rounding, coarse_step_N, rounding_of
-from palpd.gap.scatter import without_tails
+from palpd.gap.scatter import without_held, without_tails
 from palpd.gap.whitening import Whitening
 from palpd.recording.samples import Samples
 
@@ -48,6 +48,20 @@ def test_noise_that_neighbours_share_is_made_white() -> None:
 def at_rest(wrench: np.ndarray) -> Samples:
     t_s = np.arange(len(wrench)) / 500.0
     return Samples(t_s, 0 * t_s, 0 * t_s, 0 * t_s, wrench)
+
+
+def test_repeats_that_rounding_makes_by_chance_are_no_held_samples() -> None:
+    """A coarse step that is rounded once more to the stated one lies on no lattice, and repeats all the more."""
+    rng = np.random.default_rng(6)
+    wrench = rng.normal(0.0, 1.0, (38_000, 6))
+    wrench[:, :2] = np.round(wrench[:, :2] * 0.054 / 0.024) * 0.024
+    wrench[:, 3:] = np.round(wrench[:, 3:])
+    wrench[:, 2] = np.round(np.round((wrench[:, 2] * 0.05 + np.linspace(0.0, 4.0, 38_000)) / 0.48) * 0.48 / 0.131) * 0.131
+    assert (np.diff(wrench, axis=0) == 0.0).all(axis=1).sum() >= 8
+    assert without_held(at_rest(wrench))[1] == 0
+    for row in range(500, 38_000, 1_900):
+        wrench[row : row + 12] = wrench[row]
+    assert without_held(at_rest(wrench))[1] >= 20
 
 
 @pytest.mark.parametrize("level", [0.0, 0.5])
