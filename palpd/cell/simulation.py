@@ -264,7 +264,7 @@ def _place(cell: CellFile, site: str | None) -> Place | None:
     raise ConfigError(f"the cell has no site {site!r}; it has {known}")
 
 
-def commanded_motion(cell: CellFile, t_s: Floats, z_cmd_m: Floats, library: Library = EFFECTS) -> TipMotion:
+def commanded_motion(cell: CellFile, t_s: Floats, z_cmd_m: Floats, library: Library = EFFECTS, begin_s: float | None = None) -> TipMotion:
     """How the tip follows commanded heights, starting at rest at the first.
 
     Args:
@@ -272,6 +272,7 @@ def commanded_motion(cell: CellFile, t_s: Floats, z_cmd_m: Floats, library: Libr
         t_s: Times (n,) in s.
         z_cmd_m: Commanded heights (n,) in m.
         library: Effects by id.
+        begin_s: Time of the recording's first row, from which effects count; None for the first of `t_s`.
 
     Returns:
         The true motion of the tip.
@@ -279,12 +280,12 @@ def commanded_motion(cell: CellFile, t_s: Floats, z_cmd_m: Floats, library: Libr
     what = physics(cell, None, library)
     c = what.constants
     z, v, a = servo(z_cmd_m, steps(t_s), c.servo_natural_frequency_Hz, c.servo_damping_ratio, {})
-    s = Span(c, t_s - t_s[0], steps(t_s), z, v, a)
+    s = Span(c, t_s - (t_s[0] if begin_s is None else begin_s), steps(t_s), z, v, a)
     what.apply("robot", s, {})
     return TipMotion(s.t_s, s.z_m, s.vz_m_per_s, s.az_m_per_s2)
 
 
-def predict_motion(cell: CellFile, t_s: Floats, z_cmd_m: Floats, library: Library = EFFECTS) -> Floats:
+def predict_motion(cell: CellFile, t_s: Floats, z_cmd_m: Floats, library: Library = EFFECTS, begin_s: float | None = None) -> Floats:
     """Heights that the robot will report for commanded heights.
 
     Args:
@@ -292,11 +293,12 @@ def predict_motion(cell: CellFile, t_s: Floats, z_cmd_m: Floats, library: Librar
         t_s: Times (n,) in s.
         z_cmd_m: Commanded heights (n,) in m.
         library: Effects by id.
+        begin_s: Time of the recording's first row, from which effects count; None for the first of `t_s`.
 
     Returns:
         Heights (n,) in m, without noise.
     """
-    return commanded_motion(cell, t_s, z_cmd_m, library).z_m
+    return commanded_motion(cell, t_s, z_cmd_m, library, begin_s).z_m
 
 
 def wrench_of(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, site: str | None = None) -> Floats:

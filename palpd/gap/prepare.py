@@ -40,7 +40,7 @@ class PreparedRecording:
     step_means: csr_array  # (b, steps) takes means over the bins of what is known at the times of `motion`
     smoother: tuple[TipMotion, TipMotion]  # `motion` with its path averaged once more, and with its acceleration averaged once more
     reports: Reports  # of the robot
-    robot_t_s: Floats  # (k,) times at which the robot is simulated: the samples where it reports more slowly, else the steps
+    robot_t_s: Floats  # (k,) times from the first row: of the samples where the robot reports more slowly, else of the steps
     z_cmd_m: Floats | None  # (k,) at those times
     z_means: csr_array  # (b, k) takes means over the bins of heights at those times
     inertial_noise_N: csr_array  # (b, r) effect on fz of one standard deviation of the error of each reported speed

@@ -273,7 +273,7 @@ class Problem:
     def _binned_heights(self, recording: PreparedRecording, cell: CellFile) -> Floats:
         if not recording.judged[Z] or recording.z_cmd_m is None:
             return np.zeros(len(recording.bins))
-        return recording.z_means @ predict_motion(cell, recording.robot_t_s, recording.z_cmd_m, self.library)
+        return recording.z_means @ predict_motion(cell, recording.robot_t_s, recording.z_cmd_m, self.library, begin_s=0.0)
 
     def binned_wrench(self, recording: PreparedRecording, cell: CellFile, motion: TipMotion) -> Floats:
         """Predicted wrench in the bins of a recording.

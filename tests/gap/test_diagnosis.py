@@ -127,6 +127,14 @@ def test_an_effect_is_named_alone_also_where_the_robot_reports_more_slowly_than_
     assert all(effect.parameters[p][0] == pytest.approx(v, rel=0.1) for p, v in true.items())
 
 
+def test_a_vibration_keeps_its_phase_where_several_rows_make_one_step() -> None:
+    true = {"amplitude_m": 3e-6, "frequency_Hz": 18.67, "phase_rad": 1.795}
+    (effect,) = quick(recording(nominal(), {"robot.vibration": true}, rate_Hz=800.0), nominal()).effects
+    value, low, high = effect.parameters["phase_rad"]
+    assert effect.id == "robot.vibration"
+    assert low <= true["phase_rad"] <= high, value
+
+
 def test_two_effects_are_both_named() -> None:
     true = {"sensor.creep": {"ratio": 0.15, "tau_s": 3.0}, "robot.lag": {"bandwidth_ratio": 0.7}}
     assert {e.id for e in quick(recording(nominal(), true), nominal()).effects} == set(true)
