@@ -507,6 +507,27 @@ def _gain_nonlinear(w: SimulatedRun, p: Shape) -> None:
     w.wrench[:, 2] *= 1.0 + p["error"] * (1.0 + p["bend"] * (np.abs(w.wrench[:, 2]) / p["force_N"] - 0.5))
 
 
+def _asymmetry(w: SimulatedRun, p: Shape) -> None:
+    f = w.wrench[:, 2]
+    w.wrench[:, 2] = f + p["ratio"] * np.where(p["side"] > 0.0, np.maximum(f - p["at_N"], 0.0), np.minimum(f, p["at_N"]))
+
+
+def _asymmetry_rounded(w: SimulatedRun, p: Shape) -> None:
+    """The slope changes over a range of forces and not at one."""
+    f, side = w.wrench[:, 2], float(np.sign(p["side"]))
+    beyond = side * p["width_N"] * np.logaddexp(0.0, side * (f - p["at_N"]) / p["width_N"])
+    unloaded = side * p["width_N"] * np.logaddexp(0.0, -side * p["at_N"] / p["width_N"])
+    w.wrench[:, 2] = f + p["ratio"] * (beyond - unloaded)
+
+
+def _asymmetry_shape(r: np.random.Generator, m: CellScales) -> Shape:
+    return {"ratio": 0.05 * _sign(r), "at_N": float(r.uniform(0.05, 0.6)) * m.force_N, "side": _sign(r)}
+
+
+def _asymmetry_at(p: Shape, s: float) -> Shape:
+    return {**p, "ratio": p["ratio"] * s, "side": float(np.sign(p["side"]))}
+
+
 def _crosstalk(w: SimulatedRun, p: Shape) -> None:
     for column, name in ((0, "fx_per_fz"), (1, "fy_per_fz"), (3, "tx_per_fz_m"), (4, "ty_per_fz_m")):
         w.wrench[:, column] += p[name] * w.wrench[:, 2]
@@ -671,11 +692,6 @@ def _sticking(w: SimulatedRun, p: Shape) -> None:
     """Wall friction in the tissue: a force against the way of the tip that grows with the depth."""
     way = relax(np.tanh(w.vz_m_per_s / 1e-3), w.dt_s, 0.05)
     w.contact_N = np.maximum(w.contact_N * (1.0 - p["share"] * way * np.minimum(w.depth_m / p["depth_m"], 1.5)), 0.0)
-
-
-def _asymmetric_gain(w: SimulatedRun, p: Shape) -> None:
-    f = w.wrench[:, 2]
-    w.wrench[:, 2] = f + p["share"] * p["force_N"] * np.tanh(f / (0.15 * p["force_N"])) ** 2
 
 
 def _pulse(w: SimulatedRun, p: Shape) -> None:
@@ -932,6 +948,7 @@ LIBRARY_LAWS: tuple[Law, ...] = (
     Law("clock.skew", "library", "sensor", lambda r, m: {"ratio": _sign(r) * 0.01 / m.duration_s}, _times("ratio"), _skew, strongest=100.0),
     Law("sensor.latency", "library", "sensor", lambda r, m: {"delay_s": 0.003}, _times("delay_s"), _latency, strongest=60.0),
     Law("sensor.gain", "library", "sensor", lambda r, m: {"error": _sign(r) * 0.03}, _times("error"), _gain, strongest=15.0),
+    Law("sensor.asymmetry", "library", "sensor", _asymmetry_shape, _asymmetry_at, _asymmetry, strongest=12.0),
     Law(
         "sensor.crosstalk",
         "library",
@@ -1055,6 +1072,7 @@ FOREIGN_LAWS: tuple[Law, ...] = (
     _with("clock.skew", "wandering", _skew_nonlinear),
     _with("sensor.latency", "wandering", _latency_wandering, lambda r, m: {"share": 0.2, "period_s": _taut(r, m, 0.1, 0.5)}),
     _with("sensor.gain", "slightly bent", _gain_nonlinear, lambda r, m: {"bend": 0.25 * _sign(r), "force_N": m.force_N}),
+    _with("sensor.asymmetry", "rounded corner", _asymmetry_rounded, lambda r, m: {"width_N": float(r.uniform(0.03, 0.12)) * m.force_N}),
     _with("sensor.crosstalk", "slightly bent", _crosstalk_nonlinear, lambda r, m: {"force_N": m.force_N}),
     _with("sensor.hysteresis", "Bouc-Wen", _bouc_wen, lambda r, m: {"exponent": float(r.uniform(1.3, 2.5))}),
     _with("sensor.hysteresis", "Prandtl-Ishlinskii", _prandtl),
@@ -1113,7 +1131,6 @@ NOVEL_LAWS: tuple[Law, ...] = (
     ),
     Law("slip", "novel", "history", lambda r, m: {"share": 0.05, "seed": _seed(r)}, _times("share"), _slip, strongest=12.0),
     Law("sticking", "novel", "history", lambda r, m: {"share": 0.03, "depth_m": m.depth_m}, _times("share"), _sticking, strongest=12.0),
-    Law("asymmetric gain", "novel", "sensor", lambda r, m: {"share": 0.02, "force_N": m.force_N}, _times("share"), _asymmetric_gain),
     Law(
         "pulses",
         "novel",

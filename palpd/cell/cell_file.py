@@ -296,6 +296,10 @@ def _check_effects(effects: EffectValues, where: str, library: Mapping[str, Effe
         needed = [parameter.name for parameter in library[name].parameters if not parameter.optional]
         if missing := [parameter for parameter in needed if parameter not in values]:
             raise ConfigError(f"{where}.{name}: {', '.join(missing)} not given; expected {', '.join(expected)}")
+        for known in library[name].parameters:
+            if known.choices and values.get(known.name, known.choices[0]) not in known.choices:
+                choices = " or ".join(f"{choice:g}" for choice in known.choices)
+                raise ConfigError(f"{where}.{name}.{known.name} is {values[known.name]:g}, expected {choices}")
 
 
 PHANTOM = load_cell(Path(__file__).with_name("phantom.yaml"))

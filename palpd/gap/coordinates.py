@@ -27,6 +27,11 @@ class Coordinate:
     nominal: float | None
 
     @property
+    def fixed(self) -> bool:
+        """Whether it is one of few values, which are tried one by one and not fitted."""
+        return bool(self.parameter.choices)
+
+    @property
     def amplitude(self) -> bool:
         """Whether it switches the effect off at its nominal value."""
         return self.nominal is not None
@@ -55,7 +60,7 @@ def coordinates(values: EffectValues, library: Mapping[str, Effect], scale: Scal
     """The free parameters of a set of effects.
 
     Args:
-        values: Parameters by effect; an optional one that is absent is not free.
+        values: Parameters by effect; an optional one that is absent is not free, nor one that has a few values only.
         library: Effects by id.
         scale: Sizes that their bounds refer to.
 
@@ -66,7 +71,8 @@ def coordinates(values: EffectValues, library: Mapping[str, Effect], scale: Scal
     for name in values:
         effect = library[name]
         for parameter in [p for p in effect.parameters if p.name in values[name]]:
-            lower, upper = parameter.bounds(scale)
+            value = values[name][parameter.name]
+            lower, upper = (value, value) if parameter.choices else parameter.bounds(scale)
             typical = max((abs(v) for v in parameter.starts(scale)), default=0.0) or max(abs(lower), abs(upper)) or 1.0
             out.append(Coordinate(effect.id, parameter, lower, upper, typical, parameter.nominal_value(scale)))
     return tuple(out)
@@ -141,7 +147,7 @@ def start_values(effect: Effect, scale: Scale, peaks_Hz: Sequence[float]) -> lis
             starts += [0.97 * scale.force_N, 0.9 * scale.force_N]  # a limit lies near the largest readings
         if parameter.unit == "Hz":
             starts = [*[f for f in peaks_Hz if lower < f < upper], *starts]
-        lists.append([None, *starts] if parameter.optional else [*starts])
+        lists.append([*parameter.choices] or ([None, *starts] if parameter.optional else [*starts]))
     names = [p.name for p in effect.parameters]
     free = [k for k, p in enumerate(effect.parameters) if p.nominal == 0.0 and p.bounds(scale)[0] < 0.0]
     choices = [lists]

@@ -161,11 +161,11 @@ def _occam(problem: Problem, best: Optimum, normal: Floats, sizes: dict[str, flo
     """
     where, values = best.where, best.values
     # The prior range binds a coordinate that the data do not bind.
-    widths = np.array([1e3 if c.amplitude else c.range / 3.46 for c in where])
+    widths = np.array([1.0 if c.fixed else 1e3 if c.amplitude else c.range / 3.46 for c in where])
     full = normal + np.diag(1.0 / widths**2)
     sign, log_det = np.linalg.slogdet(full)
-    volume = 0.5 * (len(where) * log(2.0 * pi) - (log_det if sign > 0 else 0.0))
-    prior = 0.0
+    volume = 0.5 * (sum(not c.fixed for c in where) * log(2.0 * pi) - (log_det if sign > 0 else 0.0))
+    prior = -sum(log(len(c.parameter.choices)) for c in where if c.fixed)
     for name in values:
         index = [k for k, c in enumerate(where) if c.effect == name]
         amplitudes = [k for k in index if where[k].amplitude]
@@ -175,7 +175,7 @@ def _occam(problem: Problem, best: Optimum, normal: Floats, sizes: dict[str, flo
             _, log_density = np.linalg.slogdet(normal[np.ix_(amplitudes, amplitudes)] + 1e-12 * np.eye(m))
             sphere = log(2.0) + 0.5 * m * log(pi) - lgamma(0.5 * m)
             prior += -log(LOG_SIZE_RANGE) - m * log(size) - sphere + 0.5 * log_density
-        prior -= sum(log(where[k].range) for k in index if not where[k].amplitude)
+        prior -= sum(log(where[k].range) for k in index if not (where[k].amplitude or where[k].fixed))
         prior -= sum(_unnatural(where[k], values[name][where[k].parameter.name]) for k in index)
         prior -= CONTRARY_NATS * sum(_contrary(where[k], values[name][where[k].parameter.name], problem.scale) for k in amplitudes)
     return prior + volume, stable_inverse(full)

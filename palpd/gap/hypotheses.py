@@ -216,11 +216,15 @@ class _Search:
     def _best_of_starts(
         self, around: Linearisation, name: str, matches: list[Match], beside: EffectValues, *, starts: int, iterations: int
     ) -> Fit:
-        """The best of several searches for one effect, beside others that are fitted with it; with and without optional parameters."""
+        """The best of several searches for one effect, beside others that are fitted with it.
+
+        Each form is searched: with and without optional parameters, and with each choice of a parameter that has a few values only.
+        """
         effect, scale, library = self.problem.library[name], self.problem.scale, self.problem.library
-        forms: dict[tuple[str, ...], list[Match]] = {}
+        forms: dict[tuple[tuple[str, float | None], ...], list[Match]] = {}
         for match in matches:
-            forms.setdefault(tuple(match.values), []).append(match)
+            form = tuple((p.name, match.values[p.name] if p.choices else None) for p in effect.parameters if p.name in match.values)
+            forms.setdefault(form, []).append(match)
         best_of_forms = []
         for those in forms.values():
             trials = [stretched(effect, match.values, match.factor, scale) for match in _different(those, starts)]

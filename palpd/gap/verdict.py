@@ -120,7 +120,7 @@ def _named(problem: Problem, best: Fit, attribution: Attribution) -> list[NamedE
                 low, high = value - spread[k] * c.scale, value + spread[k] * c.scale
             else:
                 low, high = sorted((c.back(float(best.u[k] - spread[k])), c.back(float(best.u[k] + spread[k]))))
-                if _at_bound(c, value):
+                if not c.fixed and _at_bound(c, value):
                     bound.append(c.parameter.name)
             parameters[c.parameter.name] = (value, min(low, value), max(high, value))
         out.append(NamedEffect(name, attribution.marginal[name], parameters, groups[name], problem.library[name].family, bound))

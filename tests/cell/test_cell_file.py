@@ -120,6 +120,7 @@ def test_what_is_saved_is_loaded_back_equal(cell: CellFile, tmp_path: Path) -> N
         ("effects: {tissue.viscoelastc: {ratio: 1}}", "there is no effect 'tissue.viscoelastc' (did you mean 'tissue.viscoelastic'?)"),
         ("effects: {sensor.gain: {errors: 1}}", "effects.sensor.gain: there is no parameter 'errors'; expected error"),
         ("effects: {tissue.viscoelastic: {ratio: 1}}", "effects.tissue.viscoelastic: tau_s not given; expected ratio, tau_s"),
+        ("effects: {sensor.asymmetry: {ratio: 0.1, at_N: 0, side: 2}}", "effects.sensor.asymmetry.side is 2, expected 1 or -1"),
         ("effects: {sensor.gain: {error: big}}", "effects.sensor.gain.error is 'big'"),
         ("sites: [{name: A, effects: {x: {}}}]", "sites.A.effects: there is no effect 'x'"),
         ("sites: [{x_m: 0.0}]", "sites.0.name is not given"),

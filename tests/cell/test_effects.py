@@ -39,6 +39,7 @@ LISTED = [
     "sensor.quantization",
     "sensor.noise",
     "sensor.saturation",
+    "sensor.asymmetry",
     "sensor.dropout",
     "clock.skew",
     "probe.mass",
@@ -129,7 +130,8 @@ def test_no_parameter_is_dead(name: str) -> None:
     there = everything(values)
     assert (there != simulate_nominal()).any()
     for parameter in effect.parameters:
-        moved = values | {parameter.name: values[parameter.name] * 1.4 + (0.3 if parameter.unit == "rad" else 0.0)}
+        other = values[parameter.name] * 1.4 + (0.3 if parameter.unit == "rad" else 0.0)
+        moved = values | {parameter.name: parameter.choices[-1] if parameter.choices else other}
         assert np.abs(everything(moved) - there).max() > 1e-6, parameter.name
 
 
@@ -447,13 +449,17 @@ def test_a_fast_sensor_clock_is_a_robot_that_falls_behind() -> None:
     np.testing.assert_allclose(block.wrench[:, 2], PLAIN[:, 2], atol=1e-9)
 
 
-def test_gain_crosstalk_bias_drift_and_warmup_are_what_they_say() -> None:
+def test_gain_crosstalk_bias_drift_warmup_and_asymmetry_are_what_they_say() -> None:
     fz_N = PLAIN[:, 2]
     np.testing.assert_allclose(felt(with_("sensor.gain", error=0.1)), 1.1 * fz_N, atol=1e-12)
     np.testing.assert_allclose(felt(with_("sensor.bias", offset_N=-0.2)), fz_N - 0.2, atol=1e-12)
     np.testing.assert_allclose(felt(with_("sensor.drift", rate_N_per_s=0.02)), fz_N + 0.02 * T_S, atol=1e-12)
     warm_N = felt(with_("sensor.warmup", amplitude_N=0.5, tau_s=2.0))
     np.testing.assert_allclose(warm_N, fz_N + 0.5 * (1 - np.exp(-T_S / 2.0)), atol=1e-12)
+    pushed, pulled = felt(with_("sensor.asymmetry", ratio=0.1, at_N=0.5)), felt(with_("sensor.asymmetry", ratio=0.1, at_N=0.0, side=-1.0))
+    np.testing.assert_allclose(pushed, fz_N + 0.1 * np.maximum(0.0, fz_N - 0.5), atol=1e-12)
+    np.testing.assert_allclose(pulled, fz_N + 0.1 * np.minimum(fz_N, 0.0), atol=1e-12)
+    assert (pulled < fz_N).any(), "the inertia pulls"
     leak = wrench_of(with_("sensor.crosstalk", fx_per_fz=0.1, fy_per_fz=-0.2, tx_per_fz_m=0.003, ty_per_fz_m=0.004), MOTION)
     np.testing.assert_allclose(leak, np.outer(fz_N, [0.1, -0.2, 1.0, 0.003, 0.004, 0.0]), atol=1e-12)
 

@@ -135,6 +135,15 @@ def test_a_vibration_keeps_its_phase_where_several_rows_make_one_step() -> None:
     assert low <= true["phase_rad"] <= high, value
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_another_slope_on_one_side_of_a_reading_is_named_with_its_side(side: float) -> None:
+    true = {"ratio": 0.2, "at_N": 0.5, "side": side}
+    (effect,) = quick(recording(nominal(), {"sensor.asymmetry": true}, rate_Hz=500.0), nominal()).effects
+    assert effect.id == "sensor.asymmetry"
+    assert effect.parameters["side"] == (side, side, side)
+    assert all(low <= true[name] <= high for name, (_, low, high) in effect.parameters.items()), effect.parameters
+
+
 def test_two_effects_are_both_named() -> None:
     true = {"sensor.creep": {"ratio": 0.15, "tau_s": 3.0}, "robot.lag": {"bandwidth_ratio": 0.7}}
     assert {e.id for e in quick(recording(nominal(), true), nominal()).effects} == set(true)

@@ -90,7 +90,8 @@ class Parameter:
 
     `nominal` is None where another parameter of the effect switches it off. `log` means that its order of magnitude is unknown and
     that it is positive throughout its range. `optional` means that the law also works without it; a diagnosis tries both. `natural` is
-    the largest size that working parts have: a diagnosis doubts and reports a larger one.
+    the largest size that working parts have: a diagnosis doubts and reports a larger one. `choices` are the only values that it can
+    have, the usual one first; a diagnosis tries each.
     """
 
     name: str
@@ -102,6 +103,7 @@ class Parameter:
     log: bool = False
     optional: bool = False
     natural: float | None = None
+    choices: tuple[float, ...] = ()
 
     def bounds(self, scale: Scale) -> tuple[float, float]:
         """The range to search, (lower, upper)."""

@@ -231,6 +231,29 @@ DRIFT = Effect(
 )
 
 
+def _asymmetry(s: Span, p: Values, _memory: Memory) -> None:
+    above = p.get("side", PUSHED) > 0.0
+    s.fz_N = s.fz_N + p["ratio"] * (np.maximum(s.fz_N - p["at_N"], 0.0) if above else np.minimum(s.fz_N, p["at_N"]))
+
+
+PUSHED, PULLED = 1.0, -1.0
+"""The side of `at_N` on which the slope differs: above it, or below it."""
+
+ASYMMETRY = Effect(
+    "sensor.asymmetry",
+    "sensor",
+    "another slope above (side 1) or below (side -1) a reading of at_N",
+    (
+        Parameter("ratio", "1", -0.95, 10.0, (0.1, -0.1)),
+        Parameter("at_N", "N", 0.0, lambda s: s.range_N, of("force_N", 0.3, 0.0, 0.6), nominal=None),
+        Parameter("side", "1", PULLED, PUSHED, (PUSHED, PULLED), nominal=None, optional=True, choices=(PUSHED, PULLED)),
+    ),
+    law=_asymmetry,
+    family=SCALE_OF_FORCE,
+    discrepancy_drivers=LOAD,
+)
+
+
 def _noise(c: Constants, p: Values) -> None:
     c.noise_rms_N *= p["ratio"]
     c.noise_rms_Nm *= p["ratio"]
@@ -298,6 +321,7 @@ EFFECTS = (
     HYSTERESIS,
     CREEP,
     WARMUP,
+    ASYMMETRY,
     FILTER,
     BIAS,
     DRIFT,
