@@ -24,7 +24,7 @@ from palpd.gap.calibration import MAP_FILE, ProbabilityMap
 
 STORED = Path(__file__).parents[1] / "palpd" / "gap" / MAP_FILE
 LEAST_CELLS = 100
-"""Least number of cells to fit two numbers on."""
+"""Least number of cells to fit three numbers on."""
 
 
 def stated(outcome: CaseOutcome, by: ProbabilityMap) -> CaseOutcome:
@@ -47,7 +47,7 @@ def log_loss(pairs: Sequence[tuple[float, bool]]) -> float:
 
 
 def fit(outcomes: Sequence[CaseOutcome], how: str) -> ProbabilityMap:
-    """Fit power and doubt by the logarithmic score.
+    """Fit the three numbers of the map by the logarithmic score.
 
     Args:
         outcomes: Cases with their answers, made with the map that changes nothing.
@@ -67,12 +67,12 @@ def fit(outcomes: Sequence[CaseOutcome], how: str) -> ProbabilityMap:
         return log_loss(pairs_of(outcomes, _of(q)))
 
     def _of(q: Any) -> ProbabilityMap:
-        return ProbabilityMap(float(np.exp(-abs(q[0]))), float(0.5 / (1.0 + np.exp(-q[1]))), n, how)
+        return ProbabilityMap(float(np.exp(-abs(q[0]))), float(0.5 / (1.0 + np.exp(-q[1]))), float(np.exp(q[2])), n, how)
 
-    starts = [(a, b) for a in (0.2, 2.0) for b in (-2.0, 0.0)]
+    starts = [(a, b, 0.0) for a in (0.2, 2.0) for b in (-2.0, 0.0)]
     best = min((minimize(loss, start, method="Nelder-Mead") for start in starts), key=lambda solution: float(solution.fun))
     fitted = _of(best.x)
-    return ProbabilityMap(round(fitted.power, 4), round(fitted.doubt, 4), n, how)
+    return ProbabilityMap(round(fitted.power, 4), round(fitted.doubt, 4), round(fitted.power_none, 4), n, how)
 
 
 def report(outcomes: Sequence[CaseOutcome], by: ProbabilityMap) -> tuple[str, bool]:
@@ -114,7 +114,7 @@ def main() -> None:
     sources = sorted({source for check in fitting for source in check["sources"]})
     how = f"palpd blind, sources {', '.join(sources)}, seeds {', '.join(map(str, seeds))}"
     by = fit([o for check in fitting for o in check["outcomes"]], how)
-    print(f"power {by.power:g}, doubt {by.doubt:g}, fitted on {by.cells} cells ({by.how})")
+    print(f"power {by.power:g}, doubt {by.doubt:g}, power of no gap {by.power_none:g}, fitted on {by.cells} cells ({by.how})")
     text, helps = report([o for check in checking for o in check["outcomes"]], by)
     print(text)
     if options.write and not helps:

@@ -29,6 +29,7 @@ DIMENSIONLESS = {
     "cosine": "cosine of an angle between two changes",
     "crosstalk": "ratio of forces",
     "damping_ratio": "ratio",
+    "power_none": "exponent of the odds of no gap",
     "doubt": "share of the prior that is mixed in",
     "energy": "share of a gap's energy",
     "excess": "in units of the noise",

@@ -1,7 +1,8 @@
-"""Stated probabilities that hold: the engine's own, tempered and mixed with the prior by two numbers that were fitted on sealed cells.
+"""Stated probabilities that hold: the engine's own, mapped by three numbers that were fitted on sealed cells.
 
-Laws are never exact and the list is never complete, so an engine that trusts both is too sure. The map changes no verdict and no name;
-it changes what is stated about them. `benchmarks/calibrate.py` fits it on cells of the blind check, and stores it beside this file.
+Laws are never exact and the list is never complete, so an engine that trusts both is too sure of a cause. And every effect keeps a small
+share of a healthy cell, so it is not sure enough that there is no gap. The map changes no verdict and no name; it changes what is stated
+about them. `benchmarks/calibrate.py` fits it on cells of the blind check, and stores it beside this file.
 """
 
 from collections.abc import Mapping
@@ -21,14 +22,16 @@ class ProbabilityMap:
     """How stated probabilities follow from the engine's.
 
     Attributes:
-        power: Exponent of the odds; below 1 they come nearer to even.
-        doubt: Share of the prior that is mixed in: what even the surest answer concedes.
+        power: Exponent of the odds of a cause; below 1 they come nearer to even.
+        doubt: Share of the prior that is mixed in where there is a gap: what even the surest cause concedes.
+        power_none: Exponent of the odds of no gap; above 1 they come nearer to certain.
         cells: Number of cells that it was fitted on; 0 for the map that changes nothing.
         how: On which cells, and when.
     """
 
     power: float = 1.0
     doubt: float = 0.0
+    power_none: float = 1.0
     cells: int = 0
     how: str = "not fitted"
 
@@ -42,13 +45,10 @@ class ProbabilityMap:
         Returns:
             Both as stated; what remains to 1 is that of listed effects alone.
         """
-        p_listed = max(1.0 - p_none - p_unknown, 0.0)
-        none, unknown, listed = (max(p, 0.0) ** self.power for p in (p_none, p_unknown, p_listed))
-        total = none + unknown + listed
-        return (
-            (1.0 - self.doubt) * none / total + self.doubt * P_NONE,
-            (1.0 - self.doubt) * unknown / total + self.doubt * P_UNKNOWN,
-        )
+        none = _tempered(p_none, self.power_none)
+        given_a_gap = min(max(p_unknown, 0.0) / max(1.0 - p_none, 1e-300), 1.0)
+        unknown = (1.0 - self.doubt) * _tempered(given_a_gap, self.power) + self.doubt * P_UNKNOWN / (1.0 - P_NONE)
+        return none, (1.0 - none) * unknown
 
     def of_effects(self, marginal: Mapping[str, float]) -> dict[str, float]:
         """The stated probabilities of listed effects.
@@ -60,11 +60,15 @@ class ProbabilityMap:
             Those as stated.
         """
         prior = (1.0 - P_NONE - P_UNKNOWN) / max(len(marginal), 1)
-        stated = {}
-        for name, p in marginal.items():
-            present, absent = min(max(p, 0.0), 1.0) ** self.power, min(max(1.0 - p, 0.0), 1.0) ** self.power
-            stated[name] = (1.0 - self.doubt) * present / (present + absent) + self.doubt * prior if p > 0.0 else 0.0
-        return stated
+        return {
+            name: (1.0 - self.doubt) * _tempered(p, self.power) + self.doubt * prior if p > 0.0 else 0.0 for name, p in marginal.items()
+        }
+
+
+def _tempered(p: float, power: float) -> float:
+    """A probability whose odds are raised to a power."""
+    present, absent = min(max(p, 0.0), 1.0) ** power, min(max(1.0 - p, 0.0), 1.0) ** power
+    return present / (present + absent)
 
 
 @cache

@@ -8,13 +8,14 @@ from palpd.blind.score import CaseOutcome
 from palpd.errors import BadInput
 from palpd.gap.calibration import ProbabilityMap, stored_map
 
-DOUBTING = ProbabilityMap(power=0.4, doubt=0.1, cells=500, how="a test")
+DOUBTING = ProbabilityMap(power=0.4, doubt=0.1, power_none=3.0, cells=500, how="a test")
 
 
 def test_the_stored_map_says_on_how_many_cells_it_was_fitted() -> None:
     stored = stored_map()
     assert 0.0 < stored.power <= 1.0
     assert 0.0 <= stored.doubt < 0.5
+    assert stored.power_none > 0.0
     assert stored.cells == 0 or stored.cells >= 100
     assert (stored.cells == 0) == (stored == ProbabilityMap())
 
@@ -26,6 +27,11 @@ def test_classes_still_add_up_to_one(p: tuple[float, float]) -> None:
     assert 0.0 <= unknown <= 1.0
     assert none + unknown <= 1.0 + 1e-12
     assert ProbabilityMap().of_classes(*p) == pytest.approx(p)
+
+
+def test_no_gap_is_stated_with_more_certainty_than_any_cause() -> None:
+    assert DOUBTING.of_classes(0.8, 0.02)[0] == pytest.approx(64.0 / 65.0)
+    assert DOUBTING.of_classes(0.0, 1.0)[1] < 0.93
 
 
 def test_a_map_keeps_the_order_of_the_effects_and_leaves_room_for_doubt() -> None:
@@ -57,6 +63,6 @@ def test_a_boaster_is_taken_back_to_how_often_it_is_right() -> None:
     assert fitted.cells == 1000
 
 
-def test_two_numbers_are_not_fitted_on_a_handful_of_cells() -> None:
+def test_three_numbers_are_not_fitted_on_a_handful_of_cells() -> None:
     with pytest.raises(BadInput, match="expected at least 100"):
         fit(boasting(99, 0.9), "a test")
