@@ -122,7 +122,7 @@ class DirectCell:
 
     def close(self) -> None:
         """Let go of everything."""
-        self._devices.robot.close()
+        self._robot.close()
         self._devices.sensor.close()
         self._ring.close()
         self._ring.unlink()

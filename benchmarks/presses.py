@@ -157,7 +157,7 @@ class Spoilt:
         """Ramp to rest."""
         self._cell.robot.stop()
 
-    def close(self) -> None:
+    def end(self) -> None:
         """Nothing to let go of."""
 
 

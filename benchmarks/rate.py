@@ -51,7 +51,7 @@ class IdleRobot:
     def stop(self) -> None:
         """Nothing."""
 
-    def close(self) -> None:
+    def end(self) -> None:
         """Nothing."""
 
 

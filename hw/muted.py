@@ -12,10 +12,6 @@ class StateReader(Protocol):
         """Return the newest state."""
         ...
 
-    def close(self) -> None:
-        """Release the connection."""
-        ...
-
 
 class MutedRobot:
     """Shows the states of `reader` and drops every command.
@@ -36,6 +32,5 @@ class MutedRobot:
     def stop(self) -> None:
         """Command nothing."""
 
-    def close(self) -> None:
-        """Close the reader."""
-        self._reader.close()
+    def end(self) -> None:
+        """Command nothing."""

@@ -315,14 +315,18 @@ class UrRobot:
         self._set_tcp()
         self.arm()
 
+    def end(self) -> None:
+        """Stop and end the control script, at most 5 s. Never raises. For a process that ends next, and its connections with it."""
+        self.stop()
+        if not (self._lost or _bounded(self._end_script, CLOSE_TIMEOUT_S)):
+            self._give_up()
+
     def close(self) -> None:
         """Stop, end the control script and disconnect: half a second, at most 5 s. Never raises.
 
         Of a lost connection only the reader is closed.
         """
-        self.stop()
-        if not (self._lost or _bounded(self._end_script, CLOSE_TIMEOUT_S)):
-            self._give_up()
+        self.end()
         reader = threading.Thread(target=self._reader.close, daemon=True)
         reader.start()  # each connection takes half a second to close
         if not (self._lost or _bounded(self._control.disconnect, CLOSE_TIMEOUT_S)):

@@ -319,7 +319,7 @@ class Clock(Protocol):
 
 
 class Robot(Protocol):
-    """What the loop needs of a robot. `read` and `move` may raise; `stop` and `close` never raise."""
+    """What the loop needs of a robot. `read` and `move` may raise; `stop` and `end` never raise."""
 
     def read(self) -> RobotState:
         """Return the newest state without waiting."""
@@ -333,8 +333,8 @@ class Robot(Protocol):
         """Bring the tip to rest. Never raises."""
         ...
 
-    def close(self) -> None:
-        """Release the controller. Never raises."""
+    def end(self) -> None:
+        """Bring the tip to rest and end what runs on the controller. Never raises. The connections end with the process."""
         ...
 
 

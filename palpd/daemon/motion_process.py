@@ -260,12 +260,12 @@ def zero_of(model: ModelConfig) -> RunningZero | None:
 
 
 def serve(build: Build, ring_name: str, pipe: Connection, life: Connection) -> None:
-    """Run the motion process until there are no more jobs.
+    """Run the motion process: one job, after which the process ends.
 
     Args:
         build: Opens robot and sensor.
         ring_name: Name of the shared ring that takes the ticks.
-        pipe: Jobs come in over it, messages go out.
+        pipe: The job comes in over it, messages go out.
         life: A pipe that closes when the supervisor dies.
     """
     orphaned = threading.Event()
@@ -282,25 +282,21 @@ def serve(build: Build, ring_name: str, pipe: Connection, life: Connection) -> N
             return Request.ORPHANED
         return Request.ABORT if terminated.is_set() else ring.request()
 
-    while not orphaned.is_set():
-        try:
-            job = pipe.recv()
-        except (EOFError, OSError):
-            break
-        if job is None:
-            break
-        try:
-            fifo(DEVICE_PRIORITY)
-            devices = build(job.config, job.dry or job.kind == "calibrate")  # kept here: see the end
-            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-            if not _do(devices, job, ring, pipe, request):
-                break
-        except PalpdError as error:
-            pipe.send(Failed(str(error), error.exit_code))
-            os._exit(0)  # while the error still holds the devices
-        except Exception as error:  # a defect of ours: it must reach the operator as a sentence, and the process must end
-            pipe.send(Failed(f"the motion process failed ({type(error).__name__}: {error})", 3))
-            os._exit(0)
+    try:
+        job = pipe.recv()
+    except (EOFError, OSError):  # the supervisor is gone
+        os._exit(0)
+    try:
+        fifo(DEVICE_PRIORITY)
+        devices = build(job.config, job.dry or job.kind == "calibrate")  # kept here: see the end
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        _do(devices, job, ring, pipe, request)
+    except PalpdError as error:
+        pipe.send(Failed(str(error), error.exit_code))
+        os._exit(0)  # while the error still holds the devices
+    except Exception as error:  # a defect of ours: it must reach the operator as a sentence, and the process must end
+        pipe.send(Failed(f"the motion process failed ({type(error).__name__}: {error})", 3))
+        os._exit(0)
     os._exit(0)  # not through ur_rtde's destructors: they take a second, and after a lost connection they can hang or crash
 
 
@@ -315,15 +311,15 @@ def _end_with_supervisor(life: Connection, orphaned: threading.Event) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
 
-def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Callable[[], Request]) -> bool:
-    """Report the devices, wait for `GO`, run, send the last message, close. Returns whether this process may take another job.
+def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Callable[[], Request]) -> None:
+    """Report the devices, wait for `GO`, run, send the last message, end the program on the controller.
 
-    The last message goes out before the devices are closed, which takes ur_rtde half a second: meanwhile the recording is closed.
+    The robot's connections end with the process: after closing one, ur_rtde sleeps half a second.
     """
     try:
         if job.kind == "calibrate":
             pipe.send(ReferenceTaken(devices.about, tuple(take_reference(devices).tolist())))
-            return True
+            return
         explainer = explainer_of(job, devices.about.get("sensor_serial"), devices.about["delay_s"])
         if job.reference is None:
             explainer.reference = take_reference(devices)
@@ -331,17 +327,15 @@ def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Calla
             pipe.send(Opened(devices.about, tuple(explainer.reference.tolist())))
             if pipe.recv() != GO:
                 pipe.send(Failed(CALLED_OFF, 2))
-                return True
+                return
             ring.state = LoopState.RUNNING
         ended = _run(job, devices, explainer, ring, request)
         ring.state = LoopState.ENDED
         pipe.send(ended)
-        return ended.outcome.verdict == "done"
     finally:
-        ring.state = LoopState.ENDED  # from here on no ticks are due: closing a connection takes ur_rtde half a second
-        if not _lost(devices.robot):  # with a lost connection ur_rtde crashes while it closes, and the reason would be lost too
-            devices.robot.stop()
-            devices.robot.close()
+        ring.state = LoopState.ENDED  # from here on no ticks are due
+        if not _lost(devices.robot):  # with a lost connection ur_rtde may crash, and the reason would be lost too
+            devices.robot.end()
         devices.sensor.close()
 
 

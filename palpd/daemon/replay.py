@@ -323,7 +323,7 @@ class SampledRobot:
     def stop(self) -> None:
         """Nothing stops: the samples are recorded."""
 
-    def close(self) -> None:
+    def end(self) -> None:
         """Nothing is open."""
 
 

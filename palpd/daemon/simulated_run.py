@@ -109,7 +109,7 @@ class SimRobot:
         """Ramp towards rest."""
         self._cell.command((0.0, 0.0, 0.0))
 
-    def close(self) -> None:
+    def end(self) -> None:
         """Nothing is open."""
 
 

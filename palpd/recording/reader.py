@@ -264,7 +264,7 @@ class RecordedRobot:
     def stop(self) -> None:
         """Do nothing."""
 
-    def close(self) -> None:
+    def end(self) -> None:
         """Do nothing."""
 
 

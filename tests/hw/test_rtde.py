@@ -157,13 +157,8 @@ def test_a_muted_robot_shows_the_state_and_commands_nothing() -> None:
     state = RobotState(1.0, 2.0, (0.0,) * 6, (0.0,) * 6, (0.0,) * 6, (0.0,) * 6, (0.0,) * 3, 7, 1, 1, 2, True)
 
     class Reader:
-        closed = False
-
         def read(self) -> RobotState:
             return state
-
-        def close(self) -> None:
-            self.closed = True
 
         def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
             raise AssertionError(velocity_m_per_s)
@@ -175,8 +170,7 @@ def test_a_muted_robot_shows_the_state_and_commands_nothing() -> None:
     assert robot.read() is state
     robot.move((0.1, 0.1, 0.1))
     robot.stop()
-    robot.close()
-    assert reader.closed
+    robot.end()
 
 
 # against the emulated controller

@@ -533,7 +533,7 @@ def test_recorded_devices_say_again_what_was_said(tmp_path: Path) -> None:
         assert frames.t_s.tobytes() == row["frame_t_s"][: len(frames)].tobytes()
         robot.move((0.0, 0.0, -0.01))
         robot.stop()
-    robot.close()
+    robot.end()
     sensor.close()
 
 
