@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell, until
+from benchmarks.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell, emulated_cell, until
 from benchmarks.measured_column import FAULTS, condition, fill, results_in, spread
 from benchmarks.terminal import take_signals
 from palpd.daemon.socket_client import ask
@@ -130,6 +130,7 @@ def aborted(cell: EmulatedCell, path: Path, crowd: str) -> dict[str, Any]:
     until(lambda: ask(path, {"do": "status"})["state"] == "disarmed", "the service is disarmed", every_s=0.1)
     cell.wires.ask("restart", s=0.1)
     time.sleep(0.3)
+    cell.wall(ABOVE_M, 1000.0)  # the last run has left the tip lower
     ask(path, {"do": "arm"}, 60.0)
     ask(path, {"do": "start", "plan": PRESS | {"sites": [{"name": "A"}], "search": {"speed_m_per_s": 0.001, "max_travel_m": 0.03}}})
     until(lambda: ask(path, {"do": "status"}).get("phase") == "search", "the arm moves", every_s=0.1)
