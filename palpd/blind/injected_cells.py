@@ -130,7 +130,7 @@ def load_hosts(folder: Path, causes: Path | None) -> list[Host]:
 
 
 def simulated_host(seed: int, index: int) -> Host:
-    """A healthy cell that MuJoCo simulated, with noise and before rounding.
+    """A healthy cell that MuJoCo simulated within tolerance of its file, with noise and before rounding.
 
     Args:
         seed: Seed of the check.
@@ -139,9 +139,9 @@ def simulated_host(seed: int, index: int) -> Host:
     Returns:
         The host.
     """
-    from palpd.blind.mujoco_cells import draw_case
+    from palpd.blind.mujoco_cells import draw_healthy
 
-    case = draw_case(seed, index, effects=[])
+    case = draw_healthy(seed, index)
     fine = replace(case.stated, resolution_fxy_N=0.0, resolution_fz_N=0.0, resolution_Nm=0.0)
     return Host(f"mujoco {index}", case.stated.as_yaml(), case.recording(stated=fine), (), case.reading([], other=True).samples)
 

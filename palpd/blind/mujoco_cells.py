@@ -74,9 +74,34 @@ def draw_mujoco(spec: CaseSpec, seed: int) -> SealedCase:
         case = draw_case(seed, spec.index + attempt * NEXT_CELL, effects=spec.effects)
         unfiltered = case.stated.filter_cutoff_Hz is None and "sensor.filter" in spec.effects
         shown = not unfiltered and all(each.reached_snr >= LEAST_SNR for each in case.planted)
-        if shown and healthy_mismatch(case, case.yardstick())["snr_of_forces"] <= LARGEST_FORCE_MISMATCH:
+        if shown and _within_tolerance(case):
             return _sealed(spec, case)
     raise CannotDraw(f"case {spec.index}: no cell within tolerance of its file shows {', '.join(spec.effects) or 'nothing'}")
+
+
+def draw_healthy(seed: int, index: int) -> MujocoCase:
+    """Draw a cell without effects, whose forces are within tolerance of its cell file.
+
+    Args:
+        seed: Seed of the check.
+        index: Number of the cell.
+
+    Returns:
+        The cell.
+
+    Raises:
+        CannotDraw: No cell is within tolerance.
+    """
+    for attempt in range(CELLS_TRIED):
+        case = draw_case(seed, index + attempt * NEXT_CELL, effects=[])
+        if _within_tolerance(case):
+            return case
+    raise CannotDraw(f"no cell {index} is within tolerance of its file")
+
+
+def _within_tolerance(case: MujocoCase) -> bool:
+    """Whether the forces of a cell without its effects are within tolerance of the cell file."""
+    return bool(healthy_mismatch(case, case.yardstick())["snr_of_forces"] <= LARGEST_FORCE_MISMATCH)
 
 
 def _sealed(spec: CaseSpec, case: MujocoCase) -> SealedCase:

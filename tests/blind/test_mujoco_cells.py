@@ -7,11 +7,22 @@ from scipy import optimize, signal
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed; install the dev group to draw cells with its physics.")
 
+from palpd.blind.injected_cells import simulated_host
 from palpd.blind.mujoco.cases import PlantedEffect, change_by
 from palpd.blind.mujoco.effects import Values
 from palpd.blind.mujoco.nominal import CHANNELS, PHASES, phase_of
 from palpd.blind.mujoco.setup import StatedCell
-from palpd.blind.mujoco_cells import EFFECTS, MujocoCase, _detectability, draw_case, draw_mujoco, sealed_truth
+from palpd.blind.mujoco_cells import (
+    EFFECTS,
+    LARGEST_FORCE_MISMATCH,
+    MujocoCase,
+    _detectability,
+    draw_case,
+    draw_healthy,
+    draw_mujoco,
+    healthy_mismatch,
+    sealed_truth,
+)
 from palpd.blind.truth import CaseSpec
 from palpd.cell.cell_file import cell_from
 from palpd.recording.samples import Samples
@@ -244,3 +255,15 @@ def test_switching_off_all_effects_of_a_pair_leaves_the_healthy_reading() -> Non
     assert np.allclose(case.switched_off("tissue.modulus", other=True).wrench[:, 2], healthy.wrench[:, 2] + bias)
     with pytest.raises(KeyError, match="name one of them"):
         case.switched_off("sensor.gain")
+
+
+def test_a_host_whose_forces_are_not_within_tolerance_is_drawn_again() -> None:
+    seed, index = 3490631021, 51  # a cell with the engine's own soft contact
+
+    def mismatch(case: MujocoCase) -> float:
+        return float(healthy_mismatch(case, case.yardstick())["snr_of_forces"])
+
+    assert mismatch(draw_case(seed, index, effects=[])) > LARGEST_FORCE_MISMATCH
+    healthy = draw_healthy(seed, index)
+    assert mismatch(healthy) <= LARGEST_FORCE_MISMATCH
+    assert simulated_host(seed, index).content == healthy.stated.as_yaml()
