@@ -46,6 +46,12 @@ LEAST_GAIN = 4.0
 PEAK_RATIO = 25.0
 """Power of a line in the residual spectrum over its neighbourhood from which on it stands out."""
 
+HUMP_WIDTH, NEIGHBOURHOOD = 0.04, 1.5
+"""Half the width of a hump over its frequency, as damping ratios of 0.02 to 0.1 make it, and factor to the ends of its neighbourhood."""
+
+HUMPS, LEAST_HUMP_DISTANCE = 3, 0.15
+"""Number of humps at which a resonance is sought, and least distance of their logarithms. A search finds it from a tenth away."""
+
 Fits = dict[tuple[str, ...], Fit]
 
 
@@ -151,7 +157,8 @@ class _Search:
 
     def __post_init__(self) -> None:
         """Make the candidates of every effect that changes the mean of the readings."""
-        peaks_Hz = spectral_peaks(self.problem, self.fits[()].eta)
+        eta = self.fits[()].eta
+        peaks_Hz = [*spectral_peaks(self.problem, eta), *ringing_frequencies(self.problem, eta)]
         self.candidates = []
         for effect in self.problem.library.values():
             for values in start_values(effect, self.problem.scale, peaks_Hz) if not effect.scatter else ():
@@ -372,6 +379,44 @@ def spectral_peaks(problem: Problem, eta: Floats, most: int = 3) -> list[float]:
             peaks.append((float(ratio[k]), float(frequency[k] + _summit(spectrum, k) * frequency[1])))
             ratio[max(0, k - 30) : k + 30] = 0.0
     return [frequency_Hz for _, frequency_Hz in sorted(peaks, reverse=True)[:most]]
+
+
+def ringing_frequencies(problem: Problem, eta: Floats) -> list[float]:
+    """Frequencies near which the residual of fz in the first recording may ring.
+
+    A resonance rings after every start and stop and decays, so it makes a hump in the spectrum and no line. A search for it must start near
+    its frequency, since a ringing that is off by more than its damping is soon out of phase.
+
+    Args:
+        problem: The data and their prediction.
+        eta: Shared deviations (11,) of the cell without effects.
+
+    Returns:
+        Frequencies in Hz, the most prominent first; none where fz is not compared or the recording is short.
+    """
+    recording = problem.recordings[0]
+    n, dt_s = len(recording.samples), problem.scale.step_s
+    if not recording.judged[FZ] or n < 128:
+        return []
+    fz_N = problem.raw_prediction(recording, problem.cell_at({}, eta))[:, FZ]
+    residual = (recording.samples.wrench[:, FZ - 1] - fz_N) * np.hanning(n)
+    power = np.concatenate([[0.0], np.cumsum(np.abs(np.fft.rfft(residual - residual.mean())) ** 2)])
+    lowest_Hz = max(0.5 * problem.scale.servo_natural_frequency_Hz, 1.0 / (HUMP_WIDTH * n * dt_s))
+    frequency_Hz = np.exp(np.arange(np.log(lowest_Hz), np.log(0.45 / dt_s), 0.5 * HUMP_WIDTH))
+
+    def mean(factor: float) -> tuple[Floats, Floats]:
+        """Mean power between f / factor and f · factor, and the number of values there."""
+        first = np.rint(frequency_Hz / factor * n * dt_s).astype(int)
+        end = np.minimum(np.rint(frequency_Hz * factor * n * dt_s).astype(int) + 1, len(power) - 1)
+        return (power[end] - power[first]) / (end - first), end - first
+
+    here, values = mean(1.0 + HUMP_WIDTH)
+    prominence = (here / np.maximum(mean(NEIGHBOURHOOD)[0], 1e-300) - 1.0) * np.sqrt(values)
+    out: list[float] = []
+    for k in np.argsort(-prominence):
+        if len(out) < HUMPS and all(abs(np.log(frequency_Hz[k] / other)) > LEAST_HUMP_DISTANCE for other in out):
+            out.append(float(frequency_Hz[k]))
+    return out
 
 
 def _summit(spectrum: Floats, k: int) -> float:

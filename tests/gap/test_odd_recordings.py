@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import bilinear, lfilter
 
 from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.cell.cell_file import CellFile
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.gap.diagnosis import Diagnosis, diagnose
-from palpd.gap.hypotheses import fit_nominal, spectral_peaks
+from palpd.gap.hypotheses import fit_nominal, ringing_frequencies, spectral_peaks
 from palpd.gap.phases import find_phases
 from palpd.gap.problem import make_problem
 from palpd.recording.samples import Samples
@@ -177,3 +178,17 @@ def test_a_slow_vibration_is_found_below_what_the_servo_explains() -> None:
     swinging = replace(samples, z_m=samples.z_m + 8e-7 * np.sin(2.0 * np.pi * 2.0 * samples.t_s))
     nominal = fit_nominal(make_problem([swinging], cell, max_bins=900))
     assert any(abs(peak_Hz - 2.0) < 0.02 for peak_Hz in spectral_peaks(nominal.problem, nominal.fit.eta))
+
+
+@pytest.mark.parametrize("over_servo", [0.9, 2.1, 4.4])
+def test_a_search_for_a_resonance_starts_near_its_frequency(over_servo: float) -> None:
+    samples, cell = recording("second order", 101, PlantedDeviations()), cell_of("second order")
+    frequency_Hz, damping_ratio = over_servo * cell.robot.servo_natural_frequency_Hz, 0.03
+    w = 2.0 * np.pi * frequency_Hz
+    b, a = bilinear([2.0 * damping_ratio * w, w**2], [1.0, 2.0 * damping_ratio * w, w**2], samples.rate_Hz)
+    push_m_per_s2 = np.gradient(samples.vz_m_per_s, samples.t_s)
+    wrench = samples.wrench.copy()
+    wrench[:, 2] -= 0.5 * cell.probe.mass_kg * (lfilter(b, a, push_m_per_s2) - push_m_per_s2)
+    nominal = fit_nominal(make_problem([replace(samples, wrench=wrench)], cell, max_bins=900))
+    starts_Hz = ringing_frequencies(nominal.problem, nominal.fit.eta)
+    assert any(abs(start_Hz / frequency_Hz - 1.0) < 0.05 for start_Hz in starts_Hz), starts_Hz
