@@ -19,6 +19,9 @@ Column = Floats | float
 SHORT = 64
 """Samples up to which a relaxation uses a stored matrix: one product costs less than setting up a filter."""
 
+FEW = 8
+"""Steps of a recurrence that are done one by one: halving them costs more."""
+
 EVEN = 1e-3
 """Relative spread below which time steps count as even; jitter of a thousandth moves no filter."""
 
@@ -28,7 +31,8 @@ class TipMotion:
     """How the tip moved, in arrays of (n,), and what heights and accelerations still carry of measurement noise (rms).
 
     A measured acceleration is the slope of reported speeds, each with its own error of `v_noise_m_per_s`, over `slope_half` samples to
-    either side. Where a command is known, only the share `acceleration_weight` of what it does not explain is used.
+    either side. Where a command is known, only the share `acceleration_weight` of what it does not explain is used. `dt_s` are the steps
+    of the times, where they have been computed already.
     """
 
     t_s: Floats
@@ -40,6 +44,7 @@ class TipMotion:
     v_noise_m_per_s: float = 0.0
     slope_half: int = 0
     acceleration_weight: Floats | float = 1.0
+    dt_s: Column | None = None
 
 
 @dataclass(slots=True)
@@ -164,7 +169,9 @@ def steps(t_s: Floats) -> Column:
 
 
 def recurrence(a: NDArray[Any], b: NDArray[Any], y: Any) -> NDArray[Any]:
-    """y_k = a_k y_(k-1) + b_k with varying coefficients, by doubling: log2(n) passes, each over all samples.
+    """y_k = a_k y_(k-1) + b_k with varying coefficients.
+
+    Two steps are one step with other coefficients, so every second output follows from half as many steps, and the others from these.
 
     Args:
         a: Factors (n,).
@@ -174,16 +181,16 @@ def recurrence(a: NDArray[Any], b: NDArray[Any], y: Any) -> NDArray[Any]:
     Returns:
         The outputs (n,).
     """
-    a, b = a.copy(), b.copy()
-    b[0] += a[0] * y
-    shift = 1
-    while shift < len(b):
-        b[shift:] = b[shift:] + a[shift:] * b[:-shift]
-        a[shift:] = a[shift:] * a[:-shift]
-        shift *= 2
-        if shift < len(b) and float(np.abs(a[shift:]).max()) < 1e-30:
-            break
-    return b
+    out = np.empty(len(b), np.result_type(a, b))
+    if len(b) <= FEW:
+        for k in range(len(b)):
+            out[k] = y = a[k] * y + b[k]
+        return out
+    first, second = slice(0, len(b) - 1, 2), slice(1, None, 2)
+    out[second] = recurrence(a[second] * a[first], a[second] * b[first] + b[second], y)
+    out[0] = a[0] * y + b[0]
+    out[2::2] = a[2::2] * out[1:-1:2] + b[2::2]
+    return out
 
 
 def _weights(x: Any) -> tuple[Any, Any, Any]:
@@ -291,6 +298,23 @@ def servo(u: Floats, dt_s: Column, natural_frequency_Hz: float, damping_ratio: f
     return np.real(position), np.real(speed), np.real(acceleration)
 
 
+def servo_heights(u: Floats, dt_s: Column, natural_frequency_Hz: float, damping_ratio: float) -> Floats:
+    """The positions of `servo`, without speed and acceleration.
+
+    Args:
+        u: Target positions (n,).
+        dt_s: Step before each sample in s, one number or (n,).
+        natural_frequency_Hz: Undamped natural frequency.
+        damping_ratio: Damping ratio, 1 at critical damping.
+
+    Returns:
+        Positions (n,).
+    """
+    p, q = poles(natural_frequency_Hz, damping_ratio)
+    one, two = _pair(u, dt_s, p, q, {})
+    return np.real((q * one - p * two) / (q - p))
+
+
 def mounted(a: Floats, dt_s: Column, frequency_Hz: float, damping_ratio: float, memory: Memory) -> Floats:
     """Acceleration of a mass on a spring and damper whose base moves: (2ζωs + ω²)/(s² + 2ζωs + ω²).
 
@@ -312,8 +336,6 @@ def mounted(a: Floats, dt_s: Column, frequency_Hz: float, damping_ratio: float, 
 def play(u: Floats, width: float, memory: Memory) -> Floats:
     """Follower with a dead band around the input, centred where it starts.
 
-    A clip of a clip is a clip, so the bounds are composed by doubling like a recurrence.
-
     Args:
         u: Input (n,).
         width: Full width of the dead band, in the unit of the input.
@@ -322,17 +344,27 @@ def play(u: Floats, width: float, memory: Memory) -> Floats:
     Returns:
         The follower (n,).
     """
-    low, high = u - width / 2.0, u + width / 2.0
-    last = memory.get("follower", u[0])
-    low[0] = high[0] = min(max(last, low[0]), high[0])
-    shift = 1
-    while shift < len(u):
-        below = np.clip(low[:-shift], low[shift:], high[shift:])
-        high[shift:] = np.clip(high[:-shift], low[shift:], high[shift:])
-        low[shift:] = below
-        shift *= 2
-    memory["follower"] = low[-1]
-    return low
+    follower = _clipped(u - width / 2.0, u + width / 2.0, memory.get("follower", u[0]))
+    memory["follower"] = follower[-1]
+    return follower
+
+
+def _clipped(low: Floats, high: Floats, y: float) -> Floats:
+    """y_k = y_(k-1) clipped to (low_k, high_k), with y before the first; a clip of a clip is a clip, so as `recurrence`."""
+    out = np.empty_like(low)
+    if len(low) <= FEW:
+        for k in range(len(low)):
+            out[k] = y = min(max(y, low[k]), high[k])
+        return out
+    first, second = slice(0, len(low) - 1, 2), slice(1, None, 2)
+
+    def both(bound: Floats) -> Floats:
+        return np.minimum(np.maximum(bound[first], low[second]), high[second])
+
+    out[second] = _clipped(both(low), both(high), y)
+    out[0] = min(max(y, low[0]), high[0])
+    out[2::2] = np.minimum(np.maximum(out[1:-1:2], low[2::2]), high[2::2])
+    return out
 
 
 def delayed(u: Floats, t_s: Floats, when_s: Floats, memory: Memory) -> Floats:

@@ -6,14 +6,14 @@ height), tip (where it really is), tissue (what it feels), probe (what else push
 of each come the effects of that site. Wrenches are what the environment does to the probe, along base axes, gravity tared away.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile, Estimated, Wall
 from palpd.cell.cell_file import CellSite as Place
-from palpd.cell.dynamics import Constants, Floats, Memory, Span, TipMotion, delayed, lowpass, servo, steps
+from palpd.cell.dynamics import Constants, Floats, Memory, Span, TipMotion, delayed, lowpass, servo, servo_heights, steps
 from palpd.cell.effects import EFFECTS, Effect, Scale, Site, Values
 from palpd.errors import ConfigError
 
@@ -162,6 +162,16 @@ def _columns(s: Span) -> Iterator[tuple[str, Floats]]:
 
 def _reading(s: Span, what: Physics, memory: Memory, here: Memory) -> None:
     """From motion to the reading's mean: noise-free, neither clipped nor rounded; `here` is what this place remembers."""
+    _at_the_sensor(s, what, memory, here)
+    for name, share in _leaks(what.constants):
+        setattr(s, name, getattr(s, name) + share * s.fz_N)
+    what.apply("sensor", s, memory)
+    _filter(s, memory)
+    _shift_zero(s)
+
+
+def _at_the_sensor(s: Span, what: Physics, memory: Memory, here: Memory) -> None:
+    """From motion to the wrench on the sensor, its gain included."""
     c = what.constants
     _contact(s, what, here)
     s.fz_N = s.contact_N - c.mass_kg * s.az_m_per_s2
@@ -172,13 +182,23 @@ def _reading(s: Span, what: Physics, memory: Memory, here: Memory) -> None:
             setattr(s, name, delayed(column, s.t_s, when_s, memory.setdefault(f"late {name}", {})))
     what.apply("clock", s, memory)
     s.fz_N = s.fz_N * c.gain
-    for name, share in (("fx_N", c.fx_per_fz), ("fy_N", c.fy_per_fz), ("tx_Nm", c.tx_per_fz_m), ("ty_Nm", c.ty_per_fz_m)):
-        if share:
-            setattr(s, name, getattr(s, name) + share * s.fz_N)
-    what.apply("sensor", s, memory)
-    if np.isfinite(c.cutoff_Hz):
+
+
+def _leaks(c: Constants) -> list[tuple[str, float]]:
+    """Axes into which fz leaks, and the share of it."""
+    shares = (("fx_N", c.fx_per_fz), ("fy_N", c.fy_per_fz), ("tx_Nm", c.tx_per_fz_m), ("ty_Nm", c.ty_per_fz_m))
+    return [(name, share) for name, share in shares if share]
+
+
+def _filter(s: Span, memory: Memory) -> None:
+    if np.isfinite(s.constants.cutoff_Hz):
         for name, column in _columns(s):
-            setattr(s, name, lowpass(column, s.dt_s, -2.0 * np.pi * c.cutoff_Hz, memory.setdefault(f"filtered {name}", {})))
+            pole_per_s = -2.0 * np.pi * s.constants.cutoff_Hz
+            setattr(s, name, lowpass(column, s.dt_s, pole_per_s, memory.setdefault(f"filtered {name}", {})))
+
+
+def _shift_zero(s: Span) -> None:
+    c = s.constants
     if c.bias_N or c.drift_N_per_s:
         s.fz_N = s.fz_N + (c.bias_N + c.drift_N_per_s * s.t_s)
 
@@ -298,7 +318,69 @@ def predict_motion(cell: CellFile, t_s: Floats, z_cmd_m: Floats, library: Librar
     Returns:
         Heights (n,) in m, without noise.
     """
-    return commanded_motion(cell, t_s, z_cmd_m, library, begin_s).z_m
+    what = physics(cell, None, library)
+    if what.laws.get("robot"):
+        return commanded_motion(cell, t_s, z_cmd_m, library, begin_s).z_m
+    c = what.constants
+    return servo_heights(z_cmd_m, steps(t_s), c.servo_natural_frequency_Hz, c.servo_damping_ratio)
+
+
+@dataclass(frozen=True, slots=True)
+class MeanReading:
+    """A mean reading: what each axis has of its own, by its number, and the shares of one signal that leak into some of them.
+
+    Averaging a signal once costs a fifth of averaging it in five axes.
+    """
+
+    own: dict[int, Floats]
+    leaking_N: Floats
+    shares: dict[int, float]
+
+    def averaged(self, average: Callable[[Floats], Floats], n: int) -> Floats:
+        """All six axes after a linear operation.
+
+        Args:
+            average: Takes an axis of all samples to n values.
+            n: Number of these values.
+
+        Returns:
+            The axes (6, n).
+        """
+        out = np.zeros((6, n))
+        for axis, values in self.own.items():
+            out[axis] = average(values)
+        if self.shares:
+            leaking_N = out[2] if self.own.get(2) is self.leaking_N else average(self.leaking_N)
+            for axis, share in self.shares.items():
+                out[axis] += share * leaking_N
+        return out
+
+
+def mean_reading(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, site: str | None = None) -> MeanReading:
+    """Mean wrench that the sensor will read during a motion: noise-free, not rounded to the stated steps.
+
+    Args:
+        cell: The cell.
+        motion: Motion of the tip, n samples.
+        library: Effects by id.
+        site: Name of a site of the cell, or None for the cell's own tissue.
+
+    Returns:
+        The reading.
+    """
+    what = physics(cell, _place(cell, site), library)
+    s = _span(what.constants, motion)
+    leaks: list[tuple[str, float]] = []
+    if what.laws.get("sensor"):  # laws of the sensor may change what has leaked
+        _reading(s, what, {}, {})
+        leaking_N = s.fz_N
+    else:
+        _at_the_sensor(s, what, {}, {})
+        _filter(s, {})
+        leaks, leaking_N = _leaks(what.constants), s.fz_N
+        _shift_zero(s)
+    _expected(s)
+    return MeanReading({WRENCH.index(name): column for name, column in _columns(s)}, leaking_N, {WRENCH.index(n): x for n, x in leaks})
 
 
 def wrench_of(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, site: str | None = None) -> Floats:
@@ -313,15 +395,11 @@ def wrench_of(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, sit
     Returns:
         Wrenches (n, 6) in N and Nm.
     """
-    what = physics(cell, _place(cell, site), library)
-    s = _span(what.constants, motion)
-    _reading(s, what, {}, {})
-    _expected(s)
-    return _wrench(s)
+    return mean_reading(cell, motion, library, site).averaged(lambda values: values, len(motion.t_s)).T
 
 
 def _span(c: Constants, m: TipMotion) -> Span:
-    return Span(c, m.t_s, steps(m.t_s), m.z_m, m.vz_m_per_s, m.az_m_per_s2, m.z_noise_m, m.az_noise_m_per_s2)
+    return Span(c, m.t_s, steps(m.t_s) if m.dt_s is None else m.dt_s, m.z_m, m.vz_m_per_s, m.az_m_per_s2, m.z_noise_m, m.az_noise_m_per_s2)
 
 
 def predict_wrench(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -40,16 +41,21 @@ class Optimum:
         u: Their coordinates (k,).
         misfit: Squared whitened residual with the nuisances projected out.
         prediction: Whitened prediction (7, b) there.
-        jacobian: Its slopes with every coordinate, k of (7, b).
         around: The nuisances with which it was found.
+        problem: The data and their prediction.
     """
 
     where: tuple[Coordinate, ...]
     u: Floats
     misfit: float
     prediction: Floats
-    jacobian: list[Floats]
     around: Linearisation
+    problem: Problem
+
+    @cached_property
+    def jacobian(self) -> list[Floats]:
+        """Slopes of the prediction with every coordinate there, k of (7, b)."""
+        return jacobian_at(self.problem, self.where, self.u, self.around.eta, self.prediction)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -117,9 +123,8 @@ def gauss_newton(problem: Problem, around: Linearisation, where: tuple[Coordinat
     r = project(target - at, around.space)
     misfit = r.dot(r)
     damping = 1e-3
-    jacobian = jacobian_at(problem, where, u, around.eta, at)
     for _ in range(iterations):
-        columns = [project(j, around.space) for j in jacobian]
+        columns = [project(j, around.space) for j in jacobian_at(problem, where, u, around.eta, at)]
         normal = gram(columns)
         slope = np.array([j.dot(r) for j in columns])
         for _ in range(5):
@@ -138,10 +143,9 @@ def gauss_newton(problem: Problem, around: Linearisation, where: tuple[Coordinat
         gained = misfit - misfit_there
         u, at, r, misfit = trial, there, r_there, misfit_there
         damping = max(damping * 0.1, 1e-6)
-        jacobian = jacobian_at(problem, where, u, around.eta, at)
         if gained < GAIN_TO_STOP:
             break
-    return Optimum(where, u, misfit, at, jacobian, around)
+    return Optimum(where, u, misfit, at, around, problem)
 
 
 def jacobian_at(problem: Problem, where: Sequence[Coordinate], u: Floats, eta: Floats, at: Floats) -> list[Floats]:

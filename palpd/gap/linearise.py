@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from palpd.cell.cell_file import CellFile, EffectValues
 from palpd.cell.simulation import wrench_of
 from palpd.gap.noise import FX, FY, FZ, TX, TY, Z, resolutions
-from palpd.gap.nuisances import Nuisances, nuisances
+from palpd.gap.nuisances import Nuisances, nuisances_by_channel
 from palpd.gap.phases import FREE_STILL, HOLDING
 from palpd.gap.prepare import PreparedRecording
 from palpd.gap.problem import CROSSTALK, RELATIVE, SHARED, Problem, tolerance_key, torque_arm_m
@@ -40,20 +40,26 @@ class Linearisation:
     Attributes:
         effects: The effects in that state.
         eta: The shared deviations there (11,), in standard deviations.
-        columns: Changes (k, 7, b) by one standard deviation of each nuisance, whitened; the first 11 are the shared deviations.
         labels: What each column stands for (k,). Effects change the list: a press that no longer touches has no columns.
-        space: The same columns, prepared to be projected out.
+        space: The columns, prepared to be projected out; the first 11 are the shared deviations.
         prediction: Whitened prediction (7, b) of the cell in that state.
         owned: Changes (m, 7, b) by one standard deviation of what the effects stand for, which is no nuisance here.
     """
 
     effects: EffectValues
     eta: Floats
-    columns: Floats
     labels: tuple[Column, ...]
     space: Nuisances
     prediction: Floats
     owned: Floats
+
+    @property
+    def columns(self) -> Floats:
+        """Changes (k, 7, b) by one standard deviation of each nuisance, whitened; most are zero, so they are not kept."""
+        columns = np.zeros((len(self.labels), *self.prediction.shape))
+        for channel, (index, part) in enumerate(self.space.per_channel):
+            columns[index, channel] = part.T
+        return columns
 
     def numbers(self, scope: str, name: str | None = None, channel: int | None = None) -> list[int]:
         """Numbers of the columns of one kind.
@@ -74,7 +80,7 @@ class Linearisation:
 
     def offset(self) -> Floats:
         """Prediction (7, b) to give back, since the coefficients count from zero and not from `eta`."""
-        return np.tensordot(self.eta, self.columns[: len(self.eta)], axes=1)
+        return self.space.explained(np.pad(self.eta, (0, len(self.labels) - len(self.eta))))
 
     def restricted_to(self, bins: NDArray[np.bool_]) -> "Linearisation":
         """The nuisances of a problem in which only some bins count.
@@ -85,10 +91,11 @@ class Linearisation:
         Returns:
             A new linearisation.
         """
-        columns = np.where(bins[None, None, :], self.columns, 0.0)
+        per_channel = [list(zip(index.tolist(), np.where(bins, part.T, 0.0), strict=True)) for index, part in self.space.per_channel]
         prediction = np.where(bins[None, :], self.prediction, 0.0)
         owned = np.where(bins[None, None, :], self.owned, 0.0)
-        return Linearisation(self.effects, self.eta, columns, self.labels, nuisances(columns), prediction, owned)
+        space = nuisances_by_channel(per_channel, len(self.labels), len(bins))
+        return Linearisation(self.effects, self.eta, self.labels, space, prediction, owned)
 
 
 def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisation:
@@ -108,14 +115,22 @@ def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisa
     eta = np.where(problem.own_tolerances(effects), 0.0, eta)
     prediction = problem.predict(effects, eta)
     shared = _shared_columns(problem, effects, eta, prediction)
-    own = list(_own_columns(problem, effects, eta, prediction, shared))
-    columns = np.array([*shared, *(values for _, values in own)])
-    labels = (*(Column("cell", name) for name in SHARED), *(label for label, _ in own))
+    labelled = [(Column("cell", name), dict(enumerate(column))) for name, column in zip(SHARED, shared, strict=True)]
+    labelled += _own_columns(problem, effects, eta, shared)
     keys = {problem.library[name].tolerance for name in effects}
-    replaced = np.array([label.scope != "press" and label.channel in (-1, FZ) and tolerance_key(label.name) in keys for label in labels])
-    owned = columns[replaced]
-    columns[replaced] = 0.0
-    return Linearisation(effects, eta, columns, labels, nuisances(columns), prediction, owned)
+    per_channel: list[list[tuple[int, Floats]]] = [[] for _ in prediction]
+    owned = []
+    for number, (label, parts) in enumerate(labelled):
+        if label.scope != "press" and label.channel in (-1, FZ) and tolerance_key(label.name) in keys:
+            owned.append(np.zeros_like(prediction))
+            owned[-1][list(parts)] = list(parts.values())
+            continue
+        for channel, values in parts.items():
+            per_channel[channel].append((number, values))
+    space = nuisances_by_channel(per_channel, len(labelled), prediction.shape[1])
+    return Linearisation(
+        effects, eta, tuple(label for label, _ in labelled), space, prediction, np.array(owned).reshape(-1, *prediction.shape)
+    )
 
 
 def _shared_columns(problem: Problem, effects: EffectValues, eta: Floats, prediction: Floats) -> list[Floats]:
@@ -139,25 +154,23 @@ def _shared_columns(problem: Problem, effects: EffectValues, eta: Floats, predic
     return columns
 
 
-def _own_columns(
-    problem: Problem, effects: EffectValues, eta: Floats, prediction: Floats, shared: list[Floats]
-) -> Iterator[tuple[Column, Floats]]:
-    """Labelled columns (7, b) of every recording in turn: its zeros, errors of the computation, press scatter, rounding."""
+def _own_columns(problem: Problem, effects: EffectValues, eta: Floats, shared: list[Floats]) -> Iterator[tuple[Column, dict[int, Floats]]]:
+    """Labelled columns of every recording in turn, (b,) by channel: its zeros, errors of the computation, press scatter, rounding."""
     cell = problem.cell_at(effects, eta)
-    z_m = problem.noise.natural(prediction)[Z]
+    predicted = problem.binned_prediction(effects, eta)
     start = 0
     for recording in problem.recordings:
         here = slice(start, start + len(recording.bins))
         start = here.stop
 
-        def whitened(label: Column, values: Floats, here: slice = here) -> tuple[Column, Floats]:
-            column = np.zeros_like(prediction)
-            column[label.channel, here] = values
-            return label, problem.noise.whiten(column)
+        def whitened(label: Column, values: Floats, here: slice = here) -> tuple[Column, dict[int, Floats]]:
+            column = np.zeros(predicted.shape[1])
+            column[here] = values
+            return label, {label.channel: problem.noise.whiten_channel(label.channel, column)}
 
         for label, values in _zeros(problem, recording, cell):
             yield whitened(label, values)
-        for label, values in _computation_errors(problem, recording, cell, z_m[here]):
+        for label, values in _computation_errors(problem, recording, cell, predicted[:, here]):
             yield whitened(label, values)
         if recording.judged[Z]:
             for name, values in zip(("hidden delay", "controller order"), problem.servo_errors_m[:, here], strict=True):
@@ -182,13 +195,15 @@ def _zeros(problem: Problem, recording: PreparedRecording, cell: CellFile) -> It
             yield Column("recording", "drift_N_per_min", channel), share * arm * tolerances.drift_N_per_min / 60.0 * recording.t_s
 
 
-def _computation_errors(problem: Problem, recording: PreparedRecording, cell: CellFile, z_m: Floats) -> Iterator[tuple[Column, Floats]]:
-    """Errors of the times of commanded heights and of the motion that drives the force."""
+def _computation_errors(
+    problem: Problem, recording: PreparedRecording, cell: CellFile, predicted: Floats
+) -> Iterator[tuple[Column, Floats]]:
+    """Errors of the times of commanded heights and of the motion that drives the force; `predicted` (7, b) are its own bins."""
+    z_m, fz_N = predicted[Z], predicted[FZ]
     if recording.judged[Z]:
         # A target that is held between controller cycles is known to about a tenth of a step.
         slope = np.gradient(z_m, recording.t_s)
         yield Column("computation", "time", Z), 0.1 * recording.samples_each / recording.samples.rate_Hz * slope
-    fz_N = problem.binned_wrench(recording, cell, recording.motion)[FZ - 1]
     if recording.judged[Z] and fz_N.any():
         # A position loop gives way under load. What one report of the height cannot resolve is within specification.
         yield Column("recording", "give under load", Z), recording.noise_rms[Z] * fz_N / np.abs(fz_N).max()
@@ -197,19 +212,25 @@ def _computation_errors(problem: Problem, recording: PreparedRecording, cell: Ce
         yield Column("computation", "motion", FZ), problem.binned_wrench(recording, cell, motion)[FZ - 1] - fz_N
 
 
-def _press_columns(problem: Problem, recording: PreparedRecording, here: slice, shared: list[Floats]) -> Iterator[tuple[Column, Floats]]:
+def _press_columns(
+    problem: Problem, recording: PreparedRecording, here: slice, shared: list[Floats]
+) -> Iterator[tuple[Column, dict[int, Floats]]]:
     """Scatter of stiffness and surface of every press, as the shared deviations act within it."""
     repeatability = problem.cell.repeatability
+    scatters = []
+    for name, deviation, scatter in (
+        ("stiffness", "youngs_modulus", repeatability.stiffness),
+        ("surface_z_m", "surface_z_m", repeatability.surface_z_m),
+    ):
+        source, sd = shared[SHARED.index(deviation)], problem.shared_sd[SHARED.index(deviation)]
+        if sd > 0 and scatter > 0:
+            scatters.append((name, {channel: source[channel] * (scatter / sd) for channel in np.flatnonzero(source.any(axis=1)).tolist()}))
     for press in range(recording.phases.presses):
         window = np.zeros(shared[0].shape[1], dtype=bool)
         window[here] = _and_neighbours(recording.bin_press == press)
-        for name, deviation, scatter in (
-            ("stiffness", "youngs_modulus", repeatability.stiffness),
-            ("surface_z_m", "surface_z_m", repeatability.surface_z_m),
-        ):
-            source, sd = shared[SHARED.index(deviation)], problem.shared_sd[SHARED.index(deviation)]
-            if sd > 0 and scatter > 0 and source[FZ, window].any():
-                yield Column("press", name), np.where(window, source * (scatter / sd), 0.0)
+        for name, changes in scatters:
+            if FZ in changes and changes[FZ][window].any():
+                yield Column("press", name), {channel: np.where(window, values, 0.0) for channel, values in changes.items()}
 
 
 def _rounding_offsets(problem: Problem, recording: PreparedRecording) -> Iterator[tuple[Column, Floats]]:

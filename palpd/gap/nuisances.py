@@ -1,5 +1,6 @@
 """Linear Gaussian nuisances, marginalised exactly: data = signal + columns · coefficients + white noise, coefficients ~ N(0, 1)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,12 +89,27 @@ def nuisances(columns: Floats) -> Nuisances:
     Returns:
         The nuisances.
     """
-    k, c, _ = columns.shape
+    k, c, b = columns.shape
+    return nuisances_by_channel([list(enumerate(columns[:, channel])) for channel in range(c)], k, b)
+
+
+def nuisances_by_channel(columns: Sequence[Sequence[tuple[int, Floats]]], k: int, b: int) -> Nuisances:
+    """Prepare columns that are zero in most channels to be projected out.
+
+    Args:
+        columns: Numbers and values (b,) of the columns in each channel, in ascending order, as in `nuisances`.
+        k: Number of columns.
+        b: Number of bins.
+
+    Returns:
+        The nuisances.
+    """
     gram = np.eye(k)
     per_channel: list[tuple[Ints, Floats]] = []
-    for channel in range(c):
-        index = np.flatnonzero(columns[:, channel].any(axis=1))
-        part = np.ascontiguousarray(columns[index, channel].T)
+    for channel in columns:
+        live = [(number, values) for number, values in channel if values.any()]
+        index = np.array([number for number, _ in live], dtype=np.intp)
+        part = np.column_stack([values for _, values in live]) if live else np.zeros((b, 0))
         gram[np.ix_(index, index)] += part.T @ part
         per_channel.append((index, part))
     factor = cholesky(gram, lower=True, check_finite=False)

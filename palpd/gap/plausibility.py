@@ -244,11 +244,10 @@ def _frozen_notes(samples: Samples, expected_N: Floats, noise_N: float) -> list[
     """The longest stretch over which fz does not change at all while the expected force does."""
     fz_N = samples.wrench[:, 2]
     begins, ends = runs_of_true(np.diff(fz_N) == 0.0)
-    for begin, end in zip(begins, ends, strict=True):
-        stretch = slice(begin, end + 1)
-        clipped = fz_N[begin] in (fz_N.max(), fz_N.min())  # a saturated channel has its own note
-        long = samples.t_s[end] - samples.t_s[begin] > FROZEN_S
-        if long and not clipped and np.ptp(expected_N[stretch]) > CLEAR_NOISES * noise_N:
+    long = samples.t_s[ends] - samples.t_s[begins] > FROZEN_S
+    clipped = np.isin(fz_N[begins], (fz_N.max(), fz_N.min()))  # a saturated channel has its own note
+    for begin, end in zip(begins[long & ~clipped], ends[long & ~clipped], strict=True):
+        if np.ptp(expected_N[begin : end + 1]) > CLEAR_NOISES * noise_N:
             return [
                 f"fz_N stays at {fz_N[begin]:.4g} N from {samples.t_s[begin]:.4g} s to {samples.t_s[end]:.4g} s while the probe moves in "
                 "the tissue: the sensor or its cable failed; leave that stretch out."

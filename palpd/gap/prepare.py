@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.dynamics import TipMotion
+from palpd.cell.dynamics import TipMotion, steps
 from palpd.cell.report_times import Reports, find_reports, straight_between
 from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
 from palpd.gap.bins import Bins, make_bins
@@ -249,7 +249,9 @@ def _at_steps(motion: TipMotion, samples_per_step: Bins) -> TipMotion:
     def at(values: Floats) -> Floats:
         return np.interp(even_s, t_s, samples_per_step.mean(values))
 
-    return replace(motion, t_s=even_s, z_m=at(motion.z_m), vz_m_per_s=at(motion.vz_m_per_s), az_m_per_s2=at(motion.az_m_per_s2))
+    return replace(
+        motion, t_s=even_s, z_m=at(motion.z_m), vz_m_per_s=at(motion.vz_m_per_s), az_m_per_s2=at(motion.az_m_per_s2), dt_s=steps(even_s)
+    )
 
 
 def _step_means(sampled: TipMotion, samples_per_step: Bins, steps: Bins) -> csr_array:

@@ -12,7 +12,7 @@ from scipy.sparse import block_diag, csr_array
 from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
 from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS, Effect, Scale
-from palpd.cell.simulation import predict_motion, scale_of, wrench_of
+from palpd.cell.simulation import mean_reading, predict_motion, scale_of, wrench_of
 from palpd.gap.noise import FX, FZ, Z
 from palpd.gap.prepare import PreparedRecording, prepare
 from palpd.gap.rounding import Rounding, undithered_rms
@@ -239,6 +239,18 @@ class Problem:
     def predict(self, effects: EffectValues, eta: Floats) -> Floats:
         """Whitened prediction of the cell in a state.
 
+        Args:
+            effects: Parameters by effect.
+            eta: Shared deviations (11,) in standard deviations.
+
+        Returns:
+            The prediction (7, b).
+        """
+        return self.noise.whiten(self.binned_prediction(effects, eta))
+
+    def binned_prediction(self, effects: EffectValues, eta: Floats) -> Floats:
+        """Prediction of the cell in a state, in the units of the channels.
+
         The robot alone decides on its heights, and a force that is driven by measured heights does not depend on the robot. So each of
         both is simulated only where something of its own has changed.
 
@@ -255,7 +267,7 @@ class Problem:
         pushes = {name: values for name, values in every.items() if name not in moves}
         heights = self._cached("heights", moves, servo, self._binned_heights)
         wrench = self._cached("wrench", pushes, eta - servo, lambda one, cell: self.binned_wrench(one, cell, one.motion))
-        return self.noise.whiten(np.vstack([heights, wrench]))
+        return np.vstack([heights, wrench])
 
     def _cached(self, what: str, effects: EffectValues, eta: Floats, simulated: Callable[[PreparedRecording, CellFile], Floats]) -> Floats:
         """Binned heights (1, b) or wrenches (6, b) of all recordings."""
@@ -287,14 +299,10 @@ class Problem:
             Wrench (6, b) in N and Nm.
         """
         self._predictions.simulations += 1
-        wrench = wrench_of(cell, motion, self.library)
-        if self.rounding is not None:
-            wrench[:, FZ - 1] = self.rounding.mean(wrench[:, FZ - 1])
-        out = np.zeros((6, len(recording.bins)))
-        for axis in range(6):
-            if wrench[:, axis].any():
-                out[axis] = recording.binned_steps(motion, wrench[:, axis])
-        return out
+        reading = mean_reading(cell, motion, self.library)
+        if self.rounding is not None and FZ - 1 in reading.own:
+            reading.own[FZ - 1] = self.rounding.mean(reading.own[FZ - 1])
+        return reading.averaged(lambda values: recording.binned_steps(motion, values), len(recording.bins))
 
 
 def make_problem(

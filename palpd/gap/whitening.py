@@ -87,11 +87,25 @@ class Whitening:
             Values (7, b) in sigmas.
         """
         out = values / self.sigma
-        for channel, factor in self.factors.items():
-            white, failed = dtbtrs(factor, values[channel], uplo="L")
-            assert not failed, failed
-            out[channel] = np.where(np.isfinite(self.sigma[channel]), white, 0.0)
+        for channel in self.factors:
+            out[channel] = self.whiten_channel(channel, values[channel])
         return np.asarray(out)
+
+    def whiten_channel(self, channel: int, values: Floats) -> Floats:
+        """Values of one channel in units of their noise.
+
+        Args:
+            channel: The channel.
+            values: Values (b,) in its unit.
+
+        Returns:
+            Values (b,) in sigmas.
+        """
+        if channel not in self.factors:
+            return np.asarray(values / self.sigma[channel])
+        white, failed = dtbtrs(self.factors[channel], values, uplo="L")
+        assert not failed, failed
+        return np.where(np.isfinite(self.sigma[channel]), white, 0.0)
 
     def natural(self, values: Floats) -> Floats:
         """Values in their own units, the inverse of `whiten`.
