@@ -19,6 +19,7 @@ from palpd.errors import ConfigError
 
 WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 Library = Mapping[str, Effect]
+Followed = dict[tuple[float, float], tuple[Floats, Floats, Floats]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,7 +285,15 @@ def _place(cell: CellFile, site: str | None) -> Place | None:
     raise ConfigError(f"the cell has no site {site!r}; it has {known}")
 
 
-def commanded_motion(cell: CellFile, t_s: Floats, z_cmd_m: Floats, library: Library = EFFECTS, begin_s: float | None = None) -> TipMotion:
+def commanded_motion(
+    cell: CellFile,
+    t_s: Floats,
+    z_cmd_m: Floats,
+    library: Library = EFFECTS,
+    *,
+    begin_s: float | None = None,
+    followed: Followed | None = None,
+) -> TipMotion:
     """How the tip follows commanded heights, starting at rest at the first.
 
     Args:
@@ -293,19 +302,32 @@ def commanded_motion(cell: CellFile, t_s: Floats, z_cmd_m: Floats, library: Libr
         z_cmd_m: Commanded heights (n,) in m.
         library: Effects by id.
         begin_s: Time of the recording's first row, from which effects count; None for the first of `t_s`.
+        followed: What the servo made of the same heights before, by its natural frequency and damping ratio; the newest is kept there.
 
     Returns:
         The true motion of the tip.
     """
     what = physics(cell, None, library)
     c = what.constants
-    z, v, a = servo(z_cmd_m, steps(t_s), c.servo_natural_frequency_Hz, c.servo_damping_ratio, {})
+    known, key = {} if followed is None else followed, (c.servo_natural_frequency_Hz, c.servo_damping_ratio)
+    if key not in known:
+        known.clear()
+        known[key] = servo(z_cmd_m, steps(t_s), *key, {})
+    z, v, a = known[key]
     s = Span(c, t_s - (t_s[0] if begin_s is None else begin_s), steps(t_s), z, v, a)
     what.apply("robot", s, {})
     return TipMotion(s.t_s, s.z_m, s.vz_m_per_s, s.az_m_per_s2)
 
 
-def predict_motion(cell: CellFile, t_s: Floats, z_cmd_m: Floats, library: Library = EFFECTS, begin_s: float | None = None) -> Floats:
+def predict_motion(
+    cell: CellFile,
+    t_s: Floats,
+    z_cmd_m: Floats,
+    library: Library = EFFECTS,
+    *,
+    begin_s: float | None = None,
+    followed: Followed | None = None,
+) -> Floats:
     """Heights that the robot will report for commanded heights.
 
     Args:
@@ -313,14 +335,15 @@ def predict_motion(cell: CellFile, t_s: Floats, z_cmd_m: Floats, library: Librar
         t_s: Times (n,) in s.
         z_cmd_m: Commanded heights (n,) in m.
         library: Effects by id.
-        begin_s: Time of the recording's first row, from which effects count; None for the first of `t_s`.
+        begin_s: As in `commanded_motion`.
+        followed: As in `commanded_motion`.
 
     Returns:
         Heights (n,) in m, without noise.
     """
     what = physics(cell, None, library)
     if what.laws.get("robot"):
-        return commanded_motion(cell, t_s, z_cmd_m, library, begin_s).z_m
+        return commanded_motion(cell, t_s, z_cmd_m, library, begin_s=begin_s, followed=followed).z_m
     c = what.constants
     return servo_heights(z_cmd_m, steps(t_s), c.servo_natural_frequency_Hz, c.servo_damping_ratio)
 

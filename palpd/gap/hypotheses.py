@@ -15,7 +15,7 @@ from palpd.gap.evidence import Fit, fit, laplace_evidence
 from palpd.gap.fit import gauss_newton, jacobian_at
 from palpd.gap.linearise import Linearisation, linearise
 from palpd.gap.noise import FZ, Z
-from palpd.gap.nuisances import gram, project
+from palpd.gap.nuisances import Vectors, gram, project
 from palpd.gap.problem import MODULUS, Problem
 from palpd.tick import Floats
 
@@ -123,18 +123,10 @@ def search(nominal: NominalFit) -> Fits:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect at some values before any fit, and the change that it makes in the channels where that is not zero."""
+    """An effect at some values before any fit."""
 
     effect: str
     values: dict[str, float]
-    live: tuple[int, ...]
-    change: Floats
-
-    def full(self, shape: tuple[int, ...]) -> Floats:
-        """The change over all channels."""
-        out = np.zeros(shape)
-        out[list(self.live)] = self.change
-        return out
 
 
 @dataclass(frozen=True)
@@ -154,23 +146,26 @@ class _Search:
     around: Linearisation
     fits: Fits
     candidates: list[Candidate] = field(init=False)
+    changes: Vectors = field(init=False)
 
     def __post_init__(self) -> None:
         """Make the candidates of every effect that changes the mean of the readings."""
         eta = self.fits[()].eta
         peaks_Hz = [*spectral_peaks(self.problem, eta), *ringing_frequencies(self.problem, eta)]
-        self.candidates = []
+        self.candidates, changes = [], []
         for effect in self.problem.library.values():
             for values in start_values(effect, self.problem.scale, peaks_Hz) if not effect.scatter else ():
                 change = self.problem.predict({effect.id: values}, self.around.eta) - self.around.prediction
-                live = tuple(np.flatnonzero(change.any(axis=1)).tolist())
+                live = {channel: there.copy() for channel, there in enumerate(change) if there.any()}
                 if live:
-                    self.candidates.append(Candidate(effect.id, values, live, change[list(live)]))
+                    self.candidates.append(Candidate(effect.id, values))
+                    changes.append(live)
+        self.changes = Vectors.of(changes, self.problem.data.shape[1])
 
     def fit_singles(self) -> None:
         """Fit the effects that match the residual best."""
         residual = self.problem.data + self.around.offset() - self.around.prediction
-        matches = scan(self.problem, self.around, residual, [], self.candidates)
+        matches = scan(self.problem, self.around, residual, [], self.candidates, self.changes)
         order = sorted(matches, key=lambda name: -matches[name][0].gain)
         best_gain = matches[order[0]][0].gain if order else 0.0
         kept = [name for k, name in enumerate(order) if k < FITTED_AFTER_SCAN or matches[name][0].gain > 0.5 * best_gain]
@@ -213,9 +208,8 @@ class _Search:
         around = one.linearisation
         at = self.problem.predict(one.values, around.eta)
         taken = jacobian_at(self.problem, one.where, one.u, around.eta, at)
-        others = [c for c in self.candidates if c.effect not in one.names]
-        matches = scan(self.problem, around, self.problem.data + around.offset() - at, taken, others)
-        for name in sorted(matches, key=lambda name: -matches[name][0].gain)[:most]:
+        matches = scan(self.problem, around, self.problem.data + around.offset() - at, taken, self.candidates, self.changes)
+        for name in sorted(matches.keys() - set(one.names), key=lambda name: (-matches[name][0].gain, name))[:most]:
             names = (*one.names, name)
             if matches[name][0].gain >= LEAST_GAIN and not any(set(names) == set(known) for known in self.fits):
                 self.fits[names] = self._best_of_starts(around, name, matches[name], one.values, starts=1, iterations=5)
@@ -288,7 +282,7 @@ def _limits_readings(effect: Effect, scale: Scale) -> bool:
 
 
 def scan(
-    problem: Problem, around: Linearisation, residual: Floats, taken: Sequence[Floats], candidates: Sequence[Candidate]
+    problem: Problem, around: Linearisation, residual: Floats, taken: Sequence[Floats], candidates: Sequence[Candidate], changes: Vectors
 ) -> Mapping[str, list[Match]]:
     """How well every candidate matches a residual at its best factor (matching pursuit).
 
@@ -297,22 +291,22 @@ def scan(
         around: Nuisances to project out.
         residual: The residual (7, b).
         taken: Directions (7, b) in which fitted parameters can already move.
-        candidates: The candidates.
+        candidates: The m candidates.
+        changes: The changes that they make.
 
     Returns:
         The matches of every effect that can change something there, best first.
     """
-    r = project(residual, around.space)
-    basis = [project(j, around.space) for j in taken]
+    r, basis = project(residual, around.space), [project(j, around.space) for j in taken]
     inverse = np.linalg.pinv(gram(basis), rcond=1e-9, hermitian=True) if len(basis) else np.zeros((0, 0))
+    hidden = changes.against(around.space)
+    seen = np.array([changes.dot(b.values) - b.seen @ hidden for b in basis]).reshape(len(basis), len(candidates))
     r_seen = np.array([b.dot(r) for b in basis])
+    against_residual = changes.dot(residual) - r.seen @ hidden - r_seen @ inverse @ seen
+    squares = changes.squares - (hidden**2).sum(axis=0) - (seen * (inverse @ seen)).sum(axis=0)
     out: dict[str, list[Match]] = {}
-    for candidate in candidates:
-        s = project(candidate.full(residual.shape), around.space)
-        seen = np.array([b.dot(s) for b in basis])
-        rs = s.dot(r) - (seen @ inverse @ r_seen if len(basis) else 0.0)
-        ss = s.dot(s) - (seen @ inverse @ seen if len(basis) else 0.0)
-        if ss <= 1e-9 * max(float(np.vdot(s.values, s.values)), 1e-300) or ss < 1e-12:
+    for candidate, rs, ss, square in zip(candidates, against_residual.tolist(), squares.tolist(), changes.squares.tolist(), strict=True):
+        if ss <= 1e-9 * max(square, 1e-300) or ss < 1e-12:
             continue
         low, high = _factor_bounds(problem, candidate.effect)
         factor = min(max(rs / ss, low), high)

@@ -2,35 +2,21 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CellFile, EffectValues
 from palpd.cell.simulation import wrench_of
-from palpd.gap.noise import FX, FY, FZ, TX, TY, Z, resolutions
-from palpd.gap.nuisances import Nuisances, nuisances_by_channel
-from palpd.gap.phases import FREE_STILL, HOLDING
+from palpd.gap.fixed_nuisances import Column, zero_columns
+from palpd.gap.noise import FX, FY, FZ, TX, TY, Z
+from palpd.gap.nuisances import Columns, Nuisances, nuisances
 from palpd.gap.prepare import PreparedRecording
-from palpd.gap.problem import CROSSTALK, RELATIVE, SHARED, Problem, tolerance_key, torque_arm_m
-from palpd.gap.rounding import undithered_rms
-from palpd.recording.samples import runs_of_true
+from palpd.gap.problem import CROSSTALK, RELATIVE, SHARED, Problem, tolerance_key
 from palpd.tick import Floats
 
 LEAKS_INTO = {"fx_per_fz": FX, "fy_per_fz": FY, "tx_per_fz": TX, "ty_per_fz": TY}
 LEAKS = np.isin(SHARED, CROSSTALK)
-
-MOST_RESTS = 80
-"""Rests of a recording that keep a rounding offset of their own; more would cost time and say little."""
-
-
-class Column(NamedTuple):
-    """What a column stands for: a deviation of the cell, of one recording or of one press, or an error of the computation."""
-
-    scope: Literal["cell", "recording", "press", "computation"]
-    name: str
-    channel: int = -1
 
 
 @dataclass(frozen=True)
@@ -55,11 +41,8 @@ class Linearisation:
 
     @property
     def columns(self) -> Floats:
-        """Changes (k, 7, b) by one standard deviation of each nuisance, whitened; most are zero, so they are not kept."""
-        columns = np.zeros((len(self.labels), *self.prediction.shape))
-        for channel, (index, part) in enumerate(self.space.per_channel):
-            columns[index, channel] = part.T
-        return columns
+        """The columns (k, 7, b) with their zeros."""
+        return self.space.columns.dense()
 
     def numbers(self, scope: str, name: str | None = None, channel: int | None = None) -> list[int]:
         """Numbers of the columns of one kind.
@@ -91,11 +74,9 @@ class Linearisation:
         Returns:
             A new linearisation.
         """
-        per_channel = [list(zip(index.tolist(), np.where(bins, part.T, 0.0), strict=True)) for index, part in self.space.per_channel]
         prediction = np.where(bins[None, :], self.prediction, 0.0)
         owned = np.where(bins[None, None, :], self.owned, 0.0)
-        space = nuisances_by_channel(per_channel, len(self.labels), len(bins))
-        return Linearisation(self.effects, self.eta, self.labels, space, prediction, owned)
+        return Linearisation(self.effects, self.eta, self.labels, nuisances(self.space.columns.restricted_to(bins)), prediction, owned)
 
 
 def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisation:
@@ -118,19 +99,14 @@ def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisa
     labelled = [(Column("cell", name), dict(enumerate(column))) for name, column in zip(SHARED, shared, strict=True)]
     labelled += _own_columns(problem, effects, eta, shared)
     keys = {problem.library[name].tolerance for name in effects}
-    per_channel: list[list[tuple[int, Floats]]] = [[] for _ in prediction]
-    owned = []
-    for number, (label, parts) in enumerate(labelled):
-        if label.scope != "press" and label.channel in (-1, FZ) and tolerance_key(label.name) in keys:
-            owned.append(np.zeros_like(prediction))
-            owned[-1][list(parts)] = list(parts.values())
-            continue
-        for channel, values in parts.items():
-            per_channel[channel].append((number, values))
-    space = nuisances_by_channel(per_channel, len(labelled), prediction.shape[1])
-    return Linearisation(
-        effects, eta, tuple(label for label, _ in labelled), space, prediction, np.array(owned).reshape(-1, *prediction.shape)
-    )
+    fixed = problem.fixed_nuisances
+    labels = (*(label for label, _ in labelled), *fixed.labels)
+    replaced = [label.scope != "press" and label.channel in (-1, FZ) and tolerance_key(label.name) in keys for label in labels]
+    changing = Columns.of([{} if gone else column for gone, (_, column) in zip(replaced, labelled, strict=False)], prediction.shape)
+    remaining, taken = fixed.columns.without(np.flatnonzero(replaced[len(labelled) :]))
+    owned = [Columns.of([column], prediction.shape).dense()[0] for gone, (_, column) in zip(replaced, labelled, strict=False) if gone]
+    space = nuisances(changing.beside(remaining))
+    return Linearisation(effects, eta, labels, space, prediction, np.array([*owned, *taken]).reshape(-1, *prediction.shape))
 
 
 def _shared_columns(problem: Problem, effects: EffectValues, eta: Floats, prediction: Floats) -> list[Floats]:
@@ -155,7 +131,7 @@ def _shared_columns(problem: Problem, effects: EffectValues, eta: Floats, predic
 
 
 def _own_columns(problem: Problem, effects: EffectValues, eta: Floats, shared: list[Floats]) -> Iterator[tuple[Column, dict[int, Floats]]]:
-    """Labelled columns of every recording in turn, (b,) by channel: its zeros, errors of the computation, press scatter, rounding."""
+    """Labelled columns of every recording in turn, (b,) by channel, that depend on the state: errors of the computation and presses."""
     cell = problem.cell_at(effects, eta)
     predicted = problem.binned_prediction(effects, eta)
     start = 0
@@ -168,31 +144,21 @@ def _own_columns(problem: Problem, effects: EffectValues, eta: Floats, shared: l
             column[here] = values
             return label, {label.channel: problem.noise.whiten_channel(label.channel, column)}
 
-        for label, values in _zeros(problem, recording, cell):
+        for label, values in _rounded_zero(problem, recording, cell):
             yield whitened(label, values)
         for label, values in _computation_errors(problem, recording, cell, predicted[:, here]):
             yield whitened(label, values)
-        if recording.judged[Z]:
-            for name, values in zip(("hidden delay", "controller order"), problem.servo_errors_m[:, here], strict=True):
-                yield whitened(Column("computation", name, Z), values)
         yield from _press_columns(problem, recording, here, shared)
-        for label, values in _rounding_offsets(problem, recording):
-            yield whitened(label, values)
 
 
-def _zeros(problem: Problem, recording: PreparedRecording, cell: CellFile) -> Iterator[tuple[Column, Floats]]:
-    """Bias and drift of every axis; where fz is rounded coarsely, readings between two levels do not follow them."""
-    tolerances, b = problem.cell.tolerances, len(recording.bins)
-    felt: Floats | float = 1.0
-    if problem.rounding is not None:
-        fz_N = wrench_of(cell, recording.motion, problem.library)[:, FZ - 1]
-        felt = recording.binned_steps(recording.motion, problem.rounding.slope(fz_N))
-    for channel in range(FX, 7):
-        if recording.judged[channel]:
-            arm = 1.0 if channel < TX else torque_arm_m(problem.cell)
-            share = felt if channel == FZ else 1.0
-            yield Column("recording", "bias_N", channel), share * arm * tolerances.bias_N * np.ones(b)
-            yield Column("recording", "drift_N_per_min", channel), share * arm * tolerances.drift_N_per_min / 60.0 * recording.t_s
+def _rounded_zero(problem: Problem, recording: PreparedRecording, cell: CellFile) -> Iterator[tuple[Column, Floats]]:
+    """Bias and drift of fz where it is rounded coarsely: readings between two levels do not follow them."""
+    if problem.rounding is None or not recording.judged[FZ]:
+        return
+    fz_N = wrench_of(cell, recording.motion, problem.library)[:, FZ - 1]
+    felt = recording.binned_steps(recording.motion, problem.rounding.slope(fz_N))
+    for label, values in zero_columns(problem.cell, recording, FZ):
+        yield label, felt * values
 
 
 def _computation_errors(
@@ -231,23 +197,6 @@ def _press_columns(
         for name, changes in scatters:
             if FZ in changes and changes[FZ][window].any():
                 yield Column("press", name), {channel: np.where(window, values, 0.0) for channel, values in changes.items()}
-
-
-def _rounding_offsets(problem: Problem, recording: PreparedRecording) -> Iterator[tuple[Column, Floats]]:
-    """Where noise does not dither the rounding, every rest keeps an offset of up to half a step."""
-    for channel, stated in enumerate(resolutions(problem.cell)):
-        step = problem.rounding.step_N if channel == FZ and problem.rounding is not None else stated
-        if step <= 0 or not recording.judged[channel]:
-            continue
-        offset = undithered_rms(step, float(recording.noise_rms[channel]))
-        if offset < 0.1 * recording.noise_rms[channel]:
-            continue
-        first, end = runs_of_true(np.isin(recording.bin_phase, (FREE_STILL, HOLDING)))
-        for a, b in zip(first[:MOST_RESTS], end[:MOST_RESTS], strict=True):
-            if b - a >= 3:
-                rest = np.zeros(len(recording.bins))
-                rest[a:b] = offset
-                yield Column("recording", "rounding", channel), rest
 
 
 def _and_neighbours(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

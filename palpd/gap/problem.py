@@ -12,7 +12,8 @@ from scipy.sparse import block_diag, csr_array
 from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
 from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS, Effect, Scale
-from palpd.cell.simulation import mean_reading, predict_motion, scale_of, wrench_of
+from palpd.cell.simulation import Followed, mean_reading, predict_motion, scale_of, wrench_of
+from palpd.gap.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
 from palpd.gap.noise import FX, FZ, Z
 from palpd.gap.prepare import PreparedRecording, prepare
 from palpd.gap.rounding import Rounding, undithered_rms
@@ -72,10 +73,14 @@ def tolerance_key(deviation: str) -> str:
 
 @dataclass
 class _Predictions:
-    """Binned predictions by what they depend on, the newest last, and the number of simulations that they took."""
+    """Binned predictions by what they depend on, the newest last, and the number of simulations that they took.
+
+    `followed` is what the servo last made of each recording's command.
+    """
 
     known: dict[tuple[str, str, bytes], Floats] = field(default_factory=dict)
     simulations: int = 0
+    followed: dict[int, Followed] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -113,6 +118,11 @@ class Problem:
     def data(self) -> Floats:
         """Measured bins (7, b), whitened."""
         return self.noise.whiten(self.measured)
+
+    @cached_property
+    def fixed_nuisances(self) -> FixedNuisances:
+        """Nuisances that do not depend on the state of the cell, whitened."""
+        return fixed_nuisances(self.cell, self.recordings, self.rounding, self.servo_errors_m, self.noise)
 
     @property
     def nominal_eta(self) -> Floats:
@@ -285,7 +295,10 @@ class Problem:
     def _binned_heights(self, recording: PreparedRecording, cell: CellFile) -> Floats:
         if not recording.judged[Z] or recording.z_cmd_m is None:
             return np.zeros(len(recording.bins))
-        return recording.z_means @ predict_motion(cell, recording.robot_t_s, recording.z_cmd_m, self.library, begin_s=0.0)
+        followed = self._predictions.followed.setdefault(id(recording), {})
+        return recording.z_means @ predict_motion(
+            cell, recording.robot_t_s, recording.z_cmd_m, self.library, begin_s=0.0, followed=followed
+        )
 
     def binned_wrench(self, recording: PreparedRecording, cell: CellFile, motion: TipMotion) -> Floats:
         """Predicted wrench in the bins of a recording.
@@ -360,11 +373,6 @@ def _shared_sd(cell: CellFile) -> Floats:
     for name in ("tx_per_fz", "ty_per_fz"):
         sd[name] *= torque_arm_m(cell) / CROSSTALK_ARM_M
     return np.array([sd[name] for name in SHARED])
-
-
-def torque_arm_m(cell: CellFile) -> float:
-    """Tolerated torque over tolerated force: 0.05 m, and in proportion more on a probe that is longer than 0.08 m."""
-    return max(CROSSTALK_ARM_M, CROSSTALK_ARM_M / 0.08 * cell.probe.tip_length_m)
 
 
 def _measured(recording: PreparedRecording) -> Floats:
