@@ -18,6 +18,8 @@ BIN_S = 0.02
 """Length of the means over which the SNR is counted; shorter than any phase of a motion."""
 COARSE_HZ = 500.0
 """Grid of the search for the nearest law, which needs thousands of simulations and no more than two digits."""
+LOOSE = 0.25
+"""Largest relative error of a signal-to-noise ratio that no strength meets better."""
 SHAPES_DRAWN, SHAPES_FITTED = 4, 6
 """Number of shapes that are drawn of each law, and of starts that are fitted in all parameters."""
 
@@ -175,15 +177,22 @@ def fit_strength(detectability: Detectability, law: Law, shape: Shape, snr: floa
     for _ in range(9):
         parameters = law.at(shape, strength)
         change = detectability.change([(law, parameters)])
-        now = detectability.snr(change)
+        # Tolerances only make a change smaller. Where it is too small without them, they need not be simulated to know the next strength.
+        now = float(np.linalg.norm(detectability.means(change)))
+        if now >= (1.0 - LOOSE) * snr or _next_strength(law, strength, snr, now) < law.strongest:
+            now = detectability.snr(change)
         if not np.isfinite(now):
             return None
         if abs(now - snr) < 0.04 * snr:
             return FittedStrength(parameters, change, now)
         if strength >= law.strongest and now < snr:
             return None
-        strength = min(strength * float(np.clip(snr / max(now, 1e-9), 0.1, 20.0)), law.strongest)
-    return FittedStrength(parameters, change, now) if abs(now - snr) < 0.25 * snr else None
+        strength = _next_strength(law, strength, snr, now)
+    return FittedStrength(parameters, change, now) if abs(now - snr) < LOOSE * snr else None
+
+
+def _next_strength(law: Law, strength: float, snr: float, now: float) -> float:
+    return min(strength * float(np.clip(snr / max(now, 1e-9), 0.1, 20.0)), law.strongest)
 
 
 def nearest_law(
