@@ -267,12 +267,26 @@ class Vectors:
         return Vectors(blocks, squares)
 
     def against(self, space: Nuisances) -> Floats:
-        """Inner products (k, m) of the columns of nuisances with the vectors, whitened."""
+        """Inner products of the columns of nuisances with the vectors, whitened.
+
+        Args:
+            space: The k nuisances.
+
+        Returns:
+            The products (k, m).
+        """
         products = _inner_products(space.columns.blocks, self.blocks, (space.size, len(self.squares)))
         return np.asarray(solve_triangular(space.factor, products, lower=True, check_finite=False))
 
     def dot(self, values: Floats) -> Floats:
-        """Inner products (m,) with a vector (c, b), nothing projected out."""
+        """Inner products with another vector, nothing projected out.
+
+        Args:
+            values: The other vector (c, b).
+
+        Returns:
+            The products (m,).
+        """
         out = np.zeros(len(self.squares))
         for channel, bins, numbers, columns in self.blocks:
             out[numbers] += values[channel, bins] @ columns
