@@ -89,7 +89,7 @@ def signal_to_noise(problem: Problem, key: str) -> float:
     ]
     signs = [1.0, -1.0, 1.0, -1.0] if key == "crosstalk" else [1.0]
     change = np.tensordot(signs, around.columns[own], axes=1)
-    others = nuisances(np.delete(around.columns, own, axis=0))
+    others = nuisances(around.space.columns.without(np.array(own))[0])
     return float(np.sqrt((change**2).sum() - (others.against(change) ** 2).sum()))
 
 

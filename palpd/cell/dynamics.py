@@ -7,6 +7,7 @@ straight between samples, at even and at uneven steps.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -99,7 +100,8 @@ class Span:
     """Successive samples on their way from the motion of the tip to the reading of the sensor.
 
     All arrays are (n,); `t_s` counts from where histories began, `dt_s` is the step before each sample (one number where
-    even). Lateral forces and torques stay plain 0.0 until something makes them. `z_noise_m` and `az_noise_m_per_s2` are what a
+    even). Lateral forces and torques stay plain 0.0 until something makes them. `slack_m` is the width of a play before the tip, and
+    `behind_m` how far the tip is from where it were without it. `z_noise_m` and `az_noise_m_per_s2` are what a
     measured motion still carries of noise; 0 for a true one. Laws of effects change these fields.
     """
 
@@ -113,6 +115,8 @@ class Span:
     az_noise_m_per_s2: float = 0.0
     lead_s: Column = 0.0
     tip_m: Floats = None  # type: ignore[assignment]
+    slack_m: float = 0.0
+    behind_m: Column = 0.0
     surface_m: Column = 0.0
     depth_m: Floats = None  # type: ignore[assignment]
     contact_N: Floats = None  # type: ignore[assignment]
@@ -364,6 +368,47 @@ def _clipped(low: Floats, high: Floats, y: float) -> Floats:
     out[second] = _clipped(both(low), both(high), y)
     out[0] = min(max(y, low[0]), high[0])
     out[2::2] = np.minimum(np.maximum(out[1:-1:2], low[2::2]), high[2::2])
+    return out
+
+
+def slack_dahl(u: Floats, length: float, slack: float, memory: Memory) -> Floats:
+    """Friction of Dahl (1968) behind a play, as a share of its full force: a slack link carries no force.
+
+    At a reversal the friction's own spring pushes the link back, so the force falls to zero first. Then the play is crossed without
+    force, and then the friction builds up to the other side. The play is centred where it starts.
+
+    Args:
+        u: Input (n,) before the play.
+        length: Length over which the friction builds up, in the unit of the input.
+        slack: Full width of the play, in the unit of the input.
+        memory: State that is carried from one stretch of samples to the next.
+
+    Returns:
+        The share (n,), positive where the input rises.
+    """
+    last, share, crossed = memory.get("slack", (float(u[0]), 0.0, 0.5 * slack))
+    change = np.diff(u, prepend=last)
+    direction = np.sign(change)
+    turns = np.flatnonzero(direction != 0.0)
+    edges = [*turns[np.flatnonzero(np.diff(direction[turns], prepend=0.0))].tolist(), len(u)]  # where strokes begin, and the end
+    out = np.empty(len(u))
+    out[: edges[0]] = share
+    for a, b in pairwise(edges):
+        way = float(direction[a])
+        travel = way * np.cumsum(change[a:b])
+        before = way * share
+        across = crossed if way > 0.0 else slack - crossed
+        unloading = length * float(np.log1p(max(-before, 0.0)))
+        remaining = slack - across if before <= 0.0 else 0.0
+        built = np.maximum(travel - unloading - remaining, 0.0)
+        falling = 1.0 - (1.0 - min(before, 0.0)) * np.exp(-np.minimum(travel, unloading) / length)
+        rising = 1.0 - (1.0 - max(before, 0.0)) * np.exp(-built / length)
+        out[a:b] = way * (np.minimum(falling, 0.0) + rising)
+        within = unloading <= float(travel[-1]) <= unloading + remaining and before <= 0.0
+        share = 0.0 if within else float(out[b - 1])  # rounding must not make a force in the play
+        across += min(max(float(travel[-1]) - unloading, 0.0), remaining)
+        crossed = across if way > 0.0 else slack - across
+    memory["slack"] = (float(u[-1]), share, crossed)
     return out
 
 

@@ -147,22 +147,17 @@ class _Search:
     problem: Problem
     around: Linearisation
     fits: Fits
+    peaks_Hz: list[float] = field(init=False)
     candidates: list[Candidate] = field(init=False)
     changes: Vectors = field(init=False)
 
     def __post_init__(self) -> None:
         """Make the candidates of every effect that changes the mean of the readings."""
         eta = self.fits[()].eta
-        peaks_Hz = [*spectral_peaks(self.problem, eta), *ringing_frequencies(self.problem, eta)]
-        self.candidates, changes = [], []
-        for effect in self.problem.library.values():
-            for values in start_values(effect, self.problem.scale, peaks_Hz) if not effect.scatter else ():
-                change = self.problem.predict({effect.id: values}, self.around.eta) - self.around.prediction
-                live = {channel: there.copy() for channel, there in enumerate(change) if there.any()}
-                if live:
-                    self.candidates.append(Candidate(effect.id, values))
-                    changes.append(live)
-        self.changes = Vectors.of(changes, self.problem.data.shape[1])
+        self.peaks_Hz = [*spectral_peaks(self.problem, eta), *ringing_frequencies(self.problem, eta)]
+        there = self._changes_of(self.problem.library, {}, self.around.eta)
+        self.candidates = [candidate for candidate, _ in there]
+        self.changes = Vectors.of([live for _, live in there], self.problem.data.shape[1])
 
     def fit_singles(self) -> None:
         """Fit the effects that match the residual best."""
@@ -210,11 +205,36 @@ class _Search:
         around = one.linearisation
         at = self.problem.predict(one.values, around.eta)
         taken = jacobian_at(self.problem, one.where, one.u, around.eta, at)
-        matches = scan(self.problem, around, self.problem.data + around.offset() - at, taken, self.candidates, self.changes)
+        candidates, changes = self._seen_beside(one)
+        matches = scan(self.problem, around, self.problem.data + around.offset() - at, taken, candidates, changes)
         for name in sorted(matches.keys() - set(one.names), key=lambda name: (-matches[name][0].gain, name))[:most]:
             names = (*one.names, name)
             if matches[name][0].gain >= LEAST_GAIN and not any(set(names) == set(known) for known in self.fits):
                 self.fits[names] = self._best_of_starts(around, name, matches[name], one.values, starts=1, iterations=5)
+
+    def _seen_beside(self, one: Fit) -> tuple[list[Candidate], Vectors]:
+        """Candidates and their changes of further effects, as they change the cell beside a set.
+
+        In tissue the set hardly alters what they do to the contact force. Where there is none, only friction feels a play.
+        """
+        library = self.problem.library
+        if self.problem.cell.tissue is not None:
+            return self.candidates, self.changes
+        elsewhere = {name: effect for name, effect in library.items() if effect.site != "tip"}
+        at_the_tip = {name: effect for name, effect in library.items() if effect.site == "tip" and name not in one.names}
+        there = self._changes_of(elsewhere, {}, self.around.eta) + self._changes_of(at_the_tip, one.values, one.eta)
+        return [candidate for candidate, _ in there], Vectors.of([live for _, live in there], self.problem.data.shape[1])
+
+    def _changes_of(self, effects: Mapping[str, Effect], beside: EffectValues, eta: Floats) -> list[tuple[Candidate, dict[int, Floats]]]:
+        """Every start of some effects that changes the mean of the readings beside a set, and its change by channel."""
+        at, out = self.problem.predict(beside, eta), []
+        for effect in effects.values():
+            for values in start_values(effect, self.problem.scale, self.peaks_Hz) if not effect.scatter else ():
+                change = self.problem.predict(beside | {effect.id: values}, eta) - at
+                live = {channel: there.copy() for channel, there in enumerate(change) if there.any()}
+                if live:
+                    out.append((Candidate(effect.id, values), live))
+        return out
 
     def _best_of_starts(
         self, around: Linearisation, name: str, matches: list[Match], beside: EffectValues, *, starts: int, iterations: int

@@ -5,6 +5,7 @@ import pytest
 import yaml
 
 from palpd.cell.cell_file import cell_from, load_cell, nominal, save_cell
+from palpd.cell.dynamics import slack_dahl
 from palpd.cell.simulation import simulate
 from palpd.errors import ConfigError
 
@@ -53,6 +54,39 @@ def test_friction_acts_only_while_backlash_lets_the_tip_move() -> None:
     falling = (t_s > 0.55) & (t_s < 0.65)  # just past the first reversal: the robot moves through the dead band
     assert np.abs(friction_N[falling]).max() < 0.05
     assert np.abs(friction_N).max() == pytest.approx(1.0, abs=0.05)
+
+
+def slack_link(tip_m: np.ndarray, width_m: float, length_m: float) -> np.ndarray:
+    """Share of the friction on a robot's probe behind a play, in small steps: the friction's spring moves the probe within the play."""
+    probe_m, share, out = tip_m[0], 0.0, []
+    steps_m = np.repeat(np.diff(tip_m, prepend=tip_m[0]) / 50, 50)
+    for step, at_m in enumerate(tip_m[0] + np.cumsum(steps_m)):
+        ahead_m, way = at_m - probe_m, float(np.sign(steps_m[step]))
+        # The spring of the friction pushes the probe along with the robot, else the robot's side of the play pushes it.
+        moved_m = steps_m[step] if share * way < 0.0 else way * max(way * ahead_m - 0.5 * width_m, 0.0)
+        probe_m += moved_m
+        share += moved_m / length_m * (1.0 - share * np.sign(moved_m))
+        if step % 50 == 49:
+            out.append(share)
+    return np.array(out)
+
+
+def test_a_slack_link_carries_no_force_before_the_friction_builds_up_again() -> None:
+    t_s, z_m = free_strokes()
+    friction = {"cable.friction": {"force_N": 1.0, "presliding_m": 2e-4}, "robot.backlash": {"width_m": 1e-3}}
+    cell = nominal().with_effects(friction)
+    bare = nominal().model_copy(update={"sensor": nominal().sensor.model_copy(update={"filter_cutoff_Hz": None})})
+    cell = cell.model_copy(update={"sensor": bare.sensor})
+    friction_N = simulate(cell, t_s, z_m=z_m)["fz_N"] - simulate(bare, t_s, z_m=z_m)["fz_N"]
+    assert friction_N == pytest.approx(-slack_link(z_m, 1e-3, 2e-4), abs=0.03)
+    assert np.mean(np.abs(friction_N[500:]) < 1e-3) > 0.2  # the play
+
+
+def test_a_slack_link_is_the_same_in_blocks_and_at_once() -> None:
+    _, z_m = free_strokes()
+    memory: dict[str, object] = {}
+    blocks = [slack_dahl(block, 2e-4, 1e-3, memory) for block in np.split(z_m, [1, 2, 500, 1337, 3000])]
+    assert np.concatenate(blocks) == pytest.approx(slack_dahl(z_m, 2e-4, 1e-3, {}), abs=1e-9)
 
 
 def test_a_servo_may_be_damped_otherwise_than_stated() -> None:

@@ -109,6 +109,31 @@ def test_a_modulus_that_nobody_knows_is_fitted_and_what_hides_in_it_is_said() ->
     assert any("cannot be distinguished" in note for note in diagnosis.notes)
 
 
+def strokes(seconds: float = 16.0, rate_Hz: float = 100.0) -> tuple[Floats, Floats]:
+    """Times and heights of two sines that begin and end at rest."""
+    t_s = np.arange(int(seconds * rate_Hz)) / rate_Hz
+    ramp = np.clip(np.minimum(t_s, seconds - 1.0 - t_s), 0.0, 1.0)
+    both_m = 0.02 * np.sin(np.pi * t_s) + 0.008 * np.sin(0.26 * np.pi * t_s + 1.0)
+    return t_s, (both_m - both_m[0]) * ramp**2 * (3.0 - 2.0 * ramp)
+
+
+def test_a_friction_damper_with_play_is_both_and_nothing_else() -> None:
+    """A slider of Coulomb behind a spring with play, in place of the library's smooth build-up."""
+    t_s, z_m = strokes()
+    slider_m, stiffness_N_per_m, play_m, limit_N, force_N = z_m[0], 3e6, 4e-3, 8000.0, []
+    for at_m in z_m:
+        way, ahead_m = float(np.sign(at_m - slider_m)), abs(at_m - slider_m)
+        if ahead_m > 0.5 * play_m + limit_N / stiffness_N_per_m:
+            slider_m, ahead_m = at_m - way * (0.5 * play_m + limit_N / stiffness_N_per_m), 0.5 * play_m + limit_N / stiffness_N_per_m
+        force_N.append(-way * stiffness_N_per_m * max(ahead_m - 0.5 * play_m, 0.0))
+    wrench = np.zeros((len(t_s), 6))
+    wrench[:, 2] = np.array(force_N) * (1.0 + 0.04 * np.sin(3.0 * t_s)) + 8.0 * np.random.default_rng(5).standard_normal(len(t_s))
+    cell = foreign_cell(5e-3, 1e3, 0.0, 100.0, 8.0, bias_N=20.0)
+    diagnosis = quick(Samples(t_s, None, z_m, np.gradient(z_m, t_s), wrench), cell.model_copy(update={"tissue": None}))
+    assert {effect.id for effect in diagnosis.effects} == {"cable.friction", "robot.backlash"}, diagnosis.sentence
+    assert diagnosis.verdict == "effects"
+
+
 # measured by others
 
 

@@ -59,7 +59,9 @@ VIBRATION = Effect(
 
 
 def _backlash(s: Span, p: Values, memory: Memory) -> None:
-    s.tip_m = play(s.tip_m, p["width_m"], memory)
+    tip_m = play(s.tip_m, p["width_m"], memory)
+    s.slack_m, s.behind_m = p["width_m"], tip_m - s.tip_m
+    s.tip_m = tip_m
 
 
 BACKLASH = Effect(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from palpd.cell.dynamics import Constants, Memory, Span, mounted, play, recurrence
+from palpd.cell.dynamics import Constants, Memory, Span, mounted, play, recurrence, slack_dahl
 from palpd.cell.effects.effect import AZIMUTH, DEAD_BAND, LOAD, SIDEWAYS, Effect, Parameter, Values, of
 
 REST_SPEED_M_PER_S = 0.5e-3
@@ -75,15 +75,18 @@ SPRING = Effect(
 def _friction(s: Span, p: Values, memory: Memory) -> None:
     """Coulomb, or Dahl (1968) over the presliding length: dF/dx = (1 - F sign v) / length, exact over a step.
 
-    The friction acts on the tip: it stands still while the robot moves through a dead band. Noise of a measured motion would wear
-    the force down at rest, so a dead band comes first.
+    The friction acts on the tip: it stands still while the robot moves through a dead band. With presliding it springs back into the
+    play first, since a slack link carries no force. Noise of a measured motion would wear the force down at rest, so a dead band comes
+    first.
     """
-    tip_m = s.tip_m
+    tip_m = s.tip_m if "presliding_m" not in p else s.tip_m - s.behind_m
     if "presliding_m" in p and s.z_noise_m > 0.0:  # a whole recording: no block follows that would need a memory
         tip_m = play(tip_m, DEAD_BAND * s.z_noise_m, {})
     change_m = np.diff(tip_m, prepend=memory.get("tip_m", tip_m[0]))
     memory["tip_m"] = tip_m[-1]
-    if "presliding_m" not in p:
+    if "presliding_m" in p and s.slack_m > 0.0:
+        share = slack_dahl(tip_m, p["presliding_m"], s.slack_m, memory)
+    elif "presliding_m" not in p:
         share = np.where(change_m != 0.0, np.tanh(s.vz_m_per_s / REST_SPEED_M_PER_S), 0.0)
     else:
         keep = np.exp(-np.abs(change_m) / p["presliding_m"])
@@ -97,7 +100,8 @@ FRICTION = Effect(
     "probe",
     "Coulomb force against the motion, zero at rest; with presliding it builds up over a length and stays at rest",
     (
-        Parameter("force_N", "N", 0.0, lambda s: s.range_N, of("force_N", 0.05)),
+        # strokes that are short against the presliding length show a part of it
+        Parameter("force_N", "N", 0.0, lambda s: 4.0 * s.range_N, of("force_N", 0.05)),
         Parameter(
             "presliding_m",
             "m",
