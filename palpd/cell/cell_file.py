@@ -289,7 +289,7 @@ def _check_effects(effects: EffectValues, where: str, library: Mapping[str, Effe
         if name not in library:
             near = nearest(name, list(library))
             raise ConfigError(f"{where}: there is no effect {name!r}{near}; give one of the library's, or --effects with your own")
-        expected = [parameter.name for parameter in library[name].parameters]
+        expected = [parameter.name for parameter in library[name].named_parameters]
         for parameter in values:
             if parameter not in expected:
                 raise ConfigError(f"{where}.{name}: there is no parameter {parameter!r}; expected {', '.join(expected)}")

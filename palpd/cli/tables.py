@@ -106,7 +106,7 @@ def effect_table(library: "Mapping[str, Effect]") -> Table:
     """The effects of a library: what each does, and its parameters."""
     table = _table("Effects", "effect", "parameters", "what it does")
     for effect in library.values():
-        table.add_row(effect.id, ", ".join(parameter.name for parameter in effect.parameters), effect.what)
+        table.add_row(effect.id, ", ".join(parameter.name for parameter in effect.named_parameters), effect.what)
     return table
 
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from palpd.cell.cell_file import CellFile, EffectValues
 from palpd.gap.coordinates import Coordinate
-from palpd.gap.evidence import Fit
+from palpd.gap.evidence import Fit, fit
+from palpd.gap.linearise import linearise
 from palpd.gap.noise import FZ
 from palpd.gap.posterior import Attribution
 from palpd.gap.problem import Problem, tolerance_key
@@ -84,7 +85,7 @@ def decide(problem: Problem, nominal: Fit, attribution: Attribution, scatter: Sc
     p_unknown = 1.0 - (1.0 - attribution.p_unknown) * (1.0 - scatter.p_lone_axis)
     p_healthy_scatter = float(np.prod([1.0 - s.probability for s in scatter.effects]))
     p_none = attribution.p_none * (1.0 - scatter.p_lone_axis) * p_healthy_scatter
-    best = attribution.best.fit
+    best = _by_named_parameters(problem, attribution.best.fit)
     named: list[NamedEffect] = []
     if best.names and p_none <= P_NONE_TO_ACQUIT:
         named = _named(problem, best, attribution)
@@ -93,6 +94,15 @@ def decide(problem: Problem, nominal: Fit, attribution: Attribution, scatter: Sc
     kind = _kind(p_none, p_unknown, named)
     candidates = attribution.marginal | {s.id: s.probability for s in scatter.effects}
     return DiagnosisVerdict(kind, [] if kind == "none" else named, candidates, p_none, p_unknown, fit)
+
+
+def _by_named_parameters(problem: Problem, one: Fit) -> Fit:
+    """The hypothesis by the laws that files can state: what says by which of several laws an effect acts is a nuisance."""
+    values = {
+        name: {parameter.name: mine[parameter.name] for parameter in problem.library[name].named_parameters if parameter.name in mine}
+        for name, mine in one.values.items()
+    }
+    return one if values == one.values else fit(problem, values, linearise(problem, values, one.eta), rounds=1)
 
 
 def _kind(p_none: float, p_unknown: float, named: list[NamedEffect]) -> Kind:

@@ -363,6 +363,15 @@ def test_adhesion_pulls_only_while_the_tip_leaves_and_is_gone_at_its_range() -> 
     np.testing.assert_array_equal(pull_N[motion.z_m > 5e-4], 0.0)
 
 
+def test_a_pull_that_holds_until_it_snaps_is_a_nuisance_that_no_file_names() -> None:
+    motion = ramp((0, 2.0), (1, -2.0), (2, 2.0))
+    pull_N = felt(with_("tissue.adhesion", force_N=0.3, range_m=5e-4, fading=4.0), motion) - felt(still_cell(), motion)
+    assert pull_N[np.argmin(np.abs(motion.z_m[1000:] - 2.5e-4)) + 1000] == pytest.approx(-0.3 * (1.0 - 0.5**4), rel=0.02)
+    assert [parameter.name for parameter in EFFECTS["tissue.adhesion"].named_parameters] == ["force_N", "range_m"]
+    with pytest.raises(ConfigError, match="there is no parameter 'fading'; expected force_N, range_m"):
+        cell_from({"effects": {"tissue.adhesion": {"force_N": 0.3, "range_m": 5e-4, "fading": 4.0}}}, "cell")
+
+
 def test_the_surface_sinks_after_every_press_by_less() -> None:
     motion = ramp(*[(k, 1.0 if k % 2 == 0 else -2.0) for k in range(9)])
     force_N = felt(with_("tissue.plasticity", set_m=3e-4, ratio=0.5), motion)

@@ -91,7 +91,8 @@ class Parameter:
     `nominal` is None where another parameter of the effect switches it off. `log` means that its order of magnitude is unknown and
     that it is positive throughout its range. `optional` means that the law also works without it; a diagnosis tries both. `natural` is
     the largest size that working parts have: a diagnosis doubts and reports a larger one. `choices` are the only values that it can
-    have, the usual one first; a diagnosis tries each.
+    have, the usual one first; a diagnosis tries each. A `nuisance` says by which of several laws real
+    cells show the effect: it is optional, a diagnosis fits it, and no file names it.
     """
 
     name: str
@@ -104,6 +105,7 @@ class Parameter:
     optional: bool = False
     natural: float | None = None
     choices: tuple[float, ...] = ()
+    nuisance: bool = False
 
     def bounds(self, scale: Scale) -> tuple[float, float]:
         """The range to search, (lower, upper)."""
@@ -198,6 +200,11 @@ class Effect:
             )
         if self.site not in SITES:
             raise ConfigError(f"effect {self.id} stands at site {self.site!r}; expected one of {', '.join(SITES)}")
+
+    @property
+    def named_parameters(self) -> tuple[Parameter, ...]:
+        """The parameters that files name."""
+        return tuple(parameter for parameter in self.parameters if not parameter.nuisance)
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""

@@ -179,7 +179,11 @@ VISCOELASTIC = Effect(
 
 
 def _adhesion(s: Span, p: Values, memory: Memory) -> None:
-    """Grows over one range as the tip comes back from its deepest point, and fades over one range above the surface."""
+    """Grows over one range as the tip comes back from its deepest point, and fades over one range above the surface.
+
+    A real contact is pinned (Johnson, Kendall, Roberts 1971): while its edge stays where it is, the force falls along the tangent at the
+    deepest point. It then fades with a power of the gap, a large one where it lets go at once.
+    """
     reach_m, lowest_m = p["range_m"], memory.get("lowest_m", inf)
     gap_m = s.tip_m - s.surface_m
     lowest = np.full(len(gap_m), inf)
@@ -191,8 +195,15 @@ def _adhesion(s: Span, p: Values, memory: Memory) -> None:
             first = a if before_m < inf else a + int(touching.argmax())
             lowest[first:b] = np.minimum(np.minimum.accumulate(s.tip_m[first:b]), before_m)
     memory["lowest_m"] = float(lowest[-1])
-    bond = np.clip((s.tip_m - lowest) / reach_m, 0.0, 1.0)
-    s.contact_N = s.contact_N - p["force_N"] * bond * np.clip(1.0 - gap_m / reach_m, 0.0, 1.0)
+    back_m = np.maximum(s.tip_m - lowest, 0.0)
+    left = 1.0 - np.clip(gap_m / reach_m, 0.0, 1.0) ** p.get("fading", 1.0)
+    if "fading" not in p:
+        s.contact_N = s.contact_N - p["force_N"] * np.minimum(back_m / reach_m, 1.0) * left
+        return
+    deepest_m = np.where(lowest < inf, np.maximum(s.surface_m - lowest, TINY), TINY)
+    deepest_N = s.constants.elastic_force_N(deepest_m)
+    lacking_N = s.constants.elastic_force_N(s.depth_m) - deepest_N + 1.5 * deepest_N / deepest_m * back_m
+    s.contact_N = s.contact_N - np.where(lowest < inf, np.clip(lacking_N, 0.0, p["force_N"] * left), 0.0)
 
 
 ADHESION = Effect(
@@ -200,8 +211,10 @@ ADHESION = Effect(
     "tissue",
     "pulls on the probe while it leaves",
     (
-        Parameter("force_N", "N", 0.0, lambda s: s.range_N, of("force_N", 0.05, 0.2)),
+        # where the range is long, the pull is a quarter of it at most: it still grows when it begins to fade
+        Parameter("force_N", "N", 0.0, lambda s: 4.0 * s.range_N, of("force_N", 0.05, 0.2)),
         Parameter("range_m", "m", lambda s: 0.002 * s.depth_m, lambda s: s.stroke_m, of("depth_m", 0.2, 0.03), nominal=None, log=True),
+        Parameter("fading", "1", 0.5, 8.0, (3.0,), nominal=None, log=True, optional=True, nuisance=True),
     ),
     law=_adhesion,
 )
