@@ -23,8 +23,14 @@ DISCREPANCY_SIZES = ((0.02, 0.3), (0.06, 0.25), (0.12, 0.15))
 """Sizes that a discrepancy may have in each direction, as shares of the effect, and their prior probabilities. With P_EXACT_LAW they
 add up to one."""
 
+SPREAD = "spread"
+"""Kind of the directions in which a time constant or a width is several ones: with these an effect stays what it is."""
+
 OTHER_SHAPES = (0.2, 0.45, 2.2, 5.0)
 """Factors on a time constant or a width whose law is mixed in: real laws often have more than one."""
+
+SPREAD_SIZE = 4.0
+"""How much larger the direction of another time constant or width may be than an error of a law: real ones are spread over decades."""
 
 SMALLEST_EFFECT = 1.0
 """Energy, in sigmas, below which an effect is too small to show a discrepancy."""
@@ -41,7 +47,7 @@ class ModelDiscrepancy:
         log_prior: Log of its prior probability.
         gain: Gain of log likelihood over the exact law.
         covariance: Covariance (k, k) of the coordinates under it.
-        change: Gives the change (7, b) of the prediction, with the move of the parameters that goes with it.
+        change: Gives the change (7, b) of the prediction that is not the effect's own: neither a spread of its shapes nor its parameters.
     """
 
     log_prior: float
@@ -91,7 +97,7 @@ def model_discrepancies(
 
         def change() -> Floats:
             coefficients = size * solve_triangular(factor, of_residual - of_slopes @ move, lower=True, trans="T")
-            return np.asarray(np.tensordot(coefficients, columns[way], axes=1) + np.tensordot(move, np.array(best.jacobian), axes=1))
+            return np.asarray(np.tensordot(np.where(kind[way] == SPREAD, 0.0, coefficients), columns[way], axes=1))
 
         return ModelDiscrepancy(log(prior / len(ways)), gain, stable_inverse(inner), change)
 
@@ -131,7 +137,7 @@ def discrepancy_columns(problem: Problem, values: EffectValues, at: Floats, arou
         for kind, shape in _shapes(problem, values, name, at, part, around.eta, modulations):
             norm = float(np.vdot(shape, shape)) ** 0.5
             if norm > 1e-6 * energy:
-                columns.append(shape * min(energy / norm, LARGEST_STRETCH))
+                columns.append(shape * min(energy / norm, LARGEST_STRETCH) * (SPREAD_SIZE if kind == SPREAD else 1.0))
                 kinds.append(kind)
     return np.array(columns), np.array(kinds)
 
@@ -153,7 +159,7 @@ def _shapes(
             lower, upper = parameter.bounds(problem.scale)
             for factor in OTHER_SHAPES:
                 other = min(max(values[name][parameter.name] * factor, lower), upper)
-                yield "shape", problem.predict(values | {name: values[name] | {parameter.name: other}}, eta) - at
+                yield SPREAD, problem.predict(values | {name: values[name] | {parameter.name: other}}, eta) - at
     for driver, modulation in modulations:
         if driver in effect.discrepancy_drivers:
             shape = np.zeros_like(part)
