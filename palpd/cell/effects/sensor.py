@@ -14,6 +14,7 @@ from palpd.cell.effects.effect import (
     TIME,
     Effect,
     Parameter,
+    Scale,
     Values,
     of,
     relaxation_time,
@@ -273,11 +274,16 @@ def _saturation(c: Constants, p: Values) -> None:
     c.limit_N = min(c.limit_N, p["limit_N"])
 
 
+def _least_limit(s: Scale) -> float:
+    """Readings beyond the limit do not exist, but for their noise and a zero that shifted."""
+    return max(0.98 * s.force_N - 5.0 * s.noise_N, 0.02 * s.force_N)
+
+
 SATURATION = Effect(
     "sensor.saturation",
     "sensor",
     "fz clipped",
-    (Parameter("limit_N", "N", lambda s: 0.02 * s.force_N, lambda s: 2.0 * s.range_N, of("force_N", 0.8, 0.4), nominal=inf, log=True),),
+    (Parameter("limit_N", "N", _least_limit, lambda s: 2.0 * s.range_N, of("force_N", 0.8), nominal=inf, log=True),),
     setting=_saturation,
     discrepancy_drivers=LOAD,
 )
