@@ -138,7 +138,7 @@ def _contact(s: Span, what: Physics, memory: Memory) -> None:
     last_N = np.full_like(rigid_m, memory.get("force_N", 0.0))
     last_gap, trial = residual_N(last_N)
     if last_gap.any():
-        stiff = 1.5 * np.abs(s.contact_N) / np.maximum(s.depth_m, np.finfo(float).tiny)
+        stiff = np.divide(1.5 * np.abs(s.contact_N), s.depth_m, out=np.zeros_like(s.depth_m), where=s.depth_m > 0.0)
         force_N = last_N + last_gap / (1.0 + stiff * compliance)
         for _ in range(60):
             gap, trial = residual_N(force_N)

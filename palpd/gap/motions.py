@@ -185,7 +185,7 @@ def motions(limits: MotionLimits) -> list[TestMotion]:
 
 
 def blank_recording(cell: CellFile, t_s: Floats, z_cmd_m: Floats) -> Samples:
-    """A recording of a motion whose wrench is only the stated noise.
+    """A recording of a motion whose wrench is only the stated noise; a channel without any is not judged.
 
     Args:
         cell: The cell file.
@@ -199,5 +199,5 @@ def blank_recording(cell: CellFile, t_s: Floats, z_cmd_m: Floats) -> Samples:
     z_m = predict_motion(cell, t_s, z_cmd_m)
     speed = np.gradient(z_m, t_s) + random.standard_normal(len(t_s)) * cell.robot.velocity_noise_rms_m_per_s
     z_m = z_m + random.standard_normal(len(t_s)) * cell.robot.position_noise_rms_m
-    noise = np.array([cell.sensor.noise_rms_N] * 3 + [max(cell.sensor.noise_rms_Nm, 1e-300)] * 3)
+    noise = np.array([cell.sensor.noise_rms_N] * 3 + [cell.sensor.noise_rms_Nm] * 3)
     return Samples(t_s, z_cmd_m, z_m, speed, random.standard_normal((len(t_s), 6)) * noise)

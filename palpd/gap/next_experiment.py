@@ -14,6 +14,7 @@ from palpd.gap.coordinates import values_at
 from palpd.gap.discrepancy import DISCREPANCY_SIZES, discrepancy_columns
 from palpd.gap.linearise import Linearisation, linearise
 from palpd.gap.motions import MotionLimits, TestMotion, blank_recording, motions, surface_of
+from palpd.gap.noise import FX
 from palpd.gap.nuisances import Columns, Nuisances, gram, nuisances, project
 from palpd.gap.posterior import Attribution, Hypothesis
 from palpd.gap.prepare import moves
@@ -253,6 +254,8 @@ def score(problem: Problem, rivals: Sequence[Hypothesis], motion: TestMotion, li
 def _trial(problem: Problem, t_s: Floats, z_cmd_m: Floats, weight: float) -> Problem:
     """The problem that a recording of that motion would pose, each row counting for `weight` rows."""
     blank = blank_recording(problem.cell, t_s, z_cmd_m)
+    measured = np.any([one.judged[FX:] for one in problem.recordings], axis=0)
+    blank = replace(blank, wrench=blank.wrench * measured)
     trial = make_problem([blank], problem.cell, problem.library, TRIAL_BINS, rounding=problem.rounding, scale=problem.scale)
     return trial.with_row_weight(weight)
 

@@ -144,6 +144,8 @@ def _motion_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
         notes.append(f"nothing moves (z_m spans {stroke_m:.2g} m): only bias, drift, warm-up and noise can be judged.")
     if stroke_m == 0.0 and samples.vz_m_per_s.any():
         raise RecordingError(f"{label}z_m is {samples.z_m[0]:g} m throughout and vz_m_per_s moves: z_m is dead; record it.")
+    if not samples.vz_m_per_s.any() and moves(samples, cell):
+        raise RecordingError(f"{label}vz_m_per_s is 0 throughout and z_m spans {stroke_m:.3g} m: vz_m_per_s is dead; record it.")
     slope = _slope_ratio(samples)
     if slope is not None and not 0.5 < slope < 2.0:
         near = min((1e3, 1e-3, 1e6, 1e-6, -1.0), key=lambda k: abs(np.log(abs(slope) / abs(k))) + (slope * k < 0) * 9)
@@ -260,7 +262,7 @@ def _touch_notes(samples: Samples, cell: CellFile, noise_N: float) -> list[str]:
     tissue = cell.tissue
     assert tissue is not None
     fz_N, z_m = samples.wrench[:, 2], samples.z_m
-    high = z_m > np.quantile(z_m, 0.9)
+    high = z_m >= np.quantile(z_m, 0.9)  # of heights that rest at their highest, all are equal
     level_N = float(np.median(fz_N[high]))
     threshold_N = max(CLEAR_NOISES * max(noise_N, measured_rms(fz_N)), 0.02 * float(fz_N.max() - level_N))
     loaded = fz_N - level_N > threshold_N

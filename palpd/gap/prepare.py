@@ -23,6 +23,9 @@ FILTER_MEMORY = 4.6
 STILL_NOISES = 6.0
 """Span of 98 % of the heights, in standard deviations of their noise, below which nothing moves: noise alone spans five."""
 
+LAST_DIGITS = 1e-9
+"""Least noise of a channel without any, as a share of its span: readings have no more digits."""
+
 REST_SAMPLES = 60
 """Fewest samples at rest from which the noise is measured; with fewer, the whole recording is used."""
 
@@ -188,7 +191,7 @@ def _noise(
 ) -> tuple[tuple[bool, ...], Floats]:
     """Which channels are compared, and the noise rms of one sample of each (7,): as measured, at least half of the stated."""
     declared = declared_rms(cell)
-    judged, measured = [], np.zeros(7)
+    judged, measured, digits = [], np.zeros(7), np.full(7, 1e-300)
     for channel in range(7):
         if channel == Z:
             usable = samples.z_cmd_m is not None and not dead(samples.z_m)
@@ -198,8 +201,11 @@ def _noise(
             usable = not dead(signal)
         judged.append(usable)
         if usable:
-            measured[channel] = measured_rms(signal, where) if where.sum() >= REST_SAMPLES else min(measured_rms(signal), declared[channel])
-    floor = np.where(declared > 0, declared, np.maximum(measured, 1e-300))
+            enough = where.sum() >= REST_SAMPLES
+            rms = measured_rms(signal, where) if enough else measured_rms(signal)
+            measured[channel] = rms if enough or declared[channel] == 0.0 else min(rms, declared[channel])
+            digits[channel] = max(LAST_DIGITS * float(np.ptp(signal)), 1e-300)
+    floor = np.where(declared > 0, declared, np.maximum(measured, digits))
     return tuple(judged), np.where(measured > 0, np.maximum(measured, 0.5 * floor), floor)
 
 

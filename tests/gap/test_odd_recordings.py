@@ -10,6 +10,7 @@ from scipy.signal import bilinear, lfilter
 from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.cell.cell_file import CellFile
 from palpd.cell.tip_motion import estimate_tip_motion
+from palpd.errors import RecordingError
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.hypotheses import fit_nominal, ringing_frequencies, spectral_peaks
 from palpd.gap.phases import find_phases
@@ -71,6 +72,20 @@ def test_a_sensor_at_its_limit_is_found_where_nobody_knows_the_modulus(limit: fl
     diagnosis = saturated(limit, modulus_Pa)
     assert [e.id for e in diagnosis.effects] == ["sensor.saturation"], diagnosis.sentence
     assert any("looks saturated" in note for note in diagnosis.notes)
+
+
+def test_speeds_that_are_dead_are_refused() -> None:
+    samples, cell = rig()
+    with pytest.raises(RecordingError, match="vz_m_per_s is 0 throughout and z_m spans"):
+        quick(replace(samples, vz_m_per_s=np.zeros(len(samples))), cell)
+
+
+def test_a_lateral_channel_that_no_noise_is_stated_for_needs_none() -> None:
+    samples, cell = rig(rate_Hz=10.0, seconds=5.0)
+    wrench = samples.wrench.copy()
+    wrench[:, 4] = 1e-4 * wrench[:, 2]
+    diagnosis = quick(replace(samples, wrench=wrench), cell)  # a warning is an error
+    assert np.isfinite(diagnosis.p_unknown)
 
 
 def test_one_largest_reading_is_not_called_saturated() -> None:
