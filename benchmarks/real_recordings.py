@@ -76,14 +76,14 @@ def diagnosed(path: Path, declared: DeclaredCauses) -> RealAnswer:
     Returns:
         The answer; its verdict is the error where there is none.
     """
-    began = time.perf_counter()
+    began = time.process_time()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             answer = diagnose_files([path], path.with_suffix(".yaml")).to_json()
         except PalpdError as error:
             answer = {"verdict": f"refused: {error}", "effects": [], "p_unknown": 0.0, "shrink": {"closed": None}}
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     named = [(e["id"], e["probability"], e["indistinguishable_from"]) for e in answer["effects"]]
     closed = (answer["shrink"] or {"closed": None})["closed"]
     warned = [f"{w.category.__name__}: {w.message}" for w in caught]
@@ -100,7 +100,7 @@ def page(answers: list[RealAnswer]) -> str:
         f"Right: {right} of {n} ({right / n:.0%}, 95 % interval {low:.0%} to {high:.0%}; target {TARGET:.0%}). "
         f"Python warnings: {warned} (target 0).",
         "",
-        "| recording | known to act | verdict | named | not named | answer | gap closed | seconds |",
+        "| recording | known to act | verdict | named | not named | answer | gap closed | CPU seconds |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for a in answers:
