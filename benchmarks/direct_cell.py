@@ -70,7 +70,7 @@ class DirectCell:
     def __init__(self, cell: EmulatedCell, config: Config, opened: Devices) -> None:
         self.cell, self.config, self._devices = cell, config, opened
         self._job = Job("palpation", config, Plan())
-        explainer = explainer_of(self._job, None, opened.about["delay_s"])
+        explainer = explainer_of(self._job, opened.about, opened.about["delay_s"])
         self._reference = take_reference(opened)
         self._explainer = explainer
         self._ring = Ring.create(config.robot.rate_Hz, seconds=20.0)

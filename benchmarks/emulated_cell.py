@@ -318,10 +318,10 @@ def press_into_wall(cell: EmulatedCell, stiffness_N_per_m: float, speed_m_per_s:
 
 
 @contextmanager
-def emulated_cell(folder: Path, model: str = "ur5", cell: Path | None = None) -> Iterator[EmulatedCell]:
-    """An emulated cell in a process of its own on an address of its own."""
+def emulated_cell(folder: Path, model: str = "ur5", cell: Path | None = None, *options: str) -> Iterator[EmulatedCell]:
+    """An emulated cell in a process of its own on an address of its own; `options` are more options of the emulators."""
     host = f"127.0.8{os.getpid() % 10}.{(os.getpid() // 10 + next(_hosts)) % 250 + 2}"
-    with started(folder, model, cell, host) as wires:
+    with started(folder, model, cell, host, *options) as wires:
         yield EmulatedCell(wires, model, folder)
 
 

@@ -222,7 +222,7 @@ def press(seed: int) -> Press:
     physics.step = step  # type: ignore[method-assign, assignment]
     job = Job("palpation", config, plan, reference=(0.0, 0.0, FZ_OFFSET_N, 0.0, 0.0, 0.0))
     delay_s = filter_delay_s(config.sensor.filter_cutoff_Hz)
-    explainer = explainer_of(job, None, delay_s)
+    explainer = explainer_of(job, {}, delay_s)
     if fault == "model hides":
         explainer.model = ForceHidingModel()  # type: ignore[assignment]
         explainer.correction_limit_N = config.model.correction_limit_N

@@ -142,7 +142,7 @@ def measure(kind: str, rate_Hz: float, seconds: float, stress: bool) -> str:
     """One line of the table."""
     config = Config.model_validate({"safety": {"max_stall_s": 0.5, "robot_stale_s": 0.5, "sensor_stale_s": 0.5}})
     job = Job("palpation", config, Plan(), reference=(0.0,) * 6)
-    explainer = explainer_of(job, None, 0.001)
+    explainer = explainer_of(job, {}, 0.001)
     explainer.tare = np.zeros(6)
     sequence = Sequence(TimedRest(arm_geometry_of(job, 0.001), seconds))
     with tempfile.TemporaryDirectory() as name, waits(kind, rate_Hz, Path(name)) as (clock, privileges):

@@ -111,9 +111,9 @@ class HexSensor:
     Calibration: the registers where the DAQ answers them, else `counts_per_N` and `counts_per_Nm` (3 each). The sensor is refused if
     both exist and differ by more than 1 %, or if neither exists.
 
-    Fz has two sensitivities, pressed and pulled (3rd and 7th register; no document confirms this order). `fz_sensitivity` chooses one of
-    them for both directions. The reading before the tare is tens of newtons off zero, so its sign does not tell the load's direction,
-    and two slopes would make the tare wrong. With "pressed", a pull is over-read by their ratio (8 % on one unit).
+    Fz has two sensitivities, pressed and pulled (3rd and 7th register; no document confirms this order). `fz_slopes` chooses one of
+    them for all readings; with "both" it is the one for pressing. The reading before the tare is tens of newtons off zero, so its sign
+    does not tell the load's direction: whoever knows the load corrects the readings by `pulled_over_pressed` after the tare.
 
     Raises SensorError, in one sentence, when the port is absent, busy or silent, or the device is not what was configured.
     """
@@ -126,7 +126,8 @@ class HexSensor:
         filter_cutoff_Hz: float | None = 150.0,
         counts_per_N: Sequence[float] | None = None,
         counts_per_Nm: Sequence[float] | None = None,
-        fz_sensitivity: Literal["pressed", "pulled"] = "pressed",
+        fz_slopes: Literal["pressed", "pulled", "both"] = "pressed",
+        fz_pulled_counts_per_N: float | None = None,
     ) -> None:
         if filter_cutoff_Hz not in FILTER_CODES:
             known = ", ".join(f"{cutoff:g}" for cutoff in FILTER_CODES if cutoff)
@@ -145,7 +146,9 @@ class HexSensor:
         sheets = [numbers for numbers in (counts_per_N, counts_per_Nm) if numbers is not None]
         if any(len(numbers) != 3 or not all(number > 0 for number in numbers) for numbers in sheets):
             raise SensorError("counts_per_N and counts_per_Nm must hold three positive numbers each, as on the calibration sheet.")
-        self._fz_register = 2 if fz_sensitivity == "pressed" else 6
+        self.pulled_over_pressed: float | None = None
+        self._fz_slopes = fz_slopes
+        self._configured_pulled = fz_pulled_counts_per_N
         self._serial: serial.Serial | None = None
         self._open()
 
@@ -258,7 +261,7 @@ class HexSensor:
         if capacity is None or counts is None:
             if self._configured is not None:
                 self.calibration_source = "config"
-                return self._configured, np.full(6, 32768.0)
+                return self._from_sheet(self._configured), np.full(6, 32768.0)
             raise SensorError(
                 f"sensor {self.serial_number} at {self.port} does not answer its calibration registers and none is configured; "
                 "set counts_per_N and counts_per_Nm from its calibration sheet."
@@ -267,7 +270,8 @@ class HexSensor:
         units = np.frombuffer(capacity, ">u2") * np.array([1, 1, 1, 1e-3, 1e-3, 1e-3, 1])  # N, mNm, N
         if not (at_capacity > 0).all() or not (units > 0).all():
             raise SensorError(f"sensor {self.serial_number} has zeros in its calibration registers; it needs the maker's service.")
-        order = [0, 1, self._fz_register, 3, 4, 5]
+        self.pulled_over_pressed = float((at_capacity / units)[6] / (at_capacity / units)[2])
+        order = [0, 1, 6 if self._fz_slopes == "pulled" else 2, 3, 4, 5]
         per_unit: Floats = (at_capacity / units)[order]
         if self._configured is not None:
             apart = np.abs(self._configured / per_unit - 1)
@@ -280,6 +284,18 @@ class HexSensor:
                 )
         self.calibration_source = "registers"
         return per_unit, 3 * at_capacity[order]
+
+    def _from_sheet(self, per_unit: Floats) -> Floats:
+        """Counts per N and Nm (6,) of the configured sheet, with the slope of Fz that was asked for."""
+        if self._configured_pulled is None:
+            if self._fz_slopes != "pressed":
+                raise SensorError(
+                    f"fz_slopes is {self._fz_slopes!r}, but sensor {self.serial_number} answers no registers and its sheet has one slope; "
+                    "set fz_pulled_counts_per_N from its calibration sheet."
+                )
+            return per_unit
+        self.pulled_over_pressed = self._configured_pulled / float(per_unit[2])
+        return np.where(np.arange(6) == 2, self._configured_pulled, per_unit) if self._fz_slopes == "pulled" else per_unit
 
     def _configure(self) -> None:
         payload = self._ask(bytes((0xAA, 0x00, 0x32, 0x03, self._speed, FILTER_CODES[self.filter_cutoff_Hz], 0)), ANSWER)

@@ -68,6 +68,8 @@ class SensorConfig(_Frozen):
     filter_cutoff_Hz: StrictFloat | None = 150.0
     counts_per_N: tuple[StrictFloat, StrictFloat, StrictFloat] | None = None
     counts_per_Nm: tuple[StrictFloat, StrictFloat, StrictFloat] | None = None
+    fz_slopes: Literal["pressed", "pulled", "both"] = "pressed"
+    fz_pulled_counts_per_N: StrictFloat | None = Field(default=None, gt=0)
     rotation_about_flange_z_rad: StrictFloat = Field(default=0.0, ge=-6.3, le=6.3)
 
     @model_validator(mode="after")
@@ -80,6 +82,8 @@ class SensorConfig(_Frozen):
             raise ValueError("counts_per_N and counts_per_Nm belong to one calibration sheet: give both or neither")
         if any(abs(counts) < 1e-6 for counts in (*(self.counts_per_N or ()), *(self.counts_per_Nm or ()))):
             raise ValueError("counts_per_N and counts_per_Nm must not be zero")
+        if self.fz_pulled_counts_per_N is not None and self.counts_per_N is None:
+            raise ValueError("fz_pulled_counts_per_N belongs to the calibration sheet of counts_per_N: give both, or leave it out")
         return self
 
 

@@ -66,6 +66,7 @@ DIMENSIONLESS = {
     "servo_damping_ratio": "ratio",
     "servo_natural_frequency": "relative tolerance",
     "servo_ratio": "ratio of frequencies",
+    "pulled_over_pressed": "ratio of two slopes",
     "settled": "share",
     "share": "probability",
     "share_known": "probability",

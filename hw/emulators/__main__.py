@@ -19,6 +19,7 @@ def main() -> int:
     parser.add_argument("--control", type=Path, help="unix socket for faults and truth")
     parser.add_argument("--seed", type=int, default=0, help="seed of every random number")
     parser.add_argument("--mount-rotation-rad", type=float, default=0.0, help="rotation of the sensor about the flange's z")
+    parser.add_argument("--fz-parts-at", choices=("reading", "load"), default="reading", help="where Fz changes its slope")
     parser.add_argument("--no-realtime", action="store_true", help="do not ask for SCHED_FIFO")
     parser.add_argument("--end-with-parent", action="store_true", help="end when the process that started this one is gone")
     parser.add_argument("--effects", type=Path, help="a Python file of a user's effects that the cell file may name")
@@ -35,6 +36,7 @@ def main() -> int:
             realtime=not options.no_realtime,
             end_with_parent=options.end_with_parent,
             effects=options.effects,
+            fz_parts_at=options.fz_parts_at,
         )
     except PalpdError as error:
         print(error, file=sys.stderr)

@@ -13,11 +13,14 @@ import tty
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+PartsAt = Literal["reading", "load"]
+"""Where the slopes of Fz part: where the sensor reads zero before zeroing, or where it carries nothing."""
 
 CAPACITY = (200, 200, 200, 10000, 10000, 6500, 200)  # N, N, N, mNm, mNm, mNm, N: register 350
 COUNTS_AT_CAPACITY = (8264, 8222, 1528, 11259, 10820, 9316, 1656)  # register 450
@@ -65,13 +68,18 @@ class Faults:
 
 @dataclass
 class Daq:
-    """The device: powered up it streams at 100 Hz through its 15 Hz filter, not zeroed."""
+    """The device: powered up it streams at 100 Hz through its 15 Hz filter, not zeroed.
+
+    The slopes of Fz, pressed and pulled (3rd and 7th register; assumed), part where the sensor reads zero before zeroing, or where it
+    carries nothing (`fz_parts_at`). Which of the two a real HEX-70 does is not known.
+    """
 
     speed: int = 10
     filter_code: int = 4
     counter: int = 0
     zero: Floats = field(default_factory=lambda: np.zeros(6))
     zeroed: bool = False
+    fz_parts_at: PartsAt = "reading"
     faults: Faults = field(default_factory=Faults)
     random: Random = field(default_factory=lambda: Random(70))
     answers: bytes = b""  # queued to go out before the next data
@@ -137,9 +145,7 @@ class Daq:
         self.answers += summed(struct.pack(">BHB", 0xAA, address, length) + body)
 
     def measure(self, wrench: Floats) -> Floats:
-        """Convert wrenches to counts.
-
-        Pressed and pulled Fz have different sensitivities (3rd and 7th register; assumed). The sign of the reading before zeroing decides.
+        """Convert wrenches to counts, with the slopes of Fz where they belong.
 
         Args:
             wrench: wrenches (n, 6) in N and Nm in the sensor's axes.
@@ -147,8 +153,9 @@ class Daq:
         Returns:
             Counts (n, 6), not rounded and not zeroed.
         """
-        loaded = wrench + np.array(UNZEROED) / _PRESSED
-        counts: Floats = loaded * np.where(loaded > 0.0, _PULLED, _PRESSED)
+        unzeroed = np.array(UNZEROED) / _PRESSED
+        parted = wrench if self.fz_parts_at == "load" else wrench + unzeroed
+        counts: Floats = parted * np.where(parted > 0.0, _PULLED, _PRESSED) + (wrench + unzeroed - parted) * _PRESSED
         return counts
 
     def sample(self, counts: Floats, now_s: float) -> bytes:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from hw.emulators.controller import MODELS, TruthSample
+from hw.emulators.hex_pty import PartsAt
 from hw.emulators.rig import SAMPLE_S, Rig
 from hw.emulators.verbs import VERBS, obey
 from palpd.cell.cell_file import PHANTOM, load_cell
@@ -116,6 +117,7 @@ def emulate(
     realtime: bool = True,
     end_with_parent: bool = False,
     effects: Path | None = None,
+    fz_parts_at: PartsAt = "reading",
 ) -> None:
     """Emulate a controller and a sensor until SIGTERM or SIGINT; print `robot HOST` and `sensor DEVICE` when ready.
 
@@ -130,6 +132,7 @@ def emulate(
         realtime: ask for SCHED_FIFO.
         end_with_parent: also end, within a second, when the parent process is gone.
         effects: Python file of a user's effects, which the cell file may name.
+        fz_parts_at: where the sensor's slopes for pressing and pulling part.
 
     Raises:
         PalpdError: the cell file is wrong, or a port is taken.
@@ -138,7 +141,10 @@ def emulate(
     library = load_effects(effects) if effects is not None else EFFECTS
     cell_file = load_cell(cell, library) if cell is not None else PHANTOM
     try:
-        rig = Rig(MODELS[model], cell_file, host, sensor_link, seed=seed, mount_rotation_rad=mount_rotation_rad, library=library)
+        rig = Rig(
+            MODELS[model], cell_file, host, sensor_link,
+            seed=seed, mount_rotation_rad=mount_rotation_rad, fz_parts_at=fz_parts_at, library=library,
+        )  # fmt: skip
     except OSError as error:
         raise PalpdError(
             f"the emulators cannot listen on {host}, ports 29999, 30003 and 30004 ({error.strerror}); "

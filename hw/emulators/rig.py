@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from hw.emulators.controller import Controller, ControllerCycle, ControllerModel, TruthSample
-from hw.emulators.hex_pty import Daq, TerminalLine
+from hw.emulators.hex_pty import Daq, PartsAt, TerminalLine
 from hw.emulators.pose import Floats, rotation
 from hw.emulators.ur import UrWires, Values, outputs, status_bits
 from palpd.cell.cell_file import CellFile
@@ -40,6 +40,7 @@ class Rig:
         *,
         seed: int = 0,
         mount_rotation_rad: float = 0.0,
+        fz_parts_at: PartsAt = "reading",
         library: Library = EFFECTS,
     ) -> None:
         self.cell_file, self.model, self._library = cell_file, model, library
@@ -54,7 +55,7 @@ class Rig:
         self.controller = Controller(model, start, self._tcp, self.cell.begin, self.cell.rest)
         self.network = selectors.DefaultSelector()
         self.wires = UrWires(self.controller, self.network, host)
-        self.daq, self.line = Daq(), TerminalLine(link)
+        self.daq, self.line = Daq(fz_parts_at=fz_parts_at), TerminalLine(link)
         self._mount = rotation([0.0, 0.0, mount_rotation_rad])
         self._orientation = start[3:].copy()
         self._turn(start[3:])

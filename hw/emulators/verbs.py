@@ -107,7 +107,7 @@ def _unplug(rig: Rig, _now_s: float) -> None:
 
 
 def _replug(rig: Rig, _now_s: float) -> None:
-    rig.daq = Daq()
+    rig.daq = Daq(fz_parts_at=rig.daq.fz_parts_at)
     rig.line.plug_in()
 
 

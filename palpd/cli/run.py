@@ -198,8 +198,12 @@ def emulate(
     sensor_link: Annotated[Path | None, typer.Option("--sensor-link", help="link to make to the sensor's terminal device")] = None,
     control: Annotated[Path | None, typer.Option("--control", help="unix socket for faults and truth (docs/emulators.md)")] = None,
     effects: Annotated[Path | None, typer.Option("--effects", help="a Python file with effects that the cell file names")] = None,
+    fz_parts_at: Annotated[
+        Literal["reading", "load"],
+        typer.Option("--fz-parts-at", help="where Fz changes its slope: at its own zero, or where the sensor carries nothing"),
+    ] = "reading",
 ) -> None:
     """Stand in for a UR controller and a HEX-70 until stopped; prints both addresses when ready."""
     from hw.emulators.process import emulate as stand_in
 
-    stand_in(model, cell, host, sensor_link, control, effects=effects)
+    stand_in(model, cell, host, sensor_link, control, effects=effects, fz_parts_at=fz_parts_at)

@@ -12,6 +12,7 @@ from palpd.control.inertial import InertialModel, MotionFeatures
 from palpd.control.running_zero import RunningZero
 from palpd.control.safety import GuardState, Limits, guard, sentence
 from palpd.control.sequence import Sequence
+from palpd.control.slopes import FzSlopes
 from palpd.control.tare import Tare, base_from_sensor, tilt_rad, to_base
 from palpd.errors import PalpdError, Stopped
 from palpd.tick import (
@@ -69,11 +70,12 @@ class Explainer:
 
     The running `zero` removes what the model leaves in free air; without it the bias is the model's own. `correction_limit_N` bounds both
     together, and the range of the training bounds the model's inputs. So they can hide at most that much of a contact. The absolute
-    force contains neither.
+    force contains neither, nor the correction for two `slopes` of Fz.
     """
 
     reference: Floats
     rotation_about_flange_z_rad: float = 0.0
+    slopes: FzSlopes | None = None
     model: InertialModel | None = None
     zero: RunningZero | None = None
     correction_limit_N: float = 0.0
@@ -103,7 +105,8 @@ class Explainer:
         rotation = base_from_sensor(robot.tcp_pose[3:], self.rotation_about_flange_z_rad)
         zero = (self.reference if self.tare is None else self.tare).tolist()
         x0_N, y0_N, z0_N, *_ = self.reference.tolist()
-        tared = [to_base(wrench, zero, rotation) for wrench in wrenches]
+        linear = wrenches if self.slopes is None else [self.slopes.corrected(wrench, zero) for wrench in wrenches]
+        tared = [to_base(wrench, zero, rotation) for wrench in linear]
         inertial_N = self._inertial(frames, tared, robot.z_m >= clear_z_m)
         forces_N = [row[2] - inertia for row, inertia in zip(tared, inertial_N, strict=True)]
         self.last = Contact(

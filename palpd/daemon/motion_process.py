@@ -25,6 +25,7 @@ from palpd.control.loop import Explainer, Loop, Outcome
 from palpd.control.running_zero import RunningZero
 from palpd.control.safety import Limits, sentence
 from palpd.control.sequence import ArmGeometry, FreeMotion, Palpation, Retract, RigidPress, Script, Sequence, TimedRest
+from palpd.control.slopes import GRAVITY_N_PER_KG, FzSlopes
 from palpd.control.tare import Tare
 from palpd.daemon.clock import RealClock
 from palpd.daemon.realtime import DEVICE_PRIORITY, fifo, realtime
@@ -207,12 +208,12 @@ def sequence_of(job: Job, delay_s: float) -> Sequence:
     return Sequence(TimedRest(arm, CHECK_S if job.kind == "check" else DRY_S) if job.dry else scripts[job.kind]())
 
 
-def explainer_of(job: Job, sensor_serial: str | None, delay_s: float) -> Explainer:
+def explainer_of(job: Job, about: RunAbout, delay_s: float) -> Explainer:
     """Axes, reference tare and inertial model of a job.
 
     Args:
         job: What is carried out.
-        sensor_serial: Serial number of the connected sensor, if known.
+        about: The opened devices; empty where there are none.
         delay_s: Delay of the sensor's filter.
 
     Returns:
@@ -222,30 +223,33 @@ def explainer_of(job: Job, sensor_serial: str | None, delay_s: float) -> Explain
         Refused: The reference tare is another sensor's.
         ModelRefused: The inertial model may not be used for this probe or sensor.
     """
-    config = job.config
+    config, sensor_serial = job.config, about.get("sensor_serial")
     if job.reference is not None and job.reference_serial and sensor_serial and job.reference_serial != sensor_serial:
         raise Refused(f"the reference tare is of sensor {job.reference_serial}, but {sensor_serial} is connected; run palpd calibrate")
     model = None
     if config.model.path is not None and job.kind in ("palpation", "check"):
         model = InertialModel.load(config.model.path, probe_mass_kg=config.cell.probe.mass_kg, sensor_serial=sensor_serial)
-    return explainer_with(model, job, delay_s)
+    return explainer_with(model, job, delay_s, about.get("pulled_over_pressed"))
 
 
-def explainer_with(model: InertialModel | None, job: Job, delay_s: float) -> Explainer:
+def explainer_with(model: InertialModel | None, job: Job, delay_s: float, pulled_over_pressed: float | None = None) -> Explainer:
     """Axes and reference tare of a job, with a model that is loaded already. A retract begins loaded, so the reference is its tare.
 
     Args:
         model: The inertial model, or None for no correction.
         job: What is carried out.
         delay_s: Delay of the sensor's filter.
+        pulled_over_pressed: Ratio of the sensor's two slopes of Fz; None where it has one.
 
     Returns:
         The explainer, not yet tared.
     """
     config, reference = job.config, np.array(job.reference or np.zeros(6), dtype=float)
+    both = config.sensor.fz_slopes == "both" and pulled_over_pressed is not None
     return Explainer(
         reference=reference,
         rotation_about_flange_z_rad=config.sensor.rotation_about_flange_z_rad,
+        slopes=FzSlopes(float(pulled_over_pressed or 1.0), config.cell.probe.mass_kg * GRAVITY_N_PER_KG) if both else None,
         model=model,
         zero=zero_of(config.model) if model is not None else None,
         correction_limit_N=config.model.correction_limit_N,
@@ -320,7 +324,7 @@ def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Calla
         if job.kind == "calibrate":
             pipe.send(ReferenceTaken(devices.about, tuple(take_reference(devices).tolist())))
             return
-        explainer = explainer_of(job, devices.about.get("sensor_serial"), devices.about["delay_s"])
+        explainer = explainer_of(job, devices.about, devices.about["delay_s"])
         if job.reference is None:
             explainer.reference = take_reference(devices)
         if job.kind != "check":

@@ -155,10 +155,11 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
     model = None
     if recording.model_bytes is not None and header["model_card"] is not None:
         model = InertialModel.from_bytes(recording.model_bytes, header["model_card"])
+    explainer = explainer_with(model, job, delay_s, header.get("about", {}).get("pulled_over_pressed"))
     robot, sensor, comparison = RecordedRobot(rows), RecordedSensor(rows), _Comparison(rows)
     clock = RecordedClock(len(rows), lambda at: _timing(rows[at]), (robot, sensor))
     loop = Loop(
-        robot, sensor, clock, sequence_of(job, delay_s), explainer_with(model, job, delay_s), job_limits(job), comparison,
+        robot, sensor, clock, sequence_of(job, delay_s), explainer, job_limits(job), comparison,
         request=lambda: Request(int(rows[clock.at]["request"])),
     )  # fmt: skip
     began_s = time.perf_counter()

@@ -185,7 +185,7 @@ def run(
         sim.sensor,
         SimClock(rate_Hz),
         sequence_of(job, delay_s),
-        explainer_of(job, None, delay_s),
+        explainer_of(job, {}, delay_s),
         job_limits(job),
         record,
         request=lambda: requests.get(len(record.rows), Request.NONE),

@@ -51,6 +51,7 @@ def devices(config: Config, muted: bool) -> Devices:
         "counts_per_N": sensor.counts_per_N.tolist(),
         "counts_per_Nm": sensor.counts_per_Nm.tolist(),
         "calibration_source": sensor.calibration_source,
+        "pulled_over_pressed": sensor.pulled_over_pressed,
         "delay_s": sensor.delay_s,
         "epoch_offset_s": time.time() - time.monotonic(),
     }
@@ -83,6 +84,8 @@ def open_sensor(config: Config) -> HexSensor:
         filter_cutoff_Hz=sensor.filter_cutoff_Hz,
         counts_per_N=sensor.counts_per_N,
         counts_per_Nm=sensor.counts_per_Nm,
+        fz_slopes=sensor.fz_slopes,
+        fz_pulled_counts_per_N=sensor.fz_pulled_counts_per_N,
     )
 
 

@@ -64,7 +64,10 @@ LATEST_S = 1e11
 
 
 class RunAbout(TypedDict, total=False):
-    """The devices of a run, as they were opened; empty where they were not. `delay_s` is the sensor filter's delay."""
+    """The devices of a run, as they were opened; empty where they were not.
+
+    `delay_s` is the sensor filter's delay, `pulled_over_pressed` the ratio of the two slopes of Fz where the sensor gives both.
+    """
 
     robot_host: str
     robot_model: str
@@ -73,6 +76,7 @@ class RunAbout(TypedDict, total=False):
     counts_per_N: list[float]
     counts_per_Nm: list[float]
     calibration_source: str
+    pulled_over_pressed: float | None
     delay_s: float
     epoch_offset_s: float
 

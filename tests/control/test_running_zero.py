@@ -206,7 +206,7 @@ def test_a_rehearsal_leaves_the_zero_as_it_was(palpated: dict[str, SimulatedReco
     config = Config.model_validate({"model": {"path": written(tmp_path)}})
     job = Job("palpation", config, PLAN, reference=(0.0, 0.0, -50.0, 0.0, 0.0, 0.0))
     sim = SimCell(cell_file(effects=EFFECTS), 125.0)
-    loop = Loop(sim.robot, sim.sensor, SimClock(125.0), sequence_of(job, 0.0), explainer_of(job, None, 0.0), limits_of(config), RowList())
+    loop = Loop(sim.robot, sim.sensor, SimClock(125.0), sequence_of(job, 0.0), explainer_of(job, {}, 0.0), limits_of(config), RowList())
     loop.rehearse(50)
     assert loop.explainer.zero is not None
     assert loop.explainer.zero.zero_N == 0.0

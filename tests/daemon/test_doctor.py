@@ -1,13 +1,13 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 
 from hw.emulators.process import Emulated, started
-from palpd.config import Config, parse_config
+from palpd.config import Config, SensorConfig, parse_config
 from palpd.daemon import doctor
 from palpd.daemon.doctor import devices, machine, stored, weight
 from palpd.daemon.doctor.devices import DeviceRecord
@@ -25,7 +25,7 @@ FREE = np.array([1.0, -2.0, 30.0, 0.0, 0.0, 0.0])
 class ScriptedSensor:
     """Gives one frame a look, of the wrench it is set to."""
 
-    serial_number, calibration_source = "PRE00042", "registers"
+    serial_number, calibration_source, pulled_over_pressed = "PRE00042", "registers", None
 
     def __init__(self) -> None:
         self.wrench, self.count, self.rng = FREE.copy(), 0, np.random.default_rng(1)
@@ -156,8 +156,33 @@ def test_a_known_weight_tells_sign_and_scale(monkeypatch: pytest.MonkeyPatch, hu
         if what.startswith("Hang"):
             sensor.wrench[:3] += hung_N  # raw Fz > 0: pulled, z points out of the sensor
 
-    finding = weight.check_weight(sensor, None, 0.0, 10.0, ask)
+    finding = weight.check_weight(sensor, None, SensorConfig(), 10.0, ask)
     assert finding.verdict == verdict, finding
+
+
+@pytest.mark.parametrize(
+    ("setting", "hung_N", "verdict", "part_at"),
+    [
+        ("pressed", 10.0, "ok", "reading"),
+        ("pressed", 10.84, "warn", "load"),
+        ("both", 10.84, "ok", "load"),
+        ("both", 10.0, "warn", "reading"),
+        ("both", 12.3, "fail", "load"),
+    ],
+)
+def test_a_hung_weight_says_where_the_slopes_of_fz_part(
+    monkeypatch: pytest.MonkeyPatch, setting: Literal["pressed", "both"], hung_N: float, verdict: str, part_at: str
+) -> None:
+    monkeypatch.setattr(weight, "SETTLED_S", 0.1)
+    sensor = ScriptedSensor()
+
+    def ask(what: str) -> None:
+        if what.startswith("Hang"):
+            sensor.wrench[2] += hung_N
+
+    finding = weight.check_weight(sensor, None, SensorConfig(fz_slopes=setting), 10.0, ask, 1656 / 1528)
+    assert (finding.verdict, finding.figures["slopes_part_at"]) == (verdict, part_at), finding
+    assert ("fz_slopes" in finding.advice) == (verdict == "warn")
 
 
 def test_a_weight_that_rests_on_an_upturned_sensor_is_the_same_weight(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -168,14 +193,14 @@ def test_a_weight_that_rests_on_an_upturned_sensor_is_the_same_weight(monkeypatc
         if what.startswith("Hang"):
             sensor.wrench[2] -= 10.0
 
-    assert weight.check_weight(sensor, robot(tcp_pose=(0.0,) * 6), 0.0, 10.0, ask).verdict == "ok"
+    assert weight.check_weight(sensor, robot(tcp_pose=(0.0,) * 6), SensorConfig(), 10.0, ask).verdict == "ok"
 
 
 def test_no_frame_at_all_is_a_failed_weight(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(weight, "SETTLED_S", 0.05)
     sensor = ScriptedSensor()
     monkeypatch.setattr(sensor, "read", lambda: NO_FRAMES)
-    assert weight.check_weight(sensor, None, 0.0, 10.0, lambda _: None).verdict == "fail"
+    assert weight.check_weight(sensor, None, SensorConfig(), 10.0, lambda _: None).verdict == "fail"
 
 
 def test_the_stored_state_is_judged(tmp_path: Path) -> None:

@@ -176,8 +176,27 @@ def test_an_answer_that_was_missed_is_asked_for_again(daq: Callable[..., FarDaq]
 
 @pytest.mark.hil
 def test_the_pulled_sensitivity_of_fz_can_be_chosen(daq: Callable[..., FarDaq]) -> None:
-    sensor = HexSensor(daq().path, fz_sensitivity="pulled")
+    sensor = HexSensor(daq().path, fz_slopes="pulled")
     assert sensor.counts_per_N[2] == pytest.approx(8.28)
+    sensor.close()
+
+
+@pytest.mark.hil
+def test_with_both_slopes_readings_have_that_for_pressing_and_the_ratio_is_told(daq: Callable[..., FarDaq]) -> None:
+    sensor = HexSensor(daq().path, fz_slopes="both")
+    assert sensor.counts_per_N[2] == pytest.approx(7.64)
+    assert sensor.pulled_over_pressed == pytest.approx(8.28 / 7.64)
+    sensor.close()
+
+
+@pytest.mark.hil
+@pytest.mark.usefixtures("short_answers")
+def test_both_slopes_without_registers_need_both_in_the_sheet(daq: Callable[..., FarDaq]) -> None:
+    sheet = {"counts_per_N": (40, 41, 7.6), "counts_per_Nm": (1100, 1000, 1400), "fz_slopes": "both"}
+    with pytest.raises(SensorError, match="its sheet has one slope; set fz_pulled_counts_per_N"):
+        HexSensor(daq(registers={}).path, **sheet)
+    sensor = HexSensor(daq(registers={}).path, fz_pulled_counts_per_N=8.2, **sheet)
+    assert sensor.pulled_over_pressed == pytest.approx(8.2 / 7.6)
     sensor.close()
 
 

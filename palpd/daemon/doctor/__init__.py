@@ -51,7 +51,7 @@ def examined(
         findings += [about_sensor, *judge_sensor(record, config, sensor)] if sensor else [about_sensor]
         findings += [about_robot, *judge_robot(record, config)] if robot else [about_robot]
         if weight_N is not None and sensor is not None:
-            findings.append(check_weight(sensor, record.last, config.sensor.rotation_about_flange_z_rad, weight_N, ask))
+            findings.append(check_weight(sensor, record.last, config.sensor, weight_N, ask, sensor.pulled_over_pressed))
     return findings
 
 

@@ -23,10 +23,11 @@ AXES = ("Fx", "Fy", "Fz")
 
 
 class IdentifiedSensor(ForceSensor, Protocol):
-    """A force sensor that knows its serial number and the source of its calibration."""
+    """A force sensor that knows its serial number, the source of its calibration, and the ratio of its slopes of Fz where it has two."""
 
     serial_number: str
     calibration_source: Any
+    pulled_over_pressed: float | None
 
 
 @dataclass(frozen=True, slots=True)
