@@ -97,7 +97,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--length", type=float, default=90.0, help="seconds; half, a third and twice as much are timed too")
     parser.add_argument("--cells", type=int, default=9, help="how many cells of that length for the spread")
-    parser.add_argument("--rows", type=int, default=0, help="one long recording of so many rows; a million takes minutes")
+    parser.add_argument("--rows", type=int, default=0, help="rows of one long recording that is timed besides; a million takes minutes")
     parser.add_argument("--recordings", type=int, default=6, help="how many, of a third of that length, over one and two processes")
     parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
