@@ -49,6 +49,7 @@ DIMENSIONLESS = {
     "misfit": "chi squared",
     "most": "information, in nats",
     "n_effective": "number",
+    "nats": "log probability",
     "natural": "in the unit of its parameter",
     "noise_ratio": "ratio",
     "occam": "log probability",
@@ -59,6 +60,7 @@ DIMENSIONLESS = {
     "participation": "share of the mass",
     "poisson_ratio": "ratio",
     "power": "exponent of odds",
+    "price": "log probability",
     "probability": "probability",
     "reached_snr": "signal-to-noise ratio",
     "scatter_stiffness": "relative standard deviation",
@@ -82,6 +84,10 @@ DIMENSIONLESS = {
 """Names of quantities without a unit, and why they have none."""
 
 ANY_UNIT = {
+    "Basis": "a driver of any unit, which it names",
+    "Driver": "a quantity of any unit, which it names",
+    "Formula": "a driver of any unit, which it names",
+    "FormulaShape": "a driver of any unit, which its formula names",
     "Coordinate": "a parameter of any effect, in the unit of its name",
     "Gap": "a channel of any unit, which stands beside",
     "Shrink": "a channel of any unit, which stands beside",

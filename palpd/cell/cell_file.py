@@ -11,6 +11,7 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictFloat, ValidationError, model_validator
 
 from palpd.cell.effects import EFFECTS, Effect
+from palpd.cell.effects.learned import LearnedEffect
 from palpd.errors import ConfigError
 from palpd.files import Document, nearest, read_yaml, refusal, write_text
 
@@ -148,7 +149,7 @@ class Wall(YamlBlock):
 
 
 class CellFile(YamlBlock):
-    """The whole file. `tissue` None: nothing in reach."""
+    """The whole file. `tissue` None: nothing in reach. `learned` holds laws that a diagnosis drew from recordings; they always act."""
 
     probe: ProbeBlock = ProbeBlock()
     sensor: SensorBlock = SensorBlock()
@@ -157,6 +158,7 @@ class CellFile(YamlBlock):
     tolerances: Tolerances
     repeatability: Repeatability
     effects: EffectValues = {}
+    learned: tuple[LearnedEffect, ...] = ()
     estimated: Estimated | None = None
     sites: tuple[CellSite, ...] = ()
     wall: Wall | None = None
@@ -264,7 +266,8 @@ def save_cell(path: str | Path, cell: CellFile) -> None:
         BadInput: Where the file cannot be written.
     """
     content = cell.model_dump(mode="json")
-    for key in ("estimated", "wall", "sites"):
+    content["learned"] = [one.model_dump(mode="json", exclude_none=True) for one in cell.learned]
+    for key in ("estimated", "wall", "sites", "learned"):
         if not content[key]:
             del content[key]
     write_text(Path(path), yaml.safe_dump(content, sort_keys=False, allow_unicode=True))

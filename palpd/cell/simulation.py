@@ -7,6 +7,7 @@ of each come the effects of that site. Wrenches are what the environment does to
 """
 
 from collections.abc import Callable, Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile, Estimated, Wall
 from palpd.cell.cell_file import CellSite as Place
 from palpd.cell.dynamics import Constants, Floats, Memory, Span, TipMotion, delayed, lowpass, servo, servo_heights, steps
 from palpd.cell.effects import EFFECTS, Effect, Scale, Site, Values
+from palpd.cell.effects.learned import LearnedEffect
 from palpd.errors import ConfigError
 
 WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
@@ -96,6 +98,9 @@ def physics(cell: CellFile, place: Place | None = None, library: Library = EFFEC
                 effect.setting(c, effects[effect.id])
             if effect.law is not None:
                 laws.setdefault(effect.site, []).append((effect, effects[effect.id]))
+    for effect in (one.effect() for one in cell.learned):
+        if begun or not effect.starts_at_tare:
+            laws.setdefault(effect.site, []).append((effect, {"strength": 1.0}))
     return Physics(c, {site: tuple(listed) for site, listed in laws.items()})
 
 
@@ -505,6 +510,63 @@ def simulate(
     columns = {"t_s": t_s} | ({"z_cmd_m": z_cmd_m} if z_cmd_m is not None else {})
     columns |= {"z_m": reported_z, "vz_m_per_s": reported_v}
     return columns | {name: wrench[:, axis] for axis, name in enumerate(WRENCH)}
+
+
+def capture(cell: CellFile, library: Library, site: Site, run: Callable[[CellFile, Library], object]) -> Span:
+    """The samples of a simulation at one stage.
+
+    Args:
+        cell: The cell.
+        library: Its effects.
+        site: The stage.
+        run: Simulates a cell with a library.
+
+    Returns:
+        The samples after the effects of that stage.
+    """
+    spans: list[Span] = []
+
+    def keep(s: Span, *_: object) -> None:
+        spans.append(copy(s))
+
+    watching = Effect("capture", site, "keeps what happens", (), law=keep)
+    run(cell.with_effects(cell.effects | {"capture": {}}), {**library, "capture": watching})
+    return spans[-1]
+
+
+def share_outside(
+    cell: CellFile,
+    t_s: Floats,
+    *,
+    z_cmd_m: Floats | None = None,
+    z_m: Floats | None = None,
+    vz_m_per_s: Floats | None = None,
+    library: Library = EFFECTS,
+) -> dict[str, float]:
+    """How far a simulation leaves what learned effects know: there their curves are held.
+
+    Args:
+        cell: The cell.
+        t_s: Times (n,) in s.
+        z_cmd_m: Commanded heights (n,) in m.
+        z_m: Reported heights (n,) in m, or None to simulate them.
+        vz_m_per_s: Reported speeds (n,), or None to simulate them.
+        library: Effects by id.
+
+    Returns:
+        Share of the samples outside the range, by learned effect.
+    """
+    listed = [getattr(library[name].law, "__self__", None) for name in cell.effects if name in library]
+    out = {}
+    for learned in [*(one for one in listed if isinstance(one, LearnedEffect)), *cell.learned]:
+        if learned.site == "robot" and (z_m is not None or z_cmd_m is None):
+            continue
+
+        def run(other: CellFile, known: Library) -> object:
+            return simulate(other, t_s, z_cmd_m=z_cmd_m, z_m=z_m, vz_m_per_s=vz_m_per_s, library=known)
+
+        out[learned.id] = float(learned.outside(capture(cell, library, learned.site, run)).mean())
+    return out
 
 
 def true_surface_m(cell: CellFile, site: str | None = None, library: Library = EFFECTS) -> float:

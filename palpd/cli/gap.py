@@ -135,7 +135,9 @@ def simulate(
     from palpd.gap.commands import simulate_file
 
     check_writable(csv, overwrite=False)
-    samples = simulate_file(motion, cell, csv, from_commanded=source == "commanded", noise_seed=noise, effects=effects)
+    samples = simulate_file(
+        motion, cell, csv, from_commanded=source == "commanded", noise_seed=noise, effects=effects, say=terminal().print
+    )
     terminal().print(f"{csv}: {len(samples)} rows, {samples.duration_s:.1f} s.")
 
 

@@ -30,7 +30,9 @@ PlanOption = Annotated[Path, typer.Option("--plan", help="plan.yaml: where, how 
 JsonOption = Annotated[Path | None, typer.Option("--json", help="write the figures to this file too")]
 SocketOption = Annotated[Path | None, typer.Option("--socket", help="control socket of the daemon (default: the one of --config)")]
 CellOption = Annotated[Path, typer.Option("--cell", help="cell.yaml: what the simulator believes of the cell")]
-EffectsOption = Annotated[Path | None, typer.Option("--effects", help="a Python file with effects of your own (docs/examples)")]
+EffectsOption = Annotated[
+    Path | None, typer.Option("--effects", help="effects of your own: a Python file (docs/examples) or learned ones (.yaml)")
+]
 DEFAULT_PLAN = Path("plan.yaml")
 
 __all__ = [

@@ -84,6 +84,7 @@ def diagnosis_lines(sentence: str, content: dict[str, Any]) -> list[str]:
         )
         group = f"; cannot be distinguished from {', '.join(named['indistinguishable_from'])}" if named["indistinguishable_from"] else ""
         lines.append(f"  {named['id']}, probability {named['probability']:.2f}: {values}{group}")
+    lines += [f"  {e['kind']} at {e['t_s']:.2f} s in {e['channel']}, size {_plain(e['size'])}" for e in content.get("events") or ()]
     shrink = content["shrink"]
     if shrink and shrink["closed"] is not None:
         low, high = shrink["ci95"] or (shrink["closed"], shrink["closed"])

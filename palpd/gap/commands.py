@@ -1,13 +1,13 @@
 """What the command line does with recordings of cells: diagnose one or several jointly, simulate, estimate tolerances."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from palpd.cell.cell_file import CellFile, load_cell, save_cell
-from palpd.cell.effects import EFFECTS, Effect, load_effects
-from palpd.cell.simulation import simulate
+from palpd.cell.effects import EFFECTS, Effect, load_effects, save_learned
+from palpd.cell.simulation import share_outside, simulate
 from palpd.errors import BadInput, RecordingError
 from palpd.files import write_json
 from palpd.gap.diagnosis import Diagnosis, diagnose
@@ -20,7 +20,7 @@ def library(effects: Path | None, without: Sequence[str] = ()) -> Mapping[str, E
     """The effects that may be present.
 
     Args:
-        effects: A Python file with user effects.
+        effects: A file with user effects (.py) or learned ones (.yaml).
         without: Effects that are known to be absent.
 
     Returns:
@@ -77,7 +77,7 @@ def diagnose_files(
         cell: The cell file.
         json_out: Where to write out.json, and beside it the motion of the next experiment.
         cell_out: Where to write the enriched cell.
-        effects: A Python file with user effects.
+        effects: A file with user effects (.py) or learned ones (.yaml).
         without: Effects that are known to be absent.
         propose: Whether to look for the next experiment.
 
@@ -95,7 +95,7 @@ def diagnose_files(
 
 
 def write_answer(path: Path, diagnosis: Diagnosis) -> None:
-    """Write out.json, and beside it the motion of the next experiment where one is proposed.
+    """Write out.json, and beside it the motion of the next experiment and the learned effect where there are any.
 
     Args:
         path: Where to write out.json.
@@ -106,6 +106,10 @@ def write_answer(path: Path, diagnosis: Diagnosis) -> None:
         motion = path.with_name(f"{path.stem}.next.csv")
         diagnosis.proposal.write_motion(motion)
         content["next_experiment"]["motion_csv"] = motion.name
+    if diagnosis.finding.learned is not None:
+        learned = path.with_name(f"{path.stem}.learned.yaml")
+        save_learned(learned, [diagnosis.finding.learned])
+        content["learned"]["file"] = learned.name
     write_json(path, content)
 
 
@@ -118,6 +122,7 @@ def simulate_file(
     noise_seed: int | None = None,
     effects: Path | None = None,
     overwrite: bool = False,
+    say: Callable[[str], None] = lambda _: None,
 ) -> Samples:
     """Simulate the recording that a cell gives on the motion of a file.
 
@@ -127,8 +132,9 @@ def simulate_file(
         csv_out: Where to write the recording.
         from_commanded: Drive it with `z_cmd_m` in any case.
         noise_seed: Seed of noise and rounding; neither without one.
-        effects: A Python file with user effects.
+        effects: A file with user effects (.py) or learned ones (.yaml).
         overwrite: Whether to replace an existing file.
+        say: Is called with a sentence for every learned effect that leaves what it knows.
 
     Returns:
         The recording.
@@ -141,15 +147,12 @@ def simulate_file(
     measured = "z_m" in columns and not from_commanded
     if from_commanded and "z_cmd_m" not in columns:
         raise RecordingError(f"{motion.name} has no column z_cmd_m; it is needed to simulate from the command.")
-    out = simulate(
-        load_cell(cell, known),
-        columns["t_s"],
-        z_cmd_m=columns.get("z_cmd_m"),
-        z_m=columns["z_m"] if measured else None,
-        vz_m_per_s=columns.get("vz_m_per_s") if measured else None,
-        noise_seed=noise_seed,
-        library=known,
-    )
+    simulated, t_s, z_cmd_m = load_cell(cell, known), columns["t_s"], columns.get("z_cmd_m")
+    z_m, vz_m_per_s = (columns["z_m"], columns.get("vz_m_per_s")) if measured else (None, None)
+    out = simulate(simulated, t_s, z_cmd_m=z_cmd_m, z_m=z_m, vz_m_per_s=vz_m_per_s, noise_seed=noise_seed, library=known)
+    for name, share in share_outside(simulated, t_s, z_cmd_m=z_cmd_m, z_m=z_m, vz_m_per_s=vz_m_per_s, library=known).items():
+        if share > 0.0:
+            say(f"{name}: {share:.1%} of the rows lie outside the range that it was learned in; its curve is held there.")
     speed = out.get("vz_m_per_s")
     samples = Samples(
         columns["t_s"],

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -14,6 +14,7 @@ from palpd.cell.effects import EFFECTS, Effect
 from palpd.gap.calibration import as_stated, stored_map
 from palpd.gap.correlated_residual import compare_again
 from palpd.gap.hypotheses import fit_nominal, search
+from palpd.gap.law_search.finding import LawFinding, find
 from palpd.gap.linearise import linearise
 from palpd.gap.next_experiment import ExperimentProposal, next_experiment
 from palpd.gap.phases import PHASE_PHRASES
@@ -25,7 +26,7 @@ from palpd.gap.recorded_noise import with_recorded_noise
 from palpd.gap.rounding import rounding_of
 from palpd.gap.scatter import Readings, scatter_effects
 from palpd.gap.shrink import Shrink, held_out, without_effects
-from palpd.gap.verdict import DiagnosisVerdict, NamedEffect, decide, deviation_notes, enriched_cell, unnatural_notes
+from palpd.gap.verdict import DiagnosisVerdict, NamedEffect, decide, deviation_notes, enriched_cell, unnatural_notes, with_finding
 from palpd.gap.where import Band, Gap, Place, Trend, Unexplained, bands, gap_table, largest_gap, residuals, trend, unexplained
 from palpd.recording.samples import Samples
 
@@ -101,22 +102,28 @@ def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str,
     # 5. Verdict: which effects to name.
     verdict = as_stated(decide(problem, nominal.fit, attribution, scatter), stored_map())
     notes += deviation_notes(problem, verdict) + unnatural_notes(problem, verdict)
+
+    # 6. Law: what the list does not hold, as a function of what the cell does, or as events.
+    finding = find(problem, nominal.fit, verdict.fit)
+    verdict = with_finding(verdict, finding)
+    notes += [finding.note] if finding.note else []
     gap = verdict.kind != "none"
     if gap and verdict.fit.names and not cell.tolerances.modulus_known:
         # The nominal fit lays its modulus through the middle of the effects.
         stated = linearise(problem, {}, verdict.fit.eta)
         residual = residuals(problem, stated)
         table = gap_table(problem, stated, residual)
-    where = largest_gap(problem, table, verdict.fit.change) if gap else None
+    change = finding.law.change if finding.law is not None and not finding.small else verdict.fit.change
+    where = largest_gap(problem, table, change) if gap else None
     involved = {name for e in verdict.effects for name in (e.id, *e.indistinguishable_from)}
     if any(library[name].shows_at_rest for name in involved):
         notes.append(CREEP_NOTE)
 
-    # 6. Shrink: how far the named effects close the gap on cycles that the fit did not see.
+    # 7. Shrink: how far the named effects close the gap on cycles that the fit did not see.
     named = gap and bool(verdict.fit.names)
     shrink = held_out(problem, verdict.fit) if named else without_effects(table, where["channel"] if where else "fz_N")
 
-    # 7. Next experiment: the motion that best separates the hypotheses that are still open.
+    # 8. Next experiment: the motion that best separates the hypotheses that are still open.
     proposal = next_experiment(problem, attribution) if gap and propose else None
 
     return Diagnosis(
@@ -131,6 +138,7 @@ def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str,
         proposal=proposal,
         problem=problem,
         attribution=attribution,
+        finding=finding,
     )
 
 
@@ -150,6 +158,7 @@ class Diagnosis:
         proposal: The next experiment, if one was asked for and is worth its time.
         problem: The data behind the answer.
         attribution: The posterior over hypotheses.
+        finding: What is not in the list: a learned effect, events, or nothing.
     """
 
     decision: DiagnosisVerdict
@@ -163,6 +172,7 @@ class Diagnosis:
     proposal: ExperimentProposal | None
     problem: Problem
     attribution: Attribution
+    finding: LawFinding
 
     @property
     def verdict(self) -> str:
@@ -195,8 +205,17 @@ class Diagnosis:
         return self.verdict == "effects" and not any(e.indistinguishable_from for e in self.effects)
 
     def enriched_cell(self) -> CellFile:
-        """The cell with the named effects and the in-tolerance deviations that were fitted with them."""
-        return enriched_cell(self.problem, self.decision)
+        """The cell with the named effects, a learned one, and the in-tolerance deviations that were fitted with them.
+
+        Listed effects that a learned one replaces are left out.
+        """
+        finding = self.finding
+        if finding.learned is None or finding.law is None:
+            return enriched_cell(self.problem, self.decision)
+        fit = replace(finding.beside, residual=finding.beside.residual - finding.law.change)
+        effects = [] if finding.replaces else self.effects
+        cell = enriched_cell(self.problem, replace(self.decision, effects=effects, fit=fit))
+        return cell.model_copy(update={"learned": (*cell.learned, finding.learned)})
 
     @property
     def sentence(self) -> str:
@@ -206,6 +225,12 @@ class Diagnosis:
             return f"No gap beyond the cell's own tolerances (probability {self.p_none:.2f}).{'' if known else self._modulus}"
         place = f"{self.where['channel'].split('_')[0]} {PHASE_PHRASES[self.where['phase']]}" if self.where else "the readings"
         named = " and ".join(f"{e.id} ({e.probability:.2f})" for e in self.effects) or "none"
+        if self.finding.learned is not None and not self.finding.small:
+            beside = f" It {'replaces' if self.finding.replaces else 'stands beside'} {named}." if self.effects else ""
+            return (
+                f"Something outside the list acts on {place} (probability {self.p_unknown:.2f}): {self.finding.learned.what}. "
+                f"{self._law}{beside}"
+            )
         if self.verdict == "unknown":
             return f"Something outside the list acts on {place} (probability {self.p_unknown:.2f}). Nearest in the list: {named}."
         closed = (
@@ -222,7 +247,16 @@ class Diagnosis:
             if e.indistinguishable_from
         )
         families = dict.fromkeys(e.family for e in self.effects if e.family)
+        if self.finding.small and self.finding.learned is not None:
+            groups += f" The residual follows a law: {self.finding.learned.what}. {self._law}"
         return verdict + groups + "".join(f" Other {family} would look the same." for family in families)
+
+    @property
+    def _law(self) -> str:
+        """The learned law in a sentence: its formula, or that it is a curve."""
+        assert self.finding.learned is not None
+        formulas = [term.formula for term in self.finding.learned.terms if term.formula]
+        return f"Its law is {' and '.join(formulas)}." if formulas else "Its law is a curve, which the report shows."
 
     @property
     def _modulus(self) -> str:
@@ -255,5 +289,7 @@ class Diagnosis:
             "next_experiment": None if self.proposal is None else self.proposal.to_json(),
             "bands": self.bands,
             "trend": self.trend,
+            "learned": self.finding.to_json(),
+            "events": self.finding.events or None,
             "notes": self.notes,
         }

@@ -145,12 +145,14 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
         parameters=_parameters(content, library),
         gap_rows=_gap_rows(content),
         plan=yaml.safe_dump(proposed["plan"], sort_keys=False) if proposed else "",
+        law_formulas=[term["formula"] for term in _law_terms(content) if term["formula"]],
         figures={
             "press": _press_figure(curves, channel, content),
             "phases": _phase_figure(curves, channel, content),
             "spectrum": _spectrum_figure(curves, channel),
             "trend": _trend_figure(content, channel, curves.recording),
             "motion": _motion_figure(content),
+            "law": _law_figure(content),
         },
     )
 
@@ -204,7 +206,11 @@ def _tiles(content: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         if content["where"] == {"channel": g["channel"], "phase": g["phase"]}
     ]
     names = ", ".join(e["id"] for e in named)
-    if content["verdict"] == "unknown":
+    if content.get("learned") and content["verdict"] == "unknown":
+        tiles.append(("Cause", "a law that is not in the library", f"probability {_percent(content['learned']['probability'])}"))
+    elif content.get("events"):
+        tiles.append(("Cause", "single events", f"{len(content['events'])} in the recording; no law"))
+    elif content["verdict"] == "unknown":
         similar = f"most similar effects: {names}" if named else "no effect of the library is similar"
         tiles.append(("Cause", "not in the library", f"probability {_percent(content['p_unknown'])}; {similar}"))
     else:
@@ -353,7 +359,7 @@ def _press_figure(curves: Curves, channel: str, content: Mapping[str, Any]) -> M
     t_s, phase = curves.t_s[mine], curves.phase[mine]
     samples = max(1, round(SMOOTH_S * len(t_s) / max(t_s[-1] - t_s[0], 1e-9)))
     before, after = (_smoothed(gap[mine], samples) for gap in curves.gaps(c))
-    enriched = "enriched cell" if content["effects"] else "nominal cell, tolerances fitted"
+    enriched = "enriched cell" if content["effects"] or content.get("learned") else "nominal cell, tolerances fitted"
     with styled_figure(10.0, 4.7) as figure:
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(4, 3))
         scale, unit = _scaled(channel, float(np.ptp(curves.measured[mine, c])))
@@ -463,3 +469,42 @@ def _motion_figure(content: Mapping[str, Any]) -> Markup:
         axes.plot(*thinned(table[:, 0], table[:, 1] * 1e3), color=INK)
         axes.set(xlabel="time (s)", ylabel="commanded height (mm)")
     return inline_svg(figure, "motion")
+
+
+def _law_terms(content: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The terms of a learned law; none without one."""
+    learned = content.get("learned")
+    return [learned, *learned["further_terms"]] if learned else []
+
+
+def _law_figure(content: Mapping[str, Any]) -> Markup:
+    """Every term of a learned law over its driver: curve and data, and the residual before and after."""
+    terms = _law_terms(content)
+    if not terms:
+        return Markup("")
+    with styled_figure(10.0, 3.0 * len(terms)) as figure:
+        grid = figure.subplots(len(terms), 2, sharex="row", squeeze=False)
+        for (left, right), term in zip(grid, terms, strict=True):
+            unit = term["driver_unit"]
+            scale = max((s for s, _ in PREFIXES if np.abs(term["curve"]["x"]).max() >= 0.1 * s), default=1.0) if unit == "m" else 1.0
+            prefix = next(name for s, name in PREFIXES if s == scale)
+            data, curve = {k: np.array(v) for k, v in term["data"].items()}, {k: np.array(v) for k, v in term["curve"].items()}
+            x = data["x"] / scale
+            left.fill_between(curve["x"] / scale, curve["low"], curve["high"], color=ENRICHED, alpha=0.25, linewidth=0)
+            left.plot(curve["x"] / scale, curve["value"], color=ENRICHED, label="law")
+            left.errorbar(x, data["before"], 2.0 * data["sd"], fmt=".", color=INK, elinewidth=0.7, label="data")
+            for key, colour, label in (("before", NOMINAL, "without the law"), ("after", ENRICHED, "with it")):
+                right.errorbar(x, data[key], 2.0 * data["sd"], fmt=".", color=colour, elinewidth=0.7, label=label)
+            for axes in (left, right):
+                axes.set(xlabel=f"{_wrapped(term['driver'])} ({prefix}{unit})")
+            factor = "" if term["factor"] == "one" else f" per {term['factor'].replace('_', ' × ')}"
+            left.set(ylabel=f"{', '.join(term['channels'])}{factor}")
+            right.set(ylabel="residual, same unit")
+            for axes in (left, right):
+                axes.legend()
+    return inline_svg(figure, "law")
+
+
+def _wrapped(words: str) -> str:
+    """Words that are short enough for an axis."""
+    return words if len(words) <= 60 else words.replace(", ", ",\n", 1)

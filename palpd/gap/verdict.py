@@ -1,6 +1,6 @@
 """Stage 5 of a diagnosis: from probabilities to a verdict, and the named effects with their intervals."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from palpd.cell.cell_file import CellFile, EffectValues
 from palpd.gap.coordinates import Coordinate
 from palpd.gap.evidence import Fit, fit
+from palpd.gap.law_search.finding import LawFinding
 from palpd.gap.linearise import linearise
 from palpd.gap.noise import FZ
 from palpd.gap.posterior import Attribution
@@ -103,6 +104,22 @@ def _by_named_parameters(problem: Problem, one: Fit) -> Fit:
         for name, mine in one.values.items()
     }
     return one if values == one.values else fit(problem, values, linearise(problem, values, one.eta), rounds=1)
+
+
+def with_finding(verdict: DiagnosisVerdict, finding: LawFinding) -> DiagnosisVerdict:
+    """The verdict with a law or events that no listed effect explains.
+
+    Args:
+        verdict: The verdict from the list.
+        finding: What the search for laws found.
+
+    Returns:
+        The same verdict where that is nothing, else `unknown`; its probability takes from the others in proportion.
+    """
+    if finding.p_outside == 0.0:
+        return verdict
+    p_unknown = 1.0 - (1.0 - verdict.p_unknown) * (1.0 - finding.p_outside)
+    return replace(verdict, kind="unknown", p_unknown=p_unknown, p_none=verdict.p_none * (1.0 - finding.p_outside))
 
 
 def _kind(p_none: float, p_unknown: float, named: list[NamedEffect]) -> Kind:

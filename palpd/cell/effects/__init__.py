@@ -10,6 +10,7 @@ from typing import Any
 
 from palpd.cell.effects import motion, probe, sensor, tissue
 from palpd.cell.effects.effect import SITES, DiscrepancyDriver, Effect, Parameter, Scale, Site, Values, of
+from palpd.cell.effects.learned import load_learned, save_learned
 from palpd.errors import ConfigError
 from palpd.files import opened
 
@@ -20,13 +21,17 @@ MOST_BYTES = 1_000_000
 
 
 def load_effects(path: str | Path) -> dict[str, Effect]:
-    """The library and the effects that a user's Python file lists as EFFECTS; one with the id of a library effect replaces it.
+    """The library and the effects that a user's file lists; one with the id of a library effect replaces it.
+
+    A Python file lists them as EFFECTS, a YAML file holds learned effects.
 
     Raises:
         ConfigError: The file fails, or it lists no effects.
     """
     with opened(Path(path), most_bytes=MOST_BYTES, error=ConfigError):
         pass  # a pipe would be waited for, and a device read for ever
+    if Path(path).suffix in (".yaml", ".yml"):
+        return EFFECTS | {learned.id: learned.effect() for learned in load_learned(path)}
     try:
         names: dict[str, Any] = runpy.run_path(str(path))
     except (Exception, SystemExit) as error:  # a user's file may fail in any way
@@ -43,4 +48,17 @@ def user_effects(library: Mapping[str, Effect]) -> list[Effect]:
     return [effect for name, effect in library.items() if EFFECTS.get(name) is not effect]
 
 
-__all__ = ["EFFECTS", "SITES", "DiscrepancyDriver", "Effect", "Parameter", "Scale", "Site", "Values", "load_effects", "of", "user_effects"]
+__all__ = [
+    "EFFECTS",
+    "SITES",
+    "DiscrepancyDriver",
+    "Effect",
+    "Parameter",
+    "Scale",
+    "Site",
+    "Values",
+    "load_effects",
+    "of",
+    "save_learned",
+    "user_effects",
+]

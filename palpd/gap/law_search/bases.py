@@ -1,0 +1,133 @@
+"""Bases of curves: columns over the values of a driver, and priors of their coefficients."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky
+
+from palpd.cell.effects.drivers import Driver
+from palpd.tick import Floats
+
+KNOTS, FINE_KNOTS = 8, 24
+"""Knots of a usual curve, and of one that may have narrow features."""
+
+COVERED = (0.002, 0.998)
+"""Quantiles of a driver between which knots lie: single samples beyond them know nothing of a curve."""
+
+LENGTHS = (1.2, 3.0, 8.0)
+"""Correlation lengths of a curve, in eighths of its range: from knots that hardly know each other to nearly straight lines."""
+
+HARMONIC_VARIANCES = (1.0, 0.15, 0.05)
+"""Prior variances of the harmonics of a curve that repeats, the basic one first."""
+
+SQUARE_VARIANCE = 0.3
+"""Prior variance of the square of a relaxed state, beside 1 of the state itself."""
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Columns of a curve over a driver.
+
+    Attributes:
+        driver: The driver.
+        low: Smallest value of the driver that counts, in its unit.
+        high: Largest one.
+        knots: Coordinates of the knots (m,) of hats; empty for other bases.
+        priors: Roots L (m, m) of the covariances LLᵀ that the coefficients may have.
+    """
+
+    driver: Driver
+    low: float
+    high: float
+    knots: Floats
+    priors: tuple[Floats, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return len(self.priors[0])
+
+    def columns(self, x: Floats) -> Floats:
+        """The columns at values of the driver.
+
+        Args:
+            x: Values (n,) in the unit of the driver.
+
+        Returns:
+            Columns (n, m).
+        """
+        if self.driver.period is not None:
+            angle = 2.0 * np.pi / self.driver.period * x
+            return np.stack([wave(k * angle) for k in range(1, len(HARMONIC_VARIANCES) + 1) for wave in (np.cos, np.sin)], axis=-1)
+        x = np.clip(x, self.low, self.high)
+        if not len(self.knots):
+            unit = x / max(abs(self.low), abs(self.high))
+            return np.stack([unit, unit**2], axis=-1)
+        at = (self.driver.coordinate(x) - self.knots[0]) / (self.knots[1] - self.knots[0])
+        return np.asarray(np.maximum(1.0 - np.abs(at[..., None] - np.arange(len(self.knots))), 0.0))
+
+    def shown_at(self) -> Floats:
+        """Values of the driver (k,) at which a curve of this basis is written down, in its unit."""
+        if self.driver.period is not None:
+            return np.linspace(0.0, self.driver.period, FINE_KNOTS + 1)
+        if not len(self.knots):
+            return np.linspace(self.low, self.high, KNOTS + 1)
+        scale = self.driver.log_scale
+        shown = self.knots if scale is None else scale * np.sinh(self.knots)
+        return np.asarray(np.clip(shown, self.low, self.high))
+
+
+def hats(driver: Driver, x: Floats, count: int = KNOTS) -> Basis | None:
+    """Hats at even knots with a Matérn prior of smoothness 3/2 and several lengths.
+
+    Args:
+        driver: The driver.
+        x: Its values (n,) where the curve matters, in its unit.
+        count: Number of knots.
+
+    Returns:
+        The basis; None where the driver does not vary.
+    """
+    low, high = _range(x)
+    ends = driver.coordinate(np.array([low, high]))
+    if not high > low or not ends[1] > ends[0]:
+        return None
+    distance = np.abs(np.subtract.outer(np.arange(count), np.arange(count))) / (count - 1) * (KNOTS - 1)
+    scaled = [np.sqrt(3.0) * distance / length for length in LENGTHS]
+    priors = tuple(cholesky((1.0 + s) * np.exp(-s) + 1e-9 * np.eye(count), lower=True) for s in scaled)
+    return Basis(driver, low, high, np.linspace(ends[0], ends[1], count), priors)
+
+
+def powers(driver: Driver, x: Floats) -> Basis | None:
+    """X and x² for a relaxed state.
+
+    Args:
+        driver: The driver.
+        x: Its values (n,).
+
+    Returns:
+        The basis; None where the driver does not vary.
+    """
+    low, high = _range(x)
+    return Basis(driver, low, high, np.zeros(0), (np.diag([1.0, SQUARE_VARIANCE**0.5]),)) if high > low else None
+
+
+def harmonics(driver: Driver, x: Floats) -> Basis:
+    """Three harmonics of a driver that repeats.
+
+    Args:
+        driver: The driver, with its period.
+        x: Its values (n,).
+
+    Returns:
+        The basis.
+    """
+    low, high = _range(x)
+    return Basis(driver, low, high, np.zeros(0), (np.diag(np.repeat(HARMONIC_VARIANCES, 2) ** 0.5),))
+
+
+def _range(x: Floats) -> tuple[float, float]:
+    if len(x) == 0:
+        return 0.0, 0.0
+    low, high = np.quantile(x, COVERED)
+    return float(low), float(high)

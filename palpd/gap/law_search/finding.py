@@ -1,0 +1,273 @@
+"""What the search for laws adds to an answer from the list: a learned effect, events, or nothing."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import exp, log
+from typing import Any
+
+import numpy as np
+
+from palpd.cell.effects.drivers import FAMILIES, UNITS
+from palpd.cell.effects.learned import LearnedEffect, Term
+from palpd.gap.discrepancy import discrepancy_columns
+from palpd.gap.evidence import Fit
+from palpd.gap.fit import jacobian_at
+from palpd.gap.law_search.events import Event, find_events, wander_nats
+from palpd.gap.law_search.formulas import Formula
+from palpd.gap.law_search.nuisance_space import NuisanceSpace, whitened
+from palpd.gap.law_search.scene import LATERAL, LawCandidate, Scene, rounding_columns
+from palpd.gap.law_search.search import ALIKE_NATS, NAMED_NATS, LearnedLaw, search
+from palpd.gap.noise import CHANNELS
+from palpd.gap.posterior import P_UNKNOWN
+from palpd.gap.problem import Problem
+from palpd.tick import Floats
+
+DISCREPANCY_SIZE = 0.06
+"""Share of a listed effect by which its real law may differ, in each direction, before something else is sought beside it."""
+
+PARAMETER_REACH = 0.5
+"""Share of a listed effect by which its parameters may move when something is sought beside it."""
+
+LEAST_SHARE_BESIDE = 0.2
+"""Share of the gap's energy from which a law beside a listed effect is something of its own, and no error of that effect's law."""
+
+MOST_CERTAIN = 0.97
+"""Largest probability of a law: 38 of 38 accepted laws were right, and (38 + 1) / (38 + 2) is what that supports."""
+
+SHOWN_POINTS = 40
+"""Points in which the data behind a curve are shown."""
+
+
+@dataclass(frozen=True)
+class LawFinding:
+    """What the search for laws found.
+
+    Attributes:
+        learned: The learned effect; None where no law was accepted.
+        law: The law behind it.
+        beside: The listed effects that it stands beside; the fit without effects where it stands alone.
+        replaces: Whether it replaces the listed effects, which only imitated it.
+        events: Events, which are no law.
+        note: A sentence for the reader, or None.
+        nats: Evidence of the law or of the events beyond the listed answer.
+        small: Whether the law holds so little of the gap that the listed effects stand as its cause, with an error of their laws.
+    """
+
+    learned: LearnedEffect | None
+    law: LearnedLaw | None
+    beside: Fit
+    replaces: bool
+    events: list[Event]
+    note: str | None
+    nats: float
+    small: bool = False
+
+    @property
+    def p_outside(self) -> float:
+        """Probability that something outside the list is at work, as far as this search says."""
+        if self.small or (self.learned is None and not self.events):
+            return 0.0
+        return min(MOST_CERTAIN, 1.0 / (1.0 + exp(-min(self.nats + log(P_UNKNOWN / (1.0 - P_UNKNOWN)), 50.0))))
+
+    def to_json(self) -> dict[str, Any] | None:
+        """The key `learned` of out.json; None where there is no law."""
+        if self.learned is None or self.law is None:
+            return None
+        terms = [self._term(number) for number in range(len(self.learned.terms))]
+        family = FAMILIES.get(self.learned.terms[0].driver.quantity)
+        whole = {"id": self.learned.id, "what": self.learned.what, "site": self.learned.site, "family": family}
+        rest = {"probability": self.learned.probability, "alike": list(self.learned.alike), "replaces_listed": self.replaces, "file": None}
+        return whole | terms[0] | rest | {"further_terms": terms[1:]}
+
+    def _term(self, number: int) -> dict[str, Any]:
+        assert self.learned is not None
+        assert self.law is not None
+        term, fitted = self.learned.terms[number], self.law.terms[number]
+        values, sd = np.array(term.values), np.array(term.sd)
+        low, high = values - 1.96 * sd, values + 1.96 * sd
+        band = {"x": list(term.knots), "value": values.tolist(), "low": low.tolist(), "high": high.tolist()}
+        return {
+            "channels": term.channels,
+            "factor": term.factor,
+            "driver": term.driver.words,
+            "driver_unit": UNITS[term.driver.quantity],
+            "formula": term.formula,
+            "curve": band,
+            "range": list(term.range),
+            "held_out_nats": [round(gain, 1) for gain in fitted.held_out.gains.tolist()],
+            "nats": round(fitted.nats, 1),
+            "data": self._data(number),
+        }
+
+    def _data(self, number: int) -> dict[str, list[float]]:
+        """Means of the data behind a curve over its driver, in the unit of the curve: without the term, and with it."""
+        assert self.law is not None
+        law, candidate = self.law, self.law.terms[number].candidate
+        problem, change = law.scene.problem, np.zeros_like(self.law.change)
+        mean, _ = law.coefficients(number)
+        for channel, values in law.terms[number].columns.items():
+            change[channel] = values @ mean
+        after = NuisanceSpace(law.space.columns, law.space.residual - law.change).remainder
+        factor = law.scene.factor(candidate.channel, candidate.factor)[:, None]
+        weights = candidate.weights(problem.cell.probe.tip_length_m)
+        unit = whitened(problem.noise, {CHANNELS.index(name): weight * factor for name, weight in weights.items()})
+        x = law.scene.driver(candidate.channel, candidate.driver)
+        if candidate.driver.period is not None:
+            x = np.mod(x, candidate.driver.period)
+        live = np.sum([values[:, 0] ** 2 for values in unit.values()], axis=0)
+        order = np.flatnonzero(live > 1e-6 * live.max())
+        order = order[np.argsort(x[order])]
+        # Equal stretches of the driver, so that a curve is seen along its whole range.
+        edges = np.searchsorted(x[order], np.linspace(x[order[0]], x[order[-1]], SHOWN_POINTS + 1)[1:-1])
+        points = [part for part in np.split(order, edges) if len(part) > 2]
+
+        def means(of: Floats) -> list[float]:
+            return [float(sum(v[p, 0] @ of[c, p] for c, v in unit.items()) / live[p].sum()) for p in points]
+
+        spread = [float(live[p].sum() ** -0.5) for p in points]
+        at = [float(np.average(x[p], weights=live[p])) for p in points]
+        return {"x": at, "before": means(after + change), "after": means(after), "sd": spread}
+
+
+def find(problem: Problem, nominal: Fit, listed: Fit) -> LawFinding:
+    """Search for a law and for events beyond the listed answer, and decide.
+
+    On top of the listed answer nothing is found: it stands. Something is: if a law alone beats the listed effects, and these with the
+    law on top of them, they only imitated it and it replaces them. Else it stands beside them.
+
+    Args:
+        problem: The recordings.
+        nominal: The fit without effects.
+        listed: The fit of the listed answer; the same where nothing is named.
+
+    Returns:
+        The finding.
+    """
+    scene, space = Scene.of(problem, listed.values, listed.eta), _space_beside(problem, listed)
+    top = search(scene, space)
+    events = find_events(scene, space)
+    gained = listed.log_evidence - nominal.log_evidence
+    if events.nats >= max(NAMED_NATS, (top.nats if top.carries else 0.0) - ALIKE_NATS) and _matters(listed, events.change):
+        if listed.names:  # where they alone explain more, the listed effects imitated a part of them
+            alone_events = find_events(Scene.of(problem, {}, nominal.eta), _space_beside(problem, nominal))
+            events = alone_events if alone_events.nats > gained else events
+        return LawFinding(None, None, listed, False, events.listed, _EVENTS, max(events.nats - gained, NAMED_NATS))
+    if not top.carries:
+        return LawFinding(None, None, listed, False, [], None, 0.0)
+    law, beside, small = top, listed, not _matters(listed, top.change)
+    if listed.names:
+        alone_space = _space_beside(problem, nominal)
+        alone = search(Scene.of(problem, {}, nominal.eta), alone_space)
+        if alone.carries and alone.nats >= gained + max(NAMED_NATS, top.nats):
+            law, beside, small = alone, nominal, False
+    wanders = wander_nats(law.scene, law.space)
+    if _plain_time(law.terms[0].candidate) or wanders > law.nats - ALIKE_NATS:
+        return LawFinding(None, None, listed, False, [], _IN_TIME, 0.0)
+    return LawFinding(learned_effect(law, top.nats), law, beside, law is not top, [], _time_note(law), top.nats, small)
+
+
+_EVENTS = (
+    "What remains looks like single events (see `events`), and not like a law. Another recording will not show them at the same times."
+)
+_IN_TIME = (
+    "Something changes smoothly or randomly in time, and not by what the cell does. One recording cannot distinguish a slow state from a "
+    "random walk. Record the same motion again: a law repeats, a random walk does not."
+)
+
+
+def _time_note(law: LearnedLaw) -> str | None:
+    driver = law.terms[0].candidate.driver
+    if driver.quantity in ("time", "presses", "deepest") and driver.period is None:
+        return (
+            "The law follows the course of this recording (time, number of presses or deepest press). One recording cannot distinguish "
+            "these, so the law may not hold in another one. Record a second one in another order."
+        )
+    return None
+
+
+def _plain_time(candidate: LawCandidate) -> bool:
+    """Whether a candidate is an added smooth curve of time, which a random walk is as well."""
+    driver = candidate.driver
+    return driver.quantity == "time" and driver.period is None and candidate.factor in ("one", "air")
+
+
+def _matters(listed: Fit, change: Floats) -> bool:
+    """Whether a change beside listed effects holds enough of the gap to be something of its own."""
+    if not listed.names:
+        return True
+    own, whole = (NuisanceSpace(listed.linearisation.columns, one).energy for one in (change, change + listed.change))
+    return own >= LEAST_SHARE_BESIDE * whole
+
+
+def _space_beside(problem: Problem, listed: Fit) -> NuisanceSpace:
+    """Everything within specification around a fit, the reach of its parameters, the discrepancy of its laws, and rounding."""
+    around = listed.linearisation
+    prediction = problem.predict(listed.values, around.eta)
+    columns = [around.columns]
+    if listed.names:
+        reach = PARAMETER_REACH * float(np.linalg.norm(listed.change))
+        jacobian = jacobian_at(problem, listed.where, listed.u, around.eta, prediction)
+        columns.append(np.array([j * (reach / max(float(np.linalg.norm(j)), 1e-300)) for j in jacobian]))
+        discrepancies, _ = discrepancy_columns(problem, listed.values, prediction, around)
+        columns += [DISCREPANCY_SIZE * discrepancies] if len(discrepancies) else []
+    space = NuisanceSpace(np.concatenate(columns), listed.residual)
+    rounding = rounding_columns(problem, problem.noise.natural(prediction))
+    return space.with_columns(rounding) if rounding else space
+
+
+def learned_effect(law: LearnedLaw, nats: float) -> LearnedEffect:
+    """A law as data.
+
+    Args:
+        law: The law.
+        nats: Its evidence beyond the listed answer.
+
+    Returns:
+        The learned effect.
+    """
+    terms = tuple(_term(law, number) for number in range(len(law.terms)))
+    first = law.terms[0].candidate
+    alike = dict.fromkeys(_words(one.candidate) for one in law.terms[0].alike)
+    return LearnedEffect(
+        id=f"learned.{first.factor}_{first.driver.memory or 'of'}_{first.driver.quantity}",
+        what="; ".join(term.words for term in terms),
+        site="robot" if first.channel == "z_m" else "probe",
+        rest_speed_m_per_s=law.scene.rest_speed_m_per_s,
+        terms=terms,
+        alike=tuple(words for words in alike if words != _words(first)),
+        probability=min(MOST_CERTAIN, 1.0 / (1.0 + exp(-min(nats + log(P_UNKNOWN / (1.0 - P_UNKNOWN)), 50.0)))),
+    )
+
+
+def _words(candidate: LawCandidate) -> str:
+    """Factor and driver in words, which distinguish candidates for a reader."""
+    side = (
+        " to the side" if candidate.channel == LATERAL else f" on {candidate.channel.split('_')[0]}" if candidate.channel != "fz_N" else ""
+    )
+    factor = "" if candidate.factor == "one" else f"{candidate.factor.replace('_', ' × ')} × "
+    return f"{factor}curve of {candidate.driver.words}{side}"
+
+
+def _term(law: LearnedLaw, number: int) -> Term:
+    candidate = law.terms[number].candidate
+    mean, covariance = law.coefficients(number)
+    x = candidate.basis.shown_at()
+    columns = candidate.basis.columns(x)
+    sd = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", columns, covariance, columns), 0.0))
+    weights = candidate.weights(law.scene.problem.cell.probe.tip_length_m)
+    basis = candidate.basis
+    return Term(
+        channels={name: round(weight, 9) for name, weight in weights.items()},
+        factor=candidate.factor,
+        driver=candidate.driver,
+        knots=_rounded(x),
+        values=_rounded(columns @ mean),
+        sd=_rounded(sd),
+        range=(float(f"{basis.low:.9g}"), float(f"{basis.high:.9g}")),
+        formula=basis.text(mean) if isinstance(basis, Formula) else None,
+    )
+
+
+def _rounded(values: Iterable[float]) -> tuple[float, ...]:
+    """Numbers that a person can read, exact to nine digits."""
+    return tuple(float(f"{value:.9g}") for value in values)

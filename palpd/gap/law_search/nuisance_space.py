@@ -1,0 +1,227 @@
+"""Inner products of whitened columns with everything within specification projected out, in all bins or without one fold of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg.lapack import dtbtrs
+
+from palpd.gap.whitening import Whitening
+from palpd.tick import Floats
+
+Columns = Mapping[int, Floats]
+"""Columns (b, n) by channel, zero in the channels that are not named."""
+
+
+def whitened(noise: Whitening, columns: Columns) -> dict[int, Floats]:
+    """Columns in units of the noise.
+
+    Args:
+        noise: Noise of the bins.
+        columns: Columns (b, n) by channel, in the units of the channels.
+
+    Returns:
+        The columns in sigmas, without the channels that are not compared.
+    """
+    out = {}
+    for channel, values in columns.items():
+        judged = np.isfinite(noise.sigma[channel])
+        if not judged.any():
+            continue
+        if channel in noise.factors:
+            white, failed = dtbtrs(noise.factors[channel], values, uplo="L")
+            assert not failed, failed
+        else:
+            white = values / np.where(judged, noise.sigma[channel], 1.0)[:, None]
+        out[channel] = np.where(judged[:, None], white, 0.0)
+    return out
+
+
+COARSENESS = 3
+"""Neighbouring rows that are joined where all candidates are scored: that is all that smooth laws need."""
+
+
+def coarse(columns: Columns) -> dict[int, Floats]:
+    """Whitened columns with neighbouring rows joined; noise of one row stays N(0, 1), so evidence stays evidence.
+
+    Args:
+        columns: Columns (b, n) by channel.
+
+    Returns:
+        Columns (b / COARSENESS, n) by channel.
+    """
+    return {
+        channel: np.add.reduceat(values, np.arange(0, len(values), COARSENESS)) / COARSENESS**0.5 for channel, values in columns.items()
+    }
+
+
+@dataclass(frozen=True)
+class Products:
+    """Inner products of n columns.
+
+    Attributes:
+        gram: With each other (n, n), the nuisances projected out.
+        slope: With the residual (n,), the nuisances projected out.
+        raw: With each other (n, n), nothing projected out.
+    """
+
+    gram: Floats
+    slope: Floats
+    raw: Floats
+
+    def of(self, chosen: slice) -> "Products":
+        """The products of some of the columns."""
+        return Products(self.gram[chosen, chosen], self.slope[chosen], self.raw[chosen, chosen])
+
+    def combined(self, matrix: Floats) -> "Products":
+        """The products of combinations of the columns.
+
+        Args:
+            matrix: The combinations (n, m).
+
+        Returns:
+            The products of m columns.
+        """
+        return Products(matrix.T @ self.gram @ matrix, matrix.T @ self.slope, matrix.T @ self.raw @ matrix)
+
+
+@dataclass(frozen=True)
+class NuisanceSpace:
+    """Nuisances (k, 7, b) with coefficients N(0, 1), and a residual (7, b), whitened."""
+
+    columns: Floats
+    residual: Floats
+
+    @cached_property
+    def _parts(self) -> list[tuple[NDArray[np.intp], Floats]]:
+        """Per channel the numbers of the nuisances that it has, and these (b, m)."""
+        out = []
+        for channel in range(len(self.residual)):
+            index = np.flatnonzero(self.columns[:, channel].any(axis=1))
+            out.append((index, np.ascontiguousarray(self.columns[index, channel].T)))
+        return out
+
+    @cached_property
+    def coarse(self) -> "NuisanceSpace":
+        """The space with neighbouring rows joined."""
+        rows = np.arange(0, self.residual.shape[1], COARSENESS)
+        joined = np.add.reduceat(self.columns, rows, axis=2) / COARSENESS**0.5
+        return NuisanceSpace(joined, np.add.reduceat(self.residual, rows, axis=1) / COARSENESS**0.5)
+
+    @cached_property
+    def _inverse(self) -> Floats:
+        """Inverse (k, k) of the lower factor of I + AᵀA."""
+        gram = np.eye(len(self.columns))
+        for index, part in self._parts:
+            gram[np.ix_(index, index)] += part.T @ part
+        return np.asarray(solve_triangular(cholesky(gram, lower=True), np.eye(len(gram)), lower=True))
+
+    @cached_property
+    def _seen(self) -> Floats:
+        return self._against({channel: values[:, None] for channel, values in enumerate(self.residual)})[:, 0]
+
+    def _against(self, columns: Columns) -> Floats:
+        seen = np.zeros((len(self.columns), next(iter(columns.values())).shape[1]))
+        for channel, values in columns.items():
+            index, part = self._parts[channel]
+            seen += self._inverse[:, index] @ (part.T @ values)
+        return seen
+
+    @cached_property
+    def remainder(self) -> Floats:
+        """The residual (7, b) without what the nuisances explain."""
+        coefficients = self._inverse.T @ self._seen
+        return np.array([values - part @ coefficients[index] for values, (index, part) in zip(self.residual, self._parts, strict=True)])
+
+    @property
+    def energy(self) -> float:
+        """Squared residual with the nuisances projected out."""
+        return float(np.vdot(self.residual, self.residual) - self._seen @ self._seen)
+
+    def products(self, columns: Columns) -> Products:
+        """Inner products of columns.
+
+        Args:
+            columns: Whitened columns (b, n) by channel.
+
+        Returns:
+            Their products.
+        """
+        seen = self._against(columns)
+        raw = sum(values.T @ values for values in columns.values())
+        slope = sum(values.T @ self.residual[channel] for channel, values in columns.items())
+        return Products(raw - seen.T @ seen, slope - seen.T @ self._seen, np.asarray(raw))
+
+    def windows(self, channel: int, shape: Floats, begin: NDArray[np.intp], end: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """Inner products of one whitened shape cut to many windows, by running sums.
+
+        Args:
+            channel: The channel.
+            shape: The shape (b,).
+            begin: First bin of every window (w,).
+            end: End of every window (w,), not part of it.
+
+        Returns:
+            Square of every window and its product with the residual (w,), the nuisances projected out.
+        """
+        index, part = self._parts[channel]
+        seen = _running(shape[:, None] * part)
+        seen = (seen[end] - seen[begin]) @ self._inverse[:, index].T
+        raw, product = _running(shape**2), _running(shape * self.residual[channel])
+        return raw[end] - raw[begin] - (seen**2).sum(axis=1), product[end] - product[begin] - seen @ self._seen
+
+    def with_columns(self, columns: Columns) -> "NuisanceSpace":
+        """The space with further nuisances.
+
+        Args:
+            columns: Whitened columns (b, n) by channel, each times the standard deviation of its coefficient.
+
+        Returns:
+            The wider space.
+        """
+        count = next(iter(columns.values())).shape[1]
+        more = np.zeros((count, *self.residual.shape))
+        for channel, values in columns.items():
+            more[:, channel] = values.T
+        return NuisanceSpace(np.concatenate([self.columns, more]), self.residual)
+
+    def folded(self, columns: Columns, fold: NDArray[np.intp], folds: int) -> tuple[list[Products], list[Products]]:
+        """Inner products of columns inside each fold and outside it; the nuisances are fitted there alone.
+
+        Args:
+            columns: Whitened columns (b, n) by channel.
+            fold: The fold (b,) of every bin.
+            folds: Number of folds.
+
+        Returns:
+            Products inside every fold, and outside every fold.
+        """
+        k, n = len(self.columns), next(iter(columns.values())).shape[1]
+        total = np.zeros((folds, k + n + 1, k + n + 1))
+        for channel, (index, part) in enumerate(self._parts):
+            mine = [part, self.residual[channel][:, None]]
+            at = np.concatenate([index, [k + n]])
+            if channel in columns:
+                mine.insert(1, columns[channel])
+                at = np.concatenate([index, np.arange(k, k + n + 1)])
+            together = np.hstack(mine)
+            for number in range(folds):
+                rows = together[fold == number]
+                total[number][np.ix_(at, at)] += rows.T @ rows
+        everything = total.sum(axis=0)
+        return [_schur(one, k, n) for one in total], [_schur(everything - one, k, n) for one in total]
+
+
+def _running(values: Floats) -> Floats:
+    """Sums (b + 1, ...) of all rows before each."""
+    return np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+
+
+def _schur(moments: Floats, k: int, n: int) -> Products:
+    """Products of the n columns after the first k nuisances have been projected out; the last row is the residual."""
+    cross = moments[:k, k:]
+    inner = moments[k:, k:] - cross.T @ cho_solve(cho_factor(moments[:k, :k] + np.eye(k)), cross)
+    return Products(inner[:n, :n], inner[:n, n], moments[k : k + n, k : k + n])

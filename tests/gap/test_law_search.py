@@ -1,0 +1,184 @@
+"""A law that no listed effect is: found by what it is a function of, kept apart from events and noise, and put into the simulator."""
+
+import json
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from palpd.cell.cell_file import nominal
+from palpd.cell.effects import load_effects
+from palpd.cell.effects.drivers import Driver
+from palpd.cell.simulation import simulate
+from palpd.gap.commands import write_answer
+from palpd.gap.diagnosis import Diagnosis
+from palpd.gap.law_search.bases import hats, powers
+from palpd.gap.law_search.evidence import SIZES, group_evidence
+from palpd.gap.law_search.formulas import formulas_of
+from palpd.gap.law_search.held_out import FOLDS, held_out
+from palpd.gap.law_search.nuisance_space import NuisanceSpace
+from palpd.gap.report import curves_of, page
+from palpd.tick import Floats
+from tests.gap.test_diagnosis import heights, quick, recording
+
+SCHEMA: dict[str, Any] = json.loads(files("palpd.gap").joinpath("diagnosis.schema.json").read_text(encoding="utf-8"))
+RAIL_N, RAIL_M, WIDTH_M = 0.15, 0.006, 0.0012
+
+
+def rail_N(z_m: Floats) -> Floats:
+    """A soft stop that pushes at one height of the rail."""
+    return np.asarray(RAIL_N * np.exp(-0.5 * ((z_m - RAIL_M) / WIDTH_M) ** 2))
+
+
+def with_force(change_N: Floats, seed: int = 3) -> Diagnosis:
+    """The diagnosis of a healthy cell with a further force on fz."""
+    samples = recording(nominal(), {}, seed)
+    wrench = samples.wrench.copy()
+    wrench[:, 2] += change_N
+    return quick(replace(samples, wrench=wrench), nominal())
+
+
+@pytest.fixture(scope="module")
+def rail() -> Diagnosis:
+    return with_force(rail_N(recording(nominal(), {}).z_m))
+
+
+def test_a_law_outside_the_list_is_named_by_its_driver_and_formula(rail: Diagnosis) -> None:
+    content = rail.to_json()
+    assert content["verdict"] == "unknown"
+    learned = content["learned"]
+    assert learned["factor"] in ("one", "air")
+    assert learned["driver"] in ("the height of the probe", "the distance from the surface")
+    assert learned["formula"] is not None
+    assert "exp(" in learned["formula"]
+    assert learned["probability"] > 0.9
+    assert learned["formula"] in rail.sentence
+    assert content["events"] is None
+
+
+def test_its_curve_covers_the_true_law_and_closes_the_gap_on_another_motion(rail: Diagnosis) -> None:
+    assert rail.finding.learned is not None
+    (term,) = rail.finding.learned.terms
+    z_m = np.array(term.knots)
+    band = 3.0 * np.array(term.sd) + 0.1 * RAIL_N
+    # A constant is a bias of the sensor, so only the shape counts.
+    apart = np.array(term.values) - rail_N(z_m)
+    assert np.all(np.abs(apart - np.median(apart)) < band)
+    t_s = np.arange(1500) / 125.0
+    other_m = 0.006 + 0.005 * np.sin(0.8 * t_s)
+    change_N = simulate(rail.enriched_cell(), t_s, z_m=other_m)["fz_N"] - simulate(nominal(), t_s, z_m=other_m)["fz_N"]
+    error_N = change_N - rail_N(other_m)
+    assert np.std(error_N) < 0.2 * np.std(rail_N(other_m))
+
+
+def test_out_json_the_file_and_the_report_hold_the_law(rail: Diagnosis, tmp_path: Path) -> None:
+    write_answer(tmp_path / "out.json", rail)
+    content = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
+    jsonschema.validate(content, SCHEMA)
+    assert content["learned"]["file"] == "out.learned.yaml"
+    assert content["learned"]["id"] in load_effects(tmp_path / "out.learned.yaml")
+    html = page(content, curves_of(rail), rail.problem.library, "x")
+    assert content["learned"]["formula"] in html
+    assert 'id="law' in html or "law" in html
+    assert "without the law" in html
+
+
+def test_a_single_step_is_an_event_with_its_time_and_size() -> None:
+    t_s, _ = heights()
+    diagnosis = with_force(np.where(t_s > 7.0, 0.2, 0.0))
+    content = diagnosis.to_json()
+    jsonschema.validate(json.loads(json.dumps(content)), SCHEMA)
+    assert content["learned"] is None
+    assert content["verdict"] == "unknown"
+    first = content["events"][0]
+    assert (first["kind"], first["channel"]) == ("step", "fz_N")
+    assert first["t_s"] == pytest.approx(7.0, abs=0.2)
+    assert first["size"] == pytest.approx(0.2, rel=0.3)
+    assert "single events" in page(content, curves_of(diagnosis), diagnosis.problem.library, "x")
+
+
+def test_a_healthy_cell_and_a_listed_effect_have_neither_law_nor_events() -> None:
+    for effects in ({}, {"tissue.viscoelastic": {"ratio": 0.2, "tau_s": 0.8}}):
+        content = quick(recording(nominal(), effects), nominal()).to_json()
+        assert content["learned"] is None
+        assert content["events"] is None
+
+
+# parts
+
+
+def space_and_columns(seed: int = 0) -> tuple[NuisanceSpace, Floats]:
+    """Noise in one channel of 60 bins with two nuisances, and three columns that the residual holds."""
+    rng = np.random.default_rng(seed)
+    nuisances = np.zeros((2, 7, 60))
+    nuisances[:, 3] = 3.0 * rng.standard_normal((2, 60))
+    columns = rng.standard_normal((60, 3))
+    residual = np.zeros((7, 60))
+    residual[3] = rng.standard_normal(60) + columns @ [1.0, -2.0, 0.5] + nuisances[0, 3]
+    return NuisanceSpace(nuisances, residual), columns
+
+
+def test_the_evidence_of_a_group_is_the_ratio_of_two_gaussians() -> None:
+    space, columns = space_and_columns()
+    products = space.products({3: columns})
+    prior = np.eye(3)
+    nuisances, residual = space.columns[:, 3], space.residual[3]
+    without = np.eye(60) + nuisances.T @ nuisances
+    logs = []
+    for size in SIZES:
+        square = size**2 / np.trace(products.gram)
+        joint = multivariate_normal(cov=without + square * columns @ columns.T).logpdf(residual)
+        logs.append(joint - multivariate_normal(cov=without).logpdf(residual))
+    expected = np.logaddexp.reduce(logs) - np.log(len(SIZES))
+    assert group_evidence(products, (prior,)).nats == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_group_that_tolerances_hide_is_no_law() -> None:
+    space, columns = space_and_columns()
+    hidden = 30.0 * space.columns[:, 3].T
+    widened = space.with_columns({3: 100.0 * hidden})
+    assert group_evidence(widened.products({3: hidden}), (np.eye(2),)).nats == -np.inf
+    assert group_evidence(space.products({3: columns}), (np.eye(3),)).nats > 10.0
+
+
+def test_a_law_of_one_fold_alone_does_not_carry() -> None:
+    space, columns = space_and_columns()
+    fold = np.arange(60) % FOLDS
+    assert held_out(space, {3: columns}, np.eye(3), fold).carries(20.0)
+    lonely = replace(space, residual=np.where(fold == 0, 5.0 * space.residual, 0.0))
+    assert not held_out(lonely, {3: np.where(fold[:, None] == 0, columns, 0.0)}, np.eye(3), fold).carries(20.0)
+
+
+def test_joining_rows_keeps_noise_white() -> None:
+    rng = np.random.default_rng(1)
+    space = NuisanceSpace(np.zeros((0, 7, 3000)), rng.standard_normal((7, 3000)))
+    assert np.var(space.coarse.residual) == pytest.approx(1.0, rel=0.1)
+
+
+def test_hats_add_up_to_one_and_hold_their_ends() -> None:
+    driver = Driver(quantity="gap", log_scale=1e-3)
+    x = np.linspace(-0.005, 0.02, 200)
+    basis = hats(driver, x)
+    assert basis is not None
+    far = np.array([-1.0, *x, 1.0])
+    np.testing.assert_allclose(basis.columns(far).sum(axis=1), 1.0)
+    assert hats(driver, np.zeros(10)) is None
+    assert powers(driver, np.zeros(10)) is None
+
+
+def test_every_formula_is_one_that_the_simulator_reads() -> None:
+    x = np.linspace(-0.004, 0.01, 100)
+    basis = hats(Driver(quantity="height"), x)
+    assert basis is not None
+    listed = list(formulas_of(basis, x, with_constant=True))
+    assert len({formula.shapes for formula in listed}) == len(listed)
+    for formula in listed:
+        columns = formula.columns(x)
+        assert np.isfinite(columns).all()
+        assert np.abs(columns).max() <= 1.0 + 1e-9
+        assert formula.text(np.ones(formula.size))
