@@ -213,7 +213,7 @@ class Diagnosis:
         if finding.learned is None or finding.law is None:
             return enriched_cell(self.problem, self.decision)
         fit = replace(finding.beside, residual=finding.beside.residual - finding.law.change)
-        effects = [] if finding.replaces else self.effects
+        effects = [e for e in self.effects if self.problem.library[e.id].scatter] if finding.replaces else self.effects
         cell = enriched_cell(self.problem, replace(self.decision, effects=effects, fit=fit))
         return cell.model_copy(update={"learned": (*cell.learned, finding.learned)})
 

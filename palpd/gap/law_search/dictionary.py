@@ -51,12 +51,13 @@ PERIODIC_FACTORS: dict[str, tuple[FactorName, ...]] = {
 }
 
 FASTEST_HZ = 12.0
-SHORTEST_PITCH_M, PITCH_NOISES = 2e-4, 20.0
+RATE_SHARE = 0.4
+SHORTEST_PITCH_M, STROKES_PER_PITCH, PITCH_NOISES = 2e-4, 100.0, 20.0
 MOST_FREQUENCIES = 1500
 PEAKS, EXTENTS = 2, 10
-"""Periodic laws are sought up to FASTEST_HZ and down to a pitch of SHORTEST_PITCH_M or PITCH_NOISES standard deviations of the reported
-height, at most MOST_FREQUENCIES of them; the PEAKS highest peaks for each factor are weighed. Bins go in
-EXTENTS classes of like extent."""
+"""Periodic laws are sought up to FASTEST_HZ, or RATE_SHARE of the samples' rate, and down to a pitch of SHORTEST_PITCH_M, of a share of
+short strokes, or of PITCH_NOISES standard deviations of the reported height, at most MOST_FREQUENCIES of them. The PEAKS highest peaks
+for each factor are weighed. Bins go in EXTENTS classes of like extent."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +227,10 @@ def periodic(scene: Scene, remainder: Floats) -> Iterator[LawCandidate]:
         for quantity in quantities:
             x = scene.driver(channel, Driver(quantity=quantity))
             span = float(np.ptp(x))
-            finest = FASTEST_HZ if quantity == "time" else 1.0 / max(SHORTEST_PITCH_M, PITCH_NOISES * noise_m)
+            if quantity == "time":
+                finest = min(FASTEST_HZ, RATE_SHARE * min(one.samples.rate_Hz for one in scene.problem.recordings))
+            else:
+                finest = 1.0 / max(min(SHORTEST_PITCH_M, span / STROKES_PER_PITCH), PITCH_NOISES * noise_m, 1e-12)
             count = min(int(2.0 * span * finest), MOST_FREQUENCIES)
             if count < 4:
                 continue

@@ -1,8 +1,8 @@
 """What the search for laws adds to an answer from the list: a learned effect, events, or nothing."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from math import exp, log
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import comb, exp, log
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,13 @@ from palpd.gap.discrepancy import discrepancy_columns
 from palpd.gap.evidence import Fit
 from palpd.gap.fit import jacobian_at
 from palpd.gap.law_search.events import Event, find_events, wander_nats
+from palpd.gap.law_search.evidence import group_evidence
 from palpd.gap.law_search.formulas import Formula
 from palpd.gap.law_search.nuisance_space import NuisanceSpace, whitened
 from palpd.gap.law_search.scene import LATERAL, LawCandidate, Scene, rounding_columns
 from palpd.gap.law_search.search import ALIKE_NATS, NAMED_NATS, LearnedLaw, search
 from palpd.gap.noise import CHANNELS
-from palpd.gap.posterior import P_UNKNOWN
+from palpd.gap.posterior import P_NONE, P_ONE, P_THREE, P_TWO, P_UNKNOWN
 from palpd.gap.problem import Problem
 from palpd.tick import Floats
 
@@ -133,7 +134,8 @@ def find(problem: Problem, nominal: Fit, listed: Fit) -> LawFinding:
     """Search for a law and for events beyond the listed answer, and decide.
 
     On top of the listed answer nothing is found: it stands. Something is: if a law alone beats the listed effects, and these with the
-    law on top of them, they only imitated it and it replaces them. Else it stands beside them.
+    law on top of them, they only imitated it and it replaces them. Of two explanations alike the one with fewer parts counts. Else the
+    law stands beside them.
 
     Args:
         problem: The recordings.
@@ -146,7 +148,7 @@ def find(problem: Problem, nominal: Fit, listed: Fit) -> LawFinding:
     scene, space = Scene.of(problem, listed.values, listed.eta), _space_beside(problem, listed)
     top = search(scene, space)
     events = find_events(scene, space)
-    gained = listed.log_evidence - nominal.log_evidence
+    gained = listed.log_evidence - nominal.log_evidence + _log_prior(problem, listed)
     if events.nats >= max(NAMED_NATS, (top.nats if top.carries else 0.0) - ALIKE_NATS) and _matters(listed, events.change):
         if listed.names:  # where they alone explain more, the listed effects imitated a part of them
             alone_events = find_events(Scene.of(problem, {}, nominal.eta), _space_beside(problem, nominal))
@@ -154,16 +156,18 @@ def find(problem: Problem, nominal: Fit, listed: Fit) -> LawFinding:
         return LawFinding(None, None, listed, False, events.listed, _EVENTS, max(events.nats - gained, NAMED_NATS))
     if not top.carries:
         return LawFinding(None, None, listed, False, [], None, 0.0)
-    law, beside, small = top, listed, not _matters(listed, top.change)
+    # The listed parameters stay as they are, so the law must be what they leave, and not what they could leave.
+    law, beside = replace(top, space=_within_specification(problem, listed)), listed
+    small = not _matters(listed, law.change)
     if listed.names:
         alone_space = _space_beside(problem, nominal)
         alone = search(Scene.of(problem, {}, nominal.eta), alone_space)
-        if alone.carries and alone.nats >= gained + max(NAMED_NATS, top.nats):
+        if alone.carries and alone.nats >= gained + max(NAMED_NATS, top.nats - ALIKE_NATS):
             law, beside, small = alone, nominal, False
-    wanders = wander_nats(law.scene, law.space)
+    wanders = wander_nats(law.scene, law.space if beside is not listed else space)
     if _plain_time(law.terms[0].candidate) or wanders > law.nats - ALIKE_NATS:
         return LawFinding(None, None, listed, False, [], _IN_TIME, 0.0)
-    return LawFinding(learned_effect(law, top.nats), law, beside, law is not top, [], _time_note(law), top.nats, small)
+    return LawFinding(learned_effect(law, top.nats), law, beside, beside is not listed, [], _time_note(law), top.nats, small)
 
 
 _EVENTS = (
@@ -199,20 +203,31 @@ def _matters(listed: Fit, change: Floats) -> bool:
     return own >= LEAST_SHARE_BESIDE * whole
 
 
+def _log_prior(problem: Problem, listed: Fit) -> float:
+    """Log prior odds of a set of listed effects against none."""
+    count, effects = len(listed.names), sum(not effect.scatter for effect in problem.library.values())
+    return log((P_NONE, P_ONE, P_TWO, P_THREE)[count] / P_NONE) - log(comb(effects, count))
+
+
+def _within_specification(problem: Problem, listed: Fit) -> NuisanceSpace:
+    """Everything within specification around a fit, and rounding."""
+    space = NuisanceSpace(listed.linearisation.columns, listed.residual)
+    rounding = rounding_columns(problem, problem.noise.natural(problem.predict(listed.values, listed.eta)))
+    return space.with_columns(rounding) if rounding else space
+
+
 def _space_beside(problem: Problem, listed: Fit) -> NuisanceSpace:
-    """Everything within specification around a fit, the reach of its parameters, the discrepancy of its laws, and rounding."""
-    around = listed.linearisation
-    prediction = problem.predict(listed.values, around.eta)
-    columns = [around.columns]
+    """The same, with the reach of the listed parameters and the discrepancy of the listed laws."""
+    space, around = _within_specification(problem, listed), listed.linearisation
+    columns = [space.columns]
     if listed.names:
+        prediction = problem.predict(listed.values, around.eta)
         reach = PARAMETER_REACH * float(np.linalg.norm(listed.change))
         jacobian = jacobian_at(problem, listed.where, listed.u, around.eta, prediction)
         columns.append(np.array([j * (reach / max(float(np.linalg.norm(j)), 1e-300)) for j in jacobian]))
         discrepancies, _ = discrepancy_columns(problem, listed.values, prediction, around)
         columns += [DISCREPANCY_SIZE * discrepancies] if len(discrepancies) else []
-    space = NuisanceSpace(np.concatenate(columns), listed.residual)
-    rounding = rounding_columns(problem, problem.noise.natural(prediction))
-    return space.with_columns(rounding) if rounding else space
+    return NuisanceSpace(np.concatenate(columns), listed.residual)
 
 
 def learned_effect(law: LearnedLaw, nats: float) -> LearnedEffect:
@@ -253,9 +268,13 @@ def _term(law: LearnedLaw, number: int) -> Term:
     mean, covariance = law.coefficients(number)
     x = candidate.basis.shown_at()
     columns = candidate.basis.columns(x)
-    sd = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", columns, covariance, columns), 0.0))
     weights = candidate.weights(law.scene.problem.cell.probe.tip_length_m)
     basis = candidate.basis
+    if law.terms[number].free_curve is not None:  # the band of a formula is that of a free curve: another formula may be the true one
+        covariance, columns_of = _free_curve(law, number)
+        sd = _spread(columns_of(x), covariance)
+    else:
+        sd = _spread(columns - (_usual(law, candidate) if candidate.factor == "one" else 0.0), covariance)
     return Term(
         channels={name: round(weight, 9) for name, weight in weights.items()},
         factor=candidate.factor,
@@ -268,6 +287,27 @@ def _term(law: LearnedLaw, number: int) -> Term:
     )
 
 
-def _rounded(values: Iterable[float]) -> tuple[float, ...]:
-    """Numbers that a person can read, exact to nine digits."""
-    return tuple(float(f"{value:.9g}") for value in values)
+def _free_curve(law: LearnedLaw, number: int) -> tuple[Floats, Callable[[Floats], Floats]]:
+    """Covariance of the coefficients of the curve that a formula replaced, and its columns as a function of the driver."""
+    candidate = law.terms[number].free_curve
+    assert candidate is not None
+    columns = whitened(law.scene.problem.noise, law.scene.columns(candidate))
+    covariance = group_evidence(law.space.products(columns), candidate.basis.priors).covariance
+    usual = _usual(law, candidate) if candidate.factor == "one" else 0.0
+    return covariance, lambda x: candidate.basis.columns(x) - usual
+
+
+def _usual(law: LearnedLaw, candidate: LawCandidate) -> Floats:
+    """Mean of the columns (m,) over the recording: a constant force is the sensor's bias, and no part of a band."""
+    return np.asarray(candidate.basis.columns(law.scene.driver(candidate.channel, candidate.driver)).mean(axis=0))
+
+
+def _spread(columns: Floats, covariance: Floats) -> Floats:
+    """Standard deviation (k,) of a curve."""
+    return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", columns, covariance, columns), 0.0))
+
+
+def _rounded(values: Floats) -> tuple[float, ...]:
+    """Numbers that a person can read: seven digits, and zero where they are nothing beside the largest."""
+    values = np.where(np.abs(values) < 1e-9 * np.abs(values).max(), 0.0, values)
+    return tuple(float(f"{value:.7g}") for value in values.tolist())

@@ -1,7 +1,7 @@
 """The moving probe of every recording in one state of the cell: drivers, factors and columns of candidates in the bins."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import cos, sin
 
@@ -122,6 +122,12 @@ class Scene:
         states, followers = (tuple(of(one) for one in problem.recordings) for of in (contact, robot))
         return Scene(problem, states, followers, rest)  # type: ignore[arg-type]
 
+    def with_rest_speed(self, rest_speed_m_per_s: float) -> "Scene":
+        """The same recordings with another speed at which friction turns over."""
+        contact = tuple(replace(one, rest_speed_m_per_s=rest_speed_m_per_s) for one in self.contact)
+        robot = tuple(one and replace(one, rest_speed_m_per_s=rest_speed_m_per_s) for one in self.robot)
+        return Scene(self.problem, contact, robot, rest_speed_m_per_s)
+
     @cached_property
     def shallow_m(self) -> float:
         """Distance from the surface below which it counts in proportion, and above which by its logarithm."""
@@ -183,11 +189,15 @@ class Scene:
         cutoff_Hz, robot = self.problem.cell.sensor.filter_cutoff_Hz, self.problem.cell.robot
 
         def filtered(state: DriverState, values: Floats) -> Floats:
-            if candidate.channel != "z_m":
-                return lowpass(values, state.dt_s, -2.0 * np.pi * cutoff_Hz, {}) if cutoff_Hz and np.ndim(state.dt_s) == 0 else values
-            if candidate.driver.acts_on_target:
-                return servo(values, state.dt_s, robot.servo_natural_frequency_Hz, robot.servo_damping_ratio, {})[0]
-            return values
+            def each(column: Floats) -> Floats:
+                if candidate.channel != "z_m":
+                    return lowpass(column, state.dt_s, -2.0 * np.pi * cutoff_Hz, {}) if cutoff_Hz else column
+                if candidate.driver.acts_on_target:
+                    return servo(column, state.dt_s, robot.servo_natural_frequency_Hz, robot.servo_damping_ratio, {})[0]
+                return column
+
+            # Filters over uneven steps take one column at a time.
+            return each(values) if np.ndim(state.dt_s) == 0 else np.stack([each(column) for column in values.T], axis=-1)
 
         values = self.unfiltered(candidate, filtered)
         weights = candidate.weights(self.problem.cell.probe.tip_length_m)

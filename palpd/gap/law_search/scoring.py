@@ -92,19 +92,19 @@ class Scorer:
             best = max([best, *_likeliest(space, _batches((one, self._joined(one)) for one in near))], key=lambda one: one.nats)
         return best
 
-    def exact(self, lead: Scored) -> tuple[Scored, dict[int, Floats]]:
+    def exact(self, candidate: LawCandidate) -> tuple[Scored, dict[int, Floats]]:
         """A candidate weighed with all filters, in all bins.
 
         Args:
-            lead: The candidate.
+            candidate: The candidate.
 
         Returns:
             It with its evidence, and its whitened columns (b, m) by channel.
         """
-        columns = whitened(self.scene.problem.noise, self.scene.columns(lead.candidate))
-        evidence = group_evidence(self.space.products(columns), lead.candidate.basis.priors)
-        price = lead.candidate.price + (AZIMUTH_PRICE if lead.candidate.channel == LATERAL else 0.0)
-        return Scored(lead.candidate, evidence.nats - price, evidence), columns
+        columns = whitened(self.scene.problem.noise, self.scene.columns(candidate))
+        evidence = group_evidence(self.space.products(columns), candidate.basis.priors)
+        price = candidate.price + (AZIMUTH_PRICE if candidate.channel == LATERAL else 0.0)
+        return Scored(candidate, evidence.nats - price, evidence), columns
 
     def _driver(self, channel: str, driver: Driver) -> Floats:
         """Values of a driver in joined rows."""

@@ -1,10 +1,11 @@
 """The search for a law: score the dictionary, take the likeliest term, put it beside the nuisances, repeat."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from palpd.gap.law_search.bases import Basis
 from palpd.gap.law_search.held_out import FOLDS, LEAST_GAIN_SHARE, HeldOut, held_out
 from palpd.gap.law_search.nuisance_space import NuisanceSpace
 from palpd.gap.law_search.scene import LawCandidate, Scene
@@ -26,6 +27,9 @@ MOST_TERMS = 2
 ALIKE_NATS = 3.0
 """Evidence within which the recording does not distinguish two laws."""
 
+REST_SPEED_RATIOS = (0.25, 0.5, 2.0, 4.0)
+"""Factors on the speed at which friction turns over that are tried for a law that depends on the direction."""
+
 PAIRS_WITH_FORMULAS = 5
 """Likeliest pairs of factor and driver for which closed formulas are tried."""
 
@@ -41,6 +45,7 @@ class LawTerm:
         root: Root (m, m) of the prior covariance of the coefficients.
         held_out: What it says of strokes that it did not see.
         alike: The candidates that fit as well, with other factors or drivers.
+        free_curve: The curve that its formula replaced; None where the term is a curve.
     """
 
     candidate: LawCandidate
@@ -49,6 +54,7 @@ class LawTerm:
     root: Floats
     held_out: HeldOut
     alike: tuple[Scored, ...]
+    free_curve: LawCandidate | None = None
 
 
 @dataclass(frozen=True)
@@ -118,11 +124,6 @@ class LearnedLaw:
         height = first.candidate.channel == "z_m"
         return first.nats >= (NAMED_HEIGHT_NATS if height else NAMED_NATS) and first.held_out.carries(first.nats)
 
-    @property
-    def energy(self) -> float:
-        """Squared sigmas of the change that nothing within specification hides."""
-        return NuisanceSpace(self.space.columns, self.change).energy
-
 
 def search(scene: Scene, space: NuisanceSpace, most_terms: int = MOST_TERMS) -> LearnedLaw:
     """Search for a law in a residual.
@@ -142,6 +143,9 @@ def search(scene: Scene, space: NuisanceSpace, most_terms: int = MOST_TERMS) -> 
         term = _next_term(scorer, fold)
         if term is None:
             break
+        if not terms and "direction" in (*term.candidate.factor.split("_"), term.candidate.driver.quantity):
+            scene, term = _with_best_rest_speed(scene, space, term, fold)
+            scorer = Scorer(scene, space)
         gained = sum(one.nats for one in terms)
         if terms and (term.nats < max(FURTHER_NATS, FURTHER_SHARE * gained) or term.held_out.total < LEAST_GAIN_SHARE * term.nats):
             break
@@ -163,7 +167,7 @@ def _next_term(scorer: Scorer, fold: Ints) -> LawTerm | None:
     scored.sort(key=lambda one: -one.nats)
     leading = _first_of_each(scored, PAIRS_WITH_FORMULAS)
     leading += [one for lead in leading if (one := scorer.best_formula(lead)) is not None]
-    exact = sorted((scorer.exact(lead) for lead in leading), key=lambda one: -one[0].nats)
+    exact = sorted((scorer.exact(lead.candidate) for lead in leading), key=lambda one: -one[0].nats)
     # A change of the reported height below the noise of one report is an error of the model of the follower.
     exact = [one for one in exact if one[0].candidate.channel != "z_m" or _height_rms_m(scene, one[0], one[1]) > _report_noise_m(scene)]
     if not exact:
@@ -180,7 +184,29 @@ def _next_term(scorer: Scorer, fold: Ints) -> LawTerm | None:
         best.evidence.root,
         held_out(space, columns, best.evidence.root, fold),
         tuple(_first_of_each(close, 8)),
+        _free_curve(best, scored),
     )
+
+
+def _with_best_rest_speed(scene: Scene, space: NuisanceSpace, term: LawTerm, fold: Ints) -> tuple[Scene, LawTerm]:
+    """The term with the speed at which its friction turns over, and the scene with that speed."""
+    best = scene, term
+    for ratio in REST_SPEED_RATIOS:
+        other = scene.with_rest_speed(ratio * scene.rest_speed_m_per_s)
+        one, columns = Scorer(other, space).exact(term.candidate)
+        nats = one.nats - float(np.log(1 + len(REST_SPEED_RATIOS)))
+        if nats > best[1].nats:
+            gains = held_out(space, columns, one.evidence.root, fold)
+            best = other, replace(term, nats=nats, columns=columns, root=one.evidence.root, held_out=gains)
+    return best
+
+
+def _free_curve(best: Scored, scored: list[Scored]) -> LawCandidate | None:
+    """The curve that a formula replaced."""
+    if isinstance(best.candidate.basis, Basis):
+        return None
+    same = (one.candidate for one in scored if one.candidate.name == best.candidate.name)
+    return next((replace(one, azimuth_rad=best.candidate.azimuth_rad) for one in same), None)
 
 
 def _first_of_each(scored: list[Scored], most: int) -> list[Scored]:
