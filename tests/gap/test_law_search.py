@@ -9,13 +9,14 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
+import yaml
 from scipy.stats import multivariate_normal
 
 from palpd.cell.cell_file import nominal
 from palpd.cell.effects import load_effects
 from palpd.cell.effects.drivers import Driver
 from palpd.cell.simulation import simulate
-from palpd.gap.commands import write_answer
+from palpd.gap.commands import simulate_file, write_answer
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.law_search.bases import hats, powers
 from palpd.gap.law_search.evidence import SIZES, group_evidence
@@ -182,3 +183,20 @@ def test_every_formula_is_one_that_the_simulator_reads() -> None:
         assert np.isfinite(columns).all()
         assert np.abs(columns).max() <= 1.0 + 1e-9
         assert formula.text(np.ones(formula.size))
+
+
+def test_simulate_says_how_many_rows_lie_outside_the_range_of_a_law(tmp_path: Path) -> None:
+    term = {"channels": {"fz_N": 1.0}, "factor": "one", "driver": {"quantity": "height"}, "knots": [0.0, 0.01], "values": [0.0, 0.2]}
+    content = {"learned": [{"id": "learned.ramp", "terms": [term | {"range": [0.0, 0.01]}]}]}
+    (tmp_path / "cell.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    t_s = np.arange(400) / 100.0
+    for name, top_m in (("inside", 0.009), ("outside", 0.03)):
+        rows = "".join(f"{t:.3f},{top_m * t / 4.0:.6f}\n" for t in t_s)
+        (tmp_path / f"{name}.csv").write_text("t_s,z_m\n" + rows, encoding="utf-8")
+        sentences: list[str] = []
+        simulate_file(tmp_path / f"{name}.csv", tmp_path / "cell.yaml", tmp_path / f"{name}.out.csv", say=sentences.append)
+        if name == "inside":
+            assert not sentences
+        else:
+            assert len(sentences) == 1
+            assert "learned.ramp: 66." in sentences[0]
