@@ -213,8 +213,9 @@ class Diagnosis:
         if finding.learned is None or finding.law is None:
             return enriched_cell(self.problem, self.decision)
         fit = replace(finding.beside, residual=finding.beside.residual - finding.law.change)
-        effects = [e for e in self.effects if self.problem.library[e.id].scatter] if finding.replaces else self.effects
-        cell = enriched_cell(self.problem, replace(self.decision, effects=effects, fit=fit))
+        scatter = [e for e in self.effects if self.problem.library[e.id].scatter]
+        cell = enriched_cell(self.problem, replace(self.decision, effects=scatter, fit=fit))
+        cell = cell.with_effects(cell.effects | finding.beside.values)  # as fitted beside the law
         return cell.model_copy(update={"learned": (*cell.learned, finding.learned)})
 
     @property

@@ -96,8 +96,8 @@ def find_events(scene: Scene, space: NuisanceSpace) -> Events:
 
 
 def _unit(atom: _Atom) -> float:
-    """Factor on the column of an event that makes it EVENT_SIGMAS large."""
-    return EVENT_SIGMAS / max(float(np.linalg.norm(atom.column)), 1e-300)
+    """Factor on the column of an event that was found: ten times EVENT_SIGMAS, so that its size is free."""
+    return 10.0 * EVENT_SIGMAS / max(float(np.linalg.norm(atom.column)), 1e-300)
 
 
 def _sizes(space: NuisanceSpace, atoms: list[_Atom]) -> tuple[dict[int, float], Floats]:

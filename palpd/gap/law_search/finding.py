@@ -10,7 +10,7 @@ import numpy as np
 from palpd.cell.effects.drivers import FAMILIES, UNITS
 from palpd.cell.effects.learned import LearnedEffect, Term
 from palpd.gap.discrepancy import discrepancy_columns
-from palpd.gap.evidence import Fit
+from palpd.gap.evidence import Fit, fit
 from palpd.gap.fit import jacobian_at
 from palpd.gap.law_search.events import Event, find_events, wander_nats
 from palpd.gap.law_search.evidence import group_evidence
@@ -31,6 +31,9 @@ PARAMETER_REACH = 0.5
 
 LEAST_SHARE_BESIDE = 0.2
 """Share of the gap's energy from which a law beside a listed effect is something of its own, and no error of that effect's law."""
+
+ALTERNATIONS = 3
+"""Times that listed parameters and the law beside them are fitted in turn, before the law is sought again."""
 
 MOST_CERTAIN = 0.97
 """Largest probability of a law: 38 of 38 accepted laws were right, and (38 + 1) / (38 + 2) is what that supports."""
@@ -146,9 +149,9 @@ def find(problem: Problem, nominal: Fit, listed: Fit) -> LawFinding:
         The finding.
     """
     scene, space = Scene.of(problem, listed.values, listed.eta), _space_beside(problem, listed)
-    top = search(scene, space)
-    events = find_events(scene, space)
     gained = listed.log_evidence - nominal.log_evidence + _log_prior(problem, listed)
+    top = search(scene, space, gained)
+    events = find_events(scene, space)
     if events.nats >= max(NAMED_NATS, (top.nats if top.carries else 0.0) - ALIKE_NATS) and _matters(listed, events.change):
         if listed.names:  # where they alone explain more, the listed effects imitated a part of them
             alone_events = find_events(Scene.of(problem, {}, nominal.eta), _space_beside(problem, nominal))
@@ -156,18 +159,40 @@ def find(problem: Problem, nominal: Fit, listed: Fit) -> LawFinding:
         return LawFinding(None, None, listed, False, events.listed, _EVENTS, max(events.nats - gained, NAMED_NATS))
     if not top.carries:
         return LawFinding(None, None, listed, False, [], None, 0.0)
-    # The listed parameters stay as they are, so the law must be what they leave, and not what they could leave.
-    law, beside = replace(top, space=_within_specification(problem, listed)), listed
-    small = not _matters(listed, law.change)
+    law, judged_in, beside, replaces = top, space, listed, False
     if listed.names:
+        enough = gained + max(NAMED_NATS, top.nats - ALIKE_NATS)
         alone_space = _space_beside(problem, nominal)
         alone = search(Scene.of(problem, {}, nominal.eta), alone_space)
-        if alone.carries and alone.nats >= gained + max(NAMED_NATS, top.nats - ALIKE_NATS):
-            law, beside, small = alone, nominal, False
-    wanders = wander_nats(law.scene, law.space if beside is not listed else space)
+        replaces = alone.carries and alone.nats >= enough
+        law, judged_in, beside = (alone, alone_space, nominal) if replaces else _fitted_together(problem, listed, top, gained)
+    wanders = wander_nats(law.scene, judged_in)
     if _plain_time(law.terms[0].candidate) or wanders > law.nats - ALIKE_NATS:
         return LawFinding(None, None, listed, False, [], _IN_TIME, 0.0)
-    return LawFinding(learned_effect(law, top.nats), law, beside, beside is not listed, [], _time_note(law), top.nats, small)
+    small = not replaces and not _matters(beside, law.change)
+    return LawFinding(learned_effect(law, top.nats), law, beside, replaces, [], _time_note(law), top.nats, small)
+
+
+def _fitted_together(problem: Problem, listed: Fit, top: LearnedLaw, gained: float) -> tuple[LearnedLaw, NuisanceSpace, Fit]:
+    """The law on top of listed effects, the space in which it was judged, and these effects.
+
+    Without the law, the listed parameters imitate a part of it. So both are fitted in turn, and the law is sought again.
+    In the end the law is what the listed effects leave as they are, and not what they could leave.
+    """
+    law = replace(top, space=_within_specification(problem, listed))
+    # A second term may be the error of the listed parameters, so the first one alone stays while these move.
+    moved = replace(law, terms=top.terms[:1])
+    beside = listed
+    for _ in range(ALTERNATIONS):
+        without = replace(problem, measured=problem.measured - problem.noise.natural(moved.change))
+        again = fit(without, beside.values, beside.linearisation, iterations=3, rounds=1)
+        beside = replace(again, residual=again.residual + moved.change)
+        moved = replace(moved, space=_within_specification(problem, beside))
+    space = _space_beside(problem, beside)
+    second = search(Scene.of(problem, beside.values, beside.eta), space, gained)
+    if not second.carries or second.terms[0].nats < top.terms[0].nats:
+        return law, _space_beside(problem, listed), listed
+    return replace(second, space=_within_specification(problem, beside)), space, beside
 
 
 _EVENTS = (

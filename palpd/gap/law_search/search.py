@@ -125,13 +125,13 @@ class LearnedLaw:
         return first.nats >= (NAMED_HEIGHT_NATS if height else NAMED_NATS) and first.held_out.carries(first.nats)
 
 
-def search(scene: Scene, space: NuisanceSpace, most_terms: int = MOST_TERMS) -> LearnedLaw:
+def search(scene: Scene, space: NuisanceSpace, gained: float = 0.0) -> LearnedLaw:
     """Search for a law in a residual.
 
     Args:
         scene: The recordings.
         space: Nuisances and residual.
-        most_terms: Most terms.
+        gained: Nats that listed effects have gained before.
 
     Returns:
         The law; without terms where nothing is worth a look.
@@ -139,15 +139,15 @@ def search(scene: Scene, space: NuisanceSpace, most_terms: int = MOST_TERMS) -> 
     fold = scene.strokes(FOLDS)
     terms: list[LawTerm] = []
     scorer = Scorer(scene, space)
-    while len(terms) < most_terms:
+    while len(terms) < MOST_TERMS:
         term = _next_term(scorer, fold)
         if term is None:
             break
         if not terms and "direction" in (*term.candidate.factor.split("_"), term.candidate.driver.quantity):
             scene, term = _with_best_rest_speed(scene, space, term, fold)
             scorer = Scorer(scene, space)
-        gained = sum(one.nats for one in terms)
-        if terms and (term.nats < max(FURTHER_NATS, FURTHER_SHARE * gained) or term.held_out.total < LEAST_GAIN_SHARE * term.nats):
+        so_far = max(gained, 0.0) + sum(one.nats for one in terms)
+        if terms and (term.nats < max(FURTHER_NATS, FURTHER_SHARE * so_far) or term.held_out.total < LEAST_GAIN_SHARE * term.nats):
             break
         terms.append(term)
         if not LearnedLaw(scene, space, (term,)).carries and len(terms) == 1:
