@@ -152,25 +152,32 @@ def find(problem: Problem, nominal: Fit, listed: Fit) -> LawFinding:
     gained = listed.log_evidence - nominal.log_evidence + _log_prior(problem, listed)
     top = search(scene, space, gained)
     events = find_events(scene, space)
-    if events.nats >= max(NAMED_NATS, (top.nats if top.carries else 0.0) - ALIKE_NATS) and _matters(listed, events.change):
-        if listed.names:  # where they alone explain more, the listed effects imitated a part of them
-            alone_events = find_events(Scene.of(problem, {}, nominal.eta), _space_beside(problem, nominal))
-            events = alone_events if alone_events.nats > gained else events
-        return LawFinding(None, None, listed, False, events.listed, _EVENTS, max(events.nats - gained, NAMED_NATS))
-    if not top.carries:
+    eventful = events.nats >= max(NAMED_NATS, (top.nats if top.carries else 0.0) - ALIKE_NATS) and _matters(listed, events.change)
+    if not eventful and not top.carries:
         return LawFinding(None, None, listed, False, [], None, 0.0)
     law, judged_in, beside, replaces = top, space, listed, False
     if listed.names:
-        enough = gained + max(NAMED_NATS, top.nats - ALIKE_NATS)
-        alone_space = _space_beside(problem, nominal)
-        alone = search(Scene.of(problem, {}, nominal.eta), alone_space)
-        replaces = alone.carries and alone.nats >= enough
-        law, judged_in, beside = (alone, alone_space, nominal) if replaces else _fitted_together(problem, listed, top, gained)
+        alone_space, alone_scene = _space_beside(problem, nominal), Scene.of(problem, {}, nominal.eta)
+        alone = search(alone_scene, alone_space)
+        rival = gained + max(NAMED_NATS, (top.nats if top.carries else 0.0) - ALIKE_NATS)
+        if eventful:  # where events alone explain more than the listed effects, these imitated a part of them
+            alone_events = find_events(alone_scene, alone_space)
+            rival = max(rival, gained + events.nats - ALIKE_NATS, alone_events.nats - ALIKE_NATS)
+            events = alone_events if alone_events.nats > gained else events
+        # A smooth curve of time is no answer where events are one.
+        replaces = alone.carries and alone.nats >= rival and not (eventful and _plain_time(alone.terms[0].candidate))
+        if replaces:
+            law, judged_in, beside = alone, alone_space, nominal
+        elif not eventful:
+            law, judged_in, beside = _fitted_together(problem, listed, top, gained)
+    if eventful and not replaces:
+        return LawFinding(None, None, listed, False, events.listed, _EVENTS, max(events.nats - gained, NAMED_NATS))
     wanders = wander_nats(law.scene, judged_in)
     if _plain_time(law.terms[0].candidate) or wanders > law.nats - ALIKE_NATS:
         return LawFinding(None, None, listed, False, [], _IN_TIME, 0.0)
     small = not replaces and not _matters(beside, law.change)
-    return LawFinding(learned_effect(law, top.nats), law, beside, replaces, [], _time_note(law), top.nats, small)
+    nats = law.nats - gained if replaces else top.nats
+    return LawFinding(learned_effect(law, nats), law, beside, replaces, [], _time_note(law), nats, small)
 
 
 def _fitted_together(problem: Problem, listed: Fit, top: LearnedLaw, gained: float) -> tuple[LearnedLaw, NuisanceSpace, Fit]:
