@@ -60,13 +60,13 @@ FACTOR_WORDS: dict[FactorName, str] = {
 FAMILIES: dict[str, str] = {"depth": "with how deep it presses", "force": "with how deep it presses"}
 
 
-class Block(BaseModel):
+class StrictBlock(BaseModel):
     """One block of a file of learned effects: no key but these, and nothing infinite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Driver(Block):
+class Driver(StrictBlock):
     """What a curve is drawn over.
 
     Attributes:

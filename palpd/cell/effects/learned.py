@@ -15,7 +15,7 @@ import yaml
 from pydantic import Field, StrictFloat, ValidationError, model_validator
 
 from palpd.cell.dynamics import Floats, Memory, Span, servo
-from palpd.cell.effects.drivers import FACTOR_WORDS, Block, Driver, DriverState, FactorName, driver_values, factor_values
+from palpd.cell.effects.drivers import FACTOR_WORDS, Driver, DriverState, FactorName, StrictBlock, driver_values, factor_values
 from palpd.cell.effects.effect import Effect, Parameter, Values
 from palpd.errors import ConfigError
 from palpd.files import read_yaml, refusal, write_text
@@ -74,7 +74,7 @@ def formula_of(text: str) -> Callable[[Floats], Floats]:
     return evaluated
 
 
-class Term(Block):
+class Term(StrictBlock):
     """One term: channels += weights × factor × curve(driver).
 
     Attributes:
@@ -141,7 +141,7 @@ class Term(Block):
         return np.interp(self.driver.coordinate(x), at, np.asarray(self.values, float), period=self.driver.period)
 
 
-class LearnedEffect(Block):
+class LearnedEffect(StrictBlock):
     """A law that a recording showed and that no library effect is.
 
     Attributes:
@@ -244,7 +244,7 @@ def _move(s: Span, up_m: Floats, memory: Memory, *, through_servo: bool) -> None
     s.z_m, s.vz_m_per_s, s.az_m_per_s2 = s.z_m + z, s.vz_m_per_s + v, s.az_m_per_s2 + a
 
 
-class LearnedFile(Block):
+class LearnedFile(StrictBlock):
     """A file of learned effects."""
 
     learned: tuple[LearnedEffect, ...] = Field(min_length=1)

@@ -24,6 +24,10 @@ SQUARE_VARIANCE = 0.3
 """Prior variance of the square of a relaxed state, beside 1 of the state itself."""
 
 
+ROUNDING = 1e-9
+"""Span of a driver relative to its size below which it does not vary: only rounding does."""
+
+
 @dataclass(frozen=True)
 class Basis:
     """Columns of a curve over a driver.
@@ -90,7 +94,7 @@ def hats(driver: Driver, x: Floats, count: int = KNOTS) -> Basis | None:
     """
     low, high = _range(x)
     ends = driver.coordinate(np.array([low, high]))
-    if not high > low or not ends[1] > ends[0]:
+    if not high > low or not ends[1] - ends[0] > ROUNDING * np.abs(ends).max():
         return None
     distance = np.abs(np.subtract.outer(np.arange(count), np.arange(count))) / (count - 1) * (KNOTS - 1)
     scaled = [np.sqrt(3.0) * distance / length for length in LENGTHS]
@@ -109,7 +113,11 @@ def powers(driver: Driver, x: Floats) -> Basis | None:
         The basis; None where the driver does not vary.
     """
     low, high = _range(x)
-    return Basis(driver, low, high, np.zeros(0), (np.diag([1.0, SQUARE_VARIANCE**0.5]),)) if high > low else None
+    return (
+        Basis(driver, low, high, np.zeros(0), (np.diag([1.0, SQUARE_VARIANCE**0.5]),))
+        if high - low > ROUNDING * max(abs(low), abs(high))
+        else None
+    )
 
 
 def harmonics(driver: Driver, x: Floats) -> Basis:
