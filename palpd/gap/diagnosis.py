@@ -104,7 +104,7 @@ def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str,
     notes += deviation_notes(problem, verdict) + unnatural_notes(problem, verdict)
 
     # 6. Law: what the list does not hold, as a function of what the cell does, or as events.
-    finding = find(problem, nominal.fit, verdict.fit)
+    finding = find(problem, nominal.fit, verdict.fit, coarse=any(one.coarse_step_N > 0.0 for one in readings))
     verdict = with_finding(verdict, finding)
     notes += [finding.note] if finding.note else []
     gap = verdict.kind != "none"

@@ -200,3 +200,13 @@ def test_simulate_says_how_many_rows_lie_outside_the_range_of_a_law(tmp_path: Pa
         else:
             assert len(sentences) == 1
             assert "learned.ramp: 66." in sentences[0]
+
+
+def test_readings_in_coarse_steps_have_no_law() -> None:
+    """A converter that drops digits leaves an error that follows the force, which any law of the force would explain."""
+    samples = recording(nominal(), {}, rate_Hz=250.0)
+    wrench = samples.wrench.copy()
+    wrench[:, 2] = np.trunc(wrench[:, 2] / 0.3) * 0.3
+    diagnosis = quick(replace(samples, wrench=wrench), nominal())
+    assert "sensor.quantization" in [effect.id for effect in diagnosis.effects]
+    assert diagnosis.to_json()["learned"] is None

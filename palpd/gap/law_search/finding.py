@@ -133,7 +133,7 @@ class LawFinding:
         return {"x": at, "before": means(after + change), "after": means(after), "sd": spread}
 
 
-def find(problem: Problem, nominal: Fit, listed: Fit) -> LawFinding:
+def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -> LawFinding:
     """Search for a law and for events beyond the listed answer, and decide.
 
     On top of the listed answer nothing is found: it stands. Something is: if a law alone beats the listed effects, and these with the
@@ -144,10 +144,14 @@ def find(problem: Problem, nominal: Fit, listed: Fit) -> LawFinding:
         problem: The recordings.
         nominal: The fit without effects.
         listed: The fit of the listed answer; the same where nothing is named.
+        coarse: Whether readings are rounded far more coarsely than stated. They then follow the force in steps, and any law fits the steps:
+            nothing is sought.
 
     Returns:
         The finding.
     """
+    if coarse:
+        return LawFinding(None, None, listed, False, [], None, 0.0)
     scene, space = Scene.of(problem, listed.values, listed.eta), _space_beside(problem, listed)
     gained = listed.log_evidence - nominal.log_evidence + _log_prior(problem, listed)
     top = search(scene, space, gained)
