@@ -105,6 +105,8 @@ def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str,
 
     # 6. Law: what the list does not hold, as a function of what the cell does, or as events.
     finding = find(problem, nominal.fit, verdict.fit, coarse=any(one.coarse_step_N > 0.0 for one in readings))
+    if verdict.kind in ("effects", "ambiguous"):
+        finding = finding.beside_named()
     verdict = with_finding(verdict, finding)
     notes += [finding.note] if finding.note else []
     gap = verdict.kind != "none"
@@ -113,7 +115,7 @@ def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str,
         stated = linearise(problem, {}, verdict.fit.eta)
         residual = residuals(problem, stated)
         table = gap_table(problem, stated, residual)
-    change = finding.law.change if finding.law is not None and not finding.small else verdict.fit.change
+    change = finding.law.change if finding.law is not None and not finding.secondary else verdict.fit.change
     where = largest_gap(problem, table, change) if gap else None
     involved = {name for e in verdict.effects for name in (e.id, *e.indistinguishable_from)}
     if any(library[name].shows_at_rest for name in involved):
@@ -226,14 +228,15 @@ class Diagnosis:
             return f"No gap beyond the cell's own tolerances (probability {self.p_none:.2f}).{'' if known else self._modulus}"
         place = f"{self.where['channel'].split('_')[0]} {PHASE_PHRASES[self.where['phase']]}" if self.where else "the readings"
         named = " and ".join(f"{e.id} ({e.probability:.2f})" for e in self.effects) or "none"
-        if self.finding.learned is not None and not self.finding.small:
+        if self.finding.learned is not None and not self.finding.secondary:
             beside = f" It {'replaces' if self.finding.replaces else 'stands beside'} {named}." if self.effects else ""
             return (
                 f"Something outside the list acts on {place} (probability {self.p_unknown:.2f}): {self.finding.learned.what}. "
                 f"{self._law}{beside}"
             )
         if self.verdict == "unknown":
-            return f"Something outside the list acts on {place} (probability {self.p_unknown:.2f}). Nearest in the list: {named}."
+            nearest = f"Something outside the list acts on {place} (probability {self.p_unknown:.2f}). Nearest in the list: {named}."
+            return nearest + self._secondary
         closed = (
             f" Putting this into the simulator closes {100 * self.shrink.closed:.0f} % of what noise and tolerances do not explain."
             if self.shrink.closed is not None
@@ -248,9 +251,14 @@ class Diagnosis:
             if e.indistinguishable_from
         )
         families = dict.fromkeys(e.family for e in self.effects if e.family)
-        if self.finding.small and self.finding.learned is not None:
-            groups += f" The residual follows a law: {self.finding.learned.what}. {self._law}"
-        return verdict + groups + "".join(f" Other {family} would look the same." for family in families)
+        return verdict + groups + self._secondary + "".join(f" Other {family} would look the same." for family in families)
+
+    @property
+    def _secondary(self) -> str:
+        """What listed effects leave, in words, where it follows a law."""
+        if not self.finding.secondary or self.finding.learned is None:
+            return ""
+        return f" What that leaves follows a law: {self.finding.learned.what}. {self._law}"
 
     @property
     def _law(self) -> str:

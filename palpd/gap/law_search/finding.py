@@ -54,7 +54,8 @@ class LawFinding:
         events: Events, which are no law.
         note: A sentence for the reader, or None.
         nats: Evidence of the law or of the events beyond the listed answer.
-        small: Whether the law holds so little of the gap that the listed effects stand as its cause, with an error of their laws.
+        secondary: Whether listed effects stand as the cause, and the law says what they leave: an error of their own laws, or something
+            besides. The verdict is then theirs.
     """
 
     learned: LearnedEffect | None
@@ -64,12 +65,22 @@ class LawFinding:
     events: list[Event]
     note: str | None
     nats: float
-    small: bool = False
+    secondary: bool = False
+
+    def beside_named(self) -> "LawFinding":
+        """The finding where the list names a cause that leaves little: it says what that leaves, and takes nothing from the cause.
+
+        A law that would replace the cause is then one sentence for the reader.
+        """
+        if not self.replaces or self.learned is None:
+            return replace(self, secondary=True)
+        note = f"A law outside the list explains this recording as well: {self.learned.what}. Another motion decides."
+        return LawFinding(None, None, self.beside, False, [], note, 0.0)
 
     @property
     def p_outside(self) -> float:
         """Probability that something outside the list is at work, as far as this search says."""
-        if self.small or (self.learned is None and not self.events):
+        if self.secondary or (self.learned is None and not self.events):
             return 0.0
         return min(MOST_CERTAIN, 1.0 / (1.0 + exp(-min(self.nats + log(P_UNKNOWN / (1.0 - P_UNKNOWN)), 50.0))))
 
@@ -179,9 +190,9 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
     wanders = wander_nats(law.scene, judged_in)
     if _plain_time(law.terms[0].candidate) or wanders > law.nats - ALIKE_NATS:
         return LawFinding(None, None, listed, False, [], _IN_TIME, 0.0)
-    small = not replaces and not _matters(beside, law.change)
+    secondary = not replaces and bool(listed.names)
     nats = law.nats - gained if replaces else top.nats
-    return LawFinding(learned_effect(law, nats), law, beside, replaces, [], _time_note(law), nats, small)
+    return LawFinding(learned_effect(law, nats), law, beside, replaces, [], _time_note(law), nats, secondary)
 
 
 def _fitted_together(problem: Problem, listed: Fit, top: LearnedLaw, gained: float) -> tuple[LearnedLaw, NuisanceSpace, Fit]:
