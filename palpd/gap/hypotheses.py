@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from math import inf
 
 import numpy as np
@@ -29,9 +30,6 @@ FITTED_AFTER_SCAN = 14
 
 ROUNDS = 6
 """Most linearisations of a likely hypothesis; most converge in three."""
-
-FIRST_ROUNDS = 2
-"""Most linearisations of a start that is far off; the likely hypotheses are linearised again later."""
 
 LARGEST_SET = 3
 """Largest number of effects that are sought together."""
@@ -280,31 +278,17 @@ class _Search:
             if limited:
                 starts = start_values(effect, problem.scale, [])
             etas = [self.around.eta, *(self._stiffer(factor) for factor in STIFFER if limited)]
-            tried = sorted((trial for eta in etas for trial in self._screened(effect.id, starts, eta)), key=lambda trial: trial[0])
-            for _, values, eta in tried[:2]:
-                one = fit(problem, {effect.id: values}, linearise(problem, {effect.id: values}, eta), iterations=6, rounds=FIRST_ROUNDS)
+            tried = []
+            for values, eta in product(starts, etas):
+                there = linearise(problem, {effect.id: values}, eta)
+                residual = project(problem.data + there.offset() - there.prediction, there.space)
+                tried.append((residual.dot(residual), values, there))
+            for _, values, there in sorted(tried, key=lambda item: item[0])[:2]:
+                one = fit(problem, {effect.id: values}, there, iterations=6, rounds=ROUNDS)
                 if best is None or one.log_evidence > best.log_evidence:
                     best = one
             if best is not None:
                 self.fits[(effect.id,)] = best
-
-    def _screened(self, name: str, starts: Sequence[dict[str, float]], eta: Floats) -> list[tuple[float, dict[str, float], Floats]]:
-        """Misfits of the starts of an effect around one state, all with the nuisances of the best of them.
-
-        Misfits beside different nuisances do not compare: a start that is far off has nuisances that hide it.
-        """
-        problem = self.problem
-        if not starts:
-            return []
-        predictions = [problem.predict({name: values}, eta) for values in starts]
-
-        def misfits(around: Linearisation) -> list[float]:
-            residuals = [project(problem.data + around.offset() - prediction, around.space) for prediction in predictions]
-            return [residual.dot(residual) for residual in residuals]
-
-        likely = starts[int(np.argmin(misfits(self.around)))]
-        there = linearise(problem, {name: likely}, eta)
-        return [(misfit, values, eta) for misfit, values in zip(misfits(there), starts, strict=True)]
 
     def _stiffer(self, factor: float) -> Floats:
         """Shared deviations (11,) of the cell as stated, with the nominal fit's modulus times a factor."""
