@@ -50,7 +50,7 @@ class LawFinding:
         learned: The learned effect; None where no law was accepted.
         law: The law behind it.
         beside: The listed effects that it stands beside; the fit without effects where it stands alone.
-        replaces: Whether it replaces the listed effects, which only imitated it.
+        replaces: Whether it, or the events, replace the listed effects, which only imitated them.
         events: Events, which are no law.
         note: A sentence for the reader, or None.
         nats: Evidence of the law or of the events beyond the listed answer.
@@ -72,6 +72,8 @@ class LawFinding:
 
         A law that would replace the cause is then one sentence for the reader.
         """
+        if self.events:  # the named cause only imitated them, or they stand out of its residual
+            return self if self.replaces else LawFinding(None, None, self.beside, False, [], _EVENTS_BESIDE, 0.0)
         if not self.replaces or self.learned is None:
             return replace(self, secondary=True)
         note = f"A law outside the list explains this recording as well: {self.learned.what}. Another motion decides."
@@ -170,7 +172,7 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
     eventful = events.nats >= max(NAMED_NATS, (top.nats if top.carries else 0.0) - ALIKE_NATS) and _matters(listed, events.change)
     if not eventful and not top.carries:
         return LawFinding(None, None, listed, False, [], None, 0.0)
-    law, judged_in, beside, replaces = top, space, listed, False
+    law, judged_in, beside, replaces, imitated = top, space, listed, False, False
     if listed.names:
         alone_space, alone_scene = _space_beside(problem, nominal), Scene.of(problem, {}, nominal.eta)
         alone = search(alone_scene, alone_space)
@@ -178,7 +180,10 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
         if eventful:  # where events alone explain more than the listed effects, these imitated a part of them
             alone_events = find_events(alone_scene, alone_space)
             rival = max(rival, gained + events.nats - ALIKE_NATS, alone_events.nats - ALIKE_NATS)
-            events = alone_events if alone_events.nats > gained else events
+            # In one or two presses nothing repeats: what happens at every press looks like an event.
+            repeats = sum(one.phases.presses for one in problem.recordings) not in (1, 2)
+            imitated = repeats and alone_events.nats > gained
+            events = alone_events if imitated else events
         # A smooth curve of time is no answer where events are one.
         replaces = alone.carries and alone.nats >= rival and not (eventful and _plain_time(alone.terms[0].candidate))
         if replaces:
@@ -186,7 +191,7 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
         elif not eventful:
             law, judged_in, beside = _fitted_together(problem, listed, top, gained)
     if eventful and not replaces:
-        return LawFinding(None, None, listed, False, events.listed, _EVENTS, max(events.nats - gained, NAMED_NATS))
+        return LawFinding(None, None, listed, imitated, events.listed, _EVENTS, max(events.nats - gained, NAMED_NATS))
     wanders = wander_nats(law.scene, judged_in)
     if _plain_time(law.terms[0].candidate) or wanders > law.nats - ALIKE_NATS:
         return LawFinding(None, None, listed, False, [], _IN_TIME, 0.0)
@@ -220,6 +225,7 @@ def _fitted_together(problem: Problem, listed: Fit, top: LearnedLaw, gained: flo
 _EVENTS = (
     "What remains looks like single events (see `events`), and not like a law. Another recording will not show them at the same times."
 )
+_EVENTS_BESIDE = "What the named effects leave looks like single events in time: steps, pulses or falls of the contact force."
 _IN_TIME = (
     "Something changes smoothly or randomly in time, and not by what the cell does. One recording cannot distinguish a slow state from a "
     "random walk. Record the same motion again: a law repeats, a random walk does not."
