@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -323,6 +324,18 @@ def emulated_cell(folder: Path, model: str = "ur5", cell: Path | None = None, *o
     host = f"127.0.8{os.getpid() % 10}.{(os.getpid() // 10 + next(_hosts)) % 250 + 2}"
     with started(folder, model, cell, host, *options) as wires:
         yield EmulatedCell(wires, model, folder)
+
+
+def side_by_side(work: Callable[[Path], None], folder: Path, number: int) -> None:
+    """Do the same work in that many threads, each in a folder of its own for an emulated cell of its own, until all are done."""
+    threads = []
+    for k in range(number):
+        own = folder / f"cell-{k}"
+        own.mkdir()
+        threads.append(threading.Thread(target=work, args=(own,)))
+        threads[-1].start()
+    for thread in threads:
+        thread.join()
 
 
 def kill(pid: int, number: int = signal.SIGKILL) -> float:

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.emulated_cell import EmulatedCell, emulated_cell
+from benchmarks.emulated_cell import EmulatedCell, emulated_cell, side_by_side
 from benchmarks.fault_injection import (
     FAULTS,
     TABLE,
@@ -189,14 +189,7 @@ def main() -> None:
                     bench.todo.put((fault, 1))
                 elif number % INJECTED_AT_ONCE == 0:
                     bench.todo.put((fault, min(INJECTED_AT_ONCE, options.repeats - number)))
-        workers = []
-        for number in range(options.parallel):
-            folder = Path(name) / f"cell-{number}"
-            folder.mkdir()
-            workers.append(threading.Thread(target=bench.work, args=(folder,)))
-            workers[-1].start()
-        for worker in workers:
-            worker.join()
+        side_by_side(bench.work, Path(name), options.parallel)
         sys.exit(1 if write_table(kept) else 0)
 
 

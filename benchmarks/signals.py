@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell, emulated_cell, family
+from benchmarks.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell, emulated_cell, family, side_by_side
 from benchmarks.measured_column import FAULTS, condition, fill, results_in, spread
 from benchmarks.terminal import take_signals
 from hw.emulators.controller import TruthSample
@@ -396,14 +396,7 @@ def main() -> None:
             for command in commands:
                 if have.count(command) <= number:
                     bench.todo.put(command)
-        workers = []
-        for number in range(options.parallel):
-            folder = Path(name) / f"cell-{number}"
-            folder.mkdir()
-            workers.append(threading.Thread(target=bench.work, args=(folder,)))
-            workers[-1].start()
-        for worker in workers:
-            worker.join()
+        side_by_side(bench.work, Path(name), options.parallel)
         outcomes = results_in(kept)
     for outcome in outcomes:
         if outcome["why"]:

@@ -270,9 +270,10 @@ class HexSensor:
         units = np.frombuffer(capacity, ">u2") * np.array([1, 1, 1, 1e-3, 1e-3, 1e-3, 1])  # N, mNm, N
         if not (at_capacity > 0).all() or not (units > 0).all():
             raise SensorError(f"sensor {self.serial_number} has zeros in its calibration registers; it needs the maker's service.")
-        self.pulled_over_pressed = float((at_capacity / units)[6] / (at_capacity / units)[2])
+        sensitivities = at_capacity / units
+        self.pulled_over_pressed = float(sensitivities[6] / sensitivities[2])
         order = [0, 1, 6 if self._fz_slopes == "pulled" else 2, 3, 4, 5]
-        per_unit: Floats = (at_capacity / units)[order]
+        per_unit: Floats = sensitivities[order]
         if self._configured is not None:
             apart = np.abs(self._configured / per_unit - 1)
             axis = int(np.argmax(apart))

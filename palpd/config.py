@@ -6,15 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictInt, ValidationError, model_validator
+from pydantic import Field, StrictFloat, StrictInt, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, EnvSettingsSource
 
 from palpd.cell.cell_file import HINTS, CellFile, nominal
+from palpd.cell.effects.drivers import StrictBlock
 from palpd.errors import ConfigError
 from palpd.files import Document, nearest, parse_yaml, read_yaml, refusal
 
-Model = TypeVar("Model", bound=BaseModel)
+Model = TypeVar("Model", bound=StrictBlock)
 
 ENVIRONMENT_PREFIX = "PALPD_"
 """Begins the names of the environment variables that override config.yaml: PALPD_ROBOT__HOST, or PALPD_ROBOT with a whole block."""
@@ -29,11 +30,7 @@ Span = tuple[StrictFloat, StrictFloat]
 """From a least to a most."""
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class RobotConfig(_Frozen):
+class RobotConfig(StrictBlock):
     """The arm and how it is spoken to."""
 
     host: str = Field(default="127.0.0.1", pattern=r"^\S+$", max_length=253)
@@ -60,7 +57,7 @@ class RobotConfig(_Frozen):
         return self
 
 
-class SensorConfig(_Frozen):
+class SensorConfig(StrictBlock):
     """The HEX-70 and its calibration (null: read from the DAQ's registers)."""
 
     port: str = Field(default="/dev/palpd-hex", min_length=1)
@@ -92,7 +89,7 @@ def filter_delay_s(cutoff_Hz: float | None) -> float:
     return 1.0 / (2.0 * math.pi * cutoff_Hz) if cutoff_Hz else 0.0
 
 
-class ModelConfig(_Frozen):
+class ModelConfig(StrictBlock):
     """The inertial model; without a path nothing is corrected, and the output says so.
 
     `zero` is where its bias comes from: followed in free air (running), or as it was trained (learned), which is the paper's way.
@@ -103,7 +100,7 @@ class ModelConfig(_Frozen):
     correction_limit_N: StrictFloat = Field(default=0.5, ge=0, le=5)
 
 
-class SafetyConfig(_Frozen):
+class SafetyConfig(StrictBlock):
     """Limits of the guard. Why each default is what it is stands in config.yaml."""
 
     contact_limit_N: StrictFloat = Field(default=12.0, gt=0, le=150)
@@ -131,13 +128,13 @@ class SafetyConfig(_Frozen):
         return self
 
 
-class MachineConfig(_Frozen):
+class MachineConfig(StrictBlock):
     """How far sensor and arm give way under load (null: the last `palpd stiffness`, or rigid and said so)."""
 
     stiffness_N_per_m: StrictFloat | None = Field(default=None, gt=0)
 
 
-class PathsConfig(_Frozen):
+class PathsConfig(StrictBlock):
     """Where recordings and the state that survives a restart (reference tare, stiffness, latch) are kept."""
 
     runs: Path = Path("runs")
@@ -150,7 +147,7 @@ class PathsConfig(_Frozen):
         return self.socket or self.state / "palpd.sock"
 
 
-class Config(_Frozen):
+class Config(StrictBlock):
     """All of config.yaml. Relative paths are relative to the file."""
 
     robot: RobotConfig = RobotConfig()
@@ -183,7 +180,7 @@ CONTACT_FORCE_N = 1.0
 """Force at which the surface search takes it as contact: 8 counts of Fz, 2.5 mm into 62 kPa, four times below manual palpation."""
 
 
-class PlanSite(_Frozen):
+class PlanSite(StrictBlock):
     """A place to press, as an offset along the base's axes from the plan's origin, or from the start pose where it gives none."""
 
     name: str = Field(min_length=1, max_length=32, pattern=r"^[A-Za-z0-9_.-]+$")
@@ -191,21 +188,21 @@ class PlanSite(_Frozen):
     y_m: StrictFloat = Field(default=0.0, ge=-0.5, le=0.5)
 
 
-class Origin(_Frozen):
+class Origin(StrictBlock):
     """A place in the base's axes that a plan counts its sites from. A UR5 reaches 0.85 m."""
 
     x_m: StrictFloat = Field(ge=-1.0, le=1.0)
     y_m: StrictFloat = Field(ge=-1.0, le=1.0)
 
 
-class Search(_Frozen):
+class Search(StrictBlock):
     """How the surface is looked for."""
 
     speed_m_per_s: StrictFloat = Field(default=0.005, ge=SLOWEST_M_PER_S, le=0.02)
     max_travel_m: StrictFloat = Field(default=0.08, gt=0, le=0.3)
 
 
-class Strokes(_Frozen):
+class Strokes(StrictBlock):
     """Strokes in the air above a site, before anything is pressed there: up from the height of travel and back."""
 
     strokes: StrictInt = Field(ge=1, le=200)
@@ -213,7 +210,7 @@ class Strokes(_Frozen):
     speed_m_per_s: StrictFloat = Field(default=0.02, ge=SLOWEST_M_PER_S, le=0.25)
 
 
-class Plan(_Frozen):
+class Plan(StrictBlock):
     """plan.yaml: where, how deep, how fast, how often. Without depths nothing is pressed or looked for, which needs free strokes."""
 
     sites: tuple[PlanSite, ...] = Field(default=(PlanSite(name="A"),), min_length=1, max_length=1000)

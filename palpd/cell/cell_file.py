@@ -8,14 +8,15 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictFloat, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, StrictFloat, ValidationError, model_validator
 
 from palpd.cell.effects import EFFECTS, Effect
+from palpd.cell.effects.drivers import StrictBlock
 from palpd.cell.effects.learned import LearnedEffect
 from palpd.errors import ConfigError
 from palpd.files import Document, nearest, read_yaml, refusal, write_text
 
-T = TypeVar("T", bound="YamlBlock")
+T = TypeVar("T", bound="StrictBlock")
 
 
 def _without_nulls(values: Any) -> Any:
@@ -33,13 +34,7 @@ HINTS = {"_m": "is it in millimetres?", "youngs_modulus_Pa": "is it in kPa or MP
 """Questions about a value out of range, by the end of its key."""
 
 
-class YamlBlock(BaseModel):
-    """One block of the file: no key but these, and nothing infinite."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class ProbeBlock(YamlBlock):
+class ProbeBlock(StrictBlock):
     """What hangs on the sensor: its moving mass, its spherical tip, and how far that is from the sensor."""
 
     mass_kg: NotNegative = 0.2
@@ -47,7 +42,7 @@ class ProbeBlock(YamlBlock):
     tip_length_m: Annotated[StrictFloat, Field(ge=0.0, lt=5.0)] = 0.08
 
 
-class SensorBlock(YamlBlock):
+class SensorBlock(StrictBlock):
     """The force sensor as its data sheet has it; `filter_cutoff_Hz` None is no filter, `stiffness_N_per_m` None is rigid."""
 
     rate_Hz: Positive = 500.0
@@ -60,7 +55,7 @@ class SensorBlock(YamlBlock):
     stiffness_N_per_m: Positive | None = None
 
 
-class RobotBlock(YamlBlock):
+class RobotBlock(StrictBlock):
     """How the tip follows its target, and how noisily that is reported."""
 
     servo_natural_frequency_Hz: Positive = 8.0
@@ -69,7 +64,7 @@ class RobotBlock(YamlBlock):
     velocity_noise_rms_m_per_s: NotNegative = 2.0e-4
 
 
-class TissueBlock(YamlBlock):
+class TissueBlock(StrictBlock):
     """An elastic half-space below `surface_z_m`."""
 
     surface_z_m: Height = 0.0
@@ -77,7 +72,7 @@ class TissueBlock(YamlBlock):
     poisson_ratio: Annotated[StrictFloat, Field(ge=0.0, le=0.5)] = 0.5
 
 
-class Tolerances(YamlBlock):
+class Tolerances(StrictBlock):
     """One standard deviation of each deviation that is within specification.
 
     `gain`, `filter_cutoff`, `youngs_modulus` and `servo_natural_frequency` are relative; `crosstalk` is fx/fz and fy/fz, for torques
@@ -101,7 +96,7 @@ class Tolerances(YamlBlock):
         return self.youngs_modulus < 1.0
 
 
-class Repeatability(YamlBlock):
+class Repeatability(StrictBlock):
     """One standard deviation from press to press: of the height of contact, and of the stiffness (relative)."""
 
     surface_z_m: NotNegative
@@ -112,7 +107,7 @@ CROSSTALK_ARM_M = 0.05
 """What a relative crosstalk is multiplied with to give torque per force."""
 
 
-class Estimated(YamlBlock):
+class Estimated(StrictBlock):
     """In-tolerance deviations that a diagnosis has fitted, in the units of `tolerances`; `crosstalk` is that of fx, fy, tx, ty."""
 
     bias_N: StrictFloat = 0.0
@@ -127,7 +122,7 @@ class Estimated(YamlBlock):
     servo_natural_frequency: Annotated[StrictFloat, Field(gt=-1.0)] = 0.0
 
 
-class CellSite(YamlBlock):
+class CellSite(StrictBlock):
     """A place with a tissue of its own; the one nearest to the tip counts.
 
     What its tissue leaves out is as in the common one, and its effects come on top of the common ones or in place of the same.
@@ -137,10 +132,10 @@ class CellSite(YamlBlock):
     x_m: Height = 0.0
     y_m: Height = 0.0
     tissue: TissueBlock | None = TissueBlock()
-    effects: EffectValues = {}
+    effects: EffectValues = Field(default_factory=dict)
 
 
-class Wall(YamlBlock):
+class Wall(StrictBlock):
     """Something linear and hard instead of the tissue, from the start or from `appears_after_s` after the motion began."""
 
     z_m: Height
@@ -148,7 +143,7 @@ class Wall(YamlBlock):
     appears_after_s: NotNegative | None = None
 
 
-class CellFile(YamlBlock):
+class CellFile(StrictBlock):
     """The whole file. `tissue` None: nothing in reach. `learned` holds laws that a diagnosis drew from recordings; they always act."""
 
     probe: ProbeBlock = ProbeBlock()
@@ -157,7 +152,7 @@ class CellFile(YamlBlock):
     tissue: TissueBlock | None = TissueBlock()
     tolerances: Tolerances
     repeatability: Repeatability
-    effects: EffectValues = {}
+    effects: EffectValues = Field(default_factory=dict)
     learned: tuple[LearnedEffect, ...] = ()
     estimated: Estimated | None = None
     sites: tuple[CellSite, ...] = ()

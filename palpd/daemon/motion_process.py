@@ -245,11 +245,13 @@ def explainer_with(model: InertialModel | None, job: Job, delay_s: float, pulled
         The explainer, not yet tared.
     """
     config, reference = job.config, np.array(job.reference or np.zeros(6), dtype=float)
-    both = config.sensor.fz_slopes == "both" and pulled_over_pressed is not None
+    slopes = None
+    if config.sensor.fz_slopes == "both" and pulled_over_pressed is not None:
+        slopes = FzSlopes(pulled_over_pressed, config.cell.probe.mass_kg * GRAVITY_N_PER_KG)
     return Explainer(
         reference=reference,
         rotation_about_flange_z_rad=config.sensor.rotation_about_flange_z_rad,
-        slopes=FzSlopes(float(pulled_over_pressed or 1.0), config.cell.probe.mass_kg * GRAVITY_N_PER_KG) if both else None,
+        slopes=slopes,
         model=model,
         zero=zero_of(config.model) if model is not None else None,
         correction_limit_N=config.model.correction_limit_N,

@@ -129,6 +129,10 @@ class Candidate:
     values: dict[str, float]
 
 
+Start = tuple[Candidate, dict[int, Floats]]
+"""A candidate and its change (b,) by channel."""
+
+
 @dataclass(frozen=True)
 class Match:
     """A candidate's gain in squared sigmas at its best factor."""
@@ -146,6 +150,7 @@ class _Search:
     around: Linearisation
     fits: Fits
     peaks_Hz: list[float] = field(init=False)
+    starts: list[Start] = field(init=False)
     candidates: list[Candidate] = field(init=False)
     changes: Vectors = field(init=False)
 
@@ -153,9 +158,8 @@ class _Search:
         """Make the candidates of every effect that changes the mean of the readings."""
         eta = self.fits[()].eta
         self.peaks_Hz = [*spectral_peaks(self.problem, eta), *ringing_frequencies(self.problem, eta)]
-        there = self._changes_of(self.problem.library, {}, self.around.eta)
-        self.candidates = [candidate for candidate, _ in there]
-        self.changes = Vectors.of([live for _, live in there], self.problem.data.shape[1])
+        self.starts = self._changes_of(self.problem.library, {}, self.around.eta)
+        self.candidates, self.changes = self._gathered(self.starts)
 
     def fit_singles(self) -> None:
         """Fit the effects that match the residual best."""
@@ -218,12 +222,15 @@ class _Search:
         library = self.problem.library
         if self.problem.cell.tissue is not None:
             return self.candidates, self.changes
-        elsewhere = {name: effect for name, effect in library.items() if effect.site != "tip"}
         at_the_tip = {name: effect for name, effect in library.items() if effect.site == "tip" and name not in one.names}
-        there = self._changes_of(elsewhere, {}, self.around.eta) + self._changes_of(at_the_tip, one.values, one.eta)
-        return [candidate for candidate, _ in there], Vectors.of([live for _, live in there], self.problem.data.shape[1])
+        elsewhere = [start for start in self.starts if library[start[0].effect].site != "tip"]
+        return self._gathered(elsewhere + self._changes_of(at_the_tip, one.values, one.eta))
 
-    def _changes_of(self, effects: Mapping[str, Effect], beside: EffectValues, eta: Floats) -> list[tuple[Candidate, dict[int, Floats]]]:
+    def _gathered(self, starts: Sequence[Start]) -> tuple[list[Candidate], Vectors]:
+        """Candidates, and their changes gathered for a scan."""
+        return [candidate for candidate, _ in starts], Vectors.of([change for _, change in starts], self.problem.data.shape[1])
+
+    def _changes_of(self, effects: Mapping[str, Effect], beside: EffectValues, eta: Floats) -> list[Start]:
         """Every start of some effects that changes the mean of the readings beside a set, and its change by channel."""
         at, out = self.problem.predict(beside, eta), []
         for effect in effects.values():

@@ -96,16 +96,17 @@ class Whitening:
 
         Args:
             channel: The channel.
-            values: Values (b,) in its unit.
+            values: Values (b,), or columns (b, n) of them, in its unit.
 
         Returns:
-            Values (b,) in sigmas.
+            The same in sigmas.
         """
+        sigma = self.sigma[channel].reshape(-1, *[1] * (values.ndim - 1))
         if channel not in self.factors:
-            return np.asarray(values / self.sigma[channel])
+            return np.asarray(values / sigma)
         white, failed = dtbtrs(self.factors[channel], values, uplo="L")
         assert not failed, failed
-        return np.where(np.isfinite(self.sigma[channel]), white, 0.0)
+        return np.where(np.isfinite(sigma), white, 0.0)
 
     def natural(self, values: Floats) -> Floats:
         """Values in their own units, the inverse of `whiten`.

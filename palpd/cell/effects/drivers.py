@@ -61,7 +61,7 @@ FAMILIES: dict[str, str] = {"depth": "with how deep it presses", "force": "with 
 
 
 class StrictBlock(BaseModel):
-    """One block of a file of learned effects: no key but these, and nothing infinite."""
+    """One block of a file: no key but these, and nothing infinite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 

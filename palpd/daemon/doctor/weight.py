@@ -68,9 +68,9 @@ def check_weight(
     if ratio < 0:
         advice = "the sign is wrong: pressed would read as pulled, and no limit would act; do not move. Was the weight hung, not pushed?"
         return Finding("known weight", "fail", measured, advice, figures)
-    pulled = pulled_over_pressed is not None and rotation[2][2] < -TOOL_DOWN
-    if pulled and abs((pulled_over_pressed or 1.0) - 1.0) > LEAST_APART and config.fz_slopes != "pulled":
-        finding, ratio = _slopes(ratio, float(pulled_over_pressed or 1.0), config.fz_slopes, measured, figures)
+    pulls = rotation[2][2] < -TOOL_DOWN and config.fz_slopes != "pulled"
+    if pulls and pulled_over_pressed is not None and abs(pulled_over_pressed - 1.0) > LEAST_APART:
+        finding, ratio = _slopes(ratio, pulled_over_pressed, config.fz_slopes, measured, figures)
         if finding is not None:
             return finding
     if abs(ratio - 1) > WEIGHT_BAD:

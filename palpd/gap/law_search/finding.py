@@ -19,6 +19,7 @@ from palpd.gap.law_search.nuisance_space import NuisanceSpace, whitened
 from palpd.gap.law_search.scene import LATERAL, LawCandidate, Scene, rounding_columns
 from palpd.gap.law_search.search import ALIKE_NATS, NAMED_NATS, LearnedLaw, search
 from palpd.gap.noise import CHANNELS
+from palpd.gap.nuisances import project
 from palpd.gap.posterior import P_NONE, P_ONE, P_THREE, P_TWO, P_UNKNOWN
 from palpd.gap.problem import Problem
 from palpd.tick import Floats
@@ -30,7 +31,7 @@ PARAMETER_REACH = 0.5
 """Share of a listed effect by which its parameters may move when something is sought beside it."""
 
 LEAST_SHARE_BESIDE = 0.2
-"""Share of the gap's energy from which a law beside a listed effect is something of its own, and no error of that effect's law."""
+"""Share of the gap's energy from which events beside a listed effect are something of their own, and no error of that effect's law."""
 
 ALTERNATIONS = 3
 """Times that listed parameters and the law beside them are fitted in turn, before the law is sought again."""
@@ -73,18 +74,18 @@ class LawFinding:
         A law that would replace the cause is then one sentence for the reader.
         """
         if self.events:  # the named cause only imitated them, or they stand out of its residual
-            return self if self.replaces else LawFinding(None, None, self.beside, False, [], _EVENTS_BESIDE, 0.0)
+            return self if self.replaces else _nothing(self.beside, _EVENTS_BESIDE)
         if not self.replaces or self.learned is None:
             return replace(self, secondary=True)
         note = f"A law outside the list explains this recording as well: {self.learned.what}. Another motion decides."
-        return LawFinding(None, None, self.beside, False, [], note, 0.0)
+        return _nothing(self.beside, note)
 
     @property
     def p_outside(self) -> float:
         """Probability that something outside the list is at work, as far as this search says."""
         if self.secondary or (self.learned is None and not self.events):
             return 0.0
-        return min(MOST_CERTAIN, 1.0 / (1.0 + exp(-min(self.nats + log(P_UNKNOWN / (1.0 - P_UNKNOWN)), 50.0))))
+        return _probability(self.nats)
 
     def to_json(self) -> dict[str, Any] | None:
         """The key `learned` of out.json; None where there is no law."""
@@ -146,6 +147,16 @@ class LawFinding:
         return {"x": at, "before": means(after + change), "after": means(after), "sd": spread}
 
 
+def _probability(nats: float) -> float:
+    """Probability of something outside the list by its evidence beyond the listed answer."""
+    return min(MOST_CERTAIN, 1.0 / (1.0 + exp(-min(nats + log(P_UNKNOWN / (1.0 - P_UNKNOWN)), 50.0))))
+
+
+def _nothing(beside: Fit, note: str | None = None) -> LawFinding:
+    """No finding beside a fit, and why."""
+    return LawFinding(None, None, beside, False, [], note, 0.0)
+
+
 def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -> LawFinding:
     """Search for a law and for events beyond the listed answer, and decide.
 
@@ -164,14 +175,14 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
         The finding.
     """
     if coarse:
-        return LawFinding(None, None, listed, False, [], None, 0.0)
+        return _nothing(listed)
     scene, space = Scene.of(problem, listed.values, listed.eta), _space_beside(problem, listed)
     gained = listed.log_evidence - nominal.log_evidence + _log_prior(problem, listed)
     top = search(scene, space, gained)
     events = find_events(scene, space)
     eventful = events.nats >= max(NAMED_NATS, (top.nats if top.carries else 0.0) - ALIKE_NATS) and _matters(listed, events.change)
     if not eventful and not top.carries:
-        return LawFinding(None, None, listed, False, [], None, 0.0)
+        return _nothing(listed)
     law, judged_in, beside, replaces, imitated = top, space, listed, False, False
     if listed.names:
         alone_space, alone_scene = _space_beside(problem, nominal), Scene.of(problem, {}, nominal.eta)
@@ -194,7 +205,7 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
         return LawFinding(None, None, listed, imitated, events.listed, _EVENTS, max(events.nats - gained, NAMED_NATS))
     wanders = wander_nats(law.scene, judged_in)
     if _plain_time(law.terms[0].candidate) or wanders > law.nats - ALIKE_NATS:
-        return LawFinding(None, None, listed, False, [], _IN_TIME, 0.0)
+        return _nothing(listed, _IN_TIME)
     secondary = not replaces and bool(listed.names)
     nats = law.nats - gained if replaces else top.nats
     return LawFinding(learned_effect(law, nats), law, beside, replaces, [], _time_note(law), nats, secondary)
@@ -252,8 +263,8 @@ def _matters(listed: Fit, change: Floats) -> bool:
     """Whether a change beside listed effects holds enough of the gap to be something of its own."""
     if not listed.names:
         return True
-    own, whole = (NuisanceSpace(listed.linearisation.columns, one).energy for one in (change, change + listed.change))
-    return own >= LEAST_SHARE_BESIDE * whole
+    own, whole = (project(one, listed.linearisation.space) for one in (change, change + listed.change))
+    return own.dot(own) >= LEAST_SHARE_BESIDE * whole.dot(whole)
 
 
 def _log_prior(problem: Problem, listed: Fit) -> float:
@@ -303,7 +314,7 @@ def learned_effect(law: LearnedLaw, nats: float) -> LearnedEffect:
         rest_speed_m_per_s=law.scene.rest_speed_m_per_s,
         terms=terms,
         alike=tuple(words for words in alike if words != _words(first)),
-        probability=min(MOST_CERTAIN, 1.0 / (1.0 + exp(-min(nats + log(P_UNKNOWN / (1.0 - P_UNKNOWN)), 50.0)))),
+        probability=_probability(nats),
     )
 
 

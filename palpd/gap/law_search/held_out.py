@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpd.gap.law_search.evidence import posterior_of
-from palpd.gap.law_search.nuisance_space import Columns, NuisanceSpace
+from palpd.gap.law_search.nuisance_space import ColumnsByChannel, NuisanceSpace
 from palpd.gap.phases import Ints
 from palpd.tick import Floats
 
@@ -42,7 +42,7 @@ class HeldOut:
         return self.total >= LEAST_GAIN_SHARE * nats and (not folds_too or folds >= FOLDS_THAT_GAIN)
 
 
-def held_out(space: NuisanceSpace, columns: Columns, root: Floats, fold: Ints) -> HeldOut:
+def held_out(space: NuisanceSpace, columns: ColumnsByChannel, root: Floats, fold: Ints) -> HeldOut:
     """Fit the coefficients without each fold, and judge them in it.
 
     Args:

@@ -7,48 +7,38 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
-from scipy.linalg.lapack import dtbtrs
 
 from palpd.gap.whitening import Whitening
 from palpd.tick import Floats
 
-Columns = Mapping[int, Floats]
+ColumnsByChannel = Mapping[int, Floats]
 """Columns (b, n) by channel, zero in the channels that are not named."""
 
 
-def whitened(noise: Whitening, columns: Columns) -> dict[int, Floats]:
+def whitened(noise: Whitening, columns: ColumnsByChannel) -> dict[int, Floats]:
     """Columns in units of the noise.
 
     Args:
         noise: Noise of the bins.
-        columns: Columns (b, n) by channel, in the units of the channels.
+        columns: ColumnsByChannel (b, n) by channel, in the units of the channels.
 
     Returns:
         The columns in sigmas, without the channels that are not compared.
     """
-    out = {}
-    for channel, values in columns.items():
-        judged = np.isfinite(noise.sigma[channel])
-        if not judged.any():
-            continue
-        if channel in noise.factors:
-            white, failed = dtbtrs(noise.factors[channel], values, uplo="L")
-            assert not failed, failed
-        else:
-            white = values / np.where(judged, noise.sigma[channel], 1.0)[:, None]
-        out[channel] = np.where(judged[:, None], white, 0.0)
-    return out
+    return {
+        channel: noise.whiten_channel(channel, values) for channel, values in columns.items() if np.isfinite(noise.sigma[channel]).any()
+    }
 
 
 COARSENESS = 3
 """Neighbouring rows that are joined where all candidates are scored: that is all that smooth laws need."""
 
 
-def coarse(columns: Columns) -> dict[int, Floats]:
+def coarse(columns: ColumnsByChannel) -> dict[int, Floats]:
     """Whitened columns with neighbouring rows joined; noise of one row stays N(0, 1), so evidence stays evidence.
 
     Args:
-        columns: Columns (b, n) by channel.
+        columns: ColumnsByChannel (b, n) by channel.
 
     Returns:
         Columns (b / COARSENESS, n) by channel.
@@ -123,7 +113,7 @@ class NuisanceSpace:
     def _seen(self) -> Floats:
         return self._against({channel: values[:, None] for channel, values in enumerate(self.residual)})[:, 0]
 
-    def _against(self, columns: Columns) -> Floats:
+    def _against(self, columns: ColumnsByChannel) -> Floats:
         seen = np.zeros((len(self.columns), next(iter(columns.values())).shape[1]))
         for channel, values in columns.items():
             index, part = self._parts[channel]
@@ -136,12 +126,7 @@ class NuisanceSpace:
         coefficients = self._inverse.T @ self._seen
         return np.array([values - part @ coefficients[index] for values, (index, part) in zip(self.residual, self._parts, strict=True)])
 
-    @property
-    def energy(self) -> float:
-        """Squared residual with the nuisances projected out."""
-        return float(np.vdot(self.residual, self.residual) - self._seen @ self._seen)
-
-    def products(self, columns: Columns) -> Products:
+    def products(self, columns: ColumnsByChannel) -> Products:
         """Inner products of columns.
 
         Args:
@@ -173,7 +158,7 @@ class NuisanceSpace:
         raw, product = _running(shape**2), _running(shape * self.residual[channel])
         return raw[end] - raw[begin] - (seen**2).sum(axis=1), product[end] - product[begin] - seen @ self._seen
 
-    def with_columns(self, columns: Columns) -> "NuisanceSpace":
+    def with_columns(self, columns: ColumnsByChannel) -> "NuisanceSpace":
         """The space with further nuisances.
 
         Args:
@@ -188,7 +173,7 @@ class NuisanceSpace:
             more[:, channel] = values.T
         return NuisanceSpace(np.concatenate([self.columns, more]), self.residual)
 
-    def folded(self, columns: Columns, fold: NDArray[np.intp], folds: int) -> tuple[list[Products], list[Products]]:
+    def folded(self, columns: ColumnsByChannel, fold: NDArray[np.intp], folds: int) -> tuple[list[Products], list[Products]]:
         """Inner products of columns inside each fold and outside it; the nuisances are fitted there alone.
 
         Args:
