@@ -48,6 +48,7 @@ def listen() -> None:
     A signal that was ignored stays ignored (nohup).
     """
     signal.signal(signal.SIGALRM, _leave)
+    sys.unraisablehook = _report_unraisable
     _install()
 
 
@@ -140,6 +141,12 @@ def _handle(number: int, _frame: FrameType | None) -> None:
         sentence = f"interrupted by {_Received.name}"
         leave_within(LEAVE_S, sentence, EXIT_CODE)
         raise Interrupted(sentence)
+
+
+def _report_unraisable(lost: "sys.UnraisableHookArgs") -> None:
+    """Say nothing where a signal came while Python ran a destructor or a callback of a weak reference; `_leave` ends the process then."""
+    if not issubclass(lost.exc_type, Interrupted):
+        sys.__unraisablehook__(lost)
 
 
 def _leave(_number: int, _frame: FrameType | None) -> None:

@@ -23,6 +23,17 @@ def test_code_that_swallows_every_exception_ends_all_the_same() -> None:
     assert _ended(swallowing) == (130, "palpd: interrupted by SIGINT\n")
 
 
+def test_a_signal_within_a_destructor_ends_the_process_without_a_traceback() -> None:
+    dying = "import time\nclass Dying:\n  def __del__(self): os.kill(os.getpid(), signal.SIGINT)\nDying()\ntime.sleep(30)"
+    assert _ended(dying) == (130, "palpd: interrupted by SIGINT\n")
+
+
+def test_what_else_goes_wrong_in_a_destructor_is_still_told() -> None:
+    code, told = _ended("class Dying:\n  def __del__(self): raise ValueError('told')\nDying()")
+    assert code == 0
+    assert "ValueError: told" in told
+
+
 def test_a_signal_that_was_ignored_stays_ignored() -> None:
     lines = "signal.signal(signal.SIGHUP, signal.SIG_IGN)\ninterrupts.listen()\nos.kill(os.getpid(), signal.SIGHUP)\nprint('on')"
     done = subprocess.run(
