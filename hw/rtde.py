@@ -30,8 +30,11 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any, Literal
 
-from rtde_control import RTDEControlInterface
-from rtde_receive import RTDEReceiveInterface
+try:
+    from rtde_control import RTDEControlInterface
+    from rtde_receive import RTDEReceiveInterface
+except ImportError:  # its wheels are for Linux on x86-64 up to Python 3.12; all else of palpd works without
+    RTDEControlInterface = RTDEReceiveInterface = None
 
 from hw.host_time import MinimumDelayClock
 from palpd.errors import RobotError
@@ -82,6 +85,15 @@ STOP_M_PER_S2 = 10.0
 """Deceleration of a stop, speedStop's own default; the controller limits it to what the joints can do."""
 
 
+def require_library() -> None:
+    """Refuse, with a RobotError, a machine on which ur-rtde is not installed."""
+    if RTDEControlInterface is None:
+        raise RobotError(
+            "the library ur-rtde, which speaks to the robot, is not installed; its wheels are for Linux on x86-64 with Python 3.11 or "
+            "3.12, so run this command on such a machine"
+        )
+
+
 class UrReader:
     """Reads the state of a UR controller and cannot command it.
 
@@ -96,6 +108,7 @@ class UrReader:
     def __init__(self, host: str, *, model: RobotModel, rate_Hz: float) -> None:
         if not 0 < rate_Hz <= MAX_RATE_HZ[model]:
             raise RobotError(f"an RTDE rate of {rate_Hz:g} Hz is not possible on a {model}; it has up to {MAX_RATE_HZ[model]:g} Hz.")
+        require_library()
         self.host = host
         self.period_s = 1.0 / rate_Hz
         self._clock = MinimumDelayClock(CLOCK_LEAK, CLOCK_JUMP_S)

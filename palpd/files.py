@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
-from palpd.errors import BadInput, ConfigError, PalpdError
+from palpd.errors import BadInput, ConfigError, PalpdError, Refused
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
@@ -34,6 +34,25 @@ STREAMS = ("/dev/stdout", "/dev/stderr", "/dev/fd/", "/proc/self/fd/")
 """Names of what a process has open already: a regular file behind one of them is appended to, never replaced."""
 MOST_DIGITS = 40
 """Longest whole number; a 64-bit one has 19 digits, and Python refuses more than 4300."""
+_PACKAGE = Path(__file__).parent
+
+
+def shipped(name: str) -> Path:
+    """Path of a file that comes with palpd: a wheel holds it below `palpd/shipped`, a checkout at its top.
+
+    Args:
+        name: config.yaml, plan.yaml, or a file below systemd/.
+
+    Returns:
+        The path; the file exists unless palpd was copied without it.
+
+    Raises:
+        Refused: The file is in neither place.
+    """
+    for path in (_PACKAGE / "shipped" / name, _PACKAGE.parent / name):
+        if path.exists():
+            return path
+    raise Refused(f"{name} is neither in {_PACKAGE / 'shipped'} nor in {_PACKAGE.parent}; install palpd from its wheel or a checkout")
 
 
 # --- reading ------------------------------------------------------------------------------------------------------------------

@@ -19,11 +19,25 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="Press soft tissue with a UR5 and a HEX-70, say how stiff it is, and why a cell does not behave like its simulation.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # help in colours takes 0.3 s more to import
     context_settings={"max_content_width": 140},
 )
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        print(f"palpd {version('palpd')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options_before_a_command(
+    _version: Annotated[bool, typer.Option("--version", callback=_print_version, is_eager=True, help="print the version and end")] = False,
+) -> None: ...
+
 
 ConfigOption = Annotated[Path, typer.Option("--config", help="config.yaml of the cell")]
 PlanOption = Annotated[Path, typer.Option("--plan", help="plan.yaml: where, how deep, how often")]

@@ -5,9 +5,8 @@ import sys
 from pathlib import Path
 
 from palpd.errors import Refused
-from palpd.files import check_folder, write_text
+from palpd.files import check_folder, shipped, write_text
 
-SOURCE = Path(__file__).parents[2]
 UNIT_PYTHON = "/opt/palpd/.venv/bin/python"
 PATHS = "paths: {runs: /var/lib/palpd/runs, state: /var/lib/palpd, socket: /run/palpd/palpd.sock}"
 UNSEEN = ("/root", "/home", "/run/user", "/tmp", "/var/tmp")
@@ -26,7 +25,7 @@ def unit_python(prefix: Path) -> str:
     Raises:
         Refused: Without a build root, the service could not see this Python.
     """
-    for needed in (sys.executable, sys.base_prefix, str(SOURCE)):
+    for needed in (sys.executable, sys.base_prefix, __file__):
         if needed.startswith(tuple(f"{hidden}/" for hidden in UNSEEN)):
             if prefix != Path("/"):
                 return UNIT_PYTHON
@@ -39,18 +38,15 @@ def installed(prefix: Path) -> list[Path]:
 
     Raises:
         BadInput: A file cannot be written.
-        Refused: The service could not see this Python, the files are not beside the code, or a folder cannot be made.
+        Refused: The service could not see this Python, the files did not come with the code, or a folder cannot be made.
     """
-    folder = SOURCE / "systemd"
-    if not (folder / "palpd.service").exists():
-        raise Refused(f"the unit is not in {folder}; run palpd install from a checkout of the repository")
-    unit = (folder / "palpd.service").read_text().replace(UNIT_PYTHON, unit_python(prefix))
-    config = re.sub(r"^paths:.*$", PATHS, (SOURCE / "config.yaml").read_text(), flags=re.MULTILINE)
+    unit = shipped("systemd/palpd.service").read_text().replace(UNIT_PYTHON, unit_python(prefix))
+    config = re.sub(r"^paths:.*$", PATHS, shipped("config.yaml").read_text(), flags=re.MULTILINE)
     check_folder(prefix)
     texts = {
         "etc/systemd/system/palpd.service": unit,
-        "etc/sysusers.d/palpd.conf": (folder / "palpd.sysusers.conf").read_text(),
-        "etc/udev/rules.d/99-palpd-hex.rules": (folder / "99-palpd-hex.rules").read_text(),
+        "etc/sysusers.d/palpd.conf": shipped("systemd/palpd.sysusers.conf").read_text(),
+        "etc/udev/rules.d/99-palpd-hex.rules": shipped("systemd/99-palpd-hex.rules").read_text(),
         "etc/palpd/config.yaml": config,
     }
     written = []

@@ -1,4 +1,4 @@
-"""`palpd init`: a config.yaml and a plan.yaml that fit each other, made from those of the repository."""
+"""`palpd init`: a config.yaml and a plan.yaml that fit each other, made from those that come with palpd."""
 
 import math
 import os
@@ -9,10 +9,9 @@ from pathlib import Path
 from palpd.config import Config, Plan, load_config, load_plan, parse_config, parse_plan, refuse_unsafe
 from palpd.control.sequence import SOFT_END
 from palpd.daemon.overshoot import refuse_overload
-from palpd.errors import BadInput, ConfigError, Refused
-from palpd.files import check_folder, parse_yaml, write_text
+from palpd.errors import BadInput, ConfigError
+from palpd.files import check_folder, parse_yaml, shipped, write_text
 
-SOURCE = Path(__file__).parents[2]
 HARDEST_PA = 143_200.0
 """Modulus that depths and limit are fitted to: the hardest site of the paper's phantom."""
 STEP_M = 0.0005
@@ -55,21 +54,19 @@ def write_starting_files(folder: Path, model: str, limit_N: float, depths_m: Seq
     Raises:
         BadInput: A file exists, or the folder cannot be made or written into.
         ConfigError: The limit, or the depths with it, are refused; nothing is written then.
-        Refused: The files to start from are not beside the code.
+        Refused: The files to start from did not come with the code.
     """
     files = folder / "config.yaml", folder / "plan.yaml"
     check_folder(folder)
     for file in files:
         if os.path.lexists(file):
             raise BadInput(f"{file} exists and is not overwritten; give another folder")
-    if not (SOURCE / "plan.yaml").exists():
-        raise Refused(f"config.yaml and plan.yaml to start from are not in {SOURCE}; run palpd init from a checkout of the repository")
     tip_radius_m = Config().cell.probe.tip_radius_m
     deepest_m = STEP_M * math.floor((SOFT_END**2 * limit_N / (_stiffness(tip_radius_m))) ** (2 / 3) / STEP_M)
     chosen_m = tuple(depths_m) or tuple(STEP_M * math.floor(deepest_m * share / 6 / STEP_M + 1e-9) for share in (4, 5, 6))
     absolute_N = max(25.0, ABSOLUTE_PER_CONTACT * limit_N)
     config_text = _with(
-        (SOURCE / "config.yaml").read_text(),
+        shipped("config.yaml").read_text(),
         {
             "model: ur5": f"model: {model}",
             "contact_limit_N: 12": f"contact_limit_N: {limit_N:g}",
@@ -79,7 +76,7 @@ def write_starting_files(folder: Path, model: str, limit_N: float, depths_m: Seq
     plan_text = re.sub(
         r"^depths_m:.*$",
         f"depths_m: [{', '.join(f'{d:g}' for d in chosen_m)}]   # fit contact_limit_N of {limit_N:g} N on 143 kPa",
-        (SOURCE / "plan.yaml").read_text(),
+        shipped("plan.yaml").read_text(),
         flags=re.MULTILINE,
     )
     config = parse_config(parse_yaml(config_text, str(files[0])).content, str(files[0]))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hw.hex_sensor import HexSensor
 from hw.muted import MutedRobot
-from hw.rtde import UrReader, UrRobot
+from hw.rtde import UrReader, UrRobot, require_library
 from palpd.config import Config
 from palpd.daemon.motion_process import Devices
 from palpd.recording.mcap_file import RunAbout
@@ -32,6 +32,7 @@ def devices(config: Config, muted: bool) -> Devices:
     Raises:
         DeviceError: A device is absent, busy, or not what was configured.
     """
+    require_library()
     sensor = open_sensor(config)
     try:
         robot = open_reader(config) if muted else _robot(config)
