@@ -65,11 +65,15 @@ replay {mcap} --json {out.json}
 export {mcap} --csv {new.csv} --site A
 recover {part}
 import {csv} --csv {new.csv} --force-column fz_N --height-column z_m --time-column t_s
+import {csv}
+cell-from {csv} --out {new.yaml} --tip-radius-m 0.005
+cell-from {mcap} --out {new.yaml} --site A
 analyse {csv} --force-column fz_N --height-column z_m --tip-radius-m 0.005 --json {out.json}
 analyse {mcap} --site A --json {out.json}
 analyse {csv} --cell {cell} --json {out.json}
 train {free} --out {new.onnx} --config {config}
 map --presses {presses} --out {out.png} --json {out.json}
+diagnose {mcap} --cell {cell} --site A --json {out.json}
 diagnose {csv} --cell {cell} --json {out.json} --cell-out {out.yaml} --report {out.html} --effects {effect}
 resolve --config {config} --recording {csv} --cell {cell} --plan {plan} --rounds 1 --yes --effects {effect} --out {folder} --json {out.json}
 simulate {csv} --cell {cell} --csv {new.csv} --effects {effect}
@@ -124,6 +128,15 @@ sim --config {config} --plan {config}
 check-config {csv}
 check-config {config} {plan}
 import {csv} --csv out.csv --force-column fz_N --height-column z_m --time-column z_m
+diagnose {csv} --cell {cell} --site A
+diagnose {mcap} --cell {cell} --site Z
+cell-from {csv} --out {csv}
+cell-from {csv} --out out.yaml --tip-radius-m 5
+import {csv} --csv out.csv --column fx=fx_N
+import {csv} --csv out.csv --axis z --force-column fz_N --height-column z_m --time-column t_s
+import {csv} {csv} --csv out.csv --force-column fz_N --height-column z_m --time-column t_s
+import {csv} --csv out.csv --tare-s -1
+import {cell} --csv out.csv
 import {presses} --csv out.csv --force-column youngs_modulus_Pa --height-column x_m
 abort --config {config} --socket {csv}
 abort now

@@ -18,7 +18,7 @@ from palpd.cli import app
 UNITS = (
     "N", "Nm", "m", "s", "ms", "us", "ns", "Hz", "kg", "Pa", "rad", "MB", "C", "W", "ppm", "percent",
     "m_per_s", "m_per_s2", "rad_per_s", "rad_per_s2", "N_per_m", "N_s_per_m", "N_per_s", "N_per_min", "N_per_m15", "m_per_N", "Nm_per_rad",
-    "m2", "per_s", "per_min", "MB_per_min", "s_per_s", "kg_m2",
+    "m2", "N_per_V", "m_per_V", "per_s", "per_min", "MB_per_min", "s_per_s", "kg_m2",
 )  # fmt: skip
 SUFFIX = re.compile(r"(^|_)(" + "|".join(sorted(UNITS, key=len, reverse=True)) + r")$")
 

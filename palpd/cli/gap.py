@@ -1,6 +1,6 @@
 """Commands for the gap between measurement and simulation: diagnose it, close it, and judge the diagnosis itself."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -14,6 +14,7 @@ from palpd.cli.options import (
     ConfigOption,
     EffectsOption,
     JsonOption,
+    SiteOption,
     app,
     check_kept,
     clear_latch,
@@ -21,13 +22,17 @@ from palpd.cli.options import (
     finish,
     terminal,
 )
+from palpd.errors import RecordingError
 from palpd.files import check_folder, check_writable, write_json
 
 
 @app.command()
 def diagnose(
-    recordings: Annotated[list[Path], typer.Argument(help="recordings of one cell (.csv, .parquet), or a folder of X.csv with X.yaml")],
+    recordings: Annotated[
+        list[Path], typer.Argument(help="recordings of one cell (.csv, .parquet, .mcap), or a folder of X.csv with X.yaml")
+    ],
     cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml: what the simulator believes (not for a folder)")] = None,
+    site: SiteOption = None,
     json_file: JsonOption = None,
     cell_out: Annotated[Path | None, typer.Option("--cell-out", help="write the cell with what was found")] = None,
     report: Annotated[Path | None, typer.Option("--report", help="write a report (.html)")] = None,
@@ -43,16 +48,39 @@ def diagnose(
     from palpd.gap.report import write as write_report
 
     check_writable(json_file, cell_out, report)
+    _refuse_foreign(recordings)
     if len(recordings) == 1 and recordings[0].is_dir():
         _diagnose_fleet(recordings[0], jobs, scheduler, effects, json_file)
         return
     nominal = required_cell(cell)
     with terminal().status("diagnosing"):
-        diagnosis = diagnose_files(recordings, nominal, json_out=json_file, cell_out=cell_out, effects=effects)
+        try:
+            diagnosis = diagnose_files(recordings, nominal, json_out=json_file, cell_out=cell_out, effects=effects, site=site)
+        except RecordingError as error:
+            raise _with_import_command(error, recordings) from error
     if report is not None:
         write_report(report, diagnosis, ", ".join(path.name for path in recordings))
     for line in diagnosis_lines(diagnosis.sentence, diagnosis.to_json()):
         terminal().print(line, highlight=False)
+
+
+def _refuse_foreign(recordings: Sequence[Path]) -> None:
+    """Refuse bags and files of instruments, and name the command that reads them."""
+    from palpd.interchange.foreign import import_command, is_foreign
+
+    for path in recordings:
+        if is_foreign(path) and (command := import_command(path)) is not None:
+            raise RecordingError(f"{path.name} is no recording yet; this command makes one of it: {command}")
+
+
+def _with_import_command(error: RecordingError, recordings: Sequence[Path]) -> RecordingError:
+    """A refusal, with the command that makes a recording of the first table that has other columns."""
+    from palpd.interchange.foreign import import_command
+
+    for path in recordings:
+        if path.name in str(error) and (command := import_command(path)) is not None:
+            return RecordingError(f"{str(error).rstrip('.')}; {command} makes a recording of it")
+    return error
 
 
 def _diagnose_fleet(folder: Path, jobs: int, scheduler: str | None, effects: Path | None, json_file: Path | None) -> None:

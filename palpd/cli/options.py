@@ -47,11 +47,12 @@ CellOption = Annotated[Path, typer.Option("--cell", help="cell.yaml: what the si
 EffectsOption = Annotated[
     Path | None, typer.Option("--effects", help="effects of your own: a Python file (docs/examples) or learned ones (.yaml)")
 ]
+SiteOption = Annotated[str | None, typer.Option("--site", help="this site only, of recordings of the daemon (.mcap)")]
 DEFAULT_PLAN = Path("plan.yaml")
 
 __all__ = [
-    "DEFAULT_CONFIG", "DEFAULT_PLAN", "CellOption", "ConfigOption", "EffectsOption", "JsonOption", "PlanOption", "SocketOption",
-    "app", "check_kept", "clear_latch", "display", "finish", "terminal",
+    "DEFAULT_CONFIG", "DEFAULT_PLAN", "CellOption", "ConfigOption", "EffectsOption", "JsonOption", "PlanOption", "SiteOption",
+    "SocketOption", "app", "check_kept", "clear_latch", "display", "finish", "terminal",
 ]  # fmt: skip
 
 

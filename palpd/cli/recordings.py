@@ -1,7 +1,7 @@
-"""Commands for recordings: replay, export, recover and import them."""
+"""Commands for recordings: replay, export, recover and import them, and make a first cell file of them."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -9,14 +9,11 @@ from palpd.cli.curve_options import (
     CompressionNegative,
     DepthColumn,
     ForceColumn,
-    ForceUnitOption,
     HeightColumn,
     HeightDownPositive,
-    LengthUnitOption,
-    TimeColumn,
 )
-from palpd.cli.options import JsonOption, app, terminal
-from palpd.files import check_writable, write_json
+from palpd.cli.options import JsonOption, SiteOption, app, terminal
+from palpd.files import check_writable, write_json, write_text
 
 
 @app.command()
@@ -75,23 +72,96 @@ def recover(part: Annotated[Path, typer.Argument(help="FILE.part of a run that w
 
 @app.command("import")
 def import_(
-    file: Annotated[Path, typer.Argument(help="a curve of another machine as CSV")],
-    csv: Annotated[Path, typer.Option("--csv", help="recording to write")],
+    files: Annotated[
+        list[Path], typer.Argument(help="a table, bag, TDMS, MATLAB or AFM file; or two, one with the motion and one with the force")
+    ],
+    csv: Annotated[Path | None, typer.Option("--csv", help="recording to write; without it, what the files hold is listed")] = None,
     force_column: ForceColumn = None,
-    force_unit: ForceUnitOption = "N",
+    force_unit: Annotated[
+        Literal["N", "mN", "uN", "nN", "pN", "kN", "kip", "lbf", "gf", "kgf", "V", "mV"] | None, typer.Option("--force-unit")
+    ] = None,
     depth_column: DepthColumn = None,
     height_column: HeightColumn = None,
     height_down_positive: HeightDownPositive = False,
-    length_unit: LengthUnitOption = "m",
+    length_unit: Annotated[Literal["m", "cm", "mm", "um", "nm", "in", "V", "mV"] | None, typer.Option("--length-unit")] = None,
     compression_negative: CompressionNegative = False,
-    time_column: TimeColumn = None,
+    time_column: Annotated[list[str] | None, typer.Option("--time-column", help="for all files, or once for each")] = None,
+    time_unit: Annotated[Literal["s", "ms", "us", "ns", "min"] | None, typer.Option("--time-unit")] = None,
+    column: Annotated[
+        list[str] | None, typer.Option("--column", help="a further column of the recording, such as fx_N=Fx or vz_m_per_s=Speed")
+    ] = None,
+    force_N_per_V: Annotated[float | None, typer.Option("--force-N-per-V", help="of the amplifier, for a force in V")] = None,
+    length_m_per_V: Annotated[float | None, typer.Option("--length-m-per-V", help="of the amplifier, for a length in V")] = None,
+    units: Annotated[Literal["confirmed"] | None, typer.Option("--units", help="apply the units that palpd guesses")] = None,
+    wrench: Annotated[str | None, typer.Option("--wrench", help="topic of the force (default: the only one of its type)")] = None,
+    pose: Annotated[str | None, typer.Option("--pose", help="topic of the tip's pose; /tf:FRAME for transforms")] = None,
+    twist: Annotated[str | None, typer.Option("--twist", help="topic of the tip's speed (default: slope of the heights)")] = None,
+    command: Annotated[str | None, typer.Option("--command", help="topic of the commanded pose")] = None,
+    wrench_in: Annotated[
+        Literal["tool", "base"] | None, typer.Option("--wrench-in", help="axes of the wrench (default: as its frame says)")
+    ] = None,
+    axis: Annotated[
+        Literal["x", "y", "z", "-x", "-y", "-z"] | None, typer.Option("--axis", help="axis of the pose that points out of the tissue")
+    ] = None,
+    offset_s: Annotated[float | None, typer.Option("--offset-s", help="added to the times of the force, for two clocks")] = None,
+    tare_s: Annotated[float | None, typer.Option("--tare-s", help="take the mean of the first seconds from the force")] = None,
 ) -> None:
-    """Turn a curve of another machine into a recording that `palpd replay` and `palpd diagnose` read."""
-    from palpd.analysis.curves import Mapping, import_curve
+    """Turn what another machine recorded into a recording that `palpd diagnose` and `palpd replay` read."""
+    from palpd.interchange.import_files import ImportOptions, columns_given, import_files, source_of
 
+    show = terminal().print
+    if csv is None:
+        for path in files:
+            source = source_of(path)
+            show(f"{path} is {source.reader.name}; it holds", highlight=False, markup=False)
+            for channel in source.channels:
+                show(f"  {channel}", highlight=False, markup=False)
+        return
     check_writable(csv, overwrite=False)
-    mapping = Mapping(
-        force_column, force_unit, depth_column, height_column, height_down_positive, length_unit, compression_negative, time_column
+    options = ImportOptions(
+        force_column=force_column,
+        depth_column=depth_column,
+        height_column=height_column,
+        time_columns=tuple(time_column or ()),
+        columns=columns_given(column or ()),
+        force_unit=force_unit,
+        length_unit=length_unit,
+        time_unit=time_unit,
+        force_N_per_V=force_N_per_V,
+        length_m_per_V=length_m_per_V,
+        units_confirmed=units == "confirmed",
+        height_down_positive=height_down_positive,
+        compression_negative=compression_negative,
+        wrench=wrench,
+        pose=pose,
+        twist=twist,
+        command=command,
+        wrench_in=wrench_in,
+        axis=axis,
+        offset_s=offset_s,
+        tare_s=tare_s,
     )
-    samples = import_curve(file, mapping, csv)
-    terminal().print(f"{csv}: {len(samples)} rows, {samples.duration_s:.1f} s.")
+    imported = import_files(files, options, csv)
+    for note in imported.notes:
+        show(note, highlight=False, markup=False)
+    show(f"{csv}: {len(imported.samples)} rows, {imported.samples.duration_s:.1f} s.")
+
+
+@app.command("cell-from")
+def cell_from(
+    recordings: Annotated[list[Path], typer.Argument(help="recordings of one cell (.csv, .parquet, .mcap)")],
+    out: Annotated[Path, typer.Option("--out", help="cell.yaml to write; every value says where it comes from")],
+    tip_radius_m: Annotated[float | None, typer.Option("--tip-radius-m", help="radius of the tip (default: 5 mm, a guess)")] = None,
+    site: SiteOption = None,
+) -> None:
+    """Write a first cell.yaml from recordings: rates, noise, resolution, the touch and a stiffness that counts as not known."""
+    from palpd.gap.commands import read_recording
+    from palpd.gap.first_cell import first_cell, written_out
+
+    check_writable(out, overwrite=False)
+    names = ", ".join(path.name for path in recordings)
+    first = first_cell([read_recording(path, site) for path in recordings], tip_radius_m)
+    write_text(out, written_out(first, names), overwrite=False)
+    for sentence in first.sentences:
+        terminal().print(sentence, highlight=False, markup=False)
+    terminal().print(f"{out}: read its comments, and correct what you know better.", highlight=False, markup=False)

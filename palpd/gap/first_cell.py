@@ -1,0 +1,250 @@
+"""A first cell file from recordings, for a rig that has none: what they show is measured, the rest is a guess that says so."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import yaml
+
+from palpd.analysis.curves import Curve, analyse_curve
+from palpd.cell.cell_file import cell_from
+from palpd.cell.dynamics import servo, steps
+from palpd.cell.report_times import find_reports
+from palpd.errors import BadInput, RecordingError
+from palpd.gap.noise import dead, measured_rms
+from palpd.gap.recorded_noise import with_recorded_noise
+from palpd.recording.samples import Samples
+from palpd.tick import Floats
+
+GUESSED_TIP_RADIUS_M = 0.005
+"""Tip radius where none is given: the emulated cell's."""
+CLEAR_NOISES = 10.0
+"""Swing of the force, in standard deviations of its noise, that shows a contact."""
+BIN_S = 0.05
+"""Length of the means over which inertia is sought: the speeds' noise gives little acceleration over it, and a robot's motion is seen."""
+FEWEST_BINS = 10
+"""Fewest means in free motion from which a mass is estimated."""
+LARGEST_MASS_KG = 1.0
+"""Largest uncertainty of the mass that is written: a probe is lighter."""
+SERVO_HZ = np.geomspace(0.5, 60.0, 97)
+"""Natural frequencies of the servo that are tried, 5 % apart."""
+SERVO_TOLERANCE = 0.05
+"""Tolerance of the servo's natural frequency where it was taken from the recording: the step between two tried ones."""
+
+
+class Value(NamedTuple):
+    """A value of a cell file and where it comes from."""
+
+    value: float | None
+    comment: str
+
+
+@dataclass(frozen=True)
+class FirstCell:
+    """Blocks of a cell file with a comment for each value, and sentences for the user. A block None is written as null."""
+
+    blocks: dict[str, dict[str, Value] | None]
+    sentences: tuple[str, ...]
+
+
+def first_cell(recordings: Sequence[Samples], tip_radius_m: float | None = None) -> FirstCell:
+    """Estimate a cell file from recordings.
+
+    Args:
+        recordings: Recordings of one cell.
+        tip_radius_m: Radius of the spherical tip, or None where it is not known.
+
+    Returns:
+        The cell file, value by value.
+
+    Raises:
+        RecordingError: There is no recording.
+        BadInput: The radius is impossible.
+    """
+    if not recordings:
+        raise RecordingError("no recording was given; at least one is needed")
+    if tip_radius_m is not None and not 0.0 < tip_radius_m < 1.0:
+        raise BadInput(f"the tip radius is {tip_radius_m:g} m, expected above zero and below 1 m; give it in metres (5 mm is 0.005)")
+    radius_m = tip_radius_m or GUESSED_TIP_RADIUS_M
+    touches = [touch for samples in recordings if (touch := _touch(samples, radius_m)) is not None]
+    surface_m = float(np.median([touch.height_m for touch in touches])) if touches else -9.0
+    robot = _robot(recordings)
+    sensor = _sensor(recordings, surface_m, robot)
+    mass_kg, sigma_kg = _mass(recordings, surface_m, bool(touches))
+    from_recordings = f"over {len(recordings)} recording{'s' if len(recordings) > 1 else ''}"
+    probe = {
+        "mass_kg": Value(mass_kg, "inertia in free motion; weigh what hangs on the sensor, if you can"),
+        "tip_radius_m": Value(radius_m, "as given" if tip_radius_m else "GUESS: give --tip-radius-m; the modulus depends on it"),
+    }
+    tolerances = {
+        "mass_kg": Value(max(sigma_kg, 0.015 * mass_kg), "how well the recordings show the mass"),
+        "youngs_modulus": Value(1.0, "1.0 says that the stiffness is not known, so it is fitted and is no gap"),
+    }
+    tissue: dict[str, Value] | None = None
+    if touches:
+        spread_m = float(np.std([touch.height_m for touch in touches]))
+        tissue = {
+            "surface_z_m": Value(surface_m, f"touch: Hertz fitted to the loading, {from_recordings}"),
+            "youngs_modulus_Pa": Value(float(np.median([each.modulus_Pa for each in touches])), "from the same fit; see tolerances"),
+            "poisson_ratio": Value(0.5, "GUESS: incompressible, like soft tissue and rubber"),
+        }
+        least_m = max(spread_m, float(np.median([touch.sigma_m for touch in touches])), 0.006 * radius_m)
+        tolerances["surface_z_m"] = Value(least_m, "how well the recordings show the touch, at least 0.6 % of the tip radius")
+    if robot["servo_natural_frequency_Hz"].value is not None and any(samples.z_cmd_m is not None for samples in recordings):
+        tolerances["servo_natural_frequency"] = Value(SERVO_TOLERANCE, "relative: the step of the search")
+    blocks = {"probe": probe, "sensor": sensor, "robot": robot, "tissue": tissue, "tolerances": tolerances}
+    return FirstCell(blocks, tuple(_sentences(blocks, tip_radius_m is None)))
+
+
+def written_out(first: FirstCell, names: str) -> str:
+    """Write a first cell file with its comments.
+
+    Args:
+        first: The cell file.
+        names: Names of the recordings.
+
+    Returns:
+        YAML that the reader of cell files accepts.
+
+    Raises:
+        ConfigError: A value is outside what a cell file may hold.
+    """
+    lines = [
+        f"# First cell file, from {' '.join(names.split())}. Each comment says how its value was found; correct what you know better.",
+        "# What is not written here has the default of docs/diagnosis.md.",
+    ]
+    for block, values in first.blocks.items():
+        if values is None:
+            lines.append(f"{block}: null  # no contact was seen")
+            continue
+        lines.append(f"{block}:")
+        lines += [f"  {key}: {_number(value)}  # {comment}" for key, (value, comment) in values.items()]
+    text = "\n".join(lines) + "\n"
+    cell_from(yaml.safe_load(text), "the cell file")  # it must be read again
+    return text
+
+
+class _Touch(NamedTuple):
+    height_m: float
+    sigma_m: float
+    modulus_Pa: float
+
+
+def _touch(samples: Samples, tip_radius_m: float) -> _Touch | None:
+    """Where contact begins and how stiff it is; None where nothing is touched."""
+    fz_N = samples.wrench[:, 2]
+    swing_N = float(np.quantile(fz_N, 0.995) - np.quantile(fz_N, 0.005))
+    if dead(fz_N) or swing_N < CLEAR_NOISES * measured_rms(fz_N):
+        return None
+    try:
+        fit = analyse_curve(Curve("", samples.z_m, fz_N, samples.t_s, 1.0, ("fz_N", "z_m")), tip_radius_m=tip_radius_m)
+    except RecordingError:
+        return None
+    height_m = fit["contact_point_m"]
+    if not fit["youngs_modulus_Pa"] >= 1.0 or not samples.z_m.min() < height_m < 10.0:
+        return None
+    return _Touch(height_m, fit["contact_sigma_m"], min(fit["youngs_modulus_Pa"], 1e13))
+
+
+def _robot(recordings: Sequence[Samples]) -> dict[str, Value]:
+    position, velocity, fits = [], [], []
+    for samples in recordings:
+        at_s = find_reports(samples.t_s, samples.z_m).t_s
+        position.append(measured_rms(np.interp(at_s, samples.t_s, samples.z_m)))
+        velocity.append(measured_rms(np.interp(at_s, samples.t_s, samples.vz_m_per_s)))
+        if samples.z_cmd_m is not None and np.ptp(samples.z_cmd_m) > 0.0:
+            fits.append(_servo_Hz(samples.t_s, samples.z_cmd_m, samples.z_m))
+    followed = "the one that fits how z_m follows z_cmd_m best" if fits else "GUESS: without z_cmd_m the servo is not judged"
+    return {
+        "servo_natural_frequency_Hz": Value(float(np.median(fits)) if fits else 8.0, followed),
+        "servo_damping_ratio": Value(1.0, "GUESS: no overshoot"),
+        "position_noise_rms_m": Value(float(np.median(position)), "scatter of z_m from report to report"),
+        "velocity_noise_rms_m_per_s": Value(float(np.median(velocity)), "scatter of vz_m_per_s from report to report"),
+    }
+
+
+def _servo_Hz(t_s: Floats, z_cmd_m: Floats, z_m: Floats) -> float:
+    """Natural frequency of the critically damped servo that explains the heights best."""
+    dt_s = steps(t_s)
+    errors_m = [float(np.mean((z_m - servo(z_cmd_m, dt_s, natural_Hz, 1.0, {})) ** 2)) for natural_Hz in SERVO_HZ]
+    return float(SERVO_HZ[int(np.argmin(errors_m))])
+
+
+def _sensor(recordings: Sequence[Samples], surface_m: float, robot: dict[str, Value]) -> dict[str, Value]:
+    rate_Hz = float(np.median([samples.rate_Hz for samples in recordings]))
+    noise_m = max(robot["position_noise_rms_m"].value or 0.0, 0.0)
+    provisional = cell_from(
+        {
+            "sensor": {"rate_Hz": rate_Hz, "filter_cutoff_Hz": None},
+            "robot": {"position_noise_rms_m": noise_m},
+            "tissue": {"surface_z_m": surface_m},
+        },
+        "the recordings",
+    )
+    sensor = with_recorded_noise(recordings, provisional)[0].sensor
+    torques = any(not dead(samples.wrench[:, axis]) for samples in recordings for axis in (3, 4, 5))
+    fz_span_N = max(float(np.ptp(samples.wrench[:, 2])) for samples in recordings)
+    lattice = "lattice of the readings; 0 is none"
+    return {
+        "rate_Hz": Value(rate_Hz, "median of the time steps"),
+        "filter_cutoff_Hz": Value(None, "GUESS: no filter; give the sensor's own in Hz"),
+        "noise_rms_N": Value(max(sensor.noise_rms_N, 1e-9 * fz_span_N, 1e-15), "scatter of the forces at rest"),
+        "noise_rms_Nm": Value(
+            sensor.noise_rms_Nm if torques else 0.0, "scatter of the torques at rest" if torques else "no torque was recorded"
+        ),
+        "resolution_fxy_N": Value(sensor.resolution_fxy_N, lattice),
+        "resolution_fz_N": Value(sensor.resolution_fz_N, lattice),
+        "resolution_Nm": Value(sensor.resolution_Nm, lattice),
+    }
+
+
+def _mass(recordings: Sequence[Samples], surface_m: float, touched: bool) -> tuple[float, float]:
+    """Mass behind fz = -m·a in free motion and its standard deviation, from means over 50 ms; 0 where no motion shows it."""
+    forces, accelerations, noise = [], [], []
+    for samples in recordings:
+        each = max(1, round(BIN_S * samples.rate_Hz))
+        number = (len(samples) - 1) // each
+        at = np.arange(number + 1) * each
+        dt_s = np.diff(samples.t_s[at])
+        free = np.minimum.reduceat(samples.z_m, at[:-1])[: len(dt_s)] > surface_m if touched else np.ones(len(dt_s), bool)
+        mean_N = np.add.reduceat(samples.wrench[: at[-1], 2], at[:-1]) / each if number else np.zeros(0)
+        if free.sum() < FEWEST_BINS:
+            continue
+        middle_s = samples.t_s[at[:-1]][free]
+        drift = np.polynomial.Polynomial.fit(middle_s, mean_N[free], 1)(middle_s)
+        forces.append(mean_N[free] - drift)
+        accelerations.append((np.diff(samples.vz_m_per_s[at]) / dt_s)[free])
+        noise.append(2.0 * measured_rms(samples.vz_m_per_s) ** 2 / float(np.median(dt_s)) ** 2)
+    if not forces:
+        return 0.0, LARGEST_MASS_KG
+    force_N, a_m_per_s2 = np.concatenate(forces), np.concatenate(accelerations)
+    seen = float(np.mean(a_m_per_s2**2)) - float(np.mean(noise))
+    if seen <= 0.2 * float(np.mean(noise)) or seen == 0.0:
+        return 0.0, LARGEST_MASS_KG
+    mass_kg = -float(np.mean(force_N * a_m_per_s2)) / seen
+    rest_N = float(np.std(force_N + mass_kg * a_m_per_s2))
+    sigma_kg = min(rest_N / float(np.sqrt(seen * len(force_N))), LARGEST_MASS_KG)
+    return (mass_kg if mass_kg > 2.0 * sigma_kg else 0.0), sigma_kg
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return "null"
+    text = f"{value:.6g}"
+    return text if any(mark in text for mark in ".e") else f"{text}.0"
+
+
+def _sentences(blocks: dict[str, dict[str, Value] | None], guessed_tip: bool) -> list[str]:
+    sensor, tissue, probe = blocks["sensor"], blocks["tissue"], blocks["probe"]
+    assert sensor is not None
+    assert probe is not None
+    out = [
+        f"Sensor: {sensor['rate_Hz'].value:.4g} Hz, noise {sensor['noise_rms_N'].value:.3g} N, "
+        f"steps of {sensor['resolution_fz_N'].value:.3g} N.",
+        f"Probe: {probe['mass_kg'].value:.3g} kg, tip radius {probe['tip_radius_m'].value:.4g} m{' (a guess)' if guessed_tip else ''}.",
+    ]
+    if tissue is None:
+        return [*out, "No contact was seen, so the cell has no tissue."]
+    modulus_Pa = tissue["youngs_modulus_Pa"].value
+    return [*out, f"Touch at {tissue['surface_z_m'].value:.6g} m, E {modulus_Pa:.3g} Pa, which counts as not known."]

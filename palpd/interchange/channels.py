@@ -1,0 +1,155 @@
+"""What a foreign file holds, and what a reader of such files is.
+
+A reader is one object that fits the protocol `Reader`. Readers are found by the entry points `palpd.readers`, so that another package can
+bring its own.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+from palpd.errors import PalpdError, RecordingError
+from palpd.tick import Floats
+
+Kind = Literal["column", "wrench", "pose", "command", "twist", "transforms", "other"]
+"""What a channel is: one number a sample, or a vector: wrench (n, 6), pose and commanded pose (n, 7), twist (n, 6). `transforms` are the
+poses of several frames in one topic; `other` is nothing that an import could use."""
+
+MOST_CHANNELS = 10_000
+"""Largest number of channels of a file; a controller's log has some 200."""
+MOST_LISTED = 12
+"""Number of channels that an error lists; the rest is counted."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel of a file, by its name there.
+
+    `unit` is what the file says, empty where it says nothing; `type` is the file's own word for what it holds, if it has one. `rate_Hz`
+    and `samples` are None where only the numbers would tell.
+    """
+
+    name: str
+    kind: Kind = "column"
+    unit: str = ""
+    rate_Hz: float | None = None
+    samples: int | None = None
+    type: str = ""
+
+    def __str__(self) -> str:
+        what = self.unit or (self.type if self.kind != "column" else "")
+        rate = f"{self.rate_Hz:.4g} Hz" if self.rate_Hz is not None else ""
+        return f"{self.name} ({', '.join(filter(None, (what, rate)))})" if what or rate else self.name
+
+
+@dataclass(frozen=True)
+class Column:
+    """The numbers of a channel: `values` (n,) or (n, k) as they stand in the file, vectors in SI.
+
+    `t_s` (n,) are the times of a channel that has its own, from `origin_ns` on: nanoseconds since 1970 lose digits as seconds. Poses are
+    x, y, z and the quaternion x, y, z, w. `frame` names the axes of a vector, empty where nothing tells. `messages` came in the order of
+    their sending and may be sorted; rows of a table may not. `notes` are sentences for the user.
+    """
+
+    values: Floats
+    t_s: Floats | None = None
+    origin_ns: int = 0
+    frame: str = ""
+    messages: bool = False
+    notes: tuple[str, ...] = ()
+
+
+class Reader(Protocol):
+    """Reads one kind of file."""
+
+    name: str
+    """What people call such files: "rosbag"."""
+    package: str
+    """The package that it needs, empty where it needs none but palpd's own."""
+
+    def reads(self, path: Path) -> bool:
+        """Whether a file, by its name and first bytes, is of this kind."""
+        ...
+
+    def channels(self, path: Path) -> Sequence[Channel]:
+        """List what a file holds. Raises RecordingError where it cannot be read."""
+        ...
+
+    def columns(self, path: Path, names: Sequence[str]) -> dict[str, Column]:
+        """Read channels by their names. Raises RecordingError, which names column and row of what is wrong."""
+        ...
+
+
+def listing(channels: Sequence[Channel]) -> str:
+    """Name channels in an error.
+
+    Args:
+        channels: The channels of a file.
+
+    Returns:
+        Their names with units and rates, cut short.
+    """
+    shown = [str(channel) for channel in channels[:MOST_LISTED]]
+    more = len(channels) - len(shown)
+    return (", ".join(shown) or "nothing") + (f" and {more} more" if more > 0 else "")
+
+
+def refuse_many(path: Path, number: int) -> None:
+    """Refuse a file with more channels than any instrument has.
+
+    Args:
+        path: The file.
+        number: Number of its channels.
+
+    Raises:
+        RecordingError: There are too many.
+    """
+    if number > MOST_CHANNELS:
+        raise RecordingError(f"{path.name} has {number} columns, expected at most {MOST_CHANNELS}; are rows and columns exchanged?")
+
+
+@contextmanager
+def understanding(path: Path, kind: str) -> Iterator[None]:
+    """Turn whatever a library says of a damaged file into one sentence.
+
+    Args:
+        path: The file.
+        kind: What the file should be.
+
+    Yields:
+        Nothing.
+
+    Raises:
+        RecordingError: The library raised an error of any class.
+    """
+    try:
+        yield
+    except PalpdError:
+        raise
+    except (Exception, SystemError) as failure:  # a library that reads a truncated file raises anything
+        what = " ".join(str(failure).split())[:160] or type(failure).__name__
+        raise RecordingError(
+            f"{path.name} cannot be read as {kind} ({what}); it is truncated, damaged or something else: copy or export it again"
+        ) from failure
+
+
+def refuse_empty(path: Path) -> None:
+    """Refuse a file without a byte. Raises RecordingError."""
+    if path.is_file() and path.stat().st_size == 0:
+        raise RecordingError(f"{path.name} is empty (0 bytes); copy or export it again")
+
+
+def without_package(path: Path, kind: str, package: str) -> RecordingError:
+    """Say which package is missing.
+
+    Args:
+        path: The file.
+        kind: What the file is.
+        package: The package that reads it.
+
+    Returns:
+        The error to raise.
+    """
+    return RecordingError(f"{path.name} is {kind} and {package} is not installed: install palpd[readers]")

@@ -1,0 +1,187 @@
+"""Units of foreign files: what a name says, what a size says, and the factor to SI.
+
+A unit that is guessed is shown and never applied before the user has confirmed it.
+"""
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from palpd.errors import BadInput
+from palpd.tick import Floats
+
+Quantity = Literal["force", "length", "time", "torque", "speed"]
+
+POUND_N = 0.45359237 * 9.80665
+FACTORS: dict[Quantity, dict[str, float]] = {
+    "force": {
+        "N": 1.0, "mN": 1e-3, "uN": 1e-6, "nN": 1e-9, "pN": 1e-12, "kN": 1e3, "kip": 1e3 * POUND_N, "lbf": POUND_N,
+        "gf": 9.80665e-3, "kgf": 9.80665,
+    },
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "torque": {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2},
+    "speed": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6, "nm/s": 1e-9},
+}  # fmt: skip
+"""Factor of every unit to the SI unit of its quantity, which stands first."""
+VOLTS = {"V": 1.0, "mV": 1e-3}
+SPELLINGS = {
+    "newton": "N", "newtons": "N", "kips": "kip", "lb": "lbf", "lbs": "lbf", "inch": "in", "inches": "in", "micron": "um",
+    "microns": "um", "sec": "s", "secs": "s", "second": "s", "seconds": "s", "volt": "V", "volts": "V", "m_per_s": "m/s", "m s^-1": "m/s",
+    "m*s^-1": "m/s", "N m": "Nm", "N*m": "Nm", "N·m": "Nm",
+}  # fmt: skip
+"""Other spellings of units."""
+OPTIONS: dict[Quantity, str] = {"force": "--force-unit", "length": "--length-unit", "time": "--time-unit"}
+BRACKETED = re.compile(r"[(\[{]\s*([^()\[\]{}]+?)\s*[)\]}]\s*$")
+APPENDED = re.compile(r"[_\s,/]\s*([A-Za-zµμ]+)$")
+
+NOT_APPENDED = ("in", "min")
+"""Units that end a name only in brackets: "force_min" is a minimum."""
+
+LONGEST_STROKE_M = 1.0
+"""No palpation moves this far; a height that does is in another unit."""
+LARGEST_FORCE_N = 1e5
+"""No probe of a palpation bears this force; a force that large is in another unit."""
+SLOWEST_STEP_S = 0.5
+"""Time step above which a column of time without a unit is in ms, µs or ns: recordings have 5 to 2000 Hz."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How the numbers of a column become SI: unit, factor, and where the unit comes from."""
+
+    column: str
+    quantity: Quantity
+    unit: str
+    factor: float
+    source: Literal["given", "stated", "guessed", "assumed"]
+
+    def __str__(self) -> str:
+        reasons = {
+            "given": "as given",
+            "stated": "as the file states",
+            "guessed": "guessed and confirmed",
+            "assumed": "assumed, the file states no unit",
+        }
+        return f"{self.column}: {self.quantity} in {self.unit} ({reasons[self.source]})"
+
+
+def unit_named(name: str, unit: str = "") -> str | None:
+    """The unit that a column's name ends with, or that the file states beside it.
+
+    Args:
+        name: Name of the column, such as "F (mN)" or "depth_um".
+        unit: What the file states.
+
+    Returns:
+        The unit as `FACTORS` and `VOLTS` spell it, or None.
+    """
+    bracketed, appended = BRACKETED.search(name), APPENDED.search(name)
+    ending = appended.group(1) if appended and appended.group(1).lower() not in NOT_APPENDED else ""
+    text = unit.strip() or (bracketed.group(1) if bracketed else ending)
+    plain = text.strip("()[]{} ").replace("µ", "u").replace("μ", "u")
+    plain = SPELLINGS.get(plain, SPELLINGS.get(plain.lower(), plain))
+    if plain in VOLTS or any(plain in units for units in FACTORS.values()):
+        return plain
+    return plain.lower() if plain.lower() in ("kip", "lbf", "mm", "cm") else None  # in capitals no other unit
+
+
+def scale_of(
+    column: str, quantity: Quantity, values: Floats, *, stated: str = "", given: str | None = None, per_volt: float | None = None
+) -> Scale:
+    """Find the unit of a column.
+
+    Args:
+        column: Name of the column.
+        quantity: What it holds.
+        values: Its numbers (n,).
+        stated: Unit that the file states beside the name.
+        given: Unit that the user gave, or None.
+        per_volt: SI units per volt, or None.
+
+    Returns:
+        The scale; its source says whether it must be confirmed.
+
+    Raises:
+        BadInput: The unit belongs to another quantity, or volts come without their factor.
+    """
+    named = unit_named(column, stated)
+    unit = given or named
+    if unit in VOLTS:
+        if per_volt is None:
+            option = {"force": "--force-N-per-V", "length": "--length-m-per-V"}.get(quantity, "a column in another unit")
+            raise BadInput(f"column {column} is in {unit}; give {option}, the factor of the amplifier")
+        return Scale(column, quantity, unit, VOLTS[unit] * per_volt, "given")
+    units = FACTORS[quantity]
+    if given is not None:
+        return Scale(column, quantity, given, units[given], "given")
+    if named is not None and named not in units:
+        raise BadInput(
+            f"column {column} is in {named}, expected a {quantity} in {', '.join(units)}; name another column, or give "
+            f"{OPTIONS.get(quantity, 'its unit in the name')}"
+        )
+    si = next(iter(units))
+    if named is not None:
+        return Scale(column, quantity, named, units[named], "stated" if named == si else "guessed")
+    size = _size_guess(quantity, values)
+    return Scale(column, quantity, size or si, units[size or si], "guessed" if size else "assumed")
+
+
+def _size_guess(quantity: Quantity, values: Floats) -> str | None:
+    """The unit in which numbers of this size would be usual; None where SI is."""
+    if quantity == "length":
+        span = float(np.ptp(values)) if len(values) else 0.0
+        return None if span <= LONGEST_STROKE_M else "mm" if span <= 1e3 else "um" if span <= 1e5 else "nm"
+    if quantity == "force":
+        peak = float(np.abs(values).max()) if len(values) else 0.0
+        return None if peak <= LARGEST_FORCE_N else "uN" if peak <= 1e9 else "nN"
+    if quantity == "time" and len(values) > 1:
+        step = float(np.median(np.diff(values)))
+        return None if step <= SLOWEST_STEP_S else "ms" if step <= 200.0 else "us" if step <= 2e5 else "ns"
+    return None
+
+
+def refuse_unconfirmed(scales: list[Scale], confirmed: bool, name: str) -> None:
+    """Refuse units that were guessed and not confirmed, all of them in one sentence.
+
+    Args:
+        scales: Units of the columns.
+        confirmed: Whether the user has confirmed the guesses.
+        name: Name of the file.
+
+    Raises:
+        BadInput: A guess is not confirmed.
+    """
+    guesses = [scale for scale in scales if scale.source == "guessed"]
+    if guesses and not confirmed:
+        shown = ", ".join(f"{scale.column} is a {scale.quantity} in {scale.unit}" for scale in guesses)
+        options = " and ".join(dict.fromkeys(f"{OPTIONS[each.quantity]} {each.unit}" for each in guesses if each.quantity in OPTIONS))
+        explicit = f", or give {options}" if options else ""
+        raise BadInput(f"{name}: palpd guesses that {shown}; repeat the command with --units confirmed if that is right{explicit}")
+
+
+def refuse_impossible(column: str, quantity: Quantity, values: Floats, unit: str) -> None:
+    """Refuse values that no palpation has in SI.
+
+    Args:
+        column: Name of the column.
+        quantity: What it holds.
+        values: Its numbers in SI (n,).
+        unit: The unit that was applied.
+
+    Raises:
+        BadInput: A stroke or a force is impossible.
+    """
+    if quantity == "length" and (stroke_m := float(np.ptp(values))) > LONGEST_STROKE_M:
+        raise BadInput(
+            f"column {column} spans {stroke_m:.3g} m as {unit}, expected less than {LONGEST_STROKE_M:g} m; correct --length-unit or the "
+            "column"
+        )
+    if quantity == "force" and (peak_N := float(np.abs(values).max())) > LARGEST_FORCE_N:
+        row = int(np.argmax(np.abs(values))) + 1
+        raise BadInput(
+            f"column {column} is {peak_N:.3g} N as {unit} in row {row} of the numbers, expected less than {LARGEST_FORCE_N:g} N; "
+            "correct --force-unit or the column"
+        )
