@@ -99,6 +99,7 @@ ANY_UNIT = {
     "Value": "a published figure, whose unit stands beside",
     "Score": "a line of a table; `share` tells the unit",
     "Fit": "a fit to gaps of any unit, in units of the noise",
+    "CommentedValue": "a value of a cell file, whose key stands beside",
     "Explanation": "a statistic of published figures",
     "Averages": "a published figure, whose unit stands in the table's head",
 }

@@ -1,4 +1,4 @@
-"""Force curves of other people's machines: read by naming the columns, judged for stiffness, turned into recordings."""
+"""Force curves of other people's machines: read by naming the columns, and judged for stiffness."""
 
 import math
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from palpd.analysis.young import ContactFit, fit_contact, modulus_peak_Pa
 from palpd.control.surface import FEWEST_SAMPLES
 from palpd.errors import BadInput, RecordingError
 from palpd.files import opened
-from palpd.recording.samples import LARGEST, Samples, refuse_values, samples_from_columns, write_csv
+from palpd.recording.samples import LARGEST, refuse_values
 from palpd.recording.tables import DELIMITERS, cells_of, is_comment, refuse_decimal_commas
 from palpd.tick import Floats
 
@@ -258,38 +258,6 @@ def refuse_unknown_tip(tip_radius_m: float | None) -> float:
     if tip_radius_m is None:
         raise BadInput("--tip-radius-m is missing: a curve does not tell which tip made it; give its radius in metres")
     return tip_radius_m
-
-
-def import_curve(path: Path, mapping: Mapping, csv_out: Path, *, overwrite: bool = False) -> Samples:
-    """Write a foreign curve as a recording: height, its speed by differences, force on fz; no command, no other axis is known.
-
-    Args:
-        path: Text file with the curve.
-        mapping: Columns, units and directions of the curve.
-        csv_out: Recording to write.
-        overwrite: Whether an existing file may be replaced.
-
-    Returns:
-        The recording.
-
-    Raises:
-        RecordingError: The curve cannot be read or is no recording.
-        BadInput: The mapping names no time, or the file exists.
-    """
-    curve = read_curve(path, mapping)
-    if curve.t_s is None:
-        raise BadInput(f"a recording needs time and no column of {path.name} is named for it; give --time-column")
-    if len(curve) < 2:
-        raise RecordingError(f"{path.name} has {len(curve)} row of numbers; a recording needs many")
-    t_s = curve.t_s - curve.t_s[0]
-    still = np.flatnonzero(np.diff(t_s) <= 0)
-    speed = np.gradient(curve.height_m, t_s) if not len(still) else np.zeros(len(curve))  # refused below, with the row named
-    zeros = np.zeros(len(curve))
-    columns = {"t_s": t_s, "z_m": curve.height_m, "vz_m_per_s": speed, "fx_N": zeros, "fy_N": zeros, "fz_N": curve.force_N}
-    columns |= {"tx_Nm": zeros, "ty_Nm": zeros, "tz_Nm": zeros}
-    samples = samples_from_columns(columns, path.name)
-    write_csv(csv_out, samples, overwrite=overwrite)
-    return samples
 
 
 def _loading(curve: Curve) -> tuple[int, int]:

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import yaml
 
 from palpd.analysis.curves import Curve, analyse_curve
 from palpd.cell.cell_file import cell_from
-from palpd.cell.dynamics import servo, steps
+from palpd.cell.dynamics import servo_heights, steps
 from palpd.cell.report_times import find_reports
 from palpd.errors import BadInput, RecordingError
+from palpd.files import parse_yaml
 from palpd.gap.noise import dead, measured_rms
 from palpd.gap.recorded_noise import with_recorded_noise
 from palpd.recording.samples import Samples
@@ -33,7 +33,7 @@ SERVO_TOLERANCE = 0.05
 """Tolerance of the servo's natural frequency where it was taken from the recording: the step between two tried ones."""
 
 
-class Value(NamedTuple):
+class CommentedValue(NamedTuple):
     """A value of a cell file and where it comes from."""
 
     value: float | None
@@ -44,7 +44,7 @@ class Value(NamedTuple):
 class FirstCell:
     """Blocks of a cell file with a comment for each value, and sentences for the user. A block None is written as null."""
 
-    blocks: dict[str, dict[str, Value] | None]
+    blocks: dict[str, dict[str, CommentedValue] | None]
     sentences: tuple[str, ...]
 
 
@@ -74,25 +74,27 @@ def first_cell(recordings: Sequence[Samples], tip_radius_m: float | None = None)
     mass_kg, sigma_kg = _mass(recordings, surface_m, bool(touches))
     from_recordings = f"over {len(recordings)} recording{'s' if len(recordings) > 1 else ''}"
     probe = {
-        "mass_kg": Value(mass_kg, "inertia in free motion; weigh what hangs on the sensor, if you can"),
-        "tip_radius_m": Value(radius_m, "as given" if tip_radius_m else "GUESS: give --tip-radius-m; the modulus depends on it"),
+        "mass_kg": CommentedValue(mass_kg, "inertia in free motion; weigh what hangs on the sensor, if you can"),
+        "tip_radius_m": CommentedValue(radius_m, "as given" if tip_radius_m else "GUESS: give --tip-radius-m; the modulus depends on it"),
     }
     tolerances = {
-        "mass_kg": Value(max(sigma_kg, 0.015 * mass_kg), "how well the recordings show the mass"),
-        "youngs_modulus": Value(1.0, "1.0 says that the stiffness is not known, so it is fitted and is no gap"),
+        "mass_kg": CommentedValue(max(sigma_kg, 0.015 * mass_kg), "how well the recordings show the mass"),
+        "youngs_modulus": CommentedValue(1.0, "1.0 says that the stiffness is not known, so it is fitted and is no gap"),
     }
-    tissue: dict[str, Value] | None = None
+    tissue: dict[str, CommentedValue] | None = None
     if touches:
         spread_m = float(np.std([touch.height_m for touch in touches]))
         tissue = {
-            "surface_z_m": Value(surface_m, f"touch: Hertz fitted to the loading, {from_recordings}"),
-            "youngs_modulus_Pa": Value(float(np.median([each.modulus_Pa for each in touches])), "from the same fit; see tolerances"),
-            "poisson_ratio": Value(0.5, "GUESS: incompressible, like soft tissue and rubber"),
+            "surface_z_m": CommentedValue(surface_m, f"touch: Hertz fitted to the loading, {from_recordings}"),
+            "youngs_modulus_Pa": CommentedValue(
+                float(np.median([each.modulus_Pa for each in touches])), "from the same fit; see tolerances"
+            ),
+            "poisson_ratio": CommentedValue(0.5, "GUESS: incompressible, like soft tissue and rubber"),
         }
         least_m = max(spread_m, float(np.median([touch.sigma_m for touch in touches])), 0.006 * radius_m)
-        tolerances["surface_z_m"] = Value(least_m, "how well the recordings show the touch, at least 0.6 % of the tip radius")
+        tolerances["surface_z_m"] = CommentedValue(least_m, "how well the recordings show the touch, at least 0.6 % of the tip radius")
     if robot["servo_natural_frequency_Hz"].value is not None and any(samples.z_cmd_m is not None for samples in recordings):
-        tolerances["servo_natural_frequency"] = Value(SERVO_TOLERANCE, "relative: the step of the search")
+        tolerances["servo_natural_frequency"] = CommentedValue(SERVO_TOLERANCE, "relative: the step of the search")
     blocks = {"probe": probe, "sensor": sensor, "robot": robot, "tissue": tissue, "tolerances": tolerances}
     return FirstCell(blocks, tuple(_sentences(blocks, tip_radius_m is None)))
 
@@ -121,7 +123,7 @@ def written_out(first: FirstCell, names: str) -> str:
         lines.append(f"{block}:")
         lines += [f"  {key}: {_number(value)}  # {comment}" for key, (value, comment) in values.items()]
     text = "\n".join(lines) + "\n"
-    cell_from(yaml.safe_load(text), "the cell file")  # it must be read again
+    cell_from(parse_yaml(text, "the cell file").content, "the cell file")  # it must be read again
     return text
 
 
@@ -147,7 +149,7 @@ def _touch(samples: Samples, tip_radius_m: float) -> _Touch | None:
     return _Touch(height_m, fit["contact_sigma_m"], min(fit["youngs_modulus_Pa"], 1e13))
 
 
-def _robot(recordings: Sequence[Samples]) -> dict[str, Value]:
+def _robot(recordings: Sequence[Samples]) -> dict[str, CommentedValue]:
     position, velocity, fits = [], [], []
     for samples in recordings:
         at_s = find_reports(samples.t_s, samples.z_m).t_s
@@ -157,21 +159,21 @@ def _robot(recordings: Sequence[Samples]) -> dict[str, Value]:
             fits.append(_servo_Hz(samples.t_s, samples.z_cmd_m, samples.z_m))
     followed = "the one that fits how z_m follows z_cmd_m best" if fits else "GUESS: without z_cmd_m the servo is not judged"
     return {
-        "servo_natural_frequency_Hz": Value(float(np.median(fits)) if fits else 8.0, followed),
-        "servo_damping_ratio": Value(1.0, "GUESS: no overshoot"),
-        "position_noise_rms_m": Value(float(np.median(position)), "scatter of z_m from report to report"),
-        "velocity_noise_rms_m_per_s": Value(float(np.median(velocity)), "scatter of vz_m_per_s from report to report"),
+        "servo_natural_frequency_Hz": CommentedValue(float(np.median(fits)) if fits else 8.0, followed),
+        "servo_damping_ratio": CommentedValue(1.0, "GUESS: no overshoot"),
+        "position_noise_rms_m": CommentedValue(float(np.median(position)), "scatter of z_m from report to report"),
+        "velocity_noise_rms_m_per_s": CommentedValue(float(np.median(velocity)), "scatter of vz_m_per_s from report to report"),
     }
 
 
 def _servo_Hz(t_s: Floats, z_cmd_m: Floats, z_m: Floats) -> float:
     """Natural frequency of the critically damped servo that explains the heights best."""
     dt_s = steps(t_s)
-    errors_m = [float(np.mean((z_m - servo(z_cmd_m, dt_s, natural_Hz, 1.0, {})) ** 2)) for natural_Hz in SERVO_HZ]
+    errors_m = [float(np.mean((z_m - servo_heights(z_cmd_m, dt_s, natural_Hz, 1.0)) ** 2)) for natural_Hz in SERVO_HZ]
     return float(SERVO_HZ[int(np.argmin(errors_m))])
 
 
-def _sensor(recordings: Sequence[Samples], surface_m: float, robot: dict[str, Value]) -> dict[str, Value]:
+def _sensor(recordings: Sequence[Samples], surface_m: float, robot: dict[str, CommentedValue]) -> dict[str, CommentedValue]:
     rate_Hz = float(np.median([samples.rate_Hz for samples in recordings]))
     noise_m = max(robot["position_noise_rms_m"].value or 0.0, 0.0)
     provisional = cell_from(
@@ -187,15 +189,15 @@ def _sensor(recordings: Sequence[Samples], surface_m: float, robot: dict[str, Va
     fz_span_N = max(float(np.ptp(samples.wrench[:, 2])) for samples in recordings)
     lattice = "lattice of the readings; 0 is none"
     return {
-        "rate_Hz": Value(rate_Hz, "median of the time steps"),
-        "filter_cutoff_Hz": Value(None, "GUESS: no filter; give the sensor's own in Hz"),
-        "noise_rms_N": Value(max(sensor.noise_rms_N, 1e-9 * fz_span_N, 1e-15), "scatter of the forces at rest"),
-        "noise_rms_Nm": Value(
+        "rate_Hz": CommentedValue(rate_Hz, "median of the time steps"),
+        "filter_cutoff_Hz": CommentedValue(None, "GUESS: no filter; give the sensor's own in Hz"),
+        "noise_rms_N": CommentedValue(max(sensor.noise_rms_N, 1e-9 * fz_span_N, 1e-15), "scatter of the forces at rest"),
+        "noise_rms_Nm": CommentedValue(
             sensor.noise_rms_Nm if torques else 0.0, "scatter of the torques at rest" if torques else "no torque was recorded"
         ),
-        "resolution_fxy_N": Value(sensor.resolution_fxy_N, lattice),
-        "resolution_fz_N": Value(sensor.resolution_fz_N, lattice),
-        "resolution_Nm": Value(sensor.resolution_Nm, lattice),
+        "resolution_fxy_N": CommentedValue(sensor.resolution_fxy_N, lattice),
+        "resolution_fz_N": CommentedValue(sensor.resolution_fz_N, lattice),
+        "resolution_Nm": CommentedValue(sensor.resolution_Nm, lattice),
     }
 
 
@@ -235,7 +237,7 @@ def _number(value: float | None) -> str:
     return text if any(mark in text for mark in ".e") else f"{text}.0"
 
 
-def _sentences(blocks: dict[str, dict[str, Value] | None], guessed_tip: bool) -> list[str]:
+def _sentences(blocks: dict[str, dict[str, CommentedValue] | None], guessed_tip: bool) -> list[str]:
     sensor, tissue, probe = blocks["sensor"], blocks["tissue"], blocks["probe"]
     assert sensor is not None
     assert probe is not None

@@ -8,7 +8,7 @@ import numpy as np
 
 from palpd.errors import RecordingError
 from palpd.files import opened
-from palpd.interchange.channels import Channel, Column, refuse_empty, understanding, without_package
+from palpd.interchange.channels import Channel, ChannelData, refuse_empty, understanding, without_package
 
 KIND = "a file of an AFM or a nanoindenter"
 ENDINGS = (".jpk-force", ".jpk-force-map", ".jpk-force-qi", ".jpk-qi-image", ".jpk-qi-series", ".ibw", ".tab", ".h5")
@@ -49,8 +49,19 @@ class AfmReader:
             for column in _columns(curve)
         ]
 
-    def columns(self, path: Path, names: Sequence[str]) -> dict[str, Column]:
-        """Read columns by their names."""
+    def columns(self, path: Path, names: Sequence[str]) -> dict[str, ChannelData]:
+        """Read columns by their names.
+
+        Args:
+            path: The file.
+            names: Names of channels.
+
+        Returns:
+            The numbers of each.
+
+        Raises:
+            RecordingError: A column is absent, or holds what is no number.
+        """
         curves = _curves(path)
         every = {
             _name(column, number, len(curves)): (curve, column)
@@ -66,7 +77,7 @@ class AfmReader:
                 )
             curve, column = every[name]
             with understanding(path, KIND):
-                columns[name] = Column(_values(curve, column))
+                columns[name] = ChannelData(_values(curve, column))
             wrong = np.flatnonzero(~np.isfinite(columns[name].values))
             if len(wrong):
                 raise RecordingError(f"{path.name}: {name} is not finite in row {wrong[0] + 1}; every value must be a finite number")

@@ -1,7 +1,7 @@
 """What a foreign file holds, and what a reader of such files is.
 
-A reader is one object that fits the protocol `Reader`. Readers are found by the entry points `palpd.readers`, so that another package can
-bring its own.
+A reader is one object that fits the protocol `FileReader`. Readers are found by the entry points `palpd.readers`, so that another
+package can bring its own.
 """
 
 from collections.abc import Iterator, Sequence
@@ -45,7 +45,7 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Column:
+class ChannelData:
     """The numbers of a channel: `values` (n,) or (n, k) as they stand in the file, vectors in SI.
 
     `t_s` (n,) are the times of a channel that has its own, from `origin_ns` on: nanoseconds since 1970 lose digits as seconds. Poses are
@@ -61,7 +61,7 @@ class Column:
     notes: tuple[str, ...] = ()
 
 
-class Reader(Protocol):
+class FileReader(Protocol):
     """Reads one kind of file."""
 
     name: str
@@ -77,8 +77,19 @@ class Reader(Protocol):
         """List what a file holds. Raises RecordingError where it cannot be read."""
         ...
 
-    def columns(self, path: Path, names: Sequence[str]) -> dict[str, Column]:
-        """Read channels by their names. Raises RecordingError, which names column and row of what is wrong."""
+    def columns(self, path: Path, names: Sequence[str]) -> dict[str, ChannelData]:
+        """Read channels by their names.
+
+        Args:
+            path: The file.
+            names: Names of channels, as `channels` lists them.
+
+        Returns:
+            The numbers of each.
+
+        Raises:
+            RecordingError: A channel is absent or damaged; the sentence names column and row.
+        """
         ...
 
 

@@ -7,7 +7,6 @@ from palpd.errors import PalpdError
 from palpd.interchange.channels import Channel
 from palpd.interchange.import_files import KNOWN_COLUMNS, OWN, Source, source_of
 from palpd.interchange.units import FACTORS, VOLTS, unit_named
-from palpd.recording.reader import holds_ticks
 from palpd.recording.samples import COLUMNS, OPTIONAL_COLUMN
 
 RECORDING_ENDINGS = (".parquet", ".pq", ".part")
@@ -45,12 +44,12 @@ def import_command(path: Path) -> str | None:
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether a path cannot be a recording by its ending: a bag, or a file of an instrument. An MCAP file of ours is a recording."""
+    """Whether a path is a bag or a file of an instrument. An MCAP file of ours is a recording, and a table may be one."""
     if path.suffix.lower() in (".csv", *RECORDING_ENDINGS) or not path.exists():
         return False
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
-    return not holds_ticks(path) or import_command(path) is not None
+    return import_command(path) is not None
 
 
 def _column_options(source: Source) -> list[str]:

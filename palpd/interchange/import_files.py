@@ -11,9 +11,9 @@ import numpy as np
 from palpd.errors import BadInput, RecordingError
 from palpd.files import nearest
 from palpd.interchange.alignment import Axis, TipPath, Wrench, continuous, overlap, refuse_turn, rotated, tared, turned
-from palpd.interchange.channels import Channel, Column, Kind, Reader, listing
+from palpd.interchange.channels import Channel, ChannelData, FileReader, Kind, listing
 from palpd.interchange.registry import reader_of
-from palpd.interchange.units import Quantity, Scale, refuse_impossible, refuse_unconfirmed, scale_of
+from palpd.interchange.units import Quantity, UnitScale, refuse_impossible, refuse_unconfirmed, scale_of
 from palpd.recording.samples import MIN_SAMPLES, WRENCH_COLUMNS, Samples, samples_from_columns, write_csv
 from palpd.tick import Floats
 
@@ -69,7 +69,7 @@ class Source:
     """A foreign file with its reader and what it holds."""
 
     path: Path
-    reader: Reader
+    reader: FileReader
     channels: Sequence[Channel]
 
     def named(self, name: str) -> bool:
@@ -185,7 +185,7 @@ class _Reading:
         self.sources = sources
         self.options = options
         self.notes: list[str] = []
-        self._scales: dict[tuple[Path, str], Scale] = {}
+        self._scales: dict[tuple[Path, str], UnitScale] = {}
         named = {name: options.__dict__[name] for name in ("force_column", "depth_column", "height_column")}
         if not any(named.values()):
             self.options = options = self._with_known_columns(options)
@@ -294,9 +294,9 @@ class _Reading:
         raise BadInput(f"there is no {name} in {files}{question}; they hold {listing(every)}" if len(self.sources) > 1 else
                        f"there is no {name} in {files}{question}; it holds {listing(every)}")  # fmt: skip
 
-    def _read(self, chosen: Iterable[tuple[Source, str]]) -> dict[tuple[Path, str], Column]:
+    def _read(self, chosen: Iterable[tuple[Source, str]]) -> dict[tuple[Path, str], ChannelData]:
         """Read channels, those of one file at once: it is read once, and their times have one origin."""
-        columns: dict[tuple[Path, str], Column] = {}
+        columns: dict[tuple[Path, str], ChannelData] = {}
         chosen = list(chosen)
         for source in self.sources:
             names = list(dict.fromkeys(name for its, name in chosen if its is source))
@@ -306,7 +306,7 @@ class _Reading:
             self.notes.extend(column.notes)
         return columns
 
-    def _times(self, column: Column) -> Floats:
+    def _times(self, column: ChannelData) -> Floats:
         """Times of a vector on the clock of all."""
         assert column.t_s is not None
         shift_ns = column.origin_ns - self._origin_ns
@@ -371,20 +371,20 @@ class _Reading:
             )
         return None
 
-    def _table(self, wanted: Mapping[str, Quantity]) -> tuple[Floats, dict[str, Floats]]:
+    def _table(self, named: Mapping[str, Quantity]) -> tuple[Floats, dict[str, Floats]]:
         """Times (n,) and columns in SI."""
-        sources = {self._source_with(name).path: self._source_with(name) for name in wanted}
+        sources = {self._source_with(name).path: self._source_with(name) for name in named}
         if len(sources) > 1:
             files = " and ".join(path.name for path in sources)
-            raise BadInput(f"the columns {', '.join(wanted)} stand in {files}, expected one file for them; leave one out")
+            raise BadInput(f"the columns {', '.join(named)} stand in {files}, expected one file for them; leave one out")
         source = next(iter(sources.values()))
-        time = self._time_column(source, list(wanted))
-        lengths = {name: len(self._columns[source.path, name].values) for name in [*wanted, *([time] if time else [])]}
+        time = self._time_column(source, list(named))
+        lengths = {name: len(self._columns[source.path, name].values) for name in [*named, *([time] if time else [])]}
         if len(set(lengths.values())) > 1:
             shown = ", ".join(f"{name} has {length}" for name, length in lengths.items())
             raise RecordingError(f"{source.path.name}: columns have unequal lengths ({shown}); name columns that were sampled together")
-        scaled = {name: self._scaled(source, name, quantity) for name, quantity in wanted.items()}
-        t_s = self._scaled(source, time, "time") if time else self._columns[source.path, next(iter(wanted))].t_s
+        scaled = {name: self._scaled(source, name, quantity) for name, quantity in named.items()}
+        t_s = self._scaled(source, time, "time") if time else self._columns[source.path, next(iter(named))].t_s
         if t_s is None:
             raise BadInput(f"a recording needs time and no column of {source.path.name} is named for it; give --time-column")
         _refuse_disorder(t_s, time or "time", source.path.name)

@@ -8,7 +8,7 @@ import numpy as np
 
 from palpd.errors import RecordingError
 from palpd.files import opened
-from palpd.interchange.channels import Channel, Column, listing, refuse_empty, refuse_many, understanding
+from palpd.interchange.channels import Channel, ChannelData, listing, refuse_empty, refuse_many, understanding
 from palpd.tick import Floats
 
 KIND = "a MATLAB file"
@@ -34,8 +34,19 @@ class MatlabReader:
         """List all vectors of numbers."""
         return [Channel(name, samples=len(values)) for name, values in _vectors(path).items()]
 
-    def columns(self, path: Path, names: Sequence[str]) -> dict[str, Column]:
-        """Read vectors by their names."""
+    def columns(self, path: Path, names: Sequence[str]) -> dict[str, ChannelData]:
+        """Read vectors by their names.
+
+        Args:
+            path: The file.
+            names: Names of channels.
+
+        Returns:
+            The numbers of each.
+
+        Raises:
+            RecordingError: A vector is absent, or holds what is no number.
+        """
         vectors = _vectors(path)
         for name in names:
             if name not in vectors:
@@ -48,7 +59,7 @@ class MatlabReader:
                     f"{path.name}: {name} is {vectors[name][wrong[0]]} in row {wrong[0] + 1}; every value must be a finite number, so "
                     "leave it out"
                 )
-        return {name: Column(vectors[name]) for name in names}
+        return {name: ChannelData(vectors[name]) for name in names}
 
 
 READER = MatlabReader()

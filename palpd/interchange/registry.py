@@ -6,7 +6,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from palpd.errors import RecordingError
-from palpd.interchange.channels import Reader, refuse_empty
+from palpd.interchange.channels import FileReader, refuse_empty
 from palpd.recording.reader import holds_ticks
 
 GROUP = "palpd.readers"
@@ -23,17 +23,17 @@ LAST = "table"
 
 
 @cache
-def readers() -> dict[str, Reader]:
+def readers() -> dict[str, FileReader]:
     """All readers by the names of their entry points; a package may replace one of ours."""
     places = OURS | {point.name: point.value for point in entry_points(group=GROUP)}
-    loaded: dict[str, Reader] = {}
-    for name, place in sorted(places.items(), key=lambda each: each[0] == LAST):
+    loaded: dict[str, FileReader] = {}
+    for name, place in sorted(places.items(), key=lambda each: (each[0] == LAST, each[0])):
         module, _, attribute = place.partition(":")
         loaded[name] = getattr(import_module(module), attribute)
     return loaded
 
 
-def reader_of(path: Path) -> Reader:
+def reader_of(path: Path) -> FileReader:
     """Find the reader of a file.
 
     Args:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from palpd.errors import RecordingError
 from palpd.files import opened
-from palpd.interchange.channels import Channel, Column, Kind, listing, refuse_empty, refuse_many, understanding, without_package
+from palpd.interchange.channels import Channel, ChannelData, Kind, listing, refuse_empty, refuse_many, understanding, without_package
 from palpd.recording.mcap_file import HEADER
 from palpd.tick import Floats
 
@@ -85,8 +85,19 @@ class RosbagReader:
                 for topic, info in sorted(bag.topics.items())
             ]
 
-    def columns(self, path: Path, names: Sequence[str]) -> dict[str, Column]:
-        """Read topics; a topic of transforms is named with its frame, /tf:tool0. All times have one origin."""
+    def columns(self, path: Path, names: Sequence[str]) -> dict[str, ChannelData]:
+        """Read topics; a topic of transforms is named with its frame, /tf:tool0. All times have one origin.
+
+        Args:
+            path: The file.
+            names: Names of channels.
+
+        Returns:
+            The numbers of each.
+
+        Raises:
+            RecordingError: A topic is absent, empty, of another type or damaged.
+        """
         listed = {channel.name: channel for channel in self.channels(path)}
         topics = {name: name.partition(BETWEEN)[0] if name not in listed else name for name in names}
         for topic in topics.values():
@@ -112,7 +123,7 @@ class RosbagReader:
             }
         origin_ns = min(int(stamps[0]) for stamps, *_ in parsed.values())
         return {
-            name: Column(values, (stamps - origin_ns).astype(np.float64) * 1e-9, origin_ns, frame, messages=True, notes=notes)
+            name: ChannelData(values, (stamps - origin_ns).astype(np.float64) * 1e-9, origin_ns, frame, messages=True, notes=notes)
             for name, (stamps, values, frame, notes) in parsed.items()
         }
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from palpd.errors import RecordingError
 from palpd.files import opened
-from palpd.interchange.channels import Channel, Column, Kind, refuse_empty, refuse_many
+from palpd.interchange.channels import Channel, ChannelData, Kind, refuse_empty, refuse_many
 from palpd.interchange.units import unit_named
 from palpd.recording.samples import LARGEST
 from palpd.recording.tables import refuse_decimal_commas
@@ -81,8 +81,19 @@ class TableReader:
         layout = layout_of(path, lines_of(path, MOST_PREAMBLE_BYTES))
         return [*_vectors(layout), *(Channel(name, unit=_unit(layout, name)) for name in layout.header)]
 
-    def columns(self, path: Path, names: Sequence[str]) -> dict[str, Column]:
-        """Read columns by their names."""
+    def columns(self, path: Path, names: Sequence[str]) -> dict[str, ChannelData]:
+        """Read columns by their names.
+
+        Args:
+            path: The file.
+            names: Names of channels.
+
+        Returns:
+            The numbers of each.
+
+        Raises:
+            RecordingError: A column is absent, or a row of it holds no number.
+        """
         lines = lines_of(path)
         layout = layout_of(path, lines)
         parts = {name: _parts(layout, name) for name in names}
@@ -94,12 +105,12 @@ class TableReader:
         columns = {}
         for name, each in parts.items():
             if len(each) == 1:
-                columns[name] = Column(table[name], notes=notes)
+                columns[name] = ChannelData(table[name], notes=notes)
             else:
                 values = np.column_stack([table[part] for part in each])
                 if UR_VECTORS[name] in ("pose", "command"):
                     values = np.column_stack([values[:, :3], Rotation.from_rotvec(values[:, 3:]).as_quat()])
-                columns[name] = Column(values, table[UR_TIME], frame=UR_FRAMES.get(name, "base"), notes=notes)
+                columns[name] = ChannelData(values, table[UR_TIME], frame=UR_FRAMES.get(name, "base"), notes=notes)
         return columns
 
 

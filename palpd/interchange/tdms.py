@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from palpd.errors import RecordingError
-from palpd.interchange.channels import Channel, Column, listing, refuse_empty, refuse_many, understanding, without_package
+from palpd.interchange.channels import Channel, ChannelData, listing, refuse_empty, refuse_many, understanding, without_package
 
 KIND = "a TDMS file of LabVIEW"
 
@@ -26,8 +26,19 @@ class TdmsReader:
         """List the channels of numbers."""
         return [_channel(name, each) for name, each in _numeric(path).items()]
 
-    def columns(self, path: Path, names: Sequence[str]) -> dict[str, Column]:
-        """Read channels by their names."""
+    def columns(self, path: Path, names: Sequence[str]) -> dict[str, ChannelData]:
+        """Read channels by their names.
+
+        Args:
+            path: The file.
+            names: Names of channels.
+
+        Returns:
+            The numbers of each.
+
+        Raises:
+            RecordingError: A channel is absent, damaged, or holds what is no number.
+        """
         every = _numeric(path)
         columns = {}
         for name in names:
@@ -43,7 +54,7 @@ class TdmsReader:
                 raise RecordingError(
                     f"{path.name}: {name} is {values[wrong[0]]} in row {wrong[0] + 1}; every value must be a finite number, so leave it out"
                 )
-            columns[name] = Column(values, t_s)
+            columns[name] = ChannelData(values, t_s)
         return columns
 
 

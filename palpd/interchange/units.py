@@ -49,7 +49,7 @@ SLOWEST_STEP_S = 0.5
 
 
 @dataclass(frozen=True)
-class Scale:
+class UnitScale:
     """How the numbers of a column become SI: unit, factor, and where the unit comes from."""
 
     column: str
@@ -90,7 +90,7 @@ def unit_named(name: str, unit: str = "") -> str | None:
 
 def scale_of(
     column: str, quantity: Quantity, values: Floats, *, stated: str = "", given: str | None = None, per_volt: float | None = None
-) -> Scale:
+) -> UnitScale:
     """Find the unit of a column.
 
     Args:
@@ -113,10 +113,10 @@ def scale_of(
         if per_volt is None:
             option = {"force": "--force-N-per-V", "length": "--length-m-per-V"}.get(quantity, "a column in another unit")
             raise BadInput(f"column {column} is in {unit}; give {option}, the factor of the amplifier")
-        return Scale(column, quantity, unit, VOLTS[unit] * per_volt, "given")
+        return UnitScale(column, quantity, unit, VOLTS[unit] * per_volt, "given")
     units = FACTORS[quantity]
     if given is not None:
-        return Scale(column, quantity, given, units[given], "given")
+        return UnitScale(column, quantity, given, units[given], "given")
     if named is not None and named not in units:
         raise BadInput(
             f"column {column} is in {named}, expected a {quantity} in {', '.join(units)}; name another column, or give "
@@ -124,9 +124,9 @@ def scale_of(
         )
     si = next(iter(units))
     if named is not None:
-        return Scale(column, quantity, named, units[named], "stated" if named == si else "guessed")
+        return UnitScale(column, quantity, named, units[named], "stated" if named == si else "guessed")
     size = _size_guess(quantity, values)
-    return Scale(column, quantity, size or si, units[size or si], "guessed" if size else "assumed")
+    return UnitScale(column, quantity, size or si, units[size or si], "guessed" if size else "assumed")
 
 
 def _size_guess(quantity: Quantity, values: Floats) -> str | None:
@@ -143,7 +143,7 @@ def _size_guess(quantity: Quantity, values: Floats) -> str | None:
     return None
 
 
-def refuse_unconfirmed(scales: list[Scale], confirmed: bool, name: str) -> None:
+def refuse_unconfirmed(scales: list[UnitScale], confirmed: bool, name: str) -> None:
     """Refuse units that were guessed and not confirmed, all of them in one sentence.
 
     Args:

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpd.analysis.curves import Curve, Mapping, analyse_curve, import_curve, read_curve
+from palpd.analysis.curves import Curve, Mapping, analyse_curve, read_curve
 from palpd.errors import BadInput, RecordingError
-from palpd.recording.samples import read_csv
 
 RADIUS_M, E_PA = 0.0025, 80e3
 
@@ -103,26 +102,6 @@ def test_a_force_that_is_named_as_tared_keeps_its_zero_and_says_so() -> None:
     assert asked["youngs_modulus_Pa"] == free["youngs_modulus_Pa"]
 
 
-def test_an_imported_curve_is_a_recording(tmp_path: Path) -> None:
-    out = tmp_path / "out.csv"
-    samples = import_curve(machine(tmp_path, rows=slice(0, 200)), MACHINE, out)
-    again = read_csv(out)
-    assert np.array_equal(again.wrench, samples.wrench)
-    assert again.z_cmd_m is None
-    assert again.t_s[0] == 0.0
-    assert again.vz_m_per_s[10:190] == pytest.approx(-0.002 / 199 / 0.1, rel=1e-3)
-    assert again.wrench[-1, 2] > 0 > again.z_m[-1]
-    with pytest.raises(BadInput, match="exists and is not overwritten"):
-        import_curve(machine(tmp_path), MACHINE, out)
-
-
-def test_our_own_recording_needs_no_columns_named(tmp_path: Path) -> None:
-    out = tmp_path / "out.csv"
-    import_curve(machine(tmp_path, rows=slice(0, 200)), MACHINE, out)
-    result = analyse_curve(read_curve(out, Mapping()), tip_radius_m=RADIUS_M)
-    assert result["youngs_modulus_Pa"] == pytest.approx(E_PA, rel=1e-4)
-
-
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
@@ -160,15 +139,6 @@ def test_a_mapping_that_cannot_be_is_refused(tmp_path: Path) -> None:
         read_curve(path, Mapping("F(mN)", depth_column="Z(mm)", height_column="Z(mm)"))
     with pytest.raises(BadInput, match="belongs to --height-column"):
         read_curve(path, Mapping("F(mN)", depth_column="Z(mm)", height_down_positive=True))
-    with pytest.raises(BadInput, match="give --time-column"):
-        import_curve(path, Mapping("F(mN)", height_column="Z(mm)"), tmp_path / "out.csv")
-
-
-def test_time_that_runs_backwards_is_refused_on_import(tmp_path: Path) -> None:
-    rows = "\n".join(f"{k if k != 20 else 3},{-k},{k}" for k in range(40))
-    with pytest.raises(RecordingError, match="t_s runs backwards in row 21"):
-        import_curve(written(tmp_path, f"t,z,f\n{rows}\n"), Mapping("f", height_column="z", time_column="t"), tmp_path / "out.csv")
-    assert not (tmp_path / "out.csv").exists()
 
 
 @pytest.mark.parametrize("mapping", [Mapping(), Mapping(force_column="fz_N", height_column="z_m")])

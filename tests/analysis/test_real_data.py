@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpd.analysis.curves import Curve, Mapping, analyse_curve, import_curve, read_curve
+from palpd.analysis.curves import Curve, Mapping, analyse_curve, read_curve
+from palpd.interchange.import_files import ImportOptions, import_files
 from palpd.recording.samples import read_csv
 from tests.paths import SHARED_DATA
 
@@ -60,7 +61,10 @@ def test_a_soft_gel_has_the_modulus_that_the_instrument_gave() -> None:
 
 
 def test_a_well_becomes_a_recording(tmp_path: Path) -> None:
-    samples = import_curve(well("E5"), ASMI, tmp_path / "e5.csv")
+    options = ImportOptions(
+        "Corrected_Force(N)", height_column="Z_Position(mm)", length_unit="mm", compression_negative=True, time_columns=("Timestamp(s)",)
+    )
+    samples = import_files([well("E5")], options, tmp_path / "e5.csv").samples
     again = read_csv(tmp_path / "e5.csv")
     assert len(again) == len(samples) == 358
     assert np.array_equal(again.t_s, samples.t_s)

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpd.analysis.curves import Mapping, import_curve
 from palpd.cell.cell_file import CellFile, cell_from
 from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.interchange.import_files import ImportOptions, import_files
 from palpd.recording.samples import Samples, read, samples_from_columns
 from palpd.tick import Floats
 from tests.paths import SHARED_DATA
@@ -142,7 +142,8 @@ def test_a_friction_damper_with_play_is_both_and_nothing_else() -> None:
 def test_silicone_that_relaxes_is_viscoelastic_against_an_elastic_cell(name: str, tmp_path: Path) -> None:
     """Load and hold, as far as the height stays; no modulus is known and the touch only to half a millimetre."""
     path = REAL / "silicone_relaxation" / f"{name}.csv"
-    whole = import_curve(path, Mapping("F_N", depth_column="u_mm", length_unit="mm", time_column="t_s"), tmp_path / "s.csv")
+    options = ImportOptions("F_N", depth_column="u_mm", length_unit="mm", time_columns=("t_s",))
+    whole = import_files([path], options, tmp_path / "s.csv").samples
     end = int(np.flatnonzero(whole.z_m < whole.z_m.min() + 2e-5)[-1]) + 1
     held = Samples(whole.t_s[:end], None, whole.z_m[:end], whole.vz_m_per_s[:end], whole.wrench[:end])
     diagnosis = quick(held, foreign_cell(5e-3, 8e3, 0.0, 10.0, 0.002, youngs_modulus=1.0, surface_z_m=5e-4))
@@ -156,10 +157,11 @@ def test_silicone_that_relaxes_is_viscoelastic_against_an_elastic_cell(name: str
 @measured
 def test_a_stiff_sample_against_a_rigid_machine_says_what_its_modulus_hides(tmp_path: Path) -> None:
     """Fitted as if the machine were rigid, it has the modulus that the makers give as measured: 12.26 MPa, less by 1 - ν²."""
-    mapping = Mapping(
-        "Corrected_Force(N)", height_column="Z_Position(mm)", length_unit="mm", compression_negative=True, time_column="Timestamp(s)"
+    well = next((REAL / "asmi_indentation").glob("well_E5_*.csv"))
+    options = ImportOptions(
+        "Corrected_Force(N)", height_column="Z_Position(mm)", length_unit="mm", compression_negative=True, time_columns=("Timestamp(s)",)
     )
-    samples = import_curve(next((REAL / "asmi_indentation").glob("well_E5_*.csv")), mapping, tmp_path / "e5.csv")
+    samples = import_files([well], options, tmp_path / "e5.csv").samples
     diagnosis = quick(samples, foreign_cell(2.5e-3, 17e6, -0.07705, 8.0, 0.003, youngs_modulus=1.0))
     assert diagnosis.verdict in {"none", "ambiguous"}, diagnosis.sentence
     assert "robot.compliance" in diagnosis.sentence

@@ -8,6 +8,7 @@ import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
+from palpd.analysis.curves import Mapping, analyse_curve, read_curve
 from palpd.errors import BadInput, PalpdError, RecordingError
 from palpd.interchange.import_files import ImportOptions, import_files, read_files, source_of
 from palpd.interchange.units import unit_named
@@ -142,6 +143,32 @@ def test_latin_1_and_utf_16_are_read(tmp_path: Path) -> None:
         path.write_bytes(text.encode(encoding))
         imported = read_files([path], ImportOptions("F (µN)", height_column="z (m)", time_columns=("t (s)",), force_unit="uN"))
         np.testing.assert_allclose(imported.samples.wrench[:, 2], FORCE_N, rtol=0, atol=1e-12)
+
+
+def test_an_imported_curve_is_a_recording_that_is_not_overwritten(tmp_path: Path) -> None:
+    """A preamble, compression negative, forces in mN, and a recording that `palpd analyse` reads without options."""
+    text = "Well,E5\nForce_Limit(N),10.0\n\n" + table("Time(s),Z(mm),F(mN)", T_S, -74.0 - DEPTH_M * 1e3, -FORCE_N * 1e3) + "Total(s),6\n"
+    path, out = written(tmp_path, text), tmp_path / "out.csv"
+    options = ImportOptions("F(mN)", height_column="Z(mm)", time_columns=("Time(s)",), force_unit="mN", length_unit="mm",
+                            compression_negative=True)  # fmt: skip
+    samples = import_files([path], options, out).samples
+    again = read_csv(out)
+    assert np.array_equal(again.wrench, samples.wrench)
+    assert again.z_cmd_m is None
+    np.testing.assert_allclose(again.vz_m_per_s, -np.gradient(DEPTH_M, T_S), rtol=0, atol=1e-9)
+    result = analyse_curve(read_curve(out, Mapping()), tip_radius_m=0.005)
+    assert result["youngs_modulus_Pa"] == pytest.approx(8e4, rel=1e-3)
+    with pytest.raises(BadInput, match="exists and is not overwritten"):
+        import_files([path], options, out)
+
+
+def test_time_that_runs_backwards_is_refused_with_its_row(tmp_path: Path) -> None:
+    t_s = T_S.copy()
+    t_s[20] = T_S[3]
+    path, out = written(tmp_path, table("t,z,f", t_s, -DEPTH_M, FORCE_N)), tmp_path / "out.csv"
+    with pytest.raises(RecordingError, match=r"curve\.csv: t runs backwards in row 21 of the numbers"):
+        import_files([path], ImportOptions("f", height_column="z", time_columns=("t",)), out)
+    assert not out.exists()
 
 
 def two_files(folder: Path, begin_s: float = 0.0) -> list[Path]:
