@@ -57,7 +57,7 @@ def effects_named(names: Sequence[str], known: Mapping[str, Effect]) -> list[Eff
 def required_cell(cell: Path | None) -> Path:
     """The cell file to diagnose against. Raises BadInput where none is given."""
     if cell is None:
-        raise BadInput("--cell is required: give the cell.yaml that your simulator uses")
+        raise BadInput("--cell is required: give the cell.yaml that your simulator uses; palpd cell-from writes a first one")
     return cell
 
 

@@ -170,7 +170,7 @@ def read_files(paths: Sequence[Path], options: ImportOptions) -> Imported:
     if options.axis is not None and wrench.frame is not None:
         readings = turned(readings, options.axis)
     if options.compression_negative:
-        readings = -readings
+        readings = 0.0 - readings  # which leaves 0.0 what it is
     if options.tare_s is not None:
         readings = tared(t_s, columns["z_m"], readings, options.tare_s)
     columns |= {"t_s": t_s - t_s[0], **dict(zip(WRENCH_COLUMNS, np.ascontiguousarray(readings.T), strict=True))}

@@ -134,7 +134,7 @@ def test_an_empty_plan_is_refused(home: Path) -> None:
 
 def test_what_belongs_together_is_asked_for(home: Path) -> None:
     for command, words in (
-        (["diagnose", "no.csv"], "--cell is required: give the cell.yaml that your simulator uses"),
+        (["diagnose", "no.csv"], "--cell is required: give the cell.yaml that your simulator uses; palpd cell-from writes a first one"),
         (["map", "--presses", "p.csv", "--emulated"], "--presses draws presses that were made"),
         (["effects", "no.such"], "there is no effect 'no.such'"),
         (["blind", "--ablation", "nothing"], "--ablation is 'nothing'; expected one of"),
