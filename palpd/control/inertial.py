@@ -57,9 +57,12 @@ class MotionFeatures:
             speeds.popleft()
         n = len(speeds)
         ages = [t - t_s for t, _ in speeds]
-        mean_age, mean_speed = math.fsum(ages) / n, math.fsum(speed for _, speed in speeds) / n
-        spread = math.fsum((age - mean_age) ** 2 for age in ages)
-        slope = math.fsum((age - mean_age) * speed for age, (_, speed) in zip(ages, speeds, strict=True)) / spread if n > 2 else 0.0
+        mean_age, mean_speed = math.fsum(ages) / n, math.fsum([speed for _, speed in speeds]) / n
+        slope = 0.0
+        if n > 2:
+            away = [age - mean_age for age in ages]
+            spread = math.fsum([age**2 for age in away])
+            slope = math.fsum([age * speed for age, (_, speed) in zip(away, speeds, strict=True)]) / spread
         self._line = (t_s + mean_age, mean_speed, slope)
 
     def features(self, t_s: Sequence[float]) -> list[tuple[float, float]]:
@@ -139,8 +142,8 @@ class InertialModel:
 
         The prediction is not bounded: the caller clips it.
         """
-        inside = [[min(max(x, low), high) for x, low, high in zip(row, self.low, self.high, strict=True)] for row in features]
-        predicted = self.network(inside)
+        (low_v, low_a), (high_v, high_a) = self.low, self.high
+        predicted = self.network([(min(max(v, low_v), high_v), min(max(a, low_a), high_a)) for v, a in features])
         if not math.isfinite(sum(predicted)):
             self.not_finite += sum(not math.isfinite(force_N) for force_N in predicted)
             predicted = [force_N if math.isfinite(force_N) else 0.0 for force_N in predicted]
@@ -148,21 +151,8 @@ class InertialModel:
 
     def out_of_range(self, features: Sequence[Sequence[float]]) -> int:
         """Return how many of the features (n, 2) lie outside the motion of the training."""
-        return sum(not all(map(between, self.low, row, self.high)) for row in features)
-
-
-def between(low: float, value: float, high: float) -> bool:
-    """Whether a value lies between two bounds; NaN does not.
-
-    Args:
-        low: lower bound, included.
-        value: the value.
-        high: upper bound, included.
-
-    Returns:
-        Whether it does.
-    """
-    return low <= value <= high
+        (low_v, low_a), (high_v, high_a) = self.low, self.high
+        return sum([not (low_v <= v <= high_v and low_a <= a <= high_a) for v, a in features])
 
 
 class Network:
@@ -175,20 +165,22 @@ class Network:
 
     def __init__(self, session: Any) -> None:
         self._session = session
-        self._motion = np.zeros((self.BATCH, len(INPUTS)), np.float32)
-        self._force_N = np.zeros((self.BATCH, 1), np.float32)
+        motion, force_N = np.zeros((self.BATCH, len(INPUTS)), np.float32), np.zeros((self.BATCH, 1), np.float32)
         self._binding = session.io_binding()
-        self._binding.bind_input(INPUT_NAME, "cpu", 0, np.float32, self._motion.shape, self._motion.ctypes.data)
-        self._binding.bind_output(OUTPUT_NAME, "cpu", 0, np.float32, self._force_N.shape, self._force_N.ctypes.data)
+        self._binding.bind_input(INPUT_NAME, "cpu", 0, np.float32, motion.shape, motion.ctypes.data)
+        self._binding.bind_output(OUTPUT_NAME, "cpu", 0, np.float32, force_N.shape, force_N.ctypes.data)
+        self._motion: Any = motion.reshape(-1).data  # number by number: for two to eight rows that is cheaper than one array
+        self._force_N: Any = force_N.reshape(-1).data
 
     def __call__(self, rows: Sequence[Sequence[float]]) -> list[float]:
         """Return the outputs (n,) for inputs (n, 2)."""
         predicted: list[float] = []
         for begin in range(0, len(rows), self.BATCH):
             some = rows[begin : begin + self.BATCH]
-            self._motion[: len(some)] = some
+            for at, (speed_m_per_s, acceleration_m_per_s2) in enumerate(some):
+                self._motion[2 * at], self._motion[2 * at + 1] = speed_m_per_s, acceleration_m_per_s2
             self._session.run_with_iobinding(self._binding)
-            predicted += self._force_N[: len(some), 0].tolist()
+            predicted += self._force_N[: len(some)].tolist()
         return predicted
 
 

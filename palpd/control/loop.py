@@ -109,13 +109,17 @@ class Explainer:
         tared = [to_base(wrench, zero, rotation) for wrench in linear]
         inertial_N = self._inertial(frames, tared, robot.z_m >= clear_z_m)
         forces_N = [row[2] - inertia for row, inertia in zip(tared, inertial_N, strict=True)]
+        lateral_N, torques_Nm = [], []
+        for fx, fy, _, tx, ty, tz in tared:
+            lateral_N.append(math.hypot(fx, fy))
+            torques_Nm += [abs(tx), abs(ty), abs(tz)]
         self.last = Contact(
             np.array(tared),
             np.array(inertial_N),
             force_N=largest(forces_N),
             mean_N=math.fsum(forces_N) / len(forces_N),
-            lateral_N=largest([math.hypot(row[0], row[1]) for row in tared]),
-            torque_Nm=largest([abs(torque) for row in tared for torque in row[3:]]),
+            lateral_N=largest(lateral_N),
+            torque_Nm=largest(torques_Nm),
             absolute_N=largest([math.hypot(x - x0_N, y - y0_N, z - z0_N) for x, y, z, *_ in wrenches]),
             zero_N=self.zero.zero_N if self.zero is not None else 0.0,
         )
@@ -153,6 +157,8 @@ class Explainer:
 
 def largest(values: list[float]) -> float:
     """Return the largest value, or NaN if any is NaN: max() would skip a NaN, and the guard must see it."""
+    if math.isfinite(sum(values)):  # then each is
+        return max(values)
     return math.nan if any(map(math.isnan, values)) else max(values)
 
 

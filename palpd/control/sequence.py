@@ -14,7 +14,7 @@ import numpy as np
 
 from palpd.config import CONTACT_FORCE_N, Plan
 from palpd.control.surface import FEWEST_SAMPLES, surface_from_approach
-from palpd.tick import STILL, Command, Mode, Observation, Phase, Progress, Proposal, Request
+from palpd.tick import STILL, Command, Floats, Mode, Observation, Phase, Progress, Proposal, Request
 
 GAIN_PER_S = 8.0
 """Commanded speed per metre of remaining way. The controller's target lags two to three cycles: 8/s × 24 ms leaves 78° of phase."""
@@ -323,13 +323,13 @@ class Palpation(Script):
                 )
             yield from self.move(vz_m_per_s=self._towards(lowest_m, search.speed_m_per_s))
             if len(self.observation.frames):
-                force_N = float(np.mean(self.observation.contact.tared[:, 2])) - baseline_N
+                force_N = _mean(self.observation.contact.tared[:, 2]) - baseline_N
                 if force_N < -CONTACT_FORCE_N:
                     raise SurfaceNotFound(
                         f"the force fell to {force_N:.1f} N in the search, where tissue can only press: the sensor's zero moves, or its "
                         "sign is wrong, and either would hide the surface; check it with palpd doctor --weight-N"
                     )
-                mean_t_s = float(np.mean(self.observation.frames.t_s)) - self.arm.delay_s
+                mean_t_s = _mean(self.observation.frames.t_s) - self.arm.delay_s
                 force_track.append((mean_t_s, force_N))
             robot_track.append((self.observation.robot.t_s, self.observation.robot.z_m))
         yield from self.move()
@@ -532,6 +532,11 @@ class Retract(Script):
             yield from self.move(vz_m_per_s=self._towards(highest_m, min(RETRACT_M_PER_S, self.arm.max_speed_m_per_s)))
         yield from self.move()
         yield from self.come_to_rest()
+
+
+def _mean(values: Floats) -> float:
+    """The mean as numpy computes it, bit for bit, at a third of its price."""
+    return float(values.sum()) / len(values)
 
 
 def _level(track: deque[tuple[float, float]]) -> bool:

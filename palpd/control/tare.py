@@ -26,7 +26,7 @@ FREE_N = 3.0
 LINEAR = slice(3)
 """The linear part of a wrench, a speed or a pose."""
 
-Rotation = tuple[tuple[float, float, float], ...]
+Rotation = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 """Three rows of a rotation matrix, as plain floats: every tick computes one."""
 
 
@@ -40,23 +40,32 @@ def base_from_sensor(rotation_vector_rad: tuple[float, ...], about_flange_z_rad:
     Returns:
         Rotation matrix (3, 3) as rows.
     """
-    rx, ry, rz = rotation_vector_rad
-    angle = math.hypot(rx, ry, rz)
-    scale = 1.0 / angle if angle > 1e-12 else 0.0
-    x, y, z = rx * scale, ry * scale, rz * scale
-    s, c = math.sin(angle), math.cos(angle)
+    x, y, z, s, c = _axis(rotation_vector_rad)
     v = 1.0 - c
-    first = (c + x * x * v, y * x * v + z * s, z * x * v - y * s)  # columns: where the tool's x and y point
-    second = (x * y * v - z * s, c + y * y * v, z * y * v + x * s)
     sm, cm = math.sin(about_flange_z_rad), math.cos(about_flange_z_rad)
-    third = (x * z * v + y * s, y * z * v - x * s, c + z * z * v)
-    return tuple((a * cm + b * sm, b * cm - a * sm, d) for a, b, d in zip(first, second, third, strict=True))
+    ax, bx, dx = c + x * x * v, x * y * v - z * s, x * z * v + y * s  # where the tool's three axes point, row by row
+    ay, by, dy = y * x * v + z * s, c + y * y * v, y * z * v - x * s
+    az, bz, dz = z * x * v - y * s, z * y * v + x * s, c + z * z * v
+    return (
+        (ax * cm + bx * sm, bx * cm - ax * sm, dx),
+        (ay * cm + by * sm, by * cm - ay * sm, dy),
+        (az * cm + bz * sm, bz * cm - az * sm, dz),
+    )
 
 
 def tilt_rad(rotation_vector_rad: tuple[float, ...]) -> float:
     """Return the angle between the tool's z axis and the base's -z."""
-    x, y, z = (row[2] for row in base_from_sensor(rotation_vector_rad, 0.0))
-    return math.atan2(math.hypot(x, y), -z)
+    x, y, z, s, c = _axis(rotation_vector_rad)
+    v = 1.0 - c
+    return math.atan2(math.hypot(x * z * v + y * s, y * z * v - x * s), -(c + z * z * v))
+
+
+def _axis(rotation_vector_rad: tuple[float, ...]) -> tuple[float, float, float, float, float]:
+    """The axis of a rotation, and the sine and cosine of its angle."""
+    rx, ry, rz = rotation_vector_rad
+    angle = math.hypot(rx, ry, rz)
+    scale = 1.0 / angle if angle > 1e-12 else 0.0
+    return rx * scale, ry * scale, rz * scale, math.sin(angle), math.cos(angle)
 
 
 def to_base(wrench: Sequence[float], zero: Sequence[float], rotation: Rotation) -> list[float]:
@@ -69,10 +78,20 @@ def to_base(wrench: Sequence[float], zero: Sequence[float], rotation: Rotation) 
 
     Returns:
         Wrench (6,) in base axes.
+
+    Raises:
+        ValueError: Wrench and zero differ in length.
     """
-    fx, fy, fz, tx, ty, tz = (measured - offset for measured, offset in zip(wrench, zero, strict=True))
-    force = [a * fx + b * fy + c * fz for a, b, c in rotation]
-    return force + [a * tx + b * ty + c * tz for a, b, c in rotation]
+    if len(wrench) != len(zero):
+        raise ValueError(f"a wrench of {len(wrench)} numbers is longer or shorter than its zero of {len(zero)}")
+    fx, fy, fz, tx, ty, tz = wrench
+    fx0, fy0, fz0, tx0, ty0, tz0 = zero
+    fx, fy, fz, tx, ty, tz = fx - fx0, fy - fy0, fz - fz0, tx - tx0, ty - ty0, tz - tz0
+    (ax, bx, cx), (ay, by, cy), (az, bz, cz) = rotation
+    return [
+        ax * fx + bx * fy + cx * fz, ay * fx + by * fy + cy * fz, az * fx + bz * fy + cz * fz,
+        ax * tx + bx * ty + cx * tz, ay * tx + by * ty + cy * tz, az * tx + bz * ty + cz * tz,
+    ]  # fmt: skip
 
 
 @dataclass(slots=True)

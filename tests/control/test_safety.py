@@ -188,6 +188,10 @@ def test_one_number_that_is_not_finite_stops_the_arm(seen: Observation) -> None:
     assert one(seen)[1] == Verdict(STOP, Action.STOP, Trip.NOT_FINITE, 1.0, 0.0)
 
 
+def test_numbers_are_finite_where_their_sum_is_not() -> None:
+    assert one(observation(frames=frames(wrench=np.full((8, 6), 1e308))))[1].trip == Trip.NONE
+
+
 @pytest.mark.parametrize(
     "seen",
     [
