@@ -55,6 +55,7 @@ class _Frame(NamedTuple):
     counter: int
     status: int
     counts: tuple[int, ...]
+    peak: int  # largest size of a count
     raw: bytes
     start: int
     ambiguous: bool
@@ -100,6 +101,7 @@ class FrameParser:
         self.lost = 0
         self.implausible = 0
         self._limits = tuple(float(limit) for limit in self.input_limit)
+        self._lowest_limit = min(self._limits)
         self._usual_response = self._response(counter_step)
         self._bulk_frames = self._attempt_frames = bulk_frames  # attempts double while they succeed
         self._tail = b""
@@ -155,7 +157,7 @@ class FrameParser:
             elif end - at < length:
                 break
             elif sum(data[at : at + length - 2]) == (data[at + length - 2] << 8 | data[at + length - 1]):
-                ambiguous = data.find(DATA[:3], at + 1, at + length) >= 0
+                ambiguous = data.find(_DATA_BEGIN, at + 1, at + length) >= 0
                 self._explain(begin + at, begin + at + length, header, data[at + 4 : at + length - 2], ambiguous)
             at += 1
         if at < 0:
@@ -172,7 +174,8 @@ class FrameParser:
             self.packets.append(Packet(header, payload))
 
     def _explained_to(self, start: int, stop: int) -> None:
-        self._unexplained_frames += -(-max(0, start - self._explained) // FRAME_BYTES)
+        if start > self._explained:
+            self._unexplained_frames += -(-(start - self._explained) // FRAME_BYTES)
         self._explained = stop
 
     def _parse_bulk(self, data: bytes, at: int, frames: int) -> int:
@@ -182,7 +185,7 @@ class FrameParser:
         whole = (rows[:, :4] == _DATA_BYTES).all(axis=1) & (sums == rows[:, 20] * np.uint16(256) + rows[:, 21])
         done = frames if whole.all() else int(whole.argmin())
         size = done * FRAME_BYTES
-        if not done or data.count(DATA[:3], at, at + size) != done:
+        if not done or data.count(_DATA_BEGIN, at, at + size) != done:
             return 0
         self._explained_to(self._begin + at, self._begin + at + size)
         self._judge_rows(np.ascontiguousarray(rows[:done, 4:20]), self._begin + at)
@@ -261,6 +264,8 @@ class FrameParser:
             return True
         steps = (new.counter - last.counter) & 0xFFFF
         response = self._usual_response if steps == self.counter_step else self._response(steps)
+        if last.peak + (last.peak + new.peak) / response <= self._lowest_limit:
+            return True  # so is every axis, because rounding keeps the order
         for before, after, limit in zip(last.counts, new.counts, self._limits, strict=True):
             if not -limit <= before + (after - before) / response <= limit:
                 return False
@@ -278,8 +283,10 @@ class FrameParser:
 
 NO_RAW_FRAMES = RawFrames(np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty((0, 6), np.int16))
 _DATA_BYTES = np.frombuffer(DATA, np.uint8)
+_DATA_BEGIN = DATA[:3]
 
 
 def _frame(raw: bytes, start: int, ambiguous: bool = False) -> _Frame:
-    counter, status, *counts = _UNPACK(raw)
-    return _Frame(counter, status, tuple(counts), raw, start, ambiguous)
+    words = _UNPACK(raw)
+    counts = words[2:]
+    return _Frame(words[0], words[1], counts, max(max(counts), -min(counts)), raw, start, ambiguous)

@@ -208,9 +208,12 @@ class HexSensor:
             raise SensorError(f"sensor port {self.port} is closed; open the sensor again.")
         port, data, gone = self._serial.fileno(), b"", False
         try:
-            while not gone and _waiting(port):
+            waiting = READ_BYTES
+            while waiting > READ_BYTES // 2 and (waiting := _waiting(port)):  # a terminal that is not half full holds nothing back
                 chunk = os.read(port, READ_BYTES)
-                data, gone = data + chunk, not chunk
+                data = data + chunk if data else chunk
+                if gone := not chunk:
+                    break
         except BlockingIOError:
             pass  # another reader of the port was faster
         except OSError as error:

@@ -151,19 +151,10 @@ class UrReader:
             raise RobotError(f"robot at {self.host} gave no untorn state in {_TRIES} attempts; lower the load of this machine.")
         self._timestamp_s = before_s
         return RobotState(
-            t_s=self._clock.host_s(before_s),
-            timestamp_s=before_s,
-            tcp_pose=tuple(pose),
-            tcp_speed=tuple(speed),
-            target_pose=tuple(target_pose),
-            target_speed=tuple(target_speed),
-            tool_acceleration_m_per_s2=tuple(acceleration),
-            robot_mode=robot_mode,
-            safety_mode=safety_mode,
-            safety_status_bits=safety_bits,
-            runtime_state=runtime_state,
-            connected=self.connected,
-        )
+            self._clock.host_s(before_s), before_s,
+            tuple(pose), tuple(speed), tuple(target_pose), tuple(target_speed), tuple(acceleration),
+            robot_mode, safety_mode, safety_bits, runtime_state, self.connected,
+        )  # fmt: skip
 
     def close(self) -> None:
         """Disconnect; takes half a second."""
@@ -261,7 +252,10 @@ class UrRobot:
     def read(self) -> RobotState:
         """Return the newest untorn state without waiting."""
         state = self._reader.read()
-        return state if self.connected else replace(state, connected=False)
+        if state.connected and not self._lost and self._control.isConnected():
+            return state
+        self._give_up()
+        return replace(state, connected=False)
 
     def arm(self) -> None:
         """Set the controller's watchdog, which `move` must feed from now on. Takes two controller cycles. RobotError with the reason."""
