@@ -20,37 +20,14 @@ from palpd.control.sequence import Script, Sequence, Steps
 from palpd.control.tare import Tare
 from palpd.daemon.motion_process import Job, arm_geometry_of, explainer_with, job_limits, limits_of, sequence_of
 from palpd.errors import RecordingError
-from palpd.recording.reader import RecordedRobot, RecordedSensor, Recording
+from palpd.recording.reader import PlainRows, RecordedRobot, RecordedSensor, Recording
 from palpd.recording.ring import Rows
 from palpd.recording.samples import Samples
-from palpd.recording.tick_rows import RowWriter
+from palpd.recording.tick_rows import DECISIONS, RowWriter, decision
 from palpd.tick import PROGRAM_PLAYING, ROW, Action, Request, RobotMode, RobotState, SafetyMode, SensorFrames, TickRecord, Timing, Trip
 
 NEEDED_KEYS = ("kind", "config", "plan", "dry", "reference", "machine_stiffness_N_per_m", "body", "model_card")
 """Keys of a recording's header without which its decisions cannot be made again."""
-DECISIONS = (
-    "zero_N",
-    "phase",
-    "mode",
-    "site",
-    "repeat",
-    "depth_m",
-    "surface_z_m",
-    "cut_short",
-    "force_N",
-    "absolute_N",
-    "proposed_m_per_s",
-    "proposed_stop",
-    "command_m_per_s",
-    "command_stop",
-    "action",
-    "trip",
-    "trip_measured",
-    "trip_limit",
-)
-"""The fields of a row that the daemon decided; it observed all others."""
-
-
 STALE_PERIODS = 3
 """Sampling periods of a CSV after which it counts as stale: a foreign rig of 8 Hz is not stale at 125 ms."""
 
@@ -157,10 +134,11 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
         model = InertialModel.from_bytes(recording.model_bytes, header["model_card"])
     explainer = explainer_with(model, job, delay_s, header.get("about", {}).get("pulled_over_pressed"))
     robot, sensor, comparison = RecordedRobot(rows), RecordedSensor(rows), _Comparison(rows)
-    clock = RecordedClock(len(rows), lambda at: _timing(rows[at]), (robot, sensor))
+    plain = PlainRows(rows, ("index", "planned_s", "now_s", "missed", "request"))
+    clock = RecordedClock(len(rows), lambda at: Timing(*plain[at][:-1]), (robot, sensor))
     loop = Loop(
         robot, sensor, clock, sequence_of(job, delay_s), explainer, job_limits(job), comparison,
-        request=lambda: Request(int(rows[clock.at]["request"])),
+        request=lambda: Request(plain[clock.at][-1]),
     )  # fmt: skip
     began_s = time.perf_counter()
     while not clock.over and loop.tick():
@@ -178,29 +156,29 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
     }
 
 
-def _timing(row: np.void) -> Timing:
-    return Timing(int(row["index"]), float(row["planned_s"]), float(row["now_s"]), int(row["missed"]))
-
-
 class _Comparison:
     """Takes the ticks of a replay and compares each with its recorded row; `first` names the first difference."""
 
     def __init__(self, rows: Rows) -> None:
         self._rows = rows
-        self._replayed = np.zeros(1, ROW)
-        self._writer = RowWriter(self._replayed)
+        self._bytes = np.ascontiguousarray(rows).view(np.uint8).data
+        self._ends_at = 0  # the decisions are the last fields of a row
         self._at = 0
         self.first: str | None = None
 
     def __call__(self, record: TickRecord) -> None:
-        self._writer.fill(0, record)
-        recorded, replayed = self._rows[self._at], self._replayed[0]
-        if self.first is None:
-            for name in DECISIONS:
-                if replayed[name].tobytes() != recorded[name].tobytes():
-                    self.first = f"tick {int(recorded['index'])}, {name}: recorded {recorded[name]}, replayed {replayed[name]}"
-                    break
+        decided = decision(record)
+        self._ends_at += self._rows.itemsize
+        if self.first is None and self._bytes[self._ends_at - len(decided) : self._ends_at] != decided:
+            self.first = self._difference(record)
         self._at += 1
+
+    def _difference(self, record: TickRecord) -> str:
+        row = np.zeros(1, ROW)
+        RowWriter(row).fill(0, record)
+        recorded, replayed = self._rows[self._at], row[0]
+        name = next(name for name in DECISIONS if replayed[name].tobytes() != recorded[name].tobytes())
+        return f"tick {int(recorded['index'])}, {name}: recorded {recorded[name]}, replayed {replayed[name]}"
 
     def rehearse(self, record: TickRecord) -> None:
         """Nothing to warm up."""

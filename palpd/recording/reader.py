@@ -245,34 +245,61 @@ def _places(recording: Recording, rows: Rows, row_of: NDArray[np.intp]) -> dict[
     }
 
 
+BLOCK = 1024
+"""Number of rows that are converted at once: one by one costs ten times as much, and a whole day of plain numbers has 50 GB."""
+
+
+class PlainRows:
+    """Some fields of rows as plain numbers; a field with several becomes a tuple."""
+
+    def __init__(self, rows: Rows, names: tuple[str, ...]) -> None:
+        self._rows, self._names = rows, names
+        self._begin, self._block = -BLOCK, list[tuple[Any, ...]]()
+
+    def __getitem__(self, number: int) -> tuple[Any, ...]:
+        """The fields of this row."""
+        if not 0 <= number - self._begin < BLOCK:
+            self._begin = number - number % BLOCK
+            rows = self._rows[self._begin : self._begin + BLOCK]
+            columns = [rows[name].tolist() for name in self._names]
+            self._block = list(zip(*[map(tuple, each) if isinstance(each[0], list) else each for each in columns], strict=True))
+        return self._block[number - self._begin]
+
+
 class RecordedRobot:
     """The Robot of a recording: it repeats the state of the tick chosen by `advance`, and commands do nothing."""
 
+    FIELDS = (
+        "robot_t_s",
+        "robot_timestamp_s",
+        "tcp_pose",
+        "tcp_speed",
+        "target_pose",
+        "target_speed",
+        "tool_acceleration_m_per_s2",
+        "robot_mode",
+        "safety_mode",
+        "safety_status_bits",
+        "runtime_state",
+        "connected",
+    )
+    """Those of RobotState, in its order."""
+
     def __init__(self, rows: Rows) -> None:
-        self._rows = rows
-        self._row = rows[0]
+        self._states, self._at = PlainRows(rows, self.FIELDS), 0
 
     def advance(self, number: int) -> None:
         """Go to the tick of this row."""
-        self._row = self._rows[number]
+        self._at = number
 
     def read(self) -> RobotState:
         """Return the state that the loop saw in this tick."""
-        row = self._row
+        (
+            t_s, timestamp_s, pose, speed, target_pose, target_speed, acceleration, robot_mode, safety_mode, bits, runtime, connected,
+        ) = self._states[self._at]  # fmt: skip
         return RobotState(
-            t_s=float(row["robot_t_s"]),
-            timestamp_s=float(row["robot_timestamp_s"]),
-            tcp_pose=tuple(row["tcp_pose"].tolist()),
-            tcp_speed=tuple(row["tcp_speed"].tolist()),
-            target_pose=tuple(row["target_pose"].tolist()),
-            target_speed=tuple(row["target_speed"].tolist()),
-            tool_acceleration_m_per_s2=tuple(row["tool_acceleration_m_per_s2"].tolist()),
-            robot_mode=int(row["robot_mode"]),
-            safety_mode=int(row["safety_mode"]),
-            safety_status_bits=int(row["safety_status_bits"]),
-            runtime_state=int(row["runtime_state"]),
-            connected=bool(row["connected"]),
-        )
+            t_s, timestamp_s, pose, speed, target_pose, target_speed, acceleration, robot_mode, safety_mode, bits, runtime, bool(connected),
+        )  # fmt: skip
 
     def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
         """Do nothing."""
@@ -288,21 +315,25 @@ class RecordedSensor:
     """The ForceSensor of a recording: it repeats the frames of the tick chosen by `advance`."""
 
     def __init__(self, rows: Rows) -> None:
-        self._rows = rows
-        self._row = rows[0]
+        self._rows, self._counts, self._at = rows, PlainRows(rows, ("frames", "rejected")), 0
+        self._begin, self._block = -BLOCK, list[NDArray[Any]]()
 
     def advance(self, number: int) -> None:
         """Go to the tick of this row."""
-        self._row = self._rows[number]
+        self._at = number
 
     def read(self) -> SensorFrames:
-        """Return the frames that the loop saw in this tick, as arrays of their own, aligned like live ones."""
-        row, rejected = self._row, int(self._row["rejected"])
-        n = int(row["frames"])
+        """Return the frames that the loop saw in this tick, aligned like live ones."""
+        n, rejected = self._counts[self._at]
         if n == 0 and rejected == 0:
             return NO_FRAMES
-        t_s, counter, status, wrench = (row[name][:n].copy() for name in ("frame_t_s", "counter", "status", "wrench"))
-        return SensorFrames(t_s, counter, status, wrench, rejected)
+        if not 0 <= self._at - self._begin < BLOCK:
+            self._begin = self._at - self._at % BLOCK
+            rows = self._rows[self._begin : self._begin + BLOCK]
+            self._block = [np.ascontiguousarray(rows[name]) for name in ("frame_t_s", "counter", "status", "wrench")]
+        at = self._at - self._begin
+        t_s, counter, status, wrench = self._block
+        return SensorFrames(t_s[at, :n], counter[at, :n], status[at, :n], wrench[at, :n], rejected)
 
     def close(self) -> None:
         """Do nothing."""

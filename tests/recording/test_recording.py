@@ -515,7 +515,9 @@ def test_the_samples_of_a_site_begin_with_the_first_motion_and_without_the_trave
     assert samples.wrench[-1, 0] == pytest.approx(rows["frame_t_s"][179, 7])
 
 
-def test_recorded_devices_say_again_what_was_said(tmp_path: Path) -> None:
+@pytest.mark.parametrize("block", [1024, 7])
+def test_recorded_devices_say_again_what_was_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int) -> None:
+    monkeypatch.setattr("palpd.recording.reader.BLOCK", block)
     rows = palpation(20)
     rows["frames"][3], rows["rejected"][3] = 0, 2
     rows["frames"][4] = 0
@@ -526,6 +528,10 @@ def test_recorded_devices_say_again_what_was_said(tmp_path: Path) -> None:
         sensor.advance(number)
         state, frames = robot.read(), sensor.read()
         assert (state.t_s, state.z_m, state.connected, state.robot_mode) == (row["robot_t_s"], row["tcp_pose"][2], True, 7)
+        assert type(state.t_s) is float
+        assert type(state.connected) is bool
+        for name in ("tcp_pose", "tcp_speed", "target_pose", "target_speed", "tool_acceleration_m_per_s2"):
+            assert getattr(state, name) == tuple(row[name])
         assert len(frames) == row["frames"]
         assert frames.rejected == row["rejected"]
         assert frames.wrench.tobytes() == row["wrench"][: len(frames)].tobytes()
