@@ -31,7 +31,8 @@ from palpd.control.safety import DEPTH_MARGIN_M
 from palpd.daemon.clock import SimClock
 from palpd.daemon.motion_process import Job, explainer_of, limits_of, sequence_of
 from palpd.daemon.overshoot import delays, overshoot_N
-from palpd.daemon.simulated_run import FZ_OFFSET_N, RowList, SimCell
+from palpd.daemon.sim_cell import FZ_OFFSET_N, SimCell
+from palpd.daemon.simulated_run import RowList
 from palpd.tick import NO_FRAMES, Request, RobotMode, RobotState, SafetyMode, SensorFrames, Timing
 
 RATE_HZ = 125.0

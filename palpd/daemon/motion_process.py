@@ -19,16 +19,17 @@ from typing import Any, Literal, TypedDict
 
 import numpy as np
 
-from palpd.config import Config, ModelConfig, Plan
+from palpd.config import Config, ModelConfig, Plan, filter_delay_s
 from palpd.control.inertial import InertialModel, MotionFeatures
-from palpd.control.loop import Explainer, Loop, Outcome
+from palpd.control.loop import Explainer, Loop, Outcome, Record
 from palpd.control.running_zero import RunningZero
 from palpd.control.safety import Limits, sentence
 from palpd.control.sequence import ArmGeometry, FreeMotion, Palpation, Retract, RigidPress, Script, Sequence, TimedRest
 from palpd.control.slopes import GRAVITY_N_PER_KG, FzSlopes
 from palpd.control.tare import Tare
 from palpd.daemon.clock import RealClock
-from palpd.daemon.realtime import DEVICE_PRIORITY, fifo, realtime
+from palpd.daemon.realtime import DEVICE_PRIORITY, fifo, populate, realtime
+from palpd.daemon.rehearsal import rehearse, short
 from palpd.errors import PalpdError, Refused, Stopped
 from palpd.recording.mcap_file import RunAbout
 from palpd.recording.ring import LoopState, Ring
@@ -45,6 +46,8 @@ CHECK_S = 1.2
 """How long a check watches. Together with the second of its tare, the guard has time to detect a stuck sensor."""
 REFERENCE_PATIENCE_S = 5.0
 """Longest wait for the second of frames that a reference tare needs."""
+WIRE_LIBRARIES = ("rtde_control", "rtde_receive", "libpython", "libstdc++", "libc.so")
+"""Libraries whose code a rehearsal without wires does not call; their files together have 7 MB of code."""
 
 Kind = Literal["palpation", "free_motion", "stiffness", "retract", "calibrate", "check"]
 """A retract leaves the tissue after a stop.
@@ -331,6 +334,7 @@ def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Calla
             explainer.reference = take_reference(devices)
         if job.kind != "check":
             pipe.send(Opened(devices.about, tuple(explainer.reference.tolist())))
+            rehearse_job(job, explainer, RingWriter(ring))  # meanwhile the recorder opens its file
             if pipe.recv() != GO:
                 pipe.send(Failed(CALLED_OFF, 2))
                 return
@@ -343,6 +347,22 @@ def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Calla
         if not _lost(devices.robot):  # with a lost connection ur_rtde may crash, and the reason would be lost too
             devices.robot.end()
         devices.sensor.close()
+
+
+def rehearse_job(job: Job, explainer: Explainer, record: Record) -> Outcome:
+    """Carry out a job in small on a simulated cell, and bring the code of the wires into memory, before anything moves.
+
+    Args:
+        job: What will be carried out.
+        explainer: The explainer of the run; it is copied.
+        record: Takes the ticks of the run; it keeps none of these.
+
+    Returns:
+        How the rehearsal ended; nothing depends on it.
+    """
+    populate(WIRE_LIBRARIES)
+    in_small = sequence_of(replace(job, plan=short(job.plan, job.config)), filter_delay_s(job.config.sensor.filter_cutoff_Hz))
+    return rehearse(job.config, in_small, explainer, job_limits(job), record, loaded=job.kind == "retract")
 
 
 def _lost(robot: Robot) -> bool:

@@ -5,7 +5,7 @@ import gc
 import os
 import resource
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ these locks do not lend their holder the loop's priority. So no other thread may
 CPU_LATENCY = "/dev/cpu_dma_latency"
 """The kernel's PM QoS: as long as this file is open, idle processors wake up within the written number of µs."""
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+_MADV_POPULATE_READ = 22
 _CAP_IPC_LOCK = 14
 
 
@@ -49,6 +50,25 @@ def lock_memory() -> bool:
     if soft != resource.RLIM_INFINITY and not _may_lock_any():
         return False
     return bool(ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) == 0)
+
+
+def populate(libraries: Sequence[str]) -> int:
+    """Map all code of these loaded libraries into memory, so that no first call of a function waits for the disk.
+
+    Args:
+        libraries: Beginnings of file names.
+
+    Returns:
+        The number of bytes that the kernel has brought into memory; before Linux 5.14 it brings none.
+    """
+    brought = 0
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        addresses, permissions, *_, path = line.split(maxsplit=5) if line.count("/") else ("", "", "")
+        if "x" in permissions and Path(path).name.startswith(tuple(libraries)):
+            begin, end = (int(address, 16) for address in addresses.split("-"))
+            if ctypes.CDLL(None).madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), _MADV_POPULATE_READ) == 0:
+                brought += end - begin
+    return brought
 
 
 def _may_lock_any() -> bool:

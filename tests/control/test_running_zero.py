@@ -201,7 +201,8 @@ def test_a_replay_builds_the_same_zero_bit_for_bit(palpated: dict[str, Simulated
 def test_a_rehearsal_leaves_the_zero_as_it_was(palpated: dict[str, SimulatedRecording], tmp_path: Path) -> None:
     from palpd.daemon.clock import SimClock
     from palpd.daemon.motion_process import explainer_of, limits_of, sequence_of
-    from palpd.daemon.simulated_run import RowList, SimCell
+    from palpd.daemon.sim_cell import SimCell
+    from palpd.daemon.simulated_run import RowList
 
     config = Config.model_validate({"model": {"path": written(tmp_path)}})
     job = Job("palpation", config, PLAN, reference=(0.0, 0.0, -50.0, 0.0, 0.0, 0.0))
