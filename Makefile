@@ -4,7 +4,7 @@ UV := .venv/bin/uv
 READY := .venv/.ready
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo test test-wires test-rest test-service coverage lint bench bench-long minutes faults arming signals aborts presses soak mutation audit samples clean
+.PHONY: setup demo test test-wires test-rest test-service coverage lint bench bench-long minutes faults arming signals aborts presses soak slopes cold mutation audit samples clean
 
 setup: $(READY)
 
@@ -84,6 +84,14 @@ presses: setup
 MINUTES ?= 120
 soak: setup
 	.venv/bin/python -m benchmarks.page --only soak --more '--minutes $(MINUTES)'
+
+# moduli on both laws of a sensor with two slopes of Fz, over emulated wires, and what a diagnosis makes of the wrong setting
+slopes: setup
+	.venv/bin/python -m benchmarks.page --only slopes
+
+# N runs from dropped caches (root), each of which must begin and end as any other
+cold: setup
+	.venv/bin/python -m benchmarks.page --only cold --more '--runs $(N)'
 
 # mutants of guard, tare and frame parser; SHARE of them
 SHARE ?= 1

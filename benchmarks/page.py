@@ -1,7 +1,7 @@
 """Run the benchmarks and write docs/benchmarks.md: what each command printed, and under what load. What is not run keeps its section.
 
 `python benchmarks/page.py [--long] [--only NAME,NAME]`. Short: some ten minutes on a quiet machine with two cores; long: three
-quarters of an hour. Ten minutes at each rate, soak, presses and mutation run only where they are named.
+quarters of an hour. Ten minutes at each rate, soak, presses, slopes, cold starts and mutation run only where they are named.
 """
 
 import argparse
@@ -49,6 +49,8 @@ SECTIONS = {
     "recorder": Section("Recorder", "benchmarks/recording.py --seconds 10", "benchmarks/recording.py"),
     "presses": Section("Presses with faults, without wires", None, "benchmarks/presses.py"),
     "soak": Section("Soak", None, "benchmarks/soak.py"),
+    "slopes": Section("Moduli by a sensor with two slopes of Fz", None, "-m benchmarks.slopes"),
+    "cold": Section("Runs from cold", None, "-m benchmarks.cold"),
     "mutation": Section("Mutation of guard, tare and frame parser", None, "benchmarks/mutation.py"),
 }
 
@@ -96,7 +98,8 @@ def _write(kept: dict[str, str]) -> None:
     head = f"""# Benchmarks
 
 How fast the daemon ticks and reacts, how far a force runs past its limit, and what the daemon costs. `make bench`, `bench-long`, `minutes`,
-`presses`, `soak` and `mutation` write this page. Faults have [a page of their own](faults.md). Each section names its command.
+`presses`, `soak`, `slopes`, `cold` and `mutation` write this page. Faults have [a page of their own](faults.md). Each section names its
+command.
 
 **Limits.** Everything runs on one machine. Daemon, emulated controller and sensor share its cores, so percentiles above p99 belong to the
 machine. Figures under load are worse than on a cell's own PC. Each section states the load.

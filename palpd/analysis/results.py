@@ -5,13 +5,15 @@ Computed from the recording alone, so a run, a replay and `palpd analyse` of the
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NotRequired, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpd.analysis.intervals import mean_half_width_95
+from palpd.analysis.modulus_intervals import NORMAL_95, KnownWeight, Measured, approach_sigma_m, mean_ci95_Pa, mean_sigma_N
+from palpd.analysis.stalls import StallFigures
 from palpd.analysis.young import ContactFit, fit_contact, modulus_peak_Pa, ymbt
 from palpd.errors import RecordingError
 from palpd.recording.mcap_file import RecordedGeometry, RecordingHeader
@@ -55,13 +57,18 @@ class PressResult(TypedDict):
 
 
 class SiteResult(TypedDict):
-    """One site of a plan; figures that the recording does not give are None, and only an emulated cell has a true modulus."""
+    """One site of a plan; figures that the recording does not give are None, and only an emulated cell has a true modulus.
+
+    The intervals hold noise, the height of the surface and the weight of the probe (`palpd.analysis.modulus_intervals`).
+    """
 
     name: str
     surface_z_m: float | None
     static_youngs_modulus_Pa: float | None
+    static_ci95_Pa: list[float] | None
     dynamic_original_Pa: float | None
     dynamic_corrected_Pa: float | None
+    dynamic_corrected_ci95_Pa: list[float] | None
     ymbt_original: float | None
     ymbt_corrected: float | None
     peak_force_N: float | None
@@ -90,7 +97,7 @@ class LoadingResult(TypedDict):
 
 
 class LoopFigures(TypedDict):
-    """How the loop kept its rate; a recording without ticks has no times."""
+    """How the loop kept its rate, and what kept data from it; a recording without ticks has no times."""
 
     ticks: int
     missed: int
@@ -98,6 +105,7 @@ class LoopFigures(TypedDict):
     work_us_p99: NotRequired[float]
     wakeup_us_p50: NotRequired[float]
     wakeup_us_p99: NotRequired[float]
+    stalls: NotRequired[StallFigures]
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +180,8 @@ def sites(rows: NDArray[np.void], header: RecordingHeader) -> list[SiteResult]:
     stiffness = body["machine_stiffness_N_per_m"] or math.inf
     whole = track(rows, body["delay_s"], stiffness)
     tip = (body["tip_radius_m"], body["poisson_ratio"])
-    return [_site(whole.where(whole.site == index), site["name"], tip) for index, site in enumerate(header["sites"])]
+    weight = KnownWeight.of(header)
+    return [_site(whole.where(whole.site == index), site["name"], tip, weight) for index, site in enumerate(header["sites"])]
 
 
 def analysed(rows: NDArray[np.void], header: RecordingHeader) -> list[LoadingResult]:
@@ -187,7 +196,8 @@ def analysed(rows: NDArray[np.void], header: RecordingHeader) -> list[LoadingRes
     """
     body = header["body"]
     whole = track(rows, body["delay_s"], body["machine_stiffness_N_per_m"] or math.inf)
-    return [_loading(whole.where(whole.site == index), site["name"], body) for index, site in enumerate(header["sites"])]
+    weight = KnownWeight.of(header)
+    return [_loading(whole.where(whole.site == index), site["name"], body, weight) for index, site in enumerate(header["sites"])]
 
 
 def analysed_sites(recording: Recording, site: str | None = None) -> list[LoadingResult]:
@@ -208,18 +218,22 @@ def analysed_sites(recording: Recording, site: str | None = None) -> list[Loadin
     return [each for each in analysed(recording.rows, recording.header) if site in (None, each["name"])]
 
 
-def _loading(of_site: Track, name: str, body: RecordedGeometry) -> LoadingResult:
+def _loading(of_site: Track, name: str, body: RecordedGeometry, weight: KnownWeight) -> LoadingResult:
     pressed = of_site.where(np.isin(of_site.mode, (Mode.STATIC, Mode.DYNAMIC)) & np.isfinite(of_site.depth_m))
     if not len(pressed.t_s):
         return _no_loading(name, "nothing was pressed here")
     deepest = pressed.where(pressed.depth_m == pressed.depth_m.max())
     one = deepest.where((deepest.mode == deepest.mode[-1]) & (deepest.repeat == deepest.repeat[-1]))
     loading = one.where(np.isin(one.phase, (Phase.BASELINE, Phase.PRESS)))
+    tip, force_N = (body["tip_radius_m"], body["poisson_ratio"]), loading.fz_N - loading.inertial_N
     try:
-        fit = fit_contact(loading.tip_z_m, loading.fz_N - loading.inertial_N, body["tip_radius_m"], body["poisson_ratio"])
+        fit = fit_contact(loading.tip_z_m, force_N, *tip)
+        if weight.force_sigma_N:
+            heavier = fit_contact(loading.tip_z_m, force_N + weight.shift_N(force_N), *tip)
+            fit = _with_weight(fit, heavier.youngs_modulus_Pa - fit.youngs_modulus_Pa)
     except RecordingError as error:
         return _no_loading(name, str(error))
-    held = _site(of_site, name, (body["tip_radius_m"], body["poisson_ratio"]))
+    held = _site(of_site, name, tip, weight)
     return {
         "name": name,
         "youngs_modulus_Pa": fit.youngs_modulus_Pa,
@@ -232,6 +246,12 @@ def _loading(of_site: Track, name: str, body: RecordedGeometry) -> LoadingResult
         "static_youngs_modulus_Pa": held["static_youngs_modulus_Pa"],
         "warnings": [*fit.warnings, *_two_moduli(fit, held)],
     }
+
+
+def _with_weight(fit: ContactFit, sigma_Pa: float) -> ContactFit:
+    """The fit with an interval that also holds what the tolerance of the probe's weight leaves, one standard deviation of the modulus."""
+    half_Pa = math.hypot(fit.ci95_Pa[1] - fit.youngs_modulus_Pa, NORMAL_95 * sigma_Pa)
+    return replace(fit, ci95_Pa=(fit.youngs_modulus_Pa - half_Pa, fit.youngs_modulus_Pa + half_Pa))
 
 
 def _two_moduli(fit: ContactFit, held: SiteResult) -> list[str]:
@@ -251,7 +271,7 @@ def _no_loading(name: str, reason: str) -> LoadingResult:
     return {"name": name, "youngs_modulus_Pa": None, "ci95_Pa": None, "contact_point_m": None, "warnings": [reason]}
 
 
-def _site(of_site: Track, name: str, tip: tuple[float, float]) -> SiteResult:
+def _site(of_site: Track, name: str, tip: tuple[float, float], weight: KnownWeight) -> SiteResult:
     known = of_site.surface_z_m[np.isfinite(of_site.surface_z_m)]
     surface_z_m = float(known[-1]) if len(known) else None
     static = [_held(of_site, depth_m, tip) for depth_m in _depths(of_site, Mode.STATIC)]
@@ -260,12 +280,17 @@ def _site(of_site: Track, name: str, tip: tuple[float, float]) -> SiteResult:
     original_Pa, corrected_Pa = _mean(press["original_Pa"] for press in presses), _mean(press["corrected_Pa"] for press in presses)
     pressed = of_site.where(np.isin(of_site.phase, (Phase.SEARCH, Phase.PRESS, Phase.HOLD, Phase.RETRACT)))
     contact_N = pressed.fz_N - pressed.inertial_N
+    approach = of_site.where((of_site.mode == Mode.SEARCH) & (of_site.phase == Phase.SEARCH))
+    surface_sigma_m = approach_sigma_m(approach.tip_z_m, approach.fz_N, tip[0]) if static or presses else None
+    rest = of_site.where(of_site.phase == Phase.BASELINE)
     return {
         "name": name,
         "surface_z_m": surface_z_m,
         "static_youngs_modulus_Pa": static_Pa,
+        "static_ci95_Pa": mean_ci95_Pa(_measured_holds(of_site, static), surface_sigma_m, weight),
         "dynamic_original_Pa": original_Pa,
         "dynamic_corrected_Pa": corrected_Pa,
+        "dynamic_corrected_ci95_Pa": mean_ci95_Pa(_measured_peaks(rest, presses), surface_sigma_m, weight),
         "ymbt_original": ymbt(original_Pa, static_Pa) if original_Pa and static_Pa else None,
         "ymbt_corrected": ymbt(corrected_Pa, static_Pa) if corrected_Pa and static_Pa else None,
         "peak_force_N": float(contact_N.max()) if len(contact_N) else None,
@@ -298,6 +323,31 @@ def _held(of_site: Track, depth_m: float, tip: tuple[float, float]) -> DepthResu
     }
 
 
+def _measured_holds(of_site: Track, depths: list[DepthResult]) -> list[Measured]:
+    """The holds that gave a modulus, with the noise of their mean forces."""
+    measured = []
+    for depth in depths:
+        if depth["E_Pa"] is not None and depth["force_N"] is not None and depth["achieved_m"] is not None:
+            here = of_site.where((of_site.mode == Mode.STATIC) & (of_site.depth_m == depth["commanded_m"]))
+            noise_N = math.hypot(*(mean_sigma_N(here.fz_N[here.phase == phase]) for phase in (Phase.HOLD, Phase.BASELINE)))
+            measured.append(Measured(depth["E_Pa"], depth["force_N"], depth["achieved_m"], noise_N))
+    return measured
+
+
+def _measured_peaks(rest: Track, presses: list[PressResult]) -> list[Measured]:
+    """The dynamic presses, with the noise that a window as short as their peak shows at rest."""
+    width = _peak_width(rest.t_s) if len(rest.t_s) > 2 else 1
+    noise_N = float(np.std(np.convolve(rest.fz_N, np.ones(width) / width, mode="valid"))) if len(rest.t_s) > width else 0.0
+    return [
+        Measured(press["corrected_Pa"], press["original_N"] - press["correction_N"], press["peak_depth_m"], noise_N) for press in presses
+    ]
+
+
+def _peak_width(t_s: Floats) -> int:
+    """Number of frames in the window of a peak."""
+    return max(1, round(PEAK_WINDOW_S / float(np.median(np.diff(t_s)))))
+
+
 def _presses(of_site: Track, depth_m: float, tip: tuple[float, float]) -> list[PressResult]:
     """Dynamic palpations to one depth: the paper's modulus at the force peak, as measured and with the inertial force taken out."""
     here = of_site.where((of_site.mode == Mode.DYNAMIC) & (of_site.depth_m == depth_m))
@@ -306,7 +356,7 @@ def _presses(of_site: Track, depth_m: float, tip: tuple[float, float]) -> list[P
         press = here.where((here.repeat == repeat) & np.isin(here.phase, (Phase.PRESS, Phase.RETRACT)))
         if len(press.t_s) < 3:
             continue
-        width = max(1, round(PEAK_WINDOW_S / float(np.median(np.diff(press.t_s)))))
+        width = _peak_width(press.t_s)
         window = np.ones(width) / width
         force_N, inertial_N, tip_z_m = (
             np.convolve(values, window, mode="valid") for values in (press.fz_N, press.inertial_N, press.tip_z_m)

@@ -131,16 +131,25 @@ class RecordedTrip(TypedDict):
     reason: str
 
 
+class RecordedStall(TypedDict):
+    """A processor of this computer stood still, on the clock of the ticks."""
+
+    begin_s: float
+    end_s: float
+    processor: int
+
+
 class RecordingFooter(TypedDict, total=False):
     """How a recorded run ended.
 
-    `lost_rows` is the number of ticks that were overwritten before the recorder read them, `damaged_ticks` the number that `recover` could
-    not restore.
+    `stalls` is what the witness of this computer reported, `lost_rows` the number of ticks that were overwritten before the recorder read
+    them, `damaged_ticks` the number that `recover` could not restore.
     """
 
     verdict: str
     reason: str
     trips: list[RecordedTrip]
+    stalls: list[RecordedStall]
     lost_rows: int
     damaged_ticks: int
 

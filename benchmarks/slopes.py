@@ -1,0 +1,243 @@
+"""Moduli of plain elastic sites by a sensor with two slopes of Fz, on both laws of the sensor, with the right and with the wrong setting.
+
+The slopes part where the sensor carries nothing, or where it reads zero untared. `sensor.fz_slopes` is `both` or `pressed`. The daemon
+palpates over emulated wires. Each recording is exported and diagnosed site by site against a cell that is right in everything else.
+
+`python -m benchmarks.slopes [--without-wires] [--no-diagnosis] [--seed N]` prints a markdown table. It ends with 1 where the right setting
+misses 1 %, or where a diagnosis with the wrong one does not name `sensor.asymmetry`, alone or in a group of at most three.
+"""
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from benchmarks.emulated_cell import PATIENT, emulated_cell
+from hw.emulators.hex_pty import CAPACITY, COUNTS_AT_CAPACITY, Daq
+from palpd.analysis import results
+from palpd.cell.cell_file import CellFile, save_cell
+from palpd.config import Config, Plan
+from palpd.control.slopes import FZ, GRAVITY_N_PER_KG
+from palpd.daemon.motion_process import Job
+from palpd.daemon.sim_cell import FZ_OFFSET_N
+from palpd.daemon.simulated_run import SimulatedRecording, run
+from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.recording.reader import Recording, export
+from palpd.recording.samples import read_csv
+from palpd.tick import Floats, ForceSensor, SensorFrames
+
+PartsAt = Literal["load", "reading"]
+Setting = Literal["both", "pressed"]
+RIGHT: dict[PartsAt, Setting] = {"load": "both", "reading": "pressed"}
+MODULI_PA = {"A": 60e3, "B": 100e3, "C": 140e3}
+"""Young's moduli of the three sites: the forces at 4 to 8 mm are 2 to 13 N, on both sides of the weight of the probe."""
+APART_M = 0.03
+PLAN: dict[str, Any] = {
+    "sites": [{"name": name, "x_m": APART_M * index} for index, name in enumerate(MODULI_PA)],
+    "mode": "static",
+    "depths_m": [0.004, 0.006, 0.008],
+    "hold_s": 2.0,
+    "search": {"speed_m_per_s": 0.005, "max_travel_m": 0.04},
+}
+WITHIN = 0.01
+"""Largest relative error of a static modulus with the right setting."""
+LARGEST_GROUP = 3
+"""Largest group of effects that a diagnosis may not tell apart and still counts as an answer."""
+NAME = "sensor.asymmetry"
+COUNTS_PER_UNIT = np.array(COUNTS_AT_CAPACITY[:6]) / (np.array(CAPACITY[:6]) * [1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
+RATIO = COUNTS_AT_CAPACITY[6] / CAPACITY[6] / COUNTS_PER_UNIT[FZ]
+
+
+@dataclass(frozen=True, slots=True)
+class Palpated:
+    """A recording of the three sites."""
+
+    law: PartsAt
+    setting: Setting
+    recording: Recording
+
+
+def cell_of(modulus_Pa: float | None = None) -> CellFile:
+    """The cell with three sites, or one that is all of one modulus, as the simulator believes it."""
+    content: dict[str, Any] = {"sensor": {"rate_Hz": 1000.0, "filter_cutoff_Hz": 150.0}}
+    if modulus_Pa is not None:
+        return CellFile.model_validate(content | {"tissue": {"youngs_modulus_Pa": modulus_Pa}})
+    sites = [
+        {"name": name, "x_m": APART_M * index, "tissue": {"youngs_modulus_Pa": modulus_Pa}}
+        for index, (name, modulus_Pa) in enumerate(MODULI_PA.items())
+    ]
+    return CellFile.model_validate(content | {"sites": sites})
+
+
+def over_wires(folder: Path, law: PartsAt, settings: Sequence[Setting]) -> Iterator[Palpated]:
+    """Palpate by the daemon over emulated wires.
+
+    Args:
+        folder: For everything that is written.
+        law: Where the slopes of the emulated sensor part.
+        settings: Of `sensor.fz_slopes`, one run each.
+
+    Yields:
+        The recordings.
+    """
+    save_cell(folder / "cell.yaml", cell_of())
+    with emulated_cell(folder, "ur5", folder / "cell.yaml", "--fz-parts-at", law) as base:
+        for setting in settings:
+            own = folder / setting
+            own.mkdir()
+            wired = replace(base, folder=own, blocks=PATIENT | {"sensor": {"fz_slopes": setting}})
+            daemon = wired.run(PLAN)
+            code = daemon.wait(600.0)
+            if code != 0:
+                raise RuntimeError(f"the run on the law {law} with {setting} ended with {code}: {daemon.stderr.strip()}")
+            yield Palpated(law, setting, Recording.load(Path(daemon.report["recording"])))
+
+
+class PartedSensor:
+    """A simulated sensor seen through the emulated DAQ: counts by its law, converted with the slope for pressing."""
+
+    def __init__(self, sensor: ForceSensor, law: PartsAt, weight_N: float) -> None:
+        self._sensor, self._daq, self._weight_N = sensor, Daq(fz_parts_at=law), weight_N
+        self._rest = self._counts(np.zeros((1, 6)))[0]
+
+    def read(self) -> SensorFrames:
+        """The frames of this tick."""
+        frames = self._sensor.read()
+        wrench = frames.wrench.copy()
+        wrench[:, FZ] -= FZ_OFFSET_N
+        converted = (np.round(self._counts(wrench)) - self._rest) / COUNTS_PER_UNIT
+        converted[:, FZ] += FZ_OFFSET_N
+        return replace(frames, wrench=converted)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def _counts(self, wrench: Floats) -> Floats:
+        loaded = wrench.copy()
+        loaded[:, FZ] += self._weight_N  # it pulls, and a press is negative
+        return self._daq.measure(loaded)
+
+
+def without_wires(folder: Path, law: PartsAt, setting: Setting, seed: int, plan: dict[str, Any] = PLAN) -> list[Palpated]:
+    """Palpate by the daemon's loop on the cell's physics, each site in a run of its own.
+
+    Args:
+        folder: Where the recordings would lie.
+        law: Where the slopes of the sensor part.
+        setting: Of `sensor.fz_slopes`.
+        seed: Of the noise.
+        plan: What is pressed at each site.
+
+    Returns:
+        The recordings, one a site.
+    """
+    config = Config.model_validate(PATIENT | {"sensor": {"fz_slopes": setting}})
+    palpated = []
+    for index, (name, modulus_Pa) in enumerate(MODULI_PA.items()):
+        job = Job("palpation", config, Plan.model_validate(plan | {"sites": [{"name": name}]}))
+        done = pressed(job, cell_of(modulus_Pa), law, config.cell.probe.mass_kg, seed + index)
+        palpated.append(Palpated(law, setting, Recording(folder / f"{law}-{setting}-{name}", done.rows, done.header, {}, None)))
+    return palpated
+
+
+def pressed(job: Job, cell: CellFile, law: PartsAt, mass_kg: float, seed: int) -> SimulatedRecording:
+    """Carry out a job without wires on a sensor of that law.
+
+    Args:
+        job: The job, with the setting of `sensor.fz_slopes`.
+        cell: The cell.
+        law: Where the slopes of the sensor part.
+        mass_kg: True mass of the probe.
+        seed: Of the noise.
+
+    Returns:
+        The run.
+    """
+    exact = cell.sensor.model_copy(update=dict.fromkeys(("resolution_fxy_N", "resolution_fz_N", "resolution_Nm"), 0.0))
+    done = run(
+        job,
+        cell.model_copy(update={"sensor": exact}),
+        seed=seed,
+        home_above_m=0.012,
+        behind=lambda sensor: PartedSensor(sensor, law, mass_kg * GRAVITY_N_PER_KG),
+        about={"pulled_over_pressed": RATIO},
+    )
+    if done.outcome.verdict != "done":
+        raise RuntimeError(f"the run on the law {law} was stopped: {done.outcome.reason}")
+    return done
+
+
+def diagnosed(palpated: Palpated, site: str, folder: Path) -> Diagnosis:
+    """Export one site of a recording and diagnose it.
+
+    Args:
+        palpated: The recording.
+        site: The site.
+        folder: Where its CSV is written.
+
+    Returns:
+        The diagnosis, against a cell that knows the tissue and believes in one slope.
+    """
+    csv = folder / f"{palpated.law}-{palpated.setting}-{site}.csv"
+    export(palpated.recording, csv, site)
+    return diagnose([read_csv(csv)], cell_of(MODULI_PA[site]), propose=False)
+
+
+def answer(diagnosis: Diagnosis) -> tuple[str, bool]:
+    """What a diagnosis names, and whether that is the asymmetry, alone or in a small group."""
+    if not diagnosis.effects:
+        return diagnosis.verdict, False
+    groups = [{effect.id, *effect.indistinguishable_from} for effect in diagnosis.effects]
+    named = " and ".join(effect.id + "".join(f" or {other}" for other in effect.indistinguishable_from) for effect in diagnosis.effects)
+    return named, len(groups) == 1 and NAME in groups[0] and len(groups[0]) <= LARGEST_GROUP
+
+
+def lines_of(palpated: Palpated, folder: Path, with_diagnosis: bool) -> Iterator[tuple[str, bool]]:
+    """One line of the table a site, and whether it is as required."""
+    right = RIGHT[palpated.law] == palpated.setting
+    for site in results.sites(palpated.recording.rows, palpated.recording.header):
+        true_Pa, static_Pa, ci95_Pa = MODULI_PA[site["name"]], site["static_youngs_modulus_Pa"], site["static_ci95_Pa"]
+        assert static_Pa is not None
+        assert ci95_Pa is not None
+        error = static_Pa / true_Pa - 1.0
+        named, good = answer(diagnosed(palpated, site["name"], folder)) if with_diagnosis else ("–", True)
+        good = abs(error) <= WITHIN if right else good
+        setting = palpated.setting + ("" if right else " (wrong)")
+        moduli = f"{true_Pa / 1e3:.1f} | {static_Pa / 1e3:.1f} | {error:+.1%} | ± {(ci95_Pa[1] - ci95_Pa[0]) / 2 / true_Pa:.1%}"
+        yield f"| {palpated.law} | {setting} | {site['name']} | {moduli} | {named} | {'yes' if good else '**no**'} |", good
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--without-wires", action="store_true", help="the daemon's loop on the cell's physics: processor time only")
+    parser.add_argument("--no-diagnosis", action="store_true", help="the moduli only")
+    parser.add_argument("--seed", type=int, default=1, help="of the noise, without wires")
+    options = parser.parse_args()
+    print("| slopes part at | `fz_slopes` | site | true, kPa | static, kPa | error | 95 % | diagnosis names | as required |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    settings: tuple[Setting, ...] = ("pressed", "both")
+    laws: tuple[PartsAt, ...] = ("load", "reading")
+    all_good = True
+    with tempfile.TemporaryDirectory() as name:
+        for law in laws:
+            folder = Path(name) / law
+            folder.mkdir()
+            if options.without_wires:
+                runs: Iterator[Palpated] = (one for setting in settings for one in without_wires(folder, law, setting, options.seed))
+            else:
+                runs = over_wires(folder, law, settings)
+            for palpated in runs:
+                for line, good in lines_of(palpated, folder, not options.no_diagnosis):
+                    print(line, flush=True)
+                    all_good &= good
+    sys.exit(not all_good)
+
+
+if __name__ == "__main__":
+    main()
