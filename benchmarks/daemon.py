@@ -55,7 +55,13 @@ class Cyclictest:
 
 def resident_MB(daemon: Daemon) -> dict[str, float]:
     """Resident memory of each process of the daemon, by what it is."""
-    names = {"spawn_main": "motion", "palpd.recording.recorder": "recorder", "resource_tracker": "resource tracker", "palpd run": "main"}
+    names = {
+        "spawn_main": "motion",
+        "palpd.recording.recorder": "recorder",
+        "resource_tracker": "resource tracker",
+        "witness.py": "witness",
+        "palpd run": "main",
+    }
     sizes_MB: dict[str, float] = {}
     for pid in family(daemon.process.pid):
         command = command_of(pid)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from palpd.analysis import results
 from palpd.analysis.results import LoopFigures, SiteResult
+from palpd.analysis.stalls import stall_figures, stall_note
 from palpd.control.sequence import SOFT_END
 from palpd.daemon.motion_process import TripReport, trip_report
 from palpd.daemon.simulated_run import SimulatedRecording
@@ -105,6 +106,9 @@ def run_result(report: Report) -> RunResult:
         result["notes"].append(str(error))
         return result
     result["loop"] = results.loop_figures(recording.rows)
+    stalls = result["loop"]["stalls"] = stall_figures(recording.rows, recording.footer.get("stalls", []))
+    if note := stall_note(stalls):
+        result["notes"].append(note)
     result["model_card"] = recording.header["model_card"]
     if recording.header["dry"]:
         result["dry"] = dry_figures(recording.rows)

@@ -8,7 +8,7 @@ import datetime
 import math
 import multiprocessing
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from multiprocessing.connection import Connection
@@ -32,10 +32,13 @@ from palpd.daemon.motion_process import (
     ReferenceTaken,
     TripReport,
 )
+from palpd.daemon.realtime import DEVICE_PRIORITY
+from palpd.daemon.silence import explained
 from palpd.daemon.socket_client import LastTick
 from palpd.daemon.stored_state import Latch, State
+from palpd.daemon.witness import Witness
 from palpd.errors import PalpdError, RecordingError
-from palpd.recording.mcap_file import RecordingHeader, RunAbout
+from palpd.recording.mcap_file import RecordedStall, RecordingHeader, RunAbout
 from palpd.recording.recorder import Recorder
 from palpd.recording.ring import LoopState, RecorderState, Ring, Rows
 from palpd.tick import Phase, Request, Trip
@@ -103,7 +106,7 @@ class JobRun:
         self.job, self._ring, self._state, self._name = job, ring, state, name
         self._recorder: Recorder | None = None
         self._about: RunAbout = {}
-        self._reported = self._going = self._lost_recorder = self._interrupted = False
+        self._reported = self._going = self._began_ticking = self._lost_recorder = self._interrupted = False
         self._abort_cause = ""
         self._report: Report | None = None
         self._ended_s = self._end_by_s = math.inf
@@ -113,6 +116,7 @@ class JobRun:
         ring.state = LoopState.STARTING
         ring.forget_requests()  # requests for an earlier run are void; from here on every abort counts
         with shielded():
+            self._witness = Witness(DEVICE_PRIORITY)
             self._motion = MotionProcess(build, ring)
         self._motion.pipe.send(job)
 
@@ -167,6 +171,10 @@ class JobRun:
             self._lost_recorder = True
             self._ring.ask(Request.ABORT)  # a palpation that is not recorded is worth nothing
         ticking = self._ring.state == LoopState.RUNNING
+        if ticking and not self._began_ticking:
+            self._began_ticking, self._ticked_s = True, now_s
+        if self._going and self._ring.state == LoopState.STARTING and now_s - self._ticked_s > OPENING_S:
+            return self._kill(f"the loop did not begin within {OPENING_S:g} s; nothing was moved")
         if ticking and now_s - self._ticked_s > STALLED_S:
             return self._kill(f"the loop stood still for {STALLED_S:g} s and was killed; the controller's watchdog stops the arm")
         if self._ring.state != LoopState.ENDED:
@@ -193,7 +201,14 @@ class JobRun:
             case Ended(outcome, trips, notes):
                 exit_code = 0 if outcome.verdict == "done" else 2 if outcome.refused else 3
                 by_signal = f" ({self._abort_cause})" if self._interrupted and exit_code else ""
-                return Report(outcome.verdict, outcome.reason + by_signal, exit_code, trips, notes=notes)
+                return Report(outcome.verdict, outcome.reason + self._silence(trips) + by_signal, exit_code, trips, notes=notes)
+
+    def _silence(self, trips: Sequence[TripReport]) -> str:
+        """Whether a device was silent or this computer stood still, as far as that ended the run."""
+        self._witness.hear()
+        rows, _, _ = self._ring.read(max(self._first_tick, self._ring.published - 1))
+        at_s = float(rows["now_s"][-1]) if len(rows) else time.monotonic()
+        return explained(trips, at_s, 1.0 / self.job.config.robot.rate_Hz, self._witness)
 
     def _begin_recording(self, opened: Opened) -> Report | None:
         self._reported, self._about = True, opened.about
@@ -253,8 +268,10 @@ class JobRun:
     def _begin_closing(self, report: Report) -> None:
         self._report, self._closing_s = report, time.monotonic()
         self._motion.end()
+        self._witness.end()
         if self._recorder is not None:
-            self._recorder.finish({"verdict": report.verdict, "reason": report.reason, "trips": list(report.trips)})
+            stalls = [RecordedStall(begin_s=begin_s, end_s=end_s, processor=number) for begin_s, end_s, number in self._witness.stalls]
+            self._recorder.finish({"verdict": report.verdict, "reason": report.reason, "trips": list(report.trips), "stalls": stalls})
 
     def _closed(self) -> Report | None:
         """The report when motion process and recorder have ended, else None."""

@@ -1,0 +1,131 @@
+"""A run that ends for want of data says which it was: a device was silent, or this computer stood still."""
+
+import os
+import signal
+import time
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from palpd.analysis.stalls import stall_figures, stall_note
+from palpd.daemon.motion_process import TripReport
+from palpd.daemon.silence import explained
+from palpd.daemon.witness import Stall, Witness, stood_still
+from palpd.recording.mcap_file import RecordedStall
+from palpd.tick import ROW, Trip
+
+
+def trip(kind: Trip, measured: float, limit: float) -> TripReport:
+    return TripReport(trip=kind.name, measured=measured, limit=limit, reason="")
+
+
+def witness(*stalls: Stall, processors: int = 2, urgent: bool = True) -> Witness:
+    return cast(Witness, SimpleNamespace(stalls=list(stalls), processors=processors, urgent=urgent))
+
+
+BOTH = (Stall(99.935, 99.995, 0), Stall(99.937, 99.995, 1))
+SENSOR = trip(Trip.SENSOR_STALE, 0.056, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("kind", "stalls", "sentence"),
+    [
+        (SENSOR, (), "; the sensor was silent for 56 ms while this computer ran"),
+        (SENSOR, (Stall(98.0, 99.0, 0),), "; the sensor was silent for 56 ms while this computer ran"),
+        (SENSOR, BOTH, "; this computer stood still for 51 ms of these 56 ms"),
+        (SENSOR, BOTH[1:], "; processor 1 of this computer stood still for 51 ms of these 56 ms"),
+        (trip(Trip.ROBOT_STALE, 0.2, 0.05), BOTH, "; the robot was silent for 200 ms, and this computer stood still for 60 ms of them"),
+        (trip(Trip.LATE_TICKS, 7.0, 6.0), BOTH, "; this computer stood still for 59 ms"),
+        (trip(Trip.LATE_TICKS, 7.0, 6.0), (), "; the motion process was held up for 56 ms while this computer ran"),
+        (trip(Trip.PROGRAM_STOPPED, 0.0, 2.0), BOTH, "; this computer stood still for 60 ms just before"),
+        (trip(Trip.PROGRAM_STOPPED, 0.0, 2.0), (), ""),
+        (trip(Trip.CONTACT_FORCE, 13.0, 12.0), BOTH, ""),
+    ],
+)
+def test_the_reason_says_what_stood_still(kind: TripReport, stalls: tuple[Stall, ...], sentence: str) -> None:
+    assert explained([kind], 100.0, 0.008, witness(*stalls)) == sentence
+
+
+def test_two_trips_of_one_cause_say_it_once_each() -> None:
+    trips = [trip(Trip.PROGRAM_STOPPED, 0.0, 2.0), trip(Trip.CONNECTION, 1.0, 0.0)]
+    assert explained(trips, 100.0, 0.008, witness(*BOTH)) == "; this computer stood still for 60 ms just before"
+
+
+def test_without_a_witness_nothing_is_claimed_and_without_priority_less() -> None:
+    assert explained([SENSOR], 100.0, 0.008, witness(processors=0)) == ""
+    assert "stood still or did other work for 51 ms" in explained([SENSOR], 100.0, 0.008, witness(*BOTH, urgent=False))
+
+
+def test_overlapping_stalls_count_once() -> None:
+    stalls = [Stall(1.0, 2.0, 0), Stall(1.5, 1.8, 1), Stall(3.0, 3.5, 1)]
+    assert stood_still(stalls, 0.0, 10.0) == (1.5, [0, 1])
+    assert stood_still(stalls, 1.9, 3.1) == (pytest.approx(0.2), [0, 1])
+    assert stood_still(stalls, 4.0, 5.0) == (0.0, [])
+
+
+def test_a_witness_that_was_held_up_reports_it() -> None:
+    seen = Witness(55)
+    until_s = time.monotonic() + 10.0
+    while not seen.processors and time.monotonic() < until_s:
+        seen.hear()
+        time.sleep(0.01)
+    time.sleep(0.1)
+    assert seen.processors == len(os.sched_getaffinity(0))
+    process = seen._process
+    assert process is not None
+    os.kill(process.pid, signal.SIGINT)  # Ctrl-C reaches all of palpd, and ends no witness
+    stopped_s = time.monotonic()
+    os.kill(process.pid, signal.SIGSTOP)
+    time.sleep(0.08)
+    os.kill(process.pid, signal.SIGCONT)
+    continued_s = time.monotonic()
+    time.sleep(0.1)
+    stood_s, processors = stood_still(seen.hear(), stopped_s, continued_s)
+    assert stood_s > 0.05
+    assert len(processors) == seen.processors
+    seen.end()
+    assert process.poll() is not None
+
+
+def test_a_witness_ends_with_its_supervisor() -> None:
+    seen = Witness(55)
+    process = seen._process
+    assert process is not None
+    assert process.stdin is not None
+    process.stdin.close()  # as the kernel does when the supervisor dies
+    assert process.wait(10.0) == 0
+    seen.end()
+
+
+def ticks(missing: slice, late: bool = False) -> np.ndarray:
+    """A second of ticks at 125 Hz; those of `missing` hear nothing of the sensor, or do not come at all."""
+    rows = np.zeros(125, ROW)
+    rows["now_s"] = 100.0 + 0.008 * np.arange(125)
+    rows["robot_t_s"] = rows["robot_timestamp_s"] = rows["now_s"] - 0.001
+    rows["frames"] = 8
+    rows["frame_t_s"][:, :8] = rows["now_s"][:, None] - 0.0075 + 0.001 * np.arange(8)
+    if late:
+        rows["missed"][missing.stop] = missing.stop - missing.start
+        return np.delete(rows, missing)
+    rows["frames"][missing] = 0
+    rows["frame_t_s"][missing] = 0.0
+    return rows
+
+
+def test_silences_and_stalls_of_a_run_are_counted_apart() -> None:
+    assert stall_note(stall_figures(ticks(slice(50, 50)), [])) is None
+    silent = stall_figures(ticks(slice(50, 56)), [])
+    assert (silent["sensor"], silent["robot"], silent["computer"]) == (1, 0, 0)
+    assert silent["sensor_longest_s"] == pytest.approx(0.0485)
+    assert stall_note(silent) == "the sensor was silent 1 time for more than 20 ms (at most 48 ms)"
+    stalls = [RecordedStall(begin_s=100.402, end_s=100.44, processor=0), RecordedStall(begin_s=100.41, end_s=100.447, processor=1)]
+    stalled = stall_figures(ticks(slice(50, 56), late=True), stalls)
+    assert (stalled["sensor"], stalled["robot"], stalled["computer"]) == (0, 0, 1)
+    assert stalled["computer_longest_s"] == pytest.approx(0.045)
+    assert stall_figures(ticks(slice(50, 56)), stalls)["sensor"] == 0, "data that this computer did not fetch"
+
+
+def test_a_recording_without_ticks_has_no_stalls() -> None:
+    assert stall_figures(np.zeros(0, ROW), [])["computer"] == 0

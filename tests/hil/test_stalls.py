@@ -1,0 +1,45 @@
+"""Over wires: a run that ends for want of data says whether the sensor was silent or this computer stood still."""
+
+import os
+import signal
+import time
+from collections.abc import Callable
+
+import pytest
+
+from benchmarks.emulated_cell import PATIENT, PATIENT_S, PRESS, Daemon, EmulatedCell, command_of, family
+
+pytestmark = pytest.mark.hil
+
+STALL_S = 0.7 * PATIENT_S
+"""How long everything of this run stands still: longer than its loop may, shorter than data may be old."""
+LIMITS = PATIENT["safety"] | {"max_stall_s": 0.05}
+
+
+def begun(cell: Callable[..., EmulatedCell]) -> tuple[EmulatedCell, Daemon]:
+    wired = cell(robot=PATIENT["robot"], safety=LIMITS)
+    daemon = wired.run(PRESS)
+    wired.until_contact(daemon, 0.5)
+    return wired, daemon
+
+
+def test_a_sensor_that_is_silent_is_told_from_this_computer(cell: Callable[..., EmulatedCell]) -> None:
+    wired, daemon = begun(cell)
+    wired.wires.ask("silent", s=1.0)
+    assert daemon.wait() == 3
+    assert "; the sensor was silent for 2" in daemon.report["reason"], daemon.report["reason"]
+    assert daemon.report["loop"]["stalls"]["sensor"] >= 1
+
+
+def test_a_computer_that_stands_still_is_told_from_its_devices(cell: Callable[..., EmulatedCell]) -> None:
+    _, daemon = begun(cell)
+    witness = next(pid for pid in family(daemon.process.pid) if "witness.py" in command_of(pid))
+    for number, pause_s in ((signal.SIGSTOP, STALL_S), (signal.SIGCONT, 0.0)):
+        for pid in (daemon.motion_pid, witness):
+            os.kill(pid, number)
+        time.sleep(pause_s)
+    assert daemon.wait() == 3
+    assert "; this computer stood still for 1" in daemon.report["reason"], daemon.report["reason"]
+    stalls = daemon.report["loop"]["stalls"]
+    assert stalls["computer"] >= 1
+    assert stalls["sensor"] == stalls["robot"] == 0
