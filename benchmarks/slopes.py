@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from benchmarks.emulated_cell import PATIENT, emulated_cell
+from benchmarks.emulated_cell import ATTEMPTS, PATIENT, emulated_cell
 from hw.emulators.hex_pty import CAPACITY, COUNTS_AT_CAPACITY, Daq
 from palpd.analysis import results
 from palpd.cell.cell_file import CellFile, save_cell
@@ -44,6 +44,8 @@ PLAN: dict[str, Any] = {
     "hold_s": 2.0,
     "search": {"speed_m_per_s": 0.005, "max_travel_m": 0.04},
 }
+RUN_S = 600.0
+"""Longest run over wires: two minutes on a machine with nothing else to do."""
 WITHIN = 0.01
 """Largest relative error of a static modulus with the right setting."""
 LARGEST_GROUP = 3
@@ -54,7 +56,7 @@ RATIO = COUNTS_AT_CAPACITY[6] / CAPACITY[6] / COUNTS_PER_UNIT[FZ]
 
 
 @dataclass(frozen=True, slots=True)
-class Palpated:
+class SlopesRun:
     """A recording of the three sites."""
 
     law: PartsAt
@@ -74,8 +76,8 @@ def cell_of(modulus_Pa: float | None = None) -> CellFile:
     return CellFile.model_validate(content | {"sites": sites})
 
 
-def over_wires(folder: Path, law: PartsAt, settings: Sequence[Setting]) -> Iterator[Palpated]:
-    """Palpate by the daemon over emulated wires.
+def over_wires(folder: Path, law: PartsAt, settings: Sequence[Setting]) -> Iterator[SlopesRun]:
+    """Palpate by the daemon over emulated wires, again where a run was ended: on a busy machine it may stand still for too long.
 
     Args:
         folder: For everything that is written.
@@ -86,16 +88,19 @@ def over_wires(folder: Path, law: PartsAt, settings: Sequence[Setting]) -> Itera
         The recordings.
     """
     save_cell(folder / "cell.yaml", cell_of())
-    with emulated_cell(folder, "ur5", folder / "cell.yaml", "--fz-parts-at", law) as base:
-        for setting in settings:
-            own = folder / setting
+    for setting in settings:
+        for left in reversed(range(ATTEMPTS)):
+            own = folder / f"{setting}-{left}"
             own.mkdir()
-            wired = replace(base, folder=own, blocks=PATIENT | {"sensor": {"fz_slopes": setting}})
-            daemon = wired.run(PLAN)
-            code = daemon.wait(600.0)
-            if code != 0:
-                raise RuntimeError(f"the run on the law {law} with {setting} ended with {code}: {daemon.stderr.strip()}")
-            yield Palpated(law, setting, Recording.load(Path(daemon.report["recording"])))
+            with emulated_cell(own, "ur5", folder / "cell.yaml", "--fz-parts-at", law) as base:
+                daemon = replace(base, blocks=PATIENT | {"sensor": {"fz_slopes": setting}}).run(PLAN)
+                code = daemon.wait(RUN_S)
+            if code == 0:
+                yield SlopesRun(law, setting, Recording.load(Path(daemon.report["recording"])))
+                break
+            print(f"The run on the law {law} with {setting} was ended: {daemon.stderr.strip()}", file=sys.stderr, flush=True)
+        else:
+            raise RuntimeError(f"{ATTEMPTS} runs on the law {law} with {setting} were ended")
 
 
 class PartedSensor:
@@ -123,7 +128,7 @@ class PartedSensor:
         return self._daq.measure(loaded)
 
 
-def without_wires(folder: Path, law: PartsAt, setting: Setting, seed: int, plan: dict[str, Any] = PLAN) -> list[Palpated]:
+def without_wires(folder: Path, law: PartsAt, setting: Setting, seed: int, plan: dict[str, Any] = PLAN) -> list[SlopesRun]:
     """Palpate by the daemon's loop on the cell's physics, each site in a run of its own.
 
     Args:
@@ -141,7 +146,7 @@ def without_wires(folder: Path, law: PartsAt, setting: Setting, seed: int, plan:
     for index, (name, modulus_Pa) in enumerate(MODULI_PA.items()):
         job = Job("palpation", config, Plan.model_validate(plan | {"sites": [{"name": name}]}))
         done = pressed(job, cell_of(modulus_Pa), law, config.cell.probe.mass_kg, seed + index)
-        palpated.append(Palpated(law, setting, Recording(folder / f"{law}-{setting}-{name}", done.rows, done.header, {}, None)))
+        palpated.append(SlopesRun(law, setting, Recording(folder / f"{law}-{setting}-{name}", done.rows, done.header, {}, None)))
     return palpated
 
 
@@ -172,7 +177,7 @@ def pressed(job: Job, cell: CellFile, law: PartsAt, mass_kg: float, seed: int) -
     return done
 
 
-def diagnosed(palpated: Palpated, site: str, folder: Path) -> Diagnosis:
+def diagnosed(palpated: SlopesRun, site: str, folder: Path) -> Diagnosis:
     """Export one site of a recording and diagnose it.
 
     Args:
@@ -197,7 +202,7 @@ def answer(diagnosis: Diagnosis) -> tuple[str, bool]:
     return named, len(groups) == 1 and NAME in groups[0] and len(groups[0]) <= LARGEST_GROUP
 
 
-def lines_of(palpated: Palpated, folder: Path, with_diagnosis: bool) -> Iterator[tuple[str, bool]]:
+def lines_of(palpated: SlopesRun, folder: Path, with_diagnosis: bool) -> Iterator[tuple[str, bool]]:
     """One line of the table a site, and whether it is as required."""
     right = RIGHT[palpated.law] == palpated.setting
     for site in results.sites(palpated.recording.rows, palpated.recording.header):
@@ -229,7 +234,7 @@ def main() -> None:
             folder = Path(name) / law
             folder.mkdir()
             if options.without_wires:
-                runs: Iterator[Palpated] = (one for setting in settings for one in without_wires(folder, law, setting, options.seed))
+                runs: Iterator[SlopesRun] = (one for setting in settings for one in without_wires(folder, law, setting, options.seed))
             else:
                 runs = over_wires(folder, law, settings)
             for palpated in runs:

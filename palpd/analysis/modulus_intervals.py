@@ -37,7 +37,7 @@ class KnownWeight:
 
     @classmethod
     def of(cls, header: RecordingHeader) -> "KnownWeight":
-        """The weight by the cell of a recording, and what it leaves uncertain by the ratio of the sensor's two slopes.
+        """The weight by the cell of a recording, and the uncertainty of a force by the ratio of the sensor's two slopes.
 
         Args:
             header: Header of the recording.
@@ -53,7 +53,14 @@ class KnownWeight:
         return cls(GRAVITY_N_PER_KG * mass_kg, abs(ratio - 1.0) * GRAVITY_N_PER_KG * sigma_kg)
 
     def shift_N(self, force_N: Floats) -> Floats:
-        """One standard deviation (n,) of contact forces (n,), the same error in all of them."""
+        """How far contact forces shift together where the weight is one standard deviation off.
+
+        Args:
+            force_N: Contact forces (n,).
+
+        Returns:
+            The shifts (n,) in N.
+        """
         return np.where(force_N > self.weight_N, self.force_sigma_N, 0.0)
 
 
@@ -93,7 +100,14 @@ def mean_ci95_Pa(measured: Sequence[Measured], surface_sigma_m: float | None, we
 
 
 def mean_sigma_N(force_N: Floats) -> float:
-    """Standard deviation of the mean of forces (n,) whose noise is correlated in time."""
+    """Standard deviation of the mean of forces whose noise is correlated in time.
+
+    Args:
+        force_N: Forces (n,).
+
+    Returns:
+        The standard deviation in N.
+    """
     if len(force_N) < 2:
         return 0.0
     return float(np.std(force_N, ddof=1)) * math.sqrt(min(correlation_time(force_N)[0] / len(force_N), 1.0))
