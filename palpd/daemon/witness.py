@@ -2,7 +2,7 @@
 
 A device is called silent by the age of its newest data. That age grows just as much while this computer stands still and reads nothing.
 The witness has nothing to do but to wake: one thread a processor, at the priority of the driver's threads. So it tells the two apart, and
-the loop pays nothing for it. This file runs by itself and imports nothing of palpd: a light process starts in 20 ms and has 10 MB.
+the loop pays nothing for it. This file runs by itself and imports nothing of palpd: a light process has 12 MB.
 """
 
 import contextlib
@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 WAKE_S = 0.01
-"""Pause between two wake-ups: a stall is seen from its first 10 ms on, and a processor is busy for 0.1 % of the time."""
+"""Pause between two wake-ups: a stall is seen from its first 10 ms on, and each processor is busy with it for 0.5 % of the time."""
 LATE_S = 0.02
 """Wake-up after its time that counts as a stall: above what a scheduler does, below the 50 ms that a device may be silent."""
 

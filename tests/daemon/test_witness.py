@@ -61,7 +61,9 @@ def test_without_a_witness_nothing_is_claimed_and_without_priority_less() -> Non
 def test_overlapping_stalls_count_once() -> None:
     stalls = [Stall(1.0, 2.0, 0), Stall(1.5, 1.8, 1), Stall(3.0, 3.5, 1)]
     assert stood_still(stalls, 0.0, 10.0) == (1.5, [0, 1])
-    assert stood_still(stalls, 1.9, 3.1) == (pytest.approx(0.2), [0, 1])
+    stood_s, processors = stood_still(stalls, 1.9, 3.1)
+    assert stood_s == pytest.approx(0.2)
+    assert processors == [0, 1]
     assert stood_still(stalls, 4.0, 5.0) == (0.0, [])
 
 
