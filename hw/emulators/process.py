@@ -26,6 +26,7 @@ from hw.emulators.rig import SAMPLE_S, Rig
 from hw.emulators.verbs import VERBS, obey
 from palpd.cell.cell_file import PHANTOM, load_cell
 from palpd.cell.effects import EFFECTS, load_effects
+from palpd.cell.effects.learned import held_sentence
 from palpd.errors import PalpdError
 
 GIVEN_UP_S = 0.1
@@ -131,7 +132,7 @@ def emulate(
         mount_rotation_rad: rotation of the sensor about the flange's z.
         realtime: ask for SCHED_FIFO.
         end_with_parent: also end, within a second, when the parent process is gone.
-        effects: Python file of a user's effects, which the cell file may name.
+        effects: Python file of a user's effects, or a file of learned ones, which the cell file may name.
         fz_parts_at: where the sensor's slopes for pressing and pulling part.
 
     Raises:
@@ -163,6 +164,9 @@ def emulate(
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
         print(f"robot {host}\nsensor {rig.line.path}", flush=True)
         _run(rig, channel, stopping, parent)
+        for name, share in rig.cell.shares_held().items():
+            if share > 0.0:
+                print(held_sentence(name, share, "samples since the last start"), file=sys.stderr)
     finally:
         rig.close()
         if channel is not None:

@@ -183,6 +183,13 @@ class CellFile(StrictBlock):
             filled["sites"] = [_with_common_tissue(site, filled) for site in sites]
         return filled
 
+    @model_validator(mode="after")
+    def _each_law_once(self) -> "CellFile":
+        names = [*(one.id for one in self.learned), *self.effects]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise ValueError(f"learned effect {twice[0]} stands twice in this cell; give the other one another id, or remove it")
+        return self
+
     def with_effects(self, effects: EffectValues) -> "CellFile":
         """The same cell with these effects in place of its own (not checked: they come from a fit)."""
         return self.model_copy(update={"effects": effects})

@@ -16,7 +16,7 @@ from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile, Estimated, Wall
 from palpd.cell.cell_file import CellSite as Place
 from palpd.cell.dynamics import Constants, Floats, Memory, Span, TipMotion, delayed, lowpass, servo, servo_heights, steps
 from palpd.cell.effects import EFFECTS, Effect, Scale, Site, Values
-from palpd.cell.effects.learned import LearnedEffect
+from palpd.cell.effects.learned import learned_law_of
 from palpd.errors import ConfigError
 
 WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
@@ -556,9 +556,9 @@ def share_outside(
     Returns:
         Share of the samples outside the range, by learned effect.
     """
-    listed = [getattr(library[name].law, "__self__", None) for name in cell.effects if name in library]
+    listed = [learned_law_of(library[name]) for name in cell.effects if name in library]
     out = {}
-    for learned in [*(one for one in listed if isinstance(one, LearnedEffect)), *cell.learned]:
+    for learned in [*(one for one in listed if one is not None), *cell.learned]:
         if learned.site == "robot" and (z_m is not None or z_cmd_m is None):
             continue
 
@@ -690,6 +690,16 @@ class Cell:
         """As before any `begin`: what counts from the start of a recording is absent again."""
         self._begun = False
         self._build()
+
+    def shares_held(self) -> dict[str, float]:
+        """Share of the samples since `begin` outside the range of each learned effect, where its curve was held."""
+        counted: dict[str, list[int]] = {}
+        for memory in (self._common, *self._local):
+            for name, mine in memory.items():
+                if isinstance(mine, dict) and "held" in mine:
+                    samples, held = counted.setdefault(name, [0, 0])
+                    counted[name] = [samples + mine["samples"], held + mine["held"]]
+        return {name: held / samples for name, (samples, held) in counted.items() if samples}
 
     def set_filter(self, cutoff_Hz: float | None) -> None:
         """The sensor's filter is set to this cutoff, None for none, in place of the stated one."""

@@ -10,11 +10,13 @@ import typer
 
 from palpd.cli.options import (
     DEFAULT_CONFIG,
+    AdoptedOption,
     CellOption,
     ConfigOption,
     EffectsOption,
     JsonOption,
     SiteOption,
+    adopted_folder,
     app,
     check_kept,
     clear_latch,
@@ -22,7 +24,7 @@ from palpd.cli.options import (
     finish,
     terminal,
 )
-from palpd.errors import RecordingError
+from palpd.errors import BadInput, RecordingError
 from palpd.files import check_folder, check_writable, write_json
 
 
@@ -37,6 +39,7 @@ def diagnose(
     cell_out: Annotated[Path | None, typer.Option("--cell-out", help="write the cell with what was found")] = None,
     report: Annotated[Path | None, typer.Option("--report", help="write a report (.html)")] = None,
     effects: EffectsOption = None,
+    adopted: AdoptedOption = True,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="processes, for a folder")] = 1,
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", help="for a folder: tcp://… of a Dask cluster (palpd[cluster]), in place of processes")
@@ -50,12 +53,14 @@ def diagnose(
     check_writable(json_file, cell_out, report)
     _refuse_foreign(recordings)
     if len(recordings) == 1 and recordings[0].is_dir():
-        _diagnose_fleet(recordings[0], jobs, scheduler, effects, json_file)
+        _diagnose_fleet(recordings[0], jobs, scheduler, effects, adopted_folder(adopted), json_file)
         return
     nominal = required_cell(cell)
     with terminal().status("diagnosing"):
         try:
-            diagnosis = diagnose_files(recordings, nominal, json_out=json_file, cell_out=cell_out, effects=effects, site=site)
+            diagnosis = diagnose_files(
+                recordings, nominal, json_out=json_file, cell_out=cell_out, effects=effects, adopted=adopted_folder(adopted), site=site
+            )
         except RecordingError as error:
             raise _with_import_command(error, recordings) from error
     if report is not None:
@@ -83,18 +88,24 @@ def _with_import_command(error: RecordingError, recordings: Sequence[Path]) -> R
     return error
 
 
-def _diagnose_fleet(folder: Path, jobs: int, scheduler: str | None, effects: Path | None, json_file: Path | None) -> None:
+def _diagnose_fleet(
+    folder: Path, jobs: int, scheduler: str | None, effects: Path | None, adopted: Path | None, json_file: Path | None
+) -> None:
     from rich.progress import track
 
     from palpd.cli.tables import fleet_table, recordings_table
+    from palpd.gap.commands import adopted_sentence, library
     from palpd.gap.fleet import by_cell, diagnose_folder, recordings_in
 
-    diagnoses = diagnose_folder(folder, jobs=jobs, scheduler=scheduler, effects=effects)
+    known = library(effects, adopted=adopted)
+    diagnoses = diagnose_folder(folder, jobs=jobs, scheduler=scheduler, effects=effects, adopted=adopted)
     rows = list(track(diagnoses, "diagnosing", len(recordings_in(folder)), console=terminal(), transient=True))
     cells = by_cell(rows)
     terminal().print(recordings_table(rows))
     if len(cells) < len(rows):
         terminal().print(fleet_table(cells))
+    if adopted is not None and (weighed := adopted_sentence(adopted, known)):
+        terminal().print(weighed, highlight=False, soft_wrap=True)
     write_json(json_file, {"recordings": [asdict(row) for row in rows], "cells": [asdict(cell) for cell in cells]})
 
 
@@ -113,6 +124,7 @@ def resolve(
     ] = None,
     take_reference: Annotated[bool, typer.Option("--take-reference", help="take the reference tare now instead of the kept one")] = False,
     effects: EffectsOption = None,
+    adopted: AdoptedOption = True,
     folder: Annotated[Path | None, typer.Option("--out", help="where everything is kept (default: runs/resolve-<time>)")] = None,
     json_file: JsonOption = None,
 ) -> None:
@@ -122,7 +134,7 @@ def resolve(
     from palpd.daemon import resolve as loop
     from palpd.daemon.session import kept_in
     from palpd.daemon.wiring import devices
-    from palpd.gap.commands import library
+    from palpd.gap.commands import adopted_sentence, library
 
     settings = load_config(config)
     first_plan = load_plan(plan) if plan else loop.STANDARD
@@ -130,7 +142,10 @@ def resolve(
     check_folder(folder)
     check_kept(settings)
     clear_latch(settings)
-    known = library(effects)
+    own = adopted_folder(adopted)
+    known = library(effects, adopted=own)
+    if own is not None and (weighed := adopted_sentence(own, known)):
+        terminal().print(weighed, highlight=False, soft_wrap=True)
     kept = kept_in(folder or settings.paths.runs, "resolve" if folder is None else None)
     nominal = load_cell(cell, known) if cell else settings.cell
     setting = loop.Setting(
@@ -158,13 +173,21 @@ def simulate(
     source: Annotated[Literal["measured", "commanded"], typer.Option("--from", help="what drives it where both are there")] = "measured",
     noise: Annotated[int | None, typer.Option("--noise", help="seed: add noise and rounding")] = None,
     effects: EffectsOption = None,
+    adopted: AdoptedOption = True,
 ) -> None:
     """What a cell, enriched or nominal, gives on any motion."""
     from palpd.gap.commands import simulate_file
 
     check_writable(csv, overwrite=False)
     samples = simulate_file(
-        motion, cell, csv, from_commanded=source == "commanded", noise_seed=noise, effects=effects, say=terminal().print
+        motion,
+        cell,
+        csv,
+        from_commanded=source == "commanded",
+        noise_seed=noise,
+        effects=effects,
+        adopted=adopted_folder(adopted),
+        say=terminal().print,
     )
     terminal().print(f"{csv}: {len(samples)} rows, {samples.duration_s:.1f} s.")
 
@@ -190,26 +213,49 @@ def effects_(
         list[str] | None, typer.Argument(help="effects to compare with the library (default: those given with --effects)")
     ] = None,
     effects: EffectsOption = None,
+    adopted: AdoptedOption = True,
+    adopt: Annotated[Path | None, typer.Option("--adopt", help="let the law of this file (out.learned.yaml) join your library")] = None,
+    name: Annotated[str | None, typer.Option("--name", help="with --adopt: its name, such as learned.stiff_foam")] = None,
+    remove: Annotated[str | None, typer.Option("--remove", help="take this adopted effect out of your library")] = None,
     cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml that they are compared on (default: the nominal cell)")] = None,
     json_file: JsonOption = None,
 ) -> None:
     """List the effects that a cell can have; for some, or your own, what they could be mistaken for, before anything is recorded."""
     from palpd.cell.cell_file import load_cell, nominal
     from palpd.cell.effects import user_effects
-    from palpd.cli.tables import effect_table, similarity_table
+    from palpd.cell.effects.adopted import user_folder
+    from palpd.cli.tables import adopted_table, effect_table, similarity_table
+    from palpd.gap import adoption
     from palpd.gap.commands import effects_named, library
     from palpd.gap.similar_effects import similar_effects
 
     check_writable(json_file)
-    known = library(effects)
-    compared = effects_named(names, known) if names else user_effects(known)
+    if sum(asked is not None for asked in (adopt, remove, names or None)) > 1 or (name is not None and adopt is None):
+        raise BadInput("--adopt, --remove and effects to compare exclude each other, and --name belongs to --adopt; give one of them")
+    folder = user_folder()
+    if adopt is not None:
+        with terminal().status("adopting"):
+            written = adoption.adopt(adopt, folder, name, load_cell(cell) if cell else nominal())
+        terminal().print(f"{written.law.id} is adopted ({written.path}). {written.sentence}", highlight=False, soft_wrap=True)
+        write_json(json_file, written.to_json())
+        return
+    if remove is not None:
+        terminal().print(f"{remove} is removed ({adoption.remove(remove, folder)}).", highlight=False, soft_wrap=True)
+        return
+    known = library(effects, adopted=folder if adopted else None)
+    laws = adoption.load_adopted(folder) if adopted else {}
+    compared = effects_named(names, known) if names else user_effects(library(effects))
     if not names:
-        terminal().print(effect_table(known))
+        terminal().print(effect_table({name: effect for name, effect in known.items() if name not in laws}))
+        if laws:
+            terminal().print(adopted_table(laws, folder))
+    content: dict[str, object] = {"effects": [adoption.described(effect, laws, folder) for effect in known.values()]}
     if compared:
         with terminal().status("comparing"):
             similar = similar_effects(compared, load_cell(cell, known) if cell else nominal(), known)
         terminal().print(similarity_table(similar))
-        write_json(json_file, {"confounds": [asdict(each) for each in similar]})
+        content["confounds"] = [asdict(each) for each in similar]
+    write_json(json_file, content)
 
 
 @app.command()

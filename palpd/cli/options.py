@@ -48,11 +48,12 @@ EffectsOption = Annotated[
     Path | None, typer.Option("--effects", help="effects of your own: a Python file (docs/examples) or learned ones (.yaml)")
 ]
 SiteOption = Annotated[str | None, typer.Option("--site", help="this site only, of recordings of the daemon (.mcap)")]
+AdoptedOption = Annotated[bool, typer.Option("--adopted/--no-adopted", help="whether your adopted effects count (palpd effects --adopt)")]
 DEFAULT_PLAN = Path("plan.yaml")
 
 __all__ = [
-    "DEFAULT_CONFIG", "DEFAULT_PLAN", "CellOption", "ConfigOption", "EffectsOption", "JsonOption", "PlanOption", "SiteOption",
-    "SocketOption", "app", "check_kept", "clear_latch", "display", "finish", "terminal",
+    "DEFAULT_CONFIG", "DEFAULT_PLAN", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "JsonOption", "PlanOption",
+    "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept", "clear_latch", "display", "finish", "terminal",
 ]  # fmt: skip
 
 
@@ -84,6 +85,13 @@ def finish(exit_code: int, reason: str) -> None:
     if exit_code:
         print(f"palpd: {reason}", file=sys.stderr)
         raise typer.Exit(exit_code)
+
+
+def adopted_folder(adopted: bool) -> Path | None:
+    """The folder of this user's adopted effects; None where they shall not count."""
+    from palpd.cell.effects.adopted import user_folder
+
+    return user_folder() if adopted else None
 
 
 def clear_latch(config: "Config") -> None:

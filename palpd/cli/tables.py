@@ -1,6 +1,7 @@
 """Tables for the terminal from what other modules computed; computes nothing."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
@@ -8,6 +9,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     from palpd.analysis.results import SiteResult
     from palpd.cell.effects import Effect
+    from palpd.cell.effects.learned import LearnedEffect
     from palpd.daemon.doctor.finding import Finding
     from palpd.daemon.overshoot import OvershootForecast
     from palpd.gap.fleet import CellRow, FleetRow
@@ -111,6 +113,18 @@ def effect_table(library: "Mapping[str, Effect]") -> Table:
     return table
 
 
+def adopted_table(laws: "Mapping[str, LearnedEffect]", folder: Path) -> Table:
+    """The adopted effects of a user: what each does, over which range it was learned, and what imitates it."""
+    from palpd.cell.effects.drivers import UNITS
+
+    table = _table(f"Adopted effects ({folder})", "effect", "what it does", "learned in", "imitated by")
+    for law in laws.values():
+        ranges = "; ".join(f"{_plain(t.range[0])} to {_plain(t.range[1])} {UNITS[t.driver.quantity]}" for t in law.terms)
+        imitated = ", ".join(f"{name} ({cosine:.2f})" for name, cosine in (law.confounds or {}).items())
+        table.add_row(law.id, law.what, ranges, imitated or "nothing in the list")
+    return table
+
+
 def similarity_table(similar: "Sequence[Similarity]") -> Table:
     """What effects could be mistaken for, and from which size on not."""
     table = _table("What it could be mistaken for (free strokes, holds and presses)", "effect", "similar", "cosine", "what")
@@ -188,7 +202,7 @@ def _percent(share: float | None) -> str:
     return f"{share * 100:.1f} %" if share is not None else "–"
 
 
-LEFT = {"from", "parameters", "what it does", "what", "effects", "since", "trend", "similar"}
+LEFT = {"learned in", "imitated by", "from", "parameters", "what it does", "what", "effects", "since", "trend", "similar"}
 
 
 def _table(title: str, first: str, *columns: str) -> Table:

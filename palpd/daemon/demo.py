@@ -86,8 +86,8 @@ def gap(effect: str, folder: Path | None, display: Display) -> Demonstration:
     """Give one plain elastic site an effect that the nominal cell does not have, palpate it, diagnose it, and close the gap.
 
     Args:
-        effect: An id of the library, taken at its typical size; `none`; a cell file, for its effects; or a Python file, for its first
-            effect at its typical size. The diagnosis then also knows the effects of that Python file.
+        effect: An id of the library, taken at its typical size; `none`; a cell file or a file of learned effects, for its effects; or a
+            Python file, for its first effect at its typical size. The diagnosis then also knows the effects of that Python file.
         folder: Empty folder for recording and report; by default a new one in runs/.
         display: Shows the progress.
 
@@ -97,10 +97,10 @@ def gap(effect: str, folder: Path | None, display: Display) -> Demonstration:
     folder = kept_in(folder or Path("runs"), "demo" if folder is None else None)
     nominal = CellFile.model_validate({"sensor": {"rate_Hz": 1000.0}})
     user_effects = Path(effect) if Path(effect).suffix == ".py" else None
-    effects = _effects_of(effect, nominal)
-    true = ", ".join(effects) or "none"
+    planted = _with_effect(nominal, effect)
+    true = ", ".join((*planted.effects, *(law.id for law in planted.learned))) or "none"
     display.say(f"One elastic site is emulated, with {true}; the simulator does not know. Everything is kept in {folder}.")
-    with cell_on_wires(nominal.with_effects(effects), folder, ONE_SITE, effects=user_effects) as config:
+    with cell_on_wires(planted, folder, ONE_SITE, effects=user_effects) as config:
         display.say("1/3 reference tare")
         calibrate(config, devices, display)
         display.say("2/3 palpating: free moves, holds, presses of different depths")
@@ -121,11 +121,12 @@ def gap(effect: str, folder: Path | None, display: Display) -> Demonstration:
     return Demonstration(result)
 
 
-def _effects_of(effect: str, nominal: CellFile) -> dict[str, dict[str, float]]:
+def _with_effect(nominal: CellFile, effect: str) -> CellFile:
     if effect == "none":
-        return {}
+        return nominal
     if Path(effect).suffix in (".yaml", ".yml"):
-        return {name: dict(values) for name, values in load_cell(effect).effects.items()}
+        given = load_cell(effect)
+        return nominal.with_effects(given.effects).model_copy(update={"learned": given.learned})
     known: Mapping[str, Effect] = EFFECTS
     if Path(effect).suffix == ".py":
         known = load_effects(effect)
@@ -135,7 +136,8 @@ def _effects_of(effect: str, nominal: CellFile) -> dict[str, dict[str, float]]:
     t_s = np.linspace(0.0, 60.0, 601)
     z_m = 0.01 - 0.018 * np.abs(np.sin(0.3 * t_s))  # the typical size of an effect depends on the motion: take one like the plan's
     scale = scale_of(nominal, t_s, z_m, np.gradient(z_m, t_s))
-    return {effect: {parameter.name: parameter.starts(scale)[0] for parameter in known[effect].parameters if not parameter.optional}}
+    values = {parameter.name: parameter.starts(scale)[0] for parameter in known[effect].parameters if not parameter.optional}
+    return nominal.with_effects({effect: values})
 
 
 def true_modulus_Pa(cell: CellFile, site: str, plan: Plan) -> float:
@@ -190,5 +192,5 @@ def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, model: str =
                 max_stall_s=patience_s,
             ),
             paths=PathsConfig(runs=folder, state=folder / "state"),
-            cell=cell.with_effects({}),
+            cell=cell.with_effects({}).model_copy(update={"learned": ()}),
         )

@@ -22,6 +22,7 @@ from palpd.errors import BadInput
 from palpd.files import write_text
 from palpd.gap.commands import write_answer
 from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.gap.law_search.finding import LawFinding
 from palpd.gap.motions import MotionLimits
 from palpd.gap.next_experiment import Advice, advise
 from palpd.gap.posterior import Attribution
@@ -123,7 +124,7 @@ def resolve(setting: Setting, plan: Plan = STANDARD, recordings: Sequence[Path] 
             names.append(f"round-{number}.csv")
         with setting.display.waiting("diagnosing"):
             diagnosis = diagnose(samples, setting.cell, setting.library, propose=False)
-            new = advise(diagnosis.problem, diagnosis.attribution, _limits(setting, diagnosis))
+            new = advise(diagnosis.problem, diagnosis.attribution, _limits(setting, diagnosis), _beyond_list(diagnosis))
         diagnosis = replace(diagnosis, proposal=new.proposal)
         history.append(_round(number, names[-1], samples[-1], diagnosis, new, advice, before))
         for line in _lines_of(history[-1]):
@@ -151,9 +152,17 @@ def _end(diagnosis: Diagnosis, advice: Advice, recorded: int, rounds: int) -> st
         return f"Resolved: no gap beyond the cell's own tolerances (probability {diagnosis.p_none:.2f})."
     if diagnosis.resolved:
         return f"Resolved: {' and '.join(effect.id for effect in diagnosis.effects)}."
+    beyond = _beyond_list(diagnosis)
+    if advice.proposal is None and advice.pair is None and beyond is not None and beyond.learned is not None:
+        return f"Resolved: {beyond.learned.id}, a law outside the list, which holds in all recordings."
     if advice.proposal is None:
         return advice.sentence
     return f"All {rounds} allowed recordings were made; still open: {_odds_text(advice)}." if recorded >= rounds else ""
+
+
+def _beyond_list(diagnosis: Diagnosis) -> LawFinding | None:
+    """What the search for laws found, where that is the verdict."""
+    return diagnosis.finding if diagnosis.verdict == "unknown" else None
 
 
 def _limits(setting: Setting, diagnosis: Diagnosis) -> MotionLimits:
@@ -220,6 +229,8 @@ def _round(
     this = Round(number, name, samples.duration_s, diagnosis.verdict, diagnosis.sentence, shares)
     if advice is None or advice.proposal is None or advice.pair is None or before is None:
         return this
+    if not {one.name for one in before.hypotheses}.issuperset(advice.pair):
+        return this  # laws outside the list have no odds in that table
     old, now = log_odds(before, advice.pair), log_odds(diagnosis.attribution, advice.pair)
     towards_leader = 1.0 if old >= 0 else -1.0
     settled = min(_share(diagnosis.attribution, explanation) for explanation in advice.pair) < LEAST_SHARE

@@ -1,12 +1,15 @@
 """What the command line does with recordings of cells: diagnose one or several jointly, simulate, estimate tolerances."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from palpd.cell.cell_file import CellFile, load_cell, save_cell
 from palpd.cell.effects import EFFECTS, Effect, load_effects, save_learned
+from palpd.cell.effects.adopted import load_adopted
+from palpd.cell.effects.learned import held_sentence
 from palpd.cell.simulation import share_outside, simulate
 from palpd.errors import BadInput, RecordingError
 from palpd.files import write_json
@@ -17,12 +20,13 @@ from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, named_once
 from palpd.tick import Floats
 
 
-def library(effects: Path | None, without: Sequence[str] = ()) -> Mapping[str, Effect]:
+def library(effects: Path | None, without: Sequence[str] = (), adopted: Path | None = None) -> Mapping[str, Effect]:
     """The effects that may be present.
 
     Args:
         effects: A file with user effects (.py) or learned ones (.yaml).
         without: Effects that are known to be absent.
+        adopted: The folder of a user's adopted effects; none where not given, so that nothing weighs them by accident.
 
     Returns:
         The library by id.
@@ -30,7 +34,9 @@ def library(effects: Path | None, without: Sequence[str] = ()) -> Mapping[str, E
     Raises:
         BadInput: An effect to leave out does not exist.
     """
-    known = EFFECTS if effects is None else load_effects(effects)
+    known: dict[str, Effect] = EFFECTS if effects is None else load_effects(effects)
+    if adopted is not None:
+        known = known | {name: law.effect() for name, law in load_adopted(adopted).items() if name not in known}
     if unknown := [name for name in without if name not in known]:
         raise BadInput(f"there is no effect {unknown[0]!r} to leave out; expected one of {', '.join(known)}")
     return {name: effect for name, effect in known.items() if name not in without}
@@ -52,6 +58,20 @@ def effects_named(names: Sequence[str], known: Mapping[str, Effect]) -> list[Eff
     if unknown := [name for name in names if name not in known]:
         raise BadInput(f"there is no effect {unknown[0]!r}; expected one of {', '.join(known)}")
     return [known[name] for name in names]
+
+
+def adopted_sentence(folder: Path, known: Mapping[str, Effect]) -> str:
+    """Which adopted effects were weighed, and where they stand; empty without any.
+
+    Args:
+        folder: The folder of adopted effects.
+        known: The library.
+
+    Returns:
+        The sentence.
+    """
+    names = [name for name in load_adopted(folder) if name in known]
+    return f"Adopted effects were weighed with the others: {', '.join(names)} ({folder})." if names else ""
 
 
 def required_cell(cell: Path | None) -> Path:
@@ -92,6 +112,7 @@ def diagnose_files(
     json_out: Path | None = None,
     cell_out: Path | None = None,
     effects: Path | None = None,
+    adopted: Path | None = None,
     without: Sequence[str] = (),
     propose: bool = True,
     site: str | None = None,
@@ -104,6 +125,7 @@ def diagnose_files(
         json_out: Where to write out.json, and beside it the motion of the next experiment.
         cell_out: Where to write the enriched cell.
         effects: A file with user effects (.py) or learned ones (.yaml).
+        adopted: The folder of a user's adopted effects, which are weighed with the others.
         without: Effects that are known to be absent.
         propose: Whether to look for the next experiment.
         site: Site of recordings of the daemon; None where they hold one only.
@@ -111,9 +133,11 @@ def diagnose_files(
     Returns:
         The diagnosis.
     """
-    known = library(effects, without)
+    known = library(effects, without, adopted)
     nominal = load_cell(cell, known)
     diagnosis = diagnose([read_recording(path, site) for path in recordings], nominal, known, propose=propose)
+    if adopted is not None and (weighed := adopted_sentence(adopted, known)):
+        diagnosis = replace(diagnosis, notes=[*diagnosis.notes, weighed])
     if json_out is not None:
         write_answer(json_out, diagnosis)
     if cell_out is not None:
@@ -148,6 +172,7 @@ def simulate_file(
     from_commanded: bool = False,
     noise_seed: int | None = None,
     effects: Path | None = None,
+    adopted: Path | None = None,
     overwrite: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> Samples:
@@ -160,6 +185,7 @@ def simulate_file(
         from_commanded: Drive it with `z_cmd_m` in any case.
         noise_seed: Seed of noise and rounding; neither without one.
         effects: A file with user effects (.py) or learned ones (.yaml).
+        adopted: The folder of a user's adopted effects, which the cell file may name.
         overwrite: Whether to replace an existing file.
         say: Is called with a sentence for every learned effect that leaves what it knows.
 
@@ -169,7 +195,7 @@ def simulate_file(
     Raises:
         RecordingError: The motion has not the columns that are needed.
     """
-    known = library(effects)
+    known = library(effects, adopted=adopted)
     columns = read_motion(motion)
     measured = "z_m" in columns and not from_commanded
     if from_commanded and "z_cmd_m" not in columns:
@@ -179,7 +205,7 @@ def simulate_file(
     out = simulate(simulated, t_s, z_cmd_m=z_cmd_m, z_m=z_m, vz_m_per_s=vz_m_per_s, noise_seed=noise_seed, library=known)
     for name, share in share_outside(simulated, t_s, z_cmd_m=z_cmd_m, z_m=z_m, vz_m_per_s=vz_m_per_s, library=known).items():
         if share > 0.0:
-            say(f"{name}: {share:.1%} of the rows lie outside the range that it was learned in; its curve is held there.")
+            say(held_sentence(name, share))
     speed = out.get("vz_m_per_s")
     samples = Samples(
         columns["t_s"],

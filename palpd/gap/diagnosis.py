@@ -7,16 +7,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import EFFECTS, Effect
+from palpd.cell.effects.learned import held_sentence, learned_law_of
+from palpd.cell.simulation import share_outside
 from palpd.gap.calibration import as_stated, stored_map
 from palpd.gap.correlated_residual import compare_again
 from palpd.gap.hypotheses import fit_nominal, search
+from palpd.gap.law_search.confounds import confounds
 from palpd.gap.law_search.finding import LawFinding, find
 from palpd.gap.linearise import linearise
-from palpd.gap.next_experiment import ExperimentProposal, next_experiment
+from palpd.gap.next_experiment import ExperimentProposal, advise
 from palpd.gap.phases import PHASE_PHRASES
 from palpd.gap.plausibility import channel_notes, check_recordings
 from palpd.gap.posterior import Attribution, posterior
@@ -34,6 +38,9 @@ SCHEMA = "palpd.diagnosis/1"
 
 LEAST_LISTED = 1e-3
 """Probability below which an effect is not listed among the candidates."""
+
+MOST_HELD_UNSAID = 0.01
+"""Share of the rows outside the range of a law up to which nothing is said: the range leaves out 0.4 % of what it was drawn from."""
 
 CREEP_NOTE = (
     "Force that decays while the height is held comes from relaxing tissue or from a creeping machine (frame, grip, load cell). "
@@ -107,8 +114,11 @@ def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str,
     finding = find(problem, nominal.fit, verdict.fit, coarse=any(one.coarse_step_N > 0.0 for one in readings))
     if verdict.kind in ("effects", "ambiguous"):
         finding = finding.beside_named()
+    if finding.learned is not None:
+        finding = replace(finding, learned=finding.learned.model_copy(update={"confounds": confounds(finding, fits)}))
     verdict = with_finding(verdict, finding)
     notes += [finding.note] if finding.note else []
+    notes += held_notes(problem, verdict)
     gap = verdict.kind != "none"
     if gap and verdict.fit.names and not cell.tolerances.modulus_known:
         # The nominal fit lays its modulus through the middle of the effects.
@@ -126,7 +136,8 @@ def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str,
     shrink = held_out(problem, verdict.fit) if named else without_effects(table, where["channel"] if where else "fz_N")
 
     # 8. Next experiment: the motion that best separates the hypotheses that are still open.
-    proposal = next_experiment(problem, attribution) if gap and propose else None
+    unknown = finding if verdict.kind == "unknown" else None
+    proposal = advise(problem, attribution, finding=unknown).proposal if gap and propose else None
 
     return Diagnosis(
         decision=verdict,
@@ -142,6 +153,43 @@ def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str,
         attribution=attribution,
         finding=finding,
     )
+
+
+def held_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
+    """One sentence for every learned law, of the library or of the cell, that these recordings drive outside its range.
+
+    Args:
+        problem: The recordings.
+        verdict: The verdict.
+
+    Returns:
+        The sentences.
+    """
+    cell = problem.cell_at(verdict.fit.values, verdict.fit.eta)
+    samples = [one.samples for one in problem.recordings]
+    shares: dict[str, list[float]] = {}
+    for one in samples:
+        for name, share in share_outside(cell, one.t_s, z_cmd_m=one.z_cmd_m, z_m=one.z_m, library=problem.library).items():
+            shares.setdefault(name, []).append(share)
+    rows = [len(one.t_s) for one in samples]
+    means = {name: float(np.average(each, weights=rows)) for name, each in shares.items() if len(each) == len(rows)}
+    return [held_sentence(name, share) for name, share in means.items() if share > MOST_HELD_UNSAID]
+
+
+def with_laws_whole(cell: CellFile, library: Mapping[str, Effect]) -> CellFile:
+    """A cell with learned effects of a library as data of its own, in place of their names.
+
+    Args:
+        cell: The cell.
+        library: Effects by id.
+
+    Returns:
+        The cell, which needs that library no longer.
+    """
+    named = {name: learned_law_of(library[name]) for name in cell.effects}
+    whole = {name: law.at(cell.effects[name]) for name, law in named.items() if law is not None}
+    rest = {name: values for name, values in cell.effects.items() if name not in whole}
+    return cell.model_copy(update={"effects": rest, "learned": (*cell.learned, *whole.values())}) if whole else cell
 
 
 @dataclass(frozen=True)
@@ -209,16 +257,17 @@ class Diagnosis:
     def enriched_cell(self) -> CellFile:
         """The cell with the named effects, a learned one, and the in-tolerance deviations that were fitted with them.
 
-        Listed effects that a learned one replaces are left out.
+        Listed effects that a learned one replaces are left out. Laws of the library that were named stand in it whole, so that the file
+        needs no library.
         """
         finding = self.finding
         if finding.learned is None or finding.law is None:
-            return enriched_cell(self.problem, self.decision)
+            return with_laws_whole(enriched_cell(self.problem, self.decision), self.problem.library)
         fit = replace(finding.beside, residual=finding.beside.residual - finding.law.change)
         scatter = [e for e in self.effects if self.problem.library[e.id].scatter]
         cell = enriched_cell(self.problem, replace(self.decision, effects=scatter, fit=fit))
         cell = cell.with_effects(cell.effects | finding.beside.values)  # as fitted beside the law
-        return cell.model_copy(update={"learned": (*cell.learned, finding.learned)})
+        return with_laws_whole(cell.model_copy(update={"learned": (*cell.learned, finding.learned)}), self.problem.library)
 
     @property
     def sentence(self) -> str:

@@ -79,19 +79,22 @@ def _cell_file(recording: Path) -> Path:
     raise RecordingError(f"{recording.name} has no {recording.stem}.yaml or {COMMON_CELL} beside it; give every recording its cell file.")
 
 
-def diagnose_one(recording: Path, cell: str, effects: Path | None = None) -> FleetRow:
+def diagnose_one(recording: Path, cell: str, effects: Path | None = None, adopted: Path | None = None) -> FleetRow:
     """Diagnose a recording by its cell file and write X.json beside it.
 
     Args:
         recording: The recording.
         cell: The name of its cell.
         effects: A file with user effects.
+        adopted: The folder of a user's adopted effects.
 
     Returns:
         The row; a recording that cannot be diagnosed is a row with the sentence of what is wrong.
     """
     try:
-        diagnosis = diagnose_files([recording], _cell_file(recording), json_out=recording.with_suffix(".json"), effects=effects)
+        diagnosis = diagnose_files(
+            [recording], _cell_file(recording), json_out=recording.with_suffix(".json"), effects=effects, adopted=adopted
+        )
     except Exception as error:  # the end of this recording, whatever it is, and not of the others
         return _failed(recording, cell, error)
     named = {e.id: e.parameters for e in diagnosis.effects}
@@ -105,7 +108,9 @@ def _failed(recording: Path, cell: str, error: BaseException) -> FleetRow:
     return FleetRow(recording.stem, cell, None, {}, None, None, str(error) if expected else f"{type(error).__name__}: {error}")
 
 
-def diagnose_folder(folder: Path, *, jobs: int = 1, scheduler: str | None = None, effects: Path | None = None) -> Iterator[FleetRow]:
+def diagnose_folder(
+    folder: Path, *, jobs: int = 1, scheduler: str | None = None, effects: Path | None = None, adopted: Path | None = None
+) -> Iterator[FleetRow]:
     """Diagnose every recording of a folder, one task each.
 
     Args:
@@ -113,6 +118,7 @@ def diagnose_folder(folder: Path, *, jobs: int = 1, scheduler: str | None = None
         jobs: Number of processes.
         scheduler: Address of a Dask cluster, in place of processes.
         effects: A file with user effects.
+        adopted: The folder of a user's adopted effects.
 
     Yields:
         Rows in the order in which they end. A task that fails, or a worker that dies, is a row.
@@ -122,7 +128,7 @@ def diagnose_folder(folder: Path, *, jobs: int = 1, scheduler: str | None = None
     """
     recordings = recordings_in(folder)
     with _executor(jobs, scheduler) as pool:
-        waiting = {pool.submit(diagnose_one, path, cell_of(path, folder), effects): path for path in recordings}
+        waiting = {pool.submit(diagnose_one, path, cell_of(path, folder), effects, adopted): path for path in recordings}
         for done in as_completed(waiting):
             error, path = done.exception(), waiting[done]
             yield done.result() if error is None else _failed(path, cell_of(path, folder), error)

@@ -184,6 +184,85 @@ def motions(limits: MotionLimits) -> list[TestMotion]:
     ]
 
 
+LONG_HOLD_S = 1.0
+"""Time at rest in the tissue from which on a press is a hold."""
+
+DEPTH_STEP = 0.05
+"""Share of the largest depth to which the depths of a plan are rounded, since no two presses are equally deep."""
+
+AGAIN = 6
+"""Times that a press or stroke is repeated that alone showed a law."""
+
+
+def same_again(problem: Problem, limits: MotionLimits) -> tuple[TestMotion, Floats, Floats]:
+    """The motion of the longest recording, once more.
+
+    Args:
+        problem: The recordings.
+        limits: What a motion may ask of the cell.
+
+    Returns:
+        A motion for a plan with the same depths, speeds, holds and strokes; the recorded times (n,) from the first row and heights (n,).
+    """
+    one = max(problem.recordings, key=lambda one: one.samples.duration_s)
+    samples, phases, surface_m = one.samples, one.phases, surface_of(problem)
+    presses = [phases.press == k for k in range(phases.presses)]
+    step_m = DEPTH_STEP * limits.depth_m
+    depths = [min(max(round(float(phases.depth_m[press].max()) / step_m), 1) * step_m, limits.depth_m) for press in presses]
+    held_s = [float((press & ~phases.moving).sum()) / samples.rate_Hz for press in presses]
+    long_s = [held for held in held_s if held >= LONG_HOLD_S]
+    quick = len(presses) - len(long_s)
+    listed = tuple(dict.fromkeys(depths))
+    air = phases.moving & (phases.depth_m == 0.0)
+    strokes = int((np.diff(air.astype(int), prepend=0) > 0).sum()) // 2 - len(presses)
+    top_m = float(np.median(samples.z_m[phases.depth_m == 0.0])) - surface_m if air.any() else 0.0
+    motion = TestMotion(
+        "record the same motion again",
+        listed,
+        limits.press_speed_m_per_s,
+        float(np.median(long_s)) if long_s else max(float(np.median(held_s)), 0.1) if held_s else 0.1,
+        max(1, round(quick / len(listed))) if listed else 1,
+        min(max(top_m, 0.5 * limits.depth_m), limits.home_m + limits.stroke_m),
+        "static" if not quick else "both" if long_s else "dynamic",
+        max(strokes, 0 if listed else 1),
+        limits.stroke_m,
+        limits.free_speed_m_per_s,
+    )
+    return motion, samples.t_s - samples.t_s[0], samples.z_cmd_m if samples.z_cmd_m is not None else samples.z_m
+
+
+def cycle_again(problem: Problem, recording: int, cycle: int, limits: MotionLimits) -> TestMotion:
+    """One press or stroke of a recording, several times.
+
+    Args:
+        problem: The recordings.
+        recording: Number of the recording.
+        cycle: Number of the cycle in it.
+        limits: What a motion may ask of the cell.
+
+    Returns:
+        The motion, as deep and as fast as that one was.
+    """
+    one = problem.recordings[recording]
+    phases, samples = one.phases, one.samples
+    mine = phases.cycle == cycle
+    depth_m, fastest = float(phases.depth_m[mine].max()), float(np.quantile(np.abs(phases.velocity_m_per_s[mine]), 0.98))
+    low = max(0.5 * limits.depth_m, 0.2 * limits.stroke_m)
+    if not (phases.press[mine] >= 0).any():
+        stroke_m = min(float(np.ptp(samples.z_m[mine])), limits.stroke_m)
+        speed = min(fastest, limits.free_speed_m_per_s)
+        what = f"repeat the stroke at {samples.t_s[mine][0] - samples.t_s[0]:.0f} s {AGAIN} times"
+        return TestMotion(what, height_m=low, strokes=AGAIN, stroke_m=stroke_m, stroke_speed_m_per_s=speed)
+    press = mine & (phases.press >= 0)
+    speed = min(float(np.quantile(np.abs(phases.velocity_m_per_s[press]), 0.9)), limits.press_speed_m_per_s)
+    held_s = float((press & ~phases.moving).sum()) / samples.rate_Hz
+    what = f"repeat the press at {samples.t_s[press][0] - samples.t_s[0]:.0f} s {AGAIN} times"
+    depths = (min(depth_m, limits.depth_m),)
+    if held_s < LONG_HOLD_S:
+        return TestMotion(what, depths, speed, max(held_s, 0.1), AGAIN, low, "dynamic")
+    return TestMotion(what, depths * AGAIN, speed, held_s, 1, low, "static")
+
+
 def blank_recording(cell: CellFile, t_s: Floats, z_cmd_m: Floats) -> Samples:
     """A recording of a motion whose wrench is only the stated noise; a channel without any is not judged.
 

@@ -12,8 +12,10 @@ from palpd.cell.simulation import equilibrium_force_N
 from palpd.files import writing
 from palpd.gap.coordinates import values_at
 from palpd.gap.discrepancy import DISCREPANCY_SIZES, discrepancy_columns
+from palpd.gap.law_rivals import LawHypothesis, LawRivals, rivals_of_law
+from palpd.gap.law_search.finding import LawFinding, RefusedLaw
 from palpd.gap.linearise import Linearisation, linearise
-from palpd.gap.motions import MotionLimits, TestMotion, blank_recording, motions, surface_of
+from palpd.gap.motions import MotionLimits, TestMotion, blank_recording, cycle_again, motions, same_again, surface_of
 from palpd.gap.noise import FX
 from palpd.gap.nuisances import Columns, Nuisances, gram, nuisances, project
 from palpd.gap.posterior import Attribution, Hypothesis
@@ -140,37 +142,38 @@ class Advice:
         )
 
 
-def next_experiment(problem: Problem, attribution: Attribution) -> ExperimentProposal | None:
-    """The motion that best separates the open hypotheses, per minute.
-
-    Args:
-        problem: The recordings so far.
-        attribution: The posterior over hypotheses.
-
-    Returns:
-        The proposal; None where nothing is open or no motion helps.
-    """
-    return advise(problem, attribution).proposal
-
-
-def advise(problem: Problem, attribution: Attribution, limits: MotionLimits | None = None) -> Advice:
+def advise(problem: Problem, attribution: Attribution, limits: MotionLimits | None = None, finding: LawFinding | None = None) -> Advice:
     """The motion that removes most of the doubt per minute, or why there is none.
+
+    Where the verdict is a law outside the list, that is the motion that would refute it: it spreads the drivers of the law and of those
+    that fit as well. Where a law was refused, it is the motion that would show it again.
 
     Args:
         problem: The recordings so far.
         attribution: The posterior over hypotheses.
         limits: What the motion may ask of the cell; no more than the recordings where not given.
+        finding: What the search for laws found, where the verdict is `unknown`.
 
     Returns:
         The advice.
     """
-    rivals = rivals_of(attribution)
+    if finding is not None and finding.refused is not None and _anything_moves(problem):
+        return _again(problem, finding.refused, limits)
+    laws = rivals_of_law(problem, attribution, finding) if finding is not None else None
+    if laws is None:
+        return _between(problem, rivals_of(attribution), limits)
+    advice = _between(laws.problem, laws.alike, limits, laws)
+    return advice if advice.proposal is not None or not laws.against_list else _between(laws.problem, laws.against_list, limits, laws)
+
+
+def _between(problem: Problem, rivals: Sequence[Hypothesis], limits: MotionLimits | None, laws: LawRivals | None = None) -> Advice:
+    """The motion that decides between some hypotheses."""
     names = tuple(one.name for one in rivals)
     shares = np.array([one.share for one in rivals])
     shares = shares / shares.sum()
     if len(rivals) < 2:
         return Advice(names, shares, None, None, 0.0)
-    if limits is None and not any(moves(one.samples, problem.cell) for one in problem.recordings):
+    if limits is None and not _anything_moves(problem):
         return Advice(names, shares, None, (names[0], names[1]), 0.0, 0.0)  # no motion has been shown to be safe
     limits = within_force(problem, rivals, limits or MotionLimits.of(problem))
     scored = [score(problem, rivals, motion, limits) for motion in motions(limits)]
@@ -181,7 +184,8 @@ def advise(problem: Problem, attribution: Attribution, limits: MotionLimits | No
         able = [p for p in pairs if best.apart(*p) >= WORTH_NATS]
         i, j = max(able, key=lambda p: shares[p[0]] * shares[p[1]] * (1.0 - exp(-0.25 * best.apart(*p))))
         pair, gain = (names[i], names[j]), best.apart(i, j)
-        return Advice(names, shares, _proposal(best, pair, gain), pair, gain)
+        proposal = _proposal(best, pair, gain) if laws is None else _refutation(best, pair, gain, laws)
+        return Advice(names, shares, proposal, pair, gain)
     best = max(scored, key=lambda s: s.apart(0, 1))
     forever, hidden_by = _hidden(problem, rivals[:2], best, limits)
     return Advice(names, shares, None, (names[0], names[1]), best.apart(0, 1), forever, hidden_by)
@@ -218,12 +222,57 @@ def within_force(problem: Problem, rivals: Sequence[Hypothesis], limits: MotionL
     return replace(limits, depth_m=depth_m if depth_m > 0.1 * limits.depth_m else 0.0)
 
 
+def _refutation(best: ScoredMotion, pair: tuple[str, str], gain: float, laws: LawRivals) -> ExperimentProposal:
+    """The proposal of a motion on which a law may fail."""
+    usual = _proposal(best, pair, gain)
+    outside = laws.share_outside(best.t_s, best.z_cmd_m)
+    held = f"{outside:.0%} of it lies outside the range of the law, where its curve is held." if outside > 0.01 else ""
+    inside = "It stays within the range of the law, so the law must hold there."
+    first, second = (laws.words.get(name, name) for name in pair)
+    what = best.motion.what
+    sentence = (
+        f"{what[0].upper()}{what[1:]} ({best.t_s[-1]:.0f} s) and diagnose both recordings jointly. {held or inside} "
+        f"This is expected to change the odds between {first} and {second} by a factor of {_factor(gain)}."
+    )
+    return replace(usual, sentence=sentence)
+
+
+def _anything_moves(problem: Problem) -> bool:
+    return any(moves(one.samples, problem.cell) for one in problem.recordings)
+
+
+def _again(problem: Problem, refused: RefusedLaw, limits: MotionLimits | None) -> Advice:
+    """The motion that shows a refused law again: the whole one where it changes in time, else the press or stroke that showed it."""
+    known = limits or MotionLimits.of(problem)
+    names, shares = ("a law that repeats", "a change in time that does not"), np.array([0.5, 0.5])
+    gain = refused.law.nats
+    if refused.reason == "time":
+        motion, t_s, z_cmd_m = same_again(problem, known)
+        what = (
+            f"Record the same motion again ({t_s[-1]:.0f} s) and diagnose both recordings jointly. A law repeats, a random walk does not. "
+            "The plan has the same depths, speeds and holds; the motion file is the recorded one."
+        )
+    else:
+        motion = cycle_again(problem, refused.recording, refused.cycle, known)
+        surface_m = surface_of(problem)
+        t_s, z_cmd_m = motion.heights(problem.scale.step_s, surface_m, surface_m + known.home_m, known.acceleration_m_per_s2)
+        driver = refused.law.terms[0].candidate.driver.words
+        what = (
+            f"{motion.what[0].upper()}{motion.what[1:]} ({t_s[-1]:.0f} s) and diagnose both recordings jointly. What remains follows "
+            f"{driver}, but one press or stroke alone shows it, and a law must repeat."
+        )
+    return Advice(names, shares, ExperimentProposal(what, motion.plan(), t_s, z_cmd_m, gain, motion), None, gain)
+
+
+def _factor(gain: float) -> str:
+    return "more than a thousand" if gain > log(1000.0) else f"{exp(gain):.0f}"
+
+
 def _proposal(best: ScoredMotion, pair: tuple[str, str], gain: float) -> ExperimentProposal:
     what = best.motion.what
-    factor = "more than a thousand" if gain > log(1000.0) else f"{exp(gain):.0f}"
     sentence = (
         f"{what[0].upper()}{what[1:]} ({best.t_s[-1]:.0f} s) and diagnose both recordings jointly. "
-        f"This is expected to change the odds between {pair[0]} and {pair[1]} by a factor of {factor}."
+        f"This is expected to change the odds between {pair[0]} and {pair[1]} by a factor of {_factor(gain)}."
     )
     return ExperimentProposal(sentence, best.motion.plan(), best.t_s, best.z_cmd_m, gain, best.motion)
 
@@ -274,6 +323,7 @@ def _log_odds(trial: Problem, rivals: Sequence[Hypothesis]) -> Floats:
     for column, other in enumerate(rivals):
         there = linearise(trial, other.fit.values, other.fit.eta)
         free = _free_columns(trial, other, there)
+        free += other.curve_columns(trial) if isinstance(other, LawHypothesis) else []
         laws, _ = discrepancy_columns(trial, other.fit.values, there.prediction, there)
         wider = max(size for size, _ in DISCREPANCY_SIZES) * laws
         wide = nuisances(there.space.columns.beside(_columns(wider))) if len(wider) else None

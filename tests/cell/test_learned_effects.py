@@ -116,6 +116,48 @@ def test_an_emulated_cell_carries_a_learned_effect_from_the_tare_on() -> None:
     assert readings[1] - readings[0] == pytest.approx(0.3, abs=0.02)
 
 
+def test_an_emulated_cell_counts_how_long_a_law_was_held_outside_its_range() -> None:
+    emulated = Cell(nominal().model_copy(update={"learned": (learned(),)}))
+    emulated.begin()
+    for height_m in (0.005, 0.02, 0.02, 0.02):
+        emulated.step(np.tile([0.0, 0.0, height_m], (500, 1)))
+    assert emulated.shares_held()["learned.test"] == pytest.approx(0.75, abs=0.05)
+    inside = Cell(nominal().model_copy(update={"learned": (learned(),)}))
+    inside.begin()
+    inside.step(np.tile([0.0, 0.0, 0.005], (500, 1)))
+    assert inside.shares_held() == {"learned.test": 0.0}
+
+
+@pytest.mark.parametrize("formula", [None, "0.2 * sin(2*pi*x/1.7)"])
+def test_a_law_that_repeats_in_time_may_begin_anywhere(formula: str | None) -> None:
+    knots = np.linspace(0.0, 1.7, 35)
+    wave = {"knots": knots.tolist(), "values": (0.2 * np.sin(2.0 * np.pi * knots / 1.7)).tolist(), "sd": [], "range": [0.0, 60.0]}
+    law = learned(driver={"quantity": "time", "period": 1.7}, formula=formula, **wave)
+    assert [parameter.name for parameter in law.effect().parameters] == ["strength", "phase_rad"]
+    values = {"strength": -0.5, "phase_rad": 1.2}
+    s, whole = span(), span()
+    before_N = s.fz_N + 0.0
+    law.act(s, values, {})
+    np.testing.assert_allclose(s.fz_N - before_N, -0.1 * np.sin(2.0 * np.pi * s.t_s / 1.7 + 1.2), atol=2e-3)
+    law.at(values).act(whole, law.as_learned, {})
+    np.testing.assert_allclose(whole.fz_N, s.fz_N, atol=2e-3)
+
+
+def test_a_law_at_another_strength_is_a_law_with_another_curve() -> None:
+    for law in (learned(), learned(formula="30 * x")):
+        twice, s, other = law.at({"strength": 2.0}), span(), span()
+        twice.act(s, {"strength": 1.0}, {})
+        law.act(other, {"strength": 2.0}, {})
+        np.testing.assert_allclose(s.fz_N, other.fz_N)
+
+
+def test_a_law_stands_once_in_a_cell(tmp_path: Path) -> None:
+    content = {"learned": [learned().model_dump(mode="json", exclude_none=True)] * 2}
+    (tmp_path / "cell.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    with pytest.raises(ConfigError, match="stands twice"):
+        load_cell(tmp_path / "cell.yaml")
+
+
 def test_a_person_edits_a_value_or_puts_a_formula_in_its_place(tmp_path: Path) -> None:
     save_learned(tmp_path / "law.yaml", [learned()])
     text = (tmp_path / "law.yaml").read_text(encoding="utf-8")

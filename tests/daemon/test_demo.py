@@ -7,11 +7,17 @@ import pytest
 
 from hw.emulators.controller import MODELS
 from hw.emulators.rig import Rig
-from palpd.cell.cell_file import load_cell, nominal, save_cell
+from palpd.cell.cell_file import CellFile, load_cell, nominal, save_cell
 from palpd.cell.effects import EFFECTS, load_effects
-from palpd.daemon.demo import _effects_of
+from palpd.cell.effects.learned import save_learned
+from palpd.daemon.demo import _with_effect
 from palpd.errors import BadInput, ConfigError
+from tests.cell.test_learned_effects import learned
 from tests.paths import EXAMPLE
+
+
+def _effects_of(effect: str, cell: CellFile) -> dict[str, dict[str, float]]:
+    return _with_effect(cell, effect).effects
 
 
 def test_effects_come_from_an_id_a_cell_file_or_a_users_file(tmp_path: Path) -> None:
@@ -22,6 +28,13 @@ def test_effects_come_from_an_id_a_cell_file_or_a_users_file(tmp_path: Path) -> 
     assert _effects_of(str(EXAMPLE), nominal())["tissue.pulse"]["share"] == pytest.approx(0.05)
     with pytest.raises(BadInput, match="no effect of the library"):
         _effects_of("sensor.magic", nominal())
+
+
+def test_a_file_of_learned_effects_is_planted_whole_and_the_daemon_does_not_know(tmp_path: Path) -> None:
+    save_learned(tmp_path / "law.yaml", [learned()])
+    planted = _with_effect(nominal(), str(tmp_path / "law.yaml"))
+    assert planted.learned == (learned(),)
+    assert planted.effects == {}
 
 
 def test_an_emulated_cell_can_have_an_effect_of_ones_own(tmp_path: Path) -> None:

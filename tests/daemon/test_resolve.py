@@ -33,7 +33,14 @@ def answer(shares: dict[str, float], verdict: str = "effects") -> tuple[Any, Adv
     attribution = SimpleNamespace(hypotheses=weighed)
     resolved = verdict == "effects" and not rest[1:]
     diagnosis = SimpleNamespace(
-        verdict=verdict, effects=named, resolved=resolved, sentence="…", attribution=attribution, problem=None, to_json=dict
+        verdict=verdict,
+        effects=named,
+        resolved=resolved,
+        sentence="…",
+        attribution=attribution,
+        problem=None,
+        finding=None,
+        to_json=dict,
     )
     proposed = proposal() if len(rest) > 1 else None
     pair = (rest[0], rest[1]) if len(rest) > 1 else None

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 from pydantic import Field, StrictFloat, ValidationError, model_validator
 
 from palpd.cell.dynamics import Floats, Memory, Span, servo
@@ -31,6 +32,10 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Floats]] = {
     ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power,
     ast.USub: np.negative, ast.UAdd: np.positive,
 }  # fmt: skip
+STRENGTH = Parameter("strength", "1", -10.0, 10.0, (1.0,))
+PHASE = Parameter("phase_rad", "rad", -np.pi, np.pi, (0.0, np.pi / 2, np.pi, -np.pi / 2), nominal=None)
+"""Parameters of a learned effect: a factor on the whole law, and where a law that repeats in time stands when a recording begins."""
+
 MOST_LETTERS = 500
 """Longest formula: a law that is longer is a table."""
 
@@ -140,6 +145,44 @@ class Term(StrictBlock):
         at = knots if self.driver.period else self.driver.coordinate(knots)
         return np.interp(self.driver.coordinate(x), at, np.asarray(self.values, float), period=self.driver.period)
 
+    def outside(self, x: Floats) -> NDArray[np.bool_]:
+        """Where the curve is held, because the driver leaves the range.
+
+        Args:
+            x: Values (n,) of the driver, in its unit.
+
+        Returns:
+            Flags (n,).
+        """
+        if self.driver.period is not None:
+            return np.zeros(len(x), bool)
+        slack = 1e-3 * (self.range[1] - self.range[0])
+        return np.asarray((x < self.range[0] - slack) | (x > self.range[1] + slack))
+
+    @property
+    def of_phase(self) -> bool:
+        """Whether it repeats in time."""
+        return self.driver.quantity == "time" and self.driver.period is not None
+
+    def at(self, factor: float, shift_s: float) -> "Term":
+        """The term with its curve multiplied by a number; one that repeats in time also has its clock ahead.
+
+        Args:
+            factor: The number.
+            shift_s: By how much the clock is ahead.
+
+        Returns:
+            The term.
+        """
+        if self.of_phase and shift_s:
+            curve = self.curve(np.asarray(self.knots, float) + shift_s)
+            return self.model_copy(update={"values": tuple((factor * curve).tolist()), "sd": (), "formula": None})
+        if factor == 1.0:
+            return self
+        values, sd = tuple(factor * value for value in self.values), tuple(abs(factor) * sd for sd in self.sd)
+        formula = None if self.formula is None else f"{factor:.6g} * ({self.formula})"
+        return self.model_copy(update={"values": values, "sd": sd, "formula": formula})
+
 
 class LearnedEffect(StrictBlock):
     """A law that a recording showed and that no library effect is.
@@ -152,6 +195,8 @@ class LearnedEffect(StrictBlock):
         terms: One or two terms.
         alike: Drivers, in words, that the recording could not tell from the one that is used.
         probability: Probability that a law like this is at work.
+        confounds: Listed effects that imitate the law on the motion that it was learned from: the cosine of the angle between its change
+            and what the effect can make, with everything within specification projected out. None where that was not measured.
     """
 
     id: Annotated[str, Field(pattern=r"^learned\.\w+$")]
@@ -161,6 +206,7 @@ class LearnedEffect(StrictBlock):
     terms: tuple[Term, ...] = Field(min_length=1)
     alike: tuple[str, ...] = ()
     probability: Annotated[StrictFloat, Field(ge=0.0, le=1.0)] | None = None
+    confounds: dict[str, Annotated[StrictFloat, Field(ge=0.0, le=1.0)]] | None = None
 
     @model_validator(mode="after")
     def _acts_at_its_site(self) -> "LearnedEffect":
@@ -180,19 +226,24 @@ class LearnedEffect(StrictBlock):
 
         Args:
             s: The samples.
-            values: `strength`, a factor on the whole law.
-            memory: State that is carried from one stretch of samples to the next.
+            values: `strength`, a factor on the whole law, and `phase_rad` of a law that repeats in time.
+            memory: State that is carried from one stretch of samples to the next, and how many samples were outside the range.
         """
         state = self.state(s)
+        held, shift_s = np.zeros(len(s.t_s), bool), self._shift_s(values)
         for number, term in enumerate(self.terms):
             remembered = memory.setdefault(f"term {number}", {})
-            curve = values["strength"] * term.curve(driver_values(term.driver, state, remembered))
+            x = driver_values(term.driver, state, remembered) + (shift_s if term.of_phase else 0.0)
+            curve = values["strength"] * term.curve(x)
+            held |= term.outside(x)
             change = _moved_surface_N(s, curve) if term.factor == "surface" else curve * factor_values(term.factor, state)
             if self.site == "robot":
                 _move(s, change * term.channels["z_m"], remembered, through_servo=term.driver.acts_on_target)
                 continue
             for name, weight in term.channels.items():
                 setattr(s, name, getattr(s, name) + weight * change)
+        memory["samples"] = memory.get("samples", 0) + len(held)
+        memory["held"] = memory.get("held", 0) + int(np.count_nonzero(held))
 
     def outside(self, s: Span) -> Floats:
         """Samples at which a driver leaves its range, so that the curve is held there.
@@ -203,13 +254,30 @@ class LearnedEffect(StrictBlock):
         Returns:
             1 outside, 0 inside (n,).
         """
-        out = np.zeros(len(s.t_s))
-        for term in self.terms:
-            if term.driver.period is None:
-                x = driver_values(term.driver, self.state(s), {})
-                slack = 1e-3 * (term.range[1] - term.range[0])
-                out[(x < term.range[0] - slack) | (x > term.range[1] + slack)] = 1.0
-        return out
+        each = [term.outside(driver_values(term.driver, self.state(s), {})) for term in self.terms]
+        return np.any(each, axis=0).astype(float)
+
+    @property
+    def as_learned(self) -> dict[str, float]:
+        """The parameters at which the effect is the law as it was learned."""
+        return {parameter.name: 0.0 if parameter is PHASE else 1.0 for parameter in self.effect().parameters}
+
+    def at(self, values: Values) -> "LearnedEffect":
+        """The law with these values of its parameters as part of its curves.
+
+        Args:
+            values: `strength`, and `phase_rad` of a law that repeats in time.
+
+        Returns:
+            The law that is the effect at those values.
+        """
+        shift_s = self._shift_s(values)
+        return self.model_copy(update={"terms": tuple(term.at(values["strength"], shift_s) for term in self.terms)})
+
+    def _shift_s(self, values: Values) -> float:
+        """By how much its clock is ahead: no two recordings begin at the same moment of something that repeats in time."""
+        period_s = next((term.driver.period for term in self.terms if term.of_phase), None) or 0.0
+        return values.get(PHASE.name, 0.0) / (2.0 * np.pi) * period_s
 
     def effect(self) -> Effect:
         """The effect of a library that it is, with a factor on the whole law as its parameter."""
@@ -217,11 +285,31 @@ class LearnedEffect(StrictBlock):
             self.id,
             self.site,
             self.what or "; ".join(term.words for term in self.terms),
-            (Parameter("strength", "1", -10.0, 10.0, (1.0,)),),
+            (STRENGTH, PHASE) if any(term.of_phase for term in self.terms) else (STRENGTH,),
             law=self.act,
             starts_at_tare=self.site == "probe" and any(term.factor in ("one", "air", "pushing") for term in self.terms),
             motion=self.site == "robot",
         )
+
+
+def held_sentence(name: str, share: float, what: str = "rows") -> str:
+    """The sentence that says how far a law was used outside its range.
+
+    Args:
+        name: The learned effect.
+        share: Share of the samples.
+        what: What the samples are.
+
+    Returns:
+        The sentence.
+    """
+    return f"{name}: {share:.1%} of the {what} lie outside the range that it was learned in; its curve is held there."
+
+
+def learned_law_of(effect: Effect) -> LearnedEffect | None:
+    """The learned law behind an effect of a library; None where it is another kind of effect."""
+    law = getattr(effect.law, "__self__", None)
+    return law if isinstance(law, LearnedEffect) else None
 
 
 def _moved_surface_N(s: Span, up_m: Floats) -> Floats:
@@ -269,15 +357,19 @@ def load_learned(path: str | Path) -> tuple[LearnedEffect, ...]:
         raise ConfigError(refusal(error, LearnedFile, document)) from None
 
 
-def save_learned(path: str | Path, learned: Iterable[LearnedEffect]) -> None:
+def save_learned(path: str | Path, learned: Iterable[LearnedEffect], *, overwrite: bool = True) -> None:
     """Write a file that `load_learned` reads back equal.
 
     Args:
-        path: File to write; one that exists is replaced.
+        path: File to write.
         learned: The effects.
+        overwrite: Whether a file that exists is replaced.
+
+    Raises:
+        BadInput: The file cannot be written.
     """
     content = {"learned": [one.model_dump(mode="json", exclude_none=True) for one in learned]}
-    write_text(Path(path), yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=140))
+    write_text(Path(path), yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=140), overwrite=overwrite)
 
 
 class _Dumper(yaml.SafeDumper):

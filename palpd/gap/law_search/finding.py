@@ -1,9 +1,8 @@
 """What the search for laws adds to an answer from the list: a learned effect, events, or nothing."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import comb, exp, log
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from palpd.gap.discrepancy import discrepancy_columns
 from palpd.gap.evidence import Fit, fit
 from palpd.gap.fit import jacobian_at
 from palpd.gap.law_search.events import Event, find_events, wander_nats
-from palpd.gap.law_search.evidence import group_evidence
 from palpd.gap.law_search.formulas import Formula
 from palpd.gap.law_search.nuisance_space import NuisanceSpace, whitened
 from palpd.gap.law_search.scene import LATERAL, LawCandidate, Scene, rounding_columns
@@ -43,6 +41,27 @@ SHOWN_POINTS = 40
 """Points in which the data behind a curve are shown."""
 
 
+ONE_CYCLE = 0.6
+"""Share of a law's change, beyond tolerances, from which on one press or stroke alone shows it."""
+
+
+@dataclass(frozen=True)
+class RefusedLaw:
+    """A law that the recordings support and that is not named.
+
+    Attributes:
+        law: The law.
+        reason: It changes in time, or one press or stroke alone shows it.
+        recording: Number of the recording with that press.
+        cycle: Number of the cycle of that press there.
+    """
+
+    law: LearnedLaw
+    reason: Literal["time", "one cycle"]
+    recording: int = 0
+    cycle: int = 0
+
+
 @dataclass(frozen=True)
 class LawFinding:
     """What the search for laws found.
@@ -57,6 +76,7 @@ class LawFinding:
         nats: Evidence of the law or of the events beyond the listed answer.
         secondary: Whether listed effects stand as the cause, and the law says what they leave: an error of their own laws, or something
             besides. The verdict is then theirs.
+        refused: A law that another recording may show, or None.
     """
 
     learned: LearnedEffect | None
@@ -67,6 +87,7 @@ class LawFinding:
     note: str | None
     nats: float
     secondary: bool = False
+    refused: RefusedLaw | None = None
 
     def beside_named(self) -> "LawFinding":
         """The finding where the list names a cause that leaves little: it says what that leaves, and takes nothing from the cause.
@@ -95,7 +116,7 @@ class LawFinding:
         family = FAMILIES.get(self.learned.terms[0].driver.quantity)
         whole = {"id": self.learned.id, "what": self.learned.what, "site": self.learned.site, "family": family}
         rest = {"probability": self.learned.probability, "alike": list(self.learned.alike), "replaces_listed": self.replaces, "file": None}
-        return whole | terms[0] | rest | {"further_terms": terms[1:]}
+        return whole | terms[0] | rest | {"confounds": self.learned.confounds or {}, "further_terms": terms[1:]}
 
     def _term(self, number: int) -> dict[str, Any]:
         assert self.learned is not None
@@ -152,9 +173,22 @@ def _probability(nats: float) -> float:
     return min(MOST_CERTAIN, 1.0 / (1.0 + exp(-min(nats + log(P_UNKNOWN / (1.0 - P_UNKNOWN)), 50.0))))
 
 
-def _nothing(beside: Fit, note: str | None = None) -> LawFinding:
+def _nothing(beside: Fit, note: str | None = None, refused: RefusedLaw | None = None) -> LawFinding:
     """No finding beside a fit, and why."""
-    return LawFinding(None, None, beside, False, [], note, 0.0)
+    return LawFinding(None, None, beside, False, [], note, 0.0, refused=refused)
+
+
+def _of_one_cycle(law: LearnedLaw) -> RefusedLaw | None:
+    """The refusal of a law that is likely enough but that one press or stroke alone shows; None for any other."""
+    if not law.likely:
+        return None
+    seen = (NuisanceSpace(law.space.columns, law.change).remainder ** 2).sum(axis=0)
+    first, best = 0, (0.0, 0, 0)
+    for number, one in enumerate(law.scene.problem.recordings):
+        energy = np.bincount(one.bin_cycle, seen[first : first + len(one.bin_cycle)])
+        first += len(one.bin_cycle)
+        best = max(best, (float(energy.max()), number, int(np.argmax(energy))))
+    return RefusedLaw(law, "one cycle", best[1], best[2]) if best[0] >= ONE_CYCLE * float(seen.sum()) else None
 
 
 def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -> LawFinding:
@@ -182,7 +216,7 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
     events = find_events(scene, space)
     eventful = events.nats >= max(NAMED_NATS, (top.nats if top.carries else 0.0) - ALIKE_NATS) and _matters(listed, events.change)
     if not eventful and not top.carries:
-        return _nothing(listed)
+        return _nothing(listed, refused=_of_one_cycle(top))
     law, judged_in, beside, replaces, imitated = top, space, listed, False, False
     if listed.names:
         alone_space, alone_scene = _space_beside(problem, nominal), Scene.of(problem, {}, nominal.eta)
@@ -205,7 +239,7 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
         return LawFinding(None, None, listed, imitated, events.listed, _EVENTS, max(events.nats - gained, NAMED_NATS))
     wanders = wander_nats(law.scene, judged_in)
     if _plain_time(law.terms[0].candidate) or wanders > law.nats - ALIKE_NATS:
-        return _nothing(listed, _IN_TIME)
+        return _nothing(listed, _IN_TIME, RefusedLaw(law, "time"))
     secondary = not replaces and bool(listed.names)
     nats = law.nats - gained if replaces else top.nats
     return LawFinding(learned_effect(law, nats), law, beside, replaces, [], _time_note(law), nats, secondary)
@@ -307,8 +341,12 @@ def learned_effect(law: LearnedLaw, nats: float) -> LearnedEffect:
     terms = tuple(_term(law, number) for number in range(len(law.terms)))
     first = law.terms[0].candidate
     alike = dict.fromkeys(_words(one.candidate) for one in law.terms[0].alike)
+    problem = law.scene.problem
     return LearnedEffect(
-        id=f"learned.{first.factor}_{first.driver.memory or 'of'}_{first.driver.quantity}",
+        id=free_name(
+            f"learned.{first.factor}_{first.driver.memory or 'of'}_{first.driver.quantity}",
+            {*problem.library, *(one.id for one in problem.cell.learned)},
+        ),
         what="; ".join(term.words for term in terms),
         site="robot" if first.channel == "z_m" else "probe",
         rest_speed_m_per_s=law.scene.rest_speed_m_per_s,
@@ -316,6 +354,19 @@ def learned_effect(law: LearnedLaw, nats: float) -> LearnedEffect:
         alike=tuple(words for words in alike if words != _words(first)),
         probability=_probability(nats),
     )
+
+
+def free_name(name: str, taken: set[str]) -> str:
+    """A name that is free.
+
+    Args:
+        name: The name.
+        taken: Names that there are already.
+
+    Returns:
+        The name, with a number where it is taken.
+    """
+    return next(one for one in (name, *(f"{name}_{k}" for k in range(2, len(taken) + 3))) if one not in taken)
 
 
 def _words(candidate: LawCandidate) -> str:
@@ -329,16 +380,13 @@ def _words(candidate: LawCandidate) -> str:
 
 def _term(law: LearnedLaw, number: int) -> Term:
     candidate = law.terms[number].candidate
-    mean, covariance = law.coefficients(number)
+    mean, _ = law.coefficients(number)
     x = candidate.basis.shown_at()
     columns = candidate.basis.columns(x)
     weights = candidate.weights(law.scene.problem.cell.probe.tip_length_m)
     basis = candidate.basis
-    if law.terms[number].free_curve is not None:  # the band of a formula is that of a free curve: another formula may be the true one
-        covariance, columns_of = _free_curve(law, number)
-        sd = _spread(columns_of(x), covariance)
-    else:
-        sd = _spread(columns - (_usual(law, candidate) if candidate.factor == "one" else 0.0), covariance)
+    free, covariance = law.uncertain(number)
+    sd = _spread(free.basis.columns(x) - (_usual(law, free) if free.factor == "one" else 0.0), covariance)
     return Term(
         channels={name: round(weight, 9) for name, weight in weights.items()},
         factor=candidate.factor,
@@ -349,16 +397,6 @@ def _term(law: LearnedLaw, number: int) -> Term:
         range=(float(f"{basis.low:.9g}"), float(f"{basis.high:.9g}")),
         formula=basis.text(mean) if isinstance(basis, Formula) else None,
     )
-
-
-def _free_curve(law: LearnedLaw, number: int) -> tuple[Floats, Callable[[Floats], Floats]]:
-    """Covariance of the coefficients of the curve that a formula replaced, and its columns as a function of the driver."""
-    candidate = law.terms[number].free_curve
-    assert candidate is not None
-    columns = whitened(law.scene.problem.noise, law.scene.columns(candidate))
-    covariance = group_evidence(law.space.products(columns), candidate.basis.priors).covariance
-    usual = _usual(law, candidate) if candidate.factor == "one" else 0.0
-    return covariance, lambda x: candidate.basis.columns(x) - usual
 
 
 def _usual(law: LearnedLaw, candidate: LawCandidate) -> Floats:

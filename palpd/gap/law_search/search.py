@@ -6,8 +6,9 @@ from functools import cached_property
 import numpy as np
 
 from palpd.gap.law_search.bases import Basis
+from palpd.gap.law_search.evidence import group_evidence
 from palpd.gap.law_search.held_out import FOLDS, LEAST_GAIN_SHARE, HeldOut, held_out
-from palpd.gap.law_search.nuisance_space import NuisanceSpace
+from palpd.gap.law_search.nuisance_space import NuisanceSpace, whitened
 from palpd.gap.law_search.scene import LawCandidate, Scene
 from palpd.gap.law_search.scoring import Scored, Scorer
 from palpd.gap.noise import Z
@@ -105,6 +106,21 @@ class LearnedLaw:
         mean, covariance, slices = self._joint
         return mean[slices[number]], covariance[slices[number], slices[number]]
 
+    def uncertain(self, number: int) -> tuple[LawCandidate, Floats]:
+        """How well the curve of a term is known: as a free curve also where a formula holds, since another formula may be the true one.
+
+        Args:
+            number: Which term.
+
+        Returns:
+            The candidate of a curve, and the covariance (m, m) of its coefficients.
+        """
+        free = self.terms[number].free_curve
+        if free is None:
+            return self.terms[number].candidate, self.coefficients(number)[1]
+        columns = whitened(self.scene.problem.noise, self.scene.columns(free))
+        return free, group_evidence(self.space.products(columns), free.basis.priors).covariance
+
     @cached_property
     def change(self) -> Floats:
         """What the law does to the whitened prediction (7, b)."""
@@ -116,13 +132,30 @@ class LearnedLaw:
         return out
 
     @property
+    def likely(self) -> bool:
+        """Whether the first term is likely enough to be named."""
+        return bool(self.terms) and self.terms[0].nats >= (NAMED_HEIGHT_NATS if self.terms[0].candidate.channel == "z_m" else NAMED_NATS)
+
+    @property
     def carries(self) -> bool:
-        """Whether the first term is likely enough to be named and holds on strokes that it did not see."""
-        if not self.terms:
-            return False
-        first = self.terms[0]
-        height = first.candidate.channel == "z_m"
-        return first.nats >= (NAMED_HEIGHT_NATS if height else NAMED_NATS) and first.held_out.carries(first.nats)
+        """Whether that is so, and it holds on strokes that it did not see."""
+        return self.likely and self.terms[0].held_out.carries(self.terms[0].nats)
+
+    def instead(self, candidate: LawCandidate) -> "LearnedLaw | None":
+        """The same law with another first term.
+
+        Args:
+            candidate: The other term.
+
+        Returns:
+            The law with that at its likeliest, or None where tolerances hide it.
+        """
+        columns = whitened(self.scene.problem.noise, self.scene.columns(candidate))
+        evidence = group_evidence(self.space.products(columns), candidate.basis.priors)
+        if not np.isfinite(evidence.nats):
+            return None
+        first = LawTerm(candidate, evidence.nats - candidate.price, columns, evidence.root, self.terms[0].held_out, ())
+        return replace(self, terms=(first, *self.terms[1:]))
 
 
 def search(scene: Scene, space: NuisanceSpace, gained: float = 0.0) -> LearnedLaw:
