@@ -24,7 +24,7 @@ class AdoptionOutcome:
         effects: The effects that it named.
         named: Whether the law is among them.
         in_group: Whether it is among them, or among those that they cannot be distinguished from.
-        strength: Its strength in the second recording, 1 as learned; None where it is not named.
+        factor: Its strength in the second recording, 1 as learned; None where it is not named.
         again: The law that the second recording gave beside it, in words; None where it gave none.
     """
 
@@ -35,7 +35,7 @@ class AdoptionOutcome:
     effects: tuple[str, ...] = ()
     named: bool = False
     in_group: bool = False
-    strength: float | None = None
+    factor: float | None = None
     again: str | None = None
 
 
@@ -70,6 +70,6 @@ def adopt_and_name(first: Samples, second: Samples, cell: CellFile, max_bins: in
         tuple(one.id for one in answer.effects),
         named=mine is not None and answer.verdict != "none",
         in_group=law.id in groups and answer.verdict != "none",
-        strength=mine.parameters["strength"][0] if mine is not None else None,
+        factor=mine.parameters["strength"][0] if mine is not None else None,
         again=again.what if again is not None else None,
     )

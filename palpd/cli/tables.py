@@ -114,7 +114,15 @@ def effect_table(library: "Mapping[str, Effect]") -> Table:
 
 
 def adopted_table(laws: "Mapping[str, LearnedEffect]", folder: Path) -> Table:
-    """The adopted effects of a user: what each does, over which range it was learned, and what imitates it."""
+    """The adopted effects of a user: what each does, over which range it was learned, and what imitates it.
+
+    Args:
+        laws: The laws by name.
+        folder: The folder that they stand in.
+
+    Returns:
+        The table.
+    """
     from palpd.cell.effects.drivers import UNITS
 
     table = _table(f"Adopted effects ({folder})", "effect", "what it does", "learned in", "imitated by")

@@ -91,7 +91,7 @@ def rivals_of_law(problem: Problem, attribution: Attribution, finding: LawFindin
         finding: What the search for laws found.
 
     Returns:
-        The rivals; None where there is no law, or a listed effect is the cause and the law only what it leaves.
+        The rivals; None where there is no law, or a listed effect is the cause and the law only the rest.
     """
     law = finding.law
     if law is None or finding.learned is None or finding.secondary:

@@ -134,11 +134,11 @@ def test_a_law_that_repeats_in_time_may_begin_anywhere(formula: str | None) -> N
     wave = {"knots": knots.tolist(), "values": (0.2 * np.sin(2.0 * np.pi * knots / 1.7)).tolist(), "sd": [], "range": [0.0, 60.0]}
     law = learned(driver={"quantity": "time", "period": 1.7}, formula=formula, **wave)
     assert [parameter.name for parameter in law.effect().parameters] == ["strength", "phase_rad"]
-    values = {"strength": -0.5, "phase_rad": 1.2}
+    values = {"strength": 0.5, "phase_rad": 1.2}
     s, whole = span(), span()
     before_N = s.fz_N + 0.0
     law.act(s, values, {})
-    np.testing.assert_allclose(s.fz_N - before_N, -0.1 * np.sin(2.0 * np.pi * s.t_s / 1.7 + 1.2), atol=2e-3)
+    np.testing.assert_allclose(s.fz_N - before_N, 0.1 * np.sin(2.0 * np.pi * s.t_s / 1.7 + 1.2), atol=2e-3)
     law.at(values).act(whole, law.as_learned, {})
     np.testing.assert_allclose(whole.fz_N, s.fz_N, atol=2e-3)
 

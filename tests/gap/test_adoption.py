@@ -58,7 +58,7 @@ def test_an_adopted_law_is_named_in_another_recording_of_the_cell() -> None:
     assert not outcome.secondary
     assert outcome.named
     assert outcome.verdict == "effects"
-    assert outcome.strength == pytest.approx(1.0, abs=0.25)
+    assert outcome.factor == pytest.approx(1.0, abs=0.25)
     assert outcome.again is None, "nothing of it is left to be found again"
 
 
@@ -125,21 +125,21 @@ def test_the_commands_list_adopt_and_remove(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setenv("COLUMNS", "200")
     save_learned(tmp_path / "law.yaml", [learned().model_copy(update={"confounds": {"robot.compliance": 0.81}})])
 
-    def said(*arguments: str) -> str:
+    def printed(*arguments: str) -> str:
         done = CliRunner().invoke(app, ["effects", *arguments])
         assert done.exit_code == 0, done.output
         return " ".join(done.output.split())
 
-    assert "robot.compliance (0.81)" in said("--adopt", str(tmp_path / "law.yaml"), "--name", FOAM)
-    listed = said("--json", str(tmp_path / "all.json"))
+    assert "robot.compliance (0.81)" in printed("--adopt", str(tmp_path / "law.yaml"), "--name", FOAM)
+    listed = printed("--json", str(tmp_path / "all.json"))
     assert FOAM in listed
     assert "sensor.gain" in listed
     files = {one["id"]: one["adopted"] for one in json.loads((tmp_path / "all.json").read_text(encoding="utf-8"))["effects"]}
     assert files[FOAM] == str(tmp_path / "mine" / f"{FOAM}.yaml")
     assert files["sensor.gain"] is None
-    assert FOAM not in said("--no-adopted")
-    assert "is removed" in said("--remove", FOAM)
-    assert FOAM not in said()
+    assert FOAM not in printed("--no-adopted")
+    assert "is removed" in printed("--remove", FOAM)
+    assert FOAM not in printed()
     for arguments in (["--name", FOAM], ["--remove", FOAM, "--adopt", "x.yaml"]):
         assert isinstance(CliRunner().invoke(app, ["effects", *arguments]).exception, BadInput)
 

@@ -32,9 +32,10 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Floats]] = {
     ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power,
     ast.USub: np.negative, ast.UAdd: np.positive,
 }  # fmt: skip
-STRENGTH = Parameter("strength", "1", -10.0, 10.0, (1.0,))
+STRENGTH, SIZE = Parameter("strength", "1", -10.0, 10.0, (1.0,)), Parameter("strength", "1", 0.0, 10.0, (1.0,))
 PHASE = Parameter("phase_rad", "rad", -np.pi, np.pi, (0.0, np.pi / 2, np.pi, -np.pi / 2), nominal=None)
-"""Parameters of a learned effect: a factor on the whole law, and where a law that repeats in time stands when a recording begins."""
+"""Parameters of a learned effect: a factor on the whole law, and where a law that repeats in time stands when a recording begins; half a
+turn is its other sign."""
 
 MOST_LETTERS = 500
 """Longest formula: a law that is longer is a table."""
@@ -285,7 +286,7 @@ class LearnedEffect(StrictBlock):
             self.id,
             self.site,
             self.what or "; ".join(term.words for term in self.terms),
-            (STRENGTH, PHASE) if any(term.of_phase for term in self.terms) else (STRENGTH,),
+            (SIZE, PHASE) if any(term.of_phase for term in self.terms) else (STRENGTH,),
             law=self.act,
             starts_at_tare=self.site == "probe" and any(term.factor in ("one", "air", "pushing") for term in self.terms),
             motion=self.site == "robot",
