@@ -33,12 +33,13 @@ OF_TIME = ("breathing", "hum")
 """Causes that repeat in time: the second recording begins at another moment of them."""
 
 
-def pair(seed: int, index: int) -> tuple[Law, Samples, Samples, CellFile]:
+def pair(seed: int, index: int, *, absent: bool = False) -> tuple[Law, Samples, Samples, CellFile]:
     """Two recordings of a drawn cell with one unlisted cause.
 
     Args:
         seed: Seed of the benchmark.
         index: Number of the cell; the causes take turns.
+        absent: Whether the second recording is one without the cause.
 
     Returns:
         The cause, both recordings, and the cell file.
@@ -64,7 +65,7 @@ def pair(seed: int, index: int) -> tuple[Law, Samples, Samples, CellFile]:
         later = fitted.parameters | {
             name: r.uniform(-np.pi, np.pi) for name in fitted.parameters if name == "phase_rad" and law.effect in OF_TIME
         }
-        second = _recorded(r, cell, Deviations(deviations.of, other.surface, other.stiffness), motions[1], [(law, later)])
+        second = _recorded(r, cell, Deviations(deviations.of, other.surface, other.stiffness), motions[1], [] if absent else [(law, later)])
         return law, first, second, cell_from(cell.as_yaml(), "the drawn cell")
     raise CannotDraw(law.effect)
 
@@ -87,11 +88,12 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--absent", action="store_true", help="the second recording lacks the cause, and must not be given its name")
     asked = parser.parse_args()
     outcomes: list[AdoptionOutcome] = []
     for index in range(asked.first, asked.first + asked.cells):
         try:
-            law, first, second, cell = pair(asked.seed, index)
+            law, first, second, cell = pair(asked.seed, index, absent=asked.absent)
         except CannotDraw as error:
             print(f"{index}: cannot draw {error}")
             continue

@@ -147,7 +147,8 @@ def _retract_in_foreground(config: Path) -> None:
 def demo(
     full: Annotated[bool, typer.Option("--full", help="the paper's plan: 3 to 10 mm, 10 s holds, ten presses a depth")] = False,
     effect: Annotated[
-        str | None, typer.Option("--effect", help="effect id, cell file or effect of yours (.py): give it to the emulated cell and find it")
+        str | None,
+        typer.Option("--effect", help="effect id, cell file, learned law, or effect of yours (.py): the emulated cell gets it"),
     ] = None,
     json_file: JsonOption = None,
     folder: Annotated[Path | None, typer.Option("--out", help="where recordings, model and report go (default: runs/demo-<time>)")] = None,
@@ -197,7 +198,9 @@ def emulate(
     host: Annotated[str, typer.Option("--host", help="address the controller listens on")] = "127.0.0.1",
     sensor_link: Annotated[Path | None, typer.Option("--sensor-link", help="link to make to the sensor's terminal device")] = None,
     control: Annotated[Path | None, typer.Option("--control", help="unix socket for faults and truth (docs/emulators.md)")] = None,
-    effects: Annotated[Path | None, typer.Option("--effects", help="a Python file with effects that the cell file names")] = None,
+    effects: Annotated[
+        Path | None, typer.Option("--effects", help="effects that the cell file names: a Python file or learned ones (.yaml)")
+    ] = None,
     fz_parts_at: Annotated[
         Literal["reading", "load"],
         typer.Option("--fz-parts-at", help="where Fz changes its slope: at its own zero, or where the sensor carries nothing"),

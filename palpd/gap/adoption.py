@@ -27,7 +27,7 @@ class AdoptedEffect:
         """What imitates it, in words."""
         motion = "the standard motion of the cell" if self.measured_here else "the motion that it was learned from"
         listed = ", ".join(f"{name} ({cosine:.2f})" for name, cosine in (self.law.confounds or {}).items())
-        return f"On {motion} it is imitated by {listed or 'no listed effect'}." + (" (cosine, 1 is indistinguishable)" if listed else "")
+        return f"On {motion} it is imitated by {f'{listed}; 1 is indistinguishable' if listed else 'no listed effect'}."
 
     def to_json(self) -> dict[str, Any]:
         """For --json."""

@@ -111,6 +111,22 @@ def test_a_healthy_cell_needs_no_second_recording(monkeypatch: pytest.MonkeyPatc
     assert (len(plans), asked) == (1, [])
 
 
+def test_a_law_outside_the_list_is_resolved_when_nothing_is_alike_and_its_odds_are_not_those_of_the_list(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    first, second = answer({"no effect": 0.9, PAIR[0]: 0.05}, "unknown"), answer({"no effect": 0.9}, "unknown")
+    for diagnosis, _ in (first, second):
+        diagnosis.finding = SimpleNamespace(learned=SimpleNamespace(id="learned.air_of_height"))
+    alike = ("learned.air_of_height", "learned.air_of_gap")
+    open_ = Advice(alike, np.array([0.6, 0.4]), proposal(), alike, 3.0)
+    settled = Advice(alike[:1], np.array([1.0]), None, None, 0.0)
+    resolution, plans, _ = carried_out(monkeypatch, tmp_path, [(first[0], open_), (second[0], settled)])
+    assert resolution["resolved"]
+    assert resolution["reason"] == "Resolved: learned.air_of_height, a law outside the list, which holds in all recordings."
+    assert len(plans) == 2
+    assert resolution["rounds"][1]["gained"] is None
+
+
 def test_a_turn_of_the_odds_is_a_reversal_with_a_negative_gain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     answers = [answer({PAIR[0]: 0.6, PAIR[1]: 0.3}), answer({PAIR[1]: 0.99, PAIR[0]: 0.005})]
     second = carried_out(monkeypatch, tmp_path, answers)[0]["rounds"][1]
