@@ -109,7 +109,7 @@ def _with_stated_noise(problem: Problem, fits: Mapping[tuple[str, ...], Fit], co
         now = fits[one.fit.names]
         if one is compared.best:
             there = linearise(problem, one.fit.values, one.fit.eta)
-            now = replace(fit(problem, one.fit.values, there, iterations=0), covariance=one.fit.covariance)
+            now = replace(fit(problem, one.fit.values, there, iterations=0), covariance=one.fit.covariance, laws=one.fit.laws)
         return replace(one, fit=now, residual=stated[one.fit.names].residual, share_known=stated[one.fit.names].share_known)
 
     return attribution_of([judged(one) for one in compared.hypotheses])

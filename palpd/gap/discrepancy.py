@@ -47,12 +47,14 @@ class ModelDiscrepancy:
         log_prior: Log of its prior probability.
         gain: Gain of log likelihood over the exact law.
         covariance: Covariance (k, k) of the coordinates under it.
+        move: Move (k,) of the coordinates with it, from the optimum of the exact law.
         change: Gives the change (7, b) of the prediction that is not the effect's own: neither a spread of its shapes nor its parameters.
     """
 
     log_prior: float
     gain: float
     covariance: Floats
+    move: Floats
     change: Callable[[], Floats]
 
 
@@ -92,14 +94,14 @@ def model_discrepancies(
         of_residual, of_slopes = (size * solve_triangular(factor, x[way], lower=True) for x in (against_residual, against_slopes))
         inner = normal - of_slopes.T @ of_slopes
         pull = slope - of_slopes.T @ of_residual
-        move = np.linalg.solve(inner + reach, pull)
+        move = np.asarray(np.linalg.solve(inner + reach, pull))
         gain = 0.5 * (float(of_residual @ of_residual) + float(pull @ move)) - promised - float(np.log(np.diag(factor)).sum())
 
         def change() -> Floats:
             coefficients = size * solve_triangular(factor, of_residual - of_slopes @ move, lower=True, trans="T")
             return np.asarray(np.tensordot(np.where(kind[way] == SPREAD, 0.0, coefficients), columns[way], axes=1))
 
-        return ModelDiscrepancy(log(prior / len(ways)), gain, stable_inverse(inner), change)
+        return ModelDiscrepancy(log(prior / len(ways)), gain, stable_inverse(inner), move, change)
 
     return [discrepancy(way, size, prior) for size, prior in DISCREPANCY_SIZES for way in ways]
 

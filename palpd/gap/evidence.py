@@ -23,6 +23,21 @@ CONTRARY_NATS = 4.0
 
 
 @dataclass(frozen=True)
+class PossibleLaw:
+    """A law that the effects of a hypothesis may follow: the listed one, or that with a discrepancy.
+
+    Attributes:
+        probability: Its posterior probability.
+        move: Move (k,) of the coordinates from the optimum of the listed law.
+        covariance: Covariance (k, k) of the coordinates under it.
+    """
+
+    probability: float
+    move: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True)
 class Fit:
     """A hypothesis at its best, and how likely the data are under it.
 
@@ -31,7 +46,8 @@ class Fit:
         values: Their parameters.
         where: The k free parameters.
         u: Their coordinates (k,).
-        covariance: Covariance (k, k) of the coordinates.
+        covariance: Covariance (k, k) of the coordinates under the likeliest law.
+        laws: All laws that the effects may follow, the listed one first.
         sizes: Size of each effect, in sigmas, that nothing within specification hides.
         change: What the effects do to the whitened prediction (7, b).
         residual: Data minus prediction (7, b), whitened.
@@ -49,6 +65,7 @@ class Fit:
     where: tuple[Coordinate, ...]
     u: Floats
     covariance: Floats
+    laws: tuple[PossibleLaw, ...]
     sizes: dict[str, float]
     change: Floats
     residual: Floats
@@ -105,24 +122,32 @@ def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
     occam, covariance, change = 0.0, np.zeros((0, 0)), np.zeros_like(at)
     sizes = _sizes(problem, best)
     log_likelihood, discrepancy_energy = log_exact, 0.0
+    laws = [PossibleLaw(1.0, np.zeros(len(best.u)), covariance)]
     if best.names:
         occam, covariance = _occam(problem, best, normal, sizes)
         change = at - problem.predict({}, eta)
-        if discrepancies := model_discrepancies(problem, best, project(residual, space), slopes, normal):
-            each = np.array([log(P_EXACT_LAW), *(one.log_prior + one.gain for one in discrepancies)])
-            log_likelihood = log_exact + float(np.logaddexp.reduce(each))
+        discrepancies = model_discrepancies(problem, best, project(residual, space), slopes, normal)
+        each = np.array([log(P_EXACT_LAW), *(one.log_prior + one.gain for one in discrepancies)])
+        total = float(np.logaddexp.reduce(each))
+        if discrepancies:
+            log_likelihood = log_exact + total
             if likeliest := int(np.argmax(each)):
                 discrepancy_energy = _unfittable_energy(discrepancies[likeliest - 1].change(), best.jacobian, space)
-                covariance = discrepancies[likeliest - 1].covariance
         # The fit sees the sum of an effect and of the deviation within tolerance that it stands for.
-        shift = covariance @ np.array([[slope.dot(project(c, space)) for c in best.around.owned] for slope in slopes])
-        covariance = covariance + shift @ shift.T
+        owned = np.array([[slope.dot(project(c, space)) for c in best.around.owned] for slope in slopes])
+        fitted = [(np.zeros(len(best.u)), covariance), *((one.move, one.covariance) for one in discrepancies)]
+        laws = [
+            PossibleLaw(p, move, of_law + (of_law @ owned) @ (of_law @ owned).T)
+            for p, (move, of_law) in zip(np.exp(each - total).tolist(), fitted, strict=True)
+        ]
+        covariance = max(laws, key=lambda law: law.probability).covariance
     return Fit(
         names=best.names,
         values=best.values,
         where=best.where,
         u=best.u,
         covariance=covariance,
+        laws=tuple(laws),
         sizes=sizes,
         change=change,
         residual=residual,

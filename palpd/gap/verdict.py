@@ -8,6 +8,7 @@ import numpy as np
 from palpd.cell.cell_file import CellFile, EffectValues
 from palpd.gap.coordinates import Coordinate
 from palpd.gap.evidence import Fit, fit
+from palpd.gap.intervals import interval
 from palpd.gap.law_search.finding import LawFinding
 from palpd.gap.linearise import linearise
 from palpd.gap.noise import FZ
@@ -136,20 +137,15 @@ def _named(problem: Problem, best: Fit, attribution: Attribution) -> list[NamedE
     """The effects of a hypothesis that are probable, with 95 % intervals of their parameters, the most probable first."""
     out = []
     groups = _probable_groups(best, attribution)
-    spread = 1.96 * np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
     for name in groups:
         parameters, bound = {}, []
         for k, c in enumerate(best.where):
             if c.effect != name:
                 continue
             value = best.values[name][c.parameter.name]
-            if c.angle:
-                low, high = value - spread[k] * c.scale, value + spread[k] * c.scale
-            else:
-                low, high = sorted((c.back(float(best.u[k] - spread[k])), c.back(float(best.u[k] + spread[k]))))
-                if not c.fixed and _at_bound(c, value):
-                    bound.append(c.parameter.name)
-            parameters[c.parameter.name] = (value, min(low, value), max(high, value))
+            if not (c.angle or c.fixed) and _at_bound(c, value):
+                bound.append(c.parameter.name)
+            parameters[c.parameter.name] = (value, *interval(problem, best, k))
         out.append(NamedEffect(name, attribution.marginal[name], parameters, groups[name], problem.library[name].family, bound))
     return sorted(out, key=lambda e: (-e.probability, e.id))
 
