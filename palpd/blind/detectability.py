@@ -22,6 +22,8 @@ LOOSE = 0.25
 """Largest relative error of a signal-to-noise ratio that no strength meets better."""
 SHAPES_DRAWN, SHAPES_FITTED = 4, 6
 """Number of shapes that are drawn of each law, and of starts that are fitted in all parameters."""
+SHAPES_OF_ONE, FITTED_OF_ONE = 8, 3
+"""The same where one law is asked for and its parameters count: a start in the wrong form of it ends at a law that is not the nearest."""
 
 
 class Detectability:
@@ -196,7 +198,14 @@ def _next_strength(law: Law, strength: float, snr: float, now: float) -> float:
 
 
 def nearest_law(
-    detectability: Detectability, target: Floats, scales: CellScales, seed: int, *, without: Sequence[str] = (), only: str | None = None
+    detectability: Detectability,
+    target: Floats,
+    scales: CellScales,
+    seed: int,
+    *,
+    without: Sequence[str] = (),
+    only: str | None = None,
+    like: Shape | None = None,
 ) -> NearestLaw:
     """Find the listed law that explains a change best.
 
@@ -209,6 +218,7 @@ def nearest_law(
         seed: Seed of the drawn shapes.
         without: Effects that may not be used.
         only: The one effect that may be used; None: all.
+        like: Parameters of the law that made the change; one start takes those that the listed law has too.
 
     Returns:
         Effect (empty where none helps), parameters, and the SNR of the residual that it leaves.
@@ -218,15 +228,17 @@ def nearest_law(
     for law in LIBRARY_LAWS:
         if law.variance or law.effect in without or only not in (None, law.effect):
             continue
-        for _ in range(SHAPES_DRAWN):
+        for k in range(SHAPES_DRAWN if only is None else SHAPES_OF_ONE):
             shape = law.draw(random, scales)
+            if k == 0 and like is not None:
+                shape = shape | {name: like[name] for name in shape.keys() & like.keys()}
             x = detectability.whitened(detectability.change([(law, law.at(shape, 0.5))]))
             fit = float(x @ target) / max(float(x @ x), 1e-30)
             if fit > 0.0:
                 strength = min(0.5 * fit, law.strongest)
                 tried.append((float(np.linalg.norm(target - x * strength / 0.5)), law, shape, strength))
     best = NearestLaw(id="", parameters={}, snr_left=float(np.linalg.norm(target)))
-    for left, law, shape, strength in sorted(tried, key=lambda x: x[0])[: SHAPES_FITTED if only is None else 2]:
+    for left, law, shape, strength in sorted(tried, key=lambda x: x[0])[: SHAPES_FITTED if only is None else FITTED_OF_ONE]:
         fitted = _fitted(detectability, target, law, shape, strength, left)
         if fitted["snr_left"] < best["snr_left"]:
             best = fitted

@@ -254,7 +254,8 @@ def _nearest(
     fine: Detectability, planted: Sequence[Planted], seed: int, *, without: Sequence[str] = (), only: str | None = None
 ) -> NearestLaw:
     coarse = Detectability(fine.cell, fine.deviations, fine.motion, fine.t_s, fine_Hz=COARSE_HZ)
-    return nearest_law(coarse, coarse.whitened(coarse.change(planted)), scales_of(fine), seed, without=without, only=only)
+    target, like = coarse.whitened(coarse.change(planted)), planted[0][1] if only else None
+    return nearest_law(coarse, target, scales_of(fine), seed, without=without, only=only, like=like)
 
 
 def _second(

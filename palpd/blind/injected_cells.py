@@ -191,7 +191,8 @@ def _inject(r: np.random.Generator, spec: CaseSpec, host: Host, fine: Detectabil
     if changes and spec.kind in {"novel", "foreign"}:
         only = spec.effects[0] if spec.kind == "foreign" else None
         coarse = _detectability(host.content, host.samples, COARSE_HZ)
-        nearest = nearest_law(coarse, coarse.whitened(coarse.change(planted)), scales_of(fine), spec.index, only=only)
+        target, like = coarse.whitened(coarse.change(planted)), planted[0][1] if only else None
+        nearest = nearest_law(coarse, target, scales_of(fine), spec.index, only=only, like=like)
         if only is None:
             mimic = nearest
         else:

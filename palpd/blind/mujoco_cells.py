@@ -114,7 +114,8 @@ def _sealed(spec: CaseSpec, case: MujocoCase) -> SealedCase:
     if spec.kind == "novel":
         mimic = nearest_law(here, here.whitened(change), scales_of(here), spec.index)
     elif spec.kind == "foreign" and not effects[0]["variance"]:
-        effects[0]["nearest"] = nearest_law(here, here.whitened(change), scales_of(here), spec.index, only=effects[0]["id"])
+        like = effects[0]["parameters"]
+        effects[0]["nearest"] = nearest_law(here, here.whitened(change), scales_of(here), spec.index, only=effects[0]["id"], like=like)
     table = np.zeros((len(CHANNELS), len(PHASES)))
     for entry in sizes(change, phase_of(healthy, case.stated), case.yardstick()):
         table[CHANNELS.index(entry["channel"]), PHASES.index(entry["phase"])] = entry["size"]

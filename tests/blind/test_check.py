@@ -271,6 +271,18 @@ def test_the_nearest_law_of_an_exact_change_is_that_law_with_its_parameters() ->
     assert nearest["snr_left"] < 0.1 * np.linalg.norm(target)
 
 
+def test_the_nearest_law_has_the_form_of_the_planted_one() -> None:
+    detectability, scales = nominal_cell()
+    listed, other = (next(law for law in laws if law.effect == "sensor.asymmetry") for laws in (LIBRARY_LAWS, FOREIGN_LAWS))
+    shape = {"ratio": 0.15, "at_N": 0.3 * scales.force_N, "side": -1.0, "width_N": 0.1 * scales.force_N}
+    target = detectability.whitened(detectability.change([(other, shape)]))
+    same = {name: shape[name] for name in ("ratio", "at_N", "side")}
+    left = float(np.linalg.norm(target - detectability.whitened(detectability.change([(listed, same)]))))
+    nearest = nearest_law(detectability, target, scales, 0, only="sensor.asymmetry", like=shape)
+    assert nearest["parameters"]["side"] == -1.0
+    assert nearest["snr_left"] <= left
+
+
 def test_wilsons_interval_is_the_published_one() -> None:
     # Newcombe 1998, table I: 81 of 263 and 0 of 20.
     assert wilson(81, 263) == (pytest.approx(0.2553, abs=2e-4), pytest.approx(0.3662, abs=2e-4))
