@@ -1,9 +1,10 @@
-"""Fit the map from the engine's probabilities to stated ones, and say what it does on other cells.
+"""Draw cells, fit the map from the engine's probabilities to stated ones, and say what it does on other cells.
 
-`python benchmarks/calibrate.py --fit A.json … --check B.json … [--write]`. Each file is a result of `palpd blind --json`. The cells to
-fit on and the cells to report must have other seeds. `--write` stores the map, if the calibration error of no source of the check
-grows. Results that were made with a fitted map in force are refused: store the one that changes nothing first (--reset), then run
-`palpd blind` again.
+`python -m benchmarks.calibrate --cells 200 --kept FOLDER [--write]` draws that many cells of each source to fit on (seed FIT_SEED) and
+as many to report (seed CHECK_SEED), by `palpd blind`; `--cells` may differ: 200 100. Both seeds are apart from those of a published
+table, which come from a commit. FOLDER keeps every scored batch, so an interrupted command goes on where it was, and one with more cells
+uses the kept ones. The cells state the engine's own probabilities, whatever map is in force. `--write` stores the map, if the calibration
+error of no source of the check grows. `--reset` stores the map that changes nothing.
 """
 
 import argparse
@@ -15,16 +16,20 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from palpd.blind.check import CheckResult
-from palpd.blind.figures import load
-from palpd.blind.score import CaseOutcome, answered, calibration_error
+from palpd.blind.check import CheckResult, run
+from palpd.blind.score import CaseOutcome, answered, calibration_error, error_of_a_calibrated_forecaster
+from palpd.blind.truth import SOURCES
 from palpd.errors import BadInput
 from palpd.files import write_json
 from palpd.gap.calibration import MAP_FILE, ProbabilityMap
 
 STORED = Path(__file__).parents[1] / "palpd" / "gap" / MAP_FILE
+FIT_SEED, CHECK_SEED = 271828182, 314159265
+"""Seeds of the cells to fit on and of the cells to report."""
 LEAST_CELLS = 100
 """Least number of cells to fit three numbers on."""
+PRIOR_SD = 1.0
+"""Standard deviation of the logarithm of each exponent before any cell is seen, so that a few cells do not lead to an extreme map."""
 
 
 def stated(outcome: CaseOutcome, by: ProbabilityMap) -> CaseOutcome:
@@ -50,7 +55,7 @@ def fit(outcomes: Sequence[CaseOutcome], how: str) -> ProbabilityMap:
     """Fit the three numbers of the map by the logarithmic score.
 
     Args:
-        outcomes: Cases with their answers, made with the map that changes nothing.
+        outcomes: Cases with their answers, made with the engine's own probabilities.
         how: What they are.
 
     Returns:
@@ -61,10 +66,12 @@ def fit(outcomes: Sequence[CaseOutcome], how: str) -> ProbabilityMap:
     """
     n = len(pairs_of(outcomes, ProbabilityMap()))
     if n < LEAST_CELLS:
-        raise BadInput(f"the checks to fit on hold {n} cells that count, expected at least {LEAST_CELLS}; run more")
+        raise BadInput(f"the cells to fit on hold {n} that count, expected at least {LEAST_CELLS}; draw more")
 
     def loss(q: Any) -> float:
-        return log_loss(pairs_of(outcomes, _of(q)))
+        by = _of(q)
+        prior = 0.5 * (np.log(by.power) ** 2 + np.log(by.power_none) ** 2) / PRIOR_SD**2
+        return log_loss(pairs_of(outcomes, by)) + float(prior) / n
 
     def _of(q: Any) -> ProbabilityMap:
         return ProbabilityMap(float(np.exp(-abs(q[0]))), float(0.5 / (1.0 + np.exp(-q[1]))), float(np.exp(q[2])), n, how)
@@ -76,46 +83,46 @@ def fit(outcomes: Sequence[CaseOutcome], how: str) -> ProbabilityMap:
 
 
 def report(outcomes: Sequence[CaseOutcome], by: ProbabilityMap) -> tuple[str, bool]:
-    """Calibration error by source before and after, and whether it grows nowhere."""
-    lines, helps = ["| source | n | error before | after |", "|---|---|---|---|"], True
-    sources = sorted({o["source"] for o in outcomes})
+    """Calibration error by source before and after, that of a calibrated forecaster on as many cases, and whether it grows nowhere."""
+    lines = ["| source | n | error before | after | of a calibrated forecaster |", "|---|---|---|---|---|"]
+    helps, sources = True, sorted({o["source"] for o in outcomes})
     for name in [*sources, "all"]:
         mine = [o for o in outcomes if name in {o["source"], "all"}]
-        before, after = (calibration_error(pairs_of(mine, each)) for each in (ProbabilityMap(), by))
+        pairs = pairs_of(mine, by)
+        before, after = calibration_error(pairs_of(mine, ProbabilityMap())), calibration_error(pairs)
         helps = helps and after <= before
-        lines.append(f"| {name} | {len(pairs_of(mine, by))} | {before:.3f} | {after:.3f} |")
+        lines.append(f"| {name} | {len(pairs)} | {before:.3f} | {after:.3f} | {error_of_a_calibrated_forecaster(pairs):.3f} |")
     return "\n".join(lines), helps
 
 
-def loaded(paths: Sequence[Path]) -> list[CheckResult]:
-    """Results of blind checks; those made with a fitted map are refused."""
-    checks = [load(path) for path in paths]
-    for path, check in zip(paths, checks, strict=True):
-        if check["probability_map"]["cells"]:
-            raise BadInput(f"{path} was made with a fitted map ({check['probability_map']['how']}); reset it and run the check again")
-    return checks
+def drawn(cells: int, seed: int, jobs: int, kept: Path) -> CheckResult:
+    """Cells of every source with the engine's own probabilities; what is kept is not run again."""
+
+    def progress(done: int) -> None:
+        print(f"seed {seed}: {done} of {cells * len(SOURCES)} cells", flush=True)
+
+    resume = kept / f"cells-{seed}.jsonl"
+    return run(cells, seed, sources=SOURCES, jobs=jobs, resume=resume, calibrated=False, progress=progress)
 
 
 def main() -> None:
-    """Fit, report, and store where it helps."""
+    """Draw, fit, report, and store where it helps."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--fit", type=Path, nargs="+", default=[], help="results of checks to fit on (.json)")
-    parser.add_argument("--check", type=Path, nargs="+", default=[], help="results of checks to report (.json), of other seeds")
+    parser.add_argument("--cells", type=int, nargs="+", default=[200], help="cells of each source: to fit on, and to report if not as many")
+    parser.add_argument("--kept", type=Path, default=Path("calibration"), help="folder that keeps what was drawn and scored")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--write", action="store_true", help="store the map where it helps on every source")
     parser.add_argument("--reset", action="store_true", help="store the map that changes nothing, and stop")
     options = parser.parse_args()
     if options.reset:
         write_json(STORED, asdict(ProbabilityMap()))
         return
-    fitting, checking = loaded(options.fit), loaded(options.check)
-    seeds = sorted({check["seed"] for check in fitting})
-    if set(seeds) & {check["seed"] for check in checking}:
-        raise BadInput(f"the cells to fit on and the cells to report share a seed ({seeds}); give checks of other seeds")
-    sources = sorted({source for check in fitting for source in check["sources"]})
-    how = f"palpd blind, sources {', '.join(sources)}, seeds {', '.join(map(str, seeds))}"
-    by = fit([o for check in fitting for o in check["outcomes"]], how)
-    print(f"power {by.power:g}, doubt {by.doubt:g}, power of no gap {by.power_none:g}, fitted on {by.cells} cells ({by.how})")
-    text, helps = report([o for check in checking for o in check["outcomes"]], by)
+    options.kept.mkdir(parents=True, exist_ok=True)
+    to_fit, to_report = options.cells[0], options.cells[-1]
+    how = f"python -m benchmarks.calibrate --cells {to_fit} {to_report}: {to_fit} cells of each of {', '.join(SOURCES)}, seed {FIT_SEED}"
+    by = fit(drawn(to_fit, FIT_SEED, options.jobs, options.kept)["outcomes"], how)
+    print(f"power {by.power:g}, doubt {by.doubt:g}, power of no gap {by.power_none:g}, fitted on {by.cells} cells that count ({by.how})")
+    text, helps = report(drawn(to_report, CHECK_SEED, options.jobs, options.kept)["outcomes"], by)
     print(text)
     if options.write and not helps:
         raise BadInput("the map makes a source worse; it is not stored")

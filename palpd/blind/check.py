@@ -18,6 +18,7 @@ from typing import Any, Literal, TypedDict
 import numpy as np
 import yaml
 
+from palpd.blind.diagnose_case import ENGINE
 from palpd.blind.injected_cells import hosts_in
 from palpd.blind.plans import plan, plan_large
 from palpd.blind.score import CaseOutcome, ScoreRow, score_case, tables_by_source
@@ -26,7 +27,7 @@ from palpd.blind.truth import CaseSpec, SealedCase, Source
 from palpd.cell.cell_file import cell_from
 from palpd.errors import BadInput
 from palpd.files import parse_json, read_text, write_text
-from palpd.gap.calibration import stored_map
+from palpd.gap.calibration import ProbabilityMap, stored_map
 from palpd.recording.samples import Samples, write_csv
 
 SCHEMA = "palpd.blind/2"
@@ -139,6 +140,7 @@ def run(
     ablation: Ablation | None = None,
     keep: Path | None = None,
     resume: Path | None = None,
+    calibrated: bool = True,
     progress: Callable[[int], None] = lambda _: None,
 ) -> CheckResult:
     """Draw, seal, diagnose and score cases, batch by batch. The diagnosis runs in another process, which sees the recordings only.
@@ -153,6 +155,7 @@ def run(
         ablation: What is taken away from the diagnosis.
         keep: New folder for recordings, answers and truths; None: they are removed.
         resume: File that takes every scored batch; batches that it holds are not run again.
+        calibrated: Whether the answers state probabilities by the fitted map; the engine's own otherwise.
         progress: Called with the number of scored cases.
 
     Returns:
@@ -163,17 +166,18 @@ def run(
         BadInput: The file to resume from is of another check.
     """
     hosts = hosts or Hosts()
+    by = stored_map() if calibrated else ProbabilityMap()
     result = CheckResult(
         schema=SCHEMA, cases=cases, large=large, sources=list(sources), recordings=None if hosts.folder is None else hosts.folder.name,
-        seed=seed, ablation=ablation, probability_map=asdict(stored_map()), sealed_sha256="", tables={}, outcomes=[],
+        seed=seed, ablation=ablation, probability_map=asdict(by), sealed_sha256="", tables={}, outcomes=[],
     )  # fmt: skip
-    begun = {"seed": seed, "recordings": result["recordings"], "ablation": ablation}
+    begun = {"seed": seed, "recordings": result["recordings"], "ablation": ablation, "probability_map": asdict(by)}
     done = _batches_in(resume, begun)
     seal = hashlib.sha256()
     folder = Path(tempfile.mkdtemp(prefix="palpd-blind-")) if keep is None else keep
     try:
         for batch in _batches(cases, seed, sources, large, hosts):
-            scored = done.get(_batch_name(batch)) or _run_batch(batch, seed, folder / _batch_name(batch), hosts, ablation, jobs)
+            scored = done.get(_batch_name(batch)) or _run_batch(batch, seed, folder / _batch_name(batch), hosts, ablation, jobs, calibrated)
             if resume is not None and scored["batch"] not in done:
                 done[scored["batch"]] = scored
                 write_text(resume, "".join(json.dumps(line) + "\n" for line in (begun, *done.values())))
@@ -215,10 +219,13 @@ def _batches_in(resume: Path | None, begun: dict[str, Any]) -> dict[str, ScoredB
     return {batch["batch"]: batch for batch in lines}
 
 
-def _run_batch(batch: list[CaseSpec], seed: int, folder: Path, hosts: Hosts, ablation: Ablation | None, jobs: int) -> ScoredBatch:
+def _run_batch(
+    batch: list[CaseSpec], seed: int, folder: Path, hosts: Hosts, ablation: Ablation | None, jobs: int, calibrated: bool
+) -> ScoredBatch:
     digests = _seal_batch(batch, seed, folder, hosts, ablation, jobs)
     # From here to the comparison of the digests nothing but the other process touches the recordings.
-    subprocess.run([sys.executable, "-m", "palpd.blind.diagnose_case", str(folder / "recordings"), str(jobs)], check=True)
+    options = [] if calibrated else [ENGINE]
+    subprocess.run([sys.executable, "-m", "palpd.blind.diagnose_case", str(folder / "recordings"), str(jobs), *options], check=True)
     return {"batch": _batch_name(batch), "digests": digests, "outcomes": _score_batch(batch, folder, digests, jobs)}
 
 

@@ -1,7 +1,8 @@
 """The diagnosis of sealed cases, in a process of its own: it is given a folder of recordings and cell files and nothing else.
 
-`python -m palpd.blind.diagnose_case FOLDER JOBS` writes X.json and X.enriched.yaml beside every X.csv. X.without holds the ids of effects
-that the diagnosis is not given. A case that fails leaves X.failed with the reason.
+`python -m palpd.blind.diagnose_case FOLDER JOBS [--engine]` writes X.json and X.enriched.yaml beside every X.csv. X.without holds the
+ids of effects that the diagnosis is not given. A case that fails leaves X.failed with the reason. `--engine` states the engine's own
+probabilities, to which the map to the stated ones is fitted.
 """
 
 import json
@@ -9,13 +10,25 @@ import os
 import resource
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 from palpd.gap.commands import diagnose_files
 
+ENGINE = "--engine"
+"""Option that states the engine's own probabilities."""
 
-def diagnose_case(recording: Path) -> str | None:
-    """Diagnose one case; the sentence of what went wrong, or None."""
+
+def diagnose_case(recording: Path, *, calibrated: bool = True) -> str | None:
+    """Diagnose one case.
+
+    Args:
+        recording: Its recording.
+        calibrated: Whether probabilities are stated by the fitted map; the engine's own otherwise.
+
+    Returns:
+        The sentence of what went wrong, or None.
+    """
     beside = recording.with_suffix(".without")
     without = beside.read_text(encoding="utf-8").split() if beside.exists() else []
     out = recording.with_suffix(".json")
@@ -28,6 +41,7 @@ def diagnose_case(recording: Path) -> str | None:
             cell_out=recording.with_suffix(".enriched.yaml"),
             without=without,
             propose=False,
+            calibrated=calibrated,
         )
     except Exception as error:  # whatever it is, it is this case's score and not the end of the check
         sentence = f"{type(error).__name__}: {error}"
@@ -44,20 +58,21 @@ def diagnose_case(recording: Path) -> str | None:
     return None
 
 
-def main(folder: Path, jobs: int) -> int:
+def main(folder: Path, jobs: int, *, calibrated: bool = True) -> int:
     """Diagnose every recording of a folder.
 
     Args:
         folder: Folder of recordings and cell files.
         jobs: Number of processes.
+        calibrated: Whether probabilities are stated by the fitted map; the engine's own otherwise.
 
     Returns:
         Number of recordings that failed.
     """
     recordings = sorted(folder.glob("*.csv"))
     with ProcessPoolExecutor(jobs) as pool:
-        return sum(sentence is not None for sentence in pool.map(diagnose_case, recordings))
+        return sum(sentence is not None for sentence in pool.map(partial(diagnose_case, calibrated=calibrated), recordings))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]))
+    main(Path(sys.argv[1]), int(sys.argv[2]), calibrated=ENGINE not in sys.argv[3:])

@@ -25,6 +25,8 @@ from palpd.recording.samples import Samples, read_csv
 LAWS: tuple[tuple[CaseKind, str], ...] = (("library", "library laws"), ("foreign", "other laws"))
 RESAMPLES = 500
 """Number of resamples of a bootstrap interval: the table of a thousand cases then takes seconds."""
+BINS = 10
+"""Number of equal bins of the probability in which it is compared with the share of right answers."""
 
 
 LEAST_N = 50
@@ -343,7 +345,7 @@ def answered(o: CaseOutcome) -> tuple[float, bool] | None:
     return min(beliefs[best], 1.0), best == true
 
 
-def calibration(pairs: Sequence[tuple[float, bool]], bins: int = 10) -> list[tuple[float, float, int]]:
+def calibration(pairs: Sequence[tuple[float, bool]], bins: int = BINS) -> list[tuple[float, float, int]]:
     """How stated probabilities compare with the share of right answers.
 
     Args:
@@ -364,6 +366,21 @@ def calibration(pairs: Sequence[tuple[float, bool]], bins: int = 10) -> list[tup
 def calibration_error(pairs: Sequence[tuple[float, bool]]) -> float:
     """Expected calibration error: the mean over the cases of the distance between probability and share right in their bin."""
     return sum(n * abs(p - right) for p, right, n in calibration(pairs)) / max(len(pairs), 1)
+
+
+def error_of_a_calibrated_forecaster(pairs: Sequence[tuple[float, bool]]) -> float:
+    """Mean calibration error of a forecaster whose probabilities are exact, on as many cases with the same ones: it is not zero.
+
+    Args:
+        pairs: Probability of the most probable answer, and whether it is right, of every case.
+
+    Returns:
+        The mean over RESAMPLES drawn sets of answers.
+    """
+    p = np.array([stated for stated, _ in pairs])
+    bins = np.eye(BINS)[np.minimum((p * BINS).astype(int), BINS - 1)]
+    right = np.random.default_rng(0).random((RESAMPLES, len(p))) < p
+    return float(np.abs((right - p) @ bins).sum(axis=1).mean()) / len(p)
 
 
 def scores(outcomes: Sequence[CaseOutcome]) -> list[Score]:
@@ -454,6 +471,8 @@ def _probability_scores(by: OutcomesByKind, outcomes: Sequence[CaseOutcome]) -> 
     yield _statistic("mean probability on the true cause", belief, np.mean, "≥ 0.85")
     pairs = [pair for pair in map(answered, outcomes) if pair is not None]
     yield _calibration_score(pairs)
+    by_chance = error_of_a_calibrated_forecaster(pairs) if pairs else None
+    yield Score("  of a calibrated forecaster on as many cases", by_chance, None, len(pairs), share=False)
 
 
 def _calibration_score(pairs: Sequence[tuple[float, bool]]) -> Score:

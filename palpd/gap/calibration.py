@@ -12,7 +12,7 @@ from importlib.resources import files
 
 from palpd.files import parse_json
 from palpd.gap.posterior import P_NONE, P_UNKNOWN
-from palpd.gap.verdict import DiagnosisVerdict
+from palpd.gap.verdict import P_NONE_TO_ACQUIT, DiagnosisVerdict
 
 MAP_FILE = "calibration.json"
 
@@ -24,7 +24,7 @@ class ProbabilityMap:
     Attributes:
         power: Exponent of the odds of a cause; below 1 they come nearer to even.
         doubt: Share of the prior that is mixed in where there is a gap: what even the surest cause concedes.
-        power_none: Exponent of the odds of no gap; above 1 they come nearer to certain.
+        power_none: Exponent of the odds of no gap, against the odds from which on no effect is named; above 1 they come nearer to certain.
         cells: Number of cells that it was fitted on; 0 for the map that changes nothing.
         how: On which cells, and when.
     """
@@ -45,7 +45,7 @@ class ProbabilityMap:
         Returns:
             Both as stated; what remains to 1 is that of listed effects alone.
         """
-        none = _tempered(p_none, self.power_none)
+        none = _tempered(p_none, self.power_none, P_NONE_TO_ACQUIT)
         given_a_gap = min(max(p_unknown, 0.0) / max(1.0 - p_none, 1e-300), 1.0)
         unknown = (1.0 - self.doubt) * _tempered(given_a_gap, self.power) + self.doubt * P_UNKNOWN / (1.0 - P_NONE)
         return none, (1.0 - none) * unknown
@@ -65,10 +65,10 @@ class ProbabilityMap:
         }
 
 
-def _tempered(p: float, power: float) -> float:
-    """A probability whose odds are raised to a power."""
-    present, absent = min(max(p, 0.0), 1.0) ** power, min(max(1.0 - p, 0.0), 1.0) ** power
-    return present / (present + absent)
+def _tempered(p: float, power: float, pivot: float = 0.5) -> float:
+    """A probability whose odds against those of a pivot are raised to a power; the pivot, which decides, stays where it is."""
+    present, absent = (min(max(p, 0.0), 1.0) / pivot) ** power, (min(max(1.0 - p, 0.0), 1.0) / (1.0 - pivot)) ** power
+    return pivot * present / (pivot * present + (1.0 - pivot) * absent)
 
 
 @cache

@@ -116,6 +116,7 @@ def diagnose_files(
     without: Sequence[str] = (),
     propose: bool = True,
     site: str | None = None,
+    calibrated: bool = True,
 ) -> Diagnosis:
     """Diagnose recordings of one cell jointly.
 
@@ -129,13 +130,14 @@ def diagnose_files(
         without: Effects that are known to be absent.
         propose: Whether to look for the next experiment.
         site: Site of recordings of the daemon; None where they hold one only.
+        calibrated: Whether probabilities are stated by the fitted map; the engine's own otherwise.
 
     Returns:
         The diagnosis.
     """
     known = library(effects, without, adopted)
     nominal = load_cell(cell, known)
-    diagnosis = diagnose([read_recording(path, site) for path in recordings], nominal, known, propose=propose)
+    diagnosis = diagnose([read_recording(path, site) for path in recordings], nominal, known, propose=propose, calibrated=calibrated)
     if adopted is not None and (weighed := adopted_sentence(adopted, known)):
         diagnosis = replace(diagnosis, notes=[*diagnosis.notes, weighed])
     if json_out is not None:

@@ -55,6 +55,7 @@ def diagnose(
     *,
     max_bins: int = MAX_BINS,
     propose: bool = True,
+    calibrated: bool = True,
 ) -> "Diagnosis":
     """Diagnose the recordings of one cell jointly; the same input gives the same answer.
 
@@ -64,6 +65,7 @@ def diagnose(
         effects: The effects that may be present.
         max_bins: Largest number of bins of all recordings, about; fewer are faster.
         propose: Whether to look for the next experiment.
+        calibrated: Whether probabilities are stated by the fitted map; the engine's own otherwise.
 
     Returns:
         The diagnosis.
@@ -73,10 +75,12 @@ def diagnose(
     """
     # The matrices are small: threads cost more than they bring, and add up in another order each time.
     with threadpool_limits(1):
-        return _stages(recordings, cell, effects, max_bins, propose)
+        return _stages(recordings, cell, effects, max_bins, propose, calibrated)
 
 
-def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str, Effect], max_bins: int, propose: bool) -> "Diagnosis":
+def _stages(
+    recordings: Sequence[Samples], cell: CellFile, library: Mapping[str, Effect], max_bins: int, propose: bool, calibrated: bool
+) -> "Diagnosis":
     # 1. Prepare: clean the readings, cut them into bins, estimate noise and tip motion.
     recordings = [without_rounding(samples) for samples in recordings]
     notes = check_recordings(recordings, cell)
@@ -107,7 +111,7 @@ def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str,
     scatter = scatter_effects(problem.recordings, readings, cell, library)
 
     # 5. Verdict: which effects to name.
-    verdict = as_stated(decide(problem, nominal.fit, attribution, scatter), stored_map())
+    verdict = decide(problem, nominal.fit, attribution, scatter)
     notes += deviation_notes(problem, verdict) + unnatural_notes(problem, verdict)
 
     # 6. Law: what the list does not hold, as a function of what the cell does, or as events.
@@ -117,6 +121,8 @@ def _stages(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str,
     if finding.learned is not None:
         finding = replace(finding, learned=finding.learned.model_copy(update={"confounds": confounds(finding, fits)}))
     verdict = with_finding(verdict, finding)
+    if calibrated:
+        verdict = as_stated(verdict, stored_map())
     notes += [finding.note] if finding.note else []
     notes += held_notes(problem, verdict)
     gap = verdict.kind != "none"

@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
-from benchmarks.calibrate import fit, log_loss, pairs_of
-from palpd.blind.score import CaseOutcome
+from benchmarks.calibrate import CHECK_SEED, FIT_SEED, fit, log_loss, pairs_of, report
+from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
+from palpd.blind.score import CaseOutcome, calibration_error, error_of_a_calibrated_forecaster
 from palpd.errors import BadInput
+from palpd.gap import diagnosis
 from palpd.gap.calibration import ProbabilityMap, stored_map
+from palpd.gap.verdict import P_NONE_TO_ACQUIT, P_TO_NAME
 
 DOUBTING = ProbabilityMap(power=0.4, doubt=0.1, power_none=3.0, cells=500, how="a test")
 
@@ -30,8 +33,15 @@ def test_classes_still_add_up_to_one(p: tuple[float, float]) -> None:
 
 
 def test_no_gap_is_stated_with_more_certainty_than_any_cause() -> None:
-    assert DOUBTING.of_classes(0.8, 0.02)[0] == pytest.approx(64.0 / 65.0)
+    assert DOUBTING.of_classes(0.8, 0.02)[0] == pytest.approx(576.0 / 577.0)
     assert DOUBTING.of_classes(0.0, 1.0)[1] < 0.93
+
+
+def test_what_decides_stays_where_it_is() -> None:
+    assert DOUBTING.of_classes(P_NONE_TO_ACQUIT, 0.0)[0] == pytest.approx(P_NONE_TO_ACQUIT)
+    tempering = ProbabilityMap(power=0.4, doubt=0.0, power_none=3.0, cells=500, how="a test")
+    assert tempering.of_effects({"cable.friction": P_TO_NAME})["cable.friction"] == pytest.approx(P_TO_NAME)
+    assert tempering.of_classes(0.0, P_TO_NAME)[1] == pytest.approx(P_TO_NAME)
 
 
 def test_a_map_keeps_the_order_of_the_effects_and_leaves_room_for_doubt() -> None:
@@ -66,3 +76,35 @@ def test_a_boaster_is_taken_back_to_how_often_it_is_right() -> None:
 def test_three_numbers_are_not_fitted_on_a_handful_of_cells() -> None:
     with pytest.raises(BadInput, match="expected at least 100"):
         fit(boasting(99, 0.9), "a test")
+
+
+def test_a_report_says_what_the_map_does_to_each_source_and_what_chance_does() -> None:
+    text, helps = report(boasting(300, 0.85), DOUBTING)
+    assert helps
+    assert [line.split("|")[1].strip() for line in text.splitlines()[2:]] == ["drawn", "all"]
+    assert not report(boasting(300, 1.0), DOUBTING)[1]
+
+
+def test_even_a_calibrated_forecaster_has_a_calibration_error_on_few_cases() -> None:
+    random = np.random.default_rng(3)
+    p = random.uniform(0.3, 1.0, 5000)
+    few = p[:20].tolist()
+    errors = [calibration_error([(x, bool(random.random() < x)) for x in few]) for _ in range(200)]
+    assert np.mean(errors) > 0.1
+    assert error_of_a_calibrated_forecaster([(x, True) for x in few]) == pytest.approx(np.mean(errors), rel=0.1)
+    assert error_of_a_calibrated_forecaster([(x, True) for x in p.tolist()]) < 0.03
+
+
+def test_the_cells_to_report_are_others_than_those_to_fit_on() -> None:
+    assert FIT_SEED != CHECK_SEED
+
+
+def test_a_diagnosis_states_what_the_map_makes_of_the_engines_probabilities(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell, samples = cell_of("second order"), recording("second order", 5, PlantedDeviations(surface_z_m=4e-4))
+    own = diagnosis.diagnose([samples], cell, max_bins=600, propose=False, calibrated=False)
+    monkeypatch.setattr(diagnosis, "stored_map", lambda: DOUBTING)
+    stated = diagnosis.diagnose([samples], cell, max_bins=600, propose=False)
+    assert stated.candidates == pytest.approx(DOUBTING.of_effects(own.candidates))
+    assert (stated.p_none, stated.p_unknown) == pytest.approx(DOUBTING.of_classes(own.p_none, own.p_unknown))
+    assert (stated.verdict, [e.id for e in stated.effects]) == (own.verdict, [e.id for e in own.effects]) == ("effects", ["tissue.surface"])
+    assert [e.probability for e in stated.effects] == [stated.candidates[e.id] for e in stated.effects]

@@ -302,8 +302,8 @@ def error_of(outcomes: list[CaseOutcome]) -> float:
 
 
 def test_a_small_fixed_check_runs_end_to_end_in_another_process(tmp_path: Path) -> None:
-    result = run(3, 76, keep=tmp_path / "kept", resume=tmp_path / "batches.jsonl")
-    again = run(3, 76, resume=tmp_path / "batches.jsonl", progress=lambda done: None)
+    result = run(3, 76, keep=tmp_path / "kept", resume=tmp_path / "batches.jsonl", calibrated=False)
+    again = run(3, 76, resume=tmp_path / "batches.jsonl", calibrated=False, progress=lambda done: None)
     assert json.dumps(again) == json.dumps(result), "what is scored is not run again"
     with pytest.raises(BadInput, match="name another file"):
         run(3, 77, resume=tmp_path / "batches.jsonl")
