@@ -199,8 +199,13 @@ def _leaks(c: Constants) -> list[tuple[str, float]]:
 def _filter(s: Span, memory: Memory) -> None:
     if np.isfinite(s.constants.cutoff_Hz):
         for name, column in _columns(s):
-            pole_per_s = -2.0 * np.pi * s.constants.cutoff_Hz
-            setattr(s, name, lowpass(column, s.dt_s, pole_per_s, memory.setdefault(f"filtered {name}", {})))
+            setattr(s, name, _filtered(column, s, memory.setdefault(f"filtered {name}", {})))
+
+
+def _filtered(column: Floats, s: Span, memory: Memory) -> Floats:
+    """A column (n,) behind the filter of the sensor."""
+    cutoff_Hz = s.constants.cutoff_Hz
+    return lowpass(column, s.dt_s, -2.0 * np.pi * cutoff_Hz, memory) if np.isfinite(cutoff_Hz) else column
 
 
 def _shift_zero(s: Span) -> None:
@@ -398,15 +403,21 @@ def mean_reading(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, 
     """
     what = physics(cell, _place(cell, site), library)
     s = _span(what.constants, motion)
-    leaks: list[tuple[str, float]] = []
-    if what.laws.get("sensor"):  # laws of the sensor may change what has leaked
-        _reading(s, what, {}, {})
-        leaking_N = s.fz_N
-    else:
-        _at_the_sensor(s, what, {}, {})
-        _filter(s, {})
-        leaks, leaking_N = _leaks(what.constants), s.fz_N
-        _shift_zero(s)
+    _at_the_sensor(s, what, {}, {})
+    leaks, leaking_N, laws = _leaks(what.constants), s.fz_N, what.laws.get("sensor")
+    if laws:
+        own = {name: getattr(s, name) for name, _ in leaks}
+        s.fz_N = leaking_N.copy()  # a law may change it in place
+        for name, share in leaks:
+            setattr(s, name, own[name] + share * leaking_N)
+        what.apply("sensor", s, {})
+        # A law may also change what has leaked; that is then an axis of its own.
+        leaks = [(name, share) for name, share in leaks if np.array_equal(getattr(s, name), own[name] + share * leaking_N)]
+        for name, _ in leaks:
+            setattr(s, name, own[name])
+    _filter(s, {})
+    leaking_N = _filtered(leaking_N, s, {}) if laws and leaks else s.fz_N
+    _shift_zero(s)
     _expected(s)
     return MeanReading({WRENCH.index(name): column for name, column in _columns(s)}, leaking_N, {WRENCH.index(n): x for n, x in leaks})
 

@@ -7,7 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from palpd.cell.cell_file import PHANTOM, CellFile, Estimated, cell_from, nominal
-from palpd.cell.dynamics import Floats, TipMotion, lowpass, mounted, play, recurrence, servo, steps
+from palpd.cell.dynamics import Floats, Memory, Span, TipMotion, lowpass, mounted, play, recurrence, servo, steps
+from palpd.cell.effects import EFFECTS, Effect, Values
 from palpd.cell.simulation import (
     Cell,
     SampleBlock,
@@ -201,6 +202,22 @@ def test_fifty_samples_at_ten_hertz_are_enough_to_predict() -> None:
     wrench = predict_wrench(nominal(), t_s, z_m, np.where(t_s < 2.5, -0.002, 0.0))
     assert np.isfinite(wrench).all()
     assert wrench[-1, 2] == pytest.approx(equilibrium_force_N(nominal(), 0.004), rel=1e-3)
+
+
+def push_back(s: Span, _values: Values, _memory: Memory) -> None:
+    """A user's law that changes its sample arrays in place: fz, and one of the axes into which it leaks."""
+    s.fz_N += 0.5
+    s.fx_N *= 2.0
+
+
+def test_laws_of_the_sensor_act_after_the_leak_whatever_axis_they_change() -> None:
+    t_s, z_cmd_m = presses()
+    motion = commanded_motion(quiet(), t_s, z_cmd_m)
+    leaking = quiet().with_estimated(Estimated(crosstalk=(0.1, -0.2, 0.0, 0.0)))
+    plain = wrench_of(leaking, motion)
+    library = {**EFFECTS, "sensor.user": Effect("sensor.user", "sensor", "changes in place", (), law=push_back)}
+    changed = wrench_of(leaking.with_effects({"sensor.user": {}}), motion, library)
+    np.testing.assert_allclose(changed, plain * [2.0, 1.0, 1.0, 1.0, 1.0, 1.0] + [0.0, 0.0, 0.5, 0.0, 0.0, 0.0], atol=1e-12)
 
 
 def test_deviations_within_tolerance_change_what_they_are_called_after() -> None:
