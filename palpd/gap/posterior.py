@@ -8,7 +8,7 @@ import numpy as np
 
 from palpd.gap.evidence import Fit
 from palpd.gap.problem import Problem
-from palpd.gap.residual import ResidualStructure, test_residual
+from palpd.gap.residual import ResidualStructure, segments_of, test_residual
 
 P_NONE, P_ONE, P_TWO, P_THREE = 0.3, 0.6, 0.12, 0.02
 """Prior probabilities of that many effects; every set of one size is as likely as the others."""
@@ -92,7 +92,8 @@ def posterior(problem: Problem, fits: Mapping[tuple[str, ...], Fit], most_tested
     """
     worth = _worth(problem, fits)
     order = sorted(fits, key=lambda names: -(worth[names] + fits[names].log_likelihood))
-    tested = {names: test_residual(problem, fits[names]) for names in dict.fromkeys([*order[:most_tested], ()])}
+    segments = segments_of(problem)
+    tested = {names: test_residual(problem, fits[names], segments) for names in dict.fromkeys([*order[:most_tested], ()])}
     most = _most_of_any_shape(fits, tested, worth)
     nominal, gap = fits[()], tested[()]
     logs: dict[tuple[str, ...], tuple[float, float]] = {}

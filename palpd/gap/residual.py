@@ -5,6 +5,7 @@ rest). Were it noise, every coefficient would be N(0, 1). For every channel, pha
 coefficients is weighed against that. Single outliers, a single frequency and short pulses are tested besides.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import log
@@ -15,7 +16,7 @@ from scipy.ndimage import median_filter
 from palpd.gap.evidence import Fit
 from palpd.gap.noise import CHANNELS, FZ
 from palpd.gap.nuisances import PLAUSIBLE_SD
-from palpd.gap.phases import FREE_MOVING, LOADING, PHASES, UNLOADING
+from palpd.gap.phases import FREE_MOVING, LOADING, PHASES, UNLOADING, Ints
 from palpd.gap.problem import Problem, tolerance_key
 from palpd.tick import Floats
 
@@ -51,12 +52,22 @@ class ResidualStructure:
     phase: str
 
 
-def test_residual(problem: Problem, fit: Fit) -> ResidualStructure:
+@dataclass(frozen=True)
+class Segment:
+    """A rest or a stroke: its bins, their phase, and smooth shapes (bins, s) in them, orthonormal."""
+
+    bins: slice
+    phase: int
+    shapes: Floats
+
+
+def test_residual(problem: Problem, fit: Fit, segments: Sequence[Segment]) -> ResidualStructure:
     """Test the residual of a hypothesis for structure, and its in-tolerance deviations for too large ones.
 
     Args:
         problem: The data and their prediction.
         fit: The hypothesis.
+        segments: The rests and strokes of the problem.
 
     Returns:
         The evidence for structure.
@@ -64,7 +75,7 @@ def test_residual(problem: Problem, fit: Fit) -> ResidualStructure:
     remainder = fit.remainder
     if problem.excess_noise:
         remainder = remainder / np.clip(remainder.std(axis=1, keepdims=True), 1.0, EXCESS_NOISE_RATIO)
-    coefficients, phase = _coefficients(problem, remainder)
+    coefficients, phase = _coefficients(segments, remainder)
     smooth, smooth_energy, channel, place = _smooth(coefficients, phase, remainder)
     tones = [(-np.inf, 0.0), *(_tone(problem, values) for values in remainder if values.any())]
     pulses = [(-np.inf, 0.0), *(_pulses(values) for values in remainder if values.any())]
@@ -73,7 +84,7 @@ def test_residual(problem: Problem, fit: Fit) -> ResidualStructure:
     alternatives = [
         (smooth + strain, smooth_energy),
         max(tones, key=lambda tone: tone[0]),
-        _outlier(np.concatenate([c[np.isfinite(c)] for c in coefficients])),
+        _outlier(coefficients[np.isfinite(coefficients)]),
         max(pulses, key=lambda pulse: pulse[0]),
     ]
     each, energies = (np.array(values) for values in zip(*alternatives, strict=True))
@@ -82,14 +93,20 @@ def test_residual(problem: Problem, fit: Fit) -> ResidualStructure:
     return ResidualStructure(evidence, energy + strain_energy, channel, place)
 
 
-def _coefficients(problem: Problem, remainder: Floats) -> tuple[list[Floats], Floats]:
-    """Per channel (segments, SHAPES), NaN where a segment is too short; and the phase of every segment."""
-    rows: list[list[Floats]] = [[] for _ in range(7)]
-    phase: list[int] = []
+def segments_of(problem: Problem) -> list[Segment]:
+    """The rests and strokes of all recordings that are long enough to have a shape.
+
+    Args:
+        problem: The data.
+
+    Returns:
+        The segments.
+    """
+    out = []
     start = 0
     for one in problem.recordings:
         segment = one.bin_phase * 1e6 + one.bin_cycle
-        edges = np.concatenate([[0], np.flatnonzero(np.diff(segment)) + 1, [len(segment)]])
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(segment)) + 1, [len(segment)]]).tolist()
         weight = np.sqrt(one.bins.count)
         for a, b in pairwise(edges):
             if b - a < 3:
@@ -100,17 +117,20 @@ def _coefficients(problem: Problem, remainder: Floats) -> tuple[list[Floats], Fl
             x = t if p in (FREE_MOVING, LOADING, UNLOADING) else np.log1p(t / max(float(t[-1]) / 50.0, 1e-12))
             x = 2.0 * x / max(float(x[-1]), 1e-300) - 1.0
             basis, _ = np.linalg.qr(weight[a:b, None] * np.polynomial.chebyshev.chebvander(x, shapes - 1))
-            z = remainder[:, start + a : start + b] @ basis
-            for channel in range(7):
-                row = np.full(SHAPES, np.nan)
-                row[:shapes] = z[channel] * np.sign(basis.sum(axis=0)[0] or 1.0)
-                rows[channel].append(row)
-            phase.append(p)
+            out.append(Segment(slice(start + a, start + b), p, basis * np.sign(basis.sum(axis=0)[0] or 1.0)))
         start += len(one.bins)
-    return [np.array(r).reshape(-1, SHAPES) for r in rows], np.array(phase)
+    return out
 
 
-def _smooth(coefficients: list[Floats], phase: Floats, remainder: Floats) -> tuple[float, float, str, str]:
+def _coefficients(segments: Sequence[Segment], remainder: Floats) -> tuple[Floats, Ints]:
+    """Coefficients (7, segments, SHAPES), NaN where a segment is too short; and the phase of every segment."""
+    out = np.full((len(remainder), len(segments), SHAPES), np.nan)
+    for k, segment in enumerate(segments):
+        out[:, k, : segment.shapes.shape[1]] = remainder[:, segment.bins] @ segment.shapes
+    return out, np.array([segment.phase for segment in segments])
+
+
+def _smooth(coefficients: Floats, phase: Ints, remainder: Floats) -> tuple[float, float, str, str]:
     """Log Bayes factor and energy of smooth structure, and the channel and phase with most of it."""
     total, energy = 0.0, 0.0
     best = (-1.0, "fz_N", PHASES[0])
