@@ -53,8 +53,8 @@ OWN_HEIGHT_NOISE = 0.25
 """Share of the noise of reported heights that every bin has for itself. Bins shorter than the time between reports know no more than
 their neighbours."""
 
-MOST_CACHED = 96
-"""Number of predictions that are kept: a search often returns to a recent state. This bounds the memory."""
+MOST_CACHED = 3_000_000
+"""Numbers in the predictions that are kept, 24 MB: a search often returns to a recent state. They are 96 states of a long recording."""
 
 UNKNOWN_LOG_SD = 2.5
 """Standard deviation of the logarithm of an unknown modulus: a factor of twelve."""
@@ -64,6 +64,7 @@ MAX_BINS = 4500
 
 MODULUS = np.array(SHARED) == "youngs_modulus"
 SERVO = np.array(SHARED) == "servo_natural_frequency"
+LOGARITHMIC = np.isin(SHARED, list(RELATIVE))
 
 
 def tolerance_key(deviation: str) -> str:
@@ -222,9 +223,9 @@ class Problem:
         Returns:
             The block `estimated` of a cell file, without bias and drift.
         """
-        value = dict(zip(SHARED, (eta * self.shared_sd).tolist(), strict=True))
-        for name in RELATIVE:
-            value[name] = float(np.expm1(np.clip(value[name], -20.0, 20.0)))
+        linear = eta * self.shared_sd
+        relative = np.expm1(np.minimum(np.maximum(linear, -20.0), 20.0))
+        value = dict(zip(SHARED, np.where(LOGARITHMIC, relative, linear).tolist(), strict=True))
         crosstalk = tuple(value.pop(name) for name in CROSSTALK)
         return Estimated.model_construct(bias_N=0.0, drift_N_per_min=0.0, crosstalk=crosstalk, **value)
 
@@ -284,7 +285,7 @@ class Problem:
         key = (what, repr(effects), eta.tobytes())
         known = self._predictions.known
         if key not in known:
-            if len(known) >= MOST_CACHED:
+            if len(known) * self.measured.size >= MOST_CACHED:
                 del known[next(iter(known))]
             cell = self.cell.with_effects(effects).with_estimated(self.estimated(eta))
             bins = np.hstack([np.atleast_2d(simulated(one, cell)) for one in self.recordings])
