@@ -12,7 +12,7 @@ from palpd.cell.cell_file import EffectValues
 from palpd.gap.coordinates import Coordinate
 from palpd.gap.fit import Optimum
 from palpd.gap.linearise import Linearisation
-from palpd.gap.nuisances import Projected, Widened, stable_inverse
+from palpd.gap.nuisances import Columns, Projected, Widened, stable_inverse
 from palpd.gap.problem import Problem
 from palpd.tick import Floats
 
@@ -46,14 +46,14 @@ class ModelDiscrepancy:
     Attributes:
         log_prior: Log of its prior probability.
         gain: Gain of log likelihood over the exact law.
-        covariance: Covariance (k, k) of the coordinates under it.
+        covariance: Gives the covariance (k, k) of the coordinates under it.
         move: Move (k,) of the coordinates with it, from the optimum of the exact law.
         change: Gives the change (7, b) of the prediction that is not the effect's own: neither a spread of its shapes nor its parameters.
     """
 
     log_prior: float
     gain: float
-    covariance: Floats
+    covariance: Callable[[], Floats]
     move: Floats
     change: Callable[[], Floats]
 
@@ -77,7 +77,7 @@ def model_discrepancies(
         One for every size and kind; none where the effects are too small to show any.
     """
     columns, kind = discrepancy_columns(problem, best.values, best.prediction, best.around)
-    if not len(columns):
+    if not columns.size:
         return []
     wide = Widened.by(best.around.space, columns)
     against_residual = wide.against(residual)
@@ -98,10 +98,11 @@ def model_discrepancies(
         gain = 0.5 * (float(of_residual @ of_residual) + float(pull @ move)) - promised - float(np.log(np.diag(factor)).sum())
 
         def change() -> Floats:
-            coefficients = size * solve_triangular(factor, of_residual - of_slopes @ move, lower=True, trans="T")
-            return np.asarray(np.tensordot(np.where(kind[way] == SPREAD, 0.0, coefficients), columns[way], axes=1))
+            coefficients = np.zeros(columns.size)
+            coefficients[way] = size * solve_triangular(factor, of_residual - of_slopes @ move, lower=True, trans="T")
+            return columns.times(np.where(kind == SPREAD, 0.0, coefficients))
 
-        return ModelDiscrepancy(log(prior / len(ways)), gain, stable_inverse(inner), move, change)
+        return ModelDiscrepancy(log(prior / len(ways)), gain, lambda: stable_inverse(inner), move, change)
 
     return [discrepancy(way, size, prior) for size, prior in DISCREPANCY_SIZES for way in ways]
 
@@ -113,7 +114,7 @@ def _reach(c: Coordinate, u: float) -> float:
     return 0.5 / c.scale if c.angle else 0.5 * max(abs(u), 1e-3)
 
 
-def discrepancy_columns(problem: Problem, values: EffectValues, at: Floats, around: Linearisation) -> tuple[Floats, NDArray[np.str_]]:
+def discrepancy_columns(problem: Problem, values: EffectValues, at: Floats, around: Linearisation) -> tuple[Columns, NDArray[np.str_]]:
     """Directions in which real laws may differ from the library's.
 
     A law may be stronger or weaker with depth, speed, direction, time and since the motion changed, in each channel, and it may be mixed
@@ -126,7 +127,7 @@ def discrepancy_columns(problem: Problem, values: EffectValues, at: Floats, arou
         around: The nuisances.
 
     Returns:
-        The directions (m, 7, b), and the kind (m,) of each.
+        The m directions, and the kind (m,) of each.
     """
     columns, kinds = [], []
     modulations = list(_modulations(problem)) if values else []
@@ -137,11 +138,12 @@ def discrepancy_columns(problem: Problem, values: EffectValues, at: Floats, arou
         if energy < SMALLEST_EFFECT:
             continue
         for kind, shape in _shapes(problem, values, name, at, part, around.eta, modulations):
-            norm = float(np.vdot(shape, shape)) ** 0.5
+            norm = sum(float(there @ there) for there in shape.values()) ** 0.5
             if norm > 1e-6 * energy:
-                columns.append(shape * min(energy / norm, LARGEST_STRETCH) * (SPREAD_SIZE if kind == SPREAD else 1.0))
+                factor = min(energy / norm, LARGEST_STRETCH) * (SPREAD_SIZE if kind == SPREAD else 1.0)
+                columns.append({channel: there * factor for channel, there in shape.items()})
                 kinds.append(kind)
-    return np.array(columns), np.array(kinds)
+    return Columns.of(columns, (at.shape[0], at.shape[1])), np.array(kinds)
 
 
 def _shapes(
@@ -152,26 +154,22 @@ def _shapes(
     part: Floats,
     eta: Floats,
     modulations: Sequence[tuple[str, Floats]],
-) -> Iterator[tuple[str, Floats]]:
-    """Directions for one effect, whose part of the prediction `at` is `part`."""
+) -> Iterator[tuple[str, dict[int, Floats]]]:
+    """Directions (b,) by channel for one effect, whose part of the prediction `at` is `part`."""
     effect = problem.library[name]
-    live = np.flatnonzero(part.any(axis=1))
+    live = np.flatnonzero(part.any(axis=1)).tolist()
     for parameter in effect.parameters:
         if parameter.nominal is None and parameter.log and parameter.name in values[name]:
             lower, upper = parameter.bounds(problem.scale)
             for factor in OTHER_SHAPES:
                 other = min(max(values[name][parameter.name] * factor, lower), upper)
-                yield SPREAD, problem.predict(values | {name: values[name] | {parameter.name: other}}, eta) - at
+                yield SPREAD, dict(enumerate(problem.predict(values | {name: values[name] | {parameter.name: other}}, eta) - at))
     for driver, modulation in modulations:
         if driver in effect.discrepancy_drivers:
-            shape = np.zeros_like(part)
-            shape[live] = part[live] * modulation
-            yield driver, shape
+            yield driver, {channel: part[channel] * modulation for channel in live}
     if len(live) > 1:
         for channel in live:
-            shape = np.zeros_like(part)
-            shape[channel] = part[channel]
-            yield "channel", shape
+            yield "channel", {channel: part[channel]}
 
 
 def _modulations(problem: Problem) -> Iterator[tuple[str, Floats]]:

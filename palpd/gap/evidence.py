@@ -1,5 +1,6 @@
 """Stage 4 of a diagnosis: how likely the data are under one hypothesis, a set of effects at its best."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import lgamma, log, pi
 
@@ -29,12 +30,20 @@ class PossibleLaw:
     Attributes:
         probability: Its posterior probability.
         move: Move (k,) of the coordinates from the optimum of the listed law.
-        covariance: Covariance (k, k) of the coordinates under it.
+        of_fit: Gives the covariance (k, k) of the coordinates as the fit sees it.
+        owned: Products (k, m) of the slopes with the deviations within tolerance that the effects stand for.
     """
 
     probability: float
     move: Floats
-    covariance: Floats
+    of_fit: Callable[[], Floats]
+    owned: Floats
+
+    def covariance(self) -> Floats:
+        """Covariance (k, k) of the coordinates under it: the fit sees the sum of an effect and of the deviation that it stands for."""
+        of_fit = self.of_fit()
+        shift = of_fit @ self.owned
+        return np.asarray(of_fit + shift @ shift.T)
 
 
 @dataclass(frozen=True)
@@ -122,7 +131,7 @@ def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
     occam, covariance, change = 0.0, np.zeros((0, 0)), np.zeros_like(at)
     sizes = _sizes(problem, best)
     log_likelihood, discrepancy_energy = log_exact, 0.0
-    laws = [PossibleLaw(1.0, np.zeros(len(best.u)), covariance)]
+    laws: list[PossibleLaw] = []
     if best.names:
         occam, covariance = _occam(problem, best, normal, sizes)
         change = at - problem.predict({}, eta)
@@ -133,14 +142,12 @@ def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
             log_likelihood = log_exact + total
             if likeliest := int(np.argmax(each)):
                 discrepancy_energy = _unfittable_energy(discrepancies[likeliest - 1].change(), best.jacobian, space)
-        # The fit sees the sum of an effect and of the deviation within tolerance that it stands for.
-        owned = np.array([[slope.dot(project(c, space)) for c in best.around.owned] for slope in slopes])
-        fitted = [(np.zeros(len(best.u)), covariance), *((one.move, one.covariance) for one in discrepancies)]
-        laws = [
-            PossibleLaw(p, move, of_law + (of_law @ owned) @ (of_law @ owned).T)
-            for p, (move, of_law) in zip(np.exp(each - total).tolist(), fitted, strict=True)
-        ]
-        covariance = max(laws, key=lambda law: law.probability).covariance
+        projected = [project(change, space) for change in best.around.owned]
+        owned = np.array([[slope.dot(one) for one in projected] for slope in slopes])
+        listed = covariance
+        fitted = [(np.zeros(len(best.u)), lambda: listed), *((one.move, one.covariance) for one in discrepancies)]
+        laws = [PossibleLaw(p, *of_law, owned) for p, of_law in zip(np.exp(each - total).tolist(), fitted, strict=True)]
+        covariance = max(laws, key=lambda law: law.probability).covariance()
     return Fit(
         names=best.names,
         values=best.values,

@@ -16,7 +16,7 @@ from palpd.gap.fit import gauss_newton, jacobian_at
 from palpd.gap.linearise import Linearisation, linearise
 from palpd.gap.noise import FZ, Z
 from palpd.gap.nuisances import Vectors, gram, project
-from palpd.gap.problem import MODULUS, Problem
+from palpd.gap.problem import MODULUS, SHARED, Problem
 from palpd.tick import Floats
 
 LARGE_GAP = 2e4
@@ -85,7 +85,9 @@ def fit_nominal(problem: Problem) -> NominalFit:
     if not problem.cell.tolerances.modulus_known:
         first = fit(problem, {}, stated, rounds=8)
         # The force in proportion to the modulus has been fitted: it is the gap's size.
-        problem = problem.with_model_error_floor(first.linearisation.columns[0] / problem.shared_sd[0])
+        by_modulus = np.zeros(first.linearisation.space.size)
+        by_modulus[SHARED.index("youngs_modulus")] = 1.0
+        problem = problem.with_model_error_floor(first.linearisation.space.explained(by_modulus) / problem.shared_sd[0])
         nominal = fit(problem, {}, linearise(problem, {}, first.eta), rounds=ROUNDS)
         return NominalFit(problem, nominal, nominal.linearisation, nominal.linearisation)
     problem = problem.with_model_error_floor(problem.data - stated.prediction)
@@ -156,8 +158,10 @@ class _Search:
 
     def __post_init__(self) -> None:
         """Make the candidates of every effect that changes the mean of the readings."""
-        eta = self.fits[()].eta
-        self.peaks_Hz = [*spectral_peaks(self.problem, eta), *ringing_frequencies(self.problem, eta)]
+        # Of the cell without effects as fitted: what its deviations explain would hide a small line.
+        problem, eta = self.problem, self.fits[()].eta
+        predicted = problem.raw_prediction(problem.recordings[0], problem.cell_at({}, eta))
+        self.peaks_Hz = [*spectral_peaks(problem, predicted), *ringing_frequencies(problem, predicted)]
         self.starts = self._changes_of(self.problem.library, {}, self.around.eta)
         self.candidates, self.changes = self._gathered(self.starts)
 
@@ -370,12 +374,12 @@ def _different(matches: list[Match], most: int) -> list[Match]:
     return out or matches[:1]
 
 
-def spectral_peaks(problem: Problem, eta: Floats, most: int = 3) -> list[float]:
+def spectral_peaks(problem: Problem, predicted: Floats, most: int = 3) -> list[float]:
     """Frequencies that stand out in the residual heights and in fz of the first recording.
 
     Args:
-        problem: The data and their prediction.
-        eta: Shared deviations (11,) of the cell without effects: what they explain would hide a small line.
+        problem: The data.
+        predicted: Prediction of the first recording at every sample (n, 7).
         most: Number of frequencies.
 
     Returns:
@@ -384,7 +388,6 @@ def spectral_peaks(problem: Problem, eta: Floats, most: int = 3) -> list[float]:
     peaks: list[tuple[float, float]] = []
     recording = problem.recordings[0]
     n, dt_s = len(recording.samples), problem.scale.step_s
-    predicted = problem.raw_prediction(recording, problem.cell_at({}, eta))
     for channel, measured in ((Z, recording.samples.z_m), (FZ, recording.samples.wrench[:, 2])):
         if not recording.judged[channel] or n < 128:
             continue
@@ -402,15 +405,15 @@ def spectral_peaks(problem: Problem, eta: Floats, most: int = 3) -> list[float]:
     return [frequency_Hz for _, frequency_Hz in sorted(peaks, reverse=True)[:most]]
 
 
-def ringing_frequencies(problem: Problem, eta: Floats) -> list[float]:
+def ringing_frequencies(problem: Problem, predicted: Floats) -> list[float]:
     """Frequencies near which the residual of fz in the first recording may ring.
 
     A resonance rings after every start and stop and decays, so it makes a hump in the spectrum and no line. A search for it must start near
     its frequency, since a ringing that is off by more than its damping is soon out of phase.
 
     Args:
-        problem: The data and their prediction.
-        eta: Shared deviations (11,) of the cell without effects.
+        problem: The data.
+        predicted: Prediction of the first recording at every sample (n, 7).
 
     Returns:
         Frequencies in Hz, the most prominent first; none where fz is not compared or the recording is short.
@@ -419,8 +422,7 @@ def ringing_frequencies(problem: Problem, eta: Floats) -> list[float]:
     n, dt_s = len(recording.samples), problem.scale.step_s
     if not recording.judged[FZ] or n < 128:
         return []
-    fz_N = problem.raw_prediction(recording, problem.cell_at({}, eta))[:, FZ]
-    residual = (recording.samples.wrench[:, FZ - 1] - fz_N) * np.hanning(n)
+    residual = (recording.samples.wrench[:, FZ - 1] - predicted[:, FZ]) * np.hanning(n)
     power = np.concatenate([[0.0], np.cumsum(np.abs(np.fft.rfft(residual - residual.mean())) ** 2)])
     lowest_Hz = max(0.5 * problem.scale.servo_natural_frequency_Hz, 1.0 / (HUMP_WIDTH * n * dt_s))
     frequency_Hz = np.exp(np.arange(np.log(lowest_Hz), np.log(0.45 / dt_s), 0.5 * HUMP_WIDTH))

@@ -43,7 +43,7 @@ def half_width(laws: Sequence[PossibleLaw], k: int) -> float:
     """
     weight = np.array([law.probability for law in laws])
     move = np.array([law.move[k] for law in laws])
-    sd = np.sqrt(np.maximum([law.covariance[k, k] for law in laws], 1e-300))
+    sd = np.sqrt(np.maximum([law.covariance()[k, k] for law in laws], 1e-300))
 
     def missed(half: float) -> float:
         return float(weight @ (ndtr((half - move) / sd) - ndtr((-half - move) / sd))) - COVERED

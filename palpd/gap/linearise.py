@@ -39,11 +39,6 @@ class Linearisation:
     prediction: Floats
     owned: Floats
 
-    @property
-    def columns(self) -> Floats:
-        """The columns (k, 7, b) with their zeros."""
-        return self.space.columns.dense()
-
     def numbers(self, scope: str, name: str | None = None, channel: int | None = None) -> list[int]:
         """Numbers of the columns of one kind.
 

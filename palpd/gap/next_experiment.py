@@ -17,7 +17,7 @@ from palpd.gap.law_search.finding import LawFinding, RefusedLaw
 from palpd.gap.linearise import Linearisation, linearise
 from palpd.gap.motions import MotionLimits, TestMotion, blank_recording, cycle_again, motions, same_again, surface_of
 from palpd.gap.noise import FX
-from palpd.gap.nuisances import Columns, Nuisances, gram, nuisances, project
+from palpd.gap.nuisances import Nuisances, gram, nuisances, project
 from palpd.gap.posterior import Attribution, Hypothesis
 from palpd.gap.prepare import moves
 from palpd.gap.problem import CROSSTALK, SHARED, Problem, make_problem
@@ -325,8 +325,8 @@ def _log_odds(trial: Problem, rivals: Sequence[Hypothesis]) -> Floats:
         free = _free_columns(trial, other, there)
         free += other.curve_columns(trial) if isinstance(other, LawHypothesis) else []
         laws, _ = discrepancy_columns(trial, other.fit.values, there.prediction, there)
-        wider = max(size for size, _ in DISCREPANCY_SIZES) * laws
-        wide = nuisances(there.space.columns.beside(_columns(wider))) if len(wider) else None
+        wider = laws.scaled(max(size for size, _ in DISCREPANCY_SIZES))
+        wide = nuisances(there.space.columns.beside(wider)) if wider.size else None
         for row, prediction in enumerate(predictions):
             if row != column:
                 difference = prediction - there.prediction
@@ -335,12 +335,6 @@ def _log_odds(trial: Problem, rivals: Sequence[Hypothesis]) -> Floats:
                     price = 0.5 * (wide.log_determinant - there.space.log_determinant)
                     odds[row, column] = min(odds[row, column], _unexplained(difference, free, wide) + price)
     return odds
-
-
-def _columns(values: Floats) -> Columns:
-    """Columns (k, 7, b) as nuisances have them."""
-    _, channels, bins = values.shape
-    return Columns.of([dict(enumerate(column)) for column in values], (channels, bins))
 
 
 def _free_columns(trial: Problem, other: Hypothesis, there: Linearisation) -> list[Floats]:

@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cholesky
+from scipy.linalg.lapack import dtrtrs
+from scipy.sparse import csr_array, issparse, vstack
 
 from palpd.tick import Floats
 
@@ -23,13 +25,62 @@ PLAUSIBLE_SD = 2.0
 """Standard deviations that a deviation within specification may have: 95 % of all are smaller."""
 
 
+Rows = Floats | csr_array
+"""Columns of one channel as the rows (m, b) of a matrix: of a sparse one where each lives in few bins."""
+
+
 class Block(NamedTuple):
-    """Columns (n, m) that are zero but in one channel and there in some bins, and their numbers (m,)."""
+    """Columns that are zero but in one channel, as rows (m, b), and their numbers (m,)."""
 
     channel: int
-    bins: slice
     numbers: Ints
-    columns: Floats
+    rows: Rows
+
+    def chosen(self, which: NDArray[np.bool_]) -> "Block":
+        """Some of its columns.
+
+        Args:
+            which: Which of them (m,).
+
+        Returns:
+            A block with these alone.
+        """
+        return self if which.all() else self._replace(numbers=self.numbers[which], rows=self.rows[which])
+
+    def dense(self) -> Floats:
+        """The rows (m, b) with their zeros."""
+        return self.rows.toarray() if issparse(self.rows) else self.rows
+
+    def where(self, bins: NDArray[np.bool_]) -> "Block":
+        """The columns where only some bins count; the others are zero.
+
+        Args:
+            bins: Which of them (b,).
+
+        Returns:
+            A new block.
+        """
+        if issparse(self.rows):
+            kept = self.rows.data * bins[self.rows.indices]
+            return self._replace(rows=csr_array((kept, self.rows.indices, self.rows.indptr), shape=self.rows.shape))
+        return self._replace(rows=np.where(bins, self.rows, 0.0))
+
+    def joined(self, count: int) -> "Block":
+        """The columns with neighbouring bins joined; noise of one bin stays N(0, 1).
+
+        Args:
+            count: Bins that are joined.
+
+        Returns:
+            Columns in a `count`-th of the bins.
+        """
+        m, b = self.rows.shape
+        if not issparse(self.rows):
+            return self._replace(rows=np.add.reduceat(self.rows, np.arange(0, b, count), axis=1) / count**0.5)
+        shares, places = self.rows.data / count**0.5, self.rows.indices // count
+        rows = csr_array((shares, places, self.rows.indptr.copy()), shape=(m, -(-b // count)))
+        rows.sum_duplicates()
+        return self._replace(rows=rows)
 
 
 @dataclass(frozen=True)
@@ -37,7 +88,7 @@ class Columns:
     """Columns (k, c, b) over c channels and b bins in units of the noise, kept where they are not zero."""
 
     shape: tuple[int, int]  # (c, b)
-    blocks: tuple[Block, ...]
+    blocks: tuple[Block, ...]  # at most two a channel
     gram: Floats  # (k, k) their inner products
 
     @property
@@ -66,7 +117,11 @@ class Columns:
         gram[:n, :n], gram[n:, n:] = self.gram, others.gram
         gram[:n, n:] = _inner_products(self.blocks, others.blocks, (n, others.size))
         gram[n:, :n] = gram[:n, n:].T
-        return Columns(self.shape, (*self.blocks, *(other._replace(numbers=n + other.numbers) for other in others.blocks)), gram)
+        return Columns(self.shape, _merged([*self.blocks, *(other._replace(numbers=n + other.numbers) for other in others.blocks)]), gram)
+
+    def scaled(self, factor: float) -> "Columns":
+        """The columns times a factor."""
+        return Columns(self.shape, tuple(block._replace(rows=block.rows * factor) for block in self.blocks), factor**2 * self.gram)
 
     def without(self, numbers: Ints) -> tuple["Columns", list[Floats]]:
         """The columns with some of them set to zero.
@@ -82,55 +137,136 @@ class Columns:
         taken, blocks, gram = np.zeros((len(numbers), *self.shape)), [], self.gram.copy()
         gram[numbers] = gram[:, numbers] = 0.0
         for block in self.blocks:
-            gone = np.flatnonzero(np.isin(block.numbers, numbers))
-            taken[np.searchsorted(numbers, block.numbers[gone]), block.channel, block.bins] = block.columns[:, gone].T
-            blocks.append(block._replace(numbers=np.delete(block.numbers, gone), columns=np.delete(block.columns, gone, axis=1)))
+            gone = np.isin(block.numbers, numbers)
+            taken[np.searchsorted(numbers, block.numbers[gone]), block.channel] = block.chosen(gone).dense()
+            blocks.append(block.chosen(~gone))
         return Columns(self.shape, tuple(blocks), gram), list(taken)
 
     def restricted_to(self, bins: NDArray[np.bool_]) -> "Columns":
         """The columns where only some bins count; the others are zero.
 
         Args:
-            bins: Which of them (b,).
+            bins: Which of them (b,), or of each channel (c, b).
 
         Returns:
             New columns.
         """
-        blocks = tuple(block._replace(columns=np.where(bins[block.bins, None], block.columns, 0.0)) for block in self.blocks)
-        return Columns(self.shape, blocks, _inner_products(blocks, blocks, self.gram.shape))
+        by_channel = np.broadcast_to(bins, self.shape)
+        return self._of_blocks(self.shape[1], [block.where(by_channel[block.channel]) for block in self.blocks])
+
+    def joined(self, count: int) -> "Columns":
+        """The columns with neighbouring bins joined; noise of one bin stays N(0, 1).
+
+        Args:
+            count: Bins that are joined.
+
+        Returns:
+            Columns in a `count`-th of the bins.
+        """
+        return self._of_blocks(-(-self.shape[1] // count), [block.joined(count) for block in self.blocks])
+
+    def _of_blocks(self, bins: int, blocks: Sequence[Block]) -> "Columns":
+        return Columns((self.shape[0], bins), tuple(blocks), _inner_products(blocks, blocks, self.gram.shape))
+
+    def of_channel(self, channel: int) -> tuple[Ints, Floats]:
+        """Columns of one channel.
+
+        Args:
+            channel: The channel.
+
+        Returns:
+            The numbers (m,) of those that are not zero there, and these as rows (m, b).
+        """
+        mine = [block for block in self.blocks if block.channel == channel]
+        numbers = np.concatenate([np.zeros(0, dtype=np.intp), *(block.numbers for block in mine)])
+        return numbers, np.concatenate([np.zeros((0, self.shape[1])), *(block.dense() for block in mine)])
+
+    def against(self, columns: Mapping[int, Floats]) -> Floats:
+        """Inner products with other columns.
+
+        Args:
+            columns: The others (b, n) by channel, or one of them (b,); zero in the channels that are not named.
+
+        Returns:
+            The products (k, n) or (k,).
+        """
+        out = np.zeros((self.size, *next(iter(columns.values())).shape[1:])) if columns else np.zeros(self.size)
+        for channel, numbers, rows in self.blocks:
+            if channel in columns:
+                out[numbers] += rows @ columns[channel]
+        return out
+
+    def times(self, coefficients: Floats) -> Floats:
+        """Columns times coefficients.
+
+        Args:
+            coefficients: The coefficients (k,).
+
+        Returns:
+            Their sum (c, b).
+        """
+        out = np.zeros(self.shape)
+        for channel, numbers, rows in self.blocks:
+            out[channel] += coefficients[numbers] @ rows
+        return out
 
     def dense(self) -> Floats:
         """The columns (k, c, b) with their zeros."""
         out = np.zeros((self.size, *self.shape))
         for block in self.blocks:
-            out[block.numbers, block.channel, block.bins] = block.columns.T
+            out[block.numbers, block.channel] = block.dense()
         return out
 
 
 def _blocks(columns: Sequence[Mapping[int, Floats]], b: int) -> tuple[Block, ...]:
-    """Columns that live in the same bins of a channel, together; most live in nearly all bins."""
-    groups: dict[tuple[int, int, int], list[tuple[int, Floats]]] = {}
+    """Columns of a channel that live in many bins, and those that live in few, together."""
+    groups: dict[tuple[int, bool], list[tuple[int, int, Floats]]] = {}
     for number, column in enumerate(columns):
         for channel, values in column.items():
-            if len(there := np.flatnonzero(values)):
-                first, end = int(there[0]), int(there[-1]) + 1
-                if end - first > SHORT_SHARE * b:
-                    first, end = 0, b
-                groups.setdefault((channel, first, end), []).append((number, values[first:end]))
+            there = values != 0.0
+            first = int(there.argmax())
+            if there[first]:
+                end = b - int(there[::-1].argmax())
+                short = end - first <= SHORT_SHARE * b
+                groups.setdefault((channel, short), []).append((number, first, values[first:end] if short else values))
     return tuple(
-        Block(channel, slice(first, end), np.array([n for n, _ in those], dtype=np.intp), np.array([values for _, values in those]).T)
-        for (channel, first, end), those in groups.items()
+        Block(channel, np.array([number for number, _, _ in those], dtype=np.intp), _sparse(those, b) if short else _dense(those))
+        for (channel, short), those in groups.items()
     )
+
+
+def _dense(those: Sequence[tuple[int, int, Floats]]) -> Floats:
+    return np.array([values for _, _, values in those])
+
+
+def _sparse(those: Sequence[tuple[int, int, Floats]], b: int) -> csr_array:
+    """Rows of which each is zero but from a first bin on for as many bins as there are values."""
+    indices = np.concatenate([np.arange(first, first + len(values)) for _, first, values in those])
+    starts = np.cumsum([0, *(len(values) for _, _, values in those)])
+    return csr_array((np.concatenate([values for _, _, values in those]), indices, starts), shape=(len(those), b))
+
+
+def _merged(blocks: Sequence[Block]) -> tuple[Block, ...]:
+    """Blocks of the same channel and kind as one."""
+    groups: dict[tuple[int, bool], list[Block]] = {}
+    for block in blocks:
+        groups.setdefault((block.channel, issparse(block.rows)), []).append(block)
+    return tuple(those[0] if len(those) == 1 else _stacked(those) for those in groups.values())
+
+
+def _stacked(those: Sequence[Block]) -> Block:
+    """Blocks of one channel and kind as one."""
+    sparse = [block.rows for block in those if issparse(block.rows)]
+    rows = csr_array(vstack(sparse)) if sparse else np.concatenate([block.dense() for block in those])
+    return Block(those[0].channel, np.concatenate([block.numbers for block in those]), rows)
 
 
 def _inner_products(ones: Sequence[Block], others: Sequence[Block], shape: tuple[int, ...]) -> Floats:
     out = np.zeros(shape)
     for one, other in product(ones, others):
-        first, end = max(one.bins.start, other.bins.start), min(one.bins.stop, other.bins.stop)
-        if one.channel == other.channel and first < end:
-            a = one.columns[first - one.bins.start : end - one.bins.start]
-            b = other.columns[first - other.bins.start : end - other.bins.start]
-            out[np.ix_(one.numbers, other.numbers)] += a.T @ b
+        if one.channel == other.channel:
+            products = one.rows @ other.rows.T
+            out[np.ix_(one.numbers, other.numbers)] += products.toarray() if issparse(products) else products
     return out
 
 
@@ -156,12 +292,18 @@ class Nuisances:
         Returns:
             The products (k,).
         """
-        products = np.zeros(self.size)
-        live = [channel.any() for channel in values]
-        for channel, bins, numbers, columns in self.columns.blocks:
-            if live[channel]:
-                products[numbers] += columns.T @ values[channel, bins]
-        return np.asarray(solve_triangular(self.factor, products, lower=True, check_finite=False))
+        return self.whitened(self.columns.against({channel: row for channel, row in enumerate(values) if row.any()}))
+
+    def whitened(self, products: Floats) -> Floats:
+        """Inner products with the columns, so that their own inner products are what the nuisances explain.
+
+        Args:
+            products: The products (k,) or (k, n).
+
+        Returns:
+            The same, whitened.
+        """
+        return _solved(self.factor, products)
 
     def coefficients(self, values: Floats) -> Floats:
         """Posterior mean of the coefficients.
@@ -172,7 +314,7 @@ class Nuisances:
         Returns:
             The coefficients (k,).
         """
-        return np.asarray(solve_triangular(self.factor, self.against(values), lower=True, trans="T", check_finite=False))
+        return _solved(self.factor, self.against(values), transposed=True)
 
     def explained(self, coefficients: Floats) -> Floats:
         """Columns times coefficients.
@@ -183,10 +325,7 @@ class Nuisances:
         Returns:
             Their sum (c, b).
         """
-        out = np.zeros(self.columns.shape)
-        for channel, bins, numbers, columns in self.columns.blocks:
-            out[channel, bins] += columns @ coefficients[numbers]
-        return out
+        return self.columns.times(coefficients)
 
     def beyond(self, values: Floats) -> Floats:
         """The part of a vector that plausible coefficients cannot hide.
@@ -198,6 +337,15 @@ class Nuisances:
             The vector without what coefficients within PLAUSIBLE_SD explain (c, b).
         """
         return np.asarray(values - self.explained(np.clip(self.coefficients(values), -PLAUSIBLE_SD, PLAUSIBLE_SD)))
+
+
+def _solved(factor: Floats, right: Floats, *, transposed: bool = False) -> Floats:
+    """Solution of a system with a lower factor (k, k), or with its transpose."""
+    if not right.size:
+        return right
+    solution, failed = dtrtrs(factor, right, lower=1, trans=int(transposed))
+    assert not failed, failed
+    return np.asarray(solution)
 
 
 def nuisances(columns: Columns) -> Nuisances:
@@ -240,7 +388,11 @@ def project(values: Floats, space: Nuisances) -> Projected:
 
 def gram(vectors: list[Projected]) -> Floats:
     """Inner products (n, n) of n vectors with each other."""
-    return np.array([[a.dot(b) for b in vectors] for a in vectors]).reshape(len(vectors), len(vectors))
+    out = np.zeros((len(vectors), len(vectors)))
+    for i, one in enumerate(vectors):
+        for j, other in enumerate(vectors[: i + 1]):
+            out[i, j] = out[j, i] = one.dot(other)
+    return out
 
 
 @dataclass(frozen=True)
@@ -263,7 +415,7 @@ class Vectors:
         """
         blocks, squares = _blocks(vectors, b), np.zeros(len(vectors))
         for block in blocks:
-            squares[block.numbers] += np.einsum("bm,bm->m", block.columns, block.columns)
+            squares[block.numbers] += (block.rows * block.rows).sum(axis=1)
         return Vectors(blocks, squares)
 
     def against(self, space: Nuisances) -> Floats:
@@ -275,8 +427,7 @@ class Vectors:
         Returns:
             The products (k, m).
         """
-        products = _inner_products(space.columns.blocks, self.blocks, (space.size, len(self.squares)))
-        return np.asarray(solve_triangular(space.factor, products, lower=True, check_finite=False))
+        return space.whitened(_inner_products(space.columns.blocks, self.blocks, (space.size, len(self.squares))))
 
     def dot(self, values: Floats) -> Floats:
         """Inner products with another vector, nothing projected out.
@@ -288,46 +439,36 @@ class Vectors:
             The products (m,).
         """
         out = np.zeros(len(self.squares))
-        for channel, bins, numbers, columns in self.blocks:
-            out[numbers] += values[channel, bins] @ columns
+        for channel, numbers, rows in self.blocks:
+            out[numbers] += rows @ values[channel]
         return out
 
 
 @dataclass(frozen=True)
 class Widened:
-    """Nuisances with further columns (m, c, b) whose size is left open: at every size of them inner products are cheap."""
+    """Nuisances with m further columns whose size is left open: at every size of them inner products are cheap."""
 
-    space: Nuisances
-    columns: Floats
+    columns: Columns
     crossed: Floats  # (k, m) columns of the space against the further ones, whitened
     squares: Floats  # (m, m) inner products of the further ones, with the space projected out
 
     @staticmethod
-    def by(space: Nuisances, columns: Floats) -> "Widened":
+    def by(space: Nuisances, columns: Columns) -> "Widened":
         """Widen nuisances by further columns.
 
         Args:
             space: The nuisances.
-            columns: The further columns (m, c, b).
+            columns: The m further columns.
 
         Returns:
             Both together.
         """
-        m, c, _ = columns.shape
-        raw, products = np.zeros((m, m)), np.zeros((space.size, m))
-        for channel in range(c):
-            live = np.flatnonzero(columns[:, channel].any(axis=1))
-            part = columns[live, channel]
-            raw[np.ix_(live, live)] += part @ part.T
-            for block in space.columns.blocks:
-                if block.channel == channel:
-                    products[np.ix_(block.numbers, live)] += block.columns.T @ part[:, block.bins].T
-        crossed = solve_triangular(space.factor, products, lower=True, check_finite=False)
-        return Widened(space, columns, crossed, raw - crossed.T @ crossed)
+        crossed = space.whitened(_inner_products(space.columns.blocks, columns.blocks, (space.size, columns.size)))
+        return Widened(columns, crossed, columns.gram - crossed.T @ crossed)
 
     def against(self, vector: Projected) -> Floats:
         """Inner products (m,) of the further columns with a vector, the nuisances projected out."""
-        return np.asarray(np.tensordot(self.columns, vector.values, axes=2) - self.crossed.T @ vector.seen)
+        return self.columns.against(dict(enumerate(vector.values))) - self.crossed.T @ vector.seen
 
 
 def stable_inverse(normal: Floats) -> Floats:

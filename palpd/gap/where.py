@@ -11,7 +11,7 @@ from palpd.gap.evidence import Fit
 from palpd.gap.linearise import Linearisation
 from palpd.gap.noise import CHANNELS, declared_rms
 from palpd.gap.phases import PHASES
-from palpd.gap.problem import Problem
+from palpd.gap.problem import SHARED, Problem
 from palpd.tick import Floats
 
 FEWEST_SAMPLES = 4
@@ -121,13 +121,16 @@ def _tolerance_rms(problem: Problem, around: Linearisation) -> Floats:
     """Rms (7, 5) by channel and phase that tolerances and press scatter leave in a healthy cell."""
     out = np.zeros((7, len(PHASES)))
     phase, count = problem.per_bin(lambda one: one.bin_phase), problem.per_bin(lambda one: one.bins.count)
-    # A modulus that is not known at all has been fitted.
-    columns = problem.noise.natural(around.columns if problem.cell.tolerances.modulus_known else around.columns[1:])
+    squares = np.zeros_like(problem.measured)
+    for channel in range(len(squares)):
+        numbers, rows = around.space.columns.of_channel(channel)
+        if not problem.cell.tolerances.modulus_known:
+            rows = rows[numbers != SHARED.index("youngs_modulus")]  # it has been fitted
+        squares[channel] = (problem.noise.natural_channel(channel, rows) ** 2).sum(axis=0)
     for p in range(len(PHASES)):
         mine = phase == p
         if mine.any():
-            squares = (columns[:, :, mine] ** 2).sum(axis=0)
-            out[:, p] = np.sqrt((squares * count[mine]).sum(axis=1) / count[mine].sum())
+            out[:, p] = np.sqrt((squares[:, mine] * count[mine]).sum(axis=1) / count[mine].sum())
     return out
 
 
@@ -239,13 +242,13 @@ def trend(problem: Problem, residual: Sequence[Floats]) -> list[Trend]:
     out: list[Trend] = []
     for number, (one, values) in enumerate(zip(problem.recordings, residual, strict=True)):
         for cycle in range(one.phases.cycles):
-            mine = one.phases.cycle == cycle
-            if not mine.any():
+            first, end = np.searchsorted(one.phases.cycle, (cycle, cycle + 1)).tolist()  # cycles follow each other
+            if first == end:
                 continue
-            begin_s = float(one.samples.t_s[mine][0] - one.samples.t_s[0])
+            begin_s = float(one.samples.t_s[first] - one.samples.t_s[0])
             for channel in range(7):
                 if one.judged[channel]:
-                    part = values[mine, channel]
+                    part = values[first:end, channel]
                     mean, rms = float(part.mean()), float(np.sqrt((part**2).mean()))
                     out.append(Trend(recording=number, cycle=cycle, begin_s=begin_s, channel=CHANNELS[channel], mean=mean, rms=rms))
     return out

@@ -117,15 +117,27 @@ class Whitening:
         Returns:
             Values (..., 7, b) in their units; 0 where nothing is compared.
         """
-        judged = np.isfinite(self.sigma)
+        return np.stack([self.natural_channel(channel, values[..., channel, :]) for channel in range(len(self.sigma))], axis=-2)
+
+    def natural_channel(self, channel: int, values: Floats) -> Floats:
+        """Values of one channel in its unit, the inverse of `whiten_channel`.
+
+        Args:
+            channel: The channel.
+            values: Values (..., b) in sigmas.
+
+        Returns:
+            Values (..., b) in the unit of the channel; 0 where nothing is compared.
+        """
+        judged = np.isfinite(self.sigma[channel])
         values = np.where(judged, values, 0.0)
-        out = values * np.where(judged, self.sigma, 0.0)
-        for channel, factor in self.factors.items():
-            total = factor[0] * values[..., channel, :]
-            for k in range(1, len(factor)):
-                total[..., k:] += factor[k, :-k] * values[..., channel, :-k]
-            out[..., channel, :] = np.where(judged[channel], total, 0.0)
-        return np.asarray(out)
+        if channel not in self.factors:
+            return np.asarray(values * np.where(judged, self.sigma[channel], 0.0))
+        factor = self.factors[channel]
+        total = factor[0] * values
+        for k in range(1, len(factor)):
+            total[..., k:] += factor[k, :-k] * values[..., :-k]
+        return np.where(judged, total, 0.0)
 
     @property
     def rms(self) -> Floats:

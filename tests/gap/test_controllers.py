@@ -41,8 +41,8 @@ def test_an_effect_replaces_the_tolerance_of_its_own_deviation() -> None:
     problem = make_problem([recording("second order", 101)], cell_of("second order"), max_bins=600)
     around = linearise(problem, {"sensor.gain": {"error": 0.05}}, problem.nominal_eta + 1.0)
     gain = SHARED.index("gain")
-    assert not around.columns[gain].any()
+    assert not around.space.columns.dense()[gain].any()
     assert around.eta[gain] == 0.0
     others = [k for k in range(len(SHARED)) if k != gain]
-    assert all(around.columns[k].any() for k in others)
+    assert all(around.space.columns.dense()[k].any() for k in others)
     assert (around.eta[others] == 1.0).all()

@@ -23,6 +23,7 @@ from palpd.gap.law_search.evidence import SIZES, group_evidence
 from palpd.gap.law_search.formulas import formulas_of
 from palpd.gap.law_search.held_out import FOLDS, held_out
 from palpd.gap.law_search.nuisance_space import NuisanceSpace
+from palpd.gap.nuisances import Columns
 from palpd.gap.report import curves_of, page
 from palpd.tick import Floats
 from tests.gap.test_diagnosis import heights, quick, recording
@@ -116,19 +117,18 @@ def test_a_healthy_cell_and_a_listed_effect_have_neither_law_nor_events() -> Non
 def space_and_columns(seed: int = 0) -> tuple[NuisanceSpace, Floats]:
     """Noise in one channel of 60 bins with two nuisances, and three columns that the residual holds."""
     rng = np.random.default_rng(seed)
-    nuisances = np.zeros((2, 7, 60))
-    nuisances[:, 3] = 3.0 * rng.standard_normal((2, 60))
+    nuisances = 3.0 * rng.standard_normal((2, 60))
     columns = rng.standard_normal((60, 3))
     residual = np.zeros((7, 60))
-    residual[3] = rng.standard_normal(60) + columns @ [1.0, -2.0, 0.5] + nuisances[0, 3]
-    return NuisanceSpace(nuisances, residual), columns
+    residual[3] = rng.standard_normal(60) + columns @ [1.0, -2.0, 0.5] + nuisances[0]
+    return NuisanceSpace(Columns.of([{3: values} for values in nuisances], (7, 60)), residual), columns
 
 
 def test_the_evidence_of_a_group_is_the_ratio_of_two_gaussians() -> None:
     space, columns = space_and_columns()
     products = space.products({3: columns})
     prior = np.eye(3)
-    nuisances, residual = space.columns[:, 3], space.residual[3]
+    (_, nuisances), residual = space.columns.of_channel(3), space.residual[3]
     without = np.eye(60) + nuisances.T @ nuisances
     logs = []
     for size in SIZES:
@@ -141,7 +141,7 @@ def test_the_evidence_of_a_group_is_the_ratio_of_two_gaussians() -> None:
 
 def test_a_group_that_tolerances_hide_is_no_law() -> None:
     space, columns = space_and_columns()
-    hidden = 30.0 * space.columns[:, 3].T
+    hidden = 30.0 * space.columns.of_channel(3)[1].T
     widened = space.with_columns({3: 100.0 * hidden})
     assert group_evidence(widened.products({3: hidden}), (np.eye(2),)).nats == -np.inf
     assert group_evidence(space.products({3: columns}), (np.eye(3),)).nats > 10.0
@@ -157,7 +157,7 @@ def test_a_law_of_one_fold_alone_does_not_carry() -> None:
 
 def test_joining_rows_keeps_noise_white() -> None:
     rng = np.random.default_rng(1)
-    space = NuisanceSpace(np.zeros((0, 7, 3000)), rng.standard_normal((7, 3000)))
+    space = NuisanceSpace(Columns.of([], (7, 3000)), rng.standard_normal((7, 3000)))
     assert np.var(space.coarse.residual) == pytest.approx(1.0, rel=0.1)
 
 

@@ -22,10 +22,10 @@ def problem() -> Problem:
 )
 def test_an_effect_on_all_presses_keeps_their_scatter(problem: Problem, effects: EffectValues, deviation: str) -> None:
     nominal, there = linearise(problem, {}, problem.nominal_eta), linearise(problem, effects, problem.nominal_eta)
-    assert not there.columns[SHARED.index(deviation)].any()
+    assert not there.space.columns.dense()[SHARED.index(deviation)].any()
     assert [label for label in there.labels if label.scope == "press"] == [label for label in nominal.labels if label.scope == "press"]
-    scatter = there.columns[there.numbers("press")]
-    assert np.abs(scatter).max(axis=(1, 2)) == pytest.approx(np.abs(nominal.columns[nominal.numbers("press")]).max(axis=(1, 2)), rel=0.3)
+    scatter, stated = (np.abs(one.space.columns.dense()[one.numbers("press")]).max(axis=(1, 2)) for one in (there, nominal))
+    assert scatter == pytest.approx(stated, rel=0.3)
 
 
 @pytest.fixture

@@ -87,8 +87,7 @@ def find_events(scene: Scene, space: NuisanceSpace) -> Events:
             break
         atoms.append(best)
         if best.kind == "burst":  # noise has no column: its bins no longer count
-            keep, mine = best.column == 0.0, np.arange(7)[:, None] == best.channel
-            beside = NuisanceSpace(np.where(mine & ~keep, 0.0, beside.columns), np.where(mine & ~keep, 0.0, beside.residual))
+            beside = beside.restricted_to((np.arange(7)[:, None] != best.channel) | (best.column == 0.0))
         else:
             beside = beside.with_columns({best.channel: best.column[:, None] * _unit(best)})
     sizes, change = _sizes(space, [atom for atom in atoms if atom.kind != "burst"])

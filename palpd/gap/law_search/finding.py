@@ -17,7 +17,7 @@ from palpd.gap.law_search.nuisance_space import NuisanceSpace, whitened
 from palpd.gap.law_search.scene import LATERAL, LawCandidate, Scene, rounding_columns
 from palpd.gap.law_search.search import ALIKE_NATS, NAMED_NATS, LearnedLaw, search
 from palpd.gap.noise import CHANNELS
-from palpd.gap.nuisances import project
+from palpd.gap.nuisances import Columns, project
 from palpd.gap.posterior import P_NONE, P_ONE, P_THREE, P_TWO, P_UNKNOWN
 from palpd.gap.problem import Problem
 from palpd.tick import Floats
@@ -309,7 +309,7 @@ def _log_prior(problem: Problem, listed: Fit) -> float:
 
 def _within_specification(problem: Problem, listed: Fit) -> NuisanceSpace:
     """Everything within specification around a fit, and rounding."""
-    space = NuisanceSpace(listed.linearisation.columns, listed.residual)
+    space = NuisanceSpace(listed.linearisation.space.columns, listed.residual)
     rounding = rounding_columns(problem, problem.noise.natural(problem.predict(listed.values, listed.eta)))
     return space.with_columns(rounding) if rounding else space
 
@@ -317,15 +317,15 @@ def _within_specification(problem: Problem, listed: Fit) -> NuisanceSpace:
 def _space_beside(problem: Problem, listed: Fit) -> NuisanceSpace:
     """The same, with the reach of the listed parameters and the discrepancy of the listed laws."""
     space, around = _within_specification(problem, listed), listed.linearisation
-    columns = [space.columns]
-    if listed.names:
-        prediction = problem.predict(listed.values, around.eta)
-        reach = PARAMETER_REACH * float(np.linalg.norm(listed.change))
-        jacobian = jacobian_at(problem, listed.where, listed.u, around.eta, prediction)
-        columns.append(np.array([j * (reach / max(float(np.linalg.norm(j)), 1e-300)) for j in jacobian]))
-        discrepancies, _ = discrepancy_columns(problem, listed.values, prediction, around)
-        columns += [DISCREPANCY_SIZE * discrepancies] if len(discrepancies) else []
-    return NuisanceSpace(np.concatenate(columns), listed.residual)
+    if not listed.names:
+        return space
+    prediction = problem.predict(listed.values, around.eta)
+    reach = PARAMETER_REACH * float(np.linalg.norm(listed.change))
+    jacobian = jacobian_at(problem, listed.where, listed.u, around.eta, prediction)
+    moves = [j * (reach / max(float(np.linalg.norm(j)), 1e-300)) for j in jacobian]
+    parameters = Columns.of([dict(enumerate(one)) for one in moves], space.columns.shape)
+    discrepancies, _ = discrepancy_columns(problem, listed.values, prediction, around)
+    return NuisanceSpace(space.columns.beside(parameters).beside(discrepancies.scaled(DISCREPANCY_SIZE)), listed.residual)
 
 
 def learned_effect(law: LearnedLaw, nats: float) -> LearnedEffect:

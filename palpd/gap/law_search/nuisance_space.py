@@ -6,8 +6,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_factor, cho_solve
 
+from palpd.gap.nuisances import Columns, Nuisances, nuisances
 from palpd.gap.whitening import Whitening
 from palpd.tick import Floats
 
@@ -82,49 +83,27 @@ class Products:
 class NuisanceSpace:
     """Nuisances (k, 7, b) with coefficients N(0, 1), and a residual (7, b), whitened."""
 
-    columns: Floats
+    columns: Columns
     residual: Floats
-
-    @cached_property
-    def _parts(self) -> list[tuple[NDArray[np.intp], Floats]]:
-        """Per channel the numbers of the nuisances that it has, and these (b, m)."""
-        out = []
-        for channel in range(len(self.residual)):
-            index = np.flatnonzero(self.columns[:, channel].any(axis=1))
-            out.append((index, np.ascontiguousarray(self.columns[index, channel].T)))
-        return out
 
     @cached_property
     def coarse(self) -> "NuisanceSpace":
         """The space with neighbouring rows joined."""
         rows = np.arange(0, self.residual.shape[1], COARSENESS)
-        joined = np.add.reduceat(self.columns, rows, axis=2) / COARSENESS**0.5
-        return NuisanceSpace(joined, np.add.reduceat(self.residual, rows, axis=1) / COARSENESS**0.5)
+        return NuisanceSpace(self.columns.joined(COARSENESS), np.add.reduceat(self.residual, rows, axis=1) / COARSENESS**0.5)
 
     @cached_property
-    def _inverse(self) -> Floats:
-        """Inverse (k, k) of the lower factor of I + AᵀA."""
-        gram = np.eye(len(self.columns))
-        for index, part in self._parts:
-            gram[np.ix_(index, index)] += part.T @ part
-        return np.asarray(solve_triangular(cholesky(gram, lower=True), np.eye(len(gram)), lower=True))
+    def _nuisances(self) -> Nuisances:
+        return nuisances(self.columns)
 
     @cached_property
     def _seen(self) -> Floats:
-        return self._against({channel: values[:, None] for channel, values in enumerate(self.residual)})[:, 0]
-
-    def _against(self, columns: ColumnsByChannel) -> Floats:
-        seen = np.zeros((len(self.columns), next(iter(columns.values())).shape[1]))
-        for channel, values in columns.items():
-            index, part = self._parts[channel]
-            seen += self._inverse[:, index] @ (part.T @ values)
-        return seen
+        return self._nuisances.against(self.residual)
 
     @cached_property
     def remainder(self) -> Floats:
         """The residual (7, b) without what the nuisances explain."""
-        coefficients = self._inverse.T @ self._seen
-        return np.array([values - part @ coefficients[index] for values, (index, part) in zip(self.residual, self._parts, strict=True)])
+        return self.residual - self._nuisances.explained(self._nuisances.coefficients(self.residual))
 
     def products(self, columns: ColumnsByChannel) -> Products:
         """Inner products of columns.
@@ -135,7 +114,7 @@ class NuisanceSpace:
         Returns:
             Their products.
         """
-        seen = self._against(columns)
+        seen = self._nuisances.whitened(self.columns.against(columns))
         raw = sum(values.T @ values for values in columns.values())
         slope = sum(values.T @ self.residual[channel] for channel, values in columns.items())
         return Products(raw - seen.T @ seen, slope - seen.T @ self._seen, np.asarray(raw))
@@ -152,11 +131,13 @@ class NuisanceSpace:
         Returns:
             Square of every window and its product with the residual (w,), the nuisances projected out.
         """
-        index, part = self._parts[channel]
-        seen = _running(shape[:, None] * part)
-        seen = (seen[end] - seen[begin]) @ self._inverse[:, index].T
+        numbers, rows = self.columns.of_channel(channel)
+        running = _running((rows * shape).T)
+        products = np.zeros((self.columns.size, len(begin)))
+        products[numbers] = (running[end] - running[begin]).T
+        seen = self._nuisances.whitened(products)
         raw, product = _running(shape**2), _running(shape * self.residual[channel])
-        return raw[end] - raw[begin] - (seen**2).sum(axis=1), product[end] - product[begin] - seen @ self._seen
+        return raw[end] - raw[begin] - (seen**2).sum(axis=0), product[end] - product[begin] - self._seen @ seen
 
     def with_columns(self, columns: ColumnsByChannel) -> "NuisanceSpace":
         """The space with further nuisances.
@@ -168,10 +149,19 @@ class NuisanceSpace:
             The wider space.
         """
         count = next(iter(columns.values())).shape[1]
-        more = np.zeros((count, *self.residual.shape))
-        for channel, values in columns.items():
-            more[:, channel] = values.T
-        return NuisanceSpace(np.concatenate([self.columns, more]), self.residual)
+        more = [{channel: values[:, k] for channel, values in columns.items()} for k in range(count)]
+        return NuisanceSpace(self.columns.beside(Columns.of(more, self.columns.shape)), self.residual)
+
+    def restricted_to(self, bins: NDArray[np.bool_]) -> "NuisanceSpace":
+        """The space in which only some bins count.
+
+        Args:
+            bins: Which of them in each channel (7, b).
+
+        Returns:
+            A new space.
+        """
+        return NuisanceSpace(self.columns.restricted_to(bins), np.where(bins, self.residual, 0.0))
 
     def folded(self, columns: ColumnsByChannel, fold: NDArray[np.intp], folds: int) -> tuple[list[Products], list[Products]]:
         """Inner products of columns inside each fold and outside it; the nuisances are fitted there alone.
@@ -184,10 +174,11 @@ class NuisanceSpace:
         Returns:
             Products inside every fold, and outside every fold.
         """
-        k, n = len(self.columns), next(iter(columns.values())).shape[1]
+        k, n = self.columns.size, next(iter(columns.values())).shape[1]
         total = np.zeros((folds, k + n + 1, k + n + 1))
-        for channel, (index, part) in enumerate(self._parts):
-            mine = [part, self.residual[channel][:, None]]
+        for channel, residual in enumerate(self.residual):
+            index, part = self.columns.of_channel(channel)
+            mine = [part.T, residual[:, None]]
             at = np.concatenate([index, [k + n]])
             if channel in columns:
                 mine.insert(1, columns[channel])
