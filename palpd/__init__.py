@@ -1,1 +1,21 @@
-"""The daemon: palpation of soft tissue with a force one can believe."""
+"""Palpation of soft tissue with a force one can believe. The names below are the Python API; palpd.api says what each does."""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from palpd.api import Analysis, Cell, Diagnosis, Effect, Recording, analyse, diagnose, load, simulate
+
+__all__ = ["Analysis", "Cell", "Diagnosis", "Effect", "Recording", "analyse", "diagnose", "load", "simulate"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the API when one of its names is asked for: the daemon and the command line need none of it."""
+    if name in __all__:
+        from palpd import api
+
+        return getattr(api, name)
+    raise AttributeError(f"module 'palpd' has no attribute {name!r}; it has {', '.join(__all__)}")
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

@@ -1,0 +1,463 @@
+"""The Python API: load recordings, find moduli, simulate a cell, and diagnose its sim-to-real gap.
+
+    import palpd
+
+    recording = palpd.load("run.csv")                      # or run.mcap with site="A"
+    answer = palpd.diagnose(recording, "cell.yaml")        # or a data frame with the same columns
+    answer.sentence
+    answer.cell.save("enriched.yaml")
+
+Names and signatures of `__all__` stay as they are within a minor version. A change is announced in CHANGELOG.md one minor version before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeAlias
+
+import numpy as np
+
+from palpd.cell.cell_file import CellFile, cell_from, load_cell, nominal, save_cell
+from palpd.cell.effects import EFFECTS, Effect
+from palpd.cell.simulation import simulate as simulated_columns
+from palpd.errors import BadInput, RecordingError
+from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, samples_from_columns, write_csv
+from palpd.tick import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd  # type: ignore[import-untyped]
+    from matplotlib.figure import Figure
+
+    from palpd.gap.diagnosis import Diagnosis as Answer
+
+__all__ = ["Analysis", "Cell", "Diagnosis", "Effect", "Recording", "analyse", "diagnose", "load", "simulate"]
+
+TableRow: TypeAlias = dict[str, Any]
+
+
+class DataFrame(Protocol):
+    """What palpd needs of a data frame (pandas, polars): its columns by name."""
+
+    @property
+    def columns(self) -> Any:
+        """Names of the columns."""
+        ...
+
+    def __getitem__(self, name: str, /) -> Any:
+        """One column."""
+        ...
+
+
+class _Shown:
+    """What a notebook shows: a sentence and a table."""
+
+    @property
+    def sentence(self) -> str:
+        """The result in words."""
+        raise NotImplementedError
+
+    def table(self) -> list[TableRow]:
+        """The figures, a row each, as plain data."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        return self.sentence
+
+    def _repr_html_(self) -> str:
+        rows = self.table()
+        head = "".join(f"<th>{escape(str(name))}</th>" for name in (rows[0] if rows else ()))
+        body = "".join(f"<tr>{''.join(f'<td>{escape(_plain(value))}</td>' for value in row.values())}</tr>" for row in rows)
+        return f"<p>{escape(self.sentence)}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell as a simulator knows it: robot, sensor, probe, tissue, tolerances, and known effects."""
+
+    file: CellFile
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a cell.yaml. Raises ConfigError."""
+        return cls(load_cell(path))
+
+    @classmethod
+    def of(cls, **blocks: Any) -> Self:
+        """A cell of blocks as they stand in cell.yaml; what is absent is as in the emulated cell.
+
+        Args:
+            blocks: Such as `tissue={"youngs_modulus_Pa": 50e3}`.
+
+        Returns:
+            The cell.
+
+        Raises:
+            ConfigError: A value is not possible.
+        """
+        return cls(cell_from(blocks, "Cell.of"))
+
+    @classmethod
+    def nominal(cls) -> Self:
+        """The emulated cell without an effect."""
+        return cls(nominal())
+
+    def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> Cell:
+        """The same cell with effects.
+
+        Args:
+            effects: Parameters by name, by the id of the effect.
+
+        Returns:
+            The cell.
+
+        Raises:
+            ConfigError: There is no such effect or parameter.
+        """
+        content = self.file.model_dump(exclude_none=True) | {"effects": {name: dict(values) for name, values in effects.items()}}
+        return Cell(cell_from(content, "with_effects"))
+
+    def save(self, path: str | Path) -> None:
+        """Write the cell as YAML. Raises BadInput where the file cannot be written."""
+        save_cell(path, self.file)
+
+
+@dataclass(frozen=True)
+class Recording(_Shown):
+    """A recording of one cell, row by row in time. `recording["fz_N"]` is a column (n,); the names carry their units."""
+
+    samples: Samples
+    name: str = "recording"
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def __getitem__(self, column: str) -> Floats:
+        columns = self.columns
+        if column not in columns:
+            raise BadInput(f"{self.name} has no column {column!r}; it has {', '.join(columns)}")
+        return columns[column]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+    @property
+    def columns(self) -> dict[str, Floats]:
+        """Every column (n,) by its name, in the order of the CSV."""
+        samples = self.samples
+        motion = {"t_s": samples.t_s, "z_cmd_m": samples.z_cmd_m, "z_m": samples.z_m, "vz_m_per_s": samples.vz_m_per_s}
+        wrench = {name: samples.wrench[:, k] for k, name in enumerate(WRENCH_COLUMNS)}
+        return {name: values for name, values in (motion | wrench).items() if values is not None}
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The columns as a data frame of pandas, which must be installed (palpd[notebook])."""
+        try:
+            import pandas as pd
+        except ImportError:
+            raise BadInput("pandas is not installed; install palpd[notebook]") from None
+        return pd.DataFrame(self.columns)
+
+    def save(self, path: str | Path) -> None:
+        """Write the recording as CSV; an existing file is not overwritten. Raises BadInput."""
+        write_csv(Path(path), self.samples)
+
+    @property
+    def sentence(self) -> str:
+        """Length, rate and range in words."""
+        samples = self.samples
+        travel_mm = 1e3 * float(np.ptp(samples.z_m))
+        return f"{self.name}: {len(samples)} rows in {samples.duration_s:.1f} s ({samples.rate_Hz:.0f} Hz), {travel_mm:.1f} mm of travel."
+
+    def table(self) -> list[TableRow]:
+        """Least, mean and largest value of every column."""
+        return [
+            {"column": name, "least": float(values.min()), "mean": float(values.mean()), "largest": float(values.max())}
+            for name, values in self.columns.items()
+        ]
+
+    def figure(self) -> Figure:
+        """Height and vertical force over time."""
+        from palpd.analysis.figure_style import BLUE, INK, styled_figure, thinned
+
+        samples = self.samples
+        with styled_figure(10.0, 4.0) as figure:
+            above, below = figure.subplots(2, 1, sharex=True)
+            for axes, values, colour, label in (
+                (above, 1e3 * samples.z_m, INK, "height, mm"),
+                (below, samples.wrench[:, 2], BLUE, "fz, N"),
+            ):
+                axes.plot(*thinned(samples.t_s, values), color=colour)
+                axes.set_ylabel(label)
+            below.set_xlabel("time, s")
+        return figure
+
+
+Source: TypeAlias = "str | Path | Recording | Samples | Mapping[str, Any] | DataFrame"
+"""What can be given for a recording: a file, a recording, or a data frame or mapping with the columns of the CSV."""
+CellSource: TypeAlias = "str | Path | Cell | CellFile | Mapping[str, Any]"
+"""What can be given for a cell: a file, a cell, or the content of a cell.yaml."""
+
+
+@dataclass(frozen=True)
+class Analysis(_Shown):
+    """Young's modulus of each site with its interval.
+
+    Attributes:
+        sites: The figures of each site: `name`, `youngs_modulus_Pa`, `ci95_Pa`, `contact_point_m`, and `warnings`.
+    """
+
+    sites: tuple[Mapping[str, Any], ...]
+
+    @property
+    def sentence(self) -> str:
+        """The moduli in words."""
+        return " ".join(self._of(site) for site in self.sites)
+
+    def table(self) -> list[TableRow]:
+        """A row a site."""
+        rows = []
+        for site in self.sites:
+            low, high = site.get("ci95_Pa") or (None, None)
+            notes = "; ".join(site.get("warnings", ()))
+            rows.append({"site": site.get("name", ""), "E_Pa": site["youngs_modulus_Pa"], "low_Pa": low, "high_Pa": high, "notes": notes})
+        return rows
+
+    def figure(self) -> Figure:
+        """Moduli with their 95 % intervals."""
+        from palpd.analysis.figure_style import BLUE, styled_figure
+
+        rows = [row for row in self.table() if row["E_Pa"] is not None]
+        with styled_figure(6.0, 3.0) as figure:
+            axes = figure.subplots()
+            for row in rows:
+                axes.plot(row["site"], row["E_Pa"] / 1e3, "o", color=BLUE)
+                if row["low_Pa"] is not None:
+                    axes.vlines(row["site"], row["low_Pa"] / 1e3, row["high_Pa"] / 1e3, color=BLUE)
+            axes.set(xlabel="site", ylabel="Young's modulus, kPa")
+        return figure
+
+    @staticmethod
+    def _of(site: Mapping[str, Any]) -> str:
+        label = f"{site['name']}: " if site.get("name") else ""
+        if site["youngs_modulus_Pa"] is None:
+            return f"{label}no modulus ({'; '.join(site.get('warnings', ()))})."
+        low, high = site.get("ci95_Pa") or (None, None)
+        interval = "" if low is None or high is None else f" (95 %: {low / 1e3:.3g} to {high / 1e3:.3g})"
+        return f"{label}E = {site['youngs_modulus_Pa'] / 1e3:.3g} kPa{interval}."
+
+
+@dataclass(frozen=True)
+class Diagnosis(_Shown):
+    """Why a cell does not behave like its simulation.
+
+    Attributes:
+        answer: The whole answer, with the data behind it; its parts may change between versions.
+    """
+
+    answer: Answer
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        return self.answer.sentence
+
+    @property
+    def verdict(self) -> str:
+        """One of `effects`, `none`, `unknown`, `ambiguous`."""
+        return self.answer.verdict
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Probability of every effect, of `none` and of `unknown`."""
+        return {**self.answer.candidates, "none": self.answer.p_none, "unknown": self.answer.p_unknown}
+
+    @property
+    def cell(self) -> Cell:
+        """The cell with what was found."""
+        return Cell(self.answer.enriched_cell())
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of out.json (schema palpd.diagnosis/1)."""
+        return self.answer.to_json()
+
+    def table(self) -> list[TableRow]:
+        """A row for each parameter of each named effect."""
+        return [
+            {
+                "effect": effect["id"],
+                "probability": effect["probability"],
+                "parameter": name,
+                "value": figure["value"],
+                "low": figure["ci95"][0],
+                "high": figure["ci95"][1],
+                "cannot be told from": ", ".join(effect["indistinguishable_from"]),
+            }
+            for effect in self.to_json()["effects"]
+            for name, figure in (effect["parameters"] or {"": {"value": None, "ci95": (None, None)}}).items()
+        ]
+
+    def figure(self) -> Figure:
+        """The channel with the largest gap: measured less simulated, by the cell as stated and with what was found."""
+        from palpd.analysis.figure_style import ENRICHED, NOMINAL, styled_figure, thinned
+        from palpd.gap.noise import CHANNELS
+        from palpd.gap.report import curves_of
+
+        curves, content = curves_of(self.answer), self.to_json()
+        channel = (content["where"] or content["shrink"])["channel"]
+        before, after = curves.gaps(CHANNELS.index(channel))
+        with styled_figure(10.0, 3.0) as figure:
+            axes = figure.subplots()
+            axes.plot(*thinned(curves.t_s, before), color=NOMINAL, label="as stated")
+            axes.plot(*thinned(curves.t_s, after), color=ENRICHED, label="with what was found")
+            axes.set(xlabel="time, s", ylabel=f"measured less simulated {channel}")
+            axes.legend()
+        return figure
+
+    def report(self, path: str | Path, title: str = "recording") -> None:
+        """Write the page that `palpd diagnose --report` writes. Raises BadInput where the file cannot be written."""
+        from palpd.gap.report import write
+
+        write(Path(path), self.answer, title)
+
+
+def load(path: str | Path, site: str | None = None) -> Recording:
+    """Read a recording.
+
+    Args:
+        path: A CSV or Parquet file, or a recording of the daemon (.mcap).
+        site: Site of a recording of the daemon; None where it holds one only.
+
+    Returns:
+        The recording.
+
+    Raises:
+        RecordingError: The file is no recording, or holds several sites and none is named.
+    """
+    from palpd.gap.commands import read_recording
+
+    return Recording(read_recording(Path(path), site), Path(path).name)
+
+
+def simulate(
+    motion: Source, cell: CellSource, *, drive: Literal["measured", "commanded"] = "measured", noise_seed: int | None = None
+) -> Recording:
+    """Simulate what a cell's sensor and robot report on a motion.
+
+    Args:
+        motion: A recording, or a data frame with `t_s` and `z_m` or `z_cmd_m`.
+        cell: The cell.
+        drive: `measured` takes the reported heights, `commanded` the commanded ones through the robot's servo.
+        noise_seed: Seed of noise and rounding; neither without one.
+
+    Returns:
+        The recording.
+
+    Raises:
+        RecordingError: The motion lacks a column.
+    """
+    columns = _columns(motion)
+    if "z_m" not in columns:
+        drive = "commanded"
+    needed = "z_m" if drive == "measured" else "z_cmd_m"
+    missing = [name for name in ("t_s", needed) if name not in columns]
+    if missing:
+        raise RecordingError(f"the motion has no column {missing[0]}; it has {', '.join(columns) or 'none'}")
+    t_s, z_cmd_m = columns["t_s"], columns.get("z_cmd_m")
+    z_m, vz_m_per_s = (columns["z_m"], columns.get("vz_m_per_s")) if drive == "measured" else (None, None)
+    out = simulated_columns(_cell(cell), t_s, z_cmd_m=z_cmd_m, z_m=z_m, vz_m_per_s=vz_m_per_s, noise_seed=noise_seed)
+    speed = out["vz_m_per_s"] if "vz_m_per_s" in out else np.gradient(out["z_m"], t_s)
+    return Recording(Samples(t_s, z_cmd_m, out["z_m"], speed, np.column_stack([out[name] for name in WRENCH_COLUMNS])), "simulated")
+
+
+def diagnose(
+    recordings: Source | Sequence[Source], cell: CellSource, *, effects: Mapping[str, Effect] = EFFECTS, propose: bool = False
+) -> Diagnosis:
+    """Say where recordings of one cell differ from its simulation, and which effect causes it.
+
+    Args:
+        recordings: One recording or several of the same cell.
+        cell: The cell as the simulator knows it.
+        effects: The effects that may be present, by id.
+        propose: Whether to look for the motion that would decide what is open.
+
+    Returns:
+        The diagnosis.
+
+    Raises:
+        RecordingError: The recordings cannot be judged.
+    """
+    from palpd.gap.diagnosis import diagnose as judged
+
+    several = recordings if isinstance(recordings, Sequence) and not isinstance(recordings, str) else [recordings]
+    return Diagnosis(judged([_samples(each) for each in several], _cell(cell), effects, propose=propose))
+
+
+def analyse(source: Source, cell: CellSource | None = None, *, site: str | None = None) -> Analysis:
+    """Young's modulus with its interval.
+
+    Args:
+        source: A recording of the daemon (.mcap), or with a cell any recording.
+        cell: A cell, as a diagnosis enriched it: what it knows no longer passes for stiffness. Needed where the source is not the daemon's.
+        site: One site of a recording of the daemon; None for all.
+
+    Returns:
+        The moduli.
+
+    Raises:
+        BadInput: A cell is needed and none is given.
+        RecordingError: There is no contact.
+    """
+    if cell is None:
+        return Analysis(tuple(_daemon_sites(source, site)))
+    from palpd.analysis.enriched import enriched_modulus
+
+    found = enriched_modulus([_samples(source, site)], _cell(cell))
+    figures = {"youngs_modulus_Pa": found.youngs_modulus_Pa, "ci95_Pa": list(found.ci95_Pa), "contact_point_m": found.surface_z_m}
+    return Analysis(({"name": site or "", **figures, "rms_N": found.rms_N, "warnings": []},))
+
+
+def _daemon_sites(source: Source, site: str | None) -> Sequence[Mapping[str, Any]]:
+    from palpd.analysis.results import analysed_sites
+    from palpd.recording.reader import Recording as Ticks
+    from palpd.recording.reader import holds_ticks
+
+    if not isinstance(source, str | Path) or not holds_ticks(Path(source)):
+        raise BadInput("a modulus of a recording that is not the daemon's needs a cell, which says how large the tip is; give cell=")
+    return analysed_sites(Ticks.load(Path(source)), site)
+
+
+def _cell(source: CellSource) -> CellFile:
+    if isinstance(source, Cell):
+        return source.file
+    if isinstance(source, CellFile):
+        return source
+    return load_cell(source) if isinstance(source, str | Path) else cell_from(source, "cell")
+
+
+def _samples(source: Source, site: str | None = None) -> Samples:
+    if isinstance(source, str | Path):
+        return load(source, site).samples
+    if isinstance(source, Samples):
+        return source
+    return source.samples if isinstance(source, Recording) else samples_from_columns(_columns(source), "the data frame")
+
+
+def _columns(source: Source) -> dict[str, Floats]:
+    """The known columns of anything that has columns."""
+    if isinstance(source, str | Path):
+        from palpd.gap.commands import read_motion
+
+        return read_motion(Path(source))
+    if isinstance(source, Samples):
+        source = Recording(source)
+    names = list(source) if isinstance(source, Mapping) else list(source.columns)
+    try:
+        return {name: np.asarray(source[name], dtype=float) for name in COLUMNS if name in names}
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"a column of the data frame holds something that is no number ({error})") from None
+
+
+def _plain(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)

@@ -1,0 +1,92 @@
+"""The Python API: what a notebook does."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import palpd
+from palpd.errors import BadInput, ConfigError, RecordingError
+
+
+@pytest.fixture(scope="module")
+def motion() -> dict[str, np.ndarray]:
+    """Two free strokes and four presses with a hold."""
+    t_s = np.arange(0.0, 40.0, 0.004)
+    heights_m = {0: 0.01, 2: 0.01, 3: 0.002, 4: 0.01, 6: 0.01, 8: -0.004, 11: -0.004, 13: 0.01, 15: -0.006, 19: -0.006, 21: 0.01}
+    heights_m |= {23: -0.003, 26: -0.003, 28: 0.01, 31: -0.005, 35: -0.005, 37: 0.01, 40: 0.01}
+    return {"t_s": t_s, "z_cmd_m": np.interp(t_s, list(heights_m), list(heights_m.values()))}
+
+
+@pytest.fixture(scope="module")
+def softer(motion: dict[str, np.ndarray]) -> palpd.Recording:
+    """A recording of a cell whose tissue is softer than stated."""
+    cell = palpd.Cell.nominal().with_effects({"tissue.modulus": {"ratio": 0.7}})
+    return palpd.simulate(motion, cell, noise_seed=3)
+
+
+@pytest.fixture(scope="module")
+def answer(softer: palpd.Recording) -> palpd.Diagnosis:
+    return palpd.diagnose(softer, palpd.Cell.nominal())
+
+
+def test_importing_palpd_imports_nothing_heavy() -> None:
+    code = "import palpd, sys; print(sorted({'numpy', 'scipy', 'pydantic', 'matplotlib'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_a_data_frame_is_diagnosed_as_a_recording_is(softer: palpd.Recording, answer: palpd.Diagnosis) -> None:
+    assert answer.verdict == "effects"
+    assert [row["effect"] for row in answer.table()] == ["tissue.modulus"]
+    assert "tissue.modulus" in answer.sentence
+    again = palpd.diagnose(dict(softer.columns), {"tissue": {"youngs_modulus_Pa": 72000.0}})
+    assert again.probabilities == answer.probabilities
+
+
+def test_the_found_cell_predicts_the_recording_and_gives_its_modulus(softer: palpd.Recording, answer: palpd.Diagnosis) -> None:
+    again = palpd.simulate(softer, answer.cell)
+    assert float(np.std(again["fz_N"] - softer["fz_N"])) < 0.1
+    assert float(np.std(palpd.simulate(softer, palpd.Cell.nominal())["fz_N"] - softer["fz_N"])) > 0.5
+    modulus = palpd.analyse(softer, answer.cell)
+    assert modulus.table()[0]["low_Pa"] < 0.7 * 72000.0 < modulus.table()[0]["high_Pa"]
+
+
+def test_what_is_saved_loads_again(softer: palpd.Recording, answer: palpd.Diagnosis, tmp_path: Path) -> None:
+    softer.save(tmp_path / "run.csv")
+    assert np.array_equal(palpd.load(tmp_path / "run.csv")["fz_N"], softer["fz_N"])
+    answer.cell.save(tmp_path / "cell.yaml")
+    assert palpd.Cell.load(tmp_path / "cell.yaml").file.effects == answer.cell.file.effects
+    answer.report(tmp_path / "gap.html", "a run")
+    assert "a run" in (tmp_path / "gap.html").read_text()
+
+
+def test_a_notebook_shows_sentence_and_table_with_names_escaped(softer: palpd.Recording, answer: palpd.Diagnosis) -> None:
+    shown = answer._repr_html_()
+    assert "tissue.modulus" in shown
+    assert "<td>ratio</td>" in shown
+    assert "&lt;b&gt;" in palpd.Recording(softer.samples, "<b>")._repr_html_()
+
+
+def test_figures_are_drawn(softer: palpd.Recording, answer: palpd.Diagnosis) -> None:
+    assert len(softer.figure().axes) == 2
+    assert answer.figure().axes[0].get_ylabel() == "measured less simulated fz_N"
+    assert palpd.analyse(softer, answer.cell).figure().axes[0].lines
+
+
+def test_bad_input_is_one_sentence(softer: palpd.Recording) -> None:
+    with pytest.raises(RecordingError, match=r"column fz_N is missing"):
+        palpd.diagnose({name: values for name, values in softer.columns.items() if name != "fz_N"}, palpd.Cell.nominal())
+    with pytest.raises(RecordingError, match="no column t_s"):
+        palpd.simulate({"z_m": np.zeros(3)}, palpd.Cell.nominal())
+    with pytest.raises(RecordingError, match="no number"):
+        palpd.diagnose({**softer.columns, "fz_N": ["x"] * len(softer)}, palpd.Cell.nominal())
+    with pytest.raises(BadInput, match="needs a cell"):
+        palpd.analyse(softer)
+    with pytest.raises(ConfigError, match=r"robot\.lagg"):
+        palpd.Cell.nominal().with_effects({"robot.lagg": {}})
+    with pytest.raises(BadInput, match="no column 'force'"):
+        softer["force"]
+    with pytest.raises(AttributeError, match="no attribute 'diagnos'"):
+        palpd.diagnos  # noqa: B018
