@@ -41,14 +41,14 @@ def test_a_data_frame_is_diagnosed_as_a_recording_is(softer: palpd.Recording, an
     assert answer.verdict == "effects"
     assert [row["effect"] for row in answer.table()] == ["tissue.modulus"]
     assert "tissue.modulus" in answer.sentence
-    again = palpd.diagnose(dict(softer.columns), {"tissue": {"youngs_modulus_Pa": 72000.0}})
+    again = palpd.diagnose(dict(softer.columns), palpd.Cell.nominal())
     assert again.probabilities == answer.probabilities
 
 
 def test_the_found_cell_predicts_the_recording_and_gives_its_modulus(softer: palpd.Recording, answer: palpd.Diagnosis) -> None:
     again = palpd.simulate(softer, answer.cell)
     assert float(np.std(again["fz_N"] - softer["fz_N"])) < 0.1
-    assert float(np.std(palpd.simulate(softer, palpd.Cell.nominal())["fz_N"] - softer["fz_N"])) > 0.5
+    assert float(np.std(palpd.simulate(softer, palpd.Cell.nominal())["fz_N"] - softer["fz_N"])) > 0.3
     modulus = palpd.analyse(softer, answer.cell)
     assert modulus.table()[0]["low_Pa"] < 0.7 * 72000.0 < modulus.table()[0]["high_Pa"]
 
