@@ -71,19 +71,7 @@ class RosbagReader:
     def channels(self, path: Path) -> Sequence[Channel]:
         """List the topics of a bag."""
         with ExitStack() as stack, understanding(path, KIND):
-            bag = _opened(stack, path)
-            duration_s = max(bag.duration, 1) * 1e-9
-            refuse_many(path, len(bag.topics))
-            return [
-                Channel(
-                    topic,
-                    "transforms" if info.msgtype == TRANSFORMS else TYPES[info.msgtype].kind if info.msgtype in TYPES else "other",
-                    rate_Hz=info.msgcount / duration_s if info.msgcount > 1 else None,
-                    samples=info.msgcount,
-                    type=info.msgtype or "several types",
-                )
-                for topic, info in sorted(bag.topics.items())
-            ]
+            return _listed(path, _opened(stack, path))
 
     def columns(self, path: Path, names: Sequence[str]) -> dict[str, ChannelData]:
         """Read topics; a topic of transforms is named with its frame, /tf:tool0. All times have one origin.
@@ -98,25 +86,17 @@ class RosbagReader:
         Raises:
             RecordingError: A topic is absent, empty, of another type or damaged.
         """
-        listed = {channel.name: channel for channel in self.channels(path)}
-        topics = {name: name.partition(BETWEEN)[0] if name not in listed else name for name in names}
-        for topic in topics.values():
-            if topic not in listed:
-                raise RecordingError(f"{path.name} has no topic {topic}; it holds {listing(list(listed.values()))}")
-            if listed[topic].kind == "other":
-                raise RecordingError(
-                    f"{path.name}: {topic} is {listed[topic].type}, expected a wrench, a pose or a twist; the bag holds "
-                    f"{listing(list(listed.values()))}"
-                )
         with ExitStack() as stack, understanding(path, KIND):
             bag = _opened(stack, path)
-            wanted_topics = set(topics.values())
-            connections = [each for each in bag.connections if each.topic in wanted_topics]
-            messages: dict[str, list[bytes]] = {topic: [] for topic in wanted_topics}
-            received: dict[str, list[int]] = {topic: [] for topic in wanted_topics}
-            for connection, stamp_ns, raw in bag.messages(connections=connections):
-                messages[connection.topic].append(raw)
-                received[connection.topic].append(stamp_ns)
+            topics = _topics(path, _listed(path, bag), names)
+            connections = [each for each in bag.connections if each.topic in topics.values()]
+            messages: dict[str, list[bytes]] = {topic: [] for topic in topics.values()}
+            received: dict[str, list[int]] = {topic: [] for topic in topics.values()}
+            # of ROS 1 each connection by itself: to merge the indices of several takes a quarter of the time
+            for together in [[each] for each in connections] if _is_ros1(path) else [connections]:
+                for connection, stamp_ns, raw in bag.messages(connections=together):
+                    messages[connection.topic].append(raw)
+                    received[connection.topic].append(stamp_ns)
             types = {connection.topic: connection for connection in connections}
             parsed = {
                 name: _parsed(path, name, topic, messages[topic], received[topic], types.get(topic)) for name, topic in topics.items()
@@ -143,9 +123,43 @@ def _opened(stack: ExitStack, path: Path) -> "Bag1 | Bag2":
         from rosbags.rosbag2 import Reader as Bag2
     except ImportError:
         raise without_package(path, KIND, "rosbags") from None
-    if path.suffix == ".bag" and path.is_file():
+    if _is_ros1(path):
         return stack.enter_context(Bag1(path))
     return stack.enter_context(Bag2(path))
+
+
+def _is_ros1(path: Path) -> bool:
+    return path.suffix == ".bag" and path.is_file()
+
+
+def _listed(path: Path, bag: "Bag1 | Bag2") -> list[Channel]:
+    """The topics of an open bag."""
+    duration_s = max(bag.duration, 1) * 1e-9
+    refuse_many(path, len(bag.topics))
+    return [
+        Channel(
+            topic,
+            "transforms" if info.msgtype == TRANSFORMS else TYPES[info.msgtype].kind if info.msgtype in TYPES else "other",
+            rate_Hz=info.msgcount / duration_s if info.msgcount > 1 else None,
+            samples=info.msgcount,
+            type=info.msgtype or "several types",
+        )
+        for topic, info in sorted(bag.topics.items())
+    ]
+
+
+def _topics(path: Path, channels: list[Channel], names: Sequence[str]) -> dict[str, str]:
+    """The topic of each name; one that is absent, or holds nothing that an import could use, is refused."""
+    listed = {channel.name: channel for channel in channels}
+    topics = {name: name.partition(BETWEEN)[0] if name not in listed else name for name in names}
+    for topic in topics.values():
+        if topic not in listed:
+            raise RecordingError(f"{path.name} has no topic {topic}; it holds {listing(channels)}")
+        if listed[topic].kind == "other":
+            raise RecordingError(
+                f"{path.name}: {topic} is {listed[topic].type}, expected a wrench, a pose or a twist; the bag holds {listing(channels)}"
+            )
+    return topics
 
 
 Parsed = tuple[NDArray[np.int64], Floats, str, tuple[str, ...]]
@@ -156,7 +170,7 @@ def _parsed(path: Path, name: str, topic: str, messages: list[bytes], received: 
     """The numbers of the messages of a topic, in the order of their stamps."""
     if not messages or connection is None:
         raise RecordingError(f"{path.name}: {topic} holds no message; record it again or name another topic")
-    ros1 = path.suffix == ".bag"
+    ros1 = _is_ros1(path)
     at_ns = np.array(received, dtype=np.int64)
     if connection.msgtype == TRANSFORMS:
         stamps, values, frame = _transforms(path, name, messages, ros1)
@@ -202,7 +216,9 @@ def _numbers(path: Path, topic: str, messages: list[bytes], layout: MessageLayou
             seconds = np.ascontiguousarray(block[:, STAMP]).view("<u4").astype(np.int64)
             stamps[these] = seconds[:, 0] * 1_000_000_000 + seconds[:, 1]
             letters = int(block[0, 12:16].view("<u4")[0])
-            frames |= {bytes(each).rstrip(b"\0").decode("utf-8", "replace") for each in np.unique(block[:, 16 : 16 + letters], axis=0)}
+            names = block[:, 16 : 16 + letters]
+            different = names[:1] if (names == names[0]).all() else np.unique(names, axis=0)
+            frames |= {bytes(each).rstrip(b"\0").decode("utf-8", "replace") for each in different}
     if len(frames) > 1:
         raise RecordingError(f"{path.name}: {topic} comes in the frames {', '.join(sorted(frames))}, expected one; record each in a topic")
     return stamps, values, next(iter(frames), "")
