@@ -9,6 +9,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import mul
 from pathlib import Path
 from typing import Any
 
@@ -44,25 +45,28 @@ class MotionFeatures:
     """
 
     sensor_delay_s: float = 0.0
-    _speeds: deque[tuple[float, float]] = field(default_factory=deque)
+    _times_s: deque[float] = field(default_factory=deque)
+    _speeds: deque[float] = field(default_factory=deque)
     _line: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def update(self, robot: RobotState) -> None:
         """Take in a state. A state that is not newer than the last changes nothing."""
-        speeds, t_s = self._speeds, robot.t_s
-        if speeds and t_s <= speeds[-1][0]:
+        times_s, speeds, t_s = self._times_s, self._speeds, robot.t_s
+        if times_s and t_s <= times_s[-1]:
             return
-        speeds.append((t_s, robot.vz_m_per_s))
-        while speeds[0][0] < t_s - WINDOW_S - 1e-4:  # controllers' timestamps jitter by less than that
+        times_s.append(t_s)
+        speeds.append(robot.vz_m_per_s)
+        while times_s[0] < t_s - WINDOW_S - 1e-4:  # controllers' timestamps jitter by less than that
+            times_s.popleft()
             speeds.popleft()
-        n = len(speeds)
-        ages = [t - t_s for t, _ in speeds]
-        mean_age, mean_speed = math.fsum(ages) / n, math.fsum([speed for _, speed in speeds]) / n
+        n = len(times_s)
+        ages = [t - t_s for t in times_s]
+        mean_age, mean_speed = math.fsum(ages) / n, math.fsum(speeds) / n
         slope = 0.0
         if n > 2:
             away = [age - mean_age for age in ages]
             spread = math.fsum([age**2 for age in away])
-            slope = math.fsum([age * speed for age, (_, speed) in zip(away, speeds, strict=True)]) / spread
+            slope = math.fsum(map(mul, away, speeds)) / spread
         self._line = (t_s + mean_age, mean_speed, slope)
 
     def features(self, t_s: Sequence[float]) -> list[tuple[float, float]]:
@@ -143,7 +147,15 @@ class InertialModel:
         The prediction is not bounded: the caller clips it.
         """
         (low_v, low_a), (high_v, high_a) = self.low, self.high
-        predicted = self.network([(min(max(v, low_v), high_v), min(max(a, low_a), high_a)) for v, a in features])
+        predicted = self.network(
+            [
+                (
+                    v if low_v <= v <= high_v else min(max(v, low_v), high_v),
+                    a if low_a <= a <= high_a else min(max(a, low_a), high_a),
+                )
+                for v, a in features
+            ]
+        )
         if not math.isfinite(sum(predicted)):
             self.not_finite += sum(not math.isfinite(force_N) for force_N in predicted)
             predicted = [force_N if math.isfinite(force_N) else 0.0 for force_N in predicted]
