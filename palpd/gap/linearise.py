@@ -168,8 +168,9 @@ def _computation_errors(
     if recording.judged[Z] and fz_N.any():
         # A position loop gives way under load. What one report of the height cannot resolve is within specification.
         yield Column("recording", "give under load", Z), recording.noise_rms[Z] * fz_N / np.abs(fz_N).max()
-    # Averaging removed a part of the motion; averaging once more removes about as much again, which is how uncertain the motion is.
-    for motion in recording.smoother if recording.judged[FZ] else ():
+    # Averaging removed a part of the motion; averaging once more removes about as much again, which is how uncertain the motion is. Of a
+    # commanded path little is averaged, and what its reports leave out counts.
+    for motion in recording.otherwise if recording.judged[FZ] else ():
         yield Column("computation", "motion", FZ), problem.binned_wrench(recording, cell, motion)[FZ - 1] - fz_N
 
 

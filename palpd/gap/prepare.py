@@ -26,6 +26,10 @@ STILL_NOISES = 6.0
 LAST_DIGITS = 1e-9
 """Least noise of a channel without any, as a share of its span: readings have no more digits."""
 
+UNREPORTED_SHARE = 0.5
+"""Share of the servo's lag by acceleration, a/wn², by which the tip may differ from the height that a commanded robot reports, one
+standard deviation: behind the encoders everything gives way to inertia, and reports are filtered. Only the contact force feels it."""
+
 REST_SAMPLES = 60
 """Fewest samples at rest from which the noise is measured; with fewer, the whole recording is used."""
 
@@ -41,7 +45,7 @@ class PreparedRecording:
     sampled: TipMotion  # at every sample
     motion: TipMotion  # at the steps, moved to even times where these were nearly even
     step_means: csr_array  # (b, steps) takes means over the bins of what is known at the times of `motion`
-    smoother: tuple[TipMotion, TipMotion]  # `motion` with its path averaged once more, and with its acceleration averaged once more
+    otherwise: tuple[TipMotion, TipMotion]  # `motion` with another path, and with its acceleration averaged once more
     reports: Reports  # of the robot
     robot_t_s: Floats  # (k,) times from the first row: of the samples where the robot reports more slowly, else of the steps
     z_cmd_m: Floats | None  # (k,) at those times
@@ -141,6 +145,7 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecordin
     reports = find_reports(samples.t_s, samples.z_m)
     sampled = estimate_tip_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m, reports)
     again = estimate_tip_motion(cell, samples.t_s, sampled.z_m, sampled.vz_m_per_s, samples.z_cmd_m)
+    unreported_m = _unreported_height(cell, samples, sampled)
     samples_per_step = Bins.of_equal_length(samples.t_s, _step_length(samples, cell, reports.rows_each))
     steps = make_bins(samples_per_step.mean(samples.t_s), phases, samples_per_step, max_bins)
     bins = samples_per_step.merged(steps)
@@ -156,8 +161,8 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecordin
         sampled=sampled,
         motion=_at_steps(sampled, samples_per_step),
         step_means=_step_means(sampled, samples_per_step, steps),
-        smoother=(
-            _at_steps(replace(sampled, z_m=again.z_m, vz_m_per_s=again.vz_m_per_s), samples_per_step),
+        otherwise=(
+            _at_steps(replace(sampled, z_m=again.z_m + unreported_m, vz_m_per_s=again.vz_m_per_s), samples_per_step),
             _at_steps(replace(sampled, az_m_per_s2=again.az_m_per_s2), samples_per_step),
         ),
         reports=reports,
@@ -170,6 +175,13 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecordin
         noise_measured=bool(still.sum() >= REST_SAMPLES),
         judged=judged,
     )
+
+
+def _unreported_height(cell: CellFile, samples: Samples, motion: TipMotion) -> Floats:
+    """Heights (n,) by which the tip may differ from the reports in acceleration, one standard deviation; 0 without a command."""
+    if samples.z_cmd_m is None:
+        return np.zeros(len(samples))
+    return np.asarray(UNREPORTED_SHARE * motion.az_m_per_s2 / (2.0 * np.pi * cell.robot.servo_natural_frequency_Hz) ** 2)
 
 
 def _robot_grid(

@@ -1,6 +1,7 @@
 """A diagnosis names what was put into a simulated cell, and keeps silent about a healthy one."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from math import log
 from types import SimpleNamespace
@@ -74,6 +75,27 @@ def slow_robot(samples: Samples, each: int = 8) -> Samples:
 
 def quick(samples: Samples | list[Samples], cell: CellFile) -> Diagnosis:
     return diagnose(samples if isinstance(samples, list) else [samples], cell, max_bins=900, propose=False)
+
+
+@pytest.mark.parametrize("cut", [np.floor, np.trunc])
+def test_readings_that_are_cut_to_a_coarse_step_are_no_other_effect(cut: Callable[[Floats], Floats]) -> None:
+    samples = recording(nominal(), {})
+    wrench = samples.wrench.copy()
+    wrench[:, 2] = 0.5 * cut(wrench[:, 2] / 0.5)
+    assert [effect.id for effect in quick(replace(samples, wrench=wrench), nominal()).effects] == ["sensor.quantization"]
+
+
+def test_a_tip_that_leaves_the_reported_heights_in_acceleration_is_no_other_mass() -> None:
+    """In free motion, where the tip feels no tissue, the mass is the stated one."""
+    cell = nominal()
+    assert cell.tissue is not None
+    samples = recording(cell, {})
+    acceleration_m_per_s2 = np.gradient(samples.vz_m_per_s, samples.t_s)
+    stiffness_N_per_m = 2.0 * cell.tissue.youngs_modulus_Pa / 0.75 * np.sqrt(cell.probe.tip_radius_m * np.maximum(-samples.z_m, 0.0))
+    wrench = samples.wrench.copy()
+    lag_s2 = (2.0 * np.pi * cell.robot.servo_natural_frequency_Hz) ** -2
+    wrench[:, 2] -= 1.6 * lag_s2 * stiffness_N_per_m * acceleration_m_per_s2
+    assert quick(replace(samples, wrench=wrench), cell).verdict == "none"
 
 
 def test_a_healthy_cell_within_its_tolerances_is_not_accused() -> None:
