@@ -16,7 +16,7 @@ from palpd.cell.effects.learned import held_sentence, learned_law_of
 from palpd.cell.simulation import share_outside
 from palpd.gap.calibration import as_stated, stored_map
 from palpd.gap.correlated_residual import compare_again
-from palpd.gap.hypotheses import fit_nominal, search
+from palpd.gap.hypotheses import fit_rounding, search
 from palpd.gap.law_search.confounds import confounds
 from palpd.gap.law_search.finding import LawFinding, find
 from palpd.gap.linearise import linearise
@@ -98,7 +98,7 @@ def _stages(
     notes += channel_notes(problem)
 
     # 2. Residual: what the cell without effects leaves, and where.
-    nominal = fit_nominal(problem)
+    nominal = fit_rounding(problem)
     problem = nominal.problem
     residual = residuals(problem, nominal.stated)
     table = gap_table(problem, nominal.stated, residual)

@@ -1,7 +1,7 @@
 """Stage 3 of a diagnosis: which sets of effects could have made the residual; each likely one is fitted."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from math import inf
 
@@ -17,7 +17,11 @@ from palpd.gap.linearise import Linearisation, linearise
 from palpd.gap.noise import FZ, Z
 from palpd.gap.nuisances import Vectors, gram, project
 from palpd.gap.problem import MODULUS, SHARED, Problem
+from palpd.gap.rounding import WAYS
 from palpd.tick import Floats
+
+WAY_NATS = 5.0
+"""Evidence by which another way of rounding must beat the nearest level."""
 
 LARGE_GAP = 2e4
 """Gap, in squared sigmas, that is large enough to change how in-tolerance deviations act."""
@@ -96,6 +100,29 @@ def fit_nominal(problem: Problem) -> NominalFit:
     # Beyond that, hypotheses that are linearised elsewhere would be judged by other tolerances.
     credible = np.abs(nominal.eta).max() < CREDIBLE_SD
     return NominalFit(problem, nominal, stated, nominal.linearisation if credible else stated)
+
+
+def fit_rounding(problem: Problem) -> NominalFit:
+    """Fit the cell without effects, with the way in which coarse readings are rounded, where they are.
+
+    Args:
+        problem: The data and their prediction, as if they were rounded to the nearest level.
+
+    Returns:
+        The fit; another way needs evidence, since an effect may imitate it.
+    """
+    nominal = fit_nominal(problem)
+    if problem.rounding is None:
+        return nominal
+    others = [fit_nominal(problem.with_rounding(replace(problem.rounding, way=way))) for way in WAYS if way != problem.rounding.way]
+    best = min(others, key=_surprise)
+    return best if _surprise(best) < _surprise(nominal) - WAY_NATS else nominal
+
+
+def _surprise(nominal: NominalFit) -> float:
+    """Nats by which a cell without effects fails to explain the readings, up to a constant; a wide floor of model errors costs too."""
+    sigma = nominal.problem.noise.sigma
+    return -nominal.fit.log_exact + float(np.log(sigma[np.isfinite(sigma)]).sum())
 
 
 def search(nominal: NominalFit) -> Fits:

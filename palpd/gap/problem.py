@@ -184,6 +184,17 @@ class Problem:
         """
         return replace(self, shared_sd=shared_sd, _predictions=_Predictions())
 
+    def with_rounding(self, rounding: Rounding) -> "Problem":
+        """The problem in which fz is rounded in another way, with the same step.
+
+        Args:
+            rounding: The rounding.
+
+        Returns:
+            A new problem.
+        """
+        return replace(self, rounding=rounding, _predictions=_Predictions())
+
     def own_tolerances(self, effects: Iterable[str]) -> NDArray[np.bool_]:
         """Which of SHARED (11,) the effects themselves are, once they exceed their tolerance."""
         keys = {self.library[name].tolerance for name in effects}

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.special import ndtr
@@ -9,6 +10,10 @@ from scipy.special import ndtr
 from palpd.cell.cell_file import CellFile
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
+
+Way = Literal["nearest", "down", "to zero"]
+WAYS: tuple[Way, ...] = ("nearest", "down", "to zero")
+"""How readings come to their levels: converters round to the nearest one or down, and integers in software cut towards zero."""
 
 LEVELS = 3
 """Number of levels on either side of a force that its mean reading takes into account."""
@@ -19,11 +24,12 @@ LEAST_DITHER = 0.25
 
 @dataclass(frozen=True)
 class Rounding:
-    """Readings of fz are `level_N` plus a multiple of `step_N`; `noise_rms_N` is the noise before the rounding."""
+    """Readings of fz are `level_N` plus a multiple of `step_N`; `noise_rms_N` is the noise before the rounding, and `way` its kind."""
 
     step_N: float
     level_N: float
     noise_rms_N: float
+    way: Way = "nearest"
 
     def mean(self, force_N: Floats) -> Floats:
         """Mean reading of a force with normal noise.
@@ -34,7 +40,19 @@ class Rounding:
         Returns:
             Mean readings (n,) in N.
         """
-        sigma = max(self.noise_rms_N, LEAST_DITHER * self.step_N)
+        if self.way == "nearest":
+            return self._mean_of_nearest(force_N)
+        down_N = self._mean_of_nearest(force_N - 0.5 * self.step_N)
+        # Towards zero, a negative force comes to the next level above.
+        return down_N if self.way == "down" else down_N + self.step_N * ndtr(-force_N / self._sigma_N)
+
+    @property
+    def _sigma_N(self) -> float:
+        """Noise with which a reading is predicted."""
+        return max(self.noise_rms_N, LEAST_DITHER * self.step_N)
+
+    def _mean_of_nearest(self, force_N: Floats) -> Floats:
+        sigma = self._sigma_N
         nearest = np.rint((force_N - self.level_N) / self.step_N)
         out = np.zeros_like(force_N)
         for k in range(-LEVELS, LEVELS + 1):

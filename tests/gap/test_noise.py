@@ -1,5 +1,7 @@
 """What the diagnosis takes for noise, and where samples stand in time."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
@@ -7,10 +9,11 @@ from scipy.sparse import csr_array
 from palpd.cell.cell_file import nominal
 from palpd.gap.bins import Bins
 from palpd.gap.noise import FZ, measured_rms
-from palpd.gap.rounding import Rounding, coarse_step_N, rounding_of
+from palpd.gap.rounding import Rounding, Way, coarse_step_N, rounding_of
 from palpd.gap.scatter import without_held, without_tails
 from palpd.gap.whitening import Whitening
 from palpd.recording.samples import Samples
+from palpd.tick import Floats
 
 
 def test_noise_is_measured_within_rests_and_not_in_the_steps_between_them() -> None:
@@ -78,6 +81,14 @@ def test_coarse_rounding_is_found_and_followed_on_average(level: float) -> None:
         readings = 0.1 + 0.37 * np.rint((force_N + rng.normal(0.0, 0.12, 200_000) - 0.1) / 0.37)
         assert rounding.mean(np.array([force_N]))[0] == pytest.approx(readings.mean(), abs=2e-3)
     assert rounding.slope(np.linspace(0.0, 3.7, 1000)).mean() == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("way", "cut"), [("down", np.floor), ("to zero", np.trunc)])
+def test_readings_that_are_cut_and_not_rounded_are_followed_on_average(way: Way, cut: Callable[[Floats], Floats]) -> None:
+    rng = np.random.default_rng(7)
+    for force_N in (-1.1, -0.1, 0.0, 0.2, 1.23):
+        readings = 0.37 * cut((force_N + rng.normal(0.0, 0.12, 200_000)) / 0.37)
+        assert Rounding(0.37, 0.0, 0.12, way).mean(np.array([force_N]))[0] == pytest.approx(readings.mean(), abs=2e-3)
 
 
 def test_tails_are_taken_out_of_noise_that_is_too_large_only() -> None:
