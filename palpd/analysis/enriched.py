@@ -20,6 +20,7 @@ from palpd.analysis.young import modulus_peak_Pa
 from palpd.cell.cell_file import CellFile, Estimated
 from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS
+from palpd.cell.effects.tissue import MODULUS
 from palpd.cell.simulation import equilibrium_force_N, true_surface_m, wrench_of
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
@@ -136,7 +137,7 @@ class _Contact:
 
     @classmethod
     def of(cls, recordings: Sequence[Samples], cell: CellFile) -> "_Contact":
-        """The contact in recordings; the deviation of the modulus moves from `estimated` into the modulus itself.
+        """The contact in recordings; a modulus that differs moves from `estimated` and `effects` into the modulus itself.
 
         Args:
             recordings: Recordings of one cell.
@@ -147,7 +148,9 @@ class _Contact:
         """
         assert cell.tissue is not None
         known = cell.estimated or Estimated()
-        modulus_Pa = cell.tissue.youngs_modulus_Pa * (1.0 + known.youngs_modulus)
+        ratio = cell.effects.get(MODULUS.id, {}).get("ratio", 1.0)
+        modulus_Pa = cell.tissue.youngs_modulus_Pa * (1.0 + known.youngs_modulus) * ratio
+        cell = cell.with_effects({name: values for name, values in cell.effects.items() if name != MODULUS.id})
         cell = _with(cell.with_estimated(known.model_copy(update={"youngs_modulus": 0.0})), modulus_Pa, 0.0)
         motions = [estimate_tip_motion(cell, s.t_s, s.z_m, s.vz_m_per_s, s.z_cmd_m) for s in recordings]
         free_N = [wrench_of(cell.model_copy(update={"tissue": None}), motion)[:, 2] for motion in motions]
