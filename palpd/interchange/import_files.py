@@ -191,6 +191,7 @@ class _Reading:
             self.options = options = self._with_known_columns(options)
         self._wrench = None if self.options.force_column else self._vector("wrench", options.wrench, needed=True)
         self._pose = None if self.options.height_column or self.options.depth_column else self._vector("pose", options.pose, needed=True)
+        self._refuse_unused()
         together = [each for each in (self._pose, self._wrench) if each is not None]
         optional: list[tuple[Kind, str | None]] = [("twist", options.twist), ("command", options.command)]
         self._twist, self._command = (self._vector(kind, name) if self._pose is not None else None for kind, name in optional)
@@ -200,6 +201,21 @@ class _Reading:
         vectors = [*together, *(each for each in (self._twist, self._command) if each is not None)]
         self._columns = self._read([*vectors, *((source, name) for source, names in self._tables for name in names)])
         self._origin_ns = min((self._columns[source.path, name].origin_ns for source, name in vectors), default=0)
+
+    def _refuse_unused(self) -> None:
+        """Refuse options that the chosen motion and force would ignore. Raises BadInput."""
+        given = self.options
+        motion = [role for role in given.columns if role in MOTION_ROLES]
+        force = [role for role in given.columns if role not in MOTION_ROLES]
+        if self._pose is not None and motion:
+            raise BadInput(f"--column {motion[0]} belongs to --height-column or --depth-column; with a pose give --twist or --command")
+        if self._wrench is not None and force:
+            raise BadInput(f"--column {force[0]} belongs to --force-column; a wrench holds all six axes")
+        if self._pose is None and (given.twist or given.command):
+            option = "vz_m_per_s" if given.twist else "z_cmd_m"
+            raise BadInput(f"--{'twist' if given.twist else 'command'} belongs to --pose; with columns give --column {option}=NAME")
+        if self._wrench is None and given.wrench_in:
+            raise BadInput("--wrench-in belongs to --wrench; a column of force is along the height")
 
     def refuse_unconfirmed(self) -> None:
         """Refuse units that were guessed and not confirmed. Raises BadInput."""
@@ -383,6 +399,8 @@ class _Reading:
         if len(set(lengths.values())) > 1:
             shown = ", ".join(f"{name} has {length}" for name, length in lengths.items())
             raise RecordingError(f"{source.path.name}: columns have unequal lengths ({shown}); name columns that were sampled together")
+        if 0 in lengths.values():
+            raise RecordingError(f"{source.path.name}: {next(iter(lengths))} holds no number; name another column, or record it")
         scaled = {name: self._scaled(source, name, quantity) for name, quantity in named.items()}
         t_s = self._scaled(source, time, "time") if time else self._columns[source.path, next(iter(named))].t_s
         if t_s is None:

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpd.cell.cell_file import cell_from, load_cell
+from palpd.cell.cell_file import cell_from, load_cell, nominal
 from palpd.cell.simulation import simulate
 from palpd.cli.gap import diagnose
+from palpd.config import Plan, PlanSite
 from palpd.errors import RecordingError
 from palpd.gap.commands import read_recording
 from palpd.gap.first_cell import first_cell, written_out
@@ -16,9 +17,12 @@ from palpd.interchange.foreign import import_command, is_foreign
 from palpd.interchange.import_files import ImportOptions, read_files
 from palpd.interchange.registry import GROUP, OURS, reader_of, readers
 from palpd.recording import samples as samples_file
+from palpd.recording.mcap_file import RecordingWriter
+from palpd.recording.reader import Recording, export
 from palpd.recording.samples import Samples, read_csv, write_csv
 from tests.interchange.bags import STRAIGHT_DOWN, Truth, bag, truth
 from tests.paths import ROOT
+from tests.simulated import ran
 
 
 def test_pyproject_registers_the_readers_that_a_checkout_has() -> None:
@@ -50,6 +54,26 @@ def test_a_diagnosis_of_a_bag_names_the_command_that_reads_it(tmp_path: Path) ->
         assert is_foreign(path)
         with pytest.raises(RecordingError, match=f"is no recording yet; this command makes one of it: palpd import {path} --csv"):
             diagnose([path], tmp_path / "cell.yaml")
+
+
+def test_a_recording_of_the_daemon_is_read_by_its_site_and_is_not_foreign(tmp_path: Path) -> None:
+    plan = Plan(sites=(PlanSite(name="A"), PlanSite(name="B", x_m=0.02)), depths_m=(0.004,), hold_s=0.5, repeats=1)
+    run = ran(nominal(), plan, safety={"contact_limit_N": 16.0, "absolute_limit_N": 40.0})
+    path = tmp_path / "run.mcap"
+    writer = RecordingWriter(path, run.header)
+    writer.write(run.rows)
+    writer.close({"verdict": "done", "reason": ""})
+    assert not is_foreign(path)
+    assert import_command(path) is None
+    one = read_recording(path, "B")
+    export(Recording.load(path), tmp_path / "b.csv", "B")
+    assert np.array_equal(one.wrench, read_csv(tmp_path / "b.csv").wrench)
+    with pytest.raises(RecordingError, match=r"run\.mcap holds 2 sites \(A, B\), expected one; choose one with --site"):
+        read_recording(path)
+    with pytest.raises(RecordingError, match="has no site C; it has A, B"):
+        read_recording(path, "C")
+    with pytest.raises(RecordingError, match=r"run\.mcap is a recording of palpd, or a damaged bag; palpd diagnose"):
+        read_files([path], ImportOptions())
 
 
 def test_what_nothing_reads_has_no_command(tmp_path: Path) -> None:

@@ -105,7 +105,8 @@ def test_a_twist_of_something_else_is_not_used(tmp_path: Path) -> None:
     slope = np.gradient(one.pose[:, 2], (one.pose_ns - one.pose_ns[0]) * 1e-9)
     equal = np.isin(one.wrench_ns[: len(imported.samples)], one.pose_ns)
     np.testing.assert_allclose(imported.samples.vz_m_per_s[equal], slope, rtol=0, atol=1e-9)
-    assert imported.samples.vz_m_per_s[0] != read_files([path], ImportOptions(twist="/twist")).samples.vz_m_per_s[100]
+    named = read_files([path], ImportOptions(twist="/twist")).samples
+    np.testing.assert_allclose(named.vz_m_per_s[equal], 3.0 * one.twist[:, 2], rtol=0, atol=1e-9)
 
 
 def test_two_clocks_in_a_bag_are_one_sentence_and_an_offset_joins_them(tmp_path: Path) -> None:
@@ -165,6 +166,14 @@ def test_a_truncated_bag_is_refused_and_nothing_is_written(tmp_path: Path, stora
             import_files([each], ImportOptions(), out)
         assert "\n" not in str(refusal.value)
     assert not out.exists()
+
+
+def test_columns_beside_a_pose_are_refused_and_not_ignored(tmp_path: Path) -> None:
+    path = bag(tmp_path, "mcap", truth(0.5))
+    with pytest.raises(BadInput, match="--column z_cmd_m belongs to --height-column or --depth-column; with a pose give"):
+        read_files([path], ImportOptions(columns={"z_cmd_m": "x"}))
+    with pytest.raises(BadInput, match="--column fx_N belongs to --force-column; a wrench holds all six axes"):
+        read_files([path], ImportOptions(columns={"fx_N": "x"}))
 
 
 def test_a_wrench_without_a_frame_asks_for_its_axes(tmp_path: Path) -> None:

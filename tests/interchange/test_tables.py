@@ -335,6 +335,14 @@ def test_bad_files_are_one_sentence_and_nothing_is_written(tmp_path: Path, name:
         ({"force_column": "F (mN)", "depth_column": "Z (mm)", "height_column": "Z (mm)"}, "were both given"),
         ({"force_column": "F (mN)", "height_column": "Z (mm)", "time_columns": ("Z (mm)",)}, "one column of curve.csv is named for two"),
         ({"columns": {"fw_N": "x"}}, r"--column fw_N is no column of a recording \(did you mean"),
+        (
+            {"force_column": "F (mN)", "height_column": "Z (mm)", "time_columns": ("Time (s)",), "twist": "v"},
+            "--twist belongs to --pose; with columns give --column vz_m_per_s=NAME",
+        ),
+        (
+            {"force_column": "F (mN)", "height_column": "Z (mm)", "time_columns": ("Time (s)",), "wrench_in": "tool"},
+            "--wrench-in belongs to --wrench",
+        ),
         ({"wrench": "F (mN)", "pose": "Z (mm)"}, "F .mN. is a column of numbers, expected a wrench"),
     ],
 )
