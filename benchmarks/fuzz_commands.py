@@ -65,7 +65,6 @@ replay {mcap} --json {out.json}
 export {mcap} --csv {new.csv} --site A
 recover {part}
 import {csv} --csv {new.csv} --force-column fz_N --height-column z_m --time-column t_s
-import {csv}
 cell-from {csv} --out {new.yaml} --tip-radius-m 0.005
 cell-from {mcap} --out {new.yaml} --site A
 analyse {csv} --force-column fz_N --height-column z_m --tip-radius-m 0.005 --json {out.json}
@@ -157,9 +156,10 @@ SLOW = ("diagnose", "resolve", "serve", "blind", "study", "demo", "emulate")
 NO_DEVICE = ("run", "calibrate", "free-motion", "stiffness", "retract", "status", "arm", "start", "pause", "resume", "abort", "clear")
 """Commands that need a daemon or devices, which are not there: they refuse every line."""
 FINE = {("map", "header alone"), ("import", "unclosed quote"), ("analyse", "unclosed quote"), ("simulate", "three rows")}
-FINE.add(("recover", "forged header"))
-"""Faults that a command need not refuse: no press yet; rows before the numbers, which it counts and names; a short motion; ticks
-that are whole behind a header with odd values, which every command refuses that reads them."""
+FINE |= {("import", "spaces for commas"), ("import", "UTF-16"), ("recover", "forged header")}
+"""Faults that a command need not refuse: no press yet; rows before the numbers, which it counts and names; a short motion; tables of other
+separators and encodings, which an import reads; ticks that are whole behind a header with odd values, which every command refuses that
+reads them."""
 NUMBERS = ("nan", "inf", "-inf", "-1", "0", "1e300", "1e-300", "9" * 5000, "10000000000000000000", "0x10", "1,5", "", "one", " ", "1_000")
 SURE = ("nan", "inf", "-inf", "1e300", "9" * 5000, "0x10", "1,5", "", "one", " ")
 """Numbers that no option accepts."""

@@ -45,11 +45,7 @@ def import_command(path: Path) -> str | None:
 
 def is_foreign(path: Path) -> bool:
     """Whether a path is a bag or a file of an instrument. An MCAP file of ours is a recording, and a table may be one."""
-    if path.suffix.lower() in (".csv", *RECORDING_ENDINGS) or not path.exists():
-        return False
-    if path.is_dir():
-        return (path / "metadata.yaml").is_file()
-    return import_command(path) is not None
+    return path.suffix.lower() not in (".csv", *RECORDING_ENDINGS) and import_command(path) is not None
 
 
 def _column_options(source: Source) -> list[str]:

@@ -45,8 +45,11 @@ def reader_of(path: Path) -> FileReader:
     Raises:
         RecordingError: None does, or there is no such file.
     """
-    if not path.exists():
-        raise RecordingError(f"{path} does not exist; give the path of a file")
+    try:
+        path.stat()
+    except (OSError, ValueError) as failure:
+        what = getattr(failure, "strerror", None) or failure
+        raise RecordingError(f"{path} cannot be read ({what}); give the path of a file that exists") from failure
     refuse_empty(path)
     for reader in readers().values():
         if reader.reads(path):
