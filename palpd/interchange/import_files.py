@@ -13,7 +13,7 @@ from palpd.files import nearest
 from palpd.interchange.alignment import Axis, TipPath, Wrench, continuous, overlap, refuse_turn, rotated, tared, turned
 from palpd.interchange.channels import Channel, ChannelData, FileReader, Kind, listing
 from palpd.interchange.registry import reader_of
-from palpd.interchange.units import Quantity, UnitScale, refuse_impossible, refuse_unconfirmed, scale_of
+from palpd.interchange.units import Quantity, UnitScale, refuse_impossible, refuse_unconfirmed, scale_of, unit_named
 from palpd.recording.samples import MIN_SAMPLES, WRENCH_COLUMNS, Samples, samples_from_columns, write_csv
 from palpd.tick import Floats
 
@@ -362,6 +362,8 @@ class _Reading:
         per_volt: dict[Quantity, float | None] = {"force": options.force_N_per_V, "length": options.length_m_per_V}
         stated = next(channel.unit for channel in source.channels if channel.name == name)
         unit = f"{options.length_unit}/s" if quantity == "speed" and options.length_unit in ("m", "mm", "um", "nm") else given.get(quantity)
+        if name in options.columns.values() and unit_named(name, stated) not in (None, unit):
+            unit = None  # a further column that states a unit of its own keeps it
         values = self._columns[source.path, name].values
         scale = scale_of(name, quantity, values, stated=stated, given=unit, per_volt=per_volt.get(quantity))
         self._scales[source.path, name] = scale

@@ -37,6 +37,7 @@ OPTIONS: dict[Quantity, str] = {"force": "--force-unit", "length": "--length-uni
 BRACKETED = re.compile(r"[(\[{]\s*([^()\[\]{}]+?)\s*[)\]}]\s*$")
 APPENDED = re.compile(r"[_\s,/]\s*([A-Za-zµμ]+)$")
 
+PER_SECOND = re.compile(r"[_\s,]\s*([a-zµμ]*m)(?:_per_|/)s$")
 NOT_APPENDED = ("in", "min")
 """Units that end a name only in brackets: "force_min" is a minimum."""
 
@@ -80,6 +81,8 @@ def unit_named(name: str, unit: str = "") -> str | None:
     """
     bracketed, appended = BRACKETED.search(name), APPENDED.search(name)
     ending = appended.group(1) if appended and appended.group(1).lower() not in NOT_APPENDED else ""
+    if not unit.strip() and not bracketed and (speed := PER_SECOND.search(name)):
+        ending = f"{speed.group(1)}/s"
     text = unit.strip() or (bracketed.group(1) if bracketed else ending)
     plain = text.strip("()[]{} ").replace("µ", "u").replace("μ", "u")
     plain = SPELLINGS.get(plain, SPELLINGS.get(plain.lower(), plain))

@@ -1,5 +1,6 @@
 """How readers are found, what a diagnosis says of foreign files, and a first cell file."""
 
+import sys
 import tomllib
 from pathlib import Path
 
@@ -159,3 +160,16 @@ def test_a_site_belongs_to_recordings_of_the_daemon(tmp_path: Path) -> None:
     write_csv(tmp_path / "a.csv", simulated({}, 1.0))
     with pytest.raises(RecordingError, match=r"a\.csv is no recording of the daemon, so --site A chooses nothing in it"):
         read_recording(tmp_path / "a.csv", "A")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "module"),
+    [("a.bag", b"#ROSBAG V2.0\n", "rosbags.rosbag1"), ("a.tdms", b"TDSm", "nptdms"), ("a.jpk-force", b"PK", "afmformats")],
+)
+def test_a_reader_without_its_package_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, content: bytes, module: str
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(RecordingError, match=r"is not installed: install palpd\[readers\]"):
+        read_files([tmp_path / name], ImportOptions())

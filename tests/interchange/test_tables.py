@@ -119,6 +119,7 @@ def test_volts_ask_for_their_factor_and_a_wrong_quantity_for_another_column(tmp_
     [
         ("F (mN)", "mN"), ("Z[µm]", "um"), ("depth_um", "um"), ("fz_N", "N"), ("Force", None), ("Load, kip", "kip"), ("t (sec)", "s"),
         ("force_min", None), ("Extension (in)", "in"), ("TIME(MS)", None), ("Force(Newton)", "N"), ("Fz", None),
+        ("vz_m_per_s", "m/s"), ("speed mm/s", "mm/s"), ("v (µm/s)", "um/s"), ("tx_Nm", "Nm"),
     ],
 )  # fmt: skip
 def test_units_in_names(name: str, unit: str | None) -> None:
@@ -134,6 +135,23 @@ def test_a_row_of_units_below_the_header_and_two_vectors_more(tmp_path: Path) ->
     np.testing.assert_allclose(imported.samples.wrench[:, 0], T_S * 1e-3, rtol=0, atol=1e-12)
     np.testing.assert_allclose(imported.samples.vz_m_per_s, -np.gradient(DEPTH_M, T_S), rtol=0, atol=1e-12)
     assert not any("slope of the heights" in note for note in imported.notes)
+
+
+def test_our_own_columns_in_another_layout_are_taken_with_all_axes(tmp_path: Path) -> None:
+    speed_m_per_s = -np.gradient(DEPTH_M, T_S)
+    text = table("t_s;z_m;vz_m_per_s;fx_N;fz_N;tx_Nm", T_S, -DEPTH_M, speed_m_per_s, T_S, FORCE_N, T_S * 0.1, separator=";", comma=True)
+    samples = read_files([written(tmp_path, text)], ImportOptions()).samples
+    assert np.array_equal(samples.vz_m_per_s, speed_m_per_s)
+    assert np.array_equal(samples.wrench[:, [0, 2]], np.column_stack([T_S, FORCE_N]))
+    assert np.array_equal(samples.wrench[:, 3], T_S * 0.1)
+
+
+def test_a_further_column_keeps_the_unit_that_it_states(tmp_path: Path) -> None:
+    speed_m_per_s = -np.gradient(DEPTH_M, T_S)
+    path = written(tmp_path, table("t_s,z,v (m/s),w,F (N)", T_S, -DEPTH_M * 1e3, speed_m_per_s, speed_m_per_s * 1e3, FORCE_N))
+    for name in ("v (m/s)", "w"):
+        options = ImportOptions("F (N)", height_column="z", time_columns=("t_s",), length_unit="mm", columns={"vz_m_per_s": name})
+        np.testing.assert_allclose(read_files([path], options).samples.vz_m_per_s, speed_m_per_s, rtol=1e-12)
 
 
 def test_latin_1_and_utf_16_are_read(tmp_path: Path) -> None:
