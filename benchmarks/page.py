@@ -29,6 +29,7 @@ SECTIONS = {
     "daemon": Section("The daemon at 500 Hz", "benchmarks/daemon.py --presses 3", "benchmarks/daemon.py --presses 20"),
     "replay": Section("Replay at 125 Hz", "benchmarks/daemon.py --model ur5 --presses 2", "benchmarks/daemon.py --model ur5 --presses 20"),
     "tick": Section("Parts of a tick, without wires", "benchmarks/tick.py", "benchmarks/tick.py --rounds 9"),
+    "cheaper": Section("What made a tick cheaper", None, "benchmarks/tick.py --against ../before"),
     "rate": Section(
         "Ticks, with cyclictest and common alternatives",
         "benchmarks/rate.py --seconds 8 --stress --alternatives",
