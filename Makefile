@@ -87,7 +87,7 @@ soak: setup
 
 # moduli on both laws of a sensor with two slopes of Fz, over emulated wires, and what a diagnosis makes of the wrong setting
 slopes: setup
-	.venv/bin/python -m benchmarks.page --only slopes
+	.venv/bin/python -m benchmarks.page --only slopes $(if $(KEPT),--more '--kept $(KEPT)')
 
 # N runs from dropped caches (root), each of which must begin and end as any other
 cold: setup

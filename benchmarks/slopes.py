@@ -3,11 +3,12 @@
 The slopes part where the sensor carries nothing, or where it reads zero untared. `sensor.fz_slopes` is `both` or `pressed`. The daemon
 palpates over emulated wires. Each recording is exported and diagnosed site by site against a cell that is right in everything else.
 
-`python -m benchmarks.slopes [--without-wires] [--no-diagnosis] [--seed N]` prints a markdown table. It ends with 1 where the right setting
-misses 1 %, or where a diagnosis with the wrong one does not name `sensor.asymmetry`, alone or in a group of at most three.
+`python -m benchmarks.slopes [--kept FOLDER] [--without-wires] [--no-diagnosis] [--seed N]` prints a markdown table. It ends with 1 where
+the right setting misses 1 %, or a diagnosis with the wrong one does not name `sensor.asymmetry`, alone or in a group of at most three.
 """
 
 import argparse
+import shutil
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -20,7 +21,7 @@ import numpy as np
 from benchmarks.emulated_cell import ATTEMPTS, PATIENT, emulated_cell
 from hw.emulators.hex_pty import CAPACITY, COUNTS_AT_CAPACITY, Daq
 from palpd.analysis import results
-from palpd.cell.cell_file import CellFile, save_cell
+from palpd.cell.cell_file import CellFile, SensorBlock, save_cell
 from palpd.config import Config, Plan
 from palpd.control.slopes import FZ, GRAVITY_N_PER_KG
 from palpd.daemon.motion_process import Job
@@ -66,7 +67,7 @@ class SlopesRun:
 
 def cell_of(modulus_Pa: float | None = None) -> CellFile:
     """The cell with three sites, or one that is all of one modulus, as the simulator believes it."""
-    content: dict[str, Any] = {"sensor": {"rate_Hz": 1000.0, "filter_cutoff_Hz": 150.0}}
+    content: dict[str, Any] = {"sensor": SensorBlock(rate_Hz=1000.0).model_dump()}
     if modulus_Pa is not None:
         return CellFile.model_validate(content | {"tissue": {"youngs_modulus_Pa": modulus_Pa}})
     sites = [
@@ -76,19 +77,24 @@ def cell_of(modulus_Pa: float | None = None) -> CellFile:
     return CellFile.model_validate(content | {"sites": sites})
 
 
-def over_wires(folder: Path, law: PartsAt, settings: Sequence[Setting]) -> Iterator[SlopesRun]:
+def over_wires(folder: Path, law: PartsAt, settings: Sequence[Setting], kept: Path) -> Iterator[SlopesRun]:
     """Palpate by the daemon over emulated wires, again where a run was ended: on a busy machine it may stand still for too long.
 
     Args:
         folder: For everything that is written.
         law: Where the slopes of the emulated sensor part.
         settings: Of `sensor.fz_slopes`, one run each.
+        kept: Folder for the recordings; one that is there already is not made again.
 
     Yields:
         The recordings.
     """
     save_cell(folder / "cell.yaml", cell_of())
     for setting in settings:
+        recording = kept / f"{law}-{setting}.mcap"
+        if recording.exists():
+            yield SlopesRun(law, setting, Recording.load(recording))
+            continue
         for left in reversed(range(ATTEMPTS)):
             own = folder / f"{setting}-{left}"
             own.mkdir()
@@ -96,7 +102,8 @@ def over_wires(folder: Path, law: PartsAt, settings: Sequence[Setting]) -> Itera
                 daemon = replace(base, blocks=PATIENT | {"sensor": {"fz_slopes": setting}}).run(PLAN)
                 code = daemon.wait(RUN_S)
             if code == 0:
-                yield SlopesRun(law, setting, Recording.load(Path(daemon.report["recording"])))
+                shutil.copy(daemon.report["recording"], recording)
+                yield SlopesRun(law, setting, Recording.load(recording))
                 break
             print(f"The run on the law {law} with {setting} was ended: {daemon.stderr.strip()}", file=sys.stderr, flush=True)
         else:
@@ -221,6 +228,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--without-wires", action="store_true", help="the daemon's loop on the cell's physics: processor time only")
+    parser.add_argument("--kept", type=Path, help="folder for the recordings; those that are there are used")
     parser.add_argument("--no-diagnosis", action="store_true", help="the moduli only")
     parser.add_argument("--seed", type=int, default=1, help="of the noise, without wires")
     options = parser.parse_args()
@@ -230,13 +238,15 @@ def main() -> None:
     laws: tuple[PartsAt, ...] = ("load", "reading")
     all_good = True
     with tempfile.TemporaryDirectory() as name:
+        kept = options.kept or Path(name)
+        kept.mkdir(parents=True, exist_ok=True)
         for law in laws:
             folder = Path(name) / law
             folder.mkdir()
             if options.without_wires:
                 runs: Iterator[SlopesRun] = (one for setting in settings for one in without_wires(folder, law, setting, options.seed))
             else:
-                runs = over_wires(folder, law, settings)
+                runs = over_wires(folder, law, settings, kept)
             for palpated in runs:
                 for line, good in lines_of(palpated, folder, not options.no_diagnosis):
                     print(line, flush=True)

@@ -58,14 +58,20 @@ def dead(values: Floats) -> bool:
     return bool(np.all(values == values[0]))
 
 
+MOST_APART = 1.2
+"""Largest ratio of the two steps of a sensor with two slopes: a HEX-70 has up to 1.08."""
+
+
 def lattice_step(values: Floats) -> float:
     """The step to whose multiples readings are rounded.
+
+    A sensor with two slopes has two steps after its readings were corrected, one below and one above a load.
 
     Args:
         values: The readings (n,).
 
     Returns:
-        The step in their unit; 0 without one.
+        The step in their unit, the finer of two; 0 without one.
     """
     unique = np.unique(values)
     if len(unique) < 3 or len(unique) > 0.2 * len(values):
@@ -74,9 +80,13 @@ def lattice_step(values: Floats) -> float:
     gaps = gaps[gaps > 1e-6 * np.ptp(unique)]
     if len(gaps) < 2:
         return float(gaps[0]) if len(gaps) else 0.0
-    step = float(np.quantile(gaps, 0.1))
-    multiples = gaps / step
-    on_lattice = np.abs(multiples - np.rint(multiples)) < 0.02 * np.maximum(multiples, 1.0)
+    step, other = float(np.quantile(gaps, 0.1)), float(np.median(gaps))
+    if other > MOST_APART * step:
+        other = step
+    on_lattice = np.zeros(len(gaps), bool)
+    for one in (step, other):
+        multiples = gaps / one
+        on_lattice |= np.abs(multiples - np.rint(multiples)) < 0.02 * np.maximum(multiples, 1.0)
     return step if on_lattice.mean() > 0.9 else 0.0
 
 

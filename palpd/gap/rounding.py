@@ -105,6 +105,7 @@ def coarse_step_N(samples: Samples, cell: CellFile) -> float:
     if len(values) < 3 or len(values) > 0.2 * len(samples):
         return 0.0
     gaps = np.diff(values)
+    gaps = gaps[gaps > 1e-6 * np.ptp(values)]  # one level may have two values that differ in the last bits
     gap = float(np.median(gaps))
     gap = float(np.mean(gaps[gaps < 1.75 * gap]))  # readings that are also rounded to the stated step have gaps of two sizes
     stated = cell.sensor.resolution_fz_N

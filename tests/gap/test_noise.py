@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 
 from palpd.cell.cell_file import nominal
 from palpd.gap.bins import Bins
-from palpd.gap.noise import FZ, measured_rms
+from palpd.gap.noise import FZ, lattice_step, measured_rms
 from palpd.gap.rounding import Rounding, Way, coarse_step_N, rounding_of
 from palpd.gap.scatter import without_held, without_tails
 from palpd.gap.whitening import Whitening
@@ -101,3 +101,17 @@ def test_tails_are_taken_out_of_noise_that_is_too_large_only() -> None:
     assert np.abs(noisy.wrench / stated).max() > 15.0
     assert np.abs(nearer).max() < 9.0
     assert np.abs(nearer.mean(axis=0)).max() < 0.05
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.084, 1.15])
+def test_readings_of_two_slopes_have_the_finer_of_two_steps(ratio: float) -> None:
+    rng = np.random.default_rng(4)
+    load_N = np.repeat(rng.uniform(-1.5, 8.0, 200), 40) + rng.normal(0.0, 0.05, 8000)
+    counts = np.rint(load_N / 0.131)
+    corrected_N = np.where(counts > 15, (counts - 15) * 0.131 + 15 * 0.131 / ratio, counts * 0.131 / ratio)
+    assert lattice_step(corrected_N) == pytest.approx(0.131 / ratio, rel=1e-6)
+
+
+def test_readings_without_a_step_have_none() -> None:
+    levels_N = np.sort(np.random.default_rng(5).uniform(0.0, 8.0, 80))
+    assert lattice_step(np.repeat(levels_N, 50)) == 0.0
