@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.emulated_cell import PRESS, Daemon, EmulatedCell, emulated_cell, until
+from palpd.errors import PalpdError
 from palpd.recording.reader import Recording
 
 DROP = Path("/proc/sys/vm/drop_caches")
@@ -79,7 +80,7 @@ def cold_run(cell: EmulatedCell, drop: bool) -> ColdRun:
 def _ticks(daemon: Daemon) -> int:
     try:
         return daemon.ring.published
-    except (AssertionError, OSError, StopIteration):  # it has no ring yet
+    except (AssertionError, OSError, PalpdError):  # it has no ring yet, or only a part of one
         return 0
 
 
