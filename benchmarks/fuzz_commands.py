@@ -101,6 +101,8 @@ study --palpation {mcap}
 diagnose {csv}
 diagnose {csv} --cell {cell} --effects {cell}
 effects no.such.effect
+effects --adopt {cell} --name learned.mine
+effects --remove learned.nothing
 effects tissue.inclusion tissue.no
 blind --ablation everything
 blind --source everything
@@ -331,7 +333,7 @@ def _run(words: tuple[str, ...], here: Path, real: bool) -> tuple[int | None, st
         with errors.open("wb") as stderr:
             process = subprocess.Popen(
                 [sys.executable, "-m", "palpd", *words],
-                cwd=here, env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
+                cwd=here, env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1]), "PALPD_EFFECTS_DIR": str(here / "effects")},
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True,
             )  # fmt: skip
         pid = process.pid
@@ -368,6 +370,7 @@ def _child(words: tuple[str, ...], here: Path, errors: Path) -> None:
         for number, path in ((0, "/dev/null"), (1, "/dev/null"), (2, str(errors))):
             os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o600), number)
         os.chdir(here)
+        os.environ["PALPD_EFFECTS_DIR"] = str(here / "effects")
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
         signal.signal(signal.SIGINT, signal.default_int_handler)
         sys.argv = ["palpd", *words]

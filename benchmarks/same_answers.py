@@ -8,6 +8,7 @@ Timing does not count; `--any-words` also leaves out sentences, notes and names 
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -49,7 +50,8 @@ def answer(checkout: Path, *arguments: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.json"
         command = [str(checkout / ".venv" / "bin" / "python"), "-m", "palpd", *arguments, "--json", str(out)]
-        done = subprocess.run(command, cwd=checkout, capture_output=True, text=True, check=False)
+        environment = os.environ | {"PALPD_EFFECTS_DIR": folder}  # an answer does not depend on who asks
+        done = subprocess.run(command, cwd=checkout, capture_output=True, text=True, check=False, env=environment)
         if not out.exists():
             return {"error": done.stderr.strip()}
         content: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))

@@ -138,7 +138,7 @@ def diagnose_files(
     known = library(effects, without, adopted)
     nominal = load_cell(cell, known)
     diagnosis = diagnose([read_recording(path, site) for path in recordings], nominal, known, propose=propose, calibrated=calibrated)
-    if adopted is not None and (weighed := adopted_sentence(adopted, known)):
+    if adopted is not None and (weighed := adopted_sentence(adopted, diagnosis.problem.library)):
         diagnosis = replace(diagnosis, notes=[*diagnosis.notes, weighed])
     if json_out is not None:
         write_answer(json_out, diagnosis)

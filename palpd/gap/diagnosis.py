@@ -81,6 +81,8 @@ def diagnose(
 def _stages(
     recordings: Sequence[Samples], cell: CellFile, library: Mapping[str, Effect], max_bins: int, propose: bool, calibrated: bool
 ) -> "Diagnosis":
+    # A law that the cell file holds is no gap, also where the library has one of that name.
+    library = {name: effect for name, effect in library.items() if name not in {law.id for law in cell.learned}}
     # 1. Prepare: clean the readings, cut them into bins, estimate noise and tip motion.
     recordings = [without_rounding(samples) for samples in recordings]
     notes = check_recordings(recordings, cell)
