@@ -9,6 +9,7 @@ from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import EFFECTS, Effect, adopted
 from palpd.cell.effects.adopted import load_adopted, remove
 from palpd.cell.effects.learned import LearnedEffect
+from palpd.files import check_folder
 from palpd.gap.similar_effects import MOSTLY_ALIKE, similar_effects
 
 __all__ = ["AdoptedEffect", "adopt", "described", "load_adopted", "remove"]
@@ -50,6 +51,7 @@ def adopt(file: Path, folder: Path, name: str | None, cell: CellFile) -> Adopted
         ConfigError: The file holds no law, or more than one.
         BadInput: The name is none or taken, or the file cannot be written.
     """
+    check_folder(folder)
     law = adopted.to_adopt(file, folder, name)
     unknown = law.confounds is None
     if unknown:
