@@ -18,7 +18,7 @@ from palpd.tick import Floats
 COVERED = 0.95
 """Probability that an interval holds the parameter."""
 
-PARABOLIC = 0.1
+PARABOLIC = 0.03
 """Relative error of the rise of the residual's norm at the end of an interval below which the end stays where it is."""
 
 MOST_STEPS = 4
@@ -103,28 +103,30 @@ class _Profile:
         return _Profile(problem, one, k, covariance[:, k] / max(variance, 1e-300), sqrt(max(variance, 0.0)))
 
     def end(self, distance: float) -> float:
-        """The coordinate at which the residual has risen as a parabola would over a distance from the best one."""
+        """The coordinate at which the residual has risen as a parabola would over a distance from the best one.
+
+        Where the residual does not rise, since the search ended beside the best place, the end lies further away.
+        """
         c, best = self.one.where[self.k], float(self.one.u[self.k])
-        parabola = best + distance
-        parabolas_rise = abs(distance) / self.sd if self.sd > 0.0 else 0.0
-        if parabolas_rise == 0.0 or self.one.misfit <= 0.0:
-            return parabola
-        x = c.to(c.back(parabola))
-        if abs(self._rise(x, iterations=0) - parabolas_rise) <= PARABOLIC * parabolas_rise:
-            return x
+        enough = abs(distance) / self.sd if self.sd > 0.0 else 0.0
+
+        def at(stretch: float) -> float:
+            return c.to(c.back(best + stretch * distance))  # inside the range
+
+        if enough == 0.0 or at(1.0) == best or abs(self._rise(at(1.0), iterations=0) - enough) <= PARABOLIC * enough:
+            return at(1.0)
+        before, rise_before, stretch = 0.0, 0.0, 1.0
         for _ in range(MOST_STEPS):
-            x = c.to(c.back(x))
-            rise = self._rise(x, iterations=2)
-            if rise <= 0.0 or x == best:
-                return parabola if x != best else x
-            if abs(rise - parabolas_rise) <= PARABOLIC * parabolas_rise:
+            rise = self._rise(at(stretch), iterations=2)
+            if abs(rise - enough) <= PARABOLIC * enough:
                 break
-            stretch = (x - best) / distance * float(np.clip(parabolas_rise / rise, 0.5, 2.0))
-            further = best + distance * float(np.clip(stretch, 1.0 / LARGEST_STRETCH, LARGEST_STRETCH))
-            if c.to(c.back(further)) == x:
+            slope = (rise - rise_before) / (stretch - before)
+            further = stretch + (enough - rise) / slope if slope > 0.0 else 2.0 * stretch
+            before, rise_before = stretch, rise
+            stretch = float(np.clip(further, max(0.5 * stretch, 1.0 / LARGEST_STRETCH), min(2.0 * stretch, LARGEST_STRETCH)))
+            if at(stretch) == at(before):
                 break
-            x = further
-        return x
+        return at(stretch)
 
     def _rise(self, x: float, iterations: int) -> float:
         """Square root of the rise of the squared residual there, with that many iterations of the others; 0 where it does not rise."""

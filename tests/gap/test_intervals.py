@@ -9,7 +9,8 @@ from scipy.stats import binom
 
 from benchmarks.plain_cells import cell_of, recording
 from palpd.cell.cell_file import EffectValues
-from palpd.gap.evidence import PossibleLaw, fit
+from palpd.gap.evidence import PossibleLaw, fit, laplace_evidence
+from palpd.gap.fit import gauss_newton
 from palpd.gap.intervals import COVERED, half_width, interval
 from palpd.gap.linearise import linearise
 from palpd.gap.problem import Problem, make_problem
@@ -90,6 +91,18 @@ def test_an_end_lies_where_the_residual_has_risen_enough(problem: Problem) -> No
     half = half_width(one.laws, k) * one.where[k].scale
     assert high - value > 1.1 * half
     assert value - low < 0.95 * half
+
+
+def test_a_search_that_ended_beside_the_best_place_has_its_interval_there(problem: Problem) -> None:
+    true: EffectValues = {"cable.friction": {"force_N": 0.06}}
+    data = drawn(problem, true, np.random.default_rng(5))
+    best = fit(data, true, linearise(data, true, data.nominal_eta), rounds=3)
+    sd = float(best.laws[0].covariance[0, 0]) ** 0.5
+    beside = gauss_newton(data, best.linearisation, best.where, best.u + 2.0 * sd, iterations=0)
+    low_N, high_N = interval(data, laplace_evidence(data, beside), 0)
+    value_N, sd_N = beside.values["cable.friction"]["force_N"], sd * best.where[0].scale
+    assert value_N - low_N > 4.0 * sd_N
+    assert high_N - value_N < 0.5 * (value_N - low_N)
 
 
 def test_an_angle_and_a_choice_keep_theirs(problem: Problem) -> None:
