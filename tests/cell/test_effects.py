@@ -372,6 +372,15 @@ def test_a_pull_that_holds_until_it_snaps_is_a_nuisance_that_no_file_names() -> 
         cell_from({"effects": {"tissue.adhesion": {"force_N": 0.3, "range_m": 5e-4, "fading": 4.0}}}, "cell")
 
 
+def test_a_loop_begins_where_earlier_loads_have_left_it() -> None:
+    motion = ramp((0, 0.0), (1, -2.0), (2, 2.0))
+    loop = {"width_N": 0.5, "amplitude_N": 0.1}
+    begun, fresh = (felt(with_("sensor.hysteresis", **loop, **start), motion) for start in ({"start": 0.8}, {}))
+    assert begun[0] - fresh[0] == pytest.approx(0.08)
+    assert abs(begun[-1] - fresh[-1]) < abs(begun[0] - fresh[0])  # it forgets as it turns
+    assert [parameter.name for parameter in EFFECTS["sensor.hysteresis"].named_parameters] == ["width_N", "amplitude_N"]
+
+
 def test_the_surface_sinks_after_every_press_by_less() -> None:
     motion = ramp(*[(k, 1.0 if k % 2 == 0 else -2.0) for k in range(9)])
     force_N = felt(with_("tissue.plasticity", set_m=3e-4, ratio=0.5), motion)

@@ -97,6 +97,8 @@ CROSSTALK = Effect(
 def _hysteresis(s: Span, p: Values, memory: Memory) -> None:
     """Exact over a step: w goes towards +1 while fz rises and towards -1 while it falls, by exp(-|Δfz|/width).
 
+    It starts where the loads before the recording have left it, which nobody knows.
+
     Noise of a measured motion would wear the loop down while nothing moves, so dead bands come first: in the air for the noise of
     accelerations, in contact for that of heights, as the force to 2/3, which a sphere makes proportional to depth.
     """
@@ -109,7 +111,7 @@ def _hysteresis(s: Span, p: Values, memory: Memory) -> None:
         drive_N = inertial_N + np.sign(as_depth) * np.abs(as_depth) ** 1.5
     change_N = np.diff(drive_N, prepend=memory.get("fz_N", drive_N[0]))
     keep = np.exp(-np.abs(change_N) / p["width_N"])
-    loop = recurrence(keep, np.sign(change_N) * (1.0 - keep), memory.get("w", 0.0))
+    loop = recurrence(keep, np.sign(change_N) * (1.0 - keep), memory.get("w", p.get("start", 0.0)))
     memory["fz_N"], memory["w"] = drive_N[-1], loop[-1]
     s.fz_N = s.fz_N + p["amplitude_N"] * loop
 
@@ -121,6 +123,7 @@ HYSTERESIS = Effect(
     (
         Parameter("width_N", "N", lambda s: s.noise_N, lambda s: 10.0 * s.range_N, of("force_N", 0.1, 0.5), nominal=None, log=True),
         Parameter("amplitude_N", "N", lambda s: -s.range_N, lambda s: s.range_N, of("force_N", 0.05, -0.05)),
+        Parameter("start", "1", -1.0, 1.0, (-0.5,), nominal=None, optional=True, nuisance=True),
     ),
     law=_hysteresis,
     discrepancy_drivers=LOAD,
