@@ -4,6 +4,9 @@ Neighbours in a smooth residual are not independent, and a further effect of any
 listed effects are compared with is the residual's own (a model discrepancy in the sense of Kennedy and O'Hagan, 2001). Whether
 something outside the list is at work is still judged by the stated noise, hypothesis by hypothesis. Its total is not taken from the
 posterior with the stated noise: that sees fewer effects outside the list.
+
+Where even the best hypothesis needs a deviation far out of its tolerance, that tolerance is wrong. Hypotheses are then compared with one
+as wide as the deviation (empirical Bayes): else the far tail of a normal distribution decides, which nobody meant who stated it.
 """
 
 from collections.abc import Mapping
@@ -12,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from palpd.gap.evidence import Fit, fit
+from palpd.gap.hypotheses import CREDIBLE_SD
 from palpd.gap.linearise import linearise
 from palpd.gap.posterior import Attribution, Hypothesis, attribution_of, posterior
 from palpd.gap.problem import Problem
@@ -39,13 +43,14 @@ def compare_again(problem: Problem, fits: Mapping[tuple[str, ...], Fit], first: 
     Returns:
         The posterior; the first one where the best residual is white.
     """
-    now = first
+    now, wider = first, wrong_tolerances(fits[first.best.fit.names])
     for _ in range(ROUNDS):
         best = fits[now.best.fit.names]
         weight = row_weights(best.remainder)
         if not best.names or weight.min() == 1.0:
             break
-        now = _with_stated_noise(problem, fits, _compared(problem.with_row_weight(weight), fits, first))
+        comparable = problem.with_row_weight(weight).with_shared_sd(wider * problem.shared_sd)
+        now = _with_stated_noise(problem, fits, _compared(comparable, fits, first, wider), wider)
         if now.best.fit.names == best.names:
             break
     return now
@@ -69,6 +74,19 @@ def row_weights(remainder: Floats) -> Floats:
     return weights
 
 
+def wrong_tolerances(best: Fit) -> Floats:
+    """By how much the tolerances of shared deviations are too narrow for a hypothesis.
+
+    Args:
+        best: The hypothesis.
+
+    Returns:
+        Factors (11,); 1 where the deviation is credible.
+    """
+    deviation_sd = np.abs(best.linearisation.space.coefficients(best.residual)[: len(best.eta)])
+    return np.where(deviation_sd > CREDIBLE_SD, deviation_sd, 1.0)
+
+
 def correlation_time(values: Floats) -> float:
     """Integrated autocorrelation time, in rows: 1 + 2 Σ ρ up to the first negative ρ (Geyer 1992).
 
@@ -86,19 +104,19 @@ def correlation_time(values: Floats) -> float:
     return float(1.0 + 2.0 * rho[1 : negative[0] if len(negative) else n].sum())
 
 
-def _compared(problem: Problem, fits: Mapping[tuple[str, ...], Fit], first: Attribution) -> Attribution:
-    """The posterior of the likeliest hypotheses, of their subsets and of no effect, fitted again with other weights."""
+def _compared(problem: Problem, fits: Mapping[tuple[str, ...], Fit], first: Attribution, wider: Floats) -> Attribution:
+    """The posterior of the likeliest hypotheses, of their subsets and of no effect, fitted again with other weights and tolerances."""
     likeliest = [one.fit.names for one in first.hypotheses[:COMPARED]]
     single = [(name,) for names in likeliest[:3] for name in names if (name,) in fits]
     again: dict[tuple[str, ...], Fit] = {}
     for names in dict.fromkeys([(), *likeliest, *single]):
         one = fits[names]
-        again[names] = fit(problem, one.values, linearise(problem, one.values, one.eta), iterations=3, rounds=1)
+        again[names] = fit(problem, one.values, linearise(problem, one.values, one.eta / wider), iterations=3, rounds=1)
     return posterior(problem, again, len(again))
 
 
-def _with_stated_noise(problem: Problem, fits: Mapping[tuple[str, ...], Fit], compared: Attribution) -> Attribution:
-    """The hypotheses as compared, each with its fit and its odds for something unknown as the stated noise has them.
+def _with_stated_noise(problem: Problem, fits: Mapping[tuple[str, ...], Fit], compared: Attribution, wider: Floats) -> Attribution:
+    """The hypotheses as compared, each with its fit and its odds for something unknown as noise and tolerances are stated.
 
     The best one keeps the parameters of the comparison and their intervals.
     """
@@ -108,7 +126,7 @@ def _with_stated_noise(problem: Problem, fits: Mapping[tuple[str, ...], Fit], co
     def judged(one: Hypothesis) -> Hypothesis:
         now = fits[one.fit.names]
         if one is compared.best:
-            there = linearise(problem, one.fit.values, one.fit.eta)
+            there = linearise(problem, one.fit.values, one.fit.eta * wider)
             now = replace(fit(problem, one.fit.values, there, iterations=0), covariance=one.fit.covariance, laws=one.fit.laws)
         return replace(one, fit=now, residual=stated[one.fit.names].residual, share_known=stated[one.fit.names].share_known)
 

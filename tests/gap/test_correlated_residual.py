@@ -3,7 +3,21 @@
 import numpy as np
 import pytest
 
-from palpd.gap.correlated_residual import correlation_time, row_weights
+from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
+from palpd.gap.correlated_residual import correlation_time, row_weights, wrong_tolerances
+from palpd.gap.evidence import fit
+from palpd.gap.linearise import linearise
+from palpd.gap.problem import SHARED, make_problem
+
+
+def test_a_tolerance_is_compared_as_wide_as_the_best_hypothesis_needs_it() -> None:
+    cell = cell_of("second order")
+    far = PlantedDeviations(surface_z_m=9.0 * cell.tolerances.surface_z_m)
+    problem = make_problem([recording("second order", 5, far)], cell, max_bins=400)
+    factors = wrong_tolerances(fit(problem, {}, linearise(problem, {}, problem.nominal_eta), rounds=3))
+    surface = SHARED.index("surface_z_m")
+    assert factors[surface] == pytest.approx(9.0, rel=0.2)
+    assert (np.delete(factors, surface) == 1.0).all()
 
 
 def test_white_noise_counts_fully() -> None:
