@@ -14,7 +14,7 @@ import numpy as np
 
 from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile, Estimated, Wall
 from palpd.cell.cell_file import CellSite as Place
-from palpd.cell.dynamics import Constants, Floats, Memory, Span, TipMotion, delayed, lowpass, servo, servo_heights, steps
+from palpd.cell.dynamics import Constants, Floats, Memory, Span, TipMotion, delayed, lowpass, servo, servo_heights, shifted, steps
 from palpd.cell.effects import EFFECTS, Effect, Scale, Site, Values
 from palpd.cell.effects.learned import learned_law_of
 from palpd.errors import ConfigError
@@ -183,9 +183,13 @@ def _at_the_sensor(s: Span, what: Physics, memory: Memory, here: Memory) -> None
     s.fz_N = s.contact_N - c.mass_kg * s.az_m_per_s2
     what.apply("probe", s, memory)
     if c.delay_s or c.skew or not isinstance(s.lead_s, float):
-        when_s = s.t_s * (1.0 + c.skew) - c.delay_s - s.lead_s
-        for name, column in _columns(s):
-            setattr(s, name, delayed(column, s.t_s, when_s, memory.setdefault(f"late {name}", {})))
+        if s.even_s and not c.skew and isinstance(s.lead_s, float):
+            for name, column in _columns(s):
+                setattr(s, name, shifted(column, (c.delay_s + s.lead_s) / s.even_s))
+        else:
+            when_s = s.t_s * (1.0 + c.skew) - c.delay_s - s.lead_s
+            for name, column in _columns(s):
+                setattr(s, name, delayed(column, s.t_s, when_s, memory.setdefault(f"late {name}", {})))
     what.apply("clock", s, memory)
     s.fz_N = s.fz_N * c.gain
 
@@ -438,7 +442,8 @@ def wrench_of(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, sit
 
 
 def _span(c: Constants, m: TipMotion) -> Span:
-    return Span(c, m.t_s, steps(m.t_s) if m.dt_s is None else m.dt_s, m.z_m, m.vz_m_per_s, m.az_m_per_s2, m.z_noise_m, m.az_noise_m_per_s2)
+    dt_s = steps(m.t_s) if m.dt_s is None else m.dt_s
+    return Span(c, m.t_s, dt_s, m.z_m, m.vz_m_per_s, m.az_m_per_s2, m.z_noise_m, m.az_noise_m_per_s2, even_s=m.even_s)
 
 
 def predict_wrench(

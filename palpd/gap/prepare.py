@@ -268,7 +268,13 @@ def _at_steps(motion: TipMotion, samples_per_step: Bins) -> TipMotion:
         return np.interp(even_s, t_s, samples_per_step.mean(values))
 
     return replace(
-        motion, t_s=even_s, z_m=at(motion.z_m), vz_m_per_s=at(motion.vz_m_per_s), az_m_per_s2=at(motion.az_m_per_s2), dt_s=steps(even_s)
+        motion,
+        t_s=even_s,
+        z_m=at(motion.z_m),
+        vz_m_per_s=at(motion.vz_m_per_s),
+        az_m_per_s2=at(motion.az_m_per_s2),
+        dt_s=steps(even_s),
+        even_s=0.0 if even_s is t_s else float(even_s[1] - even_s[0]),
     )
 
 

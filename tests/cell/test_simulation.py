@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from palpd.cell.cell_file import PHANTOM, CellFile, Estimated, cell_from, nominal
-from palpd.cell.dynamics import Floats, Memory, Span, TipMotion, lowpass, mounted, play, recurrence, servo, steps
+from palpd.cell.dynamics import Floats, Memory, Span, TipMotion, delayed, lowpass, mounted, play, recurrence, servo, shifted, steps
 from palpd.cell.effects import EFFECTS, Effect, Values
 from palpd.cell.simulation import (
     Cell,
@@ -202,6 +202,12 @@ def test_fifty_samples_at_ten_hertz_are_enough_to_predict() -> None:
     wrench = predict_wrench(nominal(), t_s, z_m, np.where(t_s < 2.5, -0.002, 0.0))
     assert np.isfinite(wrench).all()
     assert wrench[-1, 2] == pytest.approx(equilibrium_force_N(nominal(), 0.004), rel=1e-3)
+
+
+@pytest.mark.parametrize("rows", [0.0, 0.3, 1.0, 2.75, -0.25, -1.0, -3.4, 11.0, 12.5, 40.0, -11.0, -40.0])
+def test_a_signal_on_an_even_grid_is_shifted_as_a_delay_shifts_it(rows: float) -> None:
+    u, t_s = np.random.default_rng(5).standard_normal(12), 0.3 + 0.002 * np.arange(12)
+    np.testing.assert_allclose(shifted(u, rows), delayed(u, t_s, t_s - 0.002 * rows, {}), atol=1e-9)
 
 
 def push_back(s: Span, _values: Values, _memory: Memory) -> None:
