@@ -20,6 +20,9 @@ Column = Floats | float
 SHORT = 64
 """Samples up to which a relaxation uses a stored matrix: one product costs less than setting up a filter."""
 
+FORGOTTEN, MOST_TAPS = 1e-17, 10
+"""Share of an input that a relaxation has lost to rounding, and inputs up to which their weighted sum costs a third of the recursion."""
+
 FEW = 8
 """Steps of a recurrence that are done one by one: halving them costs more."""
 
@@ -235,6 +238,7 @@ def lowpass(u: NDArray[Any], dt_s: Column, pole_per_s: complex, memory: Memory, 
     Returns:
         The output, shaped as the input.
     """
+    settled = "y" not in memory and start is None
     if "y" not in memory:
         memory["y"] = memory["u"] = u[0] + 0.0 if start is None else u[0] * 0.0 + start
     n = len(u)
@@ -242,6 +246,10 @@ def lowpass(u: NDArray[Any], dt_s: Column, pole_per_s: complex, memory: Memory, 
         x = complex(pole_per_s) * dt_s
         if n <= SHORT:
             y = _short_block(x, n) @ np.concatenate((np.stack((memory["y"], memory["u"])), u))
+        elif settled and u.ndim == 1 and not x.imag and np.log(FORGOTTEN) / x.real < MOST_TAPS - 2:
+            keep, old, new = _weights(x.real)
+            taps = np.concatenate(([new], (keep * new + old) * keep ** np.arange(MOST_TAPS - 1)))
+            y = np.convolve(np.concatenate((np.full(MOST_TAPS - 1, u[0]), u)), taps, "valid")
         else:
             keep, old, new = _weights(x if x.imag else x.real)
             state = np.asarray(keep * memory["y"] + old * memory["u"])[None]

@@ -210,6 +210,14 @@ def test_a_signal_on_an_even_grid_is_shifted_as_a_delay_shifts_it(rows: float) -
     np.testing.assert_allclose(shifted(u, rows), delayed(u, t_s, t_s - 0.002 * rows, {}), atol=1e-9)
 
 
+@pytest.mark.parametrize("pole_per_s", [-2500.0, -2450.0, -1500.0])
+def test_a_fast_relaxation_is_the_same_in_one_stretch_and_in_many(pole_per_s: float) -> None:
+    u, memory = 3.0 + np.random.default_rng(6).standard_normal(400), dict[str, object]()
+    whole = lowpass(u, 0.002, pole_per_s, {})
+    parts = [lowpass(u[k : k + 40], 0.002, pole_per_s, memory) for k in range(0, 400, 40)]
+    np.testing.assert_allclose(whole, np.concatenate(parts), rtol=1e-13)
+
+
 def push_back(s: Span, _values: Values, _memory: Memory) -> None:
     """A user's law that changes its sample arrays in place: fz, and one of the axes into which it leaks."""
     s.fz_N += 0.5
