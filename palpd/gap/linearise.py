@@ -10,7 +10,7 @@ from palpd.cell.cell_file import CellFile, EffectValues
 from palpd.cell.simulation import wrench_of
 from palpd.gap.fixed_nuisances import Column, zero_columns
 from palpd.gap.noise import FX, FY, FZ, TX, TY, Z
-from palpd.gap.nuisances import Columns, Nuisances, nuisances
+from palpd.gap.nuisances import ColumnByChannel, Columns, Nuisances, Stretch, nuisances
 from palpd.gap.prepare import PreparedRecording
 from palpd.gap.problem import CROSSTALK, RELATIVE, SHARED, Problem, tolerance_key
 from palpd.tick import Floats
@@ -91,7 +91,9 @@ def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisa
     eta = np.where(problem.own_tolerances(effects), 0.0, eta)
     prediction = problem.predict(effects, eta)
     shared = _shared_columns(problem, effects, eta, prediction)
-    labelled = [(Column("cell", name), dict(enumerate(column))) for name, column in zip(SHARED, shared, strict=True)]
+    labelled: list[tuple[Column, ColumnByChannel]] = [
+        (Column("cell", name), dict(enumerate(column))) for name, column in zip(SHARED, shared, strict=True)
+    ]
     labelled += _own_columns(problem, effects, eta, shared)
     keys = {problem.library[name].tolerance for name in effects}
     fixed = problem.fixed_nuisances
@@ -125,7 +127,7 @@ def _shared_columns(problem: Problem, effects: EffectValues, eta: Floats, predic
     return columns
 
 
-def _own_columns(problem: Problem, effects: EffectValues, eta: Floats, shared: list[Floats]) -> Iterator[tuple[Column, dict[int, Floats]]]:
+def _own_columns(problem: Problem, effects: EffectValues, eta: Floats, shared: list[Floats]) -> Iterator[tuple[Column, ColumnByChannel]]:
     """Labelled columns of every recording in turn, (b,) by channel, that depend on the state: errors of the computation and presses."""
     cell = problem.cell_at(effects, eta)
     predicted = problem.binned_prediction(effects, eta)
@@ -134,7 +136,7 @@ def _own_columns(problem: Problem, effects: EffectValues, eta: Floats, shared: l
         here = slice(start, start + len(recording.bins))
         start = here.stop
 
-        def whitened(label: Column, values: Floats, here: slice = here) -> tuple[Column, dict[int, Floats]]:
+        def whitened(label: Column, values: Floats, here: slice = here) -> tuple[Column, ColumnByChannel]:
             column = np.zeros(predicted.shape[1])
             column[here] = values
             return label, {label.channel: problem.noise.whiten_channel(label.channel, column)}
@@ -176,7 +178,7 @@ def _computation_errors(
 
 def _press_columns(
     problem: Problem, recording: PreparedRecording, here: slice, shared: list[Floats]
-) -> Iterator[tuple[Column, dict[int, Floats]]]:
+) -> Iterator[tuple[Column, ColumnByChannel]]:
     """Scatter of stiffness and surface of every press, as the shared deviations act within it."""
     repeatability = problem.cell.repeatability
     scatters = []
@@ -188,16 +190,11 @@ def _press_columns(
         if sd > 0 and scatter > 0:
             scatters.append((name, {channel: source[channel] * (scatter / sd) for channel in np.flatnonzero(source.any(axis=1)).tolist()}))
     for press in range(recording.phases.presses):
-        window = np.zeros(shared[0].shape[1], dtype=bool)
-        window[here] = _and_neighbours(recording.bin_press == press)
+        bins = np.flatnonzero(recording.bin_press == press)
+        if not len(bins):
+            continue
+        # The bins of a press follow each other; one bin at either side belongs to it in part.
+        first, end = here.start + max(int(bins[0]) - 1, 0), here.start + min(int(bins[-1]) + 2, len(recording.bins))
         for name, changes in scatters:
-            if FZ in changes and changes[FZ][window].any():
-                yield Column("press", name), {channel: np.where(window, values, 0.0) for channel, values in changes.items()}
-
-
-def _and_neighbours(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The mask and one bin at either side."""
-    wide = mask.copy()
-    wide[1:] |= mask[:-1]
-    wide[:-1] |= mask[1:]
-    return wide
+            if FZ in changes and changes[FZ][first:end].any():
+                yield Column("press", name), {channel: Stretch(first, values[first:end]) for channel, values in changes.items()}

@@ -29,6 +29,17 @@ Rows = Floats | csr_array
 """Columns of one channel as the rows (m, b) of a matrix: of a sparse one where each lives in few bins."""
 
 
+class Stretch(NamedTuple):
+    """Values from a first bin on, zero in all others."""
+
+    first: int
+    values: Floats
+
+
+ColumnByChannel = Mapping[int, Floats | Stretch]
+"""Values (b,) of one column by channel, in the channels where it is not zero."""
+
+
 class Block(NamedTuple):
     """Columns that are zero but in one channel, as rows (m, b), and their numbers (m,)."""
 
@@ -97,11 +108,11 @@ class Columns:
         return len(self.gram)
 
     @staticmethod
-    def of(columns: Sequence[Mapping[int, Floats]], shape: tuple[int, int]) -> "Columns":
+    def of(columns: Sequence[ColumnByChannel], shape: tuple[int, int]) -> "Columns":
         """Gather columns.
 
         Args:
-            columns: Values (b,) of each column by channel, in the channels where they are not zero.
+            columns: The columns.
             shape: Numbers of channels and bins (c, b).
 
         Returns:
@@ -218,32 +229,36 @@ class Columns:
         return out
 
 
-def _blocks(columns: Sequence[Mapping[int, Floats]], b: int) -> tuple[Block, ...]:
+def _blocks(columns: Sequence[ColumnByChannel], b: int) -> tuple[Block, ...]:
     """Columns of a channel that live in many bins, and those that live in few, together."""
-    groups: dict[tuple[int, bool], list[tuple[int, int, Floats]]] = {}
+    groups: dict[tuple[int, bool], list[tuple[int, Stretch]]] = {}
     for number, column in enumerate(columns):
         for channel, values in column.items():
-            there = values != 0.0
-            first = int(there.argmax())
-            if there[first]:
-                end = b - int(there[::-1].argmax())
-                short = end - first <= SHORT_SHARE * b
-                groups.setdefault((channel, short), []).append((number, first, values[first:end] if short else values))
-    return tuple(
-        Block(channel, np.array([number for number, _, _ in those], dtype=np.intp), _sparse(those, b) if short else _dense(those))
-        for (channel, short), those in groups.items()
-    )
+            stretch = _live(values)
+            if len(stretch.values):
+                groups.setdefault((channel, len(stretch.values) <= SHORT_SHARE * b), []).append((number, stretch))
+    out = []
+    for (channel, short), those in groups.items():
+        stretches = [stretch for _, stretch in those]
+        numbers = np.array([number for number, _ in those], dtype=np.intp)
+        out.append(Block(channel, numbers, _sparse(stretches, b) if short else _sparse(stretches, b).toarray()))
+    return tuple(out)
 
 
-def _dense(those: Sequence[tuple[int, int, Floats]]) -> Floats:
-    return np.array([values for _, _, values in those])
+def _live(values: Floats | Stretch) -> Stretch:
+    """The stretch from the first bin to the last in which a column is not zero."""
+    first, values = values if isinstance(values, Stretch) else (0, values)
+    there = values != 0.0
+    begin = int(there.argmax())
+    end = len(values) - int(there[::-1].argmax()) if there[begin] else begin
+    return Stretch(first + begin, values[begin:end])
 
 
-def _sparse(those: Sequence[tuple[int, int, Floats]], b: int) -> csr_array:
-    """Rows of which each is zero but from a first bin on for as many bins as there are values."""
-    indices = np.concatenate([np.arange(first, first + len(values)) for _, first, values in those])
-    starts = np.cumsum([0, *(len(values) for _, _, values in those)])
-    return csr_array((np.concatenate([values for _, _, values in those]), indices, starts), shape=(len(those), b))
+def _sparse(stretches: Sequence[Stretch], b: int) -> csr_array:
+    """Stretches as the rows of a matrix (m, b)."""
+    indices = np.concatenate([np.arange(first, first + len(values)) for first, values in stretches])
+    starts = np.cumsum([0, *(len(values) for _, values in stretches)])
+    return csr_array((np.concatenate([values for _, values in stretches]), indices, starts), shape=(len(stretches), b))
 
 
 def _merged(blocks: Sequence[Block]) -> tuple[Block, ...]:
