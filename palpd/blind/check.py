@@ -20,7 +20,8 @@ import yaml
 
 from palpd.blind.diagnose_case import ENGINE
 from palpd.blind.injected_cells import hosts_in
-from palpd.blind.plans import plan, plan_large
+from palpd.blind.law_answers import write_true_change
+from palpd.blind.plans import plan, plan_large, plan_unlisted
 from palpd.blind.score import CaseOutcome, ScoreRow, score_case, tables_by_source
 from palpd.blind.sources import Hosts, draw
 from palpd.blind.truth import CaseSpec, SealedCase, Source
@@ -30,7 +31,7 @@ from palpd.files import parse_json, read_text, write_text
 from palpd.gap.calibration import ProbabilityMap, stored_map
 from palpd.recording.samples import Samples, write_csv
 
-SCHEMA = "palpd.blind/2"
+SCHEMA = "palpd.blind/3"
 BATCH = 20
 """Cases that are drawn, sealed and diagnosed before the next ones: their recordings fill some 100 MB of disk, and an interrupted check
 loses at most that work."""
@@ -47,6 +48,7 @@ class CheckResult(TypedDict):
     schema: str
     cases: int
     large: int
+    unlisted: int
     sources: list[Source]
     recordings: str | None
     seed: int
@@ -99,6 +101,9 @@ def make_case(
     if case.second is not None:
         files.append(sealed / f"{spec.name}.csv")
         write_csv(files[-1], case.second)
+    if case.true_change is not None:
+        files.append(sealed / f"{spec.name}.npz")
+        write_true_change(files[-1], case.true_change)
     return {f"{file.parent.name}/{file.name}": _digest(file) for file in files}
 
 
@@ -136,6 +141,7 @@ def run(
     sources: Sequence[Source] = ("drawn",),
     hosts: Hosts | None = None,
     large: int = 0,
+    unlisted: int = 0,
     jobs: int = 2,
     ablation: Ablation | None = None,
     keep: Path | None = None,
@@ -151,6 +157,7 @@ def run(
         sources: Where the cases come from.
         hosts: Where injected cases find their recordings; None: MuJoCo simulates them.
         large: Number of further drawn cases with one effect of SNR > 20.
+        unlisted: Number of further cases of each source with an effect outside the list.
         jobs: Number of processes.
         ablation: What is taken away from the diagnosis.
         keep: New folder for recordings, answers and truths; None: they are removed.
@@ -168,15 +175,16 @@ def run(
     hosts = hosts or Hosts()
     by = stored_map() if calibrated else ProbabilityMap()
     result = CheckResult(
-        schema=SCHEMA, cases=cases, large=large, sources=list(sources), recordings=None if hosts.folder is None else hosts.folder.name,
-        seed=seed, ablation=ablation, probability_map=asdict(by), sealed_sha256="", tables={}, outcomes=[],
+        schema=SCHEMA, cases=cases, large=large, unlisted=unlisted, sources=list(sources),
+        recordings=None if hosts.folder is None else hosts.folder.name, seed=seed, ablation=ablation,
+        probability_map=asdict(by), sealed_sha256="", tables={}, outcomes=[],
     )  # fmt: skip
     begun = {"seed": seed, "recordings": result["recordings"], "ablation": ablation, "probability_map": asdict(by)}
     done = _batches_in(resume, begun)
     seal = hashlib.sha256()
     folder = Path(tempfile.mkdtemp(prefix="palpd-blind-")) if keep is None else keep
     try:
-        for batch in _batches(cases, seed, sources, large, hosts):
+        for batch in _batches(cases, seed, sources, large, unlisted, hosts):
             scored = done.get(_batch_name(batch)) or _run_batch(batch, seed, folder / _batch_name(batch), hosts, ablation, jobs, calibrated)
             if resume is not None and scored["batch"] not in done:
                 done[scored["batch"]] = scored
@@ -195,7 +203,7 @@ def run(
     return result
 
 
-def _batches(cases: int, seed: int, sources: Sequence[Source], large: int, hosts: Hosts) -> Iterator[list[CaseSpec]]:
+def _batches(cases: int, seed: int, sources: Sequence[Source], large: int, unlisted: int, hosts: Hosts) -> Iterator[list[CaseSpec]]:
     """Batches of the sources in turn, so that an interrupted check has some of each; the extra cases come last."""
     recordings = len(hosts_in(hosts.folder, hosts.causes))
     plans = [plan(source, cases, seed, recordings if source == "injected" else 0) for source in sources]
@@ -203,6 +211,9 @@ def _batches(cases: int, seed: int, sources: Sequence[Source], large: int, hosts
         yield from (specs[first : first + BATCH] for specs in plans)
     extra = plan_large(large, seed)
     yield from (extra[first : first + BATCH] for first in range(0, large, BATCH))
+    further = [plan_unlisted(source, unlisted, seed) for source in sources]
+    for first in range(0, unlisted, BATCH):
+        yield from (specs[first : first + BATCH] for specs in further)
 
 
 def _batch_name(batch: Sequence[CaseSpec]) -> str:

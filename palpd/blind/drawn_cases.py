@@ -23,7 +23,7 @@ from palpd.blind.drawn_cells import (
 )
 from palpd.blind.laws import FOREIGN_LAWS, LIBRARY_LAWS, NOVEL_LAWS, Floats, Law, Planted, SensorRows, Shape, SimulatedRun
 from palpd.blind.simulated_run import rows
-from palpd.blind.truth import CannotDraw, CaseKind, CaseSpec, NearestLaw, SealedCase, SealedEffect, SecondMotion, Truth
+from palpd.blind.truth import CannotDraw, CaseKind, CaseSpec, NearestLaw, SealedCase, SealedEffect, SecondMotion, TrueChange, Truth
 from palpd.recording.samples import Samples
 
 SLOW_ROBOT_HZ = 125.0
@@ -196,12 +196,17 @@ def _draw_case(r: np.random.Generator, spec: CaseSpec) -> SealedCase:
     sizes = detectability.sizes(np.sum(changes, axis=0)) if changes else np.zeros((len(CHANNELS), len(PHASES)))
     without = tuple(effects) if kind == "removed" else ()
     sealed = describe(plants, detectability)
+    run = detectability.run(planted)
+    true_change: TrueChange | None = None
+    if kind == "novel":
+        sealed[0]["statement"] = plants[0].law.states(plants[0].parameters, cell.surface_z_m)
+        true_change = true_change_of(run, motion.at(t_s), t_s, changes[0]) if changes else None
     mimic: NearestLaw | None = None
-    if kind in {"removed", "novel"} and changes:
+    if kind in {"removed", "novel"} and changes and not spec.extra:
         mimic = _nearest(detectability, planted, int(r.integers(2**31)), without=without)
     elif kind == "foreign" and changes:
         sealed[0]["nearest"] = _nearest(detectability, planted, spec.index, only=effects[0])
-    samples = measured(r, cell, detectability.run(planted), motion, t_s, planted, robot_rate_Hz)
+    samples = measured(r, cell, run, motion, t_s, planted, robot_rate_Hz)
     second, rms = _second(r, cell, detectability.deviations, planted)
     truth: Truth = {
         "source": "drawn",
@@ -219,7 +224,23 @@ def _draw_case(r: np.random.Generator, spec: CaseSpec) -> SealedCase:
         "second": rms,
         "about": {"deviations": detectability.deviations.of, "presses": motion.presses, "stratum": spec.stratum},
     }
-    return SealedCase(cell.as_yaml(), samples, without, second, truth)
+    return SealedCase(cell.as_yaml(), samples, without, second, truth, true_change)
+
+
+def true_change_of(run: SimulatedRun, z_cmd_m: Floats, t_s: Floats, change: Floats) -> TrueChange:
+    """What planted effects change, on the noise-free motion.
+
+    Args:
+        run: The noise-free run with the effects.
+        z_cmd_m: Commanded heights (m,).
+        t_s: Times of the rows (m,).
+        change: The change (m, 7).
+
+    Returns:
+        The change with its motion.
+    """
+    z, v = (np.interp(t_s, run.t_s, x) for x in (run.z_m, run.vz_m_per_s))
+    return TrueChange(Samples(t_s, z_cmd_m, z, v, np.zeros((len(t_s), 6))), change)
 
 
 def by_place(sizes: Floats) -> dict[str, dict[str, float]]:

@@ -64,7 +64,15 @@ otherwise. Bias, drift, warm-up, gain, modulus, thickness, inclusion, tilt and c
 on the right cause and on nothing else named leave these out. The best mimic of an effect outside the list is the effect of the
 library that, fitted to its noise-free change, leaves the smallest SNR. Where another law was planted, an interval covers if it holds the
 parameter of the listed law that is nearest to the planted change. The declared causes of a real host count neither for nor against an
-answer."""
+answer.
+
+A law outside the list is right if the first term that the diagnosis learned has one of the true law's names: channel, factor and driver,
+a period within 10 %, a time constant within a factor of two. Several names can be right: while one tissue is pressed, depth and force say
+the same. A law that is no factor × curve(driver), such as stick-slip, counts in the line on wrong laws alone. `--unlisted N` adds N cells
+of each source for these lines. The band is judged on the rows of the recording: the enriched cell is simulated on the noise-free motion
+with the law, without it, and with its curve raised by 1.96 standard deviations, and a row is covered if the true change lies inside.
+The mean of an added force is free, since the tare decides it. A listed cause is sufficient if its own law was planted, or if it leaves
+an SNR below 10 of the planted one."""
 """How the tables are read; stands below them."""
 
 OWN_RECORDINGS = """\

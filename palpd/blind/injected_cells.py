@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 
 from palpd.blind.detectability import COARSE_HZ, FINE_HZ, Detectability, nearest_law, scales_of
-from palpd.blind.drawn_cases import STRATA, FittedLaw, by_place, describe, laws_of, plant, second_rms
+from palpd.blind.drawn_cases import STRATA, FittedLaw, by_place, describe, laws_of, plant, second_rms, true_change_of
 from palpd.blind.drawn_cells import CHANNELS, PHASES, CellRealisation, no_deviations
 from palpd.blind.laws import INDISTINGUISHABLE, LIBRARY_LAWS, Floats, Planted, SensorRows
 from palpd.blind.recorded_cells import RecordedMotion, cell_of
 from palpd.blind.simulated_run import rows
-from palpd.blind.truth import CannotDraw, CaseKind, CaseSpec, NearestLaw, SealedCase, Truth
+from palpd.blind.truth import CannotDraw, CaseKind, CaseSpec, NearestLaw, SealedCase, TrueChange, Truth
 from palpd.errors import BadInput
 from palpd.files import read_yaml
 from palpd.recording.samples import Samples, read_csv
@@ -188,7 +188,7 @@ def _inject(r: np.random.Generator, spec: CaseSpec, host: Host, fine: Detectabil
     sizes = fine.sizes(np.sum(changes, axis=0)) if changes else np.zeros((len(CHANNELS), len(PHASES)))
     sealed = describe(plants, fine)
     mimic: NearestLaw | None = None
-    if changes and spec.kind in {"novel", "foreign"}:
+    if changes and spec.kind in {"novel", "foreign"} and not spec.extra:
         only = spec.effects[0] if spec.kind == "foreign" else None
         coarse = _detectability(host.content, host.samples, COARSE_HZ)
         target, like = coarse.whitened(coarse.change(planted)), planted[0][1] if only else None
@@ -197,6 +197,10 @@ def _inject(r: np.random.Generator, spec: CaseSpec, host: Host, fine: Detectabil
             mimic = nearest
         else:
             sealed[0]["nearest"] = nearest
+    true_change: TrueChange | None = None
+    if spec.kind == "novel":
+        sealed[0]["statement"] = plants[0].law.states(plants[0].parameters, fine.cell.surface_z_m)
+        true_change = true_change_of(fine.run(planted), fine.motion.at(fine.t_s), fine.t_s, changes[0]) if changes else None
     second, rms = None, None
     if host.second is not None:
         there = _detectability(host.content, host.second, noise_free=True)
@@ -218,7 +222,7 @@ def _inject(r: np.random.Generator, spec: CaseSpec, host: Host, fine: Detectabil
         "second": rms,
         "about": {"host": host.name, "stratum": spec.stratum},
     }
-    return SealedCase(host.content, rounded(changed(host.samples, fine, planted, r), fine.cell), (), second, truth)
+    return SealedCase(host.content, rounded(changed(host.samples, fine, planted, r), fine.cell), (), second, truth, true_change)
 
 
 def _detectability(content: Mapping[str, Any], samples: Samples, fine_Hz: float = FINE_HZ, *, noise_free: bool = False) -> Detectability:

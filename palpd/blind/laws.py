@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from palpd.blind.truth import DEEP, EVENT, HIGH, LawStatement, names
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Shape = dict[str, float]
@@ -99,7 +101,10 @@ class SensorRows:
 
 @dataclass(frozen=True)
 class Law:
-    """One law of one effect. `at` gives its parameters at a strength; `variance` laws move scatter or lattice, not the mean."""
+    """One law of one effect. `at` gives its parameters at a strength; `variance` laws move scatter or lattice, not the mean.
+
+    `states` says what a law outside the list is, from its parameters and the height of the surface.
+    """
 
     effect: str
     name: str
@@ -109,6 +114,7 @@ class Law:
     apply: Callable[[Any, Shape], None]
     strongest: float = inf
     variance: bool = False
+    states: Callable[[Shape, float], LawStatement] = lambda _, __: EVENT
 
 
 Planted = tuple[Law, Shape]
@@ -1095,6 +1101,58 @@ FOREIGN_LAWS: tuple[Law, ...] = (
 )
 """The listed effects, each with another law (real cells never follow the list exactly)."""
 
+# what the effects outside the list are
+
+
+def _states_breathing(p: Shape, _: float) -> LawStatement:
+    return {"kind": "law", "names": names("fz_N", ("surface",), ("time",), period=1.0 / p["frequency_Hz"])}
+
+
+def _states_hum(p: Shape, _: float) -> LawStatement:
+    return {"kind": "law", "names": names("fz_N", ("one",), ("time",), period=1.0 / p["frequency_Hz"])}
+
+
+def _states_cogging(p: Shape, _: float) -> LawStatement:
+    return {"kind": "law", "names": names("fz_N", ("one",), HIGH, period=p["pitch_m"]) + names("fz_N", ("one",), HIGH)}
+
+
+def _states_sticking(_: Shape, __: float) -> LawStatement:
+    """Contact force × depth × direction, which lags by 0.05 s; force and depth are functions of each other."""
+    lagging = names("fz_N", ("force",), ("direction",), memory="relaxed", constant=0.05)
+    at_once = names("fz_N", ("force_direction", "direction"), DEEP) + names("fz_N", ("force",), ("direction",))
+    return {"kind": "law", "names": lagging + at_once}
+
+
+def _states_slow_servo(p: Shape, _: float) -> LawStatement:
+    return {"kind": "law", "names": names("z_m", ("one",), ("command",), memory="slew", constant=p["speed_m_per_s"])}
+
+
+def _states_stair_servo(p: Shape, _: float) -> LawStatement:
+    return {"kind": "law", "names": names("z_m", ("one",), ("command",), period=p["step_m"]) + names("z_m", ("one",), ("command",))}
+
+
+def _states_second_body(_: Shape, __: float) -> LawStatement:
+    return {"kind": "law", "names": [name for c in ("lateral", "fx_N", "fy_N") for name in names(c, ("direction",), HIGH)]}
+
+
+def _states_twist(_: Shape, __: float) -> LawStatement:
+    by_speed = names("tz_Nm", ("force",), ("speed", "direction"))
+    return {"kind": "law", "names": by_speed + names("tz_Nm", ("direction", "force_direction"), DEEP)}
+
+
+def _states_hook(p: Shape, surface_z_m: float) -> LawStatement:
+    """A cable that goes taut above the surface acts in the air alone."""
+    return {"kind": "law", "names": names("fz_N", ("one", "air") if p["height_m"] >= surface_z_m else ("one",), HIGH)}
+
+
+def _states_heat(p: Shape, _: float) -> LawStatement:
+    return {"kind": "law", "names": names("fz_N", ("one",), ("squared_speed",), memory="relaxed", constant=p["tau_s"])}
+
+
+def _states_swelling(p: Shape, _: float) -> LawStatement:
+    return {"kind": "law", "names": names("fz_N", ("surface",), ("contact", "air"), memory="relaxed", constant=p["tau_s"])}
+
+
 NOVEL_LAWS: tuple[Law, ...] = (
     Law(
         "breathing",
@@ -1104,6 +1162,7 @@ NOVEL_LAWS: tuple[Law, ...] = (
         _times("amplitude_m"),
         _breathing,
         strongest=10.0,
+        states=_states_breathing,
     ),
     Law(
         "hum",
@@ -1112,6 +1171,7 @@ NOVEL_LAWS: tuple[Law, ...] = (
         lambda r, m: {"force_N": 0.5 * m.noise_N, "frequency_Hz": _between(r, 0.3, 8.0), "phase_rad": _angle(r)},
         _times("force_N"),
         _hum,
+        states=_states_hum,
     ),
     Law(
         "wander",
@@ -1128,9 +1188,19 @@ NOVEL_LAWS: tuple[Law, ...] = (
         lambda r, m: {"force_N": m.noise_N, "pitch_m": m.stroke_m * _between(r, 0.05, 0.3), "phase_rad": _angle(r)},
         _times("force_N"),
         _cogging,
+        states=_states_cogging,
     ),
     Law("slip", "novel", "history", lambda r, m: {"share": 0.05, "seed": _seed(r)}, _times("share"), _slip, strongest=12.0),
-    Law("sticking", "novel", "history", lambda r, m: {"share": 0.03, "depth_m": m.depth_m}, _times("share"), _sticking, strongest=12.0),
+    Law(
+        "sticking",
+        "novel",
+        "history",
+        lambda r, m: {"share": 0.03, "depth_m": m.depth_m},
+        _times("share"),
+        _sticking,
+        strongest=12.0,
+        states=_states_sticking,
+    ),
     Law(
         "pulses",
         "novel",
@@ -1147,8 +1217,18 @@ NOVEL_LAWS: tuple[Law, ...] = (
         lambda p, s: {"speed_m_per_s": p["speed_m_per_s"] / (1.0 + 0.1 * s)},
         _slow_servo,
         strongest=40.0,
+        states=_states_slow_servo,
     ),
-    Law("drive in steps", "novel", "command", lambda r, m: {"step_m": 0.02 * m.depth_m}, _times("step_m"), _stair_servo, strongest=10.0),
+    Law(
+        "drive in steps",
+        "novel",
+        "command",
+        lambda r, m: {"step_m": 0.02 * m.depth_m},
+        _times("step_m"),
+        _stair_servo,
+        strongest=10.0,
+        states=_states_stair_servo,
+    ),
     Law(
         "rubbing shaft",
         "novel",
@@ -1161,8 +1241,17 @@ NOVEL_LAWS: tuple[Law, ...] = (
         },
         _times("force_N"),
         _second_body,
+        states=_states_second_body,
     ),
-    Law("twist", "novel", "probe", lambda r, m: {"torque_Nm": 0.02 * m.noise_N, "force_N": m.force_N}, _times("torque_Nm"), _twist),
+    Law(
+        "twist",
+        "novel",
+        "probe",
+        lambda r, m: {"torque_Nm": 0.02 * m.noise_N, "force_N": m.force_N},
+        _times("torque_Nm"),
+        _twist,
+        states=_states_twist,
+    ),
     Law(
         "taut cable",
         "novel",
@@ -1170,6 +1259,7 @@ NOVEL_LAWS: tuple[Law, ...] = (
         lambda r, m: {"stiffness_N_per_m": 5.0 * m.noise_N / m.stroke_m, "height_m": float(r.uniform(0.3, 0.6)) * m.stroke_m},
         _times("stiffness_N_per_m"),
         _hook,
+        states=_states_hook,
     ),
     Law(
         "jumping zero",
@@ -1186,6 +1276,7 @@ NOVEL_LAWS: tuple[Law, ...] = (
         lambda r, m: {"force_N": 2.0 * m.noise_N, "speed_m_per_s": m.speed_m_per_s, "tau_s": _taut(r, m, 0.02, 0.1)},
         _times("force_N"),
         _heat,
+        states=_states_heat,
     ),
     Law(
         "swelling tissue",
@@ -1195,6 +1286,7 @@ NOVEL_LAWS: tuple[Law, ...] = (
         _times("amplitude_m"),
         _swelling,
         strongest=10.0,
+        states=_states_swelling,
     ),
 )
 """What can go wrong in a cell and is not in the list."""

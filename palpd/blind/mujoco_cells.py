@@ -41,7 +41,7 @@ from palpd.blind.mujoco.nominal import force_residual, phase_of
 from palpd.blind.mujoco.snr import sizes
 from palpd.blind.plans import VARIANCE
 from palpd.blind.recorded_cells import RecordedMotion, cell_of
-from palpd.blind.truth import CannotDraw, CaseSpec, NearestLaw, SealedCase, SealedEffect, SecondMotion, Truth
+from palpd.blind.truth import CannotDraw, CaseSpec, NearestLaw, SealedCase, SealedEffect, SecondMotion, TrueChange, Truth
 from palpd.recording.samples import Samples
 
 __all__ = ["EFFECTS", "MujocoCase", "change_by", "draw_case", "draw_mujoco", "healthy_mismatch", "sealed_truth"]
@@ -111,8 +111,11 @@ def _sealed(spec: CaseSpec, case: MujocoCase) -> SealedCase:
     change = change_by(case, case.planted)
     effects = [_sealed_effect(effect, here) for effect in about.pop("effects")]
     mimic: NearestLaw | None = None
+    true_change: TrueChange | None = None
     if spec.kind == "novel":
-        mimic = nearest_law(here, here.whitened(change), scales_of(here), spec.index)
+        effects[0]["statement"] = case.planted[0].effect.states(case.planted[0].values, case.stated)
+        true_change = TrueChange(case.reading().samples, change)
+        mimic = None if spec.extra else nearest_law(here, here.whitened(change), scales_of(here), spec.index)
     elif spec.kind == "foreign" and not effects[0]["variance"]:
         like = effects[0]["parameters"]
         effects[0]["nearest"] = nearest_law(here, here.whitened(change), scales_of(here), spec.index, only=effects[0]["id"], like=like)
@@ -135,7 +138,7 @@ def _sealed(spec: CaseSpec, case: MujocoCase) -> SealedCase:
         "second": _second(case),
         "about": about,
     }
-    return SealedCase(content, case.recording(), (), case.reading(other=True).samples, truth)
+    return SealedCase(content, case.recording(), (), case.reading(other=True).samples, truth, true_change)
 
 
 def _sealed_effect(effect: dict[str, Any], here: Detectability) -> SealedEffect:

@@ -16,9 +16,11 @@ SHARES: dict[Source, dict[CaseKind, float]] = {
 SINGLE_STRATA = ("20-60", "6-10", "10-20", "20-60", "6-10", "10-20", "> 60")
 """Strata of single effects, in turn: most of them where a diagnosis is hard."""
 LARGE_STRATA = ("20-60", "> 60")
-"""Strata of effects that are not in the library: where there is enough to see that nothing listed fits."""
-FIRST_EXTRA = 900_000
-"""Index of the first extra case."""
+"""Strata of effects that were left out of the library: where there is enough to see that nothing listed fits."""
+NOVEL_STRATA = ("20-60", "10-20")
+"""Strata of effects outside the list, in turn: those of the targets for learned laws."""
+FIRST_EXTRA, FIRST_UNLISTED = 900_000, 950_000
+"""Index of the first extra case, and of the first one with an effect outside the list."""
 VARIANCE = {law.effect for law in LIBRARY_LAWS if law.variance}
 """Effects that change scatter and not the mean."""
 
@@ -69,8 +71,10 @@ def plan(source: Source, cases: int, seed: int, hosts: int = 0) -> list[CaseSpec
         if kind == "two":
             free = [e for e in mine if e != effect and e not in INDISTINGUISHABLE.get(effect, ())]
             specs.append(CaseSpec(source, index, kind, (effect, free[int(random.integers(len(free)))]), ("10-20", "20-60")[n % 2]))
-        elif kind in {"removed", "novel"}:
+        elif kind == "removed":
             specs.append(CaseSpec(source, index, kind, (effect,), LARGE_STRATA[n // len(mine) % 2]))
+        elif kind == "novel":
+            specs.append(CaseSpec(source, index, kind, (effect,), NOVEL_STRATA[(n % len(mine) + n // len(mine)) % 2]))
         else:
             specs.append(CaseSpec(source, index, kind, (effect,), SINGLE_STRATA[(n + n // len(mine)) % len(SINGLE_STRATA)]))
     return specs
@@ -91,5 +95,27 @@ def plan_large(cases: int, seed: int) -> list[CaseSpec]:
     order = [mine[int(k)] for k in random.permutation(len(mine))]
     return [
         CaseSpec("drawn", FIRST_EXTRA + n, "library", (order[n % len(order)],), LARGE_STRATA[n // len(order) % 2], extra=True)
+        for n in range(cases)
+    ]
+
+
+def plan_unlisted(source: Source, cases: int, seed: int) -> list[CaseSpec]:
+    """Further cases with an effect outside the list, every effect in turn.
+
+    Args:
+        source: Where the cases come from.
+        cases: Number of cases.
+        seed: Seed of the order of the effects.
+
+    Returns:
+        One specification a case; they count in the lines of learned laws alone.
+    """
+    random = np.random.default_rng([seed, 13, len(source)])
+    mine = effects_of(source)["novel"]
+    order = [mine[int(k)] for k in random.permutation(len(mine))]
+    return [
+        CaseSpec(
+            source, FIRST_UNLISTED + n, "novel", (order[n % len(order)],), NOVEL_STRATA[(n % len(order) + n // len(order)) % 2], extra=True
+        )
         for n in range(cases)
     ]

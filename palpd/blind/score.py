@@ -17,6 +17,7 @@ import yaml
 from scipy.stats import binomtest, bootstrap
 
 from palpd.blind.drawn_cells import CHANNELS
+from palpd.blind.law_answers import LawOutcome, law_outcome, without_a_law
 from palpd.blind.laws import INDISTINGUISHABLE, Floats
 from palpd.blind.truth import CASE_KINDS, SOURCES, CaseKind, CaseSpec, NearestLaw, SealedEffect, SecondMotion, Source, Truth
 from palpd.gap.commands import simulate_file
@@ -31,6 +32,8 @@ BINS = 10
 
 LEAST_N = 50
 """Least number of cases for a verdict on a target, where its line states no other."""
+LEAST_SNR_LEFT = 10.0
+"""SNR of what the best listed effect leaves, from which something outside the list is needed."""
 EVERY_SOURCE = "all"
 """Name of the table over all sources."""
 
@@ -86,6 +89,8 @@ class CaseOutcome(TypedDict):
     closed: NotRequired[float | None]
     closed_without_floor: NotRequired[float | None]
     cost: NotRequired[Cost]
+    law: LawOutcome
+    sufficient: NotRequired[bool]
 
 
 class ScoreRow(TypedDict):
@@ -167,6 +172,7 @@ def _unanswered_outcome(spec: CaseSpec, truth: Truth, failed: str | None) -> Cas
         "p": {},
         "p_none": 0.0,
         "p_unknown": 0.0,
+        "law": without_a_law(truth),
     }
 
 
@@ -191,7 +197,17 @@ def _answered_outcome(spec: CaseSpec, truth: Truth, diagnosis: dict[str, Any], r
         closing = _closing(truth["second"], recordings / f"{spec.name}.enriched.yaml", sealed / f"{spec.name}.csv")
         outcome["closed"], outcome["closed_without_floor"] = closing
     outcome["cost"] = diagnosis["cost"]
+    files = recordings / f"{spec.name}.learned.yaml", recordings / f"{spec.name}.enriched.yaml", sealed / f"{spec.name}.npz"
+    outcome["law"] = law_outcome(truth, diagnosis, *files)
+    outcome["sufficient"] = _sufficient(truth)
     return outcome
+
+
+def _sufficient(truth: Truth) -> bool:
+    """Whether one listed effect explains the recording: its own law was planted, or leaves little of the planted one."""
+    if truth["kind"] not in ("library", "foreign") or any(e["variance"] for e in truth["effects"]):
+        return False
+    return all(e["law"] == "library" or ("nearest" in e and e["nearest"]["snr_left"] < LEAST_SNR_LEFT) for e in truth["effects"])
 
 
 def _covered(truth: Truth, diagnosis: dict[str, Any]) -> tuple[dict[str, bool], dict[str, bool]]:
@@ -227,7 +243,7 @@ def _closing(motion: SecondMotion, enriched: Path, second: Path) -> tuple[float 
     cell = yaml.safe_load(enriched.read_text(encoding="utf-8"))
     with tempfile.TemporaryDirectory() as folder:
         plain, out = Path(folder) / "plain.yaml", Path(folder) / "out.csv"
-        plain.write_text(yaml.safe_dump(cell | {"effects": {}}, sort_keys=False), encoding="utf-8")
+        plain.write_text(yaml.safe_dump(cell | {"effects": {}, "learned": []}, sort_keys=False), encoding="utf-8")
         residuals: list[float] = []
         for file in (enriched, plain):
             simulated = simulate_file(second, file, out, from_commanded=channel == "z_m", overwrite=True)
@@ -301,13 +317,13 @@ def _share(what: str, answers: Sequence[bool], target: str = "", least_n: int = 
     return Score(what, right / n if n else None, wilson(right, n) if n else None, n, target, least_n=least_n)
 
 
-def _statistic(what: str, values: Sequence[float], of: Callable[..., Any], target: str = "") -> Score:
+def _statistic(what: str, values: Sequence[float], of: Callable[..., Any], target: str = "", *, share: bool = False) -> Score:
     x, n = np.asarray(values, dtype=float), len(values)
     interval = None
     if n > 1:  # a single value has no spread
         drawn = bootstrap((x,), of, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)).confidence_interval
         interval = float(drawn.low), float(drawn.high)
-    return Score(what, float(of(x)) if n else None, interval, n, target, share=False)
+    return Score(what, float(of(x)) if n else None, interval, n, target, share=share)
 
 
 def first_right(o: CaseOutcome) -> bool:
@@ -327,7 +343,7 @@ def in_group(o: CaseOutcome) -> bool:
 
 def unknown_is_right(o: CaseOutcome) -> bool:
     """The diagnosis was not given the effect, and nothing it was given comes near."""
-    return o["kind"] in {"removed", "novel"} and o["mimic"] is not None and o["mimic"]["snr_left"] >= 10.0
+    return o["kind"] in {"removed", "novel"} and o["mimic"] is not None and o["mimic"]["snr_left"] >= LEAST_SNR_LEFT
 
 
 def _between(outcomes: Sequence[CaseOutcome], low: float, high: float = np.inf) -> list[CaseOutcome]:
@@ -388,10 +404,11 @@ def scores(outcomes: Sequence[CaseOutcome]) -> list[Score]:
     usual = [o for o in outcomes if not o["extra"]]
     by = {kind: [o for o in usual if o["kind"] == kind] for kind in CASE_KINDS}
     return [
-        *_attribution_scores(by, [o for o in outcomes if o["extra"]]),
+        *_attribution_scores(by, [o for o in outcomes if o["extra"] and o["kind"] == "library"]),
         *_place_scores(by),
         *_two_effect_scores(by["two"]),
         *_unknown_scores(by),
+        *_law_scores(by, outcomes),
         *_probability_scores(by, usual),
         *_closing_scores(by),
         *_cost_scores(by, usual),
@@ -466,6 +483,39 @@ def _unknown_scores(by: OutcomesByKind) -> Iterator[Score]:
     yield _share("  it is named", relative)
 
 
+def _law_scores(by: OutcomesByKind, outcomes: Sequence[CaseOutcome]) -> Iterator[Score]:
+    """Lines on learned laws. Those on effects outside the list count the extra cases too."""
+    novel = [(o, o["law"]) for o in outcomes if o["kind"] == "novel"]
+    stated = [(o, law) for o, law in novel if law["kind"] == "law"]
+    for low, high, target in ((20.0, 60.0, "≥ 0.85"), (10.0, 20.0, "≥ 0.7"), (60.0, np.inf, "")):
+        mine = [law for o, law in stated if o["snr"] is not None and low <= o["snr"] < high]
+        label = f"SNR {low:g}-{high:g}" if np.isfinite(high) else f"SNR > {low:g}"
+        yield _share(f"law outside the list: factor and driver right and accepted, {label}", [law["right"] for law in mine], target)
+        yield _share("  right itself, or one of those that fit as well is", [law["right_alike"] for law in mine])
+    accepted = [(o, law) for o, law in novel if law["accepted"] and law["kind"] in ("law", "near")]
+    wrong = "accepted law outside the list: factor or driver wrong, also of those that fit as well"
+    yield _share(wrong, [not law["right_alike"] for _, law in accepted], "≤ 0.05")
+    yield _share("  its own factor or driver wrong", [not law["right"] for _, law in accepted])
+    yield _share("  it has two terms", [law["terms"] > 1 for _, law in accepted])
+    yield _share("events outside the list: accepted as a law", [law["accepted"] for _, law in novel if law["kind"] == "event"], "≤ 0.05")
+    yield _share("healthy cell: a law accepted", [o["law"]["accepted"] for o in by["healthy"]], "≤ 0.02")
+    listed = [o for kind, _ in LAWS for o in by[kind] if o.get("sufficient")]
+    yield _share("listed cause that is sufficient: replaced by a law or by events", [replaced(o) for o in listed], "≤ 0.03")
+    closed = [c for o, _ in accepted if (c := o.get("closed")) is not None]
+    yield _share("accepted law closes ≥ 0.8 of the gap on another motion", [c >= 0.8 for c in closed], "≥ 0.8")
+    yield _statistic("  closed, median", closed, np.median)
+    bands = [law["covered"] for _, law in accepted if law["covered"] is not None]
+    yield _statistic("band of a right law covers its true change, mean share of rows", bands, np.mean, "in 0.9 to 0.98", share=True)
+
+
+def replaced(o: CaseOutcome) -> bool:
+    """Something outside the list takes the place of the planted cause, or stands without it."""
+    law = o["law"]
+    if not (law["accepted"] or law["events"]):
+        return False
+    return law["replaces"] or (o["verdict"] == "unknown" and not set(o["named"]) & set(o["planted"]))
+
+
 def _probability_scores(by: OutcomesByKind, outcomes: Sequence[CaseOutcome]) -> Iterator[Score]:
     belief = [min(float(o["p"].get(o["planted"][0], 0.0)), 1.0) for mine in _distinct(by).values() for o in mine]
     yield _statistic("mean probability on the true cause", belief, np.mean, "≥ 0.85")
@@ -503,8 +553,8 @@ def _cost_scores(by: OutcomesByKind, outcomes: Sequence[CaseOutcome]) -> Iterato
     slow = [o for o in by["healthy"] if o["robot_rate_Hz"] < o["rate_Hz"]]
     yield _share("  healthy and silent where the robot reports slower than the sensor", [silent(o) for o in slow])
     costs = [o["cost"] for o in outcomes if "cost" in o]
-    yield _statistic("CPU seconds per recording, median", [c["cpu_s"] for c in costs], np.median)
-    yield _statistic("CPU seconds per recording, 95th percentile", [c["cpu_s"] for c in costs], _p95)
+    yield _statistic("CPU seconds per recording with the search for laws, median", [c["cpu_s"] for c in costs], np.median, "≤ 10")
+    yield _statistic("CPU seconds per recording with the search for laws, 95th percentile", [c["cpu_s"] for c in costs], _p95, "≤ 20")
     yield _statistic("peak memory of a process in MB, largest", [c["peak_MB"] for c in costs], np.max)
     yield _share("recordings that failed", [o["failed"] is not None for o in outcomes])
 

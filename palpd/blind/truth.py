@@ -1,7 +1,12 @@
 """The sealed truth of a case, the same for every source of cases, and what a case is made of."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Literal, NotRequired, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
 
 from palpd.recording.samples import Samples
 
@@ -26,10 +31,75 @@ class NearestLaw(TypedDict):
     snr_left: float
 
 
+class LawName(TypedDict):
+    """One right name of a law: its channel (`lateral`: a force to the side), what its curve is multiplied with, and its driver.
+
+    The driver is a quantity with its memory (`relaxed`, `play`, `stop`, `slew`), the constant of that, and its period; None: without.
+    """
+
+    channel: str
+    factor: str
+    quantity: str
+    memory: str | None
+    constant: float | None
+    period: float | None
+
+
+class LawStatement(TypedDict):
+    """What an effect outside the list is, so that a learned law can be judged.
+
+    `law`: it is factor × curve(driver) under each of its names, which say the same on one tissue. `near`: no such form exists, and the
+    names are those of its parts. `event`: it happens at some times or wanders, and every law is wrong.
+    """
+
+    kind: Literal["law", "near", "event"]
+    names: list[LawName]
+
+
+EVENT = LawStatement(kind="event", names=[])
+"""What no law describes."""
+DEEP = ("depth", "force", "gap")
+"""Quantities that are functions of each other while one tissue is pressed."""
+HIGH = ("height", "gap")
+"""Quantities that differ by the height of the surface."""
+
+
+def names(
+    channel: str,
+    factors: Sequence[str],
+    quantities: Sequence[str],
+    *,
+    memory: str | None = None,
+    constant: float | None = None,
+    period: float | None = None,
+) -> list[LawName]:
+    """Right names of a law: every factor with every quantity.
+
+    Args:
+        channel: The channel.
+        factors: Factors.
+        quantities: Quantities of the driver.
+        memory: Memory of the driver.
+        constant: Constant of the memory, in SI units; None: any.
+        period: Period of the curve, in the unit of the driver.
+
+    Returns:
+        The names.
+    """
+    each = product(factors, quantities)
+    return [LawName(channel=channel, factor=f, quantity=q, memory=memory, constant=constant, period=period) for f, q in each]
+
+
+def pressing_names() -> list[LawName]:
+    """Names of a force that only depends on how deep the probe presses."""
+    return names("fz_N", ("one", "force", "surface"), DEEP) + names("fz_N", ("force", "surface"), ("height",))
+
+
 class SealedEffect(TypedDict):
     """One planted effect. `snr` is None for effects that change scatter and not the mean.
 
-    `nearest` is the effect's own listed law, fitted to the change that another law makes.
+    `nearest` is the effect's own listed law, fitted to the change that another law makes. `statement` says what an effect outside the
+    list is.
     """
 
     id: str
@@ -40,6 +110,7 @@ class SealedEffect(TypedDict):
     snr_per_row_sigma: float | None
     snr_beside_the_other: NotRequired[float]
     nearest: NotRequired[NearestLaw]
+    statement: NotRequired[LawStatement]
 
 
 class SecondMotion(TypedDict):
@@ -91,11 +162,19 @@ class CaseSpec:
 
 
 @dataclass(frozen=True)
+class TrueChange:
+    """What the planted effects change row by row: (m, 7), the height and the wrench, on the noise-free motion of the recording."""
+
+    motion: Samples
+    change: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class SealedCase:
-    """One case: what the diagnosis may see (`cell`, `samples`, `without`) and what is sealed (`second`, `truth`).
+    """One case: what the diagnosis may see (`cell`, `samples`, `without`) and what is sealed (`second`, `truth`, `true_change`).
 
     `cell` holds the keys of cell.yaml. `second` is the true cell on another motion, without noise and rounding; None where the
-    recording comes from a cell that can not be moved again.
+    recording comes from a cell that can not be moved again. `true_change` is None where no law outside the list is planted.
     """
 
     cell: dict[str, Any]
@@ -103,3 +182,4 @@ class SealedCase:
     without: tuple[str, ...]
     second: Samples | None
     truth: Truth
+    true_change: TrueChange | None = None

@@ -270,6 +270,9 @@ def blind(
         Path | None, typer.Option("--causes", help="what acts in these recordings (.yaml; default: causes.yaml in that folder)")
     ] = None,
     large: Annotated[int, typer.Option("--large", min=0, help="further drawn cells with one effect of SNR > 20")] = 0,
+    unlisted: Annotated[
+        int, typer.Option("--unlisted", min=0, help="further cells of each source with an effect outside the list, for the lines on laws")
+    ] = 0,
     json_file: JsonOption = None,
     docs: Annotated[Path | None, typer.Option("--docs", help="write the table and its figures into this folder")] = None,
     keep: Annotated[Path | None, typer.Option("--keep", help="keep recordings, answers and truths in this new folder")] = None,
@@ -296,10 +299,11 @@ def blind(
     chosen, beside = ablation_named(ablation), load_ablations(compare or [], seed)
     hosts = Hosts(recordings, causes)
     sources = sources_named(source, hosts)
-    with _progress("blind check", cases * len(sources) + large) as advance:
+    with _progress("blind check", (cases + unlisted) * len(sources) + large) as advance:
         result = run(
-            cases, seed, sources=sources, hosts=hosts, large=large, jobs=jobs, ablation=chosen, keep=keep, resume=resume, progress=advance
-        )
+            cases, seed, sources=sources, hosts=hosts, large=large, unlisted=unlisted, jobs=jobs, ablation=chosen, keep=keep,
+            resume=resume, progress=advance,
+        )  # fmt: skip
     terminal().print(tables_as_markdown(result["tables"]), soft_wrap=True)
     write_json(json_file, result)
     if docs is not None:

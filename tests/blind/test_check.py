@@ -16,6 +16,7 @@ from palpd.blind.detectability import Detectability, fit_strength, nearest_law, 
 from palpd.blind.drawn_cases import draw_case
 from palpd.blind.drawn_cells import CHANNELS, TOLERANCES, Deviations, draw_cell, draw_deviations, draw_motion, no_deviations
 from palpd.blind.figures import write_page
+from palpd.blind.law_answers import LawOutcome
 from palpd.blind.laws import FOREIGN_LAWS, LIBRARY_LAWS, NOVEL_LAWS, CellScales, Law
 from palpd.blind.plans import plan, plan_large
 from palpd.blind.score import (
@@ -168,6 +169,12 @@ def test_a_plan_holds_every_kind_in_its_share_and_a_short_one_begins_a_long_one(
     assert {o.effects[0] for o in long if o.kind == "library"} == set(EFFECTS)
 
 
+NO_LAW: LawOutcome = {
+    "kind": None, "accepted": False, "replaces": False, "events": False, "terms": 0, "law": "", "right": False, "right_alike": False,
+    "covered": None,
+}  # fmt: skip
+
+
 def outcome(kind: str, planted: list[str], named: list[str], **more: Any) -> CaseOutcome:
     base: CaseOutcome = {
         "source": "drawn",
@@ -188,6 +195,7 @@ def outcome(kind: str, planted: list[str], named: list[str], **more: Any) -> Cas
         "failed": None,
         "rate_Hz": 500.0,
         "robot_rate_Hz": 500.0,
+        "law": NO_LAW,
     }
     return base | more
 

@@ -23,6 +23,7 @@ from palpd.blind.mujoco.setup import (
     RingingMount,
     StatedCell,
 )
+from palpd.blind.truth import EVENT, LawStatement
 
 Values = dict[str, float]
 Draw = Callable[[np.random.Generator, StatedCell, PressPath], Values]
@@ -35,6 +36,7 @@ class CellEffect:
 
     `size` names the parameters that are scaled to reach a signal-to-noise ratio; `direction` -1 where smaller is worse. `limits` bound
     the first of them (absolute). `nature` is `law`, or `event` for something that happens at some instants only. `by` says what makes it.
+    `states` says what an unlisted one is.
     """
 
     id: str
@@ -48,6 +50,7 @@ class CellEffect:
     size: tuple[str, ...]
     limits: tuple[float, float]
     direction: int = 1
+    states: Callable[[Values, StatedCell], LawStatement] = lambda _, __: EVENT
 
     def scaled(self, values: Values, factor: float) -> Values:
         """The same effect that many times larger, inside its limits.

@@ -29,6 +29,7 @@ from palpd.blind.mujoco.setup import (
     StatedCell,
     Table,
 )
+from palpd.blind.truth import DEEP, HIGH, LawName, LawStatement, names, pressing_names
 
 
 def _surface_motion(setup: CellSetup, motion: Callable[[PressPath, Array], Array]) -> CellSetup:
@@ -191,63 +192,133 @@ def _draw_table(rng: np.random.Generator, _cell: StatedCell, _path: PressPath) -
     return {"table_mass_kg": 300.0, "frequency_Hz": log_uniform(rng, 2.0, 7.0), "damping_ratio": log_uniform(rng, 0.02, 0.08)}
 
 
+# what they are, as factor × curve(driver)
+
+
+def _law(*each: list[LawName]) -> LawStatement:
+    return {"kind": "law", "names": [name for some in each for name in some]}
+
+
+def _near(*each: list[LawName]) -> LawStatement:
+    return {"kind": "near", "names": [name for some in each for name in some]}
+
+
+def _states_thermal(v: Values, _: StatedCell) -> LawStatement:
+    return _law(names("fz_N", ("surface",), ("absolute_speed",), memory="relaxed", constant=v["tau_s"]))
+
+
+def _states_ripple(v: Values, _: StatedCell) -> LawStatement:
+    return _law(names("fz_N", ("surface",), (*HIGH, "depth"), period=v["pitch_m"]), pressing_names())
+
+
+def _states_height_friction(_: Values, __: StatedCell) -> LawStatement:
+    return _law(names("fz_N", ("direction",), HIGH))
+
+
+def _states_stick_slip(_: Values, __: StatedCell) -> LawStatement:
+    """A spring that slips keeps a part of its stretch, which no dead band does."""
+    return _near(*(names("fz_N", ("one",), ("height",), memory=memory) for memory in ("stop", "play")), names("fz_N", ("direction",), HIGH))
+
+
+def _states_tip_slip(_: Values, __: StatedCell) -> LawStatement:
+    """Whether it has slipped in this press is no function of one quantity."""
+    loops = (names("lateral", ("one", "force"), ("force",), memory=memory) for memory in ("stop", "play"))
+    return _near(names("lateral", ("one", "force"), DEEP), *loops)
+
+
+def _states_loose_screw(_: Values, __: StatedCell) -> LawStatement:
+    return _law(pressing_names())
+
+
+def _states_flex_gravity(_: Values, __: StatedCell) -> LawStatement:
+    """The flange turns with the height; weight and contact force leak by that angle, and in contact the height says the force."""
+    each = [names(c, ("one", "force"), HIGH) + names(c, ("force",), ("depth", "force")) for c in ("fx_N", "lateral", "ty_Nm")]
+    return _law(*each)
+
+
+def _states_snag(v: Values, cell: StatedCell) -> LawStatement:
+    """A cable that is taut below the surface acts in contact alone."""
+    return _law(names("fz_N", ("one",), HIGH), pressing_names() if v["height_m"] <= cell.surface_z_m else [])
+
+
+def _states_poroelastic(_: Values, __: StatedCell) -> LawStatement:
+    """The time constant follows the depth, which no relaxed quantity does."""
+    relaxed = names("fz_N", ("one", "force", "surface"), ("force", "depth", "contact"), memory="relaxed")
+    return _near(relaxed, names("fz_N", ("one", "force", "surface"), ("force_rate", "time_in_contact")), names("fz_N", ("speed",), DEEP))
+
+
+def _states_wobble(_: Values, __: StatedCell) -> LawStatement:
+    """A ringing table is an oscillator of its own."""
+    return _near(names("fz_N", ("one",), ("acceleration",)), names("fz_N", ("acceleration",), ("acceleration",)))
+
+
+def _states_breathing(v: Values, _: StatedCell) -> LawStatement:
+    return _law(names("fz_N", ("surface",), ("time",), period=1.0 / v["frequency_Hz"]))
+
+
+def _states_tone(v: Values, _: StatedCell) -> LawStatement:
+    """The absolute speed is no factor of a law."""
+    return _near(names("fz_N", ("one", "speed", "direction"), ("time",), period=1.0 / v["frequency_Hz"]))
+
+
 UNLISTED: tuple[CellEffect, ...] = (
     CellEffect(
         "mount.thermal_growth", False, "law", "other", "tip grows, as a moving surface", "the mount warms with the motion and grows",
-        lambda r, _c, _p: {"growth_m": 2e-4, "tau_s": log_uniform(r, 5, 25)}, _thermal, ("growth_m",), (5e-6, 2e-3),
+        lambda r, _c, _p: {"growth_m": 2e-4, "tau_s": log_uniform(r, 5, 25)}, _thermal, ("growth_m",), (5e-6, 2e-3), states=_states_thermal,
     ),
     CellEffect(
         "drive.height_ripple", False, "law", "other", "tip height differs from the reported one", "gear ripple, periodic in height",
         lambda r, _c, p: {"amplitude_m": 5e-5, "pitch_m": r.uniform(0.2, 0.7) * p.deepest_m, "phase_rad": r.uniform(-np.pi, np.pi)},
-        _height_ripple, ("amplitude_m",), (2e-6, 8e-4),
+        _height_ripple, ("amplitude_m",), (2e-6, 8e-4), states=_states_ripple,
     ),
     CellEffect(
         "cable.height_friction", False, "law", "other", "xfrc_applied on the probe", "Coulomb friction that grows with depth squared",
-        lambda _r, _c, _p: {"force_N": 0.2}, _height_friction, ("force_N",), (2e-3, 4.0),
+        lambda _r, _c, _p: {"force_N": 0.2}, _height_friction, ("force_N",), (2e-3, 4.0), states=_states_height_friction,
     ),
     CellEffect(
         "guide.stick_slip", False, "law", "other", "xfrc_applied on the probe", "a line sticks, stretches and slips: a sawtooth in height",
         lambda r, _c, _p: {"static_N": 0.2, "stretch_m": log_uniform(r, 5e-4, 3e-3), "kinetic_ratio": r.uniform(0.2, 0.6)},
-        _stick_slip, ("static_N",), (2e-3, 4.0),
+        _stick_slip, ("static_N",), (2e-3, 4.0), states=_states_stick_slip,
     ),
     CellEffect(
         "contact.tip_slip", False, "law", "other", "xfrc_applied at the tip", "the tip slips on an incline above a force",
         lambda r, c, p: {"ratio": 0.05, "threshold_N": r.uniform(0.2, 0.6) * peak_force_N(c, p), "azimuth_rad": r.uniform(-np.pi, np.pi)},
-        _tip_slip, ("ratio",), (5e-4, 1.5),
+        _tip_slip, ("ratio",), (5e-4, 1.5), states=_states_tip_slip,
     ),
     CellEffect(
         "mount.loose_screw", False, "law", "other", "MuJoCo: joint with a gap under a weight",
         "the probe is held down by a force, and lifts to a stop when pushed",
         lambda r, c, p: {"gap_m": 1e-4, "hold_down_N": r.uniform(0.1, 0.4) * peak_force_N(c, p)},
         lambda s, v: change_plant(s, loose_gap_m=v["gap_m"], loose_weight_N=v["hold_down_N"]), ("gap_m",), (1e-7, 2e-3),
+        states=_states_loose_screw,
     ),
     CellEffect(
         "arm.flex_gravity", False, "law", "other", "sensor model", "the flange turns with height, so that gravity and contact leak into fx",
-        lambda r, _c, _p: {"turn_rad_per_m": sign(r)}, _flex_gravity, ("turn_rad_per_m",), (0.01, 20.0),
+        lambda r, _c, _p: {"turn_rad_per_m": sign(r)}, _flex_gravity, ("turn_rad_per_m",), (0.01, 20.0), states=_states_flex_gravity,
     ),
     CellEffect(
         "cable.snag", False, "law", "other", "MuJoCo: tendon with a dead band", "a slack cable that is taut below some height",
         lambda r, c, p: {"stiffness_N_per_m": 30.0, "height_m": c.surface_z_m + r.uniform(-0.3, 1.0) * p.deepest_m},
-        _snag, ("stiffness_N_per_m",), (0.5, 1500.0),
+        _snag, ("stiffness_N_per_m",), (0.5, 1500.0), states=_states_snag,
     ),
     CellEffect(
         "tissue.poroelastic", False, "law", "other", "tissue force", "pore pressure that drains faster where the contact is small",
         lambda r, c, p: {"ratio": 0.15, "diffusivity_m2_per_s": c.tip_radius_m * p.deepest_m / log_uniform(r, 0.3, 3.0)},
-        _poroelastic, ("ratio",), (2e-3, 2.0),
+        _poroelastic, ("ratio",), (2e-3, 2.0), states=_states_poroelastic,
     ),
     CellEffect(
         "table.wobble", False, "law", "other", "MuJoCo: the robot stands on a sprung body", "accelerations of the robot ring the table",
         _draw_table, lambda s, v: change_plant(s, table=Table(v["frequency_Hz"], v["damping_ratio"], v["table_mass_kg"])),
-        ("table_mass_kg",), (4.0, 2e5), -1,
+        ("table_mass_kg",), (4.0, 2e5), -1, states=_states_wobble,
     ),
     CellEffect(
         "phantom.breathing", False, "law", "other", "tissue force", "the surface moves as a chest does",
         lambda r, _c, _p: {"amplitude_m": 1e-4, "frequency_Hz": r.uniform(0.15, 0.4), "phase_rad": r.uniform(-np.pi, np.pi)},
-        _breathing, ("amplitude_m",), (5e-6, 1.5e-3),
+        _breathing, ("amplitude_m",), (5e-6, 1.5e-3), states=_states_breathing,
     ),
     CellEffect(
         "sensor.speed_tone", False, "law", "other", "sensor model", "interference whose amplitude follows the speed",
-        lambda r, _c, _p: {"amplitude_N": 0.1, "frequency_Hz": r.uniform(4, 20)}, _tone, ("amplitude_N",), (1e-3, 4.0),
+        lambda r, _c, _p: {"amplitude_N": 0.1, "frequency_Hz": r.uniform(4, 20)}, _tone, ("amplitude_N",), (1e-3, 4.0), states=_states_tone,
     ),
     CellEffect(
         "sensor.temperature_step", False, "event", "other", "sensor model", "the zero moves once, within a second",
