@@ -4,7 +4,7 @@ UV := .venv/bin/uv
 READY := .venv/.ready
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo test test-wires test-rest test-service coverage lint bench bench-long minutes faults arming signals aborts presses soak slopes cold mutation audit samples clean
+.PHONY: setup demo test test-wires test-rest test-service coverage lint bench bench-long minutes faults arming signals aborts presses laws soak slopes cold mutation audit samples clean
 
 setup: $(READY)
 
@@ -79,6 +79,10 @@ fuzz: setup
 PRESSES ?= 1000
 presses: setup
 	.venv/bin/python -m benchmarks.page --only presses --more '--presses $(PRESSES)'
+
+# plants the laws of docs/examples/laws into the emulated cell and finds them; writes the table of docs/outside-the-list.md
+laws: setup
+	.venv/bin/python -m benchmarks.law_demos --docs docs
 
 # two hours of presses, watched minute by minute
 MINUTES ?= 120

@@ -7,8 +7,10 @@ what acts in each (default: benchmarks/real_causes.yaml).
 import argparse
 import time
 import warnings
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from palpd.blind.injected_cells import DeclaredCauses, declared_recordings
 from palpd.blind.score import wilson
@@ -28,7 +30,8 @@ are not in the repository, since their licences differ. `python benchmarks/real_
 
 An answer is *right* if it names a known cause, alone or with its group, and nothing else. Where something outside the list acts, the
 right answer is `unknown`; what is named beside it is a cause or the nearest mimic. An answer is *partly right* if it names a known cause
-and something else, or calls it unknown.
+and something else, or calls it unknown. *Beyond the list* is what the [search for laws](outside-the-list.md) says of what the named
+effects leave; nobody knows the true law of these recordings, so it counts neither for nor against an answer.
 """
 
 
@@ -44,6 +47,7 @@ class RealAnswer:
     closed: float | None
     seconds: float
     warned: list[str]
+    law: str = ""
 
     @property
     def right_names(self) -> list[str]:
@@ -82,12 +86,40 @@ def diagnosed(path: Path, declared: DeclaredCauses) -> RealAnswer:
         try:
             answer = diagnose_files([path], path.with_suffix(".yaml")).to_json()
         except PalpdError as error:
-            answer = {"verdict": f"refused: {error}", "effects": [], "p_unknown": 0.0, "shrink": {"closed": None}}
+            answer = {
+                "verdict": f"refused: {error}",
+                "effects": [],
+                "p_unknown": 0.0,
+                "shrink": {"closed": None},
+                "learned": None,
+                "events": None,
+            }
     seconds = time.process_time() - began
     named = [(e["id"], e["probability"], e["indistinguishable_from"]) for e in answer["effects"]]
     closed = (answer["shrink"] or {"closed": None})["closed"]
     warned = [f"{w.category.__name__}: {w.message}" for w in caught]
-    return RealAnswer(path.stem, declared, answer["verdict"], named, answer["p_unknown"], closed, seconds, warned)
+    return RealAnswer(path.stem, declared, answer["verdict"], named, answer["p_unknown"], closed, seconds, warned, law_words(answer))
+
+
+def law_words(answer: dict[str, Any]) -> str:
+    """What the search for laws says of a recording, in a few words.
+
+    Args:
+        answer: The content of out.json.
+
+    Returns:
+        The learned law with its formula and the laws that fit as well, or the number of events by kind and channel, or `nothing`.
+    """
+    learned, events = answer["learned"], answer["events"]
+    if learned is not None:
+        formulas = [f"`{term['formula']}`" if term["formula"] else "a curve" for term in (learned, *learned["further_terms"])]
+        alike = f"; {len(learned['alike'])} others fit as well" if learned["alike"] else ""
+        beside = "replaces what is named" if learned["replaces_listed"] else "beside what is named" if answer["effects"] else "alone"
+        return f"{learned['what']}: {', '.join(formulas)} ({beside}{alike})"
+    if events:
+        kinds = Counter(f"{event['kind']} in {event['channel'].split('_')[0]}" for event in events)
+        return "events: " + ", ".join(f"{n} {kind}" for kind, n in kinds.items())
+    return "nothing"
 
 
 def page(answers: list[RealAnswer]) -> str:
@@ -100,15 +132,15 @@ def page(answers: list[RealAnswer]) -> str:
         f"Right: {right} of {n} ({right / n:.0%}, 95 % interval {low:.0%} to {high:.0%}; target {TARGET:.0%}). "
         f"Python warnings: {warned} (target 0).",
         "",
-        "| recording | known to act | verdict | named | not named | answer | gap closed | CPU seconds |",
-        "|---|---|---|---|---|---|---|---|",
+        "| recording | known to act | verdict | named | not named | answer | beyond the list | gap closed | CPU seconds |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for a in answers:
         known = ", ".join([f"`{cause}`" for cause in a.declared.causes] + (["something outside the list"] if a.declared.unlisted else []))
         named = ", ".join(f"`{name}` {p:.2f}" + (f" (or {', '.join(group)})" if group else "") for name, p, group in a.named) or "nothing"
         missing = ", ".join(f"`{cause}`" for cause in a.missing)
         closed = "–" if a.closed is None else f"{a.closed:.2f}"
-        lines.append(f"| {a.name} | {known} | {a.verdict} | {named} | {missing} | {a.judgement} | {closed} | {a.seconds:.1f} |")
+        lines.append(f"| {a.name} | {known} | {a.verdict} | {named} | {missing} | {a.judgement} | {a.law} | {closed} | {a.seconds:.1f} |")
     if warned:
         lines += ["", "Warnings:", "", *(f"- {a.name}: {text}" for a in answers for text in a.warned)]
     return "\n".join(lines) + "\n"

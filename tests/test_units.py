@@ -91,6 +91,7 @@ ANY_UNIT = {
     "Coordinate": "a parameter of any effect, in the unit of its name",
     "Gap": "a channel of any unit, which stands beside",
     "Shrink": "a channel of any unit, which stands beside",
+    "MotionCheck": "a channel of any unit, which stands beside",
     "GuardState": "of whatever tripped, which stands beside with its unit",
     "Step": "a motion of lengths and angles at once, in m and rad",
     "Ramp": "a speed of the tip in m and rad at once, as URScript has it",

@@ -36,6 +36,13 @@ def print_demonstration(demonstration: "Demonstration") -> None:
     if "diagnosis" in result:
         for line in diagnosis_lines(result["diagnosis"]["sentence"], result["diagnosis"]):
             show(line, highlight=False)
+        if check := result["diagnosis"].get("another_motion"):
+            closed = "" if check["closed"] is None else f": {check['closed']:.0%} of the gap closed"
+            show(
+                f"On another motion {check['channel']} is {check['before_rms']:.3g} rms off without the law and "
+                f"{check['after_rms']:.3g} with it; noise makes {check['noise']:.3g}{closed}.",
+                highlight=False,
+            )
         return
     print_last_ticks(result["last_ticks"])
     if card is None:

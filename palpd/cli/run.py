@@ -148,18 +148,26 @@ def demo(
     full: Annotated[bool, typer.Option("--full", help="the paper's plan: 3 to 10 mm, 10 s holds, ten presses a depth")] = False,
     effect: Annotated[
         str | None,
-        typer.Option("--effect", help="effect id, cell file, learned law, or effect of yours (.py): the emulated cell gets it"),
+        typer.Option(
+            "--effect", help="effect id, cell file, file of laws (.yaml) or effect of yours (.py): plant it in the cell and find it"
+        ),
     ] = None,
+    wires: Annotated[
+        bool, typer.Option("--wires/--no-wires", help="with --effect: emulated wires, or physics faster than real time")
+    ] = True,
     json_file: JsonOption = None,
     folder: Annotated[Path | None, typer.Option("--out", help="where recordings, model and report go (default: runs/demo-<time>)")] = None,
 ) -> None:
     """The whole job on emulated wires: calibrate, learn the inertia, palpate four sites, say how stiff each is."""
     from palpd.cli.printing import print_demonstration
     from palpd.daemon import demo as show
+    from palpd.errors import BadInput
 
+    if not wires and effect is None:
+        raise BadInput("--no-wires belongs to --effect; palpd sim carries out a plan without wires")
     check_writable(json_file)
     check_folder(folder or Path("runs"))
-    demonstration = show.gap(effect, folder, display()) if effect else show.palpate(full, folder, display())
+    demonstration = show.gap(effect, folder, display(), wires=wires) if effect else show.palpate(full, folder, display())
     print_demonstration(demonstration)
     result = demonstration.result
     write_json(json_file, result)

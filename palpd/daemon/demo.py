@@ -1,7 +1,7 @@
 """`palpd demo`: the whole job with the real daemon on emulated wires, in a folder of its own."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,25 +11,44 @@ import numpy as np
 from palpd.analysis.young import modulus_peak_Pa
 from palpd.cell.cell_file import PHANTOM, CellFile, load_cell, save_cell
 from palpd.cell.effects import EFFECTS, Effect, load_effects, user_effects
+from palpd.cell.effects.learned import LearnedEffect
 from palpd.cell.simulation import equilibrium_force_N, scale_of
 from palpd.compensation.model_card import ModelCard
 from palpd.compensation.train import train
-from palpd.config import Config, ModelConfig, PathsConfig, Plan, PlanSite, RobotConfig, SafetyConfig, SensorConfig
+from palpd.config import Config, ModelConfig, PathsConfig, Plan, PlanSite, RobotConfig, SafetyConfig, SensorConfig, Strokes
 from palpd.daemon.display import Display
-from palpd.daemon.run_result import RunResult, run_result
+from palpd.daemon.motion_process import Job
+from palpd.daemon.run_result import RunResult, run_result, simulated_result
 from palpd.daemon.session import calibrate, carry_out, job, kept_in
+from palpd.daemon.simulated_run import run as simulate
 from palpd.daemon.wiring import devices, emulated
 from palpd.errors import BadInput
 from palpd.gap.commands import diagnose_files
+from palpd.gap.other_motion import check_on
 from palpd.gap.report import write as write_report
-from palpd.recording.reader import Recording, export, samples_of
+from palpd.recording.reader import Recording, samples_of
+from palpd.recording.samples import Samples, write_csv
 
 BIAS_N = 0.19
 """Bias of the emulated sensor: the paper's sensor read 0.1929 N on average in free motion with the probe, after its tare."""
 DRIFT_N_PER_S = 0.82 / 5400.0
 """Drift of the emulated sensor: that of a cold HEX-E, the nearest sensor measured, 0.82 N on Fz in 90 min."""
+PATIENCE_S = 0.1
+"""Patience of watchdog and devices, twice the default: a PC that runs the demo is often busy, and an emulated arm is harmless."""
 SITES = tuple(PlanSite(name=name, x_m=0.03 * index) for index, name in enumerate("ABCD"))
 SHORT = Plan(sites=SITES, depths_m=(0.004, 0.006, 0.008), hold_s=3.0, repeats=1)
+VARIED = Plan(sites=(PlanSite(name="A"),), depths_m=(0.003, 0.005, 0.008), hold_s=4.0, repeats=2, free=Strokes(strokes=4, height_m=0.02))
+"""The motion from which a law is learned: besides presses it strokes the air."""
+OTHER_MOTION = Plan(
+    sites=(PlanSite(name="A"),), depths_m=(0.004, 0.0065), press_speed_m_per_s=0.02, hold_s=2.0, repeats=2, safe_height_m=0.008,
+    free=Strokes(strokes=2, height_m=0.015, speed_m_per_s=0.03),
+)  # fmt: skip
+"""The motion on which it is tried: other depths, speeds, holds and strokes."""
+PALPATING = {
+    "palpation": "free moves, holds, presses of different depths",
+    "another-motion": "other depths, speeds and holds, which the diagnosis will not see",
+}
+"""What the demo says of each palpation."""
 ONE_SITE = Plan(sites=(PlanSite(name="A"),), depths_m=(0.003, 0.005, 0.008), hold_s=4.0, repeats=2)
 FULL = Plan(sites=SITES, depths_m=tuple(d / 1000 for d in range(3, 11)), hold_s=10.0, repeats=10)
 
@@ -82,14 +101,16 @@ def _learn(recording: Recording, model: Path, probe_mass_kg: float) -> ModelCard
     return train([samples_of(recording)], model, probe_mass_kg=probe_mass_kg, sensor_serial=serial, sensor_delay_s=delay_s)
 
 
-def gap(effect: str, folder: Path | None, display: Display) -> Demonstration:
+def gap(effect: str, folder: Path | None, display: Display, *, wires: bool = True) -> Demonstration:
     """Give one plain elastic site an effect that the nominal cell does not have, palpate it, diagnose it, and close the gap.
 
     Args:
-        effect: An id of the library, taken at its typical size; `none`; a cell file or a file of learned effects, for its effects; or a
-            Python file, for its first effect at its typical size. The diagnosis then also knows the effects of that Python file.
+        effect: An id of the library, taken at its typical size; `none`; a cell file, for its effects and laws; a file of learned laws; or
+            a Python file, for its first effect at its typical size. The diagnosis then also knows the effects of that Python file. It
+            never knows a law.
         folder: Empty folder for recording and report; by default a new one in runs/.
         display: Shows the progress.
+        wires: Whether the daemon palpates on emulated wires; else the cell's physics stands behind its loop, faster than real time.
 
     Returns:
         The result of the palpation, with the diagnosis where it was not stopped.
@@ -97,47 +118,98 @@ def gap(effect: str, folder: Path | None, display: Display) -> Demonstration:
     folder = kept_in(folder or Path("runs"), "demo" if folder is None else None)
     nominal = CellFile.model_validate({"sensor": {"rate_Hz": 1000.0}})
     user_effects = Path(effect) if Path(effect).suffix == ".py" else None
-    planted = _with_effect(nominal, effect)
-    true = ", ".join((*planted.effects, *(law.id for law in planted.learned))) or "none"
+    effects, laws = _effects_of(effect, nominal), _laws_of(effect)
+    true = "; ".join(filter(None, (", ".join(effects), *(law.what for law in laws)))) or "none"
     display.say(f"One elastic site is emulated, with {true}; the simulator does not know. Everything is kept in {folder}.")
-    with cell_on_wires(planted, folder, ONE_SITE, effects=user_effects) as config:
-        display.say("1/3 reference tare")
-        calibrate(config, devices, display)
-        display.say("2/3 palpating: free moves, holds, presses of different depths")
-        report = carry_out(job("palpation", config, ONE_SITE), devices, display, "palpation")
-    result = run_result(report)
-    if report.recording is None or report.exit_code:
-        return Demonstration(result)
-    csv, cell, page = folder / "site-A.csv", folder / "cell.yaml", folder / "gap.html"
-    export(Recording.load(report.recording), csv, "A")
-    save_cell(cell, nominal)
-    display.say("3/3 diagnosing the recording against the nominal cell")
-    diagnosis = diagnose_files([csv], cell, json_out=folder / "diagnosis.json", cell_out=folder / "enriched.yaml", effects=user_effects)
+    cell = nominal.with_effects(effects).model_copy(update={"learned": laws})
+    plans = {"palpation": VARIED, "another-motion": OTHER_MOTION} if laws else {"palpation": ONE_SITE}
+    recorded: dict[str, Samples] = {}
+    with (_on_wires if wires else _without_wires)(cell, folder, display, user_effects) as record:
+        for number, (name, plan) in enumerate(plans.items(), start=1):
+            display.say(f"{number}/{len(plans) + 1} palpating: {PALPATING[name]}")
+            result, samples = record(plan, name)
+            if samples is None:
+                return Demonstration(result)
+            recorded[name] = samples
+    csv, file, page = folder / "site-A.csv", folder / "cell.yaml", folder / "gap.html"
+    write_csv(csv, recorded["palpation"])
+    save_cell(file, nominal)
+    display.say(f"{len(plans) + 1}/{len(plans) + 1} diagnosing the recording against the nominal cell")
+    diagnosis = diagnose_files([csv], file, json_out=folder / "diagnosis.json", cell_out=folder / "enriched.yaml", effects=user_effects)
+    check = None
+    if "another-motion" in recorded:
+        write_csv(folder / "another-motion.csv", recorded["another-motion"])
+        check = check_on(diagnosis, recorded["another-motion"])
     content = diagnosis.to_json()
-    write_report(page, diagnosis, f"site A, with {true}")
+    write_report(page, diagnosis, f"site A, with {true}", check)
     display.say(f"Report: {page}")
     named = [effect["id"] for effect in content["effects"]]
-    result["diagnosis"] = {"true": true, "named": named, "closed": content["shrink"]["closed"], **content}
+    summary = {"true": true, "named": named, "closed": content["shrink"]["closed"]}
+    result["diagnosis"] = {**summary, "another_motion": None if check is None else check.to_json(), **content}
     return Demonstration(result)
 
 
-def _with_effect(nominal: CellFile, effect: str) -> CellFile:
+Record = Callable[[Plan, str], tuple[RunResult, Samples | None]]
+"""Carries out a plan under a name: its result, and the samples where it was done."""
+
+
+@contextmanager
+def _on_wires(cell: CellFile, folder: Path, display: Display, effects: Path | None) -> Iterator[Record]:
+    """Palpate on emulated wires, with the reference tare taken."""
+    with cell_on_wires(cell, folder, ONE_SITE, effects=effects) as config:
+        display.say("reference tare")
+        calibrate(config, devices, display)
+
+        def record(plan: Plan, name: str) -> tuple[RunResult, Samples | None]:
+            report = carry_out(job("palpation", config, plan), devices, display, name)
+            done = report.recording is not None and not report.exit_code
+            return run_result(report), samples_of(Recording.load(report.recording), "A") if done and report.recording else None
+
+        yield record
+
+
+@contextmanager
+def _without_wires(cell: CellFile, folder: Path, display: Display, effects: Path | None) -> Iterator[Record]:
+    """Palpate with the cell's physics behind the loop."""
+    library = EFFECTS if effects is None else load_effects(effects)
+    config = Config(safety=_limits(ONE_SITE), paths=PathsConfig(runs=folder, state=folder / "state"), cell=_nominal_of(cell))
+
+    def record(plan: Plan, name: str) -> tuple[RunResult, Samples | None]:
+        run = simulate(Job("palpation", config, plan), cell, library=library)
+        result = simulated_result(run)
+        recording = Recording(folder / name, run.rows, run.header, {}, None)
+        return result, samples_of(recording, "A") if result["verdict"] == "done" else None
+
+    display.say("no wires: the cell's physics stands behind the loop, faster than real time")
+    yield record
+
+
+def _laws_of(effect: str) -> tuple[LearnedEffect, ...]:
+    return load_cell(effect).learned if Path(effect).suffix in (".yaml", ".yml") else ()
+
+
+def _nominal_of(cell: CellFile) -> CellFile:
+    """What the daemon knows of an emulated cell."""
+    return cell.with_effects({}).model_copy(update={"learned": ()})
+
+
+def _effects_of(effect: str, nominal: CellFile) -> dict[str, dict[str, float]]:
     if effect == "none":
-        return nominal
+        return {}
     if Path(effect).suffix in (".yaml", ".yml"):
-        given = load_cell(effect)
-        return nominal.with_effects(given.effects).model_copy(update={"learned": given.learned})
+        return {name: dict(values) for name, values in load_cell(effect).effects.items()}
     known: Mapping[str, Effect] = EFFECTS
     if Path(effect).suffix == ".py":
         known = load_effects(effect)
         effect = user_effects(known)[0].id
     if effect not in known:
-        raise BadInput(f"{effect} is no effect of the library; known: none, {', '.join(EFFECTS)}, or a cell file or Python file")
+        raise BadInput(
+            f"{effect} is no effect of the library; known: none, {', '.join(EFFECTS)}, or a cell file, a file of laws or a Python file"
+        )
     t_s = np.linspace(0.0, 60.0, 601)
     z_m = 0.01 - 0.018 * np.abs(np.sin(0.3 * t_s))  # the typical size of an effect depends on the motion: take one like the plan's
     scale = scale_of(nominal, t_s, z_m, np.gradient(z_m, t_s))
-    values = {parameter.name: parameter.starts(scale)[0] for parameter in known[effect].parameters if not parameter.optional}
-    return nominal.with_effects({effect: values})
+    return {effect: {parameter.name: parameter.starts(scale)[0] for parameter in known[effect].parameters if not parameter.optional}}
 
 
 def true_modulus_Pa(cell: CellFile, site: str, plan: Plan) -> float:
@@ -177,20 +249,23 @@ def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, model: str =
     """
     file = folder / "emulated-cell.yaml"
     save_cell(file, cell)
-    # 0.1 s for watchdog and devices, twice the default: a PC that runs the demo is often busy, and an emulated arm is harmless
-    patience_s = 0.1
     host = f"127.{os.getpid() >> 16 & 255}.{os.getpid() >> 8 & 255}.{os.getpid() % 253 + 2}"  # an address per process: two can run at once
     with emulated(folder, model, file, host, effects) as wires:
         yield Config(
-            robot=RobotConfig.model_validate({"host": host, "model": model, "watchdog_Hz": 1.0 / patience_s}),
+            robot=RobotConfig.model_validate({"host": host, "model": model, "watchdog_Hz": 1.0 / PATIENCE_S}),
             sensor=SensorConfig(port=wires.sensor),
-            safety=SafetyConfig(
-                contact_limit_N=16.0 if plan is SHORT else 25.0,
-                absolute_limit_N=40.0,
-                robot_stale_s=patience_s,
-                sensor_stale_s=patience_s,
-                max_stall_s=patience_s,
-            ),
+            safety=_limits(plan),
             paths=PathsConfig(runs=folder, state=folder / "state"),
-            cell=cell.with_effects({}).model_copy(update={"learned": ()}),
+            cell=_nominal_of(cell),
         )
+
+
+def _limits(plan: Plan) -> SafetyConfig:
+    """Limits that allow a plan on the phantom, with PATIENCE_S for the devices."""
+    return SafetyConfig(
+        contact_limit_N=16.0 if plan is SHORT else 25.0,
+        absolute_limit_N=40.0,
+        robot_stale_s=PATIENCE_S,
+        sensor_stale_s=PATIENCE_S,
+        max_stall_s=PATIENCE_S,
+    )

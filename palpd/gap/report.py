@@ -19,9 +19,11 @@ from scipy.signal import welch
 
 from palpd.analysis.figure_style import BLUE, ENRICHED, FLOOR, GREY, INK, NOMINAL, ORANGE, YELLOW, inline_svg, styled_figure, thinned
 from palpd.cell.effects import Effect
+from palpd.cell.effects.learned import formula_of
 from palpd.files import write_text
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.noise import CHANNELS
+from palpd.gap.other_motion import MotionCheck
 from palpd.gap.phases import PHASES
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -78,18 +80,19 @@ class Curves:
         return measured - self.nominal[:, channel], measured - self.enriched[:, channel]
 
 
-def write(path: Path, diagnosis: Diagnosis, title: str) -> None:
+def write(path: Path, diagnosis: Diagnosis, title: str, check: MotionCheck | None = None) -> None:
     """Write the report of a diagnosis.
 
     Args:
         path: the HTML file.
         diagnosis: what to report.
         title: names the recordings.
+        check: how the enriched cell does on another motion.
 
     Raises:
         BadInput: the file cannot be written.
     """
-    write_text(path, page(diagnosis.to_json(), curves_of(diagnosis), diagnosis.problem.library, title))
+    write_text(path, page(diagnosis.to_json(), curves_of(diagnosis), diagnosis.problem.library, title, check))
 
 
 def curves_of(diagnosis: Diagnosis) -> Curves:
@@ -114,7 +117,7 @@ def curves_of(diagnosis: Diagnosis) -> Curves:
     )
 
 
-def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effect], title: str) -> str:
+def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effect], title: str, check: MotionCheck | None = None) -> str:
     """The report as HTML.
 
     Args:
@@ -122,6 +125,7 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
         curves: the recording that is drawn.
         library: effects by id; their descriptions and units.
         title: names the recordings.
+        check: how the enriched cell does on another motion.
 
     Returns:
         The page.
@@ -136,7 +140,7 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
         enriched=ENRICHED,
         grey=GREY,
         d=content,
-        tiles=_tiles(content),
+        tiles=_tiles(content, check),
         what={name: effect.what for name, effect in library.items()},
         channel_words=CHANNEL_WORDS[channel],
         phase_words=[PHASE_WORDS[phase] for phase in PHASES],
@@ -145,7 +149,8 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
         parameters=_parameters(content, library),
         gap_rows=_gap_rows(content),
         plan=yaml.safe_dump(proposed["plan"], sort_keys=False) if proposed else "",
-        law_formulas=[term["formula"] for term in _law_terms(content) if term["formula"]],
+        check=_check_words(check),
+        law_formulas=_law_formulas(content),
         figures={
             "press": _press_figure(curves, channel, content),
             "phases": _phase_figure(curves, channel, content),
@@ -153,6 +158,7 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
             "trend": _trend_figure(content, channel, curves.recording),
             "motion": _motion_figure(content),
             "law": _law_figure(content),
+            "check": _check_figure(check),
         },
     )
 
@@ -193,7 +199,7 @@ def _percent(p: float) -> str:
     return "< 1 %" if p < 0.005 else f"{100 * p:.0f} %"
 
 
-def _tiles(content: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+def _tiles(content: Mapping[str, Any], check: MotionCheck | None = None) -> list[tuple[str, str, str]]:
     """Heading, figure and small print of the summary."""
     shrink, residual, named = content["shrink"], content["unexplained"], content["effects"]
     if content["verdict"] == "none":
@@ -217,6 +223,8 @@ def _tiles(content: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         others = sorted({other for e in named for other in e["indistinguishable_from"]})
         small = "probability " + ", ".join(_percent(e["probability"]) for e in named)
         tiles.append(("Cause", names.replace(", ", " + "), small + (f"; or {', '.join(others)}" if others else "")))
+    if content.get("learned") and content["verdict"] == "unknown":
+        return [*tiles, *_law_tiles(content["learned"], check)]
     if shrink["closed"] is not None:
         low, high = shrink["ci95"] or (shrink["closed"], shrink["closed"])
         by = "Closed by the most similar effects" if content["verdict"] == "unknown" else "Closed"
@@ -225,6 +233,20 @@ def _tiles(content: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     if residual:
         return [*tiles, ("Residual", _quantity(residual["rms"], residual["channel"]), f"unexplained, {_place(residual)}")]
     return [*tiles, ("Residual", "noise", "the residual looks like the stated noise")]
+
+
+def _law_tiles(learned: Mapping[str, Any], check: MotionCheck | None) -> list[tuple[str, str, str]]:
+    """What the law closes: over its driver, and on another motion."""
+    sd = np.array(learned["data"]["sd"])
+    before, after = (float(np.sum((np.array(learned["data"][key]) / sd) ** 2)) for key in ("before", "after"))
+    share = max(0.0, 1.0 - after / max(before, 1e-300))
+    tiles = [("Explained by the law", f"{100 * share:.0f} %", "of the square of the data over its driver")]
+    if check is None or check.closed is None:
+        return tiles
+    return [
+        *tiles,
+        ("Closed on another motion", f"{100 * check.closed:.0f} %", "of the gap beyond noise, on a motion that it has not seen"),
+    ]
 
 
 def _candidates(content: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -478,33 +500,149 @@ def _law_terms(content: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _law_figure(content: Mapping[str, Any]) -> Markup:
-    """Every term of a learned law over its driver: curve and data, and the residual before and after."""
+    """Every term of a learned law over its driver: curve and data, and what remains without it and with it."""
     terms = _law_terms(content)
     if not terms:
         return Markup("")
-    with styled_figure(10.0, 3.0 * len(terms)) as figure:
+    with styled_figure(10.0, 3.4 * len(terms)) as figure:
         grid = figure.subplots(len(terms), 2, sharex="row", squeeze=False)
         for (left, right), term in zip(grid, terms, strict=True):
-            unit = term["driver_unit"]
-            scale = max((s for s, _ in PREFIXES if np.abs(term["curve"]["x"]).max() >= 0.1 * s), default=1.0) if unit == "m" else 1.0
-            prefix = next(name for s, name in PREFIXES if s == scale)
             data, curve = {k: np.array(v) for k, v in term["data"].items()}, {k: np.array(v) for k, v in term["curve"].items()}
-            x = data["x"] / scale
-            left.fill_between(curve["x"] / scale, curve["low"], curve["high"], color=ENRICHED, alpha=0.25, linewidth=0)
-            left.plot(curve["x"] / scale, curve["value"], color=ENRICHED, label="law")
-            left.errorbar(x, data["before"], 2.0 * data["sd"], fmt=".", color=INK, elinewidth=0.7, label="data")
+            x_scale, x_unit = _in_unit(curve["x"], term["driver_unit"])
+            y_scale, y_unit = _in_unit(np.concatenate([curve["value"], data["before"]]), _law_unit(term))
+            x, sd = data["x"] / x_scale, 2.0 * data["sd"] / y_scale
+            band = {"color": ENRICHED, "alpha": 0.25, "linewidth": 0}
+            left.fill_between(curve["x"] / x_scale, curve["low"] / y_scale, curve["high"] / y_scale, **band, label="95 % band")
+            at, value = curve["x"], curve["value"]
+            if term["formula"]:  # its corners lie between the knots
+                at = np.linspace(at[0], at[-1], LAW_POINTS)
+                value = formula_of(term["formula"])(at)
+            left.plot(at / x_scale, value / y_scale, color=ENRICHED, label="law")
+            left.errorbar(x, data["before"] / y_scale, sd, fmt=".", color=INK, elinewidth=0.7, label="data")
             for key, colour, label in (("before", NOMINAL, "without the law"), ("after", ENRICHED, "with it")):
-                right.errorbar(x, data[key], 2.0 * data["sd"], fmt=".", color=colour, elinewidth=0.7, label=label)
+                right.errorbar(x, data[key] / y_scale, sd, fmt=".", color=colour, elinewidth=0.7, label=label)
+            left.set(ylabel=f"{_law_words(term)} ({y_unit})".replace(" ()", ""), title="What it does")
+            right.set(title="What remains")
+            low, high = _shown_range(data, curve["value"])
             for axes in (left, right):
-                axes.set(xlabel=f"{_wrapped(term['driver'])} ({prefix}{unit})")
-            factor = "" if term["factor"] == "one" else f" per {term['factor'].replace('_', ' × ')}"
-            left.set(ylabel=f"{', '.join(term['channels'])}{factor}")
-            right.set(ylabel="residual, same unit")
+                axes.set_ylim(low / y_scale, high / y_scale)
             for axes in (left, right):
-                axes.legend()
+                axes.set(xlabel=_driver_words(term, f"{x_unit}"))
+                axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
     return inline_svg(figure, "law")
 
 
-def _wrapped(words: str) -> str:
-    """Words that are short enough for an axis."""
-    return words if len(words) <= 60 else words.replace(", ", ",\n", 1)
+def _shown_range(data: Mapping[str, Floats], curve: Floats) -> tuple[float, float]:
+    """Range of a law's axis: points with wide bars, where the factor of the law is nearly zero, do not set it."""
+    sharp = data["sd"] <= SHARP * float(np.median(data["sd"]))
+    reach = 2.0 * data["sd"][sharp]
+    ends = [curve, *(data[key][sharp] + sign * reach for key in ("before", "after") for sign in (-1.0, 1.0))]
+    low, high = min(float(x.min()) for x in ends), max(float(x.max()) for x in ends)
+    margin = 0.08 * max(high - low, 1e-300)
+    return low - margin, high + margin
+
+
+def _in_unit(values: Floats, unit: str) -> tuple[float, str]:
+    """The unit in which values read well: a length has a prefix, another unit stands as it is."""
+    largest = float(np.abs(values).max())
+    if unit != "m":
+        return 1.0, unit
+    return next(((scale, prefix + unit) for scale, prefix in PREFIXES if largest >= 0.1 * scale), (1.0, unit))
+
+
+SHARP = 3.0
+"""Bars, as multiples of the usual one, up to which a point sets the range of the axis."""
+LAW_POINTS = 400
+"""Points at which a formula is drawn."""
+LAW_AXES = {
+    "one": "added {}",
+    "air": "added {} in the air",
+    "pushing": "added {} while moving down",
+    "force": "share of the contact force",
+    "surface": "height of the surface",
+    "speed": "damping",
+    "direction": "friction",
+    "force_direction": "friction over contact force",
+    "acceleration": "moving mass",
+}
+"""What the curve of a law is, by its factor; the braces take the channel."""
+LAW_UNITS = {"force": "/N", "force_direction": "/N", "speed": " s/m", "acceleration": " s²/m"}
+"""What a factor adds to the unit of the channel."""
+
+
+def _law_channel(term: Mapping[str, Any]) -> str:
+    names = list(term["channels"])
+    return names[0] if len(names) == 1 else "fx_N"
+
+
+def _law_words(term: Mapping[str, Any]) -> str:
+    """What the curve of a law is, in words for an axis."""
+    words = LAW_AXES[term["factor"]]
+    if len(term["channels"]) > 1:
+        return f"{words.format('force')} to the side"
+    channel = CHANNEL_WORDS[_law_channel(term)]
+    return words.format(channel) if "{}" in words or channel == CHANNEL_WORDS["fz_N"] else f"{channel}: {words}"
+
+
+def _law_unit(term: Mapping[str, Any]) -> str:
+    """The unit of the curve of a law; empty for a share."""
+    if term["factor"] == "surface":
+        return "m"
+    unit = _unit(_law_channel(term)) + LAW_UNITS.get(term["factor"], "")
+    return {"N/N": "", "N s²/m": "kg"}.get(unit, unit)
+
+
+def _driver_words(term: Mapping[str, Any], unit: str) -> str:
+    """The driver of a law, in words for an axis."""
+    words, repeats, _ = term["driver"].partition(", repeating every ")
+    words = f"{words}, within one period" if repeats else words
+    return f"{words if len(words) <= 50 else words.replace(', ', f',{chr(10)}', 1)} ({unit})".replace(" (1)", "")
+
+
+def _law_formulas(content: Mapping[str, Any]) -> list[str]:
+    """The closed formulas of a law with the meaning and unit of x, one a term."""
+    lines = []
+    for term in _law_terms(content):
+        if term["formula"]:
+            unit, driver = _law_unit(term), term["driver"].partition(", repeating every ")[0]
+            of = "" if term["driver_unit"] == "1" else f" in {term['driver_unit']}"
+            side = ""
+            if len(term["channels"]) > 1:
+                azimuth_rad = np.arctan2(term["channels"].get("fy_N", 0.0), term["channels"].get("fx_N", 0.0))
+                side = f"\nit points {np.degrees(azimuth_rad):.0f} degrees from x towards y"
+            lines.append(f"{_law_words(term)}{f' in {unit}' if unit else ''} = {term['formula']}\nx is {driver}{of}{side}")
+    return lines
+
+
+def _check_words(check: MotionCheck | None) -> str:
+    """How the enriched cell does on another motion, in a sentence; empty without one."""
+    if check is None:
+        return ""
+    before, after, noise = (_quantity(value, check.channel) for value in (check.before_rms, check.after_rms, check.noise))
+    closed = "" if check.closed is None else f" The law closes {100 * check.closed:.0f} % of the gap there."
+    return (
+        f"{CHANNEL_WORDS[check.channel].capitalize()} on a motion of {check.t_s[-1]:.0f} s that the diagnosis has not seen: {before} rms "
+        f"off without the law, {after} with it; noise alone makes {noise}.{closed}"
+    )
+
+
+def _check_figure(check: MotionCheck | None) -> Markup:
+    """Measured and simulated on another motion."""
+    if check is None:
+        return Markup("")
+    with styled_figure(10.0, 4.4) as figure:
+        top, bottom = figure.subplots(2, 1, sharex=True)
+        scale, unit = _scaled(check.channel, float(np.ptp(check.measured)))
+        top.plot(*thinned(check.t_s, check.measured / scale), color=INK, label="measured")
+        top.plot(*thinned(check.t_s, check.enriched / scale), color=ENRICHED, label="simulated with the law")
+        top.set(ylabel=f"{CHANNEL_WORDS[check.channel]} ({unit})", xlim=(check.t_s[0], check.t_s[-1]))
+        gaps = check.measured - check.plain, check.measured - check.enriched
+        scale, unit = _scaled(check.channel, float(np.abs(gaps[0]).max()))
+        bottom.axhspan(-2.0 * check.noise / scale, 2.0 * check.noise / scale, **FLOOR, label="noise (two standard deviations)")
+        for gap, colour, label in zip(gaps, (NOMINAL, ENRICHED), ("without the law", "with it"), strict=True):
+            bottom.plot(*thinned(check.t_s, gap / scale), color=colour, label=label)
+        bottom.set(xlabel="time (s)", ylabel=f"measured − simulated ({unit})")
+        for axes in (top, bottom):
+            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
+        figure.align_ylabels()
+    return inline_svg(figure, "check")

@@ -5,19 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.law_demos import BEGIN, END, LawDemo, table, with_table
 from hw.emulators.controller import MODELS
 from hw.emulators.rig import Rig
-from palpd.cell.cell_file import CellFile, load_cell, nominal, save_cell
+from palpd.cell.cell_file import load_cell, nominal, save_cell
 from palpd.cell.effects import EFFECTS, load_effects
-from palpd.cell.effects.learned import save_learned
-from palpd.daemon.demo import _with_effect
+from palpd.cell.effects.learned import load_learned
+from palpd.daemon.demo import _effects_of, _laws_of, gap
+from palpd.daemon.display import NoDisplay
 from palpd.errors import BadInput, ConfigError
-from tests.cell.test_learned_effects import learned
-from tests.paths import EXAMPLE
-
-
-def _effects_of(effect: str, cell: CellFile) -> dict[str, dict[str, float]]:
-    return _with_effect(cell, effect).effects
+from tests.paths import EXAMPLE, LAWS, ROOT
 
 
 def test_effects_come_from_an_id_a_cell_file_or_a_users_file(tmp_path: Path) -> None:
@@ -28,13 +25,6 @@ def test_effects_come_from_an_id_a_cell_file_or_a_users_file(tmp_path: Path) -> 
     assert _effects_of(str(EXAMPLE), nominal())["tissue.pulse"]["share"] == pytest.approx(0.05)
     with pytest.raises(BadInput, match="no effect of the library"):
         _effects_of("sensor.magic", nominal())
-
-
-def test_a_file_of_learned_effects_is_planted_whole_and_the_daemon_does_not_know(tmp_path: Path) -> None:
-    save_learned(tmp_path / "law.yaml", [learned()])
-    planted = _with_effect(nominal(), str(tmp_path / "law.yaml"))
-    assert planted.learned == (learned(),)
-    assert planted.effects == {}
 
 
 def test_an_emulated_cell_can_have_an_effect_of_ones_own(tmp_path: Path) -> None:
@@ -52,3 +42,33 @@ def test_an_emulated_cell_can_have_an_effect_of_ones_own(tmp_path: Path) -> None
     finally:
         rig.close()
     assert "tissue.pulse" not in EFFECTS
+
+
+def test_the_example_laws_are_five_that_differ_in_kind() -> None:
+    laws = [_laws_of(str(file))[0] for file in sorted(LAWS.glob("*.yaml"))]
+    kinds = {(term.factor, term.driver.quantity, term.driver.period, *term.channels) for (term,) in (law.terms for law in laws)}
+    assert len(kinds) == len(laws) == 5
+    assert all(_effects_of(str(file), nominal()) == {} for file in LAWS.glob("*.yaml"))
+
+
+def test_a_law_outside_the_list_is_found_and_closes_the_gap_on_another_motion(tmp_path: Path) -> None:
+    demonstration = gap(str(LAWS / "cogging.yaml"), tmp_path, NoDisplay(), wires=False)
+    answer = demonstration.result["diagnosis"]
+    (term,) = load_learned(tmp_path / "diagnosis.learned.yaml")[0].terms
+    assert (answer["verdict"], term.factor, term.driver.quantity) == ("unknown", "one", "height")
+    assert term.driver.period == pytest.approx(0.0025, rel=0.01)
+    x = np.linspace(0.0, 0.0025, 50)
+    assert np.std(term.curve(x) - 0.12 * np.sin(2.0 * np.pi * x / 0.0025 + 0.7)) < 0.01
+    assert answer["another_motion"]["closed"] > 0.95
+    page = (tmp_path / "gap.html").read_text(encoding="utf-8")
+    assert "The law on another motion" in page
+    assert "x is the height of the probe in m" in page
+
+
+def test_the_table_of_laws_stands_between_its_marks() -> None:
+    row = LawDemo("cogging", "a gear", "unknown", "an added force", "0.1 * x", 0.97, 12.0)
+    page = (ROOT / "docs" / "outside-the-list.md").read_text(encoding="utf-8")
+    text = with_table(page, table([row]))
+    assert "| [a gear](examples/laws/cogging.yaml) | an added force | `0.1 * x` | 97% | 12 |" in text
+    assert text.partition(BEGIN)[0] == page.partition(BEGIN)[0]
+    assert text.partition(END)[2] == page.partition(END)[2] != ""
