@@ -14,7 +14,7 @@ from palpd.tick import Floats
 
 MEAN_S = 0.02
 """Length of the means that are compared; shorter than any phase of a motion."""
-LEAST_GAP = 2.0
+LEAST_GAP = 1.5
 """Least gap before, as a multiple of the noise of a mean, for a statement on the closed share."""
 
 
