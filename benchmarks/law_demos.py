@@ -55,7 +55,7 @@ def demonstrate(law: Path, folder: Path, display: Display, *, wires: bool = Fals
     formulas = [term["formula"] or "a curve" for term in terms]
     law_words = "no law" if learned is None else str(learned["what"])
     named = " + ".join(f"`{name}`" for name in answer["named"])
-    law_words += f", beside {named}" if named and answer["verdict"] != "unknown" else ""
+    law_words += f", beside {named}" if named and not (learned and learned["replaces_listed"]) else ""
     planted = "; ".join(one.what for one in load_cell(law).learned)
     return LawDemo(law.stem, planted, answer["verdict"], law_words, "; ".join(formulas), check["closed"], time.process_time() - began)
 

@@ -149,7 +149,7 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
         parameters=_parameters(content, library),
         gap_rows=_gap_rows(content),
         plan=yaml.safe_dump(proposed["plan"], sort_keys=False) if proposed else "",
-        check=_check_words(check),
+        check=_check_words(check, _added(content)),
         law_formulas=_law_formulas(content),
         figures={
             "press": _press_figure(curves, channel, content),
@@ -158,7 +158,7 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
             "trend": _trend_figure(content, channel, curves.recording),
             "motion": _motion_figure(content),
             "law": _law_figure(content),
-            "check": _check_figure(check),
+            "check": _check_figure(check, _added(content)),
         },
     )
 
@@ -614,19 +614,24 @@ def _law_formulas(content: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _check_words(check: MotionCheck | None) -> str:
+def _added(content: Mapping[str, Any]) -> str:
+    """What the enriched cell has and the nominal one has not, in words."""
+    return "the law" if content.get("learned") else "the named effects"
+
+
+def _check_words(check: MotionCheck | None, added: str) -> str:
     """How the enriched cell does on another motion, in a sentence; empty without one."""
     if check is None:
         return ""
     before, after, noise = (_quantity(value, check.channel) for value in (check.before_rms, check.after_rms, check.noise))
-    closed = "" if check.closed is None else f" The law closes {100 * check.closed:.0f} % of the gap there."
+    closed = "" if check.closed is None else f" It closes {100 * check.closed:.0f} % of the gap there."
     return (
         f"{CHANNEL_WORDS[check.channel].capitalize()} on a motion of {check.t_s[-1]:.0f} s that the diagnosis has not seen: {before} rms "
-        f"off without the law, {after} with it; noise alone makes {noise}.{closed}"
+        f"off without {added}, {after} with the enriched cell; noise alone makes {noise}.{closed}"
     )
 
 
-def _check_figure(check: MotionCheck | None) -> Markup:
+def _check_figure(check: MotionCheck | None, added: str) -> Markup:
     """Measured and simulated on another motion."""
     if check is None:
         return Markup("")
@@ -634,12 +639,12 @@ def _check_figure(check: MotionCheck | None) -> Markup:
         top, bottom = figure.subplots(2, 1, sharex=True)
         scale, unit = _scaled(check.channel, float(np.ptp(check.measured)))
         top.plot(*thinned(check.t_s, check.measured / scale), color=INK, label="measured")
-        top.plot(*thinned(check.t_s, check.enriched / scale), color=ENRICHED, label="simulated with the law")
+        top.plot(*thinned(check.t_s, check.enriched / scale), color=ENRICHED, label=f"simulated with {added}")
         top.set(ylabel=f"{CHANNEL_WORDS[check.channel]} ({unit})", xlim=(check.t_s[0], check.t_s[-1]))
         gaps = check.measured - check.plain, check.measured - check.enriched
         scale, unit = _scaled(check.channel, float(np.abs(gaps[0]).max()))
         bottom.axhspan(-2.0 * check.noise / scale, 2.0 * check.noise / scale, **FLOOR, label="noise (two standard deviations)")
-        for gap, colour, label in zip(gaps, (NOMINAL, ENRICHED), ("without the law", "with it"), strict=True):
+        for gap, colour, label in zip(gaps, (NOMINAL, ENRICHED), (f"without {added}", f"with {added}"), strict=True):
             bottom.plot(*thinned(check.t_s, gap / scale), color=colour, label=label)
         bottom.set(xlabel="time (s)", ylabel=f"measured − simulated ({unit})")
         for axes in (top, bottom):
