@@ -1,7 +1,8 @@
 """Runs from cold: before each, the kernel's caches are dropped, as after boot or a fresh installation. None may be ended by its own start.
 
-The emulated cell runs throughout, as a robot would. `python -m benchmarks.cold [--model ur5] [--runs 10]` prints a table; needs root. Reads
-from the disk while the arm may move are counted as major page faults of the motion process, from its first tick to its last.
+The emulated cell runs throughout, as a robot would. `python -m benchmarks.cold [--model ur5] [--runs 10]` prints a table; needs root.
+Reads from the disk while the arm may move are counted as major page faults of the motion process, from its first tick to its last. Code
+that other processes have mapped stays in memory. So end whatever else uses the same Python: else the runs are not as cold as after boot.
 """
 
 import argparse
