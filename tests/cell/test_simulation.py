@@ -234,6 +234,14 @@ def test_laws_of_the_sensor_act_after_the_leak_whatever_axis_they_change() -> No
     np.testing.assert_allclose(changed, plain * [2.0, 1.0, 1.0, 1.0, 1.0, 1.0] + [0.0, 0.0, 0.5, 0.0, 0.0, 0.0], atol=1e-12)
 
 
+def test_a_law_of_fz_alone_leaves_the_other_axes_as_they_were_to_the_last_digit() -> None:
+    t_s, z_cmd_m = presses()
+    motion = commanded_motion(quiet(), t_s, z_cmd_m)
+    leaking = quiet().with_estimated(Estimated(crosstalk=(0.1, -0.2, 0.01, 0.02)))
+    change = wrench_of(leaking.with_effects({"sensor.creep": {"ratio": 0.1, "tau_s": 1.0}}), motion) - wrench_of(leaking, motion)
+    assert np.flatnonzero(change.any(axis=0)).tolist() == [2]
+
+
 def test_deviations_within_tolerance_change_what_they_are_called_after() -> None:
     t_s, z_cmd_m = presses()
     motion = commanded_motion(quiet(), t_s, z_cmd_m)
