@@ -206,13 +206,15 @@ def test_fifty_samples_at_ten_hertz_are_enough_to_predict() -> None:
 
 @pytest.mark.parametrize("rows", [0.0, 0.3, 1.0, 2.75, -0.25, -1.0, -3.4, 11.0, 12.5, 40.0, -11.0, -40.0])
 def test_a_signal_on_an_even_grid_is_shifted_as_a_delay_shifts_it(rows: float) -> None:
-    u, t_s = np.random.default_rng(5).standard_normal(12), 0.3 + 0.002 * np.arange(12)
+    u: Floats = np.random.default_rng(5).standard_normal(12)
+    t_s: Floats = 0.3 + 0.002 * np.arange(12.0)
     np.testing.assert_allclose(shifted(u, rows), delayed(u, t_s, t_s - 0.002 * rows, {}), atol=1e-9)
 
 
 @pytest.mark.parametrize("pole_per_s", [-2500.0, -2450.0, -1500.0])
 def test_a_fast_relaxation_is_the_same_in_one_stretch_and_in_many(pole_per_s: float) -> None:
-    u, memory = 3.0 + np.random.default_rng(6).standard_normal(400), dict[str, object]()
+    u: Floats = 3.0 + np.random.default_rng(6).standard_normal(400)
+    memory: Memory = {}
     whole = lowpass(u, 0.002, pole_per_s, {})
     parts = [lowpass(u[k : k + 40], 0.002, pole_per_s, memory) for k in range(0, 400, 40)]
     np.testing.assert_allclose(whole, np.concatenate(parts), rtol=1e-13)
