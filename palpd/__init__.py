@@ -3,9 +3,9 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from palpd.api import Analysis, Cell, Diagnosis, Effect, Recording, analyse, diagnose, load, simulate
+    from palpd.api import Analysis, Cell, Effect, GapDiagnosis, LoadedRecording, analyse, diagnose, load, simulate
 
-__all__ = ["Analysis", "Cell", "Diagnosis", "Effect", "Recording", "analyse", "diagnose", "load", "simulate"]
+__all__ = ["Analysis", "Cell", "Effect", "GapDiagnosis", "LoadedRecording", "analyse", "diagnose", "load", "simulate"]
 
 
 def __getattr__(name: str) -> Any:

@@ -24,6 +24,9 @@ from palpd.cell.cell_file import CellFile, cell_from, load_cell, nominal, save_c
 from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.simulation import simulate as simulated_columns
 from palpd.errors import BadInput, RecordingError
+from palpd.gap.commands import read_motion, read_recording
+from palpd.gap.diagnosis import Diagnosis
+from palpd.gap.diagnosis import diagnose as diagnose_samples
 from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, samples_from_columns, write_csv
 from palpd.tick import Floats
 
@@ -31,9 +34,8 @@ if TYPE_CHECKING:
     import pandas as pd  # type: ignore[import-untyped]
     from matplotlib.figure import Figure
 
-    from palpd.gap.diagnosis import Diagnosis as Answer
 
-__all__ = ["Analysis", "Cell", "Diagnosis", "Effect", "Recording", "analyse", "diagnose", "load", "simulate"]
+__all__ = ["Analysis", "Cell", "Effect", "GapDiagnosis", "LoadedRecording", "analyse", "diagnose", "load", "simulate"]
 
 TableRow: TypeAlias = dict[str, Any]
 
@@ -125,7 +127,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Recording(_Shown):
+class LoadedRecording(_Shown):
     """A recording of one cell, row by row in time. `recording["fz_N"]` is a column (n,); the names carry their units."""
 
     samples: Samples
@@ -194,7 +196,7 @@ class Recording(_Shown):
         return figure
 
 
-Source: TypeAlias = "str | Path | Recording | Samples | Mapping[str, Any] | DataFrame"
+Source: TypeAlias = "str | Path | LoadedRecording | Samples | Mapping[str, Any] | DataFrame"
 """What can be given for a recording: a file, a recording, or a data frame or mapping with the columns of the CSV."""
 CellSource: TypeAlias = "str | Path | Cell | CellFile | Mapping[str, Any]"
 """What can be given for a cell: a file, a cell, or the content of a cell.yaml."""
@@ -249,14 +251,14 @@ class Analysis(_Shown):
 
 
 @dataclass(frozen=True)
-class Diagnosis(_Shown):
+class GapDiagnosis(_Shown):
     """Why a cell does not behave like its simulation.
 
     Attributes:
         answer: The whole answer, with the data behind it; its parts may change between versions.
     """
 
-    answer: Answer
+    answer: Diagnosis
 
     @property
     def sentence(self) -> str:
@@ -316,13 +318,21 @@ class Diagnosis(_Shown):
         return figure
 
     def report(self, path: str | Path, title: str = "recording") -> None:
-        """Write the page that `palpd diagnose --report` writes. Raises BadInput where the file cannot be written."""
+        """Write the page that `palpd diagnose --report` writes.
+
+        Args:
+            path: The HTML file.
+            title: Names the recordings.
+
+        Raises:
+            BadInput: The file cannot be written.
+        """
         from palpd.gap.report import write
 
         write(Path(path), self.answer, title)
 
 
-def load(path: str | Path, site: str | None = None) -> Recording:
+def load(path: str | Path, site: str | None = None) -> LoadedRecording:
     """Read a recording.
 
     Args:
@@ -335,14 +345,12 @@ def load(path: str | Path, site: str | None = None) -> Recording:
     Raises:
         RecordingError: The file is no recording, or holds several sites and none is named.
     """
-    from palpd.gap.commands import read_recording
-
-    return Recording(read_recording(Path(path), site), Path(path).name)
+    return LoadedRecording(read_recording(Path(path), site), Path(path).name)
 
 
 def simulate(
     motion: Source, cell: CellSource, *, drive: Literal["measured", "commanded"] = "measured", noise_seed: int | None = None
-) -> Recording:
+) -> LoadedRecording:
     """Simulate what a cell's sensor and robot report on a motion.
 
     Args:
@@ -368,12 +376,12 @@ def simulate(
     z_m, vz_m_per_s = (columns["z_m"], columns.get("vz_m_per_s")) if drive == "measured" else (None, None)
     out = simulated_columns(_cell(cell), t_s, z_cmd_m=z_cmd_m, z_m=z_m, vz_m_per_s=vz_m_per_s, noise_seed=noise_seed)
     speed = out["vz_m_per_s"] if "vz_m_per_s" in out else np.gradient(out["z_m"], t_s)
-    return Recording(Samples(t_s, z_cmd_m, out["z_m"], speed, np.column_stack([out[name] for name in WRENCH_COLUMNS])), "simulated")
+    return LoadedRecording(Samples(t_s, z_cmd_m, out["z_m"], speed, np.column_stack([out[name] for name in WRENCH_COLUMNS])), "simulated")
 
 
 def diagnose(
     recordings: Source | Sequence[Source], cell: CellSource, *, effects: Mapping[str, Effect] = EFFECTS, propose: bool = False
-) -> Diagnosis:
+) -> GapDiagnosis:
     """Say where recordings of one cell differ from its simulation, and which effect causes it.
 
     Args:
@@ -388,10 +396,8 @@ def diagnose(
     Raises:
         RecordingError: The recordings cannot be judged.
     """
-    from palpd.gap.diagnosis import diagnose as judged
-
     several = recordings if isinstance(recordings, Sequence) and not isinstance(recordings, str) else [recordings]
-    return Diagnosis(judged([_samples(each) for each in several], _cell(cell), effects, propose=propose))
+    return GapDiagnosis(diagnose_samples([_samples(each) for each in several], _cell(cell), effects, propose=propose))
 
 
 def analyse(source: Source, cell: CellSource | None = None, *, site: str | None = None) -> Analysis:
@@ -413,19 +419,18 @@ def analyse(source: Source, cell: CellSource | None = None, *, site: str | None 
         return Analysis(tuple(_daemon_sites(source, site)))
     from palpd.analysis.enriched import enriched_modulus
 
-    found = enriched_modulus([_samples(source, site)], _cell(cell))
-    figures = {"youngs_modulus_Pa": found.youngs_modulus_Pa, "ci95_Pa": list(found.ci95_Pa), "contact_point_m": found.surface_z_m}
-    return Analysis(({"name": site or "", **figures, "rms_N": found.rms_N, "warnings": []},))
+    estimate = enriched_modulus([_samples(source, site)], _cell(cell))
+    figures = {"youngs_modulus_Pa": estimate.youngs_modulus_Pa, "ci95_Pa": list(estimate.ci95_Pa), "contact_point_m": estimate.surface_z_m}
+    return Analysis(({"name": site or "", **figures, "rms_N": estimate.rms_N, "warnings": []},))
 
 
 def _daemon_sites(source: Source, site: str | None) -> Sequence[Mapping[str, Any]]:
     from palpd.analysis.results import analysed_sites
-    from palpd.recording.reader import Recording as Ticks
-    from palpd.recording.reader import holds_ticks
+    from palpd.recording.reader import Recording, holds_ticks
 
     if not isinstance(source, str | Path) or not holds_ticks(Path(source)):
         raise BadInput("a modulus of a recording that is not the daemon's needs a cell, which says how large the tip is; give cell=")
-    return analysed_sites(Ticks.load(Path(source)), site)
+    return analysed_sites(Recording.load(Path(source)), site)
 
 
 def _cell(source: CellSource) -> CellFile:
@@ -441,17 +446,15 @@ def _samples(source: Source, site: str | None = None) -> Samples:
         return load(source, site).samples
     if isinstance(source, Samples):
         return source
-    return source.samples if isinstance(source, Recording) else samples_from_columns(_columns(source), "the data frame")
+    return source.samples if isinstance(source, LoadedRecording) else samples_from_columns(_columns(source), "the data frame")
 
 
 def _columns(source: Source) -> dict[str, Floats]:
     """The known columns of anything that has columns."""
     if isinstance(source, str | Path):
-        from palpd.gap.commands import read_motion
-
         return read_motion(Path(source))
     if isinstance(source, Samples):
-        source = Recording(source)
+        source = LoadedRecording(source)
     names = list(source) if isinstance(source, Mapping) else list(source.columns)
     try:
         return {name: np.asarray(source[name], dtype=float) for name in COLUMNS if name in names}

@@ -21,14 +21,14 @@ def motion() -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def softer(motion: dict[str, np.ndarray]) -> palpd.Recording:
+def softer(motion: dict[str, np.ndarray]) -> palpd.LoadedRecording:
     """A recording of a cell whose tissue is softer than stated."""
     cell = palpd.Cell.nominal().with_effects({"tissue.modulus": {"ratio": 0.7}})
     return palpd.simulate(motion, cell, noise_seed=3)
 
 
 @pytest.fixture(scope="module")
-def answer(softer: palpd.Recording) -> palpd.Diagnosis:
+def answer(softer: palpd.LoadedRecording) -> palpd.GapDiagnosis:
     return palpd.diagnose(softer, palpd.Cell.nominal())
 
 
@@ -37,7 +37,7 @@ def test_importing_palpd_imports_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
 
 
-def test_a_data_frame_is_diagnosed_as_a_recording_is(softer: palpd.Recording, answer: palpd.Diagnosis) -> None:
+def test_a_data_frame_is_diagnosed_as_a_recording_is(softer: palpd.LoadedRecording, answer: palpd.GapDiagnosis) -> None:
     assert answer.verdict == "effects"
     assert [row["effect"] for row in answer.table()] == ["tissue.modulus"]
     assert "tissue.modulus" in answer.sentence
@@ -45,7 +45,7 @@ def test_a_data_frame_is_diagnosed_as_a_recording_is(softer: palpd.Recording, an
     assert again.probabilities == answer.probabilities
 
 
-def test_the_found_cell_predicts_the_recording_and_gives_its_modulus(softer: palpd.Recording, answer: palpd.Diagnosis) -> None:
+def test_the_found_cell_predicts_the_recording_and_gives_its_modulus(softer: palpd.LoadedRecording, answer: palpd.GapDiagnosis) -> None:
     again = palpd.simulate(softer, answer.cell)
     assert float(np.std(again["fz_N"] - softer["fz_N"])) < 0.1
     assert float(np.std(palpd.simulate(softer, palpd.Cell.nominal())["fz_N"] - softer["fz_N"])) > 0.3
@@ -53,7 +53,7 @@ def test_the_found_cell_predicts_the_recording_and_gives_its_modulus(softer: pal
     assert modulus.table()[0]["low_Pa"] < 0.7 * 72000.0 < modulus.table()[0]["high_Pa"]
 
 
-def test_what_is_saved_loads_again(softer: palpd.Recording, answer: palpd.Diagnosis, tmp_path: Path) -> None:
+def test_what_is_saved_loads_again(softer: palpd.LoadedRecording, answer: palpd.GapDiagnosis, tmp_path: Path) -> None:
     softer.save(tmp_path / "run.csv")
     assert np.array_equal(palpd.load(tmp_path / "run.csv")["fz_N"], softer["fz_N"])
     answer.cell.save(tmp_path / "cell.yaml")
@@ -62,20 +62,20 @@ def test_what_is_saved_loads_again(softer: palpd.Recording, answer: palpd.Diagno
     assert "a run" in (tmp_path / "gap.html").read_text()
 
 
-def test_a_notebook_shows_sentence_and_table_with_names_escaped(softer: palpd.Recording, answer: palpd.Diagnosis) -> None:
+def test_a_notebook_shows_sentence_and_table_with_names_escaped(softer: palpd.LoadedRecording, answer: palpd.GapDiagnosis) -> None:
     shown = answer._repr_html_()
     assert "tissue.modulus" in shown
     assert "<td>ratio</td>" in shown
-    assert "&lt;b&gt;" in palpd.Recording(softer.samples, "<b>")._repr_html_()
+    assert "&lt;b&gt;" in palpd.LoadedRecording(softer.samples, "<b>")._repr_html_()
 
 
-def test_figures_are_drawn(softer: palpd.Recording, answer: palpd.Diagnosis) -> None:
+def test_figures_are_drawn(softer: palpd.LoadedRecording, answer: palpd.GapDiagnosis) -> None:
     assert len(softer.figure().axes) == 2
     assert answer.figure().axes[0].get_ylabel() == "measured less simulated fz_N"
     assert palpd.analyse(softer, answer.cell).figure().axes[0].lines
 
 
-def test_bad_input_is_one_sentence(softer: palpd.Recording) -> None:
+def test_bad_input_is_one_sentence(softer: palpd.LoadedRecording) -> None:
     with pytest.raises(RecordingError, match=r"column fz_N is missing"):
         palpd.diagnose({name: values for name, values in softer.columns.items() if name != "fz_N"}, palpd.Cell.nominal())
     with pytest.raises(RecordingError, match="no column t_s"):

@@ -17,7 +17,7 @@ from hw.emulators.pose import Floats, rotation
 from hw.emulators.ur import UrWires, Values, outputs, status_bits
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import EFFECTS
-from palpd.cell.simulation import Cell, Library, SampleBlock, true_surface_m
+from palpd.cell.simulation import Library, SampleBlock, SteppedCell, true_surface_m
 
 SAMPLE_S = 0.001
 START_HEIGHT_M = 0.03
@@ -44,7 +44,7 @@ class Rig:
         library: Library = EFFECTS,
     ) -> None:
         self.cell_file, self.model, self._library = cell_file, model, library
-        self.cell = Cell(cell_file, seed=seed, step_s=SAMPLE_S, library=library)
+        self.cell = SteppedCell(cell_file, seed=seed, step_s=SAMPLE_S, library=library)
         self._wall_z_m: float | None = None
         self.steps = round(model.cycle_s / SAMPLE_S)
         self._random = np.random.default_rng(seed + 1)

@@ -1,6 +1,6 @@
 """The physics of a cell: a robot that moves a probe into tissue, and a force sensor that feels it.
 
-One implementation, used step by step by emulators (`Cell`) and on whole recordings by the diagnosis (`predict_motion`,
+One implementation, used step by step by emulators (`SteppedCell`) and on whole recordings by the diagnosis (`predict_motion`,
 `predict_wrench`, `simulate`): both hand stretches of samples through the same stages. The stages are robot (target to reported
 height), tip (where it really is), tissue (what it feels), probe (what else pushes), clock and sensor; after the nominal physics
 of each come the effects of that site. Wrenches are what the environment does to the probe, along base axes, gravity tared away.
@@ -673,7 +673,7 @@ class SampleBlock:
     wrench: Floats
 
 
-class Cell:
+class SteppedCell:
     """A cell that lives step by step: commanded tip positions in, reports of robot and sensor out.
 
     One `step_s` passes per row. Until `begin` is called, effects that count from the first row of a recording (a bias that the tare

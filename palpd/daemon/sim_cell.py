@@ -6,7 +6,7 @@ import numpy as np
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import EFFECTS
-from palpd.cell.simulation import Cell, Library
+from palpd.cell.simulation import Library, SteppedCell
 from palpd.tick import PROGRAM_PLAYING, Floats, RobotMode, RobotState, SafetyMode, SensorFrames
 
 FZ_OFFSET_N = -50.0
@@ -27,7 +27,7 @@ class SimCell:
         home_above_m: float = HOME_ABOVE_M,
         library: Library = EFFECTS,
     ) -> None:
-        self._cell = Cell(cell, seed=seed, library=library)
+        self._cell = SteppedCell(cell, seed=seed, library=library)
         self._steps = round(1000.0 / rate_Hz)
         self._acceleration = acceleration_m_per_s2
         surface_z_m = cell.tissue.surface_z_m if cell.tissue else 0.0

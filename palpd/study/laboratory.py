@@ -11,7 +11,7 @@ import numpy as np
 
 from palpd.cell.cell_file import PHANTOM, CellFile
 from palpd.cell.dynamics import lowpass, servo
-from palpd.cell.simulation import Cell
+from palpd.cell.simulation import SteppedCell
 from palpd.control.sequence import CLEAR_SHARE
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -85,7 +85,7 @@ def take(cell: CellFile, z_cmd_m: Floats, seed: int) -> Take:
     """
     rng = np.random.default_rng([seed, 1])
     count_N, sensor = cell.sensor.resolution_fz_N, cell.sensor
-    physics = Cell(cell, seed=seed, step_s=STEP_S)
+    physics = SteppedCell(cell, seed=seed, step_s=STEP_S)
     rest = np.zeros((round(TARE_S / STEP_S), 3))
     rest[:, 2] = z_cmd_m[0]
     target = np.zeros((len(z_cmd_m), 3))

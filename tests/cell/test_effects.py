@@ -13,7 +13,7 @@ from palpd.cell.dynamics import Floats, TipMotion
 from palpd.cell.effects import EFFECTS, Effect, Parameter, Scale, load_effects
 from palpd.cell.effects.tissue import dimitriadis
 from palpd.cell.simulation import (
-    Cell,
+    SteppedCell,
     commanded_motion,
     equilibrium_force_N,
     predict_motion,
@@ -174,7 +174,7 @@ def test_all_effects_together_are_the_same_step_by_step_and_at_once() -> None:
 
 
 def compare_step_by_step(cell: CellFile, atol: float = 1e-9) -> None:
-    one = Cell(cell, step_s=0.001)
+    one = SteppedCell(cell, step_s=0.001)
     one.begin()
     readings, heights, k = [], [], 0
     while k < len(T_S):
@@ -239,7 +239,7 @@ def test_bounds_and_starts_scale_with_the_cell(name: str) -> None:
 def test_effects_that_count_from_the_first_row_are_absent_before_it() -> None:
     for effect in EFFECTS.values():
         if effect.starts_at_tare:
-            one, other = Cell(still_cell().with_effects({effect.id: typical(effect)})), Cell(still_cell())
+            one, other = SteppedCell(still_cell().with_effects({effect.id: typical(effect)})), SteppedCell(still_cell())
             target = np.stack([0 * T_S, 0 * T_S, Z_CMD_M], axis=1)[:4000]
             np.testing.assert_array_equal(one.step(target).wrench, other.step(target).wrench)
 
@@ -289,7 +289,7 @@ def test_a_compliant_tip_converges_with_tissue_that_remembers() -> None:
     }
     cell = still_cell().with_effects(effects)
     tips = []
-    one = Cell(cell)
+    one = SteppedCell(cell)
     one.begin()
     for z_m in Z_CMD_M[:6000]:
         block = one.step(np.array([[0.0, 0.0, z_m]]))
@@ -452,7 +452,7 @@ def test_a_skewed_row_holds_the_wrench_of_another_time(ratio: float) -> None:
 
 
 def test_a_wrench_that_comes_early_is_a_robot_that_reports_late() -> None:
-    one = Cell(with_("sensor.latency", delay_s=-0.02))
+    one = SteppedCell(with_("sensor.latency", delay_s=-0.02))
     one.begin()
     block = one.step(np.stack([0 * T_S, 0 * T_S, Z_CMD_M], axis=1))
     np.testing.assert_allclose(block.wrench[:, 2], PLAIN[:, 2], atol=1e-9)
@@ -460,7 +460,7 @@ def test_a_wrench_that_comes_early_is_a_robot_that_reports_late() -> None:
 
 
 def test_a_fast_sensor_clock_is_a_robot_that_falls_behind() -> None:
-    one = Cell(with_("clock.skew", ratio=0.01))
+    one = SteppedCell(with_("clock.skew", ratio=0.01))
     one.begin()
     block = one.step(np.stack([0 * T_S, 0 * T_S, Z_CMD_M], axis=1))
     np.testing.assert_allclose(block.position_m[:, 2], np.interp(T_S * 0.99, T_S, MOTION.z_m), atol=1e-12)
@@ -555,7 +555,7 @@ def test_dropouts_hold_the_last_good_row_as_long_as_they_last() -> None:
     assert held.mean() == pytest.approx(2.0 * 0.02, rel=0.25)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], held, [0]))))
     assert np.median(edges[1::2] - edges[::2]) == 10
-    block = Cell(cell, seed=3)
+    block = SteppedCell(cell, seed=3)
     block.begin()
     steps = np.concatenate([block.step(np.tile([0.0, 0.0, 0.01], (8, 1))).wrench[:, 2] for _ in range(5000)])
     assert (np.diff(steps) == 0.0).mean() == pytest.approx(0.04, rel=0.3)

@@ -12,7 +12,7 @@ from palpd.cell.dynamics import Span
 from palpd.cell.effects import EFFECTS, load_effects
 from palpd.cell.effects.drivers import UNITS, Driver, DriverState, driver_values
 from palpd.cell.effects.learned import LearnedEffect, formula_of, load_learned, save_learned
-from palpd.cell.simulation import Cell, physics, share_outside, simulate
+from palpd.cell.simulation import SteppedCell, physics, share_outside, simulate
 from palpd.errors import ConfigError
 from palpd.tick import Floats
 
@@ -109,7 +109,7 @@ def test_an_emulated_cell_carries_a_learned_effect_from_the_tare_on() -> None:
     target_m = np.tile([0.0, 0.0, 0.01], (200, 1))
     readings = []
     for begun in (False, True):
-        emulated = Cell(cell)
+        emulated = SteppedCell(cell)
         if begun:
             emulated.begin()
         readings.append(emulated.step(target_m).wrench[100:, 2].mean())
@@ -117,12 +117,12 @@ def test_an_emulated_cell_carries_a_learned_effect_from_the_tare_on() -> None:
 
 
 def test_an_emulated_cell_counts_how_long_a_law_was_held_outside_its_range() -> None:
-    emulated = Cell(nominal().model_copy(update={"learned": (learned(),)}))
+    emulated = SteppedCell(nominal().model_copy(update={"learned": (learned(),)}))
     emulated.begin()
     for height_m in (0.005, 0.02, 0.02, 0.02):
         emulated.step(np.tile([0.0, 0.0, height_m], (500, 1)))
     assert emulated.shares_held()["learned.test"] == pytest.approx(0.75, abs=0.05)
-    inside = Cell(nominal().model_copy(update={"learned": (learned(),)}))
+    inside = SteppedCell(nominal().model_copy(update={"learned": (learned(),)}))
     inside.begin()
     inside.step(np.tile([0.0, 0.0, 0.005], (500, 1)))
     assert inside.shares_held() == {"learned.test": 0.0}

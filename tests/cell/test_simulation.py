@@ -10,8 +10,8 @@ from palpd.cell.cell_file import PHANTOM, CellFile, Estimated, cell_from, nomina
 from palpd.cell.dynamics import Floats, Memory, Span, TipMotion, delayed, lowpass, mounted, play, recurrence, servo, shifted, steps
 from palpd.cell.effects import EFFECTS, Effect, Values
 from palpd.cell.simulation import (
-    Cell,
     SampleBlock,
+    SteppedCell,
     commanded_motion,
     equilibrium_force_N,
     predict_motion,
@@ -46,7 +46,7 @@ def presses(duration_s: float = 6.0, rate_Hz: float = 1000.0, deepest_m: float =
 
 def lived(cell: CellFile, z_cmd_m: Floats, **options: float) -> SampleBlock:
     """The same commands step by step, in blocks of changing length."""
-    one = Cell(cell, step_s=0.001)
+    one = SteppedCell(cell, step_s=0.001)
     one.begin()
     blocks, k, lengths = [], 0, [1, 1, 2, 8, 3, 20, 1, 70]
     while k < len(z_cmd_m):
@@ -313,7 +313,7 @@ def test_living_step_by_step_is_the_whole_recording_at_once() -> None:
 
 
 def test_the_tip_moves_sideways_by_the_same_servo() -> None:
-    one = Cell(quiet())
+    one = SteppedCell(quiet())
     target = np.zeros((400, 3))
     target[:, 2] = 0.01
     one.step(target)
@@ -324,7 +324,7 @@ def test_the_tip_moves_sideways_by_the_same_servo() -> None:
 
 
 def test_the_nearest_site_counts() -> None:
-    one = Cell(PHANTOM, seed=1)
+    one = SteppedCell(PHANTOM, seed=1)
     for site, x_m in zip("ABCD", (0.002, 0.031, 0.055, 0.2), strict=True):
         target = np.tile([x_m, 0.003, -0.004], (2000, 1))
         assert one.step(target).contact_N[-1] == pytest.approx(equilibrium_force_N(PHANTOM, 0.004, site), rel=1e-9)
@@ -337,7 +337,7 @@ def test_a_site_that_is_not_there_is_refused() -> None:
 
 def test_what_the_tare_does_not_see_sets_in_when_the_motion_begins() -> None:
     cell = quiet().with_effects({"sensor.bias": {"offset_N": 0.5}, "sensor.drift": {"rate_N_per_s": 1.0}})
-    one = Cell(cell)
+    one = SteppedCell(cell)
     still = np.tile([0.0, 0.0, 0.01], (1000, 1))
     assert np.abs(one.step(still).wrench).max() < 1e-9
     one.begin()
@@ -351,7 +351,7 @@ def test_the_filter_that_is_set_replaces_the_stated_one() -> None:
     target = np.stack([0 * t_s, 0 * t_s, z_cmd_m], axis=1)
     readings = {}
     for cutoff_Hz in (None, 5.0):
-        one = Cell(quiet())
+        one = SteppedCell(quiet())
         one.begin()
         one.set_filter(cutoff_Hz)
         readings[cutoff_Hz] = one.step(target).wrench[:, 2]
@@ -362,13 +362,13 @@ def test_the_filter_that_is_set_replaces_the_stated_one() -> None:
 @pytest.mark.parametrize("stiffness_N_per_m", [1e3, 2e4, 5e4])
 def test_a_wall_pushes_back_in_proportion(stiffness_N_per_m: float) -> None:
     cell = quiet(wall={"z_m": -0.001, "stiffness_N_per_m": stiffness_N_per_m})
-    block = Cell(cell).step(np.tile([0.0, 0.0, -0.0015], (50, 1)))
+    block = SteppedCell(cell).step(np.tile([0.0, 0.0, -0.0015], (50, 1)))
     np.testing.assert_allclose(block.contact_N, 0.0005 * stiffness_N_per_m)
     assert equilibrium_force_N(cell, 0.0005) == pytest.approx(0.0005 * stiffness_N_per_m)
 
 
 def test_a_wall_may_appear_after_the_motion_began() -> None:
-    one = Cell(quiet(wall={"z_m": 0.0, "stiffness_N_per_m": 1e4, "appears_after_s": 0.5}))
+    one = SteppedCell(quiet(wall={"z_m": 0.0, "stiffness_N_per_m": 1e4, "appears_after_s": 0.5}))
     pressed = np.tile([0.0, 0.0, -0.002], (1000, 1))
     tissue_N = equilibrium_force_N(nominal(), 0.002)
     np.testing.assert_allclose(one.step(pressed).contact_N, tissue_N)
@@ -379,7 +379,7 @@ def test_a_wall_may_appear_after_the_motion_began() -> None:
 
 
 def test_a_wall_can_be_placed_while_the_cell_lives() -> None:
-    one = Cell(quiet())
+    one = SteppedCell(quiet())
     one.place_wall(0.001, 1e4)
     np.testing.assert_allclose(one.step(np.tile([0.0, 0.0, 0.0], (5, 1))).contact_N, 10.0)
 
