@@ -114,7 +114,7 @@ def _stages(
 
     # 5. Verdict: which effects to name.
     verdict = decide(problem, nominal.fit, attribution, scatter)
-    notes += deviation_notes(problem, verdict) + unnatural_notes(problem, verdict)
+    notes += unnatural_notes(problem, verdict)
 
     # 6. Law: what the list does not hold, as a function of what the cell does, or as events.
     finding = find(problem, nominal.fit, verdict.fit, coarse=any(one.coarse_step_N > 0.0 for one in readings))
@@ -123,6 +123,7 @@ def _stages(
     if finding.learned is not None:
         finding = replace(finding, learned=finding.learned.model_copy(update={"confounds": confounds(finding, fits)}))
     verdict = with_finding(verdict, finding)
+    notes += deviation_notes(problem, finding.beside_law(verdict.fit))
     if calibrated:
         verdict = as_stated(verdict, stored_map())
     notes += [finding.note] if finding.note else []
@@ -271,9 +272,8 @@ class Diagnosis:
         finding = self.finding
         if finding.learned is None or finding.law is None:
             return with_laws_whole(enriched_cell(self.problem, self.decision), self.problem.library)
-        fit = replace(finding.beside, residual=finding.beside.residual - finding.law.change)
         scatter = [e for e in self.effects if self.problem.library[e.id].scatter]
-        cell = enriched_cell(self.problem, replace(self.decision, effects=scatter, fit=fit))
+        cell = enriched_cell(self.problem, replace(self.decision, effects=scatter, fit=finding.beside_law(self.decision.fit)))
         cell = cell.with_effects(cell.effects | finding.beside.values)  # as fitted beside the law
         return with_laws_whole(cell.model_copy(update={"learned": (*cell.learned, finding.learned)}), self.problem.library)
 

@@ -90,6 +90,22 @@ def lattice_step(values: Floats) -> float:
     return step if on_lattice.mean() > 0.9 else 0.0
 
 
+SAME_READING = 1e-9
+"""Change of a reading, as a share of its range, that is none: readings that were rotated into base axes repeat but for the last bits."""
+
+
+def repeats(readings: Floats) -> NDArray[np.bool_]:
+    """Whether a reading repeats the one before.
+
+    Args:
+        readings: Readings (n, k) of k axes.
+
+    Returns:
+        Flags (n - 1, k).
+    """
+    return np.asarray(np.abs(np.diff(readings, axis=0)) <= SAME_READING * np.ptp(readings, axis=0))
+
+
 def held_runs(samples: Samples) -> tuple[int, float, float]:
     """Stretches of rows whose six readings all repeat.
 
@@ -103,8 +119,8 @@ def held_runs(samples: Samples) -> tuple[int, float, float]:
     live = [k for k in range(6) if not dead(samples.wrench[:, k])]
     if not live:
         return 0, 0.0, 0.0
-    same = samples.wrench[1:, live] == samples.wrench[:-1, live]
-    together = same.all(axis=1)
+    same = repeats(samples.wrench[:, live])
+    together = np.asarray(same.all(axis=1))
     alone = [same[~np.delete(same, k, axis=1).all(axis=1), k] for k in range(len(live))] if len(live) > 1 else []
     shares = [max(float(axis.mean()), 1e-6) for axis in alone if len(axis)] or [_repeat_chance(samples.wrench[:, k]) for k in live]
     chance = float(np.prod(shares)) * len(same)

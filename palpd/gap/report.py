@@ -213,7 +213,7 @@ def _tiles(content: Mapping[str, Any], check: MotionCheck | None = None) -> list
     ]
     names = ", ".join(e["id"] for e in named)
     if content.get("learned") and content["verdict"] == "unknown":
-        tiles.append(("Cause", "a law that is not in the library", f"probability {_percent(content['learned']['probability'])}"))
+        tiles.append(("Cause", "a law that is not in the library", f"probability {_percent(content['p_unknown'])}"))
     elif content.get("events"):
         tiles.append(("Cause", "single events", f"{len(content['events'])} in the recording; no law"))
     elif content["verdict"] == "unknown":

@@ -12,7 +12,7 @@ from scipy.ndimage import median_filter
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
-from palpd.gap.noise import FZ, dead, declared_rms, held_runs, measured_rms, resolutions
+from palpd.gap.noise import FZ, dead, declared_rms, held_runs, measured_rms, repeats, resolutions
 from palpd.gap.phases import FREE_STILL, HOLDING
 from palpd.gap.prepare import PreparedRecording
 from palpd.gap.rounding import coarse_step_N
@@ -102,7 +102,7 @@ def without_held(samples: Samples) -> tuple[Samples, int, float]:
     step_s = 1.0 / samples.rate_Hz
     if runs < 3 or runs * length < 4.0 * chance + 10.0:
         return samples, 0, 0.0
-    same = np.concatenate([[False], (samples.wrench[1:] == samples.wrench[:-1]).all(axis=1)])
+    same = np.concatenate([[False], repeats(samples.wrench).all(axis=1)])
     keep = ~same
     wrench = np.column_stack([np.interp(samples.t_s, samples.t_s[keep], samples.wrench[keep, k]) for k in range(6)])
     return replace(samples, wrench=wrench, held=same), runs, length * step_s

@@ -199,18 +199,18 @@ def unnatural_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
     ]
 
 
-def deviation_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
-    """One sentence for every deviation that the verdict leaves far out of tolerance.
+def deviation_notes(problem: Problem, fit: Fit) -> list[str]:
+    """One sentence for every deviation that the answer leaves far out of tolerance.
 
     Args:
         problem: The recordings.
-        verdict: The verdict.
+        fit: The hypothesis that is the answer, with what is outside the list taken from its residual.
 
     Returns:
         The sentences; none where all deviations are within specification.
     """
-    around = verdict.fit.linearisation
-    deviation_sd = around.space.coefficients(verdict.fit.residual)
+    around = fit.linearisation
+    deviation_sd = around.space.coefficients(fit.residual)
     notes = []
     for k, label in enumerate(around.labels):
         judged = label.scope == "cell" or (label.scope == "recording" and label.channel == FZ and label.name != "rounding")

@@ -67,6 +67,15 @@ def test_repeats_that_rounding_makes_by_chance_are_no_held_samples() -> None:
     assert without_held(at_rest(wrench))[1] >= 20
 
 
+def test_repeats_by_chance_are_counted_whatever_their_last_bits() -> None:
+    """A rotation into base axes leaves other last bits in row after row."""
+    rng = np.random.default_rng(7)
+    wrench = 7.0 + np.round(rng.normal(0.0, 0.6, (20_000, 6)))
+    turned = wrench * (1.0 + 4e-16 * (rng.random(20_000) < 0.5))[:, None]
+    assert (np.diff(turned, axis=0) == 0.0).all(axis=1).sum() > 50
+    assert without_held(at_rest(wrench))[1] == without_held(at_rest(turned))[1] == 0
+
+
 @pytest.mark.parametrize("level", [0.0, 0.5])
 def test_coarse_rounding_is_found_and_followed_on_average(level: float) -> None:
     rng = np.random.default_rng(5)

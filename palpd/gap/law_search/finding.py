@@ -101,6 +101,19 @@ class LawFinding:
         note = f"A law outside the list explains this recording as well: {self.learned.what}. Another motion decides."
         return _nothing(self.beside, note)
 
+    def beside_law(self, listed: Fit) -> Fit:
+        """The listed answer with the law taken from its residual.
+
+        Args:
+            listed: The listed answer.
+
+        Returns:
+            The fit beside the law; the listed answer itself where there is no law.
+        """
+        if self.learned is None or self.law is None:
+            return listed
+        return replace(self.beside, residual=self.beside.residual - self.law.change)
+
     @property
     def p_outside(self) -> float:
         """Probability that something outside the list is at work, as far as this search says."""
