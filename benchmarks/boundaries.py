@@ -88,7 +88,9 @@ def signal_to_noise(problem: Problem, key: str) -> float:
         if tolerance_key(label.name) == key and (label.scope == "cell" or (label.scope == "recording" and label.channel == FZ))
     ]
     signs = [1.0, -1.0, 1.0, -1.0] if key == "crosstalk" else [1.0]
-    change = np.tensordot(signs, around.columns[own], axes=1)
+    coefficients = np.zeros(around.space.size)
+    coefficients[own] = signs
+    change = around.space.columns.times(coefficients)
     others = nuisances(around.space.columns.without(np.array(own))[0])
     return float(np.sqrt((change**2).sum() - (others.against(change) ** 2).sum()))
 

@@ -1,14 +1,15 @@
 """Palpation of soft tissue with a force one can believe. The names below are the Python API; palpd.api says what each does."""
 
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # `typing` takes longer to import than all that `palpd abort` needs
 if TYPE_CHECKING:
+    from typing import Any
+
     from palpd.api import Analysis, Cell, Effect, GapDiagnosis, LoadedRecording, analyse, diagnose, load, simulate
 
 __all__ = ["Analysis", "Cell", "Effect", "GapDiagnosis", "LoadedRecording", "analyse", "diagnose", "load", "simulate"]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     """Import the API when one of its names is asked for: the daemon and the command line need none of it."""
     if name in __all__:
         from palpd import api

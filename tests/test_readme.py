@@ -106,7 +106,8 @@ def test_every_command_that_a_page_quotes_exists_with_its_options(page: Path) ->
     code += re.findall(r"`([^`\n]+)`", re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL))
     for name, rest in re.findall(r"(?:^|(?<=[\s`/]))palpd ([a-z][a-z-]*)([^#|;\n]*)", "\n".join(code), flags=re.MULTILINE):
         assert name in commands.commands, f"{page.name}: palpd {name}{rest}"
-        known = {option for parameter in commands.commands[name].params for option in parameter.opts} | {"--help"}
+        parameters = commands.commands[name].params
+        known = {"--help", *(option for one in parameters for option in (*one.opts, *one.secondary_opts))}
         for option in re.findall(r"(?<=\s)--[A-Za-z][A-Za-z-]*", rest):
             assert option in known, f"{page.name}: palpd {name}{rest}: there is no {option}"
 

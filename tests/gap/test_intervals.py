@@ -61,7 +61,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(problem: Problem) -> None
 
 
 def law(probability: float, move: float, sd: float) -> PossibleLaw:
-    return PossibleLaw(probability, np.array([move]), np.array([[sd**2]]))
+    return PossibleLaw(probability, np.array([move]), lambda: np.array([[sd**2]]), np.zeros((1, 0)))
 
 
 def test_one_exact_law_gives_the_normal_interval() -> None:
@@ -97,7 +97,7 @@ def test_a_search_that_ended_beside_the_best_place_has_its_interval_there(proble
     true: EffectValues = {"cable.friction": {"force_N": 0.06}}
     data = drawn(problem, true, np.random.default_rng(5))
     best = fit(data, true, linearise(data, true, data.nominal_eta), rounds=3)
-    sd = float(best.laws[0].covariance[0, 0]) ** 0.5
+    sd = float(best.laws[0].covariance()[0, 0]) ** 0.5
     beside = gauss_newton(data, best.linearisation, best.where, best.u + 2.0 * sd, iterations=0)
     low_N, high_N = interval(data, laplace_evidence(data, beside), 0)
     value_N, sd_N = beside.values["cable.friction"]["force_N"], sd * best.where[0].scale
