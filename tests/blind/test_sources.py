@@ -105,7 +105,8 @@ def test_a_cause_of_the_host_is_not_planted_again_and_naming_it_is_no_error(tmp_
     named = [{"id": name, "indistinguishable_from": [], "parameters": {}} for name in ("sensor.creep", "cable.friction")]
     answer = {
         "verdict": "effects", "effects": named, "where": None, "candidates": [{"id": e["id"], "probability": 0.9} for e in named],
-        "p_none": 0.0, "p_unknown": 0.1, "notes": [], "learned": None, "events": None, "cost": {"cpu_s": 1.0, "wall_s": 1.0, "peak_MB": 1.0},
+        "p_none": 0.0, "p_unknown": 0.1, "notes": [], "learned": None, "events": None,
+        "cost": {"cpu_s": 1.0, "wall_s": 1.0, "peak_MB": 1.0},
     }  # fmt: skip
     (recordings / f"{spec.name}.json").write_text(json.dumps(answer), encoding="utf-8")
     outcome = score_case(recordings, sealed, spec)
