@@ -1,5 +1,6 @@
 """The Python API: what a notebook does."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 import palpd
 from palpd.errors import BadInput, ConfigError, RecordingError
+from tests.paths import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +64,13 @@ def test_what_is_saved_loads_again(softer: palpd.LoadedRecording, answer: palpd.
     assert "a run" in (tmp_path / "gap.html").read_text()
 
 
+def test_a_recording_becomes_a_data_frame_and_back(softer: palpd.LoadedRecording) -> None:
+    frame = softer.to_pandas()
+    assert list(frame.columns) == list(softer)
+    again = palpd.simulate(frame, palpd.Cell.nominal())
+    assert np.array_equal(again["fz_N"], palpd.simulate(softer, palpd.Cell.nominal())["fz_N"])
+
+
 def test_a_notebook_shows_sentence_and_table_with_names_escaped(softer: palpd.LoadedRecording, answer: palpd.GapDiagnosis) -> None:
     shown = answer._repr_html_()
     assert "tissue.modulus" in shown
@@ -90,3 +99,16 @@ def test_bad_input_is_one_sentence(softer: palpd.LoadedRecording) -> None:
         softer["force"]
     with pytest.raises(AttributeError, match="no attribute 'diagnos'"):
         palpd.diagnos  # noqa: B018
+
+
+def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    page = (ROOT / "docs" / "api.md").read_text()
+    code = re.search(r"^```python\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
+    assert code is not None
+    monkeypatch.chdir(tmp_path)
+    exec(code[1], {})
+    printed = capsys.readouterr().out
+    assert "tissue.modulus" in printed
+    assert "kPa" in printed
+    assert {"enriched.yaml", "gap.html"} == {path.name for path in tmp_path.iterdir()}
+    assert set(palpd.__all__) <= set(re.findall(r"\w+", page))
