@@ -4,7 +4,7 @@ UV := .venv/bin/uv
 READY := .venv/.ready
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo test test-wires test-rest test-service coverage lint bench bench-long minutes faults arming signals aborts presses laws soak slopes cold mutation audit samples clean
+.PHONY: setup demo test test-wires test-rest test-service coverage lint bench bench-long minutes faults arming signals aborts presses laws soak slopes cold deb mutation audit samples clean
 
 setup: $(READY)
 
@@ -96,6 +96,10 @@ slopes: setup
 # N runs from dropped caches (root), each of which must begin and end as any other
 cold: setup
 	.venv/bin/python -m benchmarks.page --only cold --more '--runs $(N)'
+
+# a Debian package in dist/: some 3 minutes; needs debhelper and dh-virtualenv
+deb: setup
+	systemd/build-deb dist
 
 # mutants of guard, tare and frame parser; SHARE of them
 SHARE ?= 1
