@@ -334,7 +334,7 @@ def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Calla
             explainer.reference = take_reference(devices)
         if job.kind != "check":
             pipe.send(Opened(devices.about, tuple(explainer.reference.tolist())))
-            rehearse_job(job, explainer, RingWriter(ring))  # meanwhile the recorder opens its file
+            rehearse_job(job, explainer, RingWriter(ring), lambda: ring.abort_waits)  # meanwhile the recorder opens its file
             if pipe.recv() != GO:
                 pipe.send(Failed(CALLED_OFF, 2))
                 return
@@ -349,20 +349,21 @@ def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Calla
         devices.sensor.close()
 
 
-def rehearse_job(job: Job, explainer: Explainer, record: Record) -> Outcome:
+def rehearse_job(job: Job, explainer: Explainer, record: Record, called_off: Callable[[], bool] = lambda: False) -> Outcome:
     """Carry out a job in small on a simulated cell, and bring the code of the wires into memory, before anything moves.
 
     Args:
         job: What will be carried out.
         explainer: The explainer of the run; it is copied.
         record: Takes the ticks of the run; it keeps none of these.
+        called_off: Whether the run is not wanted any more; the rehearsal then ends.
 
     Returns:
         How the rehearsal ended; nothing depends on it.
     """
     populate(WIRE_LIBRARIES)
     in_small = sequence_of(replace(job, plan=short(job.plan, job.config)), filter_delay_s(job.config.sensor.filter_cutoff_Hz))
-    return rehearse(job.config, in_small, explainer, job_limits(job), record, loaded=job.kind == "retract")
+    return rehearse(job.config, in_small, explainer, job_limits(job), record, loaded=job.kind == "retract", called_off=called_off)
 
 
 def _lost(robot: Robot) -> bool:

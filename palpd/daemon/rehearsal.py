@@ -4,6 +4,7 @@ Python and numpy load parts on their first use, and the kernel reads code from t
 happened between two ticks: the surface fit imports numpy's Fourier transform at the first contact.
 """
 
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import replace
 
@@ -73,7 +74,16 @@ def short(plan: Plan, config: Config) -> Plan:
     return plan.model_copy(update=changes | {"free": free})
 
 
-def rehearse(config: Config, sequence: Sequence, explainer: Explainer, limits: Limits, record: Record, *, loaded: bool) -> Outcome:
+def rehearse(
+    config: Config,
+    sequence: Sequence,
+    explainer: Explainer,
+    limits: Limits,
+    record: Record,
+    *,
+    loaded: bool,
+    called_off: Callable[[], bool] = lambda: False,
+) -> Outcome:
     """Carry out a sequence on a simulated cell, with the code, the model and the limits of the coming run.
 
     Args:
@@ -83,6 +93,7 @@ def rehearse(config: Config, sequence: Sequence, explainer: Explainer, limits: L
         limits: The guard's limits of the run; its workspace is left out.
         record: Takes the ticks of the run; it keeps none of these.
         loaded: Whether the probe begins in the tissue.
+        called_off: Whether the run is not wanted any more; the rehearsal then ends.
 
     Returns:
         How it ended; nothing depends on it.
@@ -105,6 +116,6 @@ def rehearse(config: Config, sequence: Sequence, explainer: Explainer, limits: L
     )
     loop = Loop(sim.robot, sim.sensor, SimClock(RATE_HZ), sequence, stand_in, limits, Unrecorded(record))
     ticks = 0
-    while ticks < MOST_TICKS and loop.tick():
+    while ticks < MOST_TICKS and not called_off() and loop.tick():
         ticks += 1
     return loop.outcome

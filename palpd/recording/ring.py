@@ -206,6 +206,11 @@ class Ring:
             return Request(pauses & 0xFF)
         return Request.NONE
 
+    @property
+    def abort_waits(self) -> bool:
+        """Whether an abort was asked for that the loop has not taken yet."""
+        return self.aborts != self.aborts_taken
+
     def forget_requests(self) -> None:
         """Before a run: drop the requests that an earlier run has not taken."""
         self.aborts_taken, self.pauses_taken = self.aborts, self.pauses

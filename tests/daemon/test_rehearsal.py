@@ -12,6 +12,7 @@ from palpd.control.running_zero import RunningZero
 from palpd.daemon.motion_process import Job, Kind, RingWriter, explainer_of, rehearse_job
 from palpd.daemon.realtime import populate
 from palpd.recording.ring import Ring
+from palpd.tick import Request
 
 IMPORTS = """
 import sys
@@ -58,6 +59,20 @@ def test_a_rehearsal_of_any_job_leaves_no_trace_in_ring_explainer_and_zero(kind:
         assert explainer.tare is tare
         np.testing.assert_array_equal(explainer.reference, range(6))
         assert repr(explainer.zero) == zero
+    finally:
+        ring.unlink()
+        ring.close()
+
+
+def test_a_rehearsal_ends_with_an_abort_and_leaves_it_to_the_loop() -> None:
+    ring = Ring.create(125.0)
+    try:
+        job = Job("palpation", Config(), Plan(), reference=(0.0,) * 6)
+        assert not ring.abort_waits
+        ring.ask(Request.ABORT)
+        assert rehearse_job(job, explainer_of(job, {}, 0.001), RingWriter(ring), lambda: ring.abort_waits).ticks == 0
+        assert ring.request() == Request.ABORT
+        assert not ring.abort_waits
     finally:
         ring.unlink()
         ring.close()
