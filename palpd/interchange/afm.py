@@ -8,7 +8,7 @@ import numpy as np
 
 from palpd.errors import RecordingError
 from palpd.files import opened
-from palpd.interchange.channels import Channel, ChannelData, refuse_empty, understanding, without_package
+from palpd.interchange.channels import Channel, ChannelData, refuse_empty, refuse_not_finite, understanding, without_package
 
 KIND = "a file of an AFM or a nanoindenter"
 ENDINGS = (".jpk-force", ".jpk-force-map", ".jpk-force-qi", ".jpk-qi-image", ".jpk-qi-series", ".ibw", ".tab", ".h5")
@@ -78,9 +78,7 @@ class AfmReader:
             curve, column = every[name]
             with understanding(path, KIND):
                 columns[name] = ChannelData(_values(curve, column))
-            wrong = np.flatnonzero(~np.isfinite(columns[name].values))
-            if len(wrong):
-                raise RecordingError(f"{path.name}: {name} is not finite in row {wrong[0] + 1}; every value must be a finite number")
+            refuse_not_finite(path, name, columns[name].values)
         return columns
 
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
+import numpy as np
+
 from palpd.errors import PalpdError, RecordingError
 from palpd.tick import Floats
 
@@ -119,6 +121,24 @@ def refuse_many(path: Path, number: int) -> None:
     """
     if number > MOST_CHANNELS:
         raise RecordingError(f"{path.name} has {number} columns, expected at most {MOST_CHANNELS}; are rows and columns exchanged?")
+
+
+def refuse_not_finite(path: Path, name: str, values: Floats) -> None:
+    """Refuse a channel that holds what is no finite number.
+
+    Args:
+        path: The file.
+        name: Name of the channel.
+        values: Its numbers (n,).
+
+    Raises:
+        RecordingError: A number is not finite; the sentence names the row.
+    """
+    wrong = np.flatnonzero(~np.isfinite(values))
+    if len(wrong):
+        raise RecordingError(
+            f"{path.name}: {name} is {values[wrong[0]]} in row {wrong[0] + 1}; every value must be a finite number, so leave it out"
+        )
 
 
 @contextmanager

@@ -8,7 +8,7 @@ import numpy as np
 
 from palpd.errors import RecordingError
 from palpd.files import opened
-from palpd.interchange.channels import Channel, ChannelData, listing, refuse_empty, refuse_many, understanding
+from palpd.interchange.channels import Channel, ChannelData, listing, refuse_empty, refuse_many, refuse_not_finite, understanding
 from palpd.tick import Floats
 
 KIND = "a MATLAB file"
@@ -53,12 +53,7 @@ class MatlabReader:
                 raise RecordingError(
                     f"{path.name} has no vector {name}; it holds {listing([Channel(name, samples=len(v)) for name, v in vectors.items()])}"
                 )
-            wrong = np.flatnonzero(~np.isfinite(vectors[name]))
-            if len(wrong):
-                raise RecordingError(
-                    f"{path.name}: {name} is {vectors[name][wrong[0]]} in row {wrong[0] + 1}; every value must be a finite number, so "
-                    "leave it out"
-                )
+            refuse_not_finite(path, name, vectors[name])
         return {name: ChannelData(vectors[name]) for name in names}
 
 

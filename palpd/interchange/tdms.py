@@ -7,7 +7,16 @@ from typing import Any
 import numpy as np
 
 from palpd.errors import RecordingError
-from palpd.interchange.channels import Channel, ChannelData, listing, refuse_empty, refuse_many, understanding, without_package
+from palpd.interchange.channels import (
+    Channel,
+    ChannelData,
+    listing,
+    refuse_empty,
+    refuse_many,
+    refuse_not_finite,
+    understanding,
+    without_package,
+)
 
 KIND = "a TDMS file of LabVIEW"
 
@@ -49,11 +58,7 @@ class TdmsReader:
                 step_s = every[name].properties.get("wf_increment")
                 offset_s = float(every[name].properties.get("wf_start_offset", 0.0))
                 t_s = offset_s + float(step_s) * np.arange(len(values), dtype=np.float64) if step_s else None
-            wrong = np.flatnonzero(~np.isfinite(values))
-            if len(wrong):
-                raise RecordingError(
-                    f"{path.name}: {name} is {values[wrong[0]]} in row {wrong[0] + 1}; every value must be a finite number, so leave it out"
-                )
+            refuse_not_finite(path, name, values)
             columns[name] = ChannelData(values, t_s)
         return columns
 
