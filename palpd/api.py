@@ -12,6 +12,7 @@ Names and signatures of `__all__` stay as they are within a minor version. A cha
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -22,9 +23,8 @@ import numpy as np
 
 from palpd.cell.cell_file import CellFile, cell_from, load_cell, nominal, save_cell
 from palpd.cell.effects import EFFECTS, Effect
-from palpd.cell.simulation import simulate as simulated_columns
 from palpd.errors import BadInput, RecordingError
-from palpd.gap.commands import read_motion, read_recording
+from palpd.gap.commands import read_motion, read_recording, simulate_columns
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.diagnosis import diagnose as diagnose_samples
 from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, samples_from_columns, write_csv
@@ -53,17 +53,17 @@ class DataFrame(Protocol):
         ...
 
 
-class _Shown:
+class _Shown(ABC):
     """What a notebook shows: a sentence and a table."""
 
     @property
+    @abstractmethod
     def sentence(self) -> str:
         """The result in words."""
-        raise NotImplementedError
 
+    @abstractmethod
     def table(self) -> list[TableRow]:
         """The figures, a row each, as plain data."""
-        raise NotImplementedError
 
     def __str__(self) -> str:
         return self.sentence
@@ -372,11 +372,7 @@ def simulate(
     missing = [name for name in ("t_s", needed) if name not in columns]
     if missing:
         raise RecordingError(f"the motion has no column {missing[0]}; it has {', '.join(columns) or 'none'}")
-    t_s, z_cmd_m = columns["t_s"], columns.get("z_cmd_m")
-    z_m, vz_m_per_s = (columns["z_m"], columns.get("vz_m_per_s")) if drive == "measured" else (None, None)
-    out = simulated_columns(_cell(cell), t_s, z_cmd_m=z_cmd_m, z_m=z_m, vz_m_per_s=vz_m_per_s, noise_seed=noise_seed)
-    speed = out["vz_m_per_s"] if "vz_m_per_s" in out else np.gradient(out["z_m"], t_s)
-    return LoadedRecording(Samples(t_s, z_cmd_m, out["z_m"], speed, np.column_stack([out[name] for name in WRENCH_COLUMNS])), "simulated")
+    return LoadedRecording(simulate_columns(_cell(cell), columns, measured=drive == "measured", noise_seed=noise_seed), "simulated")
 
 
 def diagnose(

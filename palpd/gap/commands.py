@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
 
@@ -202,22 +203,53 @@ def simulate_file(
     measured = "z_m" in columns and not from_commanded
     if from_commanded and "z_cmd_m" not in columns:
         raise RecordingError(f"{motion.name} has no column z_cmd_m; it is needed to simulate from the command.")
-    simulated, t_s, z_cmd_m = load_cell(cell, known), columns["t_s"], columns.get("z_cmd_m")
-    z_m, vz_m_per_s = (columns["z_m"], columns.get("vz_m_per_s")) if measured else (None, None)
-    out = simulate(simulated, t_s, z_cmd_m=z_cmd_m, z_m=z_m, vz_m_per_s=vz_m_per_s, noise_seed=noise_seed, library=known)
-    for name, share in share_outside(simulated, t_s, z_cmd_m=z_cmd_m, z_m=z_m, vz_m_per_s=vz_m_per_s, library=known).items():
+    simulated = load_cell(cell, known)
+    samples = simulate_columns(simulated, columns, measured=measured, noise_seed=noise_seed, library=known)
+    for name, share in share_outside(simulated, columns["t_s"], **_drive(columns, measured), library=known).items():
         if share > 0.0:
             say(held_sentence(name, share))
-    speed = out.get("vz_m_per_s")
-    samples = Samples(
-        columns["t_s"],
-        columns.get("z_cmd_m"),
-        out["z_m"],
-        np.gradient(out["z_m"], columns["t_s"]) if speed is None else speed,
-        np.column_stack([out[name] for name in WRENCH_COLUMNS]),
-    )
     write_csv(csv_out, samples, overwrite=overwrite)
     return samples
+
+
+def simulate_columns(
+    cell: CellFile, columns: Mapping[str, Floats], *, measured: bool, noise_seed: int | None = None, library: Mapping[str, Effect] = EFFECTS
+) -> Samples:
+    """Simulate the recording that a cell gives on a motion.
+
+    Args:
+        cell: The cell.
+        columns: `t_s`, and `z_m` (with `vz_m_per_s`, where there is one) or `z_cmd_m`, each (n,).
+        measured: Whether the reported heights drive the cell; else the commanded ones do.
+        noise_seed: Seed of noise and rounding; neither without one.
+        library: The effects that the cell may name.
+
+    Returns:
+        The recording.
+    """
+    t_s = columns["t_s"]
+    out = simulate(cell, t_s, **_drive(columns, measured), noise_seed=noise_seed, library=library)
+    speed = out.get("vz_m_per_s")
+    return Samples(
+        t_s,
+        columns.get("z_cmd_m"),
+        out["z_m"],
+        np.gradient(out["z_m"], t_s) if speed is None else speed,
+        np.column_stack([out[name] for name in WRENCH_COLUMNS]),
+    )
+
+
+class _Drive(TypedDict):
+    """What moves a simulated cell."""
+
+    z_cmd_m: Floats | None
+    z_m: Floats | None
+    vz_m_per_s: Floats | None
+
+
+def _drive(columns: Mapping[str, Floats], measured: bool) -> _Drive:
+    z_m, vz_m_per_s = (columns["z_m"], columns.get("vz_m_per_s")) if measured else (None, None)
+    return {"z_cmd_m": columns.get("z_cmd_m"), "z_m": z_m, "vz_m_per_s": vz_m_per_s}
 
 
 def read_motion(path: Path) -> dict[str, Floats]:
