@@ -37,7 +37,9 @@ def stall_figures(rows: NDArray[np.void], stalls: Sequence[RecordedStall]) -> St
         The figures. A silence that overlaps a stall of this computer, or ticks that were missed, is none of the device's.
     """
     now_s = rows["now_s"]
-    own = _merged([(stall["begin_s"], stall["end_s"]) for stall in stalls if len(now_s) and now_s[0] < stall["end_s"] <= now_s[-1]])
+    # one that held up the last tick is the run's, though the witness may wake only after it
+    during = [stall for stall in stalls if len(now_s) and stall["begin_s"] < now_s[-1] and stall["end_s"] > now_s[0]]
+    own = _merged([(stall["begin_s"], stall["end_s"]) for stall in during])
     late = rows["missed"] > 0
     blind = own + list(zip(np.roll(now_s, 1)[late].tolist(), now_s[late].tolist(), strict=True))
     heard = rows["frames"] > 0

@@ -53,6 +53,7 @@ def diagnose(
     check_writable(json_file, cell_out, report)
     _refuse_foreign(recordings)
     if len(recordings) == 1 and recordings[0].is_dir():
+        _refuse_for_a_folder(recordings[0], {"--cell": cell, "--site": site, "--cell-out": cell_out, "--report": report})
         _diagnose_fleet(recordings[0], jobs, scheduler, effects, adopted_folder(adopted), json_file)
         return
     nominal = required_cell(cell)
@@ -67,6 +68,13 @@ def diagnose(
         write_report(report, diagnosis, ", ".join(path.name for path in recordings))
     for line in diagnosis_lines(diagnosis.sentence, diagnosis.to_json()):
         terminal().print(line, highlight=False)
+
+
+def _refuse_for_a_folder(folder: Path, options: dict[str, object]) -> None:
+    """Refuse the options that are for one recording: nothing that was asked for is left out without a word."""
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise BadInput(f"{folder} is a folder, and {' and '.join(given)} is for one recording; name the recording, or leave it out")
 
 
 def _refuse_foreign(recordings: Sequence[Path]) -> None:

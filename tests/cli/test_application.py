@@ -60,6 +60,19 @@ def test_help_imports_neither_numbers_nor_models_nor_colours() -> None:
     assert tuple(shown) == COMMANDS
 
 
+@pytest.mark.parametrize("place", ["", "."])
+def test_a_folder_is_not_diagnosed_with_the_options_of_one_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], place: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["palpd", "diagnose", place, "--site", "A", "--json", "out.json"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert ". is a folder, and --site is for one recording; name the recording, or leave it out" in capsys.readouterr().err
+    assert not (tmp_path / "out.json").exists()
+
+
 @pytest.mark.parametrize(
     ("text", "variables"),
     [

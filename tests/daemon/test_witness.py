@@ -129,5 +129,13 @@ def test_silences_and_stalls_of_a_run_are_counted_apart() -> None:
     assert stall_figures(ticks(slice(50, 56)), stalls)["sensor"] == 0, "data that this computer did not fetch"
 
 
+def test_a_stall_that_held_up_the_last_tick_counts_though_the_witness_woke_after_it() -> None:
+    last_s = float(ticks(slice(50, 50))["now_s"][-1])
+    late = RecordedStall(begin_s=last_s - 0.05, end_s=last_s + 0.001, processor=0)
+    after = RecordedStall(begin_s=last_s + 0.001, end_s=last_s + 0.1, processor=1)
+    assert stall_figures(ticks(slice(50, 50)), [late])["computer"] == 1
+    assert stall_figures(ticks(slice(50, 50)), [after])["computer"] == 0
+
+
 def test_a_recording_without_ticks_has_no_stalls() -> None:
     assert stall_figures(np.zeros(0, ROW), [])["computer"] == 0
