@@ -1,8 +1,10 @@
 """A cause outside the list that repeats: its law is adopted from one recording, and must be named in another one of the same cell."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+import numpy as np
 
 from palpd.cell.cell_file import CellFile
 from palpd.gap.adoption import adopt
@@ -56,7 +58,24 @@ def adopt_and_name(first: Samples, second: Samples, cell: CellFile, max_bins: in
         return AdoptionOutcome(None)
     with TemporaryDirectory() as folder:
         write_answer(Path(folder) / "first.json", learning)
-        law = adopt(Path(folder) / "first.learned.yaml", Path(folder) / "library", None, cell).law
+        return name_again(Path(folder) / "first.learned.yaml", second, cell, secondary=learning.finding.secondary, max_bins=max_bins)
+
+
+def name_again(learned: Path, second: Samples, cell: CellFile, *, secondary: bool = False, max_bins: int = MAX_BINS) -> AdoptionOutcome:
+    """Adopt a learned law into a library of its own, and diagnose another recording with that.
+
+    Args:
+        learned: The file of the law.
+        second: Another recording of the cell that gave it.
+        cell: The cell as the simulator knows it.
+        secondary: Whether the law is only what a named listed cause leaves.
+        max_bins: Largest number of bins of the diagnosis, about.
+
+    Returns:
+        The outcome.
+    """
+    with TemporaryDirectory() as folder:
+        law = adopt(learned, Path(folder) / "library", None, cell).law
         known = library(None, adopted=Path(folder) / "library")
     answer = diagnose([second], cell, known, max_bins=max_bins, propose=False)
     mine = next((one for one in answer.effects if one.id == law.id), None)
@@ -65,11 +84,36 @@ def adopt_and_name(first: Samples, second: Samples, cell: CellFile, max_bins: in
     return AdoptionOutcome(
         law.id,
         law.what,
-        learning.finding.secondary,
+        secondary,
         answer.verdict,
         tuple(one.id for one in answer.effects),
         named=mine is not None and answer.verdict != "none",
         in_group=law.id in groups and answer.verdict != "none",
         factor=mine.parameters["strength"][0] if mine is not None else None,
         again=again.what if again is not None else None,
+    )
+
+
+def recorded(noise_free: Samples, cell: CellFile, seed: int) -> Samples:
+    """The recording that a cell makes of noise-free rows: stated noise, white, and stated rounding.
+
+    Args:
+        noise_free: The rows.
+        cell: The cell, which states both.
+        seed: Seed of the noise.
+
+    Returns:
+        The recording.
+    """
+    r, robot, sensor = np.random.default_rng([seed, 19]), cell.robot, cell.sensor
+    n = len(noise_free)
+    sigma = np.array([sensor.noise_rms_N] * 3 + [sensor.noise_rms_Nm] * 3)
+    wrench = noise_free.wrench + sigma * r.standard_normal((n, 6))
+    steps = np.array([sensor.resolution_fxy_N, sensor.resolution_fxy_N, sensor.resolution_fz_N, *[sensor.resolution_Nm] * 3])
+    rounded = np.where(steps > 0.0, np.round(wrench / np.where(steps > 0.0, steps, 1.0)) * steps, wrench)
+    return replace(
+        noise_free,
+        z_m=noise_free.z_m + robot.position_noise_rms_m * r.standard_normal(n),
+        vz_m_per_s=noise_free.vz_m_per_s + robot.velocity_noise_rms_m_per_s * r.standard_normal(n),
+        wrench=rounded,
     )

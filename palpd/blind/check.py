@@ -31,7 +31,7 @@ from palpd.files import parse_json, read_text, write_text
 from palpd.gap.calibration import ProbabilityMap, stored_map
 from palpd.recording.samples import Samples, write_csv
 
-SCHEMA = "palpd.blind/3"
+SCHEMA = "palpd.blind/4"
 BATCH = 20
 """Cases that are drawn, sealed and diagnosed before the next ones: their recordings fill some 100 MB of disk, and an interrupted check
 loses at most that work."""

@@ -65,6 +65,7 @@ class LawOutcome(TypedDict):
 
     `kind` is that of the true law; None where no effect outside the list is planted. `right`: the first term has a right name.
     `right_alike`: it has, or one of the laws that fit as well has. `covered`: share of rows whose true change lies in the band.
+    `named_again`: once adopted, it, or a group with it, is named in another recording of the cell; None where there is none.
     """
 
     kind: str | None
@@ -76,6 +77,7 @@ class LawOutcome(TypedDict):
     right: bool
     right_alike: bool
     covered: float | None
+    named_again: bool | None
 
 
 def without_a_law(truth: Truth) -> LawOutcome:
@@ -83,7 +85,7 @@ def without_a_law(truth: Truth) -> LawOutcome:
     statement = _statement(truth)
     return LawOutcome(
         kind=None if statement is None else statement["kind"], accepted=False, replaces=False, events=False, terms=0, law="", right=False,
-        right_alike=False, covered=None,
+        right_alike=False, covered=None, named_again=None,
     )  # fmt: skip
 
 

@@ -16,10 +16,12 @@ import numpy as np
 import yaml
 from scipy.stats import binomtest, bootstrap
 
+from palpd.blind.adoption import name_again, recorded
 from palpd.blind.drawn_cells import CHANNELS
 from palpd.blind.law_answers import LawOutcome, law_outcome, without_a_law
 from palpd.blind.laws import INDISTINGUISHABLE, Floats
 from palpd.blind.truth import CASE_KINDS, SOURCES, CaseKind, CaseSpec, NearestLaw, SealedEffect, SecondMotion, Source, Truth
+from palpd.cell.cell_file import load_cell
 from palpd.gap.commands import simulate_file
 from palpd.recording.samples import Samples, read_csv
 
@@ -199,8 +201,16 @@ def _answered_outcome(spec: CaseSpec, truth: Truth, diagnosis: dict[str, Any], r
     outcome["cost"] = diagnosis["cost"]
     files = recordings / f"{spec.name}.learned.yaml", recordings / f"{spec.name}.enriched.yaml", sealed / f"{spec.name}.npz"
     outcome["law"] = law_outcome(truth, diagnosis, *files)
+    if outcome["law"]["accepted"] and outcome["law"]["kind"] in ("law", "near") and truth["second"] is not None and not effects:
+        outcome["law"]["named_again"] = _named_again(files[0], recordings / f"{spec.name}.yaml", sealed / f"{spec.name}.csv", spec.index)
     outcome["sufficient"] = _sufficient(truth)
     return outcome
+
+
+def _named_again(learned: Path, cell_file: Path, second: Path, seed: int) -> bool:
+    """Whether a learned law, once adopted, is named in a recording of another motion of the cell."""
+    cell = load_cell(cell_file)
+    return name_again(learned, recorded(read_csv(second), cell, seed), cell).in_group
 
 
 def _sufficient(truth: Truth) -> bool:
@@ -505,6 +515,8 @@ def _law_scores(by: OutcomesByKind, outcomes: Sequence[CaseOutcome]) -> Iterator
     yield _share("accepted law closes ≥ 0.8 of the gap on another motion", [c >= 0.8 for c in closed], "≥ 0.8")
     yield _statistic("  closed, median", closed, np.median)
     bands = [law["covered"] for _, law in accepted if law["covered"] is not None]
+    again = [law["named_again"] for _, law in accepted if law["named_again"] is not None]
+    yield _share("accepted alone and adopted: named in another recording, itself or in a group", again, "≥ 0.9")
     yield _statistic("band of a right law covers its true change, mean share of rows", bands, np.mean, "in 0.9 to 0.98", share=True)
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from palpd.blind.adoption import recorded
 from palpd.blind.check import make_case
 from palpd.blind.law_answers import REPORTED, LawOutcome, coverage, law_outcome, read_true_change, without_a_law
 from palpd.blind.laws import NOVEL_LAWS
@@ -144,8 +145,8 @@ def test_the_lines_on_laws_count_what_they_say() -> None:
         return outcome(of, ["hum"] if of != "healthy" else [], [], snr=30.0, law=law, extra=of == "novel")
 
     outcomes = [
-        case("law", accepted=True, right=True, right_alike=True, covered=0.95),
-        case("law", accepted=True, right=False, right_alike=True),
+        case("law", accepted=True, right=True, right_alike=True, covered=0.95, named_again=True),
+        case("law", accepted=True, right=False, right_alike=True, named_again=False),
         case("law"),
         case("near", accepted=True),
         case("event", accepted=True),
@@ -164,6 +165,18 @@ def test_the_lines_on_laws_count_what_they_say() -> None:
     assert by["healthy cell: a law accepted"].value == 0.5
     assert by["listed cause that is sufficient: replaced by a law or by events"].value == 0.5
     assert by["band of a right law covers its true change, mean share of rows"].value == 0.95
+    again = by["accepted alone and adopted: named in another recording, itself or in a group"]
+    assert (again.value, again.n) == (0.5, 2)
+
+
+def test_a_recording_again_has_the_stated_noise_and_steps() -> None:
+    cell = nominal()
+    t_s = np.arange(4000) / 500.0
+    rows = recorded(Samples(t_s, None, 0.0 * t_s, 0.0 * t_s, np.zeros((len(t_s), 6))), cell, 3)
+    assert np.std(rows.z_m) == pytest.approx(cell.robot.position_noise_rms_m, rel=0.1)
+    steps = rows.wrench[:, 2] / cell.sensor.resolution_fz_N
+    assert np.allclose(steps, np.round(steps))
+    assert np.std(rows.wrench[:, 0]) == pytest.approx(np.hypot(cell.sensor.noise_rms_N, cell.sensor.resolution_fxy_N / 12**0.5), rel=0.1)
 
 
 def test_further_cases_outside_the_list_take_every_effect_in_turn_and_both_strata() -> None:
