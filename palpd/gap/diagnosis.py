@@ -18,7 +18,7 @@ from palpd.gap.calibration import as_stated, stored_map
 from palpd.gap.correlated_residual import compare_again
 from palpd.gap.hypotheses import fit_rounding, search
 from palpd.gap.law_search.confounds import confounds
-from palpd.gap.law_search.finding import LawFinding, find
+from palpd.gap.law_search.finding import LawFinding, find, leading_leaves
 from palpd.gap.linearise import linearise
 from palpd.gap.next_experiment import ExperimentProposal, advise
 from palpd.gap.phases import PHASE_PHRASES
@@ -119,7 +119,7 @@ def _stages(
     # 6. Law: what the list does not hold, as a function of what the cell does, or as events.
     finding = find(problem, nominal.fit, verdict.fit, coarse=any(one.coarse_step_N > 0.0 for one in readings))
     if verdict.kind in ("effects", "ambiguous"):
-        finding = finding.beside_named()
+        finding = finding.beside_named(leading_leaves(fits, verdict.fit))
     if finding.learned is not None:
         finding = replace(finding, learned=finding.learned.model_copy(update={"confounds": confounds(finding, fits)}))
     verdict = with_finding(verdict, finding)

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jsonschema
@@ -20,6 +21,7 @@ from palpd.gap.commands import simulate_file, write_answer
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.law_search.bases import hats, powers
 from palpd.gap.law_search.evidence import SIZES, group_evidence
+from palpd.gap.law_search.finding import leading_leaves
 from palpd.gap.law_search.formulas import formulas_of
 from palpd.gap.law_search.held_out import FOLDS, held_out
 from palpd.gap.law_search.nuisance_space import NuisanceSpace
@@ -112,6 +114,29 @@ def test_a_healthy_cell_and_a_listed_effect_have_neither_law_nor_events() -> Non
 
 
 # parts
+
+
+def test_one_law_replaces_several_listed_effects_that_imitate_it_together_and_no_single_cause(rail: Diagnosis) -> None:
+    assert rail.finding.learned is not None
+    replacing = replace(rail.finding, replaces=True)
+    assert replacing.beside_named(leading_leaves=0.5) is replacing
+    for leading in (0.0, 0.1):  # one effect, or one that explains most of the gap: a real cause never has quite its listed law
+        kept = replacing.beside_named(leading)
+        assert kept.learned is None
+        assert kept.p_outside == 0.0
+        assert kept.note is not None
+        assert rail.finding.learned.what in kept.note
+    two_terms = replacing.learned.model_copy(update={"terms": replacing.learned.terms * 2})
+    assert replace(replacing, learned=two_terms).beside_named(0.5).learned is None, "as many parts as the listed effects"
+
+
+def test_how_much_the_best_of_several_effects_leaves() -> None:
+    def misfit(names: tuple[str, ...], misfit: float) -> Any:
+        return SimpleNamespace(names=names, misfit=misfit)
+
+    fits = {names: misfit(names, value) for names, value in (((), 100.0), (("a",), 40.0), (("b",), 70.0))}
+    assert leading_leaves(fits, misfit(("a", "b"), 20.0)) == pytest.approx(0.25)
+    assert leading_leaves(fits, misfit(("a",), 40.0)) == 0.0
 
 
 def space_and_columns(seed: int = 0) -> tuple[NuisanceSpace, Floats]:

@@ -1,5 +1,6 @@
 """What the search for laws adds to an answer from the list: a learned effect, events, or nothing."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import comb, exp, log
 from typing import Any, Literal
@@ -29,10 +30,13 @@ PARAMETER_REACH = 0.5
 """Share of a listed effect by which its parameters may move when something is sought beside it."""
 
 LEAST_SHARE_BESIDE = 0.2
-"""Share of the gap's energy from which events beside a listed effect are something of their own, and no error of that effect's law."""
+"""Share of the gap's energy from which something beside a listed effect is of its own, and no error of that effect's law."""
 
 ALTERNATIONS = 3
 """Times that listed parameters and the law beside them are fitted in turn, before the law is sought again."""
+
+MANY_PARTS = 2
+"""Number of listed effects from which on a law alone is tried although they leave nothing: together they can imitate almost any shape."""
 
 MOST_CERTAIN = 0.97
 """Largest probability of a law: 38 of 38 accepted laws were right, and (38 + 1) / (38 + 2) is what that supports."""
@@ -89,15 +93,24 @@ class LawFinding:
     secondary: bool = False
     refused: RefusedLaw | None = None
 
-    def beside_named(self) -> "LawFinding":
-        """The finding where the list names a cause that leaves little: it says what that leaves, and takes nothing from the cause.
+    def beside_named(self, leading_leaves: float) -> "LawFinding":
+        """The finding where the list names causes that leave little: it says what they leave, and takes nothing from them.
 
-        A law that would replace the cause is then one sentence for the reader.
+        A law that would replace a cause is then one sentence for the reader: a real cause never has quite its listed law. Where none of
+        several listed effects explains most of the gap, one law that is likelier than all of them replaces them: they imitated it.
+
+        Args:
+            leading_leaves: Share of what the named effects explain together that the best of them alone leaves; 0 of one effect.
+
+        Returns:
+            The finding beside the named causes, or in their place.
         """
         if self.events:  # the named cause only imitated them, or they stand out of its residual
             return self if self.replaces else _nothing(self.beside, _EVENTS_BESIDE)
         if not self.replaces or self.learned is None:
             return replace(self, secondary=True)
+        if len(self.learned.terms) == 1 and leading_leaves >= LEAST_SHARE_BESIDE:
+            return self
         note = f"A law outside the list explains this recording as well: {self.learned.what}. Another motion decides."
         return _nothing(self.beside, note)
 
@@ -191,6 +204,23 @@ def _nothing(beside: Fit, note: str | None = None, refused: RefusedLaw | None = 
     return LawFinding(None, None, beside, False, [], note, 0.0, refused=refused)
 
 
+def leading_leaves(fits: Mapping[tuple[str, ...], Fit], listed: Fit) -> float:
+    """How much of what listed effects explain together the best of them alone leaves.
+
+    Args:
+        fits: The fitted hypotheses by their effects; no effect is among them.
+        listed: The fit of the listed effects.
+
+    Returns:
+        The share of the misfit that they take away together; 0 for one effect, and where no single one was fitted.
+    """
+    if len(listed.names) < MANY_PARTS:
+        return 0.0
+    nominal = fits[()].misfit
+    alone = [nominal - fits[(name,)].misfit for name in listed.names if (name,) in fits]
+    return 1.0 - max(alone) / max(nominal - listed.misfit, 1e-300) if alone else 0.0
+
+
 def _of_one_cycle(law: LearnedLaw) -> RefusedLaw | None:
     """The refusal of a law that is likely enough but that one press or stroke alone shows; None for any other."""
     if not law.likely:
@@ -207,9 +237,9 @@ def _of_one_cycle(law: LearnedLaw) -> RefusedLaw | None:
 def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -> LawFinding:
     """Search for a law and for events beyond the listed answer, and decide.
 
-    On top of the listed answer nothing is found: it stands. Something is: if a law alone beats the listed effects, and these with the
-    law on top of them, they only imitated it and it replaces them. Of two explanations alike the one with fewer parts counts. Else the
-    law stands beside them.
+    On top of one listed effect nothing is found: it stands. Something is, or several effects were needed: if a law alone beats the listed
+    effects, and these with the law on top of them, they only imitated it and it replaces them. Of two explanations alike the one with
+    fewer parts counts. Else the law stands beside them.
 
     Args:
         problem: The recordings.
@@ -228,7 +258,8 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
     top = search(scene, space, gained)
     events = find_events(scene, space)
     eventful = events.nats >= max(NAMED_NATS, (top.nats if top.carries else 0.0) - ALIKE_NATS) and _matters(listed, events.change)
-    if not eventful and not top.carries:
+    leaves_nothing = not eventful and not top.carries
+    if leaves_nothing and len(listed.names) < MANY_PARTS:
         return _nothing(listed, refused=_of_one_cycle(top))
     law, judged_in, beside, replaces, imitated = top, space, listed, False, False
     if listed.names:
@@ -246,6 +277,8 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
         replaces = alone.carries and alone.nats >= rival and not (eventful and _plain_time(alone.terms[0].candidate))
         if replaces:
             law, judged_in, beside = alone, alone_space, nominal
+        elif leaves_nothing:
+            return _nothing(listed, refused=_of_one_cycle(top))
         elif not eventful:
             law, judged_in, beside = _fitted_together(problem, listed, top, gained)
     if eventful and not replaces:
