@@ -3,8 +3,9 @@
 `python -m benchmarks.calibrate --cells 200 --kept FOLDER [--write]` draws that many cells of each source to fit on (seed FIT_SEED) and
 as many to report (seed CHECK_SEED), by `palpd blind`; `--cells` may differ: 200 100. Both seeds are apart from those of a published
 table, which come from a commit. FOLDER keeps every scored batch, so an interrupted command goes on where it was, and one with more cells
-uses the kept ones. The cells state the engine's own probabilities, whatever map is in force. `--write` stores the map, if the calibration
-error of no source of the check grows. `--reset` stores the map that changes nothing.
+uses the kept ones. The cells state the engine's own probabilities, whatever map is in force. `--write` stores the map, if the logarithmic
+score of every source of the check gets better: the calibration error of few cells is mostly chance. `--reset` stores the map that changes
+nothing.
 """
 
 import argparse
@@ -83,15 +84,24 @@ def fit(outcomes: Sequence[CaseOutcome], how: str) -> ProbabilityMap:
 
 
 def report(outcomes: Sequence[CaseOutcome], by: ProbabilityMap) -> tuple[str, bool]:
-    """Calibration error by source before and after, that of a calibrated forecaster on as many cases, and whether it grows nowhere."""
-    lines = ["| source | n | error before | after | of a calibrated forecaster |", "|---|---|---|---|---|"]
+    """By source: logarithmic score and calibration error before and after, and the error of a calibrated forecaster on as many cases.
+
+    Args:
+        outcomes: Cases with their answers, made with the engine's own probabilities.
+        by: The map.
+
+    Returns:
+        The table, and whether the score gets better for every source.
+    """
+    lines = ["| source | n | score before | after | error before | after | of a calibrated forecaster |", "|---|---|---|---|---|---|---|"]
     helps, sources = True, sorted({o["source"] for o in outcomes})
     for name in [*sources, "all"]:
         mine = [o for o in outcomes if name in {o["source"], "all"}]
         pairs = pairs_of(mine, by)
-        before, after = calibration_error(pairs_of(mine, ProbabilityMap())), calibration_error(pairs)
-        helps = helps and after <= before
-        lines.append(f"| {name} | {len(pairs)} | {before:.3f} | {after:.3f} | {error_of_a_calibrated_forecaster(pairs):.3f} |")
+        own = pairs_of(mine, ProbabilityMap())
+        helps = helps and log_loss(pairs) < log_loss(own)
+        scores, errors = (f"{of(own):.3f} | {of(pairs):.3f}" for of in (log_loss, calibration_error))
+        lines.append(f"| {name} | {len(pairs)} | {scores} | {errors} | {error_of_a_calibrated_forecaster(pairs):.3f} |")
     return "\n".join(lines), helps
 
 
