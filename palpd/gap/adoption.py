@@ -61,7 +61,7 @@ def adopt(file: Path, folder: Path, name: str | None, cell: CellFile) -> Adopted
 
 
 def described(effect: Effect, laws: Mapping[str, LearnedEffect], folder: Path) -> dict[str, Any]:
-    """An effect of a library as data: its name, what it does, its parameters, and where it is adopted.
+    """An effect of a library as data: its name, what it does, its formula and parameters, and where it is adopted.
 
     Args:
         effect: The effect.
@@ -72,4 +72,5 @@ def described(effect: Effect, laws: Mapping[str, LearnedEffect], folder: Path) -
         The data.
     """
     file = str(folder / f"{effect.id}.yaml") if effect.id in laws else None
-    return {"id": effect.id, "what": effect.what, "parameters": [one.name for one in effect.named_parameters], "adopted": file}
+    names = [one.name for one in effect.named_parameters]
+    return {"id": effect.id, "what": effect.what, "formula": effect.formula, "parameters": names, "adopted": file}

@@ -1,5 +1,6 @@
 """Every effect: its law against values by hand, that no parameter is dead, and that it is the same step by step and at once."""
 
+import re
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -597,3 +598,10 @@ def test_a_parameter_is_found_by_its_name() -> None:
     assert isinstance(parameter, Parameter)
     assert parameter.unit == "s"
     assert parameter.log
+
+
+@pytest.mark.parametrize("effect", EFFECTS.values(), ids=lambda effect: effect.id)
+def test_a_formula_names_every_parameter_without_its_unit(effect: Effect) -> None:
+    words = set(re.findall(r"[a-z_]+", effect.formula))
+    units = r"_(N_per_s|N_per_m|N_s_per_m|N|m|s|Hz|rad|kg)$"
+    assert {re.sub(units, "", parameter.name) for parameter in effect.named_parameters} <= words

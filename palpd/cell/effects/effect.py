@@ -175,6 +175,7 @@ class Effect:
         shows_at_rest: It changes the force while the height is held.
         gain_at_rest: Factor on a force that has been held for a time (values, time in s), where it settles that fast.
         discrepancy_drivers: What the error of its law may depend on; a zero that drifts does not depend on motion.
+        formula: Its law for people, with the names of its parameters without their units.
     """
 
     id: str
@@ -191,6 +192,7 @@ class Effect:
     shows_at_rest: bool = False
     gain_at_rest: Callable[[Values, float], float] | None = None
     discrepancy_drivers: tuple[DiscrepancyDriver, ...] = ANY
+    formula: str = ""
 
     def __post_init__(self) -> None:
         """An effect without any law is a mistake of its author, and so is a site that does not exist."""

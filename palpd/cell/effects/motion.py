@@ -24,6 +24,7 @@ LAG = Effect(
     setting=_lag,
     tolerance="servo_natural_frequency",
     motion=True,
+    formula="z follows z_cmd as z'' = ω² · (z_cmd - z) - 2 · damping_ratio · ω · z', with ω = bandwidth_ratio · ω_stated",
 )
 
 
@@ -55,6 +56,7 @@ VIBRATION = Effect(
     ),
     law=_vibration,
     motion=True,
+    formula="z = z_stated + amplitude · sin(2π · frequency · t + phase)",
 )
 
 
@@ -70,6 +72,7 @@ BACKLASH = Effect(
     "tip lags the reported height by a dead band at reversals",
     (Parameter("width_m", "m", 0.0, lambda s: 0.5 * s.stroke_m, of("depth_m", 0.03, 0.1)),),
     law=_backlash,
+    formula="the tip follows z behind a dead band: it rests until z has moved by width against it",
 )
 
 
@@ -94,6 +97,7 @@ COMPLIANCE = Effect(
     ),
     setting=_compliance,
     discrepancy_drivers=LOAD,
+    formula="tip = z + f / stiffness",
 )
 
 EFFECTS = (LAG, VIBRATION, BACKLASH, COMPLIANCE)

@@ -20,6 +20,7 @@ MASS = Effect(
     (Parameter("delta_kg", "kg", lambda s: -s.mass_kg, lambda s: 20.0 * s.mass_kg, of("mass_kg", 0.3, -0.3)),),
     setting=_mass,
     tolerance="mass_kg",
+    formula="f - (mass_stated + delta) · a",
 )
 
 
@@ -46,6 +47,7 @@ RESONANCE = Effect(
         Parameter("participation", "1", 0.0, 1.0, (0.5,)),
     ),
     law=_resonance,
+    formula="f - mass · ((1 - participation) · a + participation · a_m), with a_m behind a mount of frequency and damping_ratio",
 )
 
 
@@ -69,6 +71,7 @@ SPRING = Effect(
     law=_spring,
     starts_at_tare=True,
     discrepancy_drivers=LOAD,
+    formula="fz - stiffness · (z - z_first)",
 )
 
 
@@ -114,6 +117,7 @@ FRICTION = Effect(
         ),
     ),
     law=_friction,
+    formula="fz - force · tanh(v / 0.5 mm/s); with presliding: fz - force · w, with dw/dx = (sign v - w) / presliding over the way x",
 )
 
 
@@ -135,6 +139,7 @@ VISCOUS = Effect(
         ),
     ),
     law=_viscous,
+    formula="fz - coefficient · v",
 )
 
 
@@ -151,6 +156,7 @@ LATERAL = Effect(
     law=_lateral,
     family=SIDEWAYS,
     discrepancy_drivers=LOAD,
+    formula="fx + ratio · f · cos(azimuth), fy + ratio · f · sin(azimuth), and the torque of both at the tip",
 )
 
 
@@ -173,6 +179,7 @@ TILT = Effect(
     law=_tilt,
     family=SIDEWAYS,
     discrepancy_drivers=LOAD,
+    formula="fz · cos(angle), fx + fz · sin(angle) · cos(azimuth), fy + fz · sin(angle) · sin(azimuth), and the torque",
 )
 
 EFFECTS = (MASS, RESONANCE, SPRING, FRICTION, VISCOUS, LATERAL, TILT)

@@ -37,6 +37,7 @@ SKEW = Effect(
     (Parameter("ratio", "1", -LARGEST_SKEW, LARGEST_SKEW, (1e-4, -1e-4, 1e-3, -1e-3), natural=NATURAL_SKEW),),
     setting=_skew,
     starts_at_tare=True,
+    formula="the row at t holds the wrench of t · (1 + ratio)",
 )
 
 
@@ -51,6 +52,7 @@ LATENCY = Effect(
     (Parameter("delay_s", "s", lambda s: -0.02 * s.duration_s, lambda s: 0.1 * s.duration_s, of("step_s", 2.0, 10.0, 40.0)),),
     setting=_latency,
     tolerance="latency_s",
+    formula="the row at t holds the wrench of t - delay",
 )
 
 
@@ -67,6 +69,7 @@ GAIN = Effect(
     tolerance="gain",
     family=SCALE_OF_FORCE,
     discrepancy_drivers=LOAD,
+    formula="fz · (1 + error)",
 )
 
 
@@ -91,6 +94,7 @@ CROSSTALK = Effect(
     tolerance="crosstalk",
     family=SIDEWAYS,
     discrepancy_drivers=LOAD,
+    formula="fx + fx_per_fz · fz, fy + fy_per_fz · fz, tx + tx_per_fz · fz, ty + ty_per_fz · fz",
 )
 
 
@@ -127,6 +131,7 @@ HYSTERESIS = Effect(
     ),
     law=_hysteresis,
     discrepancy_drivers=LOAD,
+    formula="fz + amplitude · w, with dw = (1 - w · sign dfz) · dfz / width",
 )
 
 
@@ -147,6 +152,7 @@ CREEP = Effect(
     law=_creep,
     shows_at_rest=True,
     gain_at_rest=_settled_creep,
+    formula="fz + ratio · (low-pass of fz with time constant tau)",
 )
 
 
@@ -166,6 +172,7 @@ WARMUP = Effect(
     starts_at_tare=True,
     family=SLOW_ZERO,
     discrepancy_drivers=TIME,
+    formula="fz + amplitude · (1 - exp(-t / tau))",
 )
 
 
@@ -190,6 +197,7 @@ FILTER = Effect(
     ),
     setting=_filter,
     tolerance="filter_cutoff",
+    formula="all six axes behind a one-pole low-pass of cutoff in place of the stated one",
 )
 
 
@@ -207,6 +215,7 @@ BIAS = Effect(
     starts_at_tare=True,
     family=SLOW_ZERO,
     discrepancy_drivers=TIME,
+    formula="fz + offset",
 )
 
 
@@ -232,6 +241,7 @@ DRIFT = Effect(
     starts_at_tare=True,
     family=SLOW_ZERO,
     discrepancy_drivers=TIME,
+    formula="fz + rate · t",
 )
 
 
@@ -255,6 +265,7 @@ ASYMMETRY = Effect(
     law=_asymmetry,
     family=SCALE_OF_FORCE,
     discrepancy_drivers=LOAD,
+    formula="side 1: fz + ratio · max(0, fz - at); side -1: fz + ratio · min(fz, at)",
 )
 
 
@@ -270,6 +281,7 @@ NOISE = Effect(
     (Parameter("ratio", "1", 0.01, 1e3, (1.5, 3.0), nominal=1.0, log=True),),
     setting=_noise,
     scatter="noise",
+    formula="rms of the noise = ratio · rms_stated",
 )
 
 
@@ -289,6 +301,7 @@ SATURATION = Effect(
     (Parameter("limit_N", "N", _least_limit, lambda s: 2.0 * s.range_N, of("force_N", 0.8), nominal=inf, log=True),),
     setting=_saturation,
     discrepancy_drivers=LOAD,
+    formula="fz clipped to ±limit",
 )
 
 
@@ -303,6 +316,7 @@ QUANTIZATION = Effect(
     (Parameter("step_N", "N", 0.0, lambda s: s.range_N, lambda s: (4.0 * s.noise_N, 0.2 * s.force_N)),),
     setting=_quantization,
     scatter="coarse step",
+    formula="fz rounded to the nearest multiple of step",
 )
 
 
@@ -320,6 +334,7 @@ DROPOUT = Effect(
     ),
     setting=_dropout,
     scatter="held samples",
+    formula="rate times a second the last sample is held for length",
 )
 
 EFFECTS = (

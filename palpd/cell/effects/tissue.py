@@ -22,6 +22,7 @@ SURFACE = Effect(
     setting=_surface,
     tolerance="surface_z_m",
     discrepancy_drivers=LOAD,
+    formula="surface = surface_stated + offset",
 )
 
 
@@ -38,6 +39,7 @@ MODULUS = Effect(
     tolerance="youngs_modulus",
     family=SCALE_OF_FORCE,
     discrepancy_drivers=LOAD,
+    formula="E = ratio · E_stated",
 )
 
 
@@ -84,6 +86,7 @@ PLASTICITY = Effect(
     ),
     law=_plasticity,
     starts_at_tare=True,
+    formula="surface = surface_stated - Σ set · ratio^k over the presses k = 0, 1, … that are over",
 )
 
 
@@ -122,6 +125,7 @@ THICKNESS = Effect(
     law=_thickness,
     family=STIFFENING,
     discrepancy_drivers=LOAD,
+    formula="f · (1 + 1.133 χ + 1.283 χ² + 0.769 χ³ + 0.0975 χ⁴), with χ = √(r · d) / thickness",
 )
 
 
@@ -141,6 +145,7 @@ INCLUSION = Effect(
     law=_inclusion,
     family=STIFFENING,
     discrepancy_drivers=LOAD,
+    formula="f · (1 + contrast · x² / (1 + x²)), with x = d / depth",
 )
 
 
@@ -159,6 +164,7 @@ PRECONDITIONING = Effect(
     law=_preconditioning,
     starts_at_tare=True,
     discrepancy_drivers=LOAD,
+    formula="f · (1 - softening · (1 - (d / d_max)²)), with d_max the deepest d so far",
 )
 
 
@@ -175,6 +181,7 @@ VISCOELASTIC = Effect(
     (Parameter("ratio", "1", 0.0, 20.0, (0.2, 1.0)), relaxation_time(0.01, 0.05, 0.002)),
     law=_viscoelastic,
     shows_at_rest=True,
+    formula="max(0, f + ratio · (f - low-pass of f with time constant tau))",
 )
 
 
@@ -217,6 +224,7 @@ ADHESION = Effect(
         Parameter("fading", "1", 0.5, 8.0, (3.0,), nominal=None, log=True, optional=True, nuisance=True),
     ),
     law=_adhesion,
+    formula="f - force · min(up / range, 1) · (1 - gap / range), with up the way from the deepest point, gap the way from the surface",
 )
 
 EFFECTS = (SURFACE, MODULUS, PLASTICITY, THICKNESS, INCLUSION, PRECONDITIONING, VISCOELASTIC, ADHESION)
