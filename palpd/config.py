@@ -34,11 +34,17 @@ class RobotConfig(StrictBlock):
     """The arm and how it is spoken to."""
 
     host: str = Field(default="127.0.0.1", pattern=r"^\S+$", max_length=253)
+    """Address of the controller: RTDE on port 30004, scripts on 30003, dashboard on 29999."""
     model: Literal["ur5", "ur5e"] = "ur5"
+    """`ur5`: CB3, 125 Hz. `ur5e`: e-Series, 500 Hz."""
     rtde_rate_Hz: StrictFloat | None = Field(default=None, gt=0, le=500)
+    """Rate of the state stream and of the loop; null: the controller's own cycle."""
     tcp: tuple[StrictFloat, StrictFloat, StrictFloat, StrictFloat, StrictFloat, StrictFloat] | None = None
+    """Pose of the tip in axes of the flange (three m, three rad); null: as set on the robot."""
     watchdog_Hz: StrictFloat = Field(default=20.0, ge=5, le=100)
+    """The controller stops the program 1/`watchdog_Hz` after the last speed command."""
     acceleration_m_per_s2: StrictFloat = Field(default=0.5, gt=0, le=5)
+    """Acceleration of every commanded speed."""
 
     @property
     def rate_Hz(self) -> float:
@@ -61,13 +67,21 @@ class SensorConfig(StrictBlock):
     """The HEX-70 and its calibration (null: read from the DAQ's registers)."""
 
     port: str = Field(default="/dev/palpd-hex", min_length=1)
+    """Terminal device of the DAQ."""
     rate_Hz: StrictFloat = Field(default=1000.0, gt=0, le=1000)
+    """Samples per second: 1000/n."""
     filter_cutoff_Hz: StrictFloat | None = 150.0
+    """Cutoff of the DAQ's low-pass; null: none."""
     counts_per_N: tuple[StrictFloat, StrictFloat, StrictFloat] | None = None
+    """Calibration of fx, fy, fz from the unit's sheet; null: read from the DAQ."""
     counts_per_Nm: tuple[StrictFloat, StrictFloat, StrictFloat] | None = None
+    """Calibration of tx, ty, tz from the same sheet; null: read from the DAQ."""
     fz_slopes: Literal["pressed", "pulled", "both"] = "pressed"
+    """Which slope converts Fz: that of pressing, that of pulling, or `both`, parted where the sensor carries nothing."""
     fz_pulled_counts_per_N: StrictFloat | None = Field(default=None, gt=0)
+    """Slope of Fz when it is pulled; null: read from the DAQ."""
     rotation_about_flange_z_rad: StrictFloat = Field(default=0.0, ge=-6.3, le=6.3)
+    """How far the sensor is turned about the flange's z axis."""
 
     @model_validator(mode="after")
     def _as_the_daq_can(self) -> Self:
@@ -96,24 +110,38 @@ class ModelConfig(StrictBlock):
     """
 
     path: Path | None = None
+    """The inertial model that `palpd train` wrote; null: nothing is corrected."""
     zero: Literal["running", "learned"] = "running"
+    """Source of the model's bias: followed in free air (`running`), or kept from training (`learned`)."""
     correction_limit_N: StrictFloat = Field(default=0.5, ge=0, le=5)
+    """The most that model and zero together may take from a force."""
 
 
 class SafetyConfig(StrictBlock):
     """Limits of the guard. Why each default is what it is stands in config.yaml."""
 
     contact_limit_N: StrictFloat = Field(default=12.0, gt=0, le=150)
+    """Corrected force against the running tare at which the probe retracts and the run ends."""
     absolute_limit_N: StrictFloat = Field(default=25.0, gt=0, le=190)
+    """Raw force against the reference tare at which the arm stops where it is, latched."""
     lateral_limit_N: StrictFloat = Field(default=8.0, gt=0, le=150)
+    """Lateral force at which the arm stops: the probe slips or has met an edge."""
     torque_limit_Nm: StrictFloat = Field(default=1.0, gt=0, le=6.5)
+    """Torque at which the arm stops."""
     max_speed_m_per_s: StrictFloat = Field(default=0.05, ge=SLOWEST_M_PER_S, le=0.25)
+    """Largest speed of any command, and the speed of free travel."""
     min_z_m: StrictFloat | None = None
+    """Lowest height of the tip in base axes; null: none."""
     workspace_m: tuple[Span, Span, Span] | None = None
+    """Least and most x, y and z of the tip in base axes; null: none."""
     robot_stale_s: StrictFloat = Field(default=0.05, gt=0, le=0.5)
+    """Age of the robot's newest state at which the arm stops."""
     sensor_stale_s: StrictFloat = Field(default=0.05, gt=0, le=0.5)
+    """Age of the sensor's newest sample at which the arm stops."""
     max_stall_s: StrictFloat = Field(default=0.05, gt=0, le=0.5)
+    """Time between two ticks of the daemon at which the arm stops."""
     expected_stiffness_N_per_m: StrictFloat = Field(default=5000.0, gt=0)
+    """The hardest material expected under the probe; for the predicted overshoot only."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -132,14 +160,18 @@ class MachineConfig(StrictBlock):
     """How far sensor and arm give way under load (null: the last `palpd stiffness`, or rigid and said so)."""
 
     stiffness_N_per_m: StrictFloat | None = Field(default=None, gt=0)
+    """Stiffness of sensor and arm in series; null: the last `palpd stiffness`, without one rigid."""
 
 
 class PathsConfig(StrictBlock):
     """Where recordings and the state that survives a restart (reference tare, stiffness, latch) are kept."""
 
     runs: Path = Path("runs")
+    """Folder of the recordings."""
     state: Path = Path("state")
+    """Folder of reference tare, machine stiffness and latch."""
     socket: Path | None = None
+    """Control socket of `palpd serve`; null: `palpd.sock` in `state`."""
 
     @property
     def control_socket(self) -> Path:
@@ -151,12 +183,19 @@ class Config(StrictBlock):
     """All of config.yaml. Relative paths are relative to the file."""
 
     robot: RobotConfig = RobotConfig()
+    """The arm."""
     sensor: SensorConfig = SensorConfig()
+    """The force sensor."""
     model: ModelConfig = ModelConfig()
+    """The inertial model."""
     safety: SafetyConfig = SafetyConfig()
+    """Limits of the guard."""
     machine: MachineConfig = MachineConfig()
+    """How far the machine gives way."""
     paths: PathsConfig = PathsConfig()
+    """Folders."""
     cell: CellFile = Field(default_factory=nominal)
+    """The cell as the simulator knows it: the keys of cell.yaml."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -184,45 +223,65 @@ class PlanSite(StrictBlock):
     """A place to press, as an offset along the base's axes from the plan's origin, or from the start pose where it gives none."""
 
     name: str = Field(min_length=1, max_length=32, pattern=r"^[A-Za-z0-9_.-]+$")
+    """Letters, digits, `_`, `.` and `-`."""
     x_m: StrictFloat = Field(default=0.0, ge=-0.5, le=0.5)
+    """Offset along the base's x axis."""
     y_m: StrictFloat = Field(default=0.0, ge=-0.5, le=0.5)
+    """Offset along the base's y axis."""
 
 
 class Origin(StrictBlock):
     """A place in the base's axes that a plan counts its sites from. A UR5 reaches 0.85 m."""
 
     x_m: StrictFloat = Field(ge=-1.0, le=1.0)
+    """Along the base's x axis."""
     y_m: StrictFloat = Field(ge=-1.0, le=1.0)
+    """Along the base's y axis."""
 
 
 class Search(StrictBlock):
     """How the surface is looked for."""
 
     speed_m_per_s: StrictFloat = Field(default=0.005, ge=SLOWEST_M_PER_S, le=0.02)
+    """Speed of the search downwards."""
     max_travel_m: StrictFloat = Field(default=0.08, gt=0, le=0.3)
+    """The search ends without a surface after this way."""
 
 
 class Strokes(StrictBlock):
     """Strokes in the air above a site, before anything is pressed there: up from the height of travel and back."""
 
     strokes: StrictInt = Field(ge=1, le=200)
+    """Number of strokes up and back."""
     height_m: StrictFloat = Field(default=0.02, ge=0.001, le=0.1)
+    """Height of a stroke."""
     speed_m_per_s: StrictFloat = Field(default=0.02, ge=SLOWEST_M_PER_S, le=0.25)
+    """Speed of a stroke."""
 
 
 class Plan(StrictBlock):
     """plan.yaml: where, how deep, how fast, how often. Without depths nothing is pressed or looked for, which needs free strokes."""
 
     sites: tuple[PlanSite, ...] = Field(default=(PlanSite(name="A"),), min_length=1, max_length=1000)
+    """Where to press; a plan must give them."""
     origin: Origin | None = None
+    """Place that the sites count from, at most 0.3 m from the arm; null: where the arm stands."""
     mode: Literal["dynamic", "static", "both"] = "both"
+    """`static`: press, hold, measure. `dynamic`: press and leave at once. `both`: one after the other."""
     depths_m: tuple[StrictFloat, ...] = Field(default=(0.004, 0.006, 0.008), max_length=100)
+    """Depths of the presses, 0.0002 to 0.02; a plan must give them."""
     press_speed_m_per_s: StrictFloat = Field(default=0.01, ge=SLOWEST_M_PER_S, le=0.05)
+    """Speed of a press."""
     repeats: StrictInt = Field(default=3, ge=1, le=100)
+    """Dynamic presses for each depth."""
     hold_s: StrictFloat = Field(default=3.0, ge=0.1, le=600)
+    """Time of a static hold."""
     safe_height_m: StrictFloat = Field(default=0.01, ge=0.002, le=0.1)
+    """Height above the surface between presses."""
     search: Search = Search()
+    """How the surface is looked for."""
     free: Strokes | None = None
+    """Strokes in the air before the presses; null: none."""
 
     @model_validator(mode="after")
     def _sensible(self) -> Self:

@@ -38,38 +38,56 @@ class ProbeBlock(StrictBlock):
     """What hangs on the sensor: its moving mass, its spherical tip, and how far that is from the sensor."""
 
     mass_kg: NotNegative = 0.2
+    """Moving mass: everything that hangs on the sensor."""
     tip_radius_m: Length = 0.005
+    """Radius of the spherical tip."""
     tip_length_m: Annotated[StrictFloat, Field(ge=0.0, lt=5.0)] = 0.08
+    """Distance from the sensor to the tip: the arm of lateral forces."""
 
 
 class SensorBlock(StrictBlock):
     """The force sensor as its data sheet has it; `filter_cutoff_Hz` None is no filter, `stiffness_N_per_m` None is rigid."""
 
     rate_Hz: Positive = 500.0
+    """Samples per second."""
     filter_cutoff_Hz: Positive | None = 150.0
+    """Cutoff of the one-pole low-pass; null: none."""
     noise_rms_N: Positive = 0.05
+    """Noise of a sample of force; absent: as the recording shows."""
     noise_rms_Nm: NotNegative = 0.001
+    """Noise of a sample of torque; absent: as the recording shows."""
     resolution_fxy_N: NotNegative = 0.024
+    """Smallest step of fx and fy; absent: as the recording shows."""
     resolution_fz_N: NotNegative = 0.131
+    """Smallest step of fz; absent: as the recording shows."""
     resolution_Nm: NotNegative = 0.001
+    """Smallest step of the torques; absent: as the recording shows."""
     stiffness_N_per_m: Positive | None = None
+    """Known stiffness of a cantilever or load cell; null: rigid."""
 
 
 class RobotBlock(StrictBlock):
     """How the tip follows its target, and how noisily that is reported."""
 
     servo_natural_frequency_Hz: Positive = 8.0
+    """Natural frequency of the servo, of second order. 8 Hz is a placeholder, not a measured UR5."""
     servo_damping_ratio: Positive = 1.0
+    """Damping ratio of the servo."""
     position_noise_rms_m: NotNegative = 5.0e-6
+    """Noise of reported heights."""
     velocity_noise_rms_m_per_s: NotNegative = 2.0e-4
+    """Noise of reported speeds."""
 
 
 class TissueBlock(StrictBlock):
     """An elastic half-space below `surface_z_m`."""
 
     surface_z_m: Height = 0.0
+    """Height of the surface in base axes."""
     youngs_modulus_Pa: Modulus = 72000.0
+    """Young's modulus of the half-space."""
     poisson_ratio: Annotated[StrictFloat, Field(ge=0.0, le=0.5)] = 0.5
+    """Poisson's ratio; 0.5: incompressible."""
 
 
 class Tolerances(StrictBlock):
@@ -80,15 +98,25 @@ class Tolerances(StrictBlock):
     """
 
     bias_N: NotNegative
+    """Zero of fz after the tare; absent: 0.4 × `noise_rms_N`."""
     drift_N_per_min: NotNegative
+    """Drift of that zero; absent: 0.2 × `noise_rms_N`."""
     gain: NotNegative = 0.005
+    """Relative error of the force."""
     latency_s: NotNegative = 0.001
+    """Delay of the wrench."""
     filter_cutoff: NotNegative = 0.05
+    """Relative error of the filter's cutoff."""
     crosstalk: NotNegative = 0.003
+    """fx/fz and fy/fz; for torques × 0.05 m."""
     mass_kg: NotNegative
+    """Error of the moving mass; absent: 1.5 % of it."""
     youngs_modulus: NotNegative = 0.02
+    """Relative error of the modulus; 1.0 or more: not known."""
     surface_z_m: NotNegative
+    """Error of the surface's height; absent: 0.6 % of the tip's radius."""
     servo_natural_frequency: NotNegative = 0.02
+    """Relative error of the servo's natural frequency."""
 
     @property
     def modulus_known(self) -> bool:
@@ -100,7 +128,9 @@ class Repeatability(StrictBlock):
     """One standard deviation from press to press: of the height of contact, and of the stiffness (relative)."""
 
     surface_z_m: NotNegative
+    """Height of contact; absent: 0.4 % of the tip's radius."""
     stiffness: NotNegative = 0.01
+    """Relative stiffness."""
 
 
 CROSSTALK_ARM_M = 0.05
@@ -111,15 +141,25 @@ class Estimated(StrictBlock):
     """In-tolerance deviations that a diagnosis has fitted, in the units of `tolerances`; `crosstalk` is that of fx, fy, tx, ty."""
 
     bias_N: StrictFloat = 0.0
+    """Zero of fz."""
     drift_N_per_min: StrictFloat = 0.0
+    """Drift of that zero."""
     gain: StrictFloat = 0.0
+    """Relative error of the force."""
     latency_s: StrictFloat = 0.0
+    """Delay of the wrench."""
     filter_cutoff: Annotated[StrictFloat, Field(gt=-1.0)] = 0.0
+    """Relative error of the cutoff."""
     crosstalk: tuple[StrictFloat, StrictFloat, StrictFloat, StrictFloat] = (0.0, 0.0, 0.0, 0.0)
+    """Of fx, fy, tx and ty."""
     mass_kg: StrictFloat = 0.0
+    """Error of the moving mass."""
     youngs_modulus: Annotated[StrictFloat, Field(gt=-1.0)] = 0.0
+    """Relative error of the modulus."""
     surface_z_m: StrictFloat = 0.0
+    """Error of the surface's height."""
     servo_natural_frequency: Annotated[StrictFloat, Field(gt=-1.0)] = 0.0
+    """Relative error of the servo's natural frequency."""
 
 
 class CellSite(StrictBlock):
@@ -129,34 +169,53 @@ class CellSite(StrictBlock):
     """
 
     name: str
+    """Name of the site."""
     x_m: Height = 0.0
+    """Place along the base's x axis."""
     y_m: Height = 0.0
+    """Place along the base's y axis."""
     tissue: TissueBlock | None = TissueBlock()
+    """Its tissue; null: nothing in reach."""
     effects: EffectValues = Field(default_factory=dict)
+    """Effects that only this site has."""
 
 
 class Wall(StrictBlock):
     """Something linear and hard instead of the tissue, from the start or from `appears_after_s` after the motion began."""
 
     z_m: Height
+    """Height of its surface."""
     stiffness_N_per_m: Positive
+    """Its stiffness."""
     appears_after_s: NotNegative | None = None
+    """It appears this long after the motion began; null: it stands there from the start."""
 
 
 class CellFile(StrictBlock):
     """The whole file. `tissue` None: nothing in reach. `learned` holds laws that a diagnosis drew from recordings; they always act."""
 
     probe: ProbeBlock = ProbeBlock()
+    """What hangs on the sensor."""
     sensor: SensorBlock = SensorBlock()
+    """The force sensor."""
     robot: RobotBlock = RobotBlock()
+    """How the tip follows its target."""
     tissue: TissueBlock | None = TissueBlock()
+    """The tissue; null: nothing in reach."""
     tolerances: Tolerances
+    """What is within specification."""
     repeatability: Repeatability
+    """What differs from press to press."""
     effects: EffectValues = Field(default_factory=dict)
+    """Known effects with their parameters; they are no gap."""
     learned: tuple[LearnedEffect, ...] = ()
+    """Laws that a diagnosis drew from recordings; they are no gap."""
     estimated: Estimated | None = None
+    """In-tolerance deviations that a diagnosis fitted."""
     sites: tuple[CellSite, ...] = ()
+    """Places with a tissue of their own, for emulated cells."""
     wall: Wall | None = None
+    """A wall in place of the tissue, for emulated cells."""
 
     @model_validator(mode="before")
     @classmethod
