@@ -50,11 +50,13 @@ def analyse(
     length_unit: LengthUnitOption = "m",
     compression_negative: CompressionNegative = False,
     time_column: TimeColumn = None,
-    tip_radius_m: Annotated[float | None, typer.Option("--tip-radius-m")] = None,
-    poisson_ratio: Annotated[float, typer.Option("--poisson-ratio")] = 0.5,
+    tip_radius_m: Annotated[
+        float | None, typer.Option("--tip-radius-m", help="radius of the spherical tip; needed for a foreign curve")
+    ] = None,
+    poisson_ratio: Annotated[float, typer.Option("--poisson-ratio", help="of the sample")] = 0.5,
     machine_stiffness_N_per_m: Annotated[float | None, typer.Option("--machine-stiffness-N-per-m", help="taken out of the depth")] = None,
-    fit: Annotated[Literal["loading", "peak"], typer.Option("--fit")] = "loading",
-    contact: Annotated[Literal["free", "zero"], typer.Option("--contact")] = "free",
+    fit: Annotated[Literal["loading", "peak"], typer.Option("--fit", help="the whole loading curve, or its peak")] = "loading",
+    contact: Annotated[Literal["free", "zero"], typer.Option("--contact", help="find the point of contact, or take depth 0")] = "free",
     baseline: Annotated[
         Literal["auto", "free", "zero"], typer.Option("--baseline", help="force before contact; auto: zero for a corrected column")
     ] = "auto",
@@ -144,8 +146,8 @@ def map_(
     presses: Annotated[
         Path | None, typer.Option("--presses", help="CSV with x_m, y_m, youngs_modulus_Pa: the map of these, and where to press next")
     ] = None,
-    width_m: Annotated[float, typer.Option("--width-m", min=0.005, max=0.5)] = 0.06,
-    height_m: Annotated[float, typer.Option("--height-m", min=0.005, max=0.5)] = 0.06,
+    width_m: Annotated[float, typer.Option("--width-m", help="of the field", min=0.005, max=0.5)] = 0.06,
+    height_m: Annotated[float, typer.Option("--height-m", help="of the field", min=0.005, max=0.5)] = 0.06,
     depth_m: Annotated[float, typer.Option("--depth-m", min=0.001, max=0.02, help="of a press")] = 0.005,
     inclusion_m: Annotated[float, typer.Option("--inclusion-m", min=0.002, max=0.1, help="smallest inclusion not to be missed")] = 0.01,
     seed: Annotated[int, typer.Option("--seed", help="another emulated field")] = 0,

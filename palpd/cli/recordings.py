@@ -78,15 +78,20 @@ def import_(
     csv: Annotated[Path | None, typer.Option("--csv", help="recording to write; without it, what the files hold is listed")] = None,
     force_column: ForceColumn = None,
     force_unit: Annotated[
-        Literal["N", "mN", "uN", "nN", "pN", "kN", "kip", "lbf", "gf", "kgf", "V", "mV"] | None, typer.Option("--force-unit")
+        Literal["N", "mN", "uN", "nN", "pN", "kN", "kip", "lbf", "gf", "kgf", "V", "mV"] | None,
+        typer.Option("--force-unit", help="unit of the force"),
     ] = None,
     depth_column: DepthColumn = None,
     height_column: HeightColumn = None,
     height_down_positive: HeightDownPositive = False,
-    length_unit: Annotated[Literal["m", "cm", "mm", "um", "nm", "in", "V", "mV"] | None, typer.Option("--length-unit")] = None,
+    length_unit: Annotated[
+        Literal["m", "cm", "mm", "um", "nm", "in", "V", "mV"] | None, typer.Option("--length-unit", help="unit of depth or height")
+    ] = None,
     compression_negative: CompressionNegative = False,
-    time_column: Annotated[list[str] | None, typer.Option("--time-column", help="for all files, or once for each")] = None,
-    time_unit: Annotated[Literal["s", "ms", "us", "ns", "min"] | None, typer.Option("--time-unit")] = None,
+    time_column: Annotated[
+        list[str] | None, typer.Option("--time-column", help="name of the column of the time, for all files or once for each")
+    ] = None,
+    time_unit: Annotated[Literal["s", "ms", "us", "ns", "min"] | None, typer.Option("--time-unit", help="unit of the time")] = None,
     column: Annotated[
         list[str] | None, typer.Option("--column", help="a further column of the recording, such as fx_N=Fx or vz_m_per_s=Speed")
     ] = None,
