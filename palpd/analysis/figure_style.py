@@ -55,6 +55,16 @@ POINTS_PER_CURVE = 1400
 PNG_DOTS_PER_INCH = 110
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook shows without `%matplotlib inline`."""
+
+    def _repr_png_(self) -> bytes:
+        stream = io.BytesIO()
+        with rc_context(STYLE):
+            self.savefig(stream, format="png", dpi=PNG_DOTS_PER_INCH, facecolor="white")
+        return stream.getvalue()
+
+
 @contextmanager
 def styled_figure(width_in: float = 10.0, height_in: float = 3.0) -> Iterator[Figure]:
     """A figure in the style of the project; draw inside the `with` block.
@@ -67,7 +77,7 @@ def styled_figure(width_in: float = 10.0, height_in: float = 3.0) -> Iterator[Fi
         A context manager that gives the figure.
     """
     with rc_context(STYLE):
-        yield Figure(figsize=(width_in, height_in), layout="constrained")
+        yield ShownFigure(figsize=(width_in, height_in), layout="constrained")
 
 
 def inline_svg(figure: Figure, name: str) -> Markup:

@@ -114,7 +114,7 @@ def written_out(first: FirstCell, names: str) -> str:
     """
     lines = [
         f"# First cell file, from {' '.join(names.split())}. Each comment says how its value was found; correct what you know better.",
-        "# What is not written here has the default of docs/diagnosis.md.",
+        "# What is not written here has the default of docs/cell.md.",
     ]
     for block, values in first.blocks.items():
         if values is None:
