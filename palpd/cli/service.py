@@ -95,7 +95,11 @@ def init(
     except ValueError:
         raise BadInput(f"--depths-mm is {depths_mm!r}, expected numbers with commas between, such as 4,5,6") from None
     config, plan = write_starting_files(folder, model, limit_N, depths_m)
-    terminal().print(f"{config} and {plan} fit each other. Next: set robot.host and the sensor's port, then palpd doctor.", soft_wrap=True)
+    terminal().print(
+        f"{config} and {plan} fit each other. Next: set robot.host and sensor.port in {config}, then palpd doctor --config {config}.",
+        soft_wrap=True,
+        highlight=False,
+    )
 
 
 @app.command()

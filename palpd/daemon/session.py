@@ -47,7 +47,7 @@ def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_referenc
         raise Refused("there is no reference tare to judge the force by; free the probe by hand at the pendant")
     if kind != "calibrate" and calibration is None and not take_reference:
         raise Refused(
-            f"there is no reference tare in {config.paths.state.name}/; run palpd calibrate with the probe free and still, "
+            f"there is no reference tare in {config.paths.state}; run palpd calibrate with the same --config, the probe free and still, "
             "or palpd run with --take-reference"
         )
     return measured_job(kind, config, plan, dry, None if take_reference else calibration)
