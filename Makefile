@@ -4,7 +4,7 @@ UV := .venv/bin/uv
 READY := .venv/.ready
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo test test-wires test-rest test-service coverage lint bench bench-long minutes faults arming signals aborts presses laws soak slopes cold deb mutation audit samples clean
+.PHONY: setup demo test test-wires test-rest test-service coverage lint bench bench-long minutes faults arming signals aborts presses laws soak slopes cold deb docs mutation audit samples clean
 
 setup: $(READY)
 
@@ -100,6 +100,12 @@ cold: setup
 # a Debian package in dist/: some 3 minutes; needs debhelper and dh-virtualenv
 deb: setup
 	systemd/build-deb dist
+
+# the docs site in site/: reference pages from the code, then the pages, with every link checked
+docs: setup
+	.venv/bin/python docs/generate.py
+	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict --quiet -f docs/mkdocs.yml
+	@echo 'site/index.html; with its search: .venv/bin/python -m http.server --directory site'
 
 # mutants of guard, tare and frame parser; SHARE of them
 SHARE ?= 1

@@ -1,35 +1,25 @@
 """The README's commands, in its order, in a copy of the repository.
 
-Blocks marked `bash` are run as they stand. The `palpd` commands in the section on a real cell are run on emulated wires. Each exception
-stands here with its reason, so a new command cannot be left out by accident.
+Blocks marked `bash` are run as they stand. Each exception stands here with its reason, so a new command cannot be left out by accident. The
+commands of the other pages are run by test_pages.py; here is tested that they exist.
 """
 
 import os
 import re
-import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import typer.main
 
-from benchmarks.emulated_cell import EmulatedCell, emulated_cell, retry_if_machine_stalled
 from palpd.cli import app
+from tests.pages import commands_of
 from tests.paths import ROOT
 
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), ROOT / "tests" / "README.md", *(ROOT / "systemd").glob("*.md")])
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), ROOT / "tests" / "README.md", *(ROOT / "systemd").glob("*.md")])
 TOO_LONG = {"make demo": "4 minutes; test_demo.py runs its parts", "make test": "this is it"}
-HANDS = {
-    "palpd init CELL --model ur5e --limit-N 12": "the first block runs it",
-    "palpd doctor": "judges this computer, which need not be fit",
-    "palpd doctor --weight-N 5": "a weight is hung on the probe by hand",
-    "palpd stiffness": "needs a rigid plate below the probe",
-    "palpd run --plan plan.yaml": "2 minutes; make demo presses the same four sites",
-    "palpd retract": "needs a stop in the tissue",
-}
 MADE_LATER = {"models/inertial.onnx"}
 """Files that a page names and a command makes."""
 
@@ -54,10 +44,6 @@ def environment(clone: Path, **variables: str) -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(clone), "PATH": path} | variables
 
 
-def blocks() -> Iterator[str]:
-    yield from re.findall(r"^```bash\n(.*?)^```", (ROOT / "README.md").read_text(), flags=re.MULTILINE | re.DOTALL)
-
-
 def run(line: str, clone: Path, **variables: str) -> str:
     done = subprocess.run(
         ["bash", "-euc", line], cwd=clone, env=environment(clone, **variables), capture_output=True, text=True, check=False,
@@ -68,7 +54,7 @@ def run(line: str, clone: Path, **variables: str) -> str:
 
 
 def test_the_blocks_of_the_readme_run_in_order(clone: Path) -> None:
-    lines = [line for block in blocks() for line in block.splitlines()]
+    lines = commands_of(ROOT / "README.md")
     left_out = [line for line in lines if line.partition("#")[0].strip() in TOO_LONG]
     assert len(left_out) == len(TOO_LONG)
     kept = [line for line in lines if line not in left_out]
@@ -77,25 +63,6 @@ def test_the_blocks_of_the_readme_run_in_order(clone: Path) -> None:
         run(line, clone)
     for name in ("cell/config.yaml", "cell/plan.yaml", "look.html", "look.yaml", "predicted.csv"):
         assert (clone / name).stat().st_size > 100
-
-
-@pytest.mark.hil
-def test_the_commands_for_a_real_cell_run_in_order_on_emulated_wires(clone: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    section = (ROOT / "README.md").read_text().partition("## Your real cell")[2].partition("\n## ")[0]
-    commands = re.findall(r"`(palpd [^`]*)`", section)
-    assert set(HANDS) <= set(commands)
-    kept = [command for command in commands if command not in HANDS]
-    assert len(kept) >= 5
-
-    def attempt(cell: EmulatedCell) -> None:
-        here = tmp_path_factory.mktemp("attempt") / "clone"
-        shutil.copytree(clone, here, symlinks=True)
-        for command in kept:
-            run(command, here, PALPD_ROBOT__HOST=cell.wires.host, PALPD_SENSOR__PORT=str(cell.wires.sensor))
-        assert (here / "models" / "inertial.onnx").exists()
-
-    with emulated_cell(tmp_path_factory.mktemp("cell")) as wired:
-        retry_if_machine_stalled(lambda: wired.anew(tmp_path_factory.mktemp("run")), attempt)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}/{page.name}")

@@ -1,0 +1,154 @@
+"""The commands of the pages under docs, word by word and in their order, in a fresh folder beside docs; and what pages quote of code.
+
+The pages that say how to do one thing go on from the files of docs/start.md. The README's commands are in test_readme.py.
+"""
+
+import os
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.emulated_cell import EmulatedCell, emulated_cell, retry_if_machine_stalled
+from palpd.cli.application import carry_out
+from palpd.errors import RecordingError
+from palpd.interchange import registry
+from palpd.interchange.import_files import ImportOptions, read_files
+from tests.pages import FENCE, commands_of, quoted_in, words
+from tests.paths import ROOT
+
+DOCS = ROOT / "docs"
+START, ON_WIRES = DOCS / "start.md", DOCS / "tutorials" / "emulated-cell.md"
+PAGES = [page for page in sorted(DOCS.rglob("*.md")) if commands_of(page) and page not in (START, ON_WIRES)]
+LEAVES = {
+    "tutorials/csv.md": {"recording.csv", "cell.yaml", "report.html", "out.json", "enriched.yaml"},
+    "tutorials/rosbag.md": {"bag.csv", "bag.yaml", "bag.html"},
+    "how-to/fleet.md": {"fleet.json"},
+    "how-to/service.md": {"look"},
+    "import.md": {"mine.csv", "mine.yaml"},
+}
+"""Files that the commands of a page write."""
+LEFT_OUT = {
+    "palpd emulate --sensor-link hex": "the emulated cell of the test stands for it, on an address of its own",
+    "palpd doctor --config cell/config.yaml": "judges this computer, which need not be fit",
+    "palpd run --config cell/config.yaml --plan cell/plan.yaml": "a minute; make demo presses the same four sites",
+    "palpd map --config cell/config.yaml --width-m 0.04 --height-m 0.02 --out map.png": "2 minutes; test_inclusion.py maps without wires",
+}
+"""Commands of the emulated cell that are not run, each with the reason."""
+BY_HAND = {
+    "palpd init CELL --model ur5e --limit-N 12": "how it is called there; the tutorial calls it too",
+    "palpd doctor": "judges this computer",
+    "palpd doctor --weight-N 5": "a weight is hung on the probe by hand",
+    "palpd stiffness": "needs a rigid plate below the probe",
+    "palpd run --plan plan.yaml": "as in the tutorial",
+    "palpd retract": "needs a stop in the tissue",
+}
+
+
+def run_in_process(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line as a shell would run it, without a process for palpd and the examples."""
+    program, *arguments = shlex.split(line)
+    if program == "palpd":
+        carry_out(arguments)
+    elif program == "python":
+        monkeypatch.setattr(sys, "argv", arguments)
+        runpy.run_path(arguments[0], run_name="__main__")
+    else:
+        subprocess.run(["bash", "-euc", line], check=True)
+
+
+def run_page(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Run a page's commands in a folder; what it quotes must be printed."""
+    (folder / "docs").symlink_to(DOCS)
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("PALPD_EFFECTS_DIR", str(folder / "effects"))
+    for line in commands_of(page):
+        run_in_process(line, monkeypatch)
+    printed = words(capsys.readouterr().out)
+    for line in quoted_in(page):
+        assert words(line) in printed
+
+
+@pytest.fixture(scope="module")
+def started(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder in which the first page was followed."""
+    return tmp_path_factory.mktemp("started")
+
+
+def test_the_first_page_runs_word_by_word(started: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    run_page(START, started, monkeypatch, capsys)
+    assert {"press.csv", "recording.csv", "cell.yaml", "enriched.yaml", "report.html", "predicted.csv"} <= {
+        path.name for path in started.iterdir()
+    }
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_commands_of_a_page_run_word_by_word(
+    page: Path, started: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if page.parent.name != "tutorials":
+        for name in ("press.csv", "recording.csv", "cell.yaml", "enriched.yaml"):
+            shutil.copy(started / name, tmp_path)
+    run_page(page, tmp_path, monkeypatch, capsys)
+    assert LEAVES.get(str(page.relative_to(DOCS)), set()) <= {path.name for path in tmp_path.iterdir()}
+
+
+@pytest.mark.hil
+def test_the_tutorial_on_the_emulated_cell_runs_word_by_word(tmp_path_factory: pytest.TempPathFactory) -> None:
+    lines = commands_of(ON_WIRES)
+    assert set(LEFT_OUT) <= set(lines)
+    kept = [line for line in lines if line not in LEFT_OUT]
+    assert len(kept) >= 7
+
+    def attempt(cell: EmulatedCell) -> None:
+        here = tmp_path_factory.mktemp("attempt")
+        (here / "hex").symlink_to(cell.wires.sensor)
+        path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+        variables = {"PYTHONPATH": str(ROOT), "PATH": path, "PALPD_ROBOT__HOST": cell.wires.host, "COLUMNS": "200"}
+        done = subprocess.run(
+            ["bash", "-euxc", "\n".join(kept)], cwd=here, env=os.environ | variables, capture_output=True, text=True, check=False,
+            stdin=subprocess.DEVNULL, timeout=220,
+        )  # fmt: skip
+        assert done.returncode == 0, f"{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        for line in quoted_in(ON_WIRES, LEFT_OUT):
+            assert words(line) in words(done.stdout)
+        assert (here / "cell" / "inertial.onnx").exists()
+
+    with emulated_cell(tmp_path_factory.mktemp("cell")) as wired:
+        retry_if_machine_stalled(lambda: wired.anew(tmp_path_factory.mktemp("run")), attempt)
+
+
+def test_the_commands_for_a_real_cell_are_those_of_the_tutorial() -> None:
+    commands = re.findall(r"`(palpd [^`]*)`", (DOCS / "how-to" / "real-cell.md").read_text())
+    assert set(BY_HAND) <= set(commands)
+    tried = {(line.split()[1], option) for line in commands_of(ON_WIRES) if line.startswith("palpd") for option in line.split()}
+    for command in commands:
+        if command not in BY_HAND:
+            _, name, *rest = command.split()
+            assert {(name, option) for option in rest if option.startswith("--")} <= tried
+            assert (name, "palpd") in tried
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "how-to").glob("add-*.md")), ids=lambda page: page.stem)
+def test_code_that_a_page_shows_is_the_example(page: Path) -> None:
+    shown = [text for kind, text in FENCE.findall(page.read_text()) if kind == "python"]
+    assert [text in {file.read_text() for file in (DOCS / "examples").glob("*.py")} for text in shown] == [True]
+
+
+def test_the_readers_example_reads_lines_of_json_and_refuses_others_in_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    example = runpy.run_path(str(DOCS / "examples" / "my_reader.py"))["READER"]
+    ours = registry.readers()
+    monkeypatch.setattr(registry, "readers", lambda: {"lines": example} | ours)
+    file = tmp_path / "log.jsonl"
+    file.write_text("\n".join(f'{{"t_s": {k / 100}, "force_N": {k % 50 / 10}, "height_m": {-k % 50 / 1e4}}}' for k in range(200)))
+    options = ImportOptions(force_column="force_N", height_column="height_m", time_columns=("t_s",))
+    assert len(read_files([file], options).samples) == 200
+    file.write_text("no json\n")
+    with pytest.raises(RecordingError, match=r"log.jsonl is not one JSON object a line"):
+        read_files([file], options)
