@@ -13,6 +13,7 @@ from palpd.cell.report_times import find_reports
 from palpd.errors import BadInput, RecordingError
 from palpd.files import parse_yaml
 from palpd.gap.noise import dead, measured_rms
+from palpd.gap.plausibility import refuse_turned
 from palpd.gap.recorded_noise import with_recorded_noise
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -59,13 +60,15 @@ def first_cell(recordings: Sequence[Samples], tip_radius_m: float | None = None)
         The cell file, value by value.
 
     Raises:
-        RecordingError: There is no recording.
+        RecordingError: There is no recording, or its forces or heights have the wrong sign.
         BadInput: The radius is impossible.
     """
     if not recordings:
         raise RecordingError("no recording was given; at least one is needed")
     if tip_radius_m is not None and not 0.0 < tip_radius_m < 1.0:
         raise BadInput(f"the tip radius is {tip_radius_m:g} m, expected above zero and below 1 m; give it in metres (5 mm is 0.005)")
+    for samples in recordings:
+        refuse_turned(samples)
     radius_m = tip_radius_m or GUESSED_TIP_RADIUS_M
     touches = [touch for samples in recordings if (touch := _touch(samples, radius_m)) is not None]
     surface_m = float(np.median([touch.height_m for touch in touches])) if touches else -9.0

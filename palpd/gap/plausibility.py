@@ -193,7 +193,7 @@ def _force_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
                 f"{peak_N:.3g} N; the sensor is dead or the column is wrong: record fz_N and diagnose again."
             )
         return []
-    swing_N = float(np.quantile(fz_N, 0.995) - np.quantile(fz_N, 0.005))
+    swing_N = _swing_N(fz_N)
     if swing_N < CLEAR_NOISES * max(noise_N, measured_rms(fz_N)):
         if cell.tolerances.modulus_known and peak_N > 2.0 * CLEAR_NOISES * noise_N and swing_N < 0.1 * peak_N:
             return [
@@ -201,16 +201,26 @@ def _force_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
                 "the probe does not touch; check its wiring, its mount and tissue.surface_z_m."
             ]
         return []
-    if _correlation(fz_N, samples.z_m) > HEIGHT_CORRELATION:
-        _refuse_sign(fz_N, label)
+    refuse_turned(samples, label)
     if depth_m.any():
         notes = _shape_notes(fz_N, expected_N, peak_N, cell, label)
         return [*notes, *_frozen_notes(samples, expected_N, noise_N), *_touch_notes(samples, cell, noise_N)]
     return _touch_notes(samples, cell, noise_N)
 
 
-def _refuse_sign(fz_N: Floats, label: str) -> None:
-    """Refuse a force that rises with the height; the side to which fz leaves its usual level says which of the two is turned."""
+def refuse_turned(samples: Samples, label: str = "") -> None:
+    """Refuse a force that rises with the height; the side to which fz leaves its usual level says which of the two is turned.
+
+    Args:
+        samples: The recording.
+        label: What an error begins with.
+
+    Raises:
+        RecordingError: Forces or heights have the wrong sign.
+    """
+    fz_N = samples.wrench[:, 2]
+    if _swing_N(fz_N) < CLEAR_NOISES * measured_rms(fz_N) or _correlation(fz_N, samples.z_m) <= HEIGHT_CORRELATION:
+        return
     level_N = np.median(fz_N)
     if fz_N.max() - level_N > level_N - fz_N.min():
         raise RecordingError(
@@ -219,7 +229,7 @@ def _refuse_sign(fz_N: Floats, label: str) -> None:
         )
     raise RecordingError(
         f"{label}fz_N falls to {fz_N.min():.3g} N while the probe presses, expected to rise; pressing gives positive fz_N: "
-        "multiply the forces by -1."
+        "multiply the forces by -1 (palpd import --compression-negative)."
     )
 
 
@@ -282,6 +292,11 @@ def _touch_notes(samples: Samples, cell: CellFile, noise_N: float) -> list[str]:
 
 def _hertz_N(tissue: TissueBlock, tip_radius_m: float, depth_m: Floats) -> Floats:
     return np.asarray(4.0 / 3.0 * tissue.youngs_modulus_Pa / (1.0 - tissue.poisson_ratio**2) * np.sqrt(tip_radius_m) * depth_m**1.5)
+
+
+def _swing_N(fz_N: Floats) -> float:
+    """How far a force (n,) goes, without its rarest values."""
+    return float(np.quantile(fz_N, 0.995) - np.quantile(fz_N, 0.005))
 
 
 def _correlation(one: Floats, other: Floats) -> float:

@@ -173,3 +173,12 @@ def test_a_reader_without_its_package_says_what_to_install(
     (tmp_path / name).write_bytes(content)
     with pytest.raises(RecordingError, match=r"is not installed: install palpd\[readers\]"):
         read_files([tmp_path / name], ImportOptions())
+
+
+def test_no_first_cell_is_made_of_a_force_with_the_wrong_sign() -> None:
+    t_s = np.arange(0.0, 12.0, 0.01)
+    z_m = 0.005 - 0.009 * np.interp(t_s % 6.0, [0.0, 1.0, 2.0, 4.5, 5.2], [0.0, 0.0, 1.0, 1.0, 0.0])
+    turned = simulate(nominal(), t_s, z_cmd_m=z_m, noise_seed=1)
+    turned["fz_N"] *= -1.0
+    with pytest.raises(RecordingError, match=r"multiply the forces by -1 \(palpd import --compression-negative\)"):
+        first_cell([samples_file.samples_from_columns(turned, "turned.csv")])
