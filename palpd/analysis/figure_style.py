@@ -108,8 +108,10 @@ def save_figure(figure: Figure, path: Path) -> None:
     Raises:
         BadInput: the file cannot be written.
     """
+    kind = path.suffix[1:] or "png"
+    undated: dict[str, Any] = {"metadata": {"Date": None}} if kind == "svg" else {}
     with rc_context(STYLE), writing(path) as stream:
-        figure.savefig(stream, format=path.suffix[1:] or "png", dpi=PNG_DOTS_PER_INCH, facecolor="white")
+        figure.savefig(stream, format=kind, dpi=PNG_DOTS_PER_INCH, facecolor="white", **undated)
 
 
 def thinned(x: Floats, y: Floats) -> tuple[Floats, Floats]:
