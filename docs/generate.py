@@ -500,7 +500,7 @@ def member_section(name: str, one: Any, level: str) -> str:
     assert isinstance(node, ast.FunctionDef)
     node.args.args = [each for each in node.args.args if each.arg not in ("self", "cls")]
     returned = f" -> {ast.unparse(node.returns)}" if node.returns else ""
-    return f"{level} {name}\n\n```python\n{name.split('.')[-1]}({ast.unparse(node.args)}){returned}\n```\n\n{docstring(one)}\n"
+    return f"{level} {name}\n\n```\n{name.split('.')[-1]}({ast.unparse(node.args)}){returned}\n```\n\n{docstring(one)}\n"
 
 
 def docstring(one: Any) -> str:
