@@ -105,7 +105,7 @@ deb: setup
 docs: setup
 	.venv/bin/python docs/generate.py
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict --quiet -f docs/mkdocs.yml
-	@echo 'site/index.html; with its search: .venv/bin/python -m http.server --directory site'
+	@echo 'open site/index.html'
 
 # mutants of guard, tare and frame parser; SHARE of them
 SHARE ?= 1
