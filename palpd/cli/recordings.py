@@ -13,6 +13,7 @@ from palpd.cli.curve_options import (
     HeightDownPositive,
 )
 from palpd.cli.options import JsonOption, SiteOption, app, terminal
+from palpd.errors import BadInput
 from palpd.files import check_writable, write_json, write_text
 
 
@@ -49,16 +50,29 @@ def replay(
 @app.command()
 def export(
     recording: Annotated[Path, typer.Argument(help="a recording (.mcap)")],
-    csv: Annotated[Path, typer.Option("--csv", help="file to write, one row a sensor sample")],
+    csv: Annotated[Path | None, typer.Option("--csv", help="file to write, one row a sensor sample")] = None,
+    parquet: Annotated[
+        Path | None, typer.Option("--parquet", help="the same columns as Parquet, with the recording's header; ends in .parquet")
+    ] = None,
     site: Annotated[str | None, typer.Option("--site", help="this site only")] = None,
 ) -> None:
-    """Write a recording as CSV for `palpd diagnose` and other tools."""
+    """Write a recording as CSV or Parquet for `palpd diagnose` and other tools."""
     from palpd.recording.reader import Recording
     from palpd.recording.reader import export as write
+    from palpd.recording.samples import is_parquet
 
-    check_writable(csv, overwrite=False)
-    samples = write(Recording.load(recording), csv, site)
-    terminal().print(f"{csv}: {len(samples)} rows, {samples.duration_s:.1f} s.")
+    files = [file for file in (csv, parquet) if file is not None]
+    if not files:
+        raise BadInput("export was given no file to write; give --csv FILE, --parquet FILE, or both")
+    if parquet is not None and not is_parquet(parquet):
+        raise BadInput(f"--parquet is {parquet}, expected a name that ends in .parquet, by which palpd reads it; rename it")
+    if csv is not None and is_parquet(csv):
+        raise BadInput(f"--csv is {csv}, which is a name of a Parquet file; give it to --parquet, or rename it")
+    check_writable(*files, overwrite=False)
+    whole = Recording.load(recording)
+    for file in files:
+        samples = write(whole, file, site)
+        terminal().print(f"{file}: {len(samples)} rows, {samples.duration_s:.1f} s.")
 
 
 @app.command()

@@ -1,5 +1,6 @@
 """Reading recordings: the rows, samples for the diagnosis, and a robot and a sensor that repeat them."""
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -10,8 +11,8 @@ from numpy.typing import NDArray
 from palpd.errors import RecordingError
 from palpd.files import opened
 from palpd.recording import cdr
-from palpd.recording.mcap_file import Contents, RecordingFooter, RecordingHeader, Recovered, recover
-from palpd.recording.samples import SITE_COLUMN, Samples, samples_from_columns, write_csv
+from palpd.recording.mcap_file import FOOTER, HEADER, Contents, RecordingFooter, RecordingHeader, Recovered, recover
+from palpd.recording.samples import SITE_COLUMN, Samples, is_parquet, samples_from_columns, write_csv, write_parquet
 from palpd.tick import NO_FRAMES, ROW, Floats, Mode, Phase, RobotState, SensorFrames
 
 __all__ = [
@@ -210,12 +211,12 @@ def visited_sites(recording: Recording) -> list[str]:
     return [recording.site_name(number) for number in np.unique(recording.rows["site"]).tolist() if number >= 0]
 
 
-def export(recording: Recording, csv_path: Path, site: str | None = None, *, overwrite: bool = False) -> Samples:
-    """Write the samples of a recording as CSV.
+def export(recording: Recording, path: Path, site: str | None = None, *, overwrite: bool = False) -> Samples:
+    """Write the samples of a recording as CSV, or as Parquet by the ending of the file; Parquet holds header and footer as JSON besides.
 
     Args:
         recording: a closed recording.
-        csv_path: file to write.
+        path: file to write.
         site: name of the only site to use. None uses all; where there are several, columns say site, phase, mode and place of each row.
         overwrite: replace an existing file.
 
@@ -224,13 +225,18 @@ def export(recording: Recording, csv_path: Path, site: str | None = None, *, ove
 
     Raises:
         RecordingError: as `samples_of`.
-        BadInput: the file exists.
+        BadInput: the file exists, or Parquet was asked for and pyarrow is not installed.
     """
     visited = visited_sites(recording)
     if site is None and len(visited) == 1:
         site = visited[0]
     samples, rows, row_of = _samples_and_rows(recording, site)
-    write_csv(csv_path, samples, overwrite=overwrite, extra={} if len(visited) < 2 or site else _places(recording, rows, row_of))
+    extra = {} if len(visited) < 2 or site else _places(recording, rows, row_of)
+    if is_parquet(path):
+        metadata = {HEADER: json.dumps(recording.header), FOOTER: json.dumps(recording.footer)}
+        write_parquet(path, samples, overwrite=overwrite, extra=extra, metadata=metadata)
+    else:
+        write_csv(path, samples, overwrite=overwrite, extra=extra)
     return samples
 
 
