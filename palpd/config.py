@@ -10,9 +10,10 @@ from pydantic import Field, StrictFloat, StrictInt, ValidationError, model_valid
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, EnvSettingsSource
 
-from palpd.cell.cell_file import HINTS, CellFile, nominal
+from palpd.cell.cell_file import HINTS, CellFile, Version, nominal
 from palpd.cell.effects.drivers import StrictBlock
 from palpd.errors import ConfigError
+from palpd.file_versions import Kind, refuse_renamed
 from palpd.files import Document, nearest, parse_yaml, read_yaml, refusal
 
 Model = TypeVar("Model", bound=StrictBlock)
@@ -182,6 +183,7 @@ class PathsConfig(StrictBlock):
 class Config(StrictBlock):
     """All of config.yaml. Relative paths are relative to the file."""
 
+    version: Version = 1
     robot: RobotConfig = RobotConfig()
     """The arm."""
     sensor: SensorConfig = SensorConfig()
@@ -215,6 +217,8 @@ class _ConfigFromEnvironment(Config, BaseSettings):  # type: ignore[misc] # the 
     """Tells pydantic-settings the keys of Config; never made, so that `Config(...)` itself does not look at the environment."""
 
 
+BLOCKS = [name for name in Config.model_fields if name != "version"]
+"""Blocks of config.yaml, which the environment may override."""
 CONTACT_FORCE_N = 1.0
 """Force at which the surface search takes it as contact: 8 counts of Fz, 2.5 mm into 62 kPa, four times below manual palpation."""
 
@@ -262,6 +266,7 @@ class Strokes(StrictBlock):
 class Plan(StrictBlock):
     """plan.yaml: where, how deep, how fast, how often. Without depths nothing is pressed or looked for, which needs free strokes."""
 
+    version: Version = 1
     sites: tuple[PlanSite, ...] = Field(default=(PlanSite(name="A"),), min_length=1, max_length=1000)
     """Where to press; a plan must give them."""
     origin: Origin | None = None
@@ -294,6 +299,9 @@ class Plan(StrictBlock):
         if len(set(names)) != len(names):
             raise ValueError(f"site names must differ, found {', '.join(names)}")
         return self
+
+
+KINDS: dict[type[StrictBlock], Kind] = {Config: "config", Plan: "plan"}
 
 
 def load_config(path: Path | None) -> Config:
@@ -409,6 +417,8 @@ def _overridden(document: Document) -> Document:
     source = _Environment(_ConfigFromEnvironment, case_sensitive=False, env_prefix=ENVIRONMENT_PREFIX, env_nested_delimiter="__")
     values, places = dict(document.keys_and_values()), dict(document.places)
     for section, block in source().items():
+        if section == "version":
+            continue  # of the file; a variable PALPD_VERSION belongs to another program
         stated = values.get(section)
         if stated is not None and not isinstance(stated, dict):
             raise ConfigError(
@@ -436,7 +446,7 @@ class _Environment(EnvSettingsSource):
 def _refuse_unknown_variable(name: str) -> None:
     """Refuse a variable that looks like a key of ours and overrides none; others with our prefix may belong to other programs."""
     section, split, _ = name[len(ENVIRONMENT_PREFIX) :].lower().partition("__")
-    known = list(Config.model_fields)
+    known = BLOCKS
     begins = next((each for each in known if section.startswith(f"{each}_")), None)
     if section not in known and (split or begins):
         hint = f" (did you mean {ENVIRONMENT_PREFIX}{begins.upper()}__…?)" if begins else nearest(section, known)
@@ -479,6 +489,7 @@ def _locations(block: Mapping[str, Any], at: tuple[str | int, ...]) -> list[tupl
 
 
 def _validated(model: type[Model], document: Document) -> Model:
+    refuse_renamed(KINDS[model], document)
     try:
         return model.model_validate(document.keys_and_values())
     except ValidationError as error:

@@ -614,15 +614,22 @@ def _fields_at(model: Any, location: Location) -> list[str]:
     for part in location:
         inner = getattr(model, "model_fields", {}).get(part)
         if inner is not None:
-            model = _model_in(inner.annotation) or model
+            model = model_in(inner.annotation) or model
     return list(getattr(model, "model_fields", {}))
 
 
-def _model_in(annotation: Any) -> Any:
-    """The model that an annotation such as `tuple[Site, ...]` or `Wall | None` speaks of."""
+def model_in(annotation: Any) -> Any:
+    """Find the model that an annotation such as `tuple[Site, ...]` or `Wall | None` speaks of.
+
+    Args:
+        annotation: Type of a field.
+
+    Returns:
+        The first model in it, or None.
+    """
     if hasattr(annotation, "model_fields"):
         return annotation
-    return next((model for part in getattr(annotation, "__args__", ()) if (model := _model_in(part))), None)
+    return next((model for part in getattr(annotation, "__args__", ()) if (model := model_in(part))), None)
 
 
 def _kind(mode: int) -> str:

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BeforeValidator, Field, StrictFloat, ValidationError, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, StrictFloat, StrictInt, ValidationError, model_validator
 
 from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.effects.drivers import StrictBlock
 from palpd.cell.effects.learned import LearnedEffect
 from palpd.errors import ConfigError
+from palpd.file_versions import NEWEST_FILE, newer, refuse_renamed
 from palpd.files import Document, nearest, read_yaml, refusal, write_text
 
 T = TypeVar("T", bound="StrictBlock")
@@ -32,6 +33,16 @@ Height = Annotated[StrictFloat, Field(gt=-10.0, lt=10.0)]
 Modulus = Annotated[StrictFloat, Field(ge=1.0, le=1e13)]
 HINTS = {"_m": "is it in millimetres?", "youngs_modulus_Pa": "is it in kPa or MPa?"}
 """Questions about a value out of range, by the end of its key."""
+
+
+def _known(version: int) -> int:
+    if sentence := newer(version, NEWEST_FILE, "the file"):
+        raise ValueError(sentence)
+    return version
+
+
+Version = Annotated[StrictInt, Field(ge=1), AfterValidator(_known)]
+"""The key `version` of a file; it stands first in a model, so that a newer file is refused for its version and not for a new key."""
 
 
 class ProbeBlock(StrictBlock):
@@ -194,6 +205,7 @@ class Wall(StrictBlock):
 class CellFile(StrictBlock):
     """The whole file. `tissue` None: nothing in reach. `learned` holds laws that a diagnosis drew from recordings; they always act."""
 
+    version: Version = 1
     probe: ProbeBlock = ProbeBlock()
     """What hangs on the sensor."""
     sensor: SensorBlock = SensorBlock()
@@ -338,6 +350,7 @@ def _cell_of(document: Document, library: Mapping[str, Effect]) -> CellFile:
     if document.content is not None and not isinstance(document.content, Mapping):
         what = type(document.content).__name__
         raise ConfigError(f"{document.name} holds a {what}; expected the blocks of a cell file (probe, sensor, robot, …)")
+    refuse_renamed("cell", document)
     try:
         cell = CellFile.model_validate(document.content or {})
     except ValidationError as error:

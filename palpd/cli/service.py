@@ -140,6 +140,32 @@ def doctor(
     finish(2 if failed else 0, f"{len(failed)} of {len(findings)} checks failed: {', '.join(finding.name for finding in failed)}")
 
 
+@app.command()
+def migrate(
+    file: Annotated[Path, typer.Argument(help="config.yaml, cell.yaml or plan.yaml of an older palpd")],
+    kind: Annotated[
+        Literal["config", "cell", "plan"] | None, typer.Option("--kind", help="which of them it is (default: as its keys say)")
+    ] = None,
+    old: Annotated[Path | None, typer.Option("--old", help="where the file as it was is kept (default: FILE.old)")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="show what would change, and write nothing")] = False,
+) -> None:
+    """Rewrite a file of an older palpd; comments and all that need not change stay as they are."""
+    from palpd.migration import migration_of, write
+
+    migration = migration_of(file, kind)
+    show = terminal().print
+    if not migration.changes:
+        show(migration.unchanged, soft_wrap=True, highlight=False, markup=False)
+        return
+    for sentence in migration.changes:
+        show(sentence, soft_wrap=True, highlight=False, markup=False)
+    if dry_run:
+        return
+    kept = old or file.with_name(f"{file.name}.old")
+    write(migration, kept)
+    show(f"{file} is written anew; as it was it is kept in {kept}.", soft_wrap=True, highlight=False, markup=False)
+
+
 @app.command("check-config")
 def check_config(
     config: Annotated[Path, typer.Argument(help="config.yaml")],

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from zstandard import ZstdError
 
 from palpd.errors import RecordingError
+from palpd.file_versions import NEWEST_RECORDING, newer
 from palpd.recording import cdr
 from palpd.tick import Floats
 
@@ -103,9 +104,10 @@ class RecordingHeader(TypedDict, total=False):
 
     `config` and `plan` are config.yaml and plan.yaml as parsed, `model_card` is the inertial model's card, `reference` (6,) the tare of
     the last calibration. `epoch_offset_s` turns monotonic seconds into Unix time. A palpation without `returns_to_start` ended above
-    its last site. A simulated run fills only what the analysis reads.
+    its last site. A simulated run fills only what the analysis reads. `format_version` is that of the file, 1 where it is absent.
     """
 
+    format_version: int
     kind: Literal["palpation", "free_motion", "stiffness", "retract", "calibrate", "check"]
     dry: bool
     config: dict[str, Any]
@@ -179,7 +181,7 @@ class RecordingWriter:
         for taken in (self.path, self.part):
             if taken.exists():
                 raise RecordingError(f"{taken} exists and is not overwritten; choose another name or move it away")
-        header = {"epoch_offset_s": time.time() - time.monotonic(), **header}
+        header = {"epoch_offset_s": time.time() - time.monotonic(), **header, "format_version": NEWEST_RECORDING}
         self._offset_ns = round(header["epoch_offset_s"] * 1e9)
         try:
             self._stream = self.part.open("xb")
@@ -376,6 +378,9 @@ class Contents:
         offset_s = content.get("epoch_offset_s", 0.0)
         if not isinstance(offset_s, int | float) or not abs(offset_s) < LATEST_S:
             raise ValueError(f"epoch_offset_s is {offset_s!r}, expected the seconds of Unix time at which the clock began")
+        version = content.get("format_version", 1)
+        if not isinstance(version, int) or version < 1:
+            raise ValueError(f"format_version is {version!r}, expected a whole number from 1")
         if metadata.name == HEADER:
             self.header = cast(RecordingHeader, content)
         else:
@@ -407,6 +412,9 @@ class Contents:
         """Refuse a file that is no recording of palpd, or whose ticks have other fields. Raises RecordingError."""
         if self.header is None:
             raise RecordingError(f"{path} is an MCAP file but no recording of palpd: it has no {HEADER}; give a recording of palpd run")
+        version = self.header.get("format_version", 1)
+        if sentence := newer(version, NEWEST_RECORDING, str(path)):
+            raise RecordingError(sentence)
         if self.schema is not None and cdr.fields_of(self.schema) != cdr.fields_of(cdr.TICK):
             raise RecordingError(f"{path} was written by a version of palpd whose ticks have other fields; read it with that version")
 

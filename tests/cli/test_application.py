@@ -21,7 +21,8 @@ from tests.paths import ROOT
 HEAVY = ("numpy", "pydantic", "rich", "typer", "structlog", "scipy", "dataclasses", "inspect")
 COMMANDS = (
     "run", "calibrate", "free-motion", "stiffness", "retract", "demo", "sim", "emulate", "serve", "status", "arm", "start", "pause",
-    "resume", "abort", "clear", "init", "install", "doctor", "check-config", "replay", "export", "recover", "import", "cell-from",
+    "resume", "abort", "clear", "init", "install", "doctor", "migrate", "check-config", "replay", "export", "recover", "import",
+    "cell-from",
     "analyse", "train", "map", "diagnose", "resolve", "simulate", "tolerances", "effects", "blind", "study",
 )  # fmt: skip
 
@@ -300,7 +301,7 @@ def test_before_the_handler_of_signals_almost_nothing_is_imported() -> None:
     [
         (["--colour"], "no such option: --colour; palpd --help shows what is expected"),
         (["bogus"], "no such command 'bogus'; palpd --help shows what is expected"),
-        (["export", "run.mcap"], "missing option '--csv'; palpd export --help shows what is expected"),
+        (["export", "run.mcap"], "export was given no file to write; give --csv FILE, --parquet FILE, or both"),
         (["start", "a\nb.yaml"], "a b.yaml cannot be read (No such file or directory); give the path of a file that exists"),
     ],
 )

@@ -30,7 +30,7 @@ from palpd.recording.ring import RecorderState, Ring
 from palpd.recording.samples import COLUMNS, read_csv
 from palpd.tick import MAX_FRAMES, ROW, Phase
 
-HEADER = {"epoch_offset_s": 1.7e9, "sites": [{"name": "A"}, {"name": "B"}], "plan": {"depths_m": [0.004]}}
+HEADER = {"format_version": 1, "epoch_offset_s": 1.7e9, "sites": [{"name": "A"}, {"name": "B"}], "plan": {"depths_m": [0.004]}}
 FOOTER = {"verdict": "done", "reason": ""}
 
 
