@@ -34,7 +34,7 @@ from hw.hex_frames import (
 )
 from hw.host_time import MinimumDelayClock
 from palpd.errors import SensorError
-from palpd.tick import NO_FRAMES, Floats, SensorFrames, Words
+from palpd.tick import NO_FRAMES, Floats, SensorFrames, SensorSettings, Words
 
 READ_BYTES = 4096
 """Largest read: more than a terminal returns at a time."""
@@ -156,6 +156,11 @@ class HexSensor:
     def delay_s(self) -> float:
         """Delay of a reading behind the force: 1 / (2π f_c) of a one-pole low-pass."""
         return 1 / (2 * math.pi * self.filter_cutoff_Hz) if self.filter_cutoff_Hz else 0.0
+
+    @property
+    def counter_step(self) -> int:
+        """The counter counts milliseconds, so it grows by this from frame to frame."""
+        return self._speed
 
     @property
     def counts_per_N(self) -> Floats:
@@ -345,6 +350,21 @@ class HexSensor:
             f"sensor {self.serial_number} at {self.port} was set to {self.rate_Hz:g} Hz, but its counter goes in steps of {sorted(steps)}, "
             f"not {self._speed}; unplug it and plug it in."
         )
+
+
+def open_hex_70(settings: SensorSettings) -> HexSensor:
+    """Open the HEX-70 of a configuration (entry point `hex-70`). Raises SensorError."""
+    if settings.options:
+        raise SensorError(f"sensor.options holds {', '.join(settings.options)}, but the HEX-70 has no options; remove them.")
+    return HexSensor(
+        settings.port,
+        rate_Hz=settings.rate_Hz,
+        filter_cutoff_Hz=settings.filter_cutoff_Hz,
+        counts_per_N=settings.counts_per_N,
+        counts_per_Nm=settings.counts_per_Nm,
+        fz_slopes=settings.fz_slopes,
+        fz_pulled_counts_per_N=settings.fz_pulled_counts_per_N,
+    )
 
 
 def _waiting(descriptor: int) -> int:

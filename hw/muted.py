@@ -1,16 +1,6 @@
 """A robot that is read and never commanded: the dry run on the real cell."""
 
-from typing import Protocol
-
-from palpd.tick import RobotState
-
-
-class StateReader(Protocol):
-    """A source of robot states."""
-
-    def read(self) -> RobotState:
-        """Return the newest state."""
-        ...
+from palpd.tick import RobotState, StateReader
 
 
 class MutedRobot:

@@ -38,7 +38,7 @@ except ImportError:  # its wheels are for Linux on x86-64 up to Python 3.12; all
 
 from hw.host_time import MinimumDelayClock
 from palpd.errors import RobotError
-from palpd.tick import PROGRAM_PLAYING, RobotMode, RobotState, SafetyMode
+from palpd.tick import PROGRAM_PLAYING, RobotKind, RobotMode, RobotSettings, RobotState, SafetyMode
 
 RobotModel = Literal["ur5", "ur5e"]
 MAX_RATE_HZ: dict[RobotModel, float] = {"ur5": 125.0, "ur5e": 500.0}
@@ -556,3 +556,29 @@ def _bounded(call: Callable[[], object], timeout_s: float) -> bool:
     thread.start()
     thread.join(timeout_s)
     return not thread.is_alive()
+
+
+def _open(settings: RobotSettings) -> UrRobot:
+    _refuse_options(settings)
+    return UrRobot(
+        settings.host,
+        model=settings.model,
+        rate_Hz=settings.rate_Hz,
+        watchdog_Hz=settings.watchdog_Hz,
+        acceleration_m_per_s2=settings.acceleration_m_per_s2,
+        tcp=settings.tcp,
+    )
+
+
+def _open_reader(settings: RobotSettings) -> UrReader:
+    _refuse_options(settings)
+    return UrReader(settings.host, model=settings.model, rate_Hz=settings.rate_Hz)
+
+
+def _refuse_options(settings: RobotSettings) -> None:
+    if settings.options:
+        raise RobotError(f"robot.options holds {', '.join(settings.options)}, but a UR has no options; remove them.")
+
+
+UR_RTDE = RobotKind(_open, _open_reader, require_library)
+"""Entry point `ur-rtde`."""

@@ -15,6 +15,7 @@ from palpd.cell.effects.drivers import StrictBlock
 from palpd.errors import ConfigError
 from palpd.file_versions import Kind, refuse_renamed
 from palpd.files import Document, nearest, parse_yaml, read_yaml, refusal
+from palpd.tick import Option
 
 Model = TypeVar("Model", bound=StrictBlock)
 
@@ -23,7 +24,9 @@ ENVIRONMENT_PREFIX = "PALPD_"
 SLOWEST_M_PER_S = 1e-4
 """Lowest speed that a file may ask for: a press of 4 mm then takes 40 s, and a slower one measures the drift of the zero."""
 FILTERS_HZ = (500.0, 150.0, 50.0, 15.0, 5.0, 1.5)
-FZ_CAPACITY_N = 200.0
+HEX_70, UR_RTDE = "hex-70", "ur-rtde"
+"""Kinds of sensor and robot that a config.yaml has where it names none."""
+HEX_70_CAPACITY_N = 200.0
 """Nominal capacity of the HEX-70 of the 200 N class on every force axis; overload begins above it."""
 
 
@@ -32,8 +35,10 @@ Span = tuple[StrictFloat, StrictFloat]
 
 
 class RobotConfig(StrictBlock):
-    """The arm and how it is spoken to."""
+    """The arm and how it is spoken to: `kind` names a driver (docs/sensors.md), `options` is what only that driver knows."""
 
+    kind: str = Field(default=UR_RTDE, min_length=1)
+    """Name of the driver."""
     host: str = Field(default="127.0.0.1", pattern=r"^\S+$", max_length=253)
     """Address of the controller: RTDE on port 30004, scripts on 30003, dashboard on 29999."""
     model: Literal["ur5", "ur5e"] = "ur5"
@@ -46,6 +51,8 @@ class RobotConfig(StrictBlock):
     """The controller stops the program 1/`watchdog_Hz` after the last speed command."""
     acceleration_m_per_s2: StrictFloat = Field(default=0.5, gt=0, le=5)
     """Acceleration of every commanded speed."""
+    options: dict[str, Option] = Field(default_factory=dict)
+    """What only the driver of this `kind` knows."""
 
     @property
     def rate_Hz(self) -> float:
@@ -54,7 +61,9 @@ class RobotConfig(StrictBlock):
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
-        top = {"ur5": 125.0, "ur5e": 500.0}[self.model]
+        top = {"ur5": 125.0, "ur5e": 500.0}[self.model] if self.kind == UR_RTDE else self.rate_Hz
+        if self.kind != UR_RTDE and self.rtde_rate_Hz is None:
+            raise ValueError(f"rtde_rate_Hz is not given; a {self.kind} needs it, because it is the rate of the loop")
         if self.rate_Hz > top or abs(top / self.rate_Hz - round(top / self.rate_Hz)) > 1e-9:
             raise ValueError(f"rtde_rate_Hz is {self.rate_Hz:g}, but a {self.model} sends at {top:g} Hz or a whole fraction of it")
         if self.rate_Hz < 2 * self.watchdog_Hz:
@@ -65,8 +74,10 @@ class RobotConfig(StrictBlock):
 
 
 class SensorConfig(StrictBlock):
-    """The HEX-70 and its calibration (null: read from the DAQ's registers)."""
+    """The force sensor and its calibration (null: the device tells). `kind` names a driver (docs/sensors.md), `options` is for it alone."""
 
+    kind: str = Field(default=HEX_70, min_length=1)
+    """Name of the driver."""
     port: str = Field(default="/dev/palpd-hex", min_length=1)
     """Terminal device of the DAQ."""
     rate_Hz: StrictFloat = Field(default=1000.0, gt=0, le=1000)
@@ -83,9 +94,19 @@ class SensorConfig(StrictBlock):
     """Slope of Fz when it is pulled; null: read from the DAQ."""
     rotation_about_flange_z_rad: StrictFloat = Field(default=0.0, ge=-6.3, le=6.3)
     """How far the sensor is turned about the flange's z axis."""
+    capacity_N: StrictFloat = Field(default=HEX_70_CAPACITY_N, gt=0, le=10_000)
+    """Largest force of the sensor: the guard stops before it."""
+    options: dict[str, Option] = Field(default_factory=dict)
+    """What only the driver of this `kind` knows."""
 
     @model_validator(mode="after")
     def _as_the_daq_can(self) -> Self:
+        if self.kind != HEX_70:
+            if self.fz_slopes != "pressed" or self.fz_pulled_counts_per_N is not None:
+                raise ValueError(f"fz_slopes and fz_pulled_counts_per_N are for a {HEX_70}, but kind is {self.kind}; leave them out")
+            return self
+        if self.capacity_N > HEX_70_CAPACITY_N:
+            raise ValueError(f"capacity_N is {self.capacity_N:g}, but a {HEX_70} bears {HEX_70_CAPACITY_N:g} N; leave it out")
         if self.filter_cutoff_Hz is not None and self.filter_cutoff_Hz not in FILTERS_HZ:
             raise ValueError(f"filter_cutoff_Hz is {self.filter_cutoff_Hz:g}, but the DAQ knows {FILTERS_HZ} and null (none) only")
         if abs(1000 / self.rate_Hz - round(1000 / self.rate_Hz)) > 1e-9 or not 1 <= 1000 / self.rate_Hz <= 255:

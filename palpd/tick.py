@@ -4,9 +4,10 @@ SI units. Times `t_s` are seconds on the host's monotonic clock. A wrench is (fx
 environment does to the probe. `z` is up; pressing gives fz > 0 in base axes and raw Fz < 0 in the sensor's own axes.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -338,6 +339,18 @@ class Robot(Protocol):
         ...
 
 
+class StateReader(Protocol):
+    """A source of robot states that commands nothing: the dry run, and `palpd doctor`."""
+
+    def read(self) -> RobotState:
+        """Return the newest state without waiting."""
+        ...
+
+    def close(self) -> None:
+        """Release the connection. Never raises."""
+        ...
+
+
 class ForceSensor(Protocol):
     """What the loop needs of a force sensor."""
 
@@ -348,6 +361,145 @@ class ForceSensor(Protocol):
     def close(self) -> None:
         """Release the port. Never raises."""
         ...
+
+
+class SensorDriver(ForceSensor, Protocol):
+    """An opened force sensor, with what a recording and `palpd doctor` say of it (docs/sensors.md)."""
+
+    @property
+    def serial_number(self) -> str:
+        """Serial number, empty where the device tells none."""
+        ...
+
+    @property
+    def counts_per_N(self) -> Floats:
+        """Counts per N (3,) that convert the readings."""
+        ...
+
+    @property
+    def counts_per_Nm(self) -> Floats:
+        """Counts per Nm (3,) that convert the readings."""
+        ...
+
+    @property
+    def calibration_source(self) -> str:
+        """Where these counts come from, such as "registers"."""
+        ...
+
+    @property
+    def pulled_over_pressed(self) -> float | None:
+        """Ratio of the two slopes of Fz; None where the sensor has one."""
+        ...
+
+    @property
+    def delay_s(self) -> float:
+        """How much later than a force the readings show it."""
+        ...
+
+    @property
+    def counter_step(self) -> int:
+        """By how much `SensorFrames.counter` grows from one frame to the next."""
+        ...
+
+
+Option = str | int | float | bool
+"""A value under `options` of a device, for what only its own driver knows."""
+
+
+class SensorSettings(Protocol):
+    """The block `sensor` of config.yaml, as a driver sees it."""
+
+    @property
+    def port(self) -> str:
+        """Path or address of the device."""
+        ...
+
+    @property
+    def rate_Hz(self) -> float:
+        """Frames a second."""
+        ...
+
+    @property
+    def filter_cutoff_Hz(self) -> float | None:
+        """Cutoff of the device's low-pass, None for none."""
+        ...
+
+    @property
+    def counts_per_N(self) -> tuple[float, float, float] | None:
+        """Of the calibration sheet; None: the device tells."""
+        ...
+
+    @property
+    def counts_per_Nm(self) -> tuple[float, float, float] | None:
+        """Of the calibration sheet; None: the device tells."""
+        ...
+
+    @property
+    def fz_slopes(self) -> Literal["pressed", "pulled", "both"]:
+        """Which slope of Fz counts, of a sensor with two."""
+        ...
+
+    @property
+    def fz_pulled_counts_per_N(self) -> float | None:
+        """The second slope of the calibration sheet."""
+        ...
+
+    @property
+    def options(self) -> Mapping[str, Option]:
+        """What only this driver knows."""
+        ...
+
+
+SensorKind = Callable[[SensorSettings], SensorDriver]
+"""An entry point of `palpd.sensors`: opens the sensor, or raises SensorError in one sentence."""
+
+
+class RobotSettings(Protocol):
+    """The block `robot` of config.yaml, as a driver sees it."""
+
+    @property
+    def host(self) -> str:
+        """Address of the controller."""
+        ...
+
+    @property
+    def model(self) -> Literal["ur5", "ur5e"]:
+        """Model of a UR."""
+        ...
+
+    @property
+    def rate_Hz(self) -> float:
+        """Rate of the loop and of the states."""
+        ...
+
+    @property
+    def watchdog_Hz(self) -> float:
+        """The controller stops the arm where commands come more rarely than this."""
+        ...
+
+    @property
+    def acceleration_m_per_s2(self) -> float:
+        """Acceleration of the tip."""
+        ...
+
+    @property
+    def tcp(self) -> tuple[float, ...] | None:
+        """Pose (6,) of the tip on the flange, m and rad; None: as set on the robot."""
+        ...
+
+    @property
+    def options(self) -> Mapping[str, Option]:
+        """What only this driver knows."""
+        ...
+
+
+class RobotKind(NamedTuple):
+    """An entry point of `palpd.robots`. Both functions raise RobotError in one sentence; `open_reader` must not be able to move the arm."""
+
+    open: Callable[[RobotSettings], Robot]
+    open_reader: Callable[[RobotSettings], StateReader]
+    require: Callable[[], None] = lambda: None
+    """Refuses a computer on which the driver cannot work."""
 
 
 ROW = np.dtype(

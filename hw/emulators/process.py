@@ -25,7 +25,7 @@ from hw.emulators.hex_pty import PartsAt
 from hw.emulators.rig import SAMPLE_S, Rig
 from hw.emulators.verbs import VERBS, obey
 from palpd.cell.cell_file import PHANTOM, load_cell
-from palpd.cell.effects import EFFECTS, load_effects
+from palpd.cell.effects import load_effects
 from palpd.cell.effects.learned import held_sentence
 from palpd.errors import PalpdError
 
@@ -139,7 +139,7 @@ def emulate(
         PalpdError: the cell file is wrong, or a port is taken.
     """
     parent = os.getppid() if end_with_parent else None
-    library = load_effects(effects) if effects is not None else EFFECTS
+    library = load_effects(effects)
     cell_file = load_cell(cell, library) if cell is not None else PHANTOM
     try:
         rig = Rig(

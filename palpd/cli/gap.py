@@ -22,6 +22,7 @@ from palpd.cli.options import (
     clear_latch,
     display,
     finish,
+    say_broken_effects,
     terminal,
 )
 from palpd.errors import BadInput, RecordingError
@@ -52,6 +53,7 @@ def diagnose(
 
     check_writable(json_file, cell_out, report)
     _refuse_foreign(recordings)
+    say_broken_effects()
     if len(recordings) == 1 and recordings[0].is_dir():
         _refuse_for_a_folder(recordings[0], {"--cell": cell, "--site": site, "--cell-out": cell_out, "--report": report})
         _diagnose_fleet(recordings[0], jobs, scheduler, effects, adopted_folder(adopted), json_file)
@@ -144,6 +146,7 @@ def resolve(
     from palpd.daemon.wiring import devices
     from palpd.gap.commands import adopted_sentence, library
 
+    say_broken_effects()
     settings = load_config(config)
     first_plan = load_plan(plan) if plan else loop.STANDARD
     check_writable(json_file)
@@ -186,6 +189,7 @@ def simulate(
     """What a cell, enriched or nominal, gives on any motion."""
     from palpd.gap.commands import simulate_file
 
+    say_broken_effects()
     check_writable(csv, overwrite=False)
     samples = simulate_file(
         motion,
@@ -250,6 +254,7 @@ def effects_(
     if remove is not None:
         terminal().print(f"{remove} is removed ({adoption.remove(remove, folder)}).", highlight=False, soft_wrap=True)
         return
+    say_broken_effects()
     known = library(effects, adopted=folder if adopted else None)
     laws = adoption.load_adopted(folder) if adopted else {}
     compared = effects_named(names, known) if names else user_effects(library(effects))

@@ -53,7 +53,8 @@ DEFAULT_PLAN = Path("plan.yaml")
 
 __all__ = [
     "DEFAULT_CONFIG", "DEFAULT_PLAN", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "JsonOption", "PlanOption",
-    "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept", "clear_latch", "display", "finish", "terminal",
+    "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept", "clear_latch", "display", "finish", "say_broken_effects",
+    "terminal",
 ]  # fmt: skip
 
 
@@ -85,6 +86,14 @@ def finish(exit_code: int, reason: str) -> None:
     if exit_code:
         print(f"palpd: {reason}", file=sys.stderr)
         raise typer.Exit(exit_code)
+
+
+def say_broken_effects() -> None:
+    """Say on stderr which installed effects are left out, and why."""
+    from palpd.cell.effects import installed_effects
+
+    for sentence in installed_effects()[1]:
+        print(f"palpd: {sentence}", file=sys.stderr)
 
 
 def adopted_folder(adopted: bool) -> Path | None:

@@ -184,6 +184,7 @@ def sim(
 ) -> None:
     """Carry out a plan on the cell's physics, without wires and faster than real time."""
     from palpd.cell.cell_file import PHANTOM, load_cell
+    from palpd.cell.effects import load_effects
     from palpd.cli.printing import print_run
     from palpd.config import load_config, load_plan, refuse_unsafe
     from palpd.daemon.motion_process import Job
@@ -193,7 +194,9 @@ def sim(
     settings, steps = load_config(config), load_plan(plan)
     refuse_unsafe(settings, steps)
     check_writable(json_file)
-    result = simulated_result(simulate(Job("palpation", settings, steps), load_cell(cell) if cell else PHANTOM, seed=seed))
+    library = load_effects()
+    pressed = load_cell(cell, library) if cell else PHANTOM
+    result = simulated_result(simulate(Job("palpation", settings, steps), pressed, seed=seed, library=library))
     print_run(result)
     write_json(json_file, result)
     finish(0 if result["verdict"] == "done" else 3, result["reason"])

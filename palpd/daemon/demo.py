@@ -1,7 +1,7 @@
 """`palpd demo`: the whole job with the real daemon on emulated wires, in a folder of its own."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ import numpy as np
 
 from palpd.analysis.young import modulus_peak_Pa
 from palpd.cell.cell_file import PHANTOM, CellFile, load_cell, save_cell
-from palpd.cell.effects import EFFECTS, Effect, load_effects, user_effects
+from palpd.cell.effects import load_effects
 from palpd.cell.effects.learned import LearnedEffect
 from palpd.cell.simulation import equilibrium_force_N, scale_of
 from palpd.compensation.model_card import ModelCard
@@ -171,7 +171,7 @@ def _on_wires(cell: CellFile, folder: Path, display: Display, effects: Path | No
 @contextmanager
 def _without_wires(cell: CellFile, folder: Path, display: Display, effects: Path | None) -> Iterator[Record]:
     """Palpate with the cell's physics behind the loop."""
-    library = EFFECTS if effects is None else load_effects(effects)
+    library = load_effects(effects)
     config = Config(safety=_limits(ONE_SITE), paths=PathsConfig(runs=folder, state=folder / "state"), cell=_nominal_of(cell))
 
     def record(plan: Plan, name: str) -> tuple[RunResult, Samples | None]:
@@ -198,13 +198,13 @@ def _effects_of(effect: str, nominal: CellFile) -> dict[str, dict[str, float]]:
         return {}
     if Path(effect).suffix in (".yaml", ".yml"):
         return {name: dict(values) for name, values in load_cell(effect).effects.items()}
-    known: Mapping[str, Effect] = EFFECTS
+    known = load_effects()
     if Path(effect).suffix == ".py":
-        known = load_effects(effect)
-        effect = user_effects(known)[0].id
+        installed, known = known, load_effects(effect)
+        effect = next(name for name, each in known.items() if installed.get(name) is not each)
     if effect not in known:
         raise BadInput(
-            f"{effect} is no effect of the library; known: none, {', '.join(EFFECTS)}, or a cell file, a file of laws or a Python file"
+            f"{effect} is no effect of the library; known: none, {', '.join(known)}, or a cell file, a file of laws or a Python file"
         )
     t_s = np.linspace(0.0, 60.0, 601)
     z_m = 0.01 - 0.018 * np.abs(np.sin(0.3 * t_s))  # the typical size of an effect depends on the motion: take one like the plan's

@@ -178,6 +178,7 @@ def limits_of(config: Config, muted: bool = False) -> Limits:
         max_missed_ticks=max(1, round(safety.max_stall_s * config.robot.rate_Hz)),
         min_z_m=safety.min_z_m,
         workspace_m=safety.workspace_m,
+        overload_N=config.sensor.capacity_N,
         needs_program=not muted,
     )
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import TypedDict
 
-from palpd.config import FZ_CAPACITY_N, Config, Plan, filter_delay_s
+from palpd.config import Config, Plan, filter_delay_s
 from palpd.errors import ConfigError
 
 LINK_S = 0.001
@@ -101,11 +101,11 @@ def refuse_overload(config: Config, plan: Plan) -> None:
     speed = max(plan.press_speed_m_per_s, plan.search.speed_m_per_s)
     stiffness = config.safety.expected_stiffness_N_per_m
     peak_N = config.safety.contact_limit_N + overshoot_N(config, speed, stiffness)
-    if peak_N >= FZ_CAPACITY_N:
+    if peak_N >= config.sensor.capacity_N:
         raise ConfigError(
             f"contact_limit_N of {config.safety.contact_limit_N:g} N and an overshoot of "
             f"{peak_N - config.safety.contact_limit_N:.0f} N at {speed:g} m/s on {stiffness:g} N/m reach {peak_N:.0f} N, "
-            f"beyond the sensor's {FZ_CAPACITY_N:g} N; press slower or lower the limit"
+            f"beyond the sensor's {config.sensor.capacity_N:g} N; press slower or lower the limit"
         )
 
 

@@ -1,20 +1,26 @@
-"""The devices behind the loop: the real drivers, muted or not, and the emulators. Only this module and the CLI import hw."""
+"""The devices behind the loop: the drivers that the configuration names, and the emulators. Only this module and the CLI know hw."""
 
 import time
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
-from hw.hex_sensor import HexSensor
 from hw.muted import MutedRobot
-from hw.rtde import UrReader, UrRobot, require_library
 from palpd.config import Config
 from palpd.daemon.motion_process import Devices
+from palpd.errors import ConfigError
+from palpd.files import nearest
+from palpd.plugins import Plugin, plugins
 from palpd.recording.mcap_file import RunAbout
+from palpd.tick import Robot, RobotKind, SensorDriver, SensorKind, StateReader
 
 if TYPE_CHECKING:
     from hw.emulators.process import Emulated
 
+SENSORS = {"hex-70": "hw.hex_sensor:open_hex_70"}
+ROBOTS = {"ur-rtde": "hw.rtde:UR_RTDE"}
+"""Our own drivers, as pyproject.toml registers them."""
 ARRIVAL_MARGIN_S = 0.001
 """The grid of ticks begins this long after a robot state arrives, so that every tick finds a fresh one."""
 
@@ -30,12 +36,14 @@ def devices(config: Config, muted: bool) -> Devices:
         The opened devices.
 
     Raises:
+        BadInput: There is no driver of that name, or it cannot be used.
         DeviceError: A device is absent, busy, or not what was configured.
     """
-    require_library()
+    kind = robot_kind(config)
+    kind.require()
     sensor = open_sensor(config)
     try:
-        robot = open_reader(config) if muted else _robot(config)
+        robot: Robot = MutedRobot(kind.open_reader(config.robot)) if muted else kind.open(config.robot)
     except BaseException:
         sensor.close()
         raise
@@ -56,38 +64,47 @@ def devices(config: Config, muted: bool) -> Devices:
         "delay_s": sensor.delay_s,
         "epoch_offset_s": time.time() - time.monotonic(),
     }
-    return Devices(MutedRobot(robot) if isinstance(robot, UrReader) else robot, sensor, first_tick_s, about)
+    return Devices(robot, sensor, first_tick_s, about)
 
 
-def open_reader(config: Config) -> UrReader:
-    """The robot of a configuration, read only. Raises RobotError."""
-    return UrReader(config.robot.host, model=config.robot.model, rate_Hz=config.robot.rate_Hz)
+def open_reader(config: Config) -> StateReader:
+    """The robot of a configuration, read only. Raises BadInput or RobotError."""
+    kind = robot_kind(config)
+    kind.require()
+    return kind.open_reader(config.robot)
 
 
-def _robot(config: Config) -> UrRobot:
-    robot = config.robot
-    return UrRobot(
-        robot.host,
-        model=robot.model,
-        rate_Hz=robot.rate_Hz,
-        watchdog_Hz=robot.watchdog_Hz,
-        acceleration_m_per_s2=robot.acceleration_m_per_s2,
-        tcp=robot.tcp,
-    )
+def open_sensor(config: Config) -> SensorDriver:
+    """The force sensor of a configuration. Raises BadInput or SensorError."""
+    return sensor_kind(config)(config.sensor)
 
 
-def open_sensor(config: Config) -> HexSensor:
-    """The force sensor of a configuration. Raises SensorError."""
-    sensor = config.sensor
-    return HexSensor(
-        sensor.port,
-        rate_Hz=sensor.rate_Hz,
-        filter_cutoff_Hz=sensor.filter_cutoff_Hz,
-        counts_per_N=sensor.counts_per_N,
-        counts_per_Nm=sensor.counts_per_Nm,
-        fz_slopes=sensor.fz_slopes,
-        fz_pulled_counts_per_N=sensor.fz_pulled_counts_per_N,
-    )
+def sensor_kind(config: Config) -> SensorKind:
+    """What opens the sensors of `sensor.kind`. Raises BadInput where no package brings it, or it cannot be used."""
+    plugin = _named("sensor.kind", config.sensor.kind, "palpd.sensors", SENSORS)
+    opens = plugin.load()
+    if not callable(opens):
+        raise ConfigError(plugin.failure("it cannot be called, expected a function that opens a sensor"))
+    return cast(SensorKind, opens)
+
+
+def robot_kind(config: Config) -> RobotKind:
+    """What opens the robots of `robot.kind`. Raises BadInput where no package brings it, or it cannot be used."""
+    plugin = _named("robot.kind", config.robot.kind, "palpd.robots", ROBOTS)
+    kind: Any = plugin.load()
+    if not isinstance(kind, RobotKind):
+        raise ConfigError(plugin.failure(f"it is a {type(kind).__name__}, expected a palpd.tick.RobotKind"))
+    return kind
+
+
+def _named(key: str, name: str, group: str, ours: Mapping[str, str]) -> Plugin:
+    if name in ours:
+        return Plugin(group, name, ours[name])
+    known = plugins(group, ours)
+    if name not in known:
+        near = nearest(name, list(known))
+        raise ConfigError(f"{key} is {name!r}{near}; known are {', '.join(sorted(known))}; install the package that brings another")
+    return known[name]
 
 
 def emulated(folder: Path, model: str, cell: Path, host: str, effects: Path | None = None) -> "AbstractContextManager[Emulated]":

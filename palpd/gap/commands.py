@@ -35,7 +35,7 @@ def library(effects: Path | None, without: Sequence[str] = (), adopted: Path | N
     Raises:
         BadInput: An effect to leave out does not exist.
     """
-    known: dict[str, Effect] = EFFECTS if effects is None else load_effects(effects)
+    known = load_effects(effects)
     if adopted is not None:
         known = known | {name: law.effect() for name, law in load_adopted(adopted).items() if name not in known}
     if unknown := [name for name in without if name not in known]:

@@ -1,12 +1,12 @@
 """Which reader reads a file."""
 
 from functools import cache
-from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
-from palpd.errors import RecordingError
+from palpd.errors import BadInput, RecordingError
 from palpd.interchange.channels import FileReader, refuse_empty
+from palpd.plugins import Plugin, loaded, plugins
 from palpd.recording.reader import holds_ticks
 
 GROUP = "palpd.readers"
@@ -22,15 +22,21 @@ LAST = "table"
 """The reader that is asked last: any text could be a table."""
 
 
-@cache
 def readers() -> dict[str, FileReader]:
-    """All readers by the names of their entry points; a package may replace one of ours."""
-    places = OURS | {point.name: point.value for point in entry_points(group=GROUP)}
-    loaded: dict[str, FileReader] = {}
-    for name, place in sorted(places.items(), key=lambda each: (each[0] == LAST, each[0])):
-        module, _, attribute = place.partition(":")
-        loaded[name] = getattr(import_module(module), attribute)
-    return loaded
+    """All readers by the names of their entry points, without those that cannot be used."""
+    return _readers()[0]
+
+
+@cache
+def _readers() -> tuple[dict[str, FileReader], tuple[str, ...]]:
+    registered = plugins(GROUP, OURS)
+    return loaded(sorted(registered.values(), key=lambda each: (each.name == LAST, each.name)), _checked)
+
+
+def _checked(plugin: Plugin, reader: Any) -> Any:
+    if missing := [name for name in ("name", "reads", "channels", "columns") if not hasattr(reader, name)]:
+        raise BadInput(plugin.failure(f"it has no {missing[0]}, expected a palpd.interchange.channels.FileReader"))
+    return reader
 
 
 def reader_of(path: Path) -> FileReader:
@@ -51,10 +57,12 @@ def reader_of(path: Path) -> FileReader:
         what = getattr(failure, "strerror", None) or failure
         raise RecordingError(f"{path} cannot be read ({what}); give the path of a file that exists") from failure
     refuse_empty(path)
-    for reader in readers().values():
+    known, failures = _readers()
+    for reader in known.values():
         if reader.reads(path):
             return reader
     if holds_ticks(path):
         raise RecordingError(f"{path.name} is a recording of palpd, or a damaged bag; palpd diagnose and palpd export read recordings")
-    kinds = ", ".join(reader.name for reader in readers().values())
-    raise RecordingError(f"{path.name} is {'a folder' if path.is_dir() else 'no text'} and no file of a known kind; known are {kinds}")
+    kinds = ", ".join(reader.name for reader in known.values())
+    what = "a folder" if path.is_dir() else "no text"
+    raise RecordingError("; ".join((f"{path.name} is {what} and no file of a known kind; known are {kinds}", *failures)))

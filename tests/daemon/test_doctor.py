@@ -25,7 +25,7 @@ FREE = np.array([1.0, -2.0, 30.0, 0.0, 0.0, 0.0])
 class ScriptedSensor:
     """Gives one frame a look, of the wrench it is set to."""
 
-    serial_number, calibration_source, pulled_over_pressed = "PRE00042", "registers", None
+    serial_number, calibration_source, pulled_over_pressed, counter_step = "PRE00042", "registers", None, 1
 
     def __init__(self) -> None:
         self.wrench, self.count, self.rng = FREE.copy(), 0, np.random.default_rng(1)

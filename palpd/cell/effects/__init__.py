@@ -10,6 +10,7 @@ from typing import Any
 
 from palpd.cell.effects import motion, probe, sensor, tissue
 from palpd.cell.effects.effect import SITES, DiscrepancyDriver, Effect, Parameter, Scale, Site, Values, of
+from palpd.cell.effects.installed import installed_effects
 from palpd.cell.effects.learned import load_learned, save_learned
 from palpd.errors import ConfigError
 from palpd.files import opened
@@ -20,18 +21,21 @@ MOST_BYTES = 1_000_000
 """Largest file of effects; one effect takes some 2 kB of Python."""
 
 
-def load_effects(path: str | Path) -> dict[str, Effect]:
-    """The library and the effects that a user's file lists; one with the id of a library effect replaces it.
+def load_effects(path: str | Path | None = None) -> dict[str, Effect]:
+    """The library, the effects of installed packages, and those that a user's file lists; one there with an id of these replaces it.
 
     A Python file lists them as EFFECTS, a YAML file holds learned effects.
 
     Raises:
         ConfigError: The file fails, or it lists no effects.
     """
+    known = EFFECTS | installed_effects()[0]
+    if path is None:
+        return known
     with opened(Path(path), most_bytes=MOST_BYTES, error=ConfigError):
         pass  # a pipe would be waited for, and a device read for ever
     if Path(path).suffix in (".yaml", ".yml"):
-        return EFFECTS | {learned.id: learned.effect() for learned in load_learned(path)}
+        return known | {learned.id: learned.effect() for learned in load_learned(path)}
     try:
         names: dict[str, Any] = runpy.run_path(str(path))
     except (Exception, SystemExit) as error:  # a user's file may fail in any way
@@ -40,11 +44,11 @@ def load_effects(path: str | Path) -> dict[str, Effect]:
     listed = list(given.values() if isinstance(given, Mapping) else given) if isinstance(given, Iterable) else []
     if not listed or not all(isinstance(effect, Effect) for effect in listed):
         raise ConfigError(f"{path} defines no EFFECTS; expected a list of palpd.cell.effects.Effect of that name")
-    return EFFECTS | {effect.id: effect for effect in listed}
+    return known | {effect.id: effect for effect in listed}
 
 
 def user_effects(library: Mapping[str, Effect]) -> list[Effect]:
-    """The effects of a library that a user has added or replaced."""
+    """The effects of a library that a user or an installed package has added or replaced."""
     return [effect for name, effect in library.items() if EFFECTS.get(name) is not effect]
 
 
@@ -57,6 +61,7 @@ __all__ = [
     "Scale",
     "Site",
     "Values",
+    "installed_effects",
     "load_effects",
     "of",
     "save_learned",

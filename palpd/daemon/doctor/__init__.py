@@ -7,14 +7,15 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Any, TypedDict
 
-from palpd.config import Config
-from palpd.daemon.doctor.devices import IdentifiedSensor, judge_robot, judge_sensor, observed
+from palpd.config import HEX_70, Config
+from palpd.daemon.doctor.devices import judge_robot, judge_sensor, observed
 from palpd.daemon.doctor.finding import Finding, Judgement
 from palpd.daemon.doctor.machine import examine_machine, is_there, port
 from palpd.daemon.doctor.stored import examine_stored
 from palpd.daemon.doctor.weight import AskOperator, check_weight
 from palpd.daemon.realtime import DEVICE_PRIORITY, fifo
 from palpd.errors import PalpdError
+from palpd.tick import SensorDriver
 
 RTDE_PORT = 30004
 """The controller's port of RTDE: a controller that accepts a connection there is switched on."""
@@ -24,7 +25,7 @@ PATIENCE_S = 1.0
 
 def examined(
     config: Config,
-    open_sensor: Callable[[Config], IdentifiedSensor],
+    open_sensor: Callable[[Config], SensorDriver],
     open_robot: Callable[[Config], Any],
     watch_s: float,
     weight_N: float | None,
@@ -43,9 +44,12 @@ def examined(
     Returns:
         All findings, in the order in which they were made.
     """
-    findings = [*examine_machine(config), *examine_stored(config), *port(config.sensor.port)]
+    is_path = config.sensor.port.startswith("/") or config.sensor.kind == HEX_70  # an address says itself that it is silent
+    findings = [*examine_machine(config), *examine_stored(config), *(port(config.sensor.port) if is_path else [])]
     with ExitStack() as opened:
-        sensor, about_sensor = _opened(opened, "sensor.port", config, open_sensor, is_there(config.sensor.port), config.sensor.port)
+        sensor, about_sensor = _opened(
+            opened, "sensor.port", config, open_sensor, not is_path or is_there(config.sensor.port), config.sensor.port
+        )
         robot, about_robot = _opened(opened, "robot.host", config, open_robot, _answers(config.robot.host), config.robot.host)
         record = observed(sensor, robot, watch_s)
         findings += [about_sensor, *judge_sensor(record, config, sensor)] if sensor else [about_sensor]

@@ -3,7 +3,7 @@
 import os
 import time
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -15,19 +15,11 @@ from palpd.daemon.motion_process import drain
 from palpd.daemon.realtime import LOOP_PRIORITY, fifo
 from palpd.daemon.stored_state import State
 from palpd.errors import PalpdError
-from palpd.tick import Floats, ForceSensor, Robot, RobotMode, RobotState, SafetyMode
+from palpd.tick import Floats, ForceSensor, RobotMode, RobotState, SafetyMode, SensorDriver, StateReader
 
 READ_EVERY_S = 0.0005
 """Pause between two readings: half the period of the sensor."""
 AXES = ("Fx", "Fy", "Fz")
-
-
-class IdentifiedSensor(ForceSensor, Protocol):
-    """A force sensor that knows its serial number, the source of its calibration, and the ratio of its slopes of Fz where it has two."""
-
-    serial_number: str
-    calibration_source: Any
-    pulled_over_pressed: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +40,7 @@ class DeviceRecord:
     last: RobotState | None
 
 
-def observed(sensor: ForceSensor | None, robot: Robot | None, duration_s: float) -> DeviceRecord:
+def observed(sensor: ForceSensor | None, robot: StateReader | None, duration_s: float) -> DeviceRecord:
     """Read both devices twice a millisecond at the loop's priority. Without devices it returns at once.
 
     Args:
@@ -96,7 +88,7 @@ def observed(sensor: ForceSensor | None, robot: Robot | None, duration_s: float)
     )
 
 
-def judge_sensor(record: DeviceRecord, config: Config, sensor: IdentifiedSensor) -> list[Finding]:
+def judge_sensor(record: DeviceRecord, config: Config, sensor: SensorDriver) -> list[Finding]:
     """Judge frames, noise, drift, and whether the probe is as free as at the reference tare.
 
     Args:
@@ -107,7 +99,7 @@ def judge_sensor(record: DeviceRecord, config: Config, sensor: IdentifiedSensor)
     Returns:
         One finding each.
     """
-    expected_Hz, step = config.sensor.rate_Hz, round(1000 / config.sensor.rate_Hz)
+    expected_Hz, step = config.sensor.rate_Hz, sensor.counter_step
     lost = int((record.counter_steps // step - 1).clip(min=0).sum())
     rate_Hz = len(record.wrench) / record.duration_s
     figures: dict[str, object] = {
@@ -170,7 +162,7 @@ def _drift(record: DeviceRecord) -> Finding:
     return Finding("sensor drift", "ok", measured, "", figures)
 
 
-def _free(record: DeviceRecord, config: Config, sensor: IdentifiedSensor) -> list[Finding]:
+def _free(record: DeviceRecord, config: Config, sensor: SensorDriver) -> list[Finding]:
     try:
         calibration = State(config.paths.state).calibration()
     except PalpdError:
