@@ -23,6 +23,7 @@ def main() -> int:
     parser.add_argument("--no-realtime", action="store_true", help="do not ask for SCHED_FIFO")
     parser.add_argument("--end-with-parent", action="store_true", help="end when the process that started this one is gone")
     parser.add_argument("--effects", type=Path, help="a Python file of a user's effects that the cell file may name")
+    parser.add_argument("--net-ft-port", type=int, help="an ATI Net F/T in place of the HEX-70, with its page on this port")
     options = parser.parse_args()
     try:
         emulate(
@@ -37,6 +38,7 @@ def main() -> int:
             end_with_parent=options.end_with_parent,
             effects=options.effects,
             fz_parts_at=options.fz_parts_at,
+            net_ft_port=options.net_ft_port,
         )
     except PalpdError as error:
         print(error, file=sys.stderr)

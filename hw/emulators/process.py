@@ -119,6 +119,7 @@ def emulate(
     end_with_parent: bool = False,
     effects: Path | None = None,
     fz_parts_at: PartsAt = "reading",
+    net_ft_port: int | None = None,
 ) -> None:
     """Emulate a controller and a sensor until SIGTERM or SIGINT; print `robot HOST` and `sensor DEVICE` when ready.
 
@@ -134,6 +135,7 @@ def emulate(
         end_with_parent: also end, within a second, when the parent process is gone.
         effects: Python file of a user's effects, or a file of learned ones, which the cell file may name.
         fz_parts_at: where the sensor's slopes for pressing and pulling part.
+        net_ft_port: port of the page of a Net F/T in place of the HEX-70; None for none.
 
     Raises:
         PalpdError: the cell file is wrong, or a port is taken.
@@ -145,10 +147,11 @@ def emulate(
         rig = Rig(
             MODELS[model], cell_file, host, sensor_link,
             seed=seed, mount_rotation_rad=mount_rotation_rad, fz_parts_at=fz_parts_at, library=library,
+            net_ft_port=net_ft_port,
         )  # fmt: skip
     except OSError as error:
         raise PalpdError(
-            f"the emulators cannot listen on {host}, ports 29999, 30003 and 30004 ({error.strerror}); "
+            f"the emulators cannot listen on {host}, ports 29999, 30003, 30004 and those of a Net F/T ({error.strerror}); "
             "end what uses them or choose another --host."
         ) from None
     stopping: list[int] = []
@@ -162,7 +165,7 @@ def emulate(
         if realtime:
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-        print(f"robot {host}\nsensor {rig.line.path}", flush=True)
+        print(f"robot {host}\nsensor {rig.box.address if rig.box is not None else rig.line.path}", flush=True)
         _run(rig, channel, stopping, parent)
         for name, share in rig.cell.shares_held().items():
             if share > 0.0:

@@ -13,6 +13,7 @@ import numpy as np
 
 from hw.emulators.controller import Controller, ControllerCycle, ControllerModel, TruthSample
 from hw.emulators.hex_pty import Daq, PartsAt, TerminalLine
+from hw.emulators.net_ft import NetBox
 from hw.emulators.pose import Floats, rotation
 from hw.emulators.ur import UrWires, Values, outputs, status_bits
 from palpd.cell.cell_file import CellFile
@@ -42,6 +43,7 @@ class Rig:
         mount_rotation_rad: float = 0.0,
         fz_parts_at: PartsAt = "reading",
         library: Library = EFFECTS,
+        net_ft_port: int | None = None,
     ) -> None:
         self.cell_file, self.model, self._library = cell_file, model, library
         self.cell = SteppedCell(cell_file, seed=seed, step_s=SAMPLE_S, library=library)
@@ -56,11 +58,13 @@ class Rig:
         self.network = selectors.DefaultSelector()
         self.wires = UrWires(self.controller, self.network, host)
         self.daq, self.line = Daq(fz_parts_at=fz_parts_at), TerminalLine(link)
+        self.box = NetBox(host, net_ft_port, self.network) if net_ft_port is not None else None
+        """A Net F/T in place of the HEX-70, which then hangs on its line all the same; its page is on this port."""
         self._mount = rotation([0.0, 0.0, mount_rotation_rad])
         self._orientation = start[3:].copy()
         self._turn(start[3:])
         self._filter = self.daq.filter_code
-        self.cell.set_filter(self.daq.cutoff_Hz)
+        self.cell.set_filter(self.box.cutoff_Hz if self.box is not None else self.daq.cutoff_Hz)
         self._fractions = np.arange(1, self.steps + 1) / self.steps
         self._ticks = 0
         self._booted_s: float | None = None
@@ -119,6 +123,8 @@ class Rig:
     def skip(self, samples: int) -> None:
         """Advance the devices' clocks over milliseconds in which the process stood still."""
         self.daq.counter = (self.daq.counter + samples) % 65536
+        if self.box is not None:
+            self.box.skip(samples)
 
     def _sense(self, planned_s: float, now_s: float) -> None:
         self.daq.take(self.line.receive())
@@ -127,6 +133,8 @@ class Rig:
             packet, self.daq.answers = self.daq.answers + packet, b""
         self.sent.append((now_s, self.daq.counter))
         self.line.send(packet)
+        if self.box is not None:
+            self.box.sample(self._sensed[self._ticks % self.steps], planned_s)
 
     def _cycle(self, planned_s: float, now_s: float, late: bool) -> None:
         if self._booted_s is None:
@@ -135,7 +143,7 @@ class Rig:
         self._log(planned_s)
         cycle = self.controller.cycle(planned_s)
         self._publish(planned_s, now_s, reported, cycle, late)
-        if self.daq.filter_code != self._filter:
+        if self.box is None and self.daq.filter_code != self._filter:
             self._filter = self.daq.filter_code
             self.cell.set_filter(self.daq.cutoff_Hz)
         self._advance(cycle)
@@ -163,7 +171,8 @@ class Rig:
             self._turn(pose[3:])
         wrench = self._block.wrench.copy()
         wrench[:, 2] -= self.cell_file.probe.mass_kg * GRAVITY_M_PER_S2
-        self._counts = self.daq.measure(np.concatenate([wrench[:, :3] @ self._to_sensor.T, wrench[:, 3:] @ self._to_sensor.T], axis=1))
+        self._sensed = np.concatenate([wrench[:, :3] @ self._to_sensor.T, wrench[:, 3:] @ self._to_sensor.T], axis=1)
+        self._counts = self.daq.measure(self._sensed)
         self.peak_contact_N = max(self.peak_contact_N, float(self._block.contact_N.max()))
 
     def _turn(self, orientation: Floats) -> None:
@@ -295,6 +304,8 @@ class Rig:
         """Close every wire."""
         for server in self.wires.servers():
             server.close()
+        if self.box is not None:
+            self.box.close()
         self.network.close()
         self.line.unplug()
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hw.emulators.hex_pty import Daq, Faults
+from hw.emulators.net_ft import BoxFaults
 from hw.emulators.rig import SAMPLE_S, Rig
 
 VerbAnswer = dict[str, Any]
@@ -54,6 +55,8 @@ def _stats(lateness_s: Sequence[float], now_s: float, s: float = 60.0, ago_s: fl
 
 def _silent(rig: Rig, now_s: float, s: float) -> None:
     rig.daq.faults.silent_until_s = now_s + s
+    if rig.box is not None:
+        rig.box.faults.silent_until_s = now_s + s
 
 
 def _slow(rig: Rig, now_s: float, every: int, s: float) -> None:
@@ -89,7 +92,15 @@ def _counter_jump(rig: Rig, _now_s: float, by: int) -> None:
 
 
 def _status(rig: Rig, now_s: float, word: int, s: float) -> None:
-    rig.daq.faults.status, rig.daq.faults.status_until_s = int(word), now_s + s
+    rig.daq.faults.status, rig.daq.faults.status_until_s = int(word) & 0xFFFF, now_s + s
+    if rig.box is not None:
+        rig.box.faults.status, rig.box.faults.status_until_s = int(word), now_s + s
+
+
+def _records(rig: Rig, _now_s: float, lost: int = 0, swapped: int = 0, cut: int = 0) -> None:
+    if rig.box is None:
+        raise ValueError("there is no Net F/T, whose records could be lost; emulate one with --net-ft-port")
+    rig.box.faults.lost, rig.box.faults.swapped, rig.box.faults.cut = lost, swapped, cut
 
 
 def _overload(rig: Rig, now_s: float, s: float) -> None:
@@ -201,6 +212,8 @@ def _wire(rig: Rig, _now_s: float, since_s: float) -> VerbAnswer:
 
 def _heal(rig: Rig, _now_s: float) -> None:
     rig.daq.faults = Faults()
+    if rig.box is not None:
+        rig.box.faults = BoxFaults()
 
 
 VERBS: dict[str, Callable[..., VerbAnswer | None]] = {
@@ -214,6 +227,7 @@ VERBS: dict[str, Callable[..., VerbAnswer | None]] = {
     "false_header": _false_header,
     "counter_jump": _counter_jump,
     "status": _status,
+    "records": _records,
     "overload": _overload,
     "drift": _drift,
     "heal": _heal,

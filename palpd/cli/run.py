@@ -216,8 +216,12 @@ def emulate(
         Literal["reading", "load"],
         typer.Option("--fz-parts-at", help="where Fz changes its slope: at its own zero, or where the sensor carries nothing"),
     ] = "reading",
+    net_ft_port: Annotated[
+        int | None,
+        typer.Option("--net-ft-port", min=1, max=65535, help="an ATI Net F/T in place of the HEX-70, with its page on this port"),
+    ] = None,
 ) -> None:
-    """Stand in for a UR controller and a HEX-70 until stopped; prints both addresses when ready."""
+    """Stand in for a UR controller and a force sensor until stopped; prints both addresses when ready."""
     from hw.emulators.process import emulate as stand_in
 
-    stand_in(model, cell, host, sensor_link, control, effects=effects, fz_parts_at=fz_parts_at)
+    stand_in(model, cell, host, sensor_link, control, effects=effects, fz_parts_at=fz_parts_at, net_ft_port=net_ft_port)

@@ -18,7 +18,7 @@ from palpd.tick import Robot, RobotKind, SensorDriver, SensorKind, StateReader
 if TYPE_CHECKING:
     from hw.emulators.process import Emulated
 
-SENSORS = {"hex-70": "hw.hex_sensor:open_hex_70"}
+SENSORS = {"hex-70": "hw.hex_sensor:open_hex_70", "ati-net-ft": "hw.ati_net_ft:open_ati_net_ft"}
 ROBOTS = {"ur-rtde": "hw.rtde:UR_RTDE"}
 """Our own drivers, as pyproject.toml registers them."""
 ARRIVAL_MARGIN_S = 0.001
