@@ -70,7 +70,7 @@ def request(command: int) -> bytes:
     return REQUEST.pack(REQUEST_HEADER, command, 0)
 
 
-class Record(NamedTuple):
+class RdtRecord(NamedTuple):
     """One record of a stream."""
 
     sequence: int
@@ -88,15 +88,15 @@ class RecordParser:
 
     def __init__(self) -> None:
         self.rejected = 0
-        self._last: Record | None = None
+        self._last: RdtRecord | None = None
 
-    def feed(self, datagram: bytes) -> Record | None:
+    def feed(self, datagram: bytes) -> RdtRecord | None:
         """Return the record of a datagram, None where it is none or came too late."""
         if len(datagram) != RECORD.size:
             self.rejected += 1
             return None
         sequence, ft_sequence, status, *counts = RECORD.unpack(datagram)
-        record = Record(sequence, ft_sequence, status, tuple(counts))
+        record = RdtRecord(sequence, ft_sequence, status, tuple(counts))
         if self._last is not None:
             step, ft_step = (sequence - self._last.sequence) & 0xFFFFFFFF, (ft_sequence - self._last.ft_sequence) & 0xFFFFFFFF
             if not 0 < step < 1 << 31:
@@ -150,10 +150,10 @@ class NetFtSensor:
         host, _, port = address.partition(":")
         page = read_page(_fetch(host, port, address), address)
         _refuse_other(page, address, rate_Hz, filter_cutoff_Hz)
-        for name, configured, told in (("N", counts_per_N, page.counts_per_N), ("Nm", counts_per_Nm, page.counts_per_Nm)):
-            if configured is not None and any(abs(each / told - 1) > 0.01 for each in configured):
+        for name, configured, counts in (("N", counts_per_N, page.counts_per_N), ("Nm", counts_per_Nm, page.counts_per_Nm)):
+            if configured is not None and any(abs(each / counts - 1) > 0.01 for each in configured):
                 raise SensorError(
-                    f"configured {configured[0]:.6g} counts per {name} are off the {told:.6g} that the box at {address} has on its page; "
+                    f"configured {configured[0]:.6g} counts per {name} are off the {counts:.6g} that the box at {address} has on its page; "
                     "correct them or leave them out."
                 )
         self.serial_number = page.serial_number
@@ -249,7 +249,7 @@ class NetFtSensor:
             )
         self._rejected = self._parser.rejected
 
-    def _records(self) -> list[Record]:
+    def _records(self) -> list[RdtRecord]:
         """Return all records that are there."""
         if self._socket is None:
             raise SensorError(f"box at {self.address} is closed; open the sensor again.")
