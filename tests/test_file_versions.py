@@ -3,6 +3,7 @@
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
 import pytest
 from mcap.records import Metadata
 
@@ -14,6 +15,7 @@ from palpd.config import Config, load_config, load_plan, parse_config
 from palpd.errors import BadInput, ConfigError, RecordingError
 from palpd.files import read_yaml
 from palpd.migration import MODELS, migration_of, write
+from palpd.recording import cdr, mcap_file
 from palpd.recording.mcap_file import HEADER, Contents, RecordingWriter
 from palpd.recording.reader import Recording, export, recover
 from palpd.recording.samples import COLUMNS, read
@@ -81,6 +83,40 @@ def test_a_recording_without_a_version_has_version_1() -> None:
     contents._keep(Metadata(name=HEADER, metadata={"json": '{"kind": "palpation"}'}))
     contents.refuse_foreign(RECORDING)
     assert contents.header == {"kind": "palpation"}
+
+
+def without_running_zero(path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A recording as the first palpd wrote them: its ticks had no field zero_N."""
+    whole = Recording.load(RECORDING)
+    schema = "\n".join(line for line in cdr.TICK.splitlines() if not line.endswith(" zero_n"))
+    monkeypatch.setitem(mcap_file._SCHEMAS, "palpd_msgs/msg/Tick", schema)
+    monkeypatch.setattr(cdr, "_ONCE", tuple(name for name in cdr._ONCE if name != "zero_N"))
+    cdr.tick_layout.cache_clear()
+    writer = RecordingWriter(path, whole.header)
+    writer.write(whole.rows)
+    writer.close(whole.footer)
+    monkeypatch.undo()
+    cdr.tick_layout.cache_clear()
+    return path
+
+
+def test_a_recording_from_before_the_running_zero_loads_and_recovers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = without_running_zero(tmp_path / "old.mcap", monkeypatch)
+    whole, old = Recording.load(RECORDING), Recording.load(path)
+    assert path.stat().st_size < RECORDING.stat().st_size
+    for name in whole.rows.dtype.names or ():
+        assert name == "zero_N" or np.array_equal(old.rows[name], whole.rows[name], equal_nan=True), name
+    assert not old.rows["zero_N"].any()
+    assert sites(old.rows, old.header) == sites(whole.rows, whole.header)
+    path.rename(tmp_path / "cut.part")
+    assert recover(tmp_path / "cut.part").ticks == len(whole.rows)
+
+
+def test_ticks_that_lack_or_have_another_field_are_refused() -> None:
+    for old, new in (("float64 force_n\n", ""), ("float64 force_n\n", "float32 force_n\n"), ("uint8 phase\n", "uint8 phase\nuint8 more\n")):
+        assert old in cdr.TICK
+        assert cdr.absent_fields(cdr.TICK.replace(old, new)) is None
+    assert cdr.absent_fields(cdr.TICK) == ()
 
 
 @pytest.mark.parametrize("site", ["A", None], ids=["one site", "all sites"])

@@ -82,12 +82,27 @@ PER_FRAME = tuple(name for name in ROW.names or () if ROW[name].shape[:1] == (MA
 _ONCE = tuple(name for name in ROW.names or () if name not in PER_FRAME)
 
 
+LATER = {"zero_N": 0.0}
+"""Fields that ticks did not always have, and what stands for them in recordings from before. A field that ROW gets joins them.
+
+Before `zero_N` there was no running zero, so its share was 0."""
+
+
 @cache
-def tick_layout(frames: int) -> np.dtype[np.void]:
-    """Return the layout of a Tick message with that many sensor frames: the fields held once, then the per-frame fields as sequences."""
+def tick_layout(frames: int, absent: tuple[str, ...] = ()) -> np.dtype[np.void]:
+    """Lay out a Tick message: the fields held once, then the per-frame fields as sequences.
+
+    Args:
+        frames: Number of sensor frames in it.
+        absent: Fields of LATER that it does not have.
+
+    Returns:
+        The layout.
+    """
     fields = _header(BASE_FRAME)
     for name in _ONCE:
-        fields.append((name, ROW[name].base, int(np.prod(ROW[name].shape))))
+        if name not in absent:
+            fields.append((name, ROW[name].base, int(np.prod(ROW[name].shape))))
     for name in PER_FRAME:
         width = int(np.prod(ROW[name].shape[1:]))
         fields += [(f"{name}_length", np.dtype("<u4"), 1), (name, ROW[name].base, frames * width)]
@@ -95,9 +110,9 @@ def tick_layout(frames: int) -> np.dtype[np.void]:
 
 
 @cache
-def _frames_of_length() -> dict[int, int]:
+def _frames_of_length(absent: tuple[str, ...]) -> dict[int, int]:
     """Number of frames by the length of a Tick message in bytes."""
-    return {tick_layout(frames).itemsize: frames for frames in range(MAX_FRAMES + 1)}
+    return {tick_layout(frames, absent).itemsize: frames for frames in range(MAX_FRAMES + 1)}
 
 
 def pack_ticks(stamp_ns: Nanoseconds, rows: NDArray[np.void]) -> list[bytes]:
@@ -140,19 +155,30 @@ def row_type(slots: int) -> np.dtype[np.void]:
     )
 
 
-def unpack_ticks(messages: list[bytes]) -> NDArray[np.void]:
-    """Unpack Tick messages to rows with as many frame slots as the fullest needs; empty slots are zero. Raises RecordingError."""
+def unpack_ticks(messages: list[bytes], absent: tuple[str, ...] = ()) -> NDArray[np.void]:
+    """Unpack Tick messages to rows with as many frame slots as the fullest needs; empty slots are zero.
+
+    Args:
+        messages: The messages (n).
+        absent: Fields of LATER that they do not have.
+
+    Returns:
+        Their rows (n,).
+
+    Raises:
+        RecordingError: A message has a length that no tick has.
+    """
     lengths = np.array([len(message) for message in messages], int)
-    frames_of = {length: _frames_of_length().get(length, -1) for length in np.unique(lengths).tolist()}
+    frames_of = {length: _frames_of_length(absent).get(length, -1) for length in np.unique(lengths).tolist()}
     for length, frames in frames_of.items():
         if frames < 0:
             raise RecordingError(f"the file holds a tick of {length} bytes, which no tick has; it was altered, give another copy")
     rows = np.zeros(len(messages), row_type(max(frames_of.values(), default=0)))
     for length, frames in frames_of.items():
         at = np.flatnonzero(lengths == length)
-        packed = np.frombuffer(b"".join(messages[i] for i in at), tick_layout(frames))
+        packed = np.frombuffer(b"".join(messages[i] for i in at), tick_layout(frames, absent))
         for name in _ONCE:
-            rows[name][at] = packed[name]
+            rows[name][at] = LATER[name] if name in absent else packed[name]
         for name in PER_FRAME if frames else ():
             rows[name][at, :frames] = packed[name].reshape(len(at), frames, *ROW[name].shape[1:])
     return rows
@@ -201,8 +227,22 @@ def _tick_schema() -> str:
 TICK = _tick_schema()
 
 
-def fields_of(schema: str) -> list[str]:
-    """The fields of a message definition, without its comments and constants: a later palpd may know more codes."""
+def absent_fields(schema: str) -> tuple[str, ...] | None:
+    """Find which fields of LATER the ticks of a recording do not have.
+
+    Args:
+        schema: Their message definition. Comments and constants do not count: a later palpd may know more codes.
+
+    Returns:
+        The names, or None where the ticks differ in any other field.
+    """
+    theirs, ours = (_fields_of(text) for text in (schema, TICK))
+    absent = tuple(name for name in LATER if not any(line.endswith(f" {name.lower()}") for line in theirs))
+    expected = [line for line in ours if line.rpartition(" ")[2] not in {name.lower() for name in absent}]
+    return absent if theirs == expected else None
+
+
+def _fields_of(schema: str) -> list[str]:
     return [line for line in schema.splitlines() if "=" not in line and not line.startswith("#")]
 
 

@@ -408,6 +408,11 @@ class Contents:
             position += length
         return messages
 
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """Fields that ticks got after this recording was made."""
+        return (cdr.absent_fields(self.schema) if self.schema is not None else None) or ()
+
     def refuse_foreign(self, path: Path) -> None:
         """Refuse a file that is no recording of palpd, or whose ticks have other fields. Raises RecordingError."""
         if self.header is None:
@@ -415,7 +420,7 @@ class Contents:
         version = self.header.get("format_version", 1)
         if sentence := newer(version, NEWEST_RECORDING, str(path)):
             raise RecordingError(sentence)
-        if self.schema is not None and cdr.fields_of(self.schema) != cdr.fields_of(cdr.TICK):
+        if self.schema is not None and cdr.absent_fields(self.schema) is None:
             raise RecordingError(f"{path} was written by a version of palpd whose ticks have other fields; read it with that version")
 
 
@@ -490,7 +495,7 @@ def recover(part: Path) -> Recovered:
     lost: list[LostTicks] = []
     try:
         for batch in filter(None, itertools.chain([first], batches)):
-            rows = cdr.unpack_ticks(batch)
+            rows = cdr.unpack_ticks(batch, contents.absent)
             writer.write(rows)
             writer.flush()
             begin_s = float(rows["now_s"][0]) if ticks == 0 else begin_s

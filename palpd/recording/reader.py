@@ -67,7 +67,7 @@ class Recording:
         assert contents.header is not None
         if not messages:
             raise RecordingError(f"{path} holds no tick; give a recording of a run that began")
-        rows = cdr.unpack_ticks(messages)
+        rows = cdr.unpack_ticks(messages, contents.absent)
         return cls(path, rows, contents.header, contents.footer, contents.model_bytes)
 
     def site_index(self, name: str) -> int:
