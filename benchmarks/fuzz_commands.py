@@ -59,10 +59,14 @@ clear --config {config}
 init {folder} --depths-mm 2,3
 install --prefix {folder}
 doctor --config {config} --watch-s 1 --json {out.json}
+migrate {config} --dry-run
+migrate {plan} --old {new.yaml}
+migrate {cell} --kind cell --old {new.yaml}
 check-config {config} --plan {plan} --json {out.json}
 replay {csv} --config {config} --json {out.json}
 replay {mcap} --json {out.json}
 export {mcap} --csv {new.csv} --site A
+export {mcap} --parquet {new.parquet} --site A
 recover {part}
 import {csv} --csv {new.csv} --force-column fz_N --height-column z_m --time-column t_s
 cell-from {csv} --out {new.yaml} --tip-radius-m 0.005
@@ -94,6 +98,12 @@ analyse {csv} --force-column fz_N --height-column z_m
 analyse {csv} --force-column no_such --height-column z_m --tip-radius-m 0.005
 analyse {mcap} --site Z
 export {mcap} --csv out.csv --site Z
+export {mcap}
+export {mcap} --parquet out.csv
+export {mcap} --csv out.parquet
+migrate {csv}
+migrate {plan} --kind cell
+migrate {mcap}
 study --published --free {mcap}
 study --free {mcap}
 study --cell A
@@ -159,9 +169,10 @@ NO_DEVICE = ("run", "calibrate", "free-motion", "stiffness", "retract", "status"
 """Commands that need a daemon or devices, which are not there: they refuse every line."""
 FINE = {("map", "header alone"), ("import", "unclosed quote"), ("analyse", "unclosed quote"), ("simulate", "three rows")}
 FINE |= {("import", "spaces for commas"), ("import", "UTF-16"), ("recover", "forged header")}
+FINE |= {("migrate", "hexadecimal"), ("migrate", "sexagesimal")}
 """Faults that a command need not refuse: no press yet; rows before the numbers, which it counts and names; a short motion; tables of other
 separators and encodings, which an import reads; ticks that are whole behind a header with odd values, which every command refuses that
-reads them."""
+reads them; numbers of YAML 1.1, which a migration writes anew."""
 NUMBERS = ("nan", "inf", "-inf", "-1", "0", "1e300", "1e-300", "9" * 5000, "10000000000000000000", "0x10", "1,5", "", "one", " ", "1_000")
 SURE = ("nan", "inf", "-inf", "1e300", "9" * 5000, "0x10", "1,5", "", "one", " ")
 """Numbers that no option accepts."""
@@ -280,7 +291,7 @@ def bad_outputs(folder: Path, full: Path | None) -> list[tuple[str, str]]:
     """Places that cannot be written, made in a folder; SUFFIX stands for the ending of the file."""
     (folder / "read-only").mkdir(parents=True)
     (folder / "read-only").chmod(0o555)
-    for suffix in ("", ".json", ".csv", ".mcap", ".onnx", ".png", ".yaml", ".html"):
+    for suffix in ("", ".json", ".csv", ".parquet", ".mcap", ".onnx", ".png", ".yaml", ".html"):
         (folder / f"folder{suffix}").mkdir()
         (folder / f"folder{suffix}" / "inside").write_text("")
         (folder / f"locked{suffix}").write_text("kept")
@@ -325,7 +336,7 @@ def ran(line: Line, folder: Path, real: bool = False) -> LineOutcome:
 def _run(words: tuple[str, ...], here: Path, real: bool) -> tuple[int | None, str]:
     """Exit code, None for a hang, and what stood on stderr."""
     here.mkdir()
-    for suffix in (".csv", ".mcap", ".onnx"):
+    for suffix in (".csv", ".parquet", ".mcap", ".onnx", ".yaml"):
         (here / f"there{suffix}").write_text("kept")
     words = words if words[0] != "recover" else _recovering(words, here)
     errors = here.with_name("stderr")

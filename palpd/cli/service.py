@@ -152,6 +152,7 @@ def migrate(
     """Rewrite a file of an older palpd; comments and all that need not change stay as they are."""
     from palpd.migration import migration_of, write
 
+    check_writable(old, overwrite=False)
     migration = migration_of(file, kind)
     show = terminal().print
     if not migration.changes:
