@@ -205,6 +205,7 @@ class Config(StrictBlock):
     """All of config.yaml. Relative paths are relative to the file."""
 
     version: Version = 1
+    """Version of the form of this file; one that this palpd does not know is refused."""
     robot: RobotConfig = RobotConfig()
     """The arm."""
     sensor: SensorConfig = SensorConfig()
@@ -288,6 +289,7 @@ class Plan(StrictBlock):
     """plan.yaml: where, how deep, how fast, how often. Without depths nothing is pressed or looked for, which needs free strokes."""
 
     version: Version = 1
+    """Version of the form of this file; one that this palpd does not know is refused."""
     sites: tuple[PlanSite, ...] = Field(default=(PlanSite(name="A"),), min_length=1, max_length=1000)
     """Where to press; a plan must give them."""
     origin: Origin | None = None

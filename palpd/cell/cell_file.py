@@ -206,6 +206,7 @@ class CellFile(StrictBlock):
     """The whole file. `tissue` None: nothing in reach. `learned` holds laws that a diagnosis drew from recordings; they always act."""
 
     version: Version = 1
+    """Version of the form of this file; one that this palpd does not know is refused."""
     probe: ProbeBlock = ProbeBlock()
     """What hangs on the sensor."""
     sensor: SensorBlock = SensorBlock()
