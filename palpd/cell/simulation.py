@@ -8,7 +8,7 @@ of each come the effects of that site. Wrenches are what the environment does to
 
 from collections.abc import Callable, Iterator, Mapping
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -373,6 +373,17 @@ class MeanReading:
     leaking_N: Floats
     shares: dict[int, float]
 
+    def plus(self, more: Mapping[int, Floats]) -> "MeanReading":
+        """The reading with something added to some axes, which leaks into no other.
+
+        Args:
+            more: What to add by axis.
+
+        Returns:
+            A new reading.
+        """
+        return replace(self, own=self.own | {axis: self.own.get(axis, 0.0) + values for axis, values in more.items()})
+
     def averaged(self, average: Callable[[Floats], Floats], n: int) -> Floats:
         """All six axes after a linear operation.
 
@@ -391,6 +402,10 @@ class MeanReading:
             for axis, share in self.shares.items():
                 out[axis] += share * leaking_N
         return out
+
+    def wrench(self, n: int) -> Floats:
+        """All six axes of the n samples, (n, 6)."""
+        return self.averaged(lambda values: values, n).T
 
 
 def mean_reading(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, site: str | None = None) -> MeanReading:
@@ -438,7 +453,7 @@ def wrench_of(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, sit
     Returns:
         Wrenches (n, 6) in N and Nm.
     """
-    return mean_reading(cell, motion, library, site).averaged(lambda values: values, len(motion.t_s)).T
+    return mean_reading(cell, motion, library, site).wrench(len(motion.t_s))
 
 
 def _span(c: Constants, m: TipMotion) -> Span:

@@ -16,6 +16,7 @@ from palpd.errors import BadInput, RecordingError
 from palpd.files import write_json
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.tolerances import estimate_tolerances
+from palpd.gap.user_simulator import UserSimulator, simulate_with
 from palpd.recording.reader import Recording, holds_ticks, samples_of, visited_sites
 from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, named_once, read, read_columns, refuse_values, write_csv
 from palpd.tick import Floats
@@ -118,6 +119,7 @@ def diagnose_files(
     propose: bool = True,
     site: str | None = None,
     calibrated: bool = True,
+    simulated: Sequence[Path] = (),
 ) -> Diagnosis:
     """Diagnose recordings of one cell jointly.
 
@@ -132,13 +134,24 @@ def diagnose_files(
         propose: Whether to look for the next experiment.
         site: Site of recordings of the daemon; None where they hold one only.
         calibrated: Whether probabilities are stated by the fitted map; the engine's own otherwise.
+        simulated: The output of a user's own simulator for each recording, which is then the nominal prediction.
 
     Returns:
         The diagnosis.
+
+    Raises:
+        BadInput: There are not as many outputs as recordings.
+        RecordingError: A recording cannot be judged, or an output does not fit it.
     """
+    if simulated and len(simulated) != len(recordings):
+        raise BadInput(
+            f"--simulated gives {len(simulated)} file(s) for {len(recordings)} recording(s); give one for each recording, in their order"
+        )
     known = library(effects, without, adopted)
     nominal = load_cell(cell, known)
-    diagnosis = diagnose([read_recording(path, site) for path in recordings], nominal, known, propose=propose, calibrated=calibrated)
+    samples = [read_recording(path, site) for path in recordings]
+    simulators = [UserSimulator.of_file(path, one.t_s) for path, one in zip(simulated, samples, strict=False)]
+    diagnosis = diagnose(samples, nominal, known, propose=propose, calibrated=calibrated, simulators=simulators)
     if adopted is not None and (weighed := adopted_sentence(adopted, diagnosis.problem.library)):
         diagnosis = replace(diagnosis, notes=[*diagnosis.notes, weighed])
     if json_out is not None:
@@ -178,6 +191,8 @@ def simulate_file(
     adopted: Path | None = None,
     overwrite: bool = False,
     say: Callable[[str], None] = lambda _: None,
+    simulated: Path | None = None,
+    nominal: Path | None = None,
 ) -> Samples:
     """Simulate the recording that a cell gives on the motion of a file.
 
@@ -191,21 +206,27 @@ def simulate_file(
         adopted: The folder of a user's adopted effects, which the cell file may name.
         overwrite: Whether to replace an existing file.
         say: Is called with a sentence for every learned effect that leaves what it knows.
+        simulated: The output of a user's own simulator for that motion, to which what the cell has beyond the nominal one is added.
+        nominal: The file of that nominal cell.
 
     Returns:
         The recording.
 
     Raises:
+        BadInput: Only one of `simulated` and `nominal` is given, or noise is asked for besides.
         RecordingError: The motion has not the columns that are needed.
     """
+    if (simulated is None) != (nominal is None):
+        raise BadInput("--simulated and --nominal belong together: the output is that of your simulator for the nominal cell; give both")
     known = library(effects, adopted=adopted)
     columns = read_motion(motion)
     measured = "z_m" in columns and not from_commanded
     if from_commanded and "z_cmd_m" not in columns:
         raise RecordingError(f"{motion.name} has no column z_cmd_m; it is needed to simulate from the command.")
-    simulated = load_cell(cell, known)
-    samples = simulate_columns(simulated, columns, measured=measured, noise_seed=noise_seed, library=known)
-    for name, share in share_outside(simulated, columns["t_s"], **_drive(columns, measured), library=known).items():
+    enriched = load_cell(cell, known)
+    own = None if simulated is None or nominal is None else (UserSimulator.of_file(simulated, columns["t_s"]), load_cell(nominal, known))
+    samples = simulate_columns(enriched, columns, measured=measured, noise_seed=noise_seed, library=known, own=own)
+    for name, share in share_outside(enriched, columns["t_s"], **_drive(columns, measured), library=known).items():
         if share > 0.0:
             say(held_sentence(name, share))
     write_csv(csv_out, samples, overwrite=overwrite)
@@ -213,7 +234,13 @@ def simulate_file(
 
 
 def simulate_columns(
-    cell: CellFile, columns: Mapping[str, Floats], *, measured: bool, noise_seed: int | None = None, library: Mapping[str, Effect] = EFFECTS
+    cell: CellFile,
+    columns: Mapping[str, Floats],
+    *,
+    measured: bool,
+    noise_seed: int | None = None,
+    library: Mapping[str, Effect] = EFFECTS,
+    own: tuple[UserSimulator, CellFile] | None = None,
 ) -> Samples:
     """Simulate the recording that a cell gives on a motion.
 
@@ -223,13 +250,22 @@ def simulate_columns(
         measured: Whether the reported heights drive the cell; else the commanded ones do.
         noise_seed: Seed of noise and rounding; neither without one.
         library: The effects that the cell may name.
+        own: A user's own simulator and the nominal cell that it simulates; palpd's own where not given.
 
     Returns:
         The recording.
+
+    Raises:
+        BadInput: Noise is asked for with a user's own simulator.
     """
     t_s = columns["t_s"]
-    out = simulate(cell, t_s, **_drive(columns, measured), noise_seed=noise_seed, library=library)
-    speed = out.get("vz_m_per_s")
+    if own is None:
+        out = simulate(cell, t_s, **_drive(columns, measured), noise_seed=noise_seed, library=library)
+    elif noise_seed is None:
+        out = simulate_with(*own, cell, columns, library, measured=measured)
+    else:
+        raise BadInput("noise is added to palpd's own simulation, and the nominal is your simulator's; leave --noise or --simulated out")
+    speed = out.get("vz_m_per_s", columns.get("vz_m_per_s") if measured else None)
     return Samples(
         t_s,
         columns.get("z_cmd_m"),

@@ -21,6 +21,7 @@ from palpd.gap.law_search.confounds import confounds
 from palpd.gap.law_search.finding import LawFinding, find, leading_leaves
 from palpd.gap.linearise import linearise
 from palpd.gap.next_experiment import ExperimentProposal, advise
+from palpd.gap.nominal_source import NominalSource, nominal_source
 from palpd.gap.phases import PHASE_PHRASES
 from palpd.gap.plausibility import channel_notes, check_recordings
 from palpd.gap.posterior import Attribution, posterior
@@ -30,6 +31,7 @@ from palpd.gap.recorded_noise import with_recorded_noise
 from palpd.gap.rounding import rounding_of
 from palpd.gap.scatter import Readings, scatter_effects
 from palpd.gap.shrink import Shrink, held_out, without_effects
+from palpd.gap.user_simulator import UserSimulator, left_out
 from palpd.gap.verdict import DiagnosisVerdict, NamedEffect, decide, deviation_notes, enriched_cell, unnatural_notes, with_finding
 from palpd.gap.where import Band, Gap, Place, Trend, Unexplained, bands, gap_table, largest_gap, residuals, trend, unexplained
 from palpd.recording.samples import Samples
@@ -56,6 +58,7 @@ def diagnose(
     max_bins: int = MAX_BINS,
     propose: bool = True,
     calibrated: bool = True,
+    simulators: Sequence[UserSimulator] = (),
 ) -> "Diagnosis":
     """Diagnose the recordings of one cell jointly; the same input gives the same answer.
 
@@ -66,6 +69,7 @@ def diagnose(
         max_bins: Largest number of bins of all recordings, about; fewer are faster.
         propose: Whether to look for the next experiment.
         calibrated: Whether probabilities are stated by the fitted map; the engine's own otherwise.
+        simulators: A user's own simulator for each recording, as the nominal; palpd's own cell is the nominal without any.
 
     Returns:
         The diagnosis.
@@ -75,14 +79,21 @@ def diagnose(
     """
     # The matrices are small: threads cost more than they bring, and add up in another order each time.
     with threadpool_limits(1):
-        return _stages(recordings, cell, effects, max_bins, propose, calibrated)
+        return _stages(recordings, cell, effects, max_bins, propose, calibrated, simulators)
 
 
 def _stages(
-    recordings: Sequence[Samples], cell: CellFile, library: Mapping[str, Effect], max_bins: int, propose: bool, calibrated: bool
+    recordings: Sequence[Samples],
+    cell: CellFile,
+    library: Mapping[str, Effect],
+    max_bins: int,
+    propose: bool,
+    calibrated: bool,
+    simulators: Sequence[UserSimulator],
 ) -> "Diagnosis":
     # A law that the cell file holds is no gap, also where the library has one of that name.
-    library = {name: effect for name, effect in library.items() if name not in {law.id for law in cell.learned}}
+    not_judged = left_out(simulators, cell, library)
+    library = {name: effect for name, effect in library.items() if name not in {*not_judged, *(law.id for law in cell.learned)}}
     # 1. Prepare: clean the readings, cut them into bins, estimate noise and tip motion.
     recordings = [without_rounding(samples) for samples in recordings]
     notes = check_recordings(recordings, cell)
@@ -96,8 +107,11 @@ def _stages(
         max_bins,
         rounding=rounding_of(recordings, [one.coarse_step_N for one in readings], cell),
         excess_noise=any(one.excess_noise for one in readings),
+        simulators=simulators,
     )
     notes += channel_notes(problem)
+    source = nominal_source(problem, not_judged)
+    notes += source.sentences if source is not None else []
 
     # 2. Residual: what the cell without effects leaves, and where.
     nominal = fit_rounding(problem)
@@ -161,6 +175,7 @@ def _stages(
         problem=problem,
         attribution=attribution,
         finding=finding,
+        source=source,
     )
 
 
@@ -218,6 +233,7 @@ class Diagnosis:
         problem: The data behind the answer.
         attribution: The posterior over hypotheses.
         finding: What is not in the list: a learned effect, events, or nothing.
+        source: The user's own simulator, where that is the nominal; None for palpd's own cell.
     """
 
     decision: DiagnosisVerdict
@@ -232,6 +248,7 @@ class Diagnosis:
     problem: Problem
     attribution: Attribution
     finding: LawFinding
+    source: NominalSource | None = None
 
     @property
     def verdict(self) -> str:
@@ -279,6 +296,11 @@ class Diagnosis:
 
     @property
     def sentence(self) -> str:
+        """The verdict in words, and what could not be judged."""
+        return self._verdict + (self.source.unjudged if self.source is not None else "")
+
+    @property
+    def _verdict(self) -> str:
         """The verdict in words."""
         if self.verdict == "none":
             known = self.problem.cell.tolerances.modulus_known
@@ -358,4 +380,4 @@ class Diagnosis:
             "learned": self.finding.to_json(),
             "events": self.finding.events or None,
             "notes": self.notes,
-        }
+        } | ({} if self.source is None else {"simulated": self.source.to_json()})

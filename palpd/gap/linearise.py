@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CellFile, EffectValues
-from palpd.cell.simulation import wrench_of
 from palpd.gap.fixed_nuisances import Column, zero_columns
 from palpd.gap.noise import FX, FY, FZ, TX, TY, Z
 from palpd.gap.nuisances import ColumnByChannel, Columns, Nuisances, Stretch, nuisances
@@ -152,7 +151,7 @@ def _rounded_zero(problem: Problem, recording: PreparedRecording, cell: CellFile
     """Bias and drift of fz where it is rounded coarsely: readings between two levels do not follow them."""
     if problem.rounding is None or not recording.judged[FZ]:
         return
-    fz_N = wrench_of(cell, recording.motion, problem.library)[:, FZ - 1]
+    fz_N = recording.reading(cell, recording.motion, problem.library).wrench(len(recording.motion.t_s))[:, FZ - 1]
     felt = recording.binned_steps(recording.motion, problem.rounding.slope(fz_N))
     for label, values in zero_columns(problem.cell, recording, FZ):
         yield label, felt * values

@@ -6,10 +6,12 @@ from typing import Any
 import numpy as np
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.simulation import simulate
+from palpd.errors import BadInput
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.noise import CHANNELS, declared_rms
-from palpd.recording.samples import WRENCH_COLUMNS, Samples
+from palpd.gap.problem import make_problem
+from palpd.gap.user_simulator import UserSimulator
+from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
 MEAN_S = 0.02
@@ -60,15 +62,19 @@ class MotionCheck:
         return {"channel": self.channel, "duration_s": float(self.t_s[-1] - self.t_s[0])} | figures
 
 
-def check_on(diagnosis: Diagnosis, samples: Samples) -> MotionCheck:
+def check_on(diagnosis: Diagnosis, samples: Samples, simulator: UserSimulator | None = None) -> MotionCheck:
     """Compare another recording of the same cell with what the diagnosed one lets expect.
 
     Args:
         diagnosis: The diagnosis.
         samples: A recording that it has not seen.
+        simulator: The output of the user's simulator for this recording, where the diagnosis had one that cannot be asked again.
 
     Returns:
         The comparison in the channel of the learned law, or in that of the largest gap without one.
+
+    Raises:
+        BadInput: The user's simulator is the nominal, and nobody knows its output for this recording.
     """
     enriched, nominal = diagnosis.enriched_cell(), diagnosis.problem.cell
     learned = diagnosis.finding.learned
@@ -77,18 +83,30 @@ def check_on(diagnosis: Diagnosis, samples: Samples) -> MotionCheck:
     else:
         channel = diagnosis.where["channel"] if diagnosis.where is not None else "fz_N"
     plain = enriched.model_copy(update={"effects": nominal.effects, "learned": nominal.learned})
-    height, t_s = channel == "z_m", samples.t_s - samples.t_s[0]
-    z_m, vz_m_per_s = (None, None) if height else (samples.z_m, samples.vz_m_per_s)
-    rows = max(1, round(MEAN_S * samples.rate_Hz))
+    simulators = _simulators_for(diagnosis, simulator)
+    problem = make_problem([samples], nominal, diagnosis.problem.library, simulators=simulators)
+    one, rows = problem.recordings[0], max(1, round(MEAN_S * samples.rate_Hz))
+    k = CHANNELS.index(channel)
 
     def predicted(cell: CellFile) -> Floats:
-        library = diagnosis.problem.library
-        columns = simulate(cell, t_s, z_cmd_m=samples.z_cmd_m, z_m=z_m, vz_m_per_s=vz_m_per_s, library=library)
-        return _means(columns[channel], rows)
+        return _means(problem.raw_prediction(one, cell)[:, k], rows)
 
-    measured = samples.z_m if height else np.asarray(samples.wrench[:, WRENCH_COLUMNS.index(channel)])
-    noise = float(declared_rms(nominal)[CHANNELS.index(channel)]) / rows**0.5
-    return MotionCheck(channel, _means(t_s, rows), _means(measured, rows), predicted(plain), predicted(enriched), noise)
+    measured = np.column_stack([samples.z_m, samples.wrench])[:, k]
+    noise = float(declared_rms(nominal)[k]) / rows**0.5
+    return MotionCheck(channel, _means(one.sampled.t_s, rows), _means(measured, rows), predicted(plain), predicted(enriched), noise)
+
+
+def _simulators_for(diagnosis: Diagnosis, simulator: UserSimulator | None) -> list[UserSimulator]:
+    """The nominal simulator for another recording; none where that is palpd's own cell."""
+    known = [one.beyond.simulator for one in diagnosis.problem.recordings if one.beyond is not None]
+    if simulator is not None:
+        return [simulator]
+    if known and not known[0].any_motion:
+        raise BadInput(
+            f"the nominal is {known[0].name}, which holds the diagnosed motion alone, and another motion is asked for; give your "
+            "simulator's output for it"
+        )
+    return known[:1]
 
 
 def _means(values: Floats, rows: int) -> Floats:

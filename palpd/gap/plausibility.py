@@ -219,7 +219,7 @@ def refuse_turned(samples: Samples, label: str = "") -> None:
         RecordingError: Forces or heights have the wrong sign.
     """
     fz_N = samples.wrench[:, 2]
-    if _swing_N(fz_N) < CLEAR_NOISES * measured_rms(fz_N) or _correlation(fz_N, samples.z_m) <= HEIGHT_CORRELATION:
+    if _swing_N(fz_N) < CLEAR_NOISES * measured_rms(fz_N) or correlation(fz_N, samples.z_m) <= HEIGHT_CORRELATION:
         return
     level_N = np.median(fz_N)
     if fz_N.max() - level_N > level_N - fz_N.min():
@@ -236,7 +236,7 @@ def refuse_turned(samples: Samples, label: str = "") -> None:
 def _shape_notes(fz_N: Floats, expected_N: Floats, peak_N: float, cell: CellFile, label: str) -> list[str]:
     """Unit of fz by its size against the force of the stated tissue, where it has its shape."""
     ratio = float(np.std(fz_N) / np.std(expected_N))
-    if _correlation(fz_N, expected_N) < SHAPE_CORRELATION or 1.0 / ODD_FORCE_RATIO < ratio < ODD_FORCE_RATIO:
+    if correlation(fz_N, expected_N) < SHAPE_CORRELATION or 1.0 / ODD_FORCE_RATIO < ratio < ODD_FORCE_RATIO:
         return []
     tissue = cell.tissue
     assert tissue is not None
@@ -276,7 +276,7 @@ def _touch_notes(samples: Samples, cell: CellFile, noise_N: float) -> list[str]:
     level_N = float(np.median(fz_N[high]))
     threshold_N = max(CLEAR_NOISES * max(noise_N, measured_rms(fz_N)), 0.02 * float(fz_N.max() - level_N))
     loaded = fz_N - level_N > threshold_N
-    if _correlation(fz_N, -z_m) < HEIGHT_CORRELATION or not loaded.any() or bool(loaded[high].any()):
+    if correlation(fz_N, -z_m) < HEIGHT_CORRELATION or not loaded.any() or bool(loaded[high].any()):
         return []
     # By Hertz the depth grows with the force to the power of 2/3, which leads from the threshold back to the touch.
     share = float((threshold_N / (fz_N.max() - level_N)) ** (2.0 / 3.0))
@@ -299,8 +299,16 @@ def _swing_N(fz_N: Floats) -> float:
     return float(np.quantile(fz_N, 0.995) - np.quantile(fz_N, 0.005))
 
 
-def _correlation(one: Floats, other: Floats) -> float:
-    """Correlation of two columns (n,); 0 where one is constant."""
+def correlation(one: Floats, other: Floats) -> float:
+    """Correlation of two columns.
+
+    Args:
+        one: A column (n,).
+        other: Another one (n,).
+
+    Returns:
+        The correlation; 0 where one is constant.
+    """
     a, b = one - one.mean(), other - other.mean()
     size = float(np.sqrt((a @ a) * (b @ b)))
     return float(a @ b) / size if size > 0.0 else 0.0

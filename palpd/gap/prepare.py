@@ -1,5 +1,6 @@
 """Stage 1 of a diagnosis: a recording is cut into phases and bins; the motion of its tip and the noise of its channels are estimated."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -9,11 +10,14 @@ from scipy.sparse import csr_array, diags_array
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.dynamics import TipMotion, steps
+from palpd.cell.effects import Effect
 from palpd.cell.report_times import Reports, find_reports, straight_between
+from palpd.cell.simulation import MeanReading, mean_reading
 from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
 from palpd.gap.bins import Bins, make_bins
 from palpd.gap.noise import FZ, Z, dead, declared_rms, measured_rms
 from palpd.gap.phases import FREE_STILL, HOLDING, ROUNDING, Ints, Phases, find_phases
+from palpd.gap.user_simulator import NominalDifference, UserSimulator, difference
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
@@ -55,6 +59,7 @@ class PreparedRecording:
     rest: NDArray[np.bool_]  # (n,) samples at which the noise was measured
     noise_measured: bool  # whether there were enough of them
     judged: tuple[bool, ...]  # which of the 7 channels are compared
+    beyond: NominalDifference | None = None  # what the user's simulator predicts beyond the nominal cell; None without one
 
     @cached_property
     def samples_each(self) -> float:
@@ -80,6 +85,31 @@ class PreparedRecording:
     def bin_press(self) -> Ints:
         """Press of every bin (b,), -1 for none."""
         return self.bins.label(self.phases.press)
+
+    def reading(self, cell: CellFile, motion: TipMotion, library: Mapping[str, Effect]) -> MeanReading:
+        """Predicted mean reading; with a user's simulator its output + palpd(cell) - palpd(nominal cell).
+
+        Args:
+            cell: The cell in some state.
+            motion: Motion of the tip in this recording, at the samples or the steps.
+            library: Effects by id.
+
+        Returns:
+            The reading.
+        """
+        return mean_reading(cell, motion, library) if self.beyond is None else self.beyond.reading(cell, motion, library)
+
+    def heights(self, palpd_m: Floats, t_s: Floats) -> Floats:
+        """Predicted heights; with a user's simulator its output + palpd(cell) - palpd(nominal cell).
+
+        Args:
+            palpd_m: What palpd predicts (m,).
+            t_s: At these times (m,) from the first row.
+
+        Returns:
+            The heights (m,).
+        """
+        return palpd_m if self.beyond is None else palpd_m + self.beyond.heights(t_s)
 
     def binned_steps(self, motion: TipMotion, values: Floats) -> Floats:
         """Means over the bins of what was computed at the even times of a motion.
@@ -175,6 +205,22 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecordin
         noise_measured=bool(still.sum() >= REST_SAMPLES),
         judged=judged,
     )
+
+
+def with_simulator(one: PreparedRecording, simulator: UserSimulator, cell: CellFile, library: Mapping[str, Effect]) -> PreparedRecording:
+    """A recording whose nominal prediction is that of a user's simulator.
+
+    Args:
+        one: The recording.
+        simulator: The simulator; it is asked for the motion of the recording.
+        cell: The nominal cell.
+        library: Its effects by id.
+
+    Returns:
+        The recording with the difference of the two nominal predictions.
+    """
+    reported = one.samples.z_cmd_m, one.samples.z_m
+    return replace(one, beyond=difference(simulator, cell, library, one.sampled, reported, float(one.phases.depth_m.max())))
 
 
 def _unreported_height(cell: CellFile, samples: Samples, motion: TipMotion) -> Floats:

@@ -12,12 +12,13 @@ from scipy.sparse import block_diag, csr_array
 from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
 from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS, Effect, Scale
-from palpd.cell.simulation import Followed, mean_reading, predict_motion, scale_of, wrench_of
+from palpd.cell.simulation import Followed, predict_motion, scale_of
 from palpd.gap.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
 from palpd.gap.noise import FX, FZ, Z
-from palpd.gap.prepare import PreparedRecording, prepare
+from palpd.gap.prepare import PreparedRecording, prepare, with_simulator
 from palpd.gap.rounding import Rounding, undithered_rms
 from palpd.gap.servo_error import servo_errors
+from palpd.gap.user_simulator import UserSimulator
 from palpd.gap.whitening import Whitening
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -254,8 +255,9 @@ class Problem:
         out = np.zeros((len(samples), 7))
         if recording.judged[Z] and samples.z_cmd_m is not None:
             heights_m = predict_motion(cell, samples.t_s, samples.z_cmd_m, self.library)
+            heights_m = recording.heights(heights_m, recording.sampled.t_s)
             out[:, Z] = recording.reports.joined @ np.interp(recording.reports.t_s, samples.t_s, heights_m)
-        out[:, 1:] = wrench_of(cell, recording.sampled, self.library)
+        out[:, 1:] = recording.reading(cell, recording.sampled, self.library).wrench(len(samples))
         return out
 
     def predict(self, effects: EffectValues, eta: Floats) -> Floats:
@@ -308,9 +310,8 @@ class Problem:
         if not recording.judged[Z] or recording.z_cmd_m is None:
             return np.zeros(len(recording.bins))
         followed = self._predictions.followed.setdefault(id(recording), {})
-        return recording.z_means @ predict_motion(
-            cell, recording.robot_t_s, recording.z_cmd_m, self.library, begin_s=0.0, followed=followed
-        )
+        heights_m = predict_motion(cell, recording.robot_t_s, recording.z_cmd_m, self.library, begin_s=0.0, followed=followed)
+        return recording.z_means @ recording.heights(heights_m, recording.robot_t_s)
 
     def binned_wrench(self, recording: PreparedRecording, cell: CellFile, motion: TipMotion) -> Floats:
         """Predicted wrench in the bins of a recording.
@@ -324,7 +325,7 @@ class Problem:
             Wrench (6, b) in N and Nm.
         """
         self._predictions.simulations += 1
-        reading = mean_reading(cell, motion, self.library)
+        reading = recording.reading(cell, motion, self.library)
         if self.rounding is not None and FZ - 1 in reading.own:
             reading.own[FZ - 1] = self.rounding.mean(reading.own[FZ - 1])
         return reading.averaged(lambda values: recording.binned_steps(motion, values), len(recording.bins))
@@ -339,6 +340,7 @@ def make_problem(
     rounding: Rounding | None = None,
     excess_noise: bool = False,
     scale: Scale | None = None,
+    simulators: Sequence[UserSimulator] = (),
 ) -> Problem:
     """Prepare the recordings of one cell for comparison with its simulation without effects.
 
@@ -350,12 +352,15 @@ def make_problem(
         rounding: Of fz, where it is coarser than stated.
         excess_noise: Whether the noise is larger than stated.
         scale: Sizes that effects refer to, of the longest recording where not given.
+        simulators: A user's own simulator for each recording; none where palpd's own cell is the nominal.
 
     Returns:
         The problem.
     """
     cell = cell.with_estimated(None)
     prepared = tuple(prepare(samples, cell, max(600, max_bins // len(recordings))) for samples in recordings)
+    if simulators:
+        prepared = tuple(with_simulator(one, its, cell, library) for one, its in zip(prepared, simulators, strict=True))
     longest = max(recordings, key=lambda s: s.duration_s)
     errors_m = [servo_errors(one, cell, library) for one in prepared]
     noise = _whitening(cell, prepared, rounding, errors_m)

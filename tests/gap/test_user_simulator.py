@@ -1,0 +1,378 @@
+"""A user's own simulator as the nominal: what palpd's nominal would call a gap is none, and what was planted is found."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpd.cell.cell_file import CellFile, cell_from, nominal
+from palpd.cell.effects import EFFECTS
+from palpd.cell.simulation import simulate
+from palpd.errors import BadInput, RecordingError
+from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.gap.other_motion import check_on
+from palpd.gap.problem import make_problem
+from palpd.gap.report import curves_of
+from palpd.gap.user_simulator import UserSimulator, simulate_with
+from palpd.recording.samples import WRENCH_COLUMNS, Samples
+from palpd.tick import Floats
+
+RATE_HZ = 250
+PRESSES_M = (0.004, 0.006, 0.003, 0.005)
+SLOPE_N_PER_M, KNEE_M = 900.0, 0.002
+
+Wrench = Callable[[Mapping[str, Floats]], dict[str, Floats]]
+
+
+def commanded(presses_m: tuple[float, ...] = PRESSES_M) -> tuple[Floats, Floats]:
+    """Times and heights of two strokes in the air, and of presses at two speeds with holds."""
+    corners = [(0.0, 0.01), (2.0, 0.01), (3.0, 0.002), (4.0, 0.01), (5.0, 0.01), (5.5, 0.02), (6.0, 0.01)]
+    for number, depth_m in enumerate(presses_m):
+        t_s, slow = corners[-1][0], 1.0 + number % 2
+        corners += [(t_s + 1, 0.01), (t_s + 1 + slow, -depth_m), (t_s + 4 + slow, -depth_m), (t_s + 4 + 2 * slow, 0.01)]
+    corners.append((corners[-1][0] + 1.0, 0.01))
+    t_s = np.arange(0.0, corners[-1][0], 1.0 / RATE_HZ)
+    return t_s, np.interp(t_s, *np.array(corners).T)
+
+
+def foam_N(depth_m: Floats) -> Floats:
+    """A contact that palpd's cell does not have: a foam that is linear until its cells collapse, and softer from there on."""
+    return SLOPE_N_PER_M * (np.minimum(depth_m, KNEE_M) + 0.4 * np.maximum(depth_m - KNEE_M, 0.0))
+
+
+def own_simulator(motion: Mapping[str, Floats]) -> dict[str, Floats]:
+    """The user's simulator of the foam: contact and inertia behind the filter of the sensor, and a cable that pulls to the side."""
+    fz_N = foam_N(np.maximum(-motion["z_m"], 0.0)) - 0.2 * motion["az_m_per_s2"]
+    filtered, share = fz_N.copy(), 1.0 - np.exp(-2.0 * np.pi * 150.0 / RATE_HZ)
+    for k in range(1, len(fz_N)):
+        filtered[k] = filtered[k - 1] + share * (fz_N[k] - filtered[k - 1])
+    return {"fz_N": filtered, "fx_N": 30.0 * (motion["z_m"] - motion["z_m"][0])}
+
+
+def stated(**tissue: float) -> CellFile:
+    """The cell file of the foam: its mean stiffness as Hertz would have it, and what is within specification."""
+    return cell_from({"tissue": {"youngs_modulus_Pa": 62e3} | tissue}, "stated")
+
+
+def record(
+    wrench_of: Wrench, seed: int = 1, presses_m: tuple[float, ...] = PRESSES_M, raised: Callable[[Floats], Floats] | None = None
+) -> Samples:
+    """A recording of the real foam: the servo of the cell file, the wrench of `wrench_of`, noise; `raised` moves the tip, unreported."""
+    t_s, z_cmd_m = commanded(presses_m)
+    moved = simulate(nominal().model_copy(update={"tissue": None}), t_s, z_cmd_m=z_cmd_m)
+    z_m, v = moved["z_m"], moved["vz_m_per_s"]
+    tip = {"t_s": t_s, "z_m": z_m if raised is None else z_m + raised(z_m), "vz_m_per_s": v, "az_m_per_s2": np.gradient(v, t_s)}
+    rng, columns = np.random.default_rng(seed), wrench_of(tip)
+    wrench = np.column_stack([columns.get(name, np.zeros(len(t_s))) for name in WRENCH_COLUMNS])
+    wrench += rng.standard_normal(wrench.shape) * np.array([0.05] * 3 + [0.001] * 3)
+    noise_m, noise_m_per_s = 5e-6 * rng.standard_normal(len(t_s)), 2e-4 * rng.standard_normal(len(t_s))
+    return Samples(t_s, z_cmd_m, z_m + noise_m, v + noise_m_per_s, wrench)
+
+
+FUNCTION = UserSimulator.of_function(own_simulator, "foam")
+
+
+def smooth(samples: Samples) -> dict[str, Floats]:
+    """The output of the user's simulator for a recording, driven by the motion that palpd estimates."""
+    one = make_problem([samples], stated()).recordings[0].sampled
+    motion = {"t_s": one.t_s, "z_m": one.z_m, "vz_m_per_s": one.vz_m_per_s, "az_m_per_s2": one.az_m_per_s2}
+    return {"t_s": samples.t_s, "z_m": samples.z_m} | own_simulator(motion)
+
+
+def as_file(samples: Samples) -> UserSimulator:
+    return UserSimulator.of_columns(smooth(samples), samples.t_s, "foam.csv")
+
+
+@pytest.fixture(scope="module")
+def healthy() -> Samples:
+    return record(own_simulator)
+
+
+@pytest.fixture(scope="module")
+def drifting() -> Samples:
+    """The healthy cell, with a zero of the sensor that drifts."""
+    return record(lambda tip: own_simulator(tip) | {"fz_N": own_simulator(tip)["fz_N"] + 0.01 * tip["t_s"]})
+
+
+def diagnosis_of(samples: Samples, *simulators: UserSimulator, cell: CellFile | None = None) -> Diagnosis:
+    return diagnose([samples], cell or stated(), propose=False, simulators=simulators)
+
+
+@pytest.fixture(scope="module")
+def drift_by_file(drifting: Samples) -> Diagnosis:
+    return diagnosis_of(drifting, as_file(drifting))
+
+
+@pytest.fixture(scope="module")
+def drift_by_function(drifting: Samples) -> Diagnosis:
+    return diagnosis_of(drifting, FUNCTION)
+
+
+def named(answer: Diagnosis) -> set[str]:
+    """The named effects with their groups."""
+    return {name for effect in answer.effects for name in (effect.id, *effect.indistinguishable_from)}
+
+
+def test_a_law_that_the_users_simulator_has_and_palpd_has_not_is_a_gap_for_palpd_alone(healthy: Samples) -> None:
+    palpd_alone = diagnosis_of(healthy)
+    assert palpd_alone.verdict != "none"
+    assert "simulated" not in palpd_alone.to_json()
+    for simulator in (FUNCTION, as_file(healthy)):
+        answer = diagnosis_of(healthy, simulator)
+        assert answer.verdict == "none", answer.sentence
+
+
+def test_an_effect_is_found_beside_the_users_law(drift_by_file: Diagnosis, drift_by_function: Diagnosis) -> None:
+    for answer in (drift_by_file, drift_by_function):
+        assert [effect.id for effect in answer.effects] == ["sensor.drift"]
+        value, low, high = answer.effects[0].parameters["rate_N_per_s"]
+        assert low <= 0.01 <= high, (value, low, high)
+        assert answer.shrink.closed is not None
+        assert answer.shrink.closed > 0.95
+
+
+def test_what_a_file_cannot_judge_stands_in_sentence_and_json(drift_by_file: Diagnosis, drift_by_function: Diagnosis) -> None:
+    content = drift_by_file.to_json()
+    assert content["simulated"] == {
+        "names": ["foam.csv"],
+        "other_motions": False,
+        "channels": ["fx_N", "fz_N"],
+        "not_judged": ["robot.backlash", "robot.compliance"],
+    }
+    assert "robot.backlash or robot.compliance" in drift_by_file.sentence
+    assert any("palpd simulate MOTION --simulated" in note for note in content["notes"])
+    asked = drift_by_function.to_json()["simulated"]
+    assert asked["other_motions"]
+    assert not asked["not_judged"]
+    assert "not judged" not in drift_by_function.sentence
+
+
+def test_a_tip_that_gives_way_is_found_by_asking_the_function_again() -> None:
+    compliance = {"robot.compliance": {"stiffness_N_per_m": 3000.0}}
+    cell = nominal()
+    t_s, z_cmd_m = commanded()
+    real = simulate(cell.with_effects(compliance), t_s, z_cmd_m=z_cmd_m, noise_seed=2)
+    samples = Samples(t_s, z_cmd_m, real["z_m"], real["vz_m_per_s"], np.column_stack([real[name] for name in WRENCH_COLUMNS]))
+    asked: list[float] = []
+
+    def thicker(motion: Mapping[str, Floats]) -> dict[str, Floats]:
+        """Palpd's own cell by other means, so that the truth is known; it notes how high it is asked."""
+        asked.append(float(motion["z_m"].mean()))
+        out = simulate(cell, motion["t_s"], z_m=motion["z_m"], vz_m_per_s=motion["vz_m_per_s"], z_cmd_m=motion["z_cmd_m"])
+        return {name: out[name] for name in WRENCH_COLUMNS}
+
+    answer = diagnose([samples], cell, propose=False, simulators=[UserSimulator.of_function(thicker, "mine")])
+    assert [effect.id for effect in answer.effects] == ["robot.compliance"]
+    value, low, high = answer.effects[0].parameters["stiffness_N_per_m"]
+    assert low <= 3000.0 <= high, (value, low, high)
+    assert len(set(asked)) == len(asked) == 6  # the recorded motion, and five that are raised
+
+
+def test_the_raised_tip_changes_the_users_own_law_and_not_palpds() -> None:
+    """A compliance that lifts the tip by a known distance: the prediction is the user's law there, far from Hertz."""
+    healthy = record(own_simulator)
+    stiffness = 1500.0
+    cell = stated().with_effects({"robot.compliance": {"stiffness_N_per_m": stiffness}})
+
+    def changes(simulator: UserSimulator) -> tuple[Floats, Floats]:
+        """Predicted and true change of the force in the deepest hold; palpd's law says how far the tip is lifted."""
+        problem = make_problem([healthy], stated(), simulators=[simulator])
+        one = problem.recordings[0]
+        rigid_N, predicted_N = (problem.raw_prediction(one, each)[:, 3] for each in (problem.cell, cell))
+        palpd_N = simulate(cell, healthy.t_s, z_m=one.sampled.z_m, vz_m_per_s=one.sampled.vz_m_per_s)["fz_N"]
+        depth_m = -one.sampled.z_m
+        deepest = (depth_m > 0.98 * depth_m.max()) & (one.phases.since_s > 0.5) & ~one.phases.moving
+        true_N = foam_N(np.maximum(depth_m - palpd_N / stiffness, 0.0)) - foam_N(np.maximum(depth_m, 0.0))
+        return (predicted_N - rigid_N)[deepest], true_N[deepest]
+
+    by_function, true_N = changes(FUNCTION)
+    by_file, _ = changes(as_file(healthy))
+    assert np.abs(by_function - true_N).max() < 0.1 * np.abs(true_N).max()
+    assert np.abs(by_file - true_N).max() > 0.5 * np.abs(true_N).max()
+
+
+def test_a_factor_on_the_force_is_named_once_palpds_cell_is_near_the_users_simulator(healthy: Samples) -> None:
+    """The two steps of docs/my-simulator.md: palpd's cell is first brought near the simulator, by a diagnosis of its own output."""
+
+    def softer(tip: Mapping[str, Floats]) -> dict[str, Floats]:
+        still = own_simulator({**tip, "az_m_per_s2": 0.0 * tip["az_m_per_s2"]})
+        return own_simulator(tip) | {"fz_N": own_simulator(tip)["fz_N"] - 0.15 * still["fz_N"]}
+
+    recording = record(softer, seed=3)
+    assert named(diagnosis_of(recording, FUNCTION)) != {"tissue.modulus", "sensor.gain"}
+    near = diagnosis_of(record(own_simulator, seed=4)).enriched_cell()
+    assert named(diagnosis_of(recording, FUNCTION, cell=near)) == {"tissue.modulus", "sensor.gain"}
+
+
+def test_the_report_draws_the_users_simulation(drifting: Samples, drift_by_file: Diagnosis) -> None:
+    curves = curves_of(drift_by_file)
+    assert np.allclose(curves.nominal[:, 3], smooth(drifting)["fz_N"], atol=1e-9)
+    before, after = curves.gaps(3)
+    assert float(np.std(after)) < 0.06 < float(np.std(before))
+
+
+def test_the_gap_closes_on_another_motion_where_the_simulator_can_be_asked(drift_by_file: Diagnosis, drift_by_function: Diagnosis) -> None:
+    other = record(
+        lambda tip: own_simulator(tip) | {"fz_N": own_simulator(tip)["fz_N"] + 0.01 * tip["t_s"]}, seed=7, presses_m=(0.005, 0.002)
+    )
+    closed = check_on(drift_by_function, other).closed
+    assert closed is not None
+    assert closed > 0.95
+    with pytest.raises(BadInput, match=r"foam\.csv, which holds the diagnosed motion alone"):
+        check_on(drift_by_file, other)
+    again = check_on(drift_by_file, other, as_file(other)).closed
+    assert again is not None
+    assert again > 0.95
+
+
+def test_a_next_experiment_needs_no_output_of_the_simulator_for_the_motions_that_it_tries() -> None:
+    cell, (t_s, z_cmd_m) = nominal(), commanded()
+    real = simulate(cell.with_effects({"tissue.modulus": {"ratio": 0.7}}), t_s, z_cmd_m=z_cmd_m, noise_seed=2)
+    samples = Samples(t_s, z_cmd_m, real["z_m"], real["vz_m_per_s"], np.column_stack([real[name] for name in WRENCH_COLUMNS]))
+    mine = simulate(cell, t_s, z_m=real["z_m"], vz_m_per_s=real["vz_m_per_s"], z_cmd_m=z_cmd_m)
+    answer = diagnose([samples], cell, simulators=[UserSimulator.of_columns(mine, t_s, "mine.csv")])
+    assert named(answer) == {"tissue.modulus", "sensor.gain"}
+    assert answer.proposal is not None
+    assert "sensor.gain" in answer.proposal.sentence
+    assert "tissue.modulus" in answer.proposal.sentence
+
+
+def test_a_servo_of_the_users_own_is_the_nominal_of_the_heights() -> None:
+    """The real robot is twice as fast as the cell file says, and the user's simulator knows it."""
+    t_s, z_cmd_m = commanded()
+    fast = cell_from({"robot": {"servo_natural_frequency_Hz": 16.0}, "tissue": None}, "fast")
+    moved = simulate(fast, t_s, z_cmd_m=z_cmd_m, noise_seed=3)
+    samples = Samples(t_s, z_cmd_m, moved["z_m"], moved["vz_m_per_s"], np.column_stack([moved[name] for name in WRENCH_COLUMNS]))
+    slow = cell_from({"tissue": None}, "slow")
+    assert [effect.id for effect in diagnose([samples], slow, propose=False).effects] == ["robot.lag"]
+
+    def mine(motion: Mapping[str, Floats]) -> dict[str, Floats]:
+        out = simulate(fast, motion["t_s"], z_cmd_m=motion["z_cmd_m"])
+        return {"z_m": out["z_m"], "fz_N": simulate(fast, motion["t_s"], z_m=motion["z_m"], vz_m_per_s=motion["vz_m_per_s"])["fz_N"]}
+
+    answer = diagnose([samples], slow, propose=False, simulators=[UserSimulator.of_function(mine, "mine")])
+    assert answer.verdict == "none", answer.sentence
+
+
+# a rig without tissue
+
+
+def axis(motion: Mapping[str, Floats]) -> dict[str, Floats]:
+    """A linear axis with a force sensor and a moved mass: inertia, the cogging of its motor, and a cable chain; nothing is ever touched."""
+    cogging_N = 0.25 * np.sin(2.0 * np.pi * motion["z_m"] / 0.016)
+    return {"fz_N": cogging_N - 0.8 * motion["az_m_per_s2"] - 12.0 * (motion["z_m"] - motion["z_m"][0])}
+
+
+def moved_axis(extra: Wrench, seed: int = 1) -> tuple[Samples, CellFile]:
+    """A recording of the axis, and its cell file."""
+    blocks = {
+        "probe": {"mass_kg": 0.8},
+        "sensor": {"filter_cutoff_Hz": None, "resolution_fz_N": 0.0, "noise_rms_N": 0.05},
+        "tissue": None,
+    }
+    cell = cell_from(blocks, "axis")
+    t_s, rng = np.arange(0.0, 30.0, 0.004), np.random.default_rng(seed)
+    corners = np.array([(0, 0), (2, 0), (3, 0.04), (5, 0.04), (6.5, 0.01), (8, 0.01), (8.6, 0.05), (11, 0.05), (14, 0.0), (16, 0.0)])
+    corners = np.vstack([corners, corners[1:] + np.array([14.0, 0.0])])
+    z_cmd_m = np.interp(t_s, *corners.T)
+    moved = simulate(cell, t_s, z_cmd_m=z_cmd_m)
+    tip = {"t_s": t_s, "z_m": moved["z_m"], "vz_m_per_s": moved["vz_m_per_s"]}
+    tip["az_m_per_s2"] = np.gradient(tip["vz_m_per_s"], t_s)
+    wrench = rng.standard_normal((len(t_s), 6)) * np.array([0.05] * 3 + [0.001] * 3)
+    wrench[:, 2] += extra(tip)["fz_N"]
+    z_m, v = tip["z_m"] + 5e-6 * rng.standard_normal(len(t_s)), tip["vz_m_per_s"] + 2e-4 * rng.standard_normal(len(t_s))
+    return Samples(t_s, z_cmd_m, z_m, v, wrench), cell
+
+
+def test_a_linear_axis_without_tissue_is_healthy_by_its_own_simulator_alone() -> None:
+    samples, cell = moved_axis(axis)
+    assert diagnose([samples], cell, propose=False).verdict != "none"
+    answer = diagnose([samples], cell, propose=False, simulators=[UserSimulator.of_function(axis, "axis")])
+    assert answer.verdict == "none", answer.sentence
+
+
+def test_friction_in_a_linear_axis_without_tissue_is_found() -> None:
+    samples, cell = moved_axis(lambda tip: {"fz_N": axis(tip)["fz_N"] - 0.2 * np.tanh(tip["vz_m_per_s"] / 5e-4)}, seed=2)
+    answer = diagnose([samples], cell, propose=False, simulators=[UserSimulator.of_function(axis, "axis")])
+    assert [effect.id for effect in answer.effects] == ["cable.friction"], answer.sentence
+    value, low, high = answer.effects[0].parameters["force_N"]
+    assert low <= 0.2 <= high, (value, low, high)
+
+
+# palpd simulate
+
+
+def test_a_simulation_is_the_users_output_and_what_the_cell_has_beyond_the_nominal(healthy: Samples) -> None:
+    columns = {"t_s": healthy.t_s, "z_m": healthy.z_m, "vz_m_per_s": healthy.vz_m_per_s, "z_cmd_m": healthy.z_cmd_m}
+    drift = stated().with_effects({"sensor.drift": {"rate_N_per_s": 0.02}})
+    out = simulate_with(as_file(healthy), stated(), drift, columns, {**EFFECTS}, measured=True)  # type: ignore[arg-type]
+    assert np.allclose(out["fz_N"], smooth(healthy)["fz_N"] + 0.02 * healthy.t_s, atol=1e-9)
+    soft = stated().with_effects({"robot.compliance": {"stiffness_N_per_m": 3000.0}})
+    with pytest.raises(BadInput, match=r"robot\.compliance changes the motion, and foam\.csv"):
+        simulate_with(as_file(healthy), stated(), soft, columns, {**EFFECTS}, measured=True)  # type: ignore[arg-type]
+    lag = stated().with_effects({"robot.lag": {"bandwidth_ratio": 0.5}})
+    with pytest.raises(BadInput, match=r"robot\.lag changes the motion"):
+        simulate_with(as_file(healthy), stated(), lag, columns, {**EFFECTS}, measured=False)  # type: ignore[arg-type]
+
+
+# what does not fit
+
+
+def refused(samples: Samples, **columns: Floats) -> str:
+    """The sentence with which an output is refused."""
+    output = smooth(samples) | columns
+    with pytest.raises(RecordingError) as error:
+        diagnosis_of(samples, UserSimulator.of_columns(output, samples.t_s, "foam.csv"))
+    return str(error.value)
+
+
+def test_an_output_in_other_units_or_with_another_sign_is_refused(healthy: Samples) -> None:
+    output = smooth(healthy)
+    assert "looks like mN, divide by 1000" in refused(healthy, fz_N=1e3 * output["fz_N"])
+    assert "looks like kN, multiply by 1000" in refused(healthy, fz_N=1e-3 * output["fz_N"])
+    assert "multiply fz_N of foam.csv by -1" in refused(healthy, fz_N=-output["fz_N"])
+    assert "looks like mm, divide by 1000" in refused(healthy, z_m=1e3 * output["z_m"])
+    assert "multiply z_m of foam.csv by -1" in refused(healthy, z_m=-output["z_m"])
+    assert "the output is for another motion" in refused(healthy, z_m=np.roll(output["z_m"], 1300))
+
+
+def test_an_output_of_another_length_is_interpolated_where_it_covers_the_recording(healthy: Samples) -> None:
+    output = smooth(healthy)
+    every = {name: values[::2] for name, values in output.items()}
+    at = UserSimulator.of_columns(every, healthy.t_s, "foam.csv").run({})
+    assert np.allclose(at["fz_N"][::2][:-1], output["fz_N"][::2][:-1])
+    assert len(at["fz_N"]) == len(healthy)
+    half = {name: values[: len(values) // 2] for name, values in output.items()}
+    with pytest.raises(RecordingError, match=r"covers 0 s to .* expected all of it; simulate the whole motion"):
+        UserSimulator.of_columns(half, healthy.t_s, "foam.csv")
+
+
+def test_an_output_that_is_no_output_is_refused(healthy: Samples, tmp_path: Path) -> None:
+    output = smooth(healthy)
+    with pytest.raises(RecordingError, match="fz_N is nan in row 4"):
+        UserSimulator.of_columns(output | {"fz_N": np.where(np.arange(len(healthy)) == 3, np.nan, 0.0)}, healthy.t_s, "foam.csv")
+    (tmp_path / "foam.csv").write_text("t_s,force\n0,1\n1,2\n")
+    with pytest.raises(RecordingError, match=r"foam\.csv: column fz_N is missing in row 0"):
+        UserSimulator.of_file(tmp_path / "foam.csv", healthy.t_s)
+
+
+def test_a_function_that_fails_is_one_sentence(healthy: Samples) -> None:
+    def broken(motion: Mapping[str, Floats]) -> dict[str, Floats]:
+        return {"fz_N": motion["depth_m"]}
+
+    with pytest.raises(BadInput, match=r"the simulator broken failed on a motion of \d+ rows \(KeyError: 'depth_m'\)"):
+        diagnosis_of(healthy, UserSimulator.of_function(broken, "broken"))
+    short = UserSimulator.of_function(lambda motion: {"fz_N": motion["z_m"][:-1]}, "short")
+    with pytest.raises(RecordingError, match=r"fz_N has the shape \(\d+,\) and the motion has \d+ rows"):
+        diagnosis_of(healthy, short)
+    without = UserSimulator.of_function(lambda motion: {"fx_N": motion["z_m"]}, "without")
+    with pytest.raises(RecordingError, match="fz_N is needed"):
+        diagnosis_of(healthy, without)
+
+
+def test_a_force_with_gravity_is_noted(healthy: Samples) -> None:
+    output = smooth(healthy)
+    simulator = UserSimulator.of_columns(output | {"fz_N": output["fz_N"] - 1.96}, healthy.t_s, "foam.csv")
+    notes = " ".join(diagnosis_of(healthy, simulator).notes)
+    assert "fz_N of foam.csv begins -1.96 N beside the recording" in notes or "begins -1.9" in notes
