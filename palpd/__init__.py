@@ -4,9 +4,9 @@ TYPE_CHECKING = False  # `typing` takes longer to import than all that `palpd ab
 if TYPE_CHECKING:
     from typing import Any
 
-    from palpd.api import Analysis, Cell, Effect, GapDiagnosis, LoadedRecording, analyse, diagnose, load, simulate
+    from palpd.api import Analysis, Cell, Effect, GapDiagnosis, LoadedRecording, analyse, diagnose, load, simulate, tip_motion
 
-__all__ = ["Analysis", "Cell", "Effect", "GapDiagnosis", "LoadedRecording", "analyse", "diagnose", "load", "simulate"]
+__all__ = ["Analysis", "Cell", "Effect", "GapDiagnosis", "LoadedRecording", "analyse", "diagnose", "load", "simulate", "tip_motion"]
 
 
 def __getattr__(name: str) -> "Any":

@@ -13,7 +13,7 @@ Names and signatures of `__all__` stay as they are within a minor version. A cha
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -23,10 +23,12 @@ import numpy as np
 
 from palpd.cell.cell_file import CellFile, cell_from, load_cell, nominal, save_cell
 from palpd.cell.effects import EFFECTS, Effect
+from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import BadInput, RecordingError
 from palpd.gap.commands import read_motion, read_recording, simulate_columns
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.diagnosis import diagnose as diagnose_samples
+from palpd.gap.user_simulator import UserSimulator, asked
 from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, samples_from_columns, write_csv
 from palpd.tick import Floats
 
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-__all__ = ["Analysis", "Cell", "Effect", "GapDiagnosis", "LoadedRecording", "analyse", "diagnose", "load", "simulate"]
+__all__ = ["Analysis", "Cell", "Effect", "GapDiagnosis", "LoadedRecording", "analyse", "diagnose", "load", "simulate", "tip_motion"]
 
 TableRow: TypeAlias = dict[str, Any]
 
@@ -118,8 +120,8 @@ class Cell:
         Raises:
             ConfigError: There is no such effect or parameter.
         """
-        content = self.file.model_dump(exclude_none=True) | {"effects": {name: dict(values) for name, values in effects.items()}}
-        return Cell(cell_from(content, "with_effects"))
+        checked = cell_from({"effects": {name: dict(values) for name, values in effects.items()}}, "with_effects")
+        return Cell(self.file.with_effects(checked.effects))
 
     def save(self, path: str | Path) -> None:
         """Write the cell as YAML. Raises BadInput where the file cannot be written."""
@@ -200,6 +202,11 @@ Source: TypeAlias = "str | Path | LoadedRecording | Samples | Mapping[str, Any] 
 """What can be given for a recording: a file, a recording, or a data frame or mapping with the columns of the CSV."""
 CellSource: TypeAlias = "str | Path | Cell | CellFile | Mapping[str, Any]"
 """What can be given for a cell: a file, a cell, or the content of a cell.yaml."""
+Simulator: TypeAlias = "Callable[[dict[str, Floats]], Source]"
+"""A user's own simulator as a function: it takes a motion (`t_s`, `z_m`, `vz_m_per_s`, `az_m_per_s2`, and `z_cmd_m` where known) and gives
+columns, at least `fz_N`."""
+Simulated: TypeAlias = "Simulator | Source"
+"""The nominal prediction of a user's own simulator: the function, or its output for the motion at hand."""
 
 
 @dataclass(frozen=True)
@@ -348,8 +355,32 @@ def load(path: str | Path, site: str | None = None) -> LoadedRecording:
     return LoadedRecording(read_recording(Path(path), site), Path(path).name)
 
 
+def tip_motion(recording: Source, cell: CellSource) -> dict[str, Floats]:
+    """The motion of the tip behind the noisy reports of a recording: what to drive your own simulator with.
+
+    Args:
+        recording: The recording.
+        cell: The cell; its servo and the noise of its robot and sensor say what is noise.
+
+    Returns:
+        `t_s` as recorded, `z_m`, `vz_m_per_s`, `az_m_per_s2`, and `z_cmd_m` where the recording has it, each (n,).
+
+    Raises:
+        RecordingError: The recording lacks a column.
+    """
+    samples = _samples(recording)
+    motion = estimate_tip_motion(_cell(cell), samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m)
+    return {**asked(motion, samples.z_cmd_m), "t_s": samples.t_s}
+
+
 def simulate(
-    motion: Source, cell: CellSource, *, drive: Literal["measured", "commanded"] = "measured", noise_seed: int | None = None
+    motion: Source,
+    cell: CellSource,
+    *,
+    drive: Literal["measured", "commanded"] = "measured",
+    noise_seed: int | None = None,
+    simulated: Simulated | None = None,
+    nominal: CellSource | None = None,
 ) -> LoadedRecording:
     """Simulate what a cell's sensor and robot report on a motion.
 
@@ -358,11 +389,14 @@ def simulate(
         cell: The cell.
         drive: `measured` takes the reported heights, `commanded` the commanded ones through the robot's servo.
         noise_seed: Seed of noise and rounding; neither without one.
+        simulated: Your own simulator, or its output for this motion; what the cell has beyond `nominal` is added to it.
+        nominal: The cell that your simulator simulates.
 
     Returns:
         The recording.
 
     Raises:
+        BadInput: Only one of `simulated` and `nominal` is given.
         RecordingError: The motion lacks a column.
     """
     columns = _columns(motion)
@@ -372,11 +406,20 @@ def simulate(
     missing = [name for name in ("t_s", needed) if name not in columns]
     if missing:
         raise RecordingError(f"the motion has no column {missing[0]}; it has {', '.join(columns) or 'none'}")
-    return LoadedRecording(simulate_columns(_cell(cell), columns, measured=drive == "measured", noise_seed=noise_seed), "simulated")
+    if (simulated is None) != (nominal is None):
+        raise BadInput("simulated= and nominal= belong together: the first is your simulator of the second; give both")
+    own = None if simulated is None or nominal is None else (_simulator(simulated, columns["t_s"]), _cell(nominal))
+    samples = simulate_columns(_cell(cell), columns, measured=drive == "measured", noise_seed=noise_seed, own=own)
+    return LoadedRecording(samples, "simulated")
 
 
 def diagnose(
-    recordings: Source | Sequence[Source], cell: CellSource, *, effects: Mapping[str, Effect] = EFFECTS, propose: bool = False
+    recordings: Source | Sequence[Source],
+    cell: CellSource,
+    *,
+    effects: Mapping[str, Effect] = EFFECTS,
+    propose: bool = False,
+    simulated: Simulated | Sequence[Source] | None = None,
 ) -> GapDiagnosis:
     """Say where recordings of one cell differ from its simulation, and which effect causes it.
 
@@ -385,15 +428,23 @@ def diagnose(
         cell: The cell as the simulator knows it.
         effects: The effects that may be present, by id.
         propose: Whether to look for the motion that would decide what is open.
+        simulated: Your own simulator as the nominal, or its output for each recording; the cell then says what is within specification.
 
     Returns:
         The diagnosis.
 
     Raises:
-        RecordingError: The recordings cannot be judged.
+        BadInput: There are not as many outputs as recordings.
+        RecordingError: The recordings cannot be judged, or an output does not fit its recording.
     """
-    several = recordings if isinstance(recordings, Sequence) and not isinstance(recordings, str) else [recordings]
-    return GapDiagnosis(diagnose_samples([_samples(each) for each in several], _cell(cell), effects, propose=propose))
+    samples = [_samples(each) for each in _several(recordings)]
+    simulators: list[UserSimulator] = []
+    if simulated is not None:
+        given = [simulated] * len(samples) if callable(simulated) else _several(simulated)
+        if len(given) != len(samples):
+            raise BadInput(f"simulated= has {len(given)} outputs for {len(samples)} recordings; give one for each, in their order")
+        simulators = [_simulator(each, one.t_s) for each, one in zip(given, samples, strict=True)]
+    return GapDiagnosis(diagnose_samples(samples, _cell(cell), effects, propose=propose, simulators=simulators))
 
 
 def analyse(source: Source, cell: CellSource | None = None, *, site: str | None = None) -> Analysis:
@@ -427,6 +478,20 @@ def _daemon_sites(source: Source, site: str | None) -> Sequence[Mapping[str, Any
     if not isinstance(source, str | Path) or not holds_ticks(Path(source)):
         raise BadInput("a modulus of a recording that is not the daemon's needs a cell, which says how large the tip is; give cell=")
     return analysed_sites(Recording.load(Path(source)), site)
+
+
+def _several(sources: Source | Sequence[Source]) -> list[Source]:
+    return list(sources) if isinstance(sources, Sequence) and not isinstance(sources, str) else [sources]
+
+
+def _simulator(simulated: Simulated, t_s: Floats) -> UserSimulator:
+    if isinstance(simulated, str | Path):
+        return UserSimulator.of_file(Path(simulated), t_s)
+    if callable(simulated):
+        function: Simulator = simulated
+        name = str(getattr(function, "__name__", type(function).__name__))
+        return UserSimulator.of_function(lambda motion: _columns(function(dict(motion))), name)
+    return UserSimulator.of_columns(_columns(simulated), t_s, "the simulated output")
 
 
 def _cell(source: CellSource) -> CellFile:

@@ -55,6 +55,32 @@ def test_the_found_cell_predicts_the_recording_and_gives_its_modulus(softer: pal
     assert modulus.table()[0]["low_Pa"] < 0.7 * 72000.0 < modulus.table()[0]["high_Pa"]
 
 
+def test_ones_own_simulator_is_the_nominal_as_a_function_and_as_a_data_frame(softer: palpd.LoadedRecording) -> None:
+    stated = palpd.Cell.nominal()
+
+    def mine(motion: dict[str, np.ndarray]) -> palpd.LoadedRecording:
+        return palpd.simulate(motion, stated)
+
+    output = palpd.simulate({**palpd.tip_motion(softer, stated)}, stated)
+    for simulated in (mine, output.to_pandas(), [output]):
+        answer = palpd.diagnose(softer, stated, simulated=simulated)
+        assert [row["effect"] for row in answer.table()] == ["tissue.modulus"]
+        assert answer.to_json()["simulated"]["other_motions"] is callable(simulated)
+    again = palpd.simulate(softer, answer.cell, simulated=mine, nominal=stated)
+    assert float(np.std(again["fz_N"] - softer["fz_N"])) < 0.1
+    with pytest.raises(BadInput, match="1 outputs for 2 recordings"):
+        palpd.diagnose([softer, softer], stated, simulated=output)
+    with pytest.raises(BadInput, match=r"simulated= and nominal= belong together"):
+        palpd.simulate(softer, answer.cell, simulated=mine)
+
+
+def test_a_cell_without_tissue_and_filter_stays_so_with_effects() -> None:
+    bare = palpd.Cell.of(tissue=None, sensor={"filter_cutoff_Hz": None}).with_effects({"sensor.gain": {"error": 0.1}}).file
+    assert bare.tissue is None
+    assert bare.sensor.filter_cutoff_Hz is None
+    assert bare.effects == {"sensor.gain": {"error": 0.1}}
+
+
 def test_what_is_saved_loads_again(softer: palpd.LoadedRecording, answer: palpd.GapDiagnosis, tmp_path: Path) -> None:
     softer.save(tmp_path / "run.csv")
     assert np.array_equal(palpd.load(tmp_path / "run.csv")["fz_N"], softer["fz_N"])

@@ -1,6 +1,6 @@
 """Commands for the gap between measurement and simulation: diagnose it, close it, and judge the diagnosis itself."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -39,6 +39,12 @@ def diagnose(
     json_file: JsonOption = None,
     cell_out: Annotated[Path | None, typer.Option("--cell-out", help="write the cell with what was found")] = None,
     report: Annotated[Path | None, typer.Option("--report", help="write a report (.html)")] = None,
+    simulated: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--simulated", help="your own simulator's output for the recorded motion (.csv), as the nominal; one for each recording"
+        ),
+    ] = None,
     effects: EffectsOption = None,
     adopted: AdoptedOption = True,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="processes, for a folder")] = 1,
@@ -55,14 +61,22 @@ def diagnose(
     _refuse_foreign(recordings)
     say_broken_effects()
     if len(recordings) == 1 and recordings[0].is_dir():
-        _refuse_for_a_folder(recordings[0], {"--cell": cell, "--site": site, "--cell-out": cell_out, "--report": report})
+        beside = {"--cell": cell, "--site": site, "--cell-out": cell_out, "--report": report, "--simulated": simulated or None}
+        _refuse_for_a_folder(recordings[0], beside)
         _diagnose_fleet(recordings[0], jobs, scheduler, effects, adopted_folder(adopted), json_file)
         return
     nominal = required_cell(cell)
     with terminal().status("diagnosing"):
         try:
             diagnosis = diagnose_files(
-                recordings, nominal, json_out=json_file, cell_out=cell_out, effects=effects, adopted=adopted_folder(adopted), site=site
+                recordings,
+                nominal,
+                json_out=json_file,
+                cell_out=cell_out,
+                effects=effects,
+                adopted=adopted_folder(adopted),
+                site=site,
+                simulated=simulated or (),
             )
         except RecordingError as error:
             raise _with_import_command(error, recordings) from error
@@ -72,7 +86,7 @@ def diagnose(
         terminal().print(line, highlight=False)
 
 
-def _refuse_for_a_folder(folder: Path, options: dict[str, object]) -> None:
+def _refuse_for_a_folder(folder: Path, options: Mapping[str, object]) -> None:
     """Refuse the options that are for one recording: nothing that was asked for is left out without a word."""
     given = [name for name, value in options.items() if value is not None]
     if given:
@@ -183,6 +197,11 @@ def simulate(
     csv: Annotated[Path, typer.Option("--csv", help="recording to write")],
     source: Annotated[Literal["measured", "commanded"], typer.Option("--from", help="what drives it where both are there")] = "measured",
     noise: Annotated[int | None, typer.Option("--noise", help="seed: add noise and rounding")] = None,
+    simulated: Annotated[
+        Path | None,
+        typer.Option("--simulated", help="your own simulator's output for this motion (.csv): add what the cell has beyond --nominal"),
+    ] = None,
+    nominal: Annotated[Path | None, typer.Option("--nominal", help="cell.yaml that your simulator simulates, with --simulated")] = None,
     effects: EffectsOption = None,
     adopted: AdoptedOption = True,
 ) -> None:
@@ -200,6 +219,8 @@ def simulate(
         effects=effects,
         adopted=adopted_folder(adopted),
         say=terminal().print,
+        simulated=simulated,
+        nominal=nominal,
     )
     terminal().print(f"{csv}: {len(samples)} rows, {samples.duration_s:.1f} s.")
 
