@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from palpd.errors import RecordingError
-from palpd.gap.noise import CHANNELS, FZ, dead, declared_rms
+from palpd.gap.noise import CHANNELS, FZ, dead, declared_rms, measured_rms
 from palpd.gap.plausibility import CLEAR_NOISES, SHAPE_CORRELATION, WRONG_UNIT_RATIO, correlation
 from palpd.gap.problem import Problem
 from palpd.gap.user_simulator import NominalDifference
@@ -15,6 +15,9 @@ from palpd.recording.samples import Samples
 
 UNITS = {"fz_N": ("mN", "kN"), "z_m": ("mm", "km")}
 """Units that a column may have by mistake: of numbers that are too large, and too small."""
+
+NOISY_SHARE = 0.3
+"""White noise of an output over the stated noise of the sensor that is worth a note: it adds a twentieth to the noise of the gap."""
 
 FIRST_SHARE = 0.01
 """Share of the rows at the beginning over which the zeros of both forces are compared."""
@@ -87,7 +90,7 @@ def nominal_source(problem: Problem, not_judged: Sequence[str]) -> NominalSource
     notes = []
     for samples, beyond in given:
         _refuse_misfit(samples, beyond)
-        notes += _zero_notes(samples, beyond)
+        notes += [*_zero_notes(samples, beyond), *_noise_notes(beyond)]
     predicted = [beyond.channels for _, beyond in given]
     return NominalSource(
         names=tuple(beyond.simulator.name for _, beyond in given),
@@ -131,4 +134,15 @@ def _zero_notes(samples: Samples, beyond: NominalDifference) -> list[str]:
     return [
         f"fz_N of {beyond.simulator.name} begins {apart_N:+.3g} N beside the recording, which is tared with the probe free and still; "
         "subtract gravity, or what your simulator reads there."
+    ]
+
+
+def _noise_notes(beyond: NominalDifference) -> list[str]:
+    """A force with noise of its own."""
+    noise_N, stated_N = measured_rms(beyond.output["fz_N"]), float(declared_rms(beyond.cell)[FZ])
+    if noise_N <= NOISY_SHARE * stated_N:
+        return []
+    return [
+        f"fz_N of {beyond.simulator.name} has {noise_N:.2g} N of noise and the cell file states {stated_N:.2g} N, expected none in a "
+        "prediction; switch the noise of your simulator off, and drive it with a smooth motion."
     ]

@@ -56,7 +56,7 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
 def test_the_refusals_of_the_page_are_those_of_the_code() -> None:
     code = "".join((ROOT / "palpd" / "gap" / name).read_text() for name in ("user_simulator.py", "nominal_source.py"))
     quoted = re.findall(r"^\| ((?:fz_N|z_m|sim\.csv) .*?) \|", PAGE.split("## What is refused")[1], flags=re.MULTILINE)
-    assert len(quoted) == 5
+    assert len(quoted) == 6
     for sentence in quoted:
         words = max(re.split(r"sim\.csv|…|\d+|\bfz_N\b|\bz_m\b|\(a note\)|expected", sentence), key=len).strip(" ,")
         assert words in code, words

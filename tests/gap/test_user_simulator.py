@@ -1,5 +1,6 @@
 """A user's own simulator as the nominal: what palpd's nominal would call a gap is none, and what was planted is found."""
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -11,9 +12,10 @@ from palpd.cell.effects import EFFECTS
 from palpd.cell.simulation import simulate
 from palpd.errors import BadInput, RecordingError
 from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.gap.nominal_source import nominal_source
 from palpd.gap.other_motion import check_on
 from palpd.gap.problem import make_problem
-from palpd.gap.report import curves_of
+from palpd.gap.report import curves_of, write
 from palpd.gap.user_simulator import UserSimulator, simulate_with
 from palpd.recording.samples import WRENCH_COLUMNS, Samples
 from palpd.tick import Floats
@@ -205,11 +207,13 @@ def test_a_factor_on_the_force_is_named_once_palpds_cell_is_near_the_users_simul
     assert named(diagnosis_of(recording, FUNCTION, cell=near)) == {"tissue.modulus", "sensor.gain"}
 
 
-def test_the_report_draws_the_users_simulation(drifting: Samples, drift_by_file: Diagnosis) -> None:
+def test_the_report_draws_and_names_the_users_simulation(drifting: Samples, drift_by_file: Diagnosis, tmp_path: Path) -> None:
     curves = curves_of(drift_by_file)
     assert np.allclose(curves.nominal[:, 3], smooth(drifting)["fz_N"], atol=1e-9)
     before, after = curves.gaps(3)
     assert float(np.std(after)) < 0.06 < float(np.std(before))
+    write(tmp_path / "gap.html", drift_by_file, "a run")
+    assert "Nominal cell: as foam.csv simulates it." in (tmp_path / "gap.html").read_text()
 
 
 def test_the_gap_closes_on_another_motion_where_the_simulator_can_be_asked(drift_by_file: Diagnosis, drift_by_function: Diagnosis) -> None:
@@ -371,8 +375,16 @@ def test_a_function_that_fails_is_one_sentence(healthy: Samples) -> None:
         diagnosis_of(healthy, without)
 
 
-def test_a_force_with_gravity_is_noted(healthy: Samples) -> None:
-    output = smooth(healthy)
-    simulator = UserSimulator.of_columns(output | {"fz_N": output["fz_N"] - 1.96}, healthy.t_s, "foam.csv")
-    notes = " ".join(diagnosis_of(healthy, simulator).notes)
-    assert "fz_N of foam.csv begins -1.96 N beside the recording" in notes or "begins -1.9" in notes
+def notes_on(samples: Samples, fz_N: Floats) -> str:
+    simulator = UserSimulator.of_columns(smooth(samples) | {"fz_N": fz_N}, samples.t_s, "foam.csv")
+    source = nominal_source(make_problem([samples], stated(), simulators=[simulator]), ())
+    assert source is not None
+    return " ".join(source.notes)
+
+
+def test_a_force_with_gravity_or_noise_is_noted(healthy: Samples) -> None:
+    fz_N = smooth(healthy)["fz_N"]
+    assert not notes_on(healthy, fz_N)
+    assert re.search(r"fz_N of foam\.csv begins -1\.9\d* N beside the recording", notes_on(healthy, fz_N - 1.96))
+    noisy_N = fz_N + 0.05 * np.random.default_rng(9).standard_normal(len(fz_N))
+    assert re.search(r"fz_N of foam\.csv has 0\.0[45]\d* N of noise", notes_on(healthy, noisy_N))
