@@ -57,7 +57,8 @@ class NominalSource:
         out = [f"The nominal prediction of {', '.join(self.channels)} is that of {named}.{own}", *self.notes]
         if not self.any_motion:
             out.append(
-                "A prediction on another motion needs your simulator's output for that motion: palpd simulate MOTION --simulated OUTPUT."
+                "A prediction on another motion needs your simulator's output for that motion: palpd simulate MOTION --cell ENRICHED "
+                "--simulated OUTPUT --nominal CELL."
             )
         return out
 

@@ -143,7 +143,7 @@ def test_what_a_file_cannot_judge_stands_in_sentence_and_json(drift_by_file: Dia
         "not_judged": ["robot.backlash", "robot.compliance"],
     }
     assert "robot.backlash or robot.compliance" in drift_by_file.sentence
-    assert any("palpd simulate MOTION --simulated" in note for note in content["notes"])
+    assert any("palpd simulate MOTION --cell ENRICHED --simulated OUTPUT --nominal CELL" in note for note in content["notes"])
     asked = drift_by_function.to_json()["simulated"]
     assert asked["other_motions"]
     assert not asked["not_judged"]
