@@ -2,8 +2,8 @@
 
 `python -m benchmarks.my_simulator [--cells 20] [--resume FILE]`. The cells are single-effect cells of the blind check's MuJoCo source. The
 user's simulator is the MuJoCo model without effects and deviations: the rig as it is designed, with the numbers of the cell file. Each cell
-is diagnosed with palpd's own nominal, with that simulator as a function, and with its output as a file. A cell takes some two minutes of
-processor time; 200 are needed for a verdict. `--resume` keeps one line a cell and continues after the last.
+is diagnosed with palpd's own nominal, with that simulator as a function, and with its output as a file. A cell takes some half a minute
+of processor time; 200 are needed for a verdict. `--resume` keeps one line a cell and continues after the last.
 """
 
 import argparse
