@@ -9,6 +9,7 @@ of each come the effects of that site. Wrenches are what the environment does to
 from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,12 +25,20 @@ Library = Mapping[str, Effect]
 Followed = dict[tuple[float, float], tuple[Floats, Floats, Floats]]
 
 
+class ActingLaw(NamedTuple):
+    """A law that acts on samples, its parameters, and the name under which it remembers."""
+
+    id: str
+    act: Callable[[Span, Values, Memory], None]
+    values: Values
+
+
 @dataclass(frozen=True, slots=True)
 class Physics:
     """A cell at one site, ready to compute: its numbers, and per site the laws that act there in their order."""
 
     constants: Constants
-    laws: Mapping[Site, tuple[tuple[Effect, Values], ...]]
+    laws: Mapping[Site, tuple[ActingLaw, ...]]
 
     def apply(self, site: Site, span: Span, memory: Memory) -> None:
         """Let the effects of a site act on a span of samples.
@@ -39,9 +48,8 @@ class Physics:
             span: Samples that the effects change.
             memory: State of the effects, carried from span to span.
         """
-        for effect, values in self.laws.get(site, ()):
-            assert effect.law is not None
-            effect.law(span, values, memory.setdefault(effect.id, {}))
+        for law in self.laws.get(site, ()):
+            law.act(span, law.values, memory.setdefault(law.id, {}))
 
 
 def physics(cell: CellFile, place: Place | None = None, library: Library = EFFECTS, *, begun: bool = True) -> Physics:
@@ -87,7 +95,7 @@ def physics(cell: CellFile, place: Place | None = None, library: Library = EFFEC
         bias_N=known.bias_N if begun else 0.0,
         drift_N_per_s=known.drift_N_per_min / 60.0 if begun else 0.0,
     )
-    laws: dict[Site, list[tuple[Effect, Values]]] = {}
+    laws: dict[Site, list[ActingLaw]] = {}
     if effects:
         if unknown := [name for name in effects if name not in library]:
             raise ConfigError(f"there is no effect {unknown[0]!r} in the library; give its file with --effects")
@@ -97,10 +105,10 @@ def physics(cell: CellFile, place: Place | None = None, library: Library = EFFEC
             if effect.setting is not None:
                 effect.setting(c, effects[effect.id])
             if effect.law is not None:
-                laws.setdefault(effect.site, []).append((effect, effects[effect.id]))
-    for effect in (one.effect() for one in cell.learned):
-        if begun or not effect.starts_at_tare:
-            laws.setdefault(effect.site, []).append((effect, {"strength": 1.0}))
+                laws.setdefault(effect.site, []).append(ActingLaw(effect.id, effect.law, effects[effect.id]))
+    for learned in cell.learned:
+        if begun or not learned.effect().starts_at_tare:
+            laws.setdefault(learned.site, []).append(ActingLaw(learned.id, learned.act, {"strength": 1.0}))
     return Physics(c, {site: tuple(listed) for site, listed in laws.items()})
 
 
@@ -169,6 +177,11 @@ def _columns(s: Span) -> Iterator[tuple[str, Floats]]:
 def _reading(s: Span, what: Physics, memory: Memory, here: Memory) -> None:
     """From motion to the reading's mean: noise-free, neither clipped nor rounded; `here` is what this place remembers."""
     _at_the_sensor(s, what, memory, here)
+    _through_the_sensor(s, what, memory)
+
+
+def _through_the_sensor(s: Span, what: Physics, memory: Memory) -> None:
+    """From the wrench on the sensor to the reading's mean."""
     for name, share in _leaks(what.constants):
         setattr(s, name, getattr(s, name) + share * s.fz_N)
     what.apply("sensor", s, memory)
@@ -178,9 +191,14 @@ def _reading(s: Span, what: Physics, memory: Memory, here: Memory) -> None:
 
 def _at_the_sensor(s: Span, what: Physics, memory: Memory, here: Memory) -> None:
     """From motion to the wrench on the sensor, its gain included."""
-    c = what.constants
     _contact(s, what, here)
-    s.fz_N = s.contact_N - c.mass_kg * s.az_m_per_s2
+    s.fz_N = s.contact_N - what.constants.mass_kg * s.az_m_per_s2
+    _beside_contact_and_inertia(s, what, memory)
+
+
+def _beside_contact_and_inertia(s: Span, what: Physics, memory: Memory) -> None:
+    """What else acts on the sensor, when its wrench is sampled, and its gain."""
+    c = what.constants
     what.apply("probe", s, memory)
     if c.delay_s or c.skew or not isinstance(s.lead_s, float):
         if s.even_s and not c.skew and isinstance(s.lead_s, float):
@@ -289,7 +307,19 @@ def _hold_dropouts(wrench: Floats, s: Span, rng: np.random.Generator, memory: Me
 # whole recordings
 
 
-def _place(cell: CellFile, site: str | None) -> Place | None:
+def place_named(cell: CellFile, site: str | None) -> Place | None:
+    """A site of a cell by its name.
+
+    Args:
+        cell: The cell.
+        site: Name of one of its sites, or None for the cell's own tissue.
+
+    Returns:
+        The site; None for the cell's own tissue.
+
+    Raises:
+        ConfigError: The cell has no such site.
+    """
     if site is None:
         return None
     for place in cell.sites:
@@ -420,7 +450,7 @@ def mean_reading(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, 
     Returns:
         The reading.
     """
-    what = physics(cell, _place(cell, site), library)
+    what = physics(cell, place_named(cell, site), library)
     s = _span(what.constants, motion)
     _at_the_sensor(s, what, {}, {})
     leaks, leaking_N, laws = _leaks(what.constants), s.fz_N, what.laws.get("sensor")
@@ -527,14 +557,11 @@ def simulate(
         wrench = wrench_of(cell, motion, library, site)
     else:
         rng = np.random.default_rng(noise_seed)
-        what = physics(cell, _place(cell, site), library)
+        what = physics(cell, place_named(cell, site), library)
         s = _span(what.constants, motion)
         _reading(s, what, {}, {})
         wrench = _scatter(_wrench(s), s, rng, {})
-        stated = cell.sensor
-        for axis, step in enumerate([stated.resolution_fxy_N] * 2 + [stated.resolution_fz_N] + [stated.resolution_Nm] * 3):
-            if axis != 2 or what.constants.step_N <= step:
-                wrench[:, axis] = _rounded(wrench[:, axis], step)
+        wrench = round_as_stated(wrench, reporting_of(cell).steps, what.constants.step_N)
         if z_m is None:
             reported_z = reported_z + rng.standard_normal(len(t_s)) * cell.robot.position_noise_rms_m
             reported_v = reported_v + rng.standard_normal(len(t_s)) * cell.robot.velocity_noise_rms_m_per_s
@@ -611,7 +638,7 @@ def true_surface_m(cell: CellFile, site: str | None = None, library: Library = E
     Returns:
         Height in m; -inf with nothing in reach.
     """
-    c = physics(cell, _place(cell, site), library).constants
+    c = physics(cell, place_named(cell, site), library).constants
     return c.wall_z_m if c.wall_stiffness_N_per_m else c.surface_z_m
 
 
@@ -627,7 +654,7 @@ def equilibrium_force_N(cell: CellFile, depth_m: float, site: str | None = None,
     Returns:
         Force in N.
     """
-    what = physics(cell, _place(cell, site), library)
+    what = physics(cell, place_named(cell, site), library)
     c = what.constants
     still = np.zeros(1)
     s = Span(c, np.array([c.wall_after_s]), 1.0, still, still, still)
@@ -782,3 +809,129 @@ class SteppedCell:
         if len(self._places) == 1:
             return 0
         return int(np.argmin(((self._where_m - at_m[:2]) ** 2).sum(axis=1)))
+
+
+# sample by sample, moved by another simulator
+
+
+class Reporting(NamedTuple):
+    """Steps that a recording rounds the readings to, and noise of the reported motion (rms)."""
+
+    resolution_fxy_N: float
+    resolution_fz_N: float
+    resolution_Nm: float
+    position_noise_rms_m: float
+    velocity_noise_rms_m_per_s: float
+
+    @property
+    def steps(self) -> Floats:
+        """The steps (6,) of the axes of WRENCH."""
+        return np.array([self.resolution_fxy_N] * 2 + [self.resolution_fz_N] + [self.resolution_Nm] * 3)
+
+
+class MovedCell:
+    """A cell whose tip another simulator moves: per sample the contact force first, then what robot and sensor report.
+
+    The other simulator may ask for a sample again, as long as its time is that of the last one; that changes no history.
+    """
+
+    def __init__(self, what: Physics, reporting: Reporting, *, noise_seed: int | None = None) -> None:
+        """A cell at rest.
+
+        Args:
+            what: Its physics.
+            reporting: How it reports.
+            noise_seed: Seed of noise and rounding; neither without one.
+        """
+        self.what, self.reporting = what, reporting
+        self._seed = noise_seed
+        self.restart()
+
+    def restart(self) -> None:
+        """A recording begins: all histories are empty, and the noise begins again."""
+        self._rng = None if self._seed is None else np.random.default_rng(self._seed)
+        self._memory: Memory = {"common": {}, "local": {}}
+        self._before: Memory = _copy(self._memory)
+        self._t_s = -np.inf
+
+    def touch(self, t_s: float, dt_s: float, motion: tuple[float, float, float]) -> float:
+        """The contact force of a sample, along z in N.
+
+        Args:
+            t_s: Time since the recording began.
+            dt_s: Time since the sample before.
+            motion: Height in m, speed in m/s and acceleration in m/s² of the robot.
+
+        Returns:
+            The force.
+        """
+        if t_s > self._t_s:
+            self._before = _copy(self._memory)
+        else:
+            self._memory = _copy(self._before)
+        self._t_s = t_s
+        c, common = self.what.constants, self._memory["common"]
+        z, v, a = (np.array([x]) for x in motion)
+        s = Span(c, np.array([t_s]), dt_s, z, v, a)
+        self.what.apply("robot", s, common)
+        self._reported = np.array([s.z_m[0], s.vz_m_per_s[0]])
+        if c.delay_s < 0.0 or c.skew > 0.0:  # a wrench that comes early is a robot that reports late
+            s.lead_s = np.maximum(c.skew * s.t_s - c.delay_s, 0.0)
+            self._reported = delayed(self._reported[None], s.t_s, s.t_s - s.lead_s, common.setdefault("reported", {}))[0]
+        self._span = s
+        self._inertial_N = -c.mass_kg * float(s.az_m_per_s2[0])
+        self._beyond_servo_N = self._inertial_N + c.mass_kg * motion[2]
+        _contact(s, self.what, self._memory["local"])
+        return float(s.contact_N[0])
+
+    @property
+    def expected_fz_N(self) -> float:
+        """What a force sensor shows of the last sample: contact and inertia, which a simulator with bodies has of its own."""
+        return float(self._span.contact_N[0]) + self._inertial_N
+
+    def read(self, fz_N: float | None = None) -> Floats:
+        """What robot and sensor report of the sample that was touched last.
+
+        Args:
+            fz_N: Force of contact and inertia that the other simulator's own sensor shows; None where it has none.
+
+        Returns:
+            Height in m, speed in m/s, and the wrench in N and Nm (8,).
+        """
+        s, common = self._span, self._memory["common"]
+        s.fz_N = np.array([self.expected_fz_N if fz_N is None else fz_N + self._beyond_servo_N])
+        _beside_contact_and_inertia(s, self.what, common)
+        _through_the_sensor(s, self.what, common)
+        if self._rng is None:
+            _expected(s)
+            return np.concatenate((self._reported, _wrench(s)[0]))
+        wrench = round_as_stated(_scatter(_wrench(s), s, self._rng, common), self.reporting.steps, s.constants.step_N)
+        noise = self._rng.standard_normal(2) * (self.reporting.position_noise_rms_m, self.reporting.velocity_noise_rms_m_per_s)
+        return np.concatenate((self._reported + noise, wrench[0]))
+
+
+def reporting_of(cell: CellFile) -> Reporting:
+    """How a cell file says that robot and sensor report."""
+    robot, sensor = cell.robot, cell.sensor
+    return Reporting(
+        sensor.resolution_fxy_N,
+        sensor.resolution_fz_N,
+        sensor.resolution_Nm,
+        robot.position_noise_rms_m,
+        robot.velocity_noise_rms_m_per_s,
+    )
+
+
+def round_as_stated(wrench: Floats, stated: Floats, step_N: float) -> Floats:
+    """Round readings to the stated steps; an axis that a coarser step has rounded already stays as it is.
+
+    Args:
+        wrench: Readings (n, 6) in N and Nm.
+        stated: Steps (6,) of the axes.
+        step_N: Step to which fz is rounded already.
+
+    Returns:
+        The readings (n, 6).
+    """
+    columns = [column if axis == 2 and step_N > stated[2] else _rounded(column, stated[axis]) for axis, column in enumerate(wrench.T)]
+    return np.column_stack(columns)
