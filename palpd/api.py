@@ -285,7 +285,7 @@ class GapDiagnosis(_Shown):
     @property
     def cell(self) -> Cell:
         """The cell with what was found."""
-        return Cell(self.answer.enriched_cell())
+        return Cell(self.answer.cell_with_uncertainty())
 
     def to_json(self) -> dict[str, Any]:
         """The content of out.json (schema palpd.diagnosis/1)."""

@@ -5,14 +5,13 @@ Absent blocks and keys get the defaults of a nominal cell; unknown keys, effects
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-import yaml
 from pydantic import AfterValidator, BeforeValidator, Field, StrictFloat, StrictInt, ValidationError, model_validator
 
 from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.effects.drivers import StrictBlock
-from palpd.cell.effects.learned import LearnedEffect
+from palpd.cell.effects.learned import LearnedEffect, in_yaml
 from palpd.errors import ConfigError
 from palpd.file_versions import NEWEST_FILE, newer, refuse_renamed
 from palpd.files import Document, nearest, read_yaml, refusal, write_text
@@ -173,6 +172,58 @@ class Estimated(StrictBlock):
     """Relative error of the servo's natural frequency."""
 
 
+CROSSTALK = ("fx_per_fz", "fy_per_fz", "tx_per_fz", "ty_per_fz")
+"""Names of the four deviations of crosstalk."""
+
+
+class OpenParameter(StrictBlock):
+    """One number that a diagnosis left open, and how its standard deviation is meant.
+
+    Attributes:
+        name: `<effect>.<parameter>`, or `estimated.<deviation>`, where crosstalk has the names of CROSSTALK.
+        scale: `linear`, `log` (of the value), `log1p` (of one plus the value, for relative deviations), or `angle` (in one turn).
+        sd: Standard deviation on that scale.
+        lower: Least value.
+        upper: Largest value.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[\w.]+\.\w+$")]
+    scale: Literal["linear", "log", "log1p", "angle"] = "linear"
+    sd: NotNegative
+    lower: StrictFloat | None = None
+    upper: StrictFloat | None = None
+
+
+class OpenHypothesis(StrictBlock):
+    """What the cell may be: effects and deviations that a diagnosis could not rule out, and how they vary together.
+
+    Attributes:
+        probability: Its share of all hypotheses that are kept.
+        effects: Its effects at their likeliest parameters, in place of the cell's.
+        estimated: Its likeliest in-tolerance deviations.
+        open: The k numbers that vary around these.
+        correlation: Correlations (k, k) of the open numbers on their scales.
+    """
+
+    probability: Annotated[StrictFloat, Field(gt=0.0, le=1.0)]
+    effects: EffectValues = Field(default_factory=dict)
+    estimated: Estimated = Estimated()
+    open: tuple[OpenParameter, ...] = ()
+    correlation: tuple[tuple[Annotated[StrictFloat, Field(ge=-1.0, le=1.0)], ...], ...] = ()
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> "OpenHypothesis":
+        sides = {len(self.correlation), *(len(row) for row in self.correlation)} - {len(self.open)}
+        if sides:
+            raise ValueError(f"{len(self.open)} open numbers have a correlation of side {sides.pop()}; give one row and column for each")
+        for one in self.open:
+            effect, _, name = one.name.rpartition(".")
+            known = (*Estimated.model_fields, *CROSSTALK) if effect == "estimated" else tuple(self.effects.get(effect, {}))
+            if name not in known:
+                raise ValueError(f"open number {one.name} is none of this hypothesis; expected one of its effects or of estimated")
+        return self
+
+
 class CellSite(StrictBlock):
     """A place with a tissue of its own; the one nearest to the tip counts.
 
@@ -203,7 +254,10 @@ class Wall(StrictBlock):
 
 
 class CellFile(StrictBlock):
-    """The whole file. `tissue` None: nothing in reach. `learned` holds laws that a diagnosis drew from recordings; they always act."""
+    """The whole file. `tissue` None: nothing in reach. `learned` holds laws that a diagnosis drew from recordings; they always act.
+
+    `uncertainty` is what a diagnosis left open. A simulation does not use it; `palpd.cell.draws` draws cells from it.
+    """
 
     version: Version = 1
     """Version of the form of this file; one that this palpd does not know is refused."""
@@ -225,6 +279,8 @@ class CellFile(StrictBlock):
     """Laws that a diagnosis drew from recordings; they are no gap."""
     estimated: Estimated | None = None
     """In-tolerance deviations that a diagnosis fitted."""
+    uncertainty: tuple[OpenHypothesis, ...] = ()
+    """What a diagnosis left open; `palpd export-sim --randomise` draws from it."""
     sites: tuple[CellSite, ...] = ()
     """Places with a tissue of their own, for emulated cells."""
     wall: Wall | None = None
@@ -341,10 +397,11 @@ def save_cell(path: str | Path, cell: CellFile) -> None:
     """
     content = cell.model_dump(mode="json")
     content["learned"] = [one.model_dump(mode="json", exclude_none=True) for one in cell.learned]
-    for key in ("estimated", "wall", "sites", "learned"):
+    content["uncertainty"] = [one.model_dump(mode="json", exclude_none=True, exclude_defaults=True) for one in cell.uncertainty]
+    for key in ("estimated", "uncertainty", "wall", "sites", "learned"):
         if not content[key]:
             del content[key]
-    write_text(Path(path), yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+    write_text(Path(path), in_yaml(content))
 
 
 def _cell_of(document: Document, library: Mapping[str, Effect]) -> CellFile:
@@ -357,6 +414,8 @@ def _cell_of(document: Document, library: Mapping[str, Effect]) -> CellFile:
     except ValidationError as error:
         raise ConfigError(refusal(error, CellFile, document, HINTS)) from None
     _check_effects(cell.effects, f"{document.place(('effects',))}: effects", library)
+    for number, open_one in enumerate(cell.uncertainty):
+        _check_effects(open_one.effects, f"{document.place(('uncertainty', number, 'effects'))}: uncertainty.{number}.effects", library)
     for number, site in enumerate(cell.sites):
         _check_effects(site.effects, f"{document.place(('sites', number, 'effects'))}: sites.{site.name}.effects", library)
     return cell

@@ -276,7 +276,7 @@ def _keep(setting: Setting, diagnosis: Diagnosis, number: int, names: Sequence[s
     """Write the newest answer, its page and the enriched cell."""
     write_answer(setting.folder / f"diagnosis-{number}.json", diagnosis)
     write_report(setting.folder / "gap.html", diagnosis, ", ".join(names))
-    save_cell(setting.folder / "enriched.yaml", diagnosis.enriched_cell())
+    save_cell(setting.folder / "enriched.yaml", diagnosis.cell_with_uncertainty())
 
 
 def _resolution(setting: Setting, history: Sequence[Round], verdict: str, reason: str, diagnosis: Diagnosis | None = None) -> Resolution:

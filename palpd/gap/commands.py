@@ -157,7 +157,7 @@ def diagnose_files(
     if json_out is not None:
         write_answer(json_out, diagnosis)
     if cell_out is not None:
-        save_cell(cell_out, diagnosis.enriched_cell())
+        save_cell(cell_out, diagnosis.cell_with_uncertainty())
     return diagnosis
 
 

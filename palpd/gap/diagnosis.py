@@ -5,12 +5,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from palpd.cell.cell_file import CellFile
+from palpd.cell.cell_file import CellFile, OpenHypothesis
 from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.effects.learned import held_sentence, learned_law_of
 from palpd.cell.simulation import share_outside
@@ -31,6 +32,7 @@ from palpd.gap.recorded_noise import with_recorded_noise
 from palpd.gap.rounding import rounding_of
 from palpd.gap.scatter import Readings, scatter_effects
 from palpd.gap.shrink import Shrink, held_out, without_effects
+from palpd.gap.uncertainty import open_hypotheses
 from palpd.gap.user_simulator import UserSimulator, left_out
 from palpd.gap.verdict import DiagnosisVerdict, NamedEffect, decide, deviation_notes, enriched_cell, unnatural_notes, with_finding
 from palpd.gap.where import Band, Gap, Place, Trend, Unexplained, bands, gap_table, largest_gap, residuals, trend, unexplained
@@ -280,6 +282,18 @@ class Diagnosis:
         """Whether effects are named, and none that another could stand in for."""
         return self.verdict == "effects" and not any(e.indistinguishable_from for e in self.effects)
 
+    @cached_property
+    def uncertainty(self) -> tuple[OpenHypothesis, ...]:
+        """The hypotheses that remain, with the joint uncertainty of their numbers; draws of the cell are made from them."""
+        with threadpool_limits(1):
+            finding = self.finding
+            fit = self.decision.fit if finding.learned is None or finding.law is None else finding.beside_law(self.decision.fit)
+            return open_hypotheses(self.problem, self.decision, self.attribution, fit)
+
+    def cell_with_uncertainty(self) -> CellFile:
+        """The enriched cell with what the diagnosis leaves open, for files."""
+        return self.enriched_cell().model_copy(update={"uncertainty": self.uncertainty})
+
     def enriched_cell(self) -> CellFile:
         """The cell with the named effects, a learned one, and the in-tolerance deviations that were fitted with them.
 
@@ -379,5 +393,6 @@ class Diagnosis:
             "trend": self.trend,
             "learned": self.finding.to_json(),
             "events": self.finding.events or None,
+            "uncertainty": [one.model_dump(mode="json", exclude_none=True) for one in self.uncertainty],
             "notes": self.notes,
         } | ({} if self.source is None else {"simulated": self.source.to_json()})

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from palpd.cell.cell_file import CellFile, EffectValues
+from palpd.cell.cell_file import CROSSTALK, CellFile, EffectValues
 from palpd.gap.fixed_nuisances import Column, zero_columns
 from palpd.gap.noise import FX, FY, FZ, TX, TY, Z
 from palpd.gap.nuisances import ColumnByChannel, Columns, Nuisances, Stretch, nuisances
 from palpd.gap.prepare import PreparedRecording
-from palpd.gap.problem import CROSSTALK, RELATIVE, SHARED, Problem, tolerance_key
+from palpd.gap.problem import RELATIVE, SHARED, Problem, tolerance_key
 from palpd.tick import Floats
 
 LEAKS_INTO = {"fx_per_fz": FX, "fy_per_fz": FY, "tx_per_fz": TX, "ty_per_fz": TY}

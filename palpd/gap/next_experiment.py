@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from palpd.cell.cell_file import CROSSTALK
 from palpd.cell.simulation import equilibrium_force_N
 from palpd.files import writing
 from palpd.gap.coordinates import values_at
@@ -20,7 +21,7 @@ from palpd.gap.noise import FX
 from palpd.gap.nuisances import Nuisances, gram, nuisances, project
 from palpd.gap.posterior import Attribution, Hypothesis
 from palpd.gap.prepare import moves
-from palpd.gap.problem import CROSSTALK, SHARED, Problem, make_problem
+from palpd.gap.problem import SHARED, Problem, make_problem
 from palpd.tick import Floats
 
 OPEN_ABOVE = 0.03

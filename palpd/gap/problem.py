@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import block_diag, csr_array
 
-from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
+from palpd.cell.cell_file import CROSSTALK, CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
 from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS, Effect, Scale
 from palpd.cell.simulation import Followed, predict_motion, scale_of
@@ -33,14 +33,10 @@ SHARED = (
     "filter_cutoff",
     "mass_kg",
     "servo_natural_frequency",
-    "fx_per_fz",
-    "fy_per_fz",
-    "tx_per_fz",
-    "ty_per_fz",
+    *CROSSTALK,
 )
 """In-tolerance deviations that all recordings of a cell share. Each recording has its own bias and drift, since each is tared."""
 
-CROSSTALK = SHARED[-4:]
 RELATIVE = {"youngs_modulus", "filter_cutoff", "servo_natural_frequency"}
 """Deviations that are fitted as logarithms, so that an unknown modulus stays positive."""
 
@@ -357,7 +353,7 @@ def make_problem(
     Returns:
         The problem.
     """
-    cell = cell.with_estimated(None)
+    cell = cell.with_estimated(None).model_copy(update={"uncertainty": ()})
     prepared = tuple(prepare(samples, cell, max(600, max_bins // len(recordings))) for samples in recordings)
     if simulators:
         prepared = tuple(with_simulator(one, its, cell, library) for one, its in zip(prepared, simulators, strict=True))

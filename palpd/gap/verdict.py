@@ -87,7 +87,7 @@ def decide(problem: Problem, nominal: Fit, attribution: Attribution, scatter: Sc
     p_unknown = 1.0 - (1.0 - attribution.p_unknown) * (1.0 - scatter.p_lone_axis)
     p_healthy_scatter = float(np.prod([1.0 - s.probability for s in scatter.effects]))
     p_none = attribution.p_none * (1.0 - scatter.p_lone_axis) * p_healthy_scatter
-    best = _by_named_parameters(problem, attribution.best.fit)
+    best = by_named_parameters(problem, attribution.best.fit)
     named: list[NamedEffect] = []
     if best.names and p_none <= P_NONE_TO_ACQUIT:
         named = _named(problem, best, attribution)
@@ -98,8 +98,16 @@ def decide(problem: Problem, nominal: Fit, attribution: Attribution, scatter: Sc
     return DiagnosisVerdict(kind, [] if kind == "none" else named, candidates, p_none, p_unknown, fit)
 
 
-def _by_named_parameters(problem: Problem, one: Fit) -> Fit:
-    """The hypothesis by the laws that files can state: what says by which of several laws an effect acts is a nuisance."""
+def by_named_parameters(problem: Problem, one: Fit) -> Fit:
+    """The hypothesis by the laws that files can state: what says by which of several laws an effect acts is a nuisance.
+
+    Args:
+        problem: The recordings.
+        one: The hypothesis.
+
+    Returns:
+        The hypothesis, fitted again where it had such a nuisance.
+    """
     values = {
         name: {parameter.name: mine[parameter.name] for parameter in problem.library[name].named_parameters if parameter.name in mine}
         for name, mine in one.values.items()
@@ -239,13 +247,23 @@ def enriched_cell(problem: Problem, verdict: DiagnosisVerdict) -> CellFile:
     around = verdict.fit.linearisation
     coefficients = around.space.coefficients(verdict.fit.residual)
     estimated = problem.estimated(coefficients[: len(around.eta)])
-    zeros = {name: _mean_zero(problem, verdict.fit, coefficients, name) for name in ("bias_N", "drift_N_per_min")}
+    zeros = {name: mean_zero(problem, verdict.fit, coefficients, name) for name in ("bias_N", "drift_N_per_min")}
     cell = problem.cell.with_effects(problem.cell.effects | effects)
     return cell.with_estimated(estimated.model_copy(update=zeros))
 
 
-def _mean_zero(problem: Problem, fit: Fit, coefficients: Floats, name: str) -> float:
-    """Mean over the recordings of the bias or drift of fz, in the unit of the cell file."""
+def mean_zero(problem: Problem, fit: Fit, coefficients: Floats, name: str) -> float:
+    """Mean over the recordings of the bias or drift of fz.
+
+    Args:
+        problem: The recordings.
+        fit: A hypothesis.
+        coefficients: Coefficients (k,) of its nuisances.
+        name: `bias_N` or `drift_N_per_min`.
+
+    Returns:
+        The mean, in the unit of the cell file.
+    """
     tolerance = getattr(problem.cell.tolerances, name)
     values = [coefficients[k] * tolerance for k in fit.linearisation.numbers("recording", name, FZ)]
     return float(np.mean(values)) if values else 0.0

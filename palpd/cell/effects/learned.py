@@ -370,7 +370,13 @@ def save_learned(path: str | Path, learned: Iterable[LearnedEffect], *, overwrit
         BadInput: The file cannot be written.
     """
     content = {"learned": [one.model_dump(mode="json", exclude_none=True) for one in learned]}
-    write_text(Path(path), yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=140), overwrite=overwrite)
+    write_text(Path(path), in_yaml(content), overwrite=overwrite)
+
+
+def in_yaml(content: object) -> str:
+    """Data as YAML, in the order of its keys, with lists of numbers in one line."""
+    text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=140)
+    return text
 
 
 class _Dumper(yaml.SafeDumper):
