@@ -140,9 +140,8 @@ def main() -> None:
     if lines and json.loads(lines[0]) != begun:
         sys.exit(f"{asked.kept} holds cells of {lines[0]}, and this is {json.dumps(begun)}; name another file")
     known = {held.name: held for held in (Held(**json.loads(line)) for line in lines[1:])}
-    print(
-        "| cell | effect | named | channel | rows between the draws | spread / change | parameters in their region |\n|---|---|---|---|---|---|---|"
-    )
+    head = ("cell", "effect", "named", "channel", "rows between the draws", "spread / change", "parameters in their region")
+    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     for spec in specs(asked.cells):
         if spec.name not in known:
             try:

@@ -6,6 +6,9 @@ from palpd.cell.cell_file import CROSSTALK, CellFile, Estimated, OpenHypothesis,
 from palpd.errors import BadInput
 from palpd.tick import Floats
 
+MOST_DRAWS = 10_000
+"""Largest number of drawn cells: their files take 20 MB."""
+
 
 def drawn_cells(cell: CellFile, count: int, seed: int) -> list[CellFile]:
     """Draw cells: a hypothesis by its probability, and around it all open numbers together.
@@ -21,8 +24,8 @@ def drawn_cells(cell: CellFile, count: int, seed: int) -> list[CellFile]:
     Raises:
         BadInput: The count is none, or the cell says nothing about its uncertainty.
     """
-    if count < 1:
-        raise BadInput(f"{count} cells were asked for, expected 1 or more; give --randomise a number of cells")
+    if not 1 <= count <= MOST_DRAWS:
+        raise BadInput(f"{count} cells were asked for, expected 1 to {MOST_DRAWS}; give --randomise a number of cells")
     if not cell.uncertainty:
         raise BadInput(
             "this cell file has no block `uncertainty`, so nothing says how far its numbers may be off; "

@@ -190,40 +190,6 @@ def resolve(
     finish(3 if result["verdict"] == "stopped" else 0, result["reason"])
 
 
-@app.command("export-sim")
-def export_sim(
-    cell: Annotated[Path, typer.Argument(help="cell.yaml, enriched or not")],
-    to: Annotated[Literal["mujoco", "fmu"], typer.Option("--to", help="the simulator (both need palpd[sim])")],
-    out: Annotated[Path, typer.Option("--out", help="folder to write; it must not exist, or be empty")],
-    randomise: Annotated[
-        int | None,
-        typer.Option("--randomise", help="draw this many cells from what the diagnosis left open, too"),
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="seed of the draws")] = 0,
-    site: Annotated[str | None, typer.Option("--site", help="this site of a cell with several")] = None,
-    effects: EffectsOption = None,
-    adopted: AdoptedOption = True,
-) -> None:
-    """Write a cell for another simulator: a MuJoCo model or an FMU, checked against palpd's own simulation, with a README."""
-    from palpd.cell.cell_file import load_cell
-    from palpd.cell.draws import drawn_cells
-    from palpd.gap.commands import library
-    from palpd.interchange.simulators.export import check_target, export_cell
-
-    check_target(to, out)
-    known = library(effects, adopted=adopted_folder(adopted))
-    exported = load_cell(cell, known)
-    draws = [] if randomise is None else drawn_cells(exported, randomise, seed)
-    with terminal().status("exporting"):
-        written = export_cell(exported, to, out, draws=draws, library=known, site=site)
-    also = f" with {written.draws} drawn cells" if written.draws else ""
-    terminal().print(
-        f"{out}: the cell for {to}{also}. Its rollout of motion.csv differs from palpd simulate by {written.agreement.worst:.1e} times the "
-        f"noise ({written.agreement.channel}). README.md in it says how to run it.",
-        highlight=False,
-    )
-
-
 @app.command()
 def simulate(
     motion: Annotated[Path, typer.Argument(help="t_s and z_m or z_cmd_m (.csv)")],
@@ -257,6 +223,42 @@ def simulate(
         nominal=nominal,
     )
     terminal().print(f"{csv}: {len(samples)} rows, {samples.duration_s:.1f} s.")
+
+
+@app.command("export-sim")
+def export_sim(
+    cell: Annotated[Path, typer.Argument(help="cell.yaml, enriched or not")],
+    to: Annotated[Literal["mujoco", "fmu"], typer.Option("--to", help="the simulator (both need palpd[sim])")],
+    out: Annotated[Path, typer.Option("--out", help="folder to write; it must not exist, or be empty")],
+    randomise: Annotated[
+        int | None,
+        typer.Option("--randomise", help="draw this many cells from what the diagnosis left open, too"),
+    ] = None,
+    seed: Annotated[int | None, typer.Option("--seed", min=0, help="seed of the draws (default: 0)")] = None,
+    site: Annotated[str | None, typer.Option("--site", help="this site of a cell with several")] = None,
+    effects: EffectsOption = None,
+    adopted: AdoptedOption = True,
+) -> None:
+    """Write a cell for another simulator: a MuJoCo model or an FMU, checked against palpd's own simulation, with a README."""
+    from palpd.cell.cell_file import load_cell
+    from palpd.cell.draws import drawn_cells
+    from palpd.gap.commands import library
+    from palpd.interchange.simulators.export import check_target, export_cell
+
+    if seed is not None and randomise is None:
+        raise BadInput("--seed is for draws, and none were asked for; give --randomise too, or leave --seed out")
+    check_target(to, out)
+    known = library(effects, adopted=adopted_folder(adopted))
+    exported = load_cell(cell, known)
+    draws = [] if randomise is None else drawn_cells(exported, randomise, seed or 0)
+    with terminal().status("exporting"):
+        written = export_cell(exported, to, out, draws=draws, library=known, site=site)
+    also = f" with {written.draws} drawn cells" if written.draws else ""
+    terminal().print(
+        f"{out}: the cell for {to}{also}. Its rollout of motion.csv differs from palpd simulate by {written.agreement.worst:.1e} times the "
+        f"noise ({written.agreement.channel}). README.md in it says how to run it.",
+        highlight=False,
+    )
 
 
 @app.command()

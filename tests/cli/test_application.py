@@ -23,7 +23,7 @@ COMMANDS = (
     "run", "calibrate", "free-motion", "stiffness", "retract", "demo", "sim", "emulate", "serve", "status", "arm", "start", "pause",
     "resume", "abort", "clear", "init", "install", "doctor", "migrate", "check-config", "replay", "export", "recover", "import",
     "cell-from",
-    "analyse", "train", "map", "diagnose", "resolve", "simulate", "tolerances", "effects", "blind", "study",
+    "analyse", "train", "map", "diagnose", "resolve", "simulate", "export-sim", "tolerances", "effects", "blind", "study",
 )  # fmt: skip
 
 

@@ -156,6 +156,8 @@ def roll_out_file(rollout: Callable[..., np.ndarray]) -> None:
     parser.add_argument("--noise", type=int, default=None, help="seed: add noise and rounding")
     asked = parser.parse_args()
     t_s, z_cmd_m = read_motion(asked.motion)
+    if asked.noise is not None and asked.noise < 0:
+        raise SystemExit(f"--noise is {asked.noise}, expected a seed of 0 or more")
     if asked.csv.exists():
         raise SystemExit(f"{asked.csv} exists; give another --csv")
     try:
