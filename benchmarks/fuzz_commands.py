@@ -80,6 +80,7 @@ diagnose {mcap} --cell {cell} --site A --json {out.json}
 diagnose {csv} --cell {cell} --json {out.json} --cell-out {out.yaml} --report {out.html} --effects {effect}
 resolve --config {config} --recording {csv} --cell {cell} --plan {plan} --rounds 1 --yes --effects {effect} --out {folder} --json {out.json}
 simulate {csv} --cell {cell} --csv {new.csv} --effects {effect}
+export-sim {cell} --to mujoco --out {folder}
 tolerances {csv} --cell {cell} --json {out.json}
 effects --effects {effect} --cell {cell} --json {out.json}
 blind --cases 1 --jobs 1 --json {out.json} --docs {folder} --keep {folder}
@@ -131,6 +132,12 @@ demo --effect no.such.effect
 demo --effect {plan}
 import {csv} --csv {csv}
 simulate {csv} --cell {cell} --csv {csv}
+export-sim {cell} --to mujoco --out {csv}
+export-sim {cell} --to mujoco --out new --seed 1
+export-sim {cell} --to fmu --out new --randomise 0
+export-sim {cell} --to fmu --out new --randomise 3
+export-sim {cell} --to fmu --out new --site Z
+export-sim {csv} --to fmu --out new
 emulate --host 300.300.300.300
 emulate --host 192.0.2.1
 emulate --cell {plan}

@@ -212,6 +212,15 @@ def test_an_export_that_is_not_the_cell_is_refused_with_its_figure(tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_stiff_servo_and_a_slow_sensor_get_steps_of_their_own(tmp_path: Path) -> None:
+    cell = cell_from({"sensor": {"rate_Hz": 30.0}, "robot": {"servo_natural_frequency_Hz": 40.0}}, "cell")
+    numbers = json.loads((exported(cell, tmp_path / "out") / "cells.json").read_text())["cells"][0]
+    assert 2.0 * np.pi * 40.0 * numbers["step_s"] <= 0.25
+    assert 1.0 / 30.0 / numbers["step_s"] == pytest.approx(round(1.0 / 30.0 / numbers["step_s"]))
+    with pytest.raises(ConfigError, match=r"a sensor at 500 Hz and a servo at 1e\+06 Hz need steps of .* s, expected 5e-05 s or more"):
+        exported(cell_from({"robot": {"servo_natural_frequency_Hz": 1e6}}, "cell"), tmp_path / "other")
+
+
 @pytest.mark.parametrize(
     ("effect", "sentence"),
     [

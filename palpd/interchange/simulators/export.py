@@ -36,14 +36,17 @@ Target = Literal["mujoco", "fmu"]
 NEEDS: dict[Target, str] = {"mujoco": "mujoco", "fmu": "pythonfmu3"}
 HERE = Path(__file__).parent
 
-LONGEST_STEP_S = 0.002
-"""Longest step of the simulators: MuJoCo's integrator then follows a servo of 8 Hz to a millionth of the stroke."""
+LONGEST_STEP_S, STEP_OF_SERVO = 0.002, 0.25
+"""Longest step of the simulators, and that times the angular frequency of the servo: MuJoCo's integrator follows it to 1e-5."""
+SHORTEST_STEP_S = 5e-5
+"""Shortest step: ten seconds then take minutes."""
 
 MOST_OFF = 0.2
 """Largest rms difference to palpd's simulation, in rms of the stated noise of the channel, at which an export is written."""
 
-CLEARANCE_M, DEPTH_OF_RADIUS, MOST_FORCE_N = 0.005, 0.3, 5.0
-"""The example motion starts that far above the surface, and presses to that share of the tip's radius or to that force, if it is less."""
+CLEARANCE_M, DEPTH_OF_RADIUS, MOST_DEPTH_M, MOST_FORCE_N = 0.005, 0.3, 0.01, 5.0
+"""The example motion starts that far above the surface, and presses to that share of the tip's radius, that depth or that force,
+whichever is least."""
 
 ROBOT_KG = 1e5
 """Armature of the slide: 10 N of contact then move the tip by less than 0.1 µm."""
@@ -176,14 +179,36 @@ def _numbers(cell: CellFile, library: Mapping[str, Effect], site: str | None) ->
     constants = asdict(what.constants)
     if constants["surface_z_m"] == -np.inf:
         constants["surface_z_m"] = -1e3  # nothing in reach
-    rate_Hz = cell.sensor.rate_Hz
     return {
         "constants": {key: value if isfinite(value) else None for key, value in constants.items()},
         "laws": {law.id: dict(law.values) for place in SITES for law in what.laws.get(place, ())},
         "reporting": reporting_of(cell)._asdict(),
-        "step_s": 1.0 / (rate_Hz * max(ceil(1.0 / (rate_Hz * LONGEST_STEP_S) - 1e-9), 1)),
+        "step_s": step_of(cell.sensor.rate_Hz, what.constants.servo_natural_frequency_Hz),
         "start_z_m": start_height_m(what.constants),
     }
+
+
+def step_of(rate_Hz: float, servo_natural_frequency_Hz: float) -> float:
+    """The step of the simulators: the period of the sensor, or a whole part of it.
+
+    Args:
+        rate_Hz: Rate of the sensor.
+        servo_natural_frequency_Hz: Natural frequency of the servo.
+
+    Returns:
+        The step in s.
+
+    Raises:
+        ConfigError: It would be too short.
+    """
+    longest_s = min(LONGEST_STEP_S, STEP_OF_SERVO / (2.0 * np.pi * servo_natural_frequency_Hz))
+    step_s = 1.0 / (rate_Hz * max(ceil(1.0 / (rate_Hz * longest_s) - 1e-9), 1))
+    if step_s < SHORTEST_STEP_S:
+        raise ConfigError(
+            f"a sensor at {rate_Hz:g} Hz and a servo at {servo_natural_frequency_Hz:g} Hz need steps of {step_s:.2g} s, expected "
+            f"{SHORTEST_STEP_S:g} s or more; correct sensor.rate_Hz and robot in the cell file"
+        )
+    return step_s
 
 
 def start_height_m(c: Constants) -> float:
@@ -208,15 +233,15 @@ def example_motion(cell: CellFile, site: str | None = None, library: Mapping[str
         library: Effects by id.
 
     Returns:
-        Times (n,) in s and commanded heights (n,) in m, at the rate of the sensor.
+        Times (n,) in s and commanded heights (n,) in m, in the steps of the simulators.
     """
     c = physics(cell, place_named(cell, site), library).constants
-    start_m, depth_m = start_height_m(c), DEPTH_OF_RADIUS * c.tip_radius_m
+    start_m, depth_m = start_height_m(c), min(DEPTH_OF_RADIUS * c.tip_radius_m, MOST_DEPTH_M)
     if c.youngs_modulus_Pa > 0.0:
         depth_m *= min(1.0, (MOST_FORCE_N / float(c.elastic_force_N(np.array([depth_m]))[0])) ** (2.0 / 3.0))
     if c.wall_stiffness_N_per_m:
         depth_m = min(depth_m, MOST_FORCE_N / c.wall_stiffness_N_per_m)
-    low_m, step_s = start_m - CLEARANCE_M - depth_m, 1.0 / cell.sensor.rate_Hz
+    low_m, step_s = start_m - CLEARANCE_M - depth_m, step_of(cell.sensor.rate_Hz, c.servo_natural_frequency_Hz)
     moves = [Move(start_m, 0.01, 0.2), Move(low_m, 0.004, 0.8), Move(start_m, 0.008, 0.2), Move(low_m, 0.02, 0.1), Move(start_m, 0.02, 0.3)]
     moved_m, _ = commanded_heights(start_m, moves, step_s)
     heights_m = np.concatenate(([start_m], moved_m))
