@@ -59,7 +59,8 @@ def _drawn(draws: int, use: str) -> str:
 
 They are drawn from what the diagnosis left open: its hypotheses by their probability, and for each the parameters and the deviations
 within tolerance with their correlations. `draws/draw-001.yaml` and so on are cell files of palpd. `cells.json` holds their numbers after
-those of the exported cell, so one model serves all of them. {use}
+those of the exported cell, so one model serves all of them.
+{use}
 """
 
 
@@ -80,7 +81,7 @@ palpd simulates the same motion with `palpd simulate motion.csv --cell cell.yaml
 def _effects(cell: CellFile, place: Mapping[str, str], otherwise: str) -> str:
     names = [*cell.effects, *(one.id for one in cell.learned)]
     rows = [(f"`{name}`", place.get(name, otherwise)) for name in names]
-    return _table(("effect of this cell", "where it is"), rows) if rows else "This cell has no effects."
+    return _table(("effect of this cell", "where it is"), rows) if rows else "The exported cell has no effects."
 
 
 def _native_of(numbers: Mapping[str, Any]) -> dict[str, str]:
@@ -111,6 +112,7 @@ def _mujoco(cell: CellFile, numbers: Mapping[str, Any], draws: int, agreement: A
         ("mass and inertia of the probe", "engine: body `probe`, felt by the sensor `force_on_sensor`"),
         ("contact (Hertz), on the body", "callback: `xfrc_applied`, since the engine's contacts follow another law"),
         ("low-pass, gain, crosstalk, zero", "callback: the sensors `fx_N` to `tz_Nm`"),
+        ("in-tolerance deviations (`estimated` in `cell.yaml`)", "in the numbers of `cells.json`, which set all of the above"),
     ]
     return f"""# A cell of palpd in MuJoCo
 
@@ -146,7 +148,7 @@ print(data.sensor("fz_N").data[0])       # what the force sensor reads in N
 - There is no gravity: the readings of palpd are tared. The callback overwrites `xfrc_applied` of the body `probe`.
 - To put the probe on your own arm, move the body `probe` with its sites and sensors there, and keep the joint and actuator names, or
   change them in `CellInMujoco`. A cell keeps its tip where the servo puts it; an arm that gives way is another cell.
-{_drawn(draws, "`python palpd_cell.py motion.csv --csv rollout-3.csv --draw 3` and `start(model, data, draw=3)` take the third.")}
+{_drawn(draws, f"`python palpd_cell.py motion.csv --csv last.csv --draw {draws}` and `start(model, data, draw={draws})` take the last.")}
 ## What is where
 
 {_table(("part of the cell", "where it is"), native)}
@@ -173,9 +175,13 @@ def _fmu(cell: CellFile, numbers: Mapping[str, Any], draws: int, agreement: Agre
     needs = "`numpy` and `pydantic`" if cell.learned else "`numpy`"
     return f"""# A cell of palpd as an FMU
 
-The FMU is Python inside (pythonfmu3). Where it runs there must be Python 3.10 or newer with {needs}. It does not need palpd. In a
-program of Python, such as fmpy, it is the Python that runs. Another program loads the Python that it finds: `libpython3.so` on Linux,
-`python3.dll` on Windows. `rollout.py` needs `fmpy`.
+The FMU is Python inside (pythonfmu3). Where it runs there must be Python 3.10 or newer with {needs}. It does not need palpd.
+
+| the master is | what it needs |
+| --- | --- |
+| a Python program, such as `rollout.py` with fmpy | nothing more: the FMU uses the Python that runs it |
+| another program on Linux | `LD_PRELOAD=/path/to/libpython3.11.so` (of your Python) before it starts, since the FMU takes Python's symbols from there |
+| another program on Windows | `python3.dll` on the PATH (not tried) |
 
 {_table(("file", "what it is"), files)}
 
@@ -195,7 +201,7 @@ CSV that is written has the columns of a recording of palpd.
 - Between two communication points the command is a straight line. Steps of {1e3 * float(numbers["step_s"]):g} ms or shorter agree
   best; a longer step is divided inside.
 - A sensor that is ahead of the robot (a negative latency) is a robot that reports late. `rollout.py` takes that out of the rows.
-{_drawn(draws, "The parameter `draw` chooses: `python rollout.py motion.csv --csv rollout-3.csv --draw 3`.")}
+{_drawn(draws, f"The parameter `draw` chooses. `python rollout.py motion.csv --csv last.csv --draw {draws}` takes the last.")}
 ## What is where
 
 Everything is computed by palpd's laws inside the FMU. The file `resources/palpd_cell_….py` in it can be read.
