@@ -180,7 +180,7 @@ The FMU is Python inside (pythonfmu3). Where it runs there must be Python 3.10 o
 | the master is | what it needs |
 | --- | --- |
 | a Python program, such as `rollout.py` with fmpy | nothing more: the FMU uses the Python that runs it |
-| another program on Linux | `LD_PRELOAD=/path/to/libpython3.11.so` (of your Python) before it starts, since the FMU takes Python's symbols from there |
+| another program on Linux | `LD_PRELOAD=/path/to/libpython3.11.so` (of your Python) before it starts |
 | another program on Windows | `python3.dll` on the PATH (not tried) |
 
 {_table(("file", "what it is"), files)}
