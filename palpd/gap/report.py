@@ -3,13 +3,11 @@
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from itertools import pairwise
 from math import log10
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 import yaml
 from markupsafe import Markup
@@ -18,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from palpd.analysis.figure_style import BLUE, ENRICHED, FLOOR, GREY, INK, NOMINAL, ORANGE, YELLOW, inline_svg, styled_figure, thinned
+from palpd.analysis.page import rendered_page
 from palpd.cell.effects import Effect
 from palpd.cell.effects.learned import formula_of
 from palpd.files import write_text
@@ -131,10 +130,10 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
         The page.
     """
     channel = (content["where"] or content["shrink"])["channel"]
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
-    template = environment.from_string(files("palpd.gap").joinpath("report.html.j2").read_text(encoding="utf-8"))
     proposed = content["next_experiment"]
-    return template.render(
+    return rendered_page(
+        "palpd.gap",
+        "report.html.j2",
         title=title,
         nominal=NOMINAL,
         enriched=ENRICHED,
