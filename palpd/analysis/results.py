@@ -15,6 +15,7 @@ from palpd.analysis.intervals import mean_half_width_95
 from palpd.analysis.modulus_intervals import NORMAL_95, KnownWeight, Measured, approach_sigma_m, mean_ci95_Pa, mean_sigma_N
 from palpd.analysis.stalls import StallFigures
 from palpd.analysis.young import ContactFit, fit_contact, modulus_peak_Pa, ymbt
+from palpd.control.sequence import SOFT_END
 from palpd.errors import RecordingError
 from palpd.recording.mcap_file import RecordedGeometry, RecordingHeader
 from palpd.recording.reader import Recording
@@ -94,6 +95,14 @@ class LoadingResult(TypedDict):
     peak_force_N: NotRequired[float]
     static_youngs_modulus_Pa: NotRequired[float | None]
     warnings: list[str]
+
+
+class DryFigures(TypedDict):
+    """What a dry run saw, in base axes: mean tared force, noise of fz (standard deviation), and the mean pose of the tip."""
+
+    force_N: list[float]
+    noise_N: float
+    tcp_pose: list[float]
 
 
 class LoopFigures(TypedDict):
@@ -390,6 +399,48 @@ def _depths(of_site: Track, mode: Mode) -> list[float]:
 def _mean(values: Iterable[float | None]) -> float | None:
     finite = [value for value in values if value is not None and math.isfinite(value)]
     return math.fsum(finite) / len(finite) if finite else None
+
+
+def cut_short_notes(sites: list[SiteResult], contact_limit_N: float) -> list[str]:
+    """Say of every press that was cut short which limit ended it.
+
+    Args:
+        sites: Results of a run.
+        contact_limit_N: The contact limit of its configuration.
+
+    Returns:
+        One sentence for each site, kind of press and depth.
+    """
+    reason = f"{contact_limit_N:g} N limit reached (the sequence ends a press at {SOFT_END:g} x contact_limit_N)"
+    presses = [
+        (site["name"], kind, press["commanded_m"])
+        for site in sites
+        for kind, all_presses in (("static", site["depths"]), ("dynamic", site["presses"]))
+        for press in all_presses
+        if press["cut_short"]
+    ]
+    return [f"site {name}, {kind} press to {depth_m * 1e3:g} mm: {reason}" for name, kind, depth_m in dict.fromkeys(presses)]
+
+
+def dry_figures(rows: NDArray[np.void]) -> DryFigures | None:
+    """Force, noise and pose of a dry run.
+
+    Args:
+        rows: Ticks, with the fields of ROW of palpd.tick.
+
+    Returns:
+        The figures after the tare; None where the run ended before.
+    """
+    watched = rows[rows["phase"] != Phase.TARE]
+    filled = np.arange(rows["frame_t_s"].shape[1]) < watched["frames"][:, None]
+    forces_N = watched["tared"][filled][:, :3]
+    if not len(forces_N):
+        return None
+    return {
+        "force_N": forces_N.mean(axis=0).tolist(),
+        "noise_N": float(forces_N[:, 2].std()),
+        "tcp_pose": watched["tcp_pose"].mean(axis=0).tolist(),
+    }
 
 
 def loop_figures(rows: NDArray[np.void]) -> LoopFigures:

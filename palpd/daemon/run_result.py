@@ -2,30 +2,17 @@
 
 from typing import Any, NotRequired, TypedDict
 
-import numpy as np
-from numpy.typing import NDArray
-
 from palpd.analysis import results
-from palpd.analysis.results import LoopFigures, SiteResult
+from palpd.analysis.results import DryFigures, LoopFigures, SiteResult, cut_short_notes, dry_figures
 from palpd.analysis.stalls import stall_figures, stall_note
-from palpd.control.sequence import SOFT_END
 from palpd.daemon.motion_process import TripReport, trip_report
 from palpd.daemon.simulated_run import SimulatedRecording
 from palpd.daemon.socket_client import LastTick
 from palpd.daemon.supervisor import LAST_TICKS, Report, last_ticks_of
 from palpd.errors import RecordingError
 from palpd.recording.reader import Recording
-from palpd.tick import Phase
 
 NO_WIRES = "the cell was simulated without wires: bytes, timing and faults were not part of it"
-
-
-class DryFigures(TypedDict):
-    """What a dry run saw, in base axes: mean tared force, noise of fz (standard deviation), and the mean pose of the tip."""
-
-    force_N: list[float]
-    noise_N: float
-    tcp_pose: list[float]
 
 
 class RunResult(TypedDict):
@@ -42,48 +29,6 @@ class RunResult(TypedDict):
     model_card: NotRequired[dict[str, Any] | None]
     diagnosis: NotRequired[dict[str, Any]]
     dry: NotRequired[DryFigures | None]
-
-
-def dry_figures(rows: NDArray[np.void]) -> DryFigures | None:
-    """Force, noise and pose of a dry run.
-
-    Args:
-        rows: Ticks, with the fields of ROW of palpd.tick.
-
-    Returns:
-        The figures after the tare; None where the run ended before.
-    """
-    watched = rows[rows["phase"] != Phase.TARE]
-    filled = np.arange(rows["frame_t_s"].shape[1]) < watched["frames"][:, None]
-    forces_N = watched["tared"][filled][:, :3]
-    if not len(forces_N):
-        return None
-    return {
-        "force_N": forces_N.mean(axis=0).tolist(),
-        "noise_N": float(forces_N[:, 2].std()),
-        "tcp_pose": watched["tcp_pose"].mean(axis=0).tolist(),
-    }
-
-
-def cut_short_notes(sites: list[SiteResult], contact_limit_N: float) -> list[str]:
-    """Say of every press that was cut short which limit ended it.
-
-    Args:
-        sites: Results of a run.
-        contact_limit_N: The contact limit of its configuration.
-
-    Returns:
-        One sentence for each site, kind of press and depth.
-    """
-    reason = f"{contact_limit_N:g} N limit reached (the sequence ends a press at {SOFT_END:g} x contact_limit_N)"
-    presses = [
-        (site["name"], kind, press["commanded_m"])
-        for site in sites
-        for kind, all_presses in (("static", site["depths"]), ("dynamic", site["presses"]))
-        for press in all_presses
-        if press["cut_short"]
-    ]
-    return [f"site {name}, {kind} press to {depth_m * 1e3:g} mm: {reason}" for name, kind, depth_m in dict.fromkeys(presses)]
 
 
 def run_result(report: Report) -> RunResult:

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from palpd.analysis.results import dry_figures
 from palpd.cell.cell_file import PHANTOM, CellFile
 from palpd.config import Config, Plan, load_config, load_plan
 from palpd.daemon.motion_process import Job
-from palpd.daemon.run_result import dry_figures, simulated_result
+from palpd.daemon.run_result import simulated_result
 from palpd.daemon.simulated_run import run
 from tests.paths import ROOT
 
