@@ -63,6 +63,9 @@ migrate {config} --dry-run
 migrate {plan} --old {new.yaml}
 migrate {cell} --kind cell --old {new.yaml}
 check-config {config} --plan {plan} --json {out.json}
+runs --config {config} --json {out.json}
+info {mcap} --config {config} --json {out.json}
+report {mcap} --out {out.html} --pdf {out.pdf} --config {config}
 replay {csv} --config {config} --json {out.json}
 replay {mcap} --json {out.json}
 export {mcap} --csv {new.csv} --site A
@@ -105,6 +108,18 @@ export {mcap} --csv out.parquet
 migrate {csv}
 migrate {plan} --kind cell
 migrate {mcap}
+runs --tag good
+runs --folder {config}
+runs --since yesterday
+runs {mcap}
+runs {mcap} --tag two,words
+runs no-such-run --tag good
+runs --most 0
+info no-such-run
+info {csv}
+report {mcap} --beside no-such-run
+report {mcap} --out x.html --pdf x.png
+report {mcap} --out {csv}/x.html
 study --published --free {mcap}
 study --free {mcap}
 study --cell A
@@ -298,7 +313,7 @@ def bad_outputs(folder: Path, full: Path | None) -> list[tuple[str, str]]:
     """Places that cannot be written, made in a folder; SUFFIX stands for the ending of the file."""
     (folder / "read-only").mkdir(parents=True)
     (folder / "read-only").chmod(0o555)
-    for suffix in ("", ".json", ".csv", ".parquet", ".mcap", ".onnx", ".png", ".yaml", ".html"):
+    for suffix in ("", ".json", ".csv", ".parquet", ".mcap", ".onnx", ".png", ".pdf", ".yaml", ".html"):
         (folder / f"folder{suffix}").mkdir()
         (folder / f"folder{suffix}" / "inside").write_text("")
         (folder / f"locked{suffix}").write_text("kept")

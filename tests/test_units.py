@@ -101,6 +101,8 @@ ANY_UNIT = {
     "Value": "a published figure, whose unit stands beside",
     "Score": "a line of a table; `share` tells the unit",
     "Fit": "a fit to gaps of any unit, in units of the noise",
+    "EffectPoint": "a parameter of any effect, which it names",
+    "Slope": "of a modulus or of a parameter of any effect, which stands beside, over days",
     "CommentedValue": "a value of a cell file, whose key stands beside",
     "Explanation": "a statistic of published figures",
     "Averages": "a published figure, whose unit stands in the table's head",

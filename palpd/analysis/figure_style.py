@@ -94,7 +94,7 @@ def inline_svg(figure: Figure, name: str) -> Markup:
     with rc_context(STYLE | {"svg.hashsalt": name}):
         figure.savefig(stream, format="svg", transparent=True, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     svg = stream.getvalue()
-    svg = re.sub(r'<g id="\w+">', "<g>", svg[svg.index("<svg") :])  # groups are numbered alike in every figure of a page
+    svg = re.sub(r'<g id="[\w.]+"', "<g", svg[svg.index("<svg") :])  # groups are numbered alike in every figure of a page
     return Markup(svg.replace(INK, "currentColor"))
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import typer
 
-from palpd.cli import analysis, gap, recordings, run, service, study
+from palpd.cli import analysis, gap, history, recordings, run, service, study
 from palpd.cli.options import app
 from palpd.errors import BadInput, Refused
 
@@ -14,7 +14,7 @@ __all__ = ["app", "carry_out"]
 UsageError: Any = typer.BadParameter.__bases__[0]
 """What typer raises for words that fit no command; it has no public name."""
 
-FILES = [each.__name__ for each in (run, service, recordings, analysis, gap, study)]
+FILES = [each.__name__ for each in (run, service, history, recordings, analysis, gap, study)]
 """The files of commands, in the order of `palpd --help`."""
 
 

@@ -36,7 +36,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     [
         ["run"], ["stiffness"], ["demo"], ["sim"], ["doctor"], ["check-config", "config.yaml"], ["replay", "no.mcap"],
         ["analyse", "no.csv"], ["map"], ["diagnose", "no.csv"], ["resolve"], ["tolerances", "no.csv", "--cell", "no.yaml"], ["effects"],
-        ["blind"], ["study"],
+        ["blind"], ["study"], ["runs"], ["info", "no.mcap"],
     ],
 )  # fmt: skip
 def test_a_json_that_cannot_be_written_is_refused_before_anything_else(home: Path, command: list[str]) -> None:

@@ -1,0 +1,197 @@
+"""Commands for looking back: which runs there are, what one was, and its page."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, app, terminal
+from palpd.errors import BadInput
+from palpd.files import check_writable, write_json
+
+if TYPE_CHECKING:
+    from palpd.history.catalogue import Catalogue, RunFilter
+
+FolderOption = Annotated[Path | None, typer.Option("--folder", help="folder of the runs (default: paths.runs of --config)")]
+RunArgument = Annotated[str, typer.Argument(metavar="RUN", help="a recording (.mcap), a name that palpd runs shows, or: last")]
+
+
+@app.command()
+def runs(
+    chosen: Annotated[
+        list[str] | None, typer.Argument(metavar="[RUN]...", help="runs to tag or to note something of: paths, names, or: last")
+    ] = None,
+    tag: Annotated[list[str] | None, typer.Option("--tag", help="add this tag to each RUN")] = None,
+    untag: Annotated[list[str] | None, typer.Option("--untag", help="take this tag from each RUN")] = None,
+    note: Annotated[str, typer.Option("--note", help="add this note to each RUN")] = "",
+    since: Annotated[str, typer.Option("--since", help="list runs from this day on, such as 2026-11-22")] = "",
+    until: Annotated[str, typer.Option("--until", help="list runs up to this day, with it")] = "",
+    site: Annotated[str, typer.Option("--site", help="list runs that have this site")] = "",
+    verdict: Annotated[str, typer.Option("--verdict", help="list runs that ended so: done, stopped, unreadable, …")] = "",
+    kind: Annotated[str, typer.Option("--kind", help="list runs of this kind: palpation, free_motion, stiffness, retract")] = "",
+    tagged: Annotated[list[str] | None, typer.Option("--tagged", help="list runs with this tag (several: with all of them)")] = None,
+    text: Annotated[str, typer.Option("--text", help="list runs with this in name, reason, notes, tags, sites or devices")] = "",
+    most: Annotated[int, typer.Option("--most", min=1, help="list this many, the newest")] = 30,
+    trend: Annotated[
+        str | None, typer.Option("--trend", metavar="SITE", help="how this site's moduli and effects change over the days")
+    ] = None,
+    rebuild: Annotated[bool, typer.Option("--rebuild", help="make the catalogue anew from the recordings")] = False,
+    folder: FolderOption = None,
+    config: ConfigOption = DEFAULT_CONFIG,
+    json_file: JsonOption = None,
+) -> None:
+    """List the runs, newest first; tag them, note something of them, or show a trend. No recording is changed or deleted."""
+    from palpd.history.catalogue import Catalogue, RunFilter
+    from palpd.history.dates import day_begin_s, day_end_s
+
+    check_writable(json_file)
+    place = _folder(folder, config)
+    if chosen or tag or untag or note:
+        _remark(chosen or [], tag or [], untag or [], note, place)
+        return
+    only = RunFilter(
+        since_s=day_begin_s(since) if since else None,
+        until_s=day_end_s(until) if until else None,
+        site=site,
+        verdict=verdict,
+        kind=kind,
+        tags=tuple(tagged or ()),
+        text=text,
+    )
+    with Catalogue(place) as catalogue:
+        _brought_up_to_date(catalogue, rebuild)
+        if trend is not None:
+            _print_trend(catalogue, trend, only, json_file)
+        else:
+            _print_runs(catalogue, only, most, place, json_file)
+        for sentence in catalogue.notes:
+            _say(f"note: {sentence}")
+
+
+@app.command()
+def info(run: RunArgument, folder: FolderOption = None, config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = None) -> None:
+    """Show what a run was: conditions, verdict and reason, sites and moduli, health of the loop, faults, files."""
+    from palpd.cli.history_tables import info_lines, moduli_table
+    from palpd.history.facts import load
+    from palpd.history.remarks import remarks_of
+    from palpd.history.stored import recording_meant
+
+    check_writable(json_file)
+    path = recording_meant(run, _folder(folder, config))
+    recording, facts = load(path)
+    remarks = remarks_of(path)
+    before, after = info_lines(recording, facts, remarks)
+    for line in before:
+        _say(line)
+    if facts["sites"]:
+        terminal().print(moduli_table(facts["sites"]))
+    for line in after:
+        _say(line)
+    write_json(json_file, {**facts, "remarks": remarks.model_dump(mode="json")})
+
+
+@app.command()
+def report(
+    run: RunArgument,
+    beside: Annotated[str | None, typer.Option("--beside", metavar="OTHER", help="a run to compare it with: path, name, or: last")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="page to write (default: RUN.report.html beside the recording)")] = None,
+    pdf: Annotated[Path | None, typer.Option("--pdf", help="write one printed page too (.pdf)")] = None,
+    png: Annotated[Path | None, typer.Option("--png", help="write the same as a picture (.png)")] = None,
+    folder: FolderOption = None,
+    config: ConfigOption = DEFAULT_CONFIG,
+) -> None:
+    """Write the page of a run: one file without links to others. Each run writes its own when it is over."""
+    from palpd.history.report import refuse_ending, report_of, save_sheet, site_history, write_report
+    from palpd.history.stored import comparison_path, recording_meant, report_path
+
+    place = _folder(folder, config)
+    path = recording_meant(run, place)
+    other = None if beside is None else recording_meant(beside, place)
+    page = out or (report_path(path) if other is None else comparison_path(path, other))
+    for sheet, ending in ((pdf, ".pdf"), (png, ".png")):
+        refuse_ending(sheet, ending)
+    check_writable(page, pdf, png)
+    content = report_of(path, other, site_history(path, place))
+    write_report(page, content)
+    for file in filter(None, (pdf, png)):
+        save_sheet(file, content)
+    for file in filter(None, (page, pdf, png)):
+        _say(str(file))
+
+
+def _folder(folder: Path | None, config: Path) -> Path:
+    """The folder of the runs; without a config.yaml the one that a new one would name."""
+    if folder is not None:
+        return folder
+    from palpd.config import load_config
+
+    return load_config(config if config != DEFAULT_CONFIG or config.exists() else None).paths.runs
+
+
+def _say(line: str) -> None:
+    """Print a line as it is: what files hold is neither markup nor a command to the terminal."""
+    from palpd.history.stored import printable
+
+    terminal().print(printable(line), highlight=False, markup=False, soft_wrap=True)
+
+
+def _remark(chosen: list[str], tag: list[str], untag: list[str], note: str, place: Path) -> None:
+    from palpd.history.dates import now
+    from palpd.history.remarks import refuse_remarks, remark
+    from palpd.history.stored import recording_meant
+
+    if not chosen:
+        raise BadInput("no RUN is given to tag or to note something of; give its name, or list tagged runs with --tagged")
+    if not (tag or untag or note):
+        raise BadInput("nothing is given to do with these runs; give --tag, --untag or --note, or look at one with palpd info")
+    refuse_remarks(tag, untag, note)
+    for path in [recording_meant(run, place) for run in chosen]:
+        remarks = remark(path, now(), tag, untag, note)
+        _say(f"{path}: tags {', '.join(remarks.tags) or 'none'}; {len(remarks.notes)} {'note' if len(remarks.notes) == 1 else 'notes'}")
+
+
+def _brought_up_to_date(catalogue: "Catalogue", rebuild: bool) -> None:
+    """Read what the catalogue does not know yet, with a line of progress on a terminal."""
+    from palpd.history.stored import printable
+
+    console = terminal()
+    with console.status("looking for new recordings") as status:
+
+        def show(read: int, total: int, name: str) -> None:
+            status.update(f"reading recording {read + 1} of {total}: {printable(name)}".replace("[", "\\["))
+
+        read = (catalogue.rebuild if rebuild else catalogue.refresh)(show)
+    if rebuild:
+        _say(f"{catalogue.path}: made anew from {read} recordings.")
+
+
+def _print_runs(catalogue: "Catalogue", only: "RunFilter", most: int, place: Path, json_file: Path | None) -> None:
+    from palpd.cli.history_tables import runs_table
+    from palpd.history.catalogue import as_json
+
+    entries, count = catalogue.runs(replace(only, most=most)), catalogue.count(only)
+    if entries:
+        terminal().print(runs_table(entries))
+    else:
+        _say(f"No run in {place} is like that.")
+    if count > most:
+        _say(f"{count - most} older runs are not shown; --most {count} shows all.")
+    write_json(json_file, {"folder": str(place), "count": count, "runs": as_json(entries)})
+
+
+def _print_trend(catalogue: "Catalogue", site: str, only: "RunFilter", json_file: Path | None) -> None:
+    from palpd.cli.history_tables import effect_trend_table, modulus_trend_table, slope_lines
+    from palpd.history.trend import effect_trend, modulus_trend, trend_as_json
+
+    points, slopes = modulus_trend(catalogue, site, only)
+    effects = effect_trend(catalogue, site)
+    if not points and not effects:
+        raise BadInput(f"no run in {catalogue.folder} has a modulus of a site {site!r}; palpd runs lists the sites")
+    if points:
+        terminal().print(modulus_trend_table(points, site))
+    if effects:
+        terminal().print(effect_trend_table(effects))
+    for line in slope_lines(slopes):
+        _say(line)
+    write_json(json_file, trend_as_json(site, points, slopes, effects))

@@ -1,0 +1,145 @@
+"""How moduli and the parameters of named effects change over the days."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from palpd.analysis.intervals import student_t_95
+from palpd.history.catalogue import Catalogue, EffectPoint, RunEntry, RunFilter, SiteModuli, as_json
+
+SECONDS_A_DAY = 86400.0
+FEWEST_POINTS = 3
+"""Fewest points of a slope: two have no scatter, so nothing says how sure the slope is."""
+SHORTEST_S = 60.0
+"""Shortest span of a slope: a change per day from two runs in one minute says nothing of days."""
+Quantity = Literal["static", "dynamic", "corrected"]
+"""Which modulus: of the holds, of the dynamic peaks as measured, or of these corrected."""
+MODULI: dict[Quantity, Callable[[SiteModuli], float | None]] = {
+    "static": lambda site: site.static_Pa,
+    "dynamic": lambda site: site.dynamic_Pa,
+    "corrected": lambda site: site.corrected_Pa,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Slope:
+    """Straight line through values over time: change per day with its 95 % interval, in the unit of the values, and its mean."""
+
+    per_day: float
+    ci95_per_day: tuple[float, float]
+    mean: float
+    points: int
+    days: float
+
+
+@dataclass(frozen=True, slots=True)
+class ModulusPoint:
+    """A site in one run."""
+
+    run: str
+    started: str
+    started_s: float
+    moduli: SiteModuli
+
+
+def modulus_points(entries: Sequence[RunEntry], site: str) -> list[ModulusPoint]:
+    """The moduli of a site in runs, oldest first.
+
+    Args:
+        entries: The runs, in any order.
+        site: Name of the site.
+
+    Returns:
+        One point a run that has pressed it.
+    """
+    points = [ModulusPoint(run.name, run.started, run.started_s, each) for run in entries for each in run.sites if each.site == site]
+    return sorted((point for point in points if any(value(point.moduli) for value in MODULI.values())), key=lambda point: point.started_s)
+
+
+def modulus_trend(catalogue: Catalogue, site: str, only: RunFilter) -> tuple[list[ModulusPoint], dict[Quantity, Slope]]:
+    """How the moduli of a site change over the days.
+
+    Args:
+        catalogue: The runs.
+        site: Name of the site.
+        only: Which runs count.
+
+    Returns:
+        The points, oldest first, and the slopes of those moduli that have enough points.
+    """
+    points = modulus_points(catalogue.runs(only), site)
+    slopes: dict[Quantity, Slope] = {}
+    for quantity, value in MODULI.items():
+        known = [(point.started_s, modulus_Pa) for point in points if (modulus_Pa := value(point.moduli)) is not None]
+        if (slope := slope_of(known)) is not None:
+            slopes[quantity] = slope
+    return points, slopes
+
+
+def effect_trend(catalogue: Catalogue, site: str = "") -> dict[tuple[str, str], tuple[list[EffectPoint], Slope | None]]:
+    """How the parameters of effects that diagnoses have named change over the days.
+
+    Args:
+        catalogue: The runs.
+        site: Only diagnoses of this site; empty for all.
+
+    Returns:
+        Points, oldest first, and slope by effect and parameter; no slope where there are too few points.
+    """
+    by_parameter: dict[tuple[str, str], list[EffectPoint]] = {}
+    for point in catalogue.effects(site):
+        by_parameter.setdefault((point.effect, point.parameter), []).append(point)
+    return {key: (points, slope_of([(point.started_s, point.value) for point in points])) for key, points in sorted(by_parameter.items())}
+
+
+def trend_as_json(
+    site: str,
+    points: list[ModulusPoint],
+    slopes: dict[Quantity, Slope],
+    effects: Mapping[tuple[str, str], tuple[list[EffectPoint], Slope | None]],
+) -> dict[str, Any]:
+    """A trend for `--json` and for a web page.
+
+    Args:
+        site: Name of the site.
+        points: As `modulus_trend` gives them.
+        slopes: As `modulus_trend` gives them.
+        effects: As `effect_trend` gives them.
+
+    Returns:
+        Data of dictionaries, lists, texts and numbers.
+    """
+    return {
+        "site": site,
+        "runs": as_json(points),
+        "slopes": as_json(slopes),
+        "effects": [
+            {"effect": effect, "parameter": parameter, "points": as_json(of), "slope": as_json(slope)}
+            for (effect, parameter), (of, slope) in effects.items()
+        ],
+    }
+
+
+def slope_of(points: Sequence[tuple[float, float]]) -> Slope | None:
+    """Fit a straight line through values over time by least squares; its interval rests on the scatter about the line.
+
+    Args:
+        points: Unix time in s and value of each.
+
+    Returns:
+        The slope; None where the points are too few or too close in time.
+    """
+    if len(points) < FEWEST_POINTS:
+        return None
+    t_s, values = np.array(points, float).T
+    if float(np.ptp(t_s)) < SHORTEST_S:
+        return None
+    days = (t_s - t_s.mean()) / SECONDS_A_DAY
+    energy = float(days @ days)
+    per_day = float(days @ values) / energy
+    residual = values - values.mean() - per_day * days
+    degrees = len(points) - 2
+    half = student_t_95(degrees) * float(np.sqrt(residual @ residual / degrees / energy))
+    return Slope(per_day, (per_day - half, per_day + half), float(values.mean()), len(points), float(np.ptp(days)))

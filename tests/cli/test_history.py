@@ -1,0 +1,109 @@
+"""palpd runs, info and report as a user types them."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from palpd.cli import app
+from palpd.errors import BadInput, PalpdError, RecordingError
+from tests.history.conftest import runs, simulated
+
+__all__ = ["runs", "simulated"]
+
+
+def typed(*words: str | Path) -> Result:
+    result = CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": "160"})
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def refusal(*words: str | Path) -> str:
+    with pytest.raises(PalpdError) as refused:
+        typed(*words)
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
+
+
+def test_runs_are_listed_tagged_filtered_and_written_as_json(runs: Path, tmp_path: Path) -> None:
+    assert typed("runs", "--folder", runs).stdout.index("day-2") < typed("runs", "--folder", runs).stdout.index("day-0")
+    printed = typed("runs", "day-0", "last", "--tag", "good", "--note", "[red]a probe[/]", "--folder", runs).stdout
+    assert "tags good; 1 note" in printed
+    json_file = tmp_path / "runs.json"
+    printed = typed("runs", "--tagged", "good", "--until", "2026-09-21", "--folder", runs, "--json", json_file).stdout
+    assert "[red]a probe[/]" in printed
+    assert [run["name"] for run in json.loads(json_file.read_text())["runs"]] == ["day-0"]
+    assert "No run in" in typed("runs", "--tagged", "bad", "--folder", runs).stdout
+    assert "2 older runs are not shown; --most 3 shows all" in typed("runs", "--most", "1", "--folder", runs).stdout
+    typed("runs", "day-0", "--untag", "good", "--folder", runs)
+    assert "day-0" not in typed("runs", "--tagged", "good", "--folder", runs).stdout
+    assert "made anew from 3 recordings" in typed("runs", "--rebuild", "--folder", runs).stdout
+
+
+def test_the_folder_of_the_runs_is_that_of_the_configuration(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(runs.parent)
+    assert "day-0" in typed("runs").stdout
+    (runs.parent / "config.yaml").write_text("paths: {runs: elsewhere}")
+    assert "elsewhere is no folder" in refusal("runs")
+    (runs.parent / "config.yaml").write_text("paths: {runs: runs}")
+    assert "day-0" in typed("runs").stdout
+
+
+def test_a_trend_is_a_table_and_a_slope(runs: Path, tmp_path: Path) -> None:
+    printed = typed("runs", "--trend", "A", "--folder", runs, "--json", tmp_path / "trend.json").stdout
+    assert "kPa per day" in printed
+    assert len(json.loads((tmp_path / "trend.json").read_text())["runs"]) == 3
+    assert "no run in" in refusal("runs", "--trend", "Z", "--folder", runs)
+
+
+def test_info_is_one_screen_of_what_a_run_was(runs: Path, tmp_path: Path) -> None:
+    typed("runs", "day-1", "--note", "wet\x1b[2J", "--folder", runs)
+    printed = typed("info", "day-1", "--folder", runs, "--json", tmp_path / "info.json").stdout
+    for words in (
+        "done: 3 presses at 1 site, 1 depth cut short.",
+        "robot",
+        "limits",
+        "Moduli in kPa",
+        "Loop: ",
+        "cut short: site A",
+        "SHA-256",
+        "report: none yet",
+    ):
+        assert words in printed, words
+    assert "\x1b" not in printed
+    assert len(printed.splitlines()) < 40
+    assert json.loads((tmp_path / "info.json").read_text())["remarks"]["notes"][0]["text"] == "wet\x1b[2J"
+
+
+def test_a_report_stands_beside_its_recording_or_where_it_is_asked_for(runs: Path, tmp_path: Path) -> None:
+    typed("report", "day-0", "--folder", runs)
+    assert (runs / "day-0.report.html").exists()
+    typed("report", runs / "day-0.mcap", "--beside", "day-1", "--folder", runs, "--pdf", tmp_path / "a.pdf", "--png", tmp_path / "a.png")
+    assert (runs / "day-0.beside-day-1.html").exists()
+    assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    typed("report", "day-0", "--folder", runs, "--out", tmp_path / "x.html")
+    assert (tmp_path / "x.html").exists()
+
+
+def test_what_cannot_be_done_is_one_sentence(runs: Path, tmp_path: Path) -> None:
+    assert "no recording" in refusal("info", "nothing", "--folder", runs)
+    assert "day-" in refusal("report", "day", "--folder", runs)
+    assert "expected .pdf" in refusal("report", "day-0", "--folder", runs, "--pdf", tmp_path / "a.png")
+    assert "expected one word" in refusal("runs", "day-0", "--tag", "two words", "--folder", runs)
+    assert "no RUN is given" in refusal("runs", "--tag", "good", "--folder", runs)
+    assert "nothing is given to do" in refusal("runs", "day-0", "--folder", runs)
+    assert "the day is 'yesterday'" in refusal("runs", "--since", "yesterday", "--folder", runs)
+    assert "cannot be written" in refusal("report", "day-0", "--folder", runs, "--out", tmp_path / "absent" / "x.html")
+    (runs / "broken.mcap").write_bytes(b"no recording")
+    with pytest.raises(RecordingError, match="not an MCAP file"):
+        typed("info", "broken", "--folder", runs)
+    with pytest.raises(BadInput, match="cannot be written"):
+        typed("runs", "day-0", "--tag", "x", "--folder", runs, "--json", "absent/x.json")
+
+
+def test_one_word_that_is_wrong_tags_no_run(runs: Path) -> None:
+    assert "nothing" in refusal("runs", "day-0", "nothing", "--tag", "good", "--folder", runs)
+    assert not (runs / "day-0.remarks.json").exists()
