@@ -410,6 +410,8 @@ class Contents:
             if opcode == Opcode.MESSAGE:
                 if number == self._ticks:
                     messages.append(data[position + 22 : position + length])
+                else:
+                    position += (_alike(data, position - 9, 9 + length, head.size) - 1) * (9 + length)
             elif opcode == Opcode.SCHEMA:
                 schema = Schema.read(ReadDataStream(io.BytesIO(data[position : position + length])))
                 if schema.name == _TOPICS[TICK_TOPIC]:
@@ -435,6 +437,16 @@ class Contents:
             raise RecordingError(sentence)
         if self.schema is not None and cdr.absent_fields(self.schema) is None:
             raise RecordingError(f"{path} was written by a version of palpd whose ticks have other fields; read it with that version")
+
+
+def _alike(data: bytes, position: int, size: int, head: int) -> int:
+    """Number of successive records with the same head, at least 1: the messages of a topic stand together, and most are of no interest."""
+    most = (len(data) - position - head) // size + 1
+    if most < 2:
+        return 1
+    heads = np.ndarray((most, head), np.uint8, data, position, (size, 1))
+    same = (heads == heads[0]).all(axis=1)
+    return most if same.all() else int(np.argmin(same))
 
 
 def _end_of_record(data: mmap.mmap, position: int) -> int | None:
