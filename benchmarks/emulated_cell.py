@@ -182,7 +182,7 @@ class EmulatedCell:
         settings: dict[str, Any] = {
             "robot": {"host": self.wires.host, "model": self.model},
             "sensor": {"port": self.wires.sensor},
-            "paths": {"runs": "runs", "state": "state"},
+            "paths": {"runs": "runs", "state": "state", "write_reports": False},
         }
         for name, block in self.blocks.items():
             settings[name] = settings.get(name, {}) | block

@@ -98,7 +98,7 @@ def sound_files(folder: Path) -> dict[str, Path]:
         "robot": {"host": "127.0.0.1", "watchdog_Hz": 20.0},
         "sensor": {"port": str(folder / "no-sensor"), "rate_Hz": 1000.0},
         "safety": {"contact_limit_N": 12.0, "absolute_limit_N": 25.0, "max_speed_m_per_s": 0.05},
-        "paths": {"runs": "runs", "state": "state"},
+        "paths": {"runs": "runs", "state": "state", "write_reports": False},
         "cell": {"probe": CELL["probe"]},
     }
     for name, content in (("config", config), ("plan", PLAN), ("cell", CELL)):

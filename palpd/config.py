@@ -190,6 +190,8 @@ class PathsConfig(StrictBlock):
 
     runs: Path = Path("runs")
     """Folder of the recordings."""
+    write_reports: bool = True
+    """Whether a report is written beside each recording when its run is over."""
     state: Path = Path("state")
     """Folder of reference tare, machine stiffness and latch."""
     socket: Path | None = None

@@ -33,17 +33,23 @@ def run(
     """Carry out a plan in the foreground and end with it."""
     from palpd.cli.printing import print_run
     from palpd.config import load_config, load_plan
+    from palpd.daemon.run_reports import begin_report
     from palpd.daemon.run_result import run_result
     from palpd.daemon.session import carry_out, job
     from palpd.daemon.wiring import devices
+    from palpd.history.stored import report_path
 
     settings, steps = load_config(config), load_plan(plan)
     check_writable(json_file)
     check_kept(settings)
     clear_latch(settings)
     report = carry_out(job("palpation", settings, steps, dry, take_reference), devices, display())
+    if report.recording is not None and settings.paths.write_reports:
+        begin_report(report.recording, settings.paths.runs)
     result = run_result(report)
     print_run(result)
+    if report.recording is not None and settings.paths.write_reports:
+        terminal().print(f"report, in some seconds: {report_path(report.recording)}", soft_wrap=True, highlight=False, markup=False)
     write_json(json_file, result)
     finish(report.exit_code, report.reason)
 
@@ -161,6 +167,7 @@ def demo(
     """The whole job on emulated wires: calibrate, learn the inertia, palpate four sites, say how stiff each is."""
     from palpd.cli.printing import print_demonstration
     from palpd.daemon import demo as show
+    from palpd.daemon.run_reports import begin_report
     from palpd.errors import BadInput
 
     if not wires and effect is None:
@@ -168,8 +175,11 @@ def demo(
     check_writable(json_file)
     check_folder(folder or Path("runs"))
     demonstration = show.gap(effect, folder, display(), wires=wires) if effect else show.palpate(full, folder, display())
-    print_demonstration(demonstration)
     result = demonstration.result
+    if effect is None and result["recording"] is not None:
+        recording = Path(result["recording"])
+        begin_report(recording, recording.parent)
+    print_demonstration(demonstration)
     write_json(json_file, result)
     finish(0 if result["verdict"] == "done" else 3, result["reason"])
 

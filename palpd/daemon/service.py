@@ -16,6 +16,7 @@ from palpd.daemon.interrupts import held, received, shielded
 from palpd.daemon.job_progress import job_progress, job_steps
 from palpd.daemon.motion_process import Build, Job, Kind
 from palpd.daemon.overshoot import refuse_overload
+from palpd.daemon.run_reports import RunReports
 from palpd.daemon.session import measured_job
 from palpd.daemon.socket_client import CheckedCell, ControlAnswer, ControlRequest, LastRun
 from palpd.daemon.stored_state import Latch, State
@@ -62,6 +63,7 @@ class Service:
         self._first_tick = 0
         self._cell: CheckedCell | None = None
         self._log = structlog.get_logger("palpd.service")
+        self._reports = RunReports(config.paths.runs)
         self._ending = False
         self._unkept: Latch | None = None
 
@@ -89,6 +91,7 @@ class Service:
                 control.poll(POLL_S)
                 self._poll_run()
                 self._answer_pause()
+                self._reports.poll(busy=self._run is not None or self._armed)
                 if time.monotonic() - fed_s > WATCHDOG_S:
                     idle = self._run is None or self._ring.state != LoopState.RUNNING
                     if idle or self._ring.published != ticks:  # fed only while ticks advance, so that systemd notices a loop that hangs
@@ -96,6 +99,7 @@ class Service:
                     fed_s, ticks = time.monotonic(), self._ring.published
         finally:
             _notify("STOPPING=1")
+            self._reports.close()
             control.close()
             self._free_ring()
 
@@ -308,6 +312,8 @@ class Service:
             self._run = None
         elif report is not None:
             self._run, self._last, self._cell = None, report, None
+            if report.recording is not None and self._config.paths.write_reports:
+                self._reports.add(report.recording)
             self._log.info("ended", verdict=report.verdict, reason=report.reason, recording=str(report.recording), notes=report.notes)
 
     def _free_ring(self) -> None:
