@@ -9,6 +9,7 @@ A recording is evidence and is never written to. What belongs to it stands besid
 | NAME.diagnosis.json, NAME.SITE.diagnosis.json | a diagnosis of it | `palpd diagnose --json` |
 """
 
+import contextlib
 import os
 import stat
 from collections.abc import Iterator
@@ -21,6 +22,8 @@ RECORDING = ".mcap"
 REMARKS, REPORT, DIAGNOSIS = ".remarks.json", ".report.html", ".diagnosis.json"
 LAST = "last"
 """Stands for the recording that was closed last."""
+LEVELS = 2
+"""Levels of folders below that of the runs: demos and surveys make one. More would search a whole disk where `/` is given."""
 MOST_LETTERS = 100
 """Letters of another run's name in the name of a comparison: a file name may have 255 bytes."""
 MOST_NAMED = 4
@@ -46,7 +49,7 @@ class StoredRecording:
 
 
 def stored_recordings(folder: Path) -> dict[str, StoredRecording]:
-    """All recordings in a folder and in the folders below it, by name.
+    """All recordings in a folder and in the folders below it, `LEVELS` deep, by name.
 
     Args:
         folder: The folder of the runs; one that does not exist holds none.
@@ -78,15 +81,13 @@ def stored_recordings(folder: Path) -> dict[str, StoredRecording]:
     return recordings
 
 
-def _files(folder: str, place: str) -> Iterator[tuple[str, str, FileStamp]]:
+def _files(folder: str, place: str, levels: int = LEVELS) -> Iterator[tuple[str, str, FileStamp]]:
     """Place, name and stamp of each recording and of what may belong to one; links to folders are not followed."""
     with os.scandir(folder) as entries:
         for entry in entries:
             if entry.is_dir(follow_symlinks=False):
-                try:
-                    yield from _files(entry.path, f"{place}{entry.name}/")
-                except (PermissionError, FileNotFoundError):
-                    continue
+                with contextlib.suppress(OSError):  # one that may not be read, or was removed meanwhile, holds nothing
+                    yield from _files(entry.path, f"{place}{entry.name}/", levels - 1) if levels else ()
             elif entry.name.endswith((RECORDING, REMARKS, DIAGNOSIS)):
                 try:
                     status = entry.stat()

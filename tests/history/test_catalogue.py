@@ -200,8 +200,9 @@ def test_a_full_disk_is_a_sentence_and_the_answer_is_right(runs: Path, monkeypat
 
 
 def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="is no folder"), Catalogue(tmp_path / "absent") as catalogue:
-        catalogue.refresh()
+    for name in ("absent", "x" * 5000):
+        with pytest.raises(BadInput, match="is no folder"), Catalogue(tmp_path / name) as catalogue:
+            catalogue.refresh()
 
 
 def test_readers_and_writers_at_the_same_time_all_get_their_answer(runs: Path) -> None:

@@ -29,6 +29,14 @@ def test_recordings_in_folders_below_are_listed_with_what_stands_beside_them(fol
     assert not recordings["demo-2/palpation"].beside
 
 
+def test_a_whole_disk_is_not_searched(tmp_path: Path) -> None:
+    deep = tmp_path / "a" / "b" / "c"
+    deep.mkdir(parents=True)
+    for place in (deep, deep.parent):
+        (place / "run.mcap").write_bytes(b"x")
+    assert list(stored_recordings(tmp_path)) == ["a/b/run"]
+
+
 def test_what_is_no_regular_file_is_no_recording(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.mcap")
     (tmp_path / "folder.mcap").mkdir()

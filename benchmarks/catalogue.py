@@ -1,0 +1,119 @@
+"""What looking back costs: the report of a run of five minutes, and questions to a catalogue of 10 000 runs.
+
+`python -m benchmarks.catalogue [--runs N] [--minutes M] [--repeats K]`. Targets: a report within 3 s of processor time, process start
+included; a question within 200 ms, without process start. The recording is a simulated palpation of four sites. The files of the 10 000
+runs are empty, and the catalogue takes each for that palpation at another time. Ends with 1 where a target is missed.
+"""
+
+import argparse
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks.simulated_recording import BEGAN_S, write_simulated
+from palpd.cell.cell_file import PHANTOM
+from palpd.config import Config, Plan
+from palpd.history.catalogue import Catalogue, RunFilter
+from palpd.history.facts import RunFacts, load
+from palpd.history.stored import stored_recordings
+from palpd.history.trend import modulus_trend
+
+REPORT_TARGET_S, QUESTION_TARGET_S = 3.0, 0.2
+SITES = ("A", "B", "C", "D")
+
+
+def five_minutes(path: Path, minutes: float) -> Path:
+    """A palpation of four sites; the duration of its holds makes it as long as is asked for."""
+    plan = Plan.model_validate(
+        {"sites": [{"name": name, "x_m": 0.03 * k} for k, name in enumerate(SITES)], "depths_m": [0.004, 0.006, 0.008], "repeats": 3,
+         "hold_s": max(0.5, (60.0 * minutes - 262.0) / 12.0)}
+    )  # fmt: skip
+    return write_simulated(path, plan, PHANTOM, Config.model_validate({"safety": {"contact_limit_N": 16.0}}))
+
+
+def timed(command: list[str]) -> tuple[float, float]:
+    """Processor and wall time of a command, in s."""
+    before, began_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return cpu_s, time.perf_counter() - began_s
+
+
+def fill(folder: Path, count: int, facts: RunFacts) -> None:
+    """Empty recordings, and a catalogue that takes each for a palpation: one of ten was stopped, one of seven has a tag."""
+    for number in range(count):
+        (folder / f"{number:05d}.mcap").write_bytes(b"")
+        if number % 7 == 0:
+            (folder / f"{number:05d}.remarks.json").write_text('{"tags": ["wet"]}')
+    with Catalogue(folder) as catalogue:
+        for number, recording in enumerate(stored_recordings(folder).values()):
+            like: RunFacts = {**facts, "started_s": BEGAN_S + 600.0 * number}
+            if number % 10 == 0:
+                like = {**like, "verdict": "stopped", "reason": "a reason"}
+            catalogue.keep(recording, like)
+
+
+def median_s(work: Callable[[], object], repeats: int) -> float:
+    """Median wall time of something, in s."""
+    times = []
+    for _ in range(repeats):
+        began_s = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - began_s)
+    return statistics.median(times)
+
+
+def main() -> None:
+    """Measure, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=10_000)
+    parser.add_argument("--minutes", type=float, default=5.0)
+    parser.add_argument("--repeats", type=int, default=5)
+    options = parser.parse_args()
+    lines, kept = ["| what | measured | target |", "|---|---|---|"], True
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        path = five_minutes(folder / "run.mcap", options.minutes)
+        _, facts = load(path)
+        command = [sys.executable, "-m", "palpd", "report", str(path), "--folder", name]
+        cpu_s, wall_s = (statistics.median(each) for each in zip(*(timed(command) for _ in range(options.repeats)), strict=True))
+        kept &= cpu_s <= REPORT_TARGET_S
+        what = f"report of a run of {facts['duration_s'] / 60:.1f} min ({facts['bytes'] / 1e6:.0f} MB), process start included"
+        lines.append(f"| {what} | {cpu_s:.2f} s of processor, {wall_s:.2f} s of wall time | {REPORT_TARGET_S:g} s |")
+        read_s = median_s(lambda: load(path), 3)
+        lines.append(f"| reading that recording for the catalogue | {read_s:.2f} s | |")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        fill(folder, options.runs, facts)
+        questions: dict[str, Callable[[Catalogue], object]] = {
+            "the newest 30": lambda catalogue: catalogue.runs(RunFilter(most=30)),
+            "all": lambda catalogue: catalogue.runs(),
+            "stopped, with a tag": lambda catalogue: catalogue.runs(RunFilter(verdict="stopped", tags=("wet",))),
+            "a word anywhere": lambda catalogue: catalogue.runs(RunFilter(text="a reason", most=30)),
+            "trend of a site": lambda catalogue: modulus_trend(catalogue, "A", RunFilter(most=1000)),
+        }
+        for what, question in questions.items():
+
+            def asked(question: Callable[[Catalogue], object] = question) -> None:
+                with Catalogue(folder) as catalogue:
+                    question(catalogue)
+
+            took_s = median_s(asked, options.repeats)
+            kept &= took_s <= QUESTION_TARGET_S
+            lines.append(f"| {options.runs} runs, {what} | {took_s * 1e3:.0f} ms | {QUESTION_TARGET_S * 1e3:g} ms |")
+        with Catalogue(folder) as catalogue:
+            looked_s = median_s(lambda: catalogue.refresh(), options.repeats)
+        assert len(stored_recordings(folder)) == options.runs
+        lines.append(f"| {options.runs} runs, looking for what is new | {looked_s * 1e3:.0f} ms | |")
+    print("\n".join(lines))
+    sys.exit(not kept)
+
+
+if __name__ == "__main__":
+    main()
