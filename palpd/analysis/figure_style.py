@@ -92,6 +92,9 @@ def inline_svg(figure: Figure, name: str) -> Markup:
     """
     stream = io.StringIO()
     with rc_context(STYLE | {"svg.hashsalt": name}):
+        if (layout := figure.get_layout_engine()) is not None:
+            layout.execute(figure)
+            figure.set_layout_engine("none")  # else the figure is drawn twice, once to no purpose but its layout
         figure.savefig(stream, format="svg", transparent=True, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     svg = stream.getvalue()
     svg = re.sub(r'<g id="[\w.]+"', "<g", svg[svg.index("<svg") :])  # groups are numbered alike in every figure of a page

@@ -452,14 +452,15 @@ def loop_figures(rows: NDArray[np.void]) -> LoopFigures:
     Returns:
         Numbers of ticks and missed ticks, and percentiles of work and wake-up delay in µs.
     """
-    ticking = rows[rows["phase"] != Phase.IDLE]
-    if not len(ticking):
+    ticking = rows["phase"] != Phase.IDLE
+    now_s, planned_s, work_us, missed = (rows[name][ticking] for name in ("now_s", "planned_s", "work_us", "missed"))
+    if not len(now_s):
         return {"ticks": 0, "missed": 0}
-    wakeup_us = (ticking["now_s"] - ticking["planned_s"]) * 1e6
-    work_us = ticking["work_us"][1:] if len(ticking) > 1 else ticking["work_us"]
+    wakeup_us = (now_s - planned_s) * 1e6
+    work_us = work_us[1:] if len(work_us) > 1 else work_us
     return {
-        "ticks": len(ticking),
-        "missed": int(ticking["missed"].sum()),
+        "ticks": len(now_s),
+        "missed": int(missed.sum()),
         "work_us_p50": float(np.percentile(work_us, 50)),
         "work_us_p99": float(np.percentile(work_us, 99)),
         "wakeup_us_p50": float(np.percentile(wakeup_us, 50)),

@@ -42,7 +42,7 @@ CREATE INDEX runs_by_time ON runs (started_s);
 CREATE TABLE moduli (
     run BLOB NOT NULL, place INTEGER NOT NULL, site TEXT NOT NULL, static_Pa REAL, static_low_Pa REAL, static_high_Pa REAL,
     dynamic_Pa REAL, corrected_Pa REAL, corrected_low_Pa REAL, corrected_high_Pa REAL, PRIMARY KEY (run, place)
-);
+) WITHOUT ROWID;
 CREATE INDEX moduli_by_site ON moduli (site);
 CREATE TABLE effects (
     run BLOB NOT NULL, site TEXT NOT NULL, effect TEXT NOT NULL, parameter TEXT NOT NULL, value REAL, low REAL, high REAL, probability REAL
@@ -507,10 +507,8 @@ def _runs(connection: sqlite3.Connection, only: RunFilter) -> list[RunEntry]:
     chosen = "" if where == "1" and not limit else f"WHERE run IN (SELECT name FROM runs WHERE {where} {order})"
     moduli: dict[bytes, list[SiteModuli]] = defaultdict(list)
     query = f"SELECT {of_site} FROM moduli {chosen} ORDER BY run, place"
-    for run, site, static_Pa, low_Pa, high_Pa, dynamic_Pa, corrected_Pa, below_Pa, above_Pa in connection.execute(
-        query, values if chosen else ()
-    ):
-        static, corrected = _interval(low_Pa, high_Pa), _interval(below_Pa, above_Pa)
+    for run, site, static_Pa, low_Pa, high_Pa, dynamic_Pa, corrected_Pa, below_Pa, above_Pa in connection.execute(query, values):
+        static, corrected = None if low_Pa is None else (low_Pa, high_Pa), None if below_Pa is None else (below_Pa, above_Pa)
         moduli[run].append(SiteModuli(site, static_Pa, static, dynamic_Pa, corrected_Pa, corrected))
     *names, _ = RunEntry._fields  # the last are the sites
     rows = connection.execute(f"SELECT {', '.join(names)} FROM runs WHERE {where} {order}", values)
@@ -546,10 +544,6 @@ def _conditions(only: RunFilter) -> tuple[str, tuple[Any, ...]]:
     conditions += [("instr(tags, ?) > 0", f" {_text(tag)} ") for tag in only.tags]
     conditions += [("instr(facts || char(10) || remarks, ?) > 0", _text(word).lower()) for word in [only.text] if word]
     return " AND ".join(condition for condition, _ in conditions) or "1", tuple(value for _, value in conditions)
-
-
-def _interval(low: float | None, high: float | None) -> tuple[float, float] | None:
-    return (low, high) if low is not None and high is not None else None
 
 
 def _effects(connection: sqlite3.Connection, site: str) -> list[EffectPoint]:

@@ -223,13 +223,14 @@ def draw_loop(figure: Drawing, recording: Recording) -> None:
         figure: Where it is drawn.
         recording: The recording.
     """
-    rows = recording.rows[recording.rows["phase"] != Phase.IDLE]
+    ticking = recording.rows["phase"] != Phase.IDLE
+    now_s, planned_s, work_us, missed = (recording.rows[name][ticking] for name in ("now_s", "planned_s", "work_us", "missed"))
     left, right = figure.subplots(1, 2, width_ratios=(2, 3))
-    if len(rows) < 2:
+    if len(now_s) < 2:
         for axes in (left, right):
             axes.set_visible(False)
         return
-    late_us, work_us = np.maximum((rows["now_s"] - rows["planned_s"]) * 1e6, 1.0), np.maximum(rows["work_us"][1:].astype(float), 1.0)
+    late_us, work_us = np.maximum((now_s - planned_s) * 1e6, 1.0), np.maximum(work_us[1:].astype(float), 1.0)
     highest = float(np.nanmax([late_us.max(), work_us.max(), 100.0]))
     highest = highest if math.isfinite(highest) else 1e6
     lowest = min(max(1.0, 0.8 * float(np.percentile(late_us, 1))), 0.5 * highest)
@@ -237,13 +238,13 @@ def draw_loop(figure: Drawing, recording: Recording) -> None:
     for values, colour, label in ((work_us, BLUE, "work of a tick"), (late_us, ORANGE, "woke up late by")):
         left.hist(values, bins=bins.tolist(), color=colour, alpha=0.65, label=label, histtype="stepfilled")
     left.set(xscale="log", yscale="log", xlabel="time (µs)", ylabel="ticks", xlim=(lowest, highest))
-    t_s = rows["now_s"] - rows["now_s"][0]
-    begins = np.unique(np.linspace(0, len(rows) - 1, min(200, len(rows))).astype(int))
+    t_s = now_s - now_s[0]
+    begins = np.unique(np.linspace(0, len(t_s) - 1, min(200, len(t_s))).astype(int))
     for values, colour in ((np.append(work_us, work_us[-1]), BLUE), (late_us, ORANGE)):
         right.plot(t_s[begins], np.maximum.reduceat(values, begins), color=colour, linewidth=1.0)
-    missed = rows["missed"] > 0
-    if missed.any():
-        right.plot(t_s[missed], late_us[missed], "v", color=RED, markersize=5, label="ticks missed before")
+    after = missed > 0
+    if after.any():
+        right.plot(t_s[after], late_us[after], "v", color=RED, markersize=5, label="ticks missed before")
     right.set(yscale="log", xlabel="time (s)", ylabel="largest of a stretch (µs)")
     for axes in (left, right):
         axes.minorticks_off()  # a third of the time that the page takes

@@ -288,7 +288,8 @@ def mood(facts: RunFacts) -> str:
 def headline(facts: RunFacts) -> str:
     """How a run ended, in one sentence."""
     if facts["verdict"] != "done":
-        return facts["reason"] or f"The run ended {facts['verdict']}."
+        reason = facts["reason"] or f"the run ended {facts['verdict']}"
+        return reason[:1].upper() + reason[1:]
     if not facts["sites"]:
         return "Done."
     presses = sum(len(site["presses"]) + sum(depth["E_Pa"] is not None for depth in site["depths"]) for site in facts["sites"])
@@ -399,7 +400,7 @@ def _last_ticks(recording: Recording) -> list[tuple[str, str, str, str, str, str
     end_s = float(rows["now_s"][-1])
     return [
         (
-            f"{(float(row['now_s']) - end_s) * 1e3:.0f}",
+            f"{(end_s - float(row['now_s'])) * 1e3:.0f}",
             Phase(int(row["phase"])).name.lower(),
             f"{row['force_N']:.2f}",
             f"{row['tcp_pose'][2] * 1e3:.2f}",

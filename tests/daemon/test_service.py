@@ -95,6 +95,17 @@ def test_it_begins_disarmed_and_does_not_start(service: Service) -> None:
     assert "disarmed" in refusal(service, do="start", plan=PLAN)
 
 
+@pytest.mark.parametrize("written", [True, False])
+def test_the_recording_of_a_run_that_is_over_waits_for_its_report(service: Service, tmp_path: Path, written: bool) -> None:
+    service._config = settings(tmp_path, paths={"state": str(tmp_path / "state"), "runs": str(tmp_path), "write_reports": written})
+    armed(service)
+    assert not service._reports._waiting, "a check of the devices has no report"
+    assert service.answer({"do": "start", "plan": PLAN})["ok"]  # type: ignore[index]
+    assert not service._reports._waiting
+    end(service, Report("stopped", "force", 3, recording=tmp_path / "a.mcap"))
+    assert list(service._reports._waiting) == [tmp_path / "a.mcap"] * written
+
+
 def test_nothing_is_armed_without_a_reference_tare(service: Service) -> None:
     assert "palpd calibrate" in refusal(service, do="arm")
 

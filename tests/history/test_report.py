@@ -87,7 +87,7 @@ def test_a_press_that_was_cut_short_and_a_run_that_was_stopped_say_why(simulated
     stopped = report_of(simulated / "day-2.mcap")
     text = Outline(page(stopped)).text
     assert mood(stopped.facts) == "stopped"
-    assert "contact force 2.53 N reached the limit of 2.5 N; the probe was retracted" in text
+    assert text.count("ontact force 2.53 N reached the limit of 2.5 N; the probe was retracted") == 2
     assert "site A, dynamic 3, 5 mm: not pressed" in text
     assert "ms before the end" in text
 
