@@ -254,9 +254,12 @@ class Catalogue:
                     raise BadInput(f"{self.path} cannot be made or read ({error}); move it away and try again") from error
                 if kind == "not writable":
                     self._keep_in_memory(error)
-                else:
+                    continue
+                try:
                     self._remove()
                     self._was_damaged = True
+                except BadInput:
+                    self._keep_in_memory(error, from_file=False)
         raise AssertionError
 
     def _opened(self) -> sqlite3.Connection:
@@ -269,14 +272,17 @@ class Catalogue:
             self.notes.append(f"{self.path} was damaged; it was made anew from {read} recordings, and no tag or note was lost")
         return self._connection
 
-    def _keep_in_memory(self, error: Exception) -> None:
-        """Copy what can be read of the file into memory and go on there: a user may look without the right to write."""
+    def _keep_in_memory(self, error: Exception, *, from_file: bool = True) -> None:
+        """Copy what the file holds into memory and go on there, or make it anew there: a user may look without the right to write."""
         memory = sqlite3.connect(":memory:", isolation_level=None)
-        with contextlib.suppress(sqlite3.DatabaseError, _Damaged), contextlib.closing(_connect(self.path, "ro")) as file:
-            _prepare(file, change=False)
-            file.backup(memory)
+        if from_file:
+            with contextlib.suppress(sqlite3.DatabaseError, _Damaged), contextlib.closing(_connect(self.path, "ro")) as file:
+                _prepare(file, change=False)
+                file.backup(memory)
         self.close()
         _prepare(memory)
+        if not from_file:
+            _refresh(memory, stored_recordings(self.folder), lambda *_: None)
         self._connection = memory
         self.notes.append(f"{self.path} cannot be written ({error}); this answer is right, but is not kept for the next time")
 

@@ -179,6 +179,20 @@ def test_a_folder_that_may_not_be_written_is_listed_all_the_same(runs: Path, mon
         assert catalogue.refresh() == 1
 
 
+def test_a_damaged_catalogue_that_may_not_be_replaced_is_made_anew_in_memory(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    listed(runs)
+    (runs / FILE).write_bytes(b"no database" * 1000)
+
+    def refused(self: Path, missing_ok: bool = False) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "unlink", refused)
+    with Catalogue(runs) as catalogue:
+        assert len(catalogue.runs()) == 3
+        assert len(catalogue.notes) == 1
+    assert (runs / FILE).read_bytes() == b"no database" * 1000
+
+
 def test_a_full_disk_is_a_sentence_and_the_answer_is_right(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     listed(runs)
     connect = module._connect
