@@ -1,8 +1,9 @@
 """Shared memory between the real-time loop and everybody slow: a ring of ROWs and a few words of control.
 
-One process writes rows, any number of processes read them, and no process waits for another. Only `create` and `attach` enter the
-kernel. A reader that is too slow loses the oldest rows and learns how many. The proof that a copied row is whole needs stores that
-become visible in program order. x86-64 guarantees that order, so `create` refuses other machines.
+One process writes rows, any number of processes read them, and no process waits for another. Only `create`, `attach` and `watch` enter
+the kernel. A process that only shows what goes on uses `watch`: its mapping is read-only, and the file's mode keeps other users of the
+group from opening it for writing. A reader that is too slow loses the oldest rows and learns how many. The proof that a copied row is
+whole needs stores that become visible in program order. x86-64 guarantees that order, so `create` refuses other machines.
 """
 
 import contextlib
@@ -32,6 +33,8 @@ _STORE_ORDERED = ("x86_64",)
 _CONTROL_BYTES = 4096
 _SHARED = Path("/dev/shm")
 _PREFIX = "palpd-"
+_MODE = 0o640
+"""Permissions of the memory: the user of palpd writes, the group of the control socket may watch, others see nothing."""
 
 
 class LoopState(IntEnum):
@@ -119,6 +122,7 @@ class Ring:
         capacity = max(2, round(rate_Hz * seconds))
         name = f"{_PREFIX}{os.getpid()}-{os.urandom(4).hex()}"
         memory = SharedMemory(name, create=True, size=_CONTROL_BYTES + capacity * ROW.itemsize)
+        (_SHARED / name).chmod(_MODE)
         buffer = memory.buf
         assert buffer is not None  # only after close
         np.frombuffer(buffer, np.uint8)[:] = 0
@@ -133,13 +137,21 @@ class Ring:
 
         It avoids SharedMemory: before Python 3.13 every process that attaches unlinks the memory when it exits.
         """
-        path = _SHARED / name
+        return cls._mapped(name, os.O_RDWR, mmap.PROT_READ | mmap.PROT_WRITE)
+
+    @classmethod
+    def watch(cls, name: str) -> Self:
+        """Open a ring that another process created, for reading only: the kernel refuses each write. Raises PalpdError."""
+        return cls._mapped(name, os.O_RDONLY, mmap.PROT_READ)
+
+    @classmethod
+    def _mapped(cls, name: str, mode: int, protection: int) -> Self:
         try:
-            file = os.open(path, os.O_RDWR)
+            file = os.open(_SHARED / name, mode)
         except OSError as error:
-            raise PalpdError(f"the shared memory {name} is not there ({error.strerror}); start palpd again") from error
+            raise PalpdError(f"the shared memory {name} cannot be opened ({error.strerror}); start palpd again") from error
         try:
-            memory = mmap.mmap(file, 0)
+            memory = mmap.mmap(file, 0, prot=protection)
         finally:
             os.close(file)
         buffer = memoryview(memory)

@@ -1,6 +1,8 @@
 """The ring and its control block."""
 
+import errno
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -140,6 +142,39 @@ def test_a_process_that_attached_and_ended_leaves_the_memory_and_says_nothing(ri
     assert done.stdout.strip() == "[5]"
     assert done.stderr == ""
     Ring.attach(ring.name).close()
+
+
+WATCHER = """
+import ctypes, signal, sys
+from palpd.errors import PalpdError
+from palpd.recording.ring import Ring
+ring = Ring.watch(sys.argv[1])
+print(ring.read(0)[0]["index"].tolist(), flush=True)
+address = ring.rows.ctypes.data - 4096
+libc = ctypes.CDLL(None, use_errno=True)
+print(libc.mprotect(ctypes.c_void_p(address), 4096, 3), ctypes.get_errno(), flush=True)
+try:
+    ring.aborts = 1
+except TypeError:
+    print("refused", flush=True)
+ctypes.c_uint64.from_address(address + 8 * 16).value = 1
+print("written", flush=True)
+"""
+
+
+def test_a_watcher_reads_and_the_kernel_lets_it_write_nothing(ring: Ring) -> None:
+    put(ring, 5, 6)
+    done = subprocess.run([sys.executable, "-c", WATCHER, ring.name], capture_output=True, text=True, check=False)
+    lines = done.stdout.splitlines()
+    assert lines[0] == "[5, 6]"
+    assert lines[1] == f"-1 {errno.EACCES}", "the file was opened for reading, so the mapping cannot be made writable either"
+    assert lines[2:] == ["refused"]
+    assert done.returncode == -signal.SIGSEGV, "a store through a bare address ends the watcher"
+    assert ring.aborts == 0
+
+
+def test_others_of_the_group_may_watch_and_nobody_else_may_write(ring: Ring) -> None:
+    assert (Path("/dev/shm") / ring.name).stat().st_mode & 0o777 == 0o640
 
 
 def test_a_ring_that_is_gone_is_refused_with_a_sentence() -> None:
