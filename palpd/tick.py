@@ -145,6 +145,7 @@ class Phase(IntEnum):
     DONE = 9
     TARE = 10
     RETURN = 11
+    PAUSE_RETRACT = 12  # up to the safe height, to wait there
 
 
 class Mode(IntEnum):

@@ -11,6 +11,7 @@ from typing import NotRequired, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from palpd.analysis.interruptions import interrupted
 from palpd.analysis.intervals import mean_half_width_95
 from palpd.analysis.modulus_intervals import NORMAL_95, KnownWeight, Measured, approach_sigma_m, mean_ci95_Pa, mean_sigma_N
 from palpd.analysis.stalls import StallFigures
@@ -158,7 +159,7 @@ def track(rows: NDArray[np.void], delay_s: float, machine_stiffness_N_per_m: flo
         machine_stiffness_N_per_m: Stiffness of the machine; its give is taken out of the heights.
 
     Returns:
-        The frames.
+        The frames, without presses that a pause interrupted.
     """
     filled = np.arange(rows["frame_t_s"].shape[1]) < rows["frames"][:, None]
     tick_of = np.repeat(np.arange(len(rows)), rows["frames"])
@@ -166,13 +167,15 @@ def track(rows: NDArray[np.void], delay_s: float, machine_stiffness_N_per_m: flo
     fz_N = rows["tared"][filled][:, 2]
     robot_t_s, first = np.unique(rows["robot_t_s"], return_index=True)
     z_m = np.interp(t_s - delay_s, robot_t_s, rows["tcp_pose"][first, 2])
-    return Track(
+    whole = Track(
         t_s=t_s,
         tip_z_m=z_m + fz_N / machine_stiffness_N_per_m,
         fz_N=fz_N,
         inertial_N=rows["inertial_N"][filled],
         **{name: rows[name][tick_of] for name in ("phase", "mode", "site", "repeat", "depth_m", "surface_z_m", "cut_short", "zero_N")},
     )
+    dropped = interrupted(rows)
+    return whole.where(~dropped[tick_of]) if dropped.any() else whole
 
 
 def sites(rows: NDArray[np.void], header: RecordingHeader) -> list[SiteResult]:

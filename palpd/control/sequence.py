@@ -7,8 +7,11 @@ clock, no device and no guard, so the same observations give the same proposals 
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
+from enum import Enum
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -102,28 +105,41 @@ class NotBegun(ScriptEnded):
     """The script refuses to begin where the arm stands; nothing has moved."""
 
 
+Result = TypeVar("Result")
 Steps = Generator[Proposal, Observation, None]
 
 
-class Sequence:
-    """A running script. `over`: the plan has ended; `failure`: why it could not be carried out; `refused`: it has moved nothing."""
+class OnPause(Enum):
+    """What a pause does to the step under way."""
 
-    def __init__(self, script: "Script") -> None:
+    STAND = "stand still here, then go on: the tip is in the air"
+    BEGIN_AGAIN = "go up to the safe height, wait there, then begin the step again"
+    FINISH = "finish the step, then wait: it leads to the safe height"
+
+
+class _Interrupted(Exception):
+    """A pause was asked for in a step that begins again after it."""
+
+
+class Sequence:
+    """A running script. `over`: the plan has ended; `failure`: why it could not be carried out; `refused`: it has moved nothing.
+
+    A script answers a pause itself. With `pauses_in_place` the arm stands still instead, as in the recordings of earlier versions.
+    """
+
+    def __init__(self, script: "Script", pauses_in_place: bool = False) -> None:
         self._script = script
+        self._pauses_in_place = pauses_in_place
         self._steps: Steps | None = None
-        self._paused = False
         self.over = False
         self.failure: str | None = None
         self.refused = False
 
     def step(self, observation: Observation) -> Proposal:
         """Return the next proposal for this observation."""
-        if observation.request == Request.PAUSE:
-            self._paused = True
-        if observation.request == Request.RESUME:
-            self._paused = False
-        if self._paused and not self.over:
-            return Proposal(STILL, replace(self._script.progress, phase=Phase.PAUSED, clear_z_m=math.inf))
+        self._script.hear(observation.request)
+        if self._pauses_in_place and self._script.pause_asked and not self.over:
+            return self._script.standing()
         try:
             if self._steps is None:
                 self._script.begin(observation)
@@ -138,11 +154,16 @@ class Sequence:
 
 
 class Script(ABC):
-    """The steps that every script consists of. `observation` is the newest one; `progress` travels with each proposal."""
+    """The steps that every script consists of. `observation` is the newest one; `progress` travels with each proposal.
+
+    `pause_asked` is true between an operator's pause and the resume, and `on_pause` says what it does to the step under way.
+    """
 
     def __init__(self, arm: ArmGeometry) -> None:
         self.arm = arm
         self.progress = Progress()
+        self.pause_asked = False
+        self.on_pause = OnPause.STAND
         self.observation: Observation
         self.home: tuple[float, float, float]
 
@@ -157,12 +178,17 @@ class Script(ABC):
         self.home = (x_m, y_m, z_m)
         self.note(safe_z_m=z_m, floor_z_m=z_m)
 
+    def hear(self, request: Request) -> None:
+        """Remember a pause until it is resumed."""
+        if request in (Request.PAUSE, Request.RESUME):
+            self.pause_asked = request == Request.PAUSE
+
     def note(self, **changes: object) -> None:
         """Change the progress that travels with the proposals."""
         self.progress = replace(self.progress, **changes)  # type: ignore[arg-type]
 
     def move(self, vx_m_per_s: float = 0.0, vy_m_per_s: float = 0.0, vz_m_per_s: float = 0.0) -> Steps:
-        """Propose a tip speed for one tick.
+        """Propose a tip speed for one tick, and answer a pause.
 
         Args:
             vx_m_per_s: speed along the base's x.
@@ -173,6 +199,47 @@ class Script(ABC):
             The steps.
         """
         self.observation = yield Proposal(Command((vx_m_per_s, vy_m_per_s, vz_m_per_s)), self.progress)
+        if self.pause_asked and self.on_pause == OnPause.BEGIN_AGAIN:
+            raise _Interrupted
+        if self.on_pause == OnPause.STAND:
+            yield from self.stand_by()
+
+    def standing(self) -> Proposal:
+        """Return the proposal of a tick in a pause. What the tip may touch there is not known, so no zero learns."""
+        return Proposal(STILL, replace(self.progress, phase=Phase.PAUSED, clear_z_m=math.inf))
+
+    def stand_by(self) -> Steps:
+        """Stand still until no pause is asked for."""
+        while self.pause_asked:
+            self.observation = yield self.standing()
+
+    def begun_again(self, step: Callable[[], Generator[Proposal, Observation, Result]]) -> Generator[Proposal, Observation, Result]:
+        """Carry out a step that begins above the tissue, and begin it again where a pause interrupts it.
+
+        The tip goes up to the safe height first and waits there. A step that is leaving the tissue already ends before the pause.
+
+        Args:
+            step: the step; it may be carried out several times.
+
+        Returns:
+            What the step returns.
+        """
+        begin = self.progress
+        while True:
+            self.progress, self.on_pause = begin, OnPause.BEGIN_AGAIN
+            try:
+                result = yield from step()
+            except _Interrupted:
+                self.on_pause = OnPause.FINISH
+                self.note(phase=Phase.PAUSE_RETRACT, clear_z_m=math.inf)
+                yield from self.move()  # one tick at least: the record shows the interruption also where there is no way up
+                yield from self.go_to(max(self.progress.safe_z_m, self.observation.robot.target_pose[2]), self.arm.max_speed_m_per_s)
+                yield from self.come_to_rest()
+                yield from self.stand_by()
+            else:
+                self.on_pause = OnPause.STAND
+                yield from self.stand_by()
+                return result
 
     def wait(self, duration_s: float) -> Steps:
         """Stand still for a duration."""
@@ -260,16 +327,16 @@ class Palpation(Script):
             yield from self.move_freely()
             if not self.plan.depths_m:
                 continue
-            surface_z_m = yield from self.find_surface()
+            surface_z_m = yield from self.begun_again(self.find_surface)
             self.note(surface_z_m=surface_z_m, safe_z_m=surface_z_m + self.plan.safe_height_m)
             if self.plan.mode in ("static", "both"):
                 for depth_m in self.plan.depths_m:
-                    yield from self.press_and_hold(surface_z_m, depth_m)
+                    yield from self.begun_again(partial(self.press_and_hold, surface_z_m, depth_m))
             if self.plan.mode in ("dynamic", "both"):
                 for depth_m in self.plan.depths_m:
                     for repeat in range(self.plan.repeats):
                         self.note(repeat=repeat)
-                        yield from self.press_and_leave(surface_z_m, depth_m)
+                        yield from self.begun_again(partial(self.press_and_leave, surface_z_m, depth_m))
             self.note(phase=Phase.RETRACT, mode=Mode.NONE, depth_m=math.nan, cut_short=False, safe_z_m=self.home[2])
             yield from self.go_to(self.home[2], self.arm.max_speed_m_per_s)
             yield from self.come_to_rest()
@@ -342,9 +409,8 @@ class Palpation(Script):
                 "sensor's zero moved; start higher above the tissue, or tare again"
             )
         surface_z_m, _ = surface_from_approach(height_m[seen], force[seen, 1], self.arm.tip_radius_m)
-        self.note(phase=Phase.RETRACT, surface_z_m=surface_z_m, clear_z_m=surface_z_m + CLEAR_SHARE * self.plan.safe_height_m)
-        yield from self.go_to(surface_z_m + self.plan.safe_height_m, self.arm.max_speed_m_per_s)
-        yield from self.come_to_rest()
+        self.note(surface_z_m=surface_z_m, clear_z_m=surface_z_m + CLEAR_SHARE * self.plan.safe_height_m)
+        yield from self.leave(surface_z_m, self.arm.max_speed_m_per_s)
         return surface_z_m
 
     def press_and_hold(self, surface_z_m: float, depth_m: float) -> Steps:
@@ -460,7 +526,7 @@ class Palpation(Script):
         return min(self.plan.press_speed_m_per_s, room_N / (stiffness_N_per_m * REACTION_S))
 
     def leave(self, surface_z_m: float, speed_m_per_s: float) -> Steps:
-        """Go back to the safe height.
+        """Go back to the safe height; a pause waits until the tip is there.
 
         Args:
             surface_z_m: height of the surface.
@@ -470,6 +536,7 @@ class Palpation(Script):
             The steps.
         """
         self.note(phase=Phase.RETRACT)
+        self.on_pause = OnPause.FINISH
         yield from self.go_to(surface_z_m + self.plan.safe_height_m, speed_m_per_s)
         yield from self.come_to_rest()
 
@@ -577,23 +644,39 @@ class RigidPress(Script):
 
     def run(self) -> Steps:
         """Find the plate by force, then load and unload it three times."""
-        search = self.plan.search
-        lowest_m = self.home[2] - search.max_travel_m
+        lowest_m = self.home[2] - self.plan.search.max_travel_m
         self.note(phase=Phase.SEARCH, mode=Mode.STIFFNESS, floor_z_m=lowest_m)
-        while self.observation.contact.mean_N < CONTACT_FORCE_N:
-            if self.observation.robot.target_pose[2] <= lowest_m + REACHED_M:
-                raise SurfaceNotFound(f"no plate was met within search.max_travel_m of {search.max_travel_m:g} m; start nearer to it")
-            yield from self.move(vz_m_per_s=self._towards(lowest_m, RIGID_SEARCH_M_PER_S))
-        touched_z_m = self.observation.robot.z_m
+        touched_z_m = yield from self.begun_again(partial(self.find_plate, lowest_m))
         for repeat in range(RIGID_PRESSES):
             self.note(phase=Phase.RETRACT, repeat=repeat, surface_z_m=touched_z_m)
-            yield from self.go_to(touched_z_m + 0.001, RIGID_SEARCH_M_PER_S * 4)
-            yield from self.wait(BASELINE_S)
-            self.note(phase=Phase.PRESS)
-            while self.observation.contact.mean_N < RIGID_END * self.arm.contact_limit_N:
-                if self.observation.robot.target_pose[2] <= lowest_m + REACHED_M:
-                    raise SurfaceNotFound("the plate gave way by the whole search distance; it is not rigid")
-                yield from self.move(vz_m_per_s=self._towards(lowest_m, RIGID_SPEED_M_PER_S))
+            yield from self.begun_again(partial(self.load, touched_z_m, lowest_m))
         self.note(phase=Phase.RETRACT)
         yield from self.go_to(self.home[2], self.arm.max_speed_m_per_s)
         yield from self.come_to_rest()
+
+    def find_plate(self, lowest_m: float) -> Generator[Proposal, Observation, float]:
+        """Go down until contact. Returns the height of the tip there."""
+        while self.observation.contact.mean_N < CONTACT_FORCE_N:
+            if self.observation.robot.target_pose[2] <= lowest_m + REACHED_M:
+                travel_m = self.plan.search.max_travel_m
+                raise SurfaceNotFound(f"no plate was met within search.max_travel_m of {travel_m:g} m; start nearer to it")
+            yield from self.move(vz_m_per_s=self._towards(lowest_m, RIGID_SEARCH_M_PER_S))
+        return self.observation.robot.z_m
+
+    def load(self, touched_z_m: float, lowest_m: float) -> Steps:
+        """Rest above the plate, then press it once.
+
+        Args:
+            touched_z_m: height at which the plate was met.
+            lowest_m: height at which it counts as not rigid.
+
+        Returns:
+            The steps.
+        """
+        yield from self.go_to(touched_z_m + 0.001, RIGID_SEARCH_M_PER_S * 4)
+        yield from self.wait(BASELINE_S)
+        self.note(phase=Phase.PRESS)
+        while self.observation.contact.mean_N < RIGID_END * self.arm.contact_limit_N:
+            if self.observation.robot.target_pose[2] <= lowest_m + REACHED_M:
+                raise SurfaceNotFound("the plate gave way by the whole search distance; it is not rigid")
+            yield from self.move(vz_m_per_s=self._towards(lowest_m, RIGID_SPEED_M_PER_S))

@@ -19,6 +19,7 @@ ACTIVITIES = {
     Phase.RETRACT: "leaving",
     Phase.FREE_MOTION: "moving in free air",
     Phase.PAUSED: "paused",
+    Phase.PAUSE_RETRACT: "leaving for a pause",
     Phase.RETURN: "returning to the start",
     Phase.DONE: "done",
 }

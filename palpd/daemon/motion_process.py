@@ -78,7 +78,8 @@ Build = Callable[[Config, bool], Devices]
 class Job:
     """One task for the cell. `reference` (6,) is the tare of the last calibration, in the axes of the sensor with that serial number.
 
-    A palpation that is done returns to its start pose; the recordings of earlier versions end above their last site.
+    A palpation that is done returns to its start pose, and a pause leaves the tissue. The recordings of earlier versions end above their
+    last site, and paused where the arm was.
     """
 
     kind: Kind
@@ -89,6 +90,7 @@ class Job:
     machine_stiffness_N_per_m: float | None = None
     reference_serial: str | None = None
     returns_to_start: bool = True
+    pauses_in_place: bool = False
 
 
 class TripReport(TypedDict):
@@ -209,7 +211,8 @@ def sequence_of(job: Job, delay_s: float) -> Sequence:
         "stiffness": lambda: RigidPress(job.plan, arm),
         "retract": lambda: Retract(arm),
     }
-    return Sequence(TimedRest(arm, CHECK_S if job.kind == "check" else DRY_S) if job.dry else scripts[job.kind]())
+    script = TimedRest(arm, CHECK_S if job.kind == "check" else DRY_S) if job.dry else scripts[job.kind]()
+    return Sequence(script, job.pauses_in_place)
 
 
 def explainer_of(job: Job, about: RunAbout, delay_s: float) -> Explainer:

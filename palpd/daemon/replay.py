@@ -127,6 +127,7 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
         reference=tuple(header["reference"]),
         machine_stiffness_N_per_m=header["machine_stiffness_N_per_m"],
         returns_to_start=header.get("returns_to_start", False),
+        pauses_in_place=header.get("pauses_in_place", True),
     )
     delay_s = header["body"]["delay_s"]
     model = None

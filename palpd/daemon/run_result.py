@@ -3,6 +3,7 @@
 from typing import Any, NotRequired, TypedDict
 
 from palpd.analysis import results
+from palpd.analysis.interruptions import begun_again
 from palpd.analysis.results import DryFigures, LoopFigures, SiteResult, cut_short_notes, dry_figures
 from palpd.analysis.stalls import stall_figures, stall_note
 from palpd.daemon.motion_process import TripReport, trip_report
@@ -60,6 +61,7 @@ def run_result(report: Report) -> RunResult:
     elif recording.header["kind"] == "palpation":
         result["sites"] = results.sites(recording.rows, recording.header)
         result["notes"] += cut_short_notes(result["sites"], recording.header["config"]["safety"]["contact_limit_N"])
+    result["notes"] += begun_again(recording.rows, recording.header["sites"])
     return result
 
 
@@ -71,7 +73,11 @@ def simulated_result(simulated: SimulatedRecording) -> RunResult:
         reason=outcome.reason,
         trips=[trip_report(trip) for trip in outcome.trips],
         recording=None,
-        notes=[NO_WIRES, *cut_short_notes(sites, simulated.header["config"]["safety"]["contact_limit_N"])],
+        notes=[
+            NO_WIRES,
+            *cut_short_notes(sites, simulated.header["config"]["safety"]["contact_limit_N"]),
+            *begun_again(simulated.rows, simulated.header["sites"]),
+        ],
         sites=sites,
         loop={"ticks": outcome.ticks, "missed": outcome.missed},
         last_ticks=list(last_ticks_of(simulated.rows[-LAST_TICKS:])) if outcome.verdict != "done" else [],

@@ -352,6 +352,7 @@ def header_of(job: Job, about: RunAbout, reference: tuple[float, ...]) -> Record
         "plan": job.plan.model_dump(mode="json"),
         "sites": [{"name": site.name, "x_m": site.x_m, "y_m": site.y_m} for site in job.plan.sites],
         "returns_to_start": job.returns_to_start,
+        "pauses_in_place": job.pauses_in_place,
         "reference": list(reference),
         "machine_stiffness_N_per_m": job.machine_stiffness_N_per_m,
         "body": {

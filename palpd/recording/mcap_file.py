@@ -104,7 +104,8 @@ class RecordingHeader(TypedDict, total=False):
 
     `config` and `plan` are config.yaml and plan.yaml as parsed, `model_card` is the inertial model's card, `reference` (6,) the tare of
     the last calibration. `epoch_offset_s` turns monotonic seconds into Unix time. A palpation without `returns_to_start` ended above
-    its last site. A simulated run fills only what the analysis reads. `format_version` is that of the file, 1 where it is absent.
+    its last site; without `pauses_in_place` a pause stood still where the arm was. A simulated run fills only what the analysis reads.
+    `format_version` is that of the file, 1 where it is absent.
     """
 
     format_version: int
@@ -114,6 +115,7 @@ class RecordingHeader(TypedDict, total=False):
     plan: dict[str, Any]
     sites: list[RecordedSite]
     returns_to_start: bool
+    pauses_in_place: bool
     reference: list[float]
     machine_stiffness_N_per_m: float | None
     body: RecordedGeometry

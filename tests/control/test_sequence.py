@@ -1,17 +1,19 @@
 """The palpation sequence, on the cell's own physics without wires."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from palpd.analysis import results
+from palpd.analysis.interruptions import begun_again
 from palpd.cell.cell_file import CellFile
 from palpd.config import Config, Plan
 from palpd.control.sequence import ArmGeometry, Palpation, Sequence
 from palpd.daemon.motion_process import Job
 from palpd.daemon.simulated_run import SimulatedRecording, run
-from palpd.tick import Phase, Request, Trip
+from palpd.tick import NO_FRAMES, ForceSensor, Mode, Phase, Request, SensorFrames, Trip
 from tests.scenes import contact, observation, robot
 from tests.simulated import cell_file, ran
 
@@ -140,17 +142,6 @@ def test_an_origin_that_is_too_far_away_is_refused_before_anything_moves() -> No
     assert not done.rows["command_m_per_s"].any()
 
 
-def test_a_pause_stands_still_and_a_resume_goes_on() -> None:
-    plain = ran(cell_file(), ONE)
-    paused = ran(cell_file(), ONE, requests={700: Request.PAUSE, 900: Request.RESUME})
-    rows = paused.rows[700:900]
-    assert set(rows["phase"]) == {Phase.PAUSED}
-    assert not rows["command_m_per_s"].any()
-    assert np.ptp(rows["target_pose"][20:, 2]) == 0.0
-    assert paused.outcome.verdict == "done"
-    assert abs(len(paused.rows) - len(plain.rows) - 200) < 30
-
-
 def test_an_abort_stops_within_the_tick() -> None:
     done = ran(cell_file(), ONE, requests={600: Request.ABORT})
     assert len(done.rows) == 601
@@ -193,6 +184,146 @@ def test_a_force_that_stands_there_when_the_search_begins_is_no_surface(standing
         now_s += 0.008
     assert sequence.failure is not None
     assert why in sequence.failure
+
+
+# --- a pause ------------------------------------------------------------------------------------------------------------------
+
+BOTH = Plan.model_validate({"sites": [{"name": "A", "x_m": 0.01}, {"name": "B"}], "depths_m": [0.004], "repeats": 2, "hold_s": 0.5})
+PAUSE_TICKS = 400
+
+
+@pytest.fixture(scope="module")
+def plain() -> SimulatedRecording:
+    return ran(cell_file(), BOTH)
+
+
+def paused_at(tick: int, ticks: int = PAUSE_TICKS, **more: Any) -> SimulatedRecording:
+    return ran(cell_file(), BOTH, requests={tick: Request.PAUSE, tick + ticks: Request.RESUME}, **more)
+
+
+def ticks_of(rows: Any, phase: Phase, mode: Mode) -> Any:
+    return np.flatnonzero((rows["phase"] == phase) & (rows["mode"] == mode) & (rows["site"] == 0))
+
+
+@pytest.mark.parametrize(
+    ("phase", "mode", "share", "again"),
+    [
+        (Phase.TRAVEL, Mode.NONE, 0.4, 0),
+        (Phase.BASELINE, Mode.SEARCH, 0.5, 1),
+        (Phase.SEARCH, Mode.SEARCH, 0.3, 1),
+        (Phase.SEARCH, Mode.SEARCH, 1.0, 1),
+        (Phase.RETRACT, Mode.SEARCH, 0.1, 0),
+        (Phase.BASELINE, Mode.STATIC, 0.5, 1),
+        (Phase.PRESS, Mode.STATIC, 0.3, 1),
+        (Phase.PRESS, Mode.STATIC, 1.0, 1),
+        (Phase.HOLD, Mode.STATIC, 0.5, 1),
+        (Phase.RETRACT, Mode.STATIC, 0.1, 0),
+        (Phase.PRESS, Mode.DYNAMIC, 0.45, 1),
+        (Phase.RETRACT, Mode.DYNAMIC, 0.1, 0),
+        (Phase.RETRACT, Mode.NONE, 0.5, 0),
+    ],
+)
+def test_a_pause_leaves_the_tissue_and_the_press_begins_again(
+    plain: SimulatedRecording, phase: Phase, mode: Mode, share: float, again: int
+) -> None:
+    ticks = ticks_of(plain.rows, phase, mode)
+    at = int(ticks[round(share * (len(ticks) - 1))])
+    paused = paused_at(at)
+    rows = paused.rows
+    assert paused.outcome.verdict == "done"
+    waiting = np.flatnonzero(rows["phase"] == Phase.PAUSED)
+    assert len(waiting) > 100
+    assert waiting[-1] == at + PAUSE_TICKS - 1, "it goes on with the tick of the resume"
+    assert not rows["command_m_per_s"][waiting].any()
+    surface_m = results.sites(plain.rows, plain.header)[0]["surface_z_m"]
+    assert rows["tcp_pose"][waiting[30:], 2].min() > surface_m + BOTH.safe_height_m - 1e-4, "at the safe height or higher"
+    assert rows["force_N"][waiting[60:]].max() < 0.2
+    on_its_way = rows[at : waiting[0]]
+    assert (on_its_way["proposed_m_per_s"][:, 2] >= -1e-6).all(), "a pause never goes down"
+    assert len(begun_again(rows, paused.header["sites"])) == again
+    for site, expected in zip(results.sites(rows, paused.header), results.sites(plain.rows, plain.header), strict=True):
+        assert [len(site["depths"]), len(site["presses"])] == [1, 2]
+        assert site["static_youngs_modulus_Pa"] == pytest.approx(expected["static_youngs_modulus_Pa"], rel=0.05)
+        assert site["dynamic_corrected_Pa"] == pytest.approx(expected["dynamic_corrected_Pa"], rel=0.05)
+        assert not site["cut_short"]
+
+
+def test_a_press_that_was_paused_twice_counts_once_and_is_said_twice(plain: SimulatedRecording) -> None:
+    at = int(ticks_of(plain.rows, Phase.HOLD, Mode.STATIC)[30])
+    requests = {at: Request.PAUSE, at + 200: Request.RESUME, at + 300: Request.PAUSE, at + 600: Request.RESUME}
+    paused = ran(cell_file(), BOTH, requests=requests)
+    notes = begun_again(paused.rows, paused.header["sites"])
+    assert notes == ["site A, static press to 4 mm: a pause interrupted it, and it was begun again from its start"] * 2
+    assert len(results.sites(paused.rows, paused.header)[0]["depths"]) == 1
+
+
+def test_a_resume_on_the_way_up_still_reaches_the_safe_height_first(plain: SimulatedRecording) -> None:
+    at = int(ticks_of(plain.rows, Phase.HOLD, Mode.STATIC)[30])
+    paused = paused_at(at, ticks=5)
+    assert Phase.PAUSED not in paused.rows["phase"]
+    assert len(begun_again(paused.rows, paused.header["sites"])) == 1
+    assert paused.outcome.verdict == "done"
+
+
+def test_free_motion_stands_still_in_a_pause_and_goes_on() -> None:
+    paused = ran(cell_file(), kind="free_motion", requests={700: Request.PAUSE, 900: Request.RESUME})
+    assert set(paused.rows["phase"][700:900]) == {Phase.PAUSED}
+    assert np.ptp(paused.rows["target_pose"][720:900, 2]) == 0.0
+    assert paused.outcome.verdict == "done"
+    assert paused.rows["repeat"].max() == 9
+
+
+def test_a_paused_press_on_a_rigid_plate_is_begun_again_and_measures_the_same() -> None:
+    plate = cell_file(wall={"z_m": 0.0, "stiffness_N_per_m": 1e7}, effects={"robot.compliance": {"stiffness_N_per_m": 80_000.0}})
+    plan = Plan(search={"max_travel_m": 0.04})  # type: ignore[arg-type]
+    whole = ran(plate, plan, kind="stiffness")
+    at = int(np.flatnonzero((whole.rows["phase"] == Phase.PRESS) & (whole.rows["repeat"] == 1))[-40])
+    assert whole.rows["force_N"][at] > 3.0
+    done = ran(plate, plan, kind="stiffness", requests={at: Request.PAUSE, at + PAUSE_TICKS: Request.RESUME})
+    waiting = done.rows[done.rows["phase"] == Phase.PAUSED]
+    assert waiting["tcp_pose"][:, 2].min() == pytest.approx(done.rows["tcp_pose"][0, 2], abs=1e-4), "where it began"
+    assert results.machine_stiffness(done.rows)[0] == pytest.approx(80_000, rel=0.03)
+
+
+class _Disturbed:
+    """A sensor that from a tick on is silent, or reads another force."""
+
+    def __init__(self, sensor: ForceSensor, from_read: int, shift_N: float | None) -> None:
+        self._sensor, self._left, self._shift_N = sensor, from_read, shift_N
+
+    def read(self) -> SensorFrames:
+        frames = self._sensor.read()
+        self._left -= 1
+        if self._left > 0:
+            return frames
+        if self._shift_N is None:
+            return NO_FRAMES
+        return replace(frames, wrench=frames.wrench + np.array([0.0, 0.0, -self._shift_N, 0.0, 0.0, 0.0]))
+
+    def close(self) -> None:
+        self._sensor.close()
+
+
+@pytest.mark.parametrize(("shift_N", "trip"), [(None, Trip.SENSOR_STALE), (13.0, Trip.CONTACT_FORCE), (40.0, Trip.ABSOLUTE_FORCE)])
+@pytest.mark.parametrize("later", [2, 200])
+def test_the_limits_hold_on_the_way_up_and_while_it_waits(plain: SimulatedRecording, shift_N: float | None, trip: Trip, later: int) -> None:
+    at = int(ticks_of(plain.rows, Phase.HOLD, Mode.STATIC)[30])
+    job = Job("palpation", Config(), BOTH)
+    done = run(job, cell_file(), requests={at: Request.PAUSE}, behind=lambda sensor: _Disturbed(sensor, at + later, shift_N))
+    assert done.outcome.verdict == "stopped"
+    assert [verdict.trip for verdict in done.outcome.trips] == [trip]
+    assert done.rows["phase"][-1] in (Phase.PAUSE_RETRACT, Phase.PAUSED)
+    assert done.rows["command_stop"][-1]
+    assert len(done.rows) < at + later + 200
+
+
+def test_a_recording_of_an_earlier_version_paused_where_the_arm_was(plain: SimulatedRecording) -> None:
+    at = int(ticks_of(plain.rows, Phase.HOLD, Mode.STATIC)[30])
+    job = Job("palpation", Config(), BOTH, pauses_in_place=True)
+    done = run(job, cell_file(), requests={at: Request.PAUSE, at + 200: Request.RESUME})
+    assert set(done.rows["phase"][at : at + 200]) == {Phase.PAUSED}
+    assert np.ptp(done.rows["target_pose"][at + 20 : at + 200, 2]) == 0.0
+    assert done.outcome.verdict == "done"
 
 
 # --- leaving the tissue after a stop ------------------------------------------------------------------------------------------

@@ -1,5 +1,6 @@
 """Replaying a CSV: tare, contact and guard of the daemon's own loop on every row."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from palpd.daemon.replay import replay, replay_samples
 from palpd.daemon.simulated_run import run
 from palpd.recording.reader import Recording
 from palpd.recording.samples import Samples
+from palpd.tick import Phase, Request
 
 RATE_HZ = 1000.0
 
@@ -58,9 +60,9 @@ def test_a_slow_rig_is_not_stale_at_its_own_rate() -> None:
     assert result["trips"] == []
 
 
-def recorded(job: Job, **header: Any) -> Recording:
+def recorded(job: Job, requests: dict[int, Request] | None = None, **header: Any) -> Recording:
     """A run of that job without wires, as a recording with this in its header."""
-    done = run(job, CellFile())
+    done = run(job, CellFile(), requests=requests or {})
     whole = {
         **done.header,
         "kind": job.kind,
@@ -72,6 +74,17 @@ def recorded(job: Job, **header: Any) -> Recording:
         **header,
     }
     return Recording(Path("r.mcap"), done.rows, whole, {"verdict": "done"}, None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("in_place", "header"), [(False, {"pauses_in_place": False}), (True, {})])
+def test_a_replay_pauses_as_the_recording_did(in_place: bool, header: dict[str, bool]) -> None:
+    plan = Plan.model_validate({"depths_m": [0.004], "mode": "static", "hold_s": 1.0})
+    job = Job("palpation", Config(), plan, returns_to_start=False, pauses_in_place=in_place)
+    pressing = int(np.flatnonzero(recorded(job).rows["phase"] == Phase.HOLD)[20])
+    paused = recorded(job, requests={pressing: Request.PAUSE, pressing + 300: Request.RESUME}, **header)
+    assert (Phase.PAUSE_RETRACT in paused.rows["phase"]) is not in_place
+    assert replay(paused)["decisions_identical"], "as the header says; an old header says nothing, and its pauses stood still"
+    assert not replay(replace(paused, header={**paused.header, "pauses_in_place": not in_place}))["decisions_identical"]
 
 
 @pytest.mark.parametrize(("returns", "header"), [(True, {"returns_to_start": True}), (False, {})])
