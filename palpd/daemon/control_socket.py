@@ -1,7 +1,9 @@
 """The control socket of the service: one JSON line asks, one JSON line answers. File permissions decide who may connect.
 
-Requests: {"do": "status" | "arm" | "start" | "pause" | "resume" | "abort" | "clear", "plan": {...}}; answers {"ok": true, ...} or
-{"ok": false, "error": sentence}. A request that is malformed, oversized or slow is answered or dropped and changes nothing.
+A request is {"do": command, ...}; the answer {"ok": true, ...} or {"ok": false, "error": sentence}. docs/jobs.md lists all of them. A
+request that is malformed, oversized or slow is answered or dropped and changes nothing.
+
+A watcher asks once and then receives each published event as a line. Nobody waits for it: one whose buffer is full is dropped.
 
 An abort gets through, whatever other clients do: all waiting connections are accepted and read at once, the oldest one that has sent no
 complete line makes room for the newest, and aborts are carried out before all other requests.
@@ -14,7 +16,7 @@ import selectors
 import socket
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
@@ -28,10 +30,16 @@ MOST_BYTES = 262_144
 """Largest request: a plan of a thousand sites has 60 kB."""
 MOST_CLIENTS = 64
 """Largest number of connections at a time: more than operators have terminals, fewer than exhaust file descriptors."""
+MOST_WATCHERS = 16
+"""Largest number of watchers, besides these: an event costs 10 µs for each."""
 BACKLOG = 1024
 """Connections that the kernel lets wait. They are accepted in their order; 1024 take about 30 ms."""
 LINE_S = 1.0
 """Longest wait for a complete line. A client of palpd sends it in one piece."""
+SEND_S = 5.0
+"""Longest time that a client may take to receive its answer."""
+PIECE_BYTES = 65_536
+"""Largest piece of a long answer that one poll sends, so that no client delays the others."""
 WORK_S = 0.02
 """Longest time that one poll serves requests: a run under way is polled in between. Further requests wait for the next poll."""
 
@@ -44,7 +52,17 @@ class Later:
     abandoned: bool = False
 
 
-AnswerRequest = Callable[[ControlRequest], ControlAnswer | Later]
+@dataclass(frozen=True, slots=True)
+class Watching:
+    """The first answer to a client that stays and receives every event that is published."""
+
+    answer: ControlAnswer
+
+
+AnswerRequest = Callable[[ControlRequest], ControlAnswer | Later | Watching | bytes]
+"""Carries out a request. Bytes are a finished line: a long result is turned into JSON elsewhere."""
+UNLOGGED = ("status", "jobs", "job", "watch", "renew")
+"""Requests that change nothing, and come often."""
 
 
 @dataclass(slots=True)
@@ -54,11 +72,12 @@ class _Client:
     received: bytearray = field(default_factory=bytearray)
     request: ControlRequest | None = None
     awaits: Later | None = None
+    unsent: memoryview | None = None
 
     @property
     def idle(self) -> bool:
         """Whether it has sent no complete line yet."""
-        return self.request is None and self.awaits is None
+        return self.request is None and self.awaits is None and self.unsent is None
 
     @property
     def aborts(self) -> bool:
@@ -74,6 +93,7 @@ class ControlSocket:
         self._log = structlog.get_logger("palpd.daemon.control_socket")
         self._selector = selectors.DefaultSelector()
         self._clients: dict[int, _Client] = {}
+        self._watchers: dict[int, socket.socket] = {}
         path.parent.mkdir(parents=True, exist_ok=True)
         if _is_alive(path):
             raise Refused(f"another palpd already serves {path}; stop it first, or set paths.socket")
@@ -94,20 +114,41 @@ class ControlSocket:
         for key, _ in self._selector.select(0.0 if work_is_left else wait_s):
             if key.fileobj is self._listener:
                 self._accept()
+            elif key.fd in self._watchers:  # it has gone, or it speaks where it should listen
+                self._drop_watcher(key.fd)
             elif key.fd in self._clients:  # not dropped meanwhile for a newer one
                 self._receive(self._clients[key.fd])
         self._serve_requests()
-        late_s = time.monotonic() - LINE_S
+        now_s = time.monotonic()
         for client in list(self._clients.values()):
             if client.awaits is not None and client.awaits.answer is not None:
                 self._reply(client, client.awaits.answer)
-            elif client.idle and client.since_s < late_s:
+            elif client.unsent is not None and client.since_s > now_s - SEND_S:
+                self._send(client, client.unsent)
+            elif client.unsent is not None or (client.idle and client.since_s < now_s - LINE_S):
                 self._drop(client)
+
+    @property
+    def watched(self) -> bool:
+        """Whether anybody would receive an event."""
+        return bool(self._watchers)
+
+    def publish(self, event: Mapping[str, object]) -> None:
+        """Send an event to all watchers, without waiting for any of them."""
+        if not self._watchers:
+            return
+        line = json.dumps(event).encode() + b"\n"
+        for number, connection in list(self._watchers.items()):
+            if not _taken(connection, line):
+                self._log.warning("a watcher was dropped: it does not read what it asked for")
+                self._drop_watcher(number)
 
     def close(self) -> None:
         """Stop listening and remove the socket's file."""
         for client in list(self._clients.values()):
             self._drop(client)
+        for number in list(self._watchers):
+            self._drop_watcher(number)
         self._selector.close()
         self._listener.close()
         self._path.unlink(missing_ok=True)
@@ -179,20 +220,51 @@ class ControlSocket:
     def _carry_out(self, client: _Client) -> None:
         request, client.request = client.request, None
         assert request is not None
-        if request["do"] != "status":
+        if request["do"] not in UNLOGGED:
             pid, uid, gid = struct.unpack("3i", client.connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
             self._log.info("request", do=request["do"][:32], pid=pid, uid=uid, gid=gid)
         answer = self._answer(request)
         if isinstance(answer, Later):
             client.awaits = answer
+        elif isinstance(answer, Watching):
+            self._begin_watching(client, answer.answer)
         else:
             self._reply(client, answer)
 
-    def _reply(self, client: _Client, answer: ControlAnswer) -> None:
-        """Send the answer and close the connection, without waiting: an answer fits the socket's buffer."""
-        with contextlib.suppress(OSError):  # the client has gone; the request itself was carried out and logged
-            client.connection.send(json.dumps(answer).encode() + b"\n")
-        self._drop(client)
+    def _begin_watching(self, client: _Client, answer: ControlAnswer) -> None:
+        if len(self._watchers) >= MOST_WATCHERS:
+            self._reply(client, {"ok": False, "error": f"{MOST_WATCHERS} others watch already, expected fewer; close one of them"})
+            return
+        self._clients.pop(client.connection.fileno(), None)
+        self._watchers[client.connection.fileno()] = client.connection
+        if not _taken(client.connection, json.dumps(answer).encode() + b"\n"):
+            self._drop_watcher(client.connection.fileno())
+
+    def _reply(self, client: _Client, answer: ControlAnswer | bytes) -> None:
+        """Send the answer and close the connection, without waiting: later polls send the rest of an answer that is long."""
+        line = answer if isinstance(answer, bytes) else json.dumps(answer).encode() + b"\n"
+        client.awaits, client.since_s = None, time.monotonic()
+        with contextlib.suppress(KeyError):  # it asks once
+            self._selector.unregister(client.connection)
+        self._send(client, memoryview(line))
+
+    def _send(self, client: _Client, unsent: memoryview) -> None:
+        client.unsent = unsent
+        try:
+            client.unsent = unsent[client.connection.send(unsent[:PIECE_BYTES]) :]
+        except BlockingIOError:
+            return
+        except OSError:  # the client has gone; the request itself was carried out and logged
+            self._drop(client)
+            return
+        if not client.unsent:
+            self._drop(client)
+
+    def _drop_watcher(self, number: int) -> None:
+        connection = self._watchers.pop(number)
+        with contextlib.suppress(KeyError):
+            self._selector.unregister(connection)
+        connection.close()
 
     def _drop(self, client: _Client) -> None:
         if client.awaits is not None and client.awaits.answer is None:
@@ -201,6 +273,14 @@ class ControlSocket:
         with contextlib.suppress(KeyError):
             self._selector.unregister(client.connection)
         client.connection.close()
+
+
+def _taken(connection: socket.socket, line: bytes) -> bool:
+    """Whether the connection took the whole line at once."""
+    try:
+        return connection.send(line) == len(line)
+    except OSError:
+        return False
 
 
 def _is_alive(path: Path) -> bool:

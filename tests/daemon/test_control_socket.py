@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from palpd.daemon import control_socket as control
-from palpd.daemon.control_socket import MOST_BYTES, ControlSocket
+from palpd.daemon.control_socket import MOST_BYTES, ControlSocket, Watching
 from palpd.daemon.socket_client import ask
 from palpd.errors import Refused
 
@@ -182,3 +182,110 @@ def test_a_second_daemon_on_the_same_socket_is_refused(listening: Listening) -> 
 def test_no_daemon_is_said_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(Refused, match="no daemon answers"):
         ask(tmp_path / "nobody.sock", {"do": "status"})
+
+
+# --- watchers and long answers ------------------------------------------------------------------------------------------------
+
+
+def _watching(server: ControlSocket, path: Path) -> socket.socket:
+    watcher = socket.socket(socket.AF_UNIX)
+    watcher.settimeout(3.0)
+    watcher.connect(str(path))
+    watcher.sendall(b'{"do": "watch"}\n')
+    server.poll()
+    return watcher
+
+
+@pytest.fixture
+def published(tmp_path: Path) -> Iterator[tuple[ControlSocket, Path]]:
+    def answer(request: Any) -> Any:
+        return Watching({"ok": True, "state": "disarmed"}) if request["do"] == "watch" else {"ok": True}
+
+    server = ControlSocket(tmp_path / "palpd.sock", answer)
+    yield server, tmp_path / "palpd.sock"
+    server.close()
+
+
+def test_a_watcher_receives_every_event_until_it_leaves(published: tuple[ControlSocket, Path]) -> None:
+    server, path = published
+    assert not server.watched
+    with _watching(server, path) as watcher, watcher.makefile() as lines:
+        server.publish({"event": "log", "line": "one"})
+        server.publish({"event": "log", "line": "two"})
+        assert [json.loads(lines.readline()).get("line") for _ in range(3)] == [None, "one", "two"]
+    server.poll()
+    assert not server.watched
+
+
+def test_a_stuck_watcher_is_dropped_and_delays_nobody(published: tuple[ControlSocket, Path]) -> None:
+    server, path = published
+    stuck, reader = _watching(server, path), _watching(server, path)
+    with stuck, reader, reader.makefile() as lines:
+        lines.readline()
+        began_s = time.process_time()
+        for number in range(1000):
+            server.publish({"event": "log", "line": "x" * 1000, "number": number})
+            assert json.loads(lines.readline())["number"] == number
+        assert time.process_time() - began_s < 1.0
+        assert len(server._watchers) == 1
+    server.poll()
+
+
+def test_a_watcher_that_speaks_is_dropped(published: tuple[ControlSocket, Path]) -> None:
+    server, path = published
+    with _watching(server, path) as watcher:
+        watcher.sendall(b'{"do": "abort"}\n')
+        server.poll()
+        assert not server.watched
+
+
+def test_there_are_not_more_watchers_than_the_service_can_serve(published: tuple[ControlSocket, Path]) -> None:
+    server, path = published
+    watchers = [_watching(server, path) for _ in range(control.MOST_WATCHERS + 1)]
+    assert b"16 others watch already" in watchers[-1].recv(65536)
+    assert len(server._watchers) == control.MOST_WATCHERS
+    for watcher in watchers:
+        watcher.close()
+
+
+def test_an_abort_gets_through_watchers_and_a_client_that_does_not_take_its_long_answer(tmp_path: Path) -> None:
+    heard: list[str] = []
+    long = json.dumps({"ok": True, "log": ["x" * 100] * 50_000}).encode() + b"\n"
+
+    def answer(request: Any) -> Any:
+        heard.append(request["do"])
+        return {"watch": Watching({"ok": True}), "job": long}.get(request["do"], {"ok": True})
+
+    server = ControlSocket(tmp_path / "palpd.sock", answer)
+    watchers = [_watching(server, tmp_path / "palpd.sock") for _ in range(control.MOST_WATCHERS)]
+    slow = _crowd(tmp_path / "palpd.sock", 10, b'{"do": "job"}\n')
+    for _ in range(5):
+        server.poll()
+        server.publish({"event": "status"})
+    began_s = time.process_time()
+    crowd = _crowd(tmp_path / "palpd.sock", 1, b'{"do": "abort"}\n')
+    while "abort" not in heard:
+        server.poll()
+    assert time.process_time() - began_s < 0.05
+    for client in [*watchers, *slow, *crowd]:
+        client.close()
+    server.close()
+
+
+def test_an_answer_longer_than_the_buffer_arrives_whole(tmp_path: Path) -> None:
+    lines = ["x" * 100] * 20_000
+    server = ControlSocket(tmp_path / "palpd.sock", lambda _: json.dumps({"ok": True, "log": lines}).encode() + b"\n")
+    over = threading.Event()
+
+    def serve() -> None:
+        while not over.is_set():
+            server.poll(0.01)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        assert ask(tmp_path / "palpd.sock", {"do": "job", "id": "x"})["log"] == lines
+    finally:
+        over.set()
+        thread.join()
+        server.close()
