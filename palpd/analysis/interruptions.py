@@ -1,16 +1,14 @@
 """Presses that a pause interrupted: the sequence begins them again, so only the second attempt counts."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpd.recording.mcap_file import RecordedSite
-from palpd.tick import Mode, Phase
+from palpd.tick import Phase
 
 STEP = ("site", "mode", "repeat", "depth_m")
 """Fields of a row that say which press or search a tick belongs to."""
-NAMES = {Mode.SEARCH: "search for the surface", Mode.STATIC: "static press", Mode.DYNAMIC: "dynamic press", Mode.STIFFNESS: "press"}
 
 
 def interrupted(rows: NDArray[np.void]) -> NDArray[np.bool_]:
@@ -26,26 +24,6 @@ def interrupted(rows: NDArray[np.void]) -> NDArray[np.bool_]:
     for begin, end in _attempts(rows):
         dropped[begin:end] = True
     return dropped
-
-
-def begun_again(rows: NDArray[np.void], sites: Sequence[RecordedSite]) -> list[str]:
-    """Say which presses and searches a pause interrupted.
-
-    Args:
-        rows: Ticks (n,), with the fields of ROW of palpd.tick.
-        sites: Sites of the recording, for their names.
-
-    Returns:
-        One sentence for each interruption.
-    """
-    notes = []
-    for begin, _ in _attempts(rows):
-        row = rows[begin]
-        number, mode, depth_m = int(row["site"]), Mode(int(row["mode"])), float(row["depth_m"])
-        where = f"site {sites[number]['name']}, " if 0 <= number < len(sites) else ""
-        depth = f" to {depth_m * 1e3:g} mm" if np.isfinite(depth_m) else ""
-        notes.append(f"{where}{NAMES.get(mode, 'step')}{depth}: a pause interrupted it, and it was begun again from its start")
-    return notes
 
 
 def _attempts(rows: NDArray[np.void]) -> Iterator[tuple[int, int]]:

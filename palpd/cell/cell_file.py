@@ -385,6 +385,25 @@ def load_cell(path: str | Path, library: Mapping[str, Effect] = EFFECTS) -> Cell
     return _cell_of(read_yaml(Path(path)), library)
 
 
+def parse_cell(values: object, where: str, library: Mapping[str, Effect] = EFFECTS) -> CellFile:
+    """Make a cell of data, such as a request's.
+
+    Args:
+        values: Keys and values of cell.yaml.
+        where: What an error calls them.
+        library: Effects that the cell may have, by id.
+
+    Returns:
+        The cell.
+
+    Raises:
+        ConfigError: Where the data is no cell, one sentence.
+    """
+    if not isinstance(values, dict):
+        raise ConfigError(f"{where} holds {type(values).__name__}, expected keys and values; see docs/cell.md")
+    return _cell_of(Document(where, values), library)
+
+
 def save_cell(path: str | Path, cell: CellFile) -> None:
     """Write a cell file that `load_cell` reads back equal.
 

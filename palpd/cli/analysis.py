@@ -1,7 +1,7 @@
 """Commands that turn recordings into moduli, inertial models and maps."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -22,20 +22,8 @@ if TYPE_CHECKING:
     from palpd.analysis.curves import CurveResult
     from palpd.analysis.enriched import EnrichedResult
     from palpd.analysis.results import LoadingResult
-
-
-class MapFigures(TypedDict):
-    """The JSON of `palpd map`."""
-
-    presses: int
-    done: bool
-    found_m: tuple[float, float] | None
-    next_m: tuple[float, float]
-    background_Pa: float
-    sentence: str
-    true_inclusion_m: tuple[float, float, float] | None
-    verdict: Literal["done", "stopped"]
-    reason: str
+    from palpd.analysis.stiffness_map import Field
+    from palpd.daemon.stiffness_survey import Mapped
 
 
 @app.command()
@@ -158,17 +146,18 @@ def map_(
     Without --config, --emulated or --presses the daemon presses a simulated field, faster than real time.
     """
     from palpd.analysis import stiffness_map as mapping
-    from palpd.daemon.stiffness_survey import mapped
+    from palpd.daemon.stiffness_survey import Mapped, figures_of, mapped
 
     where = mapping.Field(width_m=width_m, height_m=height_m, inclusion_m=inclusion_m, depth_m=depth_m)
     check_writable(json_file, out, None if presses else with_ending(out, ".csv"))
-    stopped, truth = "", None
     if presses is not None:
         mapping.refuse_two_sources(presses, config, emulated)
-        survey = mapping.read_presses(presses, where)
+        pressed = Mapped(mapping.read_presses(presses, where))
+    elif config is not None:
+        pressed = _pressed_by_robot(where, config, out)
     else:
-        pressed = mapped(where, out, config, emulated, seed, display())
-        survey, truth, stopped = pressed.survey, pressed.true_inclusion_m, pressed.stop_reason
+        pressed = mapped(where, out, emulated, seed, display())
+    survey, truth, stopped = pressed.survey, pressed.true_inclusion_m, pressed.stop_reason
     result = survey.map()
     mapping.draw(survey, result, out, truth)
     show = terminal().print
@@ -179,19 +168,24 @@ def map_(
         show(f"The emulated inclusion is {truth[2] * 2e3:g} mm wide at ({truth[0] * 1e3:.1f}, {truth[1] * 1e3:.1f}) mm.")
     show(f"{len(survey.places_m)} presses; a raster of 5 mm has {len(mapping.raster(where))}.")
     show(f"{out}" + (f"; the presses are in {presses or out.with_suffix('.csv')}" if survey.places_m else ""))
-    figures: MapFigures = {
-        "presses": len(survey.places_m),
-        "done": result.done,
-        "found_m": result.found_m,
-        "next_m": result.next_m,
-        "background_Pa": result.background_Pa,
-        "sentence": result.sentence,
-        "true_inclusion_m": truth,
-        "verdict": "stopped" if stopped else "done",
-        "reason": stopped,
-    }
-    write_json(json_file, figures)
+    write_json(json_file, figures_of(pressed))
     finish(3 if stopped else 0, stopped)
+
+
+def _pressed_by_robot(where: "Field", config: Path, out: Path) -> "Mapped":
+    """The presses of the robot of that configuration, by the service or in the foreground."""
+    from palpd.analysis.stiffness_map import Survey, write_presses
+    from palpd.cli.jobs import carried_out
+    from palpd.config import load_config
+    from palpd.daemon.stiffness_survey import Mapped
+
+    arguments = {"width_m": where.width_m, "height_m": where.height_m, "depth_m": where.depth_m, "inclusion_m": where.inclusion_m}
+    end = carried_out("map", arguments, load_config(config), out)
+    survey = Survey(where)
+    for (x_m, y_m), modulus_Pa in zip(end.figures.get("places_m", []), end.figures.get("moduli_Pa", []), strict=True):
+        survey.add((x_m, y_m), modulus_Pa)
+    write_presses(out.with_suffix(".csv"), survey)
+    return Mapped(survey, stop_reason=end.reason if end.exit_code else "")
 
 
 def modulus_line(result: "LoadingResult | CurveResult | EnrichedResult") -> str:

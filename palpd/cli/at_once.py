@@ -14,7 +14,7 @@ from palpd.cli.last_ticks import print_last_ticks
 from palpd.daemon.socket_client import ARM_PATIENCE_S, PATIENCE_S, ask
 
 if TYPE_CHECKING:
-    from palpd.daemon.socket_client import ControlAnswer, ControlRequest
+    from palpd.daemon.socket_client import ControlAnswer, ControlRequest, JobSummary, ProposedRun
 
 WATCH_EVERY_S = 0.5
 """Pause between two questions of `palpd status --watch`: what a person can read."""
@@ -115,6 +115,11 @@ def status_lines(answer: "ControlAnswer") -> list[str]:
     lines = [position(answer)]
     if answer.get("latched"):
         lines.append(f"The last stop is latched: {answer['latched']}. Leave the tissue with palpd retract, then palpd clear.")
+    if answer.get("controls"):
+        lines.append(f"{answer['controls']} holds the controls.")
+    active = answer.get("active")
+    if active:
+        lines += [job_line(active), *proposal_lines(active["proposal"])]
     cell, last = answer.get("cell"), answer.get("last")
     if cell:
         verdict = "ready" if cell["ready"] else f"not ready: {cell['reason']}"
@@ -125,6 +130,39 @@ def status_lines(answer: "ControlAnswer") -> list[str]:
         lines.append(f"Last job: {last['verdict']}{f' ({reason})' if reason else ''}{kept}.")
         lines.extend(f"  note: {note}" for note in last.get("notes", []))
     return lines
+
+
+def job_line(job: "JobSummary") -> str:
+    """Say in one line what a job is and how far it is.
+
+    Args:
+        job: The job.
+
+    Returns:
+        Id, state, runs, and the activity or the reason.
+    """
+    runs = f"run {job['runs']} of at most {job['most_runs']}" if job["ended"] is None else f"{job['runs']} run{'s' * (job['runs'] != 1)}"
+    more = job["activity"] or job["reason"]
+    return f"Job {job['id']} of {job['by']}: {job['state']}, {runs}{f', {more}' if more else ''}."
+
+
+def proposal_lines(proposal: "ProposedRun | None") -> list[str]:
+    """Say what a job proposes, and how to answer.
+
+    Args:
+        proposal: The proposed motion, if any.
+
+    Returns:
+        Lines; none without a proposal.
+    """
+    if proposal is None:
+        return []
+    return [
+        f"  the gap so far: {proposal['gap']}",
+        f"  proposed motion {proposal['number']}: {proposal['decides']}",
+        f"  it takes {proposal['duration_s']:.0f} s and presses with at most {proposal['expected_peak_N']:.1f} N "
+        f"of the guard's {proposal['limit_N']:g} N; answer with palpd job ID --agree or --decline",
+    ]
 
 
 def position(answer: "ControlAnswer") -> str:

@@ -154,10 +154,13 @@ def resolve(
 ) -> None:
     """Diagnose a running cell, propose the motion that decides what is open, run it within the guard, until nothing more is gained."""
     from palpd.cell.cell_file import load_cell
+    from palpd.cli.jobs import carried_out, fetch
     from palpd.config import load_config, load_plan
     from palpd.daemon import resolve as loop
-    from palpd.daemon.session import kept_in
+    from palpd.daemon.job_client import service_at
+    from palpd.daemon.session import ForegroundHost, kept_in
     from palpd.daemon.wiring import devices
+    from palpd.files import read_yaml
     from palpd.gap.commands import adopted_sentence, library
 
     say_broken_effects()
@@ -165,6 +168,29 @@ def resolve(
     first_plan = load_plan(plan) if plan else loop.STANDARD
     check_writable(json_file)
     check_folder(folder)
+
+    def agree(question: str) -> bool:
+        return yes or typer.confirm(question)
+
+    if service_at(settings.paths.control_socket):
+        if effects is not None:
+            raise BadInput("--effects may be code, and the service runs none of yours; leave it out, or stop the service first")
+        target = kept_in(folder) if folder is not None else None
+        arguments: dict[str, object] = {
+            "plan": first_plan.model_dump(mode="json"),
+            "cell": read_yaml(cell).keys_and_values() if cell else None,
+            "recordings": [str(path.absolute()) for path in recordings or ()],
+            "rounds": rounds,
+            "max_depth_m": max_depth_m,
+            "take_reference": take_reference,
+            "adopted": adopted,
+        }
+        end = carried_out("resolve", arguments, settings, settings.paths.runs, agree)
+        stands = fetch(end.figures.get("folder"), target) if target is not None else end.figures.get("folder")
+        terminal().print(f"Everything is kept in {stands}; the page is gap.html.", highlight=False)
+        write_json(json_file, end.figures)
+        finish(end.exit_code, end.reason)
+        return
     check_kept(settings)
     clear_latch(settings)
     own = adopted_folder(adopted)
@@ -173,18 +199,8 @@ def resolve(
         terminal().print(weighed, highlight=False, soft_wrap=True)
     kept = kept_in(folder or settings.paths.runs, "resolve" if folder is None else None)
     nominal = load_cell(cell, known) if cell else settings.cell
-    setting = loop.Setting(
-        settings.with_runs(kept),
-        devices,
-        nominal,
-        kept,
-        display(),
-        lambda what: yes or typer.confirm(what),
-        known,
-        max_depth_m,
-        take_reference,
-    )
-    result = loop.resolve(setting, first_plan, recordings or (), rounds)
+    host = ForegroundHost(settings, devices, display(), agree)
+    result = loop.resolve(loop.Setting(host, nominal, kept, known, max_depth_m, take_reference), first_plan, recordings or (), rounds)
     terminal().print(f"Everything is kept in {kept}; the page is gap.html.", highlight=False)
     write_json(json_file, result)
     finish(3 if result["verdict"] == "stopped" else 0, result["reason"])

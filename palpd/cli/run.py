@@ -60,15 +60,14 @@ def calibrate(
     temperature_C: Annotated[float | None, typer.Option("--temperature-C", help="of the sensor, if known; kept with the tare")] = None,
 ) -> None:
     """Take the reference tare: probe free, arm still. Every run's absolute force limit is measured against it."""
+    from palpd.cli.jobs import carried_out
     from palpd.config import load_config
-    from palpd.daemon.session import calibrate as take
-    from palpd.daemon.wiring import devices
 
     settings = load_config(config)
-    check_kept(settings)
-    calibration = take(settings, devices, display(), temperature_C)
-    forces = ", ".join(f"{force:.2f}" for force in calibration.wrench[:3])
-    terminal().print(f"Reference tare ({forces}) N of sensor {calibration.sensor_serial or 'unknown'} kept in {settings.paths.state}.")
+    end = carried_out("calibrate", {"temperature_C": temperature_C}, settings, settings.paths.state)
+    finish(end.exit_code, end.reason)
+    forces = ", ".join(f"{force:.2f}" for force in end.figures["wrench"][:3])
+    terminal().print(f"Reference tare ({forces}) N of sensor {end.figures['sensor_serial'] or 'unknown'} kept in {end.figures['state']}.")
 
 
 @app.command("free-motion")
@@ -78,44 +77,39 @@ def free_motion(
     take_reference: Annotated[bool, typer.Option("--take-reference", help="take the reference tare now")] = False,
 ) -> None:
     """Move 2 cm up and down ten times in free air and record it; `palpd train` learns from it."""
+    from palpd.cli.jobs import carried_out, fetch
     from palpd.cli.last_ticks import print_last_ticks
-    from palpd.config import Plan, load_config
-    from palpd.daemon.session import carry_out, job
-    from palpd.daemon.wiring import devices
+    from palpd.config import load_config
 
-    target = with_ending(out, ".mcap")
-    settings = load_config(config).with_runs(target.absolute().parent)
-    check_kept(settings)
-    if settings.paths.runs.is_dir():
+    target = with_ending(out, ".mcap").absolute()
+    settings = load_config(config)
+    check_folder(target.parent)
+    if target.parent.is_dir():
         check_writable(target, overwrite=False)
-    clear_latch(settings)
-    report = carry_out(job("free_motion", settings, Plan(), take_reference=take_reference), devices, display(), target.stem)
-    print_last_ticks(report.last_ticks)
-    terminal().print(f"{report.verdict}: {report.recording}")
-    finish(report.exit_code, report.reason)
+    end = carried_out("free-motion", {"take_reference": take_reference}, settings, target)
+    recording = fetch(end.figures.get("recording"), target)
+    print_last_ticks(end.figures.get("last_ticks", []))
+    terminal().print(f"{end.verdict}: {recording}")
+    finish(end.exit_code, end.reason)
 
 
 @app.command()
 def stiffness(config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = None) -> None:
     """Press a rigid plate and keep how far sensor and arm give way; every depth is corrected by it afterwards."""
+    from palpd.cli.jobs import carried_out
     from palpd.cli.last_ticks import print_last_ticks
     from palpd.config import load_config
-    from palpd.daemon.machine_stiffness import measured_stiffness
-    from palpd.daemon.wiring import devices
 
     settings = load_config(config)
     check_writable(json_file)
-    check_kept(settings)
-    clear_latch(settings)
-    report, machine = measured_stiffness(settings, devices, display())
-    if machine is None:
-        print_last_ticks(report.last_ticks)
-        finish(report.exit_code or 3, report.reason)
-        return
-    value_N_per_mm, low, high = (each / 1e3 for each in (machine.stiffness_N_per_m, *machine.ci95_N_per_m))
+    end = carried_out("stiffness", {}, settings, settings.paths.state)
+    last_ticks = end.figures.pop("last_ticks", [])
+    if end.exit_code:
+        print_last_ticks(last_ticks)
+        finish(end.exit_code, end.reason)
+    value_N_per_mm, low, high = (each / 1e3 for each in (end.figures["stiffness_N_per_m"], *end.figures["ci95_N_per_m"]))
     terminal().print(f"The machine gives way by 1 mm per {value_N_per_mm:.1f} N (95 %: {low:.1f} to {high:.1f}).")
-    figures = {"stiffness_N_per_m": machine.stiffness_N_per_m, "ci95_N_per_m": machine.ci95_N_per_m, "recording": report.recording}
-    write_json(json_file, figures)
+    write_json(json_file, end.figures)
 
 
 @app.command()

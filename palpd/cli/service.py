@@ -1,13 +1,16 @@
 """Commands for whoever keeps the daemon: serve, speak to it, install it, and judge machine, devices and configuration."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
 from palpd.cli import at_once
 from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, SocketOption, app, check_kept, finish, terminal
 from palpd.files import check_folder, check_writable, write_json
+
+if TYPE_CHECKING:
+    from palpd.daemon.socket_client import JobSummary
 
 
 @app.command()
@@ -57,7 +60,7 @@ def start(
 
 @app.command()
 def pause(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
-    """Hold the arm where it is; `palpd resume` goes on."""
+    """Leave the tissue, and wait at the safe height; `palpd resume` begins the press again."""
     print(at_once.position(at_once.speak({"do": "pause"}, config, socket)))
 
 
@@ -77,6 +80,59 @@ def abort(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) ->
 def clear(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
     """Clear the latch of the last stop, after looking at the cell."""
     print(at_once.speak({"do": "clear"}, config, socket)["state"])
+
+
+@app.command()
+def jobs(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, json_file: JsonOption = None) -> None:
+    """List the jobs of the daemon since it began: the running one, and the last ones with how they ended."""
+    answer = at_once.speak({"do": "jobs"}, config, socket)
+    for each in answer["jobs"]:
+        print(at_once.job_line(each))
+    if not answer["jobs"]:
+        print("No job since the daemon began.")
+    write_json(json_file, answer)
+
+
+@app.command()
+def job(
+    job_id: Annotated[str, typer.Argument(metavar="ID", help="as palpd jobs lists it")],
+    agree: Annotated[bool | None, typer.Option("--agree/--decline", help="answer the motion that it proposes")] = None,
+    cancel: Annotated[bool, typer.Option("--cancel", help="stop the arm and end the job")] = False,
+    config: ConfigOption = DEFAULT_CONFIG,
+    socket: SocketOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Show a job of the daemon with its log and result; answer its proposed motion, or cancel it."""
+    if cancel:
+        print(at_once.speak({"do": "cancel", "id": job_id}, config, socket)["state"])
+        return
+    answer = at_once.speak({"do": "job", "id": job_id}, config, socket)
+    if agree is not None:
+        number = answer["proposal"]["number"] if answer["proposal"] is not None else 0
+        print(at_once.speak({"do": "decide", "id": job_id, "number": number, "agree": agree}, config, socket)["state"])
+        return
+    for line in answer["log"]:
+        print(line)
+    print(at_once.job_line(cast("JobSummary", answer)))
+    for line in at_once.proposal_lines(answer["proposal"]):
+        print(line)
+    write_json(json_file, answer)
+
+
+@app.command()
+def controls(
+    free: Annotated[bool, typer.Option("--free", help="take them from whoever holds them, and let them go; logged")] = False,
+    config: ConfigOption = DEFAULT_CONFIG,
+    socket: SocketOption = None,
+) -> None:
+    """Say who holds the daemon's controls. Whoever does not may watch, and abort."""
+    from getpass import getuser
+
+    if free:
+        lease = at_once.speak({"do": "take", "name": f"{getuser()} with palpd controls --free", "force": True}, config, socket)["lease"]
+        at_once.speak({"do": "release", "lease": lease}, config, socket)
+    holder = at_once.speak({"do": "status"}, config, socket)["controls"]
+    print(f"{holder} holds the controls." if holder else "Nobody holds the controls.")
 
 
 @app.command()

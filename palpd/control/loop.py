@@ -54,7 +54,10 @@ class Record(Protocol):
 
 @dataclass(slots=True)
 class Outcome:
-    """How a run ended. `reason` is a sentence unless the run was simply done; `trips` holds one verdict of the guard for each reason."""
+    """How a run ended. `reason` is a sentence unless the run was simply done; `trips` holds one verdict of the guard for each reason.
+
+    `notes` say which presses a pause interrupted.
+    """
 
     verdict: str = "done"
     reason: str = ""
@@ -62,6 +65,7 @@ class Outcome:
     refused: bool = False
     ticks: int = 0
     missed: int = 0
+    notes: list[str] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -196,6 +200,7 @@ class Loop:
             raise Stopped(str(error)) from error
         finally:
             self._stop()
+            self.outcome.notes = self.sequence.notes
         return self.outcome
 
     def rehearse(self, times: int = 100) -> None:

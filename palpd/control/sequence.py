@@ -105,6 +105,7 @@ class NotBegun(ScriptEnded):
     """The script refuses to begin where the arm stands; nothing has moved."""
 
 
+STEP_NAMES = {Mode.SEARCH: "search for the surface", Mode.STATIC: "static press", Mode.DYNAMIC: "dynamic press", Mode.STIFFNESS: "press"}
 Result = TypeVar("Result")
 Steps = Generator[Proposal, Observation, None]
 
@@ -135,6 +136,11 @@ class Sequence:
         self.failure: str | None = None
         self.refused = False
 
+    @property
+    def notes(self) -> list[str]:
+        """One sentence for each step that a pause interrupted."""
+        return self._script.notes
+
     def step(self, observation: Observation) -> Proposal:
         """Return the next proposal for this observation."""
         self._script.hear(observation.request)
@@ -164,6 +170,7 @@ class Script(ABC):
         self.progress = Progress()
         self.pause_asked = False
         self.on_pause = OnPause.STAND
+        self.notes: list[str] = []
         self.observation: Observation
         self.home: tuple[float, float, float]
 
@@ -204,6 +211,11 @@ class Script(ABC):
         if self.on_pause == OnPause.STAND:
             yield from self.stand_by()
 
+    def step_name(self) -> str:
+        """Say which press or search is under way."""
+        depth_m = self.progress.depth_m
+        return STEP_NAMES.get(self.progress.mode, "step") + (f" to {depth_m * 1e3:g} mm" if math.isfinite(depth_m) else "")
+
     def standing(self) -> Proposal:
         """Return the proposal of a tick in a pause. What the tip may touch there is not known, so no zero learns."""
         return Proposal(STILL, replace(self.progress, phase=Phase.PAUSED, clear_z_m=math.inf))
@@ -231,6 +243,7 @@ class Script(ABC):
                 result = yield from step()
             except _Interrupted:
                 self.on_pause = OnPause.FINISH
+                self.notes.append(f"{self.step_name()}: a pause interrupted it, and it was begun again from its start")
                 self.note(phase=Phase.PAUSE_RETRACT, clear_z_m=math.inf)
                 yield from self.move()  # one tick at least: the record shows the interruption also where there is no way up
                 yield from self.go_to(max(self.progress.safe_z_m, self.observation.robot.target_pose[2]), self.arm.max_speed_m_per_s)
@@ -343,6 +356,10 @@ class Palpation(Script):
         if self.returns_to_start:
             self.note(site=-1, repeat=-1, surface_z_m=math.nan, clear_z_m=self.home[2] - CLEAR_BELOW_HOME_M)
             yield from self.travel(self.home[0], self.home[1], Phase.RETURN)
+
+    def step_name(self) -> str:
+        """Say which press or search is under way, and where."""
+        return f"site {self.plan.sites[self.progress.site].name}, {super().step_name()}"
 
     def origin(self) -> tuple[float, float]:
         """Return x and y, in base axes, that the sites count from: the plan's origin, or the start pose."""
@@ -672,6 +689,9 @@ class RigidPress(Script):
 
         Returns:
             The steps.
+
+        Raises:
+            SurfaceNotFound: the plate gave way.
         """
         yield from self.go_to(touched_z_m + 0.001, RIGID_SEARCH_M_PER_S * 4)
         yield from self.wait(BASELINE_S)

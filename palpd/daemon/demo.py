@@ -19,7 +19,7 @@ from palpd.config import Config, ModelConfig, PathsConfig, Plan, PlanSite, Robot
 from palpd.daemon.display import Display
 from palpd.daemon.motion_process import Job
 from palpd.daemon.run_result import RunResult, run_result, simulated_result
-from palpd.daemon.session import calibrate, carry_out, job, kept_in
+from palpd.daemon.session import ForegroundHost, calibrate, carry_out, job, kept_in
 from palpd.daemon.simulated_run import run as simulate
 from palpd.daemon.wiring import devices, emulated
 from palpd.errors import BadInput
@@ -78,7 +78,7 @@ def palpate(full: bool, folder: Path | None, display: Display) -> Demonstration:
     display.say(f"A UR5 and a HEX-70 are emulated; everything is kept in {folder}.")
     with cell_on_wires(cell, folder, plan) as config:
         display.say("1/4 reference tare")
-        calibrate(config, devices, display)
+        calibrate(ForegroundHost(config, devices, display))
         display.say("2/4 free motion, 2 cm up and down ten times, touching nothing")
         free = carry_out(job("free_motion", config, plan), devices, display, "free-motion")
         if free.exit_code or free.recording is None:
@@ -158,7 +158,7 @@ def _on_wires(cell: CellFile, folder: Path, display: Display, effects: Path | No
     """Palpate on emulated wires, with the reference tare taken."""
     with cell_on_wires(cell, folder, ONE_SITE, effects=effects) as config:
         display.say("reference tare")
-        calibrate(config, devices, display)
+        calibrate(ForegroundHost(config, devices, display))
 
         def record(plan: Plan, name: str) -> tuple[RunResult, Samples | None]:
             report = carry_out(job("palpation", config, plan), devices, display, name)

@@ -1,22 +1,18 @@
 """`palpd stiffness`: press a rigid plate, and keep how far sensor, mount and arm give way."""
 
 from palpd.analysis.results import machine_stiffness
-from palpd.config import Config, Plan
-from palpd.daemon.display import Display
-from palpd.daemon.motion_process import Build
-from palpd.daemon.session import carry_out, job
+from palpd.config import Plan
+from palpd.daemon.program_host import ProgramHost
 from palpd.daemon.stored_state import MachineStiffness, State
 from palpd.daemon.supervisor import Report, now
 from palpd.recording.reader import Recording
 
 
-def measured_stiffness(config: Config, build: Build, display: Display) -> tuple[Report, MachineStiffness | None]:
+def measured_stiffness(host: ProgramHost) -> tuple[Report, MachineStiffness | None]:
     """Press the plate under the probe and keep the stiffness in the configuration's state.
 
     Args:
-        config: Configuration of the cell.
-        build: Opens robot and sensor.
-        display: Shows the progress.
+        host: Carries out the run.
 
     Returns:
         The report of the run, and the stiffness where the run came to its end.
@@ -24,10 +20,10 @@ def measured_stiffness(config: Config, build: Build, display: Display) -> tuple[
     Raises:
         PalpdError: Where the devices refuse, or the recording does not show a stiffness.
     """
-    report = carry_out(job("stiffness", config, Plan()), build, display)
+    report = host.carry_out("stiffness", Plan())
     if report.exit_code or report.recording is None:
         return report, None
     value_N_per_m, ci95_N_per_m = machine_stiffness(Recording.load(report.recording).rows)
     machine = MachineStiffness(value_N_per_m, ci95_N_per_m, now(), report.about.get("sensor_serial"))
-    State(config.paths.state).keep("stiffness", machine)
+    State(host.config.paths.state).keep("stiffness", machine)
     return report, machine

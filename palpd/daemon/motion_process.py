@@ -395,7 +395,7 @@ def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: 
             outcome = replace(loop.outcome, verdict="stopped", reason=str(stopped))
             failed = [{"trip": Trip.DEVICE.name, "measured": 1.0, "limit": 0.0, "reason": str(stopped)}]
     trips = [trip_report(verdict) for verdict in outcome.trips] + failed
-    return Ended(outcome, tuple(trips), (*granted.missing, *explainer.notes()))
+    return Ended(outcome, tuple(trips), (*granted.missing, *explainer.notes(), *outcome.notes))
 
 
 def trip_report(verdict: Verdict) -> TripReport:

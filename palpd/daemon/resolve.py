@@ -3,7 +3,7 @@
 It diagnoses all recordings jointly, and repeats this until one explanation is left or no motion promises a gain.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import log
 from pathlib import Path
@@ -13,11 +13,10 @@ import yaml
 
 from palpd.cell.cell_file import CellFile, save_cell
 from palpd.cell.effects import Effect
-from palpd.config import Config, Plan, PlanSite, parse_plan
+from palpd.config import Plan, PlanSite, parse_plan
 from palpd.daemon import simulated_run
-from palpd.daemon.display import Display
-from palpd.daemon.motion_process import Build, Job
-from palpd.daemon.session import carry_out, job
+from palpd.daemon.motion_process import Job
+from palpd.daemon.program_host import ProgramHost, ProposedMotion
 from palpd.errors import BadInput
 from palpd.files import write_text
 from palpd.gap.commands import write_answer
@@ -74,24 +73,30 @@ class Resolution(TypedDict):
 
 @dataclass
 class Setting:
-    """Everything that the rounds share: configuration and devices, the nominal cell, the folder, and the operator's consent."""
+    """Everything that the rounds share: the host that carries out runs, the nominal cell, the folder, and the known effects."""
 
-    config: Config
-    build: Build
+    host: ProgramHost
     cell: CellFile
     folder: Path
-    display: Display
-    agree: Callable[[str], bool]
     library: Mapping[str, Effect]
     max_depth_m: float | None = None
     take_reference: bool = False
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """A proposed plan, carried out without wires on the enriched cell. `refusal` says why the real cell must not do it, if so."""
+
+    duration_s: float = 0.0
+    peak_N: float = 0.0
+    refusal: str = ""
 
 
 def resolve(setting: Setting, plan: Plan = STANDARD, recordings: Sequence[Path] = (), rounds: int = 4) -> Resolution:
     """Record and diagnose until one explanation is left, or no motion promises a gain.
 
     Args:
-        setting: Configuration, devices, cell and operator.
+        setting: Host, cell and folder.
         plan: Plan of the first recording, with one site; not carried out if there are recordings.
         recordings: Recordings that exist already.
         rounds: Largest number of recordings to make.
@@ -105,7 +110,7 @@ def resolve(setting: Setting, plan: Plan = STANDARD, recordings: Sequence[Path] 
     """
     if len(plan.sites) != 1:
         raise BadInput(f"the plan has {len(plan.sites)} sites; a cell is judged at one, so give a plan with one site")
-    say = setting.display.say
+    say = setting.host.display.say
     samples = [read(path) for path in recordings]
     names = [path.name for path in recordings]
     history: list[Round] = []
@@ -122,7 +127,7 @@ def resolve(setting: Setting, plan: Plan = STANDARD, recordings: Sequence[Path] 
                 return _resolution(setting, history, "stopped", stop_reason)
             samples.append(recorded)
             names.append(f"round-{number}.csv")
-        with setting.display.waiting("diagnosing"):
+        with setting.host.display.waiting("diagnosing"):
             diagnosis = diagnose(samples, setting.cell, setting.library, propose=False)
             new = advise(diagnosis.problem, diagnosis.attribution, _limits(setting, diagnosis), _beyond_list(diagnosis))
         diagnosis = replace(diagnosis, proposal=new.proposal)
@@ -138,10 +143,10 @@ def resolve(setting: Setting, plan: Plan = STANDARD, recordings: Sequence[Path] 
         next_plan = _plan_of(advice, plan.sites[0])
         say(f"Next: {advice.sentence}")
         say(f"  the plan: {_written(setting, next_plan, number + 1)}")
-        refusal = _rehearsed(setting, diagnosis, next_plan)
-        if refusal:
-            return _resolution(setting, history, "stopped", refusal, diagnosis)
-        if not setting.agree("Record it?"):
+        rehearsal = _rehearsed(setting, diagnosis, next_plan)
+        if rehearsal.refusal:
+            return _resolution(setting, history, "stopped", rehearsal.refusal, diagnosis)
+        if not setting.host.approve(_proposed(setting, diagnosis, advice, next_plan, rehearsal)):
             say(f"Not recorded; still open: {_odds_text(advice)}.")
             return _resolution(setting, history, "declined", "the operator declined the proposed motion", diagnosis)
 
@@ -167,7 +172,7 @@ def _beyond_list(diagnosis: Diagnosis) -> LawFinding | None:
 
 def _limits(setting: Setting, diagnosis: Diagnosis) -> MotionLimits:
     """The guard's limits. A motion goes no deeper than recorded before, unless that is allowed, and no higher than the workspace."""
-    safety, known = setting.config.safety, MotionLimits.of(diagnosis.problem)
+    safety, known = setting.host.config.safety, MotionLimits.of(diagnosis.problem)
     surface_m = setting.cell.tissue.surface_z_m if setting.cell.tissue is not None else 0.0
     home_m = max(float(s.z_m.max()) for s in (one.samples for one in diagnosis.problem.recordings)) - surface_m
     room_m = safety.workspace_m[2][1] - surface_m - home_m if safety.workspace_m is not None else known.stroke_m
@@ -179,7 +184,7 @@ def _limits(setting: Setting, diagnosis: Diagnosis) -> MotionLimits:
         stroke_m=min(0.02, max(room_m, 0.001)),
         press_speed_m_per_s=min(known.press_speed_m_per_s, safety.max_speed_m_per_s, 0.05),
         free_speed_m_per_s=safety.max_speed_m_per_s,
-        acceleration_m_per_s2=setting.config.robot.acceleration_m_per_s2,
+        acceleration_m_per_s2=setting.host.config.robot.acceleration_m_per_s2,
     )
 
 
@@ -190,8 +195,7 @@ def _plan_of(advice: Advice, site: PlanSite) -> Plan:
 
 def _record(setting: Setting, plan: Plan, number: int) -> tuple[str, Samples | None]:
     """Carry out a plan with the daemon and export its site. Returns the reason where the run was stopped, and the samples."""
-    work = job("palpation", setting.config, plan, take_reference=setting.take_reference)
-    report = carry_out(work, setting.build, setting.display, f"round-{number}")
+    report = setting.host.carry_out("palpation", plan, setting.folder / f"round-{number}.mcap", setting.take_reference)
     if report.exit_code or report.recording is None:
         return report.reason or "nothing was recorded", None
     return "", export(Recording.load(report.recording), setting.folder / f"round-{number}.csv", plan.sites[0].name)
@@ -204,22 +208,32 @@ def _written(setting: Setting, plan: Plan, number: int) -> Path:
     return path
 
 
-def _rehearsed(setting: Setting, diagnosis: Diagnosis, plan: Plan) -> str:
-    """Carry out the plan without wires on the enriched cell. Returns why the real cell must not do it; empty if it may."""
-    with setting.display.waiting("rehearsing without wires"):
+def _rehearsed(setting: Setting, diagnosis: Diagnosis, plan: Plan) -> Rehearsal:
+    """Carry out the plan without wires on the enriched cell."""
+    config = setting.host.config
+    with setting.host.display.waiting("rehearsing without wires"):
         rehearsal = simulated_run.run(
-            Job("palpation", setting.config, plan),
+            Job("palpation", config, plan),
             diagnosis.enriched_cell(),
             home_above_m=_limits(setting, diagnosis).home_m,
             library=setting.library,
         )
     if rehearsal.outcome.verdict != "done":
-        return f"the proposed motion was rehearsed without wires and stopped there ({rehearsal.outcome.reason}); it is not carried out"
+        reason = rehearsal.outcome.reason
+        return Rehearsal(refusal=f"the proposed motion was rehearsed without wires and stopped there ({reason}); it is not carried out")
     peak_N = float(rehearsal.rows["force_N"][rehearsal.rows["site"] >= 0].max())
-    duration_s = len(rehearsal.rows) / setting.config.robot.rate_Hz
-    limit_N = setting.config.safety.contact_limit_N
-    setting.display.say(f"  rehearsed without wires: {duration_s:.0f} s, at most {peak_N:.1f} N of the guard's {limit_N:g} N")
-    return ""
+    return Rehearsal(len(rehearsal.rows) / config.robot.rate_Hz, peak_N)
+
+
+def _proposed(setting: Setting, diagnosis: Diagnosis, advice: Advice, plan: Plan, rehearsal: Rehearsal) -> ProposedMotion:
+    return ProposedMotion(
+        gap=diagnosis.sentence,
+        decides=f"{advice.sentence} Still open: {_odds_text(advice)}.",
+        duration_s=rehearsal.duration_s,
+        expected_peak_N=rehearsal.peak_N,
+        limit_N=setting.host.config.safety.contact_limit_N,
+        plan=plan.model_dump(mode="json", exclude_none=True),
+    )
 
 
 def _round(

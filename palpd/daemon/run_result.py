@@ -3,7 +3,6 @@
 from typing import Any, NotRequired, TypedDict
 
 from palpd.analysis import results
-from palpd.analysis.interruptions import begun_again
 from palpd.analysis.results import DryFigures, LoopFigures, SiteResult, cut_short_notes, dry_figures
 from palpd.analysis.stalls import stall_figures, stall_note
 from palpd.daemon.motion_process import TripReport, trip_report
@@ -61,7 +60,6 @@ def run_result(report: Report) -> RunResult:
     elif recording.header["kind"] == "palpation":
         result["sites"] = results.sites(recording.rows, recording.header)
         result["notes"] += cut_short_notes(result["sites"], recording.header["config"]["safety"]["contact_limit_N"])
-    result["notes"] += begun_again(recording.rows, recording.header["sites"])
     return result
 
 
@@ -76,7 +74,7 @@ def simulated_result(simulated: SimulatedRecording) -> RunResult:
         notes=[
             NO_WIRES,
             *cut_short_notes(sites, simulated.header["config"]["safety"]["contact_limit_N"]),
-            *begun_again(simulated.rows, simulated.header["sites"]),
+            *outcome.notes,
         ],
         sites=sites,
         loop={"ticks": outcome.ticks, "missed": outcome.missed},

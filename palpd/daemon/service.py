@@ -1,4 +1,8 @@
-"""`palpd serve`: waits disarmed, answers over the control socket, runs one plan at a time, and feeds the watchdog of systemd."""
+"""`palpd serve`: waits disarmed, answers over the control socket, carries out one job at a time, and feeds the watchdog of systemd.
+
+A job is a single run (`start`, `retract`), or a program whose worker asks for runs. What a worker computes, and whether it lives, changes
+nothing here: aborts are served, and the service alone starts runs.
+"""
 
 import math
 import os
@@ -11,12 +15,17 @@ import numpy as np
 import structlog
 
 from palpd.config import Config, Plan, parse_plan, refuse_unsafe
-from palpd.daemon.control_socket import ControlSocket, Later
+from palpd.daemon.control_socket import ControlSocket, Later, Watching
+from palpd.daemon.controls import LEASE_S, Controls
 from palpd.daemon.interrupts import held, received, shielded
 from palpd.daemon.job_progress import job_progress, job_steps
+from palpd.daemon.job_worker import RunRequest
+from palpd.daemon.jobs import Jobs
 from palpd.daemon.motion_process import Build, Job, Kind
 from palpd.daemon.overshoot import refuse_overload
+from palpd.daemon.programs import program_named
 from palpd.daemon.run_reports import RunReports
+from palpd.daemon.session import job as checked_job
 from palpd.daemon.session import measured_job
 from palpd.daemon.socket_client import CheckedCell, ControlAnswer, ControlRequest, LastRun
 from palpd.daemon.stored_state import Latch, State
@@ -28,7 +37,11 @@ from palpd.tick import Phase, Request
 POLL_S = 0.02
 """Longest wait for a request before the run is polled again."""
 PAUSE_PATIENCE_S = 1.0
-"""Longest wait for a pause to be seen in the ticks. The sequence takes it within a tick, but not before the tare is over."""
+"""Longest wait for the arm to rest in a pause. The sequence takes it within a tick, but not before the tare is over."""
+STATUS_S = 0.2
+"""Shortest time between two statuses that watchers receive: what a person can follow."""
+NEEDS_CONTROLS = ("arm", "start", "pause", "resume", "retract", "clear", "begin", "decide")
+"""Requests of whoever holds the controls. Everyone may ask for the status and abort."""
 WATCHDOG_S = 0.5
 """Period of feeding the watchdog of systemd: a small part of WatchdogSec in the unit."""
 
@@ -66,6 +79,9 @@ class Service:
         self._reports = RunReports(config.paths.runs)
         self._ending = False
         self._unkept: Latch | None = None
+        self._controls = Controls()
+        self._jobs = Jobs(config)
+        self._published: tuple[float, ControlAnswer] = (0.0, {})
 
     def serve(self) -> None:
         """Serve until SIGTERM, SIGINT or SIGHUP. It aborts a running plan and closes the recording first."""
@@ -90,8 +106,10 @@ class Service:
             while not self._ending or self._run is not None:
                 control.poll(POLL_S)
                 self._poll_run()
+                self._poll_job()
                 self._answer_pause()
                 self._reports.poll(busy=self._run is not None or self._armed)
+                self._publish(control)
                 if time.monotonic() - fed_s > WATCHDOG_S:
                     idle = self._run is None or self._ring.state != LoopState.RUNNING
                     if idle or self._ring.published != ticks:  # fed only while ticks advance, so that systemd notices a loop that hangs
@@ -99,23 +117,26 @@ class Service:
                     fed_s, ticks = time.monotonic(), self._ring.published
         finally:
             _notify("STOPPING=1")
+            self._jobs.close()
             self._reports.close()
             control.close()
             self._free_ring()
 
     @property
     def _standing(self) -> str:
-        if self._run is None:
-            return "armed" if self._armed else "disarmed"
-        return "checking" if self._checking else "running"
+        if self._checking:
+            return "checking"
+        if self._jobs.current is not None:
+            return "waiting" if self._jobs.current.proposal is not None else "running"
+        return "armed" if self._armed else "disarmed"
 
     @property
     def _checking(self) -> bool:
         return self._run is not None and self._run.job.kind == "check"
 
-    def answer(self, request: ControlRequest) -> ControlAnswer | Later:
+    def answer(self, request: ControlRequest) -> ControlAnswer | Later | Watching | bytes:
         """Carry out one request of the control socket; refusals are sentences and change nothing."""
-        commands: dict[str, Callable[[ControlRequest], ControlAnswer | Later]] = {
+        commands: dict[str, Callable[[ControlRequest], ControlAnswer | Later | Watching | bytes]] = {
             "status": self._status,
             "arm": self._arm,
             "start": self._start,
@@ -124,13 +145,24 @@ class Service:
             "abort": self._abort,
             "retract": self._retract,
             "clear": self._clear,
+            "begin": self._begin_job,
+            "decide": self._decide,
+            "cancel": self._cancel,
+            "jobs": lambda _: {"jobs": [record.summary for record in self._jobs.all()]},
+            "job": lambda request: self._jobs.known(request.get("id")).answer(),
+            "watch": lambda request: Watching({"ok": True, "event": "status", **self._status(request)}),
+            "take": self._take,
+            "renew": self._renew,
+            "release": self._release,
         }
         command = commands.get(request["do"])
         if command is None:
             return {"ok": False, "error": f"{request['do'][:32]!r} is no command; known: {', '.join(commands)}"}
         try:
+            if request["do"] in NEEDS_CONTROLS:
+                self._controls.require(request.get("lease"), time.monotonic())
             answer = command(request)
-            return answer if isinstance(answer, Later) else {"ok": True, **answer}
+            return answer if isinstance(answer, Later | Watching | bytes) else {"ok": True, **answer}
         except PalpdError as error:
             return {"ok": False, "error": str(error)}
 
@@ -141,6 +173,9 @@ class Service:
             "latched": latch.reason if latch else None,
             "pid": os.getpid(),
             "cell": self._cell,
+            "controls": self._controls.holder(time.monotonic()),
+            "ring": self._ring.name,
+            "active": self._jobs.current.summary if self._jobs.current is not None else None,
         }
         if self._run is not None and not self._checking:
             answer.update(self._under_way(self._run.job))
@@ -230,6 +265,7 @@ class Service:
         refuse_unsafe(self._config, plan)
         refuse_overload(self._config, plan)
         self._begin("palpation", plan)
+        self._jobs.begin_run("run", self._asking)
         self._log.info("started", sites=len(plan.sites))
         return {"state": "running"}
 
@@ -239,16 +275,100 @@ class Service:
         if self._state.calibration() is None:
             raise Refused("there is no reference tare to judge the force by; free the probe by hand at the pendant")
         self._begin("retract", Plan())
+        self._jobs.begin_run("retract", self._asking)
         self._log.info("retracting")
         return {"state": "running"}
 
     def _begin(self, kind: Kind, plan: Plan) -> None:
+        self._start_run(self._job(kind, plan), recording_name(kind))
+
+    def _start_run(self, work: Job, name: str) -> None:
         self._first_tick, self._armed = self._ring.published, False
-        self._run = JobRun(self._job(kind, plan), self._build, self._ring, self._state, recording_name(kind))
+        self._run = JobRun(work, self._build, self._ring, self._state, name)
+
+    # --- jobs with a program ------------------------------------------------------------------------------------------------
+
+    def _begin_job(self, request: ControlRequest) -> ControlAnswer:
+        """Start the worker of a program. Where the program moves the arm, this spends the arming, for all runs that it announces."""
+        self._refuse_running()
+        program = program_named(request.get("program"))
+        if program.moves and not self._armed:
+            raise Refused("the daemon is disarmed; run palpd arm first")
+        record = self._jobs.begin(program, request.get("arguments", {}), self._asking)
+        self._armed = False
+        return {"state": "running", "id": record.id, "most_runs": record.most_runs}
+
+    def _poll_job(self) -> None:
+        """Read one message of the worker, and start the run that it asks for."""
+        asked = self._jobs.hear()
+        if asked is None:
+            return
+        try:
+            self._run_for_job(asked)
+        except PalpdError as error:
+            self._jobs.report(Report("refused", str(error), 2))
+
+    def _run_for_job(self, asked: RunRequest) -> None:
+        if self._ending or self._jobs.current is None or self._jobs.current.aborted:
+            raise Refused("the job was aborted; nothing was moved")
+        latch = self._latch()
+        if latch is not None and asked.kind != "calibrate":
+            raise Refused(f"a run was stopped on {latch.date}: {latch.reason}; nothing more was moved")
+        config = self._config.with_runs(asked.recording.parent) if asked.recording is not None else self._config
+        work = checked_job(asked.kind, config, asked.plan, take_reference=asked.take_reference)
+        self._jobs.note_run()
+        self._start_run(work, asked.recording.stem if asked.recording is not None else recording_name(asked.kind))
+
+    def _decide(self, request: ControlRequest) -> ControlAnswer:
+        self._jobs.decide(request.get("id"), request.get("number"), request.get("agree"))
+        return {"state": self._standing}
+
+    def _cancel(self, request: ControlRequest) -> ControlAnswer:
+        """An abort that cannot hit a later job."""
+        self._jobs.running(request.get("id"))
+        return self._abort(request)
+
+    # --- who holds the controls ----------------------------------------------------------------------------------------------
+
+    @property
+    def _asking(self) -> str:
+        """Who asks for something that needs the controls, for people."""
+        return self._controls.holder(time.monotonic()) or "a client without the controls"
+
+    def _take(self, request: ControlRequest) -> ControlAnswer:
+        token, loser = self._controls.take(request.get("name"), request.get("force") is True, time.monotonic())
+        self._log.info("controls taken", by=self._asking, by_force_from=loser)
+        return {"lease": token, "lease_s": LEASE_S}
+
+    def _renew(self, request: ControlRequest) -> ControlAnswer:
+        self._controls.require(request.get("lease", ""), time.monotonic())
+        return {"lease_s": LEASE_S}
+
+    def _release(self, request: ControlRequest) -> ControlAnswer:
+        holder = self._asking
+        self._controls.release(request.get("lease", ""), time.monotonic())
+        self._log.info("controls released", by=holder)
+        return {"controls": None}
+
+    def _publish(self, control: ControlSocket) -> None:
+        """Send watchers what happened, and the status where it has changed."""
+        for event in self._jobs.take_events():
+            control.publish(event)
+        sent_s, before = self._published
+        if not control.watched or time.monotonic() - sent_s < STATUS_S:
+            return
+        status = self._status({"do": "status"})
+        if status != before:
+            control.publish({"event": "status", **status})
+        self._published = time.monotonic(), status
+
+    # --- a run under way ----------------------------------------------------------------------------------------------------
 
     def _ask(self, wish: Request) -> Later:
-        if self._run is None or self._checking:
-            raise Refused("nothing is running")
+        if self._run is None or self._checking or self._run.job.kind == "calibrate":
+            raise Refused("nothing is running that could pause")
+        if self._run.job.kind == "retract":
+            raise Refused("the arm leaves the tissue already; wait for its end, or palpd abort")
         if self._pausing is not None:
             raise Refused("another client is pausing or resuming the run; see palpd status")
         self._run.ask(wish)
@@ -256,15 +376,19 @@ class Service:
         return self._pausing.later
 
     def _answer_pause(self) -> None:
-        """Answer a pause or a resume as soon as a tick shows it, or the run has ended."""
+        """Answer a pause or a resume as soon as a tick shows it, or the run has ended. Where the arm leaves the tissue first, say so."""
         if self._pausing is None:
             return
         pending, row = self._pausing, self._newest()
         paused = row is not None and row["phase"] == Phase.PAUSED
+        heard = row is not None and row["phase"] != Phase.TARE
         if self._run is None:
             pending.later.answer = {"ok": False, "error": "the run ended meanwhile; see palpd status"}
         elif self._ring.published > pending.ticks and paused == (pending.wish == Request.PAUSE) and row is not None:
             pending.later.answer = {"ok": True, "state": "paused" if paused else "running", **self._under_way(self._run.job)}
+        elif time.monotonic() > pending.until_s and heard:
+            state = "pausing" if pending.wish == Request.PAUSE else "resuming"
+            pending.later.answer = {"ok": True, "state": state, **self._under_way(self._run.job)}
         elif time.monotonic() > pending.until_s:
             done = "paused" if pending.wish == Request.PAUSE else "resumed"
             reason = f"the run was not {done} within {PAUSE_PATIENCE_S:g} s: it still opens its devices or tares; try again"
@@ -279,6 +403,7 @@ class Service:
             arming.answer = {"ok": False, "error": "not armed: a client asked for an abort meanwhile"}
         if self._run is not None:
             self._run.ask(Request.ABORT)
+        self._jobs.abort()
         return {"state": "aborting" if self._run else "disarmed"}
 
     def _clear(self, _: ControlRequest) -> ControlAnswer:
@@ -292,8 +417,8 @@ class Service:
     def _refuse_running(self) -> None:
         if self._checking:
             raise Refused("the devices are being checked; try again in some seconds")
-        if self._run is not None:
-            raise Refused("a plan is running; wait for its end, or palpd abort")
+        if self._jobs.current is not None:
+            raise Refused(f"the job {self._jobs.current.id} is running; wait for its end, or palpd abort")
 
     def _latch(self) -> Latch | None:
         return self._unkept or self._state.latch()
@@ -315,6 +440,7 @@ class Service:
             if report.recording is not None and self._config.paths.write_reports:
                 self._reports.add(report.recording)
             self._log.info("ended", verdict=report.verdict, reason=report.reason, recording=str(report.recording), notes=report.notes)
+            self._jobs.report(report)
 
     def _free_ring(self) -> None:
         self._ring.unlink()

@@ -1,6 +1,8 @@
 """One job in the foreground: the common part of `palpd run`, `calibrate`, `free-motion`, `stiffness` and the demo."""
 
 import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -10,6 +12,7 @@ from palpd.daemon.interrupts import Interrupted, held, leave_within, received, s
 from palpd.daemon.job_progress import job_progress, job_steps
 from palpd.daemon.motion_process import Build, Job, Kind
 from palpd.daemon.overshoot import refuse_overload
+from palpd.daemon.program_host import ProgramHost, ProposedMotion
 from palpd.daemon.stored_state import Calibration, State
 from palpd.daemon.supervisor import JobRun, Report, now, recording_name, wait
 from palpd.errors import BadInput, Refused, Stopped
@@ -137,13 +140,54 @@ def _watched(run: JobRun, work: Job, ring: Ring, display: Display) -> Report:
     return reports[0] if reports else wait(run)
 
 
-def calibrate(config: Config, build: Build, display: Display, temperature_C: float | None = None) -> Calibration:
+def _declined(_: str) -> bool:
+    """Nobody is there to agree."""
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class ForegroundHost:
+    """Carries out a program's runs in the foreground; `agree` asks whoever sits at the terminal."""
+
+    config: Config
+    build: Build
+    display: Display
+    agree: Callable[[str], bool] = _declined
+
+    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
+        """Carry out one run; `ProgramHost` says more.
+
+        Args:
+            kind: What to do.
+            plan: The plan of a palpation.
+            recording: File to record to.
+            take_reference: Whether the run takes its own reference tare.
+
+        Returns:
+            How the run ended.
+        """
+        config = self.config.with_runs(recording.parent) if recording is not None else self.config
+        work = job(kind, config, plan, take_reference=take_reference)
+        return carry_out(work, self.build, self.display, recording.stem if recording is not None else None)
+
+    def approve(self, motion: ProposedMotion) -> bool:
+        """Show what the motion does, and ask."""
+        self.display.say(motion_sentence(motion))
+        return self.agree("Record it?")
+
+
+def motion_sentence(motion: ProposedMotion) -> str:
+    """Say what a proposed motion does to the cell."""
+    return (
+        f"  rehearsed without wires: {motion.duration_s:.0f} s, at most {motion.expected_peak_N:.1f} N of the guard's {motion.limit_N:g} N"
+    )
+
+
+def calibrate(host: ProgramHost, temperature_C: float | None = None) -> Calibration:
     """Take the reference tare and keep it.
 
     Args:
-        config: The configuration of the cell.
-        build: Opens robot and sensor.
-        display: Shows the progress.
+        host: Carries out the run.
         temperature_C: Temperature of the sensor, if known.
 
     Returns:
@@ -153,11 +197,11 @@ def calibrate(config: Config, build: Build, display: Display, temperature_C: flo
         Refused: A device is absent, or the probe is not free and still.
         Stopped: The motion process died.
     """
-    report = carry_out(job("calibrate", config, Plan()), build, display)
+    report = host.carry_out("calibrate", Plan())
     if report.reference is None:
         raise Stopped(report.reason or "no reference tare came back")
     calibration = Calibration(report.reference, now(), report.about.get("sensor_serial"), temperature_C)
-    State(config.paths.state).keep("calibration", calibration)
+    State(host.config.paths.state).keep("calibration", calibration)
     return calibration
 
 

@@ -3,8 +3,10 @@
 import json
 import socket
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NotRequired, TypedDict, cast
+from typing import Any, NotRequired, TypedDict, cast
 
 from palpd.errors import Refused
 
@@ -13,6 +15,8 @@ PATIENCE_S = 5.0
 ARM_PATIENCE_S = 60.0
 """Longest wait for `palpd arm`: it checks the devices first, and absent ones take longest to open."""
 
+QUIET_S = 0.5
+"""Longest wait of a watcher for an event before it may do something else."""
 RETRY_S = 0.005
 """Pause before a request is repeated."""
 REPEATABLE = ("abort", "status")
@@ -24,10 +28,18 @@ class NoDaemon(Refused):
 
 
 class ControlRequest(TypedDict):
-    """One request: a command, and a plan for `start`. The plan is not validated yet."""
+    """One request: a command and what belongs to it; docs/jobs.md lists them. Nothing of it is validated yet."""
 
     do: str
+    lease: NotRequired[object]
     plan: NotRequired[object]
+    name: NotRequired[object]
+    force: NotRequired[object]
+    program: NotRequired[object]
+    arguments: NotRequired[object]
+    id: NotRequired[object]
+    number: NotRequired[object]
+    agree: NotRequired[object]
 
 
 class CheckedCell(TypedDict):
@@ -60,11 +72,42 @@ class LastRun(TypedDict):
     last_ticks: list[LastTick]
 
 
+class ProposedRun(TypedDict):
+    """A motion of a job that waits for the operator: `number` counts the proposals of the job, the others are those of ProposedMotion."""
+
+    number: int
+    gap: str
+    decides: str
+    duration_s: float
+    expected_peak_N: float
+    limit_N: float
+    plan: dict[str, Any]
+
+
+class JobSummary(TypedDict):
+    """A job without log and result. `state` is running, waiting (for consent to `proposal`), or the verdict of a job that is over."""
+
+    id: str
+    program: str
+    by: str
+    begun: str
+    state: str
+    activity: str
+    runs: int
+    most_runs: int
+    proposal: ProposedRun | None
+    ended: str | None
+    verdict: str | None
+    reason: str
+    exit_code: int | None
+
+
 class ControlAnswer(TypedDict, total=False):
     """The answer to a request: `ok` and what the command answers, or `error` with a sentence. All but `ok` depend on the command."""
 
     ok: bool
     error: str
+    event: str
     state: str
     latched: str | None
     pid: int
@@ -80,6 +123,20 @@ class ControlAnswer(TypedDict, total=False):
     depth_m: float | None
     tick: int
     last: LastRun
+    controls: str | None
+    ring: str
+    active: JobSummary | None
+    jobs: list[JobSummary]
+    lease: str
+    lease_s: float
+    id: str
+    most_runs: int
+    proposal: ProposedRun | None
+    log: list[str]
+    result: dict[str, Any]
+    exit_code: int
+    verdict: str
+    reason: str
 
 
 def ask(path: Path, request: ControlRequest, patience_s: float = PATIENCE_S) -> ControlAnswer:
@@ -131,3 +188,50 @@ def _exchange(path: Path, line: bytes, until_s: float) -> bytes:
                 break
             received += chunk
     return bytes(received)
+
+
+@contextmanager
+def watched(path: Path) -> Iterator[Iterator[dict[str, Any]]]:
+    """Receive within the context what the daemon publishes.
+
+    Args:
+        path: The control socket.
+
+    Yields:
+        Events as docs/jobs.md lists them, the status first. An empty one comes where nothing happened for `QUIET_S`.
+
+    Raises:
+        Refused: The daemon lets nobody watch, or it ended.
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+        connection.settimeout(PATIENCE_S)
+        try:
+            connection.connect(str(path))
+            connection.sendall(b'{"do": "watch"}\n')
+        except OSError as error:
+            raise Refused(f"the daemon at {path} cannot be watched ({error})") from error
+        connection.settimeout(QUIET_S)
+        yield _events(connection, path)
+
+
+def _events(connection: socket.socket, path: Path) -> Iterator[dict[str, Any]]:
+    received = bytearray()
+    while True:
+        line, newline, rest = received.partition(b"\n")
+        if newline:
+            received = rest
+            event = json.loads(line)
+            if event.get("ok") is False:
+                raise Refused(event["error"])
+            yield event
+            continue
+        try:
+            piece = connection.recv(65536)
+        except TimeoutError:
+            yield {}
+            continue
+        except OSError:
+            piece = b""
+        if not piece:
+            raise Refused(f"the daemon at {path} has ended, or dropped this watcher; palpd status says more")
+        received += piece

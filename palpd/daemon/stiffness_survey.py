@@ -4,25 +4,29 @@ The arm stands above the field's corner at the start, and every run returns ther
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Literal, TypedDict
 
 from palpd.analysis import results
 from palpd.analysis.results import SiteResult
 from palpd.analysis.stiffness_map import Field, Map, Survey, search, write_presses
 from palpd.cell.cell_file import CellFile
-from palpd.config import Config, Plan, load_config
+from palpd.config import Config, Plan
 from palpd.daemon.display import Display
-from palpd.daemon.motion_process import Build, Job
+from palpd.daemon.motion_process import Job
+from palpd.daemon.program_host import ProgramHost
 from palpd.daemon.run_result import run_result
-from palpd.daemon.session import calibrate, carry_out, job, kept_in
+from palpd.daemon.session import ForegroundHost, calibrate, kept_in
 from palpd.daemon.simulated_run import run
 from palpd.errors import RecordingError, Stopped
 from palpd.study.inclusion_field import EmulatedField
 
 Place = tuple[float, float]
 Press = Callable[[Place], float]
+MOST_PRESSES = 200
+"""Largest number of presses of a map: a raster of 5 mm over the standard field has 169."""
 HOME_ABOVE_M = 0.012
 """Height above the surface at which a simulated arm begins. From higher, a search at 5 mm/s only takes longer."""
 
@@ -39,42 +43,85 @@ class Mapped:
     stop_reason: str = ""
 
 
-def mapped(where: Field, out: Path, config: Path | None, emulated: bool, seed: int, display: Display) -> Mapped:
-    """Press until the map is certain. After each press, a CSV beside the picture holds all presses so far.
+class MapFigures(TypedDict):
+    """The JSON of `palpd map`: `places_m` and `moduli_Pa` are the presses."""
+
+    presses: int
+    done: bool
+    found_m: tuple[float, float] | None
+    next_m: tuple[float, float]
+    background_Pa: float
+    sentence: str
+    true_inclusion_m: tuple[float, float, float] | None
+    verdict: Literal["done", "stopped"]
+    reason: str
+    places_m: list[Place]
+    moduli_Pa: list[float]
+
+
+def figures_of(mapped: Mapped) -> MapFigures:
+    """What a survey says, for JSON."""
+    survey, result = mapped.survey, mapped.survey.map()
+    return {
+        "presses": len(survey.places_m),
+        "done": result.done,
+        "found_m": result.found_m,
+        "next_m": result.next_m,
+        "background_Pa": result.background_Pa,
+        "sentence": result.sentence,
+        "true_inclusion_m": mapped.true_inclusion_m,
+        "verdict": "stopped" if mapped.stop_reason else "done",
+        "reason": mapped.stop_reason,
+        "places_m": survey.places_m,
+        "moduli_Pa": survey.moduli_Pa,
+    }
+
+
+def mapped(where: Field, out: Path, emulated: bool, seed: int, display: Display) -> Mapped:
+    """Press an emulated or simulated field until the map is certain.
 
     Args:
         where: The field.
         out: The picture.
-        config: Configuration of the robot that presses; without it the field is simulated or emulated.
         emulated: Whether to press on emulated wires instead of in simulation.
-        seed: Seed of the simulated or emulated field.
+        seed: Seed of the field.
         display: Shows the presses.
 
     Returns:
         The survey, also where a press was stopped.
     """
+    field = EmulatedField(where, seed)
+    if emulated:
+        return replace(_on_wires(where, field, out, display), true_inclusion_m=field.inclusion)
+    display.say(f"The daemon presses a simulated field, seed {seed}.")
+    return replace(surveyed(in_simulation(where, field.cell, seed), where, out, display), true_inclusion_m=field.inclusion)
+
+
+def surveyed(press: Press, where: Field, out: Path, display: Display, most: int = MOST_PRESSES) -> Mapped:
+    """Press until the map is certain. After each press, a CSV beside the picture holds all presses so far.
+
+    Args:
+        press: Presses one place and returns its modulus in Pa.
+        where: The field.
+        out: The picture.
+        display: Shows the presses.
+        most: Largest number of presses.
+
+    Returns:
+        The survey, also where a press was stopped.
+    """
     survey = Survey(where)
-    field = EmulatedField(where, seed) if config is None else None
 
     def show_press(survey: Survey, estimate: Map) -> None:
         write_presses(out.with_suffix(".csv"), survey)
         (x_m, y_m), modulus_Pa = survey.places_m[-1], survey.moduli_Pa[-1]
         display.say(f"{len(survey.places_m):3d}  ({x_m * 1e3:2.0f}, {y_m * 1e3:2.0f}) mm  {modulus_Pa / 1e3:6.1f} kPa  {estimate.sentence}")
 
-    stop_reason = ""
     try:
-        if config is not None:
-            from palpd.daemon.wiring import devices
-
-            search(on_the_robot(where, load_config(config), devices, display), where, survey=survey, watch=show_press)
-        elif field is not None and emulated:
-            _on_wires(where, field, survey, show_press, display)
-        elif field is not None:
-            display.say(f"The daemon presses a simulated field, seed {seed}.")
-            search(in_simulation(where, field.cell, seed), where, survey=survey, watch=show_press)
+        search(press, where, most, survey, show_press)
     except (Stopped, RecordingError) as error:
-        stop_reason = str(error)
-    return Mapped(survey, field.inclusion if field is not None else None, stop_reason)
+        return Mapped(survey, stop_reason=str(error))
+    return Mapped(survey)
 
 
 def plan_at(place_m: Place, where: Field) -> Plan:
@@ -92,14 +139,12 @@ def plan_at(place_m: Place, where: Field) -> Plan:
     )
 
 
-def on_the_robot(where: Field, config: Config, build: Build, display: Display) -> Press:
+def on_the_robot(where: Field, host: ProgramHost) -> Press:
     """Presses by the daemon on a cell or on emulated wires.
 
     Args:
         where: The field.
-        config: The configuration of the cell.
-        build: Opens robot and sensor.
-        display: Shows the progress of each run.
+        host: Carries out each press.
 
     Returns:
         The function that presses one place and returns its modulus in Pa.
@@ -113,8 +158,8 @@ def on_the_robot(where: Field, config: Config, build: Build, display: Display) -
     def press(place_m: Place) -> float:
         nonlocal count
         count += 1
-        name = f"{began:%Y%m%d-%H%M%S}-map-{count:03d}"
-        report = carry_out(job("palpation", config, plan_at(place_m, where)), build, display, name)
+        recording = host.config.paths.runs / f"{began:%Y%m%d-%H%M%S}-map-{count:03d}.mcap"
+        report = host.carry_out("palpation", plan_at(place_m, where), recording)
         if report.exit_code:
             raise Stopped(f"the press at {_millimetres(place_m)} was stopped: {report.reason}")
         return _modulus_of(run_result(report)["sites"][0], place_m)
@@ -150,7 +195,7 @@ def in_simulation(where: Field, cell_of: Callable[[int], CellFile], seed: int) -
     return press
 
 
-def _on_wires(where: Field, field: EmulatedField, survey: Survey, watch: Callable[[Survey, Map], None], display: Display) -> None:
+def _on_wires(where: Field, field: EmulatedField, out: Path, display: Display) -> Mapped:
     """Press the field behind real drivers and emulated wires; runs and state are kept in a folder of their own."""
     from palpd.daemon.demo import cell_on_wires
     from palpd.daemon.wiring import devices
@@ -158,8 +203,9 @@ def _on_wires(where: Field, field: EmulatedField, survey: Survey, watch: Callabl
     folder = kept_in(Path("runs"), "map")
     display.say(f"A UR5 and a HEX-70 are emulated; recordings are kept in {folder}.")
     with cell_on_wires(field.cell(0), folder) as config:
-        calibrate(config, devices, display)
-        search(on_the_robot(where, config, devices, display), where, survey=survey, watch=watch)
+        host = ForegroundHost(config, devices, display)
+        calibrate(host)
+        return surveyed(on_the_robot(where, host), where, out, display)
 
 
 def _modulus_of(site: SiteResult, place_m: Place) -> float:

@@ -8,13 +8,14 @@ import pytest
 
 from palpd.analysis.inclusion import DEPTHS_M, find_inclusion, stiffening
 from palpd.analysis.stiffness_map import Field, Survey, draw, raster, read_presses, search, write_presses
+from palpd.config import Config, Plan
 from palpd.daemon import stiffness_survey as mapping_robot
-from palpd.daemon.display import Display, NoDisplay
-from palpd.daemon.motion_process import Build, Job
-from palpd.daemon.stiffness_survey import in_simulation, mapped
-from palpd.daemon.stored_state import Calibration, State
+from palpd.daemon.display import NoDisplay
+from palpd.daemon.motion_process import Kind
+from palpd.daemon.program_host import ProposedMotion
+from palpd.daemon.stiffness_survey import in_simulation, on_the_robot, surveyed
 from palpd.daemon.supervisor import Report
-from palpd.errors import BadInput, RecordingError, Refused, Stopped
+from palpd.errors import BadInput, RecordingError, Stopped
 from palpd.study.inclusion_field import EmulatedField
 
 HOLDS_M = np.tile(np.arange(1, 11) / 1000.0, 2)
@@ -135,13 +136,18 @@ class Arm:
     def __init__(self, field: EmulatedField, stopped_in: int | None = None) -> None:
         self.at_m, self.runs, self._field, self._stopped_in = (0.0, 0.0), 0, field, stopped_in
 
-    def carry_out(self, work: Job, build: Build, display: Display, name: str) -> Report:
+    config, display = Config(), NoDisplay()
+
+    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
         self.runs += 1
         if self.runs == self._stopped_in:
             return Report("stopped", "the contact limit was reached", 3)
-        (site,) = work.plan.sites
+        (site,) = plan.sites
         self.at_m = (site.x_m, site.y_m)
         return Report("done")
+
+    def approve(self, motion: ProposedMotion) -> bool:
+        raise AssertionError("a map asks for no consent")
 
     def run_result(self, report: Report) -> dict[str, list[dict[str, float]]]:
         return {"sites": [{"dynamic_corrected_Pa": self._field.press(self.at_m)}]}
@@ -152,14 +158,9 @@ def test_the_robot_goes_from_place_to_place_and_a_stop_keeps_what_was_pressed(
     stopped_in: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     where, field = Field(), EmulatedField(Field(), 1)
-    (tmp_path / "config.yaml").write_text("robot: {host: 127.0.0.1}\n")
-    with pytest.raises(Refused, match="there is no reference tare"):
-        mapped(where, tmp_path / "map.png", tmp_path / "config.yaml", False, 0, NoDisplay())
-    State(tmp_path / "state").keep("calibration", Calibration((0.0,) * 6, "2026-01-01", None))
     arm = Arm(field, stopped_in)
-    monkeypatch.setattr(mapping_robot, "carry_out", arm.carry_out)
     monkeypatch.setattr(mapping_robot, "run_result", arm.run_result)
-    pressed = mapped(where, tmp_path / "map.png", tmp_path / "config.yaml", False, 0, NoDisplay())
+    pressed = surveyed(on_the_robot(where, arm), where, tmp_path / "map.png", NoDisplay())
     survey, reason = pressed.survey, pressed.stop_reason
     stiffness_map = survey.map()
     assert pressed.true_inclusion_m is None, "of a real field nobody knows"

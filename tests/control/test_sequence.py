@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from palpd.analysis import results
-from palpd.analysis.interruptions import begun_again
 from palpd.cell.cell_file import CellFile
 from palpd.config import Config, Plan
 from palpd.control.sequence import ArmGeometry, Palpation, Sequence
@@ -240,7 +239,7 @@ def test_a_pause_leaves_the_tissue_and_the_press_begins_again(
     assert rows["force_N"][waiting[60:]].max() < 0.2
     on_its_way = rows[at : waiting[0]]
     assert (on_its_way["proposed_m_per_s"][:, 2] >= -1e-6).all(), "a pause never goes down"
-    assert len(begun_again(rows, paused.header["sites"])) == again
+    assert len(paused.outcome.notes) == again
     for site, expected in zip(results.sites(rows, paused.header), results.sites(plain.rows, plain.header), strict=True):
         assert [len(site["depths"]), len(site["presses"])] == [1, 2]
         assert site["static_youngs_modulus_Pa"] == pytest.approx(expected["static_youngs_modulus_Pa"], rel=0.05)
@@ -252,8 +251,7 @@ def test_a_press_that_was_paused_twice_counts_once_and_is_said_twice(plain: Simu
     at = int(ticks_of(plain.rows, Phase.HOLD, Mode.STATIC)[30])
     requests = {at: Request.PAUSE, at + 200: Request.RESUME, at + 300: Request.PAUSE, at + 600: Request.RESUME}
     paused = ran(cell_file(), BOTH, requests=requests)
-    notes = begun_again(paused.rows, paused.header["sites"])
-    assert notes == ["site A, static press to 4 mm: a pause interrupted it, and it was begun again from its start"] * 2
+    assert paused.outcome.notes == ["site A, static press to 4 mm: a pause interrupted it, and it was begun again from its start"] * 2
     assert len(results.sites(paused.rows, paused.header)[0]["depths"]) == 1
 
 
@@ -261,7 +259,7 @@ def test_a_resume_on_the_way_up_still_reaches_the_safe_height_first(plain: Simul
     at = int(ticks_of(plain.rows, Phase.HOLD, Mode.STATIC)[30])
     paused = paused_at(at, ticks=5)
     assert Phase.PAUSED not in paused.rows["phase"]
-    assert len(begun_again(paused.rows, paused.header["sites"])) == 1
+    assert len(paused.outcome.notes) == 1
     assert paused.outcome.verdict == "done"
 
 

@@ -12,6 +12,7 @@ from palpd.cell.effects import EFFECTS
 from palpd.config import Config, Plan
 from palpd.daemon import resolve as loop
 from palpd.daemon.display import NoDisplay
+from palpd.daemon.program_host import ProposedMotion
 from palpd.errors import BadInput
 from palpd.gap.motions import TestMotion
 from palpd.gap.next_experiment import Advice, ExperimentProposal
@@ -49,10 +50,10 @@ def answer(shares: dict[str, float], verdict: str = "effects") -> tuple[Any, Adv
 
 def carried_out(
     monkeypatch: pytest.MonkeyPatch, folder: Path, answers: list[tuple[Any, Advice]], agree: bool = True, rounds: int = 4, refusal: str = ""
-) -> tuple[dict[str, Any], list[Plan], list[str]]:
+) -> tuple[dict[str, Any], list[Plan], list[ProposedMotion]]:
     """The loop with made-up recordings and diagnoses: what it returned, the plans that it had carried out, what it asked."""
     plans: list[Plan] = []
-    asked: list[str] = []
+    asked: list[ProposedMotion] = []
     coming = iter(answers)
     advices: list[Advice] = []
 
@@ -65,9 +66,12 @@ def carried_out(
         advices.append(advice)
         return diagnosis
 
-    def say_yes(what: str) -> bool:
-        asked.append(what)
-        return agree
+    class Host:
+        config, display = Config(), NoDisplay()
+
+        def approve(self, motion: ProposedMotion) -> bool:
+            asked.append(motion)
+            return agree
 
     for name, stand_in in {
         "_record": record,
@@ -75,11 +79,11 @@ def carried_out(
         "advise": lambda *_: advices[-1],
         "_limits": lambda *_: None,
         "_keep": lambda *_: None,
-        "_rehearsed": lambda *_: "rehearsal stopped" if refusal == "rehearsal" else "",
+        "_rehearsed": lambda *_: loop.Rehearsal(20.0, 4.0, "rehearsal stopped" if refusal == "rehearsal" else ""),
         "replace": lambda thing, **changes: thing if isinstance(thing, SimpleNamespace) else REPLACE(thing, **changes),
     }.items():
         monkeypatch.setattr(loop, name, stand_in)
-    setting = loop.Setting(Config(), lambda *_: None, nominal(), folder, NoDisplay(), say_yes, EFFECTS)  # type: ignore[arg-type, return-value]
+    setting = loop.Setting(Host(), nominal(), folder, EFFECTS)  # type: ignore[arg-type]
     return loop.resolve(setting, rounds=rounds), plans, asked
 
 
@@ -95,6 +99,9 @@ def test_it_asks_records_and_ends_when_resolved(monkeypatch: pytest.MonkeyPatch,
     assert plans[1].free is not None
     assert plans[1].free.strokes == 4
     assert len(asked) == 1
+    assert (asked[0].duration_s, asked[0].expected_peak_N, asked[0].limit_N) == (20.0, 4.0, Config().safety.contact_limit_N)
+    assert asked[0].plan["free"]["strokes"] == 4
+    assert "sensor.gain 0.60, tissue.modulus 0.30" in asked[0].decides
     second = resolution["rounds"][1]
     assert second["pair"] == PAIR
     assert second["gained"] == pytest.approx(np.log(0.98 / 0.001) - np.log(0.6 / 0.3))
@@ -162,6 +169,6 @@ def test_it_ends_without_a_result_where_it_must(
 
 def test_a_plan_of_several_sites_is_refused(tmp_path: Path) -> None:
     plan = Plan.model_validate({"sites": [{"name": "A"}, {"name": "B", "x_m": 0.03}]})
-    setting = loop.Setting(Config(), lambda *_: None, nominal(), tmp_path, NoDisplay(), lambda _: True, EFFECTS)  # type: ignore[arg-type, return-value]
+    setting = loop.Setting(None, nominal(), tmp_path, EFFECTS)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="one site"):
         loop.resolve(setting, plan)

@@ -1,73 +1,15 @@
 """After an abort in the tissue: `palpd retract` leaves it slowly, straight up and under the guard, and arming works again."""
 
-import signal
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
 
 import pytest
 
-from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, until
+from benchmarks.emulated_cell import PATIENT, EmulatedCell, until
 from palpd.control.sequence import RETRACT_M_PER_S
-from palpd.daemon.socket_client import NoDaemon, ask
 from palpd.errors import Refused
+from tests.hil.serving import served
 
 pytestmark = pytest.mark.hil
-
-PRESSED_N = 4.0
-"""A force that an operator sees after an abort: well above that of a contact, far below the limits."""
-
-
-@dataclass(frozen=True)
-class Served:
-    """A calibrated service before an emulated cell."""
-
-    cell: EmulatedCell
-
-    def do(self, what: str, **more: Any) -> dict[str, Any]:
-        return dict(ask(self.cell.folder / "state" / "palpd.sock", {"do": what, **more}, 60.0))  # type: ignore[typeddict-item]
-
-    def until_disarmed(self) -> dict[str, Any]:
-        """How the last job ended."""
-
-        def disarmed() -> bool:
-            with suppress(NoDaemon):  # it does not listen yet
-                return bool(self.do("status")["state"] == "disarmed")
-            return False
-
-        until(disarmed, "the service is disarmed", every_s=0.05)
-        return dict(self.do("status").get("last", {}))
-
-    def abort_in_the_tissue(self) -> None:
-        """Press, and abort with a probe that is loaded."""
-        self.do("arm")
-        self.do("start", plan=PRESS)
-        until(lambda: self.cell.truth()["contact_N"] >= PRESSED_N, "the probe presses")
-        self.do("abort")
-        last = self.until_disarmed()
-        assert last["verdict"] == "stopped"
-        assert any("palpd retract leaves the tissue" in note for note in last["notes"])
-        assert self.cell.truth()["contact_N"] >= PRESSED_N, "the arm stays where it was stopped"
-
-
-@contextmanager
-def served(cell: EmulatedCell) -> Iterator[Served]:
-    """Calibrate, and serve within the context."""
-    calibrated = cell.palpd("calibrate", "--config", cell.config)
-    assert calibrated.returncode == 0, calibrated.stderr
-    with Path(cell.folder, "log.jsonl").open("wb") as log:
-        process = subprocess.Popen([sys.executable, "-m", "palpd", "serve", "--config", str(cell.config)], stderr=log)
-    try:
-        service = Served(cell)
-        service.until_disarmed()
-        yield service
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.wait(30.0)
 
 
 def test_after_an_abort_a_retract_leaves_slowly_and_arming_works_again(cell: Callable[..., EmulatedCell]) -> None:
