@@ -56,6 +56,9 @@ pause --config {config}
 resume --config {config}
 abort --config {config}
 clear --config {config}
+jobs --config {config} --json {out.json}
+job 20260714-101502-map --config {config} --json {out.json}
+controls --config {config}
 init {folder} --depths-mm 2,3
 install --prefix {folder}
 doctor --config {config} --watch-s 1 --json {out.json}
@@ -187,7 +190,10 @@ status --socket
 """
 SLOW = ("diagnose", "resolve", "serve", "blind", "study", "demo", "emulate")
 """Commands that work for long, or for ever, on what they accept: they are given only what they must refuse."""
-NO_DEVICE = ("run", "calibrate", "free-motion", "stiffness", "retract", "status", "arm", "start", "pause", "resume", "abort", "clear")
+NO_DEVICE = (
+    "run", "calibrate", "free-motion", "stiffness", "retract", "status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job",
+    "controls",
+)  # fmt: skip
 """Commands that need a daemon or devices, which are not there: they refuse every line."""
 FINE = {("map", "header alone"), ("import", "unclosed quote"), ("analyse", "unclosed quote"), ("simulate", "three rows")}
 FINE |= {("import", "spaces for commas"), ("import", "UTF-16"), ("recover", "forged header")}

@@ -85,6 +85,7 @@ def clear(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) ->
 @app.command()
 def jobs(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, json_file: JsonOption = None) -> None:
     """List the jobs of the daemon since it began: the running one, and the last ones with how they ended."""
+    check_writable(json_file)
     answer = at_once.speak({"do": "jobs"}, config, socket)
     for each in answer["jobs"]:
         print(at_once.job_line(each))
@@ -103,6 +104,7 @@ def job(
     json_file: JsonOption = None,
 ) -> None:
     """Show a job of the daemon with its log and result; answer its proposed motion, or cancel it."""
+    check_writable(json_file)
     if cancel:
         print(at_once.speak({"do": "cancel", "id": job_id}, config, socket)["state"])
         return
@@ -178,9 +180,12 @@ def doctor(
     json_file: JsonOption = None,
 ) -> None:
     """Judge clock, privileges, disk and devices, and say what to do; reads, and moves nothing."""
+    from palpd.cli.jobs import carried_out
     from palpd.cli.tables import finding_table
     from palpd.config import load_config
     from palpd.daemon import doctor as examine
+    from palpd.daemon.doctor.finding import Finding
+    from palpd.daemon.job_client import service_at
     from palpd.daemon.wiring import open_reader, open_sensor
 
     check_writable(json_file)
@@ -189,7 +194,11 @@ def doctor(
     def ask(what: str) -> None:
         terminal().input(f"{what} Then press Enter. ")
 
-    findings = examine.examined(settings, open_sensor, open_reader, watch_s, weight_N, ask)
+    if weight_N is None and service_at(settings.paths.control_socket):
+        end = carried_out("doctor", {"watch_s": watch_s}, settings, settings.paths.state)
+        findings = [Finding(**finding) for finding in end.figures["findings"]]
+    else:
+        findings = examine.examined(settings, open_sensor, open_reader, watch_s, weight_N, ask)
     terminal().print(finding_table(findings))
     failed = [finding for finding in findings if finding.verdict == "fail"]
     write_json(json_file, examine.as_json(findings))

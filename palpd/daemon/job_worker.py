@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from palpd.config import Config, Plan, parse_plan
 from palpd.daemon.display import NoDisplay, ShowProgress
@@ -28,6 +28,9 @@ from palpd.daemon.program_host import ProposedMotion
 from palpd.daemon.programs import PROGRAMS, ProgramEnd
 from palpd.daemon.supervisor import Report
 from palpd.errors import PalpdError, Refused, Stopped
+
+if TYPE_CHECKING:
+    from palpd.daemon.doctor.finding import Finding
 
 MOST_RESULT_BYTES = 4_000_000
 """Longest result that the service keeps in memory; the files of a job may hold more."""
@@ -63,6 +66,7 @@ class RunRequest:
     plan: Plan
     recording: Path | None
     take_reference: bool
+    watch_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +177,8 @@ def _message_of(values: dict[str, Any]) -> Message:
     if kind == "run":
         path = values["recording"]
         plan = parse_plan(values["plan"], "the plan of the job")
-        return RunRequest(values["kind"], plan, Path(path) if path is not None else None, bool(values["take_reference"]))
+        recording, watch_s = Path(path) if path is not None else None, float(values["watch_s"])
+        return RunRequest(values["kind"], plan, recording, bool(values["take_reference"]), watch_s)
     if kind == "consent":
         return ConsentRequest(values["motion"])
     if kind == "words":
@@ -229,8 +234,18 @@ class _WorkerHost:
 
     def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
         """Ask the service for the run, and wait for its report."""
-        path = str(recording) if recording is not None else None
-        self.lines.send("run", kind=kind, plan=plan.model_dump(mode="json"), recording=path, take_reference=take_reference)
+        return self._asked(kind, plan, str(recording) if recording is not None else None, take_reference)
+
+    def observe(self, watch_s: float) -> "tuple[Finding, ...]":
+        """Ask the service to read the devices."""
+        report = self._asked("observe", Plan(), watch_s=watch_s)
+        if report.exit_code:
+            raise Stopped(report.reason)
+        return report.findings
+
+    def _asked(self, kind: Kind, plan: Plan, recording: str | None = None, take_reference: bool = False, watch_s: float = 0.0) -> Report:
+        values = plan.model_dump(mode="json")
+        self.lines.send("run", kind=kind, plan=values, recording=recording, take_reference=take_reference, watch_s=watch_s)
         report: Report = pickle.load(sys.stdin.buffer)
         if report.exit_code == 2:
             raise Refused(report.reason)

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
-from typing import Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import numpy as np
 
@@ -36,6 +36,9 @@ from palpd.recording.ring import LoopState, Ring
 from palpd.recording.tick_rows import RowWriter
 from palpd.tick import ForceSensor, Request, Robot, TickRecord, Trip, Verdict
 
+if TYPE_CHECKING:
+    from palpd.daemon.doctor.finding import Finding
+
 DRAIN_S = 0.1
 """How long queued frames are read and dropped. A terminal hands out 4 kB at a time, so several reads are needed."""
 ORPHAN_GRACE_S = 1.0
@@ -49,8 +52,8 @@ REFERENCE_PATIENCE_S = 5.0
 WIRE_LIBRARIES = ("rtde_control", "rtde_receive", "libpython", "libstdc++", "libc.so")
 """Libraries whose code a rehearsal without wires does not call; their files together have 7 MB of code."""
 
-Kind = Literal["palpation", "free_motion", "stiffness", "retract", "calibrate", "check"]
-"""A retract leaves the tissue after a stop.
+Kind = Literal["palpation", "free_motion", "stiffness", "retract", "calibrate", "check", "observe"]
+"""A retract leaves the tissue after a stop. To observe is to read the devices for some seconds and judge them: the doctor's part.
 
 A check is a short dry run that is not recorded. Whatever would stop a run at its beginning also stops a check."""
 
@@ -79,7 +82,7 @@ class Job:
     """One task for the cell. `reference` (6,) is the tare of the last calibration, in the axes of the sensor with that serial number.
 
     A palpation that is done returns to its start pose, and a pause leaves the tissue. The recordings of earlier versions end above their
-    last site, and paused where the arm was.
+    last site, and paused where the arm was. `watch_s` is how long devices are observed.
     """
 
     kind: Kind
@@ -91,6 +94,7 @@ class Job:
     reference_serial: str | None = None
     returns_to_start: bool = True
     pauses_in_place: bool = False
+    watch_s: float = 0.0
 
 
 class TripReport(TypedDict):
@@ -119,6 +123,14 @@ class ReferenceTaken:
 
 
 @dataclass(frozen=True, slots=True)
+class Observed:
+    """The devices were read for some seconds; the findings are those of the doctor."""
+
+    about: RunAbout
+    findings: "tuple[Finding, ...]"
+
+
+@dataclass(frozen=True, slots=True)
 class Failed:
     """The job has failed before its first tick, or by a defect; `exit_code` is that of the command line."""
 
@@ -135,7 +147,7 @@ class Ended:
     notes: tuple[str, ...]
 
 
-Message = Opened | ReferenceTaken | Failed | Ended
+Message = Opened | ReferenceTaken | Observed | Failed | Ended
 """Everything that the motion process sends to its supervisor."""
 
 
@@ -301,7 +313,7 @@ def serve(build: Build, ring_name: str, pipe: Connection, life: Connection) -> N
         os._exit(0)
     try:
         fifo(DEVICE_PRIORITY)
-        devices = build(job.config, job.dry or job.kind == "calibrate")  # kept here: see the end
+        devices = build(job.config, job.dry or job.kind in ("calibrate", "observe"))  # kept here: see the end
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         _do(devices, job, ring, pipe, request)
     except PalpdError as error:
@@ -332,6 +344,11 @@ def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Calla
     try:
         if job.kind == "calibrate":
             pipe.send(ReferenceTaken(devices.about, tuple(take_reference(devices).tolist())))
+            return
+        if job.kind == "observe":
+            from palpd.daemon.doctor.devices import judged  # only the doctor needs it
+
+            pipe.send(Observed(devices.about, tuple(judged(devices, job.config, job.watch_s))))
             return
         explainer = explainer_of(job, devices.about, devices.about["delay_s"])
         if job.reference is None:

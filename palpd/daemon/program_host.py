@@ -6,12 +6,15 @@ opens no device. Its host is the foreground command (palpd/daemon/session.py), o
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from palpd.config import Config, Plan
 from palpd.daemon.display import Display
 from palpd.daemon.motion_process import Kind
 from palpd.daemon.supervisor import Report
+
+if TYPE_CHECKING:
+    from palpd.daemon.doctor.finding import Finding
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,10 @@ class ProgramHost(Protocol):
         Raises:
             Refused: Nothing was moved.
         """
+        ...
+
+    def observe(self, watch_s: float) -> "tuple[Finding, ...]":
+        """Read both devices for some seconds, and judge them. Raises PalpdError where one does not open."""
         ...
 
     def approve(self, motion: ProposedMotion) -> bool:

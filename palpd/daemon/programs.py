@@ -13,7 +13,7 @@ from pydantic import Field, StrictBool, StrictFloat, StrictInt, ValidationError
 from palpd.cell.effects.drivers import StrictBlock
 from palpd.config import Plan, parse_plan
 from palpd.daemon.program_host import ProgramHost
-from palpd.errors import BadInput
+from palpd.errors import BadInput, PalpdError
 from palpd.files import Document, nearest, refusal
 
 Length = Annotated[StrictFloat, Field(ge=0.005, le=0.5)]
@@ -66,6 +66,12 @@ class ResolveArguments(StrictBlock):
     max_depth_m: Depth | None = None
     take_reference: StrictBool = False
     adopted: StrictBool = True
+
+
+class DoctorArguments(StrictBlock):
+    """Of `palpd doctor` without a weight."""
+
+    watch_s: Annotated[StrictFloat, Field(ge=1.0, le=600.0)] = 10.0
 
 
 @dataclass(frozen=True)
@@ -160,6 +166,21 @@ def _resolve(host: ProgramHost, arguments: ResolveArguments, folder: Path) -> Pr
     return ProgramEnd(resolution["verdict"], resolution["reason"], 3 if resolution["verdict"] == "stopped" else 0, {**resolution})
 
 
+def _doctor(host: ProgramHost, arguments: DoctorArguments, _: Path) -> ProgramEnd:
+    from palpd.daemon.doctor import as_json
+    from palpd.daemon.doctor.finding import Finding
+    from palpd.daemon.doctor.machine import examine_machine, port
+    from palpd.daemon.doctor.stored import examine_stored
+
+    config = host.config
+    findings = [*examine_machine(config), *examine_stored(config), *port(config.sensor.port)]
+    try:
+        findings += host.observe(arguments.watch_s)
+    except PalpdError as error:
+        findings.append(Finding("devices", "fail", str(error)))
+    return ProgramEnd("done", figures={**as_json(findings)})
+
+
 PROGRAMS: Mapping[str, JobProgram] = {
     program.name: program
     for program in (
@@ -168,6 +189,7 @@ PROGRAMS: Mapping[str, JobProgram] = {
         JobProgram("stiffness", StiffnessArguments, _stiffness),
         JobProgram("map", MapArguments, _map, lambda arguments: arguments.most_presses, ending=".png"),
         JobProgram("resolve", ResolveArguments, _resolve, lambda arguments: arguments.rounds),
+        JobProgram("doctor", DoctorArguments, _doctor, moves=False),
     )
 }
 """All programs, by name."""

@@ -9,7 +9,7 @@ import os
 import socket
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import structlog
@@ -42,6 +42,8 @@ STATUS_S = 0.2
 """Shortest time between two statuses that watchers receive: what a person can follow."""
 NEEDS_CONTROLS = ("arm", "start", "pause", "resume", "retract", "clear", "begin", "decide")
 """Requests of whoever holds the controls. Everyone may ask for the status and abort."""
+STILL_KINDS = ("calibrate", "observe")
+"""Runs of a job that move nothing: the robot is only read."""
 WATCHDOG_S = 0.5
 """Period of feeding the watchdog of systemd: a small part of WatchdogSec in the unit."""
 
@@ -312,10 +314,10 @@ class Service:
         if self._ending or self._jobs.current is None or self._jobs.current.aborted:
             raise Refused("the job was aborted; nothing was moved")
         latch = self._latch()
-        if latch is not None and asked.kind != "calibrate":
+        if latch is not None and asked.kind not in STILL_KINDS:
             raise Refused(f"a run was stopped on {latch.date}: {latch.reason}; nothing more was moved")
         config = self._config.with_runs(asked.recording.parent) if asked.recording is not None else self._config
-        work = checked_job(asked.kind, config, asked.plan, take_reference=asked.take_reference)
+        work = replace(checked_job(asked.kind, config, asked.plan, take_reference=asked.take_reference), watch_s=asked.watch_s)
         self._jobs.note_run()
         self._start_run(work, asked.recording.stem if asked.recording is not None else recording_name(asked.kind))
 
@@ -365,7 +367,7 @@ class Service:
     # --- a run under way ----------------------------------------------------------------------------------------------------
 
     def _ask(self, wish: Request) -> Later:
-        if self._run is None or self._checking or self._run.job.kind == "calibrate":
+        if self._run is None or self._checking or self._run.job.kind in STILL_KINDS:
             raise Refused("nothing is running that could pause")
         if self._run.job.kind == "retract":
             raise Refused("the arm leaves the tissue already; wait for its end, or palpd abort")

@@ -2,9 +2,10 @@
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from palpd.config import Config, Plan, refuse_unsafe
 from palpd.daemon.display import Display, ShowProgress
@@ -17,6 +18,9 @@ from palpd.daemon.stored_state import Calibration, State
 from palpd.daemon.supervisor import JobRun, Report, now, recording_name, wait
 from palpd.errors import BadInput, Refused, Stopped
 from palpd.recording.ring import Ring
+
+if TYPE_CHECKING:
+    from palpd.daemon.doctor.finding import Finding
 
 GONE_S = 0.8
 """Longest time from a signal to the end of the process. The recording is closed by then; `palpd analyse` makes tables that were cut off."""
@@ -48,7 +52,7 @@ def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_referenc
     calibration = state.calibration()
     if kind == "retract" and calibration is None:
         raise Refused("there is no reference tare to judge the force by; free the probe by hand at the pendant")
-    if kind != "calibrate" and calibration is None and not take_reference:
+    if kind not in ("calibrate", "observe") and calibration is None and not take_reference:
         raise Refused(
             f"there is no reference tare in {config.paths.state}; run palpd calibrate with the same --config, the probe free and still, "
             "or palpd run with --take-reference"
@@ -169,6 +173,11 @@ class ForegroundHost:
         config = self.config.with_runs(recording.parent) if recording is not None else self.config
         work = job(kind, config, plan, take_reference=take_reference)
         return carry_out(work, self.build, self.display, recording.stem if recording is not None else None)
+
+    def observe(self, watch_s: float) -> "tuple[Finding, ...]":
+        """Read both devices for some seconds, and judge them. Raises PalpdError where one does not open."""
+        work = replace(job("observe", self.config, Plan()), watch_s=watch_s)
+        return carry_out(work, self.build, self.display).findings
 
     def approve(self, motion: ProposedMotion) -> bool:
         """Show what the motion does, and ask."""

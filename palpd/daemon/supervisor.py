@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from palpd.config import CONTACT_FORCE_N
 from palpd.control.inertial import read_card
@@ -28,6 +28,7 @@ from palpd.daemon.motion_process import (
     Job,
     Kind,
     Message,
+    Observed,
     Opened,
     ReferenceTaken,
     TripReport,
@@ -42,6 +43,9 @@ from palpd.recording.mcap_file import RecordedStall, RecordingHeader, RunAbout
 from palpd.recording.recorder import Recorder
 from palpd.recording.ring import LoopState, RecorderState, Ring, Rows
 from palpd.tick import Phase, Request, Trip
+
+if TYPE_CHECKING:
+    from palpd.daemon.doctor.finding import Finding
 
 STALLED_S = 2.0
 """A loop whose tick counter stands still for this long is killed. The controller's watchdog has stopped the arm long before."""
@@ -60,6 +64,7 @@ UNLATCHED = {Trip.NONE, Trip.CONTACT_FORCE, Trip.OPERATOR}
 CALLED_OFF_WHILE: dict[Kind, str] = {
     "calibrate": "while the reference tare was being taken",
     "check": "while the devices were being checked",
+    "observe": "while the devices were being observed",
 }
 """What a job was doing before its loop began, where it is not only opening the devices."""
 LAST_TICKS = 10
@@ -79,6 +84,7 @@ class Report:
     notes: tuple[str, ...] = ()
     reference: tuple[float, ...] | None = None
     last_ticks: tuple[LastTick, ...] = ()
+    findings: "tuple[Finding, ...]" = ()
 
 
 class MotionProcess:
@@ -181,7 +187,7 @@ class JobRun:
             self._ended_s = now_s
         elif now_s - self._ended_s > CLOSING_S:
             return self._kill(f"the devices were not closed within {CLOSING_S:g} s after the last tick; the motion process was killed")
-        if not self._reported and now_s - self._began_s > OPENING_S:
+        if not self._reported and now_s - self._began_s > OPENING_S + self.job.watch_s:
             return self._kill(f"the devices were not opened within {OPENING_S:g} s; is the controller's program able to start?")
         if now_s > self._end_by_s:
             return self._kill(
@@ -196,6 +202,8 @@ class JobRun:
                 return self._begin_recording(message)
             case ReferenceTaken(about, reference):
                 return Report("done", about=about, reference=reference)
+            case Observed(about, findings):
+                return Report("done", about=about, findings=findings)
             case Failed(reason, exit_code):
                 return Report("refused" if exit_code == 2 else "stopped", reason, exit_code)
             case Ended(outcome, trips, notes):

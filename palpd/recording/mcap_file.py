@@ -109,7 +109,7 @@ class RecordingHeader(TypedDict, total=False):
     """
 
     format_version: int
-    kind: Literal["palpation", "free_motion", "stiffness", "retract", "calibrate", "check"]
+    kind: Literal["palpation", "free_motion", "stiffness", "retract", "calibrate", "check", "observe"]
     dry: bool
     config: dict[str, Any]
     plan: dict[str, Any]

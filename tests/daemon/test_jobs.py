@@ -107,7 +107,7 @@ def test_what_moves_needs_arming_and_a_calibration_does_not(service: Service) ->
 @pytest.mark.parametrize(
     ("request_", "sentence"),
     [
-        ({"program": "dance"}, "is no program; expected one of calibrate, free-motion, stiffness, map, resolve"),
+        ({"program": "dance"}, "is no program; expected one of calibrate, free-motion, stiffness, map, resolve, doctor"),
         ({"program": "maps"}, "did you mean 'map'?"),
         ({"program": 3}, "is no program"),
         ({"program": "map", "arguments": {"width_m": 60}}, "width_m is 60"),

@@ -48,6 +48,18 @@ def test_calibrate_is_a_job_where_the_service_runs(cell: Callable[..., EmulatedC
         assert service.do("status")["controls"] is None, "the command lets the controls go"
 
 
+def test_the_doctor_of_the_service_reads_the_devices_and_moves_nothing(cell: Callable[..., EmulatedCell]) -> None:
+    with served(cell(**PATIENT)) as service:
+        out = service.cell.folder / "doctor.json"
+        service.cell.truth(reset=True)
+        done = service.cell.palpd("doctor", "--config", service.cell.config, "--watch-s", "2", "--json", out)
+        findings = {finding["name"]: finding["verdict"] for finding in json.loads(out.read_text())["findings"]}
+        assert "-doctor of the service" in done.stdout
+        assert {"sensor", "sensor frames", "sensor noise", "robot", "RTDE jitter", "clock"} <= set(findings)
+        assert findings["robot"] == findings["sensor"] == "ok"
+        assert not any(sample.speed_m_per_s for sample in service.cell.log(0.0)[-100:])
+
+
 def test_a_map_is_cancelled_in_its_second_press_and_keeps_the_first(cell: Callable[..., EmulatedCell]) -> None:
     with served(cell(**PATIENT)) as service:
         with pytest.raises(Refused, match="disarmed"):
@@ -130,7 +142,7 @@ def test_a_proposed_motion_waits_for_consent_and_is_recorded_only_with_it(cell: 
         with pytest.raises(Refused, match="number 1, not 2"):
             service.do("decide", id=begun["id"], number=2, agree=True)
         service.do("decide", id=begun["id"], number=1, agree=True)
-        until(lambda: "job" in service.do("status"), "the motion is carried out")
+        until(lambda: service.do("status").get("phase") == "free_motion", "the motion is carried out", every_s=0.05)
         service.do("abort")
         job = ended(service, begun["id"])
         assert job["verdict"] == "stopped"

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any, TypedDict
 
 from palpd.config import HEX_70, Config
-from palpd.daemon.doctor.devices import judge_robot, judge_sensor, observed
+from palpd.daemon.doctor.devices import identified, judge_robot, judge_sensor, observed, reached
 from palpd.daemon.doctor.finding import Finding, Judgement
 from palpd.daemon.doctor.machine import examine_machine, is_there, port
 from palpd.daemon.doctor.stored import examine_stored
@@ -88,9 +88,7 @@ def _opened(opened: ExitStack, key: str, config: Config, build: Callable[[Config
         if urgent:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     opened.callback(device.close)
-    if name == "sensor":
-        return device, Finding(name, "ok", f"{device.serial_number} at {where}, calibration from {device.calibration_source}")
-    return device, Finding(name, "ok", f"{config.robot.model} at {where}")
+    return device, identified(device, config) if name == "sensor" else reached(config)
 
 
 def _answers(host: str) -> bool:

@@ -3,7 +3,7 @@
 import os
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from palpd.daemon.motion_process import drain
 from palpd.daemon.realtime import LOOP_PRIORITY, fifo
 from palpd.daemon.stored_state import State
 from palpd.errors import PalpdError
-from palpd.tick import Floats, ForceSensor, RobotMode, RobotState, SafetyMode, SensorDriver, StateReader
+from palpd.tick import Floats, ForceSensor, Robot, RobotMode, RobotState, SafetyMode, SensorDriver, StateReader
 
 READ_EVERY_S = 0.0005
 """Pause between two readings: half the period of the sensor."""
@@ -86,6 +86,54 @@ def observed(sensor: ForceSensor | None, robot: StateReader | None, duration_s: 
     return DeviceRecord(
         now_s - began_s, np.concatenate(wrenches), status, rejected, steps, silence_s, np.array(state_s), np.array(stamps_s), last
     )
+
+
+class OpenedDevices(Protocol):
+    """Both devices, opened; the robot is only read."""
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        ...
+
+    @property
+    def sensor(self) -> SensorDriver:
+        """The force sensor."""
+        ...
+
+
+def judged(devices: OpenedDevices, config: Config, watch_s: float) -> list[Finding]:
+    """Observe both devices, and judge them.
+
+    Args:
+        devices: The opened devices.
+        config: The configuration, for rates and limits.
+        watch_s: How long to read.
+
+    Returns:
+        All findings.
+    """
+    sensor = devices.sensor
+    record = observed(sensor, devices.robot, watch_s)
+    return [identified(sensor, config), *judge_sensor(record, config, sensor), reached(config), *judge_robot(record, config)]
+
+
+def identified(sensor: SensorDriver, config: Config) -> Finding:
+    """Which sensor answers.
+
+    Args:
+        sensor: The opened sensor.
+        config: The configuration, for its port.
+
+    Returns:
+        The finding.
+    """
+    return Finding("sensor", "ok", f"{sensor.serial_number} at {config.sensor.port}, calibration from {sensor.calibration_source}")
+
+
+def reached(config: Config) -> Finding:
+    """Which robot answers."""
+    return Finding("robot", "ok", f"{config.robot.model} at {config.robot.host}")
 
 
 def judge_sensor(record: DeviceRecord, config: Config, sensor: SensorDriver) -> list[Finding]:
