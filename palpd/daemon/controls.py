@@ -56,7 +56,7 @@ class Controls:
             raise BadInput(f"the controls are taken under a name of 1 to {LONGEST_NAME} printable letters; give one")
         holder, lease = self.holder(now_s), self._lease
         if lease is not None and not force:
-            raise Refused(f"{holder} holds the controls; wait until they are free, or take them by force")
+            raise Refused(_held_by(holder))
         if lease is not None:
             self._end(lease, f"were taken by {name}")
         self._lease = Lease(name, secrets.token_hex(8), now_s + LEASE_S)
@@ -94,8 +94,12 @@ class Controls:
             reason = self._lost.get(str(token), "were never yours")
             raise Refused(f"the controls {reason}; take them again")
         elif lease is not None:
-            raise Refused(f"{holder} holds the controls; wait until they are free, or take them by force (palpd controls --free)")
+            raise Refused(_held_by(holder))
 
     def _end(self, lease: Lease, reason: str) -> None:
         self._lost = {lease.token: reason, **dict(list(self._lost.items())[:99])}
         self._lease = None
+
+
+def _held_by(holder: str | None) -> str:
+    return f"{holder} holds the controls; wait until they are free, or free them by force (palpd controls --free)"

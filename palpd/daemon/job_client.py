@@ -49,9 +49,11 @@ def carried_out_by_service(
     Raises:
         Refused: The service refuses, or somebody else holds its controls.
     """
+    program = program_named(name)
+    program.validated(dict(arguments))  # before anything is armed for it
     with controls(path, f"{getpass.getuser()} with palpd {name}") as lease, watched(path) as events:
         _wait_for_check(events)
-        if program_named(name).moves:
+        if program.moves:
             ask(path, {"do": "arm", "lease": lease}, ARM_PATIENCE_S)
         begun = ask(path, {"do": "begin", "program": name, "arguments": dict(arguments), "lease": lease})
         job_id = begun["id"]

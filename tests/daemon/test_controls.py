@@ -31,7 +31,7 @@ def test_a_lease_ends_where_it_is_not_renewed_and_its_holder_learns_why() -> Non
     assert controls.holder(1.8 * LEASE_S) == "Anna", "a request renews it"
     assert controls.holder(1.9 * LEASE_S + 0.01) is None
     controls.require(None, 2.0 * LEASE_S)
-    with pytest.raises(Refused, match="not renewed within 10 s; take them again"):
+    with pytest.raises(Refused, match=r"not renewed within 10 s; take them again"):
         controls.require(token, 2.0 * LEASE_S)
 
 

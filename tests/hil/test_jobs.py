@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -82,6 +84,21 @@ def test_a_map_is_cancelled_in_its_second_press_and_keeps_the_first(cell: Callab
         assert service.do("status")["state"] == "disarmed"
         with pytest.raises(Refused, match="no job is running"):
             service.do("cancel", id=begun["id"])
+
+
+def test_a_command_that_is_interrupted_stops_the_arm_of_its_job(cell: Callable[..., EmulatedCell]) -> None:
+    with served(cell(**PATIENT)) as service:
+        command = [sys.executable, "-m", "palpd", "free-motion", "--config", str(service.cell.config), "--out", "free.mcap"]
+        client = subprocess.Popen(command, cwd=service.cell.folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        until(lambda: service.do("status").get("phase") == "free_motion", "the arm moves", every_s=0.02)
+        began_s = float(service.cell.truth()["t_s"])
+        client.send_signal(signal.SIGINT)
+        _, stderr = client.communicate(timeout=20.0)
+        assert (client.returncode, stderr) == (130, "palpd: interrupted by SIGINT\n")
+        assert service.cell.rest_after_s(began_s, settle_s=1.5) < 1.0
+        (job,) = service.do("jobs")["jobs"]
+        assert ended(service, job["id"])["verdict"] == "stopped"
+        assert not (service.cell.folder / "free.mcap").exists()
 
 
 def test_a_pause_in_the_tissue_retracts_and_a_resume_begins_the_press_again(cell: Callable[..., EmulatedCell]) -> None:
