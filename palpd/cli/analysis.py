@@ -138,6 +138,7 @@ def map_(
     height_m: Annotated[float, typer.Option("--height-m", help="of the field", min=0.005, max=0.5)] = 0.06,
     depth_m: Annotated[float, typer.Option("--depth-m", min=0.001, max=0.02, help="of a press")] = 0.005,
     inclusion_m: Annotated[float, typer.Option("--inclusion-m", min=0.002, max=0.1, help="smallest inclusion not to be missed")] = 0.01,
+    most_presses: Annotated[int, typer.Option("--most-presses", min=1, max=1000, help="end after this number all the same")] = 200,
     seed: Annotated[int, typer.Option("--seed", help="another emulated field")] = 0,
     json_file: JsonOption = None,
 ) -> None:
@@ -154,9 +155,9 @@ def map_(
         mapping.refuse_two_sources(presses, config, emulated)
         pressed = Mapped(mapping.read_presses(presses, where))
     elif config is not None:
-        pressed = _pressed_by_robot(where, config, out)
+        pressed = _pressed_by_robot(where, config, out, most_presses)
     else:
-        pressed = mapped(where, out, emulated, seed, display())
+        pressed = mapped(where, out, emulated, seed, display(), most_presses)
     survey, truth, stopped = pressed.survey, pressed.true_inclusion_m, pressed.stop_reason
     result = survey.map()
     mapping.draw(survey, result, out, truth)
@@ -172,14 +173,15 @@ def map_(
     finish(3 if stopped else 0, stopped)
 
 
-def _pressed_by_robot(where: "Field", config: Path, out: Path) -> "Mapped":
+def _pressed_by_robot(where: "Field", config: Path, out: Path, most_presses: int) -> "Mapped":
     """The presses of the robot of that configuration, by the service or in the foreground."""
     from palpd.analysis.stiffness_map import Survey, write_presses
     from palpd.cli.jobs import carried_out
     from palpd.config import load_config
     from palpd.daemon.stiffness_survey import Mapped
 
-    arguments = {"width_m": where.width_m, "height_m": where.height_m, "depth_m": where.depth_m, "inclusion_m": where.inclusion_m}
+    field = {"width_m": where.width_m, "height_m": where.height_m, "depth_m": where.depth_m, "inclusion_m": where.inclusion_m}
+    arguments = {**field, "most_presses": most_presses}
     end = carried_out("map", arguments, load_config(config), out)
     survey = Survey(where)
     for (x_m, y_m), modulus_Pa in zip(end.figures.get("places_m", []), end.figures.get("moduli_Pa", []), strict=True):

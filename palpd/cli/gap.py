@@ -200,6 +200,7 @@ def resolve(
     kept = kept_in(folder or settings.paths.runs, "resolve" if folder is None else None)
     nominal = load_cell(cell, known) if cell else settings.cell
     host = ForegroundHost(settings, devices, display(), agree)
+    host.display.say(f"This makes at most {rounds} run{'s' * (rounds != 1)}.")
     result = loop.resolve(loop.Setting(host, nominal, kept, known, max_depth_m, take_reference), first_plan, recordings or (), rounds)
     terminal().print(f"Everything is kept in {kept}; the page is gap.html.", highlight=False)
     write_json(json_file, result)

@@ -41,7 +41,10 @@ def carried_out(
     check_kept(config)
     if program.moves:
         clear_latch(config)
-    return program.carry_out(ForegroundHost(config, devices, display(), agree), program.validated(dict(arguments)), kept)
+    validated = program.validated(dict(arguments))
+    if (most_runs := program.most_runs(validated)) > 1:
+        display().say(f"This makes at most {most_runs} runs.")
+    return program.carry_out(ForegroundHost(config, devices, display(), agree), validated, kept)
 
 
 def fetch(kept: str | None, target: Path) -> Path | None:

@@ -382,17 +382,17 @@ class Service:
         if self._pausing is None:
             return
         pending, row = self._pausing, self._newest()
-        paused = row is not None and row["phase"] == Phase.PAUSED
-        heard = row is not None and row["phase"] != Phase.TARE
+        phase = Phase(int(row["phase"])) if row is not None else Phase.TARE
+        pausing = pending.wish == Request.PAUSE
+        seen = phase == Phase.PAUSED if pausing else phase not in (Phase.PAUSED, Phase.PAUSE_RETRACT)
         if self._run is None:
             pending.later.answer = {"ok": False, "error": "the run ended meanwhile; see palpd status"}
-        elif self._ring.published > pending.ticks and paused == (pending.wish == Request.PAUSE) and row is not None:
-            pending.later.answer = {"ok": True, "state": "paused" if paused else "running", **self._under_way(self._run.job)}
-        elif time.monotonic() > pending.until_s and heard:
-            state = "pausing" if pending.wish == Request.PAUSE else "resuming"
-            pending.later.answer = {"ok": True, "state": state, **self._under_way(self._run.job)}
+        elif self._ring.published > pending.ticks and seen and row is not None:
+            pending.later.answer = {"ok": True, "state": "paused" if pausing else "running", **self._under_way(self._run.job)}
+        elif time.monotonic() > pending.until_s and phase != Phase.TARE:
+            pending.later.answer = {"ok": True, "state": "pausing" if pausing else "resuming", **self._under_way(self._run.job)}
         elif time.monotonic() > pending.until_s:
-            done = "paused" if pending.wish == Request.PAUSE else "resumed"
+            done = "paused" if pausing else "resumed"
             reason = f"the run was not {done} within {PAUSE_PATIENCE_S:g} s: it still opens its devices or tares; try again"
             pending.later.answer = {"ok": False, "error": reason}
         if pending.later.answer is not None:

@@ -77,7 +77,7 @@ def figures_of(mapped: Mapped) -> MapFigures:
     }
 
 
-def mapped(where: Field, out: Path, emulated: bool, seed: int, display: Display) -> Mapped:
+def mapped(where: Field, out: Path, emulated: bool, seed: int, display: Display, most: int = MOST_PRESSES) -> Mapped:
     """Press an emulated or simulated field until the map is certain.
 
     Args:
@@ -86,15 +86,16 @@ def mapped(where: Field, out: Path, emulated: bool, seed: int, display: Display)
         emulated: Whether to press on emulated wires instead of in simulation.
         seed: Seed of the field.
         display: Shows the presses.
+        most: Largest number of presses.
 
     Returns:
         The survey, also where a press was stopped.
     """
     field = EmulatedField(where, seed)
     if emulated:
-        return replace(_on_wires(where, field, out, display), true_inclusion_m=field.inclusion)
+        return replace(_on_wires(where, field, out, display, most), true_inclusion_m=field.inclusion)
     display.say(f"The daemon presses a simulated field, seed {seed}.")
-    return replace(surveyed(in_simulation(where, field.cell, seed), where, out, display), true_inclusion_m=field.inclusion)
+    return replace(surveyed(in_simulation(where, field.cell, seed), where, out, display, most), true_inclusion_m=field.inclusion)
 
 
 def surveyed(press: Press, where: Field, out: Path, display: Display, most: int = MOST_PRESSES) -> Mapped:
@@ -195,7 +196,7 @@ def in_simulation(where: Field, cell_of: Callable[[int], CellFile], seed: int) -
     return press
 
 
-def _on_wires(where: Field, field: EmulatedField, out: Path, display: Display) -> Mapped:
+def _on_wires(where: Field, field: EmulatedField, out: Path, display: Display, most: int) -> Mapped:
     """Press the field behind real drivers and emulated wires; runs and state are kept in a folder of their own."""
     from palpd.daemon.demo import cell_on_wires
     from palpd.daemon.wiring import devices
@@ -205,7 +206,7 @@ def _on_wires(where: Field, field: EmulatedField, out: Path, display: Display) -
     with cell_on_wires(field.cell(0), folder) as config:
         host = ForegroundHost(config, devices, display)
         calibrate(host)
-        return surveyed(on_the_robot(where, host), where, out, display)
+        return surveyed(on_the_robot(where, host), where, out, display, most)
 
 
 def _modulus_of(site: SiteResult, place_m: Place) -> float:

@@ -252,6 +252,34 @@ def test_a_pause_answers_where_the_arm_stopped_once_a_tick_shows_it(service: Ser
     assert position(later.answer) == "paused: palpation, site A: paused, 0 of 2 steps done, force 3.25 N, 4.0 mm deep"
 
 
+def test_a_pause_in_the_tissue_says_that_the_arm_leaves_first(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    armed(service)
+    service.answer({"do": "start", "plan": PLAN})
+    now_s = time.monotonic()
+    for wish, expected in (("pause", "pausing"), ("resume", "resuming")):
+        monkeypatch.setattr("palpd.daemon.service.time.monotonic", lambda at_s=now_s: at_s)
+        later = service.answer({"do": wish})
+        row = np.zeros(1, ROW)
+        row["phase"], row["site"], row["force_N"], row["surface_z_m"] = Phase.PAUSE_RETRACT, 0, 3.25, 0.004
+        service._ring.write(row)
+        service._answer_pause()
+        assert isinstance(later, Later)
+        assert later.answer is None
+        now_s += 2.0
+        monkeypatch.setattr("palpd.daemon.service.time.monotonic", lambda at_s=now_s: at_s)
+        service._answer_pause()
+        assert later.answer is not None
+        assert later.answer["ok"]
+        assert later.answer["state"] == expected
+        assert later.answer["activity"] == "site A: leaving for a pause"
+
+
+def test_what_does_not_press_cannot_be_paused(service: Service) -> None:
+    service._state.keep("calibration", TARE)
+    service.answer({"do": "retract"})
+    assert "leaves the tissue already" in refusal(service, do="pause")
+
+
 def test_a_pause_that_no_tick_shows_is_refused_after_a_second(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     armed(service)
     service.answer({"do": "start", "plan": PLAN})
