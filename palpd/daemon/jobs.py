@@ -102,11 +102,16 @@ class Jobs:
 
         Raises:
             BadInput: The arguments are wrong.
+            Refused: This machine starts no process.
         """
         arguments = program.validated(values)
         record = self._recorded(program.name, by, program.most_runs(arguments))
         kept = self._config.paths.runs / f"{record.id}{program.ending}"
-        self._worker = WorkerProcess(WorkerOrder(program.name, arguments.model_dump(), self._config, kept.absolute()))
+        try:
+            self._worker = WorkerProcess(WorkerOrder(program.name, arguments.model_dump(), self._config, kept.absolute()))
+        except OSError as error:
+            self.current = None
+            raise Refused(f"the worker of the job cannot be started ({error.strerror}); nothing was moved") from error
         self._changed(f"begun, at most {record.most_runs} run{'s' * (record.most_runs != 1)}")
         return record
 

@@ -148,6 +148,18 @@ def test_a_program_ends_with_its_result_and_its_log_is_kept(service: Service) ->
     assert do(service, "jobs")["jobs"][0]["id"] == job_id
 
 
+def test_a_machine_that_starts_no_process_refuses_the_job_and_the_service_goes_on(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: WorkerOrder) -> None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr("palpd.daemon.jobs.WorkerProcess", full)
+    assert "cannot be started (Resource temporarily unavailable)" in do(service, "begin", program="calibrate")["error"]
+    assert do(service, "status")["state"] == "disarmed"
+    assert do(service, "jobs")["jobs"] == []
+
+
 def test_two_jobs_of_one_second_have_two_names(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("palpd.daemon.jobs.recording_name", lambda program: f"now-{program}")
     for expected in ("now-calibrate", "now-calibrate-2", "now-calibrate-3"):
