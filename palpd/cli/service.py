@@ -184,7 +184,7 @@ def doctor(
     from palpd.cli.tables import finding_table
     from palpd.config import load_config
     from palpd.daemon import doctor as examine
-    from palpd.daemon.doctor.finding import Finding
+    from palpd.daemon.finding import Finding
     from palpd.daemon.job_client import service_at
     from palpd.daemon.wiring import open_reader, open_sensor
 

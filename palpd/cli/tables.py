@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from palpd.analysis.results import SiteResult
     from palpd.cell.effects import Effect
     from palpd.cell.effects.learned import LearnedEffect
-    from palpd.daemon.doctor.finding import Finding
+    from palpd.daemon.finding import Finding
     from palpd.daemon.overshoot import OvershootForecast
     from palpd.gap.fleet import CellRow, FleetRow
     from palpd.gap.similar_effects import Similarity

@@ -18,19 +18,17 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from palpd.config import Config, Plan, parse_plan
 from palpd.daemon.display import NoDisplay, ShowProgress
+from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import shielded
 from palpd.daemon.motion_process import Kind
 from palpd.daemon.program_host import ProposedMotion
 from palpd.daemon.programs import PROGRAMS, ProgramEnd
 from palpd.daemon.supervisor import Report
 from palpd.errors import PalpdError, Refused, Stopped
-
-if TYPE_CHECKING:
-    from palpd.daemon.doctor.finding import Finding
 
 MOST_RESULT_BYTES = 1_000_000
 """Longest result that the service keeps: it reads that much in 5 ms. A diagnosis has 0.1 MB; the files of a job may hold more."""
@@ -236,7 +234,7 @@ class _WorkerHost:
         """Ask the service for the run, and wait for its report."""
         return self._asked(kind, plan, str(recording) if recording is not None else None, take_reference)
 
-    def observe(self, watch_s: float) -> "tuple[Finding, ...]":
+    def observe(self, watch_s: float) -> tuple[Finding, ...]:
         """Ask the service to read the devices."""
         report = self._asked("observe", Plan(), watch_s=watch_s)
         if report.exit_code:

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from palpd.control.sequence import ArmGeometry, FreeMotion, Palpation, Retract, 
 from palpd.control.slopes import GRAVITY_N_PER_KG, FzSlopes
 from palpd.control.tare import Tare
 from palpd.daemon.clock import RealClock
+from palpd.daemon.finding import Finding
 from palpd.daemon.realtime import DEVICE_PRIORITY, fifo, populate, realtime
 from palpd.daemon.rehearsal import rehearse, short
 from palpd.errors import PalpdError, Refused, Stopped
@@ -35,9 +36,6 @@ from palpd.recording.mcap_file import RunAbout
 from palpd.recording.ring import LoopState, Ring
 from palpd.recording.tick_rows import RowWriter
 from palpd.tick import ForceSensor, Request, Robot, TickRecord, Trip, Verdict
-
-if TYPE_CHECKING:
-    from palpd.daemon.doctor.finding import Finding
 
 DRAIN_S = 0.1
 """How long queued frames are read and dropped. A terminal hands out 4 kB at a time, so several reads are needed."""
@@ -127,7 +125,7 @@ class Observed:
     """The devices were read for some seconds; the findings are those of the doctor."""
 
     about: RunAbout
-    findings: "tuple[Finding, ...]"
+    findings: tuple[Finding, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,15 +6,13 @@ opens no device. Its host is the foreground command (palpd/daemon/session.py), o
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from palpd.config import Config, Plan
 from palpd.daemon.display import Display
+from palpd.daemon.finding import Finding
 from palpd.daemon.motion_process import Kind
 from palpd.daemon.supervisor import Report
-
-if TYPE_CHECKING:
-    from palpd.daemon.doctor.finding import Finding
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +66,7 @@ class ProgramHost(Protocol):
         """
         ...
 
-    def observe(self, watch_s: float) -> "tuple[Finding, ...]":
+    def observe(self, watch_s: float) -> tuple[Finding, ...]:
         """Read both devices for some seconds, and judge them. Raises PalpdError where one does not open."""
         ...
 

@@ -5,10 +5,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from palpd.config import Config, Plan, refuse_unsafe
 from palpd.daemon.display import Display, ShowProgress
+from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import Interrupted, held, leave_within, received, shielded, waited_s
 from palpd.daemon.job_progress import job_progress, job_steps
 from palpd.daemon.motion_process import Build, Job, Kind
@@ -18,9 +18,6 @@ from palpd.daemon.stored_state import Calibration, State
 from palpd.daemon.supervisor import JobRun, Report, now, recording_name, wait
 from palpd.errors import BadInput, Refused, Stopped
 from palpd.recording.ring import Ring
-
-if TYPE_CHECKING:
-    from palpd.daemon.doctor.finding import Finding
 
 GONE_S = 0.8
 """Longest time from a signal to the end of the process. The recording is closed by then; `palpd analyse` makes tables that were cut off."""
@@ -174,7 +171,7 @@ class ForegroundHost:
         work = job(kind, config, plan, take_reference=take_reference)
         return carry_out(work, self.build, self.display, recording.stem if recording is not None else None)
 
-    def observe(self, watch_s: float) -> "tuple[Finding, ...]":
+    def observe(self, watch_s: float) -> tuple[Finding, ...]:
         """Read both devices for some seconds, and judge them. Raises PalpdError where one does not open."""
         work = replace(job("observe", self.config, Plan()), watch_s=watch_s)
         return carry_out(work, self.build, self.display).findings

@@ -13,11 +13,12 @@ from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from palpd.config import CONTACT_FORCE_N
 from palpd.control.inertial import read_card
 from palpd.daemon import motion_process as motion
+from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import shielded
 from palpd.daemon.motion_process import (
     CALLED_OFF,
@@ -43,9 +44,6 @@ from palpd.recording.mcap_file import RecordedStall, RecordingHeader, RunAbout
 from palpd.recording.recorder import Recorder
 from palpd.recording.ring import LoopState, RecorderState, Ring, Rows
 from palpd.tick import Phase, Request, Trip
-
-if TYPE_CHECKING:
-    from palpd.daemon.doctor.finding import Finding
 
 STALLED_S = 2.0
 """A loop whose tick counter stands still for this long is killed. The controller's watchdog has stopped the arm long before."""
@@ -84,7 +82,7 @@ class Report:
     notes: tuple[str, ...] = ()
     reference: tuple[float, ...] | None = None
     last_ticks: tuple[LastTick, ...] = ()
-    findings: "tuple[Finding, ...]" = ()
+    findings: tuple[Finding, ...] = ()
 
 
 class MotionProcess:

@@ -11,7 +11,7 @@ from palpd.analysis.stiffness_map import Field, Survey, draw, raster, read_press
 from palpd.config import Config, Plan
 from palpd.daemon import stiffness_survey as mapping_robot
 from palpd.daemon.display import NoDisplay
-from palpd.daemon.doctor.finding import Finding
+from palpd.daemon.finding import Finding
 from palpd.daemon.motion_process import Kind
 from palpd.daemon.program_host import ProposedMotion
 from palpd.daemon.stiffness_survey import in_simulation, on_the_robot, surveyed

@@ -11,7 +11,7 @@ from palpd.config import Config, SensorConfig, parse_config
 from palpd.daemon import doctor
 from palpd.daemon.doctor import devices, machine, stored, weight
 from palpd.daemon.doctor.devices import DeviceRecord
-from palpd.daemon.doctor.finding import Finding
+from palpd.daemon.finding import Finding
 from palpd.daemon.stored_state import Calibration, Latch, State
 from palpd.errors import SensorError
 from palpd.tick import NO_FRAMES, RobotMode, SafetyMode, SensorFrames

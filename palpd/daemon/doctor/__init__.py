@@ -9,10 +9,10 @@ from typing import Any, TypedDict
 
 from palpd.config import HEX_70, Config
 from palpd.daemon.doctor.devices import identified, judge_robot, judge_sensor, observed, reached
-from palpd.daemon.doctor.finding import Finding, Judgement
 from palpd.daemon.doctor.machine import examine_machine, is_there, port
 from palpd.daemon.doctor.stored import examine_stored
 from palpd.daemon.doctor.weight import AskOperator, check_weight
+from palpd.daemon.finding import Finding, Judgement
 from palpd.daemon.realtime import DEVICE_PRIORITY, fifo
 from palpd.errors import PalpdError
 from palpd.tick import SensorDriver

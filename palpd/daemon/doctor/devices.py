@@ -10,7 +10,7 @@ import numpy as np
 from palpd.config import Config
 from palpd.control.safety import TILT_RAD
 from palpd.control.tare import DRIFT_N, FREE_N, STABLE_RMS_N, tilt_rad
-from palpd.daemon.doctor.finding import Finding
+from palpd.daemon.finding import Finding
 from palpd.daemon.motion_process import drain
 from palpd.daemon.realtime import LOOP_PRIORITY, fifo
 from palpd.daemon.stored_state import State

@@ -11,7 +11,7 @@ import numpy as np
 
 from palpd.config import Config
 from palpd.daemon.clock import RealClock
-from palpd.daemon.doctor.finding import Finding, Judgement, text_of
+from palpd.daemon.finding import Finding, Judgement, text_of
 from palpd.daemon.realtime import CPU_LATENCY, LOOP_PRIORITY, Granted, realtime
 from palpd.recording.ring import RING_S
 

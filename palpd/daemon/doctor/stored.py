@@ -2,7 +2,7 @@
 
 from palpd.config import Config
 from palpd.control.inertial import InertialModel
-from palpd.daemon.doctor.finding import Finding
+from palpd.daemon.finding import Finding
 from palpd.daemon.stored_state import State
 from palpd.errors import PalpdError
 

@@ -8,7 +8,7 @@ import numpy as np
 from palpd.config import SensorConfig
 from palpd.control.tare import base_from_sensor, to_base
 from palpd.daemon.doctor.devices import observed
-from palpd.daemon.doctor.finding import Finding
+from palpd.daemon.finding import Finding
 from palpd.tick import Floats, ForceSensor, RobotState
 
 SETTLED_S = 2.0

@@ -1,4 +1,4 @@
-"""One result of the doctor, and helpers to read the kernel's files."""
+"""One result of an examination, and a helper to read the kernel's files."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
