@@ -40,7 +40,7 @@ class DeviceRecord:
     last: RobotState | None
 
 
-def observed(sensor: ForceSensor | None, robot: StateReader | None, duration_s: float) -> DeviceRecord:
+def observed(sensor: ForceSensor | None, robot: Robot | StateReader | None, duration_s: float) -> DeviceRecord:
     """Read both devices twice a millisecond at the loop's priority. Without devices it returns at once.
 
     Args:
@@ -97,8 +97,8 @@ class OpenedDevices(Protocol):
         ...
 
     @property
-    def sensor(self) -> SensorDriver:
-        """The force sensor."""
+    def sensor(self) -> Any:
+        """The force sensor, which is a SensorDriver."""
         ...
 
 
@@ -113,7 +113,7 @@ def judged(devices: OpenedDevices, config: Config, watch_s: float) -> list[Findi
     Returns:
         All findings.
     """
-    sensor = devices.sensor
+    sensor: SensorDriver = devices.sensor
     record = observed(sensor, devices.robot, watch_s)
     return [identified(sensor, config), *judge_sensor(record, config, sensor), reached(config), *judge_robot(record, config)]
 
