@@ -63,8 +63,8 @@ init {folder} --depths-mm 2,3
 install --prefix {folder}
 doctor --config {config} --watch-s 1 --json {out.json}
 migrate {config} --dry-run
-migrate {plan} --old {new.yaml}
-migrate {cell} --kind cell --old {new.yaml}
+migrate {plan} --old {new.yaml} --dry-run
+migrate {cell} --kind cell --old {new.yaml} --dry-run
 check-config {config} --plan {plan} --json {out.json}
 runs --config {config} --json {out.json}
 info {mcap} --config {config} --json {out.json}

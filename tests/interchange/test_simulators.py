@@ -254,6 +254,13 @@ def test_an_effect_outside_its_range_is_refused(effect: dict[str, dict[str, floa
     assert not (tmp_path / "out").exists()
 
 
+def test_a_cell_that_mujoco_takes_no_model_of_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    cell = cell_from({"probe": {"tip_length_m": 1e-300}}, "it")
+    with pytest.raises(BadInput, match=r"MuJoCo takes no model of this cell .*; correct the sizes of probe and tissue"):
+        export_cell(cell, "mujoco", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_folder_that_holds_something_is_refused_and_an_empty_one_is_not(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").touch()

@@ -305,7 +305,11 @@ def _write_mujoco(place: Path, content: _Content) -> Floats:
     write_text(place / "cell.xml", model_xml(content.numbers, content.cell.probe.tip_length_m))
     module = place / "palpd_cell.py"
     write_text(module, bundled(HERE / "mujoco_cell.py", content.definitions, content.laws, _origin()))
-    rows: Floats = runpy.run_path(str(module))["rollout"](*content.motion)
+    try:
+        rows: Floats = runpy.run_path(str(module))["rollout"](*content.motion)
+    except ValueError as error:
+        why = ", ".join(str(error).splitlines())
+        raise BadInput(f"MuJoCo takes no model of this cell ({why}); correct the sizes of probe and tissue in the cell file") from error
     return rows
 
 
