@@ -167,13 +167,10 @@ def _resolve(host: ProgramHost, arguments: ResolveArguments, folder: Path) -> Pr
 
 
 def _doctor(host: ProgramHost, arguments: DoctorArguments, _: Path) -> ProgramEnd:
-    from palpd.daemon.doctor import as_json
-    from palpd.daemon.doctor.machine import examine_machine, port
-    from palpd.daemon.doctor.stored import examine_stored
+    from palpd.daemon.doctor import as_json, examined_without_devices
     from palpd.daemon.finding import Finding
 
-    config = host.config
-    findings = [*examine_machine(config), *examine_stored(config), *port(config.sensor.port)]
+    findings = examined_without_devices(host.config)
     try:
         findings += host.observe(arguments.watch_s)
     except PalpdError as error:

@@ -44,12 +44,11 @@ def examined(
     Returns:
         All findings, in the order in which they were made.
     """
-    is_path = config.sensor.port.startswith("/") or config.sensor.kind == HEX_70  # an address says itself that it is silent
-    findings = [*examine_machine(config), *examine_stored(config), *(port(config.sensor.port) if is_path else [])]
+    findings = examined_without_devices(config)
     with ExitStack() as opened:
-        sensor, about_sensor = _opened(
-            opened, "sensor.port", config, open_sensor, not is_path or is_there(config.sensor.port), config.sensor.port
-        )
+        is_path = config.sensor.port.startswith("/") or config.sensor.kind == HEX_70  # an address says itself that it is silent
+        there = not is_path or is_there(config.sensor.port)
+        sensor, about_sensor = _opened(opened, "sensor.port", config, open_sensor, there, config.sensor.port)
         robot, about_robot = _opened(opened, "robot.host", config, open_robot, _answers(config.robot.host), config.robot.host)
         record = observed(sensor, robot, watch_s)
         findings += [about_sensor, *judge_sensor(record, config, sensor)] if sensor else [about_sensor]
@@ -57,6 +56,18 @@ def examined(
         if weight_N is not None and sensor is not None:
             findings.append(check_weight(sensor, record.last, config.sensor, weight_N, ask, sensor.pulled_over_pressed))
     return findings
+
+
+def examined_without_devices(config: Config) -> list[Finding]:
+    """Examine the machine, the stored state, and the sensor's port; nothing is opened.
+
+    Args:
+        config: The configuration of the cell.
+
+    Returns:
+        The findings.
+    """
+    return [*examine_machine(config), *examine_stored(config), *port(config.sensor.port)]
 
 
 class Examination(TypedDict):
