@@ -19,6 +19,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from hw.conversion import CountingSensor
 from hw.host_time import MinimumDelayClock
 from palpd.errors import SensorError
 from palpd.tick import NO_FRAMES, Floats, SensorFrames, SensorSettings
@@ -121,7 +122,7 @@ class BoxPage(NamedTuple):
     status: int
 
 
-class NetFtSensor:
+class NetFtSensor(CountingSensor):
     """A Net F/T at its address; `read` gives N and Nm in the transducer's own axes, calibrated and not tared.
 
     The constructor reads the box's page, refuses what differs from the arguments, starts the stream and checks its rate. Of two clients
@@ -172,21 +173,6 @@ class NetFtSensor:
         except BaseException:
             self.close()
             raise
-
-    @property
-    def delay_s(self) -> float:
-        """Delay of a reading behind the force: 1 / (2π f_c) of a one-pole low-pass."""
-        return 1 / (2 * math.pi * self.filter_cutoff_Hz) if self.filter_cutoff_Hz else 0.0
-
-    @property
-    def counts_per_N(self) -> Floats:
-        """Counts per N (3,) that convert the readings."""
-        return self.counts_per_unit[:3]
-
-    @property
-    def counts_per_Nm(self) -> Floats:
-        """Counts per Nm (3,) that convert the readings."""
-        return self.counts_per_unit[3:]
 
     def read(self) -> SensorFrames:
         """Return every frame since the last call, without waiting. SensorError when the box is gone."""

@@ -21,6 +21,7 @@ from typing import Literal
 import numpy as np
 import serial
 
+from hw.conversion import CountingSensor
 from hw.hex_frames import (
     ANSWER,
     CAPACITY,
@@ -101,7 +102,7 @@ class SampleClock:
         return counts
 
 
-class HexSensor:
+class HexSensor(CountingSensor):
     """A HEX-70 at its port, exclusively; `read` gives N and Nm in the sensor's own axes, calibrated and not tared.
 
     The constructor asks for the serial number and the calibration registers 350 (capacity) and 450 (counts at capacity). It sets rate and
@@ -153,24 +154,9 @@ class HexSensor:
         self._open()
 
     @property
-    def delay_s(self) -> float:
-        """Delay of a reading behind the force: 1 / (2π f_c) of a one-pole low-pass."""
-        return 1 / (2 * math.pi * self.filter_cutoff_Hz) if self.filter_cutoff_Hz else 0.0
-
-    @property
     def counter_step(self) -> int:
         """The counter counts milliseconds, so it grows by this from frame to frame."""
         return self._speed
-
-    @property
-    def counts_per_N(self) -> Floats:
-        """Counts per N (3,) that convert the readings."""
-        return self.counts_per_unit[:3]
-
-    @property
-    def counts_per_Nm(self) -> Floats:
-        """Counts per Nm (3,) that convert the readings."""
-        return self.counts_per_unit[3:]
 
     def read(self) -> SensorFrames:
         """Return every frame since the last call, without waiting. SensorError when the device is gone."""
