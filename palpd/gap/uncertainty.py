@@ -13,7 +13,7 @@ from palpd.gap.fit import jacobian_at
 from palpd.gap.noise import FZ
 from palpd.gap.posterior import Attribution
 from palpd.gap.problem import RELATIVE, SHARED, Problem
-from palpd.gap.verdict import DiagnosisVerdict, NamedEffect, by_named_parameters, mean_zero
+from palpd.gap.verdict import ZEROS, DiagnosisVerdict, NamedEffect, by_named_parameters, estimated_with
 from palpd.tick import Floats
 
 LEAST_SHARE = 0.02
@@ -24,9 +24,6 @@ WIDTH_95 = 2.0 * 1.96
 
 DECIMALS = 9
 """Decimals of a correlation in a file: where only the sum of two numbers is known, to a thousandth, six are needed."""
-
-ZEROS = ("bias_N", "drift_N_per_min")
-"""Deviations that each recording has of its own; a cell file holds their mean."""
 
 
 @dataclass(frozen=True)
@@ -77,9 +74,6 @@ def open_hypothesis(problem: Problem, fit: Fit, share: float, scatter: Sequence[
     Returns:
         The hypothesis as a cell file holds it.
     """
-    coefficients = fit.linearisation.space.coefficients(fit.residual)
-    estimated = problem.estimated(coefficients[: len(fit.eta)])
-    estimated = estimated.model_copy(update={name: mean_zero(problem, fit, coefficients, name) for name in ZEROS})
     values: EffectValues = {**problem.cell.effects, **{name: fit.values[name] for name in fit.names if not name.startswith("learned.")}}
     values |= {one.id: {name: value for name, (value, _, _) in one.parameters.items()} for one in scatter}
     together, alone = _of_fit(problem, fit), _of_scatter(problem, scatter)
@@ -94,7 +88,7 @@ def open_hypothesis(problem: Problem, fit: Fit, share: float, scatter: Sequence[
     return OpenHypothesis(
         probability=min(share, 1.0),
         effects=values,
-        estimated=Estimated.model_validate(estimated.model_dump()),
+        estimated=Estimated.model_validate(estimated_with(problem, fit).model_dump()),
         open=tuple(one.model_copy(update={"sd": float(x)}) for one, x in zip(numbers, sd.tolist(), strict=True)),
         correlation=tuple(tuple(row) for row in correlation.tolist()),
     )

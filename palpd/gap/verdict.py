@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from palpd.cell.cell_file import CellFile, EffectValues
+from palpd.cell.cell_file import CellFile, EffectValues, Estimated
 from palpd.gap.coordinates import Coordinate
 from palpd.gap.evidence import Fit, fit
 from palpd.gap.intervals import interval
@@ -28,6 +28,9 @@ P_TO_NAME_WEAK, WEAK_SIGMAS = 0.8, 8.0
 
 FAR_OUT_SD = 4.0
 """Standard deviations beyond which a deviation is reported: one in 16 000 healthy cells has such a one."""
+
+ZEROS = ("bias_N", "drift_N_per_min")
+"""Deviations that each recording has of its own; a cell file holds their mean."""
 
 LARGEST_GROUP = 2
 """Number of indistinguishable effects above which the verdict is ambiguous."""
@@ -244,26 +247,27 @@ def enriched_cell(problem: Problem, verdict: DiagnosisVerdict) -> CellFile:
     """
     named: EffectValues = {e.id: {n: v for n, (v, _, _) in e.parameters.items()} for e in verdict.effects}
     effects = verdict.fit.values | named if named else named
-    around = verdict.fit.linearisation
-    coefficients = around.space.coefficients(verdict.fit.residual)
-    estimated = problem.estimated(coefficients[: len(around.eta)])
-    zeros = {name: mean_zero(problem, verdict.fit, coefficients, name) for name in ("bias_N", "drift_N_per_min")}
     cell = problem.cell.with_effects(problem.cell.effects | effects)
-    return cell.with_estimated(estimated.model_copy(update=zeros))
+    return cell.with_estimated(estimated_with(problem, verdict.fit))
 
 
-def mean_zero(problem: Problem, fit: Fit, coefficients: Floats, name: str) -> float:
-    """Mean over the recordings of the bias or drift of fz.
+def estimated_with(problem: Problem, fit: Fit) -> Estimated:
+    """The in-tolerance deviations that were fitted with a hypothesis; bias and drift, which each recording has of its own, by their mean.
 
     Args:
         problem: The recordings.
-        fit: A hypothesis.
-        coefficients: Coefficients (k,) of its nuisances.
-        name: `bias_N` or `drift_N_per_min`.
+        fit: The hypothesis.
 
     Returns:
-        The mean, in the unit of the cell file.
+        The block `estimated` of a cell file.
     """
+    coefficients = fit.linearisation.space.coefficients(fit.residual)
+    zeros = {name: _mean_zero(problem, fit, coefficients, name) for name in ZEROS}
+    return problem.estimated(coefficients[: len(fit.eta)]).model_copy(update=zeros)
+
+
+def _mean_zero(problem: Problem, fit: Fit, coefficients: Floats, name: str) -> float:
+    """Mean over the recordings of the bias or drift of fz, in the unit of the cell file."""
     tolerance = getattr(problem.cell.tolerances, name)
     values = [coefficients[k] * tolerance for k in fit.linearisation.numbers("recording", name, FZ)]
     return float(np.mean(values)) if values else 0.0
