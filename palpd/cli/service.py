@@ -29,6 +29,39 @@ def serve(config: ConfigOption = DEFAULT_CONFIG) -> None:
 
 
 @app.command()
+def web(
+    config: ConfigOption = DEFAULT_CONFIG,
+    listen: Annotated[
+        str, typer.Option("--listen", help="address to listen at; 0.0.0.0 for other computers too, such as a tablet")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="port to listen at")] = 8700,
+    name: Annotated[
+        list[str] | None, typer.Option("--name", help="further host name or address under which browsers may open the page")
+    ] = None,
+    token_file: Annotated[
+        Path | None, typer.Option("--token-file", help="where the token is kept (default: page-token in the state folder)")
+    ] = None,
+    plan: Annotated[Path | None, typer.Option("--plan", help="plan that the page offers first")] = None,
+) -> None:
+    """Serve the operator's page, in a process of its own, for a browser on this computer."""
+    import os
+    import sys
+
+    from palpd.config import load_config
+
+    settings = load_config(config)
+    kept = token_file or settings.paths.state / "page-token"
+    check_folder(kept.parent)
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    words = ["--socket", settings.paths.control_socket, "--runs", settings.paths.runs, "--token-file", kept]
+    words += ["--listen", listen, "--port", port, *(["--plan", plan] if plan else [])]
+    words += [word for each in name or [] for word in ("--name", each)]
+    sys.stdout.flush()
+    # this process becomes the server, which imports next to nothing: so it has no configuration and no typer in its memory
+    os.execv(sys.executable, [sys.executable, "-m", "palpd.web", *map(str, words)])
+
+
+@app.command()
 def status(
     config: ConfigOption = DEFAULT_CONFIG,
     socket: SocketOption = None,

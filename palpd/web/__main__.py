@@ -1,0 +1,79 @@
+"""`python -m palpd.web`: the server of the page. `palpd web` reads the configuration and starts it with plain values."""
+
+import argparse
+import asyncio
+import sys
+from pathlib import Path
+
+import uvicorn
+
+from palpd.errors import PalpdError
+from palpd.web.access import is_loopback
+from palpd.web.application import PageSettings, build
+from palpd.web.log import log
+from palpd.web.sessions import Sessions, read_token
+
+CONNECTIONS = 256
+"""Most connections at a time: a flood is refused before it takes the memory of an operator's page."""
+
+
+def main(words: list[str]) -> int:
+    """Serve the page until SIGTERM or SIGINT. Returns the exit code."""
+    settings, token_file = _settings(words)
+    try:
+        token = read_token(token_file)
+    except PalpdError as error:
+        print(f"palpd: {error}", file=sys.stderr)
+        return error.exit_code
+    server = uvicorn.Server(
+        uvicorn.Config(
+            build(settings, Sessions(token)),
+            host=settings.listen,
+            port=settings.port,
+            log_config=None,
+            access_log=False,
+            lifespan="on",
+            loop="asyncio",
+            http="h11",
+            ws="websockets-sansio",
+            ws_max_size=4096,
+            ws_per_message_deflate=False,
+            limit_concurrency=CONNECTIONS,
+            timeout_keep_alive=30,
+            timeout_graceful_shutdown=1,
+            server_header=False,
+        )
+    )
+    name = settings.names[0] if settings.names else "127.0.0.1"
+    print(f"The page of palpd: http://{name}:{settings.port}/?token={token}", flush=True)
+    log("page served", listen=settings.listen, port=settings.port, socket=str(settings.socket), loopback_only=_only_here(settings.listen))
+    try:
+        asyncio.run(server.serve())
+    except KeyboardInterrupt:
+        return 0
+    except SystemExit:
+        print(f"palpd: the page cannot listen at {settings.listen} port {settings.port}; is it served already? See --port", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _only_here(listen: str) -> bool:
+    return is_loopback({"client": (listen, 0)})
+
+
+def _settings(words: list[str]) -> tuple[PageSettings, Path]:
+    parser = argparse.ArgumentParser(prog="python -m palpd.web", description="The server of palpd's page; palpd web starts it.")
+    parser.add_argument("--socket", type=Path, required=True)
+    parser.add_argument("--runs", type=Path, required=True)
+    parser.add_argument("--token-file", type=Path, required=True)
+    parser.add_argument("--listen", default="127.0.0.1")
+    parser.add_argument("--port", type=int, default=8700)
+    parser.add_argument("--name", action="append", default=[])
+    parser.add_argument("--plan", type=Path)
+    values = parser.parse_args(words)
+    settings = PageSettings(values.socket, values.runs, values.listen, values.port, tuple(values.name), values.plan)
+    return settings, values.token_file
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

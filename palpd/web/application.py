@@ -1,0 +1,99 @@
+"""The application: what it is made of, and where a further page or stream is added.
+
+To add something:
+
+- a module with `routes(page: Page) -> list[BaseRoute]`, named in `ROUTES`;
+- what runs beside the requests, as an async context manager of `Page`, named in `BACKGROUND`;
+- a page: `pages/NAME.html` and, as an ES module, `static/NAME.js`, shown with `shell.page(...)`; a further tab is a line of `shell.TABS`.
+
+Every route stands behind `access.Access`: it needs an open session, and POST requests need the mark of the page (`ask` of
+`static/requests.js` sends it). A route that imports something heavy (scipy, matplotlib, `palpd.history.catalogue`) does so in the process
+of `aside.Aside`, never here: the server stays below 60 MB.
+"""
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from starlette.applications import Starlette
+from starlette.routing import BaseRoute, Mount
+from starlette.staticfiles import StaticFiles
+
+from palpd.web import shell
+from palpd.web.access import Access
+from palpd.web.aside import Aside
+from palpd.web.sessions import Sessions
+
+
+@dataclass(frozen=True, slots=True)
+class PageSettings:
+    """What `palpd web` passes on: plain values, so that the server need not import the configuration."""
+
+    socket: Path
+    """Control socket of the service."""
+    runs: Path
+    """Folder of the recordings, for reading."""
+    listen: str = "127.0.0.1"
+    """Address to listen at."""
+    port: int = 8700
+    names: tuple[str, ...] = ()
+    """Further host names under which browsers may open the page."""
+    plan: Path | None = None
+    """Plan that the page offers first."""
+
+    @property
+    def hosts(self) -> frozenset[str]:
+        """All hosts, with port, under which the page is served."""
+        listened = () if self.listen in ("0.0.0.0", "::") else (self.listen,)
+        names = ("127.0.0.1", "localhost", "[::1]", *(f"[{name}]" if ":" in name else name for name in (*listened, *self.names)))
+        return frozenset(f"{name}:{self.port}" for name in names)
+
+
+@dataclass(slots=True)
+class Page:
+    """What all routes share."""
+
+    settings: PageSettings
+    aside: Aside = field(default_factory=Aside)
+
+
+Routes = Callable[[Page], list[BaseRoute]]
+Background = Callable[[Page], AbstractAsyncContextManager[None]]
+
+
+def _frame_routes(_: Page) -> list[BaseRoute]:
+    return [*shell.routes()]
+
+
+ROUTES: list[Routes] = [_frame_routes]
+"""All routes of the application; a module of yours adds one function."""
+BACKGROUND: list[Background] = []
+"""All that runs beside the requests, from the start of the server to its end."""
+
+
+def build(settings: PageSettings, sessions: Sessions) -> Starlette:
+    """Make the application.
+
+    Args:
+        settings: Addresses and folders.
+        sessions: Who may use it.
+
+    Returns:
+        The ASGI application.
+    """
+    page = Page(settings)
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        async with AsyncExitStack() as stack:
+            for background in BACKGROUND:
+                await stack.enter_async_context(background(page))
+            yield
+        page.aside.close()
+
+    routes = [route for each in ROUTES for route in each(page)]
+    application = Starlette(routes=[*routes, Mount("/static", StaticFiles(directory=shell.STATIC))], lifespan=lifespan)
+    application.add_middleware(Access, sessions=sessions, hosts=settings.hosts, cookie=f"palpd_{settings.port}", entrance=shell.entrance)
+    application.state.page = page
+    return application

@@ -1,0 +1,3 @@
+// What every page has: the abort bar.
+
+import "./abort.js";
