@@ -178,9 +178,11 @@ class Service:
             "controls": self._controls.holder(time.monotonic()),
             "ring": self._ring.name,
             "active": self._jobs.current.summary if self._jobs.current is not None else None,
+            "limits": {"contact_N": self._config.safety.contact_limit_N, "absolute_N": self._config.safety.absolute_limit_N},
         }
         if self._run is not None and not self._checking:
             answer.update(self._under_way(self._run.job))
+            answer["recording"] = str(self._run.recording) if self._run.recording is not None else None
         if self._last is not None:
             answer["last"] = LastRun(
                 verdict=self._last.verdict,

@@ -50,6 +50,13 @@ class CheckedCell(TypedDict):
     date: str
 
 
+class ForceLimits(TypedDict):
+    """The guard's limits as the service read them when it began: on the compensated force, and on the raw one."""
+
+    contact_N: float
+    absolute_N: float
+
+
 class LastTick(TypedDict):
     """One of the last ticks before a stop. `before_end_s` counts back from the newest tick."""
 
@@ -126,6 +133,8 @@ class ControlAnswer(TypedDict, total=False):
     controls: str | None
     ring: str
     active: JobSummary | None
+    limits: ForceLimits
+    recording: str | None
     jobs: list[JobSummary]
     lease: str
     lease_s: float

@@ -40,7 +40,7 @@ from palpd.daemon.socket_client import LastTick
 from palpd.daemon.stored_state import Latch, State
 from palpd.daemon.witness import Witness
 from palpd.errors import PalpdError, RecordingError
-from palpd.recording.mcap_file import RecordedStall, RecordingHeader, RunAbout
+from palpd.recording.mcap_file import RecordedStall, RecordingHeader, RunAbout, part_of
 from palpd.recording.recorder import Recorder
 from palpd.recording.ring import LoopState, RecorderState, Ring, Rows
 from palpd.tick import Phase, Request, Trip
@@ -136,6 +136,11 @@ class JobRun:
             self._interrupted, self._end_by_s = True, time.monotonic() + SIGNAL_S
             self._abort_cause = self._abort_cause or f"interrupted by {name}"
             self._ring.ask(Request.ABORT)
+
+    @property
+    def recording(self) -> Path | None:
+        """The unfinished recording, where one is written."""
+        return part_of(self._recorder.path) if self._recorder is not None else None
 
     @property
     def called_off(self) -> bool:

@@ -13,9 +13,6 @@ from palpd.web.application import PageSettings, build
 from palpd.web.log import log
 from palpd.web.sessions import Sessions, read_token
 
-CONNECTIONS = 256
-"""Most connections at a time: a flood is refused before it takes the memory of an operator's page."""
-
 
 def main(words: list[str]) -> int:
     """Serve the page until SIGTERM or SIGINT. Returns the exit code."""
@@ -38,8 +35,7 @@ def main(words: list[str]) -> int:
             ws="websockets-sansio",
             ws_max_size=4096,
             ws_per_message_deflate=False,
-            limit_concurrency=CONNECTIONS,
-            timeout_keep_alive=30,
+            timeout_keep_alive=15,
             timeout_graceful_shutdown=1,
             server_header=False,
         )

@@ -4,6 +4,7 @@ One path is apart: an abort. From this computer it needs the right origin only; 
 token, expired or not. It is never limited in its rate.
 """
 
+import hmac
 import ipaddress
 import json
 import time
@@ -27,6 +28,8 @@ RATE_PER_S, BURST = 20.0, 120.0
 """Requests of one browser: a page asks some 2 a second, and 30 at once when it is opened."""
 TRIES_PER_S, TRIES = 0.1, 10.0
 """Attempts with a wrong token from one address."""
+MOST_AT_ONCE = 64
+"""Most requests under way, besides aborts and streams."""
 MOST_ADDRESSES = 1000
 """Browsers whose rate is remembered; the oldest is forgotten first."""
 MOST_BODY_BYTES = 262_144
@@ -72,6 +75,7 @@ class Access:
 
     def __init__(self, app: ASGIApp, sessions: Sessions, hosts: frozenset[str], cookie: str, entrance: Callable[[str], str]) -> None:
         self._app, self._sessions, self._hosts, self._cookie, self._entrance = app, sessions, hosts, cookie, entrance
+        self._at_once = 0
         self._rates, self._tries = Rates(RATE_PER_S, BURST), Rates(TRIES_PER_S, TRIES)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -86,8 +90,17 @@ class Access:
         refusal = self._refusal(scope, headers, session)
         if refusal is None and scope["path"] == ENTER:
             await self._enter(scope, receive, _with_headers(send))
-        elif refusal is None:
+        elif refusal is None and (scope["type"] == "websocket" or scope["path"] == ABORT):
             await self._app(scope, receive, _with_headers(send))
+        elif refusal is None and self._at_once >= MOST_AT_ONCE:
+            sentence = f"{MOST_AT_ONCE} requests are under way, expected fewer; try again in a second"
+            await _refused(sentence, 503)(scope, receive, _with_headers(send))
+        elif refusal is None:
+            self._at_once += 1
+            try:
+                await self._app(scope, receive, _with_headers(send))
+            finally:
+                self._at_once -= 1
         elif scope["type"] == "websocket":
             await receive()  # the handshake
             await send({"type": "websocket.close", "code": 4401, "reason": "refused"})
@@ -128,7 +141,11 @@ class Access:
             return self._entered(scope, token) if token else None
         if session is None or session.expired:
             wants_page = scope["type"] == "http" and "text/html" in headers.get("accept", "")
-            return HTMLResponse(self._entrance(EXPIRED), 401) if wants_page else _refused(EXPIRED, 401)
+            return (
+                HTMLResponse(self._entrance(EXPIRED), 401)
+                if wants_page
+                else JSONResponse({"ok": False, "error": EXPIRED, "expired": True}, 401)
+            )
         if scope["type"] == "http" and changes and not _is_token(session) and not _same(headers.get("x-palpd-csrf", ""), session.csrf):
             return _refused("the request does not carry the mark of an open page; reload the page", 403)
         return None
@@ -214,8 +231,6 @@ def _is_token(session: Session | None) -> bool:
 
 
 def _same(given: str, expected: str) -> bool:
-    import hmac
-
     return hmac.compare_digest(given.encode(), expected.encode())
 
 

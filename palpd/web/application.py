@@ -20,9 +20,11 @@ from starlette.applications import Starlette
 from starlette.routing import BaseRoute, Mount
 from starlette.staticfiles import StaticFiles
 
-from palpd.web import shell
+from palpd.web import controls, live, shell
 from palpd.web.access import Access
 from palpd.web.aside import Aside
+from palpd.web.live import Live
+from palpd.web.service_link import ServiceLink
 from palpd.web.sessions import Sessions
 
 
@@ -56,6 +58,12 @@ class Page:
 
     settings: PageSettings
     aside: Aside = field(default_factory=Aside)
+    link: ServiceLink = field(init=False)
+    live: Live = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.link = ServiceLink(self.settings.socket)
+        self.live = Live(self)
 
 
 Routes = Callable[[Page], list[BaseRoute]]
@@ -66,9 +74,9 @@ def _frame_routes(_: Page) -> list[BaseRoute]:
     return [*shell.routes()]
 
 
-ROUTES: list[Routes] = [_frame_routes]
+ROUTES: list[Routes] = [_frame_routes, live.routes, controls.routes]
 """All routes of the application; a module of yours adds one function."""
-BACKGROUND: list[Background] = []
+BACKGROUND: list[Background] = [live.background]
 """All that runs beside the requests, from the start of the server to its end."""
 
 

@@ -15,7 +15,7 @@ export async function ask(path, content = {}, { patience_ms = 8000 } = {}) {
     });
     return await answer.json();
   } catch {
-    return { ok: false, error: NO_LINK };
+    return { ok: false, error: NO_LINK, unreached: true };
   }
 }
 
@@ -25,6 +25,6 @@ export async function read(path, { patience_ms = 8000 } = {}) {
     const answer = await fetch(path, { cache: "no-store", signal: AbortSignal.timeout(patience_ms) });
     return await answer.json();
   } catch {
-    return { ok: false, error: NO_LINK };
+    return { ok: false, error: NO_LINK, unreached: true };
   }
 }

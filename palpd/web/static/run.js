@@ -1,0 +1,161 @@
+// The Run page: live force and depth, the press under way, the plan, the sites, the loop, and how the last run ended.
+
+import { choosePlan, chosenPlan } from "./controls.js";
+import { on } from "./link.js";
+import { say } from "./message.js";
+import { Rolling, drawMap, drawPress, onColours } from "./plot.js";
+
+const OLD_MS = 280;
+const MOST_LINES = 200;
+const MOST_PLAN_BYTES = 250000;
+const at = (id) => document.getElementById(id);
+const put = (id, text) => { const each = at(id); if (each.textContent !== text) each.textContent = text; };
+const fixed = (value, digits) => (value === null || value === undefined ? "–" : value.toFixed(digits).replace("-", "−"));
+
+let limits = null;
+let status = null;
+let run = -1;
+let press = 0;
+let curve = [];
+let before = [];
+let sites = [];
+let ticked_ms = 0;
+let newest = null;
+let health = null;
+let curve_is_new = true;
+
+const force = new Rolling(at("force-chart"), {
+  series: [["raw", 1], ["inertial", 1], ["force", 2.5]],
+  unit: "N",
+  range: (low, high) => [Math.min(-1, low * 1.1), Math.max((limits?.contact_N ?? 12) * 1.12, high * 1.08)],
+  lines: () => (limits ? [{ at: limits.contact_N, name: `contact limit ${limits.contact_N} N` }, { at: limits.absolute_N, name: `absolute limit ${limits.absolute_N} N` }] : []),
+});
+const depth = new Rolling(at("depth-chart"), {
+  series: [["force", 2]],
+  unit: "mm",
+  range: (low, high) => [Math.min(-2, low * 1.05), Math.max(2, high * 1.1)],
+});
+
+on("frame", (frame) => {
+  if (frame.run !== run) {
+    run = frame.run;
+    force.clear();
+    depth.clear();
+    [curve, before, press, newest, curve_is_new] = [[], [], 0, null, true];
+  }
+  health = frame.h;
+  for (const point of frame.p) {
+    const [t_s, raw_N, inertial_N, force_N, , depth_m, number] = point;
+    force.add(t_s, raw_N, inertial_N, force_N);
+    depth.add(t_s, depth_m === null ? null : depth_m * 1e3);
+    if (number > press) {
+      if (curve.length) before = curve;
+      [press, curve] = [number, []];
+    }
+    if (number && depth_m !== null) {
+      curve.push([depth_m * 1e3, force_N]);
+      curve_is_new = true;
+    }
+    newest = point;
+  }
+  if (frame.p.length) ticked_ms = performance.now();
+});
+
+function draw() {
+  requestAnimationFrame(draw);
+  force.draw();
+  depth.draw();
+  if (curve_is_new) drawPress(at("press-chart"), curve, before, limits?.contact_N);
+  curve_is_new = false;
+  const running = status !== null && status.job !== undefined && status.tick !== undefined;
+  const old = document.body.dataset.link !== "open" || document.body.dataset.service !== "open" || (running && performance.now() - ticked_ms > OLD_MS) || !running;
+  document.body.toggleAttribute("data-old", old);
+  if (newest === null) return;
+  const [, raw_N, inertial_N, force_N, z_m, depth_m] = newest;
+  put("force", fixed(force_N, 2));
+  put("raw", fixed(raw_N, 2));
+  put("inertial", fixed(inertial_N, 2));
+  const inside = depth_m !== null;
+  put("depth-name", inside ? "Depth" : "Height of the tip");
+  put("depth", fixed((inside ? depth_m : z_m) * 1e3, inside ? 2 : 1));
+  const [rate_Hz, missed, robot_ms, sensor_ms, work_us, absolute_N] = health;
+  put("absolute", limits ? `${fixed(absolute_N, 1)} of ${limits.absolute_N}` : fixed(absolute_N, 1));
+  put("rate", fixed(rate_Hz, 1));
+  put("missed", `${missed}`);
+  put("robot-age", fixed(robot_ms, 1));
+  put("sensor-age", fixed(sensor_ms, 1));
+  put("work", fixed(work_us, 0));
+}
+
+on("status", (event) => {
+  status = event;
+  limits = event.limits ?? null;
+  at("progress").max = event.steps ?? 1;
+  at("progress").value = event.steps_done ?? 0;
+  put("progress-text", event.job === undefined ? "no run is under way"
+    : event.steps === undefined ? event.activity
+    : `${event.steps_done} of ${event.steps} steps, ${event.activity}`);
+  showLast(event);
+});
+on("lost", () => { status = null; });
+
+function showLast({ latched, last, job }) {
+  at("fault").dataset.kind = latched ? "bad" : last && last.verdict !== "done" ? "warn" : "";
+  put("fault", latched ? `Stopped: ${latched}` : !last ? "nothing has run since the service began" : `${last.verdict}${last.reason ? `: ${last.reason}` : ""}`);
+  put("fault-do", latched && job === undefined ? "What to do: look at the cell. Leave the tissue with Retract. Then Clear, and Arm again." : "");
+  const notes = [...(last?.notes ?? []), ...(last?.recording ? [`recording ${last.recording.split("/").at(-1)}`] : [])];
+  const list = at("fault-notes");
+  if (list.dataset.shown === notes.join("\n")) return;
+  list.dataset.shown = notes.join("\n");
+  list.replaceChildren(...notes.map((note) => Object.assign(document.createElement("li"), { textContent: note })));
+}
+
+function row(site) {
+  const kPa = (value) => (value === null ? "–" : (value / 1e3).toFixed(1));
+  const interval = (ci) => (ci === null ? "–" : `${kPa(ci[0])} to ${kPa(ci[1])}`);
+  const line = document.createElement("tr");
+  const head = Object.assign(document.createElement("th"), { scope: "row", textContent: site.name });
+  const cells = [kPa(site.static_Pa), interval(site.static_ci95_Pa), kPa(site.dynamic_Pa), interval(site.dynamic_ci95_Pa), site.peak_N === null ? "–" : site.peak_N.toFixed(1) + (site.cut_short ? " cut short" : "")];
+  line.append(head, ...cells.map((textContent) => Object.assign(document.createElement("td"), { textContent })));
+  return line;
+}
+
+on("sites", (event) => {
+  sites = event.sites;
+  at("sites").replaceChildren(...sites.map(row));
+  put("sites-note", event.error || (sites.length ? "" : "moduli come when a site is over"));
+  showMap();
+});
+
+function showMap() {
+  const places = sites
+    .map((site) => ({ ...site, E_Pa: site.static_Pa ?? site.dynamic_Pa }))
+    .filter((site) => site.E_Pa !== null && site.x_m !== null)
+    .map((site) => ({ name: site.name, x_mm: site.x_m * 1e3, y_mm: site.y_m * 1e3, kPa: site.E_Pa / 1e3 }));
+  drawMap(at("map"), places);
+}
+
+on("log", ({ line }) => {
+  const list = at("log");
+  const low = list.scrollTop + list.clientHeight >= list.scrollHeight - 4;
+  list.append(Object.assign(document.createElement("li"), { textContent: line }));
+  while (list.children.length > MOST_LINES) list.firstChild.remove();
+  if (low) list.scrollTop = list.scrollHeight;
+});
+
+const showPlan = () => put("plan-name", chosenPlan()?.name ?? "none chosen");
+document.addEventListener("palpd-plan", showPlan);
+at("plan-file").addEventListener("change", async ({ target }) => {
+  const [file] = target.files;
+  if (!file) return;
+  if (file.size > MOST_PLAN_BYTES) say(`${file.name} has ${file.size} bytes, expected at most ${MOST_PLAN_BYTES}; is it a plan?`, "refused");
+  else choosePlan(file.name, await file.text());
+  target.value = "";
+});
+
+const again = () => { curve_is_new = true; showMap(); };
+onColours(again);
+addEventListener("resize", again);
+showPlan();
+showMap();
+draw();
