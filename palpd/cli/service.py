@@ -58,7 +58,8 @@ def web(
     words += [word for each in name or [] for word in ("--name", each)]
     sys.stdout.flush()
     # this process becomes the server, which imports next to nothing: so it has no configuration and no typer in its memory
-    os.execv(sys.executable, [sys.executable, "-m", "palpd.web", *map(str, words)])
+    environment = {"MALLOC_ARENA_MAX": "2", "OMP_NUM_THREADS": "1", **os.environ}
+    os.execve(sys.executable, [sys.executable, "-m", "palpd.web", *map(str, words)], environment)
 
 
 @app.command()

@@ -7,6 +7,7 @@ from pathlib import Path
 from palpd.errors import Refused
 from palpd.files import check_folder, shipped, write_text
 
+UNITS = ("palpd.service", "palpd-web.service")
 UNIT_PYTHON = "/opt/palpd/.venv/bin/python"
 PATHS = "paths: {runs: /var/lib/palpd/runs, state: /var/lib/palpd, socket: /run/palpd/palpd.sock}"
 UNSEEN = ("/root", "/home", "/run/user", "/tmp", "/var/tmp")
@@ -16,7 +17,8 @@ Then, as root:
   systemd-sysusers && udevadm control --reload && udevadm trigger --subsystem-match=tty --subsystem-match=misc
   systemctl daemon-reload && systemctl enable --now palpd
   usermod --append --groups palpd OPERATOR      # who may speak to the daemon
-  runuser -u palpd -- palpd calibrate --config /etc/palpd/config.yaml"""
+  runuser -u palpd -- palpd calibrate --config /etc/palpd/config.yaml
+  systemctl enable --now palpd-web              # the page, if you want it: docs/page.md"""
 
 
 def unit_python(prefix: Path) -> str:
@@ -40,11 +42,11 @@ def installed(prefix: Path) -> list[Path]:
         BadInput: A file cannot be written.
         Refused: The service could not see this Python, the files did not come with the code, or a folder cannot be made.
     """
-    unit = shipped("systemd/palpd.service").read_text().replace(UNIT_PYTHON, unit_python(prefix))
+    units = {name: shipped(f"systemd/{name}").read_text().replace(UNIT_PYTHON, unit_python(prefix)) for name in UNITS}
     config = re.sub(r"^paths:.*$", PATHS, shipped("config.yaml").read_text(), flags=re.MULTILINE)
     check_folder(prefix)
     texts = {
-        "etc/systemd/system/palpd.service": unit,
+        **{f"etc/systemd/system/{name}": unit for name, unit in units.items()},
         "etc/sysusers.d/palpd.conf": shipped("systemd/palpd.sysusers.conf").read_text(),
         "etc/udev/rules.d/99-palpd-hex.rules": shipped("systemd/99-palpd-hex.rules").read_text(),
         "etc/palpd/config.yaml": config,

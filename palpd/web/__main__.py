@@ -2,6 +2,7 @@
 
 import argparse
 import asyncio
+import os
 import sys
 from pathlib import Path
 
@@ -41,7 +42,10 @@ def main(words: list[str]) -> int:
         )
     )
     name = settings.names[0] if settings.names else "127.0.0.1"
-    print(f"The page of palpd: http://{name}:{settings.port}/?token={token}", flush=True)
+    if "JOURNAL_STREAM" in os.environ:  # others may read the journal
+        print(f"The page of palpd: http://{name}:{settings.port}/, the token stands in {token_file}", flush=True)
+    else:
+        print(f"The page of palpd: http://{name}:{settings.port}/?token={token}", flush=True)
     log("page served", listen=settings.listen, port=settings.port, socket=str(settings.socket), loopback_only=_only_here(settings.listen))
     try:
         asyncio.run(server.serve())

@@ -7,12 +7,13 @@ import asyncio
 import contextlib
 import os
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
-from typing import ParamSpec, TypeVar
+from concurrent.futures import BrokenExecutor
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from palpd.errors import Refused
+
+if TYPE_CHECKING:
+    from concurrent.futures import ProcessPoolExecutor
 
 IDLE_S = 120.0
 """After that time without a question the process ends, and its memory is free."""
@@ -48,7 +49,7 @@ class Aside:
             PalpdError: What the function raises; Refused, where it takes too long or its process dies.
         """
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(1, get_context("spawn"), initializer=os.nice, initargs=(NICE,))
+            self._pool = _started()
         if self._ending is not None:
             self._ending.cancel()
         self._waiting += 1
@@ -58,7 +59,7 @@ class Aside:
         except TimeoutError as error:
             self.close()
             raise Refused(f"this was not computed within {PATIENCE_S:g} s; try again, or use the command line") from error
-        except BrokenProcessPool as error:
+        except BrokenExecutor as error:
             self.close()
             raise Refused("the process that computes this has died; try again, or use the command line") from error
         finally:
@@ -76,3 +77,10 @@ class Aside:
         for process in processes:
             with contextlib.suppress(OSError):
                 process.kill()
+
+
+def _started() -> "ProcessPoolExecutor":
+    from concurrent.futures import ProcessPoolExecutor  # imported here: a page without a run needs none of it
+    from multiprocessing import get_context
+
+    return ProcessPoolExecutor(1, get_context("spawn"), initializer=os.nice, initargs=(NICE,))

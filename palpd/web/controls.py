@@ -9,7 +9,6 @@ from starlette.routing import BaseRoute, Route
 
 from palpd.daemon.socket_client import ControlRequest
 from palpd.errors import PalpdError
-from palpd.files import parse_yaml, read_yaml
 from palpd.web.access import ABORT, json_body
 from palpd.web.log import log
 
@@ -72,10 +71,13 @@ def routes(page: "Page") -> list[BaseRoute]:
         path = page.settings.plan
         if path is None:
             return JSONResponse({"ok": True, "name": None})
+        from palpd.files import parse_yaml, read_text
+
         try:
-            await asyncio.to_thread(read_yaml, path)
-            return JSONResponse({"ok": True, "name": path.name, "text": path.read_text(encoding="utf-8")})
-        except (PalpdError, OSError) as error:
+            text = read_text(path)
+            parse_yaml(text, str(path))
+            return JSONResponse({"ok": True, "name": path.name, "text": text})
+        except PalpdError as error:
             return JSONResponse({"ok": False, "error": str(error)})
 
     return [
@@ -87,6 +89,8 @@ def routes(page: "Page") -> list[BaseRoute]:
 
 async def _read_plan(what: str, content: dict[str, Any]) -> None:
     """Turn the text of a plan file into keys and values, as `palpd start` does. Raises ConfigError."""
+    from palpd.files import parse_yaml  # imported here: yaml takes 3 MB, and most requests are no plan
+
     text = content.pop("text", None)
     if what == "start" and isinstance(text, str):
         name = "".join(letter for letter in str(content.pop("file", "plan.yaml")) if letter.isprintable())[:80]

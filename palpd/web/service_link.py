@@ -86,10 +86,11 @@ class ServiceLink:
         return await asyncio.shield(self._abort_queued)
 
     async def _abort_after(self, before: asyncio.Task[ControlAnswer] | None) -> ControlAnswer:
-        if before is not None:
+        if before is not None and not before.done():
             await asyncio.wait([before])
         self._abort_under_way, self._abort_queued = self._abort_queued, None
-        return await asyncio.get_running_loop().run_in_executor(self._abort_pool, _answer, self.socket, {"do": "abort"}, PATIENCE_S)
+        request: ControlRequest = {"do": "abort"}
+        return await asyncio.get_running_loop().run_in_executor(self._abort_pool, _answer, self.socket, request, PATIENCE_S)
 
     def close(self) -> None:
         """Follow no longer."""

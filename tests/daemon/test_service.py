@@ -301,7 +301,7 @@ def test_an_unknown_command_is_told_what_there_is(service: Service) -> None:
 
 def test_installed_files_fit_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("palpd.daemon.install.UNSEEN", ())
-    assert len(installed(tmp_path)) == 4
+    assert len(installed(tmp_path)) == 5
     unit = (tmp_path / "etc/systemd/system/palpd.service").read_text()
     assert f"ExecStart={sys.executable} -m palpd serve --config /etc/palpd/config.yaml" in unit
     paths = load_config(tmp_path / "etc/palpd/config.yaml").paths
@@ -309,10 +309,11 @@ def test_installed_files_fit_together(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
-def test_the_unit_is_clean_and_its_exposure_is_low(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("name", ["palpd.service", "palpd-web.service"])
+def test_the_units_are_clean_and_their_exposure_is_low(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     monkeypatch.setattr("palpd.daemon.install.UNSEEN", ())
     installed(tmp_path)
-    unit = str(tmp_path / "etc/systemd/system/palpd.service")
+    unit = str(tmp_path / "etc/systemd/system" / name)
     verified = subprocess.run(["systemd-analyze", "verify", "--man=no", unit], capture_output=True, text=True, check=False)
     assert (verified.returncode, verified.stdout + verified.stderr) == (0, "")
     command = ["systemd-analyze", "security", "--offline=true", "--threshold=15", "--no-pager", unit]
@@ -325,7 +326,7 @@ def test_an_existing_configuration_is_kept(tmp_path: Path, monkeypatch: pytest.M
     installed(tmp_path)
     config = tmp_path / "etc/palpd/config.yaml"
     config.write_text("mine: 1\n")
-    assert len(installed(tmp_path)) == 3
+    assert len(installed(tmp_path)) == 4
     assert config.read_text() == "mine: 1\n"
 
 
@@ -339,7 +340,7 @@ def test_a_build_root_takes_the_python_of_opt_where_the_service_could_not_see_th
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("palpd.daemon.install.UNSEEN", (str(Path(sys.executable).parents[2]),))
-    assert len(installed(tmp_path)) == 4
+    assert len(installed(tmp_path)) == 5
     unit = (tmp_path / "etc/systemd/system/palpd.service").read_text()
     assert "ExecStart=/opt/palpd/.venv/bin/python -m palpd serve" in unit
 

@@ -59,6 +59,7 @@ export class Rolling {
     ctx.setLineDash([6 * scale, 4 * scale]);
     ctx.font = `${12 * scale}px system-ui, sans-serif`;
     ctx.textAlign = "right";
+    ctx.textBaseline = "bottom";
     for (const { at, name } of this.lines()) {
       if (at > plot.scales.y.max || at < plot.scales.y.min) continue;
       const y = plot.valToPos(at, "y", true);
@@ -66,7 +67,7 @@ export class Rolling {
       ctx.moveTo(bbox.left, y);
       ctx.lineTo(bbox.left + bbox.width, y);
       ctx.stroke();
-      ctx.fillText(name, bbox.left + bbox.width - 4 * scale, y - 4 * scale);
+      ctx.fillText(name, bbox.left + bbox.width - 4 * scale, y - 3 * scale);
     }
     ctx.restore();
   }

@@ -112,10 +112,10 @@ function showLast({ latched, last, job }) {
 
 function row(site) {
   const kPa = (value) => (value === null ? "–" : (value / 1e3).toFixed(1));
-  const interval = (ci) => (ci === null ? "–" : `${kPa(ci[0])} to ${kPa(ci[1])}`);
+  const interval = (ci) => (ci === null ? "–" : `${kPa(ci[0])} – ${kPa(ci[1])}`);
   const line = document.createElement("tr");
   const head = Object.assign(document.createElement("th"), { scope: "row", textContent: site.name });
-  const cells = [kPa(site.static_Pa), interval(site.static_ci95_Pa), kPa(site.dynamic_Pa), interval(site.dynamic_ci95_Pa), site.peak_N === null ? "–" : site.peak_N.toFixed(1) + (site.cut_short ? " cut short" : "")];
+  const cells = [kPa(site.static_Pa), interval(site.static_ci95_Pa), kPa(site.dynamic_Pa), interval(site.dynamic_ci95_Pa), site.peak_N === null ? "–" : site.peak_N.toFixed(1) + (site.cut_short ? " ✂" : "")];
   line.append(head, ...cells.map((textContent) => Object.assign(document.createElement("td"), { textContent })));
   return line;
 }
@@ -123,7 +123,7 @@ function row(site) {
 on("sites", (event) => {
   sites = event.sites;
   at("sites").replaceChildren(...sites.map(row));
-  put("sites-note", event.error || (sites.length ? "" : "moduli come when a site is over"));
+  put("sites-note", event.error || (sites.some((site) => site.cut_short) ? "✂ a press was cut short below the contact limit" : sites.length ? "" : "moduli come when a site is over"));
   showMap();
 });
 
