@@ -12,7 +12,8 @@ import pytest
 from tests.paths import ROOT
 
 SHIPPED = (
-    "config.yaml", "plan.yaml", "systemd/palpd.service", "systemd/palpd-web.service", "systemd/palpd.sysusers.conf", "systemd/99-palpd-hex.rules",
+    "config.yaml", "plan.yaml",
+    "systemd/palpd.service", "systemd/palpd-web.service", "systemd/palpd.sysusers.conf", "systemd/99-palpd-hex.rules",
 )  # fmt: skip
 
 

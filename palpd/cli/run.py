@@ -157,6 +157,7 @@ def demo(
     ] = True,
     json_file: JsonOption = None,
     folder: Annotated[Path | None, typer.Option("--out", help="where recordings, model and report go (default: runs/demo-<time>)")] = None,
+    page: Annotated[bool, typer.Option("--page", help="serve the emulated cell and the operator's page, until Ctrl-C")] = False,
 ) -> None:
     """The whole job on emulated wires: calibrate, learn the inertia, palpate four sites, say how stiff each is."""
     from palpd.cli.printing import print_demonstration
@@ -166,6 +167,11 @@ def demo(
 
     if not wires and effect is None:
         raise BadInput("--no-wires belongs to --effect; palpd sim carries out a plan without wires")
+    if page:
+        if full or effect is not None or json_file is not None:
+            raise BadInput("--page serves the emulated cell and palpates nothing by itself; leave --full, --effect and --json out")
+        _serve_demo(folder)
+        return
     check_writable(json_file)
     check_folder(folder or Path("runs"))
     demonstration = show.gap(effect, folder, display(), wires=wires) if effect else show.palpate(full, folder, display())
@@ -176,6 +182,25 @@ def demo(
     print_demonstration(demonstration)
     write_json(json_file, result)
     finish(0 if result["verdict"] == "done" else 3, result["reason"])
+
+
+def _serve_demo(folder: Path | None) -> None:
+    """Serve an emulated cell and its page until Ctrl-C."""
+    import subprocess
+    import sys
+
+    from palpd.daemon.demo import service_on_wires
+
+    check_folder(folder or Path("runs"))
+    with service_on_wires(folder, display()) as config:
+        command = [sys.executable, "-m", "palpd", "web", "--config", str(config), "--plan", str(config.with_name("plan.yaml"))]
+        with config.with_name("page.log").open("wb") as log:
+            page = subprocess.Popen(command, stderr=log)
+        try:
+            page.wait()
+        finally:
+            page.terminate()
+            page.wait()
 
 
 @app.command()

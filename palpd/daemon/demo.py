@@ -1,12 +1,15 @@
 """`palpd demo`: the whole job with the real daemon on emulated wires, in a folder of its own."""
 
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from palpd.analysis.young import modulus_peak_Pa
 from palpd.cell.cell_file import PHANTOM, CellFile, load_cell, save_cell
@@ -23,6 +26,7 @@ from palpd.daemon.session import ForegroundHost, calibrate, carry_out, job, kept
 from palpd.daemon.simulated_run import run as simulate
 from palpd.daemon.wiring import devices, emulated
 from palpd.errors import BadInput
+from palpd.files import write_text
 from palpd.gap.commands import diagnose_files
 from palpd.gap.other_motion import check_on
 from palpd.gap.report import write as write_report
@@ -229,6 +233,35 @@ def true_modulus_Pa(cell: CellFile, site: str, plan: Plan) -> float:
         modulus_peak_Pa(equilibrium_force_N(cell, depth_m, site), depth_m, cell.probe.tip_radius_m, poisson) for depth_m in plan.depths_m
     ]
     return sum(moduli) / len(moduli)
+
+
+@contextmanager
+def service_on_wires(folder: Path | None, display: Display) -> Iterator[Path]:
+    """Serve the emulated phantom of the paper within the context: calibrated, disarmed, with its own folder.
+
+    Args:
+        folder: Empty folder for configuration, recordings and state; by default a new one in runs/.
+        display: Shows the progress.
+
+    Yields:
+        The config.yaml of the service; a plan.yaml that its limits allow stands beside it.
+    """
+    folder = kept_in(folder or Path("runs"), "demo" if folder is None else None)
+    display.say(f"A UR5 and a HEX-70 are emulated; everything is kept in {folder}.")
+    with cell_on_wires(PHANTOM.with_effects({"sensor.bias": {"offset_N": BIAS_N}}), folder) as config:
+        stated = config.model_dump(mode="json", exclude_unset=True) | {"paths": {"runs": ".", "state": "state"}}
+        for name, values in (("config.yaml", stated), ("plan.yaml", SHORT.model_dump(mode="json", exclude_unset=True))):
+            write_text(folder / name, yaml.safe_dump(values, sort_keys=False))
+        display.say("reference tare")
+        calibrate(ForegroundHost(config, devices, display))
+        with (folder / "service.log").open("wb") as log:
+            command = [sys.executable, "-m", "palpd", "serve", "--config", str(folder / "config.yaml")]
+            service = subprocess.Popen(command, stderr=log)
+        try:
+            yield folder / "config.yaml"
+        finally:
+            service.terminate()
+            service.wait()
 
 
 @contextmanager

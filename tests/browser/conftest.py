@@ -21,8 +21,9 @@ from tests.hil.serving import Served, served
 playwright_api: Any = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; pip install playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 PORT = 8790
-PATIENCE_MS = 120_000.0
+PATIENCE_S = 300.0
 """For a machine that does other things besides: the tests look at order and content, not at time."""
+PATIENCE_MS = 1000.0 * PATIENCE_S
 PLAN = {
     "sites": [{"name": "A"}],
     "mode": "static",
@@ -57,7 +58,7 @@ class Pages:
                 return True
             return False
 
-        until(listens, "the page is served", 60.0, every_s=0.2)
+        until(listens, "the page is served", PATIENCE_S, every_s=0.2)
 
     def stop(self) -> None:
         """End the server by force: a page that hangs must not hold a test."""
@@ -104,7 +105,7 @@ def all_pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pages]:
         pytest.skip("chromium is not installed; apt install chromium")
     with (
         emulated_cell(tmp_path_factory.mktemp("cell"), "ur5") as cell,
-        served(cell.anew(tmp_path_factory.mktemp("run"), 1500.0, **PATIENT)) as service,
+        served(cell.anew(tmp_path_factory.mktemp("run"), 1500.0, **PATIENT), PATIENCE_S) as service,
         playwright_api.sync_playwright() as playwright,
     ):
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"], timeout=PATIENCE_MS)
@@ -122,7 +123,7 @@ def pages(all_pages: Pages) -> Iterator[Pages]:
     yield all_pages
     all_pages.close_browsers()
     all_pages.service.do("abort")
-    all_pages.service.until_disarmed()
+    all_pages.service.until_disarmed(PATIENCE_S)
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from benchmarks.emulated_cell import until
-from tests.browser.conftest import Pages
+from tests.browser.conftest import PATIENCE_S, Pages
 
 pytestmark = [pytest.mark.hil, pytest.mark.timeout(900)]
 
@@ -35,7 +35,7 @@ def press_until_held(page: Any, pages: Pages, choose: Choose) -> None:
     state_is(page, "armed")
     page.click("[data-do=start]")
     state_is(page, "running")
-    until(lambda: pages.service.do("status").get("phase") == "hold", "the probe is held in the tissue", 120.0, every_s=0.1)
+    until(lambda: pages.service.do("status").get("phase") == "hold", "the probe is held in the tissue", PATIENCE_S, every_s=0.1)
 
 
 def out_of_the_tissue(page: Any, pages: Pages) -> None:
@@ -44,7 +44,7 @@ def out_of_the_tissue(page: Any, pages: Pages) -> None:
     until(
         lambda: pages.service.do("status").get("last", {}).get("recording", "").endswith("retract.mcap"), "the arm left", 120.0, every_s=0.1
     )
-    pages.service.until_disarmed()
+    pages.service.until_disarmed(PATIENCE_S)
     assert pages.service.cell.truth()["contact_N"] < 0.5
 
 
@@ -65,11 +65,11 @@ def test_a_run_is_started_watched_paused_aborted_and_left(pages: Pages, choose: 
     assert pages.service.cell.truth()["contact_N"] < 0.5, "a pause leaves the tissue"
     pages.keep(page, "3-paused")
     page.click("#pause")
-    until(lambda: pages.service.do("status").get("phase") == "hold", "the press has begun again", 120.0, every_s=0.1)
+    until(lambda: pages.service.do("status").get("phase") == "hold", "the press has begun again", PATIENCE_S, every_s=0.1)
 
     page.focus("#pause")
     page.keyboard.press("Space")
-    until(lambda: pages.service.do("status")["state"] == "disarmed", "the space bar aborts, also while Pause has the focus", 60.0)
+    until(lambda: pages.service.do("status")["state"] == "disarmed", "the space bar aborts, also while Pause has the focus", PATIENCE_S)
     page.wait_for_function("document.getElementById('fault').textContent.includes('the operator aborted')")
     assert "Abort carried out" in message(page)
     assert pages.service.cell.truth()["contact_N"] > 2.0, "the arm rests where it was"
@@ -85,7 +85,7 @@ def test_an_expired_page_aborts_and_can_do_nothing_else(pages: Pages, choose: Ch
     page.wait_for_function("document.getElementById('message').textContent.includes('12 hours')")
     assert pages.service.do("status")["state"] == "running"
     page.click("#abort")
-    until(lambda: pages.service.do("status")["state"] == "disarmed", "an expired page aborts", 60.0)
+    until(lambda: pages.service.do("status")["state"] == "disarmed", "an expired page aborts", PATIENCE_S)
     pages.keep(page, "5-expired")
     page.reload(wait_until="commit")
     page.wait_for_selector("#token")
@@ -113,12 +113,12 @@ def test_a_server_that_hangs_or_dies_is_a_lost_link_and_the_run_goes_on(pages: P
     pages.stop()
     page.wait_for_selector("body[data-link=lost]")
     ticks = pages.service.do("status")["tick"]
-    until(lambda: pages.service.do("status")["tick"] > ticks + 50, "the run goes on without its page", 60.0)
+    until(lambda: pages.service.do("status")["tick"] > ticks + 50, "the run goes on without its page", PATIENCE_S)
     assert pages.service.do("status")["state"] == "running"
     pages.start()
     page.wait_for_selector("body[data-link=open]:not([data-old])")
     page.keyboard.press("Space")
-    until(lambda: pages.service.do("status")["state"] == "disarmed", "the page of the server before aborts", 60.0)
+    until(lambda: pages.service.do("status")["state"] == "disarmed", "the page of the server before aborts", PATIENCE_S)
     out_of_the_tissue(page, pages)
 
 
@@ -136,7 +136,7 @@ def test_one_operator_holds_the_controls_and_everyone_aborts(pages: Pages, choos
     assert ben.input_value("#operator") == "b b", "in a text field the space bar is a space"
     assert pages.service.do("status")["phase"] == "hold"
     ben.click("#abort")
-    until(lambda: pages.service.do("status")["state"] == "disarmed", "whoever watches may abort", 60.0)
+    until(lambda: pages.service.do("status")["state"] == "disarmed", "whoever watches may abort", PATIENCE_S)
     out_of_the_tissue(anna, pages)
 
 

@@ -58,15 +58,15 @@ class Served:
 
 
 @contextmanager
-def served(cell: EmulatedCell) -> Iterator[Served]:
+def served(cell: EmulatedCell, patience_s: float = 60.0) -> Iterator[Served]:
     """Calibrate, and serve within the context."""
-    calibrated = cell.palpd("calibrate", "--config", cell.config)
+    calibrated = cell.palpd("calibrate", "--config", cell.config, patience_s=patience_s)
     assert calibrated.returncode == 0, calibrated.stderr
     with Path(cell.folder, "log.jsonl").open("wb") as log:
         process = subprocess.Popen([sys.executable, "-m", "palpd", "serve", "--config", str(cell.config)], stderr=log)
     try:
         service = Served(cell, process)
-        service.until_disarmed()
+        service.until_disarmed(patience_s)
         yield service
     finally:
         if process.poll() is None:

@@ -1,0 +1,43 @@
+"""The files of the page: what others wrote is unchanged, nothing comes from the internet, nothing is inline, abort stands on every page."""
+
+import hashlib
+import re
+from pathlib import Path
+
+import pytest
+
+from palpd.web.shell import PAGES, STATIC, TABS
+from tests.web.conftest import Browser
+
+VENDORED = {
+    "uPlot.iife.min.js": "19c8d4c6ad88929a79f4ae49d6f7161566dfd0ba3d15cc495e974f787eb78f1f",
+    "uPlot.min.css": "df630c6a8d6f8eeaff264b50f73ce5b114f646ffd9a0bb74f049b0a00135fa04",
+    "uPlot-LICENSE": "8f989229699b4fe2f1a0432d0e9edc338a8a911e250e2d1b01ecd770a5f5b1bd",
+}
+"""SHA-256 of the files of the npm package uplot 1.6.32, as released."""
+OURS = sorted([*PAGES.glob("*.html"), *STATIC.glob("*.js"), *STATIC.glob("*.css")])
+
+
+def test_what_others_wrote_is_as_they_released_it() -> None:
+    found = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (STATIC / "vendor").iterdir()}
+    assert found == VENDORED
+
+
+@pytest.mark.parametrize("path", OURS, ids=lambda path: path.name)
+def test_nothing_comes_from_elsewhere_and_nothing_is_made_of_text(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert not re.search(r"""(src|href|from|import|url)\s*[=(]?\s*["'(]\s*(https?:)?//""", text), "an address of the internet"
+    assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(", text), "foreign text could become HTML"
+    assert not re.search(r"<[^>]+\s(on\w+|style)=", text), "the policy refuses it"
+    assert not re.search(r"\b(confirm|alert|prompt)\(", text), "a dialog holds the space bar back"
+
+
+def test_abort_stands_on_every_page_apart_from_tabs_and_pause(browser: Browser) -> None:
+    client = browser()
+    for tab in TABS:
+        page = client.get(tab.path).text
+        assert page.count('id="abort"') == 1
+        assert "not the emergency stop" in page
+        box = page[page.index('class="abort-box"') : page.index('class="standing"')]
+        assert box.count("<button") == 1
+        assert f'<a href="{tab.path}" aria-current=page>{tab.title}</a>' in page
