@@ -2,7 +2,9 @@
 
 import argparse
 import asyncio
+import contextlib
 import os
+import socket
 import sys
 from pathlib import Path
 
@@ -26,8 +28,6 @@ def main(words: list[str]) -> int:
     server = uvicorn.Server(
         uvicorn.Config(
             build(settings, Sessions(token)),
-            host=settings.listen,
-            port=settings.port,
             log_config=None,
             access_log=False,
             lifespan="on",
@@ -41,19 +41,23 @@ def main(words: list[str]) -> int:
             server_header=False,
         )
     )
+    try:
+        family = socket.AF_INET6 if ":" in settings.listen else socket.AF_INET
+        listener = socket.create_server((settings.listen, settings.port), family=family, backlog=1024)
+    except OSError as error:
+        reason = error.strerror or error
+        print(
+            f"palpd: the page cannot listen at {settings.listen} port {settings.port} ({reason}); see --listen and --port", file=sys.stderr
+        )
+        return 2
     name = settings.names[0] if settings.names else "127.0.0.1"
     if "JOURNAL_STREAM" in os.environ:  # others may read the journal
         print(f"The page of palpd: http://{name}:{settings.port}/, the token stands in {token_file}", flush=True)
     else:
         print(f"The page of palpd: http://{name}:{settings.port}/?token={token}", flush=True)
     log("page served", listen=settings.listen, port=settings.port, socket=str(settings.socket), loopback_only=_only_here(settings.listen))
-    try:
-        asyncio.run(server.serve())
-    except KeyboardInterrupt:
-        return 0
-    except SystemExit:
-        print(f"palpd: the page cannot listen at {settings.listen} port {settings.port}; is it served already? See --port", file=sys.stderr)
-        return 2
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(server.serve([listener]))
     return 0
 
 

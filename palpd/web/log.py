@@ -6,6 +6,11 @@ from datetime import UTC, datetime
 
 
 def log(event: str, **what: object) -> None:
-    """Write a line; `what` says who asked and what happened. structlog, which the service uses, would take 20 MB."""
+    """Write a line. structlog, which the service uses, would take 20 MB.
+
+    Args:
+        event: What happened.
+        what: Who asked, and how it ended.
+    """
     date = datetime.now(UTC).isoformat().replace("+00:00", "Z")
     print(json.dumps({**what, "event": event, "level": "info", "timestamp": date}), file=sys.stderr, flush=True)

@@ -43,7 +43,7 @@ class SiteModuli:
         self._recording: Path | None = None
         self._sites: dict[str, list[LiveSite]] = {}
         self._error = ""
-        self._due = False
+        self._due: Path | None = None
         self._task: asyncio.Task[None] | None = None
 
     def event(self) -> dict[str, Any]:
@@ -61,24 +61,23 @@ class SiteModuli:
             self._recording = Path(status["recording"])
             site = int(status.get("site", -1))
             if site > self._site >= 0:
-                self._begin()
+                self._begin(self._recording)
             self._site = site
         elif self._recording is not None and "job" not in status:  # the run is over, and its file has got its name
-            last = status.get("last") or {}
-            if last.get("recording"):
-                self._recording = Path(last["recording"])
-                self._begin()
-            self._site = -1
+            last = (status.get("last") or {}).get("recording")
+            if last is not None and Path(last).stem == self._recording.stem:
+                self._begin(Path(last))
+            self._recording, self._site = None, -1
 
-    def _begin(self) -> None:
-        self._due = True
+    def _begin(self, recording: Path) -> None:
+        self._due = recording
         if self._task is None or self._task.done():
             self._task = asyncio.get_running_loop().create_task(self._analyse())
 
     async def _analyse(self) -> None:
         loop = asyncio.get_running_loop()
-        while self._due and self._recording is not None:
-            self._due, recording, job, began_s = False, self._recording, self._job, loop.time()
+        while self._due is not None:
+            recording, job, began_s, self._due = self._due, self._job, loop.time(), None
             try:
                 sites, error = await self._aside.compute(moduli_of, str(recording)), ""
             except PalpdError as refused:
@@ -88,9 +87,7 @@ class SiteModuli:
                 if sites is not None:
                     self._sites[recording.stem] = sites
                 self._publish(self.event())
-            if recording.suffix == ".mcap" and recording == self._recording:
-                self._recording = None
-            await asyncio.sleep(max(LEAST_REST_S, REST * (loop.time() - began_s)) if self._due else 0.0)
+            await asyncio.sleep(max(LEAST_REST_S, REST * (loop.time() - began_s)) if self._due is not None else 0.0)
 
 
 def moduli_of(recording: str) -> list[LiveSite]:

@@ -88,7 +88,7 @@ class Ticks:
             rows = rows[int(np.argmin(rows["index"])) :]
             self._begin(rows)
         self._last_index = int(rows["index"][-1])
-        self._judge(rows, lost)
+        self._note_health(rows, lost)
         points = [self._point(rows[at]) for at in _chosen(rows)]
         self.points.extend(points)
         return points
@@ -101,7 +101,7 @@ class Ticks:
         self.health, self._press, self._press_key = Health(), 0, None
         self._began_s = float(rows["now_s"][0])
 
-    def _judge(self, rows: Rows, lost: int) -> None:
+    def _note_health(self, rows: Rows, lost: int) -> None:
         health, now_s = self.health, rows["now_s"]
         self._times.extend(now_s.tolist())
         while self._times and self._times[0] < now_s[-1] - RATE_OVER_S:

@@ -16,13 +16,12 @@ import pytest
 
 from benchmarks.emulated_cell import PATIENT, emulated_cell, until
 from palpd.web.sessions import SESSION_S, Sessions
+from tests.browser.waiting import PATIENCE_S, until_text
 from tests.hil.serving import Served, served
 
 playwright_api: Any = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; pip install playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 PORT = 8790
-PATIENCE_S = 300.0
-"""For a machine that does other things besides: the tests look at order and content, not at time."""
 PATIENCE_MS = 1000.0 * PATIENCE_S
 PLAN = {
     "sites": [{"name": "A"}],
@@ -132,6 +131,6 @@ def choose() -> Callable[[Any], None]:
 
     def choose_plan(page: Any) -> None:
         page.set_input_files("#plan-file", {"name": "hold.yaml", "mimeType": "text/yaml", "buffer": json.dumps(PLAN).encode()})
-        page.wait_for_function("document.getElementById('plan-name').textContent === 'hold.yaml'")
+        until_text(page, "#plan-name", "hold.yaml")
 
     return choose_plan

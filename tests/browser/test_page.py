@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from benchmarks.emulated_cell import until
-from tests.browser.conftest import PATIENCE_S, Pages
+from tests.browser.conftest import Pages
+from tests.browser.waiting import PATIENCE_S, above, until_text
 
 pytestmark = [pytest.mark.hil, pytest.mark.timeout(900)]
 
@@ -48,10 +49,10 @@ def test_a_run_is_started_watched_paused_aborted_and_left(pages: Pages, choose: 
     page = pages.open()
     pages.keep(page, "1-disarmed")
     press_until_held(page, pages, choose)
-    page.wait_for_function("parseFloat(document.getElementById('force').textContent) > 2")
-    page.wait_for_function("parseFloat(document.getElementById('depth').textContent) > 3")
-    page.wait_for_function("document.getElementById('progress-text').textContent.includes('holding')")
-    page.wait_for_function("parseFloat(document.getElementById('rate').textContent) > 20")
+    until_text(page, "#force", above(2.0))
+    until_text(page, "#depth", above(3.0))
+    until_text(page, "#progress-text", "holding")
+    until_text(page, "#rate", above(20.0))
     assert "contact_N" not in str(page.text_content("body"))
     pages.keep(page, "2-holding")
 
@@ -66,7 +67,7 @@ def test_a_run_is_started_watched_paused_aborted_and_left(pages: Pages, choose: 
     page.focus("#pause")
     page.keyboard.press("Space")
     until(lambda: pages.service.do("status")["state"] == "disarmed", "the space bar aborts, also while Pause has the focus", PATIENCE_S)
-    page.wait_for_function("document.getElementById('fault').textContent.includes('the operator aborted')")
+    until_text(page, "#fault", "the operator aborted")
     assert "Abort carried out" in message(page)
     assert pages.service.cell.truth()["contact_N"] > 2.0, "the arm rests where it was"
     pages.keep(page, "4-aborted")
@@ -78,7 +79,7 @@ def test_an_expired_page_aborts_and_can_do_nothing_else(pages: Pages, choose: Ch
     press_until_held(page, pages, choose)
     pages.expire(page)
     page.click("#pause")
-    page.wait_for_function("document.getElementById('message').textContent.includes('12 hours')")
+    until_text(page, "#message", "12 hours")
     assert pages.service.do("status")["state"] == "running"
     page.click("#abort")
     until(lambda: pages.service.do("status")["state"] == "disarmed", "an expired page aborts", PATIENCE_S)
@@ -115,9 +116,9 @@ def test_a_server_that_hangs_or_dies_is_a_lost_link_and_the_run_goes_on(pages: P
 def test_one_operator_holds_the_controls_and_everyone_aborts(pages: Pages, choose: Choose) -> None:
     anna, ben = pages.open("anna"), pages.open("ben", scheme="dark", size=(1024, 768))
     press_until_held(anna, pages, choose)
-    ben.wait_for_function("document.getElementById('holder').textContent === 'anna holds the controls'")
+    until_text(ben, "#holder", "anna holds the controls")
     ben.click("#pause")
-    ben.wait_for_function("document.getElementById('message').textContent.startsWith('anna holds the controls; ')")
+    until_text(ben, "#message", "anna holds the controls; ")
     assert pages.service.do("status")["phase"] == "hold"
     pages.keep(ben, "8-second-operator")
     ben.fill("#operator", "")
@@ -134,7 +135,7 @@ def test_a_wrong_plan_is_refused_in_one_sentence_and_nothing_moves(pages: Pages)
     page = pages.open("<img src=x onerror=alert(1)>")
     page.click("[data-do=arm]")
     state_is(page, "armed")
-    page.wait_for_function("document.getElementById('holder').textContent === 'You hold the controls'")
+    until_text(page, "#holder", "You hold the controls")
     for text, sentence in (
         ("sites: [{name: A}]\ndepths_m: [0.4]\n", "a depth of 0.4 m is outside 0.0002 to 0.02 m"),
         ("sites: [{name: '../x'}]\ndepths_m: [0.004]\n", "sites.0.name"),
@@ -142,6 +143,6 @@ def test_a_wrong_plan_is_refused_in_one_sentence_and_nothing_moves(pages: Pages)
     ):
         page.set_input_files("#plan-file", {"name": "wrong.yaml", "mimeType": "text/yaml", "buffer": text.encode()})
         page.click("[data-do=start]")
-        page.wait_for_function("text => document.getElementById('message').textContent.includes(text)", arg=sentence)
+        until_text(page, "#message", sentence)
         assert pages.service.do("status")["state"] == "armed"
     assert page.query_selector("main img") is None

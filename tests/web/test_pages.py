@@ -19,8 +19,8 @@ OURS = sorted([*PAGES.glob("*.html"), *STATIC.glob("*.js"), *STATIC.glob("*.css"
 
 
 def test_what_others_wrote_is_as_they_released_it() -> None:
-    found = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (STATIC / "vendor").iterdir()}
-    assert found == VENDORED
+    hashes = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (STATIC / "vendor").iterdir()}
+    assert hashes == VENDORED
 
 
 @pytest.mark.parametrize("path", OURS, ids=lambda path: path.name)

@@ -32,7 +32,10 @@ on("lost", ({ reason }) => {
   show("gone", "No service", reason);
 });
 on("refused", ({ reason }) => say(reason, "refused"));
-on("link", (now) => { link.textContent = expired ? LINKS.expired : LINKS[now]; });
+on("link", (now) => {
+  if (now === "open") expired = false; // the token was given in another tab
+  link.textContent = expired ? LINKS.expired : LINKS[now];
+});
 on("closed", async () => {
   if (expired) return;
   const answer = await ask("/do/status", {}, { patience_ms: 1000 });
