@@ -14,8 +14,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from palpd.web.log import log
 from palpd.web.service_link import Event, ServiceLink
-from palpd.web.site_moduli import SiteModuli
-from palpd.web.ticks import Ticks, as_line
+from palpd.web.site_moduli import LiveModuli
+from palpd.web.ticks import TickStream, as_line
 
 if TYPE_CHECKING:
     from palpd.web.application import Page
@@ -36,8 +36,8 @@ class Live:
 
     def __init__(self, page: "Page") -> None:
         self.link: ServiceLink = page.link
-        self.ticks = Ticks()
-        self.moduli = SiteModuli(page.aside, self.publish)
+        self.ticks = TickStream()
+        self.moduli = LiveModuli(page.aside, self.publish)
         self.pages: dict[int, asyncio.Queue[str | None]] = {}
         self._sent_s = 0.0
 

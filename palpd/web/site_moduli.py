@@ -33,7 +33,7 @@ class LiveSite(TypedDict):
     cut_short: bool
 
 
-class SiteModuli:
+class LiveModuli:
     """Keeps the moduli of the job under way, or of the last one. `publish` receives an event where they have changed."""
 
     def __init__(self, aside: Aside, publish: Callable[[dict[str, Any]], None]) -> None:

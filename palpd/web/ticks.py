@@ -43,7 +43,7 @@ class Health:
 
 
 @dataclass(slots=True)
-class Ticks:
+class TickStream:
     """Reads the ring of the service. `points` are the last ones of the run; `run` counts the runs that were seen."""
 
     points: deque[Point] = field(default_factory=lambda: deque(maxlen=KEPT_POINTS))

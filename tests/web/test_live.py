@@ -12,19 +12,19 @@ import pytest
 from palpd.tick import Mode, Phase
 from palpd.web.application import Page, PageSettings
 from palpd.web.live import MOST_WAITING
-from palpd.web.ticks import Ticks
+from palpd.web.ticks import TickStream
 from tests.web.conftest import Browser
 from tests.web.fake_service import FakeService
 
 
 @pytest.fixture
-def ticks(service: FakeService) -> Ticks:
-    watching = Ticks()
+def ticks(service: FakeService) -> TickStream:
+    watching = TickStream()
     watching.watch(service.ring.name)
     return watching
 
 
-def test_a_frame_has_few_points_and_leaves_no_peak_out(ticks: Ticks, service: FakeService) -> None:
+def test_a_frame_has_few_points_and_leaves_no_peak_out(ticks: TickStream, service: FakeService) -> None:
     for number in range(40):
         service.write(number, 100.0 + number / 125.0, 9.0 if number == 17 else 1.0)
     points = ticks.read()
@@ -37,7 +37,7 @@ def test_a_frame_has_few_points_and_leaves_no_peak_out(ticks: Ticks, service: Fa
     assert ticks.health.sensor_age_ms == pytest.approx(2.0)
 
 
-def test_missed_ticks_and_lost_rows_are_counted_and_a_new_run_begins_at_zero(ticks: Ticks, service: FakeService) -> None:
+def test_missed_ticks_and_lost_rows_are_counted_and_a_new_run_begins_at_zero(ticks: TickStream, service: FakeService) -> None:
     for number in range(10):
         service.write(number, number / 125.0, missed=1)
     ticks.read()
@@ -54,7 +54,7 @@ def test_missed_ticks_and_lost_rows_are_counted_and_a_new_run_begins_at_zero(tic
     assert (ticks.health.missed, ticks.health.lost) == (0, 0)
 
 
-def test_presses_are_told_apart_and_a_reading_that_is_none_is_no_number(ticks: Ticks, service: FakeService) -> None:
+def test_presses_are_told_apart_and_a_reading_that_is_none_is_no_number(ticks: TickStream, service: FakeService) -> None:
     at = {"site": 0, "mode": Mode.DYNAMIC, "depth_m": 0.004, "surface_z_m": 0.1}
     number = 0
     for repeat in (0, 1):
@@ -68,7 +68,7 @@ def test_presses_are_told_apart_and_a_reading_that_is_none_is_no_number(ticks: T
 
 
 def test_a_ring_that_cannot_be_opened_reads_as_one_without_rows() -> None:
-    ticks = Ticks()
+    ticks = TickStream()
     ticks.watch("palpd-absent")
     assert not ticks.readable
     assert ticks.read() == []

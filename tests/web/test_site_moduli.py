@@ -14,7 +14,7 @@ from palpd.daemon.simulated_run import SimulatedRecording, run
 from palpd.errors import RecordingError, Refused
 from palpd.recording.mcap_file import RecordingWriter
 from palpd.web.aside import Aside
-from palpd.web.site_moduli import SiteModuli, moduli_of
+from palpd.web.site_moduli import LiveModuli, moduli_of
 
 PLAN = Plan(sites=(PlanSite(name="A"), PlanSite(name="B", x_m=0.03)), depths_m=(0.004,), mode="static", hold_s=0.5)
 
@@ -72,7 +72,7 @@ def heard(statuses: list[dict[str, Any]]) -> tuple[list[str], dict[str, Any]]:
 
     async def follow() -> tuple[list[str], dict[str, Any]]:
         aside = Beside()
-        moduli = SiteModuli(aside, lambda event: None)
+        moduli = LiveModuli(aside, lambda event: None)
         for status in statuses:
             moduli.hear(status)
             await asyncio.sleep(0.05)
