@@ -15,6 +15,7 @@ from palpd.cli.options import (
     ConfigOption,
     EffectsOption,
     JsonOption,
+    ProgressOption,
     SiteOption,
     adopted_folder,
     app,
@@ -23,6 +24,7 @@ from palpd.cli.options import (
     display,
     finish,
     say_broken_effects,
+    shown_steps,
     terminal,
 )
 from palpd.errors import BadInput, RecordingError
@@ -34,7 +36,10 @@ def diagnose(
     recordings: Annotated[
         list[Path], typer.Argument(help="recordings of one cell (.csv, .parquet, .mcap), or a folder of X.csv with X.yaml")
     ],
-    cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml: what the simulator believes (not for a folder)")] = None,
+    cell: Annotated[
+        Path | None,
+        typer.Option("--cell", help="cell.yaml: what the simulator believes (default: what a .mcap states; not for a folder)"),
+    ] = None,
     site: SiteOption = None,
     json_file: JsonOption = None,
     cell_out: Annotated[Path | None, typer.Option("--cell-out", help="write the cell with what was found")] = None,
@@ -51,10 +56,11 @@ def diagnose(
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", help="for a folder: tcp://… of a Dask cluster (palpd[cluster]), in place of processes")
     ] = None,
+    progress: ProgressOption = False,
 ) -> None:
     """Show where measurement and simulation disagree, which effect causes it, and how far the gap closes."""
     from palpd.cli.tables import diagnosis_lines
-    from palpd.gap.commands import diagnose_files, required_cell
+    from palpd.gap.commands import diagnose_files
     from palpd.gap.report import write as write_report
 
     check_writable(json_file, cell_out, report)
@@ -65,18 +71,18 @@ def diagnose(
         _refuse_for_a_folder(recordings[0], beside)
         _diagnose_fleet(recordings[0], jobs, scheduler, effects, adopted_folder(adopted), json_file)
         return
-    nominal = required_cell(cell)
-    with terminal().status("diagnosing"):
+    with shown_steps("diagnosing", progress) as show:
         try:
             diagnosis = diagnose_files(
                 recordings,
-                nominal,
+                cell,
                 json_out=json_file,
                 cell_out=cell_out,
                 effects=effects,
                 adopted=adopted_folder(adopted),
                 site=site,
                 simulated=simulated or (),
+                show=show,
             )
         except RecordingError as error:
             raise _with_import_command(error, recordings) from error

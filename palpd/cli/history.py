@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, app, terminal
+from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, ProgressOption, app, shown_steps, terminal
 from palpd.errors import BadInput
 from palpd.files import check_writable, write_json
 
@@ -37,6 +37,7 @@ def runs(
         str | None, typer.Option("--trend", metavar="SITE", help="how this site's moduli and effects change over the days")
     ] = None,
     rebuild: Annotated[bool, typer.Option("--rebuild", help="make the catalogue anew from the recordings")] = False,
+    progress: ProgressOption = False,
     folder: FolderOption = None,
     config: ConfigOption = DEFAULT_CONFIG,
     json_file: JsonOption = None,
@@ -60,7 +61,7 @@ def runs(
         text=text,
     )
     with Catalogue(place) as catalogue:
-        _brought_up_to_date(catalogue, rebuild)
+        _brought_up_to_date(catalogue, rebuild, progress)
         if trend is not None:
             _print_trend(catalogue, trend, only, json_file)
         else:
@@ -70,16 +71,28 @@ def runs(
 
 
 @app.command()
-def info(run: RunArgument, folder: FolderOption = None, config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = None) -> None:
+def info(
+    run: RunArgument,
+    course: Annotated[
+        Path | None, typer.Option("--course", help="write force and height over time too, thinned, as an array (.npy)")
+    ] = None,
+    folder: FolderOption = None,
+    config: ConfigOption = DEFAULT_CONFIG,
+    json_file: JsonOption = None,
+) -> None:
     """Show what a run was: conditions, verdict and reason, sites and moduli, health of the loop, faults, files."""
     from palpd.cli.history_tables import info_lines, moduli_table
+    from palpd.history.course import course_of, write_course
     from palpd.history.facts import load
     from palpd.history.remarks import remarks_of
+    from palpd.history.report import fault_sentences, headline, mood, report_conditions
     from palpd.history.stored import recording_meant
 
-    check_writable(json_file)
+    check_writable(json_file, course)
     path = recording_meant(run, _folder(folder, config))
     recording, facts = load(path)
+    if course is not None:
+        write_course(course, course_of(path))
     remarks = remarks_of(path)
     before, after = info_lines(recording, facts, remarks)
     for line in before:
@@ -88,7 +101,14 @@ def info(run: RunArgument, folder: FolderOption = None, config: ConfigOption = D
         terminal().print(moduli_table(facts["sites"]))
     for line in after:
         _say(line)
-    write_json(json_file, {**facts, "remarks": remarks.model_dump(mode="json")})
+    words = {
+        "remarks": remarks.model_dump(mode="json"),
+        "mood": mood(facts),
+        "headline": headline(facts),
+        "faults": fault_sentences(facts),
+        "conditions": report_conditions(recording, facts),
+    }
+    write_json(json_file, {**facts, **words})
 
 
 @app.command()
@@ -151,17 +171,14 @@ def _remark(chosen: list[str], tag: list[str], untag: list[str], note: str, plac
         _say(f"{path}: tags {', '.join(remarks.tags) or 'none'}; {len(remarks.notes)} {'note' if len(remarks.notes) == 1 else 'notes'}")
 
 
-def _brought_up_to_date(catalogue: "Catalogue", rebuild: bool) -> None:
+def _brought_up_to_date(catalogue: "Catalogue", rebuild: bool, progress: bool) -> None:
     """Read what the catalogue does not know yet, with a line of progress on a terminal."""
     from palpd.history.stored import printable
 
-    console = terminal()
-    with console.status("looking for new recordings") as status:
-
-        def show(read: int, total: int, name: str) -> None:
-            status.update(f"reading recording {read + 1} of {total}: {printable(name)}".replace("[", "\\["))
-
-        read = (catalogue.rebuild if rebuild else catalogue.refresh)(show)
+    with shown_steps("looking for new recordings", progress) as show:
+        read = (catalogue.rebuild if rebuild else catalogue.refresh)(
+            lambda read, total, name: show(f"reading recording {read + 1} of {total}: {printable(name)}")
+        )
     if rebuild:
         _say(f"{catalogue.path}: made anew from {read} recordings.")
 
@@ -177,21 +194,18 @@ def _print_runs(catalogue: "Catalogue", only: "RunFilter", most: int, place: Pat
         _say(f"No run in {place} is like that.")
     if count > most:
         _say(f"{count - most} older runs are not shown; --most {count} shows all.")
-    write_json(json_file, {"folder": str(place), "count": count, "runs": as_json(entries)})
+    write_json(json_file, {"folder": str(place), "count": count, "runs": as_json(entries), "notes": catalogue.notes})
 
 
 def _print_trend(catalogue: "Catalogue", site: str, only: "RunFilter", json_file: Path | None) -> None:
     from palpd.cli.history_tables import effect_trend_table, modulus_trend_table, slope_lines
-    from palpd.history.trend import effect_trend, modulus_trend, trend_as_json
+    from palpd.history.trend import site_trend, trend_as_json
 
-    points, slopes = modulus_trend(catalogue, site, only)
-    effects = effect_trend(catalogue, site)
-    if not points and not effects:
-        raise BadInput(f"no run in {catalogue.folder} has a modulus of a site {site!r}; palpd runs lists the sites")
+    points, slopes, effects = site_trend(catalogue, site, only)
     if points:
         terminal().print(modulus_trend_table(points, site))
     if effects:
         terminal().print(effect_trend_table(effects))
     for line in slope_lines(slopes):
         _say(line)
-    write_json(json_file, trend_as_json(site, points, slopes, effects))
+    write_json(json_file, trend_as_json(site, points, slopes, effects) | {"notes": catalogue.notes})

@@ -1,6 +1,8 @@
 """What the commands share: the application they belong to, options, the terminal, and the way out."""
 
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -48,13 +50,15 @@ EffectsOption = Annotated[
     Path | None, typer.Option("--effects", help="effects of your own: a Python file (docs/examples) or learned ones (.yaml)")
 ]
 SiteOption = Annotated[str | None, typer.Option("--site", help="this site only, of recordings of the daemon (.mcap)")]
+ProgressOption = Annotated[bool, typer.Option("--progress", help="write each step to stderr, one a line, for programs")]
 AdoptedOption = Annotated[bool, typer.Option("--adopted/--no-adopted", help="whether your adopted effects count (palpd effects --adopt)")]
 DEFAULT_PLAN = Path("plan.yaml")
 
 __all__ = [
     "DEFAULT_CONFIG", "DEFAULT_PLAN", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "JsonOption", "PlanOption",
-    "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept", "clear_latch", "display", "finish", "say_broken_effects",
-    "terminal",
+    "ProgressOption", "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept", "clear_latch", "display", "finish",
+    "say_broken_effects",
+    "shown_steps", "terminal",
 ]  # fmt: skip
 
 
@@ -71,6 +75,24 @@ def display() -> "TerminalDisplay":
     from palpd.cli.terminal import TerminalDisplay
 
     return TerminalDisplay(terminal())
+
+
+@contextmanager
+def shown_steps(activity: str, progress: bool) -> Iterator[Callable[[str], None]]:
+    """Show the steps of a calculation within the context: on a terminal in one line that changes, for a program as lines on stderr.
+
+    Args:
+        activity: What is calculated.
+        progress: Whether a program reads the steps.
+
+    Yields:
+        Shows the step that begins.
+    """
+    if progress:
+        yield lambda step: print(step, file=sys.stderr, flush=True)
+        return
+    with terminal().status(activity) as status:
+        yield lambda step: status.update(f"{activity}: {step}".replace("[", "\\["))
 
 
 def finish(exit_code: int, reason: str) -> None:

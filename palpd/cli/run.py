@@ -11,12 +11,14 @@ from palpd.cli.options import (
     ConfigOption,
     JsonOption,
     PlanOption,
+    ProgressOption,
     SocketOption,
     app,
     check_kept,
     clear_latch,
     display,
     finish,
+    shown_steps,
     terminal,
 )
 from palpd.files import check_folder, check_writable, with_ending, write_json
@@ -208,7 +210,9 @@ def sim(
     plan: PlanOption = DEFAULT_PLAN,
     config: ConfigOption = DEFAULT_CONFIG,
     cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml to press (default: the paper's phantom)")] = None,
+    configured: Annotated[bool, typer.Option("--configured-cell", help="press the cell that --config states")] = False,
     seed: Annotated[int, typer.Option("--seed", help="of the noise")] = 0,
+    progress: ProgressOption = False,
     json_file: JsonOption = None,
 ) -> None:
     """Carry out a plan on the cell's physics, without wires and faster than real time."""
@@ -219,13 +223,19 @@ def sim(
     from palpd.daemon.motion_process import Job
     from palpd.daemon.run_result import simulated_result
     from palpd.daemon.simulated_run import run as simulate
+    from palpd.errors import BadInput
 
+    if configured and cell is not None:
+        raise BadInput("--cell and --configured-cell each name the cell to press; give one of them")
     settings, steps = load_config(config), load_plan(plan)
     refuse_unsafe(settings, steps)
     check_writable(json_file)
     library = load_effects()
-    pressed = load_cell(cell, library) if cell else PHANTOM
-    result = simulated_result(simulate(Job("palpation", settings, steps), pressed, seed=seed, library=library))
+    pressed = load_cell(cell, library) if cell else settings.cell if configured else PHANTOM
+    with shown_steps("simulating", progress) as show:
+        job = Job("palpation", settings, steps)
+        simulated = simulate(job, pressed, seed=seed, library=library, show=lambda at_s: show(f"{at_s:.0f} s of the plan"))
+    result = simulated_result(simulated)
     print_run(result)
     write_json(json_file, result)
     finish(0 if result["verdict"] == "done" else 3, result["reason"])

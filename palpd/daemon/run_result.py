@@ -10,13 +10,17 @@ from palpd.daemon.simulated_run import SimulatedRecording
 from palpd.daemon.socket_client import LastTick
 from palpd.daemon.supervisor import LAST_TICKS, Report, last_ticks_of
 from palpd.errors import RecordingError
+from palpd.history.course import as_columns, points_of, window
 from palpd.recording.reader import Recording
 
 NO_WIRES = "the cell was simulated without wires: bytes, timing and faults were not part of it"
 
 
 class RunResult(TypedDict):
-    """How a run ended and what it measured. `trips` and `last_ticks` are empty where nothing stopped it."""
+    """How a run ended and what it measured. `trips` and `last_ticks` are empty where nothing stopped it.
+
+    A simulated run has its duration, its largest contact force and its `course` too, as `palpd.history.course` gives it.
+    """
 
     verdict: str
     reason: str
@@ -29,6 +33,9 @@ class RunResult(TypedDict):
     model_card: NotRequired[dict[str, Any] | None]
     diagnosis: NotRequired[dict[str, Any]]
     dry: NotRequired[DryFigures | None]
+    duration_s: NotRequired[float]
+    peak_force_N: NotRequired[float]
+    course: NotRequired[dict[str, list[float | None]]]
 
 
 def run_result(report: Report) -> RunResult:
@@ -65,7 +72,8 @@ def run_result(report: Report) -> RunResult:
 
 def simulated_result(simulated: SimulatedRecording) -> RunResult:
     """The same of a run without wires."""
-    outcome, sites = simulated.outcome, results.sites(simulated.rows, simulated.header)
+    outcome, sites, course = simulated.outcome, results.sites(simulated.rows, simulated.header), points_of(simulated.rows)
+    course["t_s"] -= course["t_s"][0]
     return RunResult(
         verdict=outcome.verdict,
         reason=outcome.reason,
@@ -80,4 +88,7 @@ def simulated_result(simulated: SimulatedRecording) -> RunResult:
         loop={"ticks": outcome.ticks, "missed": outcome.missed},
         last_ticks=list(last_ticks_of(simulated.rows[-LAST_TICKS:])) if outcome.verdict != "done" else [],
         model_card=simulated.header["model_card"],
+        duration_s=float(course["t_s"][-1]),
+        peak_force_N=float(course["force_high_N"].max()),
+        course=as_columns(window(course, 0.0, float(course["t_s"][-1]))),
     )

@@ -22,6 +22,9 @@ from palpd.recording.mcap_file import RecordingHeader, RunAbout
 from palpd.recording.tick_rows import RowWriter
 from palpd.tick import ROW, ForceSensor, Request, TickRecord
 
+SHOWN_S = 5.0
+"""Simulated time between two reports of progress."""
+
 
 class RowList:
     """Keeps each tick as a row (ROW of palpd.tick)."""
@@ -58,6 +61,7 @@ def run(
     library: Library = EFFECTS,
     behind: Callable[[ForceSensor], ForceSensor] = lambda sensor: sensor,
     about: RunAbout | None = None,
+    show: Callable[[float], None] = lambda _: None,
 ) -> SimulatedRecording:
     """Carry out a job on a simulated cell.
 
@@ -70,6 +74,7 @@ def run(
         library: Effects that the cell file may name.
         behind: Another sensor that reads through the simulated one.
         about: What such a sensor says of itself.
+        show: Shows how many seconds of the run are simulated, every SHOWN_S.
 
     Returns:
         The outcome and the rows.
@@ -80,6 +85,14 @@ def run(
     sim = SimCell(cell.model_copy(update={"sensor": sensor}), rate_Hz, config.robot.acceleration_m_per_s2, seed, home_above_m, library)
     job = replace(job, reference=(0.0, 0.0, FZ_OFFSET_N, 0.0, 0.0, 0.0))
     record = RowList()
+    ticks_a_step = max(1, round(SHOWN_S * rate_Hz))
+
+    def request() -> Request:
+        ticks = len(record.rows)
+        if ticks % ticks_a_step == 0:
+            show(ticks / rate_Hz)
+        return requests.get(ticks, Request.NONE)
+
     loop = Loop(
         sim.robot,
         behind(sim.sensor),
@@ -88,7 +101,7 @@ def run(
         explainer_of(job, about or {}, delay_s),
         job_limits(job),
         record,
-        request=lambda: requests.get(len(record.rows), Request.NONE),
+        request=request,
     )
     outcome = loop.run()
     model = loop.explainer.model

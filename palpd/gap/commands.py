@@ -7,7 +7,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from palpd.cell.cell_file import CellFile, load_cell, save_cell
+from palpd.cell.cell_file import CellFile, load_cell, parse_cell, save_cell
 from palpd.cell.effects import EFFECTS, Effect, load_effects, save_learned
 from palpd.cell.effects.adopted import load_adopted
 from palpd.cell.effects.learned import held_sentence
@@ -17,7 +17,7 @@ from palpd.files import write_json
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.tolerances import estimate_tolerances
 from palpd.gap.user_simulator import UserSimulator, simulate_with
-from palpd.recording.reader import Recording, holds_ticks, samples_of, visited_sites
+from palpd.recording.reader import Recording, holds_ticks, read_header, samples_of, visited_sites
 from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, named_once, read, read_columns, refuse_values, write_csv
 from palpd.tick import Floats
 
@@ -76,11 +76,25 @@ def adopted_sentence(folder: Path, known: Mapping[str, Effect]) -> str:
     return f"Adopted effects were weighed with the others: {', '.join(names)} ({folder})." if names else ""
 
 
-def required_cell(cell: Path | None) -> Path:
-    """The cell file to diagnose against. Raises BadInput where none is given."""
-    if cell is None:
+def nominal_cell(cell: Path | None, recordings: Sequence[Path], known: Mapping[str, Effect]) -> CellFile:
+    """The cell to diagnose against.
+
+    Args:
+        cell: The cell file; without one the cell that the configuration of the first recording states.
+        recordings: The recordings.
+        known: The effects that it may have.
+
+    Returns:
+        The cell.
+
+    Raises:
+        BadInput: No file is given, and a recording is none of the daemon.
+    """
+    if cell is not None:
+        return load_cell(cell, known)
+    if not recordings or not all(path.suffix == ".mcap" for path in recordings):
         raise BadInput("--cell is required: give the cell.yaml that your simulator uses; palpd cell-from writes a first one")
-    return cell
+    return parse_cell(read_header(recordings[0]).get("config", {}).get("cell"), f"{recordings[0].name}, config.cell", known)
 
 
 def read_recording(path: Path, site: str | None = None) -> Samples:
@@ -109,7 +123,7 @@ def read_recording(path: Path, site: str | None = None) -> Samples:
 
 def diagnose_files(
     recordings: Sequence[Path],
-    cell: Path,
+    cell: Path | None,
     *,
     json_out: Path | None = None,
     cell_out: Path | None = None,
@@ -120,12 +134,13 @@ def diagnose_files(
     site: str | None = None,
     calibrated: bool = True,
     simulated: Sequence[Path] = (),
+    show: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Diagnose recordings of one cell jointly.
 
     Args:
         recordings: The recordings.
-        cell: The cell file.
+        cell: The cell file; without one the cell that recordings of the daemon state.
         json_out: Where to write out.json, and beside it the motion of the next experiment.
         cell_out: Where to write the enriched cell.
         effects: A file with user effects (.py) or learned ones (.yaml).
@@ -135,6 +150,7 @@ def diagnose_files(
         site: Site of recordings of the daemon; None where they hold one only.
         calibrated: Whether probabilities are stated by the fitted map; the engine's own otherwise.
         simulated: The output of a user's own simulator for each recording, which is then the nominal prediction.
+        show: Shows the step that begins.
 
     Returns:
         The diagnosis.
@@ -148,10 +164,11 @@ def diagnose_files(
             f"--simulated gives {len(simulated)} file(s) for {len(recordings)} recording(s); give one for each recording, in their order"
         )
     known = library(effects, without, adopted)
-    nominal = load_cell(cell, known)
+    nominal = nominal_cell(cell, recordings, known)
+    show("reading the recording")
     samples = [read_recording(path, site) for path in recordings]
     simulators = [UserSimulator.of_file(path, one.t_s) for path, one in zip(simulated, samples, strict=False)]
-    diagnosis = diagnose(samples, nominal, known, propose=propose, calibrated=calibrated, simulators=simulators)
+    diagnosis = diagnose(samples, nominal, known, propose=propose, calibrated=calibrated, simulators=simulators, show=show)
     if adopted is not None and (weighed := adopted_sentence(adopted, diagnosis.problem.library)):
         diagnosis = replace(diagnosis, notes=[*diagnosis.notes, weighed])
     if json_out is not None:

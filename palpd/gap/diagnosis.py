@@ -3,7 +3,7 @@
 `_stages` reads from top to bottom: every stage is one module, and its result goes to the stages below it only.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -61,6 +61,7 @@ def diagnose(
     propose: bool = True,
     calibrated: bool = True,
     simulators: Sequence[UserSimulator] = (),
+    show: Callable[[str], None] = lambda _: None,
 ) -> "Diagnosis":
     """Diagnose the recordings of one cell jointly; the same input gives the same answer.
 
@@ -72,6 +73,7 @@ def diagnose(
         propose: Whether to look for the next experiment.
         calibrated: Whether probabilities are stated by the fitted map; the engine's own otherwise.
         simulators: A user's own simulator for each recording, as the nominal; palpd's own cell is the nominal without any.
+        show: Shows the step that begins.
 
     Returns:
         The diagnosis.
@@ -81,7 +83,7 @@ def diagnose(
     """
     # The matrices are small: threads cost more than they bring, and add up in another order each time.
     with threadpool_limits(1):
-        return _stages(recordings, cell, effects, max_bins, propose, calibrated, simulators)
+        return _stages(recordings, cell, effects, max_bins, propose, calibrated, simulators, show)
 
 
 def _stages(
@@ -92,11 +94,13 @@ def _stages(
     propose: bool,
     calibrated: bool,
     simulators: Sequence[UserSimulator],
+    show: Callable[[str], None],
 ) -> "Diagnosis":
     # A law that the cell file holds is no gap, also where the library has one of that name.
     not_judged = left_out(simulators, cell, library)
     library = {name: effect for name, effect in library.items() if name not in {*not_judged, *(law.id for law in cell.learned)}}
     # 1. Prepare: clean the readings, cut them into bins, estimate noise and tip motion.
+    show("1 of 6: preparing the recording")
     recordings = [without_rounding(samples) for samples in recordings]
     notes = check_recordings(recordings, cell)
     cell, noise_notes = with_recorded_noise(recordings, cell)
@@ -122,9 +126,11 @@ def _stages(
     table = gap_table(problem, nominal.stated, residual)
 
     # 3. Hypotheses: which sets of effects could have made it, each at its best.
+    show("2 of 6: fitting which effects could have made the gap")
     fits = search(nominal)
 
     # 4. Evidence: how probable each of them is, and something outside the list.
+    show("3 of 6: weighing them")
     attribution = compare_again(problem, fits, posterior(problem, fits))
     scatter = scatter_effects(problem.recordings, readings, cell, library)
 
@@ -133,6 +139,7 @@ def _stages(
     notes += unnatural_notes(problem, verdict)
 
     # 6. Law: what the list does not hold, as a function of what the cell does, or as events.
+    show("4 of 6: looking for what the list does not hold")
     finding = find(problem, nominal.fit, verdict.fit, coarse=any(one.coarse_step_N > 0.0 for one in readings))
     if verdict.kind in ("effects", "ambiguous"):
         finding = finding.beside_named(leading_leaves(fits, verdict.fit))
@@ -157,10 +164,12 @@ def _stages(
         notes.append(CREEP_NOTE)
 
     # 7. Shrink: how far the named effects close the gap on cycles that the fit did not see.
+    show("5 of 6: closing the gap on cycles that the fit has not seen")
     named = gap and bool(verdict.fit.names)
     shrink = held_out(problem, verdict.fit) if named else without_effects(table, where["channel"] if where else "fz_N")
 
     # 8. Next experiment: the motion that best separates the hypotheses that are still open.
+    show("6 of 6: looking for the next experiment")
     unknown = finding if verdict.kind == "unknown" else None
     proposal = advise(problem, attribution, finding=unknown).proposal if gap and propose else None
 

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from palpd.analysis.intervals import student_t_95
+from palpd.errors import BadInput
 from palpd.history.catalogue import Catalogue, EffectPoint, RunEntry, RunFilter, SiteModuli, as_json
 
 SECONDS_A_DAY = 86400.0
@@ -76,6 +77,29 @@ def modulus_trend(catalogue: Catalogue, site: str, only: RunFilter) -> tuple[lis
         if (slope := slope_of(known)) is not None:
             slopes[quantity] = slope
     return points, slopes
+
+
+def site_trend(
+    catalogue: Catalogue, site: str, only: RunFilter
+) -> tuple[list[ModulusPoint], dict[Quantity, Slope], dict[tuple[str, str], tuple[list[EffectPoint], Slope | None]]]:
+    """All that is known of a site over the days.
+
+    Args:
+        catalogue: The runs.
+        site: Name of the site.
+        only: Which runs count for the moduli.
+
+    Returns:
+        Points and slopes as `modulus_trend` gives them, and effects as `effect_trend` does.
+
+    Raises:
+        BadInput: No run has a modulus of the site, and no diagnosis has named an effect there.
+    """
+    points, slopes = modulus_trend(catalogue, site, only)
+    effects = effect_trend(catalogue, site)
+    if not points and not effects:
+        raise BadInput(f"no run in {catalogue.folder} has a modulus of a site {site!r}; palpd runs lists the sites")
+    return points, slopes, effects
 
 
 def effect_trend(catalogue: Catalogue, site: str = "") -> dict[tuple[str, str], tuple[list[EffectPoint], Slope | None]]:

@@ -21,6 +21,7 @@ __all__ = [
     "Recording",
     "Recovered",
     "export",
+    "read_header",
     "recover",
     "same_rows",
     "samples_of",
@@ -81,6 +82,15 @@ class Recording:
         """Return the name of a site by its number in the rows; the number itself where the header names none."""
         sites = self.header.get("sites", [])
         return str(sites[number]["name"]) if number < len(sites) else str(number)
+
+
+def read_header(path: Path) -> RecordingHeader:
+    """Read the header of a recording without its ticks. Raises RecordingError."""
+    contents = Contents()
+    next(contents.batches(path), None)
+    contents.refuse_foreign(path)
+    assert contents.header is not None
+    return contents.header
 
 
 def holds_ticks(path: Path) -> bool:

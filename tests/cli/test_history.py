@@ -8,6 +8,7 @@ from typer.testing import CliRunner, Result
 
 from palpd.cli import app
 from palpd.errors import BadInput, PalpdError, RecordingError
+from palpd.history.course import read_course
 from tests.history.conftest import runs, simulated
 
 __all__ = ["runs", "simulated"]
@@ -39,6 +40,9 @@ def test_runs_are_listed_tagged_filtered_and_written_as_json(runs: Path, tmp_pat
     assert "2 older runs are not shown; --most 3 shows all" in typed("runs", "--most", "1", "--folder", runs).stdout
     typed("runs", "day-0", "--untag", "good", "--folder", runs)
     assert "day-0" not in typed("runs", "--tagged", "good", "--folder", runs).stdout
+    (runs / "catalogue.sqlite").write_bytes(b"no catalogue")
+    typed("runs", "--folder", runs, "--json", json_file)
+    assert "was damaged; it was made anew from 3 recordings" in json.loads(json_file.read_text())["notes"][0]
     assert "made anew from 3 recordings" in typed("runs", "--rebuild", "--folder", runs).stdout
 
 
@@ -60,7 +64,7 @@ def test_a_trend_is_a_table_and_a_slope(runs: Path, tmp_path: Path) -> None:
 
 def test_info_is_one_screen_of_what_a_run_was(runs: Path, tmp_path: Path) -> None:
     typed("runs", "day-1", "--note", "wet\x1b[2J", "--folder", runs)
-    printed = typed("info", "day-1", "--folder", runs, "--json", tmp_path / "info.json").stdout
+    printed = typed("info", "day-1", "--folder", runs, "--json", tmp_path / "info.json", "--course", tmp_path / "course.npy").stdout
     for words in (
         "done: 3 presses at 1 site, 1 depth cut short.",
         "robot",
@@ -74,7 +78,10 @@ def test_info_is_one_screen_of_what_a_run_was(runs: Path, tmp_path: Path) -> Non
         assert words in printed, words
     assert "\x1b" not in printed
     assert len(printed.splitlines()) < 40
-    assert json.loads((tmp_path / "info.json").read_text())["remarks"]["notes"][0]["text"] == "wet\x1b[2J"
+    facts = json.loads((tmp_path / "info.json").read_text())
+    assert facts["remarks"]["notes"][0]["text"] == "wet\x1b[2J"
+    assert (facts["mood"], facts["headline"]) == ("remarkable", "Done: 3 presses at 1 site, 1 depth cut short.")
+    assert len(read_course(tmp_path / "course.npy")) == facts["loop"]["ticks"]
 
 
 def test_a_report_stands_beside_its_recording_or_where_it_is_asked_for(runs: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from palpd.config import Config, Plan, load_config, load_plan
 from palpd.daemon.motion_process import Job
 from palpd.daemon.run_result import simulated_result
 from palpd.daemon.simulated_run import run
+from palpd.history.course import SHOWN_POINTS
 from tests.paths import ROOT
 
 CUT_SHORT = "5 N limit reached (the sequence ends a press at 0.9 x contact_limit_N)"
@@ -31,7 +32,13 @@ def test_no_press_of_the_shipped_plan_is_cut_short_on_the_hardest_site_of_the_sh
 def test_a_press_that_was_cut_short_says_which_limit_ended_it() -> None:
     plan = Plan.model_validate({"sites": [{"name": "A"}], "depths_m": [0.003, 0.009], "repeats": 2, "hold_s": 0.2})
     config = Config.model_validate({"safety": {"contact_limit_N": 5.0}})
-    notes = simulated_result(run(Job("palpation", config, plan), CellFile()))["notes"]
+    result = simulated_result(run(Job("palpation", config, plan), CellFile()))
+    course = result["course"]
+    assert result["duration_s"] == pytest.approx(course["t_s"][-1], abs=0.1)
+    assert len(course["t_s"]) <= SHOWN_POINTS < result["loop"]["ticks"]
+    assert result["peak_force_N"] == pytest.approx(max(filter(None, course["force_high_N"])), rel=1e-6)
+    assert 4.4 < result["peak_force_N"] < 5.5
+    notes = result["notes"]
     assert notes[1:] == [f"site A, {kind} press to 9 mm: {CUT_SHORT}" for kind in ("static", "dynamic")]
 
 

@@ -6,15 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.simulated_recording import write_simulated
 from palpd.cell.cell_file import load_cell, nominal, save_cell
-from palpd.config import Plan, PlanSite
+from palpd.cell.effects import EFFECTS
+from palpd.config import Config, Plan, PlanSite
 from palpd.errors import BadInput, RecordingError
-from palpd.gap.commands import diagnose_files, simulate_file, tolerances_of
+from palpd.gap.commands import diagnose_files, nominal_cell, simulate_file, tolerances_of
 from palpd.gap.diagnosis import diagnose
 from palpd.recording.reader import Recording, samples_of
 from palpd.recording.samples import read_csv, write_csv
 from tests.gap.test_diagnosis import recording
-from tests.simulated import ran
+from tests.simulated import cell_file, ran
 
 EFFECT = {"tissue.viscoelastic": {"ratio": 0.2, "tau_s": 0.8}}
 
@@ -32,6 +34,14 @@ def test_a_file_is_diagnosed_and_its_enriched_cell_simulates_it(tmp_path: Path) 
     assert np.std(read_csv(tmp_path / "predicted.csv").wrench[:, 2] - samples.wrench[:, 2]) < 0.08
     with pytest.raises(BadInput, match="exists"):
         simulate_file(tmp_path / "a.csv", tmp_path / "rich.yaml", tmp_path / "predicted.csv")
+
+
+def test_without_a_cell_file_a_recording_of_the_daemon_is_diagnosed_against_the_cell_that_it_states(tmp_path: Path) -> None:
+    cell = cell_file(tissue={"poisson_ratio": 0.41})
+    write_simulated(tmp_path / "run.mcap", Plan(sites=(PlanSite(name="A"),), depths_m=(0.003,), hold_s=0.2), config=Config(cell=cell))
+    assert nominal_cell(None, [tmp_path / "run.mcap"], EFFECTS) == cell
+    with pytest.raises(BadInput, match="--cell is required"):
+        nominal_cell(None, [tmp_path / "run.mcap", tmp_path / "other.csv"], EFFECTS)
 
 
 def test_a_simulation_needs_a_time_and_a_height(tmp_path: Path) -> None:
