@@ -54,7 +54,7 @@ def web(
     check_folder(kept.parent)
     kept.parent.mkdir(parents=True, exist_ok=True)
     words = ["--socket", settings.paths.control_socket, "--runs", settings.paths.runs, "--token-file", kept]
-    words += ["--listen", listen, "--port", port, *(["--plan", plan] if plan else [])]
+    words += ["--listen", listen, "--port", port, "--config", config, *(["--plan", plan] if plan else [])]
     words += [word for each in name or [] for word in ("--name", each)]
     sys.stdout.flush()
     # this process becomes the server, which imports next to nothing: so it has no configuration and no typer in its memory
@@ -274,6 +274,7 @@ def check_config(
 ) -> None:
     """Refuse what is wrong or unsafe; print how far a force would run past its limit."""
     from palpd.cli.tables import overshoot_table
+    from palpd.config import Plan
     from palpd.daemon.overshoot import predicted
     from palpd.daemon.starting_files import checked
 
@@ -283,4 +284,5 @@ def check_config(
     for table in overshoot_table(prediction):
         terminal().print(table)
     terminal().print(f"{config} is sound." if plan is None else f"{config} and {plan} are sound.")
-    write_json(json_file, prediction)
+    content = {"plan": steps.model_dump(mode="json", exclude_none=True), "plan_schema": Plan.model_json_schema()}
+    write_json(json_file, {**prediction, **content})

@@ -74,8 +74,9 @@ def _settings(words: list[str]) -> tuple[PageSettings, Path]:
     parser.add_argument("--port", type=int, default=8700)
     parser.add_argument("--name", action="append", default=[])
     parser.add_argument("--plan", type=Path)
+    parser.add_argument("--config", type=Path)
     values = parser.parse_args(words)
-    settings = PageSettings(values.socket, values.runs, values.listen, values.port, tuple(values.name), values.plan)
+    settings = PageSettings(values.socket, values.runs, values.listen, values.port, tuple(values.name), values.plan, values.config)
     return settings, values.token_file
 
 

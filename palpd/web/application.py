@@ -20,9 +20,10 @@ from starlette.applications import Starlette
 from starlette.routing import BaseRoute, Mount
 from starlette.staticfiles import StaticFiles
 
-from palpd.web import controls, live, shell
+from palpd.web import calculations, controls, history_pages, live, plan_pages, resolve_pages, shell
 from palpd.web.access import Access
 from palpd.web.aside import Aside
+from palpd.web.children import Children
 from palpd.web.live import Live
 from palpd.web.service_link import ServiceLink
 from palpd.web.sessions import Sessions
@@ -43,6 +44,8 @@ class PageSettings:
     """Further host names under which browsers may open the page."""
     plan: Path | None = None
     """Plan that the page offers first."""
+    config: Path | None = None
+    """config.yaml of the cell, for the commands that judge and rehearse a plan."""
 
     @property
     def hosts(self) -> frozenset[str]:
@@ -58,6 +61,7 @@ class Page:
 
     settings: PageSettings
     aside: Aside = field(default_factory=Aside)
+    children: Children = field(default_factory=Children)
     link: ServiceLink = field(init=False)
     live: Live = field(init=False)
 
@@ -74,7 +78,9 @@ def _frame_routes(_: Page) -> list[BaseRoute]:
     return [*shell.routes()]
 
 
-ROUTES: list[Routes] = [_frame_routes, live.routes, controls.routes]
+ROUTES: list[Routes] = [
+    _frame_routes, live.routes, controls.routes, calculations.routes, history_pages.routes, plan_pages.routes, resolve_pages.routes,
+]  # fmt: skip
 """All routes of the application; a module of yours adds one function."""
 BACKGROUND: list[Background] = [live.background]
 """All that runs beside the requests, from the start of the server to its end."""
@@ -99,6 +105,7 @@ def build(settings: PageSettings, sessions: Sessions) -> Starlette:
                 await stack.enter_async_context(background(page))
             yield
         page.aside.close()
+        await page.children.close()
 
     routes = [route for each in ROUTES for route in each(page)]
     application = Starlette(routes=[*routes, Mount("/static", StaticFiles(directory=shell.STATIC))], lifespan=lifespan)
