@@ -284,5 +284,9 @@ def check_config(
     for table in overshoot_table(prediction):
         terminal().print(table)
     terminal().print(f"{config} is sound." if plan is None else f"{config} and {plan} are sound.")
-    content = {"plan": steps.model_dump(mode="json", exclude_none=True), "plan_schema": Plan.model_json_schema()}
+    content = {
+        "expected_stiffness_N_per_m": settings.safety.expected_stiffness_N_per_m,
+        "plan": steps.model_dump(mode="json", exclude_none=True),
+        "plan_schema": Plan.model_json_schema(),
+    }
     write_json(json_file, {**prediction, **content})

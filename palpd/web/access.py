@@ -37,7 +37,7 @@ MOST_BODY_BYTES = 262_144
 EXPIRED = "this page is not open any more: its 12 hours are over, or it was never opened with the token; open it with the link of palpd web"
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; font-src 'self'; "
-    "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    "frame-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
 )
 HEADERS = {
     "Content-Security-Policy": POLICY,

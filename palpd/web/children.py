@@ -288,12 +288,10 @@ async def _lines(stream: asyncio.StreamReader) -> AsyncIterator[str]:
 
 
 async def _gone(process: asyncio.subprocess.Process) -> None:
-    """End a process and what it has started: first politely, so that it removes half-written files."""
-    for signal_number in (signal.SIGTERM, signal.SIGKILL):
-        if process.returncode is not None:
-            return
+    """End a process and all that it has started: first politely, so that it removes half-written files."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal_number)
+            os.killpg(process.pid, number)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(END_S):
                 await process.wait()

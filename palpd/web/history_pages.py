@@ -14,7 +14,6 @@ from palpd.errors import BadInput
 from palpd.files import opened, write_bytes
 from palpd.history.stored import DIAGNOSIS, beside, report_path
 from palpd.web import looking_back, shell
-from palpd.web.access import POLICY
 from palpd.web.answers import answering, body_of, number_in, text_in
 from palpd.web.calculations import download_response, report_response
 
@@ -25,8 +24,6 @@ INFO_LIMIT_S, REPORT_LIMIT_S, DIAGNOSIS_LIMIT_S = 300.0, 300.0, 1800.0
 """Longest times of the commands: a report of an hour takes some 20 s, a diagnosis some minutes."""
 MOST_LETTERS = 200
 """Longest text of a filter."""
-FRAMING = {"Content-Security-Policy": f"{POLICY}; frame-src 'self'"}
-"""Headers of a page that holds a report in a frame."""
 
 
 class HistoryPages:
@@ -130,9 +127,7 @@ def routes(page: "Page") -> list[BaseRoute]:
 
 
 async def _show_run(request: Request) -> Response:
-    response = shell.page(request, "recorded", "palpd: a run", "runs")
-    response.headers.update(FRAMING)
-    return response
+    return shell.page(request, "recorded", "palpd: a run", "runs")
 
 
 async def _show_trend(request: Request) -> Response:

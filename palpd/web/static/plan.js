@@ -28,7 +28,7 @@ export function yamlOf(values) {
 
 // --- from the schema to the form ---
 
-const resolved = (node) => (node.$ref ? schema.$defs[node.$ref.split("/").at(-1)] : node);
+const resolved = (node) => (node.$ref ? schema.$defs[node.$ref.split("/").at(-1)] : node.allOf ? resolved(node.allOf[0]) : node);
 const inner = (node) => (node.anyOf ? resolved(node.anyOf.find((each) => each.type !== "null")) : resolved(node));
 const optional = (node) => Boolean(node.anyOf?.some((each) => each.type === "null"));
 const UNITS = [["_m_per_s", "m/s"], ["_s", "s"], ["_m", "m"]];
@@ -173,7 +173,7 @@ function showForecast(answer = forecast, outcome = null) {
   forecast = answer;
   const { contact_limit_N: limit, absolute_limit_N: absolute, overshoot } = answer;
   const fastest = Math.max(...overshoot.map((row) => row.speed_m_per_s));
-  const expected = overshoot.filter((row) => row.speed_m_per_s === fastest).find((row) => row.stiffness_N_per_m === 5000) ?? overshoot.at(-1);
+  const expected = overshoot.filter((row) => row.speed_m_per_s === fastest).find((row) => row.stiffness_N_per_m === answer.expected_stiffness_N_per_m) ?? overshoot.at(-1);
   const worst = expected.overshoot_N;
   byId("tiles").replaceChildren(
     outcome ? tile("Duration", duration(outcome.duration_s), "rehearsed on the simulated cell") : tile("Duration", "–", "rehearse the plan to see it"),
@@ -230,6 +230,7 @@ byId("file").addEventListener("change", async (event) => {
   if (file.size > 262144) { refuse(standing, `${file.name} has ${file.size} bytes, expected at most 262144; is it the right file?`); return; }
   [name, text.value] = [file.name, await file.text()];
   later();
+  clearTimeout(timer);
   check({ fill: true });
 });
 form.addEventListener("submit", (event) => event.preventDefault());

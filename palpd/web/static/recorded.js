@@ -12,10 +12,19 @@ const begin = byId("begin"), length = byId("length");
 const SHORTEST_S = 0.2;
 let facts, source, overview, whole = 0, fetching = 0;
 
+/** The name of a run, as far as a text can show it. */
+function nameOf(key) {
+  try {
+    return decodeURIComponent(key);
+  } catch {
+    return key;
+  }
+}
+
 const kilopascals = (value) => (value === null || value === undefined ? "–" : (value / 1e3).toFixed(1));
 
 async function open() {
-  byId("name").textContent = decodeURIComponent(run);
+  byId("name").textContent = nameOf(run);
   const reading = await work("/runs/read", { run }, byId("reading"));
   if (reading.state !== "done") { refuse(byId("refusal"), reading.sentence); return; }
   const answer = await resultOf(reading);
@@ -195,7 +204,7 @@ async function showReport(beside) {
   const where = end.report ?? `/calculations/${end.number}/report`;
   byId("page").href = `${where}${where.includes("?") ? "&" : "?"}download`;
   byId("page").hidden = false;
-  byId("report-title").textContent = beside ? `Report beside ${decodeURIComponent(beside)}` : "Report";
+  byId("report-title").textContent = beside ? `Report beside ${nameOf(beside)}` : "Report";
   byId("report").replaceChildren(framed(where, "report of the run"));
 }
 
@@ -203,11 +212,11 @@ async function offerOthers() {
   const select = byId("beside").elements.beside, answer = await read("/runs/list?kind=palpation", { patience_ms: 130000 });
   if (answer.ok) select.append(...answer.runs.filter((each) => each.key !== run).map((each) => make("option", { value: each.key, text: `${each.name}, ${each.started.slice(0, 10)}` })));
   const beside = asked.get("beside") ?? "";
-  if (beside && ![...select.options].some((option) => option.value === beside)) select.append(make("option", { value: beside, text: decodeURIComponent(beside) }));
+  if (beside && ![...select.options].some((option) => option.value === beside)) select.append(make("option", { value: beside, text: nameOf(beside) }));
   select.value = beside;
   select.addEventListener("change", () => showReport(select.value));
 }
 
-await open();
 showReport(asked.get("beside") ?? "");
 offerOthers();
+open();
