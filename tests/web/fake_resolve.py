@@ -3,6 +3,7 @@
 import json
 import socketserver
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +33,12 @@ class FakeResolve:
         class Handler(socketserver.StreamRequestHandler):
             def handle(self) -> None:
                 request = json.loads(self.rfile.readline() or b"{}")
-                if request.get("do") == "watch":
-                    self.wfile.write(json.dumps({"ok": True, "event": "status", **fake.status()}).encode() + b"\n")
-                    fake.over.wait()
-                elif request:
-                    self.wfile.write(json.dumps(fake.answer(request)).encode() + b"\n")
+                with suppress(OSError):  # the page has left
+                    if request.get("do") == "watch":
+                        self.wfile.write(json.dumps({"ok": True, "event": "status", **fake.status()}).encode() + b"\n")
+                        fake.over.wait()
+                    elif request:
+                        self.wfile.write(json.dumps(fake.answer(request)).encode() + b"\n")
 
         class Server(socketserver.ThreadingUnixStreamServer):
             daemon_threads = True

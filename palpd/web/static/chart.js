@@ -133,6 +133,12 @@ export function chart(holder, spec) {
   return drawing;
 }
 
+/** Take a chart away, and put something else in its place. */
+export function instead(holder, ...others) {
+  holder.observer?.disconnect();
+  holder.replaceChildren(...others);
+}
+
 /** Columns in another unit: metres to millimetres, pascals to kilopascals. */
 export function scaled(column, factor) {
   return column.map((value) => (value === null || value === undefined ? null : value * factor));

@@ -1,6 +1,6 @@
 // One run: what it was, its force and depth over time, its diagnosis, its report, and that of two runs side by side.
 
-import { chart, extent, scaled, spansOf } from "./chart.js";
+import { chart, extent, instead, scaled, spansOf } from "./chart.js";
 import { say } from "./message.js";
 import { ask, read } from "./requests.js";
 import { byId, duration, framed, make, refuse, resultOf, work } from "./work.js";
@@ -154,7 +154,7 @@ function draw(columns, spans) {
     ? { label: "depth of the tip below the surface over time", x, xLabel: "time (s)", yLabel: "depth (mm)", height: 200, series: [{ x: columns.t_s, ...depth, y: depth.high, colour: 1 }] }
     : { label: "height of the tip over time", x, xLabel: "time (s)", yLabel: "height (mm)", height: 200, series: [{ x: columns.t_s, y: scaled(columns.z_low_m, 1e3), colour: 1 }] });
   const pressed = depth.high.map((value, k) => (value !== null && value > -1 ? k : -1)).filter((k) => k >= 0);
-  if (!pressed.length) { byId("curve").replaceChildren(make("p", { className: "faint", text: "Nothing was pressed in this time, or the surface was not known yet." })); return; }
+  if (!pressed.length) { instead(byId("curve"), make("p", { className: "faint", text: "Nothing was pressed in this time, or the surface was not known yet." })); return; }
   const sites = [...new Set(pressed.map((k) => columns.site[k]))];
   chart(byId("curve"), {
     label: "contact force over depth", xLabel: "depth below the surface (mm)", yLabel: "force (N)", height: 400, legend: true,

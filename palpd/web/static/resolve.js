@@ -1,6 +1,6 @@
 // The conversation of palpd resolve: the gap so far, the proposed motion with its rehearsal, agree or decline, the log, the result.
 
-import { chart, scaled } from "./chart.js";
+import { chart, instead, scaled } from "./chart.js";
 import { request } from "./controls.js";
 import { on } from "./link.js";
 import { say } from "./message.js";
@@ -66,7 +66,7 @@ function showProposal(job) {
 async function draw(id) {
   const end = await work("/resolve/rehearse", { id }, byId("drawing-state"));
   const answer = end.state === "done" ? await resultOf(end) : { ok: false, error: end.sentence };
-  for (const each of ["force", "depth"]) byId(each).replaceChildren();
+  for (const each of ["force", "depth"]) instead(byId(each));
   if (!answer.ok) { byId("drawing-state").replaceChildren(make("p", { className: "faint", text: answer.error })); return; }
   const columns = answer.result.course;
   chart(byId("force"), { label: "contact force of the rehearsal", yLabel: "force (N)", xLabel: "time (s)", height: 210, series: [{ x: columns.t_s, low: columns.force_low_N, high: columns.force_high_N, y: columns.force_high_N }] });

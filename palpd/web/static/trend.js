@@ -1,6 +1,6 @@
 // Moduli of a site and parameters of named effects over the days.
 
-import { chart, scaled } from "./chart.js";
+import { chart, instead, scaled } from "./chart.js";
 import { read } from "./requests.js";
 import { byId, make, refuse } from "./work.js";
 
@@ -31,7 +31,7 @@ function show(trend) {
     { x: days(points), y: scaled(moduli.map((each) => each.static_Pa), 1e-3), low: interval(moduli.map((each) => each.static_ci95_Pa), 0), high: interval(moduli.map((each) => each.static_ci95_Pa), 1), label: "static", points: true, names },
     { x: days(points), y: scaled(moduli.map((each) => each.corrected_Pa), 1e-3), low: interval(moduli.map((each) => each.corrected_ci95_Pa), 0), high: interval(moduli.map((each) => each.corrected_ci95_Pa), 1), label: "dynamic, corrected", colour: 1, points: true, names },
   ] }, points);
-  else byId("moduli").replaceChildren(make("p", { className: "faint", text: "No run has a modulus of this site." }));
+  else instead(byId("moduli"), make("p", { className: "faint", text: "No run has a modulus of this site." }));
   byId("effects").replaceChildren(...trend.effects.map((effect) => {
     const holder = make("div", {});
     requestAnimationFrame(() => plot(holder, { label: `${effect.effect}, ${effect.parameter}, over the days`, yLabel: effect.parameter, series: [

@@ -1,6 +1,5 @@
 // Calculations of the server: begin one, show how far it is, cancel it, and take its result.
 
-import { abort } from "./abort.js";
 import { ask, read } from "./requests.js";
 
 const PAUSE_MS = 400;
@@ -65,20 +64,16 @@ export function refuse(holder, sentence) {
   holder.replaceChildren(...(sentence ? [make("p", { className: "refusal", role: "alert", text: sentence })] : []));
 }
 
-/** A report in its frame. It holds no script; the space bar aborts there too. */
+/** A report in its frame, in its whole height. It holds no script and never gets the focus, so that the space bar aborts as everywhere. */
 export function framed(address, title) {
-  const frame = make("iframe", { title, src: address, className: "report", sandbox: "allow-same-origin" });
+  const frame = make("iframe", { title, src: address, className: "report", sandbox: "allow-same-origin", tabIndex: -1 });
   frame.addEventListener("load", () => {
     const inner = frame.contentDocument;
     if (!inner?.documentElement) return;
-    const fit = () => { frame.height = `${inner.documentElement.scrollHeight + 4}`; };
+    const fit = () => { frame.height = `${Math.ceil(inner.documentElement.getBoundingClientRect().height)}`; };
+    for (const folded of inner.querySelectorAll("details")) folded.open = true;
     fit();
     new ResizeObserver(fit).observe(inner.documentElement);
-    inner.addEventListener("keydown", (event) => {
-      if (event.code !== "Space") return;
-      event.preventDefault();
-      if (!event.repeat) abort();
-    }, { capture: true });
   });
   return frame;
 }
