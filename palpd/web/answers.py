@@ -79,7 +79,18 @@ def text_in(body: Mapping[str, Any], name: str, most: int = MOST_LETTERS) -> str
 
 
 def number_in(body: Mapping[str, Any], name: str) -> float:
-    """A number of a request or of an address. Raises BadInput."""
+    """A number of a request or of an address.
+
+    Args:
+        body: The request's data, or the queries of its address.
+        name: Its key.
+
+    Returns:
+        The number.
+
+    Raises:
+        BadInput: It is no finite number.
+    """
     try:
         value = float(body.get(name, ""))
     except (TypeError, ValueError):

@@ -232,7 +232,7 @@ class Children:
             self._end(child, "failed", str(error))
 
     async def _run(self, child: Child) -> None:
-        found = os.pathsep.join(filter(None, sys.path))  # the child runs in its own folder, and finds the same palpd
+        import_path = os.pathsep.join(filter(None, sys.path))  # the child runs in its own folder, and finds the same palpd
         process = await asyncio.create_subprocess_exec(
             *self._program,
             *child.words,
@@ -241,7 +241,7 @@ class Children:
             stdout=asyncio.subprocess.DEVNULL,
             stderr=asyncio.subprocess.PIPE,
             start_new_session=True,
-            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": found},
+            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": import_path},
         )
         with contextlib.suppress(OSError):  # it has ended already
             os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS)
