@@ -103,8 +103,9 @@ class Child:
             raise BadInput(self.sentence)
 
     def result(self) -> Any:
-        """What it has written with `--json out.json`. Raises Refused or BadInput as `refuse_unless_done`."""
-        self.refuse_unless_done()
+        """What it has written with `--json out.json`, also where it was stopped. Raises Refused or BadInput as `refuse_unless_done`."""
+        if not (self.state == "stopped" and (self.folder / OUT).exists()):
+            self.refuse_unless_done()
         return read_json(self.folder / OUT)
 
 

@@ -50,6 +50,21 @@ def test_a_plan_outside_the_workspace_is_refused(browser: TestClient, runs: Path
         config.write_text(before)
 
 
+def test_a_rehearsal_that_the_guard_stops_is_drawn_too(browser: TestClient, runs: Path) -> None:
+    config = runs.parent / "config.yaml"
+    before = config.read_text()
+    config.write_text("safety: {contact_limit_N: 2.5}\n")
+    fast = SHORT.replace("0.003", "0.003, 0.005").replace("static", "both") + "repeats: 1\nsafe_height_m: 0.005\n"
+    try:
+        end = ended(browser, browser.post("/plan/rehearse", json={"yaml": fast}).json())
+        result = browser.get(f"/calculations/{end['number']}/result").json()["result"]
+    finally:
+        config.write_text(before)
+    assert (end["state"], end["sentence"]) == ("stopped", result["reason"])
+    assert result["verdict"] == "stopped"
+    assert len(result["course"]["t_s"]) > 100
+
+
 def test_a_rehearsal_gives_time_force_and_course(browser: TestClient) -> None:
     end = ended(browser, browser.post("/plan/rehearse", json={"yaml": SHORT}).json())
     assert end["state"] == "done", end

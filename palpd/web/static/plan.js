@@ -188,8 +188,7 @@ byId("rehearse").addEventListener("click", async () => {
   byId("rehearse").disabled = true;
   const end = await work("/plan/rehearse", { yaml }, byId("rehearsing"));
   byId("rehearse").disabled = judged === null;
-  if (end.state !== "done" && end.state !== "stopped") { refuse(byId("outcome"), end.sentence); return; }
-  const answer = end.state === "done" ? await resultOf(end) : { ok: false, error: end.sentence };
+  const answer = ["done", "stopped"].includes(end.state) ? await resultOf(end) : { ok: false, error: end.sentence };
   if (!answer.ok) { refuse(byId("outcome"), answer.error); return; }
   rehearsed = yaml;
   delete byId("rehearsal").dataset.old;
@@ -203,7 +202,7 @@ function showRehearsal(outcome) {
     series: [{ x: columns.t_s, low: columns.force_low_N, high: columns.force_high_N, y: columns.force_high_N }] });
   chart(byId("depth"), { label: "depth of the rehearsal below the simulated surface", yLabel: "depth (mm)", xLabel: "time (s)", height: 190,
     series: [{ x: columns.t_s, low: scaled(columns.depth_low_m, 1e3), high: scaled(columns.depth_high_m, 1e3), y: scaled(columns.depth_high_m, 1e3), colour: 1 }] });
-  byId("outcome").replaceChildren(make("h3", { text: "The simulated cell gives" }),
+  byId("outcome").replaceChildren(outcome.verdict === "done" ? "" : make("p", { className: "refusal", text: `The rehearsal was stopped: ${outcome.reason}` }), make("h3", { text: "The simulated cell gives" }),
     make("table", {}, make("thead", {}, make("tr", {}, ...["site", "largest force", "static (kPa)", "cut short"].map((each) => make("th", { text: each })))),
       make("tbody", {}, ...outcome.sites.map((site) => make("tr", {}, make("td", { text: site.name }), make("td", { text: site.peak_force_N === null ? "–" : `${site.peak_force_N.toFixed(2)} N` }),
         make("td", { text: site.static_youngs_modulus_Pa === null ? "–" : (site.static_youngs_modulus_Pa / 1e3).toFixed(1) }), make("td", { text: site.cut_short_depths_m.map((depth) => `${depth * 1e3} mm`).join(", ") || "none" }))))),

@@ -65,7 +65,7 @@ function showProposal(job) {
 
 async function draw(id) {
   const end = await work("/resolve/rehearse", { id }, byId("drawing-state"));
-  const answer = end.state === "done" ? await resultOf(end) : { ok: false, error: end.sentence };
+  const answer = ["done", "stopped"].includes(end.state) ? await resultOf(end) : { ok: false, error: end.sentence };
   for (const each of ["force", "depth"]) instead(byId(each));
   if (!answer.ok) { byId("drawing-state").replaceChildren(make("p", { className: "faint", text: answer.error })); return; }
   const columns = answer.result.course;
