@@ -436,9 +436,9 @@ TOPICS = {
 
 def recordings_page() -> str:
     """Columns of a table, and topics of a recording of the daemon."""
-    from palpd.recording import mcap_file
+    from palpd.recording import topics
 
-    kinds: dict[str, str] = mcap_file._TOPICS  # noqa: SLF001 - its documentation
+    kinds: dict[str, str] = topics.TOPICS
     if set(MEANINGS) != set(COLUMNS) or set(TOPICS) != set(kinds):
         raise ValueError("a column or a topic has no meaning on the page; add it in docs/generate.py")
     out = [HEAD, "# Recordings\n", "## Columns of a table (CSV, Parquet)\n"]

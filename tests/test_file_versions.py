@@ -15,7 +15,7 @@ from palpd.config import Config, load_config, load_plan, parse_config
 from palpd.errors import BadInput, ConfigError, RecordingError
 from palpd.files import read_yaml
 from palpd.migration import MODELS, migration_of, write
-from palpd.recording import cdr, mcap_file
+from palpd.recording import cdr, topics
 from palpd.recording.mcap_file import HEADER, Contents, RecordingWriter
 from palpd.recording.reader import Recording, export, recover
 from palpd.recording.samples import COLUMNS, read
@@ -89,7 +89,7 @@ def without_running_zero(path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A recording as the first palpd wrote them: its ticks had no field zero_N."""
     whole = Recording.load(RECORDING)
     schema = "\n".join(line for line in cdr.TICK.splitlines() if not line.endswith(" zero_n"))
-    monkeypatch.setitem(mcap_file._SCHEMAS, "palpd_msgs/msg/Tick", schema)
+    monkeypatch.setitem(topics.SCHEMAS, "palpd_msgs/msg/Tick", schema)
     monkeypatch.setattr(cdr, "_ONCE", tuple(name for name in cdr._ONCE if name != "zero_N"))
     cdr.tick_layout.cache_clear()
     writer = RecordingWriter(path, whole.header)

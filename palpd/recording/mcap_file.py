@@ -1,7 +1,7 @@
 """A recording on disk: MCAP with ROS 2 messages that any MCAP or ROS 2 tool opens. Its topic /tick returns every row bit for bit.
 
-/tick alone holds the whole row; the other topics show parts of it in standard messages. In a compressed chunk the repeated numbers
-cost almost nothing, and reading back needs one topic. An unfinished recording is called FILE.part.
+In a compressed chunk the numbers that the other topics repeat cost almost nothing, and reading back needs one topic. An unfinished
+recording is called FILE.part.
 """
 
 import contextlib
@@ -26,38 +26,14 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Metadata, Schema
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
-from numpy.typing import NDArray
 from zstandard import ZstdError
 
 from palpd.errors import RecordingError
 from palpd.file_versions import NEWEST_RECORDING, newer
 from palpd.recording import cdr
-from palpd.tick import Floats
+from palpd.recording.topics import SCHEMAS, TICK_TOPIC, TOPICS, Rows, TopicMessages
 
-Rows = NDArray[np.void]
-
-TICK_TOPIC = "/tick"
 HEADER, FOOTER, MODEL = "palpd.header", "palpd.footer", "model.onnx"
-_SCHEMAS = {
-    "geometry_msgs/msg/PoseStamped": cdr.POSE_STAMPED,
-    "geometry_msgs/msg/TwistStamped": cdr.TWIST_STAMPED,
-    "geometry_msgs/msg/WrenchStamped": cdr.WRENCH_STAMPED,
-    "palpd_msgs/msg/Tick": cdr.TICK,
-}
-_TOPICS = {
-    "/tcp_pose": "geometry_msgs/msg/PoseStamped",
-    "/tcp_twist": "geometry_msgs/msg/TwistStamped",
-    "/target_pose": "geometry_msgs/msg/PoseStamped",
-    "/wrench_raw": "geometry_msgs/msg/WrenchStamped",
-    "/wrench": "geometry_msgs/msg/WrenchStamped",
-    TICK_TOPIC: "palpd_msgs/msg/Tick",
-}
-_NEAR_S = 10.0
-"""Largest distance between a sample's own time and its tick: beyond it the tick's time counts, as for a robot that never answered."""
-
-_LEAST_APART_S = 0.007
-"""Least distance of robot states in the standard topics: at 500 Hz leaving states out saves 2.5 of 17 MB a minute."""
-
 _UNREADABLE = (McapError, ZstdError, struct.error, ValueError, KeyError, RuntimeError, MemoryError, OverflowError)
 """What the MCAP reader raises on truncated or altered bytes."""
 LATEST_S = 1e11
@@ -184,21 +160,20 @@ class RecordingWriter:
             if taken.exists():
                 raise RecordingError(f"{taken} exists and is not overwritten; choose another name or move it away")
         header = {"epoch_offset_s": time.time() - time.monotonic(), **header, "format_version": NEWEST_RECORDING}
-        self._offset_ns = round(header["epoch_offset_s"] * 1e9)
+        self._messages = TopicMessages(header["epoch_offset_s"])
         try:
             self._stream = self.part.open("xb")
         except OSError as error:
             raise RecordingError(f"{self.part} cannot be written ({error.strerror}); choose a directory that can") from error
         fcntl.flock(self._stream, fcntl.LOCK_EX)
-        self._robot_t_s = float("nan")
         self._writer = Writer(self._stream, chunk_size=1 << 30, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="ros2", library="palpd")
         self._writer.add_metadata(HEADER, {"json": json.dumps(header)})
         if model_bytes is not None:
             self._writer.add_attachment(0, 0, MODEL, "application/octet-stream", model_bytes)
-        schema = {name: self._writer.register_schema(name, "ros2msg", text.encode()) for name, text in _SCHEMAS.items()}
-        self._channel = {topic: self._writer.register_channel(topic, "cdr", schema[name]) for topic, name in _TOPICS.items()}
-        self._sequence = dict.fromkeys(_TOPICS, 0)
+        schema = {name: self._writer.register_schema(name, "ros2msg", text.encode()) for name, text in SCHEMAS.items()}
+        self._channel = {topic: self._writer.register_channel(topic, "cdr", schema[name]) for topic, name in TOPICS.items()}
+        self._sequence = dict.fromkeys(TOPICS, 0)
         self._writer.flush()
 
     def write(self, rows: Rows) -> None:
@@ -207,13 +182,8 @@ class RecordingWriter:
         Args:
             rows: ticks (n,) with the fields of ROW, in their order.
         """
-        if not len(rows):
-            return
-        with np.errstate(all="ignore"):  # record a sensor that sends nonsense without warnings
-            self._write_robot(rows)
-            self._write_frames(rows)
-            stamp_ns = self._epoch_ns(rows["now_s"], rows["now_s"])
-        self._add(TICK_TOPIC, stamp_ns, cdr.pack_ticks(stamp_ns, rows))
+        for topic, stamp_ns, messages in self._messages.of(rows):
+            self._add(topic, stamp_ns, messages)
 
     def flush(self) -> None:
         """Close the present chunk and pass it to the kernel."""
@@ -241,35 +211,6 @@ class RecordingWriter:
         """Close the file and leave it unfinished."""
         with contextlib.suppress(OSError):  # the full disk was reported before
             self._stream.close()
-
-    def _write_robot(self, rows: Rows) -> None:
-        """Pose, twist and target of every new state, of a controller faster than 125 Hz at about that rate."""
-        new = []
-        for number, t_s in enumerate(rows["robot_t_s"].tolist()):
-            if not abs(t_s - self._robot_t_s) < _LEAST_APART_S:
-                new.append(number)
-                self._robot_t_s = t_s
-        rows = rows[new]
-        stamp_ns = self._epoch_ns(rows["robot_t_s"], rows["now_s"])
-        for topic, name in (("/tcp_pose", "tcp_pose"), ("/target_pose", "target_pose")):
-            pose = np.hstack([rows[name][:, :3], cdr.quaternion(rows[name][:, 3:])])
-            self._add(topic, stamp_ns, cdr.pack_stamped(stamp_ns, cdr.BASE_FRAME, pose))
-        self._add("/tcp_twist", stamp_ns, cdr.pack_stamped(stamp_ns, cdr.BASE_FRAME, rows["tcp_speed"]))
-
-    def _write_frames(self, rows: Rows) -> None:
-        """The wrench of every sensor frame, as measured and as compensated."""
-        filled = np.arange(rows["frame_t_s"].shape[1]) < rows["frames"][:, None]
-        stamp_ns = self._epoch_ns(rows["frame_t_s"][filled], np.repeat(rows["now_s"], rows["frames"]))
-        contact = rows["tared"][filled]
-        contact[:, 2] -= rows["inertial_N"][filled]
-        self._add("/wrench_raw", stamp_ns, cdr.pack_stamped(stamp_ns, cdr.SENSOR_FRAME, rows["wrench"][filled]))
-        self._add("/wrench", stamp_ns, cdr.pack_stamped(stamp_ns, cdr.BASE_FRAME, contact))
-
-    def _epoch_ns(self, t_s: Floats, tick_s: Floats) -> cdr.Nanoseconds:
-        t_s = np.where(np.abs(t_s - tick_s) < _NEAR_S, t_s, tick_s)
-        t_s = np.clip(np.nan_to_num(t_s), 0.0, 1e9)
-        since_boot_ns: cdr.Nanoseconds = np.rint(t_s * 1e9).astype(np.int64)
-        return np.maximum(since_boot_ns + self._offset_ns, 0)
 
     def _add(self, topic: str, stamp_ns: cdr.Nanoseconds, messages: list[bytes]) -> None:
         channel, sequence = self._channel[topic], self._sequence[topic]
@@ -416,7 +357,7 @@ class Contents:
                     position += (_alike(data, position - 9, 9 + length, head.size) - 1) * (9 + length)
             elif opcode == Opcode.SCHEMA:
                 schema = Schema.read(ReadDataStream(io.BytesIO(data[position : position + length])))
-                if schema.name == _TOPICS[TICK_TOPIC]:
+                if schema.name == TOPICS[TICK_TOPIC]:
                     self.schema = schema.data.decode()
             elif opcode == Opcode.CHANNEL:
                 channel = Channel.read(ReadDataStream(io.BytesIO(data[position : position + length])))
