@@ -172,6 +172,38 @@ def controls(
 
 
 @app.command()
+def stream(
+    config: ConfigOption = DEFAULT_CONFIG,
+    socket: SocketOption = None,
+    foxglove: Annotated[
+        int | None, typer.Option("--foxglove", metavar="PORT", min=1, max=65535, help="serve Foxglove's WebSocket protocol at this port")
+    ] = None,
+    metrics: Annotated[
+        int | None, typer.Option("--metrics", metavar="PORT", min=1, max=65535, help="serve Prometheus metrics at this port")
+    ] = None,
+    force: Annotated[
+        Path | None, typer.Option("--force", metavar="SOCKET", help="send the force of each tick to readers of this Unix socket")
+    ] = None,
+    listen: Annotated[
+        str, typer.Option("--listen", help="address to listen at; 0.0.0.0 for other computers too, which may then read all of it")
+    ] = "127.0.0.1",
+    layout: Annotated[Path | None, typer.Option("--layout", help="write the layout for Foxglove to this file, and end")] = None,
+) -> None:
+    """Show the daemon's live data to other tools until Ctrl-C: Foxglove, Prometheus, and readers of the force. Reads only."""
+    from palpd.config import load_config
+    from palpd.files import write_bytes
+    from palpd.streams import serving
+
+    if layout is not None:
+        write_bytes(layout, serving.LAYOUT.read_bytes())
+        print(f"{layout} holds the layout; open it in Foxglove with Import from file.")
+        return
+    settings = load_config(config)
+    outputs = serving.Outputs(listen, foxglove, metrics, force)
+    serving.serve(settings, socket or settings.paths.control_socket, outputs, lambda sentence: print(sentence, flush=True))
+
+
+@app.command()
 def init(
     folder: Annotated[Path, typer.Argument(help="where to write both files")] = Path(),
     model: Annotated[Literal["ur5", "ur5e"], typer.Option("--model", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")] = "ur5",
