@@ -31,7 +31,7 @@ from palpd.daemon.clock import RealClock
 from palpd.daemon.motion_process import Job, RingWriter, arm_geometry_of, explainer_of, limits_of
 from palpd.daemon.realtime import CPU_LATENCY, realtime
 from palpd.recording.ring import Ring
-from palpd.tick import PROGRAM_PLAYING, Floats, RobotMode, RobotState, SafetyMode, SensorFrames, TickRecord, Timing
+from palpd.tick import PROGRAM_PLAYING, Clock, Floats, RobotMode, RobotState, SafetyMode, SensorFrames, TickRecord, Timing
 
 
 class IdleRobot:
@@ -138,18 +138,23 @@ def waits(kind: str, rate_Hz: float, folder: Path) -> Iterator[tuple[Any, Abstra
             yield RealClock(rate_Hz, time.monotonic() + 0.3), realtime()
 
 
-def measure(kind: str, rate_Hz: float, seconds: float, stress: bool) -> str:
-    """One line of the table."""
+def idle_loop(seconds: float, clock: Clock, record: Record) -> Loop:
+    """The daemon's own loop with stand-ins for robot and sensor, which rests for that long."""
     config = Config.model_validate({"safety": {"max_stall_s": 0.5, "robot_stale_s": 0.5, "sensor_stale_s": 0.5}})
     job = Job("palpation", config, Plan(), reference=(0.0,) * 6)
     explainer = explainer_of(job, {}, 0.001)
     explainer.tare = np.zeros(6)
     sequence = Sequence(TimedRest(arm_geometry_of(job, 0.001), seconds))
+    return Loop(IdleRobot(), DitheringSensor(), clock, sequence, explainer, limits_of(config), record)
+
+
+def measure(kind: str, rate_Hz: float, seconds: float, stress: bool) -> str:
+    """One line of the table."""
     with tempfile.TemporaryDirectory() as name, waits(kind, rate_Hz, Path(name)) as (clock, privileges):
         ring = Ring.create(rate_Hz, seconds + 2.0)
         writer = RingWriter(ring)
         record: Record = Logged(writer, Path(name) / "log") if kind == "logger" else writer
-        loop = Loop(IdleRobot(), DitheringSensor(), clock, sequence, explainer, limits_of(config), record)
+        loop = idle_loop(seconds, clock, record)
         strain = _strained(seconds + 1.0) if stress else None
         beside = Cyclictest(round(1e6 / rate_Hz))
         time.sleep(0.3)
