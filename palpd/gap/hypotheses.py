@@ -109,10 +109,10 @@ def fit_rounding(problem: Problem) -> NominalFit:
         problem: The data and their prediction, as if they were rounded to the nearest level.
 
     Returns:
-        The fit; another way needs evidence, since an effect may imitate it.
+        The fit; another way needs evidence, since an effect may imitate it. The stated step is rounded to the nearest level, as stated.
     """
     nominal = fit_nominal(problem)
-    if problem.rounding is None:
+    if problem.rounding is None or problem.rounding.step_N == problem.cell.sensor.resolution_fz_N:
         return nominal
     others = [fit_nominal(problem.with_rounding(replace(problem.rounding, way=way))) for way in WAYS if way != problem.rounding.way]
     best = min(others, key=_surprise)

@@ -16,6 +16,9 @@ NOISE = {"noise_rms_N": (FX, FY, FZ), "noise_rms_Nm": (TX, TY, TZ)}
 RESOLUTION = {"resolution_fxy_N": (FX, FY), "resolution_fz_N": (FZ,), "resolution_Nm": (TX, TY, TZ)}
 """Channels that a key of the cell file's sensor block is about."""
 
+HEALTHY_NOISE = 1.5
+"""Ratio of shown and stated noise beyond which lateral axes say nothing of the noise of fz."""
+
 FAR_FROM_STATED = 5.0
 """Ratio of measured and stated noise from which on a note says so: no surroundings change a healthy sensor this far."""
 
@@ -52,10 +55,46 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
     return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=measured)}), notes
 
 
+def noise_before_rounding_N(recordings: Sequence[Samples], cell: CellFile) -> float:
+    """Noise of a sample of force before it is rounded, by the lateral axes, whose steps are finer than those of fz.
+
+    Args:
+        recordings: The recordings of the cell.
+        cell: The cell file, with its stated noise.
+
+    Returns:
+        The noise in N; the stated one where no lateral axis shows it, or where they are noisier or quieter than healthy ones.
+    """
+    stated_N = cell.sensor.noise_rms_N
+    shown_N = _noise_rms(recordings, [_rests(samples, cell) for samples in recordings], (FX, FY))
+    healthy = shown_N is not None and stated_N / HEALTHY_NOISE <= shown_N <= stated_N * HEALTHY_NOISE
+    return shown_N if shown_N is not None and healthy else stated_N
+
+
+def free_reading_N(recordings: Sequence[Samples], cell: CellFile) -> float:
+    """Mean reading of fz at rest in the air.
+
+    Args:
+        recordings: The recordings of the cell.
+        cell: The cell file.
+
+    Returns:
+        The mean in N; 0 where nothing rests in the air.
+    """
+    readings = [samples.wrench[_phases(samples, cell) == FREE_STILL, 2] for samples in recordings]
+    together = np.concatenate(readings)
+    return float(together.mean()) if together.size else 0.0
+
+
+def _phases(samples: Samples, cell: CellFile) -> NDArray[np.int_]:
+    """The phase of every sample (n,)."""
+    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
+    return find_phases(samples, surface_m, cell.robot.position_noise_rms_m).phase
+
+
 def _rests(samples: Samples, cell: CellFile) -> NDArray[np.bool_] | None:
     """Samples at rest (n,); None where there are too few to measure noise."""
-    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
-    still = np.isin(find_phases(samples, surface_m, cell.robot.position_noise_rms_m).phase, (FREE_STILL, HOLDING))
+    still = np.isin(_phases(samples, cell), (FREE_STILL, HOLDING))
     return still if still.sum() >= REST_SAMPLES else None
 
 

@@ -1,7 +1,7 @@
-"""Readings of fz that are rounded more coarsely than the cell file states."""
+"""Readings of fz that noise does not dither: rounded more coarsely than the cell file states, or than their noise is large."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,8 +15,11 @@ Way = Literal["nearest", "down", "to zero"]
 WAYS: tuple[Way, ...] = ("nearest", "down", "to zero")
 """How readings come to their levels: converters round to the nearest one or down, and integers in software cut towards zero."""
 
-LEVELS = 3
-"""Number of levels on either side of a force that its mean reading takes into account."""
+DITHERED = 0.36
+"""Noise, in steps, from which on the mean reading follows the force within a sixth, and by less than 3 % of a step."""
+
+REACH = 1.5
+"""Steps up to which the force is that of the probe alone, in the air."""
 
 LEAST_DITHER = 0.25
 """Least noise, in steps, with which a reading is predicted: neither the levels nor the force between them are known better."""
@@ -30,6 +33,8 @@ class Rounding:
     level_N: float
     noise_rms_N: float
     way: Way = "nearest"
+    reach_N: float = np.inf
+    """Largest force that is predicted to a fraction of a step. Beyond, tolerances decide on which side of a level it lies."""
 
     def mean(self, force_N: Floats) -> Floats:
         """Mean reading of a force with normal noise.
@@ -46,21 +51,29 @@ class Rounding:
         # Towards zero, a negative force comes to the next level above.
         return down_N if self.way == "down" else down_N + self.step_N * ndtr(-force_N / self._sigma_N)
 
+    def force_N(self, reading_N: float) -> float:
+        """The force whose mean reading this is.
+
+        Args:
+            reading_N: A mean of readings.
+
+        Returns:
+            The force in N.
+        """
+        forces_N = reading_N + self.step_N * np.linspace(-1.0, 1.0, 2001)
+        return float(forces_N[np.argmin(np.abs(self.mean(forces_N) - reading_N))])
+
     @property
     def _sigma_N(self) -> float:
         """Noise with which a reading is predicted."""
         return max(self.noise_rms_N, LEAST_DITHER * self.step_N)
 
     def _mean_of_nearest(self, force_N: Floats) -> Floats:
-        sigma = self._sigma_N
-        nearest = np.rint((force_N - self.level_N) / self.step_N)
-        out = np.zeros_like(force_N)
-        for k in range(-LEVELS, LEVELS + 1):
-            level = (nearest + k) * self.step_N + self.level_N
-            above = np.full_like(force_N, np.inf) if k == LEVELS else (level + 0.5 * self.step_N - force_N) / sigma
-            below = np.full_like(force_N, -np.inf) if k == -LEVELS else (level - 0.5 * self.step_N - force_N) / sigma
-            out += level * (ndtr(above) - ndtr(below))
-        return out
+        turn = 2.0 * np.pi / self.step_N * (force_N - self.level_N)
+        damping = float(np.exp(-2.0 * (np.pi * self._sigma_N / self.step_N) ** 2))
+        # Fourier series of a dithered quantiser's mean (Widrow and Kollár 2008, ch. 19): sin(k turn) (-1)^k / k; two terms are enough.
+        moved = self.step_N / np.pi * damping * np.sin(turn) * (damping**3 * np.cos(turn) - 1.0)
+        return np.asarray(force_N + np.where(np.abs(force_N) <= self.reach_N, moved, 0.0))
 
     def slope(self, force_N: Floats) -> Floats:
         """Change of the mean reading per change of the force.
@@ -116,20 +129,26 @@ def coarse_step_N(samples: Samples, cell: CellFile) -> float:
     return float(steps[np.argmax(np.abs(np.exp(2j * np.pi * values / steps[:, None]).sum(axis=1)))])
 
 
-def rounding_of(recordings: Sequence[Samples], steps_N: Sequence[float], cell: CellFile) -> Rounding | None:
+def rounding_of(
+    recordings: Sequence[Samples], steps_N: Sequence[float], cell: CellFile, noise_rms_N: float, free_N: float
+) -> Rounding | None:
     """How fz is rounded; its levels follow from the mean of all values on the circle of one step.
 
     Args:
         recordings: The recordings as they were read.
         steps_N: Coarse step of each, 0 for none.
         cell: Their cell file.
+        noise_rms_N: Noise of a sample before rounding.
+        free_N: Mean reading of fz at rest in the air, where the cell predicts no force.
 
     Returns:
-        The rounding with the coarsest of the steps, or None without one.
+        The rounding with the coarsest of the steps, its levels as forces above those at rest; None where noise dithers the stated step.
     """
-    step_N = max(steps_N)
-    if step_N <= 0.0:
+    step_N = max(steps_N) or cell.sensor.resolution_fz_N
+    if noise_rms_N >= DITHERED * step_N:
         return None
     turns = np.exp(2j * np.pi * np.concatenate([s.wrench[:, 2] for s in recordings]) / step_N)
     level_N = float(np.angle(turns.mean()) / (2.0 * np.pi) * step_N)
-    return Rounding(step_N, level_N, cell.sensor.noise_rms_N)
+    rounding = Rounding(step_N, level_N, noise_rms_N)
+    reach_N = np.inf if max(steps_N) else REACH * step_N
+    return replace(rounding, level_N=level_N - rounding.force_N(free_N), reach_N=reach_N)

@@ -126,6 +126,19 @@ def test_an_effect_is_named_alone_with_its_size_and_closes_the_gap(name: str, va
     assert diagnosis.shrink.closed > 0.9
 
 
+def test_a_force_that_noise_does_not_lift_off_its_level_is_no_smaller_mass() -> None:
+    """At a third of a step of noise a reading in the middle of a level follows the force by two thirds."""
+    cell = nominal().model_copy(update={"sensor": nominal().sensor.model_copy(update={"noise_rms_N": 0.045})})
+    quieter = cell.model_copy(update={"sensor": cell.sensor.model_copy(update={"noise_rms_N": 0.038})})
+    t_s = np.arange(30_000) / 500.0
+    presses = np.clip(10.0 * np.sin(0.1 * np.pi * t_s) - 9.0, 0.0, 1.0)
+    z_cmd_m = (1.0 - presses) * (0.02 + 0.015 * np.sin(4.4 * t_s)) - 0.006 * presses
+    columns = simulate(quieter, t_s, z_cmd_m=z_cmd_m, noise_seed=4)
+    samples = Samples(t_s, z_cmd_m, columns["z_m"], columns["vz_m_per_s"], np.column_stack([columns[name] for name in WRENCH]))
+    diagnosis = quick(samples, cell)
+    assert diagnosis.verdict == "none", diagnosis.sentence
+
+
 def test_a_healthy_robot_that_reports_more_slowly_than_the_sensor_is_not_accused() -> None:
     samples = slow_robot(recording(nominal(), {}, rate_Hz=1000.0))
     diagnosis = quick(samples, nominal())

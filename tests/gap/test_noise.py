@@ -81,7 +81,7 @@ def test_coarse_rounding_is_found_and_followed_on_average(level: float) -> None:
     rng = np.random.default_rng(5)
     wrench = rng.normal(0.0, 0.1, (20_000, 6)) + np.linspace(0.0, 8.0, 20_000)[:, None]
     wrench[:, 2] = (np.rint(wrench[:, 2] / 0.37 - level) + level) * 0.37
-    coarse = rounding_of([at_rest(wrench)], [coarse_step_N(at_rest(wrench), nominal())], nominal())
+    coarse = rounding_of([at_rest(wrench)], [coarse_step_N(at_rest(wrench), nominal())], nominal(), 0.1, 0.0)
     assert coarse is not None
     assert coarse.step_N == pytest.approx(0.37, rel=2e-3)
     assert abs((coarse.level_N / 0.37 - level + 0.5) % 1.0 - 0.5) < 0.1
@@ -90,6 +90,34 @@ def test_coarse_rounding_is_found_and_followed_on_average(level: float) -> None:
         readings = 0.1 + 0.37 * np.rint((force_N + rng.normal(0.0, 0.12, 200_000) - 0.1) / 0.37)
         assert rounding.mean(np.array([force_N]))[0] == pytest.approx(readings.mean(), abs=2e-3)
     assert rounding.slope(np.linspace(0.0, 3.7, 1000)).mean() == pytest.approx(1.0, abs=0.01)
+
+
+def test_rounding_to_the_stated_step_counts_where_noise_does_not_dither_it() -> None:
+    rng = np.random.default_rng(8)
+    step_N = nominal().sensor.resolution_fz_N
+    for noise, counts in ((0.3, True), (0.6, False)):
+        wrench = np.zeros((20_000, 6))
+        wrench[:, 2] = np.round(rng.normal(0.4 * step_N, noise * step_N, 20_000) / step_N) * step_N
+        rounding = rounding_of([at_rest(wrench)], [0.0], nominal(), noise * step_N, 0.0)
+        mean_N = 0.4 * step_N if rounding is None else float(rounding.mean(np.array([0.4 * step_N]))[0])
+        assert (rounding is not None) == counts
+        assert mean_N == pytest.approx(wrench[:, 2].mean(), abs=4.0 * noise * step_N / 20_000**0.5 + 1e-3 * step_N)
+
+
+def test_levels_lie_where_the_zero_of_the_sensor_puts_them_and_are_known_in_the_air_only() -> None:
+    """A bias of a quarter of a step moves the force at rest to the side of its level."""
+    step_N, noise_N = nominal().sensor.resolution_fz_N, 0.3 * nominal().sensor.resolution_fz_N
+    rng = np.random.default_rng(9)
+    force_N, bias_N = 0.1 * step_N, 0.25 * step_N
+    wrench = np.zeros((200_000, 6))
+    wrench[:, 2] = np.round((rng.normal(bias_N, noise_N, 200_000)) / step_N) * step_N
+    rounding = rounding_of([at_rest(wrench)], [0.0], nominal(), noise_N, float(wrench[:, 2].mean()))
+    assert rounding is not None
+    more = np.round(rng.normal(force_N + bias_N, noise_N, 200_000) / step_N) * step_N
+    at_zero_N, there_N = rounding.mean(np.array([0.0, force_N]))
+    assert there_N - at_zero_N == pytest.approx(more.mean() - wrench[:, 2].mean(), abs=0.01 * step_N)
+    far_N = np.array([5.3 * step_N])
+    assert rounding.mean(far_N) == far_N
 
 
 @pytest.mark.parametrize(("way", "cut"), [("down", np.floor), ("to zero", np.trunc)])
