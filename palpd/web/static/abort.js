@@ -3,22 +3,29 @@
 import { say } from "./message.js";
 
 const TRIES = 20;
-const PATIENCE_MS = 1000;
+const AGAIN_MS = 1000; // without an answer it is sent once more, beside the ones before: no answer does not mean that it has not arrived
+const PATIENCE_MS = 15000;
 const TEXT_FIELDS = "input:not([type=button]):not([type=submit]):not([type=checkbox]):not([type=radio]):not([type=range]):not([type=file]), textarea, [contenteditable=true]";
 const button = document.getElementById("abort");
 
+async function send() {
+  const answer = await fetch("/abort", { method: "POST", cache: "no-store", keepalive: true, signal: AbortSignal.timeout(PATIENCE_MS) });
+  return answer.json();
+}
+
+/** Abort, and say how it went. */
 export async function abort() {
   button.dataset.sent = "";
   setTimeout(() => delete button.dataset.sent, 600);
-  for (let attempt = 1; attempt <= TRIES; attempt++) {
-    try {
-      const answer = await fetch("/abort", { method: "POST", cache: "no-store", keepalive: true, signal: AbortSignal.timeout(PATIENCE_MS) });
-      const content = await answer.json();
+  let answered = false;
+  const warn = (words, attempt) => { if (!answered) say(`${words} (attempt ${attempt} of ${TRIES}); use the emergency stop.`, "refused"); };
+  for (let attempt = 1; attempt <= TRIES && !answered; attempt++) {
+    send().then((content) => {
+      answered = true;
       say(content.ok ? `Abort carried out: ${content.state}.` : content.error, content.ok ? "done" : "refused");
-      return;
-    } catch {
-      say(`The abort has not reached palpd (attempt ${attempt} of ${TRIES}); use the emergency stop.`, "refused");
-    }
+    }, () => warn("The abort has not reached palpd", attempt));
+    await new Promise((later) => setTimeout(later, AGAIN_MS));
+    warn("No answer to the abort yet", attempt);
   }
 }
 
