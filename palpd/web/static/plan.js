@@ -75,9 +75,10 @@ function field(node, key, values, path) {
 
 function block(node, key, values) {
   const kind = inner(node), fields = make("div", { className: "fields" });
-  const fill = () => fields.replaceChildren(...(values[key] ? Object.keys(kind.properties).map((each) => field(kind.properties[each], each, values[key], `${key}.${each}`)) : []));
+  const about = node.description ?? kind.description ?? "";
+  const fill = () => fields.replaceChildren(...(values[key] ? Object.keys(kind.properties).map((each) => field(kind.properties[each], each, values[key], `${key}.${each}`)) : [make("p", { className: "faint", text: about })]));
   fill();
-  const legend = make("legend", { text: named(key), title: node.description ?? kind.description ?? "" });
+  const legend = make("legend", { text: named(key), title: about });
   if (optional(node)) {
     const box = make("input", { type: "checkbox", checked: Boolean(values[key]), ariaLabel: `give ${named(key)}`, on: { change: () => {
       values[key] = box.checked ? Object.fromEntries(Object.entries(kind.properties).map(([each, of]) => [each, of.default ?? (of.type === "string" ? "" : Math.max(0, of.minimum ?? 0))])) : null;
