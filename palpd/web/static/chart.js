@@ -62,7 +62,7 @@ export function chart(holder, spec) {
     const width = Math.max(holder.clientWidth, 240), height = spec.height ?? 220;
     const [x0, x1] = spec.x ?? extent(...spec.series.map((each) => each.x));
     let [y0, y1] = spec.y ?? extent(...spec.series.flatMap((each) => [each.y ?? [], each.low ?? [], each.high ?? []]), (spec.limits ?? []).map((each) => each.y));
-    if (!spec.y) [y0, y1] = [y0 - 0.06 * (y1 - y0), y1 + 0.06 * (y1 - y0)];
+    if (!spec.y) [y0, y1] = [y0 - 0.06 * (y1 - y0), y1 + (spec.limits ? 0.2 : 0.06) * (y1 - y0)];
     const sx = (x) => LEFT + ((x - x0) / (x1 - x0 || 1)) * (width - LEFT - RIGHT);
     const sy = (y) => height - BOTTOM - ((y - y0) / (y1 - y0 || 1)) * (height - TOP - BOTTOM);
     const svg = element("svg", { class: "drawing", viewBox: `0 0 ${width} ${height}`, width, height, role: "img", "aria-label": spec.label });
@@ -98,7 +98,7 @@ export function chart(holder, spec) {
     }
     for (const limit of spec.limits ?? []) {
       inside.append(element("line", { class: "limit", x1: LEFT, x2: width - RIGHT, y1: sy(limit.y), y2: sy(limit.y) }));
-      inside.append(element("text", { class: "limit-name", x: width - RIGHT - 4, y: sy(limit.y) - 4, "text-anchor": "end" }, limit.label));
+      inside.append(element("text", { class: "limit-name", x: width - RIGHT - 4, y: sy(limit.y) + 14, "text-anchor": "end" }, limit.label));
     }
     svg.append(inside);
     if (spec.window) {
