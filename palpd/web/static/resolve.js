@@ -78,7 +78,7 @@ async function decide(id, number, agree) {
   const answer = await request("decide", { id, number, agree });
   if (answer.ok) {
     answered = `${id} ${number}`;
-    say(agree ? "Agreed: the motion is recorded." : "Declined: nothing moves.");
+    say(agree ? "Agreed: the motion begins." : "Declined: nothing moves.");
   }
   update();
 }
@@ -102,7 +102,7 @@ byId("begin").addEventListener("submit", async (event) => {
   const answer = await request("begin", { program: "resolve", arguments: wishes });
   byId("refusal").dataset.of = answer.ok ? "" : "begin";
   refuse(byId("refusal"), answer.ok ? "" : answer.error ?? "");
-  if (answer.ok) { shown = answer.id; history.replaceState(null, "", `/resolve?job=${encodeURIComponent(shown)}`); await update(); }
+  if (answer.ok) { say(`Job ${answer.id} makes at most ${answer.most_runs} ${answer.most_runs === 1 ? "run" : "runs"}.`); shown = answer.id; history.replaceState(null, "", `/resolve?job=${encodeURIComponent(shown)}`); await update(); }
 });
 byId("cancel").addEventListener("click", async () => {
   const answer = await ask("/do/cancel", { id: shown });
