@@ -3,6 +3,9 @@
 `python -m benchmarks.abort [--samples 50] [--minutes 30] [--json FILE]`. The service moves an emulated arm. Meanwhile other clients leave
 it alone, hold 200 half-open connections, or ask for its status in 20 tight loops besides. Results are added to FILE; the column "measured"
 of docs/faults.md is made of all of FILE. Ends with 1 where the 99th percentile is above the target. Some 9 s a sample on a quiet machine.
+
+With `--page` the abort is a click on the button of the operator's page, in a headless Chromium, at a random moment of the motion. It prints
+how long it took from the click to the stop on the robot's wire, to the page that shows the abort, and to a target speed of zero.
 """
 
 import argparse
@@ -17,10 +20,10 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,12 +34,25 @@ from palpd.daemon.socket_client import ask
 from palpd.errors import PalpdError
 from palpd.recording.reader import Recording
 
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
 TARGET_S = 0.250
 HALF_OPEN = 200
 LOOPS = 20
 CROWDS = {"nobody else": (0, 0), "200 half-open": (HALF_OPEN, 0), "200 half-open, 20 loops": (HALF_OPEN, LOOPS)}
 """Number of half-open connections, and of clients that ask in a tight loop."""
 SETTLE_S = 1.0
+PAGE_TARGETS_S = {"wire": 0.100, "shown": 0.200}
+"""From the click, at the 99th percentile: stop on the robot's wire, and the page shows that the abort was carried out."""
+PAGE_HOPS = {
+    "wire": "stop on the robot's wire",
+    "shown": "the page shows the abort",
+    "ended": "the page shows no run any more",
+    "rest": "target speed zero",
+}
+SPREAD_S = 3.0
+"""A click comes at a random moment of that long, while the arm moves."""
 HOPS = ("python", "sent", "tick", "wire", "rest", "answered")
 """Moments of an abort: Python runs, the request is sent, a tick has seen it, its stop is on the wire, rest, the answer is there."""
 STAMPED = """
@@ -127,13 +143,7 @@ def aborted(cell: EmulatedCell, path: Path, crowd: str) -> dict[str, Any]:
     Returns:
         One entry of the results.
     """
-    until(lambda: ask(path, {"do": "status"})["state"] == "disarmed", "the service is disarmed", every_s=0.1)
-    cell.wires.ask("restart", s=0.1)
-    time.sleep(0.3)
-    cell.wall(ABOVE_M, 1000.0)  # the last run has left the tip lower
-    ask(path, {"do": "arm"}, 60.0)
-    ask(path, {"do": "start", "plan": PRESS | {"sites": [{"name": "A"}], "search": {"speed_m_per_s": 0.001, "max_travel_m": 0.03}}})
-    until(lambda: ask(path, {"do": "status"}).get("phase") == "search", "the arm moves", every_s=0.1)
+    _begin_motion(cell, path)
     with crowded(path, *CROWDS[crowd]):
         began_s = time.monotonic()
         assert cell.log(began_s - 0.05)[-1].speed_m_per_s > 0.0, "the run ended before the abort"
@@ -144,7 +154,7 @@ def aborted(cell: EmulatedCell, path: Path, crowd: str) -> dict[str, Any]:
         rest_s = cell.rest_after_s(began_s, settle_s=max(SETTLE_S, ended_s + 0.6))
         heard = cell.wires.ask("wire", since_s=began_s)["heard"]
     stamps = json.loads(done.stdout.splitlines()[-1]) | {"tick": _tick_s(path), "rest": began_s + rest_s}
-    stamps["wire"] = next((t_s for t_s, vz in heard if vz == 0.0), math.nan)
+    stamps["wire"] = _stop_on_wire_s(heard)
     return {
         "crowd": crowd,
         "rest_s": rest_s,
@@ -154,6 +164,49 @@ def aborted(cell: EmulatedCell, path: Path, crowd: str) -> dict[str, Any]:
         "stderr": done.stderr[-200:],
         "load": os.getloadavg()[0],
     }
+
+
+def aborted_by_page(cell: EmulatedCell, path: Path, page: "Page", after_s: float) -> dict[str, Any]:
+    """Start a plan, click on the abort of the page, and wait until the arm is at rest.
+
+    Args:
+        cell: The cell that the service moves.
+        path: Control socket of the service.
+        page: The page, prepared with `WATCH_ABORT`.
+        after_s: When to click, after the motion has begun.
+
+    Returns:
+        One entry of the results.
+    """
+    from benchmarks.operator_page import click_abort
+
+    _begin_motion(cell, path)
+    page.wait_for_function("document.body.dataset.state === 'running'")
+    time.sleep(after_s)
+    before_s = time.monotonic()
+    assert cell.log(before_s - 0.05)[-1].speed_m_per_s > 0.0, "the run ended before the abort"
+    times = click_abort(page)
+    click_s = times["click"]
+    rest_s = cell.rest_after_s(click_s, settle_s=max(SETTLE_S, time.monotonic() - click_s + 0.6))
+    heard = cell.wires.ask("wire", since_s=before_s)["heard"]
+    stamps = times | {"wire": _stop_on_wire_s(heard), "rest": click_s + rest_s}
+    return {"crowd": "page", "hops_s": {hop: stamps[hop] - click_s for hop in PAGE_HOPS}, "load": os.getloadavg()[0]}
+
+
+def _begin_motion(cell: EmulatedCell, path: Path) -> None:
+    """Arm, start a slow search 8 mm above a wall, and wait until the arm moves."""
+    until(lambda: ask(path, {"do": "status"})["state"] == "disarmed", "the service is disarmed", every_s=0.1)
+    cell.wires.ask("restart", s=0.1)
+    time.sleep(0.3)
+    cell.wall(ABOVE_M, 1000.0)  # the last run has left the tip lower
+    ask(path, {"do": "arm"}, 60.0)
+    ask(path, {"do": "start", "plan": PRESS | {"sites": [{"name": "A"}], "search": {"speed_m_per_s": 0.001, "max_travel_m": 0.03}}})
+    until(lambda: ask(path, {"do": "status"}).get("phase") == "search", "the arm moves", every_s=0.1)
+
+
+def _stop_on_wire_s(heard: Sequence[tuple[float, float]]) -> float:
+    """When the controller first heard a speed of zero."""
+    return next((t_s for t_s, vz in heard if vz == 0.0), math.nan)
 
 
 def _tick_s(path: Path) -> float:
@@ -172,6 +225,43 @@ def measure(samples: int, end_s: float, kept: Path, folder: Path) -> None:
         kept: File that takes a line a sample.
         folder: Folder of the service.
     """
+    with served(folder) as (cell, path):
+        for number in range(samples):
+            for crowd in CROWDS:
+                if sum(result["crowd"] == crowd for result in results_in(kept)) > number:
+                    continue
+                if time.monotonic() > end_s:
+                    return
+                _keep(kept, crowd, lambda: aborted(cell, path, crowd))  # noqa: B023 - called at once
+
+
+def measure_page(samples: int, end_s: float, kept: Path, folder: Path) -> None:
+    """Abort by the page's button until FILE holds that many samples. Arguments as of `measure`."""
+    from benchmarks.operator_page import WATCH_ABORT, opened_pages, page_server
+
+    rng = np.random.default_rng()
+    with served(folder) as (cell, path), page_server(cell.config) as server, opened_pages(server.url, 1) as (page,):
+        page.evaluate(WATCH_ABORT)
+        while sum(result["crowd"] == "page" for result in results_in(kept)) < samples and time.monotonic() < end_s:
+            _keep(kept, "page", lambda: aborted_by_page(cell, path, page, rng.uniform(0.0, SPREAD_S)))
+
+
+def _keep(kept: Path, crowd: str, attempt: Callable[[], dict[str, Any]]) -> None:
+    """Add a sample to FILE, unless nothing was measured."""
+    try:
+        entry = attempt()
+    except (PalpdError, AssertionError) as error:  # the machine stood still, and the guard ended the run before the abort
+        print(f"{crowd}: nothing was measured ({error})", file=sys.stderr, flush=True)
+        return
+    with kept.open("a") as file:
+        file.write(json.dumps(entry) + "\n")
+    hops = ", ".join(f"{hop} {after_s * 1e3:.0f}" for hop, after_s in entry["hops_s"].items())
+    print(f"{crowd}, ms after the abort: {hops} {entry.get('stderr', '')}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[tuple[EmulatedCell, Path]]:
+    """A calibrated service before an emulated cell within the context, with its control socket."""
     with emulated_cell(folder) as base:
         cell = base.anew(folder, **PATIENT)
         calibrated = cell.palpd("calibrate", "--config", cell.config)
@@ -182,20 +272,7 @@ def measure(samples: int, end_s: float, kept: Path, folder: Path) -> None:
             service = subprocess.Popen(command, stderr=log, start_new_session=True)
         try:
             until(path.exists, "the service listens", every_s=0.1)
-            for number in range(samples):
-                for crowd in CROWDS:
-                    if sum(result["crowd"] == crowd for result in results_in(kept)) > number:
-                        continue
-                    if time.monotonic() > end_s:
-                        return
-                    try:
-                        entry = aborted(cell, path, crowd)
-                    except (PalpdError, AssertionError) as error:  # the machine stood still, and the guard ended the run before the abort
-                        print(f"{crowd}: nothing was measured ({error})", file=sys.stderr, flush=True)
-                        continue
-                    with kept.open("a") as file:
-                        file.write(json.dumps(entry) + "\n")
-                    print(f"{crowd}: rest after {entry['rest_s'] * 1e3:.0f} ms, code {entry['code']} {entry['stderr']}", flush=True)
+            yield cell, path
         finally:
             service.send_signal(signal.SIGTERM)
             service.wait(30.0)
@@ -229,12 +306,27 @@ def write_table(entries: Sequence[dict[str, Any]]) -> bool:
     return kept
 
 
+def print_page_table(entries: Sequence[dict[str, Any]]) -> bool:
+    """Print how long a click on the page's button took, and say whether the targets were kept."""
+    print("| from the click on the page's abort to | p50, ms | p99, ms | largest, ms | target p99, ms | n |")
+    print("|---|---|---|---|---|---|")
+    kept = True
+    for hop, what in PAGE_HOPS.items():
+        after_ms = np.array([entry["hops_s"][hop] for entry in entries]) * 1e3
+        p50, p99 = np.percentile(after_ms, [50, 99])
+        target = f"{PAGE_TARGETS_S[hop] * 1e3:.0f}" if hop in PAGE_TARGETS_S else ""
+        print(f"| {what} | {p50:.0f} | {p99:.0f} | {after_ms.max():.0f} | {target} | {len(entries)} |")
+        kept = kept and bool(p99 <= PAGE_TARGETS_S.get(hop, math.inf) * 1e3)
+    return kept
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--samples", type=int, default=50, help="a crowd")
     parser.add_argument("--minutes", type=float, default=600.0, help="no sample is begun after that")
     parser.add_argument("--json", type=Path, help="results are added to this file")
+    parser.add_argument("--page", action="store_true", help="abort by the button of the operator's page")
     parser.add_argument("--crowd", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()
     take_signals()
@@ -242,9 +334,10 @@ def main() -> None:
         _crowd_in(Path(options.crowd[0]), int(options.crowd[1]), int(options.crowd[2]))
     with tempfile.TemporaryDirectory() as name:
         kept = options.json or Path(name) / "abort.jsonl"
-        measure(options.samples, time.monotonic() + options.minutes * 60.0, kept, Path(name))
-        entries = results_in(kept)
-    sys.exit(0 if entries and write_table(entries) else 1)
+        take_samples, show = (measure_page, print_page_table) if options.page else (measure, write_table)
+        take_samples(options.samples, time.monotonic() + options.minutes * 60.0, kept, Path(name))
+        entries = [entry for entry in results_in(kept) if (entry["crowd"] == "page") == options.page]
+    sys.exit(0 if entries and show(entries) else 1)
 
 
 if __name__ == "__main__":

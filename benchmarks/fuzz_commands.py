@@ -59,6 +59,7 @@ clear --config {config}
 jobs --config {config} --json {out.json}
 job 20260714-101502-map --config {config} --json {out.json}
 controls --config {config}
+stream --config {config} --metrics 9464
 init {folder} --depths-mm 2,3
 install --prefix {folder}
 doctor --config {config} --watch-s 1 --json {out.json}
@@ -187,8 +188,10 @@ retract {config}
 retract --socket {csv}
 status --json
 status --socket
+stream --config {config}
+stream --force {csv} --config {config}
 """
-SLOW = ("diagnose", "resolve", "serve", "blind", "study", "demo", "emulate")
+SLOW = ("diagnose", "resolve", "serve", "blind", "study", "demo", "emulate", "stream")
 """Commands that work for long, or for ever, on what they accept: they are given only what they must refuse."""
 NO_DEVICE = (
     "run", "calibrate", "free-motion", "stiffness", "retract", "status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job",

@@ -1,4 +1,4 @@
-"""Installs the files of the service: unit, user, device rule, configuration."""
+"""Installs the files of the service: units, users, device rule, configuration."""
 
 import re
 import sys
@@ -7,7 +7,7 @@ from pathlib import Path
 from palpd.errors import Refused
 from palpd.files import check_folder, shipped, write_text
 
-UNITS = ("palpd.service", "palpd-web.service")
+UNITS = ("palpd.service", "palpd-web.service", "palpd-stream.service")
 UNIT_PYTHON = "/opt/palpd/.venv/bin/python"
 PATHS = "paths: {runs: /var/lib/palpd/runs, state: /var/lib/palpd, socket: /run/palpd/palpd.sock}"
 UNSEEN = ("/root", "/home", "/run/user", "/tmp", "/var/tmp")
@@ -36,7 +36,7 @@ def unit_python(prefix: Path) -> str:
 
 
 def installed(prefix: Path) -> list[Path]:
-    """Copy the files below `prefix`, with the path of this Python in the unit, and return the paths. An existing configuration stays.
+    """Copy the files below `prefix`, with the path of this Python in the units, and return the paths. An existing configuration stays.
 
     Raises:
         BadInput: A file cannot be written.

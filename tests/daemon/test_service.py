@@ -17,7 +17,7 @@ from hw.emulators.process import Emulated, started
 from palpd.cli.at_once import position
 from palpd.config import Config, load_config, parse_config
 from palpd.daemon.control_socket import Later
-from palpd.daemon.install import installed, unit_python
+from palpd.daemon.install import UNITS, installed, unit_python
 from palpd.daemon.motion_process import Job
 from palpd.daemon.service import Service
 from palpd.daemon.socket_client import ask
@@ -301,7 +301,7 @@ def test_an_unknown_command_is_told_what_there_is(service: Service) -> None:
 
 def test_installed_files_fit_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("palpd.daemon.install.UNSEEN", ())
-    assert len(installed(tmp_path)) == 5
+    assert len(installed(tmp_path)) == 6
     unit = (tmp_path / "etc/systemd/system/palpd.service").read_text()
     assert f"ExecStart={sys.executable} -m palpd serve --config /etc/palpd/config.yaml" in unit
     paths = load_config(tmp_path / "etc/palpd/config.yaml").paths
@@ -309,7 +309,7 @@ def test_installed_files_fit_together(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
-@pytest.mark.parametrize("name", ["palpd.service", "palpd-web.service"])
+@pytest.mark.parametrize("name", UNITS)
 def test_the_units_are_clean_and_their_exposure_is_low(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     monkeypatch.setattr("palpd.daemon.install.UNSEEN", ())
     installed(tmp_path)
@@ -326,7 +326,7 @@ def test_an_existing_configuration_is_kept(tmp_path: Path, monkeypatch: pytest.M
     installed(tmp_path)
     config = tmp_path / "etc/palpd/config.yaml"
     config.write_text("mine: 1\n")
-    assert len(installed(tmp_path)) == 4
+    assert len(installed(tmp_path)) == 5
     assert config.read_text() == "mine: 1\n"
 
 
@@ -340,7 +340,7 @@ def test_a_build_root_takes_the_python_of_opt_where_the_service_could_not_see_th
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("palpd.daemon.install.UNSEEN", (str(Path(sys.executable).parents[2]),))
-    assert len(installed(tmp_path)) == 5
+    assert len(installed(tmp_path)) == 6
     unit = (tmp_path / "etc/systemd/system/palpd.service").read_text()
     assert "ExecStart=/opt/palpd/.venv/bin/python -m palpd serve" in unit
 

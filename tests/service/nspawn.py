@@ -140,6 +140,27 @@ def test_it_starts_is_ready_and_waits_disarmed(service: Installed) -> None:
         service.do("arm")
 
 
+def test_live_data_comes_from_a_user_without_devices_and_capabilities(service: Installed) -> None:
+    fetch = "import urllib.request; print(urllib.request.urlopen('http://127.0.0.1:9464/metrics').read().decode())"
+    service.inside.write("/etc/systemd/system/palpd-stream.service.d/python.conf", f"[Service]\nEnvironment={LIBRARIES}\n")
+    service.inside.run("systemctl", "daemon-reload")
+    assert service.inside.run("systemctl", "is-enabled", "palpd-stream", check=False).strip() == "disabled"
+    service.inside.run("systemctl", "start", "palpd-stream")
+    try:
+        read = ["env", LIBRARIES, PYTHON, "-c", fetch]
+        until(lambda: "palpd_up 1.0" in service.inside.run(*read, check=False), 60.0, "it watches the service", every_s=0.5)
+        pid = service.inside.shows("palpd-stream", "MainPID")
+        fields = dict(line.split(":", 1) for line in service.inside.path(f"/proc/{pid}/status").read_text().splitlines())
+        assert set(fields["Uid"].split()) == {service.inside.run("id", "-u", "palpd-stream").strip()}
+        assert int(fields["CapEff"], 16) == int(fields["CapBnd"], 16) == 0
+        assert not {"ttyACM0", "cpu_dma_latency"} & set(service.inside.run("ls", f"/proc/{pid}/root/dev").split())
+        assert "palpd-" in service.inside.run("grep", "/dev/shm/", f"/proc/{pid}/maps"), "it reads the ring"
+        assert service.inside.run("stat", "--format=%a %U %G", "/run/palpd-stream/force.sock").strip() == "660 palpd-stream palpd"
+    finally:
+        service.inside.run("systemctl", "stop", "palpd-stream")
+    assert service.inside.shows("palpd-stream", "Result") == "success"
+
+
 def test_an_operator_calibrates_beside_it_and_arms(service: Installed) -> None:
     calibrate = [PYTHON, "-m", "palpd", "calibrate", "--config", CONFIG]
     service.inside.run("runuser", "-u", "palpd", "--", "env", LIBRARIES, f"PALPD_SENSOR__PORT={EMULATORS}/hex", *calibrate)

@@ -236,6 +236,14 @@ def test_a_scrape_reads_state_latch_ticks_ages_force_and_work(served: Served) ->
     assert page["palpd_service_process_resident_memory_bytes"] > 0.0
 
 
+def test_ticks_that_came_too_fast_are_lost_and_counted(served: Served) -> None:
+    served.service.write(ticks(served.service.ring.capacity + 7))
+    served.stream.step()
+    page = served.page()
+    assert page["palpd_stream_lost_ticks_total"] == 7.0
+    assert page["palpd_ticks_total"] == served.service.ring.capacity
+
+
 def test_without_a_tick_nothing_is_said_of_force_and_ages(served: Served) -> None:
     assert not any("age" in name or "newtons" in name for name in served.page())
 
@@ -251,8 +259,8 @@ def test_a_service_that_is_away_is_said_and_its_successor_is_followed(tmp_path: 
                 text: str = answer.read().decode()
                 return text
 
-        until(stream, lambda: 'palpd_state{palpd_state="away"} 1.0' in page(), "nobody answers")
-        assert any(sentence.startswith("Nothing to show now: the daemon at") for sentence in sentences)
+        until(stream, lambda: any(sentence.startswith("Nothing to show now: the daemon at") for sentence in sentences), "it says so")
+        assert 'palpd_state{palpd_state="away"} 1.0' in page()
         for expected in (2, 4):
             with standing_in(path) as service:
                 until(stream, lambda: stream.follows, "it follows the ring")
