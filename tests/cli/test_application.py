@@ -20,7 +20,7 @@ from tests.paths import ROOT
 
 HEAVY = ("numpy", "pydantic", "rich", "typer", "structlog", "scipy", "dataclasses", "inspect")
 COMMANDS = (
-    "run", "calibrate", "free-motion", "stiffness", "retract", "demo", "sim", "emulate", "serve", "status", "arm", "start", "pause",
+    "run", "calibrate", "free-motion", "stiffness", "retract", "demo", "sim", "emulate", "serve", "web", "status", "arm", "start", "pause",
     "resume", "abort", "clear", "jobs", "job", "controls", "stream", "init", "install", "doctor", "migrate", "check-config", "runs", "info",
     "report", "replay", "export", "recover", "import", "cell-from", "analyse", "train", "map", "diagnose", "resolve", "simulate",
     "export-sim", "tolerances", "effects", "blind", "study",
