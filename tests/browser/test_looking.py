@@ -129,7 +129,7 @@ def test_a_run_shows_facts_slider_and_report(scene: Scene) -> None:
     scene.page.get_by_role("button", name="site A").click()
     scene.page.wait_for_function("before => document.getElementById('window').textContent !== before", arg=whole)
     scene.page.evaluate("const s = document.getElementById('length'); s.value = 300; s.dispatchEvent(new Event('input'))")
-    scene.page.wait_for_function("document.querySelector('#force svg').getAttribute('aria-label').startsWith('contact force')")
+    scene.page.wait_for_function("() => document.querySelector('#force svg').getAttribute('aria-label').startsWith('contact force')")
     scene.until("#report iframe")
     report = scene.page.frame_locator("#report iframe")
     report.get_by_text("Young's modulus").first.wait_for()
@@ -189,7 +189,7 @@ def test_a_plan_is_edited_judged_rehearsed_and_started(scene: Scene) -> None:
     scene.page.fill("#yaml", "sites: [{name: A}]\ndepths_m: [0.003]\nmode: static\nhold_s: 0.5\n")
     scene.until("#standing .sound")
     scene.page.get_by_label("hold (s)").fill("0.4")
-    scene.page.wait_for_function("document.getElementById('yaml').value.includes('hold_s: 0.4')")
+    scene.page.wait_for_function("() => document.getElementById('yaml').value.includes('hold_s: 0.4')")
     scene.page.get_by_label("press speed (m/s)").fill("1")
     scene.until("#standing .refusal", "press_speed_m_per_s is 1")
     assert scene.page.locator("[aria-invalid]").get_attribute("data-path") == "press_speed_m_per_s"
