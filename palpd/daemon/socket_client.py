@@ -22,6 +22,8 @@ RETRY_S = 0.005
 REPEATABLE = ("abort", "status")
 """Requests that do the same when they are carried out twice. They are repeated until the patience is over."""
 
+NOBODY = "no daemon answers at {path}; start one with palpd serve, or name its socket with --socket"
+
 
 class NoDaemon(Refused):
     """Nobody listens at the control socket."""
@@ -171,7 +173,7 @@ def ask(path: Path, request: ControlRequest, patience_s: float = PATIENCE_S) -> 
         except PermissionError as error:
             raise Refused(f"you may not connect to the daemon at {path}; join the group that owns the socket") from error
         except (FileNotFoundError, ConnectionRefusedError) as error:
-            raise NoDaemon(f"no daemon answers at {path}; start one with palpd serve, or name its socket with --socket") from error
+            raise NoDaemon(NOBODY.format(path=path)) from error
         except (OSError, ValueError) as error:
             if time.monotonic() + RETRY_S < until_s and request["do"] in REPEATABLE:
                 time.sleep(RETRY_S)  # the daemon is crowded and had to close this connection
@@ -210,6 +212,7 @@ def watched(path: Path) -> Iterator[Iterator[dict[str, Any]]]:
         Events as docs/jobs.md lists them, the status first. An empty one comes where nothing happened for `QUIET_S`.
 
     Raises:
+        NoDaemon: Nobody listens there.
         Refused: The daemon lets nobody watch, or it ended.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
@@ -217,6 +220,8 @@ def watched(path: Path) -> Iterator[Iterator[dict[str, Any]]]:
         try:
             connection.connect(str(path))
             connection.sendall(b'{"do": "watch"}\n')
+        except (FileNotFoundError, ConnectionRefusedError) as error:
+            raise NoDaemon(NOBODY.format(path=path)) from error
         except OSError as error:
             raise Refused(f"the daemon at {path} cannot be watched ({error})") from error
         connection.settimeout(QUIET_S)

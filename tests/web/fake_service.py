@@ -98,8 +98,8 @@ class FakeService:
         if request["do"] not in ("status", "watch"):
             self.held.wait(10.0)
         if request["do"] == "watch":
-            connection.sendall(json.dumps({"ok": True, "event": "status", **self.status}).encode() + b"\n")
             self._watchers.append(connection)
+            connection.sendall(json.dumps({"ok": True, "event": "status", **self.status}).encode() + b"\n")
             return
         standard = {"ok": True, **self.status} if request["do"] == "status" else {"ok": True, "state": "disarmed"}
         with suppress(OSError):

@@ -75,15 +75,18 @@ def test_a_ring_that_cannot_be_opened_reads_as_one_without_rows() -> None:
 
 
 def received(browser: Browser, service: FakeService, kinds: set[str], during: Any = None) -> dict[str, dict[str, Any]]:
-    """The first event of each kind that a page receives, with `during` carried out once it follows."""
+    """The first event of each kind that a page receives, with `during` carried out once the server follows the service."""
     events: dict[str, dict[str, Any]] = {}
     with browser() as client, client.websocket_connect("ws://127.0.0.1:8700/live") as page:
-        page.receive_json()
-        if during is not None:
-            during()
-        while kinds - set(events):
+        waiting = True
+        while waiting or kinds - set(events):
             event = page.receive_json()
             events.setdefault(event["event"], event)
+            if waiting and event["event"] == "status":
+                waiting = False
+                if during is not None:
+                    events.pop("lost", None)
+                    during()
     return events
 
 
