@@ -166,7 +166,7 @@ def write_page(result: CheckResult, folder: Path, ablations: Sequence[CheckResul
 
 
 def _command(result: CheckResult) -> str:
-    source = "all" if len(result["sources"]) == len(SOURCES) else result["sources"][0]
+    source = "all" if len(result["sources"]) == len(SOURCES) else ",".join(result["sources"])
     parts = [f"palpd blind --source {source} --cases {result['cases']} --seed {result['seed']}"]
     parts += [f"--large {result['large']}"] if result["large"] else []
     parts += [f"--recordings {result['recordings']}"] if result["recordings"] else []

@@ -25,7 +25,7 @@ def sources_named(name: str, hosts: Hosts) -> tuple[Source, ...]:
     """The sources of a check.
 
     Args:
-        name: One source, or `all`.
+        name: One source, several with commas between them, or `all`.
         hosts: Where the injected cases find their recordings.
 
     Returns:
@@ -34,9 +34,10 @@ def sources_named(name: str, hosts: Hosts) -> tuple[Source, ...]:
     Raises:
         BadInput: There is no such source, or it needs MuJoCo, which is not installed.
     """
-    chosen = tuple(source for source in SOURCES if name in {source, "all"})
-    if not chosen:
-        raise BadInput(f"--source is {name!r}; expected one of {', '.join((*SOURCES, 'all'))}")
+    named = set(name.split(","))
+    if not named <= {*SOURCES, "all"}:
+        raise BadInput(f"--source is {name!r}; expected one of {', '.join((*SOURCES, 'all'))}, or several as in drawn,mujoco")
+    chosen = tuple(source for source in SOURCES if named & {source, "all"})
     if hosts.folder is not None and "injected" not in chosen:
         raise BadInput(f"--recordings belongs to --source injected, and --source is {name!r}; leave one of them out")
     if hosts.causes is not None and hosts.folder is None:

@@ -355,7 +355,7 @@ def effects_(
 def blind(
     cases: Annotated[int, typer.Option("--cases", min=1, help="how many cells of each source; 200 for a look, 1000 for a table")] = 200,
     seed: Annotated[int, typer.Option("--seed", help="the same seed draws the same cells")] = 1,
-    source: Annotated[str, typer.Option("--source", help="drawn, mujoco, injected or all")] = "drawn",
+    source: Annotated[str, typer.Option("--source", help="drawn, mujoco, injected, several of them (drawn,mujoco) or all")] = "drawn",
     recordings: Annotated[
         Path | None, typer.Option("--recordings", help="for injected: folder of X.csv and X.yaml to plant effects into (default: MuJoCo's)")
     ] = None,

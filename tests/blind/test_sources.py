@@ -159,8 +159,9 @@ def test_every_source_plants_every_kind_in_turn(source: Source) -> None:
 
 def test_a_source_that_does_not_exist_or_needs_what_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sources_named("all", Hosts()) == SOURCES
+    assert sources_named("injected,drawn", Hosts()) == ("drawn", "injected")
     with pytest.raises(BadInput, match="expected one of drawn, mujoco, injected, all"):
-        sources_named("real", Hosts())
+        sources_named("drawn,real", Hosts())
     with pytest.raises(BadInput, match="leave one of them out"):
         sources_named("drawn", Hosts(Path("somewhere")))
     monkeypatch.setattr(sources_module, "find_spec", lambda name: None)
