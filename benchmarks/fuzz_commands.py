@@ -49,6 +49,7 @@ demo --json {out.json} --out {folder}
 sim --plan {plan} --config {config} --cell {cell} --json {out.json}
 emulate --cell {cell} --effects {effect} --sensor-link link
 serve --config {config}
+web --config {config} --port 8700 --plan {plan} --listen 127.0.0.1 --name localhost
 status --config {config} --json {out.json}
 arm --config {config}
 start {plan} --config {config}
@@ -190,8 +191,9 @@ status --json
 status --socket
 stream --config {config}
 stream --force {csv} --config {config}
+web --port 70000 --config {config}
 """
-SLOW = ("diagnose", "resolve", "serve", "blind", "study", "demo", "emulate", "stream")
+SLOW = ("diagnose", "resolve", "serve", "blind", "study", "demo", "emulate", "stream", "web")
 """Commands that work for long, or for ever, on what they accept: they are given only what they must refuse."""
 NO_DEVICE = (
     "run", "calibrate", "free-motion", "stiffness", "retract", "status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job",
