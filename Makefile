@@ -4,7 +4,7 @@ UV := .venv/bin/uv
 READY := .venv/.ready
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo test test-wires test-rest test-service coverage lint bench bench-long minutes faults arming signals aborts presses laws soak slopes cold deb docs mutation audit samples clean
+.PHONY: setup demo test test-wires test-rest test-service test-browser coverage lint bench bench-long minutes faults arming signals aborts presses laws soak slopes cold deb docs mutation audit samples clean
 
 setup: $(READY)
 
@@ -24,17 +24,20 @@ lint: setup
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 
-# what runs over emulated wires or boots a service waits most of its time, so the rest goes beside it and gives way to it; then the long
-# measurements in short
+# what runs over emulated wires or boots a service waits most of its time, so the rest goes beside it and gives way to it; then what needs
+# the machine to itself: a browser before an emulated cell, and the long measurements in short
 test: lint
 	$(MAKE) --jobs=3 --output-sync test-wires test-rest test-service
-	$(MAKE) coverage samples
+	$(MAKE) test-browser coverage samples
 
 test-wires: setup
-	.venv/bin/pytest -m hil
+	.venv/bin/pytest -m hil --ignore=tests/browser
 
 test-rest: setup
-	nice .venv/bin/pytest -m "not hil"
+	nice .venv/bin/pytest -m "not hil" --ignore=tests/browser
+
+test-browser: setup
+	.venv/bin/pytest tests/browser
 
 # every branch of the guard is tested, and by its own tests alone
 coverage: setup
