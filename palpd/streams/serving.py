@@ -119,7 +119,21 @@ def serve(config: Config, path: Path, outputs: Outputs, say: Callable[[str], Non
 
 @contextmanager
 def opened(config: Config, path: Path, outputs: Outputs, say: Callable[[str], None]) -> Iterator[Stream]:
-    """Serve within the context whenever the stream is stepped. Arguments and errors are those of `serve`; it yields the stream."""
+    """Serve within the context, whenever the stream is stepped.
+
+    Args:
+        config: Configuration of the service.
+        path: Its control socket.
+        outputs: What is served, and where.
+        say: Takes sentences for people: where each output is, and what goes wrong.
+
+    Yields:
+        The stream.
+
+    Raises:
+        BadInput: Nothing is to be served, or a library is missing.
+        Refused: A port or a socket is taken.
+    """
     if outputs.foxglove_port is None and outputs.metrics_port is None and outputs.force_socket is None:
         raise BadInput("nothing is to be served; give --foxglove PORT, --metrics PORT or --force SOCKET")
     host, ports = outputs.listen, outputs.foxglove_port is not None or outputs.metrics_port is not None
