@@ -259,7 +259,7 @@ def test_a_service_that_is_away_is_said_and_its_successor_is_followed(tmp_path: 
                 text: str = answer.read().decode()
                 return text
 
-        until(stream, lambda: any(sentence.startswith("Nothing to show now: the daemon at") for sentence in sentences), "it says so")
+        until(stream, lambda: any(sentence.startswith("Nothing to show now: no daemon answers at") for sentence in sentences), "it says so")
         assert 'palpd_state{palpd_state="away"} 1.0' in page()
         for expected in (2, 4):
             with standing_in(path) as service:
