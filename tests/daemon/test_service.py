@@ -41,7 +41,7 @@ class ScriptedRun:
     """Stands for a run under way; `ends_with` is what the next poll reports."""
 
     def __init__(self, job: Job, *_: Any) -> None:
-        self.job, self.ends_with, self.asked = job, None, []  # type: ignore[var-annotated]
+        self.job, self.ends_with, self.asked, self.recording = job, None, [], None  # type: ignore[var-annotated]
 
     def poll(self) -> Report | None:
         if isinstance(self.ends_with, Exception):
