@@ -2,6 +2,7 @@
 
 import json
 import re
+import signal
 import socket
 import struct
 import subprocess
@@ -408,14 +409,24 @@ def test_the_layout_is_written_and_nothing_served(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "palpd.json").read_text()) == json.loads(serving.LAYOUT.read_text())
 
 
+@pytest.mark.hil
 def test_a_signal_ends_the_command_with_0_and_removes_the_socket(tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text("{}")
     force = tmp_path / "force.sock"
     command = [sys.executable, "-m", "palpd", "stream", "--config", str(tmp_path / "config.yaml"), "--force", str(force)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, preexec_fn=_as_from_a_shell) as process:
         assert process.stdout is not None
-        assert process.stdout.readline() == f"Force: {force}\n"
-        assert process.stdout.readline().startswith("Nothing to show now: ")
-        process.terminate()
-        assert process.wait(PATIENCE_S) == 0
+        try:
+            assert process.stdout.readline() == f"Force: {force}\n"
+            assert process.stdout.readline().startswith("Nothing to show now: ")
+            process.terminate()
+            assert process.wait(PATIENCE_S) == 0
+        finally:
+            process.kill()
     assert not force.exists()
+
+
+def _as_from_a_shell() -> None:
+    """No signal is blocked or ignored, whatever the tests before have left."""
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
