@@ -34,7 +34,7 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
         The cell with every value stated, and one sentence for each value that was measured or is far from the stated one.
     """
     resolution = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
-    rests = [_rests(samples, cell) for samples in recordings]
+    rests = [_rests(_phases(samples, cell)) for samples in recordings]
     resting = all(rest is not None for rest in rests)
     noise = {key: _noise_rms(recordings, rests, channels) for key, channels in NOISE.items()}
     stated = cell.sensor.model_fields_set
@@ -55,35 +55,22 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
     return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=measured)}), notes
 
 
-def noise_before_rounding_N(recordings: Sequence[Samples], cell: CellFile) -> float:
-    """Noise of a sample of force before it is rounded, by the lateral axes, whose steps are finer than those of fz.
+def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[float, float]:
+    """What rests show of fz before it is rounded.
 
     Args:
         recordings: The recordings of the cell.
         cell: The cell file, with its stated noise.
 
     Returns:
-        The noise in N; the stated one where no lateral axis shows it, or where they are noisier or quieter than healthy ones.
+        Noise of a sample in N, by the lateral axes, whose steps are finer: the stated one where none shows it, or where they are noisier or
+        quieter than healthy ones. Then the mean of fz at rest in the air in N, 0 where nothing rests there.
     """
-    stated_N = cell.sensor.noise_rms_N
-    shown_N = _noise_rms(recordings, [_rests(samples, cell) for samples in recordings], (FX, FY))
+    phases = [_phases(samples, cell) for samples in recordings]
+    stated_N, shown_N = cell.sensor.noise_rms_N, _noise_rms(recordings, [_rests(phase) for phase in phases], (FX, FY))
     healthy = shown_N is not None and stated_N / HEALTHY_NOISE <= shown_N <= stated_N * HEALTHY_NOISE
-    return shown_N if shown_N is not None and healthy else stated_N
-
-
-def free_reading_N(recordings: Sequence[Samples], cell: CellFile) -> float:
-    """Mean reading of fz at rest in the air.
-
-    Args:
-        recordings: The recordings of the cell.
-        cell: The cell file.
-
-    Returns:
-        The mean in N; 0 where nothing rests in the air.
-    """
-    readings = [samples.wrench[_phases(samples, cell) == FREE_STILL, 2] for samples in recordings]
-    together = np.concatenate(readings)
-    return float(together.mean()) if together.size else 0.0
+    free_N = np.concatenate([samples.wrench[phase == FREE_STILL, 2] for samples, phase in zip(recordings, phases, strict=True)])
+    return shown_N if shown_N is not None and healthy else stated_N, float(free_N.mean()) if free_N.size else 0.0
 
 
 def _phases(samples: Samples, cell: CellFile) -> NDArray[np.int_]:
@@ -92,9 +79,9 @@ def _phases(samples: Samples, cell: CellFile) -> NDArray[np.int_]:
     return find_phases(samples, surface_m, cell.robot.position_noise_rms_m).phase
 
 
-def _rests(samples: Samples, cell: CellFile) -> NDArray[np.bool_] | None:
-    """Samples at rest (n,); None where there are too few to measure noise."""
-    still = np.isin(_phases(samples, cell), (FREE_STILL, HOLDING))
+def _rests(phase: NDArray[np.int_]) -> NDArray[np.bool_] | None:
+    """Samples at rest (n,) by their phases; None where there are too few to measure noise."""
+    still = np.isin(phase, (FREE_STILL, HOLDING))
     return still if still.sum() >= REST_SAMPLES else None
 
 

@@ -144,11 +144,12 @@ def rounding_of(
     Returns:
         The rounding with the coarsest of the steps, its levels as forces above those at rest; None where noise dithers the stated step.
     """
-    step_N = max(steps_N) or cell.sensor.resolution_fz_N
+    coarse_N = max(steps_N)
+    step_N = coarse_N or cell.sensor.resolution_fz_N
     if noise_rms_N >= DITHERED * step_N:
         return None
     turns = np.exp(2j * np.pi * np.concatenate([s.wrench[:, 2] for s in recordings]) / step_N)
     level_N = float(np.angle(turns.mean()) / (2.0 * np.pi) * step_N)
     rounding = Rounding(step_N, level_N, noise_rms_N)
-    reach_N = np.inf if max(steps_N) else REACH * step_N
+    reach_N = np.inf if coarse_N else REACH * step_N
     return replace(rounding, level_N=level_N - rounding.force_N(free_N), reach_N=reach_N)

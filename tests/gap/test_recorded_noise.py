@@ -10,7 +10,7 @@ from palpd.cell.cell_file import CellFile, nominal
 from palpd.cell.simulation import WRENCH, simulate
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.problem import make_problem
-from palpd.gap.recorded_noise import noise_before_rounding_N, with_recorded_noise
+from palpd.gap.recorded_noise import readings_at_rest_N, with_recorded_noise
 from palpd.recording.samples import Samples
 
 
@@ -27,11 +27,11 @@ def test_noise_and_resolution_that_are_not_stated_are_those_of_the_recording() -
 
 def test_noise_before_rounding_is_that_of_lateral_axes_where_these_are_healthy() -> None:
     samples = recording("second order", 101)
-    assert noise_before_rounding_N([samples], nominal()) == pytest.approx(0.05, rel=0.05)
+    assert readings_at_rest_N([samples], nominal())[0] == pytest.approx(0.05, rel=0.05)
     quieter = replace(samples, wrench=0.8 * samples.wrench)
-    assert noise_before_rounding_N([quieter], nominal()) == pytest.approx(0.04, rel=0.05)
+    assert readings_at_rest_N([quieter], nominal())[0] == pytest.approx(0.04, rel=0.05)
     silent = replace(samples, wrench=np.where(np.arange(6) == 2, samples.wrench, 0.0))
-    assert noise_before_rounding_N([silent], nominal()) == noise_before_rounding_N([in_nanonewtons(samples)], nominal()) == 0.05
+    assert readings_at_rest_N([silent], nominal())[0] == readings_at_rest_N([in_nanonewtons(samples)], nominal())[0] == 0.05
 
 
 def test_stated_noise_stays_and_is_questioned_where_the_recording_shows_another() -> None:
