@@ -19,18 +19,7 @@ def main() -> None:
     uv = shutil.which("uv") or str(Path(sys.executable).with_name("uv"))
     with tempfile.TemporaryDirectory() as folder:
         requirements = Path(folder) / "requirements.txt"
-        export = [
-            uv,
-            "export",
-            "--frozen",
-            "--no-emit-project",
-            "--all-extras",
-            "--format",
-            "requirements-txt",
-            "-q",
-            "-o",
-            str(requirements),
-        ]
+        export = [uv, "export", "--frozen", "--no-emit-project", "--all-extras", "--format", "requirements-txt", "--quiet", "--output-file"]
         subprocess.run([*export, str(requirements)], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
         audit = [
             uv,

@@ -243,9 +243,10 @@ def _yaml_faults(folder: Path, sound: Path) -> Iterator[SpoiltFile]:
         for kind, value in TEXTS.items():
             yield SpoiltFile(write(f"{kind} at {name}", _with(content, place, value).encode()), kind, kind in REFUSED_TEXTS)
     for place in _places(content, (), int | float):
-        name = ".".join(map(str, place))
+        name, is_switch = ".".join(map(str, place)), isinstance(_value_at(content, place), bool)
         for kind, (value, refused) in SCALARS.items():
-            yield SpoiltFile(write(f"{kind} at {name}", _with(content, place, value).encode()), kind, refused)
+            spoilt = write(f"{kind} at {name}", _with(content, place, value).encode())
+            yield SpoiltFile(spoilt, kind, refused and not (is_switch and value in ("true", "yes")))
     for key in content:
         for value in ("5", "[]", "'x'", "[[1]]"):
             if not (isinstance(content[key], int | float | str) or (value == "[]" and key == "depths_m")):
@@ -259,6 +260,12 @@ def _places(content: Any, at: tuple[str | int, ...], kind: Any) -> Iterator[tupl
         yield at
     for key, value in inner:
         yield from _places(value, (*at, key), kind)
+
+
+def _value_at(content: Any, place: tuple[str | int, ...]) -> Any:
+    for key in place:
+        content = content[key]
+    return content
 
 
 def _with(content: Any, place: tuple[str | int, ...], value: str) -> str:

@@ -47,9 +47,11 @@ def web(
     import os
     import sys
 
-    from palpd.config import load_config
+    from palpd.config import load_config, load_plan
 
     settings = load_config(config)
+    if plan:
+        load_plan(plan)  # a plan that no run would take is refused here, not when someone opens the page
     kept = token_file or settings.paths.state / "page-token"
     check_folder(kept.parent)
     kept.parent.mkdir(parents=True, exist_ok=True)

@@ -344,3 +344,17 @@ def test_a_terminal_without_the_signs_gets_the_tables_all_the_same(tmp_path: Pat
     assert done.returncode == 0
     assert done.stderr == b""
     assert done.stdout.rstrip().endswith(b"c\\udcff.yaml is sound.")
+
+
+def test_the_page_is_not_served_with_a_plan_that_no_run_would_take(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, config = tmp_path / "plan.yaml", written(tmp_path, "paths: {state: here}")
+    plan.write_text("depths_m: [deep]\n")
+    monkeypatch.setattr(os, "execve", lambda *_: pytest.fail("the server was started"))
+    monkeypatch.setattr(sys, "argv", ["palpd", "web", "--config", str(config), "--plan", str(plan)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert str(plan) in capsys.readouterr().err
+    assert not (tmp_path / "here").exists()
