@@ -195,14 +195,19 @@ def test_a_plan_is_edited_judged_rehearsed_and_started(scene: Scene) -> None:
     assert scene.page.locator("[aria-invalid]").get_attribute("data-path") == "press_speed_m_per_s"
     scene.page.get_by_label("press speed (m/s)").fill("0.02")
     scene.until("#standing .sound")
-    scene.page.get_by_role("button", name="Rehearse").click()
-    scene.until("#force svg")
+    scene.until("#force svg")  # the rehearsal begins by itself
     assert "rehearsed on the simulated cell" in scene.text("#tiles")
+    first = scene.text("#tiles .tile")
+    scene.page.get_by_label("hold (s)").fill("2.4")
+    scene.page.wait_for_function("() => document.getElementById('yaml').value.includes('hold_s: 2.4')")
+    scene.page.get_by_role("button", name="Rehearse").click()
+    scene.page.wait_for_selector("#rehearsal:not([data-old])")
+    assert scene.text("#tiles .tile") != first
     scene.keep("plan")
     scene.page.get_by_role("button", name="Start this plan").click()
     scene.page.wait_for_url(f"{scene.address}/")
     started = [request for request in scene.service.requests if request["do"] == "start"]
-    assert (started[-1]["plan"]["hold_s"], started[-1]["lease"]) == (0.4, "a-lease")
+    assert (started[-1]["plan"]["hold_s"], started[-1]["lease"]) == (2.4, "a-lease")
 
 
 def test_resolve_is_a_conversation(scene: Scene) -> None:

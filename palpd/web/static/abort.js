@@ -22,7 +22,7 @@ export async function abort() {
   for (let attempt = 1; attempt <= TRIES && !answered; attempt++) {
     send().then((content) => {
       answered = true;
-      say(content.ok ? `Abort carried out: ${content.state}.` : content.error, content.ok ? "done" : "refused");
+      say(content.ok ? `Abort carried out: ${content.state}.` : content.error, content.ok ? "aborted" : "refused");
     }, () => warn("The abort has not reached palpd", attempt));
     await new Promise((later) => setTimeout(later, AGAIN_MS));
     warn("No answer to the abort yet", attempt);

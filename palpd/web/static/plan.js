@@ -7,7 +7,8 @@ import { byId, duration, make, refuse, resultOf, work } from "./work.js";
 
 const form = byId("form"), text = byId("yaml"), standing = byId("standing");
 const FIRST = "sites:\n  - {name: A, x_m: 0.0, y_m: 0.0}\ndepths_m: [0.004]\n";
-let plan = null, judged = null, schema = null, number = 0, timer = 0, rehearsed = "", name = "plan.yaml";
+const BY_ITSELF_MS = 1500;
+let plan = null, judged = null, schema = null, number = 0, timer = 0, rehearsed = "", rehearsing = null, name = "plan.yaml";
 
 // --- from the form to text ---
 
@@ -132,6 +133,7 @@ function later() {
   judged = null;
   byId("start").disabled = byId("rehearse").disabled = true;
   clearTimeout(timer);
+  rehearsing?.abort();
   timer = setTimeout(check, 400);
 }
 
@@ -149,7 +151,10 @@ async function check({ fill = document.activeElement === text || !schema } = {})
   standing.replaceChildren(make("p", { className: "sound", text: "The plan is sound, and its speeds and places are within the limits of the cell." }));
   byId("start").disabled = byId("rehearse").disabled = false;
   showForecast(answer);
-  if (rehearsed !== yaml) byId("rehearsal").dataset.old = "";
+  if (rehearsed === yaml) return;
+  byId("rehearsal").dataset.old = "";
+  // time and largest force come by themselves, except beside a run, which the calculation would share the computer with
+  if (!["checking", "running", "paused", "waiting"].includes(document.body.dataset.state)) timer = setTimeout(rehearse, BY_ITSELF_MS);
 }
 
 function showRefusal(sentence) {
@@ -177,25 +182,33 @@ function showForecast(answer = forecast, outcome = null) {
   const expected = overshoot.filter((row) => row.speed_m_per_s === fastest).find((row) => row.stiffness_N_per_m === answer.expected_stiffness_N_per_m) ?? overshoot.at(-1);
   const worst = expected.overshoot_N;
   byId("tiles").replaceChildren(
-    outcome ? tile("Duration", duration(outcome.duration_s), "rehearsed on the simulated cell") : tile("Duration", "–", "rehearse the plan to see it"),
+    outcome ? tile("Duration", duration(outcome.duration_s), "rehearsed on the simulated cell") : tile("Duration", "–", "a rehearsal on the simulated cell tells it"),
     outcome ? tile("Expected largest force", `${outcome.peak_force_N.toFixed(1)} N`, `contact limit ${limit} N`, outcome.peak_force_N > 0.9 * limit ? "warn" : "") : tile("Expected largest force", "–", `contact limit ${limit} N`),
     tile("Overshoot past the limit", `${worst.toFixed(1)} N`, `against ${expected.stiffness_N_per_m} N/m at ${fastest * 1e3} mm/s; the absolute limit is ${absolute} N`, limit + worst > absolute ? "warn" : ""));
 }
 
 // --- the rehearsal and the start ---
 
-byId("rehearse").addEventListener("click", async () => {
-  const yaml = judged;
+async function rehearse() {
+  clearTimeout(timer);
+  const yaml = judged, stop = new AbortController();
+  if (yaml === null) return;
+  rehearsing?.abort();
+  rehearsing = stop;
   byId("rehearse").disabled = true;
-  const end = await work("/plan/rehearse", { yaml }, byId("rehearsing"));
-  byId("rehearse").disabled = judged === null;
+  const end = await work("/plan/rehearse", { yaml }, byId("rehearsing"), stop.signal);
+  if (rehearsing !== stop || judged !== yaml) return;
+  byId("rehearse").disabled = false;
   const answer = ["done", "stopped"].includes(end.state) ? await resultOf(end) : { ok: false, error: end.sentence };
+  if (judged !== yaml) return;
   if (!answer.ok) { refuse(byId("outcome"), answer.error); return; }
   rehearsed = yaml;
   delete byId("rehearsal").dataset.old;
   showForecast(forecast, answer.result);
   showRehearsal(answer.result);
-});
+}
+
+byId("rehearse").addEventListener("click", rehearse);
 
 function showRehearsal(outcome) {
   const columns = outcome.course, spans = spansOf(columns, outcome.sites.map((site) => site.name));

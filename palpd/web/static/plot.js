@@ -42,7 +42,7 @@ export class Rolling {
       ...this.size(),
       legend: { show: false },
       cursor: { show: false },
-      padding: [8, 8, 0, 0],
+      padding: [8, 16, 0, 0],
       scales: { x: { time: false, range: () => { const end = Math.max(this.window_s, this.data[0].at(-1) ?? 0); return [end - this.window_s, end]; } }, y: { range: (_, low, high) => this.range(low ?? 0, high ?? 0) } },
       axes: [{ ...axis, size: 26, values: (_, at) => at.map((t) => `${t} s`) }, { ...axis, size: 52, values: (_, at) => at.map((v) => `${v} ${this.unit}`) }],
       series: [{}, ...this.series.map(([name, width]) => ({ stroke: () => colours[name], width, points: { show: false } }))],

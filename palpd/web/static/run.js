@@ -10,7 +10,8 @@ const MOST_LINES = 200;
 const MOST_PLAN_BYTES = 250000;
 const at = (id) => document.getElementById(id);
 const put = (id, text) => { const each = at(id); if (each.textContent !== text) each.textContent = text; };
-const fixed = (value, digits) => (value === null || value === undefined ? "–" : value.toFixed(digits).replace("-", "−"));
+const fixed = (value, digits) => (value === null || value === undefined ? "–" : value.toFixed(digits).replace(/^-0(\.0*)?$/, "0$1").replace("-", "−"));
+const age = (ms) => fixed(ms === null ? null : Math.max(0, ms), 1); // a device's clock is known to a fraction of a millisecond
 
 let limits = null;
 let status = null;
@@ -82,8 +83,8 @@ function draw() {
   put("absolute", limits ? `${fixed(absolute_N, 1)} of ${limits.absolute_N}` : fixed(absolute_N, 1));
   put("rate", fixed(rate_Hz, 1));
   put("missed", `${missed}`);
-  put("robot-age", fixed(robot_ms, 1));
-  put("sensor-age", fixed(sensor_ms, 1));
+  put("robot-age", age(robot_ms));
+  put("sensor-age", age(sensor_ms));
   put("work", fixed(work_us, 0));
 }
 

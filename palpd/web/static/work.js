@@ -28,16 +28,19 @@ export function duration(seconds) {
 }
 
 /**
- * Begin a calculation and wait for its end, with a line of progress and a button that cancels it.
+ * Begin a calculation and wait for its end, with a line of progress and a button that cancels it, as `signal` does.
  * Resolves to the calculation ({state, number, sentence, ...}) or to a refusal ({state: "refused", sentence}).
  */
-export async function work(path, content, holder) {
+export async function work(path, content, holder, signal = null) {
   const begun = await ask(path, content);
   if (!begun.ok) return { state: "refused", sentence: begun.error };
   if (begun.report) return { state: "done", report: begun.report };
   const step = make("span", { className: "step" });
   const bar = make("progress", { ariaLabel: begun.name });
-  const cancel = make("button", { type: "button", text: "Cancel", on: { click: () => ask(`/calculations/${begun.number}/cancel`) } });
+  const cancelled = () => ask(`/calculations/${begun.number}/cancel`);
+  const cancel = make("button", { type: "button", text: "Cancel", on: { click: cancelled } });
+  if (signal?.aborted) cancelled();
+  signal?.addEventListener("abort", cancelled);
   holder?.replaceChildren(make("div", { className: "progress", role: "status" }, bar, step, cancel));
   let now = begun, lost = 0;
   while (!OVER.includes(now.state)) {
@@ -50,7 +53,7 @@ export async function work(path, content, holder) {
     if (answer.ok) [now, lost] = [answer, 0];
     else if (++lost > 10 || !answer.error.startsWith("the page does not reach")) return { state: "failed", sentence: answer.error };
   }
-  holder?.replaceChildren();
+  if (holder?.contains(bar)) holder.replaceChildren(); // what was begun since has put its own there
   return now;
 }
 
