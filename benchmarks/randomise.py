@@ -46,7 +46,7 @@ class Held:
     """One cell: its effect, what was named, and how the draws hold the truth.
 
     `rows_between` is the share of rows between the lowest and the highest draw. `spread` is the rms standard deviation of the draws over
-    the rms change by the effect.
+    the rms change by the effect; None where the effect changes nothing on that motion.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Held:
     named: list[str]
     channel: str
     rows_between: float
-    spread: float
+    spread: float | None
     parameters_inside: bool
 
     @property
@@ -87,7 +87,7 @@ def judged(spec: CaseSpec, seed: int, draws: int) -> Held:
         [effect.id for effect in diagnosis.effects],
         channel,
         float(between.mean()),
-        float(np.sqrt(np.mean(variants.var(axis=0)))) / max(change["change"][channel], 1e-300),
+        float(np.sqrt(np.mean(variants.var(axis=0)))) / change["change"][channel] if change["change"][channel] else None,
         any(_inside(one, spec.effects[0], truth["effects"][0]["parameters"]) for one in cell.uncertainty),
     )
 
@@ -153,8 +153,9 @@ def main() -> None:
         held = known[spec.name]
         named = ", ".join(held.named) or "none"
         inside = "yes" if held.parameters_inside else "no"
+        wide = "changes nothing here" if held.spread is None else f"{held.spread:.2f}"
         print(
-            f"| {held.name} | {held.effect} | {named} | {held.channel} | {held.rows_between:.3f} | {held.spread:.2f} | {inside} |",
+            f"| {held.name} | {held.effect} | {named} | {held.channel} | {held.rows_between:.3f} | {wide} | {inside} |",
             flush=True,
         )
     answers = list(known.values())

@@ -33,7 +33,7 @@ from palpd.recording.reader import Recording
 from palpd.tick import Phase
 
 CONDITIONS = ("no page", "pages open", "server killed", "server hung", "server flooded")
-MOST_RATIO = 1.2
+MOST_RATIO = 1.1
 """Largest median ratio of wake-up p99 with a condition to that without a page."""
 LEAST_WAKEUP_US = 100.0
 """Wake-ups below that count as that: a ratio of 30 to 20 µs says nothing."""

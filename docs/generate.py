@@ -25,7 +25,7 @@ from typer.models import ArgumentInfo, OptionInfo
 import palpd.api
 from palpd.cell.cell_file import CellFile, nominal
 from palpd.cell.effects import EFFECTS, Effect, Values
-from palpd.cli import analysis, application, gap, recordings, run, service, study
+from palpd.cli import analysis, application, gap, history, recordings, run, service, study
 from palpd.config import Config, Plan
 from palpd.gap.similar_effects import MOSTLY_ALIKE, ONE_DIRECTION, Similarity, similar_effects, standard_motion
 from palpd.recording.samples import COLUMNS, Samples
@@ -113,7 +113,7 @@ def commands() -> str:
         "`palpd COMMAND --help` shows the same in the terminal. Exit codes: 0 done; 2 bad input or refused, with one sentence on stderr; "
         "3 stopped by the guard or a fault, with the reason. `palpd --install-completion` completes commands in your shell.\n"
     )
-    for module in (run, service, recordings, analysis, gap, study):
+    for module in (run, service, recordings, history, analysis, gap, study):
         about = prose(module.__doc__)
         out.append(f"## {about.partition(':')[0].rstrip('.')}\n")
         out += [command_section(name, callback) for callback, name in names.items() if callback.__module__ == module.__name__]

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from palpd.cell.effects import EFFECTS
+from tests.cli.test_application import COMMANDS
 from tests.paths import ROOT
 
 FOLDER = ROOT / "docs" / "reference"
@@ -22,6 +23,11 @@ def test_a_page_is_what_the_code_says_now(page: str) -> None:
     assert NUMBER.sub("#", stored) == NUMBER.sub("#", current), "run: python docs/generate.py"
     figures = [list(map(float, NUMBER.findall(text))) for text in (stored, current)]
     assert figures[0] == pytest.approx(figures[1], rel=0.05, abs=0.011), "run: python docs/generate.py"
+
+
+def test_every_command_is_in_the_reference() -> None:
+    described = re.findall(r"^### palpd (\S+)$", (FOLDER / "commands.md").read_text(), re.M)
+    assert sorted(described) == sorted(COMMANDS)
 
 
 def test_every_effect_has_a_figure_and_no_figure_is_left_over() -> None:
