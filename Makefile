@@ -4,7 +4,7 @@ UV := .venv/bin/uv
 READY := .venv/.ready
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo test test-wires test-rest test-service test-browser coverage lint bench bench-long minutes faults arming signals aborts presses laws soak slopes cold deb docs mutation audit samples clean
+.PHONY: setup demo test test-wires test-rest test-service test-browser test-deb coverage lint bench bench-long minutes faults arming signals aborts presses laws soak slopes cold deb docs mutation audit samples clean
 
 setup: $(READY)
 
@@ -130,6 +130,10 @@ samples: setup
 # boots systemd in a container: needs root and systemd-nspawn, and says so where it is skipped
 test-service: setup
 	timeout --kill-after=30 600 .venv/bin/pytest -rs -s tests/service/nspawn.py
+
+# builds the Debian package, installs it in a container, uses it and purges it
+test-deb: deb
+	timeout --kill-after=30 900 .venv/bin/pytest -rs -s tests/service/package.py
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .import_linter_cache
