@@ -1,10 +1,12 @@
-"""Blind checks with a part of the method taken away, and which of them stand beside a whole one."""
+"""Blind checks that stand beside another on its page: with a part of the method taken away, or of other sources."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from palpd.blind.check import ABLATIONS, Ablation, CheckResult
 from palpd.blind.figures import load
+from palpd.blind.score import tables_by_source
+from palpd.blind.truth import Source
 from palpd.errors import BadInput
 
 
@@ -38,3 +40,34 @@ def load_ablations(paths: Sequence[Path], seed: int) -> list[CheckResult]:
         if check["ablation"] is None:
             raise BadInput("--compare names a check from which nothing was taken away; give the JSON of one with --ablation")
     return checks
+
+
+def load_other_sources(paths: Sequence[Path], seed: int, sources: Sequence[Source]) -> list[CheckResult]:
+    """Read checks of other sources, with other numbers of cells, that shall share the page of a check.
+
+    Args:
+        paths: JSON files of blind checks of the whole method.
+        seed: Seed of the check whose page it is.
+        sources: Its sources.
+
+    Returns:
+        The checks.
+
+    Raises:
+        BadInput: Where a check has another seed, lacks a part of the method, or has a source that is on the page already.
+    """
+    checks, taken = [load(path) for path in paths], set(sources)
+    for path, check in zip(paths, checks, strict=True):
+        if check["seed"] != seed or check["ablation"] is not None:
+            raise BadInput(f"--others names {path} with seed {check['seed']}, expected a check of the whole method with seed {seed}")
+        if both := taken & set(check["sources"]):
+            raise BadInput(f"--others names {path} with the source {', '.join(sorted(both))}, which is on the page already; leave one out")
+        taken |= set(check["sources"])
+    return checks
+
+
+def together(checks: Sequence[CheckResult]) -> CheckResult:
+    """Checks of different sources as one: all outcomes, a table by source and one over all. Its number of cells is that of the first."""
+    outcomes = [outcome for check in checks for outcome in check["outcomes"]]
+    sources = [source for check in checks for source in check["sources"]]
+    return {**checks[0], "sources": sources, "outcomes": outcomes, "tables": tables_by_source(outcomes)}

@@ -113,13 +113,14 @@ ABLATED = {
 """What each ablation takes away."""
 
 
-def write_page(result: CheckResult, folder: Path, ablations: Sequence[CheckResult] = ()) -> Path:
+def write_page(result: CheckResult, folder: Path, ablations: Sequence[CheckResult] = (), parts: Sequence[CheckResult] = ()) -> Path:
     """Write blind.md and its figures into a folder.
 
     Args:
         result: the result of the check.
         folder: where the page and the figures go; it is created.
         ablations: results of checks with a part of the method taken away, to be compared.
+        parts: the checks that the result was put together from; none where it is one check.
 
     Returns:
         The path of the page.
@@ -127,18 +128,15 @@ def write_page(result: CheckResult, folder: Path, ablations: Sequence[CheckResul
     folder.mkdir(parents=True, exist_ok=True)
     outcomes = result["outcomes"]
     _confusion(outcomes, folder / "blind-confusion.png")
-    numbers = f"{result['cases']} cells of each source ({', '.join(result['sources'])})"
-    if result["large"]:
-        numbers += f" and {result['large']} further drawn cells with one effect of SNR > 20"
     _calibration_and_size(outcomes, folder / "blind-calibration.png")
     lines = [
         "# The blind check",
         "",
         INTRODUCTION,
         "",
-        f"{numbers}, seed {result['seed']}; SHA-256 over the sealed files: `{result['sealed_sha256']}`.",
+        *(f"- {_numbers(part)}" for part in parts or [result]),
+        "",
         f"A published table's seed is the first eight hex digits of the measured commit, here {result['seed']:08x}.",
-        f"Again: `{_command(result)}`.",
         "",
         PREAMBLE,
         "",
@@ -163,6 +161,14 @@ def write_page(result: CheckResult, folder: Path, ablations: Sequence[CheckResul
     page = folder / "blind.md"
     write_text(page, "\n".join(lines) + "\n")
     return page
+
+
+def _numbers(result: CheckResult) -> str:
+    each = f"cells of each source ({', '.join(result['sources'])})" if len(result["sources"]) > 1 else f"{result['sources'][0]} cells"
+    numbers = f"{result['cases']} {each}"
+    if result["large"]:
+        numbers += f" and {result['large']} further drawn cells with one effect of SNR > 20"
+    return f"{numbers}, seed {result['seed']}; SHA-256 over the sealed files: `{result['sealed_sha256']}`. Again: `{_command(result)}`."
 
 
 def _command(result: CheckResult) -> str:

@@ -374,12 +374,15 @@ def blind(
         str | None, typer.Option("--ablation", help="take a part away: 'no tolerances', 'no press scatter', 'white noise' or 'fz only'")
     ] = None,
     compare: Annotated[list[Path] | None, typer.Option("--compare", help="JSON of an ablation to set beside, in --docs")] = None,
+    others: Annotated[
+        list[Path] | None, typer.Option("--others", help="JSON of a check of other sources with the same seed, for the same page (--docs)")
+    ] = None,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="processes")] = 2,
     advice: Annotated[bool, typer.Option("--advice", help="instead: the advised next experiment against a random one")] = False,
 ) -> None:
     """Judge the diagnosis on cells whose truth is sealed: drawn by other physics, diagnosed in another process, then scored."""
     from palpd.blind.check import run
-    from palpd.blind.comparison import ablation_named, load_ablations
+    from palpd.blind.comparison import ablation_named, load_ablations, load_other_sources, together
     from palpd.blind.figures import write_page
     from palpd.blind.score import tables_as_markdown
     from palpd.blind.sources import Hosts, sources_named
@@ -392,6 +395,7 @@ def blind(
     chosen, beside = ablation_named(ablation), load_ablations(compare or [], seed)
     hosts = Hosts(recordings, causes)
     sources = sources_named(source, hosts)
+    more = load_other_sources(others or [], seed, sources)
     with _progress("blind check", (cases + unlisted) * len(sources) + large) as advance:
         result = run(
             cases, seed, sources=sources, hosts=hosts, large=large, unlisted=unlisted, jobs=jobs, ablation=chosen, keep=keep,
@@ -400,7 +404,8 @@ def blind(
     terminal().print(tables_as_markdown(result["tables"]), soft_wrap=True)
     write_json(json_file, result)
     if docs is not None:
-        terminal().print(str(write_page(result, docs, beside)))
+        parts = [result, *more]
+        terminal().print(str(write_page(together(parts), docs, beside, parts)))
 
 
 def _blind_advice(cases: int, seed: int, jobs: int, json_file: Path | None) -> None:
