@@ -3,12 +3,15 @@
 import json
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict, cast
+from typing import TYPE_CHECKING, Any, NotRequired, TypedDict, cast
 
 from palpd.errors import Refused
+
+if TYPE_CHECKING:
+    import threading
 
 PATIENCE_S = 5.0
 """Longest wait of either side for the other: both are on the same machine."""
@@ -19,6 +22,8 @@ QUIET_S = 0.5
 """Longest wait of a watcher for an event before it may do something else."""
 RETRY_S = 0.005
 """Pause before a request is repeated."""
+SILENT_PATIENCE_S = 1.0
+"""Longest wait for the answer of a daemon that has published nothing for a while."""
 REPEATABLE = ("abort", "status")
 """Requests that do the same when they are carried out twice. They are repeated until the patience is over."""
 
@@ -226,6 +231,33 @@ def watched(path: Path) -> Iterator[Iterator[dict[str, Any]]]:
             raise Refused(f"the daemon at {path} cannot be watched ({error})") from error
         connection.settimeout(QUIET_S)
         yield _events(connection, path)
+
+
+def follow(path: Path, publish: Callable[[dict[str, Any]], None], over: "threading.Event", again_s: float) -> None:
+    """Pass on what the daemon publishes, and seek it again whenever it goes; for a thread of its own.
+
+    Args:
+        path: The control socket.
+        publish: Takes each event of docs/jobs.md, and `{"event": "lost", "reason": sentence}` where nobody answers.
+        over: Ends it when it is set.
+        again_s: Pause before a lost daemon is sought again.
+    """
+    while not over.is_set():
+        try:
+            ask(path, {"do": "status"}, SILENT_PATIENCE_S)  # NoDaemon says more than a watcher learns
+            with watched(path) as events:
+                for event in events:
+                    if over.is_set():
+                        return
+                    if "event" in event:
+                        publish(event)
+                    else:  # silent for a while: does it still live?
+                        ask(path, {"do": "status"}, SILENT_PATIENCE_S)
+        except Refused as refused:
+            publish({"event": "lost", "reason": str(refused)})
+        except Exception as error:  # whatever a foreign program answers there, the daemon is sought again
+            publish({"event": "lost", "reason": f"what answers at {path} does not speak as palpd does ({type(error).__name__})"})
+        over.wait(again_s)
 
 
 def _events(connection: socket.socket, path: Path) -> Iterator[dict[str, Any]]:

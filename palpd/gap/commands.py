@@ -117,7 +117,9 @@ def read_recording(path: Path, site: str | None = None) -> Samples:
     recording = Recording.load(path)
     visited = visited_sites(recording)
     if site is None and len(visited) > 1:
-        raise RecordingError(f"{path.name} holds {len(visited)} sites ({', '.join(visited)}), expected one; choose one with --site")
+        raise RecordingError(
+            f"{path.name} holds {len(visited)} sites ({', '.join(visited)}), expected one; choose one with --site, or site= in Python"
+        )
     return samples_of(recording, site or next(iter(visited), None))
 
 

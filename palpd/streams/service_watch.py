@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from palpd.daemon.socket_client import watched
-from palpd.errors import Refused
+from palpd.daemon.socket_client import follow
 
 AGAIN_S = 1.0
 """Pause before a service that does not answer is asked again."""
@@ -29,10 +28,9 @@ class ServiceWatch:
     def __init__(self, path: Path) -> None:
         self.status: Status | None = None
         self.reason = ""
-        self._path = path
         self._events: deque[dict[str, Any]] = deque(maxlen=MOST_EVENTS)
         self._over = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="service watch", daemon=True)
+        self._thread = threading.Thread(target=follow, args=(path, self._take, self._over, AGAIN_S), name="service watch", daemon=True)
         self._thread.start()
 
     def events(self) -> Iterator[dict[str, Any]]:
@@ -45,21 +43,11 @@ class ServiceWatch:
         self._over.set()
         self._thread.join()
 
-    def _watch(self) -> None:
-        while not self._over.is_set():
-            try:
-                with watched(self._path) as events:
-                    for event in events:
-                        if self._over.is_set():
-                            return
-                        self._take(event)
-            except Refused as refused:
-                self.status, self.reason = None, str(refused)
-            self._over.wait(AGAIN_S)
-
     def _take(self, event: dict[str, Any]) -> None:
         kind = event.get("event")
         if kind == "status":
             self.status, self.reason = event, ""
-        elif kind is not None:
+        elif kind == "lost":
+            self.status, self.reason = None, event["reason"]
+        else:
             self._events.append(event)

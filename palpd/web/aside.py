@@ -6,6 +6,7 @@ The server itself stays small and answers aborts while figures are drawn. What i
 import asyncio
 import contextlib
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
@@ -83,4 +84,19 @@ def _started() -> "ProcessPoolExecutor":
     from concurrent.futures import ProcessPoolExecutor  # imported here: a page without a run needs none of it
     from multiprocessing import get_context
 
-    return ProcessPoolExecutor(1, get_context("spawn"), initializer=os.nice, initargs=(NICE,))
+    return ProcessPoolExecutor(1, get_context("spawn"), initializer=_begin)
+
+
+def _begin() -> None:
+    """Give way to everything else, and end with the server: a server that is killed tells its workers nothing."""
+    os.nice(NICE)
+    threading.Thread(target=_end_with_the_server, daemon=True, name="end with the server").start()
+
+
+def _end_with_the_server() -> None:
+    from multiprocessing import parent_process
+
+    server = parent_process()
+    assert server is not None
+    server.join()
+    os._exit(0)

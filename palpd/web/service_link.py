@@ -7,13 +7,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from palpd.daemon.socket_client import ARM_PATIENCE_S, PATIENCE_S, ControlAnswer, ControlRequest, ask, watched
-from palpd.errors import PalpdError, Refused
+from palpd.daemon import socket_client
+from palpd.daemon.socket_client import ARM_PATIENCE_S, PATIENCE_S, ControlAnswer, ControlRequest, ask
+from palpd.errors import Refused
 
 RETRY_S = 0.5
 """Pause before a lost link to the service is sought again."""
-SILENT_PATIENCE_S = 1.0
-"""Longest wait for the answer of a service that has published nothing for a while."""
 THREADS = 16
 """Most requests under way, besides aborts: an `arm` takes seconds, and 16 pages may ask at once."""
 
@@ -51,28 +50,8 @@ class ServiceLink:
             if not self._over.is_set():
                 loop.call_soon_threadsafe(pass_on, event)
 
-        threading.Thread(target=self._follow, args=(publish,), daemon=True, name="follow").start()
-
-    def _follow(self, publish: Callable[[Event], None]) -> None:
-        while not self._over.is_set():
-            try:
-                ask(self.socket, {"do": "status"}, SILENT_PATIENCE_S)  # NoDaemon says more than a watcher learns
-                with watched(self.socket) as events:
-                    self._watch(events, publish)
-            except PalpdError as error:
-                publish({"event": "lost", "reason": str(error)})
-            except Exception as error:  # whatever a foreign program answers there, the link is sought again
-                publish({"event": "lost", "reason": f"what answers at {self.socket} does not speak as palpd does ({type(error).__name__})"})
-            self._over.wait(RETRY_S)
-
-    def _watch(self, events: Any, publish: Callable[[Event], None]) -> None:
-        for event in events:
-            if self._over.is_set():
-                return
-            if event:
-                publish(event)
-            else:  # silent for a while: does it still live?
-                ask(self.socket, {"do": "status"}, SILENT_PATIENCE_S)
+        following = (self.socket, publish, self._over, RETRY_S)
+        threading.Thread(target=socket_client.follow, args=following, daemon=True, name="follow").start()
 
     async def ask(self, request: ControlRequest) -> ControlAnswer:
         """Send a request; the answer's `error` holds the refusal, in the words of the service."""

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from palpd.daemon import control_socket as control
 from palpd.daemon.control_socket import MOST_BYTES, ControlSocket, Watching
-from palpd.daemon.socket_client import ask
+from palpd.daemon.socket_client import ask, follow
 from palpd.errors import Refused
 
 
@@ -289,3 +289,30 @@ def test_an_answer_longer_than_the_buffer_arrives_whole(tmp_path: Path) -> None:
         over.set()
         thread.join()
         server.close()
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\n", b"[]\n", b"\xff\xfe\n"])
+def test_whoever_follows_outlives_a_foreign_program_at_the_socket(tmp_path: Path, answer: bytes) -> None:
+    path, over, said = tmp_path / "palpd.sock", threading.Event(), list[dict[str, Any]]()
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+        listener.listen()
+
+        def serve() -> None:
+            for _ in range(2):
+                connection, _address = listener.accept()
+                with connection:
+                    connection.recv(4096)
+                    connection.sendall(answer)
+
+        def publish(event: dict[str, Any]) -> None:
+            said.append(event)
+            if len(said) == 2:
+                over.set()
+
+        foreign = threading.Thread(target=serve)
+        foreign.start()
+        follow(path, publish, over, 0.01)
+        foreign.join()
+    assert [event["event"] for event in said] == ["lost", "lost"]
+    assert str(path) in said[0]["reason"]
