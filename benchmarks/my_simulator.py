@@ -3,7 +3,8 @@
 `python -m benchmarks.my_simulator [--cells 20] [--resume FILE]`. The cells are single-effect cells of the blind check's MuJoCo source. The
 user's simulator is the MuJoCo model without effects and deviations: the rig as it is designed, with the numbers of the cell file. Each cell
 is diagnosed with palpd's own nominal, with that simulator as a function, and with its output as a file. A cell takes some half a minute
-of processor time; 200 are needed for a verdict. `--resume` keeps one line a cell and continues after the last.
+of processor time; 200 are needed for a verdict. `--resume` keeps one line a cell and continues after the last; with `--part 1/2` and
+`--part 2/2` two processes share the work, and a run without it then gives the verdict.
 """
 
 import argparse
@@ -203,7 +204,9 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--resume", type=Path, help="keep one line a cell here, and continue after the last")
+    parser.add_argument("--part", default="1/1", help="K/N: each N-th cell from the K-th on, for N processes with one file to resume from")
     options = parser.parse_args()
+    part, parts = map(int, options.part.split("/"))
     kept: dict[str, NominalComparison] = {}
     if options.resume is not None and options.resume.exists():
         kept = {
@@ -212,7 +215,7 @@ def main() -> None:
             if one["seed"] == options.seed
         }
     compared = []
-    for spec in specs(options.cells, options.seed):
+    for spec in specs(options.cells, options.seed)[part - 1 :: parts]:
         one = kept.get(spec.name) or compare_nominals(spec, options.seed)
         compared.append(one)
         print(
