@@ -24,6 +24,7 @@ from palpd.cell.simulation import (
     true_surface_m,
     wrench_of,
 )
+from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import ConfigError
 from tests.paths import EXAMPLE
 
@@ -269,6 +270,17 @@ def test_backlash_holds_the_tip_at_a_reversal_for_its_width() -> None:
     np.testing.assert_allclose(depth_m[500], 0.0019, atol=1e-9)
     np.testing.assert_allclose(depth_m[1000:1100], 0.0029, atol=1e-9)
     np.testing.assert_allclose(depth_m[1500], 0.0021, atol=1e-9)
+
+
+def test_backlash_does_not_swallow_the_noise_of_the_heights() -> None:
+    """Else a narrow dead band would bring any prediction nearer to the readings, and healthy cells would have one."""
+    t_s = np.arange(5000) / 500
+    z_cmd_m = np.interp(t_s, [0, 1, 2, 8, 9], [0.003, 0.003, -0.003, -0.003, 0.003])
+    noisy = simulate(nominal(), t_s, z_cmd_m=z_cmd_m, noise_seed=2)
+    motion = estimate_tip_motion(nominal(), t_s, noisy["z_m"], noisy["vz_m_per_s"], z_cmd_m)
+    holding = slice(1500, 3500)  # only noise moves the prediction there
+    narrow_N = felt(with_("robot.backlash", width_m=2e-5), motion)[holding]
+    assert np.std(narrow_N) == pytest.approx(np.std(felt(still_cell(), motion)[holding]), rel=0.1)
 
 
 def test_a_compliant_tip_stands_where_both_forces_agree() -> None:

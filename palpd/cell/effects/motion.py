@@ -5,7 +5,7 @@ from math import inf, pi
 import numpy as np
 
 from palpd.cell.dynamics import Constants, Memory, Span, play
-from palpd.cell.effects.effect import LOAD, Effect, Parameter, Values, of
+from palpd.cell.effects.effect import DEAD_BAND, LOAD, Effect, Parameter, Values, of
 
 
 def _lag(c: Constants, p: Values) -> None:
@@ -61,9 +61,10 @@ VIBRATION = Effect(
 
 
 def _backlash(s: Span, p: Values, memory: Memory) -> None:
-    tip_m = play(s.tip_m, p["width_m"], memory)
-    s.slack_m, s.behind_m = p["width_m"], tip_m - s.tip_m
-    s.tip_m = tip_m
+    """A dead band as wide as the noise of the heights would swallow it, and so bring the prediction of any cell nearer to its readings."""
+    moved_m = play(s.tip_m, DEAD_BAND * s.z_noise_m, {}) if s.z_noise_m > 0.0 else s.tip_m  # a whole recording: no block follows
+    s.slack_m, s.behind_m = p["width_m"], play(moved_m, p["width_m"], memory) - moved_m
+    s.tip_m = s.tip_m + s.behind_m
 
 
 BACKLASH = Effect(
