@@ -293,7 +293,7 @@ def test_an_answer_longer_than_the_buffer_arrives_whole(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\n", b"[]\n", b"\xff\xfe\n"])
 def test_whoever_follows_outlives_a_foreign_program_at_the_socket(tmp_path: Path, answer: bytes) -> None:
-    path, over, said = tmp_path / "palpd.sock", threading.Event(), list[dict[str, Any]]()
+    path, over, events = tmp_path / "palpd.sock", threading.Event(), list[dict[str, Any]]()
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(path))
         listener.listen()
@@ -306,8 +306,8 @@ def test_whoever_follows_outlives_a_foreign_program_at_the_socket(tmp_path: Path
                     connection.sendall(answer)
 
         def publish(event: dict[str, Any]) -> None:
-            said.append(event)
-            if len(said) == 2:
+            events.append(event)
+            if len(events) == 2:
                 over.set()
 
         foreign = threading.Thread(target=serve)

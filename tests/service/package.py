@@ -55,8 +55,8 @@ def test_its_configuration_is_judged_and_a_plan_is_carried_out_on_the_simulated_
     inside.write("/tmp/plan.yaml", "sites: [{name: A}]\ndepths_m: [0.004]\nmode: static\nhold_s: 0.5\n")
     inside.run("palpd", "check-config", "/etc/palpd/config.yaml")
     words = ["--plan", "/tmp/plan.yaml", "--config", "/etc/palpd/config.yaml", "--configured-cell"]
-    said = inside.run("palpd", "sim", *words, timeout_s=120.0)
-    assert re.search(r"\bA\b.*\d", said)
+    printed = inside.run("palpd", "sim", *words, timeout_s=120.0)
+    assert re.search(r"\bA\b.*\d", printed)
 
 
 def test_the_service_starts_without_devices_and_moves_nothing(inside: Container) -> None:
@@ -87,8 +87,8 @@ def test_another_installation_keeps_what_was_configured(inside: Container) -> No
 
 def test_a_purge_leaves_the_recordings_and_nothing_else(inside: Container) -> None:
     inside.write(RECORDING, "a recording")
-    said = inside.run("dpkg", "--purge", "palpd", timeout_s=INSTALL_S)
-    assert "/var/lib/palpd with its recordings stays" in said
+    printed = inside.run("dpkg", "--purge", "palpd", timeout_s=INSTALL_S)
+    assert "/var/lib/palpd with its recordings stays" in printed
     assert inside.path(RECORDING).read_text() == "a recording"
     left = [
         path
