@@ -314,5 +314,5 @@ def test_whoever_follows_outlives_a_foreign_program_at_the_socket(tmp_path: Path
         foreign.start()
         follow(path, publish, over, 0.01)
         foreign.join()
-    assert [event["event"] for event in said] == ["lost", "lost"]
-    assert str(path) in said[0]["reason"]
+    assert [event["event"] for event in events] == ["lost", "lost"]
+    assert str(path) in events[0]["reason"]
