@@ -24,13 +24,17 @@ class PageServer(NamedTuple):
     url: str
 
 
+def free_port() -> int:
+    """A port of this computer that nobody listens at."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
 @contextmanager
 def page_server(config: Path) -> Iterator[PageServer]:
     """Serve the page of a configuration within the context, on a free port."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    command = [sys.executable, "-m", "palpd", "web", "--config", str(config), "--port", str(port)]
+    command = [sys.executable, "-m", "palpd", "web", "--config", str(config), "--port", str(free_port())]
     with (config.parent / "page.jsonl").open("wb") as log:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True)
     try:

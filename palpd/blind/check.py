@@ -203,6 +203,13 @@ def run(
     return result
 
 
+def together(checks: Sequence[CheckResult]) -> CheckResult:
+    """Checks of different sources as one: all outcomes, a table by source and one over all. Its number of cells is that of the first."""
+    outcomes = [outcome for check in checks for outcome in check["outcomes"]]
+    sources = [source for check in checks for source in check["sources"]]
+    return {**checks[0], "sources": sources, "outcomes": outcomes, "tables": tables_by_source(outcomes)}
+
+
 def _batches(cases: int, seed: int, sources: Sequence[Source], large: int, unlisted: int, hosts: Hosts) -> Iterator[list[CaseSpec]]:
     """Batches of the sources in turn, so that an interrupted check has some of each; the extra cases come last."""
     recordings = len(hosts_in(hosts.folder, hosts.causes))

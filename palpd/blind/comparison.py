@@ -5,7 +5,6 @@ from pathlib import Path
 
 from palpd.blind.check import ABLATIONS, Ablation, CheckResult
 from palpd.blind.figures import load
-from palpd.blind.score import tables_by_source
 from palpd.blind.truth import Source
 from palpd.errors import BadInput
 
@@ -64,10 +63,3 @@ def load_other_sources(paths: Sequence[Path], seed: int, sources: Sequence[Sourc
             raise BadInput(f"--others names {path} with the source {', '.join(sorted(both))}, which is on the page already; leave one out")
         taken |= set(check["sources"])
     return checks
-
-
-def together(checks: Sequence[CheckResult]) -> CheckResult:
-    """Checks of different sources as one: all outcomes, a table by source and one over all. Its number of cells is that of the first."""
-    outcomes = [outcome for check in checks for outcome in check["outcomes"]]
-    sources = [source for check in checks for source in check["sources"]]
-    return {**checks[0], "sources": sources, "outcomes": outcomes, "tables": tables_by_source(outcomes)}

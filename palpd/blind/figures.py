@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from palpd.analysis.figure_style import BLUE, GREY, ORANGE, save_figure, styled_figure
-from palpd.blind.check import SCHEMA, CheckResult
+from palpd.blind.check import SCHEMA, CheckResult, together
 from palpd.blind.drawn_cases import STRATA
 from palpd.blind.score import (
     LAWS,
@@ -113,19 +113,20 @@ ABLATED = {
 """What each ablation takes away."""
 
 
-def write_page(result: CheckResult, folder: Path, ablations: Sequence[CheckResult] = (), parts: Sequence[CheckResult] = ()) -> Path:
+def write_page(check: CheckResult, folder: Path, ablations: Sequence[CheckResult] = (), others: Sequence[CheckResult] = ()) -> Path:
     """Write blind.md and its figures into a folder.
 
     Args:
-        result: the result of the check.
+        check: the result of the check.
         folder: where the page and the figures go; it is created.
         ablations: results of checks with a part of the method taken away, to be compared.
-        parts: the checks that the result was put together from; none where it is one check.
+        others: results of checks of other sources with the same seed, for the same page.
 
     Returns:
         The path of the page.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    result = together([check, *others])
     outcomes = result["outcomes"]
     _confusion(outcomes, folder / "blind-confusion.png")
     _calibration_and_size(outcomes, folder / "blind-calibration.png")
@@ -134,7 +135,7 @@ def write_page(result: CheckResult, folder: Path, ablations: Sequence[CheckResul
         "",
         INTRODUCTION,
         "",
-        *(f"- {_numbers(part)}" for part in parts or [result]),
+        *(f"- {_numbers(one)}" for one in (check, *others)),
         "",
         f"A published table's seed is the first eight hex digits of the measured commit, here {result['seed']:08x}.",
         "",

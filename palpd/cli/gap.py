@@ -382,7 +382,7 @@ def blind(
 ) -> None:
     """Judge the diagnosis on cells whose truth is sealed: drawn by other physics, diagnosed in another process, then scored."""
     from palpd.blind.check import run
-    from palpd.blind.comparison import ablation_named, load_ablations, load_other_sources, together
+    from palpd.blind.comparison import ablation_named, load_ablations, load_other_sources
     from palpd.blind.figures import write_page
     from palpd.blind.score import tables_as_markdown
     from palpd.blind.sources import Hosts, sources_named
@@ -404,8 +404,7 @@ def blind(
     terminal().print(tables_as_markdown(result["tables"]), soft_wrap=True)
     write_json(json_file, result)
     if docs is not None:
-        parts = [result, *more]
-        terminal().print(str(write_page(together(parts), docs, beside, parts)))
+        terminal().print(str(write_page(result, docs, beside, more)))
 
 
 def _blind_advice(cases: int, seed: int, jobs: int, json_file: Path | None) -> None:

@@ -7,8 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from palpd.daemon import socket_client
-from palpd.daemon.socket_client import ARM_PATIENCE_S, PATIENCE_S, ControlAnswer, ControlRequest, ask
+from palpd.daemon.socket_client import ARM_PATIENCE_S, PATIENCE_S, ControlAnswer, ControlRequest, ask, follow
 from palpd.errors import Refused
 
 RETRY_S = 0.5
@@ -51,7 +50,7 @@ class ServiceLink:
                 loop.call_soon_threadsafe(pass_on, event)
 
         following = (self.socket, publish, self._over, RETRY_S)
-        threading.Thread(target=socket_client.follow, args=following, daemon=True, name="follow").start()
+        threading.Thread(target=follow, args=following, daemon=True, name="follow").start()
 
     async def ask(self, request: ControlRequest) -> ControlAnswer:
         """Send a request; the answer's `error` holds the refusal, in the words of the service."""

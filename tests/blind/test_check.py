@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from palpd.blind.check import make_case, run
-from palpd.blind.comparison import load_other_sources, together
+from palpd.blind.comparison import load_other_sources
 from palpd.blind.detectability import Detectability, fit_strength, nearest_law, scales_of
 from palpd.blind.drawn_cases import draw_case
 from palpd.blind.drawn_cells import CHANNELS, TOLERANCES, Deviations, draw_cell, draw_deviations, draw_motion, no_deviations
@@ -336,8 +336,8 @@ def test_a_small_fixed_check_runs_end_to_end_in_another_process(tmp_path: Path) 
     planted = result | {"sources": ["injected"], "cases": 2, "outcomes": [{**o, "source": "injected"} for o in result["outcomes"][:2]]}
     other = tmp_path / "injected.json"
     other.write_text(json.dumps(planted))
-    parts = [result, *load_other_sources([other], result["seed"], ["drawn"])]
-    page = write_page(together(parts), tmp_path / "docs", parts=parts).read_text(encoding="utf-8")
+    others = load_other_sources([other], result["seed"], ["drawn"])
+    page = write_page(result, tmp_path / "docs", others=others).read_text(encoding="utf-8")
     assert "- 3 drawn cells, seed" in page
     assert "- 2 injected cells, seed" in page
     with pytest.raises(BadInput, match="the source injected, which is on the page already"):

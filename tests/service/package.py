@@ -6,7 +6,6 @@ It needs root, systemd-nspawn and a package in dist/ (`make deb`); elsewhere it 
 import re
 from collections.abc import Iterator
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +14,7 @@ from palpd.daemon.socket_client import ask
 from tests.paths import ROOT
 from tests.service.container import INSIDE_CODE, Container, booted, missing, until
 
-PACKAGES = sorted((ROOT / "dist").glob("palpd_*.deb"))
+PACKAGES = list((ROOT / "dist").glob("palpd_*.deb"))
 pytestmark = [
     pytest.mark.hil,
     pytest.mark.skipif(missing() is not None, reason=f"booting systemd in a container {missing()}"),
@@ -30,9 +29,14 @@ RECORDING = "/var/lib/palpd/runs/20260714-101502-palpation.mcap"
 def inside(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Container]:
     """A container into which the newest package of dist/ is installed."""
     with booted(tmp_path_factory.mktemp("nspawn")) as container:
-        package = max(PACKAGES, key=lambda path: path.stat().st_mtime)
-        container.run("dpkg", "--install", str(INSIDE_CODE / "dist" / package.name), timeout_s=INSTALL_S)
+        install(container)
         yield container
+
+
+def install(container: Container) -> None:
+    """Install the newest package of dist/, also over an installed one."""
+    package = max(PACKAGES, key=lambda path: path.stat().st_mtime)
+    container.run("dpkg", "--install", str(INSIDE_CODE / "dist" / package.name), timeout_s=INSTALL_S)
 
 
 def test_the_package_is_installed_and_its_command_answers(inside: Container) -> None:
@@ -80,8 +84,7 @@ def test_the_page_is_served_from_the_package(inside: Container) -> None:
 def test_another_installation_keeps_what_was_configured(inside: Container) -> None:
     changed = inside.path("/etc/palpd/config.yaml").read_text() + "# the robot of room 3\n"
     inside.write("/etc/palpd/config.yaml", changed)
-    package = max(PACKAGES, key=lambda path: path.stat().st_mtime)
-    inside.run("dpkg", "--install", str(INSIDE_CODE / "dist" / package.name), timeout_s=INSTALL_S)
+    install(inside)
     assert inside.path("/etc/palpd/config.yaml").read_text() == changed
 
 
@@ -95,5 +98,5 @@ def test_a_purge_leaves_the_recordings_and_nothing_else(inside: Container) -> No
         for path in ("/etc/palpd", "/usr/bin/palpd", "/opt/palpd/bin", "/run/palpd", "/var/lib/palpd-web")
         if inside.path(path).exists()
     ]
-    left += [unit for unit in UNITS if Path(inside.path(f"/lib/systemd/system/{unit}")).exists()]
+    left += [unit for unit in UNITS if inside.path(f"/lib/systemd/system/{unit}").exists()]
     assert left == []

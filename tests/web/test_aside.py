@@ -9,7 +9,7 @@ import pytest
 from benchmarks.emulated_cell import until
 
 SERVER = """
-import asyncio, os, time
+import asyncio, os
 from palpd.web.aside import Aside
 
 async def serve():

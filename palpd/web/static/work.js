@@ -53,6 +53,7 @@ export async function work(path, content, holder, signal = null) {
     if (answer.ok) [now, lost] = [answer, 0];
     else if (++lost > 10 || !answer.error.startsWith("the page does not reach")) return { state: "failed", sentence: answer.error };
   }
+  signal?.removeEventListener("abort", cancelled);
   if (holder?.contains(bar)) holder.replaceChildren(); // what was begun since has put its own there
   return now;
 }
