@@ -4,7 +4,7 @@ UV := .venv/bin/uv
 READY := .venv/.ready
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo test test-wires test-rest test-service test-browser test-deb coverage lint bench bench-long minutes faults arming signals aborts presses laws soak slopes cold deb docs mutation audit samples clean
+.PHONY: setup demo test test-wires test-rest test-service test-browser test-deb coverage lint bench bench-long minutes endurance faults arming signals aborts presses laws soak slopes cold deb docs mutation audit samples clean
 
 setup: $(READY)
 
@@ -54,8 +54,12 @@ bench-long: setup
 minutes: setup
 	.venv/bin/python -m benchmarks.page --only minutes
 
+# ten runs of ten minutes by the whole daemon at 500 Hz, PARALLEL at a time; KEPT keeps them, so that it may be interrupted
+endurance: setup
+	.venv/bin/python -m benchmarks.page --only endurance --more '--parallel $(PARALLEL) $(if $(KEPT),--kept $(KEPT))'
+
 # every fault of docs/faults.md N times at random moments, in PARALLEL emulated cells: some 4 minutes for each N on a quiet machine, divided by
-# PARALLEL. make faults N=100 PARALLEL=2 KEPT=faults.jsonl may be interrupted and gone on with
+# PARALLEL. make faults N=100 PARALLEL=2 KEPT=faults.jsonl may be interrupted: given again it goes on
 N ?= 3
 PARALLEL ?= 2
 faults: setup

@@ -28,6 +28,7 @@ class Section(NamedTuple):
 SECTIONS = {
     "daemon": Section("The daemon at 500 Hz", "benchmarks/daemon.py --presses 3", "benchmarks/daemon.py --presses 20"),
     "replay": Section("Replay at 125 Hz", "benchmarks/daemon.py --model ur5 --presses 2", "benchmarks/daemon.py --model ur5 --presses 20"),
+    "endurance": Section("Ten runs of ten minutes at 500 Hz", None, "-m benchmarks.endurance"),
     "tick": Section("Parts of a tick, without wires", "benchmarks/tick.py", "benchmarks/tick.py --rounds 9"),
     "cheaper": Section("What made a tick cheaper", None, "benchmarks/tick.py --against ../before"),
     "rate": Section(
@@ -39,7 +40,7 @@ SECTIONS = {
     "reaction": Section(
         "Reaction and overshoot of loop, guard and drivers",
         "benchmarks/reaction.py --pushes 40 --each 1 --speed 0.005,0.02 --stiffness 1000,20000",
-        "benchmarks/reaction.py --pushes 300 --each 5",
+        "benchmarks/reaction.py --pushes 220 --each 5",
     ),
     "walls": Section(
         "Force past the limit at an unannounced wall, whole daemon",
@@ -104,8 +105,8 @@ def _write(kept: dict[str, str]) -> None:
     head = f"""# Benchmarks
 
 How fast the daemon ticks and reacts, how far a force runs past its limit, and what the daemon costs. `make bench`, `bench-long`, `minutes`,
-`presses`, `soak`, `slopes`, `cold` and `mutation` write this page. Faults have [a page of their own](faults.md). Each section names its
-command.
+`endurance`, `presses`, `soak`, `slopes`, `cold` and `mutation` write this page. Faults have [a page of their own](faults.md). Each section
+names its command.
 
 **Limits.** Everything runs on one machine. Daemon, emulated controller and sensor share its cores, so percentiles above p99 belong to the
 machine. Figures under load are worse than on a cell's own PC. Each section states the load.
