@@ -2,7 +2,8 @@
 
 `python benchmarks/faults.py [--repeats 3] [--minutes 60] [--only FAULT,FAULT] [--parallel 2] [--json FILE]`. Some 10 s a fault that ends a
 run, 1 s one that does not; the faults take turns, so that an end by `--minutes` leaves all with as many. Results are added to FILE, and the
-table is written from all of FILE. Ends with 1 where a required reaction or deadline was not kept.
+table is written from all of FILE. Faults that FILE already holds count towards the repeats, those that were left out do not: so the same
+command, given again, completes them. Ends with 1 where a required reaction or deadline was not kept.
 """
 
 import argparse
@@ -15,7 +16,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -110,6 +112,19 @@ class Bench:
                 except (AssertionError, OSError) as error:  # the machine, or a run that ended by itself: no figure
                     print(f"{fault}: nothing was measured ({error})", file=sys.stderr, flush=True)
 
+    def plan(self, faults: Sequence[str], repeats: int) -> None:
+        """List what is missing in the file: each fault that often, in turns."""
+        judged = Counter(entry["fault"] for entry in results_in(self._kept) if entry["late_s"] <= MACHINE_LATE_S)
+        for number in range(repeats):
+            for fault in faults:
+                missing = repeats - judged[fault]
+                if number >= missing:
+                    continue
+                if not required()[fault].reaction.startswith("carry on"):
+                    self.todo.put((fault, 1))
+                elif number % INJECTED_AT_ONCE == 0:
+                    self.todo.put((fault, min(INJECTED_AT_ONCE, missing - number)))
+
     def _do(self, cell: Any, fault: str, times: int) -> None:
         if required()[fault].reaction.startswith("carry on"):
             came = inject_repeatedly(cell, fault, times, reference=False)
@@ -183,12 +198,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         kept = options.json or Path(name) / "faults.jsonl"
         bench = Bench(kept, time.monotonic() + options.minutes * 60)
-        for number in range(options.repeats):
-            for fault in faults:
-                if not required()[fault].reaction.startswith("carry on"):
-                    bench.todo.put((fault, 1))
-                elif number % INJECTED_AT_ONCE == 0:
-                    bench.todo.put((fault, min(INJECTED_AT_ONCE, options.repeats - number)))
+        bench.plan(faults, options.repeats)
         side_by_side(bench.work, Path(name), options.parallel)
         sys.exit(1 if write_table(kept) else 0)
 
