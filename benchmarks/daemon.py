@@ -2,7 +2,8 @@
 
 It measures tick work, wake-ups against cyclictest in the same run, memory, recording and replay.
 
-`python benchmarks/daemon.py [--model ur5e] [--presses 6]` prints a markdown table.
+`python benchmarks/daemon.py [--model ur5e] [--presses 6] [--runs 3]` prints a markdown table. Of several runs
+it gives the median, with the lowest and the highest: on a shared machine one run says little.
 """
 
 import argparse
@@ -11,6 +12,7 @@ import shutil
 import subprocess
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ import numpy as np
 
 from benchmarks.emulated_cell import PRESS, Daemon, EmulatedCell, command_of, emulated_cell, family
 from palpd.daemon.replay import replay
-from palpd.recording.reader import Recording
+from palpd.recording.reader import Recording, Rows
 
 LATE_US = 1000.0
 CYCLE_US = {"ur5": 8000, "ur5e": 2000}
@@ -75,15 +77,12 @@ def measure(model: str, presses: int, folder: Path) -> dict[str, Any]:
     """Learn a model from free motion, palpate with it, and take the figures of that run."""
     with emulated_cell(folder, model) as base:
         cell = base.anew(folder, safety={"contact_limit_N": 16.0})
-        free, network = folder / "free.mcap", folder / "inertial.onnx"
-        _done(cell, "free-motion", "--config", cell.config, "--take-reference", "--out", free)
-        _done(cell, "train", free, "--out", network, "--config", cell.config)
-        cell.blocks["model"] = {"path": str(network)}
+        learn(cell)
         cell.wall(0.01, 1000.0)
         daemon = cell.run(PRESS | {"repeats": presses})
         cell.until_contact(daemon, 1.0)
         beside = Cyclictest(CYCLE_US[model])
-        memory = {}
+        memory: dict[str, float] = {}
         while daemon.process.poll() is None:
             try:
                 now = resident_MB(daemon)
@@ -96,16 +95,13 @@ def measure(model: str, presses: int, folder: Path) -> dict[str, Any]:
         other = beside.end()
     path = Path(daemon.report["recording"])
     recording = Recording.load(path)
-    rows = recording.rows
-    duration_s = float(rows["now_s"][-1] - rows["now_s"][0])
-    wakeup_us = (rows["now_s"] - rows["planned_s"]) * 1e6
-    missed = int(rows["missed"].sum())
+    duration_s = float(recording.rows["now_s"][-1] - recording.rows["now_s"][0])
     began_s = time.process_time()
     again = replay(recording)
     replayed_s = time.process_time() - began_s
     return {
         **daemon.report["loop"],
-        "late": (int((wakeup_us > LATE_US).sum()) + missed) / (len(rows) + missed),
+        "late": late_share(recording.rows),
         "cyclictest": other,
         "memory": memory,
         "MB_per_min": path.stat().st_size / 1e6 / duration_s * 60,
@@ -115,38 +111,69 @@ def measure(model: str, presses: int, folder: Path) -> dict[str, Any]:
     }
 
 
+def late_share(rows: Rows) -> float:
+    """Share of the ticks of a recording that came more than 1 ms late or were missed."""
+    missed, late = int(rows["missed"].sum()), int(((rows["now_s"] - rows["planned_s"]) * 1e6 > LATE_US).sum())
+    return (late + missed) / (len(rows) + missed)
+
+
+def learn(cell: EmulatedCell) -> None:
+    """Train an inertial network on free motion of this cell, and configure it for the runs that follow."""
+    free, network = cell.folder / "free.mcap", cell.folder / "inertial.onnx"
+    _done(cell, "free-motion", "--config", cell.config, "--take-reference", "--out", free)
+    _done(cell, "train", free, "--out", network, "--config", cell.config)
+    cell.blocks["model"] = {"path": str(network)}
+
+
 def _done(cell: EmulatedCell, *arguments: str | Path) -> None:
     done = cell.palpd(*arguments)
     assert done.returncode == 0, done.stderr
 
 
-def table(figures: dict[str, Any], model: str) -> str:
-    """Markdown."""
-    other = figures["cyclictest"]
-    memory = figures["memory"]
-    fast = model == "ur5e"  # the budget of a tick is that of 500 Hz; at 125 Hz four times the frames come in one
+def table(runs: Sequence[dict[str, Any]], model: str) -> str:
+    """Markdown: the median of the runs, with the lowest and the highest."""
+    fast = model == "ur5e"  # at 125 Hz four times the frames come in one tick
+    flat = [_flat(run) for run in runs]
+
+    def of(key: str, form: str = ".0f") -> str:
+        values = [run[key] for run in flat if key in run]
+        middle, lowest, highest = (format(value, form) for value in (float(np.median(values)), min(values), max(values)))
+        return middle if lowest == highest else f"{middle} ({lowest} to {highest})"
+
     lines = [
-        f"| {model}, sensor 1 kHz, network on every sample | measured | target |",
+        f"| {model}, sensor 1 kHz, network on every sample, runs: {len(runs)} | measured | target |",
         "|---|---|---|",
-        f"| work of a tick, p50 | {figures['work_us_p50']:.0f} µs | {'250 µs' if fast else ''} |",
-        f"| work of a tick, p99 | {figures['work_us_p99']:.0f} µs | {'1000 µs' if fast else ''} |",
-        f"| wake-up, p50 and p99 | {figures['wakeup_us_p50']:.0f}, {figures['wakeup_us_p99']:.0f} µs | |",
+        f"| work of a tick, p50, µs | {of('work_us_p50')} | {200 if fast else 400} |",
+        f"| work of a tick, p99, µs | {of('work_us_p99')} | {600 if fast else ''} |",
+        f"| wake-up, p50 and p99, µs | {of('wakeup_us_p50')} and {of('wakeup_us_p99')} | |",
     ]
-    if other:
+    if all(run["cyclictest"] for run in runs):
         lines += [
-            f"| cyclictest in the same run, p50 and p99 | {other['p50']:.0f}, {other['p99']:.0f} µs | |",
-            f"| ticks later than 1 ms or missed, above cyclictest's {other['late']:.2%} | {figures['late'] - other['late']:+.2%} | 1 % |",
+            f"| cyclictest in the same run, p50 and p99, µs | {of('other_p50')} and {of('other_p99')} | |",
+            f"| ticks later than 1 ms or missed | {of('late', '.2%')} | |",
+            f"| the same of cyclictest | {of('other_late', '.2%')} | |",
+            f"| difference of the two | {of('above', '+.2%')} | 0.05% |",
         ]
     else:
-        lines.append(f"| ticks later than 1 ms or missed (cyclictest is not installed) | {figures['late']:.2%} | |")
+        lines.append(f"| ticks later than 1 ms or missed (cyclictest is not installed) | {of('late', '.2%')} | |")
     lines += [
-        f"| resident memory, all processes | {sum(memory.values()):.0f} MB | 300 MB |",
-        *(f"| – {name} | {size:.0f} MB | |" for name, size in memory.items()),
-        f"| recording | {figures['MB_per_min']:.1f} MB/min | 15 MB/min |",
-        f"| replay of that run, identical: {figures['identical']} | {figures['replay']:.1f} × real time | 20 × at 125 Hz |",
-        f"| the same by processor time, as with a core to itself | {figures['replay_alone']:.1f} × real time | |",
+        f"| resident memory, all processes, MB | {of('memory_MB')} | 300 |",
+        *(f"| – {name} | {of(name)} | |" for name in runs[0]["memory"]),
+        f"| recording, MB/min | {of('MB_per_min', '.1f')} | 15 |",
+        f"| replay, × real time; all identical: {all(run['identical'] for run in runs)} | {of('replay', '.1f')} | {20 if fast else 60} |",
+        f"| the same by processor time, as with a core to itself | {of('replay_alone', '.1f')} | |",
     ]
     return "\n".join(lines)
+
+
+def _flat(run: dict[str, Any]) -> dict[str, float]:
+    """The figures of a run in one level."""
+    flat: dict[str, float] = {key: value for key, value in run.items() if isinstance(value, float | int)} | run["memory"]
+    flat["memory_MB"] = sum(run["memory"].values())
+    if run["cyclictest"]:
+        flat |= {f"other_{key}": value for key, value in run["cyclictest"].items()}
+        flat["above"] = run["late"] - run["cyclictest"]["late"]
+    return flat
 
 
 def main() -> None:
@@ -154,9 +181,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--model", default="ur5e", choices=("ur5", "ur5e"))
     parser.add_argument("--presses", type=int, default=4)
+    parser.add_argument("--runs", type=int, default=3)
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        print(table(measure(options.model, options.presses, Path(folder)), options.model), flush=True)
+    runs = []
+    for _ in range(options.runs):
+        with tempfile.TemporaryDirectory() as folder:
+            runs.append(measure(options.model, options.presses, Path(folder)))
+    print(table(runs, options.model), flush=True)
 
 
 if __name__ == "__main__":

@@ -189,7 +189,7 @@ def lines(cells: Sequence[NominalComparison]) -> list[str]:
             shares = {each: count / len(mine) for each, count in right.items()}
             low, high = wilson(right[nominal], len(mine))
             apart = shares[nominal] - shares["palpd"]
-            verdict = "" if len(mine) < LEAST_CELLS or key != "first" else f": {'met' if apart >= -POINTS else 'missed'}"
+            verdict = "" if len(cells) < LEAST_CELLS else f": {'met' if round(apart, 9) >= -POINTS else 'missed'}"
             out.append(
                 f"{what}, MuJoCo as a {nominal}: {shares[nominal]:.1%} ({low:.1%} to {high:.1%}) of {len(mine)} cells, palpd's own nominal "
                 f"{shares['palpd']:.1%}, difference {100 * apart:+.1f} points (target: within {100 * POINTS:.0f}){verdict}"
