@@ -358,11 +358,9 @@ def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Calla
                 pipe.send(Failed(CALLED_OFF, 2))
                 return
             ring.state = LoopState.RUNNING
-        ended = _run(job, devices, explainer, ring, request)
-        ring.state = LoopState.ENDED
-        pipe.send(ended)
+        pipe.send(_run(job, devices, explainer, ring, request))
     finally:
-        ring.state = LoopState.ENDED  # from here on no ticks are due
+        ring.state = LoopState.ENDED  # also where the loop did not begin
         if not _lost(devices.robot):  # with a lost connection ur_rtde may crash, and the reason would be lost too
             devices.robot.end()
         devices.sensor.close()
@@ -409,6 +407,9 @@ def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: 
         except Stopped as stopped:
             outcome = replace(loop.outcome, verdict="stopped", reason=str(stopped))
             failed = [{"trip": Trip.DEVICE.name, "measured": 1.0, "limit": 0.0, "reason": str(stopped)}]
+        ring.state = (
+            LoopState.ENDED
+        )  # here no ticks are due any more, and as an ordinary thread this one may wait for seconds on a busy machine
     trips = [trip_report(verdict) for verdict in outcome.trips] + failed
     return Ended(outcome, tuple(trips), (*granted.missing, *explainer.notes(), *outcome.notes))
 

@@ -1,0 +1,45 @@
+"""The motion process at the end of its loop."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+
+import pytest
+
+from palpd.config import Config, Plan
+from palpd.control.loop import Outcome
+from palpd.daemon import motion_process
+from palpd.daemon.motion_process import Devices, Job, explainer_of
+from palpd.daemon.realtime import Granted
+from palpd.errors import Stopped
+from palpd.recording.ring import LoopState, Ring
+from palpd.tick import Request
+
+
+@pytest.mark.parametrize("end", [Outcome(), Stopped("the robot refused a command")])
+def test_a_loop_says_that_it_ended_before_its_thread_becomes_an_ordinary_one(
+    monkeypatch: pytest.MonkeyPatch, end: Outcome | Stopped
+) -> None:
+    """As an ordinary thread it may wait for seconds on a busy machine, and the supervisor took that for a loop that stood still."""
+    ring = Ring.create(125.0)
+    states = []
+
+    @contextmanager
+    def realtime() -> Iterator[Granted]:
+        yield Granted(True, True, True, ())
+        states.append(ring.state)
+
+    loop = SimpleNamespace(rehearse=lambda: None, run=MagicMock(side_effect=[end]), outcome=Outcome())
+    monkeypatch.setattr(motion_process, "realtime", realtime)
+    monkeypatch.setattr(motion_process, "drain", lambda sensor: None)
+    monkeypatch.setattr(motion_process, "Loop", lambda *arguments: loop)
+    try:
+        job = Job("palpation", Config(), Plan(), reference=(0.0,) * 6)
+        ring.state = LoopState.RUNNING
+        devices = Devices(MagicMock(), MagicMock(), 0.0, {"delay_s": 0.001})
+        motion_process._run(job, devices, explainer_of(job, {}, 0.001), ring, lambda: Request.NONE)
+        assert states == [LoopState.ENDED]
+    finally:
+        ring.unlink()
+        ring.close()
