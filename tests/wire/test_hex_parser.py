@@ -93,6 +93,15 @@ def test_header_bytes_inside_a_payload_are_payload() -> None:
     assert not parser.packets
 
 
+def test_header_bytes_inside_a_payload_are_payload_also_before_many_frames_at_once() -> None:
+    parser = FrameParser(bulk_frames=4)
+    ambiguous = frame(20, struct.unpack(">6h", DATA + bytes(8)))
+    many = b"".join(frame(counter) for counter in range(21, 40))
+    first = b"".join(frame(counter) for counter in range(10, 20))
+    assert counters(first, ambiguous + many, parser=parser) == list(range(10, 40))
+    assert parser.rejected == 0
+
+
 def test_one_byte_of_a_header_inside_a_payload_delays_nothing() -> None:
     parser = FrameParser()
     parser.feed(frame(1))
