@@ -1,7 +1,7 @@
 """Commands for whoever stands at the cell: run a plan, calibrate, or do it all on an emulated or simulated cell."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -22,6 +22,9 @@ from palpd.cli.options import (
     terminal,
 )
 from palpd.files import check_folder, check_writable, with_ending, write_json
+
+if TYPE_CHECKING:
+    from palpd.daemon.programs import ProgramEnd
 
 
 @app.command()
@@ -60,13 +63,29 @@ def run(
 def calibrate(
     config: ConfigOption = DEFAULT_CONFIG,
     temperature_C: Annotated[float | None, typer.Option("--temperature-C", help="of the sensor, if known; kept with the tare")] = None,
+    probe_free: Annotated[bool, typer.Option("--probe-free", help="your word that the probe is free, where nothing else shows it")] = False,
 ) -> None:
     """Take the reference tare: probe free, arm still. Every run's absolute force limit is measured against it."""
+    import sys
+
     from palpd.cli.jobs import carried_out
     from palpd.config import load_config
+    from palpd.errors import Refused
 
     settings = load_config(config)
-    end = carried_out("calibrate", {"temperature_C": temperature_C}, settings, settings.paths.state)
+
+    def taken(word: bool) -> "ProgramEnd":
+        return carried_out("calibrate", {"temperature_C": temperature_C, "probe_free": word}, settings, settings.paths.state)
+
+    try:
+        end = taken(probe_free)
+    except Refused as refused:
+        if "--probe-free" not in str(refused) or not sys.stdin.isatty():  # a job of the service passes the sentence on, and nothing else
+            raise
+        terminal().print(f"{refused}.", soft_wrap=True, highlight=False, markup=False)
+        if not typer.confirm("Is the probe free? Look at it."):
+            raise
+        end = taken(True)
     finish(end.exit_code, end.reason)
     forces = ", ".join(f"{force:.2f}" for force in end.figures["wrench"][:3])
     terminal().print(f"Reference tare ({forces}) N of sensor {end.figures['sensor_serial'] or 'unknown'} kept in {end.figures['state']}.")
@@ -114,34 +133,43 @@ def stiffness(config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = Non
     write_json(json_file, end.figures)
 
 
+@app.command("level-test")
+def level_test(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+    """Go 5 mm straight up, slowly, and say whether the probe is free: the force must not change with the height."""
+    _go_up("level-test", "The daemon tests on the way up; palpd status says how it ends.", config, socket)
+
+
 @app.command()
 def retract(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
     """Leave the tissue after a stop: straight up, slowly, under the guard. Works while the stop is latched, and leaves it latched."""
+    _go_up("retract", "The daemon leaves the tissue; palpd status says how it ends.", config, socket)
+
+
+def _go_up(command: Literal["retract", "level-test"], begun: str, config: Path, socket: Path | None) -> None:
+    """Ask the service for that way up; go it in the foreground where none answers."""
     from palpd.cli.at_once import speak
+    from palpd.cli.last_ticks import print_last_ticks
     from palpd.daemon.socket_client import NoDaemon
 
     try:
-        speak({"do": "retract"}, config, socket)
+        speak({"do": command}, config, socket)
     except NoDaemon:
         if socket is not None:
             raise
     else:
-        terminal().print("The daemon leaves the tissue; palpd status says how it ends.")
+        terminal().print(begun)
         return
-    _retract_in_foreground(config)
-
-
-def _retract_in_foreground(config: Path) -> None:
-    from palpd.cli.last_ticks import print_last_ticks
     from palpd.config import Plan, load_config
     from palpd.daemon.session import carry_out, job
     from palpd.daemon.wiring import devices
 
     settings = load_config(config)
     check_kept(settings)
-    report = carry_out(job("retract", settings, Plan()), devices, display())
+    report = carry_out(job("retract" if command == "retract" else "level_test", settings, Plan()), devices, display())
     print_last_ticks(report.last_ticks)
     terminal().print(f"{report.verdict}: {report.recording}")
+    if report.probe is not None:
+        terminal().print(f"{report.probe.sentence}.", soft_wrap=True, highlight=False, markup=False)
     finish(report.exit_code, report.reason)
 
 

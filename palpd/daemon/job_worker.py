@@ -48,12 +48,13 @@ EASY_TO_KILL = "500"
 
 @dataclass(frozen=True, slots=True)
 class WorkerOrder:
-    """What a worker is to do: a program, its arguments, the configuration, and the file or folder that the program keeps."""
+    """What a worker is to do: a program, its arguments, the configuration, the file or folder that it keeps, and who asked for it."""
 
     program: str
     arguments: dict[str, Any]
     config: Config
     kept: Path
+    by: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,6 +230,7 @@ class _WorkerHost:
     config: Config
     display: _WorkerDisplay
     lines: _Lines
+    operator: str
 
     def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
         """Ask the service for the run, and wait for its report."""
@@ -295,7 +297,7 @@ def main() -> NoReturn:
         Path("/proc/self/oom_score_adj").write_text(EASY_TO_KILL)
     lines = _Lines()
     order: WorkerOrder = pickle.load(sys.stdin.buffer)
-    end = carried_out(_WorkerHost(order.config, _WorkerDisplay(lines), lines), order)
+    end = carried_out(_WorkerHost(order.config, _WorkerDisplay(lines), lines, order.by), order)
     reason, result = end.reason, json.dumps(_without_nan(end.figures), default=str)
     if len(result) > MOST_RESULT_BYTES:
         reason, result = f"{reason} (the result is too long for the service's memory; see the files of the job)".strip(), "{}"

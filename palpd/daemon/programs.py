@@ -31,9 +31,10 @@ class ProgramEnd:
 
 
 class CalibrateArguments(StrictBlock):
-    """Of `palpd calibrate`."""
+    """Of `palpd calibrate`; `probe_free` is the operator's word that the probe is free."""
 
     temperature_C: StrictFloat | None = None
+    probe_free: StrictBool = False
 
 
 class FreeMotionArguments(StrictBlock):
@@ -118,7 +119,9 @@ def _calibrate(host: ProgramHost, arguments: CalibrateArguments, _: Path) -> Pro
 
     from palpd.daemon.session import calibrate
 
-    return ProgramEnd("done", figures=asdict(calibrate(host, arguments.temperature_C)) | {"state": str(host.config.paths.state)})
+    return ProgramEnd(
+        "done", figures=asdict(calibrate(host, arguments.temperature_C, arguments.probe_free)) | {"state": str(host.config.paths.state)}
+    )
 
 
 def _free_motion(host: ProgramHost, arguments: FreeMotionArguments, recording: Path) -> ProgramEnd:

@@ -128,6 +128,9 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
         machine_stiffness_N_per_m=header["machine_stiffness_N_per_m"],
         returns_to_start=header.get("returns_to_start", False),
         pauses_in_place=header.get("pauses_in_place", True),
+        lifts_first=header.get("lifts_first", False),
+        unfinished=header.get("unfinished", False),
+        clear_z_m=header.get("clear_z_m"),
     )
     delay_s = header["body"]["delay_s"]
     model = None

@@ -57,6 +57,16 @@ class CheckedCell(TypedDict):
     date: str
 
 
+class KnownProbe(TypedDict):
+    """Whether the probe is free, pressed or unknown, why, what that allows, what to do, and when that was judged."""
+
+    state: str
+    reasons: list[str]
+    ways: list[str]
+    advice: str
+    date: str
+
+
 class ForceLimits(TypedDict):
     """The guard's limits as the service read them when it began: on the compensated force, and on the raw one."""
 
@@ -126,6 +136,7 @@ class ControlAnswer(TypedDict, total=False):
     latched: str | None
     pid: int
     cell: CheckedCell | None
+    probe: KnownProbe | None
     job: str
     activity: str
     steps_done: int

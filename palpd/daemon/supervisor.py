@@ -15,12 +15,14 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from palpd.config import CONTACT_FORCE_N
 from palpd.control.inertial import read_card
+from palpd.control.probe_state import ProbeAnswer, ProbeEvidence, ProbeState
 from palpd.daemon import motion_process as motion
+from palpd.daemon.contact_marker import END_S, MarkedRun
 from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import shielded
 from palpd.daemon.motion_process import (
+    BEGIN_LOADED,
     CALLED_OFF,
     GO,
     Build,
@@ -37,7 +39,7 @@ from palpd.daemon.motion_process import (
 from palpd.daemon.realtime import DEVICE_PRIORITY
 from palpd.daemon.silence import explained
 from palpd.daemon.socket_client import LastTick
-from palpd.daemon.stored_state import Latch, State
+from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.witness import Witness
 from palpd.errors import PalpdError, RecordingError
 from palpd.recording.mcap_file import RecordedStall, RecordingHeader, RunAbout, part_of
@@ -71,7 +73,10 @@ LAST_TICKS = 10
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """How a run ended, for the operator and the exit code. `last_ticks` is filled where a run was stopped."""
+    """How a run ended, for the operator and the exit code. `last_ticks` is filled where a run was stopped.
+
+    `probe` says how it leaves the probe, where it moved or looked; `evidence` is that of a reference tare.
+    """
 
     verdict: str
     reason: str = ""
@@ -80,9 +85,10 @@ class Report:
     recording: Path | None = None
     about: RunAbout = field(default_factory=lambda: RunAbout())
     notes: tuple[str, ...] = ()
-    reference: tuple[float, ...] | None = None
     last_ticks: tuple[LastTick, ...] = ()
     findings: tuple[Finding, ...] = ()
+    evidence: ProbeEvidence | None = None
+    probe: ProbeAnswer | None = None
 
 
 class MotionProcess:
@@ -111,6 +117,9 @@ class JobRun:
         self._recorder: Recorder | None = None
         self._about: RunAbout = {}
         self._reported = self._going = self._began_ticking = self._lost_recorder = self._interrupted = False
+        self._marked: MarkedRun | None = None
+        self._opened: Opened | None = None
+        self._level = self._came_to_rest = False
         self._abort_cause = ""
         self._report: Report | None = None
         self._ended_s = self._end_by_s = math.inf
@@ -180,6 +189,8 @@ class JobRun:
             self._lost_recorder = True
             self._ring.ask(Request.ABORT)  # a palpation that is not recorded is worth nothing
         ticking = self._ring.state == LoopState.RUNNING
+        if ticking and self._marked is not None and self._ring.published > self._first_tick:
+            self._marked.follow(self._ring.read(self._ring.published - 1)[0])
         if ticking and not self._began_ticking:
             self._began_ticking, self._ticked_s = True, now_s
         if self._going and self._ring.state == LoopState.STARTING and now_s - self._ticked_s > OPENING_S:
@@ -203,16 +214,18 @@ class JobRun:
         match message:
             case Opened():
                 return self._begin_recording(message)
-            case ReferenceTaken(about, reference):
-                return Report("done", about=about, reference=reference)
-            case Observed(about, findings):
-                return Report("done", about=about, findings=findings)
+            case ReferenceTaken(about, evidence):
+                return Report("done", about=about, evidence=evidence)
+            case Observed(about, findings, probe):
+                return Report("done", about=about, findings=findings, probe=probe)
             case Failed(reason, exit_code):
                 return Report("refused" if exit_code == 2 else "stopped", reason, exit_code)
             case Ended(outcome, trips, notes):
                 exit_code = 0 if outcome.verdict == "done" else 2 if outcome.refused else 3
+                self._level, self._came_to_rest = outcome.level, True
                 by_signal = f" ({self._abort_cause})" if self._interrupted and exit_code else ""
-                return Report(outcome.verdict, outcome.reason + self._silence(trips) + by_signal, exit_code, trips, notes=notes)
+                reason = outcome.reason + self._silence(trips) + by_signal
+                return Report(outcome.verdict, reason, exit_code, trips, notes=notes, probe=message.probe)
 
     def _silence(self, trips: Sequence[TripReport]) -> str:
         """Whether a device was silent or this computer stood still, as far as that ended the run."""
@@ -222,7 +235,7 @@ class JobRun:
         return explained(trips, at_s, 1.0 / self.job.config.robot.rate_Hz, self._witness)
 
     def _begin_recording(self, opened: Opened) -> Report | None:
-        self._reported, self._about = True, opened.about
+        self._reported, self._about, self._opened = True, opened.about, opened
         header = header_of(self.job, opened.about, opened.reference)
         model = self.job.config.model.path if self.job.kind == "palpation" else None
         folder = self.job.config.paths.runs
@@ -244,9 +257,22 @@ class JobRun:
         except RecordingError as error:
             self._recorder = None
             return self._refuse_recording(error)
+        try:
+            self._mark()
+        except PalpdError as error:
+            recorder.discard()
+            self._recorder = None
+            return self._refuse_recording(error)
         self._motion.pipe.send(GO)
         self._going, self._ticked_s = True, time.monotonic()
         return None
+
+    def _mark(self) -> None:
+        """Write the marker of a contact before anything moves; a run that could not be marked does not begin."""
+        assert self._opened is not None
+        if not self.job.dry:
+            opened = self._opened
+            self._marked = MarkedRun(self.job, self._state, opened.about, opened.reference, opened.pose, self._name)
 
     def _refuse_recording(self, error: Exception) -> Report:
         self._motion.pipe.send(CALLED_OFF)
@@ -306,19 +332,23 @@ class JobRun:
                 notes = (*notes, str(error))
                 if self._lost_recorder:  # the abort in the trips was ours
                     report = replace(report, reason=f"the run was stopped because it was no longer recorded: {error}")
-            died = report.exit_code == 3 and not report.trips
-            stands = self.job.kind == "retract" and self._state.latch() is not None  # the reason of the stop before stays
+            told = self.job.kind == "level_test" and self._came_to_rest  # what it found stands in the marker
+            died = report.exit_code == 3 and not report.trips and not told
+            stands = self.job.kind in BEGIN_LOADED and self._state.latch() is not None  # the reason of the stop before stays
             if not stands and (died or any(Trip[trip["trip"]] not in UNLATCHED for trip in report.trips)):
                 self._state.keep("latch", Latch(report.reason, now()))
-        last_ticks = self._last_ticks() if report.exit_code == 3 else ()
-        if last_ticks and last_ticks[-1]["force_N"] >= CONTACT_FORCE_N:
-            notes = (*notes, f"the probe still presses with {last_ticks[-1]['force_N']:.1f} N; palpd retract leaves the tissue")
+        last_ticks = last_ticks_of(self._rows(LAST_TICKS)) if report.exit_code == 3 else ()
+        if self._marked is not None:
+            rows = self._rows(math.ceil(END_S * self.job.config.robot.rate_Hz) + 1)
+            probe = self._marked.end(rows, self._level, self._came_to_rest)
+            report = replace(report, probe=probe)
+            if probe.state != ProbeState.FREE:
+                notes = (*notes, probe.sentence)
         return replace(report, recording=recording, about=report.about or self._about, notes=notes, last_ticks=last_ticks)
 
-    def _last_ticks(self) -> tuple[LastTick, ...]:
+    def _rows(self, most: int) -> Rows:
         """The newest rows of this run. They come from the ring: it also holds them after a crash or without a recording."""
-        rows, _, _ = self._ring.read(max(self._first_tick, self._ring.published - LAST_TICKS))
-        return last_ticks_of(rows)
+        return self._ring.read(max(self._first_tick, self._ring.published - most))[0]
 
 
 def last_ticks_of(rows: Rows) -> tuple[LastTick, ...]:
@@ -364,6 +394,9 @@ def header_of(job: Job, about: RunAbout, reference: tuple[float, ...]) -> Record
         "sites": [{"name": site.name, "x_m": site.x_m, "y_m": site.y_m} for site in job.plan.sites],
         "returns_to_start": job.returns_to_start,
         "pauses_in_place": job.pauses_in_place,
+        "lifts_first": job.lifts_first,
+        "unfinished": job.unfinished,
+        "clear_z_m": job.clear_z_m,
         "reference": list(reference),
         "machine_stiffness_N_per_m": job.machine_stiffness_N_per_m,
         "body": {
@@ -383,11 +416,6 @@ def header_of(job: Job, about: RunAbout, reference: tuple[float, ...]) -> Record
 def _card(job: Job) -> dict[str, Any] | None:
     path = job.config.model.path
     return read_card(path) if path and job.kind == "palpation" else None
-
-
-def now() -> str:
-    """Date and time with time zone, ISO 8601."""
-    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 def recording_name(kind: str) -> str:

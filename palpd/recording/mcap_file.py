@@ -80,18 +80,22 @@ class RecordingHeader(TypedDict, total=False):
 
     `config` and `plan` are config.yaml and plan.yaml as parsed, `model_card` is the inertial model's card, `reference` (6,) the tare of
     the last calibration. `epoch_offset_s` turns monotonic seconds into Unix time. A palpation without `returns_to_start` ended above
-    its last site; without `pauses_in_place` a pause stood still where the arm was. A simulated run fills only what the analysis reads.
-    `format_version` is that of the file, 1 where it is absent.
+    its last site; with `pauses_in_place` a pause stood still where the arm was; without `lifts_first` nothing showed that it was
+    not tared in contact. A retract of an `unfinished` contact went up at any force, at least to `clear_z_m`. A simulated run fills only
+    what the analysis reads. `format_version` is that of the file, 1 where it is absent.
     """
 
     format_version: int
-    kind: Literal["palpation", "free_motion", "stiffness", "retract", "calibrate", "check", "observe"]
+    kind: Literal["palpation", "free_motion", "stiffness", "retract", "level_test", "calibrate", "check", "observe"]
     dry: bool
     config: dict[str, Any]
     plan: dict[str, Any]
     sites: list[RecordedSite]
     returns_to_start: bool
     pauses_in_place: bool
+    lifts_first: bool
+    unfinished: bool
+    clear_z_m: float | None
     reference: list[float]
     machine_stiffness_N_per_m: float | None
     body: RecordedGeometry
