@@ -15,7 +15,7 @@ from palpd.cli.curve_options import (
     LengthUnitOption,
     TimeColumn,
 )
-from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, app, display, finish, terminal
+from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, HereOption, JsonOption, app, display, finish, terminal
 from palpd.files import check_writable, with_ending, write_json
 
 if TYPE_CHECKING:
@@ -140,6 +140,7 @@ def map_(
     inclusion_m: Annotated[float, typer.Option("--inclusion-m", min=0.002, max=0.1, help="smallest inclusion not to be missed")] = 0.01,
     most_presses: Annotated[int, typer.Option("--most-presses", min=1, max=1000, help="end after this number all the same")] = 200,
     seed: Annotated[int, typer.Option("--seed", help="another emulated field")] = 0,
+    here: HereOption = False,
     json_file: JsonOption = None,
 ) -> None:
     """Press a field where it pays most until a hard inclusion is found or excluded; draw the map.
@@ -155,7 +156,7 @@ def map_(
         mapping.refuse_two_sources(presses, config, emulated)
         pressed = Mapped(mapping.read_presses(presses, where))
     elif config is not None:
-        pressed = _pressed_by_robot(where, config, out, most_presses)
+        pressed = _pressed_by_robot(where, config, out, most_presses, here)
     else:
         pressed = mapped(where, out, emulated, seed, display(), most_presses)
     survey, truth, stopped = pressed.survey, pressed.true_inclusion_m, pressed.stop_reason
@@ -173,7 +174,7 @@ def map_(
     finish(3 if stopped else 0, stopped)
 
 
-def _pressed_by_robot(where: "Field", config: Path, out: Path, most_presses: int) -> "Mapped":
+def _pressed_by_robot(where: "Field", config: Path, out: Path, most_presses: int, here: bool) -> "Mapped":
     """The presses of the robot of that configuration, by the service or in the foreground."""
     from palpd.analysis.stiffness_map import Survey, write_presses
     from palpd.cli.jobs import carried_out
@@ -181,7 +182,7 @@ def _pressed_by_robot(where: "Field", config: Path, out: Path, most_presses: int
     from palpd.daemon.stiffness_survey import Mapped
 
     field = {"width_m": where.width_m, "height_m": where.height_m, "depth_m": where.depth_m, "inclusion_m": where.inclusion_m}
-    arguments = {**field, "most_presses": most_presses}
+    arguments = {**field, "most_presses": most_presses, "here": here}
     end = carried_out("map", arguments, load_config(config), out)
     survey = Survey(where)
     for (x_m, y_m), modulus_Pa in zip(end.figures.get("places_m", []), end.figures.get("moduli_Pa", []), strict=True):

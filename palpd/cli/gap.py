@@ -14,6 +14,7 @@ from palpd.cli.options import (
     CellOption,
     ConfigOption,
     EffectsOption,
+    HereOption,
     JsonOption,
     ProgressOption,
     SiteOption,
@@ -153,6 +154,7 @@ def resolve(
         float | None, typer.Option("--max-depth-m", min=0.0002, max=0.02, help="how deep a proposal may press (default: as before)")
     ] = None,
     take_reference: Annotated[bool, typer.Option("--take-reference", help="take the reference tare now instead of the kept one")] = False,
+    here: HereOption = False,
     effects: EffectsOption = None,
     adopted: AdoptedOption = True,
     folder: Annotated[Path | None, typer.Option("--out", help="where everything is kept (default: runs/resolve-<time>)")] = None,
@@ -165,6 +167,7 @@ def resolve(
     from palpd.daemon import resolve as loop
     from palpd.daemon.job_client import service_at
     from palpd.daemon.session import ForegroundHost, kept_in
+    from palpd.daemon.stored_state import State
     from palpd.daemon.wiring import devices
     from palpd.files import read_yaml
     from palpd.gap.commands import adopted_sentence, library
@@ -190,6 +193,7 @@ def resolve(
             "max_depth_m": max_depth_m,
             "take_reference": take_reference,
             "adopted": adopted,
+            "here": here,
         }
         end = carried_out("resolve", arguments, settings, settings.paths.runs, agree)
         stands = fetch(end.figures.get("folder"), target) if target is not None else end.figures.get("folder")
@@ -199,6 +203,8 @@ def resolve(
         return
     check_kept(settings)
     clear_latch(settings)
+    if here:
+        State(settings.paths.state).forget("place")
     own = adopted_folder(adopted)
     known = library(effects, adopted=own)
     if own is not None and (weighed := adopted_sentence(own, known)):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from palpd.cli.at_once import DEFAULT_CONFIG
+from palpd.errors import BadInput
 from palpd.files import check_folder
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from palpd.cli.terminal import TerminalDisplay
     from palpd.config import Config
+    from palpd.control.plan_place import Choice
 
 app = typer.Typer(
     help="Press soft tissue with a UR5 and a HEX-70, say how stiff it is, and why a cell does not behave like its simulation.",
@@ -52,13 +54,14 @@ EffectsOption = Annotated[
 SiteOption = Annotated[str | None, typer.Option("--site", help="this site only, of recordings of the daemon (.mcap)")]
 ProgressOption = Annotated[bool, typer.Option("--progress", help="write each step to stderr, one a line, for programs")]
 AdoptedOption = Annotated[bool, typer.Option("--adopted/--no-adopted", help="whether your adopted effects count (palpd effects --adopt)")]
+HereOption = Annotated[bool, typer.Option("--here", help="count sites from where the arm stands, though the last run was not finished")]
+ReturnOption = Annotated[bool, typer.Option("--return", help="go back first to where the last, unfinished run began")]
 DEFAULT_PLAN = Path("plan.yaml")
 
 __all__ = [
-    "DEFAULT_CONFIG", "DEFAULT_PLAN", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "JsonOption", "PlanOption",
-    "ProgressOption", "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept", "clear_latch", "display", "finish",
-    "say_broken_effects",
-    "shown_steps", "terminal",
+    "DEFAULT_CONFIG", "DEFAULT_PLAN", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "HereOption", "JsonOption",
+    "PlanOption", "ProgressOption", "ReturnOption", "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept", "clear_latch",
+    "display", "finish", "place_choice", "say_broken_effects", "shown_steps", "terminal",
 ]  # fmt: skip
 
 
@@ -132,6 +135,13 @@ def clear_latch(config: "Config") -> None:
     latch = State(config.paths.state).clear_latch()
     if latch is not None:
         terminal().print(f"[yellow]The last run was stopped on {latch.date}: {latch.reason}. This start clears it.[/]")
+
+
+def place_choice(here: bool, go_back: bool) -> "Choice | None":
+    """What the operator answers to the question of the place. Raises BadInput where both answers are given."""
+    if here and go_back:
+        raise BadInput("--here and --return contradict each other, expected one of them; leave one out")
+    return "here" if here else "return" if go_back else None
 
 
 def check_kept(config: "Config") -> None:

@@ -9,15 +9,18 @@ from palpd.cli.options import (
     DEFAULT_CONFIG,
     DEFAULT_PLAN,
     ConfigOption,
+    HereOption,
     JsonOption,
     PlanOption,
     ProgressOption,
+    ReturnOption,
     SocketOption,
     app,
     check_kept,
     clear_latch,
     display,
     finish,
+    place_choice,
     shown_steps,
     terminal,
 )
@@ -33,6 +36,8 @@ def run(
     plan: PlanOption = DEFAULT_PLAN,
     dry: Annotated[bool, typer.Option("--dry", help="read the real devices, command nothing")] = False,
     take_reference: Annotated[bool, typer.Option("--take-reference", help="take the reference tare now instead of the kept one")] = False,
+    here: HereOption = False,
+    go_back: ReturnOption = False,
     json_file: JsonOption = None,
 ) -> None:
     """Carry out a plan in the foreground and end with it."""
@@ -48,7 +53,7 @@ def run(
     check_writable(json_file)
     check_kept(settings)
     clear_latch(settings)
-    report = carry_out(job("palpation", settings, steps, dry, take_reference), devices, display())
+    report = carry_out(job("palpation", settings, steps, dry, take_reference, place_choice(here, go_back)), devices, display())
     if report.recording is not None and settings.paths.write_reports:
         begin_report(report.recording, settings.paths.runs)
     result = run_result(report)

@@ -6,7 +6,19 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 import typer
 
 from palpd.cli import at_once
-from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, SocketOption, app, check_kept, finish, terminal
+from palpd.cli.options import (
+    DEFAULT_CONFIG,
+    ConfigOption,
+    HereOption,
+    JsonOption,
+    ReturnOption,
+    SocketOption,
+    app,
+    check_kept,
+    finish,
+    place_choice,
+    terminal,
+)
 from palpd.files import check_folder, check_writable, write_json
 
 if TYPE_CHECKING:
@@ -85,13 +97,17 @@ def arm(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> N
 
 @app.command()
 def start(
-    plan: Annotated[Path, typer.Argument(help="plan.yaml")], config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None
+    plan: Annotated[Path, typer.Argument(help="plan.yaml")],
+    here: HereOption = False,
+    go_back: ReturnOption = False,
+    config: ConfigOption = DEFAULT_CONFIG,
+    socket: SocketOption = None,
 ) -> None:
     """Start a plan on an armed daemon."""
     from palpd.config import load_plan
 
     values = load_plan(plan).model_dump(mode="json")
-    print(at_once.speak({"do": "start", "plan": values}, config, socket)["state"])
+    print(at_once.speak({"do": "start", "plan": values, "place": place_choice(here, go_back)}, config, socket)["state"])
 
 
 @app.command()

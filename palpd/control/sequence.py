@@ -391,14 +391,25 @@ class Script(ABC):
 class Palpation(Script):
     """The plan: find the surface at every site, then press to every depth, statically or dynamically."""
 
-    def __init__(self, plan: Plan, arm: ArmGeometry, returns_to_start: bool = True) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        arm: ArmGeometry,
+        returns_to_start: bool = True,
+        back_to_m: tuple[float, float, float] | None = None,
+        top_z_m: float = -math.inf,
+    ) -> None:
         super().__init__(arm)
         self.plan = plan
         self.returns_to_start = returns_to_start
+        self.back_to_m = back_to_m
+        self.top_z_m = top_z_m
         self.trim_m = 0.0
 
     def run(self) -> Steps:
         """Visit the sites in order, at the height of the start between them, and end at the start pose."""
+        if self.back_to_m is not None:
+            yield from self.go_back(self.back_to_m)
         origin_m = self.origin()
         for index, site in enumerate(self.plan.sites):
             self.note(site=index, mode=Mode.NONE, depth_m=math.nan, surface_z_m=math.nan, repeat=-1, cut_short=False)
@@ -423,6 +434,25 @@ class Palpation(Script):
         if self.returns_to_start:
             self.note(site=-1, repeat=-1, surface_z_m=math.nan, clear_z_m=self.home[2] - CLEAR_BELOW_HOME_M)
             yield from self.travel(self.home[0], self.home[1], Phase.RETURN)
+
+    def go_back(self, start_m: tuple[float, float, float]) -> Steps:
+        """Go to where an unfinished run began, and take that as home: straight up to its greatest height, then sideways, then down.
+
+        Args:
+            start_m: where it began.
+
+        Returns:
+            The steps.
+        """
+        self.note(phase=Phase.RETURN)
+        yield from self.go_to(max(self.top_z_m, self.home[2]), self.arm.max_speed_m_per_s)
+        yield from self.come_to_rest()
+        yield from self.travel(start_m[0], start_m[1], Phase.RETURN)
+        self.home = start_m
+        self.note(floor_z_m=start_m[2])
+        yield from self.go_to(start_m[2], min(FREE_SPEED_M_PER_S, self.arm.max_speed_m_per_s))
+        yield from self.come_to_rest()
+        self.note(safe_z_m=start_m[2])
 
     def step_name(self) -> str:
         """Say which press or search is under way, and where."""

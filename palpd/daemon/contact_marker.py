@@ -28,9 +28,9 @@ class MarkedRun:
         if job.kind in ("retract", "level_test") and before is not None:
             self._marker = replace(before, pose=pose, at_rest=False)
         else:
-            self._marker = ContactMarker(
-                now(), name, pose, pose, CLEAR_SHARE * job.plan.safe_height_m, reference, identity_of(job.config, about)
-            )
+            start_pose = (*(job.back_to_m or pose[:3]), *pose[3:])
+            clear_height_m = CLEAR_SHARE * job.plan.safe_height_m
+            self._marker = ContactMarker(now(), name, pose, start_pose, clear_height_m, reference, identity_of(job.config, about))
         state.keep("contact", self._marker)
         state.forget("level")  # the arm leaves the place that it speaks of
 

@@ -22,6 +22,7 @@ import numpy as np
 from palpd.config import Config, ModelConfig, Plan, filter_delay_s
 from palpd.control.inertial import InertialModel, MotionFeatures
 from palpd.control.loop import Explainer, Loop, Outcome, Record
+from palpd.control.plan_place import Choice, PlanPlace
 from palpd.control.probe_state import ProbeAnswer, ProbeEvidence, ProbeRecord, probe_state
 from palpd.control.running_zero import RunningZero
 from palpd.control.safety import Limits, sentence
@@ -85,12 +86,28 @@ Build = Callable[[Config, bool], Devices]
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One task for the cell. `reference` (6,) is the tare of the last calibration, in the axes of the sensor with that serial number.
+    """One task for the cell.
 
-    A palpation that is done returns to its start pose, and a pause leaves the tissue. The recordings of earlier versions end above their
-    last site, and paused where the arm was. `watch_s` is how long devices are observed. A job that `lifts_first` shows on a way up
-    that it was not tared in contact. `probe` is what is known of the probe before; None asks nothing of the tare. With `confirmed` an
-    operator's word stands for a doubtful reference. A retract of an `unfinished` contact goes up at any force, at least to `clear_z_m`.
+    Attributes:
+        kind: What to do.
+        config: The configuration of the cell.
+        plan: The plan of a palpation.
+        dry: Whether to read the devices and command nothing.
+        reference: Tare (6,) of the last calibration; None: the job takes its own.
+        machine_stiffness_N_per_m: Stiffness of sensor, mount and arm; None: rigid.
+        reference_serial: The sensor of the reference.
+        returns_to_start: A palpation that is done returns to its start pose; in the recordings of earlier versions it did not.
+        pauses_in_place: A pause stands still instead of leaving the tissue, as in the recordings of earlier versions.
+        watch_s: How long devices are observed.
+        lifts_first: A way up shows first that the job was not tared in contact.
+        probe: What is known of the probe from before; None asks nothing of the tare.
+        confirmed: An operator's word stands for a doubtful reference.
+        unfinished: A retract goes up at any force, at least to `clear_z_m` where that is known.
+        clear_z_m: Height that clears the highest surface of the unfinished run.
+        last: Place of the palpation before.
+        choice: What the operator answered where that one was not finished.
+        back_to_m: Start pose that a palpation goes to before it begins, not below `top_z_m` on its way.
+        top_z_m: Greatest height of the unfinished run.
     """
 
     kind: Kind
@@ -108,6 +125,10 @@ class Job:
     confirmed: bool = False
     unfinished: bool = False
     clear_z_m: float | None = None
+    last: PlanPlace | None = None
+    choice: Choice | None = None
+    back_to_m: tuple[float, float, float] | None = None
+    top_z_m: float = -math.inf
 
 
 class TripReport(TypedDict):
@@ -237,7 +258,7 @@ def sequence_of(job: Job, delay_s: float) -> Sequence:
     """
     arm = arm_geometry_of(job, delay_s)
     scripts: dict[str, Callable[[], Script]] = {
-        "palpation": lambda: Palpation(job.plan, arm, job.returns_to_start),
+        "palpation": lambda: Palpation(job.plan, arm, job.returns_to_start, job.back_to_m, job.top_z_m),
         "free_motion": lambda: FreeMotion(arm),
         "stiffness": lambda: RigidPress(job.plan, arm),
         "retract": lambda: Retract(arm, job.unfinished, job.clear_z_m),
@@ -406,7 +427,8 @@ def rehearse_job(job: Job, explainer: Explainer, record: Record, called_off: Cal
         How the rehearsal ended; nothing depends on it.
     """
     populate(WIRE_LIBRARIES)
-    in_small = sequence_of(replace(job, plan=short(job.plan, job.config)), filter_delay_s(job.config.sensor.filter_cutoff_Hz))
+    small = replace(job, plan=short(job.plan, job.config), back_to_m=None, lifts_first=False)
+    in_small = sequence_of(small, filter_delay_s(job.config.sensor.filter_cutoff_Hz))
     return rehearse(job.config, in_small, explainer, job_limits(job), record, loaded=job.kind in BEGIN_LOADED, called_off=called_off)
 
 

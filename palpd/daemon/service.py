@@ -10,11 +10,13 @@ import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import cast, get_args
 
 import numpy as np
 import structlog
 
 from palpd.config import Config, Plan, parse_plan, refuse_unsafe
+from palpd.control.plan_place import Choice, question
 from palpd.control.probe_state import ProbeAnswer
 from palpd.daemon.control_socket import ControlSocket, Later, Watching
 from palpd.daemon.controls import LEASE_S, Controls
@@ -28,10 +30,10 @@ from palpd.daemon.programs import program_named
 from palpd.daemon.run_reports import RunReports
 from palpd.daemon.session import job as checked_job
 from palpd.daemon.session import measured_job
-from palpd.daemon.socket_client import CheckedCell, ControlAnswer, ControlRequest, KnownProbe, LastRun
+from palpd.daemon.socket_client import CheckedCell, ControlAnswer, ControlRequest, KnownPlace, KnownProbe, LastRun
 from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.supervisor import JobRun, Report, recording_name
-from palpd.errors import PalpdError, Refused
+from palpd.errors import BadInput, PalpdError, Refused
 from palpd.recording.ring import LoopState, Ring
 from palpd.tick import Phase, Request
 
@@ -79,6 +81,7 @@ class Service:
         self._first_tick = 0
         self._cell: CheckedCell | None = None
         self._probe: KnownProbe | None = None
+        self._pose: tuple[float, ...] = ()
         self._log = structlog.get_logger("palpd.service")
         self._reports = RunReports(config.paths.runs)
         self._ending = False
@@ -179,6 +182,7 @@ class Service:
             "pid": os.getpid(),
             "cell": self._cell,
             "probe": self._probe or self._remembered(),
+            "place": self._place(),
             "controls": self._controls.holder(time.monotonic()),
             "ring": self._ring.name,
             "active": self._jobs.current.summary if self._jobs.current is not None else None,
@@ -243,6 +247,7 @@ class Service:
         return self._arming
 
     def _check(self) -> None:
+        self._first_tick = self._ring.published
         self._run = JobRun(self._job("check", Plan(), dry=True), self._build, self._ring, self._state, "check")
 
     def _checked(self, report: Report) -> None:
@@ -272,7 +277,13 @@ class Service:
         plan = parse_plan(request.get("plan"), "the plan")
         refuse_unsafe(self._config, plan)
         refuse_overload(self._config, plan)
-        self._begin("palpation", plan)
+        choice = request.get("place")
+        if choice is not None and choice not in get_args(Choice):
+            raise BadInput(f"the place is {str(choice)[:32]!r}, expected one of {', '.join(get_args(Choice))}")
+        work = measured_job("palpation", self._config, plan, choice=cast(Choice | None, choice))
+        if self._pose and plan.origin is None and (asked := question(work.last, self._pose[0], self._pose[1], work.choice)) is not None:
+            raise Refused(f"nothing was moved: {asked}")
+        self._start_run(work, recording_name("palpation"))
         self._jobs.begin_run("run", self._asking)
         self._log.info("started", sites=len(plan.sites))
         return {"state": "running"}
@@ -280,13 +291,10 @@ class Service:
     def _go_up(self, kind: Kind) -> ControlAnswer:
         """Leave the tissue, or test whether the probe is free. It needs no arming and no cleared latch: it goes straight up, guarded."""
         self._refuse_running()
-        self._begin(kind, Plan())
+        self._start_run(self._job(kind, Plan()), recording_name(kind))
         self._jobs.begin_run(kind.replace("_", "-"), self._asking)
         self._log.info("going up", job=kind)
         return {"state": "running"}
-
-    def _begin(self, kind: Kind, plan: Plan) -> None:
-        self._start_run(self._job(kind, plan), recording_name(kind))
 
     def _start_run(self, work: Job, name: str) -> None:
         self._first_tick, self._armed = self._ring.published, False
@@ -439,6 +447,20 @@ class Service:
             advice="palpd retract leaves the tissue",
         )
 
+    def _place(self) -> KnownPlace | None:
+        """Where the tip was last seen, over which site of the last plan, and where its sites count from."""
+        last = self._state.place()
+        if not self._pose and last is None:
+            return None
+        x_m, y_m = self._pose[:2] if self._pose else (None, None)
+        return KnownPlace(
+            x_m=x_m,
+            y_m=y_m,
+            site=last.site_under(x_m, y_m) if last is not None and x_m is not None and y_m is not None else None,
+            origin_m=list(last.origin_m) if last is not None else None,
+            unfinished=last.run if last is not None and not last.returned else None,
+        )
+
     def _latch(self) -> Latch | None:
         return self._unkept or self._state.latch()
 
@@ -451,6 +473,8 @@ class Service:
             report = self._run.poll()
         except PalpdError as error:  # the latch could not be written: it holds until this process ends
             report, self._unkept = Report("stopped", str(error), 3), Latch(str(error), now())
+        if report is not None and (row := self._newest()) is not None:
+            self._pose = tuple(map(float, row["tcp_pose"]))
         if report is not None and report.probe is not None:
             self._probe = known_probe(report.probe, now())
         if report is not None and self._checking:

@@ -9,6 +9,7 @@ from getpass import getuser
 from pathlib import Path
 
 from palpd.config import Config, Plan, refuse_unsafe
+from palpd.control.plan_place import Choice
 from palpd.control.probe_state import MOST_MOVED_REFERENCE_N, ProbeAnswer, ProbeState, probe_state
 from palpd.daemon.display import Display, ShowProgress
 from palpd.daemon.finding import Finding
@@ -29,7 +30,7 @@ TABLES_S = 0.1
 """Shortest time for the tables of an interrupted run, where the end of the loop took longer."""
 
 
-def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_reference: bool = False) -> Job:
+def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_reference: bool = False, choice: Choice | None = None) -> Job:
     """A job with the reference tare and the stiffness that earlier steps have measured.
 
     Args:
@@ -38,6 +39,7 @@ def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_referenc
         plan: The plan of a palpation; other kinds ignore it.
         dry: Whether to read the devices and command nothing.
         take_reference: Whether the run takes its own reference tare.
+        choice: Where sites count from, where the palpation before was not finished.
 
     Returns:
         The job.
@@ -56,10 +58,12 @@ def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_referenc
             f"there is no reference tare in {config.paths.state}; run palpd calibrate with the same --config, the probe free and still, "
             "or palpd run with --take-reference"
         )
-    return measured_job(kind, config, plan, dry, take_reference)
+    return measured_job(kind, config, plan, dry, take_reference, choice)
 
 
-def measured_job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_reference: bool = False) -> Job:
+def measured_job(
+    kind: Kind, config: Config, plan: Plan, dry: bool = False, take_reference: bool = False, choice: Choice | None = None
+) -> Job:
     """A job with what the state folder knows: reference tare, stiffness of the machine, and the contact that no run has finished.
 
     Args:
@@ -68,6 +72,7 @@ def measured_job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take
         plan: The plan.
         dry: Whether to read the devices and command nothing.
         take_reference: Whether the run takes its own reference tare. In a state folder that has none, this is the operator's word for it.
+        choice: Where sites count from, where the palpation before was not finished.
 
     Returns:
         The job.
@@ -78,6 +83,8 @@ def measured_job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take
     """
     state = State(config.paths.state)
     stiffness, known, calibration = state.machine_stiffness(), probe_record(config, state), state.calibration()
+    last = state.place() if kind == "palpation" else None
+    back = last if choice == "return" and last is not None and not last.returned else None
     work = Job(
         kind,
         config,
@@ -87,6 +94,10 @@ def measured_job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take
         lifts_first=kind in ("palpation", "free_motion", "stiffness"),
         probe=known,
         confirmed=take_reference and calibration is None,
+        last=last,
+        choice=choice,
+        back_to_m=back.start_m if back is not None else None,
+        top_z_m=back.top_z_m if back is not None else -math.inf,
     )
     if kind == "retract" and known.marker is not None:  # it trusts the marker: a reference that was taken since may be wrong
         return replace(work, reference=known.marker.reference, unfinished=True, clear_z_m=known.marker.clear_z_m)

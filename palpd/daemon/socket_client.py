@@ -40,6 +40,7 @@ class ControlRequest(TypedDict):
     do: str
     lease: NotRequired[object]
     plan: NotRequired[object]
+    place: NotRequired[object]
     name: NotRequired[object]
     force: NotRequired[object]
     program: NotRequired[object]
@@ -65,6 +66,19 @@ class KnownProbe(TypedDict):
     ways: list[str]
     advice: str
     date: str
+
+
+class KnownPlace(TypedDict):
+    """Where the tip was last seen, in base axes, and the site of the last plan under it.
+
+    `origin_m` is where the sites of the last palpation count from, `unfinished` its name where it did not end at its start.
+    """
+
+    x_m: float | None
+    y_m: float | None
+    site: str | None
+    origin_m: list[float] | None
+    unfinished: str | None
 
 
 class ForceLimits(TypedDict):
@@ -137,6 +151,7 @@ class ControlAnswer(TypedDict, total=False):
     pid: int
     cell: CheckedCell | None
     probe: KnownProbe | None
+    place: KnownPlace | None
     job: str
     activity: str
     steps_done: int

@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
+from palpd.control.plan_place import PlanPlace
 from palpd.control.probe_state import ContactMarker, LevelTested, ProbeIdentity
 from palpd.errors import BadInput, ConfigError, Refused
 from palpd.files import read_json, write_json
@@ -64,7 +65,7 @@ class Latch:
     date: str
 
 
-Kept = TypeVar("Kept", Calibration, ContactMarker, LevelTested)
+Kept = TypeVar("Kept", Calibration, ContactMarker, LevelTested, PlanPlace)
 
 
 def now() -> str:
@@ -117,7 +118,11 @@ class State:
         except (ConfigError, TypeError):
             return Latch(f"the reason kept in {self.folder / 'latch.json'} cannot be read", "an unknown date")
 
-    def keep(self, name: str, thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested) -> None:
+    def place(self) -> PlanPlace | None:
+        """Where the sites of the last palpation counted from."""
+        return self._kept("place", PlanPlace, "no place of a plan; delete it, and start where the sites shall count from")
+
+    def keep(self, name: str, thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested | PlanPlace) -> None:
         """Write a state file so that a crash leaves the old file or the new one, never half of it.
 
         Args:

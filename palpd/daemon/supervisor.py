@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from palpd.control.inertial import read_card
+from palpd.control.plan_place import PlanPlace, question
 from palpd.control.probe_state import ProbeAnswer, ProbeEvidence, ProbeState
+from palpd.control.sequence import LEVEL_M
 from palpd.daemon import motion_process as motion
 from palpd.daemon.contact_marker import END_S, MarkedRun
 from palpd.daemon.finding import Finding
@@ -42,7 +44,7 @@ from palpd.daemon.socket_client import LastTick
 from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.witness import Witness
 from palpd.errors import PalpdError, RecordingError
-from palpd.recording.mcap_file import RecordedStall, RecordingHeader, RunAbout, part_of
+from palpd.recording.mcap_file import RecordedPlace, RecordedStall, RecordingHeader, RunAbout, part_of
 from palpd.recording.recorder import Recorder
 from palpd.recording.ring import LoopState, RecorderState, Ring, Rows
 from palpd.tick import Phase, Request, Trip
@@ -118,6 +120,7 @@ class JobRun:
         self._about: RunAbout = {}
         self._reported = self._going = self._began_ticking = self._lost_recorder = self._interrupted = False
         self._marked: MarkedRun | None = None
+        self._place: PlanPlace | None = None
         self._opened: Opened | None = None
         self._level = self._came_to_rest = False
         self._abort_cause = ""
@@ -236,7 +239,9 @@ class JobRun:
 
     def _begin_recording(self, opened: Opened) -> Report | None:
         self._reported, self._about, self._opened = True, opened.about, opened
-        header = header_of(self.job, opened.about, opened.reference)
+        if (asked := self._place_question(opened.pose)) is not None:
+            return self._refuse(asked)
+        header = header_of(self.job, opened.about, opened.reference, opened.pose)
         model = self.job.config.model.path if self.job.kind == "palpation" else None
         folder = self.job.config.paths.runs
         try:
@@ -244,7 +249,7 @@ class JobRun:
             with shielded():
                 self._recorder = Recorder.begin(self._ring, folder / f"{self._name}.mcap", header, model.read_bytes() if model else None)
         except OSError as error:
-            return self._refuse_recording(error)
+            return self._refuse(error)
         self._began_s = time.monotonic()
         return None
 
@@ -256,13 +261,13 @@ class JobRun:
             recorder.confirm()
         except RecordingError as error:
             self._recorder = None
-            return self._refuse_recording(error)
+            return self._refuse(error)
         try:
             self._mark()
         except PalpdError as error:
             recorder.discard()
             self._recorder = None
-            return self._refuse_recording(error)
+            return self._refuse(error)
         self._motion.pipe.send(GO)
         self._going, self._ticked_s = True, time.monotonic()
         return None
@@ -270,13 +275,22 @@ class JobRun:
     def _mark(self) -> None:
         """Write the marker of a contact before anything moves; a run that could not be marked does not begin."""
         assert self._opened is not None
+        opened = self._opened
+        if self.job.kind == "palpation" and not self.job.dry:
+            self._place = place_of(self.job, opened.pose, self._name)
+            self._state.keep("place", self._place)
         if not self.job.dry:
-            opened = self._opened
             self._marked = MarkedRun(self.job, self._state, opened.about, opened.reference, opened.pose, self._name)
 
-    def _refuse_recording(self, error: Exception) -> Report:
+    def _place_question(self, pose: tuple[float, ...]) -> str | None:
+        """Whether the operator must say first where the sites count from."""
+        if self.job.kind != "palpation" or self.job.dry or self.job.plan.origin is not None:
+            return None
+        return question(self.job.last, pose[0], pose[1], self.job.choice)
+
+    def _refuse(self, reason: object) -> Report:
         self._motion.pipe.send(CALLED_OFF)
-        return Report("refused", f"nothing was moved: {error}", 2)
+        return Report("refused", f"nothing was moved: {reason}", 2)
 
     def _call_off(self) -> Report:
         """End a job whose loop was not started: nothing has moved, so nothing needs to be stopped."""
@@ -338,6 +352,8 @@ class JobRun:
             if not stands and (died or any(Trip[trip["trip"]] not in UNLATCHED for trip in report.trips)):
                 self._state.keep("latch", Latch(report.reason, now()))
         last_ticks = last_ticks_of(self._rows(LAST_TICKS)) if report.exit_code == 3 else ()
+        if self._place is not None and report.verdict == "done":
+            self._state.keep("place", replace(self._place, returned=True))
         if self._marked is not None:
             rows = self._rows(math.ceil(END_S * self.job.config.robot.rate_Hz) + 1)
             probe = self._marked.end(rows, self._level, self._came_to_rest)
@@ -374,13 +390,49 @@ def last_ticks_of(rows: Rows) -> tuple[LastTick, ...]:
     )
 
 
-def header_of(job: Job, about: RunAbout, reference: tuple[float, ...]) -> RecordingHeader:
+def place_of(job: Job, pose: tuple[float, ...], name: str) -> PlanPlace:
+    """Where the sites of a palpation count from.
+
+    Args:
+        job: The palpation.
+        pose: Pose (6,) of the tip before it moves.
+        name: Name of the run.
+
+    Returns:
+        The place, not yet returned to.
+    """
+    start_m = job.back_to_m or (pose[0], pose[1], pose[2])
+    origin = job.plan.origin
+    origin_m = (start_m[0], start_m[1]) if origin is None else (origin.x_m, origin.y_m)
+    top_m = max(LEVEL_M, job.plan.free.height_m if job.plan.free is not None else 0.0)
+    sites = tuple((site.name, site.x_m, site.y_m) for site in job.plan.sites)
+    return PlanPlace(now(), name, origin_m, start_m, start_m[2] + top_m, sites)
+
+
+def _recorded_place(job: Job, pose: tuple[float, ...]) -> RecordedPlace:
+    """How the sites of a run count, and how far from those of the unfinished run before."""
+    place, last = place_of(job, pose, ""), job.last
+    moved_m = None if last is None or last.returned else math.dist(place.origin_m, last.origin_m)
+    taken = "plan" if job.plan.origin is not None else "start" if job.choice is None or moved_m is None else job.choice
+    return {
+        "x_m": place.origin_m[0],
+        "y_m": place.origin_m[1],
+        "taken": taken,
+        "unfinished": None if moved_m is None or last is None else last.run,
+        "moved_m": moved_m,
+        "back_to_m": list(job.back_to_m) if job.back_to_m is not None else None,
+        "top_z_m": job.top_z_m if job.back_to_m is not None else None,
+    }
+
+
+def header_of(job: Job, about: RunAbout, reference: tuple[float, ...], pose: tuple[float, ...]) -> RecordingHeader:
     """Everything that a replay needs to make the decisions again, and where the recording came from.
 
     Args:
         job: What is carried out.
         about: What the opened devices say of themselves.
         reference: Reference tare (6,) in the sensor's axes, N and Nm.
+        pose: Pose (6,) of the tip before it moves.
 
     Returns:
         The header of the recording.
@@ -392,6 +444,7 @@ def header_of(job: Job, about: RunAbout, reference: tuple[float, ...]) -> Record
         "config": job.config.model_dump(mode="json"),
         "plan": job.plan.model_dump(mode="json"),
         "sites": [{"name": site.name, "x_m": site.x_m, "y_m": site.y_m} for site in job.plan.sites],
+        "place": _recorded_place(job, pose) if job.kind == "palpation" else None,
         "returns_to_start": job.returns_to_start,
         "pauses_in_place": job.pauses_in_place,
         "lifts_first": job.lifts_first,

@@ -66,6 +66,23 @@ class RecordedSite(TypedDict):
     y_m: float
 
 
+class RecordedPlace(TypedDict):
+    """Where the sites count from, in base axes.
+
+    `taken` says how: as the `plan` states, the `start` pose, `here` by the operator's word, or after a `return`. `unfinished` is the run
+    before, where it did not end at its start, and `moved_m` the way from its origin to this one. A run that went back first went to
+    `back_to_m`, not below `top_z_m` on its way.
+    """
+
+    x_m: float
+    y_m: float
+    taken: Literal["plan", "start", "here", "return"]
+    unfinished: str | None
+    moved_m: float | None
+    back_to_m: list[float] | None
+    top_z_m: float | None
+
+
 class RecordedGeometry(TypedDict):
     """What the moduli of a run depend on. Without a measured machine stiffness the machine counts as rigid."""
 
@@ -91,6 +108,7 @@ class RecordingHeader(TypedDict, total=False):
     config: dict[str, Any]
     plan: dict[str, Any]
     sites: list[RecordedSite]
+    place: RecordedPlace | None
     returns_to_start: bool
     pauses_in_place: bool
     lifts_first: bool
