@@ -14,7 +14,7 @@ from palpd.cli.last_ticks import print_last_ticks
 from palpd.daemon.socket_client import ARM_PATIENCE_S, PATIENCE_S, ask
 
 if TYPE_CHECKING:
-    from palpd.daemon.socket_client import ControlAnswer, ControlRequest, JobSummary, ProposedRun
+    from palpd.daemon.socket_client import ControlAnswer, ControlRequest, JobSummary, KnownPlace, KnownProbe, ProposedRun
 
 WATCH_EVERY_S = 0.5
 """Pause between two questions of `palpd status --watch`: what a person can read."""
@@ -120,6 +120,7 @@ def status_lines(answer: "ControlAnswer") -> list[str]:
     active = answer.get("active")
     if active:
         lines += [job_line(active), *proposal_lines(active["proposal"])]
+    lines += probe_lines(answer.get("probe"), answer.get("place"))
     cell, last = answer.get("cell"), answer.get("last")
     if cell:
         verdict = "ready" if cell["ready"] else f"not ready: {cell['reason']}"
@@ -129,6 +130,30 @@ def status_lines(answer: "ControlAnswer") -> list[str]:
         kept = f", recording {recording}" if recording else ""
         lines.append(f"Last job: {last['verdict']}{f' ({reason})' if reason else ''}{kept}.")
         lines.extend(f"  note: {note}" for note in last.get("notes", []))
+    return lines
+
+
+def probe_lines(probe: "KnownProbe | None", place: "KnownPlace | None") -> list[str]:
+    """Say whether the probe is free, where the tip stands, and where sites count from.
+
+    Args:
+        probe: The last answer about the probe, if any.
+        place: The last known place, if any.
+
+    Returns:
+        Lines; none where nothing is known.
+    """
+    lines = []
+    if probe is not None:
+        reasons = f" ({'; '.join(probe['reasons'])})" if probe["reasons"] else ""
+        advice = "" if probe["state"] == "free" else f"; {probe['advice']}"
+        state = "not known to be free" if probe["state"] == "unknown" else probe["state"]
+        lines.append(f"The probe is {state}{reasons}, judged {probe['date']}{advice}.")
+    if place is not None and place["x_m"] is not None and place["y_m"] is not None:
+        over = f", over site {place['site']} of the last plan" if place["site"] else ""
+        lines.append(f"The tip is at x = {place['x_m'] * 1e3:.1f} mm, y = {place['y_m'] * 1e3:.1f} mm{over}.")
+    if place is not None and place["unfinished"] is not None:
+        lines.append(f"The run {place['unfinished']} was not finished: start with --return to its start, or --here.")
     return lines
 
 

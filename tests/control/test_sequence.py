@@ -422,3 +422,18 @@ def test_an_abort_stops_a_retract() -> None:
     done = retracted(-0.006, requests={120: Request.ABORT})
     assert [trip.trip for trip in done.outcome.trips] == [Trip.OPERATOR]
     assert done.rows["command_stop"][-1]
+
+
+def test_a_run_goes_back_to_where_an_unfinished_one_began_straight_up_first_and_counts_from_there() -> None:
+    start_m = (0.02, -0.01, 0.028)
+    done = run(Job("palpation", Config(), Plan.model_validate(TWO_SITES), back_to_m=start_m, top_z_m=0.04), cell_file(), home_above_m=0.02)
+    way = done.rows[done.rows["phase"] == Phase.RETURN]
+    sideways = np.hypot(*way["command_m_per_s"][:, :2].T) > 0.0
+    assert done.outcome.verdict == "done", done.outcome
+    first_sideways = int(np.argmax(sideways))
+    assert way["target_pose"][first_sideways, 2] == pytest.approx(0.04, abs=2e-5), "at the greatest height of the unfinished run"
+    searches = done.rows[done.rows["phase"] == Phase.SEARCH]
+    places = [tuple(searches["target_pose"][searches["site"] == site][0, :2]) for site in (0, 1)]
+    assert places[0] == pytest.approx((0.02, -0.01), abs=2e-5)
+    assert places[1] == pytest.approx((0.04, -0.02), abs=2e-5)
+    assert done.rows["target_pose"][-1, :3] == pytest.approx(start_m, abs=2e-5)

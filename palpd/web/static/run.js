@@ -97,8 +97,23 @@ on("status", (event) => {
     : event.steps === undefined ? event.activity
     : `${event.steps_done} of ${event.steps} steps, ${event.activity}`);
   showLast(event);
+  showProbe(event);
 });
 on("lost", () => { status = null; });
+
+const WAYS = { retract: "Retract leaves the tissue", level_test: "Level test goes 5 mm up and tells", confirm: "palpd calibrate --probe-free takes your word for it" };
+
+/** Whether the probe is free, where the tip stands, and what a start would ask. */
+function showProbe({ probe, place, job }) {
+  const state = { free: "free", pressed: "pressed", unknown: "not known to be free" };
+  const line = at("probe-state");
+  line.dataset.kind = probe && probe.state !== "free" ? "bad" : "";
+  put("probe-state", !probe || job !== undefined ? "" : `The probe is ${state[probe.state]}${probe.reasons.length ? `: ${probe.reasons.join("; ")}` : ""}.${probe.state === "free" ? "" : ` What to do: ${Object.keys(WAYS).filter((way) => probe.ways.includes(way)).map((way) => WAYS[way]).join(", ") || probe.advice}.`}`);
+  const mm = (value) => fixed(value * 1e3, 1);
+  put("place-state", !place || place.x_m === null ? "" : `Tip at x = ${mm(place.x_m)} mm, y = ${mm(place.y_m)} mm${place.site ? `, over site ${place.site} of the last plan` : ""}.`);
+  at("place-line").hidden = !place?.unfinished;
+  if (!place?.unfinished) at("place-choice").value = "";
+}
 
 function showLast({ latched, last, job }) {
   at("fault").dataset.kind = latched ? "bad" : last && last.verdict !== "done" ? "warn" : "";
