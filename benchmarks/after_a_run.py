@@ -22,6 +22,8 @@ from palpd.errors import Refused
 PRESSED_N = 4.0
 """Force at which a run is ended in the tissue: well above a contact, far below the limits."""
 SOFT_N_PER_M, HARD_N_PER_M = 1000.0, 8000.0
+PATIENCE_S = 180.0
+"""Longest wait for a job: a map draws a picture after its press."""
 PAGE, BEGIN, END = "safety.md", "<!-- after-a-run:begin -->", "<!-- after-a-run:end -->"
 
 
@@ -63,7 +65,7 @@ class Cell:
                 return bool(self.status()["state"] in ("disarmed", "armed"))
             return False
 
-        until(idle, "the service is idle", every_s=0.05)
+        until(idle, "the service is idle", PATIENCE_S, every_s=0.05)
         return dict(self.status().get("last", {}))
 
     def program(self, name: str, **arguments: Any) -> dict[str, Any]:
@@ -209,7 +211,7 @@ def _clear(cell: Cell) -> str:
 def _map(cell: Cell) -> str:
     with suppress(Refused):
         cell.do("arm")
-    job = cell.program("map", most_presses=1, depth_m=0.002)
+    job = cell.program("map", most_presses=1, depth_m=0.002, width_m=0.01, height_m=0.01)
     return "runs" if job["verdict"] == "done" else _why(job["reason"])
 
 
