@@ -24,7 +24,8 @@ class MarkedRun:
 
     def __init__(self, job: Job, state: State, about: RunAbout, reference: tuple[float, ...], pose: tuple[float, ...], name: str) -> None:
         self._job, self._state, self._about = job, state, about
-        before = state.marker()
+        before = self._before = state.marker()
+        self._level_before = state.level()
         if job.kind in ("retract", "level_test") and before is not None:
             self._marker = replace(before, pose=pose, at_rest=False)
         else:
@@ -33,6 +34,14 @@ class MarkedRun:
             self._marker = ContactMarker(now(), name, pose, start_pose, clear_height_m, reference, identity_of(job.config, about))
         state.keep("contact", self._marker)
         state.forget("level")  # the arm leaves the place that it speaks of
+
+    def undo(self) -> None:
+        """Put back what was known before: the run has ended without a motion."""
+        for name, thing in (("contact", self._before), ("level", self._level_before)):
+            if thing is None:
+                self._state.forget(name)
+            else:
+                self._state.keep(name, thing)
 
     def follow(self, rows: Rows) -> None:
         """Keep what the newest tick adds: a higher surface, another site, or that the start was free."""

@@ -354,7 +354,9 @@ class JobRun:
         last_ticks = last_ticks_of(self._rows(LAST_TICKS)) if report.exit_code == 3 else ()
         if self._place is not None and report.verdict == "done":
             self._state.keep("place", replace(self._place, returned=True))
-        if self._marked is not None:
+        if self._marked is not None and report.exit_code == 2:
+            self._marked.undo()
+        elif self._marked is not None:
             rows = self._rows(math.ceil(END_S * self.job.config.robot.rate_Hz) + 1)
             probe = self._marked.end(rows, self._level, self._came_to_rest)
             report = replace(report, probe=probe)

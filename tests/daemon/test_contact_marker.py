@@ -93,6 +93,15 @@ def test_a_run_whose_process_died_cannot_say_where_it_left_the_arm(tmp_path: Pat
     assert not kept.at_rest
 
 
+def test_a_run_that_was_refused_before_it_moved_leaves_what_was_known(tmp_path: Path, state: State) -> None:
+    marked(tmp_path, state).undo()
+    assert state.marker() is None
+    marked(tmp_path, state, "level_test").end(rows(Phase.LIFT, HOME[2], 0.9, site=-1), level=True, came_to_rest=True)
+    level = state.level()
+    marked(tmp_path, state).undo()
+    assert (state.marker(), state.level()) == (None, level)
+
+
 def test_a_run_without_a_tick_leaves_its_mark(tmp_path: Path, state: State) -> None:
     answer = marked(tmp_path, state).end(np.zeros(0, ROW), level=False, came_to_rest=True)
     assert answer.state == ProbeState.UNKNOWN
