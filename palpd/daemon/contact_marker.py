@@ -15,8 +15,8 @@ from palpd.tick import Phase
 
 END_S = 0.3
 """Length of the end of a run whose frames give the force at rest."""
-BEFORE_FREE = (Phase.IDLE, Phase.TARE, Phase.LIFT)
-"""Phases of a run in which its start is not yet known to be free."""
+SAYS_NOTHING = (Phase.IDLE, Phase.TARE, Phase.LIFT, Phase.DONE)
+"""Phases that do not show that the first way up is over and was level."""
 
 
 class MarkedRun:
@@ -24,14 +24,12 @@ class MarkedRun:
 
     def __init__(self, job: Job, state: State, about: RunAbout, reference: tuple[float, ...], pose: tuple[float, ...], name: str) -> None:
         self._job, self._state, self._about = job, state, about
-        before = self._before = state.marker()
-        self._level_before = state.level()
-        if job.kind in ("retract", "level_test") and before is not None:
-            self._marker = replace(before, pose=pose, at_rest=False)
-        else:
-            start_pose = (*(job.back_to_m or pose[:3]), *pose[3:])
-            clear_height_m = CLEAR_SHARE * job.plan.safe_height_m
-            self._marker = ContactMarker(now(), name, pose, start_pose, clear_height_m, reference, identity_of(job.config, about))
+        self._before, self._level_before = state.marker(), state.level()
+        start_pose = (*(job.back_to_m or pose[:3]), *pose[3:])
+        clear_height_m = CLEAR_SHARE * job.plan.safe_height_m
+        self._own = ContactMarker(now(), name, pose, start_pose, clear_height_m, reference, identity_of(job.config, about))
+        # an unfinished contact is forgotten for this run's own only when its first way up was level
+        self._marker = self._own if self._before is None else replace(self._before, pose=pose, at_rest=False)
         state.keep("contact", self._marker)
         state.forget("level")  # the arm leaves the place that it speaks of
 
@@ -48,8 +46,8 @@ class MarkedRun:
         row = rows[-1]
         phase, site, surface_z_m = Phase(int(row["phase"])), int(row["site"]), float(row["surface_z_m"])
         fresh = self._marker
-        if self._job.lifts_first and phase not in BEFORE_FREE and not fresh.start_free:
-            fresh = replace(fresh, start_free=True)
+        if self._job.lifts_first and phase not in SAYS_NOTHING and not self._own.start_free:
+            fresh = self._own = replace(self._own, start_free=True)
         if self._job.kind == "palpation" and site >= 0 and fresh.site != (name := self._job.plan.sites[site].name):
             fresh = replace(fresh, site=name)
         if np.isfinite(surface_z_m) and surface_z_m > (fresh.surface_z_m if fresh.surface_z_m is not None else -np.inf):

@@ -102,6 +102,26 @@ def test_a_run_that_was_refused_before_it_moved_leaves_what_was_known(tmp_path: 
     assert (state.marker(), state.level()) == (None, level)
 
 
+def test_a_run_that_ended_on_its_first_way_up_does_not_say_that_its_start_was_free(tmp_path: Path, state: State) -> None:
+    answer = marked(tmp_path, state).end(rows(Phase.DONE, HOME[2], site=-1), level=False, came_to_rest=True)
+    assert answer.state == ProbeState.UNKNOWN
+    kept = state.marker()
+    assert kept is not None
+    assert not kept.start_free
+
+
+def test_an_unfinished_contact_is_forgotten_only_when_the_next_run_was_level(tmp_path: Path, state: State) -> None:
+    marked(tmp_path, state).end(rows(Phase.PRESS, SURFACE_M - 0.004, 2.2, SURFACE_M), level=False, came_to_rest=True)
+    again = MarkedRun(measured_job("palpation", settings(tmp_path), Plan()), state, ABOUT, (0.0,) * 6, HOME, "again")
+    kept = state.marker()
+    assert kept is not None
+    assert (kept.run, kept.surface_z_m, kept.reference) == ("20260101-palpation", SURFACE_M, ZERO)
+    again.follow(rows(Phase.TRAVEL, HOME[2]))
+    kept = state.marker()
+    assert kept is not None
+    assert (kept.run, kept.surface_z_m, kept.start_free) == ("again", None, True)
+
+
 def test_a_run_without_a_tick_leaves_its_mark(tmp_path: Path, state: State) -> None:
     answer = marked(tmp_path, state).end(np.zeros(0, ROW), level=False, came_to_rest=True)
     assert answer.state == ProbeState.UNKNOWN
