@@ -372,6 +372,9 @@ def blind(
     unlisted: Annotated[
         int, typer.Option("--unlisted", min=0, help="further cells of each source with an effect outside the list, for the lines on laws")
     ] = 0,
+    coarse: Annotated[
+        int, typer.Option("--coarse", min=0, help="further cells of each source with steps of 1 to 8 times the noise, 2 of 3 healthy")
+    ] = 0,
     json_file: JsonOption = None,
     docs: Annotated[Path | None, typer.Option("--docs", help="write the table and its figures into this folder")] = None,
     keep: Annotated[Path | None, typer.Option("--keep", help="keep recordings, answers and truths in this new folder")] = None,
@@ -402,10 +405,10 @@ def blind(
     hosts = Hosts(recordings, causes)
     sources = sources_named(source, hosts)
     more = load_other_sources(others or [], seed, sources)
-    with _progress("blind check", (cases + unlisted) * len(sources) + large) as advance:
+    with _progress("blind check", (cases + unlisted + coarse) * len(sources) + large) as advance:
         result = run(
-            cases, seed, sources=sources, hosts=hosts, large=large, unlisted=unlisted, jobs=jobs, ablation=chosen, keep=keep,
-            resume=resume, progress=advance,
+            cases, seed, sources=sources, hosts=hosts, large=large, unlisted=unlisted, coarse=coarse, jobs=jobs, ablation=chosen,
+            keep=keep, resume=resume, progress=advance,
         )  # fmt: skip
     terminal().print(tables_as_markdown(result["tables"]), soft_wrap=True)
     write_json(json_file, result)
