@@ -33,8 +33,11 @@ def send_first_abort(arguments: "Sequence[str]") -> bool:
         Whether it was sent.
     """
     path = socket_path(arguments)
-    if path is None:
-        return False
+    return path is not None and send_abort(path)
+
+
+def send_abort(path: str) -> bool:
+    """Send an abort to the daemon at that control socket and wait for nothing. Returns whether it was sent."""
     try:
         connection = _socket.socket(_socket.AF_UNIX, _socket.SOCK_STREAM)
         try:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from palpd.cli.at_once import DEFAULT_CONFIG
+from palpd.errors import BadInput
 from palpd.files import check_folder
 
 if TYPE_CHECKING:
@@ -57,8 +58,7 @@ DEFAULT_PLAN = Path("plan.yaml")
 __all__ = [
     "DEFAULT_CONFIG", "DEFAULT_PLAN", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "JsonOption", "PlanOption",
     "ProgressOption", "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept", "clear_latch", "display", "finish",
-    "say_broken_effects",
-    "shown_steps", "terminal",
+    "say_broken_effects", "shown_steps", "stated_address", "terminal",
 ]  # fmt: skip
 
 
@@ -75,6 +75,13 @@ def display() -> "TerminalDisplay":
     from palpd.cli.terminal import TerminalDisplay
 
     return TerminalDisplay(terminal())
+
+
+def stated_address(option: typer.CallbackParam, address: str) -> str:
+    """Pass an address to listen at on. Raises BadInput where it is empty, which would mean all addresses of this computer."""
+    if not address.strip():
+        raise BadInput(f"--{option.name} is empty, expected an address; 127.0.0.1 is this computer only, 0.0.0.0 all of its addresses")
+    return address
 
 
 @contextmanager

@@ -54,7 +54,13 @@ def main(words: list[str]) -> int:
         print(f"The page of palpd: {address}, the token stands in {token_file}", flush=True)
     else:
         print(f"The page of palpd: {address}?token={token}", flush=True)
-    log("page served", listen=settings.listen, port=settings.port, socket=str(settings.socket), loopback_only=_only_here(settings.listen))
+    log(
+        "page served",
+        listen=settings.listen,
+        port=settings.port,
+        socket=str(settings.socket),
+        loopback_only=is_loopback({"client": listener.getsockname()}),
+    )
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(PageServer(config, listener).serve())
     return 0
@@ -66,10 +72,6 @@ def _link(settings: PageSettings, listener: socket.socket) -> str:
     if address.is_unspecified:
         host = settings.names[0] if settings.names else "127.0.0.1" if address.version == 4 else "::1"
     return f"http://{f'[{host}]' if ':' in host else host}:{settings.port}/"
-
-
-def _only_here(listen: str) -> bool:
-    return is_loopback({"client": (listen, 0)})
 
 
 def _settings(words: list[str]) -> tuple[PageSettings, Path]:
