@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from palpd.cli.first_abort import send_abort, socket_path
+from palpd.cli.first_abort import configured_path, default_sockets, send_abort
 from palpd.cli.last_ticks import print_last_ticks
 from palpd.daemon.socket_client import ARM_PATIENCE_S, PATIENCE_S, NoDaemon, ask
 from palpd.errors import ConfigError, Refused
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 WATCH_EVERY_S = 0.5
 """Pause between two questions of `palpd status --watch`: what a person can read."""
 DEFAULT_CONFIG = Path("config.yaml")
-INSTALLED_SOCKET = Path("/run/palpd/palpd.sock")
-"""Control socket of the service that `palpd install` puts into place."""
 OPTIONS = {"abort": ("--config", "--socket"), "status": ("--config", "--socket", "--json")}
 """Options of the commands that are carried out at once, each with a value."""
 
@@ -225,15 +223,13 @@ def control_socket(config: Path) -> Path:
 
 def usual_sockets(config: Path) -> list[Path]:
     """Where a daemon may listen whose config.yaml cannot be read: as the environment, its plain lines and the defaults have it."""
-    paths: list[Path] = []
-    base = Path(os.path.realpath(config)).parent
+    paths: list[Path | None] = []
     with suppress(ConfigError):
-        overrides = _paths_of_environment()
-        if overrides and (path := _socket_in(overrides, base)) is not None:
-            paths.append(path)
-    plain = socket_path(("--config", str(config)))
-    paths += [Path(plain)] if plain is not None else []
-    return list(dict.fromkeys([*paths, base / "state" / "palpd.sock", INSTALLED_SOCKET]))
+        if overrides := _paths_of_environment():
+            paths.append(_socket_in(overrides, Path(os.path.realpath(config)).parent))
+    plain = configured_path(str(config))
+    paths += [Path(path) for path in ([plain] if plain else []) + default_sockets(str(config))]
+    return [path for path in dict.fromkeys(paths) if path is not None]
 
 
 def _answers(request: "ControlRequest", config: Path, socket: Path | None) -> "Iterator[tuple[Path, ControlAnswer]]":

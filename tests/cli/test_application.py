@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from palpd.cli import app, at_once, main
-from palpd.cli.first_abort import socket_path
+from palpd.cli import app, at_once, first_abort, main
+from palpd.cli.first_abort import socket_paths
 from palpd.config import load_config
 from palpd.daemon import interrupts
 from palpd.errors import PalpdError, Refused
@@ -127,8 +127,8 @@ PLAIN = "robot:\n  host: a # b\n# c\npaths:\n  state: kept/here # d\n  runs: run
 def test_the_first_abort_goes_where_the_daemon_listens(tmp_path: Path, text: str) -> None:
     config = written(tmp_path, text)
     expected = str(load_config(config).paths.control_socket)
-    assert socket_path(["--config", str(config)]) == expected
-    assert socket_path(["--socket", "/a"]) == "/a"
+    assert socket_paths(["--config", str(config)]) == [expected]
+    assert socket_paths(["--socket", "/a"]) == ["/a"]
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_the_first_abort_goes_where_the_daemon_listens(tmp_path: Path, text: str
     ],
 )  # fmt: skip
 def test_the_first_abort_leaves_to_the_whole_reader_what_is_not_plain(tmp_path: Path, text: str) -> None:
-    assert socket_path(["--config", str(written(tmp_path, text))]) is None
+    assert socket_paths(["--config", str(written(tmp_path, text))]) == []
 
 
 def test_the_first_abort_waits_for_no_pipe_and_no_device(tmp_path: Path) -> None:
@@ -149,18 +149,43 @@ def test_the_first_abort_waits_for_no_pipe_and_no_device(tmp_path: Path) -> None
     (tmp_path / "huge.yaml").write_text("")
     os.truncate(tmp_path / "huge.yaml", 3_000_000_000)
     for name in ("pipe.yaml", "zero.yaml", "huge.yaml", "", "a\0b"):
-        assert socket_path(["--config", str(tmp_path / name)]) is None
+        assert socket_paths(["--config", str(tmp_path / name)]) == []
 
 
-def test_the_first_abort_leaves_other_options_and_variables_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_abort_leaves_other_options_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert socket_path([]) is None
     written(tmp_path, "")
-    assert socket_path([]) == str(tmp_path / "state" / "palpd.sock")
-    assert socket_path(["--help"]) is None
-    assert socket_path(["--socket", "/a", "--config", "b"]) is None
-    monkeypatch.setenv("palpd_paths__state", "elsewhere")
-    assert socket_path([]) is None
+    assert socket_paths([]) == [str(tmp_path / "state" / "palpd.sock")]
+    assert socket_paths(["--help"]) == []
+    assert socket_paths(["--socket", "/a", "--config", "b"]) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "variables", "place"),
+    [
+        ("paths: {state: kept}", {"palpd_paths__state": "elsewhere"}, "elsewhere/palpd.sock"),
+        ("paths: {socket: a.sock}", {"PALPD_PATHS__STATE": "elsewhere"}, "a.sock"),
+        ("paths: {state: [", {"PALPD_PATHS__SOCKET": "b.sock"}, "b.sock"),
+        ("paths: {state: [", {"PALPD_PATHS__STATE": "elsewhere"}, None),
+        ("", {"PALPD_PATHS__SOCKET": "null"}, None),
+        ("", {"PALPD_PATHS__STATE": "with a blank"}, None),
+        ("", {"PALPD_PATHS": "{state: elsewhere}"}, None),
+    ],
+)
+def test_the_first_abort_goes_where_the_environment_says_plainly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, variables: dict[str, str], place: str | None
+) -> None:
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert socket_paths(["--config", str(written(tmp_path, text))]) == ([] if place is None else [str(tmp_path / place)])
+
+
+def test_the_first_abort_without_a_configuration_goes_to_every_usual_socket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    usual = [str(tmp_path / "state" / "palpd.sock"), first_abort.INSTALLED_SOCKET]
+    assert list(dict.fromkeys(socket_paths([]))) == usual
+    monkeypatch.setenv("PALPD_PATHS__SOCKET", "/a")
+    assert socket_paths([]) == ["/a", *usual]
 
 
 def test_an_abort_is_sent_before_anything_large_is_imported(tmp_path: Path) -> None:
@@ -194,7 +219,7 @@ def daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable
         services.append(FakeService(path))
         return services[-1]
 
-    monkeypatch.setattr(at_once, "INSTALLED_SOCKET", tmp_path / "run" / "palpd.sock")
+    monkeypatch.setattr(first_abort, "INSTALLED_SOCKET", str(tmp_path / "run" / "palpd.sock"))
     yield start
     for service in services:
         service.close()
@@ -261,7 +286,7 @@ def test_an_abort_without_a_configuration_reaches_all_daemons_and_one_that_refus
 def test_an_abort_that_finds_nobody_says_where_it_looked_and_points_at_the_emergency_stop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(at_once, "INSTALLED_SOCKET", tmp_path / "run" / "palpd.sock")
+    monkeypatch.setattr(first_abort, "INSTALLED_SOCKET", str(tmp_path / "run" / "palpd.sock"))
     with pytest.raises(Refused) as refused:
         at_once.abort(tmp_path / "config.yaml", None)
     for words in ("config.yaml cannot be read", f"{tmp_path}/state/palpd.sock or {tmp_path}/run/palpd.sock", "emergency stop"):
