@@ -78,7 +78,18 @@ def display() -> "TerminalDisplay":
 
 
 def stated_address(option: typer.CallbackParam, address: str) -> str:
-    """Pass an address to listen at on. Raises BadInput where it is empty, which would mean all addresses of this computer."""
+    """Refuse an empty address to listen at, which would mean all addresses of this computer.
+
+    Args:
+        option: The option that states it.
+        address: What it states.
+
+    Returns:
+        The address.
+
+    Raises:
+        BadInput: It is empty.
+    """
     if not address.strip():
         raise BadInput(f"--{option.name} is empty, expected an address; 127.0.0.1 is this computer only, 0.0.0.0 all of its addresses")
     return address

@@ -14,7 +14,7 @@ import uvicorn
 from palpd.errors import PalpdError
 from palpd.web.access import is_loopback
 from palpd.web.application import PageSettings, build
-from palpd.web.connections import PageServer
+from palpd.web.connections import EntranceServer
 from palpd.web.log import log
 from palpd.web.sessions import Sessions, read_token
 
@@ -62,7 +62,7 @@ def main(words: list[str]) -> int:
         loopback_only=is_loopback({"client": listener.getsockname()}),
     )
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(PageServer(config, listener).serve())
+        asyncio.run(EntranceServer(config, listener).serve())
     return 0
 
 

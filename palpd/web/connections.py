@@ -147,7 +147,7 @@ class OneRequest(H11Protocol):
             self.transport.abort()
 
 
-class PageServer(uvicorn.Server):
+class EntranceServer(uvicorn.Server):
     """uvicorn behind an entrance."""
 
     def __init__(self, config: uvicorn.Config, listener: socket.socket) -> None:

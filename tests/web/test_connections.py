@@ -18,7 +18,7 @@ from websockets.sync.client import connect
 
 from palpd.web import connections
 from palpd.web.application import PageSettings, build
-from palpd.web.connections import PageServer
+from palpd.web.connections import EntranceServer
 from palpd.web.sessions import Sessions
 from tests.web.conftest import TOKEN
 from tests.web.fake_service import FakeService
@@ -36,7 +36,7 @@ def served(service: FakeService, folder: Path) -> Iterator[str]:
     config = uvicorn.Config(
         build(PageSettings(service.path, folder, port=port), Sessions(TOKEN)), log_config=None, ws="websockets-sansio", lifespan="on"
     )
-    server = PageServer(config, listener)
+    server = EntranceServer(config, listener)
     thread = threading.Thread(target=lambda: asyncio.run(server.serve()))
     thread.start()
     try:
