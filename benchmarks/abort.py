@@ -157,7 +157,7 @@ def _half_open(host: str, port: int, number: int) -> None:
         connect()
     begun_s = time.monotonic()
     while True:
-        for key, events in selector.select():
+        for key, events in selector.select(SETTLE_S):
             client = key.fileobj
             assert isinstance(client, socket.socket)
             try:
@@ -178,7 +178,9 @@ def _half_open(host: str, port: int, number: int) -> None:
 def measure_crowded_page(samples: int, half_open: int, folder: Path) -> bool:
     """Abort by a server of the page whose connections are crowded, print how long it took, and say whether the target was kept."""
     from benchmarks.operator_page import page_server
+    from palpd.daemon.logs import configure
 
+    configure()
     config, over = folder / "config.yaml", threading.Event()
     config.write_text("paths: {state: .}\n")
     service = ControlSocket(folder / "palpd.sock", lambda _: {"ok": True, "state": "disarmed"})
