@@ -61,7 +61,7 @@ DEFAULT_PLAN = Path("plan.yaml")
 __all__ = [
     "DEFAULT_CONFIG", "DEFAULT_PLAN", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "HereOption", "JsonOption",
     "PlanOption", "ProgressOption", "ReturnOption", "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept", "clear_latch",
-    "display", "finish", "place_choice", "say_broken_effects", "shown_steps", "terminal",
+    "display", "finish", "place_choice", "say_broken_effects", "shown_steps", "stated_address", "terminal",
 ]  # fmt: skip
 
 
@@ -78,6 +78,24 @@ def display() -> "TerminalDisplay":
     from palpd.cli.terminal import TerminalDisplay
 
     return TerminalDisplay(terminal())
+
+
+def stated_address(option: typer.CallbackParam, address: str) -> str:
+    """Refuse an empty address to listen at, which would mean all addresses of this computer.
+
+    Args:
+        option: The option that states it.
+        address: What it states.
+
+    Returns:
+        The address.
+
+    Raises:
+        BadInput: It is empty.
+    """
+    if not address.strip():
+        raise BadInput(f"--{option.name} is empty, expected an address; 127.0.0.1 is this computer only, 0.0.0.0 all of its addresses")
+    return address
 
 
 @contextmanager

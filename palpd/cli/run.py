@@ -22,6 +22,7 @@ from palpd.cli.options import (
     finish,
     place_choice,
     shown_steps,
+    stated_address,
     terminal,
 )
 from palpd.files import check_folder, check_writable, with_ending, write_json
@@ -221,21 +222,30 @@ def demo(
 
 def _serve_demo(folder: Path | None) -> None:
     """Serve an emulated cell and its page until Ctrl-C."""
+    import socket
     import subprocess
     import sys
 
+    from palpd.cli.service import PAGE_PORT
     from palpd.daemon.demo import service_on_wires
+    from palpd.errors import Refused
 
     check_folder(folder or Path("runs"))
+    try:
+        socket.create_server(("127.0.0.1", PAGE_PORT)).close()  # the cell takes some seconds, which a page that cannot listen would waste
+    except OSError as error:
+        raise Refused(f"the page cannot listen at port {PAGE_PORT} ({error.strerror}); end the palpd web or demo that does") from error
     with service_on_wires(folder, display()) as config:
         command = [sys.executable, "-m", "palpd", "web", "--config", str(config), "--plan", str(config.with_name("plan.yaml"))]
-        with config.with_name("page.log").open("wb") as log:
-            page = subprocess.Popen(command, stderr=log)
+        log = config.with_name("page.log")
+        with log.open("wb") as file:
+            page = subprocess.Popen(command, stderr=file)
         try:
-            page.wait()
+            code = page.wait()
         finally:
             page.terminate()
             page.wait()
+    finish(3 if code else 0, f"the server of the page has died ({f'signal {-code}' if code < 0 else f'exit code {code}'}); see {log}")
 
 
 @app.command()
@@ -278,7 +288,7 @@ def sim(
 def emulate(
     model: Annotated[Literal["ur5", "ur5e"], typer.Option("--model", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")] = "ur5",
     cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml of what the wires lead to (default: the paper's phantom)")] = None,
-    host: Annotated[str, typer.Option("--host", help="address the controller listens on")] = "127.0.0.1",
+    host: Annotated[str, typer.Option("--host", callback=stated_address, help="address the controller listens on")] = "127.0.0.1",
     sensor_link: Annotated[Path | None, typer.Option("--sensor-link", help="link to make to the sensor's terminal device")] = None,
     control: Annotated[Path | None, typer.Option("--control", help="unix socket for faults and truth (docs/emulators.md)")] = None,
     effects: Annotated[

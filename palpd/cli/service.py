@@ -17,12 +17,16 @@ from palpd.cli.options import (
     check_kept,
     finish,
     place_choice,
+    stated_address,
     terminal,
 )
 from palpd.files import check_folder, check_writable, write_json
 
 if TYPE_CHECKING:
     from palpd.daemon.socket_client import JobSummary
+
+PAGE_PORT = 8700
+"""Port of the operator's page, unless `--port` names another."""
 
 
 @app.command()
@@ -44,9 +48,10 @@ def serve(config: ConfigOption = DEFAULT_CONFIG) -> None:
 def web(
     config: ConfigOption = DEFAULT_CONFIG,
     listen: Annotated[
-        str, typer.Option("--listen", help="address to listen at; 0.0.0.0 for other computers too, such as a tablet")
+        str,
+        typer.Option("--listen", callback=stated_address, help="address to listen at; 0.0.0.0 for other computers too, such as a tablet"),
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="port to listen at")] = 8700,
+    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="port to listen at")] = PAGE_PORT,
     name: Annotated[
         list[str] | None, typer.Option("--name", help="further host name or address under which browsers may open the page")
     ] = None,
@@ -203,7 +208,12 @@ def stream(
         Path | None, typer.Option("--force", metavar="SOCKET", help="send the force of each tick to readers of this Unix socket")
     ] = None,
     listen: Annotated[
-        str, typer.Option("--listen", help="address to listen at; 0.0.0.0 for other computers too, which may then read all of it")
+        str,
+        typer.Option(
+            "--listen",
+            callback=stated_address,
+            help="address to listen at; 0.0.0.0 for other computers too, which may then read all of it",
+        ),
     ] = "127.0.0.1",
     layout: Annotated[Path | None, typer.Option("--layout", help="write the layout for Foxglove to this file, and end")] = None,
 ) -> None:

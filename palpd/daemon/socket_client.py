@@ -28,6 +28,7 @@ REPEATABLE = ("abort", "status")
 """Requests that do the same when they are carried out twice. They are repeated until the patience is over."""
 
 NOBODY = "no daemon answers at {path}; start one with palpd serve, or name its socket with --socket"
+NOBODY_TO_STOP = "no daemon answers at {path}, so nothing was stopped; if the arm moves, use the emergency stop"
 
 
 class NoDaemon(Refused):
@@ -197,21 +198,22 @@ def ask(path: Path, request: ControlRequest, patience_s: float = PATIENCE_S) -> 
         Refused: The daemon refused, or did not answer.
     """
     until_s = time.monotonic() + patience_s
+    way_out = "; if the arm moves, use the emergency stop" if request["do"] == "abort" else ""
     while True:
         try:
             answer = json.loads(_exchange(path, json.dumps(request).encode() + b"\n", until_s))
             break
         except PermissionError as error:
-            raise Refused(f"you may not connect to the daemon at {path}; join the group that owns the socket") from error
+            raise Refused(f"you may not connect to the daemon at {path}; join the group that owns the socket{way_out}") from error
         except (FileNotFoundError, ConnectionRefusedError) as error:
-            raise NoDaemon(NOBODY.format(path=path)) from error
+            raise NoDaemon((NOBODY_TO_STOP if way_out else NOBODY).format(path=path)) from error
         except (OSError, ValueError) as error:
             if time.monotonic() + RETRY_S < until_s and request["do"] in REPEATABLE:
                 time.sleep(RETRY_S)  # the daemon is crowded and had to close this connection
                 continue
             if isinstance(error, ValueError):
-                raise Refused(f"the daemon at {path} closed the connection without an answer") from error
-            raise Refused(f"the daemon at {path} did not answer within {patience_s:g} s ({error})") from error
+                raise Refused(f"the daemon at {path} closed the connection without an answer{way_out}") from error
+            raise Refused(f"the daemon at {path} did not answer within {patience_s:g} s ({error}){way_out}") from error
     if not answer.get("ok"):
         raise Refused(answer.get("error", "the daemon refused without a reason"))
     return cast(ControlAnswer, answer)
