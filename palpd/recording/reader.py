@@ -227,7 +227,8 @@ def export(recording: Recording, path: Path, site: str | None = None, *, overwri
     Args:
         recording: a closed recording.
         path: file to write.
-        site: name of the only site to use. None uses all; where there are several, columns say site, phase, mode and place of each row.
+        site: name of the only site to use, which a column says. None uses all; where there are several, columns say site, phase, mode and
+            place of each row.
         overwrite: replace an existing file.
 
     Returns:
@@ -241,7 +242,8 @@ def export(recording: Recording, path: Path, site: str | None = None, *, overwri
     if site is None and len(visited) == 1:
         site = visited[0]
     samples, rows, row_of = _samples_and_rows(recording, site)
-    extra = {} if len(visited) < 2 or site else _places(recording, rows, row_of)
+    named = {SITE_COLUMN: [site] * len(samples)} if site else {}
+    extra = named if len(visited) < 2 or site else _places(recording, rows, row_of)
     if is_parquet(path):
         metadata = {HEADER: json.dumps(recording.header), FOOTER: json.dumps(recording.footer)}
         write_parquet(path, samples, overwrite=overwrite, extra=extra, metadata=metadata)
