@@ -48,7 +48,7 @@ class ComparedModulus:
 
     def to_json(self) -> dict[str, Any]:
         """The content of `modulus` in out.json."""
-        return asdict(self) | {"ci95_Pa": list(self.ci95_Pa)}
+        return asdict(self) | {"ci95_Pa": list(self.ci95_Pa), "sentence": self.sentence}
 
 
 def compared_modulus(problem: Problem, stated: Linearisation, site: str | None) -> ComparedModulus | None:
