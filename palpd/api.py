@@ -29,7 +29,7 @@ from palpd.gap.commands import read_motion, read_recording, simulate_columns
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.diagnosis import diagnose as diagnose_samples
 from palpd.gap.user_simulator import UserSimulator, asked
-from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, samples_from_columns, write_csv
+from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, common_site, samples_from_columns, site_named_in, write_csv
 from palpd.tick import Floats
 
 if TYPE_CHECKING:
@@ -409,7 +409,7 @@ def simulate(
     if (simulated is None) != (nominal is None):
         raise BadInput("simulated= and nominal= belong together: the first is your simulator of the second; give both")
     own = None if simulated is None or nominal is None else (_simulator(simulated, columns["t_s"]), _cell(nominal))
-    samples = simulate_columns(_cell(cell), columns, measured=drive == "measured", noise_seed=noise_seed, own=own)
+    samples = simulate_columns(_cell(cell).at_site(_site_of(motion)), columns, measured=drive == "measured", noise_seed=noise_seed, own=own)
     return LoadedRecording(samples, "simulated")
 
 
@@ -466,7 +466,8 @@ def analyse(source: Source, cell: CellSource | None = None, *, site: str | None 
         return Analysis(tuple(_daemon_sites(source, site)))
     from palpd.analysis.enriched import enriched_modulus
 
-    estimate = enriched_modulus([_samples(source, site)], _cell(cell))
+    samples = _samples(source, site)
+    estimate = enriched_modulus([samples], _cell(cell).at_site(common_site([samples])))
     figures = {"youngs_modulus_Pa": estimate.youngs_modulus_Pa, "ci95_Pa": list(estimate.ci95_Pa), "contact_point_m": estimate.surface_z_m}
     return Analysis(({"name": site or "", **figures, "rms_N": estimate.rms_N, "warnings": []},))
 
@@ -508,6 +509,14 @@ def _samples(source: Source, site: str | None = None) -> Samples:
     if isinstance(source, Samples):
         return source
     return source.samples if isinstance(source, LoadedRecording) else samples_from_columns(_columns(source), "the data frame")
+
+
+def _site_of(source: Source) -> str | None:
+    """The site that a motion names."""
+    if isinstance(source, str | Path):
+        return site_named_in(Path(source))
+    samples = source.samples if isinstance(source, LoadedRecording) else source
+    return common_site([samples]) if isinstance(samples, Samples) else None
 
 
 def _columns(source: Source) -> dict[str, Floats]:

@@ -198,8 +198,8 @@ def modulus_line(result: "LoadingResult | CurveResult | EnrichedResult") -> str:
     scale, unit = (1e6, "MPa") if value_Pa >= 1e6 else (1e3, "kPa")
     low, high = result["ci95_Pa"] or (None, None)
     interval = f" (95 %: {low / scale:.3g} to {high / scale:.3g} {unit})" if low is not None and high is not None else ""
-    line = f"E = {value_Pa / scale:.3g} {unit}{interval}"
     figures: dict[str, Any] = {**result}
+    line = f"E = {value_Pa / scale:.3g} {unit}{interval}{', Hertz does not fit' if figures.get('hertz_misfit') else ''}"
     if (depth_m := figures.get("depth_m")) is not None:
         model = "equation 1 at the peak" if figures.get("fit") == "peak" else "Hertz over the loading"
         line += f" by {model}, {depth_m * 1e3:.3g} mm deep"

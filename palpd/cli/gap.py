@@ -210,7 +210,7 @@ def resolve(
     if own is not None and (weighed := adopted_sentence(own, known)):
         terminal().print(weighed, highlight=False, soft_wrap=True)
     kept = kept_in(folder or settings.paths.runs, "resolve" if folder is None else None)
-    nominal = load_cell(cell, known) if cell else settings.cell
+    nominal = load_cell(cell, known) if cell else settings.cell.assumed_at_site(first_plan.sites[0].name)
     host = ForegroundHost(settings, devices, display(), agree)
     host.display.say(f"This makes at most {rounds} run{'s' * (rounds != 1)}.")
     result = loop.resolve(loop.Setting(host, nominal, kept, known, max_depth_m, take_reference), first_plan, recordings or (), rounds)

@@ -26,6 +26,8 @@ def site_tables(sites: "list[SiteResult]", bias_N: float | None) -> tuple[Table,
     Returns:
         The table of moduli and the table of forces.
     """
+    from palpd.analysis.hertz_misfit import star_note, starred
+
     stiff = _table("How stiff each site is (E in kPa)", "site", "true", "static", "off", "dynamic", "corrected", "YMBT", "corrected")
     forces = _table("Forces", "site", "peak", "cut short", "correction", "= bias", "+ inertial")
     for site in sites:
@@ -33,10 +35,10 @@ def site_tables(sites: "list[SiteResult]", bias_N: float | None) -> tuple[Table,
         stiff.add_row(
             site["name"],
             _kPa(true),
-            _kPa(static),
+            starred(_kPa(static), site["hertz_misfit"]),
             f"{static / true - 1:+.1%}" if static and true else "–",
             _kPa(site["dynamic_original_Pa"]),
-            _kPa(site["dynamic_corrected_Pa"]),
+            starred(_kPa(site["dynamic_corrected_Pa"]), site["hertz_misfit"]),
             _percent(site["ymbt_original"]),
             _percent(site["ymbt_corrected"]),
         )
@@ -50,6 +52,7 @@ def site_tables(sites: "list[SiteResult]", bias_N: float | None) -> tuple[Table,
             f"{site_bias_N:+.3f} N" if parts else "–",
             f"{correction_N - site_bias_N:+.3f} N" if parts and correction_N is not None else "–",
         )
+    stiff.caption = star_note({site["name"]: site["hertz_misfit"] for site in sites}) or None
     return stiff, forces
 
 
@@ -214,7 +217,7 @@ LEFT = {"learned in", "imitated by", "from", "parameters", "what it does", "what
 
 
 def _table(title: str, first: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", header_style="bold")
+    table = Table(title=title, title_justify="left", caption_justify="left", header_style="bold")
     table.add_column(first)
     for name in columns:
         table.add_column(name, justify="left" if name in LEFT else "right")

@@ -172,8 +172,11 @@ def _resolve(host: ProgramHost, arguments: ResolveArguments, folder: Path) -> Pr
 
     _take_place(host, arguments.here)
     known = library(None, adopted=user_folder() if arguments.adopted else None)
-    cell = parse_cell(arguments.cell, "the cell of the job", known) if arguments.cell is not None else host.config.cell
     plan = parse_plan(arguments.plan, "the plan of the first recording") if arguments.plan is not None else resolve.STANDARD
+    if arguments.cell is not None:
+        cell = parse_cell(arguments.cell, "the cell of the job", known)
+    else:
+        cell = host.config.cell.assumed_at_site(plan.sites[0].name)
     folder.mkdir(parents=True, exist_ok=True)
     setting = resolve.Setting(host, cell, folder, known, arguments.max_depth_m, arguments.take_reference)
     resolution = resolve.resolve(setting, plan, [Path(path) for path in arguments.recordings], arguments.rounds)

@@ -18,7 +18,18 @@ from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.tolerances import estimate_tolerances
 from palpd.gap.user_simulator import UserSimulator, simulate_with
 from palpd.recording.reader import Recording, holds_ticks, read_header, samples_of, visited_sites
-from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, named_once, read, read_columns, refuse_values, write_csv
+from palpd.recording.samples import (
+    COLUMNS,
+    WRENCH_COLUMNS,
+    Samples,
+    common_site,
+    named_once,
+    read,
+    read_columns,
+    refuse_values,
+    site_named_in,
+    write_csv,
+)
 from palpd.tick import Floats
 
 
@@ -142,7 +153,8 @@ def diagnose_files(
 
     Args:
         recordings: The recordings.
-        cell: The cell file; without one the cell that recordings of the daemon state.
+        cell: The cell file; without one the cell that recordings of the daemon state. That one knows the modulus of a site only where it
+            states it for that site.
         json_out: Where to write out.json, and beside it the motion of the next experiment.
         cell_out: Where to write the enriched cell.
         effects: A file with user effects (.py) or learned ones (.yaml).
@@ -169,6 +181,8 @@ def diagnose_files(
     nominal = nominal_cell(cell, recordings, known)
     show("reading the recording")
     samples = [read_recording(path, site) for path in recordings]
+    if cell is None:
+        nominal = nominal.assumed_at_site(common_site(samples))
     simulators = [UserSimulator.of_file(path, one.t_s) for path, one in zip(simulated, samples, strict=False)]
     diagnosis = diagnose(samples, nominal, known, propose=propose, calibrated=calibrated, simulators=simulators, show=show)
     if adopted is not None and (weighed := adopted_sentence(adopted, diagnosis.problem.library)):
@@ -242,7 +256,7 @@ def simulate_file(
     measured = "z_m" in columns and not from_commanded
     if from_commanded and "z_cmd_m" not in columns:
         raise RecordingError(f"{motion.name} has no column z_cmd_m; it is needed to simulate from the command.")
-    enriched = load_cell(cell, known)
+    enriched = load_cell(cell, known).at_site(site_named_in(motion))
     own = None if simulated is None or nominal is None else (UserSimulator.of_file(simulated, columns["t_s"]), load_cell(nominal, known))
     samples = simulate_columns(enriched, columns, measured=measured, noise_seed=noise_seed, library=known, own=own)
     for name, share in share_outside(enriched, columns["t_s"], **_drive(columns, measured), library=known).items():
@@ -336,5 +350,5 @@ def tolerances_of(recordings: Sequence[Path], cell: Path) -> dict[str, dict[str,
     Returns:
         The blocks `tolerances` and `repeatability`.
     """
-    nominal: CellFile = load_cell(cell)
-    return estimate_tolerances([read(path) for path in recordings], nominal)
+    samples = [read(path) for path in recordings]
+    return estimate_tolerances(samples, load_cell(cell).at_site(common_site(samples)))

@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from palpd.analysis.hertz_misfit import shown
 from palpd.cell.cell_file import CellFile, OpenHypothesis
 from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.effects.learned import held_sentence, learned_law_of
 from palpd.cell.simulation import share_outside
 from palpd.gap.calibration import as_stated, stored_map
+from palpd.gap.compared_modulus import ComparedModulus, compared_modulus
 from palpd.gap.correlated_residual import compare_again
 from palpd.gap.hypotheses import fit_rounding, search
 from palpd.gap.law_search.confounds import confounds
@@ -36,7 +38,7 @@ from palpd.gap.uncertainty import open_hypotheses
 from palpd.gap.user_simulator import UserSimulator, left_out
 from palpd.gap.verdict import DiagnosisVerdict, NamedEffect, decide, deviation_notes, enriched_cell, unnatural_notes, with_finding
 from palpd.gap.where import Band, Gap, Place, Trend, Unexplained, bands, gap_table, largest_gap, residuals, trend, unexplained
-from palpd.recording.samples import Samples
+from palpd.recording.samples import Samples, common_site
 
 SCHEMA = "palpd.diagnosis/1"
 
@@ -67,7 +69,7 @@ def diagnose(
 
     Args:
         recordings: The recordings.
-        cell: The cell as the simulator knows it.
+        cell: The cell as the simulator knows it; where it has the site that the recordings name, the cell at that site.
         effects: The effects that may be present.
         max_bins: Largest number of bins of all recordings, about; fewer are faster.
         propose: Whether to look for the next experiment.
@@ -99,6 +101,9 @@ def _stages(
     # A law that the cell file holds is no gap, also where the library has one of that name.
     not_judged = left_out(simulators, cell, library)
     library = {name: effect for name, effect in library.items() if name not in {*not_judged, *(law.id for law in cell.learned)}}
+    site = common_site(recordings)
+    of_site = any(place.name == site for place in cell.sites)
+    cell = cell.at_site(site)
     # 1. Prepare: clean the readings, cut them into bins, estimate noise and tip motion.
     show("1 of 6: preparing the recording")
     recordings = [without_rounding(samples) for samples in recordings]
@@ -124,6 +129,7 @@ def _stages(
     problem = nominal.problem
     residual = residuals(problem, nominal.stated)
     table = gap_table(problem, nominal.stated, residual)
+    modulus = compared_modulus(problem, nominal.stated, site if of_site else None)
 
     # 3. Hypotheses: which sets of effects could have made it, each at its best.
     show("2 of 6: fitting which effects could have made the gap")
@@ -186,6 +192,7 @@ def _stages(
         problem=problem,
         attribution=attribution,
         finding=finding,
+        modulus=modulus,
         source=source,
     )
 
@@ -244,6 +251,7 @@ class Diagnosis:
         problem: The data behind the answer.
         attribution: The posterior over hypotheses.
         finding: What is not in the list: a learned effect, events, or nothing.
+        modulus: The modulus of the cell file beside that of the recordings; None where the file states none, or nothing was touched.
         source: The user's own simulator, where that is the nominal; None for palpd's own cell.
     """
 
@@ -259,6 +267,7 @@ class Diagnosis:
     problem: Problem
     attribution: Attribution
     finding: LawFinding
+    modulus: ComparedModulus | None = None
     source: NominalSource | None = None
 
     @property
@@ -319,15 +328,15 @@ class Diagnosis:
 
     @property
     def sentence(self) -> str:
-        """The verdict in words, and what could not be judged."""
-        return self._verdict + (self.source.unjudged if self.source is not None else "")
+        """The verdict in words, which modulus it rests on, and what could not be judged."""
+        modulus = f" {self.modulus.sentence}" if self.modulus is not None else self._fitted_modulus
+        return self._verdict + modulus + (self.source.unjudged if self.source is not None else "")
 
     @property
     def _verdict(self) -> str:
         """The verdict in words."""
         if self.verdict == "none":
-            known = self.problem.cell.tolerances.modulus_known
-            return f"No gap beyond the cell's own tolerances (probability {self.p_none:.2f}).{'' if known else self._modulus}"
+            return f"No gap beyond the cell's own tolerances (probability {self.p_none:.2f})."
         place = f"{self.where['channel'].split('_')[0]} {PHASE_PHRASES[self.where['phase']]}" if self.where else "the readings"
         named = " and ".join(f"{e.id} ({e.probability:.2f})" for e in self.effects) or "none"
         if self.finding.learned is not None and not self.finding.secondary:
@@ -370,15 +379,15 @@ class Diagnosis:
         return f"Its law is {' and '.join(formulas)}." if formulas else "Its law is a curve, which the report shows."
 
     @property
-    def _modulus(self) -> str:
-        """The fitted modulus, and which effects would have changed it."""
+    def _fitted_modulus(self) -> str:
+        """The fitted modulus where the cell file states none, and which effects would have changed it."""
         estimated = self.enriched_cell().estimated
         tissue = self.problem.cell.tissue
-        if estimated is None or tissue is None:
+        if self.problem.cell.tolerances.modulus_known or estimated is None or tissue is None:
             return ""
         value_Pa = tissue.youngs_modulus_Pa * (1.0 + estimated.youngs_modulus)
         return (
-            f" The modulus was not known; the fit gives {value_Pa:.3g} Pa. "
+            f" The modulus was not known; the fit gives {shown(value_Pa)}. "
             "A wrong sensor.gain, robot.compliance or tissue.thickness would have changed it."
         )
 
@@ -403,5 +412,6 @@ class Diagnosis:
             "learned": self.finding.to_json(),
             "events": self.finding.events or None,
             "uncertainty": [one.model_dump(mode="json", exclude_none=True) for one in self.uncertainty],
+            "modulus": None if self.modulus is None else self.modulus.to_json(),
             "notes": self.notes,
         } | ({} if self.source is None else {"simulated": self.source.to_json()})

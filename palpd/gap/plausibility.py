@@ -85,7 +85,7 @@ def check_recordings(recordings: Sequence[Samples], cell: CellFile) -> list[str]
     notes = []
     for number, samples in enumerate(recordings):
         label = f"recording {number + 1}: " if len(recordings) > 1 else ""
-        _refuse_mixed_sites(samples, label)
+        _refuse_mixed_sites(samples.sites, f"{label}the recording holds")
         notes += [
             label + note
             for note in [
@@ -95,18 +95,19 @@ def check_recordings(recordings: Sequence[Samples], cell: CellFile) -> list[str]
                 *_force_notes(samples, cell, label),
             ]
         ]
+    _refuse_mixed_sites(list(dict.fromkeys(name for samples in recordings for name in samples.sites)), "the recordings together hold")
     if cell.sites:
         notes.append(
-            f"the cell file has sites ({', '.join(site.name for site in cell.sites)}), and a diagnosis compares with its tissue block "
-            "alone; copy the tissue and effects of the recorded site there."
+            f"the cell file has sites ({', '.join(site.name for site in cell.sites)}), and the recording names none of them, so its tissue "
+            "block counts; palpd export --site writes the name into the recording."
         )
     return notes
 
 
-def _refuse_mixed_sites(samples: Samples, label: str) -> None:
-    if len(samples.sites) > 1:
+def _refuse_mixed_sites(sites: Sequence[str], holder: str) -> None:
+    if len(sites) > 1:
         raise RecordingError(
-            f"{label}the recording holds {len(samples.sites)} sites ({', '.join(samples.sites)}), expected one; "
+            f"{holder} {len(sites)} sites ({', '.join(sites)}), expected one; "
             "export each with palpd export --site and diagnose it against its own cell file."
         )
 

@@ -46,7 +46,7 @@ class Samples:
     wrench: Floats
     held: NDArray[np.bool_] | None = None
     sites: tuple[str, ...] = ()
-    """Names in the column `site` of a file, in their order; empty without that column."""
+    """Names in the column `site` of a file, or of the sites of a recording of the daemon, in their order; empty where nothing names one."""
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -78,6 +78,12 @@ def runs_of_true(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.
 def read(path: Path) -> Samples:
     """A recording from a `.parquet` or a CSV file. Raises RecordingError."""
     return read_parquet(path) if is_parquet(path) else read_csv(path)
+
+
+def common_site(recordings: Iterable[Samples]) -> str | None:
+    """The only site that recordings name; None where they name none or several."""
+    names = {name for samples in recordings for name in samples.sites}
+    return names.pop() if len(names) == 1 else None
 
 
 def is_parquet(path: Path) -> bool:
@@ -243,10 +249,10 @@ def write_csv(
     """
     columns = _columns_of(samples)
     header = [*columns, *extra]
-    if not extra and len(samples) >= MANY_ROWS and (write_table := _fast_writer()) is not None:
+    if len(samples) >= MANY_ROWS and (write_table := _fast_writer()) is not None:
         with writing(path, overwrite=overwrite) as stream:
             stream.write((",".join(header) + "\n").encode())
-            write_table(list(columns.values()), stream)
+            write_table([*columns.values(), *extra.values()], stream)
         return
     table: list[list[str | float]] = np.column_stack(list(columns.values())).tolist()
     for row, *values in zip(table, *extra.values(), strict=True):
@@ -256,7 +262,7 @@ def write_csv(
         file.writelines(",".join(map(str, row)) + "\n" for row in table)
 
 
-def _fast_writer() -> Callable[[Sequence[Floats], IO[bytes]], None] | None:
+def _fast_writer() -> Callable[[Sequence[Floats | Sequence[str | float]], IO[bytes]], None] | None:
     """What writes columns (n,) as rows of text to the last bit five times as fast; None where pyarrow is not installed."""
     try:
         import pyarrow
@@ -264,9 +270,9 @@ def _fast_writer() -> Callable[[Sequence[Floats], IO[bytes]], None] | None:
     except ImportError:
         return None
 
-    def write(columns: Sequence[Floats], stream: IO[bytes]) -> None:
-        table = pyarrow.table({str(k): np.ascontiguousarray(column) for k, column in enumerate(columns)})
-        arrow_csv.write_csv(table, stream, arrow_csv.WriteOptions(include_header=False))
+    def write(columns: Sequence[Floats | Sequence[str | float]], stream: IO[bytes]) -> None:
+        table = pyarrow.table({str(k): pyarrow.array(column) for k, column in enumerate(columns)})
+        arrow_csv.write_csv(table, stream, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
 
     return write
 
@@ -307,6 +313,14 @@ def _site_names(path: Path, layout: Layout) -> tuple[str, ...]:
         read_layout(file, path.name, COLUMNS)
         rows = (cells_of(line, layout.delimiter) for line in file if not is_comment(line))
         return _distinct(cells[column] for cells in rows if column < len(cells))
+
+
+def site_named_in(path: Path) -> str | None:
+    """The only site that a CSV file names in its column `site`; None where it names none or several. Raises RecordingError."""
+    with opened_text(path, error=RecordingError) as file:
+        layout = read_layout(file, path.name, COLUMNS)
+    names = _site_names(path, layout) if SITE_COLUMN in layout.header else ()
+    return names[0] if len(names) == 1 else None
 
 
 def _distinct(names: Iterable[str]) -> tuple[str, ...]:

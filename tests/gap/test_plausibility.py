@@ -141,6 +141,12 @@ def test_recordings_of_several_sites_are_refused_and_named() -> None:
         check_recordings([replace(HEALTHY, sites=("A", "B"))], nominal())
 
 
+def test_recordings_of_two_sites_are_not_judged_as_one_cell() -> None:
+    one, other = (replace(HEALTHY, sites=(name,)) for name in "AB")
+    with pytest.raises(RecordingError, match=r"the recordings together hold 2 sites \(A, B\), expected one"):
+        check_recordings([one, other], nominal())
+
+
 def test_a_cell_file_with_sites_says_which_tissue_counts() -> None:
     cell = cell_from({"sites": [{"name": "A"}, {"name": "B", "x_m": 0.03}]}, "sites")
-    assert any("has sites (A, B)" in note for note in check_recordings([HEALTHY], cell))
+    assert any("has sites (A, B), and the recording names none of them" in note for note in check_recordings([HEALTHY], cell))

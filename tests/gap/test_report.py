@@ -3,6 +3,7 @@
 import copy
 import json
 import re
+from html import unescape as html_text
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -72,7 +73,9 @@ def test_the_report_begins_with_the_sentence_of_the_verdict(rubbing: Diagnosis, 
     html = (tmp_path / "out.html").read_text(encoding="utf-8")
     headline = re.search(r"<h1>(.*?)</h1>", html)
     assert headline is not None
-    assert headline[1] == rubbing.sentence
+    assert html_text(headline[1]) == rubbing.sentence
+    assert rubbing.modulus is not None
+    assert rubbing.modulus.sentence in rubbing.sentence
     assert html.index("<h1>") < html.index("<svg")
     assert "Coulomb" in html or EFFECTS["cable.friction"].what in html
     for name, (value, _, _) in rubbing.effects[0].parameters.items():

@@ -131,7 +131,8 @@ function row(site) {
   const interval = (ci) => (ci === null ? "–" : `${kPa(ci[0])} – ${kPa(ci[1])}`);
   const line = document.createElement("tr");
   const head = Object.assign(document.createElement("th"), { scope: "row", textContent: site.name });
-  const cells = [kPa(site.static_Pa), interval(site.static_ci95_Pa), kPa(site.dynamic_Pa), interval(site.dynamic_ci95_Pa), site.peak_N === null ? "–" : site.peak_N.toFixed(1) + (site.cut_short ? " ✂" : "")];
+  const star = (value) => kPa(value) + (value !== null && site.hertz_misfit ? " *" : "");
+  const cells = [star(site.static_Pa), interval(site.static_ci95_Pa), star(site.dynamic_Pa), interval(site.dynamic_ci95_Pa), site.peak_N === null ? "–" : site.peak_N.toFixed(1) + (site.cut_short ? " ✂" : "")];
   line.append(head, ...cells.map((textContent) => Object.assign(document.createElement("td"), { textContent })));
   return line;
 }
@@ -139,7 +140,9 @@ function row(site) {
 on("sites", (event) => {
   sites = event.sites;
   at("sites").replaceChildren(...sites.map(row));
-  put("sites-note", event.error || (sites.some((site) => site.cut_short) ? "✂ a press was cut short below the contact limit" : sites.length ? "" : "moduli come when a site is over"));
+  const notes = [sites.some((site) => site.cut_short) && "✂ a press was cut short below the contact limit",
+    ...sites.filter((site) => site.hertz_misfit).map((site) => `* ${site.name}: ${site.hertz_misfit}`)].filter(Boolean);
+  put("sites-note", event.error || (sites.length ? notes.join(". ") : "moduli come when a site is over"));
   showMap();
 });
 
