@@ -37,7 +37,7 @@ def search(folder: Path, pythons: dict[str, str], *given: str, machine: str = "x
 
 
 @pytest.mark.parametrize(
-    ("pythons", "taken", "reason"),
+    ("pythons", "chosen", "reason"),
     [
         ({"python3": "3.11.2", "python3.12": "3.12.1"}, "python3", "Python 3.11.2"),
         ({"python3": "3.12.1"}, "python3", "Python 3.12.1"),
@@ -47,12 +47,12 @@ def search(folder: Path, pythons: dict[str, str], *given: str, machine: str = "x
     ],
 )
 def test_the_first_python_that_has_all_is_taken_and_the_reason_said(
-    tmp_path: Path, pythons: dict[str, str], taken: str, reason: str
+    tmp_path: Path, pythons: dict[str, str], chosen: str, reason: str
 ) -> None:
-    printed, said, code = search(tmp_path, pythons)
-    assert (printed, code, said.count("\n")) == (taken, 0, 0)
-    assert str(tmp_path / taken) in said
-    assert reason in said
+    printed, message, code = search(tmp_path, pythons)
+    assert (printed, code, message.count("\n")) == (chosen, 0, 0)
+    assert str(tmp_path / chosen) in message
+    assert reason in message
 
 
 @pytest.mark.parametrize(
@@ -69,30 +69,30 @@ def test_the_first_python_that_has_all_is_taken_and_the_reason_said(
 def test_where_none_has_all_and_there_is_no_network_it_is_refused_in_one_sentence(
     tmp_path: Path, pythons: dict[str, str], sentence: str
 ) -> None:
-    printed, said, code = search(tmp_path, pythons)
-    assert (printed, code, said.count("\n")) == ("", 2, 0)
-    assert sentence in said
+    printed, message, code = search(tmp_path, pythons)
+    assert (printed, code, message.count("\n")) == ("", 2, 0)
+    assert sentence in message
 
 
 def test_where_none_has_all_uv_fetches_one(tmp_path: Path) -> None:
-    printed, said, code = search(tmp_path, {"python3": "3.13.0"}, network=True)
+    printed, message, code = search(tmp_path, {"python3": "3.13.0"}, network=True)
     assert (printed, code) == (str(tmp_path / "fetched"), 0)
-    assert "Python 3.12.9" in said
+    assert "Python 3.12.9" in message
     assert not list(tmp_path.glob("tmp*")), "uv itself is not kept"
 
 
 def test_a_given_python_is_honoured_and_what_it_cannot_do_is_said(tmp_path: Path) -> None:
-    printed, said, code = search(tmp_path, {"python3": "3.12.1", "python3.13": "3.13.0"}, "python3.13")
+    printed, message, code = search(tmp_path, {"python3": "3.12.1", "python3.13": "3.13.0"}, "python3.13")
     assert (printed, code) == ("python3.13", 0)
-    assert "ur-rtde has no wheel for it" in said
+    assert "ur-rtde has no wheel for it" in message
 
 
 @pytest.mark.parametrize(("version", "sentence"), [("3.14.0", "needs Python 3.11 to 3.13"), ("3.12.1 without venv", "with venv")])
 def test_a_given_python_on_which_palpd_does_not_run_is_refused(tmp_path: Path, version: str, sentence: str) -> None:
-    printed, said, code = search(tmp_path, {"python3": "3.12.1", "mine": version}, "mine")
+    printed, message, code = search(tmp_path, {"python3": "3.12.1", "mine": version}, "mine")
     assert (printed, code) == ("", 2)
-    assert sentence in said
-    assert f"mine is {version}" in said
+    assert sentence in message
+    assert f"mine is {version}" in message
 
 
 def test_a_given_python_that_is_not_there_is_refused(tmp_path: Path) -> None:
@@ -102,6 +102,6 @@ def test_a_given_python_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_machine_without_any_wheel_of_ur_rtde_takes_any_python(tmp_path: Path) -> None:
-    printed, said, code = search(tmp_path, {"python3": "3.13.0", "python3.12": "3.12.1"}, machine="aarch64")
+    printed, message, code = search(tmp_path, {"python3": "3.13.0", "python3.12": "3.12.1"}, machine="aarch64")
     assert (printed, code) == ("python3", 0)
-    assert "ur-rtde has no wheel" in said
+    assert "ur-rtde has no wheel" in message

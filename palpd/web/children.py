@@ -234,7 +234,7 @@ class Children:
 
     async def _run(self, child: Child) -> None:
         import_path = os.pathsep.join(filter(None, sys.path))  # the child runs in its own folder, and finds the same palpd
-        begun = asyncio.ensure_future(
+        start = asyncio.ensure_future(
             asyncio.create_subprocess_exec(
                 *self._program,
                 *child.words,
@@ -247,9 +247,9 @@ class Children:
             )
         )
         try:
-            process = await asyncio.shield(begun)
+            process = await asyncio.shield(start)
         except asyncio.CancelledError:  # unshielded it would kill the child and leave what the child has started
-            await _gone(await begun)
+            await _gone(await start)
             raise
         with contextlib.suppress(OSError):  # it has ended already
             os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS)
@@ -298,10 +298,10 @@ async def _lines(stream: asyncio.StreamReader) -> AsyncIterator[str]:
 
 async def _gone(process: asyncio.subprocess.Process) -> None:
     """End a process and all that it has started: first politely, so that it removes half-written files."""
-    ended = asyncio.ensure_future(process.wait())
+    end = asyncio.ensure_future(process.wait())
     for number in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, number)
         # asyncio.timeout would not do: before Python 3.11.3 it raises CancelledError for TimeoutError in a task that was cancelled
-        await asyncio.wait([ended], timeout=END_S)
-    ended.cancel()
+        await asyncio.wait([end], timeout=END_S)
+    end.cancel()
