@@ -189,7 +189,7 @@ def demo(
         ),
     ] = None,
     wires: Annotated[
-        bool, typer.Option("--wires/--no-wires", help="with --effect: emulated wires, or physics faster than real time")
+        bool, typer.Option("--wires/--no-wires", help="emulated wires, or the cell's physics alone: faster, without ur-rtde")
     ] = True,
     json_file: JsonOption = None,
     folder: Annotated[Path | None, typer.Option("--out", help="where recordings, model and report go (default: runs/demo-<time>)")] = None,
@@ -201,16 +201,16 @@ def demo(
     from palpd.daemon.run_reports import begin_report
     from palpd.errors import BadInput
 
-    if not wires and effect is None:
-        raise BadInput("--no-wires belongs to --effect; palpd sim carries out a plan without wires")
+    if page and (full or not wires or effect is not None or json_file is not None):
+        raise BadInput("--page serves the emulated cell and palpates nothing by itself; leave --full, --effect, --no-wires and --json out")
+    if wires:
+        _require_library(page)
     if page:
-        if full or effect is not None or json_file is not None:
-            raise BadInput("--page serves the emulated cell and palpates nothing by itself; leave --full, --effect and --json out")
         _serve_demo(folder)
         return
     check_writable(json_file)
     check_folder(folder or Path("runs"))
-    demonstration = show.gap(effect, folder, display(), wires=wires) if effect else show.palpate(full, folder, display())
+    demonstration = show.gap(effect, folder, display(), wires=wires) if effect else show.palpate(full, folder, display(), wires=wires)
     result = demonstration.result
     if effect is None and result["recording"] is not None:
         recording = Path(result["recording"])
@@ -218,6 +218,20 @@ def demo(
     print_demonstration(demonstration)
     write_json(json_file, result)
     finish(0 if result["verdict"] == "done" else 3, result["reason"])
+
+
+def _require_library(page: bool) -> None:
+    """Refuse emulated wires where the robot's library is not installed, and offer the run without them."""
+    from palpd.config import Config
+    from palpd.daemon.wiring import robot_kind
+    from palpd.errors import RobotError
+
+    try:
+        robot_kind(Config()).require()
+    except RobotError as error:
+        raise (
+            error if page else RobotError(f"{error}, or add --no-wires: the cell's physics alone, without bytes, timing and faults")
+        ) from None
 
 
 def _serve_demo(folder: Path | None) -> None:

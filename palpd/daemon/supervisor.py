@@ -10,7 +10,7 @@ import multiprocessing
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -463,9 +463,18 @@ def header_of(job: Job, about: RunAbout, reference: tuple[float, ...], pose: tup
         "about": about,
         "epoch_offset_s": about["epoch_offset_s"],
         "model_card": _card(job),
-        "versions": {name: version(name) for name in ("palpd", "numpy", "ur-rtde", "onnxruntime")},
+        "versions": _versions(),
         "started": now(),
     }
+
+
+def _versions() -> dict[str, str]:
+    """Versions of what a recording rests on, as far as it is installed: another driver's robot needs no ur-rtde."""
+    versions = {}
+    for name in ("palpd", "numpy", "ur-rtde", "onnxruntime"):
+        with contextlib.suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    return versions
 
 
 def _card(job: Job) -> dict[str, Any] | None:

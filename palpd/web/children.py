@@ -234,16 +234,23 @@ class Children:
 
     async def _run(self, child: Child) -> None:
         import_path = os.pathsep.join(filter(None, sys.path))  # the child runs in its own folder, and finds the same palpd
-        process = await asyncio.create_subprocess_exec(
-            *self._program,
-            *child.words,
-            cwd=child.folder,
-            stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.DEVNULL,
-            stderr=asyncio.subprocess.PIPE,
-            start_new_session=True,
-            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": import_path},
+        start = asyncio.ensure_future(
+            asyncio.create_subprocess_exec(
+                *self._program,
+                *child.words,
+                cwd=child.folder,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.DEVNULL,
+                stderr=asyncio.subprocess.PIPE,
+                start_new_session=True,
+                env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": import_path},
+            )
         )
+        try:
+            process = await asyncio.shield(start)
+        except asyncio.CancelledError:  # unshielded it would kill the child and leave what the child has started
+            await _gone(await start)
+            raise
         with contextlib.suppress(OSError):  # it has ended already
             os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS)
             # Its own limit: should the server die, the child ends all the same.
@@ -291,9 +298,10 @@ async def _lines(stream: asyncio.StreamReader) -> AsyncIterator[str]:
 
 async def _gone(process: asyncio.subprocess.Process) -> None:
     """End a process and all that it has started: first politely, so that it removes half-written files."""
+    end = asyncio.ensure_future(process.wait())
     for number in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, number)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(END_S):
-                await process.wait()
+        # asyncio.timeout would not do: before Python 3.11.3 it raises CancelledError for TimeoutError in a task that was cancelled
+        await asyncio.wait([end], timeout=END_S)
+    end.cancel()

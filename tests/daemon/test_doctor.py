@@ -17,6 +17,7 @@ from palpd.daemon.stored_state import Calibration, Latch, State
 from palpd.errors import SensorError
 from palpd.tick import NO_FRAMES, RobotMode, SafetyMode, SensorFrames
 from tests.paths import ROOT
+from tests.robot_library import skip_without_ur_rtde
 from tests.scenes import robot
 
 HOST = "127.0.9.73"
@@ -269,6 +270,7 @@ def test_a_device_that_is_there_and_does_not_open_fails(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def emulated(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
+    skip_without_ur_rtde()
     with started(tmp_path_factory.mktemp("doctor"), "ur5", ROOT / "palpd" / "cell" / "phantom.yaml", HOST) as cell:
         yield cell
 
