@@ -105,6 +105,19 @@ class PreparedRecording:
         """
         return mean_reading(cell, motion, library) if self.beyond is None else self.beyond.reading(cell, motion, library)
 
+    def rounded(self, rounding: Rounding) -> "PreparedRecording":
+        """The recording whose fz is rounded so: its noise is that of all forces, and not of those between two levels that happened to rest.
+
+        Args:
+            rounding: The rounding.
+
+        Returns:
+            A new recording.
+        """
+        noise_rms = self.noise_rms.copy()
+        noise_rms[FZ] = max(noise_rms[FZ], np.hypot(rounding.noise_rms_N, rounding.step_N / 12.0**0.5))
+        return replace(self, rounding=rounding, noise_rms=noise_rms)
+
     def heights(self, palpd_m: Floats, t_s: Floats) -> Floats:
         """Predicted heights; with a user's simulator its output + palpd(cell) - palpd(nominal cell).
 

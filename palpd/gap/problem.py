@@ -355,7 +355,7 @@ def make_problem(
     cell = cell.with_estimated(None).model_copy(update={"uncertainty": ()})
     prepared = tuple(prepare(samples, cell, max(600, max_bins // len(recordings))) for samples in recordings)
     if roundings:
-        prepared = tuple(replace(one, rounding=rounding) for one, rounding in zip(prepared, roundings, strict=True))
+        prepared = tuple(one.rounded(rounding) for one, rounding in zip(prepared, roundings, strict=True))
     if simulators:
         prepared = tuple(with_simulator(one, its, cell, library) for one, its in zip(prepared, simulators, strict=True))
     longest = max(recordings, key=lambda s: s.duration_s)

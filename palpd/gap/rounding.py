@@ -27,8 +27,8 @@ DITHERED = 0.36
 REACH = 1.5
 """Steps from the force at rest up to which the force is that of the probe alone, in the air."""
 
-LEAST_DITHER = 0.25
-"""Least noise, in steps, with which a reading is predicted: neither the levels nor the force between them are known better."""
+LEAST_DITHER = 0.1
+"""Least noise, in steps, with which a reading is predicted: less would make corners of the edges, and no force is known that well."""
 
 FARTHEST = 7.0
 """Standard deviations of the noise beyond which no reading comes to a level."""

@@ -118,7 +118,7 @@ def at_rest_in_turn(rng: np.random.Generator, forces_N: Sequence[float], noise_N
     return 0.131 * np.rint((np.repeat(forces_N, n) + zero_N + noise_N * rng.standard_normal(n * len(forces_N))) / 0.131)
 
 
-@pytest.mark.parametrize("noise", [0.25, 0.3])
+@pytest.mark.parametrize("noise", [0.15, 0.25, 0.3])
 @pytest.mark.parametrize("zero_N", [-0.171, 0.0, 0.03])
 def test_a_zero_that_is_off_moves_all_readings_alike_and_is_counted_once(noise: float, zero_N: float) -> None:
     """Readings minus those predicted without any bias are the bias, at rest and beside it: so tolerance and effect act in one frame."""
@@ -129,7 +129,7 @@ def test_a_zero_that_is_off_moves_all_readings_alike_and_is_counted_once(noise: 
     means_N = readings_N.reshape(4, -1).mean(axis=1)
     (rounding,) = roundings_of([at_rest(wrench)], [0.0], nominal(), noise_N, [float(means_N[0])])
     predicted_N = rounding.readings(forces_N, np.array([0]))
-    np.testing.assert_allclose(means_N - predicted_N, zero_N, atol=0.01 * 0.131)
+    np.testing.assert_allclose(means_N - predicted_N, zero_N, atol=0.03 * 0.131)
     # A hypothesis with that bias predicts the same readings, moved by it.
     np.testing.assert_allclose(rounding.readings(forces_N + zero_N, np.array([0])), predicted_N + zero_N, atol=1e-9)
     far_N = np.array([0.0, 5.3 * 0.131])
@@ -137,7 +137,7 @@ def test_a_zero_that_is_off_moves_all_readings_alike_and_is_counted_once(noise: 
 
 
 def test_each_recording_has_the_levels_of_its_own_tare() -> None:
-    rng, noise_N = np.random.default_rng(14), 0.035
+    rng, noise_N = np.random.default_rng(14), 0.02
     recordings, rests_N = [], []
     for tare_N in (0.02, -0.05):
         wrench = np.zeros((100_000, 6))
@@ -147,7 +147,7 @@ def test_each_recording_has_the_levels_of_its_own_tare() -> None:
     for samples, rounding in zip(recordings, roundings_of(recordings, [0.0, 0.0], nominal(), noise_N, rests_N), strict=True):
         first_N, then_N = samples.wrench[:, 2].reshape(2, -1).mean(axis=1)
         at_first_N, there_N = rounding.readings(np.array([0.0, 0.08]), np.array([0]))
-        assert there_N - at_first_N == pytest.approx(then_N - first_N, abs=0.01 * 0.131)
+        assert there_N - at_first_N == pytest.approx(then_N - first_N, abs=0.03 * 0.131)
 
 
 @pytest.mark.parametrize("way", WAYS)

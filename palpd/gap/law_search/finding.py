@@ -357,7 +357,7 @@ def _log_prior(problem: Problem, listed: Fit) -> float:
 def _within_specification(problem: Problem, listed: Fit) -> NuisanceSpace:
     """Everything within specification around a fit, and rounding."""
     space = NuisanceSpace(listed.linearisation.space.columns, listed.residual)
-    rounding = rounding_columns(problem, problem.noise.natural(problem.predict(listed.values, listed.eta)))
+    rounding = rounding_columns(problem, problem.noise.natural(problem.data - listed.remainder))
     return space.with_columns(rounding) if rounding else space
 
 
