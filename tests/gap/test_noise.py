@@ -7,15 +7,17 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from palpd.cell.cell_file import nominal
+from palpd.cell.cell_file import CellFile, nominal
+from palpd.cell.effects import EFFECTS
 from palpd.cell.simulation import simulate
 from palpd.gap.bins import Bins
 from palpd.gap.linearise import linearise
 from palpd.gap.noise import FZ, lattice_step, measured_rms
+from palpd.gap.prepare import prepare
 from palpd.gap.problem import make_problem
 from palpd.gap.recorded_noise import readings_at_rest_N
 from palpd.gap.rounding import WAYS, Way, coarse_step_N, noise_before_rounding, rounded_moments, roundings_of
-from palpd.gap.scatter import without_held, without_tails
+from palpd.gap.scatter import Readings, scatter_effects, without_held, without_tails
 from palpd.gap.whitening import Whitening
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -174,15 +176,39 @@ def test_rounding_to_the_stated_step_counts_where_noise_does_not_dither_it() -> 
         assert bool(roundings_of([at_rest(np.zeros((100, 6)))], [0.0], nominal(), noise * step_N, [0.0])) == counts
 
 
-def test_drift_acts_through_the_rounding_as_the_effect_does() -> None:
-    """Its column is what a cell with that drift predicts more, and a bias column is the same for all readings."""
+def free_strokes(cell: CellFile, bias_N: float = 0.0) -> Samples:
+    """A recording of strokes and rests in the air."""
     t_s = np.arange(20_000) / 500.0
     z_cmd_m = 0.02 + 0.005 * np.clip(np.sin(2.0 * np.pi * t_s / 8.0) * 3.0, -1.0, 1.0)
-    cell = nominal()
-    cell = cell.model_copy(update={"sensor": cell.sensor.model_copy(update={"noise_rms_N": 0.03})})
-    columns = simulate(cell, t_s, z_cmd_m=z_cmd_m, noise_seed=1)
+    biased = cell.with_effects({"sensor.bias": {"offset_N": bias_N}})
+    columns = simulate(biased, t_s, z_cmd_m=z_cmd_m, noise_seed=1)
     wrench = np.column_stack([columns[name] for name in ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")])
-    samples = Samples(t_s, z_cmd_m, columns["z_m"], columns["vz_m_per_s"], wrench)
+    return Samples(t_s, z_cmd_m, columns["z_m"], columns["vz_m_per_s"], wrench)
+
+
+def undithered(noise_N: float = 0.03) -> CellFile:
+    sensor = nominal().sensor.model_copy(update={"noise_rms_N": noise_N})
+    return nominal().model_copy(update={"sensor": sensor})
+
+
+@pytest.mark.parametrize("noise_N", [0.018, 0.03])
+@pytest.mark.parametrize("bias_N", [0.0, 0.03, 0.0655])
+def test_an_axis_is_no_noisier_or_quieter_for_where_it_rests_between_its_levels(noise_N: float, bias_N: float) -> None:
+    cell = undithered(noise_N)
+    samples = free_strokes(cell, bias_N)
+
+    def p_lone_axis(samples: Samples) -> float:
+        return scatter_effects([prepare(samples, cell, 600)], [Readings.of(samples, cell)], cell, EFFECTS).p_lone_axis
+
+    assert p_lone_axis(samples) < 0.01
+    louder = samples.wrench + 0.1 * np.random.default_rng(2).standard_normal((20_000, 1)) * (np.arange(6) == 2)
+    assert p_lone_axis(replace(samples, wrench=louder)) > 0.99
+
+
+def test_drift_acts_through_the_rounding_as_the_effect_does() -> None:
+    """Its column is what a cell with that drift predicts more, and a bias column is the same for all readings."""
+    cell = undithered()
+    samples = free_strokes(cell)
     roundings = roundings_of([samples], [0.0], cell, *readings_at_rest_N([samples], cell))
     problem = make_problem([samples], cell, roundings=roundings)
     around = linearise(problem, {}, problem.nominal_eta)
