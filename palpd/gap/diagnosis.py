@@ -31,7 +31,7 @@ from palpd.gap.posterior import Attribution, posterior
 from palpd.gap.prepare import without_rounding
 from palpd.gap.problem import MAX_BINS, Problem, make_problem
 from palpd.gap.recorded_noise import readings_at_rest_N, with_recorded_noise
-from palpd.gap.rounding import rounding_of
+from palpd.gap.rounding import roundings_of
 from palpd.gap.scatter import Readings, scatter_effects
 from palpd.gap.shrink import Shrink, held_out, without_effects
 from palpd.gap.uncertainty import open_hypotheses
@@ -116,7 +116,7 @@ def _stages(
         cell,
         library,
         max_bins,
-        rounding=rounding_of(recordings, [one.coarse_step_N for one in readings], cell, *readings_at_rest_N(recordings, cell)),
+        roundings=roundings_of(recordings, [one.coarse_step_N for one in readings], cell, *readings_at_rest_N(recordings, cell)),
         excess_noise=any(one.excess_noise for one in readings),
         simulators=simulators,
     )

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CellFile
 from palpd.gap.noise import FX, FY, FZ, TX, TY, TZ, dead, lattice_step, measured_rms
-from palpd.gap.phases import FREE_STILL, HOLDING, find_phases
+from palpd.gap.phases import FREE_STILL, HOLDING, Phases, find_phases
 from palpd.gap.prepare import REST_SAMPLES
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -34,7 +34,7 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
         The cell with every value stated, and one sentence for each value that was measured or is far from the stated one.
     """
     resolution = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
-    rests = [_rests(_phases(samples, cell)) for samples in recordings]
+    rests = [_rests(_phases(samples, cell).phase) for samples in recordings]
     resting = all(rest is not None for rest in rests)
     noise = {key: _noise_rms(recordings, rests, channels) for key, channels in NOISE.items()}
     stated = cell.sensor.model_fields_set
@@ -55,7 +55,7 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
     return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=measured)}), notes
 
 
-def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[float, float]:
+def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[float, list[float]]:
     """What rests show of fz before it is rounded.
 
     Args:
@@ -64,19 +64,18 @@ def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[f
 
     Returns:
         Noise of a sample in N, by the lateral axes, whose steps are finer: the stated one where none shows it, or where they are noisier or
-        quieter than healthy ones. Then the mean of fz at rest in the air in N, 0 where nothing rests there.
+        quieter than healthy ones. Then the mean of fz at rest in the air in N, of each recording.
     """
     phases = [_phases(samples, cell) for samples in recordings]
-    stated_N, shown_N = cell.sensor.noise_rms_N, _noise_rms(recordings, [_rests(phase) for phase in phases], (FX, FY))
+    stated_N, shown_N = cell.sensor.noise_rms_N, _noise_rms(recordings, [_rests(its.phase) for its in phases], (FX, FY))
     healthy = shown_N is not None and stated_N / HEALTHY_NOISE <= shown_N <= stated_N * HEALTHY_NOISE
-    free_N = np.concatenate([samples.wrench[phase == FREE_STILL, 2] for samples, phase in zip(recordings, phases, strict=True)])
-    return shown_N if shown_N is not None and healthy else stated_N, float(free_N.mean()) if free_N.size else 0.0
+    rests_N = [float(samples.wrench[its.at_rest_in_air, 2].mean()) for samples, its in zip(recordings, phases, strict=True)]
+    return shown_N if shown_N is not None and healthy else stated_N, rests_N
 
 
-def _phases(samples: Samples, cell: CellFile) -> NDArray[np.int_]:
-    """The phase of every sample (n,)."""
+def _phases(samples: Samples, cell: CellFile) -> Phases:
     surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
-    return find_phases(samples, surface_m, cell.robot.position_noise_rms_m).phase
+    return find_phases(samples, surface_m, cell.robot.position_noise_rms_m)
 
 
 def _rests(phase: NDArray[np.int_]) -> NDArray[np.bool_] | None:

@@ -28,6 +28,9 @@ REST_SPEED_M_PER_S = 0.5e-3
 REST_SHARE = 0.05
 """The same as a share of the usual speed."""
 
+HARMONICS, LEAST_HARMONIC = 4, 0.02
+"""Most harmonics of the error of rounded readings, and the least amplitude of a further one, in steps."""
+
 SHALLOW = 0.1
 """Scale of the distance from the surface as a share of the deepest press, so that the last millimetre is resolved."""
 
@@ -251,24 +254,27 @@ class Scene:
         return np.asarray(dealt[np.concatenate(stroke)])
 
 
-def rounding_columns(problem: Problem, prediction: Floats) -> dict[int, Floats]:
-    """Nuisances (b, 2) by channel for the mean error of rounded readings in the air, q/π e^(-2(πσ/q)²) sin(2πf/q) with any phase.
+def rounding_columns(problem: Problem, fitted: Floats) -> dict[int, Floats]:
+    """Nuisances (b, 2k) by channel for the mean error of rounded readings, Σ q/kπ e^(-2(πkσ/q)²) sin(2πkf/q) with any phases.
+
+    Otherwise the levels that a slow press crosses look like a law that repeats over the height.
 
     Args:
         problem: The recordings.
-        prediction: Predicted readings (7, b).
+        fitted: Readings (7, b) with all fitted deviations: the force between two levels must be known.
 
     Returns:
         Whitened columns in units of their standard deviation.
     """
-    air = problem.per_bin(lambda one: one.bins.mean(one.phases.depth_m)) <= 0.0
-    noise = np.max([one.noise_rms for one in problem.recordings], axis=0)
-    out = {}
-    for channel, step in enumerate(resolutions(problem.cell)):
-        if channel != FZ or step <= 0.0:
-            continue
-        pure = np.sqrt(max(noise[channel] ** 2 - step**2 / 12.0, 0.0))
-        size = step / np.pi * np.exp(-2.0 * (np.pi * pure / step) ** 2)
-        angle = 2.0 * np.pi * prediction[channel] / step
-        out[channel] = size * np.where(air, [np.sin(angle), np.cos(angle)], 0.0).T
-    return whitened(problem.noise, out)
+    rounding, step_N = problem.recordings[0].rounding, float(resolutions(problem.cell)[FZ])
+    if step_N <= 0.0:
+        return {}
+    square = float(max(one.noise_rms[FZ] for one in problem.recordings)) ** 2
+    noise = (rounding.noise_rms_N if rounding is not None else max(square - step_N**2 / 12.0, 0.0) ** 0.5) / step_N
+    turn = 2.0 * np.pi * fitted[FZ] / step_N
+    columns = []
+    for k in range(1, HARMONICS + 1):
+        size_N = step_N / (np.pi * k) * np.exp(-2.0 * (np.pi * k * noise) ** 2)
+        if k == 1 or size_N > LEAST_HARMONIC * step_N:
+            columns += [size_N * np.sin(k * turn), size_N * np.cos(k * turn)]
+    return whitened(problem.noise, {FZ: np.array(columns).T})
