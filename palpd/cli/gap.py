@@ -39,7 +39,9 @@ def diagnose(
     ],
     cell: Annotated[
         Path | None,
-        typer.Option("--cell", help="cell.yaml: what the simulator believes (default: what a .mcap states; not for a folder)"),
+        typer.Option(
+            "--cell", help="cell.yaml: what the simulator believes (default: what a .mcap states, E only for its site; not for a folder)"
+        ),
     ] = None,
     site: SiteOption = None,
     json_file: JsonOption = None,
