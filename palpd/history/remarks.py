@@ -112,7 +112,7 @@ def remark(recording: Path, date: str, tags: Sequence[str] = (), untag: Sequence
             notes=(*before.notes, Note(date=date, text=note)) if note else before.notes,
         )
         if after != before:
-            write_json(beside(recording, REMARKS), after.model_dump(mode="json"))
+            write_json(beside(recording, REMARKS), after.model_dump(mode="json"), own=True)
     return after
 
 
