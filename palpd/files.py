@@ -920,6 +920,8 @@ def _beside(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
             raise BadInput(f"{path} cannot be written, because it is a link that leads back to itself; remove it")
         if mode is not None and stat.S_ISDIR(mode):
             raise BadInput(f"{path} is a folder, expected the name of a file; give one")
+        if status is None and target.is_relative_to("/dev") and not target.is_relative_to("/dev/shm"):
+            raise BadInput(f"{path} is no device that is there, and no place for files; give another name")
         if not target.parent.is_dir():
             raise BadInput(f"{path} cannot be written, because {target.parent} is no folder; make it first")
         if mode is not None and not os.access(target, os.W_OK):

@@ -22,18 +22,18 @@ class Output(NamedTuple):
     """Marks an option as the name of an output.
 
     Attributes:
-        kind: What it will be, one of palpd.file_kinds or of the words above; None where only the command knows.
+        kind: What it will be, one of palpd.file_kinds or of the words above.
         beside: Endings of further files that may be written, in place of the ending of this one.
     """
 
-    kind: str | None
+    kind: str
     beside: tuple[str, ...] = ()
 
     def check(self, path: Path | None) -> None:
         """Refuse a place that cannot be written, or that holds what may not be replaced. Raises BadInput."""
         if path is None:
             return
-        if check := _CHECKS.get(self.kind or ""):
+        if check := _CHECKS.get(self.kind):
             check(path)
             return
         check_writable(path, kind=self.kind)

@@ -8,7 +8,7 @@ import typer
 from palpd.cli import at_once
 from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, SocketOption, app, check_kept, finish, terminal
 from palpd.cli.output_options import FOLDER, SOCKET, Output
-from palpd.file_kinds import JSON
+from palpd.file_kinds import JSON, YAML
 from palpd.files import check_folder, check_socket, write_json
 
 if TYPE_CHECKING:
@@ -282,7 +282,7 @@ def migrate(
     kind: Annotated[
         Literal["config", "cell", "plan"] | None, typer.Option("--kind", help="which of them it is (default: as its keys say)")
     ] = None,
-    old: Annotated[Path | None, typer.Option("--old", help="where the file as it was is kept (default: FILE.old)"), Output(None)] = None,
+    old: Annotated[Path | None, typer.Option("--old", help="where the file as it was is kept (default: FILE.old)"), Output(YAML)] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="show what would change, and write nothing")] = False,
 ) -> None:
     """Rewrite a file of an older palpd; comments and all that need not change stay as they are."""
