@@ -5,13 +5,15 @@ word is spoilt: an input with a known fault (benchmarks/fuzz_inputs.py), an outp
 option out of range, unknown, missing or contradicting another. Each line runs in a forked process with its own folder and 10 s; `--real`
 of them run as processes of their own besides. Prints a table; ends with 1 if a line is not clean.
 
-Clean is exit 2 (or 3) with exactly one sentence on stderr and no new file, or exit 0 with whole files where the line is sound. As root the
+Clean is exit 2 (or 3) with exactly one sentence on stderr and no new file, or exit 0 with whole files where the line is sound; and every
+input is what it was, by its hash. As root the
 fuzz gives up the right to read and write everything, and mounts a full disk in a name space of its own; where it may not,
 no full disk is tried.
 """
 
 import argparse
 import contextlib
+import hashlib
 import json
 import math
 import os
@@ -209,6 +211,8 @@ reads them; numbers of YAML 1.1, which a migration writes anew."""
 NUMBERS = ("nan", "inf", "-inf", "-1", "0", "1e300", "1e-300", "9" * 5000, "10000000000000000000", "0x10", "1,5", "", "one", " ", "1_000")
 SURE = ("nan", "inf", "-inf", "1e300", "9" * 5000, "0x10", "1,5", "", "one", " ")
 """Numbers that no option accepts."""
+PRECIOUS = {"itself": "", "link": "link to:", "hard": "hard link to:"}
+"""How an output is an input: its path, or the mark of a link that is made to it."""
 COMPARED = ("youngs_modulus_Pa", "peak_force_N", "verdict", "next_m")
 """Figures that must not depend on how a file is spelled."""
 
@@ -232,7 +236,9 @@ class LineOutcome(NamedTuple):
 
 
 CLEAN = ("refused", "stopped", "done")
-UNCLEAN = ("traceback", "hang", "half-written", "wrong answer", "no sentence")
+UNCLEAN = ("traceback", "hang", "half-written", "wrong answer", "no sentence", "input changed")
+MOST_HASHED_BYTES = 50_000_000
+"""Largest input that is hashed after each line; a sparse one of 2 GB stands for a file that is too large."""
 
 
 # --- the lines ----------------------------------------------------------------------------------------------------------------
@@ -255,9 +261,23 @@ def lines(sound: dict[str, Path], spoilt: dict[str, Any], outputs: list[tuple[st
                     yield Line((*good[:at], file.path, *good[at + 1 :]), f"{kind}: {file.kind}", refused, good, file.same)
             if kind not in spoilt:
                 yield from _bad_outputs(good, at, kind, outputs)
+                yield from _precious_outputs(good, at, [str(path) for path in sound.values() if path.is_file()])
     for template in CONTRADICTIONS.strip().splitlines():
         yield Line(tuple(_filled(word, sound) for word in template.split()), "contradiction", refused=True)
     yield from _bad_options(sound)
+
+
+def _linked(words: tuple[str, ...], here: Path) -> tuple[str, ...]:
+    """The same line, with the links that it asks for made in its folder."""
+    spelled_out = list[str]()
+    for word in words:
+        link = next((link for link, mark in PRECIOUS.items() if mark and word.startswith(mark)), None)
+        target = word.removeprefix(PRECIOUS[link]) if link else word
+        if link is not None:
+            word = f"{link}{Path(target).suffix}"
+            (here / word).symlink_to(target) if link == "link" else os.link(target, here / word)
+        spelled_out.append(word)
+    return tuple(spelled_out)
 
 
 def _filled(word: str, sound: dict[str, Path]) -> str:
@@ -274,6 +294,17 @@ def _bad_outputs(good: tuple[str, ...], at: int, kind: str, outputs: list[tuple[
         yield Line((*good[:at], path, *good[at + 1 :]), f"output: {fault}", refused=True)
     if kind.startswith("new"):
         yield Line((*good[:at], "there" + suffix, *good[at + 1 :]), "output: exists", refused=True)
+
+
+def _precious_outputs(good: tuple[str, ...], at: int, read: list[str]) -> Iterator[Line]:
+    """The output at a place is an input of the line, a link to one, a recording, or another output; with and without force."""
+    inputs = [word for word in good if word in read]
+    recording = next(path for path in read if path.endswith(".mcap"))
+    others = [word for k, word in enumerate(good) if k != at and word.startswith(("out.", "new."))]
+    places = [*(f"{PRECIOUS[link]}{path}" for path in inputs for link in PRECIOUS), recording, *others]
+    for place in places:
+        for force in ((),) if good[0] in ("stream", "recover") else ((), ("--force",)):
+            yield Line((*good[:at], place, *good[at + 1 :], *force), "output: precious", refused=True)
 
 
 def _bad_options(sound: dict[str, Path]) -> Iterator[Line]:
@@ -301,6 +332,12 @@ def _bad_options(sound: dict[str, Path]) -> Iterator[Line]:
                     yield Line((*good, f"{option}={word}"), "unknown word", refused=True)
 
 
+def spelled(info: Any) -> str:
+    """How a parameter of typer is spelled on a command line; empty for an argument."""
+    names = (info.default, *(info.param_decls or ()))
+    return next((name.partition("/")[0] for name in names if isinstance(name, str) and name.startswith("--")), "")
+
+
 def _options() -> dict[str, dict[str, Any]]:
     """Type of each option of each command."""
     import typer
@@ -316,7 +353,7 @@ def _options() -> dict[str, dict[str, Any]]:
             for info in about:
                 if isinstance(info, typer.models.OptionInfo):
                     inner = [each for each in get_args(kind) if each is not type(None)]
-                    options[(info.param_decls or ("",))[0]] = inner[0] if isinstance(kind, types.UnionType) else kind
+                    options[spelled(info)] = inner[0] if isinstance(kind, types.UnionType) else kind
     return known
 
 
@@ -348,8 +385,8 @@ def bad_outputs(folder: Path, full: Path | None) -> list[tuple[str, str]]:
 # --- running them -------------------------------------------------------------------------------------------------------------
 
 
-def ran(line: Line, folder: Path, real: bool = False) -> LineOutcome:
-    """Run a line in a folder of its own and judge it."""
+def ran(line: Line, folder: Path, stamps: dict[str, bytes], real: bool = False) -> LineOutcome:
+    """Run a line in a folder of its own and judge it; `stamps` are the hashes of all inputs by their paths."""
     figures = None
     if line.same:
         _run(line.sound, folder / "compared", real)
@@ -360,6 +397,8 @@ def ran(line: Line, folder: Path, real: bool = False) -> LineOutcome:
     code, errors = _run(line.words, here, real)
     took_s = time.monotonic() - began_s
     verdict, detail = _judged(line, here, code, errors)
+    if changed := [path for path, stamp in stamps.items() if _stamp(Path(path)) != stamp]:
+        return LineOutcome("input changed", f"exit {code}: {', '.join(changed)}; {detail}", took_s)
     if verdict == "done" and line.same and figures != (now := _figures(here)):
         verdict, detail = "wrong answer", f"{now} where the sound file gives {figures}"
     shutil.rmtree(here)
@@ -371,7 +410,7 @@ def _run(words: tuple[str, ...], here: Path, real: bool) -> tuple[int | None, st
     here.mkdir()
     for suffix in (".csv", ".parquet", ".mcap", ".onnx", ".yaml"):
         (here / f"there{suffix}").write_text("kept")
-    words = words if words[0] != "recover" else _recovering(words, here)
+    words = _linked(words if words[0] != "recover" else _recovering(words, here), here)
     errors = here.with_name("stderr")
     if real:
         with errors.open("wb") as stderr:
@@ -454,6 +493,15 @@ def _judged(line: Line, here: Path, code: int | None, errors: str) -> tuple[str,
     if len(printed) != 1 or not last.startswith("palpd: ") or len(last) < 20:
         return "no sentence", f"exit {code} with {len(printed)} lines: {' / '.join(printed)[:300]}"
     return ("refused" if code == 2 else "stopped"), last
+
+
+def _stamp(path: Path) -> bytes:
+    """What tells whether an input was changed: its bytes where it can be read, else its size; empty where it is gone."""
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").digest() if path.stat().st_size < MOST_HASHED_BYTES else b"large"
+    except OSError:
+        return b"unreadable" if os.path.lexists(path) else b""
 
 
 def _is_new(path: Path) -> bool:
@@ -584,6 +632,7 @@ def _fuzz(options: argparse.Namespace, folder: Path) -> int:
     chosen = [line for line in every if options.only in (None, line.words[0]) and (options.kind or "") in line.kind]
     random.Random(options.seed).shuffle(chosen)
     chosen = chosen[: options.lines or None]
+    stamps = {str(path): _stamp(path) for place in ("sound", "spoilt") for path in (folder / place).rglob("*") if path.is_file()}
     counts: dict[str, Counter[str]] = {}
     slowest = LineOutcome("", "", 0.0)
     chosen = [*chosen[: options.real], *chosen]
@@ -591,7 +640,7 @@ def _fuzz(options: argparse.Namespace, folder: Path) -> int:
     for number, line in enumerate(chosen):
         if time.monotonic() > end_s:
             break
-        outcome = ran(line, folder, real=number < options.real)
+        outcome = ran(line, folder, stamps, real=number < options.real)
         counts.setdefault(line.words[0], Counter())[outcome.verdict] += 1
         slowest = max(slowest, outcome, key=lambda each: each.took_s)
         if outcome.verdict in UNCLEAN or options.verbose:

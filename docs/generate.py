@@ -27,6 +27,7 @@ from palpd.cell.cell_file import CellFile, nominal
 from palpd.cell.effects import EFFECTS, Effect, Values
 from palpd.cli import analysis, application, gap, history, recordings, run, service, study
 from palpd.config import Config, Plan
+from palpd.files import file_use
 from palpd.gap.similar_effects import MOSTLY_ALIKE, ONE_DIRECTION, Similarity, similar_effects, standard_motion
 from palpd.recording.samples import COLUMNS, Samples
 from palpd.tick import Floats
@@ -531,4 +532,5 @@ if __name__ == "__main__":
     for file, text in PAGES.items():
         (FOLDER / file).parent.mkdir(exist_ok=True)
         (FOLDER / file).write_text(text().rstrip() + "\n", encoding="utf-8")
-    figures(FOLDER / "figures")
+    with file_use(force=True):
+        figures(FOLDER / "figures")

@@ -1,12 +1,15 @@
 """The one way in and the one way out for files: what is read is checked first, what is written appears whole or not at all."""
 
+import errno
 import io
 import json
 import os
 import re
+import shutil
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
@@ -14,6 +17,7 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 import yaml
 
 from palpd.errors import BadInput, ConfigError, PalpdError, Refused
+from palpd.file_kinds import RECORDING, kind_made, marked_json, marked_text, what_it_is
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
@@ -32,6 +36,10 @@ MOST_NODES = 200_000
 """Most values that a YAML file may stand for with its aliases written out; 256 kB of plain YAML hold fewer."""
 STREAMS = ("/dev/stdout", "/dev/stderr", "/dev/fd/", "/proc/self/fd/")
 """Names of what a process has open already: a regular file behind one of them is appended to, never replaced."""
+SINKS = ("/dev/null", "/dev/full", "/dev/tty")
+"""Devices that outputs may go to, since they keep nothing."""
+MOST_SOCKET_BYTES = 107
+"""Longest path of a Unix socket."""
 MOST_DIGITS = 40
 """Longest whole number; a 64-bit one has 19 digits, and Python refuses more than 4300."""
 _PACKAGE = Path(__file__).parent
@@ -53,6 +61,77 @@ def shipped(name: str) -> Path:
         if path.exists():
             return path
     raise Refused(f"{name} is neither in {_PACKAGE / 'shipped'} nor in {_PACKAGE.parent}; install palpd from its wheel or a checkout")
+
+
+# --- the files of one call ------------------------------------------------------------------------------------------------------
+
+
+class FileUse:
+    """The files of one call, a command or a function of the API.
+
+    Attributes:
+        inputs: What it reads, by device and inode, so that links to it are known.
+        outputs: What it will write, links resolved.
+        force: Whether it may replace what palpd did not make; None where its user has no way to say so.
+    """
+
+    def __init__(self, force: bool | None) -> None:
+        self.inputs: dict[tuple[int, int], Path] = {}
+        self.outputs: set[str] = set()
+        self.force = force
+
+
+_USE: ContextVar[FileUse | None] = ContextVar("palpd_file_use", default=None)
+
+
+@contextmanager
+def file_use(inputs: Iterable[Path] = (), *, force: bool | None = None) -> Iterator[None]:
+    """Keep the files of one call apart within the context: nothing is written over an input, or twice to the same place.
+
+    A context within another one has its inputs and its force, and counts its own outputs.
+
+    Args:
+        inputs: What the call will read; what `opened` opens within the context counts too.
+        force: Whether files that palpd did not make may be replaced; None: no, and no option would allow it.
+
+    Yields:
+        Nothing.
+
+    Raises:
+        BadInput: A path cannot be one of a file.
+    """
+    use, around = FileUse(force), _USE.get()
+    if around is not None:
+        use.inputs, use.force = around.inputs, around.force
+    token = _USE.set(use)
+    try:
+        for path in inputs:
+            try:
+                status = _status(path)
+            except PermissionError:  # whoever reads it says so
+                continue
+            except OSError as failure:
+                raise BadInput(f"{path} cannot be read ({failure.strerror or failure}); give the path of a file") from failure
+            _count_input(path, status)
+        yield
+    finally:
+        _USE.reset(token)
+
+
+def read_by_others(path: Path) -> None:
+    """Count a file as an input of this call, where something else than `opened` reads it.
+
+    Args:
+        path: The file; one that cannot be read is none.
+    """
+    with suppress(OSError):
+        _count_input(path, _status(path))
+
+
+def _count_input(path: Path, status: os.stat_result | None) -> None:
+    use = _USE.get()
+    if use is not None and status is not None and stat.S_ISREG(status.st_mode):
+        use.inputs[status.st_dev, status.st_ino] = path
 
 
 # --- reading ------------------------------------------------------------------------------------------------------------------
@@ -78,9 +157,10 @@ def opened(path: Path, *, most_bytes: int = MOST_TABLE_BYTES, error: type[PalpdE
         if not stat.S_ISREG(kind):
             raise error(f"{path} is {_kind(kind)}, expected a regular file; give the path of a file")
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as stream:
-            size = os.fstat(stream.fileno()).st_size
-            if size > most_bytes:
-                raise error(f"{path} has {size} bytes, expected at most {most_bytes}; is it the right file?")
+            status = os.fstat(stream.fileno())
+            if status.st_size > most_bytes:
+                raise error(f"{path} has {status.st_size} bytes, expected at most {most_bytes}; is it the right file?")
+            _count_input(path, status)
             yield stream
     except OSError as failure:
         raise error(f"{path} cannot be read ({failure.strerror or failure}); give the path of a file that exists") from failure
@@ -104,7 +184,7 @@ def opened_text(path: Path, *, error: type[PalpdError] = BadInput) -> Iterator[I
         try:
             yield text
         except UnicodeDecodeError as failure:
-            raise error(f"{path} is not text in UTF-8 (byte {failure.start}); save it as UTF-8") from failure
+            raise error(_no_text(str(path), f"byte {failure.start}", os.pread(stream.fileno(), 16, 0))) from failure
 
 
 def read_text(path: Path, *, most_bytes: int = MOST_YAML_BYTES, error: type[PalpdError] = BadInput) -> str:
@@ -127,7 +207,13 @@ def read_text(path: Path, *, most_bytes: int = MOST_YAML_BYTES, error: type[Palp
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as failure:
         line = content.count(b"\n", 0, failure.start) + 1
-        raise error(f"{path}, line {line}: a byte is not UTF-8, expected text; save the file as UTF-8") from failure
+        raise error(_no_text(str(path), f"line {line}", content)) from failure
+
+
+def _no_text(name: str, place: str, head: bytes) -> str:
+    if kind := what_it_is(head):
+        return f"{name} is {kind}, expected text in UTF-8; give the file that it was made from, or save it as UTF-8"
+    return f"{name}, {place}: a byte is not UTF-8, expected text; save the file as UTF-8"
 
 
 class Document(NamedTuple):
@@ -295,36 +381,116 @@ def nearest(word: str, known: list[str]) -> str:
 # --- writing ------------------------------------------------------------------------------------------------------------------
 
 
-def check_writable(*paths: Path | None, overwrite: bool = True) -> None:
-    """Try the places of output files before any work begins.
+def check_writable(*paths: Path | None, kind: str | None = None) -> None:
+    """Try the places of output files before any work begins; each may be given once in a call.
 
     Args:
         paths: Files that will be written; None is no file.
-        overwrite: Whether a file that exists may be replaced.
+        kind: What they will be, one of palpd.file_kinds; None where only `writing` will know.
 
     Raises:
-        BadInput: Where a file could not be written.
+        BadInput: Where a file could not be written, is an input or another output of this call, or stands there and may not be replaced.
     """
-    for path in paths:
-        if path is not None and not _is_stream(path):
-            _try_place(path, overwrite)
+    for path in filter(None, paths):
+        _refuse_input(path)
+        if not _is_stream(path):
+            _refuse_twice(path)
+            _try_place(path, kind)
 
 
-def check_folder(*folders: Path | None) -> None:
+def check_resumed(path: Path | None) -> None:
+    """Try the place of a file that this call reads first, if it exists, and then writes anew.
+
+    Args:
+        path: The file; None is no file.
+
+    Raises:
+        BadInput: As `check_writable` does.
+    """
+    if path is not None:
+        _refuse_input(path)
+        _refuse_twice(path)
+        with _beside(path):
+            pass
+
+
+def check_folder(*folders: Path | None, empty: bool = False) -> None:
     """Try folders that will be made or written into; the nearest one that exists must take a file.
 
     Args:
         folders: Folders of outputs; None is no folder.
+        empty: Whether they are kept for this call alone. With force others' files may stand there, but no recording.
 
     Raises:
-        BadInput: Where no file could be written.
+        BadInput: Where no file could be written, or a folder is not empty.
     """
-    for folder in folders:
-        if folder is not None:
-            inside = folder / "palpd-tries-to-write-here"
-            while not os.path.lexists(inside.parent) and inside.parent != inside.parent.parent:
-                inside = inside.parent
-            _try_place(inside, overwrite=True)
+    use = _USE.get()
+    for folder in filter(None, folders):
+        place = folder
+        while not os.path.lexists(place) and place != place.parent:
+            place = place.parent
+        with _refusing(folder):
+            _status(folder)
+            inside = sorted(entry.name for entry in folder.iterdir()) if empty and folder.is_dir() else []
+            if not place.is_dir():
+                raise BadInput(f"{folder} cannot be written, because {place} is no folder; give another one")
+        if recordings := [name for name in inside if name.endswith((".mcap", ".part"))]:
+            raise BadInput(f"{folder} holds a recording ({recordings[0]}), and recordings are not replaced; give another folder")
+        if inside and not (use and use.force):
+            raise BadInput(f"{folder} is not empty, and files in it might be replaced; {_way_out()}give another folder")
+        with _new_file(place, folder) as stream:
+            stream.write(b"\0")
+
+
+def check_socket(path: Path) -> None:
+    """Refuse a place where no Unix socket can be made: only a socket that nobody serves is replaced.
+
+    Args:
+        path: The socket.
+
+    Raises:
+        Refused: The path is too long, or something else stands there.
+    """
+    import socket  # here and not above: an abort must not wait for it
+
+    length = len(os.fsencode(path))
+    if length > MOST_SOCKET_BYTES:
+        raise Refused(f"the path of the socket {path} has {length} bytes, expected at most {MOST_SOCKET_BYTES}; choose a shorter one")
+    if not os.path.lexists(path):
+        return
+    if path.is_symlink() or not path.is_socket():
+        raise Refused(f"{path} exists and is no socket; name another place")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(str(path))
+        except (ConnectionRefusedError, FileNotFoundError):
+            return
+        except OSError:  # another type of socket, or one that is full
+            pass
+    raise Refused(f"another program already serves {path}; stop it first, or name another socket")
+
+
+def clear_socket(path: Path) -> None:
+    """Make room for a socket: one that nobody serves is removed. Raises Refused as `check_socket` does."""
+    check_socket(path)
+    path.unlink(missing_ok=True)
+
+
+def check_link(path: Path) -> None:
+    """Refuse a place where no link to a terminal device can be made: only such a link, or one to nothing, is replaced.
+
+    Args:
+        path: The link.
+
+    Raises:
+        BadInput: Something else stands there.
+    """
+    with _refusing(path):
+        ours = path.is_symlink() and (path.readlink().is_relative_to("/dev/pts") or not path.exists())
+        if os.path.lexists(path) and not ours:
+            raise BadInput(f"{path} exists and is no link to an emulated sensor; name another place")
+    check_folder(path.absolute().parent)
 
 
 def with_ending(path: Path, ending: str) -> Path:
@@ -346,29 +512,39 @@ def with_ending(path: Path, ending: str) -> Path:
 
 
 @contextmanager
-def writing(path: Path, *, overwrite: bool = True) -> Iterator[IO[bytes]]:
+def writing(path: Path, *, own: bool = False) -> Iterator[IO[bytes]]:
     """Write a file that appears whole, on disk, when the block ends; where it raises, the place stays as it was.
 
-    A device or a pipe that stands at `path` (/dev/stdout) is written to directly.
+    What stands there is replaced where palpd made it, as the same kind of file; anything else with the force of this call. A recording is
+    replaced with force by another recording only, and an input of this call never. A pipe or /dev/stdout is written to directly.
 
     Args:
         path: File to write.
-        overwrite: Whether a file that exists may be replaced.
+        own: Whether the file is palpd's by its name and place, such as stored state: it is replaced whatever it holds.
 
     Yields:
         A stream for the bytes.
 
     Raises:
-        BadInput: Where the file cannot be written, or exists and may not be replaced.
+        BadInput: Where the file cannot be written, or stands there and may not be replaced.
     """
+    if not own:
+        _refuse_input(path)
     if _is_stream(path):
         with _refusing(path), path.open("ab") as device:
             yield device
         return
-    with _beside(path, overwrite) as (stream, target):
+    with _beside(path) as (stream, target):
+        if not own:
+            _refuse_replacing(path, target)
         yield stream
         stream.flush()
         os.fsync(stream.fileno())
+        if not own:
+            _refuse_replacing(path, target, kind_made(Path(stream.name)) or "")
+        status = os.fstat(stream.fileno())
+        if (use := _USE.get()) is not None:
+            use.inputs.pop((status.st_dev, status.st_ino), None)  # a file that was read and removed had its inode before
         Path(stream.name).replace(target)
         folder = os.open(target.parent, os.O_RDONLY)
         with suppress(OSError):  # a file system that cannot synchronise a folder has written the file all the same
@@ -377,12 +553,11 @@ def writing(path: Path, *, overwrite: bool = True) -> Iterator[IO[bytes]]:
 
 
 @contextmanager
-def writing_text(path: Path, *, overwrite: bool = True) -> Iterator[IO[str]]:
+def writing_text(path: Path) -> Iterator[IO[str]]:
     """Write a text file in UTF-8 as `writing` does, line ends as given.
 
     Args:
         path: File to write.
-        overwrite: Whether a file that exists may be replaced.
 
     Yields:
         A stream for the text.
@@ -390,55 +565,83 @@ def writing_text(path: Path, *, overwrite: bool = True) -> Iterator[IO[str]]:
     Raises:
         BadInput: As `writing` does.
     """
-    with writing(path, overwrite=overwrite) as stream:
+    with writing(path) as stream:
         text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
         yield text
         text.flush()
         text.detach()
 
 
-def write_bytes(path: Path, content: bytes, *, overwrite: bool = True) -> None:
+def write_bytes(path: Path, content: bytes, *, own: bool = False) -> None:
     """Write a file whole or not at all.
 
     Args:
         path: File to write.
         content: Its bytes.
-        overwrite: Whether a file that exists may be replaced.
+        own: Whether it is palpd's by its place, as for `writing`.
 
     Raises:
         BadInput: As `writing` does.
     """
-    with writing(path, overwrite=overwrite) as stream:
+    with writing(path, own=own) as stream:
         stream.write(content)
 
 
-def write_text(path: Path, text: str, *, overwrite: bool = True) -> None:
+def copy_file(source: Path, target: Path) -> None:
+    """Copy a file whole or not at all.
+
+    Args:
+        source: File to read.
+        target: File to write.
+
+    Raises:
+        BadInput: As `opened` and `writing` do.
+    """
+    with opened(source, most_bytes=1 << 50) as stream, writing(target) as copy:
+        shutil.copyfileobj(stream, copy)
+
+
+def write_text(path: Path, text: str, *, own: bool = False) -> None:
     """Write a text file in UTF-8 whole or not at all.
 
     Args:
         path: File to write.
         text: Its text.
-        overwrite: Whether a file that exists may be replaced.
+        own: Whether it is palpd's by its place, as for `writing`.
 
     Raises:
         BadInput: As `writing` does.
     """
-    write_bytes(path, text.encode("utf-8", "backslashreplace"), overwrite=overwrite)
+    write_bytes(path, text.encode("utf-8", "backslashreplace"), own=own)
 
 
-def write_json(path: Path | None, content: object, *, overwrite: bool = True) -> None:
+def write_yaml(path: Path, text: str) -> None:
+    """Write YAML, or other text with comments that begin with #, below a comment by which palpd knows it while it is unchanged.
+
+    Args:
+        path: File to write.
+        text: Its text.
+
+    Raises:
+        BadInput: As `writing` does.
+    """
+    write_text(path, marked_text(text))
+
+
+def write_json(path: Path | None, content: object, *, own: bool = False) -> None:
     """Write data as JSON whole or not at all; what JSON has no word for (a path) is written as text.
 
     Args:
         path: File to write; None writes nothing.
         content: Data of dictionaries, lists, texts and numbers.
-        overwrite: Whether a file that exists may be replaced.
+        own: Whether it is palpd's by its place, as for `writing`; it then gets no mark.
 
     Raises:
         BadInput: As `writing` does.
     """
     if path is not None:
-        write_text(path, json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n", overwrite=overwrite)
+        text = json.dumps(content if own else marked_json(content), indent=1, ensure_ascii=False, default=str)
+        write_text(path, text + "\n", own=own)
 
 
 # --- how --------------------------------------------------------------------------------------------------------------------------
@@ -637,42 +840,114 @@ def _kind(mode: int) -> str:
     return kinds.get(stat.S_IFMT(mode), "a device")
 
 
+def _status(path: Path) -> os.stat_result | None:
+    """What stands there, links followed; None where nothing does. Raises OSError, also where no file can be called so."""
+    try:
+        return path.stat()
+    except OSError as failure:
+        if failure.errno in (errno.ENOENT, errno.ENOTDIR, errno.ELOOP):
+            return None
+        raise
+
+
 def _is_stream(path: Path) -> bool:
-    """Whether a device or a pipe stands there, which is written to and not replaced."""
+    """Whether a pipe, or a device that keeps nothing, stands there, which is written to and not replaced."""
     with _refusing(path):
-        mode = path.stat().st_mode if path.exists() else stat.S_IFREG
-    return str(path).startswith(STREAMS) or not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+        status, sink = _status(path), os.path.realpath(path) in SINKS
+    mode = stat.S_IFREG if status is None else status.st_mode
+    if sink or str(path).startswith(STREAMS) or stat.S_ISFIFO(mode):
+        return True
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise BadInput(f"{path} is {_kind(mode)}, expected a file or a pipe; give the name of a file")
+    return False
+
+
+def _refuse_input(path: Path) -> None:
+    use = _USE.get()
+    with _refusing(path):
+        status = _status(path)
+    source = use.inputs.get((status.st_dev, status.st_ino)) if use and status else None
+    if source is not None:
+        names = f"{path} is" if source == path else f"{path} is the same file as {source},"
+        raise BadInput(f"{names} an input of this command, which is never written to; give another name for the output")
+
+
+def _refuse_twice(path: Path) -> None:
+    """Refuse a place that another output of this call has."""
+    use = _USE.get()
+    if use is not None:
+        with _refusing(path):
+            target = os.path.realpath(path)
+        if target in use.outputs:
+            raise BadInput(f"{path} is given for two outputs of this command; give each a name of its own")
+        use.outputs.add(target)
+
+
+def _refuse_replacing(path: Path, target: Path, kind: str | None = None) -> None:
+    """Refuse to replace what stands there by a file of that kind; None: of a kind that is not known yet."""
+    with _refusing(path):
+        status = _status(target)
+        there = kind_made(target) if status and status.st_size else None
+    if status is None or status.st_size == 0:
+        return
+    use = _USE.get()
+    force = bool(use and use.force)
+    if there == RECORDING:
+        if force and kind in (None, RECORDING):
+            return
+        way_out = _way_out() if kind == RECORDING else "only a recording may replace it; "
+        raise BadInput(f"{path} is a recording, which is evidence; {way_out}give another name")
+    if there is not None and kind in (None, there):
+        return
+    if not force:
+        what = "palpd did not write what it holds" if there is None else f"it is {there}, not {kind or 'what is to be written'}"
+        raise BadInput(f"{path} exists and is not overwritten: {what}; {_way_out()}give another name")
+
+
+def _way_out() -> str:
+    use = _USE.get()
+    return "" if use is None or use.force is None else "--force replaces it all the same, or "
 
 
 @contextmanager
-def _beside(path: Path, overwrite: bool) -> Iterator[tuple[IO[bytes], Path]]:
+def _beside(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
     """A new file beside the one to write, gone afterwards unless it was renamed; and what it is to be renamed to."""
     with _refusing(path):
         target = Path(os.path.realpath(path))  # behind a link, so that the link stays
-        mode = target.stat().st_mode if target.exists() else None
+        status = _status(target)
+        mode = None if status is None else status.st_mode
         if target.is_symlink():
             raise BadInput(f"{path} cannot be written, because it is a link that leads back to itself; remove it")
         if mode is not None and stat.S_ISDIR(mode):
             raise BadInput(f"{path} is a folder, expected the name of a file; give one")
-        if mode is not None and not overwrite:
-            raise BadInput(f"{path} exists and is not overwritten; choose another name or move it away")
+        if status is None and target.is_relative_to("/dev") and not target.is_relative_to("/dev/shm"):
+            raise BadInput(f"{path} is no device that is there, and no place for files; give another name")
         if not target.parent.is_dir():
             raise BadInput(f"{path} cannot be written, because {target.parent} is no folder; make it first")
         if mode is not None and not os.access(target, os.W_OK):
             raise BadInput(f"{path} cannot be written (it is read-only); choose another place")
-        fresh = target.with_name(f".palpd-{os.urandom(6).hex()}")
+    with _new_file(target.parent, path) as stream:
+        if mode is not None:
+            os.fchmod(stream.fileno(), stat.S_IMODE(mode))
+        yield stream, target
+
+
+@contextmanager
+def _new_file(folder: Path, path: Path) -> Iterator[IO[bytes]]:
+    """A new file in a folder, gone afterwards unless it was renamed; a failure is one of `path`."""
+    with _refusing(path):
+        fresh = folder / f".palpd-{os.urandom(6).hex()}"
         try:
             with fresh.open("xb") as stream:
-                if mode is not None:
-                    os.fchmod(stream.fileno(), stat.S_IMODE(mode))
-                yield stream, target
+                yield stream
         finally:
             fresh.unlink(missing_ok=True)
 
 
-def _try_place(path: Path, overwrite: bool) -> None:
+def _try_place(path: Path, kind: str | None) -> None:
     """Write a byte beside a file and take it back: a full disk takes a file, but no content."""
-    with _beside(path, overwrite) as (stream, _):
+    with _beside(path) as (stream, target):
+        _refuse_replacing(path, target, kind)
         stream.write(b"\0")
         stream.flush()
 

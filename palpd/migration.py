@@ -13,7 +13,7 @@ from palpd.cell.effects.drivers import StrictBlock
 from palpd.config import Config, Plan
 from palpd.errors import ConfigError
 from palpd.file_versions import NEWEST_FILE, Kind, renamed_keys
-from palpd.files import Document, Location, check_writable, model_in, parse_yaml, read_text, refusal, write_text
+from palpd.files import Document, Location, check_resumed, model_in, parse_yaml, read_text, refusal, write_text
 
 MODELS: dict[Kind, type[StrictBlock]] = {"config": Config, "cell": CellFile, "plan": Plan}
 
@@ -82,14 +82,14 @@ def write(migration: Migration, old: Path) -> None:
 
     Args:
         migration: What changes.
-        old: Where the file as it was is kept; a file that exists there is not overwritten.
+        old: Where the file as it was is kept; a file of a user that exists there is not overwritten.
 
     Raises:
         BadInput: One of the two cannot be written; the file is as it was then.
     """
-    check_writable(migration.path)
-    write_text(old, migration.before, overwrite=False)
-    write_text(migration.path, migration.after)
+    check_resumed(migration.path)
+    write_text(old, migration.before)
+    write_text(migration.path, migration.after, own=True)
 
 
 def _kind_of(document: Document) -> Kind:

@@ -39,7 +39,10 @@ def write_table(path):
     """A table as a testing machine in Europe writes it; pressing is negative."""
     t_s, z_m, _, wrench = press("csv")
     rows = [f"{t:.2f};{1e3 * z:.4f};{-1e3 * f:.1f}".replace(".", ",") for t, z, f in zip(t_s, z_m, wrench[:, 2], strict=True)]
-    path.write_text("\n".join(["Machine;ZP-20", "Time (s);Height (mm);Force (mN)", *rows, "end of test", ""]))
+    text = "\n".join(["Machine;ZP-20", "Time (s);Height (mm);Force (mN)", *rows, "end of test", ""])
+    if path.exists() and path.read_text() != text:
+        sys.exit(f"{path} exists and holds something else; give another name")
+    path.write_text(text)
 
 
 def write_bag(path):

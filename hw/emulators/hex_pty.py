@@ -18,6 +18,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from palpd.files import check_link
+
 Floats = NDArray[np.float64]
 PartsAt = Literal["reading", "load"]
 """Where the slopes of Fz part: where the sensor reads zero before zeroing, or where it carries nothing."""
@@ -250,6 +252,7 @@ class TerminalLine:
         self._poll = select.poll()
         self._poll.register(self._master, select.POLLIN)
         if self._link is not None:
+            check_link(self._link)
             self._link.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(dir=self._link.parent) as folder:
                 fresh = Path(folder) / "link"

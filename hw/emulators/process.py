@@ -28,6 +28,7 @@ from palpd.cell.cell_file import PHANTOM, load_cell
 from palpd.cell.effects import load_effects
 from palpd.cell.effects.learned import held_sentence
 from palpd.errors import PalpdError
+from palpd.files import clear_socket
 
 GIVEN_UP_S = 0.1
 """Lateness beyond which the process skips time instead of catching up; target and tip stand still meanwhile."""
@@ -44,7 +45,7 @@ class ControlChannel:
     def __init__(self, path: Path, rig: Rig) -> None:
         self._path, self._rig = path, rig
         self._selector = selectors.DefaultSelector()
-        path.unlink(missing_ok=True)
+        clear_socket(path)
         self._listener = socket.socket(socket.AF_UNIX)
         self._listener.bind(str(path))
         self._listener.listen(8)

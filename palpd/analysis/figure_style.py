@@ -13,6 +13,8 @@ from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from palpd.errors import BadInput
+from palpd.file_kinds import PICTURE_MARKS
 from palpd.files import writing
 from palpd.tick import Floats
 
@@ -101,6 +103,12 @@ def inline_svg(figure: Figure, name: str) -> Markup:
     return Markup(svg.replace(INK, "currentColor"))
 
 
+def refuse_format(path: Path) -> None:
+    """Refuse a figure in a format that `save_figure` does not write. Raises BadInput."""
+    if path.suffix[1:] not in ("", *PICTURE_MARKS):
+        raise BadInput(f"{path} ends with {path.suffix!r}, expected {', '.join(f'.{kind}' for kind in PICTURE_MARKS)}; give such a name")
+
+
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure on white.
 
@@ -112,9 +120,8 @@ def save_figure(figure: Figure, path: Path) -> None:
         BadInput: the file cannot be written.
     """
     kind = path.suffix[1:] or "png"
-    undated: dict[str, Any] = {"metadata": {"Date": None}} if kind == "svg" else {}
     with rc_context(STYLE), writing(path) as stream:
-        figure.savefig(stream, format=kind, dpi=PNG_DOTS_PER_INCH, facecolor="white", **undated)
+        figure.savefig(stream, format=kind, dpi=PNG_DOTS_PER_INCH, facecolor="white", metadata=PICTURE_MARKS.get(kind))
 
 
 def thinned(x: Floats, y: Floats) -> tuple[Floats, Floats]:

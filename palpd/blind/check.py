@@ -191,7 +191,7 @@ def run(
             scored = done.get(_batch_name(batch)) or _run_batch(batch, seed, folder / _batch_name(batch), hosts, ablation, jobs, calibrated)
             if resume is not None and scored["batch"] not in done:
                 done[scored["batch"]] = scored
-                write_text(resume, "".join(json.dumps(line) + "\n" for line in (begun, *done.values())))
+                write_text(resume, "".join(json.dumps(line) + "\n" for line in (begun, *done.values())), own=True)
             for name in sorted(scored["digests"]):
                 seal.update(f"{scored['digests'][name]}  {name}\n".encode())
             result["outcomes"] += scored["outcomes"]

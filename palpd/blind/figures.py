@@ -29,6 +29,7 @@ from palpd.blind.score import (
 )
 from palpd.blind.truth import SOURCES
 from palpd.errors import BadInput
+from palpd.file_kinds import PAGE_MARK
 from palpd.files import read_json, write_text
 
 INTRODUCTION = """\
@@ -117,6 +118,8 @@ ABLATED = {
     "fz only": "*fz only*: the diagnosis sees neither the commanded heights nor the other five channels",
 }
 """What each ablation takes away."""
+PAGE_FILES = ("blind.md", "blind-confusion.png", "blind-calibration.png")
+"""What `write_page` writes into its folder."""
 
 
 def write_page(check: CheckResult, folder: Path, ablations: Sequence[CheckResult] = (), others: Sequence[CheckResult] = ()) -> Path:
@@ -134,9 +137,11 @@ def write_page(check: CheckResult, folder: Path, ablations: Sequence[CheckResult
     folder.mkdir(parents=True, exist_ok=True)
     result = together([check, *others])
     outcomes = result["outcomes"]
-    _confusion(outcomes, folder / "blind-confusion.png")
-    _calibration_and_size(outcomes, folder / "blind-calibration.png")
+    page, confusion, calibration = (folder / name for name in PAGE_FILES)
+    _confusion(outcomes, confusion)
+    _calibration_and_size(outcomes, calibration)
     lines = [
+        PAGE_MARK,
         "# The blind check",
         "",
         INTRODUCTION,
@@ -165,7 +170,6 @@ def write_page(check: CheckResult, folder: Path, ablations: Sequence[CheckResult
     lines += ["", OWN_RECORDINGS]
     if ablations:
         lines += ["", "## What each part of the method contributes", "", *_ablation_table(result, ablations)]
-    page = folder / "blind.md"
     write_text(page, "\n".join(lines) + "\n")
     return page
 

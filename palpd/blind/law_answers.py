@@ -196,7 +196,7 @@ def coverage(true: TrueChange, terms: Sequence[Mapping[str, Any]], enriched: Pat
         def change(some: Sequence[Mapping[str, Any]]) -> Floats:
             file, learned = Path(folder) / "cell.yaml", [*cell["learned"][:-1], *([dict(law) | {"terms": list(some)}] if some else [])]
             file.write_text(yaml.safe_dump(cell | {"learned": learned}, sort_keys=False), encoding="utf-8")
-            out = simulate_file(motion, file, Path(folder) / "out.csv", from_commanded=column == 0, overwrite=True)
+            out = simulate_file(motion, file, Path(folder) / "out.csv", from_commanded=column == 0)
             return out.z_m if column == 0 else np.asarray(out.wrench[:, column - 1])
 
         without = change([])

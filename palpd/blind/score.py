@@ -258,7 +258,7 @@ def _closing(motion: SecondMotion, enriched: Path, second: Path) -> tuple[float 
         plain.write_text(yaml.safe_dump(cell | {"effects": {}, "learned": []}, sort_keys=False), encoding="utf-8")
         residuals: list[float] = []
         for file in (enriched, plain):
-            simulated = simulate_file(second, file, out, from_commanded=channel == "z_m", overwrite=True)
+            simulated = simulate_file(second, file, out, from_commanded=channel == "z_m")
             residuals.append(float(np.mean((_column(simulated, channel) - true) ** 2)))
     after, before = residuals
     floor = floors[channel] ** 2

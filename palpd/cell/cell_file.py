@@ -14,7 +14,7 @@ from palpd.cell.effects.drivers import StrictBlock
 from palpd.cell.effects.learned import LearnedEffect, in_yaml
 from palpd.errors import ConfigError
 from palpd.file_versions import NEWEST_FILE, newer, refuse_renamed
-from palpd.files import Document, nearest, read_yaml, refusal, write_text
+from palpd.files import Document, nearest, read_yaml, refusal, write_yaml
 
 T = TypeVar("T", bound="StrictBlock")
 
@@ -426,7 +426,7 @@ def save_cell(path: str | Path, cell: CellFile) -> None:
     """Write a cell file that `load_cell` reads back equal.
 
     Args:
-        path: File to write; one that exists is replaced.
+        path: File to write.
         cell: Cell to write.
 
     Raises:
@@ -438,7 +438,7 @@ def save_cell(path: str | Path, cell: CellFile) -> None:
     for key in ("estimated", "uncertainty", "wall", "sites", "learned"):
         if not content[key]:
             del content[key]
-    write_text(Path(path), in_yaml(content))
+    write_yaml(Path(path), in_yaml(content))
 
 
 def _cell_of(document: Document, library: Mapping[str, Effect]) -> CellFile:

@@ -16,7 +16,9 @@ from palpd.cli.curve_options import (
     TimeColumn,
 )
 from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, HereOption, JsonOption, app, display, finish, terminal
-from palpd.files import check_writable, with_ending, write_json
+from palpd.cli.output_options import Output
+from palpd.file_kinds import CSV, MODEL, PICTURE
+from palpd.files import check_writable, write_json
 
 if TYPE_CHECKING:
     from palpd.analysis.curves import CurveResult
@@ -56,7 +58,6 @@ def analyse(
     """Young's modulus with its interval, from a recording of ours or a curve of another machine."""
     from palpd.recording.reader import Recording, holds_ticks
 
-    check_writable(json_file)
     if cell is not None:
         from palpd.analysis.enriched import analysed
         from palpd.cell.cell_file import load_cell
@@ -95,7 +96,9 @@ def analyse(
 @app.command()
 def train(
     runs: Annotated[list[Path], typer.Argument(help="recordings of free motion (.mcap or .csv)")],
-    out: Annotated[Path, typer.Option("--out", help="model to write (.onnx); its card is written beside it (.json)")],
+    out: Annotated[
+        Path, typer.Option("--out", help="model to write (.onnx); its card is written beside it (.json)"), Output(MODEL, beside=(".json",))
+    ],
     config: ConfigOption = DEFAULT_CONFIG,
     method: Annotated[
         str, typer.Option("--method", help="linear (b - m a), network (the paper's 2-10-1), prior-network or bias")
@@ -126,7 +129,9 @@ def train(
 
 @app.command("map")
 def map_(
-    out: Annotated[Path, typer.Option("--out", help="picture to write (.png); the presses are kept beside it (.csv)")] = Path("map.png"),
+    out: Annotated[
+        Path, typer.Option("--out", help="picture to write (.png); the presses are kept beside it (.csv)"), Output(PICTURE)
+    ] = Path("map.png"),
     config: Annotated[
         Path | None, typer.Option("--config", help="press with the robot of this config.yaml; where the arm stands is the field's corner")
     ] = None,
@@ -148,10 +153,12 @@ def map_(
     Without --config, --emulated or --presses the daemon presses a simulated field, faster than real time.
     """
     from palpd.analysis import stiffness_map as mapping
+    from palpd.analysis.figure_style import refuse_format
     from palpd.daemon.stiffness_survey import Mapped, figures_of, mapped
 
     where = mapping.Field(width_m=width_m, height_m=height_m, inclusion_m=inclusion_m, depth_m=depth_m)
-    check_writable(json_file, out, None if presses else with_ending(out, ".csv"))
+    refuse_format(out)
+    check_writable(None if presses else out.with_suffix(".csv"), kind=CSV)
     if presses is not None:
         mapping.refuse_two_sources(presses, config, emulated)
         pressed = Mapped(mapping.read_presses(presses, where))

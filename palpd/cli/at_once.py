@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 WATCH_EVERY_S = 0.5
 """Pause between two questions of `palpd status --watch`: what a person can read."""
 DEFAULT_CONFIG = Path("config.yaml")
-OPTIONS = {"abort": ("--config", "--socket"), "status": ("--config", "--socket", "--json")}
+OPTIONS = {"abort": ("--config", "--socket"), "status": ("--config", "--socket")}
 """Options of the commands that are carried out at once, each with a value."""
 
 
@@ -47,7 +47,7 @@ def done_at_once(arguments: Sequence[str]) -> bool:
     if command == "abort":
         abort(config, options.get("--socket"))
     else:
-        status(config, options.get("--socket"), options.get("--json"))
+        status(config, options.get("--socket"), None)
     return True
 
 

@@ -28,8 +28,14 @@ from palpd.cli.options import (
     shown_steps,
     terminal,
 )
+from palpd.cli.output_options import FOLDER, OWN_FOLDER, RESUMED, Output
 from palpd.errors import BadInput, RecordingError
-from palpd.files import check_folder, check_writable, write_json
+from palpd.file_kinds import CSV, HTML, JSON, YAML
+from palpd.files import check_writable, write_json
+
+DiagnosisOption = Annotated[
+    Path | None, typer.Option("--json", help="write the figures to this file too"), Output(JSON, beside=(".next.csv", ".learned.yaml"))
+]
 
 
 @app.command()
@@ -44,9 +50,9 @@ def diagnose(
         ),
     ] = None,
     site: SiteOption = None,
-    json_file: JsonOption = None,
-    cell_out: Annotated[Path | None, typer.Option("--cell-out", help="write the cell with what was found")] = None,
-    report: Annotated[Path | None, typer.Option("--report", help="write a report (.html)")] = None,
+    json_file: DiagnosisOption = None,
+    cell_out: Annotated[Path | None, typer.Option("--cell-out", help="write the cell with what was found"), Output(YAML)] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="write a report (.html)"), Output(HTML)] = None,
     simulated: Annotated[
         list[Path] | None,
         typer.Option(
@@ -66,7 +72,6 @@ def diagnose(
     from palpd.gap.commands import diagnose_files
     from palpd.gap.report import write as write_report
 
-    check_writable(json_file, cell_out, report)
     _refuse_foreign(recordings)
     say_broken_effects()
     if len(recordings) == 1 and recordings[0].is_dir():
@@ -159,7 +164,9 @@ def resolve(
     here: HereOption = False,
     effects: EffectsOption = None,
     adopted: AdoptedOption = True,
-    folder: Annotated[Path | None, typer.Option("--out", help="where everything is kept (default: runs/resolve-<time>)")] = None,
+    folder: Annotated[
+        Path | None, typer.Option("--out", help="where everything is kept (default: runs/resolve-<time>)"), Output(OWN_FOLDER)
+    ] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Diagnose a running cell, propose the motion that decides what is open, run it within the guard, until nothing more is gained."""
@@ -177,8 +184,6 @@ def resolve(
     say_broken_effects()
     settings = load_config(config)
     first_plan = load_plan(plan) if plan else loop.STANDARD
-    check_writable(json_file)
-    check_folder(folder)
 
     def agree(question: str) -> bool:
         return yes or typer.confirm(question)
@@ -225,7 +230,7 @@ def resolve(
 def simulate(
     motion: Annotated[Path, typer.Argument(help="t_s and z_m or z_cmd_m (.csv)")],
     cell: CellOption,
-    csv: Annotated[Path, typer.Option("--csv", help="recording to write")],
+    csv: Annotated[Path, typer.Option("--csv", help="recording to write"), Output(CSV)],
     source: Annotated[Literal["measured", "commanded"], typer.Option("--from", help="what drives it where both are there")] = "measured",
     noise: Annotated[int | None, typer.Option("--noise", help="seed: add noise and rounding")] = None,
     simulated: Annotated[
@@ -240,7 +245,6 @@ def simulate(
     from palpd.gap.commands import simulate_file
 
     say_broken_effects()
-    check_writable(csv, overwrite=False)
     samples = simulate_file(
         motion,
         cell,
@@ -260,7 +264,7 @@ def simulate(
 def export_sim(
     cell: Annotated[Path, typer.Argument(help="cell.yaml, enriched or not")],
     to: Annotated[Literal["mujoco", "fmu"], typer.Option("--to", help="the simulator (both need palpd[sim])")],
-    out: Annotated[Path, typer.Option("--out", help="folder to write; it must not exist, or be empty")],
+    out: Annotated[Path, typer.Option("--out", help="folder to write"), Output(OWN_FOLDER)],
     randomise: Annotated[
         int | None,
         typer.Option("--randomise", help="draw this many cells from what the diagnosis left open, too"),
@@ -301,7 +305,6 @@ def tolerances(
 
     from palpd.gap.commands import tolerances_of
 
-    check_writable(json_file)
     blocks = tolerances_of(recordings, cell)
     terminal().print(yaml.safe_dump(blocks, sort_keys=False))
     write_json(json_file, blocks)
@@ -329,7 +332,6 @@ def effects_(
     from palpd.gap.commands import effects_named, library
     from palpd.gap.similar_effects import similar_effects
 
-    check_writable(json_file)
     if sum(asked is not None for asked in (adopt, remove, names or None)) > 1 or (name is not None and adopt is None):
         raise BadInput("--adopt, --remove and effects to compare exclude each other, and --name belongs to --adopt; give one of them")
     folder = user_folder()
@@ -378,9 +380,13 @@ def blind(
         int, typer.Option("--coarse", min=0, help="further cells of each source with steps of 1 to 8 times the noise, 2 of 3 healthy")
     ] = 0,
     json_file: JsonOption = None,
-    docs: Annotated[Path | None, typer.Option("--docs", help="write the table and its figures into this folder")] = None,
-    keep: Annotated[Path | None, typer.Option("--keep", help="keep recordings, answers and truths in this new folder")] = None,
-    resume: Annotated[Path | None, typer.Option("--resume", help="save each scored batch here and continue after the last")] = None,
+    docs: Annotated[Path | None, typer.Option("--docs", help="write the table and its figures into this folder"), Output(FOLDER)] = None,
+    keep: Annotated[
+        Path | None, typer.Option("--keep", help="keep recordings, answers and truths in this new folder"), Output(FOLDER)
+    ] = None,
+    resume: Annotated[
+        Path | None, typer.Option("--resume", help="save each scored batch here and continue after the last"), Output(RESUMED)
+    ] = None,
     ablation: Annotated[
         str | None, typer.Option("--ablation", help="take a part away: 'no tolerances', 'no press scatter', 'white noise' or 'fz only'")
     ] = None,
@@ -394,12 +400,12 @@ def blind(
     """Judge the diagnosis on cells whose truth is sealed: drawn by other physics, diagnosed in another process, then scored."""
     from palpd.blind.check import run
     from palpd.blind.comparison import ablation_named, load_ablations, load_other_sources
-    from palpd.blind.figures import write_page
+    from palpd.blind.figures import PAGE_FILES, write_page
     from palpd.blind.score import tables_as_markdown
     from palpd.blind.sources import Hosts, sources_named
 
-    check_writable(json_file, resume)
-    check_folder(docs, keep)
+    if docs is not None:
+        check_writable(*(docs / name for name in PAGE_FILES if docs.is_dir()))
     if advice:
         _blind_advice(cases, seed, jobs, json_file)
         return

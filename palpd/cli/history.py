@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, ProgressOption, app, shown_steps, terminal
+from palpd.cli.output_options import Output
 from palpd.errors import BadInput
+from palpd.file_kinds import COURSE, HTML, PICTURE
 from palpd.files import check_writable, write_json
 
 if TYPE_CHECKING:
@@ -46,7 +48,6 @@ def runs(
     from palpd.history.catalogue import Catalogue, RunFilter
     from palpd.history.dates import day_begin_s, day_end_s
 
-    check_writable(json_file)
     place = _folder(folder, config)
     if chosen or tag or untag or note:
         _remark(chosen or [], tag or [], untag or [], note, place)
@@ -74,7 +75,7 @@ def runs(
 def info(
     run: RunArgument,
     course: Annotated[
-        Path | None, typer.Option("--course", help="write force and height over time too, thinned, as an array (.npy)")
+        Path | None, typer.Option("--course", help="write force and height over time too, thinned, as an array (.npy)"), Output(COURSE)
     ] = None,
     folder: FolderOption = None,
     config: ConfigOption = DEFAULT_CONFIG,
@@ -88,7 +89,6 @@ def info(
     from palpd.history.report import fault_sentences, headline, mood, report_conditions
     from palpd.history.stored import recording_meant
 
-    check_writable(json_file, course)
     path = recording_meant(run, _folder(folder, config))
     recording, facts = load(path)
     if course is not None:
@@ -115,9 +115,11 @@ def info(
 def report(
     run: RunArgument,
     beside: Annotated[str | None, typer.Option("--beside", metavar="OTHER", help="a run to compare it with: path, name, or: last")] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="page to write (default: RUN.report.html beside the recording)")] = None,
-    pdf: Annotated[Path | None, typer.Option("--pdf", help="write one printed page too (.pdf)")] = None,
-    png: Annotated[Path | None, typer.Option("--png", help="write the same as a picture (.png)")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="page to write (default: RUN.report.html beside the recording)"), Output(HTML)
+    ] = None,
+    pdf: Annotated[Path | None, typer.Option("--pdf", help="write one printed page too (.pdf)"), Output(PICTURE)] = None,
+    png: Annotated[Path | None, typer.Option("--png", help="write the same as a picture (.png)"), Output(PICTURE)] = None,
     folder: FolderOption = None,
     config: ConfigOption = DEFAULT_CONFIG,
 ) -> None:
@@ -131,7 +133,8 @@ def report(
     page = out or (report_path(path) if other is None else comparison_path(path, other))
     for sheet, ending in ((pdf, ".pdf"), (png, ".png")):
         refuse_ending(sheet, ending)
-    check_writable(page, pdf, png)
+    if out is None:
+        check_writable(page, kind=HTML)
     content = report_of(path, other, site_history(path, place))
     write_report(page, content)
     for file in filter(None, (pdf, png)):

@@ -11,7 +11,7 @@ from palpd.config import Config
 from palpd.daemon.job_client import carried_out_by_service, service_at
 from palpd.daemon.programs import ProgramEnd, program_named
 from palpd.errors import BadInput
-from palpd.files import writing
+from palpd.files import copy_file
 
 
 def carried_out(
@@ -64,10 +64,9 @@ def fetch(kept: str | None, target: Path) -> Path | None:
         return Path(kept) if kept is not None else None
     try:
         if Path(kept).is_dir():
-            shutil.copytree(kept, target, dirs_exist_ok=True)
+            shutil.copytree(kept, target, copy_function=lambda source, copy: copy_file(Path(source), Path(copy)), dirs_exist_ok=True)
         else:
-            with Path(kept).open("rb") as recording, writing(target, overwrite=False) as copy:
-                shutil.copyfileobj(recording, copy)
-    except (OSError, shutil.Error) as error:
+            copy_file(Path(kept), target)
+    except (OSError, shutil.Error, BadInput) as error:
         raise BadInput(f"{kept} is complete, but cannot be copied to {target} ({error}); copy it as a user who may") from error
     return target

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from palpd.cli.at_once import DEFAULT_CONFIG
+from palpd.cli.output_options import Application, Output
 from palpd.errors import BadInput
+from palpd.file_kinds import JSON
 from palpd.files import check_folder
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from palpd.config import Config
     from palpd.control.plan_place import Choice
 
-app = typer.Typer(
+app = Application(
     help="Press soft tissue with a UR5 and a HEX-70, say how stiff it is, and why a cell does not behave like its simulation.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -45,7 +47,7 @@ def _options_before_a_command(
 
 ConfigOption = Annotated[Path, typer.Option("--config", help="config.yaml of the cell")]
 PlanOption = Annotated[Path, typer.Option("--plan", help="plan.yaml: where, how deep, how often")]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="write the figures to this file too")]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="write the figures to this file too"), Output(JSON)]
 SocketOption = Annotated[Path | None, typer.Option("--socket", help="control socket of the daemon (default: the one of --config)")]
 CellOption = Annotated[Path, typer.Option("--cell", help="cell.yaml: what the simulator believes of the cell")]
 EffectsOption = Annotated[

@@ -13,8 +13,10 @@ from palpd.cli.curve_options import (
     HeightDownPositive,
 )
 from palpd.cli.options import JsonOption, SiteOption, app, terminal
+from palpd.cli.output_options import Output
 from palpd.errors import BadInput
-from palpd.files import check_writable, write_json, write_text
+from palpd.file_kinds import CSV, PARQUET, YAML
+from palpd.files import write_json, write_yaml
 
 
 @app.command()
@@ -30,7 +32,6 @@ def replay(
     from palpd.recording.reader import Recording, holds_ticks
     from palpd.recording.samples import read
 
-    check_writable(json_file)
     show = terminal().print
     if holds_ticks(recording):
         replayed = again(Recording.load(recording), load_config(config) if config else None)
@@ -50,9 +51,11 @@ def replay(
 @app.command()
 def export(
     recording: Annotated[Path, typer.Argument(help="a recording (.mcap)")],
-    csv: Annotated[Path | None, typer.Option("--csv", help="file to write, one row a sensor sample")] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", help="file to write, one row a sensor sample"), Output(CSV)] = None,
     parquet: Annotated[
-        Path | None, typer.Option("--parquet", help="the same columns as Parquet, with the recording's header; ends in .parquet")
+        Path | None,
+        typer.Option("--parquet", help="the same columns as Parquet, with the recording's header; ends in .parquet"),
+        Output(PARQUET),
     ] = None,
     site: Annotated[str | None, typer.Option("--site", help="this site only")] = None,
 ) -> None:
@@ -68,7 +71,6 @@ def export(
         raise BadInput(f"--parquet is {parquet}, expected a name that ends in .parquet, by which palpd reads it; rename it")
     if csv is not None and is_parquet(csv):
         raise BadInput(f"--csv is {csv}, which is a name of a Parquet file; give it to --parquet, or rename it")
-    check_writable(*files, overwrite=False)
     whole = Recording.load(recording)
     for file in files:
         samples = write(whole, file, site)
@@ -89,7 +91,9 @@ def import_(
     files: Annotated[
         list[Path], typer.Argument(help="a table, bag, TDMS, MATLAB or AFM file; or two, one with the motion and one with the force")
     ],
-    csv: Annotated[Path | None, typer.Option("--csv", help="recording to write; without it, what the files hold is listed")] = None,
+    csv: Annotated[
+        Path | None, typer.Option("--csv", help="recording to write; without it, what the files hold is listed"), Output(CSV)
+    ] = None,
     force_column: ForceColumn = None,
     force_unit: Annotated[
         Literal["N", "mN", "uN", "nN", "pN", "kN", "kip", "lbf", "gf", "kgf", "V", "mV"] | None,
@@ -136,7 +140,6 @@ def import_(
             for channel in source.channels:
                 show(f"  {channel}", highlight=False, markup=False)
         return
-    check_writable(csv, overwrite=False)
     options = ImportOptions(
         force_column=force_column,
         depth_column=depth_column,
@@ -169,7 +172,7 @@ def import_(
 @app.command("cell-from")
 def cell_from(
     recordings: Annotated[list[Path], typer.Argument(help="recordings of one cell (.csv, .parquet, .mcap)")],
-    out: Annotated[Path, typer.Option("--out", help="cell.yaml to write; every value says where it comes from")],
+    out: Annotated[Path, typer.Option("--out", help="cell.yaml to write; every value says where it comes from"), Output(YAML)],
     tip_radius_m: Annotated[float | None, typer.Option("--tip-radius-m", help="radius of the tip (default: 5 mm, a guess)")] = None,
     site: SiteOption = None,
 ) -> None:
@@ -177,10 +180,9 @@ def cell_from(
     from palpd.gap.commands import read_recording
     from palpd.gap.first_cell import first_cell, written_out
 
-    check_writable(out, overwrite=False)
     names = ", ".join(path.name for path in recordings)
     first = first_cell([read_recording(path, site) for path in recordings], tip_radius_m)
-    write_text(out, written_out(first, names), overwrite=False)
+    write_yaml(out, written_out(first, names))
     for sentence in first.sentences:
         terminal().print(sentence, highlight=False, markup=False)
     terminal().print(f"{out}: read its comments, and correct what you know better.", highlight=False, markup=False)

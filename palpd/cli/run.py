@@ -25,7 +25,8 @@ from palpd.cli.options import (
     stated_address,
     terminal,
 )
-from palpd.files import check_folder, check_writable, with_ending, write_json
+from palpd.cli.output_options import LINK, NEW_RECORDING, OWN_FOLDER, SOCKET, Output
+from palpd.files import check_folder, with_ending, write_json
 
 if TYPE_CHECKING:
     from palpd.daemon.programs import ProgramEnd
@@ -51,7 +52,6 @@ def run(
     from palpd.history.stored import report_path
 
     settings, steps = load_config(config), load_plan(plan)
-    check_writable(json_file)
     check_kept(settings)
     clear_latch(settings)
     report = carry_out(job("palpation", settings, steps, dry, take_reference, place_choice(here, go_back)), devices, display())
@@ -99,7 +99,7 @@ def calibrate(
 
 @app.command("free-motion")
 def free_motion(
-    out: Annotated[Path, typer.Option("--out", help="recording to write (.mcap)")],
+    out: Annotated[Path, typer.Option("--out", help="recording to write (.mcap)"), Output(NEW_RECORDING)],
     config: ConfigOption = DEFAULT_CONFIG,
     take_reference: Annotated[bool, typer.Option("--take-reference", help="take the reference tare now")] = False,
 ) -> None:
@@ -110,11 +110,11 @@ def free_motion(
 
     target = with_ending(out, ".mcap").absolute()
     settings = load_config(config)
-    check_folder(target.parent)
-    if target.parent.is_dir():
-        check_writable(target, overwrite=False)
-    end = carried_out("free-motion", {"take_reference": take_reference}, settings, target)
+    fresh = target.with_name(f"{target.stem}.new.mcap") if target.exists() else target
+    end = carried_out("free-motion", {"take_reference": take_reference}, settings, fresh)
     recording = fetch(end.figures.get("recording"), target)
+    if recording is not None and fresh != target:
+        fresh.unlink(missing_ok=True)
     print_last_ticks(end.figures.get("last_ticks", []))
     terminal().print(f"{end.verdict}: {recording}")
     finish(end.exit_code, end.reason)
@@ -128,7 +128,6 @@ def stiffness(config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = Non
     from palpd.config import load_config
 
     settings = load_config(config)
-    check_writable(json_file)
     end = carried_out("stiffness", {}, settings, settings.paths.state)
     last_ticks = end.figures.pop("last_ticks", [])
     if end.exit_code:
@@ -192,7 +191,9 @@ def demo(
         bool, typer.Option("--wires/--no-wires", help="emulated wires, or the cell's physics alone: faster, without ur-rtde")
     ] = True,
     json_file: JsonOption = None,
-    folder: Annotated[Path | None, typer.Option("--out", help="where recordings, model and report go (default: runs/demo-<time>)")] = None,
+    folder: Annotated[
+        Path | None, typer.Option("--out", help="where recordings, model and report go (default: runs/demo-<time>)"), Output(OWN_FOLDER)
+    ] = None,
     page: Annotated[bool, typer.Option("--page", help="serve the emulated cell and the operator's page, until Ctrl-C")] = False,
 ) -> None:
     """The whole job on emulated wires: calibrate, learn the inertia, palpate four sites, say how stiff each is."""
@@ -208,7 +209,6 @@ def demo(
     if page:
         _serve_demo(folder)
         return
-    check_writable(json_file)
     check_folder(folder or Path("runs"))
     demonstration = show.gap(effect, folder, display(), wires=wires) if effect else show.palpate(full, folder, display(), wires=wires)
     result = demonstration.result
@@ -286,7 +286,6 @@ def sim(
         raise BadInput("--cell and --configured-cell each name the cell to press; give one of them")
     settings, steps = load_config(config), load_plan(plan)
     refuse_unsafe(settings, steps)
-    check_writable(json_file)
     library = load_effects()
     pressed = load_cell(cell, library) if cell else settings.cell if configured else PHANTOM
     with shown_steps("simulating", progress) as show:
@@ -303,8 +302,12 @@ def emulate(
     model: Annotated[Literal["ur5", "ur5e"], typer.Option("--model", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")] = "ur5",
     cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml of what the wires lead to (default: the paper's phantom)")] = None,
     host: Annotated[str, typer.Option("--host", callback=stated_address, help="address the controller listens on")] = "127.0.0.1",
-    sensor_link: Annotated[Path | None, typer.Option("--sensor-link", help="link to make to the sensor's terminal device")] = None,
-    control: Annotated[Path | None, typer.Option("--control", help="unix socket for faults and truth (docs/emulators.md)")] = None,
+    sensor_link: Annotated[
+        Path | None, typer.Option("--sensor-link", help="link to make to the sensor's terminal device"), Output(LINK)
+    ] = None,
+    control: Annotated[
+        Path | None, typer.Option("--control", help="unix socket for faults and truth (docs/emulators.md)"), Output(SOCKET)
+    ] = None,
     effects: Annotated[
         Path | None, typer.Option("--effects", help="effects that the cell file names: a Python file or learned ones (.yaml)")
     ] = None,

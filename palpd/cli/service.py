@@ -20,7 +20,9 @@ from palpd.cli.options import (
     stated_address,
     terminal,
 )
-from palpd.files import check_folder, check_writable, write_json
+from palpd.cli.output_options import FOLDER, SOCKET, Output
+from palpd.file_kinds import JSON, YAML
+from palpd.files import check_folder, check_socket, write_json
 
 if TYPE_CHECKING:
     from palpd.daemon.socket_client import JobSummary
@@ -39,7 +41,7 @@ def serve(config: ConfigOption = DEFAULT_CONFIG) -> None:
 
     settings = load_config(config)
     check_kept(settings)
-    check_folder(settings.paths.control_socket.parent)
+    check_socket(settings.paths.control_socket)
     configure()
     Service(settings, devices).serve()
 
@@ -142,7 +144,6 @@ def clear(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) ->
 @app.command()
 def jobs(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, json_file: JsonOption = None) -> None:
     """List the jobs of the daemon since it began: the running one, and the last ones with how they ended."""
-    check_writable(json_file)
     answer = at_once.speak({"do": "jobs"}, config, socket)
     for each in answer["jobs"]:
         print(at_once.job_line(each))
@@ -161,7 +162,6 @@ def job(
     json_file: JsonOption = None,
 ) -> None:
     """Show a job of the daemon with its log and result; answer its proposed motion, or cancel it."""
-    check_writable(json_file)
     if cancel:
         print(at_once.speak({"do": "cancel", "id": job_id}, config, socket)["state"])
         return
@@ -205,7 +205,9 @@ def stream(
         int | None, typer.Option("--metrics", metavar="PORT", min=1, max=65535, help="serve Prometheus metrics at this port")
     ] = None,
     force: Annotated[
-        Path | None, typer.Option("--force", metavar="SOCKET", help="send the force of each tick to readers of this Unix socket")
+        Path | None,
+        typer.Option("--force", metavar="SOCKET", help="send the force of each tick to readers of this Unix socket"),
+        Output(SOCKET),
     ] = None,
     listen: Annotated[
         str,
@@ -215,7 +217,9 @@ def stream(
             help="address to listen at; 0.0.0.0 for other computers too, which may then read all of it",
         ),
     ] = "127.0.0.1",
-    layout: Annotated[Path | None, typer.Option("--layout", help="write the layout for Foxglove to this file, and end")] = None,
+    layout: Annotated[
+        Path | None, typer.Option("--layout", help="write the layout for Foxglove to this file, and end"), Output(JSON)
+    ] = None,
 ) -> None:
     """Show the daemon's live data to other tools until Ctrl-C: Foxglove, Prometheus, and readers of the force. Reads only."""
     from palpd.config import load_config
@@ -233,12 +237,12 @@ def stream(
 
 @app.command()
 def init(
-    folder: Annotated[Path, typer.Argument(help="where to write both files")] = Path(),
+    folder: Annotated[Path, typer.Argument(help="where to write both files"), Output(FOLDER)] = Path(),
     model: Annotated[Literal["ur5", "ur5e"], typer.Option("--model", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")] = "ur5",
     limit_N: Annotated[float, typer.Option("--limit-N", min=1, max=90, help="contact limit")] = 12.0,
     depths_mm: Annotated[str, typer.Option("--depths-mm", help="depths, such as 4,5,6 (default: what the limit allows on 143 kPa)")] = "",
 ) -> None:
-    """Write a config.yaml and a plan.yaml that fit each other; files that exist are not overwritten."""
+    """Write a config.yaml and a plan.yaml that fit each other."""
     from palpd.daemon.starting_files import write_starting_files
     from palpd.errors import BadInput
 
@@ -256,7 +260,7 @@ def init(
 
 @app.command()
 def install(
-    prefix: Annotated[Path, typer.Option("--prefix", help="folder that stands for / (a package's build root)")] = Path("/"),
+    prefix: Annotated[Path, typer.Option("--prefix", help="folder that stands for / (a package's build root)"), Output(FOLDER)] = Path("/"),
 ) -> None:
     """Put the service's unit, user, device rule and configuration into place; an existing configuration is kept."""
     from palpd.daemon.install import NEXT_STEPS, installed
@@ -282,7 +286,6 @@ def doctor(
     from palpd.daemon.job_client import service_at
     from palpd.daemon.wiring import open_reader, open_sensor
 
-    check_writable(json_file)
     settings = load_config(config if config != DEFAULT_CONFIG or config.exists() else None)
 
     def ask(what: str) -> None:
@@ -305,13 +308,12 @@ def migrate(
     kind: Annotated[
         Literal["config", "cell", "plan"] | None, typer.Option("--kind", help="which of them it is (default: as its keys say)")
     ] = None,
-    old: Annotated[Path | None, typer.Option("--old", help="where the file as it was is kept (default: FILE.old)")] = None,
+    old: Annotated[Path | None, typer.Option("--old", help="where the file as it was is kept (default: FILE.old)"), Output(YAML)] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="show what would change, and write nothing")] = False,
 ) -> None:
     """Rewrite a file of an older palpd; comments and all that need not change stay as they are."""
     from palpd.migration import migration_of, write
 
-    check_writable(old, overwrite=False)
     migration = migration_of(file, kind)
     show = terminal().print
     if not migration.changes:
@@ -338,7 +340,6 @@ def check_config(
     from palpd.daemon.overshoot import predicted
     from palpd.daemon.starting_files import checked
 
-    check_writable(json_file)
     settings, steps = checked(config, plan)
     prediction = predicted(settings, steps)
     for table in overshoot_table(prediction):

@@ -6,12 +6,14 @@ from typing import Annotated
 import typer
 
 from palpd.cli.options import JsonOption, app, terminal
-from palpd.files import check_folder, check_writable, write_json
+from palpd.cli.output_options import FOLDER, Output
+from palpd.file_kinds import HTML, JSON
+from palpd.files import check_writable, write_json
 
 
 @app.command()
 def study(
-    out: Annotated[Path, typer.Option("--out", help="folder for study.html and study.json")] = Path("study"),
+    out: Annotated[Path, typer.Option("--out", help="folder for study.html and study.json"), Output(FOLDER)] = Path("study"),
     seed: Annotated[int, typer.Option("--seed", help="another laboratory: noise, tares, biases")] = 0,
     days: Annotated[int, typer.Option("--days", min=0, help="further days by the same models")] = 20,
     bare: Annotated[list[Path] | None, typer.Option("--bare", help="recording of free motion without the probe (.mcap)")] = None,
@@ -28,13 +30,14 @@ def study(
     from palpd.study.recorded_data import Sources, load_recorded
     from palpd.study.report import figures_of, means, write
 
-    check_writable(json_file)
     sources = Sources(bare or [], free or [], palpation, cell or [])
     if published:
         sources.refuse_any()
         _published_gap(json_file)
         return
-    check_folder(out)
+    if out.is_dir():
+        check_writable(out / "study.html", kind=HTML)
+        check_writable(out / "study.json", kind=JSON)
     if sources:
         result = evaluation.study_of(load_recorded(sources))
     else:

@@ -15,7 +15,8 @@ import sklearn
 from palpd.compensation.cycles import SMOOTHING_S
 from palpd.control.inertial import WINDOW_S, card_path
 from palpd.errors import BadInput
-from palpd.files import check_writable, write_bytes, write_json
+from palpd.file_kinds import JSON, MODEL
+from palpd.files import check_writable, file_use, write_bytes, write_json
 from palpd.recording.samples import Samples
 
 SMOOTHING: dict[str, Any] = {
@@ -121,13 +122,15 @@ def refuse_place(out: Path) -> None:
     """Refuse a place where a model and its card cannot be written, before any work.
 
     Raises:
-        BadInput: The name is not that of a model, or one of both files exists or cannot be written.
+        BadInput: The name is not that of a model, or one of both files cannot be written or may not be replaced.
     """
     if out.suffix != ".onnx":
         raise BadInput(
             f"the model's file is to be {str(out)!r}, expected a name that ends in .onnx; its card is written beside it as .json"
         )
-    check_writable(out, card_path(out), overwrite=False)
+    with file_use():
+        check_writable(out, kind=MODEL)
+        check_writable(card_path(out), kind=JSON)
 
 
 def write_model(out: Path, content: bytes, card: ModelCard) -> None:
@@ -141,5 +144,5 @@ def write_model(out: Path, content: bytes, card: ModelCard) -> None:
     Raises:
         BadInput: A file cannot be written.
     """
-    write_bytes(out, content, overwrite=False)
-    write_json(card_path(out), asdict(card), overwrite=False)
+    write_bytes(out, content)
+    write_json(card_path(out), asdict(card))

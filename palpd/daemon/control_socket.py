@@ -24,7 +24,7 @@ from typing import cast
 import structlog
 
 from palpd.daemon.socket_client import ControlAnswer, ControlRequest
-from palpd.errors import Refused
+from palpd.files import clear_socket
 
 MOST_BYTES = 262_144
 """Largest request: a plan of a thousand sites has 60 kB."""
@@ -95,9 +95,7 @@ class ControlSocket:
         self._clients: dict[int, _Client] = {}
         self._watchers: dict[int, socket.socket] = {}
         path.parent.mkdir(parents=True, exist_ok=True)
-        if _is_alive(path):
-            raise Refused(f"another palpd already serves {path}; stop it first, or set paths.socket")
-        path.unlink(missing_ok=True)
+        clear_socket(path)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         mask = os.umask(0o117)  # never open wider, not even for the moment between bind and chmod
         try:
@@ -281,13 +279,3 @@ def _taken(connection: socket.socket, line: bytes) -> bool:
         return connection.send(line) == len(line)
     except OSError:
         return False
-
-
-def _is_alive(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.settimeout(0.5)
-        try:
-            probe.connect(str(path))
-        except OSError:
-            return False
-        return True

@@ -26,7 +26,7 @@ from palpd.daemon.session import ForegroundHost, calibrate, carry_out, job, kept
 from palpd.daemon.simulated_run import run as simulate
 from palpd.daemon.wiring import devices, emulated
 from palpd.errors import BadInput
-from palpd.files import write_text
+from palpd.files import write_yaml
 from palpd.gap.commands import diagnose_files
 from palpd.gap.other_motion import check_on
 from palpd.gap.report import write as write_report
@@ -248,7 +248,7 @@ def service_on_wires(folder: Path | None, display: Display) -> Iterator[Path]:
     with cell_on_wires(PHANTOM.with_effects({"sensor.bias": {"offset_N": BIAS_N}}), folder) as config:
         stated = config.model_dump(mode="json", exclude_unset=True) | {"paths": {"runs": ".", "state": "state"}}
         for name, values in (("config.yaml", stated), ("plan.yaml", SHORT.model_dump(mode="json", exclude_unset=True))):
-            write_text(folder / name, yaml.safe_dump(values, sort_keys=False))
+            write_yaml(folder / name, yaml.safe_dump(values, sort_keys=False))
         display.say("reference tare")
         calibrate(ForegroundHost(config, devices, display))
         with (folder / "service.log").open("wb") as log:

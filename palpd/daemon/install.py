@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from palpd.errors import Refused
-from palpd.files import check_folder, shipped, write_text
+from palpd.files import check_folder, shipped, write_yaml
 
 UNITS = ("palpd.service", "palpd-web.service", "palpd-stream.service")
 UNIT_PYTHON = "/opt/palpd/.venv/bin/python"
@@ -58,7 +58,7 @@ def installed(prefix: Path) -> list[Path]:
             continue
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_text(path, text)
+            write_yaml(path, text)
             path.chmod(0o644)
         except OSError as error:
             raise Refused(f"{path} cannot be written ({error.strerror}); run palpd install as root, or give --prefix") from error

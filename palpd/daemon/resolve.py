@@ -18,7 +18,7 @@ from palpd.daemon import simulated_run
 from palpd.daemon.motion_process import Job
 from palpd.daemon.program_host import ProgramHost, ProposedMotion
 from palpd.errors import BadInput
-from palpd.files import write_text
+from palpd.files import write_yaml
 from palpd.gap.commands import write_answer
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.law_search.finding import LawFinding
@@ -208,7 +208,7 @@ def _record(setting: Setting, plan: Plan, number: int) -> tuple[str, Samples | N
 def _written(setting: Setting, plan: Plan, number: int) -> Path:
     """Write a plan to a file that `palpd run` also takes."""
     path = setting.folder / f"plan-{number}.yaml"
-    write_text(path, yaml.safe_dump(plan.model_dump(mode="json", exclude_none=True), sort_keys=False))
+    write_yaml(path, yaml.safe_dump(plan.model_dump(mode="json", exclude_none=True), sort_keys=False))
     return path
 
 

@@ -21,7 +21,8 @@ from palpd.daemon.probe_record import probe_record
 from palpd.daemon.program_host import ProgramHost, ProposedMotion
 from palpd.daemon.stored_state import Calibration, State, Trust, now
 from palpd.daemon.supervisor import JobRun, Report, recording_name, wait
-from palpd.errors import BadInput, Refused, Stopped
+from palpd.errors import Refused, Stopped
+from palpd.files import check_folder
 from palpd.recording.ring import Ring
 
 GONE_S = 0.8
@@ -279,7 +280,7 @@ def kept_in(folder: Path, kind: str | None = None) -> Path:
     """Make the folder that a command keeps its files in.
 
     Args:
-        folder: The folder, which must be empty; with `kind` its parent.
+        folder: The folder, which must be empty unless force is given; with `kind` its parent.
         kind: Name of the command: the folder is then called so, with the time.
 
     Returns:
@@ -289,7 +290,6 @@ def kept_in(folder: Path, kind: str | None = None) -> Path:
         BadInput: The folder is not empty.
     """
     folder = folder / f"{kind}-{datetime.now():%Y%m%d-%H%M%S}" if kind else folder
-    if folder.is_dir() and any(folder.iterdir()):
-        raise BadInput(f"{folder} is not empty; nothing is overwritten, so give another folder")
+    check_folder(folder, empty=True)
     folder.mkdir(parents=True, exist_ok=True)
     return folder.resolve()

@@ -1,7 +1,6 @@
 """`palpd init`: a config.yaml and a plan.yaml that fit each other, made from those that come with palpd."""
 
 import math
-import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +9,8 @@ from palpd.config import Config, Plan, load_config, load_plan, parse_config, par
 from palpd.control.sequence import SOFT_END
 from palpd.daemon.overshoot import refuse_overload
 from palpd.errors import BadInput, ConfigError
-from palpd.files import check_folder, parse_yaml, shipped, write_text
+from palpd.file_kinds import YAML
+from palpd.files import check_folder, check_writable, parse_yaml, shipped, write_yaml
 
 HARDEST_PA = 143_200.0
 """Modulus that depths and limit are fitted to: the hardest site of the paper's phantom."""
@@ -58,9 +58,8 @@ def write_starting_files(folder: Path, model: str, limit_N: float, depths_m: Seq
     """
     files = folder / "config.yaml", folder / "plan.yaml"
     check_folder(folder)
-    for file in files:
-        if os.path.lexists(file):
-            raise BadInput(f"{file} exists and is not overwritten; give another folder")
+    if folder.is_dir():
+        check_writable(*files, kind=YAML)
     tip_radius_m = Config().cell.probe.tip_radius_m
     deepest_m = STEP_M * math.floor((SOFT_END**2 * limit_N / (_stiffness(tip_radius_m))) ** (2 / 3) / STEP_M)
     chosen_m = tuple(depths_m) or tuple(STEP_M * math.floor(deepest_m * share / 6 / STEP_M + 1e-9) for share in (4, 5, 6))
@@ -93,7 +92,7 @@ def write_starting_files(folder: Path, model: str, limit_N: float, depths_m: Seq
     except OSError as failure:
         raise BadInput(f"{folder} cannot be made ({failure.strerror or failure}); give another folder") from failure
     for file, text in zip(files, (config_text, plan_text), strict=True):
-        write_text(file, text, overwrite=False)
+        write_yaml(file, text)
     return files
 
 

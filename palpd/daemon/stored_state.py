@@ -135,7 +135,7 @@ class State:
         path = self.folder / f"{name}.json"
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_json(path, asdict(thing))
+            write_json(path, asdict(thing), own=True)
         except OSError as error:
             raise Refused(f"{path} cannot be written ({error.strerror}); make room there, or run as the service's user") from error
         except BadInput as error:

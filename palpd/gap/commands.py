@@ -222,7 +222,6 @@ def simulate_file(
     noise_seed: int | None = None,
     effects: Path | None = None,
     adopted: Path | None = None,
-    overwrite: bool = False,
     say: Callable[[str], None] = lambda _: None,
     simulated: Path | None = None,
     nominal: Path | None = None,
@@ -237,7 +236,6 @@ def simulate_file(
         noise_seed: Seed of noise and rounding; neither without one.
         effects: A file with user effects (.py) or learned ones (.yaml).
         adopted: The folder of a user's adopted effects, which the cell file may name.
-        overwrite: Whether to replace an existing file.
         say: Is called with a sentence for every learned effect that leaves what it knows.
         simulated: The output of a user's own simulator for that motion, to which what the cell has beyond the nominal one is added.
         nominal: The file of that nominal cell.
@@ -262,7 +260,7 @@ def simulate_file(
     for name, share in share_outside(enriched, columns["t_s"], **_drive(columns, measured), library=known).items():
         if share > 0.0:
             say(held_sentence(name, share))
-    write_csv(csv_out, samples, overwrite=overwrite)
+    write_csv(csv_out, samples)
     return samples
 
 

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palpd.errors import BadInput
 from palpd.files import Document, read_json, refusal, write_json
-from palpd.history.stored import REMARKS, beside
+from palpd.history.stored import RECORDING, REMARKS, beside
 
 TAG = re.compile(r"[^\W_][\w.+-]{0,39}")
 """A tag is one word: it stands on a command line and in a list with commas."""
@@ -96,9 +96,11 @@ def remark(recording: Path, date: str, tags: Sequence[str] = (), untag: Sequence
         The remarks as they are then.
 
     Raises:
-        BadInput: A tag is no word, a note is too long, the run has no such tag, or the file cannot be read or written.
+        BadInput: It is no recording, a tag is no word, a note is too long, the run has no such tag, or the file cannot be read or written.
     """
     refuse_remarks(tags, untag, note)
+    if recording.suffix not in (RECORDING, ".part"):
+        raise BadInput(f"{recording} is no recording (.mcap), and only runs have tags and notes; palpd runs lists them")
     note = note.strip()
     with _alone(recording):
         before = remarks_of(recording)
@@ -112,7 +114,7 @@ def remark(recording: Path, date: str, tags: Sequence[str] = (), untag: Sequence
             notes=(*before.notes, Note(date=date, text=note)) if note else before.notes,
         )
         if after != before:
-            write_json(beside(recording, REMARKS), after.model_dump(mode="json"))
+            write_json(beside(recording, REMARKS), after.model_dump(mode="json"), own=True)
     return after
 
 

@@ -107,14 +107,13 @@ def columns_given(assignments: Sequence[str]) -> dict[str, str]:
     return columns
 
 
-def import_files(paths: Sequence[Path], options: ImportOptions, csv_out: Path, *, overwrite: bool = False) -> Imported:
+def import_files(paths: Sequence[Path], options: ImportOptions, csv_out: Path) -> Imported:
     """Write foreign files as one recording.
 
     Args:
         paths: One file, or one with the motion and one with the force.
         options: What the user says of them.
         csv_out: Recording to write.
-        overwrite: Whether an existing file may be replaced.
 
     Returns:
         The recording and notes about it.
@@ -124,7 +123,7 @@ def import_files(paths: Sequence[Path], options: ImportOptions, csv_out: Path, *
         BadInput: The options do not fit the files, or a unit is not confirmed.
     """
     imported = read_files(paths, options)
-    write_csv(csv_out, imported.samples, overwrite=overwrite)
+    write_csv(csv_out, imported.samples)
     return imported
 
 

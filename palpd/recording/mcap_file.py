@@ -30,6 +30,7 @@ from zstandard import ZstdError
 
 from palpd.errors import RecordingError
 from palpd.file_versions import NEWEST_RECORDING, newer
+from palpd.files import read_by_others
 from palpd.recording import cdr
 from palpd.recording.topics import SCHEMAS, TICK_TOPIC, TOPICS, Rows, TopicMessages
 
@@ -278,6 +279,7 @@ class Contents:
         Raises:
             RecordingError: the file cannot be read, or is no MCAP file.
         """
+        read_by_others(path)
         try:
             stream = path.open("rb")
         except OSError as error:

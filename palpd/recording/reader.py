@@ -222,7 +222,7 @@ def visited_sites(recording: Recording) -> list[str]:
     return [recording.site_name(number) for number in np.unique(recording.rows["site"]).tolist() if number >= 0]
 
 
-def export(recording: Recording, path: Path, site: str | None = None, *, overwrite: bool = False) -> Samples:
+def export(recording: Recording, path: Path, site: str | None = None) -> Samples:
     """Write the samples of a recording as CSV, or as Parquet by the ending of the file; Parquet holds header and footer as JSON besides.
 
     Args:
@@ -230,14 +230,13 @@ def export(recording: Recording, path: Path, site: str | None = None, *, overwri
         path: file to write.
         site: name of the only site to use, which a column says. None uses all; where there are several, columns say site, phase, mode and
             place of each row.
-        overwrite: replace an existing file.
 
     Returns:
         The samples that were written.
 
     Raises:
         RecordingError: as `samples_of`.
-        BadInput: the file exists, or Parquet was asked for and pyarrow is not installed.
+        BadInput: the file cannot be written, another stands there, or Parquet was asked for and pyarrow is not installed.
     """
     visited = visited_sites(recording)
     if site is None and len(visited) == 1:
@@ -247,9 +246,9 @@ def export(recording: Recording, path: Path, site: str | None = None, *, overwri
     extra = named if len(visited) < 2 or site else _places(recording, rows, row_of)
     if is_parquet(path):
         metadata = {HEADER: json.dumps(recording.header), FOOTER: json.dumps(recording.footer)}
-        write_parquet(path, samples, overwrite=overwrite, extra=extra, metadata=metadata)
+        write_parquet(path, samples, extra=extra, metadata=metadata)
     else:
-        write_csv(path, samples, overwrite=overwrite, extra=extra)
+        write_csv(path, samples, extra=extra)
     return samples
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpd.errors import BadInput, RecordingError
+from palpd.file_kinds import MADE_BY
 from palpd.files import opened, opened_text, writing, writing_text
 from palpd.recording.tables import Layout, cells_of, is_comment, read_layout, with_points
 from palpd.tick import Floats
@@ -200,7 +201,6 @@ def write_parquet(
     path: Path,
     samples: Samples,
     *,
-    overwrite: bool = False,
     extra: Mapping[str, Sequence[str | float]] = MappingProxyType({}),
     metadata: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
@@ -209,20 +209,19 @@ def write_parquet(
     Args:
         path: File to write.
         samples: The recording, n samples.
-        overwrite: Replace an existing file.
         extra: Further columns (n,) by their names.
         metadata: Texts that the file holds besides, by their names.
 
     Raises:
-        BadInput: The file exists, or pyarrow is not installed.
+        BadInput: The file cannot be written, another stands there, or pyarrow is not installed.
     """
     try:
         import pyarrow
         from pyarrow import parquet
     except ImportError:
         raise BadInput(f"{path.name} would be Parquet and pyarrow is not installed: install palpd[parquet] or write a CSV") from None
-    table = pyarrow.table({**_columns_of(samples), **extra}).replace_schema_metadata(dict(metadata))
-    with writing(path, overwrite=overwrite) as stream:
+    table = pyarrow.table({**_columns_of(samples), **extra}).replace_schema_metadata({**metadata, **MADE_BY})
+    with writing(path) as stream:
         parquet.write_table(table, stream)
 
 
@@ -233,31 +232,28 @@ def _columns_of(samples: Samples) -> dict[str, Floats]:
     return {"t_s": samples.t_s, **commanded, "z_m": samples.z_m, "vz_m_per_s": samples.vz_m_per_s, **wrench}
 
 
-def write_csv(
-    path: Path, samples: Samples, *, overwrite: bool = False, extra: Mapping[str, Sequence[str | float]] = MappingProxyType({})
-) -> None:
+def write_csv(path: Path, samples: Samples, *, extra: Mapping[str, Sequence[str | float]] = MappingProxyType({})) -> None:
     """Write a recording as CSV; reading it gives the same numbers to the last bit.
 
     Args:
         path: file to write.
         samples: the recording, n samples.
-        overwrite: replace an existing file.
         extra: further columns (n,) by their names.
 
     Raises:
-        BadInput: the file exists.
+        BadInput: the file cannot be written, or another stands there.
     """
     columns = _columns_of(samples)
     header = [*columns, *extra]
     if len(samples) >= MANY_ROWS and (write_table := _fast_writer()) is not None:
-        with writing(path, overwrite=overwrite) as stream:
+        with writing(path) as stream:
             stream.write((",".join(header) + "\n").encode())
             write_table([*columns.values(), *extra.values()], stream)
         return
     table: list[list[str | float]] = np.column_stack(list(columns.values())).tolist()
     for row, *values in zip(table, *extra.values(), strict=True):
         row += values
-    with writing_text(path, overwrite=overwrite) as file:
+    with writing_text(path) as file:
         file.write(",".join(header) + "\n")
         file.writelines(",".join(map(str, row)) + "\n" for row in table)
 

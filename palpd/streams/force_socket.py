@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palpd.errors import Refused
+from palpd.files import clear_socket
 from palpd.recording.ring import Rows
 from palpd.recording.topics import compensated
 
@@ -53,7 +54,7 @@ class ForceSocket:
         self._readers: list[socket.socket] = []
         self._sensor_s = float("nan")
         self._wrench: list[float] = [float("nan")] * 6
-        _refuse_taken(path)
+        clear_socket(path)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         mask = os.umask(0o117)  # never open wider, not even for the moment between bind and chmod
         try:
@@ -135,21 +136,3 @@ def _is_gone(reader: socket.socket) -> bool:
         return False
     except OSError:
         return True
-
-
-def _refuse_taken(path: Path) -> None:
-    """Remove a socket that nobody serves; refuse one that somebody does, and any other file."""
-    if not path.exists():
-        return
-    if not path.is_socket():
-        raise Refused(f"{path} exists and is no socket; name another place")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
-        probe.setblocking(False)
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            path.unlink(missing_ok=True)
-            return
-        except OSError:  # another type of socket, or one that is full
-            pass
-    raise Refused(f"another program serves {path}; stop it first, or name another socket")

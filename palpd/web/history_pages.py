@@ -11,7 +11,7 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 
 from palpd.errors import BadInput
-from palpd.files import opened, write_bytes
+from palpd.files import copy_file
 from palpd.history.stored import DIAGNOSIS, beside, report_path
 from palpd.web import looking_back, shell
 from palpd.web.answers import answering, body_of, number_in, text_in
@@ -90,7 +90,7 @@ class HistoryPages:
         child.refuse_unless_done()
         site = child.key[-1]
         target = beside(recording, f"{f'.{site}' if site else ''}{DIAGNOSIS}")
-        await run_in_threadpool(_copy, child.folder / "out.json", target)
+        await run_in_threadpool(copy_file, child.folder / "out.json", target)
         return {"kept": str(target)}
 
     async def remark(self, request: Request) -> Mapping[str, Any]:
@@ -153,8 +153,3 @@ def _is_current(recording: Path) -> bool:
         return report_path(recording).stat().st_mtime_ns >= recording.stat().st_mtime_ns
     except OSError:
         return False
-
-
-def _copy(source: Path, target: Path) -> None:
-    with opened(source) as stream:
-        write_bytes(target, stream.read())

@@ -80,6 +80,8 @@ def read_token(path: Path) -> str:
     try:
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except FileExistsError:
+        if not path.is_file():
+            raise BadInput(f"{path} is no regular file, expected one that holds the token; name another place with --token-file") from None
         mode = stat.S_IMODE(path.stat().st_mode)
         if mode & 0o077:
             raise BadInput(f"{path} has mode {mode:o}, expected 600, since it opens the page; run chmod 600 {path}") from None

@@ -368,8 +368,8 @@ def test_what_is_not_spelled_plainly_is_left_to_the_whole_command_line(monkeypat
 
 def test_a_status_is_written_as_json_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(at_once, "ask", lambda *_: {"ok": True, "state": "armed", "latched": None})
-    assert at_once.done_at_once(["status", "--socket", "/a", "--json", str(tmp_path / "status.json")])
-    assert json.loads((tmp_path / "status.json").read_text()) == {"ok": True, "state": "armed", "latched": None}
+    assert CliRunner().invoke(app, ["status", "--socket", "/a", "--json", str(tmp_path / "status.json")]).exit_code == 0
+    assert json.loads((tmp_path / "status.json").read_text()) == {"made_by": "palpd", "ok": True, "state": "armed", "latched": None}
 
 
 def test_a_status_for_people_says_what_where_and_how_far() -> None:

@@ -153,12 +153,17 @@ def test_different_motions_are_refused_with_the_place(tmp_path: Path) -> None:
         train([free_motion(), free_motion(1, cycles=3, speed_m_per_s=0.016)], tmp_path / "m.onnx", probe_mass_kg=MASS_KG)
 
 
-def test_nothing_is_overwritten(trained: tuple[ModelCard, Path]) -> None:
-    _, out = trained
-    before = out.read_bytes()
-    with pytest.raises(BadInput, match="exists and is not overwritten"):
+def test_a_model_replaces_one_of_palpd_and_nothing_else(trained: tuple[ModelCard, Path], tmp_path: Path) -> None:
+    _, model = trained
+    out, card = tmp_path / "some.onnx", tmp_path / "some.json"
+    out.write_bytes(model.read_bytes())
+    card.write_text("mine")
+    with pytest.raises(BadInput, match=r"some\.json exists and is not overwritten"):
         train([free_motion()], out, probe_mass_kg=MASS_KG)
-    assert out.read_bytes() == before
+    assert (out.read_bytes(), card.read_text()) == (model.read_bytes(), "mine")
+    card.unlink()
+    train([free_motion()], out, probe_mass_kg=MASS_KG)
+    assert card.exists()
 
 
 def test_a_place_where_no_model_can_stand_is_refused_before_the_work(tmp_path: Path) -> None:

@@ -69,3 +69,10 @@ def test_remarks_made_at_the_same_time_are_all_kept(recording: Path) -> None:
     for thread in threads:
         thread.join()
     assert len(json.loads((recording.parent / "run.remarks.json").read_text())["tags"]) == 20
+
+
+def test_a_file_that_is_no_recording_gets_no_remarks(tmp_path: Path) -> None:
+    (tmp_path / "passwd").write_text("root")
+    with pytest.raises(BadInput, match="is no recording"):
+        remark(tmp_path / "passwd", NOW, ["x"])
+    assert [path.name for path in tmp_path.iterdir()] == ["passwd"]

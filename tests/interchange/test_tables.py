@@ -177,7 +177,7 @@ def test_an_imported_curve_is_a_recording_that_is_not_overwritten(tmp_path: Path
     result = analyse_curve(read_curve(out, Mapping()), tip_radius_m=0.005)
     assert result["youngs_modulus_Pa"] == pytest.approx(8e4, rel=1e-3)
     with pytest.raises(BadInput, match="exists and is not overwritten"):
-        import_files([path], options, out)
+        import_files([path], options, path)
 
 
 def test_time_that_runs_backwards_is_refused_with_its_row(tmp_path: Path) -> None:

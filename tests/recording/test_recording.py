@@ -467,15 +467,16 @@ def test_samples_without_a_robot_are_refused(tmp_path: Path) -> None:
         samples_of(Recording.load(write(tmp_path / "run.mcap", rows)))
 
 
-def test_an_export_reads_back_and_is_not_overwritten(tmp_path: Path) -> None:
+def test_an_export_reads_back_and_replaces_an_export_and_nothing_else(tmp_path: Path) -> None:
     recording = Recording.load(write(tmp_path / "run.mcap", palpation()))
     path = tmp_path / "a.csv"
     written = export(recording, path, "A")
     assert read_csv(path).wrench.tobytes() == written.wrench.tobytes()
-    with pytest.raises(BadInput):
-        export(recording, path)
-    export(recording, path, overwrite=True)
+    export(recording, path)
     assert len(read_csv(path)) > len(written)
+    path.write_text("t_s,force\n0,1\n")
+    with pytest.raises(BadInput, match="exists and is not overwritten"):
+        export(recording, path)
 
 
 def test_an_export_of_several_sites_says_where_each_row_belongs(tmp_path: Path) -> None:

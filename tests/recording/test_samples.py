@@ -38,12 +38,15 @@ def test_what_is_written_is_read_back_to_the_last_bit(tmp_path: Path, commanded:
         np.testing.assert_array_equal(one, other)
 
 
-def test_a_file_is_never_overwritten_unless_asked(tmp_path: Path) -> None:
-    write_csv(tmp_path / "a.csv", recording())
-    with pytest.raises(BadInput, match="exists"):
-        write_csv(tmp_path / "a.csv", recording())
-    write_csv(tmp_path / "a.csv", recording(50), overwrite=True)
-    assert len(read_csv(tmp_path / "a.csv")) == 50
+def test_a_table_that_is_spelled_otherwise_than_by_palpd_is_not_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    write_csv(path, recording())
+    write_csv(path, recording(50))
+    assert len(read_csv(path)) == 50
+    header = path.read_text().splitlines()[0]
+    path.write_text(f"{header}\n{','.join(['0.000000'] * 10)}\n")
+    with pytest.raises(BadInput, match="exists and is not overwritten"):
+        write_csv(path, recording())
 
 
 def test_extra_columns_any_order_a_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path) -> None:

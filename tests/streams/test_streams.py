@@ -161,7 +161,7 @@ def test_only_user_and_group_may_read_the_force(served: Served) -> None:
 def test_a_socket_that_is_served_or_a_file_is_refused_and_an_old_one_replaced(tmp_path: Path) -> None:
     path = tmp_path / "force.sock"
     first = ForceSocket(path)
-    with pytest.raises(Refused, match="another program serves"):
+    with pytest.raises(Refused, match="another program already serves"):
         ForceSocket(path)
     first.close()
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as killed:

@@ -105,7 +105,7 @@ def adopt(law: LearnedEffect, folder: Path) -> Path:
     check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
     path = _file_of(law.id, folder)
-    save_learned(path, [law], overwrite=False)
+    save_learned(path, [law])
     return path
 
 

@@ -19,7 +19,7 @@ from palpd.cell.dynamics import Floats, Memory, Span, servo
 from palpd.cell.effects.drivers import FACTOR_WORDS, Driver, DriverState, FactorName, StrictBlock, driver_values, factor_values
 from palpd.cell.effects.effect import Effect, Parameter, Values
 from palpd.errors import ConfigError
-from palpd.files import read_yaml, refusal, write_text
+from palpd.files import read_yaml, refusal, write_yaml
 
 ChannelName = Literal["z_m", "fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm"]
 
@@ -358,19 +358,18 @@ def load_learned(path: str | Path) -> tuple[LearnedEffect, ...]:
         raise ConfigError(refusal(error, LearnedFile, document)) from None
 
 
-def save_learned(path: str | Path, learned: Iterable[LearnedEffect], *, overwrite: bool = True) -> None:
+def save_learned(path: str | Path, learned: Iterable[LearnedEffect]) -> None:
     """Write a file that `load_learned` reads back equal.
 
     Args:
         path: File to write.
         learned: The effects.
-        overwrite: Whether a file that exists is replaced.
 
     Raises:
         BadInput: The file cannot be written.
     """
     content = {"learned": [one.model_dump(mode="json", exclude_none=True) for one in learned]}
-    write_text(Path(path), in_yaml(content), overwrite=overwrite)
+    write_yaml(Path(path), in_yaml(content))
 
 
 def in_yaml(content: object) -> str:

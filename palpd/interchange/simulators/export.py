@@ -26,7 +26,7 @@ from palpd.cell.effects.learned import learned_law_of
 from palpd.cell.motion_profile import Move, commanded_heights
 from palpd.cell.simulation import physics, place_named, reporting_of, simulate
 from palpd.errors import BadInput, ConfigError
-from palpd.files import check_folder, write_text
+from palpd.files import check_folder, copy_file, write_text
 from palpd.interchange.simulators.bundle import Definition, bundled
 from palpd.interchange.simulators.exported_cell import COLUMNS, at_rows, row_times
 from palpd.interchange.simulators.readme import Agreement, readme
@@ -122,9 +122,7 @@ def check_target(target: Target, folder: Path) -> None:
     """
     if find_spec(NEEDS[target]) is None:
         raise BadInput(f"--to {target} needs {NEEDS[target]}, which is not installed; install palpd[sim] (pip install 'palpd[sim]')")
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise BadInput(f"{folder} exists and is not an empty folder; give another --out, or remove it")
-    check_folder(folder)
+    check_folder(folder, empty=True)
 
 
 @contextmanager
@@ -136,9 +134,12 @@ def _appearing(folder: Path) -> Iterator[Path]:
         yield place
         shutil.rmtree(place / "__pycache__", ignore_errors=True)
         place.chmod(0o755)
-        if folder.exists():
-            folder.rmdir()
-        place.rename(folder)
+        if not folder.exists() or not any(folder.iterdir()):
+            place.replace(folder)
+            return
+        for file in filter(Path.is_file, place.rglob("*")):
+            (folder / file.relative_to(place)).parent.mkdir(exist_ok=True)
+            copy_file(file, folder / file.relative_to(place))
     except OSError as error:
         raise BadInput(f"{folder} cannot be written ({error.strerror}); give another --out") from error
     finally:

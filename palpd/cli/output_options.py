@@ -1,0 +1,126 @@
+"""What commands write: an option that names an output says so beside its type, and all are checked here before a command begins."""
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
+
+import typer
+
+from palpd.file_kinds import RECORDING
+from palpd.files import check_folder, check_link, check_resumed, check_socket, check_writable, file_use, with_ending
+
+FOLDER, OWN_FOLDER, NEW_RECORDING, SOCKET, LINK, RESUMED = "folder", "own folder", "new recording", "socket", "link", "resumed file"
+"""What an option names besides a plain file: a folder to write into, one for this call alone, a recording whose folder is made, a Unix
+socket, a link, a file that is read first."""
+ForceOption = Annotated[bool, typer.Option("--force", help="replace outputs that palpd did not make; an input never")]
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class Output(NamedTuple):
+    """Marks an option as the name of an output.
+
+    Attributes:
+        kind: What it will be, one of palpd.file_kinds or of the words above.
+        beside: Endings of further files that may be written, in place of the ending of this one.
+    """
+
+    kind: str
+    beside: tuple[str, ...] = ()
+
+    def check(self, path: Path | None) -> None:
+        """Refuse a place that cannot be written, or that holds what may not be replaced. Raises BadInput."""
+        if path is None:
+            return
+        if check := _CHECKS.get(self.kind):
+            check(path)
+            return
+        check_writable(path, kind=self.kind)
+        for ending in self.beside:
+            check_writable(path.with_name(f"{path.stem}{ending}"))
+
+
+def _check_own_folder(path: Path) -> None:
+    check_folder(path, empty=True)
+
+
+def _check_recording(path: Path) -> None:
+    target = with_ending(path, ".mcap")
+    check_folder(target.parent)
+    if target.parent.is_dir():
+        check_writable(target, kind=RECORDING)
+
+
+_CHECKS: Mapping[str, Callable[[Path], None]] = {
+    FOLDER: check_folder,
+    OWN_FOLDER: _check_own_folder,
+    NEW_RECORDING: _check_recording,
+    SOCKET: check_socket,
+    LINK: check_link,
+    RESUMED: check_resumed,
+}
+
+
+class Application(typer.Typer):
+    """An application whose commands write over nothing that they read, and over nothing that palpd did not make without --force."""
+
+    def command(self, name: str | None = None, **settings: Any) -> Callable[[Command], Command]:
+        """Register a command; its function stays as it is.
+
+        Args:
+            name: Name of the command; the function's where not given.
+            settings: What typer takes besides.
+
+        Returns:
+            The decorator.
+        """
+        register = super().command(name, **settings)
+
+        def registered(command: Command) -> Command:
+            register(_with_checked_files(command))
+            return command
+
+        return registered
+
+
+def outputs_of(command: Callable[..., Any]) -> dict[str, Output]:
+    """The outputs of a command by the names of their parameters."""
+    hints = get_type_hints(command, include_extras=True)
+    return {name: part for name, hint in hints.items() for part in get_args(hint)[1:] if isinstance(part, Output)}
+
+
+def inputs_of(command: Callable[..., Any]) -> list[str]:
+    """Names of the parameters that are paths and no outputs."""
+    outputs = outputs_of(command)
+    return [name for name, hint in get_type_hints(command).items() if _holds_path(hint) and name not in outputs]
+
+
+def _holds_path(hint: Any) -> bool:
+    return hint is Path or any(map(_holds_path, get_args(hint)))
+
+
+def _with_checked_files(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The same command, which checks its outputs first, with --force where it has any."""
+    outputs, inputs = outputs_of(command), inputs_of(command)
+    signature = inspect.signature(command)
+    takes_force = bool(outputs) and "force" not in signature.parameters
+
+    @wraps(command)
+    def checked(**values: Any) -> Any:
+        force = values.pop("force") if takes_force else None
+        with file_use(_paths(values[name] for name in inputs), force=force):
+            for name, output in outputs.items():
+                output.check(values[name])
+            return command(**values)
+
+    if takes_force:
+        force = inspect.Parameter("force", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=ForceOption)
+        checked.__signature__ = signature.replace(parameters=[*signature.parameters.values(), force])  # type: ignore[attr-defined]
+        checked.__annotations__ = {**command.__annotations__, "force": ForceOption}
+    return checked
+
+
+def _paths(values: Iterator[Any]) -> Iterator[Path]:
+    for value in values:
+        yield from value if isinstance(value, list) else [value] if isinstance(value, Path) else []
