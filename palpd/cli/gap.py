@@ -10,6 +10,7 @@ import typer
 
 from palpd.cli.options import (
     DEFAULT_CONFIG,
+    AcceptImplausible,
     AdoptedOption,
     CellOption,
     ConfigOption,
@@ -286,7 +287,10 @@ def export_sim(
 
 @app.command()
 def tolerances(
-    recordings: Annotated[list[Path], typer.Argument(help="recordings of a healthy cell")], cell: CellOption, json_file: JsonOption = None
+    recordings: Annotated[list[Path], typer.Argument(help="recordings of a healthy cell")],
+    cell: CellOption,
+    json_file: JsonOption = None,
+    accept_implausible: AcceptImplausible = False,
 ) -> None:
     """Estimate the tolerances block of a cell file from recordings of a healthy cell."""
     import yaml
@@ -294,7 +298,7 @@ def tolerances(
     from palpd.gap.commands import tolerances_of
 
     check_writable(json_file)
-    blocks = tolerances_of(recordings, cell)
+    blocks = tolerances_of(recordings, cell, accept_implausible)
     terminal().print(yaml.safe_dump(blocks, sort_keys=False))
     write_json(json_file, blocks)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from palpd.cell.plausible import ACCEPT_OPTION
 from palpd.cli.at_once import DEFAULT_CONFIG
 from palpd.files import check_folder
 
@@ -52,10 +53,12 @@ EffectsOption = Annotated[
 SiteOption = Annotated[str | None, typer.Option("--site", help="this site only, of recordings of the daemon (.mcap)")]
 ProgressOption = Annotated[bool, typer.Option("--progress", help="write each step to stderr, one a line, for programs")]
 AdoptedOption = Annotated[bool, typer.Option("--adopted/--no-adopted", help="whether your adopted effects count (palpd effects --adopt)")]
+AcceptImplausible = Annotated[bool, typer.Option(ACCEPT_OPTION, help="let values count that palpd questions, such as a mass of 100 kg")]
 DEFAULT_PLAN = Path("plan.yaml")
 
 __all__ = [
-    "DEFAULT_CONFIG", "DEFAULT_PLAN", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "JsonOption", "PlanOption",
+    "DEFAULT_CONFIG", "DEFAULT_PLAN", "AcceptImplausible", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "JsonOption",
+    "PlanOption",
     "ProgressOption", "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept", "clear_latch", "display", "finish",
     "say_broken_effects",
     "shown_steps", "terminal",

@@ -326,15 +326,16 @@ def _motion_columns(path: Path, header: Sequence[str]) -> list[str]:
     return named_once(path, header, COLUMNS[:4])
 
 
-def tolerances_of(recordings: Sequence[Path], cell: Path) -> dict[str, dict[str, float]]:
+def tolerances_of(recordings: Sequence[Path], cell: Path, accept_implausible: bool = False) -> dict[str, dict[str, float]]:
     """Estimate tolerances from the files of a healthy cell.
 
     Args:
         recordings: Recordings of a healthy cell.
         cell: Its cell file.
+        accept_implausible: Whether doubtful recordings and implausible tolerances count.
 
     Returns:
         The blocks `tolerances` and `repeatability`.
     """
     nominal: CellFile = load_cell(cell)
-    return estimate_tolerances([read(path) for path in recordings], nominal)
+    return estimate_tolerances([read(path) for path in recordings], nominal, accept_implausible)

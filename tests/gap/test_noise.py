@@ -8,10 +8,11 @@ from scipy.sparse import csr_array
 
 from palpd.cell.cell_file import nominal
 from palpd.gap.bins import Bins
-from palpd.gap.noise import FZ, lattice_step, measured_rms
+from palpd.gap.noise import FZ, lattice_step
 from palpd.gap.rounding import Rounding, Way, coarse_step_N, rounding_of
 from palpd.gap.scatter import without_held, without_tails
 from palpd.gap.whitening import Whitening
+from palpd.recording.oddities import measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
