@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 import typer
 
 from palpd.cli import at_once
-from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, SocketOption, app, check_kept, finish, terminal
+from palpd.cli.options import DEFAULT_CONFIG, AcceptImplausible, ConfigOption, JsonOption, SocketOption, app, check_kept, finish, terminal
 from palpd.files import check_folder, check_writable, write_json
 
 if TYPE_CHECKING:
@@ -305,6 +305,7 @@ def check_config(
     config: Annotated[Path, typer.Argument(help="config.yaml")],
     plan: Annotated[Path | None, typer.Option("--plan", help="plan.yaml to judge with it")] = None,
     json_file: JsonOption = None,
+    accept_implausible: AcceptImplausible = False,
 ) -> None:
     """Refuse what is wrong or unsafe; print how far a force would run past its limit."""
     from palpd.cli.tables import overshoot_table
@@ -313,7 +314,7 @@ def check_config(
     from palpd.daemon.starting_files import checked
 
     check_writable(json_file)
-    settings, steps = checked(config, plan)
+    settings, steps = checked(config, plan, accept_implausible)
     prediction = predicted(settings, steps)
     for table in overshoot_table(prediction):
         terminal().print(table)
