@@ -16,6 +16,9 @@ CLEAR_NOISES = 10.0
 HEIGHT_CORRELATION = 0.4
 """Least correlation of force with height that shows contact: strokes in the air, without force, keep it below 0.8 in healthy recordings."""
 
+SWING_OF_NOISE = 5.2
+"""Swing of white noise without its rarest values, in standard deviations."""
+
 TURNED_RATIO = 5.0
 """Swing of the force in the upper third of the heights over that in the lower third, above which the tissue seems to be above the probe.
 A healthy press has below 0.1, friction and cables about 1, and the largest of the shared real recordings 2.2."""
@@ -125,8 +128,9 @@ def turned_twice(samples: Samples) -> list[str]:
     low, high = fz_N[z_m < z_m.min() + third_m], fz_N[z_m > z_m.max() - third_m]
     if not len(low) or not len(high) or correlation(fz_N, z_m) >= -HEIGHT_CORRELATION:
         return []
-    below_N, above_N = swing_N(low), swing_N(high)
-    if above_N <= max(TURNED_RATIO * below_N, CLEAR_NOISES * measured_rms(fz_N)):
+    noise_N = measured_rms(fz_N)
+    below_N, above_N = (max(swing_N(part) - SWING_OF_NOISE * noise_N, 0.0) for part in (low, high))
+    if above_N <= max(TURNED_RATIO * below_N, (CLEAR_NOISES - SWING_OF_NOISE) * noise_N):
         return []
     return [
         f"fz_N changes by {above_N:.3g} N where z_m is highest and by {below_N:.3g} N where it is lowest, expected the other way round "

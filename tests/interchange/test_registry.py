@@ -71,8 +71,9 @@ def test_a_recording_of_the_daemon_is_read_by_its_site_and_is_not_foreign(tmp_pa
     assert np.array_equal(one.wrench, read_csv(tmp_path / "b.csv").wrench)
     with pytest.raises(RecordingError, match=r"run\.mcap holds 2 sites \(A, B\), expected one; choose one with --site"):
         read_recording(path)
-    with pytest.raises(RecordingError, match="has no site C; it has A, B"):
-        read_recording(path, "C")
+    for name, words in (("C", "C"), ("", "without a name")):
+        with pytest.raises(RecordingError, match=f"has no site {words}; it has A, B"):
+            read_recording(path, name)
     with pytest.raises(RecordingError, match=r"run\.mcap is a recording of palpd, or a damaged bag; palpd diagnose"):
         read_files([path], ImportOptions())
 
