@@ -15,6 +15,7 @@ import numpy as np
 from palpd.analysis.hertz_misfit import HertzMisfit, covering, misfit_of_curve, range_of
 from palpd.analysis.intervals import correlated_sigmas, student_t_95
 from palpd.cell.effects.tissue import dimitriadis
+from palpd.cell.plausible import doubts
 from palpd.control.surface import FEWEST_SAMPLES, GRID, refuse_unfit
 from palpd.errors import BadInput, RecordingError
 from palpd.tick import Floats
@@ -25,9 +26,6 @@ LARGE_STRAIN = 0.3
 """Depth over tip radius above which a sphere is no longer a paraboloid and strains are no longer small."""
 THIN_LAYER = 0.1
 """Contact radius over thickness above which a rigid base below is felt (Dimitriadis et al. 2002: 12 % of force at 0.1)."""
-
-PLAUSIBLE_MODULUS_PA = (50.0, 1e8)
-"""Range of Young's moduli that no warning questions: from the softest gels and brain to hard rubber and cartilage."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +171,7 @@ def fit_contact(
         n_effective=n_effective,
         depth_m=depth_m,
         warnings=(
-            *implausible_modulus(modulus),
+            *(f"{doubt}; check the units of force, length and tip radius" for doubt in doubts("modulus", modulus, "the modulus")),
             *_strained(depth_m, tip_radius_m, thickness_m),
             *_thin_data(hertz.indentation_m, contact_m, baseline_N),
         ),
@@ -256,17 +254,6 @@ def _undithered_N(force_N: Floats, at_rest_N: Floats) -> float:
     noise = math.sqrt(max(float(np.var(at_rest_N)) / count_N**2 - 1.0 / 12.0, 0.0))
     k = np.arange(1, 50)
     return count_N * math.sqrt(float(np.sum(np.exp(-((2.0 * np.pi * k * noise) ** 2)) / (np.pi * k) ** 2)) / 2.0)
-
-
-def implausible_modulus(youngs_modulus_Pa: float) -> list[str]:
-    """A warning where no tissue has such a modulus; empty otherwise."""
-    low_Pa, high_Pa = PLAUSIBLE_MODULUS_PA
-    if low_Pa <= youngs_modulus_Pa <= high_Pa:
-        return []
-    return [
-        f"a modulus of {youngs_modulus_Pa:.3g} Pa is outside of {low_Pa:g} to {high_Pa:g} Pa, where gels, tissue and rubber lie; "
-        "check the units of force, length and tip radius"
-    ]
 
 
 def _strained(depth_m: float, tip_radius_m: float, thickness_m: float | None) -> list[str]:

@@ -398,9 +398,11 @@ def load_cell(path: str | Path, library: Mapping[str, Effect] = EFFECTS) -> Cell
         The cell.
 
     Raises:
-        ConfigError: Where the file is absent or no cell, one sentence that names line and key.
+        ConfigError: Where the file is absent, empty or no cell, one sentence that names line and key.
     """
-    return _cell_of(read_yaml(Path(path)), library)
+    document = read_yaml(Path(path))
+    document.refuse_empty()
+    return _cell_of(document, library)
 
 
 def parse_cell(values: object, where: str, library: Mapping[str, Effect] = EFFECTS) -> CellFile:

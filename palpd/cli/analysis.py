@@ -15,7 +15,7 @@ from palpd.cli.curve_options import (
     LengthUnitOption,
     TimeColumn,
 )
-from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, HereOption, JsonOption, app, display, finish, terminal
+from palpd.cli.options import DEFAULT_CONFIG, AcceptImplausible, ConfigOption, HereOption, JsonOption, app, display, finish, terminal
 from palpd.cli.output_options import Output
 from palpd.file_kinds import CSV, MODEL, PICTURE
 from palpd.files import check_writable, write_json
@@ -103,6 +103,7 @@ def train(
     method: Annotated[
         str, typer.Option("--method", help="linear (b - m a), network (the paper's 2-10-1), prior-network or bias")
     ] = "linear",
+    accept_implausible: AcceptImplausible = False,
 ) -> None:
     """Learn the inertial model from free motion; write it with its card. Which method is best: docs/compensation.md."""
     from palpd.compensation.model_card import refuse_place
@@ -120,6 +121,7 @@ def train(
         sensor_serial=data.sensor_serial,
         sensor_delay_s=data.sensor_delay_s,
         method=method,  # type: ignore[arg-type]
+        accept_implausible=accept_implausible,
     )
     terminal().print(
         f"{out} and its card: {card.n} points, rmse {card.rmse_N * 1e3:.1f} mN; bias {card.bias_N:+.3f} N, "
@@ -144,7 +146,7 @@ def map_(
     depth_m: Annotated[float, typer.Option("--depth-m", min=0.001, max=0.02, help="of a press")] = 0.005,
     inclusion_m: Annotated[float, typer.Option("--inclusion-m", min=0.002, max=0.1, help="smallest inclusion not to be missed")] = 0.01,
     most_presses: Annotated[int, typer.Option("--most-presses", min=1, max=1000, help="end after this number all the same")] = 200,
-    seed: Annotated[int, typer.Option("--seed", help="another emulated field")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="another emulated field")] = 0,
     here: HereOption = False,
     json_file: JsonOption = None,
 ) -> None:

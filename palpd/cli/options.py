@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from palpd.cell.plausible import ACCEPT_OPTION
 from palpd.cli.at_once import DEFAULT_CONFIG
 from palpd.cli.output_options import Application, Output
 from palpd.errors import BadInput
@@ -58,12 +59,13 @@ ProgressOption = Annotated[bool, typer.Option("--progress", help="write each ste
 AdoptedOption = Annotated[bool, typer.Option("--adopted/--no-adopted", help="whether your adopted effects count (palpd effects --adopt)")]
 HereOption = Annotated[bool, typer.Option("--here", help="count sites from where the arm stands, though the last run was not finished")]
 ReturnOption = Annotated[bool, typer.Option("--return", help="go back first to where the last, unfinished run began")]
+AcceptImplausible = Annotated[bool, typer.Option(ACCEPT_OPTION, help="let values count that palpd questions, such as a mass of 100 kg")]
 DEFAULT_PLAN = Path("plan.yaml")
 
 __all__ = [
-    "DEFAULT_CONFIG", "DEFAULT_PLAN", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "HereOption", "JsonOption",
-    "PlanOption", "ProgressOption", "ReturnOption", "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept", "clear_latch",
-    "display", "finish", "place_choice", "say_broken_effects", "shown_steps", "stated_address", "terminal",
+    "DEFAULT_CONFIG", "DEFAULT_PLAN", "AcceptImplausible", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "HereOption",
+    "JsonOption", "PlanOption", "ProgressOption", "ReturnOption", "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept",
+    "clear_latch", "display", "finish", "place_choice", "say_broken_effects", "shown_steps", "stated_address", "terminal",
 ]  # fmt: skip
 
 

@@ -268,7 +268,7 @@ def sim(
     config: ConfigOption = DEFAULT_CONFIG,
     cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml to press (default: the paper's phantom)")] = None,
     configured: Annotated[bool, typer.Option("--configured-cell", help="press the cell that --config states")] = False,
-    seed: Annotated[int, typer.Option("--seed", help="of the noise")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="of the noise")] = 0,
     progress: ProgressOption = False,
     json_file: JsonOption = None,
 ) -> None:

@@ -8,6 +8,7 @@ import typer
 from palpd.cli import at_once
 from palpd.cli.options import (
     DEFAULT_CONFIG,
+    AcceptImplausible,
     ConfigOption,
     HereOption,
     JsonOption,
@@ -333,6 +334,7 @@ def check_config(
     config: Annotated[Path, typer.Argument(help="config.yaml")],
     plan: Annotated[Path | None, typer.Option("--plan", help="plan.yaml to judge with it")] = None,
     json_file: JsonOption = None,
+    accept_implausible: AcceptImplausible = False,
 ) -> None:
     """Refuse what is wrong or unsafe; print how far a force would run past its limit."""
     from palpd.cli.tables import overshoot_table
@@ -340,7 +342,7 @@ def check_config(
     from palpd.daemon.overshoot import predicted
     from palpd.daemon.starting_files import checked
 
-    settings, steps = checked(config, plan)
+    settings, steps = checked(config, plan, accept_implausible)
     prediction = predicted(settings, steps)
     for table in overshoot_table(prediction):
         terminal().print(table)

@@ -72,7 +72,7 @@ def depth_table(sites: "list[SiteResult]") -> Table:
 
 
 def diagnosis_lines(sentence: str, content: dict[str, Any]) -> list[str]:
-    """Write a diagnosis in a few lines: verdict, each effect with its parameters, gap before and after, next recording.
+    """Write a diagnosis in a few lines: doubts, verdict, each effect with its parameters, gap before and after, next recording.
 
     Args:
         sentence: The verdict.
@@ -81,7 +81,8 @@ def diagnosis_lines(sentence: str, content: dict[str, Any]) -> list[str]:
     Returns:
         The lines.
     """
-    lines = [sentence]
+    decisive = content["decisive"]
+    lines = [*(f"Doubtful: {note}" for note in decisive), sentence]
     for named in content["effects"]:
         values = ", ".join(
             f"{name} = {_plain(value['value'])} (95 %: {_plain(value['ci95'][0])} to {_plain(value['ci95'][1])})"
@@ -92,15 +93,16 @@ def diagnosis_lines(sentence: str, content: dict[str, Any]) -> list[str]:
     lines += [f"  {e['kind']} at {e['t_s']:.2f} s in {e['channel']}, size {_plain(e['size'])}" for e in content.get("events") or ()]
     shrink = content["shrink"]
     if shrink and shrink["closed"] is not None:
-        low, high = shrink["ci95"] or (shrink["closed"], shrink["closed"])
+        closed, low, high = (f"{share:.0%}" for share in (shrink["closed"], *(shrink["ci95"] or (shrink["closed"],) * 2)))
+        interval = "" if low == high else f" (95 %: {low} to {high})"
         lines.append(
             f"{shrink['channel']}: {_plain(shrink['before_rms'])} rms before, {_plain(shrink['after_rms'])} after, "
-            f"{_plain(shrink['noise_floor'])} of noise. Of the part that noise and tolerances do not explain, {shrink['closed']:.0%} "
-            f"closed (95 %: {low:.0%} to {high:.0%}) on {shrink['on']}."
+            f"{_plain(shrink['noise_floor'])} of noise. Of the part that noise and tolerances do not explain, {closed} closed{interval} "
+            f"on {shrink['on']}."
         )
     if content["next_experiment"]:
         lines.append(f"Next: {content['next_experiment']['sentence']}")
-    return lines + [f"Note: {note}" for note in content["notes"]]
+    return lines + [f"Note: {note}" for note in content["notes"] if note not in decisive]
 
 
 def _plain(value: float) -> str:

@@ -26,7 +26,7 @@ from palpd.gap.linearise import linearise
 from palpd.gap.next_experiment import ExperimentProposal, advise
 from palpd.gap.nominal_source import NominalSource, nominal_source
 from palpd.gap.phases import PHASE_PHRASES
-from palpd.gap.plausibility import channel_notes, check_recordings
+from palpd.gap.plausibility import channel_notes, check_recordings, recording_notes
 from palpd.gap.posterior import Attribution, posterior
 from palpd.gap.prepare import without_rounding
 from palpd.gap.problem import MAX_BINS, Problem, make_problem
@@ -107,9 +107,9 @@ def _stages(
     # 1. Prepare: clean the readings, cut them into bins, estimate noise and tip motion.
     show("1 of 6: preparing the recording")
     recordings = [without_rounding(samples) for samples in recordings]
-    notes = check_recordings(recordings, cell)
-    cell, noise_notes = with_recorded_noise(recordings, cell)
-    notes += noise_notes
+    decisive, notes = check_recordings(recordings, cell), recording_notes(recordings, cell)
+    cell, far_noise, noise_notes = with_recorded_noise(recordings, cell)
+    decisive, notes = [*decisive, *far_noise], [*notes, *noise_notes]
     readings = [Readings.of(samples, cell) for samples in recordings]
     problem = make_problem(
         [one.cleaned for one in readings],
@@ -187,7 +187,8 @@ def _stages(
         trend=trend(problem, residual),
         shrink=shrink,
         unexplained=unexplained(problem, attribution.best.fit) if gap else None,
-        notes=notes,
+        decisive=decisive,
+        notes=[*decisive, *notes],
         proposal=proposal,
         problem=problem,
         attribution=attribution,
@@ -246,7 +247,8 @@ class Diagnosis:
         trend: The gap by cycle.
         shrink: How far the named effects close the gap.
         unexplained: The largest residual of the best hypothesis; None where it is noise.
-        notes: Sentences for the reader.
+        decisive: Sentences that make the verdict doubtful, such as a dead sensor or a wrong unit; they stand above it.
+        notes: Sentences for the reader, the decisive ones first.
         proposal: The next experiment, if one was asked for and is worth its time.
         problem: The data behind the answer.
         attribution: The posterior over hypotheses.
@@ -262,6 +264,7 @@ class Diagnosis:
     trend: list[Trend]
     shrink: Shrink
     unexplained: Unexplained | None
+    decisive: list[str]
     notes: list[str]
     proposal: ExperimentProposal | None
     problem: Problem
@@ -413,5 +416,6 @@ class Diagnosis:
             "events": self.finding.events or None,
             "uncertainty": [one.model_dump(mode="json", exclude_none=True) for one in self.uncertainty],
             "modulus": None if self.modulus is None else self.modulus.to_json(),
+            "decisive": self.decisive,
             "notes": self.notes,
         } | ({} if self.source is None else {"simulated": self.source.to_json()})

@@ -15,10 +15,11 @@ from palpd.cell.report_times import Reports, find_reports, straight_between
 from palpd.cell.simulation import MeanReading, mean_reading
 from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
 from palpd.gap.bins import Bins, make_bins
-from palpd.gap.noise import FZ, Z, dead, declared_rms, measured_rms
+from palpd.gap.noise import FZ, Z, declared_rms
 from palpd.gap.phases import FREE_STILL, HOLDING, ROUNDING, Ints, Phases, find_phases
 from palpd.gap.rounding import Rounding
 from palpd.gap.user_simulator import NominalDifference, UserSimulator, difference
+from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CellFile
-from palpd.gap.noise import FX, FY, FZ, TX, TY, TZ, dead, lattice_step, measured_rms
+from palpd.gap.noise import FX, FY, FZ, TX, TY, TZ, lattice_step
 from palpd.gap.phases import FREE_STILL, HOLDING, Phases, find_phases
 from palpd.gap.prepare import REST_SAMPLES
+from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
@@ -23,7 +24,7 @@ FAR_FROM_STATED = 5.0
 """Ratio of measured and stated noise from which on a note says so: no surroundings change a healthy sensor this far."""
 
 
-def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[CellFile, list[str]]:
+def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[CellFile, list[str], list[str]]:
     """Take noise and resolution that a cell file does not state from the recordings.
 
     Args:
@@ -31,7 +32,7 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
         cell: The cell file.
 
     Returns:
-        The cell with every value stated, and one sentence for each value that was measured or is far from the stated one.
+        The cell with every value stated, a sentence for each value that is far from the stated one, and one for those that were measured.
     """
     resolution = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
     rests = [_rests(_phases(samples, cell).phase) for samples in recordings]
@@ -39,7 +40,7 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
     noise = {key: _noise_rms(recordings, rests, channels) for key, channels in NOISE.items()}
     stated = cell.sensor.model_fields_set
     measured: dict[str, float] = {key: step for key, step in resolution.items() if key not in stated}
-    notes = []
+    far = []
     for key, rms in noise.items():
         if rms is None:
             continue
@@ -47,12 +48,12 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
         if key not in stated:
             measured[key] = rms
         elif resting and not rms / FAR_FROM_STATED <= before <= rms * FAR_FROM_STATED and before > 0.0:
-            notes.append(f"sensor.{key} is {before:.3g} and the recording shows {rms:.3g}, expected within a factor of 5; correct it.")
+            far.append(f"sensor.{key} is {before:.3g} and the recording shows {rms:.3g}, expected within a factor of 5; correct it.")
     if not measured:
-        return cell, notes
+        return cell, far, []
     values = ", ".join(f"{key} {value:.3g}" for key, value in measured.items())
-    notes.append(f"the cell file does not state all noise and resolution, so the recording's own count: {values}.")
-    return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=measured)}), notes
+    note = f"the cell file does not state all noise and resolution, so the recording's own count: {values}."
+    return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=measured)}), far, [note]
 
 
 def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[float, list[float]]:

@@ -75,7 +75,7 @@ class Recording:
         """Return the number of a site in the rows. Raises RecordingError."""
         names = [site["name"] for site in self.header.get("sites", [])]
         if name not in names:
-            raise RecordingError(f"{self.path} has no site {name}; it has {', '.join(names) or 'none'}")
+            raise RecordingError(f"{self.path} has no site {name or 'without a name'}; it has {', '.join(names) or 'none'}")
         return names.index(name)
 
     def site_name(self, number: int) -> str:

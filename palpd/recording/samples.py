@@ -142,7 +142,7 @@ def read_parquet(path: Path) -> Samples:
         with opened(path, error=RecordingError) as file:
             table = parquet.read_table(file)
         present = _present(path, list(table.column_names))
-        columns = {name: np.asarray(table.column(name).to_numpy(zero_copy_only=False), dtype=float) for name in present}
+        columns = {name: numbers_of(table.column(name).to_numpy(zero_copy_only=False), path.name, name) for name in present}
         names = table.column(SITE_COLUMN).to_pylist() if SITE_COLUMN in table.column_names else []
     except (OSError, ValueError, TypeError, ArrowException):
         raise RecordingError(f"{path.name} cannot be read as Parquet with numbers in every column; write it again or give a CSV.") from None
@@ -163,12 +163,38 @@ def samples_from_columns(columns: dict[str, Floats], name: str) -> Samples:
         RecordingError: a column is missing, too short or not finite, or time does not increase.
     """
     _present(Path(name), list(columns))
-    rows = len(columns["t_s"])
+    rows = np.size(columns["t_s"])
     if rows < MIN_SAMPLES:
         raise RecordingError(f"{name} has {rows} rows and at least {MIN_SAMPLES} are needed to judge a cell; record for longer.")
     refuse_values(columns, name)
     wrench = np.column_stack([columns[column] for column in WRENCH_COLUMNS])
     return Samples(columns["t_s"], columns.get(OPTIONAL_COLUMN), columns["z_m"], columns["vz_m_per_s"], wrench)
+
+
+def numbers_of(values: object, name: str, column: str) -> Floats:
+    """A column of a table or a data frame as numbers.
+
+    Args:
+        values: What stands in the column.
+        name: What errors call the recording.
+        column: Name of the column.
+
+    Returns:
+        The numbers (n,).
+
+    Raises:
+        RecordingError: The column holds dates, or values that are masked.
+        TypeError: It holds something that is no number.
+        ValueError: It holds something that is no number.
+    """
+    array = np.asanyarray(values)
+    if array.dtype.kind in "mM":
+        raise RecordingError(f"{name}: {column} holds dates or durations ({array.dtype}), expected numbers; give seconds, as numbers.")
+    if np.ma.is_masked(array):
+        raise RecordingError(
+            f"{name}: {column} has {int(np.sum(np.ma.getmaskarray(array)))} masked values, expected none; leave these rows out."
+        )
+    return np.asarray(array, dtype=float)
 
 
 def refuse_values(columns: Mapping[str, Floats], name: str) -> None:
@@ -179,8 +205,14 @@ def refuse_values(columns: Mapping[str, Floats], name: str) -> None:
         name: What errors call the recording.
 
     Raises:
-        RecordingError: A value is not finite, or time does not increase.
+        RecordingError: Columns differ in length, a value is not finite, or time does not increase.
     """
+    shapes = {column: np.shape(values) for column, values in columns.items()}
+    if uneven := [column for column, shape in shapes.items() if len(shape) != 1 or shape != shapes["t_s"]]:
+        of = " × ".join(map(str, shapes[uneven[0]])) or "one"
+        raise RecordingError(
+            f"{name}: {uneven[0]} holds {of} values and t_s {' × '.join(map(str, shapes['t_s'])) or 'one'}; give columns of one length."
+        )
     for column in columns:
         wrong = np.flatnonzero(~(np.abs(columns[column]) <= LARGEST))
         if len(wrong):

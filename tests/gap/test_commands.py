@@ -1,6 +1,7 @@
 """Recordings in, answers out: one, a folder of them, and a simulation of what was found."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,15 +9,18 @@ import pytest
 
 from benchmarks.simulated_recording import write_simulated
 from palpd.analysis.enriched import analysed
-from palpd.cell.cell_file import PHANTOM, CellFile, load_cell, nominal, save_cell
+from palpd.cell.cell_file import PHANTOM, CellFile, cell_from, load_cell, nominal, save_cell
 from palpd.cell.effects import EFFECTS
 from palpd.config import Config, Plan, PlanSite
 from palpd.errors import BadInput, RecordingError
-from palpd.gap.commands import diagnose_files, nominal_cell, simulate_file, tolerances_of
+from palpd.gap.commands import diagnose_files, nominal_cell, read_recording, simulate_file, tolerances_of
 from palpd.gap.diagnosis import diagnose
+from palpd.gap.plausibility import check_recordings
+from palpd.recording.oddities import questions_of
 from palpd.recording.reader import Recording, export, samples_of
 from palpd.recording.samples import read_csv, write_csv
 from tests.gap.test_diagnosis import recording
+from tests.paths import SHARED_DATA
 from tests.simulated import cell_file, ran
 
 EFFECT = {"tissue.viscoelastic": {"ratio": 0.2, "tau_s": 0.8}}
@@ -87,6 +91,41 @@ def test_tolerances_follow_from_healthy_recordings(tmp_path: Path) -> None:
     estimated = tolerances_of(paths, tmp_path / "cell.yaml")
     assert 0.005 < estimated["tolerances"]["youngs_modulus"] < 0.05
     assert 0.005 < estimated["tolerances"]["bias_N"] < 0.05
+
+
+@pytest.mark.parametrize(
+    ("factor", "error", "words"),
+    [
+        (1e3, RecordingError, "fz_N looks like mN"),
+        (-1.0, RecordingError, "multiply the forces by -1"),
+        (1.6, BadInput, r"tolerances\.youngs_modulus would be .* expected at most 10 times that; .*--accept-implausible"),
+    ],
+)
+def test_no_tolerances_follow_from_sick_recordings(tmp_path: Path, factor: float, error: type[BadInput], words: str) -> None:
+    save_cell(tmp_path / "cell.yaml", nominal())
+    samples = recording(nominal(), {})
+    write_csv(tmp_path / "sick.csv", replace(samples, wrench=factor * samples.wrench))
+    with pytest.raises(error, match=words):
+        tolerances_of([tmp_path / "sick.csv"], tmp_path / "cell.yaml")
+    if error is BadInput:
+        assert tolerances_of([tmp_path / "sick.csv"], tmp_path / "cell.yaml", accept_implausible=True)["tolerances"]["youngs_modulus"] > 0.2
+
+
+def test_a_simulation_of_a_cell_that_cannot_be_carried_is_questioned(tmp_path: Path) -> None:
+    save_cell(tmp_path / "cell.yaml", cell_from({"probe": {"mass_kg": 106.0}}, "heavy"))
+    t_s = np.arange(0.0, 2.0, 0.01)
+    (tmp_path / "m.csv").write_text("t_s,z_m\n" + "".join(f"{t:.2f},{0.01 + 0.001 * np.sin(t):.6f}\n" for t in t_s))
+    with pytest.raises(BadInput, match=r"probe\.mass_kg is 106 kg.*--accept-implausible"):
+        simulate_file(tmp_path / "m.csv", tmp_path / "cell.yaml", tmp_path / "out.csv")
+    assert not (tmp_path / "out.csv").exists()
+    simulate_file(tmp_path / "m.csv", tmp_path / "cell.yaml", tmp_path / "out.csv", accept_implausible=True)
+
+
+@pytest.mark.parametrize("path", sorted(SHARED_DATA.rglob("*.yaml")), ids=lambda path: path.stem)
+def test_no_shared_recording_is_refused(path: Path) -> None:
+    samples = read_recording(path.with_suffix(".csv"))
+    check_recordings([samples], load_cell(path))
+    assert questions_of(samples) == []
 
 
 def test_the_bias_after_the_tare_is_found_in_the_export_of_the_first_site() -> None:
