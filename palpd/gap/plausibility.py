@@ -91,15 +91,16 @@ def check_recordings(recordings: Sequence[Samples], cell: CellFile) -> list[str]
     """
     if not recordings:
         raise RecordingError("no recording was given; at least one is needed")
+    for samples, label in zip(recordings, _labels(recordings), strict=True):
+        _refuse_mixed_sites(samples.sites, f"{label}the recording holds")
+    _refuse_mixed_sites(list(dict.fromkeys(name for samples in recordings for name in samples.sites)), "the recordings together hold")
     refuse_repeated(recordings)
     notes = [f"{doubt}; correct the cell file." for doubt in doubts_of_cell(cell)]
     for samples, label in zip(recordings, _labels(recordings), strict=True):
-        _refuse_mixed_sites(samples.sites, f"{label}the recording holds")
         _refuse_hole(samples, label)
         odd = [*_motion_notes(samples, cell, label), *_depth_notes(samples, cell, label), *_force_notes(samples, cell, label)]
         refuse_dead(samples, label)
         notes += [label + note for note in odd]
-    _refuse_mixed_sites(list(dict.fromkeys(name for samples in recordings for name in samples.sites)), "the recordings together hold")
     return notes
 
 
