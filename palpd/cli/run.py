@@ -189,13 +189,13 @@ def demo(
 def _serve_demo(folder: Path | None) -> None:
     """Serve an emulated cell and its page until Ctrl-C."""
     import subprocess
-    import sys
 
     from palpd.daemon.demo import service_on_wires
+    from palpd.workers import beside
 
     check_folder(folder or Path("runs"))
     with service_on_wires(folder, display()) as config:
-        command = [sys.executable, "-m", "palpd", "web", "--config", str(config), "--plan", str(config.with_name("plan.yaml"))]
+        command = beside("palpd", "web", "--config", str(config), "--plan", str(config.with_name("plan.yaml")))
         with config.with_name("page.log").open("wb") as log:
             page = subprocess.Popen(command, stderr=log)
         try:
