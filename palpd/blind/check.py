@@ -7,10 +7,8 @@ import hashlib
 import json
 import shutil
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, TypedDict
@@ -30,6 +28,7 @@ from palpd.errors import BadInput
 from palpd.files import parse_json, read_text, write_text
 from palpd.gap.calibration import ProbabilityMap, stored_map
 from palpd.recording.samples import Samples, write_csv
+from palpd.workers import beside, pool
 
 SCHEMA = "palpd.blind/5"
 BATCH = 20
@@ -249,7 +248,7 @@ def _run_batch(
     digests = _seal_batch(batch, seed, folder, hosts, ablation, jobs)
     # From here to the comparison of the digests nothing but the other process touches the recordings.
     options = [] if calibrated else [ENGINE]
-    subprocess.run([sys.executable, "-m", "palpd.blind.diagnose_case", str(folder / "recordings"), str(jobs), *options], check=True)
+    subprocess.run(beside("palpd.blind.diagnose_case", str(folder / "recordings"), str(jobs), *options), check=True)
     return {"batch": _batch_name(batch), "digests": digests, "outcomes": _score_batch(batch, folder, digests, jobs)}
 
 
@@ -259,8 +258,8 @@ def _seal_batch(batch: list[CaseSpec], seed: int, folder: Path, hosts: Hosts, ab
         raise BadInput(f"{folder} exists already; name a new folder with --keep, or remove the batch that was interrupted")
     recordings.mkdir(parents=True)
     sealed.mkdir()
-    with ProcessPoolExecutor(jobs) as pool:
-        each_case = pool.map(make_case, batch, *([x] * len(batch) for x in (seed, recordings, sealed, hosts, ablation)))
+    with pool(jobs) as workers:
+        each_case = workers.map(make_case, batch, *([x] * len(batch) for x in (seed, recordings, sealed, hosts, ablation)))
         return {name: digest for digests in each_case for name, digest in digests.items()}
 
 
@@ -268,5 +267,5 @@ def _score_batch(batch: list[CaseSpec], folder: Path, digests: dict[str, str], j
     for name, digest in digests.items():
         if _digest(folder / name) != digest:
             raise RuntimeError(f"{name} has changed since it was sealed; the check is void, run it again")
-    with ProcessPoolExecutor(jobs) as pool:
-        return list(pool.map(score_case, [folder / "recordings"] * len(batch), [folder / "sealed"] * len(batch), batch))
+    with pool(jobs) as workers:
+        return list(workers.map(score_case, [folder / "recordings"] * len(batch), [folder / "sealed"] * len(batch), batch))

@@ -238,11 +238,11 @@ def _serve_demo(folder: Path | None) -> None:
     """Serve an emulated cell and its page until Ctrl-C."""
     import socket
     import subprocess
-    import sys
 
     from palpd.cli.service import PAGE_PORT
     from palpd.daemon.demo import service_on_wires
     from palpd.errors import Refused
+    from palpd.workers import beside
 
     check_folder(folder or Path("runs"))
     try:
@@ -250,7 +250,7 @@ def _serve_demo(folder: Path | None) -> None:
     except OSError as error:
         raise Refused(f"the page cannot listen at port {PAGE_PORT} ({error.strerror}); end the palpd web or demo that does") from error
     with service_on_wires(folder, display()) as config:
-        command = [sys.executable, "-m", "palpd", "web", "--config", str(config), "--plan", str(config.with_name("plan.yaml"))]
+        command = beside("palpd", "web", "--config", str(config), "--plan", str(config.with_name("plan.yaml")))
         log = config.with_name("page.log")
         with log.open("wb") as file:
             page = subprocess.Popen(command, stderr=file)

@@ -2,7 +2,6 @@
 
 import os
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -32,6 +31,7 @@ from palpd.gap.other_motion import check_on
 from palpd.gap.report import write as write_report
 from palpd.recording.reader import Recording, samples_of
 from palpd.recording.samples import Samples, write_csv
+from palpd.workers import beside
 
 BIAS_N = 0.19
 """Bias of the emulated sensor: the paper's sensor read 0.1929 N on average in free motion with the probe, after its tare."""
@@ -252,8 +252,7 @@ def service_on_wires(folder: Path | None, display: Display) -> Iterator[Path]:
         display.say("reference tare")
         calibrate(ForegroundHost(config, devices, display))
         with (folder / "service.log").open("wb") as log:
-            command = [sys.executable, "-m", "palpd", "serve", "--config", str(folder / "config.yaml")]
-            service = subprocess.Popen(command, stderr=log)
+            service = subprocess.Popen(beside("palpd", "serve", "--config", str(folder / "config.yaml")), stderr=log)
         try:
             yield folder / "config.yaml"
         finally:

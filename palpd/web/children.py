@@ -6,7 +6,6 @@ The server imports nothing that computes. So it stays small, a refusal has the w
 import asyncio
 import contextlib
 import os
-import resource
 import shutil
 import signal
 import sys
@@ -21,6 +20,7 @@ from typing import Any, Literal
 
 from palpd.errors import BadInput, PalpdError, Refused
 from palpd.files import read_json
+from palpd.workers import beside
 
 NICENESS = 15
 """Niceness of a child: the loop, the service and the server all come first."""
@@ -112,13 +112,13 @@ class Child:
 class Children:
     """The commands that a page has asked for. All methods are called in the server's event loop."""
 
-    def __init__(self, program: Sequence[str] = (sys.executable, "-m", "palpd")) -> None:
+    def __init__(self, program: Sequence[str] | None = None) -> None:
         """Make a keeper of commands.
 
         Args:
-            program: What runs them.
+            program: What runs them; palpd where not given, which then ends with this process.
         """
-        self._program = tuple(program)
+        self._program = tuple(program or beside("palpd"))
         self._numbers = count(1)
         self._children: dict[int, Child] = {}
         self._turn = asyncio.Semaphore(MOST_AT_ONCE)
@@ -253,8 +253,6 @@ class Children:
             raise
         with contextlib.suppress(OSError):  # it has ended already
             os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS)
-            # Its own limit: should the server die, the child ends all the same.
-            resource.prlimit(process.pid, resource.RLIMIT_CPU, (int(child.limit_s) + 1, int(child.limit_s) + 5))
         lines: deque[str] = deque(maxlen=KEPT_LINES)
         try:
             async with asyncio.timeout(child.limit_s):

@@ -435,7 +435,7 @@ def test_a_signal_while_palpd_imports_its_commands_is_one_sentence(name: str) ->
         "main()"
     )
     done = subprocess.run([sys.executable, "-c", code, "effects"], capture_output=True, text=True, cwd=ROOT, check=False)
-    assert done.returncode == 130
+    assert done.returncode == 128 + signal.Signals[name]
     assert done.stderr == f"palpd: interrupted by {name} while palpd was starting; nothing was moved\n"
 
 
