@@ -7,6 +7,7 @@ import pytest
 from palpd.cell.cell_file import cell_from, nominal
 from palpd.cell.plausible import PLAUSIBLE, ask, doubts, doubts_of_cell
 from palpd.errors import BadInput
+from tests.paths import ROOT
 
 
 @pytest.mark.parametrize("quantity", PLAUSIBLE)
@@ -15,6 +16,12 @@ def test_a_range_holds_its_bounds_and_nothing_that_is_not_finite(quantity: str) 
     assert doubts(quantity, usual.low, "it") == doubts(quantity, usual.high, "it") == []
     for value in (usual.low - 1e-3 * usual.high, 1.001 * usual.high, math.inf, math.nan):
         assert doubts(quantity, value, "it")[0].startswith(f"it is {value:.3g} {usual.unit}, expected {usual.low:g} to {usual.high:g}")
+
+
+def test_the_page_has_every_range_with_its_reason() -> None:
+    page = (ROOT / "docs" / "import.md").read_text(encoding="utf-8")
+    for usual in PLAUSIBLE.values():
+        assert f"| {usual.low:g} | {usual.high:g} | {usual.unit} | {usual.reason} |" in page
 
 
 def test_the_emulated_cell_is_plausible_and_each_value_of_another_is_questioned() -> None:

@@ -23,7 +23,7 @@ from tests.web.fake_service import FakeService
 
 HEAVY = ("numpy", "pydantic", "rich", "typer", "structlog", "scipy", "dataclasses", "inspect")
 COMMANDS = (
-    "run", "calibrate", "free-motion", "stiffness", "retract", "demo", "sim", "emulate", "serve", "web", "status", "arm", "start", "pause",
+    "run", "calibrate", "free-motion", "stiffness", "level-test", "retract", "demo", "sim", "emulate", "serve", "web", "status", "arm", "start", "pause",
     "resume", "abort", "clear", "jobs", "job", "controls", "stream", "init", "install", "doctor", "migrate", "check-config", "runs", "info",
     "report", "replay", "export", "recover", "import", "cell-from", "analyse", "train", "map", "diagnose", "resolve", "simulate",
     "export-sim", "tolerances", "effects", "blind", "study",
@@ -80,7 +80,6 @@ def test_a_folder_is_not_diagnosed_with_the_options_of_one_recording(
 @pytest.mark.parametrize(
     ("text", "variables"),
     [
-        ("", {}),
         ("robot: {model: ur5}", {}),
         ("paths: {state: kept}", {}),
         ("paths: {state: /var/lib/palpd, socket: /run/palpd/palpd.sock}", {}),
@@ -122,7 +121,7 @@ PLAIN = "robot:\n  host: a # b\n# c\npaths:\n  state: kept/here # d\n  runs: run
 
 @pytest.mark.parametrize(
     "text",
-    ["", "robot: {model: ur5}", "paths: {state: kept}", "paths: {state: /var/lib, socket: /run/p.sock}", "paths: {socket: null}", PLAIN],
+    ["robot: {model: ur5}", "paths: {state: kept}", "paths: {state: /var/lib, socket: /run/p.sock}", "paths: {socket: null}", PLAIN],
 )
 def test_the_first_abort_goes_where_the_daemon_listens(tmp_path: Path, text: str) -> None:
     config = written(tmp_path, text)

@@ -37,8 +37,7 @@ def test_a_file_is_diagnosed_and_its_enriched_cell_simulates_it(tmp_path: Path) 
     assert load_cell(tmp_path / "rich.yaml").estimated is not None
     simulate_file(tmp_path / "a.csv", tmp_path / "rich.yaml", tmp_path / "predicted.csv")
     assert np.std(read_csv(tmp_path / "predicted.csv").wrench[:, 2] - samples.wrench[:, 2]) < 0.08
-    with pytest.raises(BadInput, match="exists"):
-        simulate_file(tmp_path / "a.csv", tmp_path / "rich.yaml", tmp_path / "predicted.csv")
+    simulate_file(tmp_path / "a.csv", tmp_path / "rich.yaml", tmp_path / "predicted.csv")  # a file of palpd's is replaced
 
 
 def test_without_a_cell_file_a_recording_of_the_daemon_is_diagnosed_against_the_cell_that_it_states(tmp_path: Path) -> None:
@@ -193,7 +192,7 @@ def test_only_a_site_with_a_modulus_of_its_own_has_a_known_one() -> None:
 
 
 def test_simulation_and_modulus_of_an_exported_site_use_its_own_block(palpated: Path) -> None:
-    predicted = simulate_file(palpated / "C.csv", palpated / "emulated-cell.yaml", palpated / "predicted.csv", overwrite=True)
+    predicted = simulate_file(palpated / "C.csv", palpated / "emulated-cell.yaml", palpated / "predicted.csv")
     measured = read_csv(palpated / "C.csv")
     assert np.std(predicted.wrench[:, 2] - measured.wrench[:, 2]) < 0.08
     cell = load_cell(palpated / "emulated-cell.yaml")
