@@ -204,7 +204,6 @@ def demo(
 
     if page and (full or not wires or effect is not None or json_file is not None):
         raise BadInput("--page serves the emulated cell and palpates nothing by itself; leave --full, --effect, --no-wires and --json out")
-    check_writable(json_file)
     if wires:
         _require_library(page)
     if page:
