@@ -505,7 +505,12 @@ def _stamp(path: Path) -> bytes:
 
 
 def _is_new(path: Path) -> bool:
-    return path.is_file() and not path.is_symlink() and not (path.name.startswith("there.") and path.read_bytes() == b"kept")
+    return (
+        path.is_file()
+        and not path.is_symlink()
+        and path.stem != "hard"
+        and not (path.name.startswith("there.") and path.read_bytes() == b"kept")
+    )
 
 
 def _is_whole(path: Path) -> bool:

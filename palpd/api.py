@@ -173,7 +173,7 @@ class LoadedRecording(_Shown):
         return pd.DataFrame(self.columns)
 
     def save(self, path: str | Path) -> None:
-        """Write the recording as CSV; an existing file is not overwritten. Raises BadInput."""
+        """Write the recording as CSV; a file that palpd did not write is not overwritten. Raises BadInput."""
         write_csv(Path(path), self.samples)
 
     @property

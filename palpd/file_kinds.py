@@ -1,7 +1,7 @@
 """What a file is, by its content: an output that palpd made, or a kind of file that was given for another.
 
-Every output of palpd has a mark: a key in JSON, a tag in HTML, the program's name in figures, models and Parquet, in YAML a comment with
-a checksum. CSV has its header and the spelling of its numbers. So palpd knows a file under any name, and edited YAML is the user's.
+Every output of palpd has a mark: a key in JSON, a tag in HTML, the program's name in figures, models and Parquet, and in YAML a comment
+with a checksum. CSV has its header and the spelling of its numbers. So palpd knows a file under any name, and edited YAML is the user's.
 """
 
 import hashlib

@@ -386,6 +386,17 @@ def nearest(word: str, known: list[str]) -> str:
 # --- writing ------------------------------------------------------------------------------------------------------------------
 
 
+def refuse_twice(path: Path) -> None:
+    """Refuse a place that another output of this call has. Raises BadInput."""
+    use = _USE.get()
+    if use is not None:
+        with _refusing(path):
+            target = os.path.realpath(path)
+        if target in use.outputs:
+            raise BadInput(f"{path} is given for two outputs of this command; give each a name of its own")
+        use.outputs.add(target)
+
+
 def check_writable(*paths: Path | None, kind: str | None = None) -> None:
     """Try the places of output files before any work begins; each may be given once in a call.
 
@@ -399,7 +410,7 @@ def check_writable(*paths: Path | None, kind: str | None = None) -> None:
     for path in filter(None, paths):
         _refuse_input(path)
         if not _is_stream(path):
-            _refuse_twice(path)
+            refuse_twice(path)
             _try_place(path, kind)
 
 
@@ -414,7 +425,6 @@ def check_resumed(path: Path | None) -> None:
     """
     if path is not None:
         _refuse_input(path)
-        _refuse_twice(path)
         with _beside(path):
             pass
 
@@ -875,17 +885,6 @@ def _refuse_input(path: Path) -> None:
     if source is not None:
         names = f"{path} is" if source == path else f"{path} is the same file as {source},"
         raise BadInput(f"{names} an input of this command, which is never written to; give another name for the output")
-
-
-def _refuse_twice(path: Path) -> None:
-    """Refuse a place that another output of this call has."""
-    use = _USE.get()
-    if use is not None:
-        with _refusing(path):
-            target = os.path.realpath(path)
-        if target in use.outputs:
-            raise BadInput(f"{path} is given for two outputs of this command; give each a name of its own")
-        use.outputs.add(target)
 
 
 def _refuse_replacing(path: Path, target: Path, kind: str | None = None) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
 import typer
 
 from palpd.file_kinds import RECORDING
-from palpd.files import check_folder, check_link, check_resumed, check_socket, check_writable, file_use, with_ending
+from palpd.files import check_folder, check_link, check_resumed, check_socket, check_writable, file_use, refuse_twice, with_ending
 
 FOLDER, OWN_FOLDER, NEW_RECORDING, SOCKET, LINK, RESUMED = "folder", "own folder", "new recording", "socket", "link", "resumed file"
 """What an option names besides a plain file: a folder to write into, one for this call alone, a recording whose folder is made, a Unix
@@ -34,6 +34,7 @@ class Output(NamedTuple):
         if path is None:
             return
         if check := _CHECKS.get(self.kind):
+            refuse_twice(path)
             check(path)
             return
         check_writable(path, kind=self.kind)
@@ -49,7 +50,8 @@ def _check_recording(path: Path) -> None:
     target = with_ending(path, ".mcap")
     check_folder(target.parent)
     if target.parent.is_dir():
-        check_writable(target, kind=RECORDING)
+        with file_use():
+            check_writable(target, kind=RECORDING)
 
 
 _CHECKS: Mapping[str, Callable[[Path], None]] = {

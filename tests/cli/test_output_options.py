@@ -1,4 +1,4 @@
-"""Every option of every command that names an output, found by its type: inputs, and files that palpd did not make, stay as they were."""
+"""Every option that names an output, found by its type: what a command reads, and what palpd did not make, stays as it was."""
 
 import os
 from collections.abc import Callable, Iterator
