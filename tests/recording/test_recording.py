@@ -501,7 +501,9 @@ def test_an_export_of_one_site_has_the_columns_of_a_recording_and_the_name_of_th
 
 
 @pytest.mark.parametrize("site", ["A", None], ids=["named", "the only one"])
-def test_the_samples_of_a_site_begin_with_the_last_rest_before_the_first_motion_and_without_the_travel(tmp_path: Path, site: str | None) -> None:
+def test_the_samples_of_a_site_begin_with_the_last_rest_before_the_first_motion_and_without_the_travel(
+    tmp_path: Path, site: str | None
+) -> None:
     rows = palpation(200)
     rows["site"] = 0
     rows["target_speed"][50:, 2] = -0.01
