@@ -135,7 +135,15 @@ def misfit_of_curve(
 
 
 def covering(ci95_Pa: Sequence[float], *ranges_Pa: Sequence[float]) -> list[float]:
-    """An interval that covers ranges too."""
+    """An interval that covers ranges too.
+
+    Args:
+        ci95_Pa: The interval, low and high.
+        ranges_Pa: The ranges, low and high each.
+
+    Returns:
+        Low and high.
+    """
     return [min(low for low, _ in (ci95_Pa, *ranges_Pa)), max(high for _, high in (ci95_Pa, *ranges_Pa))]
 
 
@@ -144,7 +152,15 @@ STAR_MEANS = "* Hertz does not fit: E changes with depth"
 
 
 def starred(text: str, misfit: object) -> str:
-    """A modulus as a table shows it: with a star where Hertz does not fit."""
+    """A modulus as a table shows it: with a star where Hertz does not fit.
+
+    Args:
+        text: The modulus in words.
+        misfit: The misfit, or whether there is one.
+
+    Returns:
+        The text of the cell.
+    """
     return f"{text} *" if misfit else text
 
 

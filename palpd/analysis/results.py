@@ -391,8 +391,8 @@ def _all(by_depth: ByDepth) -> list[Measured]:
 
 
 def _with_range(ci95_Pa: list[float] | None, by_depth: ByDepth, misfit: HertzMisfit | None) -> list[float] | None:
-    """An interval of a mean over depths, with the range of these where Hertz does not fit."""
-    return ci95_Pa if ci95_Pa is None or misfit is None else covering(ci95_Pa, span_Pa(by_depth))
+    """An interval of a mean over depths, with the range of these and of the misfit where Hertz does not fit."""
+    return ci95_Pa if ci95_Pa is None or misfit is None else covering(ci95_Pa, span_Pa(by_depth), *range_of(misfit))
 
 
 def _measured_holds(of_site: Track, depths: list[DepthResult]) -> dict[float, list[Measured]]:
