@@ -410,6 +410,8 @@ def _whitening(cell: CellFile, recordings: Sequence[PreparedRecording], errors_m
         sigma[~np.array(one.judged)] = np.inf
         sigmas.append(sigma)
     heights_m = [one.bins.means() @ one.reports.joined * (one.noise_rms[Z] * (one.samples_each > 1.0)) for one in recordings]
+    for one in heights_m:
+        one.eliminate_zeros()  # all of them where every sample is a report
     shared = {Z: csr_array(block_diag(heights_m)), FZ: csr_array(block_diag([one.inertial_noise_N for one in recordings]))}
     return Whitening.of(np.hstack(sigmas), shared)
 

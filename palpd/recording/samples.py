@@ -168,7 +168,9 @@ def samples_from_columns(columns: dict[str, Floats], name: str) -> Samples:
         raise RecordingError(f"{name} has {rows} rows and at least {MIN_SAMPLES} are needed to judge a cell; record for longer.")
     refuse_values(columns, name)
     wrench = np.column_stack([columns[column] for column in WRENCH_COLUMNS])
-    return Samples(columns["t_s"], columns.get(OPTIONAL_COLUMN), columns["z_m"], columns["vz_m_per_s"], wrench)
+    # Columns of one table keep all of it in memory.
+    motion = {column: np.ascontiguousarray(columns[column]) for column in COLUMNS if column in columns and column not in WRENCH_COLUMNS}
+    return Samples(motion["t_s"], motion.get(OPTIONAL_COLUMN), motion["z_m"], motion["vz_m_per_s"], wrench)
 
 
 def numbers_of(values: object, name: str, column: str) -> Floats:

@@ -25,8 +25,8 @@ HEAVY = ("numpy", "pydantic", "rich", "typer", "structlog", "scipy", "dataclasse
 COMMANDS = (
     "run", "calibrate", "free-motion", "stiffness", "level-test", "retract", "demo", "sim", "emulate", "serve", "web", "status", "arm",
     "start", "pause", "resume", "abort", "clear", "jobs", "job", "controls", "stream", "init", "install", "doctor", "migrate",
-    "check-config", "runs", "info", "report", "replay", "export", "recover", "import", "cell-from", "analyse", "train", "map", "diagnose", "resolve", "simulate",
-    "export-sim", "tolerances", "effects", "blind", "study",
+    "check-config", "runs", "info", "report", "replay", "export", "recover", "import", "cell-from", "analyse", "train",
+    "map", "diagnose", "resolve", "simulate", "export-sim", "tolerances", "effects", "blind", "study",
 )  # fmt: skip
 
 

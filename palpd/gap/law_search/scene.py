@@ -8,7 +8,7 @@ from math import cos, sin
 import numpy as np
 
 from palpd.cell.cell_file import EffectValues
-from palpd.cell.dynamics import lowpass, servo
+from palpd.cell.dynamics import lowpass, servo_heights
 from palpd.cell.effects.drivers import Driver, DriverState, FactorName, driver_values, factor_values
 from palpd.cell.effects.learned import ChannelName
 from palpd.cell.simulation import capture, commanded_motion, wrench_of
@@ -30,6 +30,8 @@ REST_SHARE = 0.05
 
 HARMONICS, LEAST_HARMONIC = 4, 0.02
 """Most harmonics of the error of rounded readings, and the least amplitude of a further one, in steps."""
+MOST_FILTERED = 2_000_000
+"""Largest number of values that are filtered at once: a filter needs ten times their memory, and of a million rows there are 8 million."""
 
 SHALLOW = 0.1
 """Scale of the distance from the surface as a share of the deepest press, so that the last millimetre is resolved."""
@@ -141,16 +143,29 @@ class Scene:
         """Duration of the longest recording."""
         return max(float(state.t_s[-1] - state.t_s[0]) for state in self.contact)
 
-    def _means(self, channel: str, of: Callable[[DriverState], Floats]) -> Floats:
-        """Means over the bins (b, ...) of what is computed at the steps of every recording; zero where heights are not compared."""
+    def _means(
+        self,
+        channel: str,
+        of: Callable[[DriverState], Floats],
+        behind: Callable[[DriverState, Floats], Floats] = lambda _, values: values,
+    ) -> Floats:
+        """Means over the bins (b, ...) of what is computed at the steps of every recording; zero where heights are not compared.
+
+        `behind` filters columns (n, k), as many at once as memory should hold.
+        """
         out = []
         for one, contact, robot in zip(self.problem.recordings, self.contact, self.robot, strict=True):
-            if channel != "z_m":
-                out.append(one.step_means @ of(contact))
-            elif robot is not None:
-                out.append(one.z_means @ of(robot))
-            else:
+            state, means = (contact, one.step_means) if channel != "z_m" else (robot, one.z_means)
+            if state is None:
                 out.append(np.zeros((len(one.bins), *of(contact).shape[1:])))
+                continue
+            values = of(state)
+            width = max(1, MOST_FILTERED // len(values))
+            if values.ndim == 1 or values.shape[1] <= width:
+                out.append(means @ behind(state, values))
+            else:
+                parts = [values[:, k : k + width] for k in range(0, values.shape[1], width)]
+                out.append(np.hstack([means @ behind(state, part) for part in parts]))
         return np.concatenate(out)
 
     def driver(self, channel: str, driver: Driver) -> Floats:
@@ -196,7 +211,7 @@ class Scene:
                 if candidate.channel != "z_m":
                     return lowpass(column, state.dt_s, -2.0 * np.pi * cutoff_Hz, {}) if cutoff_Hz else column
                 if candidate.driver.acts_on_target:
-                    return servo(column, state.dt_s, robot.servo_natural_frequency_Hz, robot.servo_damping_ratio, {})[0]
+                    return servo_heights(column, state.dt_s, robot.servo_natural_frequency_Hz, robot.servo_damping_ratio)
                 return column
 
             # Filters over uneven steps take one column at a time.
@@ -218,10 +233,11 @@ class Scene:
         """
 
         def at_steps(state: DriverState) -> Floats:
-            curve = candidate.basis.columns(driver_values(candidate.driver, state, {}))
-            return behind(state, curve * factor_values(candidate.factor, state)[:, None])
+            columns = candidate.basis.columns(driver_values(candidate.driver, state, {}))
+            columns *= factor_values(candidate.factor, state)[:, None]
+            return columns
 
-        return self._means(candidate.channel, at_steps)
+        return self._means(candidate.channel, at_steps, behind)
 
     def both_azimuths(self, values: Floats) -> dict[int, Floats]:
         """Columns (b, 2 m) by channel of a force to the side: along x, then along y.
