@@ -62,13 +62,14 @@ LEVEL_M = 0.005
 LEVEL_N = 0.1
 """Change of the force over that way below which it is level, 20 times what noise changes. Tissue of 5 kPa gives 0.17 N over 5 mm."""
 LIFT_N = 0.3
-"""Change of the raw force over the same way at the beginning of a run beyond which the run was tared in contact.
+"""Change of the raw force from rest to rest over the same way, beyond which the probe touched something.
 
 Larger than the bias that a tare may leave (0.19 N in the paper), smaller than a contact that would shift a modulus by a tenth."""
 LIFT_WINDOW_S = 0.1
 """Length of the mean that is compared: 100 samples at 1 kHz leave 5 mN of noise, and the arm rises by 0.5 mm in it."""
-LEVEL_TEST_END_N = 0.5
-"""Change of the raw force at which a level test ends: something presses, or holds the probe."""
+RISE_END_N = 0.5
+"""Change of the raw force at which such a way up ends early: something presses or holds the probe. A cable that rubs changes it by less, and
+only while the arm moves; so `LIFT_N` is judged at rest."""
 CAUGHT_N = 2.0
 """Pull against the way up, and growth of the press on it, at which `palpd retract` gives up: wet tissue clings with less than 1 N."""
 FREE_STROKE_M = 0.02
@@ -250,7 +251,7 @@ class Script(ABC):
     def lift(self) -> Steps:
         """Go `LEVEL_M` straight up and come back: where the run was tared in contact, the force changes on the way."""
         self.note(phase=Phase.LIFT)
-        changed_N = yield from self.rise((0.0, 0.0, 0.0), LIFT_N)
+        changed_N = yield from self.rise((0.0, 0.0, 0.0))
         if changed_N > LIFT_N:
             risen_m = self.observation.robot.z_m - self.home[2]
             raise ScriptEnded(
@@ -260,12 +261,11 @@ class Script(ABC):
         yield from self.go_to(self.home[2], min(FREE_SPEED_M_PER_S, self.arm.max_speed_m_per_s))
         yield from self.come_to_rest()
 
-    def rise(self, rest_N: tuple[float, ...], most_N: float) -> Generator[Proposal, Observation, float]:
-        """Go `LEVEL_M` straight up, slowly, and rest there; end early where the force changes by more than `most_N`.
+    def rise(self, rest_N: tuple[float, ...]) -> Generator[Proposal, Observation, float]:
+        """Go `LEVEL_M` straight up, slowly, and rest there; end early where the force changes by more than `RISE_END_N`.
 
         Args:
             rest_N: force (3,) before the way, base axes.
-            most_N: largest change.
 
         Returns:
             The change of the mean force over the last `LIFT_WINDOW_S`, N.
@@ -283,7 +283,7 @@ class Script(ABC):
             if recent:
                 axes = zip(*(force_N for _, force_N in recent), strict=True)
                 changed_N = math.dist(rest_N, [math.fsum(axis) / len(recent) for axis in axes])
-            if changed_N > most_N:
+            if changed_N > RISE_END_N:
                 break
         return changed_N
 
@@ -730,7 +730,7 @@ class LevelTest(Script):
         self.note(phase=Phase.BASELINE, safe_z_m=self.home[2] + LEVEL_M)
         rest_N = yield from self.mean_wrench(BASELINE_S)
         self.note(phase=Phase.LIFT)
-        changed_N = yield from self.rise(rest_N[:3], LEVEL_TEST_END_N)
+        changed_N = yield from self.rise(rest_N[:3])
         if changed_N > LIFT_N:
             risen_m = self.observation.robot.z_m - self.home[2]
             raise ScriptEnded(
