@@ -68,7 +68,7 @@ Larger than the bias that a tare may leave (0.19 N in the paper), smaller than a
 LIFT_WINDOW_S = 0.1
 """Length of the mean that is compared: 100 samples at 1 kHz leave 5 mN of noise, and the arm rises by 0.5 mm in it."""
 RISE_END_N = 0.5
-"""Change of the raw force at which such a way up ends early: something presses or holds the probe. A cable that rubs changes it by less, and
+"""Change of the raw force at which such a way up ends early: something presses or holds the probe. A cable that rubs changes it less, and
 only while the arm moves; so `LIFT_N` is judged at rest."""
 CAUGHT_N = 2.0
 """Pull against the way up, and growth of the press on it, at which `palpd retract` gives up: wet tissue clings with less than 1 N."""
