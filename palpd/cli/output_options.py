@@ -1,6 +1,7 @@
 """What commands write: an option that names an output says so beside its type, and all are checked here before a command begins."""
 
 import inspect
+import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import wraps
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
 
 import typer
 
+from palpd.errors import BadInput
 from palpd.file_kinds import RECORDING
 from palpd.files import check_folder, check_link, check_resumed, check_socket, check_writable, file_use, refuse_twice, with_ending
 
@@ -111,6 +113,9 @@ def _with_checked_files(command: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(command)
     def checked(**values: Any) -> Any:
         force = values.pop("force") if takes_force else None
+        for name, value in values.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise BadInput(f"--{name.replace('_', '-')} is {value}, expected a finite number; correct it")
         with file_use(_paths(values[name] for name in inputs), force=force):
             for name, output in outputs.items():
                 output.check(values[name])

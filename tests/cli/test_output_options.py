@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import pytest
 from typer.models import ArgumentInfo, OptionInfo
@@ -191,3 +191,14 @@ def test_a_served_socket_is_not_taken_away(home: Path) -> None:
         assert (home / "served").is_socket()
     clear_socket(Path("served"))
     assert not (home / "served").exists()
+
+
+@pytest.mark.parametrize("number", ["nan", "-inf", "1e999"])
+def test_no_option_takes_a_number_that_is_not_finite(home: Path, number: str) -> None:
+    numbers = [(name, parameter) for name, command in commands().items() for parameter, hint in get_type_hints(command).items()
+               if float in (hint, *get_args(hint))]  # fmt: skip
+    assert len(numbers) > 15
+    for name, parameter in numbers:
+        option = option_of(commands()[name], parameter)
+        words = [word if not is_input(word) else "read.yaml" for word in template_of(name)]
+        assert refused([*(word.strip("{}") for word in words), f"{option}={number}"])
