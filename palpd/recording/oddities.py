@@ -150,7 +150,14 @@ def questions_of(samples: Samples) -> list[str]:
 
 
 def swing_N(fz_N: Floats) -> float:
-    """How far a force (n,) goes, without its rarest values."""
+    """How far a force goes, without its rarest values.
+
+    Args:
+        fz_N: The force (n,).
+
+    Returns:
+        Its swing.
+    """
     return float(np.quantile(fz_N, 0.995) - np.quantile(fz_N, 0.005))
 
 

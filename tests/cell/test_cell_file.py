@@ -16,8 +16,8 @@ from tests.paths import EXAMPLE
 from tests.paths import SHARED_DATA as DATA
 
 
-def test_an_empty_file_is_the_nominal_cell(tmp_path: Path) -> None:
-    (tmp_path / "cell.yaml").write_text("")
+def test_a_file_of_its_version_alone_is_the_nominal_cell(tmp_path: Path) -> None:
+    (tmp_path / "cell.yaml").write_text("version: 1")
     cell = load_cell(tmp_path / "cell.yaml")
     assert cell == nominal()
     assert cell.tissue is not None
