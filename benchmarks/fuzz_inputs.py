@@ -191,8 +191,7 @@ def _writer(folder: Path, suffix: str) -> Callable[[str, bytes], str]:
 def _other_bytes(folder: Path, sound: Path, random_state: random.Random) -> Iterator[SpoiltFile]:
     """Content that is not what the name says."""
     write, content = _writer(folder, sound.suffix), sound.read_bytes()
-    empty_is_fine = sound.stem in ("config", "cell")  # everything has a default
-    yield SpoiltFile(write("empty", b""), "empty", not empty_is_fine and sound.suffix != ".py")
+    yield SpoiltFile(write("empty", b""), "empty", sound.suffix != ".py")
     yield SpoiltFile(write("binary", b"\x89\xff" + random_state.randbytes(3000)), "binary")
     yield SpoiltFile(write("zeros", bytes(3000)), "zeros")
     yield SpoiltFile(write("half a UTF-8 letter", content[:40] + b"\xc3"), "half a letter")

@@ -207,7 +207,7 @@ def test_an_override_that_would_not_take_effect_is_refused(
 
 def test_variables_of_other_programs_with_our_prefix_are_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PALPD_TEST_WALL_CLOCK", "5")
-    assert load_config(written(tmp_path, "")) == load_config(written(tmp_path, "{}"))
+    assert load_config(written(tmp_path, "version: 1")) == load_config(written(tmp_path, "{}"))
 
 
 def test_the_environment_does_not_change_a_configuration_that_came_as_data(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -88,6 +88,7 @@ ANY_UNIT = {
     "Driver": "a quantity of any unit, which it names",
     "Formula": "a driver of any unit, which it names",
     "FormulaShape": "a driver of any unit, which its formula names",
+    "PlausibleRange": "a range of any unit, which stands beside",
     "OpenParameter": "a parameter or deviation of any unit, which its name says",
     "Coordinate": "a parameter of any effect, in the unit of its name",
     "Gap": "a channel of any unit, which stands beside",

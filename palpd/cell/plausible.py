@@ -36,7 +36,7 @@ PLAUSIBLE = {
     "height": PlausibleRange(-2.0, 2.0, "m", "a UR5 on a table reaches from -0.85 to 0.85 m, a larger arm twice as far"),
     "speed": PlausibleRange(0.0, 3.0, "m/s", "the tip of a UR5 reaches 2.7 m/s with one joint at its 180 degrees per second"),
     "force": PlausibleRange(0.0, 1e5, "N", "the largest machines that test materials"),
-    "rate": PlausibleRange(0.5, 1e5, "Hz", "from a slow log to a fast data acquisition"),
+    "rate": PlausibleRange(0.5, 2e4, "Hz", "from a slow log to a fast data acquisition"),
     "law force": PlausibleRange(0.0, 1e3, "N", "five times what the HEX-70 bears"),
     "law height": PlausibleRange(0.0, 0.1, "m", "no servo errs by a tenth of a metre"),
 }

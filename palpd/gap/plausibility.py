@@ -23,6 +23,7 @@ from palpd.recording.oddities import (
     refuse_dead,
     refuse_repeated,
     refuse_turned,
+    slope_ratio,
     swing_N,
     turned_twice,
 )
@@ -182,7 +183,7 @@ def _motion_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
         raise RecordingError(f"{label}z_m is {samples.z_m[0]:g} m throughout and vz_m_per_s moves: z_m is dead; record it.")
     if not samples.vz_m_per_s.any() and moves(samples, cell):
         raise RecordingError(f"{label}vz_m_per_s is 0 throughout and z_m spans {stroke_m:.3g} m: vz_m_per_s is dead; record it.")
-    slope = _slope_ratio(samples)
+    slope = slope_ratio(samples)
     if slope is not None and not 0.5 < slope < 2.0:
         near = min((1e3, 1e-3, 1e6, 1e-6, -1.0), key=lambda k: abs(np.log(abs(slope) / abs(k))) + (slope * k < 0) * 9)
         unit = UNITS.get(near, "their units disagree")
@@ -319,19 +320,6 @@ def _touch_notes(samples: Samples, cell: CellFile, noise_N: float) -> list[str]:
 
 def _hertz_N(tissue: TissueBlock, tip_radius_m: float, depth_m: Floats) -> Floats:
     return np.asarray(4.0 / 3.0 * tissue.youngs_modulus_Pa / (1.0 - tissue.poisson_ratio**2) * np.sqrt(tip_radius_m) * depth_m**1.5)
-
-
-def _slope_ratio(samples: Samples) -> float | None:
-    """How fast z_m changes over how fast vz_m_per_s says it does; None where neither says anything."""
-    path = np.concatenate([[0.0], np.cumsum(0.5 * (samples.vz_m_per_s[1:] + samples.vz_m_per_s[:-1]) * np.diff(samples.t_s))])
-    z = samples.z_m - samples.z_m.mean()
-    path = path - path.mean()
-    if not path.any() or not z.any():
-        return None
-    correlation = float(z @ path) / float(np.sqrt((z @ z) * (path @ path)))
-    if abs(correlation) < 0.9:
-        return None
-    return float(np.sign(correlation) * np.sqrt((z @ z) / (path @ path)))
 
 
 def channel_notes(problem: Problem) -> list[str]:

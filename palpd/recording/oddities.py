@@ -16,6 +16,9 @@ CLEAR_NOISES = 10.0
 HEIGHT_CORRELATION = 0.4
 """Least correlation of force with height that shows contact: strokes in the air, without force, keep it below 0.8 in healthy recordings."""
 
+SLOPE_CORRELATION = 0.9
+"""Least correlation of the heights with the integral of the speeds for a judgement of their units."""
+
 SWING_OF_NOISE = 5.2
 """Swing of white noise without its rarest values, in standard deviations."""
 
@@ -146,11 +149,42 @@ def questions_of(samples: Samples) -> list[str]:
         *doubts("rate", samples.rate_Hz, "the rate of t_s"),
         *doubts("force", float(np.abs(samples.wrench[:, :3]).max()), "the largest force"),
         *turned_twice(samples),
+        *_slope_doubts(samples),
     ]
 
 
+def _slope_doubts(samples: Samples) -> list[str]:
+    ratio = slope_ratio(samples)
+    if ratio is None or 0.5 < ratio < 2.0:
+        return []
+    return [f"z_m changes {ratio:.3g} times as fast as vz_m_per_s says, expected 1"]
+
+
+def slope_ratio(samples: Samples) -> float | None:
+    """How fast z_m changes over how fast vz_m_per_s says it does.
+
+    Args:
+        samples: The recording.
+
+    Returns:
+        The ratio, negative where their signs disagree; None where neither says anything.
+    """
+    path_m = np.concatenate([[0.0], np.cumsum(0.5 * (samples.vz_m_per_s[1:] + samples.vz_m_per_s[:-1]) * np.diff(samples.t_s))])
+    agreement = correlation(samples.z_m, path_m)
+    if abs(agreement) < SLOPE_CORRELATION:
+        return None
+    return float(np.sign(agreement) * np.std(samples.z_m) / np.std(path_m))
+
+
 def swing_N(fz_N: Floats) -> float:
-    """How far a force (n,) goes, without its rarest values."""
+    """How far a force goes, without its rarest values.
+
+    Args:
+        fz_N: The force (n,).
+
+    Returns:
+        Its swing.
+    """
     return float(np.quantile(fz_N, 0.995) - np.quantile(fz_N, 0.005))
 
 

@@ -80,6 +80,7 @@ def test_a_folder_is_not_diagnosed_with_the_options_of_one_recording(
 @pytest.mark.parametrize(
     ("text", "variables"),
     [
+        ("version: 1", {}),
         ("robot: {model: ur5}", {}),
         ("paths: {state: kept}", {}),
         ("paths: {state: /var/lib/palpd, socket: /run/palpd/palpd.sock}", {}),
@@ -121,7 +122,14 @@ PLAIN = "robot:\n  host: a # b\n# c\npaths:\n  state: kept/here # d\n  runs: run
 
 @pytest.mark.parametrize(
     "text",
-    ["robot: {model: ur5}", "paths: {state: kept}", "paths: {state: /var/lib, socket: /run/p.sock}", "paths: {socket: null}", PLAIN],
+    [
+        "version: 1",
+        "robot: {model: ur5}",
+        "paths: {state: kept}",
+        "paths: {state: /var/lib, socket: /run/p.sock}",
+        "paths: {socket: null}",
+        PLAIN,
+    ],
 )
 def test_the_first_abort_goes_where_the_daemon_listens(tmp_path: Path, text: str) -> None:
     config = written(tmp_path, text)

@@ -233,7 +233,7 @@ def test_a_force_of_the_wrong_sign_is_noticed(tmp_path: Path) -> None:
     ("force_N", "height_m", "options", "question"),
     [
         (-FORCE_N, DEPTH_M, {}, "both signs look wrong"),
-        (FORCE_N, -DEPTH_M, {"time_unit": "us"}, "the speed vz_m_per_s is"),
+        (FORCE_N, -DEPTH_M, {"time_unit": "us"}, "the speed vz_m_per_s is .*the rate of t_s is 5e\\+08 Hz"),
     ],
 )
 def test_values_that_no_palpation_has_are_questioned(
@@ -242,6 +242,14 @@ def test_values_that_no_palpation_has_are_questioned(
     path = written(tmp_path, table("t_s,fz_N,z_m", T_S, force_N, height_m))
     with pytest.raises(BadInput, match=f"{question}.*--accept-implausible"):
         read_files([path], ImportOptions(**options))  # type: ignore[arg-type]
+
+
+def test_times_in_another_unit_than_the_speeds_are_questioned(tmp_path: Path) -> None:
+    speed = np.gradient(-DEPTH_M, T_S)
+    path = written(tmp_path, table("t_s,fz_N,z_m,vz_m_per_s", 0.04 * np.arange(N), FORCE_N, -DEPTH_M, speed / 20.0))
+    assert len(read_files([path], ImportOptions()).samples) == N
+    with pytest.raises(BadInput, match=r"z_m changes 1e\+03 times as fast as vz_m_per_s says"):
+        read_files([path], ImportOptions(time_unit="ms"))
 
 
 def test_a_force_that_never_changes_is_refused_and_nobody_can_accept_it(tmp_path: Path) -> None:
