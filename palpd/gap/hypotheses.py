@@ -110,13 +110,17 @@ def fit_rounding(problem: Problem) -> NominalFit:
 
     Returns:
         The fit; another way needs evidence, since an effect may imitate it. The stated step is rounded to the nearest level, as stated.
+        A coarser one may round what was rounded to the stated one before.
     """
     nominal = fit_nominal(problem)
     rounding = problem.recordings[0].rounding
     if rounding is None or rounding.step_N == problem.cell.sensor.resolution_fz_N:
         return nominal
-    others = [fit_nominal(problem.rounded(way)) for way in WAYS if way != rounding.way]
-    best = min(others, key=_surprise)
+    others = [fit_nominal(problem.rounded(way, 0.0)) for way in WAYS if way != rounding.way]
+    best = min(nominal, *others, key=_surprise)
+    if first_N := problem.cell.sensor.resolution_fz_N:
+        likeliest = best.problem.recordings[0].rounding or rounding
+        best = min(best, fit_nominal(problem.rounded(likeliest.way, first_N)), key=_surprise)
     return best if _surprise(best) < _surprise(nominal) - WAY_NATS else nominal
 
 

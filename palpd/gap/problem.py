@@ -179,16 +179,19 @@ class Problem:
         """
         return replace(self, shared_sd=shared_sd, _predictions=_Predictions())
 
-    def rounded(self, way: Way) -> "Problem":
+    def rounded(self, way: Way, first_N: float) -> "Problem":
         """The problem in which fz is rounded in another way, where it is.
 
         Args:
             way: The kind of the rounding.
+            first_N: Finer step to which it was rounded before; 0 for none.
 
         Returns:
             A new problem.
         """
-        recordings = tuple(replace(one, rounding=one.rounding and replace(one.rounding, way=way)) for one in self.recordings)
+        recordings = tuple(
+            replace(one, rounding=one.rounding and replace(one.rounding, way=way, first_N=first_N)) for one in self.recordings
+        )
         return replace(self, recordings=recordings, _predictions=_Predictions())
 
     def own_tolerances(self, effects: Iterable[str]) -> NDArray[np.bool_]:

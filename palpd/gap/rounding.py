@@ -50,7 +50,7 @@ LARGEST_JUMP = 6.0
 """Second difference of rounded readings, in steps, that counts at most: noise below a step makes no larger ones."""
 
 
-def rounded_moments(force: Floats, noise_rms: float, way: Way = "nearest") -> tuple[Floats, Floats]:
+def rounded_moments(force: Floats, noise_rms: float, way: Way = "nearest", first: float = 0.0) -> tuple[Floats, Floats]:
     """Mean and variance of a force with normal noise after it was rounded to whole numbers.
 
     A reading is level `k` or a higher one where force and noise reach the edge of that level, so both moments are short sums over the
@@ -60,6 +60,7 @@ def rounded_moments(force: Floats, noise_rms: float, way: Way = "nearest") -> tu
         force: Forces without noise (n,), in steps from a level.
         noise_rms: Noise before the rounding, in steps.
         way: Kind of the rounding; towards the zero of `force` where it cuts.
+        first: Finer step, in steps, to which the reading was rounded before; 0 for none.
 
     Returns:
         Means (n,) in steps, and variances (n,) in squared steps.
@@ -67,18 +68,19 @@ def rounded_moments(force: Floats, noise_rms: float, way: Way = "nearest") -> tu
     nearest, sigma = np.rint(force), max(noise_rms, 1e-9)
     mean, square = np.zeros_like(nearest), np.zeros_like(nearest)
     for k in range(1, int(FARTHEST * sigma + 1.5) + 1):
-        above = ndtr((force - _edge(nearest + k, way)) / sigma)
-        below = ndtr((_edge(nearest + (1 - k), way) - force) / sigma)
+        above = ndtr((force - _edge(nearest + k, way, first)) / sigma)
+        below = ndtr((_edge(nearest + (1 - k), way, first) - force) / sigma)
         mean += above - below
         square += (2 * k - 1) * (above + below)
     return nearest + mean, square - mean**2
 
 
-def _edge(level: Floats, way: Way) -> Floats:
+def _edge(level: Floats, way: Way, first: float) -> Floats:
     """Least force that is rounded to these levels or to higher ones."""
-    if way == "nearest":
-        return level - 0.5
-    return level if way == "down" else np.where(level > 0.0, level, level - 1.0)
+    # Where software cuts towards zero, a reading of -1 itself stays -1.
+    below: dict[Way, Floats | float] = {"nearest": 0.5, "down": 0.0, "to zero": np.where(level > 0.0, 0.0, 1.0 - 1e-6)}
+    edge = level - below[way]
+    return edge if first == 0.0 else first * (np.ceil(edge / first - 1e-9) - 0.5)
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ class Rounding:
         rest_N: Mean reading at rest in the air, on that scale.
         noise_rms_N: Noise before the rounding.
         way: Kind of the rounding.
+        first_N: Finer step to which readings were rounded before, as software does that cuts what the sensor rounded; 0 for none.
         reach_N: Largest distance from the force at rest that is predicted to a fraction of a step. Beyond, tolerances decide on which side
             of a level a force lies.
     """
@@ -106,6 +109,7 @@ class Rounding:
     noise_rms_N: float
     way: Way
     reach_N: float
+    first_N: float = 0.0
 
     def readings(self, force_N: Floats, at_rest: Ints) -> Floats:
         """Mean readings of a cell's forces with normal noise, in the frame of these forces.
@@ -146,7 +150,7 @@ class Rounding:
         steps = int(self.reach_N / self.step_N) + 4
         force_N = self.rest_N + self.step_N * np.linspace(-steps, steps, 2 * steps * POINTS_PER_STEP + 1)
         force = (force_N - self.level_N) / self.step_N
-        mean, _ = rounded_moments(force, max(self.noise_rms_N / self.step_N, LEAST_DITHER), self.way)
+        mean, _ = rounded_moments(force, max(self.noise_rms_N / self.step_N, LEAST_DITHER), self.way, self.first_N / self.step_N)
         return force_N, self.step_N * (mean - force)
 
 

@@ -77,11 +77,12 @@ def quick(samples: Samples | list[Samples], cell: CellFile) -> Diagnosis:
     return diagnose(samples if isinstance(samples, list) else [samples], cell, max_bins=900, propose=False)
 
 
-@pytest.mark.parametrize("cut", [np.floor, np.trunc])
-def test_readings_that_are_cut_to_a_coarse_step_are_no_other_effect(cut: Callable[[Floats], Floats]) -> None:
+@pytest.mark.parametrize("step_N", [0.37, 0.5])
+@pytest.mark.parametrize("cut", [np.floor, np.trunc, np.rint])
+def test_readings_that_are_cut_to_a_coarse_step_are_no_other_effect(cut: Callable[[Floats], Floats], step_N: float) -> None:
     samples = recording(nominal(), {})
     wrench = samples.wrench.copy()
-    wrench[:, 2] = 0.5 * cut(wrench[:, 2] / 0.5)
+    wrench[:, 2] = step_N * cut(wrench[:, 2] / step_N)
     assert [effect.id for effect in quick(replace(samples, wrench=wrench), nominal()).effects] == ["sensor.quantization"]
 
 
