@@ -193,7 +193,9 @@ class NuisanceSpace:
 
 def _running(values: Floats) -> Floats:
     """Sums (b + 1, ...) of all rows before each."""
-    return np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+    out = np.zeros((len(values) + 1, *values.shape[1:]))
+    np.cumsum(values, axis=0, out=out[1:])
+    return out
 
 
 def _schur(moments: Floats, k: int, n: int) -> Products:
