@@ -52,11 +52,6 @@ OWN_HEIGHT_NOISE = 0.25
 """Share of the noise of reported heights that every bin has for itself. Bins shorter than the time between reports know no more than
 their neighbours."""
 
-M_MMAP_THRESHOLD = -3
-"""Option of mallopt(3): from this size on, an array has pages of its own."""
-LARGE_BYTES = 16_000_000
-"""Size of a large array: above what a simulation of a million rows makes again and again, which new pages would slow down."""
-
 MOST_CACHED = 3_000_000
 """Numbers in the predictions that are kept, 24 MB: a search often returns to a recent state. They are 96 states of a long recording."""
 
@@ -335,14 +330,9 @@ class Problem:
 
 
 def return_memory() -> None:
-    """Give the system what freed arrays leave between those in use, and from now on large arrays as soon as they are freed.
-
-    Of a million rows that is 0.3 GB after a search.
-    """
-    with contextlib.suppress(AttributeError):  # glibc alone has both
-        libc = ctypes.CDLL(None)
-        libc.mallopt(M_MMAP_THRESHOLD, LARGE_BYTES)
-        libc.malloc_trim(0)
+    """Give the system what freed arrays leave between those in use: of a million rows 0.2 GB after a search."""
+    with contextlib.suppress(AttributeError):  # glibc alone has it
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def make_problem(
