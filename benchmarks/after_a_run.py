@@ -27,7 +27,7 @@ PATIENCE_S = 180.0
 PAGE, BEGIN, END = "safety.md", "<!-- after-a-run:begin -->", "<!-- after-a-run:end -->"
 
 
-class Cell:
+class ServedCell:
     """A service before an emulated cell, calibrated, which may be killed and begun again."""
 
     def __init__(self, wired: EmulatedCell) -> None:
@@ -84,13 +84,13 @@ class Cell:
 # --- how a run ends ---------------------------------------------------------------------------------------------------------------
 
 
-def _done(cell: Cell) -> None:
+def _done(cell: ServedCell) -> None:
     cell.do("arm")
     cell.do("start", plan=PRESS | {"depths_m": [0.002]})
     cell.until_idle()
 
 
-def _contact_limit(cell: Cell) -> None:
+def _contact_limit(cell: ServedCell) -> None:
     cell.do("arm")
     cell.do("start", plan=PRESS | {"depths_m": [0.02]})
     until(lambda: cell.status().get("phase") == "baseline" and cell.status()["depth_m"] is not None, "the surface is found", every_s=0.02)
@@ -98,20 +98,20 @@ def _contact_limit(cell: Cell) -> None:
     cell.until_idle()
 
 
-def _abort(cell: Cell) -> None:
+def _abort(cell: ServedCell) -> None:
     cell.press()
     cell.do("abort")
     cell.until_idle()
 
 
-def _latched(cell: Cell) -> None:
+def _latched(cell: ServedCell) -> None:
     cell.press()
     cell.wired.wires.ask("silent", s=1.0)
     cell.until_idle()
     time.sleep(1.0)
 
 
-def _motion_killed(cell: Cell) -> None:
+def _motion_killed(cell: ServedCell) -> None:
     cell.press()
     assert cell.process is not None
     for pid in family(cell.process.pid):
@@ -120,14 +120,14 @@ def _motion_killed(cell: Cell) -> None:
     cell.until_idle()
 
 
-def _service_killed(cell: Cell) -> None:
+def _service_killed(cell: ServedCell) -> None:
     cell.press()
     cell.end(signal.SIGKILL)
     time.sleep(2.0)
     cell.begin()
 
 
-def _power_lost(cell: Cell) -> None:
+def _power_lost(cell: ServedCell) -> None:
     cell.press()
     assert cell.process is not None
     os.killpg(cell.process.pid, signal.SIGKILL)
@@ -136,7 +136,7 @@ def _power_lost(cell: Cell) -> None:
     cell.begin()
 
 
-ENDS: Mapping[str, Callable[[Cell], None]] = {
+ENDS: Mapping[str, Callable[[ServedCell], None]] = {
     "done": _done,
     "contact limit": _contact_limit,
     "abort": _abort,
@@ -168,34 +168,34 @@ def _outcome(act: Callable[[], str]) -> str:
         return _why(str(refused))
 
 
-def _arm(cell: Cell) -> str:
+def _arm(cell: ServedCell) -> str:
     return str(cell.do("arm")["state"])
 
 
-def _start(cell: Cell) -> str:
+def _start(cell: ServedCell) -> str:
     cell.do("start", plan=PRESS | {"depths_m": [0.002]})
     last = cell.until_idle()
     return "runs" if last["verdict"] == "done" else f"{last['verdict']}: {last['reason']}"
 
 
-def _calibrate(cell: Cell) -> str:
+def _calibrate(cell: ServedCell) -> str:
     job = cell.program("calibrate")
     return "kept" if job["verdict"] == "done" else _why(job["reason"])
 
 
-def _take_reference(cell: Cell) -> str:
+def _take_reference(cell: ServedCell) -> str:
     daemon = cell.wired.run(PRESS | {"depths_m": [0.002]})
     code = daemon.wait()
     return "runs" if code == 0 else _why(daemon.stderr)
 
 
-def _doctor(cell: Cell) -> str:
+def _doctor(cell: ServedCell) -> str:
     findings = cell.program("doctor", watch_s=1.0)["result"]["findings"]
-    said = next(finding for finding in findings if finding["name"] == "probe free")
-    return str(said["figures"]["state"])
+    finding = next(one for one in findings if one["name"] == "probe free")
+    return str(finding["figures"]["state"])
 
 
-def _retract(cell: Cell) -> str:
+def _retract(cell: ServedCell) -> str:
     cell.do("retract")
     last = cell.until_idle()
     if last["verdict"] == "done":
@@ -203,19 +203,19 @@ def _retract(cell: Cell) -> str:
     return _why(last["reason"])
 
 
-def _clear(cell: Cell) -> str:
+def _clear(cell: ServedCell) -> str:
     cell.do("clear")
     return f"clears the latch; {cell.status()['probe']['state']}"
 
 
-def _map(cell: Cell) -> str:
+def _map(cell: ServedCell) -> str:
     with suppress(Refused):
         cell.do("arm")
     job = cell.program("map", most_presses=1, depth_m=0.002, width_m=0.01, height_m=0.01)
     return "runs" if job["verdict"] == "done" else _why(job["reason"])
 
 
-COMMANDS: Mapping[str, Callable[[Cell], str]] = {
+COMMANDS: Mapping[str, Callable[[ServedCell], str]] = {
     "doctor": _doctor,
     "arm": _arm,
     "start": _start,
@@ -244,11 +244,11 @@ def row(wired: EmulatedCell, end: str, commands: tuple[str, ...] = tuple(COMMAND
 
 
 @contextmanager
-def served(wired: EmulatedCell) -> Iterator[Cell]:
+def served(wired: EmulatedCell) -> Iterator[ServedCell]:
     """A calibrated service within the context."""
     calibrated = wired.palpd("calibrate", "--config", wired.config)
     assert calibrated.returncode == 0, calibrated.stderr
-    cell = Cell(wired)
+    cell = ServedCell(wired)
     try:
         cell.begin()
         yield cell

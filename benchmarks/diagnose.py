@@ -2,7 +2,7 @@
 
 `python benchmarks/diagnose.py [--length 90] [--cells 9] [--rows 1000000] [--recordings 6]`; 0 leaves a part out. No two strokes are alike;
 the rate is 500 Hz. Every figure comes from its own process, the last ones from a folder as `palpd diagnose FOLDER` does it.
-Targets: 90 s of recording in a median of 2.5 s and a 95th percentile of 6 s, at most 500 MB; a million rows in 60 s and 2 GB; two
+Targets: 90 s of recording in a median of 2.5 s and a 95th percentile of 6 s, at most 500 MB; a million rows in 60 s and 1 GB; two
 processes 1.8 times as fast as one. One run times everything, so that other load on the machine cancels best in the ratios.
 """
 

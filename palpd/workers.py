@@ -75,7 +75,15 @@ def end(workers: "ProcessPoolExecutor") -> None:
 
 
 def beside(module: str, *arguments: str) -> list[str]:
-    """The command line that runs a module in a process that ends with this one."""
+    """Make the command line that runs a module in a process that ends with this one.
+
+    Args:
+        module: Name of the module, which runs as its own program.
+        arguments: Its arguments.
+
+    Returns:
+        The command line.
+    """
     return [sys.executable, "-m", "palpd.workers", str(os.getpid()), module, *arguments]
 
 

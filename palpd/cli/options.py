@@ -160,7 +160,18 @@ def clear_latch(config: "Config") -> None:
 
 
 def place_choice(here: bool, go_back: bool) -> "Choice | None":
-    """What the operator answers to the question of the place. Raises BadInput where both answers are given."""
+    """What the operator answers to the question of the place.
+
+    Args:
+        here: The sites count from where the arm stands.
+        go_back: The arm returns to the start of the last palpation first.
+
+    Returns:
+        The answer, None where neither was given.
+
+    Raises:
+        BadInput: Both answers are given.
+    """
     if here and go_back:
         raise BadInput("--here and --return contradict each other, expected one of them; leave one out")
     return "here" if here else "return" if go_back else None

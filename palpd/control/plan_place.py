@@ -30,7 +30,15 @@ class PlanPlace:
     returned: bool = False
 
     def site_under(self, x_m: float, y_m: float) -> str | None:
-        """Name of the nearest site within `SITE_REACH_M` of a tip in base axes, None where there is none."""
+        """Find the site of the plan that a tip stands over.
+
+        Args:
+            x_m: Tip in base axes.
+            y_m: Tip in base axes.
+
+        Returns:
+            Name of the nearest site within `SITE_REACH_M`, None where there is none.
+        """
         distances = [(math.hypot(x_m - self.origin_m[0] - at_x, y_m - self.origin_m[1] - at_y), name) for name, at_x, at_y in self.sites]
         away_m, name = min(distances, default=(math.inf, ""))
         return name if away_m <= SITE_REACH_M else None

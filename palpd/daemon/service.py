@@ -496,7 +496,15 @@ class Service:
 
 
 def known_probe(answer: ProbeAnswer, date: str) -> KnownProbe:
-    """An answer about the probe, as the status holds it."""
+    """Write an answer about the probe as the status holds it.
+
+    Args:
+        answer: What is known of the probe.
+        date: When it was given, ISO 8601.
+
+    Returns:
+        The entry `probe` of the status.
+    """
     return KnownProbe(state=answer.state.value, reasons=list(answer.reasons), ways=sorted(answer.ways), date=date, advice=answer.advice)
 
 

@@ -19,7 +19,7 @@ from palpd.daemon.motion_process import Build, Job, Kind
 from palpd.daemon.overshoot import refuse_overload
 from palpd.daemon.probe_record import probe_record
 from palpd.daemon.program_host import ProgramHost, ProposedMotion
-from palpd.daemon.stored_state import Calibration, State, Trust, now
+from palpd.daemon.stored_state import Basis, Calibration, State, now
 from palpd.daemon.supervisor import JobRun, Report, recording_name, wait
 from palpd.errors import Refused, Stopped
 from palpd.files import check_folder
@@ -244,8 +244,8 @@ def calibrate(host: ProgramHost, temperature_C: float | None = None, probe_free:
     state = State(host.config.paths.state)
     before, evidence = state.calibration(), report.evidence
     answer = probe_state(probe_record(host.config, state), evidence)
-    trust = _trust(answer, before, probe_free)
-    kept_first = trust in ("free", "yes") and before is not None and not before.identity.differences(evidence.identity)
+    basis = _basis(answer, before, probe_free)
+    kept_first = basis in ("free", "yes") and before is not None and not before.identity.differences(evidence.identity)
     first = (before.first or before.wrench) if kept_first and before is not None else evidence.wrench
     moved_N = math.dist(first[:3], evidence.wrench[:3])
     if moved_N > MOST_MOVED_REFERENCE_N:
@@ -256,14 +256,14 @@ def calibrate(host: ProgramHost, temperature_C: float | None = None, probe_free:
     identity = evidence.identity
     calibration = Calibration(
         evidence.wrench, now(), identity.sensor_serial, temperature_C,
-        probe=identity.probe, tcp=identity.tcp, tilt_rad=evidence.tilt_rad, first=first, trust=trust,
+        probe=identity.probe, tcp=identity.tcp, tilt_rad=evidence.tilt_rad, first=first, basis=basis,
         by=host.operator, away_N=answer.away_N,
     )  # fmt: skip
     state.keep("calibration", calibration)
     return calibration
 
 
-def _trust(answer: ProbeAnswer, before: Calibration | None, probe_free: bool) -> Trust:
+def _basis(answer: ProbeAnswer, before: Calibration | None, probe_free: bool) -> Basis:
     """Why a reference may be kept. Raises Refused where it may not."""
     if answer.state == ProbeState.FREE:
         return "level" if answer.reasons else "free"

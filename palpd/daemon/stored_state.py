@@ -17,7 +17,7 @@ MOST_BYTES = 100_000
 """Largest file of state; each holds a few numbers and a sentence."""
 
 
-Trust = Literal["unconfirmed", "free", "level", "yes"]
+Basis = Literal["unconfirmed", "free", "level", "yes"]
 """Why a reference is believed: first of its folder, within the drift of the one before, by a level test, or by an operator's word."""
 
 
@@ -37,7 +37,7 @@ class Calibration:
     tcp: tuple[float, ...] | None = None
     tilt_rad: float | None = None
     first: tuple[float, ...] | None = None
-    trust: Trust = "unconfirmed"
+    basis: Basis = "unconfirmed"
     by: str = ""
     away_N: float | None = None
 

@@ -346,8 +346,8 @@ class JobRun:
                 notes = (*notes, str(error))
                 if self._lost_recorder:  # the abort in the trips was ours
                     report = replace(report, reason=f"the run was stopped because it was no longer recorded: {error}")
-            told = self.job.kind == "level_test" and self._came_to_rest  # what it found stands in the marker
-            died = report.exit_code == 3 and not report.trips and not told
+            answered = self.job.kind == "level_test" and self._came_to_rest  # what it found stands in the marker
+            died = report.exit_code == 3 and not report.trips and not answered
             stands = self.job.kind in BEGIN_LOADED and self._state.latch() is not None  # the reason of the stop before stays
             if not stands and (died or any(Trip[trip["trip"]] not in UNLATCHED for trip in report.trips)):
                 self._state.keep("latch", Latch(report.reason, now()))

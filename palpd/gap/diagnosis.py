@@ -3,8 +3,6 @@
 `_stages` reads from top to bottom: every stage is one module, and its result goes to the stages below it only.
 """
 
-import contextlib
-import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -31,7 +29,7 @@ from palpd.gap.phases import PHASE_PHRASES
 from palpd.gap.plausibility import channel_notes, check_recordings, recording_notes
 from palpd.gap.posterior import Attribution, posterior
 from palpd.gap.prepare import without_rounding
-from palpd.gap.problem import MAX_BINS, Problem, make_problem
+from palpd.gap.problem import MAX_BINS, Problem, make_problem, return_memory
 from palpd.gap.recorded_noise import readings_at_rest_N, with_recorded_noise
 from palpd.gap.rounding import roundings_of
 from palpd.gap.scatter import Readings, scatter_effects
@@ -87,18 +85,12 @@ def diagnose(
     """
 
     def begin(step: str) -> None:
-        _return_memory()
+        return_memory()
         show(step)
 
     # The matrices are small: threads cost more than they bring, and add up in another order each time.
     with threadpool_limits(1):
         return _stages(recordings, cell, effects, max_bins, propose, calibrated, simulators, begin)
-
-
-def _return_memory() -> None:
-    """Give back what freed arrays leave between those in use: of a million rows 0.2 GB after the fits."""
-    with contextlib.suppress(AttributeError):  # glibc alone has it
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _stages(

@@ -1,5 +1,7 @@
 """Recordings of one cell against its simulation: measured and predicted bins, in units of their noise."""
 
+import contextlib
+import ctypes
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -327,6 +329,12 @@ class Problem:
         if recording.rounding is not None and FZ - 1 in reading.own:
             reading.own[FZ - 1] = recording.rounding.readings(reading.own[FZ - 1], recording.at_rest)
         return reading.averaged(lambda values: recording.binned_steps(motion, values), len(recording.bins))
+
+
+def return_memory() -> None:
+    """Give the system what freed arrays leave between those in use: of a million rows 0.2 GB after a search."""
+    with contextlib.suppress(AttributeError):  # glibc alone has it
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def make_problem(

@@ -140,7 +140,7 @@ def test_a_level_test_that_was_level_frees_a_probe_whose_zero_has_moved_until_th
         calibrate(host)
     answer = marked(tmp_path, state, "level_test").end(rows(Phase.LIFT, HOME[2], 0.9, site=-1), level=True, came_to_rest=True)
     assert answer.state == ProbeState.FREE
-    assert calibrate(host).trust == "level"
+    assert calibrate(host).basis == "level"
     marked(tmp_path, state)
     assert state.level() is None
 
@@ -183,8 +183,8 @@ def taken(tmp_path: Path, force_N: float, **options: Any) -> Calibration:
 
 def test_the_first_reference_of_a_state_folder_is_itself_the_yes_and_called_unconfirmed(tmp_path: Path) -> None:
     first = taken(tmp_path, 0.0)
-    assert (first.trust, first.by, first.away_N) == ("unconfirmed", "Ann", None)
-    assert taken(tmp_path, 0.1).trust == "free"
+    assert (first.basis, first.by, first.away_N) == ("unconfirmed", "Ann", None)
+    assert taken(tmp_path, 0.1).basis == "free"
 
 
 def test_a_yes_is_kept_with_who_said_it_and_both_numbers(tmp_path: Path) -> None:
@@ -192,7 +192,7 @@ def test_a_yes_is_kept_with_who_said_it_and_both_numbers(tmp_path: Path) -> None
     with pytest.raises(Refused, match="--probe-free"):
         taken(tmp_path, 1.2)
     kept = taken(tmp_path, 1.2, probe_free=True)
-    assert (kept.trust, kept.by, kept.away_N, kept.first) == ("yes", "Ann", pytest.approx(1.2), ZERO)
+    assert (kept.basis, kept.by, kept.away_N, kept.first) == ("yes", "Ann", pytest.approx(1.2), ZERO)
 
 
 def test_small_steps_do_not_add_up_beyond_3_N_from_the_first_reference(tmp_path: Path) -> None:
@@ -201,7 +201,7 @@ def test_small_steps_do_not_add_up_beyond_3_N_from_the_first_reference(tmp_path:
         taken(tmp_path, force_N, probe_free=True)
     with pytest.raises(Refused, match=r"4\.2 N off the first reference tare"):
         taken(tmp_path, 4.2, probe_free=True)
-    assert taken(tmp_path, 2.9).trust == "free"
+    assert taken(tmp_path, 2.9).basis == "free"
 
 
 def test_another_sensor_begins_a_new_first_reference_with_a_yes(tmp_path: Path) -> None:

@@ -139,6 +139,21 @@ def test_one_law_replaces_several_listed_effects_that_imitate_it_together_and_no
     assert replace(replacing, learned=two_terms).beside_named(0.5).learned is None, "as many parts as the listed effects"
 
 
+def test_columns_that_are_filtered_one_by_one_are_those_that_are_filtered_together(
+    rail: Diagnosis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    law = rail.finding.law
+    assert law is not None
+    for channel in ("fz_N", "z_m"):
+        candidate = replace(law.terms[0].candidate, channel=channel)
+        together = law.scene.columns(candidate)
+        assert together
+        with monkeypatch.context() as little_memory:
+            little_memory.setattr("palpd.gap.law_search.scene.MOST_FILTERED", 1)
+            one_by_one = law.scene.columns(candidate)
+        assert all(one_by_one[row] == pytest.approx(values, rel=1e-9, abs=1e-12) for row, values in together.items())
+
+
 def test_how_much_the_best_of_several_effects_leaves() -> None:
     def misfit(names: tuple[str, ...], misfit: float) -> Any:
         return SimpleNamespace(names=names, misfit=misfit)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from benchmarks.after_a_run import COMMANDS, ENDS, PAGE, Cell, row, rows_of, served
+from benchmarks.after_a_run import COMMANDS, ENDS, PAGE, ServedCell, row, rows_of, served
 from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, until
 from palpd.errors import Refused
 from tests.paths import ROOT
@@ -35,8 +35,8 @@ def test_on_monday_every_screen_says_the_same_of_a_probe_that_was_left_in_the_ti
         wired.wires.ask("drift", N_per_s=0.3)
         service.begin()
         wired.wires.ask("drift", N_per_s=1e-9)  # 0 would warm it up at once
-        said = service.status()["probe"]
-        assert said["state"] == "pressed", said
+        shown = service.status()["probe"]
+        assert shown["state"] == "pressed", shown
         assert COMMANDS["doctor"](service) == "pressed"
         printed = wired.palpd("status", "--config", service.config).stdout
         assert "The probe is pressed" in printed
@@ -74,7 +74,7 @@ def test_a_start_over_another_site_after_an_abort_is_asked_about_and_goes_back(c
         assert back["origin_m"] == pytest.approx(place["origin_m"], abs=1e-3)
 
 
-def _until_site(service: Cell, number: int) -> None:
+def _until_site(service: ServedCell, number: int) -> None:
     pressing = lambda: service.status().get("site") == number and service.wired.truth()["contact_N"] > 1.0  # noqa: E731
     until(pressing, f"the probe presses at site {number}")
 

@@ -59,7 +59,7 @@ def flipped(whole: bytes, bits: range) -> Iterator[tuple[int, bytes]]:
         yield bit // 8, bytes(damaged)
 
 
-def judge(recovered: Recovered, back: Any, rows: Rows, position: int, chunks: list[tuple[int, int]]) -> None:
+def assert_named_and_unaltered(recovered: Recovered, back: Any, rows: Rows, position: int, chunks: list[tuple[int, int]]) -> None:
     """Assert that no more is lost than the damaged record, that the rest is as it was, and that a loss is named."""
     hit = [number for number, (begin, end) in enumerate(chunks) if begin <= position < end]
     kept = np.concatenate(back.rows)
@@ -81,7 +81,7 @@ def test_every_flipped_bit_of_the_data_loses_at_most_its_own_record(first: int, 
     part = small.with_suffix(".part")
     for position, damaged in flipped(whole, range(first, 8 * whole.index(END_OF_DATA) + 8 * 13, 4)):
         part.write_bytes(damaged)
-        judge(recover(part), Restored.last, rows, position, chunks)
+        assert_named_and_unaltered(recover(part), Restored.last, rows, position, chunks)
 
 
 def test_what_is_restored_of_any_part_of_a_file_is_a_recording_that_loads(small: Path) -> None:
@@ -95,7 +95,7 @@ def test_what_is_restored_of_any_part_of_a_file_is_a_recording_that_loads(small:
         recovered.path.unlink()
         restored = Restored(part, back.header, back.model_bytes, part)
         restored.rows, restored.footer = [back.rows], back.footer
-        judge(recovered, restored, original.rows, position, chunks)
+        assert_named_and_unaltered(recovered, restored, original.rows, position, chunks)
 
 
 def test_a_flipped_bit_is_refused_by_whoever_loads_the_file(small: Path) -> None:

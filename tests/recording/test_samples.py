@@ -36,6 +36,7 @@ def test_what_is_written_is_read_back_to_the_last_bit(tmp_path: Path, commanded:
     assert (back.z_cmd_m is None) is not commanded
     for one, other in [(samples.t_s, back.t_s), (samples.z_m, back.z_m), (samples.wrench, back.wrench)]:
         np.testing.assert_array_equal(one, other)
+    assert back.t_s.base is None, "a column does not keep the whole table in memory"
 
 
 def test_a_table_that_is_spelled_otherwise_than_by_palpd_is_not_overwritten(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from palpd.gap.law_search.search import ALIKE_NATS, NAMED_NATS, LearnedLaw, sear
 from palpd.gap.noise import CHANNELS
 from palpd.gap.nuisances import Columns, project
 from palpd.gap.posterior import P_NONE, P_ONE, P_THREE, P_TWO, P_UNKNOWN
-from palpd.gap.problem import Problem
+from palpd.gap.problem import Problem, return_memory
 from palpd.tick import Floats
 
 DISCREPANCY_SIZE = 0.06
@@ -257,6 +257,7 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
     scene, space = Scene.of(problem, listed.values, listed.eta), _space_beside(problem, listed)
     gained = listed.log_evidence - nominal.log_evidence + _log_prior(problem, listed)
     top = search(scene, space, gained)
+    return_memory()
     events = find_events(scene, space)
     eventful = events.nats >= max(NAMED_NATS, (top.nats if top.carries else 0.0) - ALIKE_NATS) and _matters(listed, events.change)
     leaves_nothing = not eventful and not top.carries

@@ -132,7 +132,8 @@ class NuisanceSpace:
             Square of every window and its product with the residual (w,), the nuisances projected out.
         """
         numbers, rows = self.columns.of_channel(channel)
-        running = _running((rows * shape).T)
+        rows *= shape  # in place: of hundreds of presses these are the largest arrays
+        running = _running(rows.T)
         products = np.zeros((self.columns.size, len(begin)))
         products[numbers] = (running[end] - running[begin]).T
         seen = self._nuisances.whitened(products)
@@ -184,6 +185,7 @@ class NuisanceSpace:
                 mine.insert(1, columns[channel])
                 at = np.concatenate([index, np.arange(k, k + n + 1)])
             together = np.hstack(mine)
+            del mine, part  # as large
             for number in range(folds):
                 rows = together[fold == number]
                 total[number][np.ix_(at, at)] += rows.T @ rows
@@ -193,7 +195,9 @@ class NuisanceSpace:
 
 def _running(values: Floats) -> Floats:
     """Sums (b + 1, ...) of all rows before each."""
-    return np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+    out = np.zeros((len(values) + 1, *values.shape[1:]))
+    np.cumsum(values, axis=0, out=out[1:])
+    return out
 
 
 def _schur(moments: Floats, k: int, n: int) -> Products:

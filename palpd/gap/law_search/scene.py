@@ -18,7 +18,7 @@ from palpd.gap.law_search.nuisance_space import whitened
 from palpd.gap.noise import CHANNELS, FX, FY, FZ, TX, TY, Z, resolutions
 from palpd.gap.phases import Ints
 from palpd.gap.prepare import PreparedRecording
-from palpd.gap.problem import Problem
+from palpd.gap.problem import Problem, return_memory
 from palpd.tick import Floats
 
 LATERAL = "lateral"
@@ -30,7 +30,7 @@ REST_SHARE = 0.05
 
 HARMONICS, LEAST_HARMONIC = 4, 0.02
 """Most harmonics of the error of rounded readings, and the least amplitude of a further one, in steps."""
-MOST_FILTERED = 2_000_000
+MOST_FILTERED = 600_000
 """Largest number of values that are filtered at once: a filter needs ten times their memory, and of a million rows there are 8 million."""
 
 SHALLOW = 0.1
@@ -109,6 +109,7 @@ class Scene:
         Returns:
             The scene.
         """
+        return_memory()
         cell, library = problem.cell_at(effects, eta), problem.library
         speeds = np.concatenate([np.abs(one.motion.vz_m_per_s) for one in problem.recordings])
         rest = min(REST_SPEED_M_PER_S, max(REST_SHARE * float(np.quantile(speeds, 0.95)), 1e-12))

@@ -13,6 +13,7 @@ from palpd.gap.law_search.scene import LawCandidate, Scene
 from palpd.gap.law_search.scoring import Scored, Scorer
 from palpd.gap.noise import Z
 from palpd.gap.phases import Ints
+from palpd.gap.problem import return_memory
 from palpd.tick import Floats
 
 WORTH_A_LOOK_NATS = 6.0
@@ -194,12 +195,14 @@ def _next_term(scorer: Scorer, fold: Ints) -> LawTerm | None:
     """The likeliest term, with a closed formula where one holds."""
     scene, space = scorer.scene, scorer.space
     scored = scorer.scan()
+    return_memory()
     if not scored or scored[0].nats < WORTH_A_LOOK_NATS:
         return None
     scored += [better for one in _first_of_each(scored, 3) for better in scorer.refine(one)]
     scored.sort(key=lambda one: -one.nats)
     leading = _first_of_each(scored, PAIRS_WITH_FORMULAS)
     leading += [one for lead in leading if (one := scorer.best_formula(lead)) is not None]
+    return_memory()
     exact = sorted((scorer.exact(lead.candidate) for lead in leading), key=lambda one: -one[0].nats)
     # A change of the reported height below the noise of one report is an error of the model of the follower.
     exact = [one for one in exact if one[0].candidate.channel != "z_m" or _height_rms_m(scene, one[0], one[1]) > _report_noise_m(scene)]
