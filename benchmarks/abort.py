@@ -4,6 +4,9 @@
 it alone, hold 200 half-open connections, or ask for its status in 20 tight loops besides. Results are added to FILE; the column "measured"
 of docs/faults.md is made of all of FILE. Ends with 1 where the 99th percentile is above the target. Some 9 s a sample on a quiet machine.
 
+With `--half-open 1500` the abort is a request to the server of the page, which may open 1024 files, while that many other connections
+send half of a header, and each is opened again as soon as it is closed. The service answers at once: no arm, no browser.
+
 With `--page` the abort is a click on the button of the operator's page, in a headless Chromium, at a random moment of the motion. It prints
 how long it took from the click to the stop on the robot's wire, to the page that shows the abort, and to a target speed of zero.
 """
@@ -13,6 +16,7 @@ import contextlib
 import json
 import math
 import os
+import selectors
 import signal
 import socket
 import subprocess
@@ -20,16 +24,19 @@ import sys
 import tempfile
 import threading
 import time
+import urllib.request
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 import numpy as np
 
 from benchmarks.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell, emulated_cell, until
 from benchmarks.measured_column import FAULTS, condition, fill, results_in, spread
 from benchmarks.terminal import take_signals
+from palpd.daemon.control_socket import ControlSocket
 from palpd.daemon.socket_client import ask
 from palpd.errors import PalpdError
 from palpd.recording.reader import Recording
@@ -51,6 +58,10 @@ PAGE_HOPS = {
     "ended": "the page shows no run any more",
     "rest": "target speed zero",
 }
+CROWDED_PAGE_TARGET_S = 0.5
+"""Target at the 99th percentile for an abort by a page whose server others crowd."""
+DESCRIPTORS = 1024
+"""Files that the server of a crowded page may open: the usual limit of a shell."""
 SPREAD_S = 3.0
 """A click comes at a random moment of that long, while the arm moves."""
 HOPS = ("python", "sent", "tick", "wire", "rest", "answered")
@@ -130,6 +141,86 @@ def crowded(path: Path, half_open: int, loops: int) -> Iterator[None]:
             yield
         finally:
             crowd.kill()
+
+
+def _half_open(host: str, port: int, number: int) -> None:
+    """Hold that many connections with half of a header until this process is killed; a closed one is opened again at once."""
+    selector = selectors.DefaultSelector()
+
+    def connect() -> None:
+        client = socket.socket()
+        client.setblocking(False)
+        client.connect_ex((host, port))
+        selector.register(client, selectors.EVENT_READ | selectors.EVENT_WRITE)
+
+    for _ in range(number):
+        connect()
+    begun_s = time.monotonic()
+    while True:
+        for key, events in selector.select(SETTLE_S):
+            client = key.fileobj
+            assert isinstance(client, socket.socket)
+            try:
+                if events & selectors.EVENT_WRITE:
+                    client.send(b"GET / HTTP/1.1\r\nHost: ")
+                    selector.modify(client, selectors.EVENT_READ)
+                elif not client.recv(1):
+                    raise ConnectionResetError
+            except OSError:
+                selector.unregister(client)
+                client.close()
+                connect()
+        if begun_s and time.monotonic() > begun_s + SETTLE_S:
+            print("crowded", flush=True)
+            begun_s = 0.0
+
+
+def measure_crowded_page(samples: int, half_open: int, folder: Path) -> bool:
+    """Abort by a server of the page whose connections are crowded, print how long it took, and say whether the target was kept."""
+    from benchmarks.operator_page import page_server
+    from palpd.daemon.logs import configure
+
+    configure()
+    config, over = folder / "config.yaml", threading.Event()
+    config.write_text("paths: {state: .}\n")
+    service = ControlSocket(folder / "palpd.sock", lambda _: {"ok": True, "state": "disarmed"})
+
+    def serve() -> None:
+        while not over.is_set():
+            service.poll(0.05)
+
+    threading.Thread(target=serve, daemon=True).start()
+    taken_s, failed = [], 0
+    with page_server(config, DESCRIPTORS) as server:
+        address = urlsplit(server.url)
+        origin = f"http://{address.netloc}"
+        request = urllib.request.Request(f"{origin}/abort", method="POST", headers={"Origin": origin})
+        command = [sys.executable, "-m", "benchmarks.abort", "--crowd-page", str(address.hostname), str(address.port), str(half_open)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True) as crowd:
+            try:
+                assert crowd.stdout is not None
+                crowd.stdout.readline()
+                while len(taken_s) + failed < samples:
+                    began_s = time.monotonic()
+                    try:
+                        with urllib.request.urlopen(request, timeout=5.0) as answer:
+                            assert json.load(answer)["ok"]
+                        taken_s.append(time.monotonic() - began_s)
+                    except OSError as error:
+                        print(error, file=sys.stderr)
+                        failed += 1
+                    time.sleep(0.1)
+            finally:
+                crowd.kill()
+    over.set()
+    p50_ms, p99_ms = np.percentile(taken_s, [50, 99]) * 1e3 if taken_s else (math.nan, math.nan)
+    print("| half-open connections | p50, ms | p99, ms | largest, ms | target p99, ms | n | failed |")
+    print("|---|---|---|---|---|---|---|")
+    largest_ms = max(taken_s, default=math.nan) * 1e3
+    print(
+        f"| {half_open} | {p50_ms:.0f} | {p99_ms:.0f} | {largest_ms:.0f} | {CROWDED_PAGE_TARGET_S * 1e3:.0f} | {len(taken_s)} | {failed} |"
+    )
+    return not failed and bool(p99_ms <= CROWDED_PAGE_TARGET_S * 1e3)
 
 
 def aborted(cell: EmulatedCell, path: Path, crowd: str) -> dict[str, Any]:
@@ -327,12 +418,19 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=600.0, help="no sample is begun after that")
     parser.add_argument("--json", type=Path, help="results are added to this file")
     parser.add_argument("--page", action="store_true", help="abort by the button of the operator's page")
+    parser.add_argument("--half-open", type=int, metavar="N", help="abort by the page while N connections send half of a header")
     parser.add_argument("--crowd", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--crowd-page", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()
     take_signals()
     if options.crowd:
         _crowd_in(Path(options.crowd[0]), int(options.crowd[1]), int(options.crowd[2]))
+    if options.crowd_page:
+        host, port, number = options.crowd_page
+        _half_open(host, int(port), int(number))
     with tempfile.TemporaryDirectory() as name:
+        if options.half_open:
+            sys.exit(0 if measure_crowded_page(options.samples, options.half_open, Path(name)) else 1)
         kept = options.json or Path(name) / "abort.jsonl"
         take_samples, show = (measure_page, print_page_table) if options.page else (measure, write_table)
         take_samples(options.samples, time.monotonic() + options.minutes * 60.0, kept, Path(name))

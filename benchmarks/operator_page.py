@@ -32,9 +32,10 @@ def free_port() -> int:
 
 
 @contextmanager
-def page_server(config: Path) -> Iterator[PageServer]:
-    """Serve the page of a configuration within the context, on a free port."""
-    command = [sys.executable, "-m", "palpd", "web", "--config", str(config), "--port", str(free_port())]
+def page_server(config: Path, descriptors: int = 4096) -> Iterator[PageServer]:
+    """Serve the page of a configuration within the context, on a free port. The server may open that many files."""
+    limited = ["sh", "-c", f'ulimit -n {descriptors} && exec "$@"', "sh"]
+    command = [*limited, sys.executable, "-m", "palpd", "web", "--config", str(config), "--port", str(free_port())]
     with (config.parent / "page.jsonl").open("wb") as log:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True)
     try:

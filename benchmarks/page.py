@@ -52,6 +52,7 @@ SECTIONS = {
     "stream": Section("The force in another program", "-m benchmarks.stream", "-m benchmarks.stream --records 40000"),
     "web": Section("The operator's page, and what the loop notices of it", None, "-m benchmarks.web"),
     "page-abort": Section("An abort by the operator's page", None, "-m benchmarks.abort --page --samples 200 --minutes 60"),
+    "crowded-page": Section("An abort by a page that others crowd", None, "-m benchmarks.abort --half-open 1500 --samples 200"),
     "presses": Section("Presses with faults, without wires", None, "benchmarks/presses.py"),
     "soak": Section("Soak", None, "benchmarks/soak.py"),
     "slopes": Section("Moduli by a sensor with two slopes of Fz", None, "-m benchmarks.slopes"),

@@ -258,12 +258,12 @@ def _objections(cell: EmulatedCell, command: str, moment_s: float, code: int, se
     if moment_s < STARTING_S and "palpd:" not in sentence:
         return []  # Python itself was interrupted
     objections = ["a traceback"] if "Traceback" in sentence else []
-    if code == 130 and "interrupted by" not in sentence:
+    if code > 128 and "interrupted by" not in sentence:
         objections.append("no reason is given")
     if code == 3 and "operator aborted the run (interrupted by" not in sentence:
         objections.append("another reason is given")
     finished = code == 0 and not sentence  # the signal came in Python's own shutdown, when all was done
-    if code not in (0, 3, 130) or (code == 0 and command != "serve" and not finished):
+    if code not in (0, 3, 130, 143, 129) or (code == 0 and command != "serve" and not finished):
         objections.append(f"exit code {code}")
     runs = cell.folder / "runs"
     objections += [f"{part.name} is unfinished" for part in runs.glob("*.part")]

@@ -63,7 +63,7 @@ def write_rows(path: Path, rows: NDArray[np.void], job: Job, about: RunAbout, fo
     Returns:
         The path.
     """
-    header = {**header_of(job, about, job.reference or (0.0,) * 6)}
+    header = {**header_of(job, about, job.reference or (0.0,) * 6, tuple(rows[0]["tcp_pose"].tolist()))}
     header["started"] = str(np.datetime64(round(about["epoch_offset_s"] + float(rows["now_s"][0])), "s")) + "+00:00"
     writer = RecordingWriter(path, header)  # type: ignore[arg-type]
     chunk = max(1, round(CHUNK_S * job.config.robot.rate_Hz))

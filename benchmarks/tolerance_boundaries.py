@@ -6,12 +6,12 @@ and beyond 4 named or reported where its SNR beside the other tolerances is 10 o
 """
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from itertools import product
 
 from benchmarks.boundaries import KEYS, Boundary, answer_to
 from benchmarks.plain_cells import CONTROLLERS
+from palpd.workers import pool
 
 DEVIATIONS_SD = (0.0, 1.0, 2.0, 3.0, 5.0)
 
@@ -30,8 +30,8 @@ def main() -> None:
     print("| controller | tolerance | sd | SNR | answer | |")
     print("|---|---|---|---|---|---|")
     wrong = 0
-    with ProcessPoolExecutor(options.jobs) as pool:
-        for one, outcome in zip(boundaries, pool.map(partial(answer_to, max_bins=options.bins), boundaries), strict=True):
+    with pool(options.jobs) as workers:
+        for one, outcome in zip(boundaries, workers.map(partial(answer_to, max_bins=options.bins), boundaries), strict=True):
             wrong += not outcome.right
             mark = "" if outcome.right else "!"
             print(f"| {one.controller} | {one.key} | {one.off_sd:g} | {outcome.snr:.1f} | {outcome.answer} | {mark} |", flush=True)

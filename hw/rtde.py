@@ -90,7 +90,7 @@ def require_library() -> None:
     if RTDEControlInterface is None:
         raise RobotError(
             "the library ur-rtde, which speaks to the robot, is not installed; its wheels are for Linux on x86-64 with Python 3.11 or "
-            "3.12, so run this command on such a machine"
+            "3.12, so run this command with such a Python"
         )
 
 

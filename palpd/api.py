@@ -25,11 +25,20 @@ from palpd.cell.cell_file import CellFile, cell_from, load_cell, nominal, save_c
 from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import BadInput, RecordingError
-from palpd.gap.commands import read_motion, read_recording, simulate_columns
+from palpd.gap.commands import check_motion, read_motion, read_recording, simulate_columns
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.diagnosis import diagnose as diagnose_samples
 from palpd.gap.user_simulator import UserSimulator, asked
-from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, samples_from_columns, write_csv
+from palpd.recording.samples import (
+    COLUMNS,
+    WRENCH_COLUMNS,
+    Samples,
+    common_site,
+    numbers_of,
+    samples_from_columns,
+    site_named_in,
+    write_csv,
+)
 from palpd.tick import Floats
 
 if TYPE_CHECKING:
@@ -350,8 +359,11 @@ def load(path: str | Path, site: str | None = None) -> LoadedRecording:
         The recording.
 
     Raises:
+        BadInput: That is no path.
         RecordingError: The file is no recording, or holds several sites and none is named.
     """
+    if not isinstance(path, str | Path):
+        raise BadInput(f"a {type(path).__name__} is no path of a recording; load takes a file, and diagnose takes data frames as they are")
     return LoadedRecording(read_recording(Path(path), site), Path(path).name)
 
 
@@ -396,8 +408,8 @@ def simulate(
         The recording.
 
     Raises:
-        BadInput: Only one of `simulated` and `nominal` is given.
-        RecordingError: The motion lacks a column.
+        BadInput: Only one of `simulated` and `nominal` is given, or the seed is negative.
+        RecordingError: The motion lacks a column, or holds what no motion has.
     """
     columns = _columns(motion)
     if "z_m" not in columns:
@@ -406,10 +418,11 @@ def simulate(
     missing = [name for name in ("t_s", needed) if name not in columns]
     if missing:
         raise RecordingError(f"the motion has no column {missing[0]}; it has {', '.join(columns) or 'none'}")
+    check_motion({name: columns[name] for name in ("t_s", needed, "vz_m_per_s", "z_cmd_m") if name in columns}, "the motion")
     if (simulated is None) != (nominal is None):
         raise BadInput("simulated= and nominal= belong together: the first is your simulator of the second; give both")
     own = None if simulated is None or nominal is None else (_simulator(simulated, columns["t_s"]), _cell(nominal))
-    samples = simulate_columns(_cell(cell), columns, measured=drive == "measured", noise_seed=noise_seed, own=own)
+    samples = simulate_columns(_cell(cell).at_site(_site_of(motion)), columns, measured=drive == "measured", noise_seed=noise_seed, own=own)
     return LoadedRecording(samples, "simulated")
 
 
@@ -466,7 +479,8 @@ def analyse(source: Source, cell: CellSource | None = None, *, site: str | None 
         return Analysis(tuple(_daemon_sites(source, site)))
     from palpd.analysis.enriched import enriched_modulus
 
-    estimate = enriched_modulus([_samples(source, site)], _cell(cell))
+    samples = _samples(source, site)
+    estimate = enriched_modulus([samples], _cell(cell).at_site(common_site([samples])))
     figures = {"youngs_modulus_Pa": estimate.youngs_modulus_Pa, "ci95_Pa": list(estimate.ci95_Pa), "contact_point_m": estimate.surface_z_m}
     return Analysis(({"name": site or "", **figures, "rms_N": estimate.rms_N, "warnings": []},))
 
@@ -510,15 +524,28 @@ def _samples(source: Source, site: str | None = None) -> Samples:
     return source.samples if isinstance(source, LoadedRecording) else samples_from_columns(_columns(source), "the data frame")
 
 
+def _site_of(source: Source) -> str | None:
+    """The site that a motion names."""
+    if isinstance(source, str | Path):
+        return site_named_in(Path(source))
+    samples = source.samples if isinstance(source, LoadedRecording) else source
+    return common_site([samples]) if isinstance(samples, Samples) else None
+
+
 def _columns(source: Source) -> dict[str, Floats]:
     """The known columns of anything that has columns."""
     if isinstance(source, str | Path):
         return read_motion(Path(source))
     if isinstance(source, Samples):
         source = LoadedRecording(source)
+    if not isinstance(source, Mapping) and not hasattr(source, "columns"):
+        raise BadInput(
+            f"a {type(source).__name__} is no recording; give a file, a recording, or a data frame or mapping with the columns "
+            f"{', '.join(COLUMNS)}"
+        )
     names = list(source) if isinstance(source, Mapping) else list(source.columns)
     try:
-        return {name: np.asarray(source[name], dtype=float) for name in COLUMNS if name in names}
+        return {name: numbers_of(source[name], "the data frame", name) for name in COLUMNS if name in names}
     except (TypeError, ValueError) as error:
         raise RecordingError(f"a column of the data frame holds something that is no number ({error})") from None
 

@@ -332,6 +332,7 @@ KINDS: dict[type[StrictBlock], Kind] = {Config: "config", Plan: "plan"}
 def load_config(path: Path | None) -> Config:
     """Read config.yaml, with the environment's PALPD_SECTION__KEY=… and PALPD_SECTION='{key: …}' over it. Raises ConfigError."""
     document = read_yaml(path) if path else Document("the default configuration", {})
+    document.refuse_empty()
     config = _validated(Config, _overridden(document))
     if path is None:
         return config

@@ -230,6 +230,11 @@ class Document(NamedTuple):
                 return self.places[location[:length]]
         return self.name
 
+    def refuse_empty(self) -> None:
+        """Refuse a file that holds nothing: it was cut off, or is another one. Raises ConfigError."""
+        if self.content is None:
+            raise ConfigError(f"{self.name} is empty, expected keys and values; write at least one, such as version: 1")
+
     def keys_and_values(self) -> dict[str, Any]:
         """The content of a file that must be a mapping; an empty file is an empty one. Raises ConfigError."""
         if self.content is None:

@@ -146,6 +146,7 @@ class Phase(IntEnum):
     TARE = 10
     RETURN = 11
     PAUSE_RETRACT = 12  # up to the safe height, to wait there
+    LIFT = 13  # straight up at the beginning, where a contact would show
 
 
 class Mode(IntEnum):

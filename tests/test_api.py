@@ -138,3 +138,33 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     assert "kPa" in printed
     assert {"enriched.yaml", "gap.html"} == {path.name for path in tmp_path.iterdir()}
     assert set(palpd.__all__) <= set(re.findall(r"\w+", page))
+
+
+@pytest.mark.parametrize("thing", [None, 3, np.zeros((40, 10))], ids=["None", "number", "array"])
+def test_what_is_no_recording_is_refused_in_a_sentence(thing: object) -> None:
+    for asked in (palpd.load, lambda source: palpd.simulate(source, {}), lambda source: palpd.diagnose(source, {})):
+        with pytest.raises(BadInput, match=r"is no path of a recording|is no recording; give"):
+            asked(thing)
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "words"),
+    [
+        ("z_m", np.zeros(5), "z_m holds 5 values and t_s 200"),
+        ("z_m", np.full(200, np.nan), "z_m is nan in row 1"),
+        ("z_m", np.ma.masked_less(np.arange(200.0), 3.0), "z_m has 3 masked values"),
+        ("t_s", np.datetime64("2026-01-01") + np.arange(200).astype("timedelta64[ms]"), "t_s holds dates or durations"),
+        ("t_s", np.arange(200).astype("timedelta64[ms]"), "t_s holds dates or durations"),
+        ("t_s", np.zeros(200), "t_s stands still"),
+    ],
+)
+def test_a_motion_that_cannot_be_is_refused(column: str, values: np.ndarray, words: str) -> None:
+    columns = {"t_s": np.arange(200) * 0.01, "z_m": np.full(200, 0.01)} | {column: values}
+    with pytest.raises(RecordingError, match=words):
+        palpd.simulate(columns, {})
+
+
+@pytest.mark.parametrize("seed", [-1, 0.5])
+def test_a_seed_is_a_whole_number(motion: dict[str, np.ndarray], seed: int) -> None:
+    with pytest.raises(BadInput, match="expected a whole number from 0 on"):
+        palpd.simulate(motion, {}, noise_seed=seed)

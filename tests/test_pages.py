@@ -21,6 +21,7 @@ from palpd.interchange import registry
 from palpd.interchange.import_files import ImportOptions, read_files
 from tests.pages import FENCE, commands_of, quoted_in, words
 from tests.paths import ROOT
+from tests.robot_library import skip_without_ur_rtde
 
 DOCS = ROOT / "docs"
 START, ON_WIRES = DOCS / "start.md", DOCS / "tutorials" / "emulated-cell.md"
@@ -122,6 +123,7 @@ def test_the_tutorial_on_the_emulated_cell_runs_word_by_word(tmp_path_factory: p
             assert words(line) in words(done.stdout)
         assert (here / "cell" / "inertial.onnx").exists()
 
+    skip_without_ur_rtde()
     with emulated_cell(tmp_path_factory.mktemp("cell")) as wired:
         retry_if_machine_stalled(lambda: wired.anew(tmp_path_factory.mktemp("run")), attempt)
 

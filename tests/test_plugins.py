@@ -2,17 +2,20 @@
 
 import tomllib
 from collections.abc import Callable, Iterator
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import pytest
 
+from benchmarks.simulated_recording import write_simulated
 from palpd.cell.cell_file import load_cell
 from palpd.cell.effects import EFFECTS, installed, installed_effects, load_effects, user_effects
-from palpd.config import Config, SensorConfig
-from palpd.daemon import wiring
+from palpd.config import Config, Plan, PlanSite, SensorConfig
+from palpd.daemon import supervisor, wiring
 from palpd.errors import BadInput, ConfigError, RecordingError, RobotError, SensorError
 from palpd.interchange import registry
 from palpd.plugins import plugins
+from palpd.recording.reader import Recording
 from tests.paths import ROOT
 
 PACKAGE = """
@@ -128,6 +131,17 @@ def test_a_sensor_and_a_robot_of_another_package_are_chosen_by_name(installs: Ca
     assert wiring.open_reader(config).host == "10.0.0.2"  # type: ignore[attr-defined]
 
 
+def test_a_run_with_another_robot_is_recorded_without_ur_rtde(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def version(name: str) -> str:
+        if name == "ur-rtde":
+            raise PackageNotFoundError(name)
+        return "1.2"
+
+    monkeypatch.setattr(supervisor, "version", version)
+    recording = Recording.load(write_simulated(tmp_path / "run.mcap", Plan(sites=(PlanSite(name="A"),), depths_m=(0.002,))))
+    assert recording.header["versions"] == {"palpd": "1.2", "numpy": "1.2", "onnxruntime": "1.2"}
+
+
 def test_nobody_replaces_a_driver_of_ours(installs: Callable[[str], None]) -> None:
     installs("[palpd.sensors]\nhex-70 = palpd_extra:Sensor\n")
     assert plugins("palpd.sensors", wiring.SENSORS)["hex-70"].place == wiring.SENSORS["hex-70"]
@@ -147,9 +161,13 @@ def test_nobody_replaces_a_driver_of_ours(installs: Callable[[str], None]) -> No
     ],
 )
 def test_a_driver_that_cannot_be_used_is_one_sentence(installs: Callable[[str], None], block: dict[str, object], sentence: str) -> None:
-    installs("[palpd.sensors]\nbad = palpd_broken:X\nodd = palpd_extra:NO_EFFECT\n[palpd.robots]\nodd = palpd_extra:NO_EFFECT\n")
+    installs(
+        "[palpd.sensors]\nbad = palpd_broken:X\nodd = palpd_extra:NO_EFFECT\n"
+        "[palpd.robots]\nmine = palpd_extra:ROBOT\nodd = palpd_extra:NO_EFFECT\n"
+    )
+    robot = {"robot": {"kind": "mine", "rtde_rate_Hz": 100.0}}
     with pytest.raises(BadInput, match=sentence):
-        wiring.devices(Config.model_validate(block), True)
+        wiring.devices(Config.model_validate(robot | block), True)
     assert wiring.sensor_kind(Config())  # what does not use it goes on
 
 

@@ -1,5 +1,6 @@
 """The wheel, unpacked into an empty folder: it brings the files of the service, and runs without the robot's library."""
 
+import json
 import os
 import subprocess
 import sys
@@ -64,6 +65,25 @@ def test_without_the_robots_library_a_simulation_works_and_a_run_is_refused_in_o
     assert len(refused.stderr.strip().splitlines()) == 1
     assert "ur-rtde" in refused.stderr
     assert "Linux on x86-64" in refused.stderr
+
+
+def test_without_the_robots_library_the_demo_offers_the_run_without_wires_and_says_what_that_does_not_show(
+    unpacked: Path, tmp_path: Path
+) -> None:
+    refused = _palpd(unpacked, tmp_path, "demo")
+    assert refused.returncode == 2
+    assert "ur-rtde" in refused.stderr
+    assert refused.stderr.endswith("or add --no-wires: the cell's physics alone, without bytes, timing and faults\n")
+    assert "--no-wires" not in _palpd(unpacked, tmp_path, "demo", "--page").stderr, "the page needs a service on wires"
+    assert not list(tmp_path.iterdir()), "neither has begun"
+    done = _palpd(unpacked, tmp_path, "demo", "--no-wires", "--json", "demo.json", "--out", "demo")
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "demo.json").read_text())
+    assert result["verdict"] == "done"
+    assert "bytes, timing and faults were not part of it" in result["notes"][0]
+    assert "µs" not in done.stdout, "no timing was measured"
+    for site in result["sites"]:
+        assert site["static_youngs_modulus_Pa"] == pytest.approx(site["true_youngs_modulus_Pa"], rel=0.02)
 
 
 def test_the_version_is_that_of_the_project(unpacked: Path, tmp_path: Path) -> None:

@@ -7,7 +7,8 @@ from typing import Literal, TypedDict
 
 import numpy as np
 
-from palpd.analysis.young import ContactFit, fit_contact, modulus_peak_Pa
+from palpd.analysis.hertz_misfit import HertzMisfit, covering, range_of
+from palpd.analysis.young import ContactFit, fit_contact, modulus_hertz_Pa, modulus_peak_Pa
 from palpd.control.surface import FEWEST_SAMPLES
 from palpd.errors import BadInput, RecordingError
 from palpd.files import opened
@@ -122,6 +123,7 @@ class CurveResult(TypedDict):
 
     youngs_modulus_Pa: float
     ci95_Pa: list[float]
+    hertz_misfit: HertzMisfit | None
     reduced_modulus_Pa: float
     contact_point_m: float
     contact_sigma_m: float
@@ -201,6 +203,7 @@ def analyse_curve(
     return {
         "youngs_modulus_Pa": modulus,
         "ci95_Pa": list(ci95),
+        "hertz_misfit": hertz.misfit,
         "reduced_modulus_Pa": modulus / (1.0 - poisson_ratio**2),
         "contact_point_m": curve.sign * hertz.contact_point_m + 0.0,  # never -0.0
         "contact_sigma_m": hertz.contact_sigma_m,
@@ -220,6 +223,7 @@ def analyse_curve(
         "rows_skipped": curve.skipped,
         "warnings": [
             *_odd_lengths(curve, hertz.depth_m, tip_radius_m),
+            *([] if hertz.misfit is None else [hertz.misfit["sentence"]]),
             *hertz.warnings,
             *([_baseline_warning(curve, other)] if held and baseline == "auto" else []),
         ],
@@ -250,7 +254,12 @@ def _at_peak(hertz: ContactFit, peak_N: float, tip_radius_m: float, poisson_rati
     """Modulus of equation 1 and its interval: of the contact point, of the baseline and of the one sample that is the peak."""
     modulus = modulus_peak_Pa(peak_N, hertz.depth_m, tip_radius_m, poisson_ratio)
     share = 1.96 * math.hypot(1.5 * hertz.contact_sigma_m / hertz.depth_m, hertz.rms_N / peak_N)
-    return modulus, (modulus * (1.0 - share), modulus * (1.0 + share))
+    factor = modulus_peak_Pa(1.0, 1.0, 1.0, poisson_ratio) / modulus_hertz_Pa(
+        1.0, 1.0, 1.0, poisson_ratio
+    )  # the two differ where ν is not 0.5
+    ranges_Pa = [(low_Pa * factor, high_Pa * factor) for low_Pa, high_Pa in range_of(hertz.misfit)]
+    low_Pa, high_Pa = covering((modulus * (1.0 - share), modulus * (1.0 + share)), *ranges_Pa)
+    return modulus, (low_Pa, high_Pa)
 
 
 def refuse_unknown_tip(tip_radius_m: float | None) -> float:

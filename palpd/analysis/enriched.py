@@ -25,7 +25,7 @@ from palpd.cell.simulation import equilibrium_force_N, true_surface_m, wrench_of
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
 from palpd.recording.reader import Recording, samples_of
-from palpd.recording.samples import Samples, read, runs_of_true
+from palpd.recording.samples import Samples, common_site, read, runs_of_true
 from palpd.tick import Floats
 
 SHIFT_M = 2e-5
@@ -236,17 +236,18 @@ def analysed(file: Path, cell: CellFile, site: str | None = None) -> dict[str, A
 
     Args:
         file: Recording: .mcap of a run, or CSV of one site.
-        cell: The enriched cell.
+        cell: The enriched cell; where it has sites, each recorded site is compared with its own.
         site: Name of one site of the run, or None for all.
 
     Returns:
         The keys of an `EnrichedResult`; for a run also `sites`, a list of them.
     """
     if file.suffix != ".mcap":
-        return {**_result(enriched_modulus([read(file)], cell), site or file.stem)}
+        samples = read(file)
+        return {**_result(enriched_modulus([samples], cell.at_site(common_site([samples]))), site or file.stem)}
     recording = Recording.load(file)
     names = [site] if site is not None else [each["name"] for each in recording.header["sites"]]
-    sites = [_result(enriched_modulus([samples_of(recording, name)], cell), name) for name in names]
+    sites = [_result(enriched_modulus([samples_of(recording, name)], cell.at_site(name)), name) for name in names]
     return {"sites": sites, **(sites[0] if len(sites) == 1 else {})}
 
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from palpd.cell.cell_file import nominal
 from palpd.control.slopes import GRAVITY_N_PER_KG
 from palpd.control.surface import FEWEST_SAMPLES, correlation_time, surface_from_approach
 from palpd.errors import RecordingError
@@ -64,6 +65,19 @@ class KnownWeight:
         return np.where(force_N > self.weight_N, self.force_sigma_N, 0.0)
 
 
+class PressScatter(NamedTuple):
+    """One standard deviation from press to press: relative of the stiffness, and of the height of contact (a cell's `repeatability`)."""
+
+    stiffness: float = 0.01
+    surface_m: float = 0.0
+
+    @classmethod
+    def of(cls, header: RecordingHeader) -> "PressScatter":
+        """The scatter by the cell of a recording; that of a nominal cell where the header holds none."""
+        stated = (header.get("config", {}).get("cell") or {}).get("repeatability") or nominal().repeatability.model_dump()
+        return cls(stated["stiffness"], stated["surface_z_m"])
+
+
 class Measured(NamedTuple):
     """One modulus by equation 1, and what it was computed from. `noise_sigma_N` is the standard deviation of its force."""
 
@@ -71,6 +85,11 @@ class Measured(NamedTuple):
     force_N: float
     depth_m: float
     noise_sigma_N: float
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether it says something of the tissue: a press that pulled says nothing."""
+        return math.isfinite(self.modulus_Pa) and self.force_N > 0.0
 
 
 def mean_ci95_Pa(measured: Sequence[Measured], surface_sigma_m: float | None, weight: KnownWeight) -> list[float] | None:
@@ -87,7 +106,7 @@ def mean_ci95_Pa(measured: Sequence[Measured], surface_sigma_m: float | None, we
     Returns:
         Low and high in Pa; None without a modulus or without a surface.
     """
-    usable = [one for one in measured if math.isfinite(one.modulus_Pa) and one.force_N > 0.0]
+    usable = [press for press in measured if press.is_usable]
     if not usable or surface_sigma_m is None:
         return None
     modulus_Pa, force_N, depth_m, noise_N = np.array(usable).T

@@ -4,16 +4,25 @@ Computed from the recording alone, so a run, a replay and `palpd analyse` of the
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NotRequired, TypedDict
+from typing import NamedTuple, NotRequired, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
+from palpd.analysis.hertz_misfit import HertzMisfit, covering, misfit_over_depth, range_of, span_Pa
 from palpd.analysis.interruptions import interrupted
 from palpd.analysis.intervals import mean_half_width_95
-from palpd.analysis.modulus_intervals import NORMAL_95, KnownWeight, Measured, approach_sigma_m, mean_ci95_Pa, mean_sigma_N
+from palpd.analysis.modulus_intervals import (
+    NORMAL_95,
+    KnownWeight,
+    Measured,
+    PressScatter,
+    approach_sigma_m,
+    mean_ci95_Pa,
+    mean_sigma_N,
+)
 from palpd.analysis.stalls import StallFigures
 from palpd.analysis.young import ContactFit, fit_contact, modulus_peak_Pa, ymbt
 from palpd.control.sequence import SOFT_END
@@ -28,6 +37,11 @@ PEAK_WINDOW_S = 0.02
 
 LOADED_N = 1.0
 """Force against a rigid plate above which a press counts for the machine's stiffness: below it mount and plate settle."""
+
+
+CORRECTED_ZERO_N, UNCORRECTED_ZERO_N = 0.02, 1.0
+"""Standard deviation of the zero of a dynamic peak, with an inertial model and without one. The model's running zero follows a bias to
+some 0.02 N. Without it nothing does, and the value leaves the zero free."""
 
 
 SAME_MODULUS = 0.05
@@ -61,16 +75,21 @@ class PressResult(TypedDict):
 class SiteResult(TypedDict):
     """One site of a plan; figures that the recording does not give are None, and only an emulated cell has a true modulus.
 
-    The intervals hold noise, the height of the surface and the weight of the probe (`palpd.analysis.modulus_intervals`).
+    The intervals `…noise_ci95_Pa` hold noise, the height of the surface and the weight of the probe
+    (`palpd.analysis.modulus_intervals`). The intervals `…ci95_Pa` cover the range of the moduli over depth too, where `hertz_misfit` says
+    that these change (`palpd.analysis.hertz_misfit`).
     """
 
     name: str
     surface_z_m: float | None
     static_youngs_modulus_Pa: float | None
     static_ci95_Pa: list[float] | None
+    static_noise_ci95_Pa: list[float] | None
     dynamic_original_Pa: float | None
     dynamic_corrected_Pa: float | None
     dynamic_corrected_ci95_Pa: list[float] | None
+    dynamic_corrected_noise_ci95_Pa: list[float] | None
+    hertz_misfit: HertzMisfit | None
     ymbt_original: float | None
     ymbt_corrected: float | None
     peak_force_N: float | None
@@ -84,11 +103,15 @@ class SiteResult(TypedDict):
 
 
 class LoadingResult(TypedDict):
-    """Hertz over the loading of the deepest press of a site; the figures are None where `warnings` say why."""
+    """Hertz over the loading of the deepest press of a site; the figures are None where `warnings` say why.
+
+    `hertz_misfit` is that of the holds or presses, whose depths count from the surface of the search; of the loading where these show none.
+    """
 
     name: str
     youngs_modulus_Pa: float | None
     ci95_Pa: list[float] | None
+    hertz_misfit: HertzMisfit | None
     contact_point_m: float | None
     baseline_N: NotRequired[float]
     depth_m: NotRequired[float]
@@ -178,6 +201,19 @@ def track(rows: NDArray[np.void], delay_s: float, machine_stiffness_N_per_m: flo
     return whole.where(~dropped[tick_of]) if dropped.any() else whole
 
 
+class _Errors(NamedTuple):
+    """What a recording's header says of the errors of its moduli; `peak_zero_sigma_N` is the standard deviation of the zero of a peak."""
+
+    weight: KnownWeight
+    scatter: PressScatter
+    peak_zero_sigma_N: float
+
+    @classmethod
+    def of(cls, header: RecordingHeader) -> "_Errors":
+        zero_sigma_N = CORRECTED_ZERO_N if header.get("model_card") else UNCORRECTED_ZERO_N
+        return cls(KnownWeight.of(header), PressScatter.of(header), zero_sigma_N)
+
+
 def sites(rows: NDArray[np.void], header: RecordingHeader) -> list[SiteResult]:
     """Surface, depths and moduli of every site of the plan.
 
@@ -192,8 +228,8 @@ def sites(rows: NDArray[np.void], header: RecordingHeader) -> list[SiteResult]:
     stiffness = body["machine_stiffness_N_per_m"] or math.inf
     whole = track(rows, body["delay_s"], stiffness)
     tip = (body["tip_radius_m"], body["poisson_ratio"])
-    weight = KnownWeight.of(header)
-    return [_site(whole.where(whole.site == index), site["name"], tip, weight) for index, site in enumerate(header["sites"])]
+    errors = _Errors.of(header)
+    return [_site(whole.where(whole.site == index), site["name"], tip, errors) for index, site in enumerate(header["sites"])]
 
 
 def analysed(rows: NDArray[np.void], header: RecordingHeader) -> list[LoadingResult]:
@@ -208,8 +244,8 @@ def analysed(rows: NDArray[np.void], header: RecordingHeader) -> list[LoadingRes
     """
     body = header["body"]
     whole = track(rows, body["delay_s"], body["machine_stiffness_N_per_m"] or math.inf)
-    weight = KnownWeight.of(header)
-    return [_loading(whole.where(whole.site == index), site["name"], body, weight) for index, site in enumerate(header["sites"])]
+    errors = _Errors.of(header)
+    return [_loading(whole.where(whole.site == index), site["name"], body, errors) for index, site in enumerate(header["sites"])]
 
 
 def analysed_sites(recording: Recording, site: str | None = None) -> list[LoadingResult]:
@@ -230,7 +266,7 @@ def analysed_sites(recording: Recording, site: str | None = None) -> list[Loadin
     return [each for each in analysed(recording.rows, recording.header) if site in (None, each["name"])]
 
 
-def _loading(of_site: Track, name: str, body: RecordedGeometry, weight: KnownWeight) -> LoadingResult:
+def _loading(of_site: Track, name: str, body: RecordedGeometry, errors: _Errors) -> LoadingResult:
     pressed = of_site.where(np.isin(of_site.mode, (Mode.STATIC, Mode.DYNAMIC)) & np.isfinite(of_site.depth_m))
     if not len(pressed.t_s):
         return _no_loading(name, "nothing was pressed here")
@@ -240,30 +276,32 @@ def _loading(of_site: Track, name: str, body: RecordedGeometry, weight: KnownWei
     tip, force_N = (body["tip_radius_m"], body["poisson_ratio"]), loading.fz_N - loading.inertial_N
     try:
         fit = fit_contact(loading.tip_z_m, force_N, *tip)
-        if weight.force_sigma_N:
-            heavier = fit_contact(loading.tip_z_m, force_N + weight.shift_N(force_N), *tip)
+        if errors.weight.force_sigma_N:
+            heavier = fit_contact(loading.tip_z_m, force_N + errors.weight.shift_N(force_N), *tip)
             fit = _with_weight(fit, heavier.youngs_modulus_Pa - fit.youngs_modulus_Pa)
     except RecordingError as error:
         return _no_loading(name, str(error))
-    held = _site(of_site, name, tip, weight)
+    held = _site(of_site, name, tip, errors)
+    misfit = held["hertz_misfit"] or fit.misfit
     return {
         "name": name,
         "youngs_modulus_Pa": fit.youngs_modulus_Pa,
-        "ci95_Pa": list(fit.ci95_Pa),
+        "ci95_Pa": covering(fit.ci95_Pa, *range_of(misfit)),
+        "hertz_misfit": misfit,
         "contact_point_m": fit.contact_point_m,
         "baseline_N": fit.baseline_N,
         "depth_m": fit.depth_m,
         "rms_N": fit.rms_N,
         "peak_force_N": float(loading.fz_N.max() - fit.baseline_N),
         "static_youngs_modulus_Pa": held["static_youngs_modulus_Pa"],
-        "warnings": [*fit.warnings, *_two_moduli(fit, held)],
+        "warnings": [*([] if misfit is None else [misfit["sentence"]]), *fit.warnings, *_two_moduli(fit, held)],
     }
 
 
 def _with_weight(fit: ContactFit, sigma_Pa: float) -> ContactFit:
     """The fit with an interval that also holds what the tolerance of the probe's weight leaves, one standard deviation of the modulus."""
-    half_Pa = math.hypot(fit.ci95_Pa[1] - fit.youngs_modulus_Pa, NORMAL_95 * sigma_Pa)
-    return replace(fit, ci95_Pa=(fit.youngs_modulus_Pa - half_Pa, fit.youngs_modulus_Pa + half_Pa))
+    low_Pa, high_Pa = (math.hypot(bound_Pa - fit.youngs_modulus_Pa, NORMAL_95 * sigma_Pa) for bound_Pa in fit.ci95_Pa)
+    return replace(fit, ci95_Pa=(fit.youngs_modulus_Pa - low_Pa, fit.youngs_modulus_Pa + high_Pa))
 
 
 def _two_moduli(fit: ContactFit, held: SiteResult) -> list[str]:
@@ -280,10 +318,10 @@ def _two_moduli(fit: ContactFit, held: SiteResult) -> list[str]:
 
 
 def _no_loading(name: str, reason: str) -> LoadingResult:
-    return {"name": name, "youngs_modulus_Pa": None, "ci95_Pa": None, "contact_point_m": None, "warnings": [reason]}
+    return {"name": name, "youngs_modulus_Pa": None, "ci95_Pa": None, "hertz_misfit": None, "contact_point_m": None, "warnings": [reason]}
 
 
-def _site(of_site: Track, name: str, tip: tuple[float, float], weight: KnownWeight) -> SiteResult:
+def _site(of_site: Track, name: str, tip: tuple[float, float], errors: _Errors) -> SiteResult:
     known = of_site.surface_z_m[np.isfinite(of_site.surface_z_m)]
     surface_z_m = float(known[-1]) if len(known) else None
     static = [_held(of_site, depth_m, tip) for depth_m in _depths(of_site, Mode.STATIC)]
@@ -294,15 +332,24 @@ def _site(of_site: Track, name: str, tip: tuple[float, float], weight: KnownWeig
     contact_N = pressed.fz_N - pressed.inertial_N
     approach = of_site.where((of_site.mode == Mode.SEARCH) & (of_site.phase == Phase.SEARCH))
     surface_sigma_m = approach_sigma_m(approach.tip_z_m, approach.fz_N, tip[0]) if static or presses else None
-    rest = of_site.where(of_site.phase == Phase.BASELINE)
+    holds = _measured_holds(of_site, static)
+    peaks = _measured_peaks(of_site.where(of_site.phase == Phase.BASELINE), presses)
+    static_ci95_Pa, dynamic_ci95_Pa = (mean_ci95_Pa(measured, surface_sigma_m, errors.weight) for measured in (_all(holds), _all(peaks)))
+    misfit = None
+    if surface_sigma_m is not None:  # holds have a zero of their own just before them, so they decide where there are enough
+        judged, zero_sigma_N = (holds, 0.0) if len(holds) > 1 else (peaks, errors.peak_zero_sigma_N)
+        misfit = misfit_over_depth(judged, errors.scatter, surface_sigma_m, errors.weight, zero_sigma_N)
     return {
         "name": name,
         "surface_z_m": surface_z_m,
         "static_youngs_modulus_Pa": static_Pa,
-        "static_ci95_Pa": mean_ci95_Pa(_measured_holds(of_site, static), surface_sigma_m, weight),
+        "static_ci95_Pa": _with_range(static_ci95_Pa, holds, misfit),
+        "static_noise_ci95_Pa": static_ci95_Pa,
         "dynamic_original_Pa": original_Pa,
         "dynamic_corrected_Pa": corrected_Pa,
-        "dynamic_corrected_ci95_Pa": mean_ci95_Pa(_measured_peaks(rest, presses), surface_sigma_m, weight),
+        "dynamic_corrected_ci95_Pa": _with_range(dynamic_ci95_Pa, peaks, misfit),
+        "dynamic_corrected_noise_ci95_Pa": dynamic_ci95_Pa,
+        "hertz_misfit": misfit,
         "ymbt_original": ymbt(original_Pa, static_Pa) if original_Pa and static_Pa else None,
         "ymbt_corrected": ymbt(corrected_Pa, static_Pa) if corrected_Pa and static_Pa else None,
         "peak_force_N": float(contact_N.max()) if len(contact_N) else None,
@@ -335,24 +382,39 @@ def _held(of_site: Track, depth_m: float, tip: tuple[float, float]) -> DepthResu
     }
 
 
-def _measured_holds(of_site: Track, depths: list[DepthResult]) -> list[Measured]:
+ByDepth = Mapping[float, Sequence[Measured]]
+"""Moduli by the depth that was commanded."""
+
+
+def _all(by_depth: ByDepth) -> list[Measured]:
+    return [press for group in by_depth.values() for press in group]
+
+
+def _with_range(ci95_Pa: list[float] | None, by_depth: ByDepth, misfit: HertzMisfit | None) -> list[float] | None:
+    """An interval of a mean over depths, with the range of these and of the misfit where Hertz does not fit."""
+    return ci95_Pa if ci95_Pa is None or misfit is None else covering(ci95_Pa, span_Pa(by_depth), *range_of(misfit))
+
+
+def _measured_holds(of_site: Track, depths: list[DepthResult]) -> dict[float, list[Measured]]:
     """The holds that gave a modulus, with the noise of their mean forces."""
-    measured = []
+    measured = {}
     for depth in depths:
         if depth["E_Pa"] is not None and depth["force_N"] is not None and depth["achieved_m"] is not None:
             here = of_site.where((of_site.mode == Mode.STATIC) & (of_site.depth_m == depth["commanded_m"]))
             noise_N = math.hypot(*(mean_sigma_N(here.fz_N[here.phase == phase]) for phase in (Phase.HOLD, Phase.BASELINE)))
-            measured.append(Measured(depth["E_Pa"], depth["force_N"], depth["achieved_m"], noise_N))
+            measured[depth["commanded_m"]] = [Measured(depth["E_Pa"], depth["force_N"], depth["achieved_m"], noise_N)]
     return measured
 
 
-def _measured_peaks(rest: Track, presses: list[PressResult]) -> list[Measured]:
+def _measured_peaks(rest: Track, presses: list[PressResult]) -> dict[float, list[Measured]]:
     """The dynamic presses, with the noise that a window as short as their peak shows at rest."""
     width = _peak_width(rest.t_s) if len(rest.t_s) > 2 else 1
     noise_N = float(np.std(np.convolve(rest.fz_N, np.ones(width) / width, mode="valid"))) if len(rest.t_s) > width else 0.0
-    return [
-        Measured(press["corrected_Pa"], press["original_N"] - press["correction_N"], press["peak_depth_m"], noise_N) for press in presses
-    ]
+    measured: dict[float, list[Measured]] = {}
+    for press in presses:
+        force_N = press["original_N"] - press["correction_N"]
+        measured.setdefault(press["commanded_m"], []).append(Measured(press["corrected_Pa"], force_N, press["peak_depth_m"], noise_N))
+    return measured
 
 
 def _peak_width(t_s: Floats) -> int:

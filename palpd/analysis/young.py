@@ -12,8 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from palpd.analysis.hertz_misfit import HertzMisfit, covering, misfit_of_curve, range_of
 from palpd.analysis.intervals import correlated_sigmas, student_t_95
 from palpd.cell.effects.tissue import dimitriadis
+from palpd.cell.plausible import doubts
 from palpd.control.surface import FEWEST_SAMPLES, GRID, refuse_unfit
 from palpd.errors import BadInput, RecordingError
 from palpd.tick import Floats
@@ -25,12 +27,6 @@ LARGE_STRAIN = 0.3
 THIN_LAYER = 0.1
 """Contact radius over thickness above which a rigid base below is felt (Dimitriadis et al. 2002: 12 % of force at 0.1)."""
 
-PLAUSIBLE_MODULUS_PA = (50.0, 1e8)
-"""Range of Young's moduli that no warning questions: from the softest gels and brain to hard rubber and cartilage."""
-
-MISFIT_NOISES, MISFIT_SHARE = 2.0, 0.01
-"""Residual above which Hertz does not fit: more than both twice the noise and 1 % of the peak force."""
-
 
 @dataclass(frozen=True, slots=True)
 class ContactFit:
@@ -38,7 +34,7 @@ class ContactFit:
 
     Attributes:
         youngs_modulus_Pa: Young's modulus.
-        ci95_Pa: Its 95 % interval under this contact law.
+        ci95_Pa: Its 95 % interval under this contact law; where the modulus changes with depth it covers that range too.
         contact_point_m: Height of the surface.
         contact_sigma_m: One standard deviation of that height.
         baseline_N: Force before contact.
@@ -46,7 +42,8 @@ class ContactFit:
         n: Number of samples.
         n_effective: Number of independent samples that they are worth.
         depth_m: Largest indentation.
-        warnings: Assumptions that the data strain.
+        warnings: Further assumptions that the data strain.
+        misfit: The range of the moduli over depth; None where one modulus describes the curve.
     """
 
     youngs_modulus_Pa: float
@@ -59,6 +56,7 @@ class ContactFit:
     n_effective: float
     depth_m: float
     warnings: tuple[str, ...] = ()
+    misfit: HertzMisfit | None = None
 
 
 def modulus_peak_Pa(force_N: float, depth_m: float, tip_radius_m: float, poisson_ratio: float) -> float:
@@ -159,9 +157,12 @@ def fit_contact(
     (stiffness_half, contact_sigma_m), n_effective = _uncertainty(hertz, force_N, residual_N, contact_m is None, baseline_N is None)
     modulus, depth_m = modulus_hertz_Pa(hertz.stiffness, 1.0, tip_radius_m, poisson_ratio), float(hertz.indentation_m.max())
     half = stiffness_half * modulus / hertz.stiffness
+    above_N, stiffness_Pa = force_N - hertz.baseline_N, modulus_hertz_Pa(1.0, 1.0, tip_radius_m, poisson_ratio)
+    misfit = misfit_of_curve(hertz.indentation_m, above_N, residual_N, stiffness_Pa, contact_sigma_m)
+    low_Pa, high_Pa = covering((modulus - half, modulus + half), *range_of(misfit))
     return ContactFit(
         youngs_modulus_Pa=modulus,
-        ci95_Pa=(modulus - half, modulus + half),
+        ci95_Pa=(low_Pa, high_Pa),
         contact_point_m=hertz.contact_m,
         contact_sigma_m=contact_sigma_m,
         baseline_N=hertz.baseline_N,
@@ -170,11 +171,11 @@ def fit_contact(
         n_effective=n_effective,
         depth_m=depth_m,
         warnings=(
-            *implausible_modulus(modulus),
-            *_misfit(hertz, force_N, residual_N),
+            *(f"{doubt}; check the units of force, length and tip radius" for doubt in doubts("modulus", modulus, "the modulus")),
             *_strained(depth_m, tip_radius_m, thickness_m),
             *_thin_data(hertz.indentation_m, contact_m, baseline_N),
         ),
+        misfit=misfit,
     )
 
 
@@ -253,38 +254,6 @@ def _undithered_N(force_N: Floats, at_rest_N: Floats) -> float:
     noise = math.sqrt(max(float(np.var(at_rest_N)) / count_N**2 - 1.0 / 12.0, 0.0))
     k = np.arange(1, 50)
     return count_N * math.sqrt(float(np.sum(np.exp(-((2.0 * np.pi * k * noise) ** 2)) / (np.pi * k) ** 2)) / 2.0)
-
-
-def implausible_modulus(youngs_modulus_Pa: float) -> list[str]:
-    """A warning where no tissue has such a modulus; empty otherwise."""
-    low_Pa, high_Pa = PLAUSIBLE_MODULUS_PA
-    if low_Pa <= youngs_modulus_Pa <= high_Pa:
-        return []
-    return [
-        f"a modulus of {youngs_modulus_Pa:.3g} Pa is outside of {low_Pa:g} to {high_Pa:g} Pa, where gels, tissue and rubber lie; "
-        "check the units of force, length and tip radius"
-    ]
-
-
-def _misfit(hertz: _Hertz, force_N: Floats, residual_N: Floats) -> list[str]:
-    """A warning where the residual is more than noise, with the moduli of the shallow and of the deep part of the press."""
-    depth_m, peak_N = hertz.indentation_m, float(np.max(force_N) - hertz.baseline_N)
-    rms_N = math.sqrt(float(np.mean(residual_N**2)))
-    noise_N = math.sqrt(float(np.mean(np.diff(residual_N, 2) ** 2)) / 6.0)  # white noise has 6 variances in its second differences
-    if rms_N < MISFIT_NOISES * noise_N or rms_N < MISFIT_SHARE * peak_N:
-        return []
-    local = [
-        float(np.mean((force_N - hertz.baseline_N)[part] / depth_m[part] ** 1.5)) / hertz.stiffness - 1.0
-        for part in (
-            (depth_m > low * depth_m.max()) & (depth_m <= high * depth_m.max()) for low, high in ((0.2, 0.4), (0.4, 0.8), (0.8, 1.0))
-        )
-        if part.any()
-    ]
-    by_depth = ", ".join(f"{100 * value:+.0f} %" for value in local)
-    return [
-        f"Hertz does not fit: the residual is {rms_N:.2g} N rms and the noise {noise_N:.2g} N. From shallow to deep the force is off by "
-        f"{by_depth}. One modulus does not describe this sample (inclusion, layer, relaxation, tip shape), so compare at equal depth"
-    ]
 
 
 def _strained(depth_m: float, tip_radius_m: float, thickness_m: float | None) -> list[str]:

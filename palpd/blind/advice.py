@@ -5,7 +5,6 @@ long; the random one is drawn as the first was, and like the advised one goes no
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Literal, TypedDict
 
@@ -22,6 +21,7 @@ from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.motions import MotionLimits, TestMotion
 from palpd.gap.next_experiment import advise
 from palpd.recording.samples import Samples
+from palpd.workers import pool
 
 SCHEMA = "palpd.blind.advice/1"
 EFFECTS = (
@@ -115,11 +115,11 @@ def run(cases: int, seed: int, *, jobs: int = 1, progress: Callable[[int], None]
     """
     comparisons: list[Comparison] = []
     tried = 0
-    with ProcessPoolExecutor(jobs) as pool:
+    with pool(jobs) as workers:
         while len(comparisons) < cases:
             batch = range(tried, tried + 2 * jobs)
             tried += len(batch)
-            comparisons += [one for one in pool.map(compare, [seed] * len(batch), batch) if one is not None]
+            comparisons += [one for one in workers.map(compare, [seed] * len(batch), batch) if one is not None]
             progress(min(len(comparisons), cases))
     comparisons = comparisons[:cases]
     return {"schema": SCHEMA, "cases": cases, "seed": seed, "tried": tried, "table": table(comparisons), "outcomes": comparisons}

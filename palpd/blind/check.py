@@ -7,10 +7,8 @@ import hashlib
 import json
 import shutil
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, TypedDict
@@ -21,7 +19,7 @@ import yaml
 from palpd.blind.diagnose_case import ENGINE
 from palpd.blind.injected_cells import hosts_in
 from palpd.blind.law_answers import write_true_change
-from palpd.blind.plans import plan, plan_large, plan_unlisted
+from palpd.blind.plans import plan, plan_coarse, plan_large, plan_unlisted
 from palpd.blind.score import CaseOutcome, ScoreRow, score_case, tables_by_source
 from palpd.blind.sources import Hosts, draw
 from palpd.blind.truth import CaseSpec, SealedCase, Source
@@ -30,8 +28,9 @@ from palpd.errors import BadInput
 from palpd.files import parse_json, read_text, write_text
 from palpd.gap.calibration import ProbabilityMap, stored_map
 from palpd.recording.samples import Samples, write_csv
+from palpd.workers import beside, pool
 
-SCHEMA = "palpd.blind/4"
+SCHEMA = "palpd.blind/5"
 BATCH = 20
 """Cases that are drawn, sealed and diagnosed before the next ones: their recordings fill some 100 MB of disk, and an interrupted check
 loses at most that work."""
@@ -49,6 +48,7 @@ class CheckResult(TypedDict):
     cases: int
     large: int
     unlisted: int
+    coarse: int
     sources: list[Source]
     recordings: str | None
     seed: int
@@ -142,6 +142,7 @@ def run(
     hosts: Hosts | None = None,
     large: int = 0,
     unlisted: int = 0,
+    coarse: int = 0,
     jobs: int = 2,
     ablation: Ablation | None = None,
     keep: Path | None = None,
@@ -158,6 +159,7 @@ def run(
         hosts: Where injected cases find their recordings; None: MuJoCo simulates them.
         large: Number of further drawn cases with one effect of SNR > 20.
         unlisted: Number of further cases of each source with an effect outside the list.
+        coarse: Number of further cases of each source with coarse steps.
         jobs: Number of processes.
         ablation: What is taken away from the diagnosis.
         keep: New folder for recordings, answers and truths; None: they are removed.
@@ -175,7 +177,7 @@ def run(
     hosts = hosts or Hosts()
     by = stored_map() if calibrated else ProbabilityMap()
     result = CheckResult(
-        schema=SCHEMA, cases=cases, large=large, unlisted=unlisted, sources=list(sources),
+        schema=SCHEMA, cases=cases, large=large, unlisted=unlisted, coarse=coarse, sources=list(sources),
         recordings=None if hosts.folder is None else hosts.folder.name, seed=seed, ablation=ablation,
         probability_map=asdict(by), sealed_sha256="", tables={}, outcomes=[],
     )  # fmt: skip
@@ -184,7 +186,7 @@ def run(
     seal = hashlib.sha256()
     folder = Path(tempfile.mkdtemp(prefix="palpd-blind-")) if keep is None else keep
     try:
-        for batch in _batches(cases, seed, sources, large, unlisted, hosts):
+        for batch in _batches(cases, seed, sources, large, unlisted, coarse, hosts):
             scored = done.get(_batch_name(batch)) or _run_batch(batch, seed, folder / _batch_name(batch), hosts, ablation, jobs, calibrated)
             if resume is not None and scored["batch"] not in done:
                 done[scored["batch"]] = scored
@@ -210,7 +212,9 @@ def together(checks: Sequence[CheckResult]) -> CheckResult:
     return {**checks[0], "sources": sources, "outcomes": outcomes, "tables": tables_by_source(outcomes)}
 
 
-def _batches(cases: int, seed: int, sources: Sequence[Source], large: int, unlisted: int, hosts: Hosts) -> Iterator[list[CaseSpec]]:
+def _batches(
+    cases: int, seed: int, sources: Sequence[Source], large: int, unlisted: int, coarse: int, hosts: Hosts
+) -> Iterator[list[CaseSpec]]:
     """Batches of the sources in turn, so that an interrupted check has some of each; the extra cases come last."""
     recordings = len(hosts_in(hosts.folder, hosts.causes))
     plans = [plan(source, cases, seed, recordings if source == "injected" else 0) for source in sources]
@@ -218,9 +222,10 @@ def _batches(cases: int, seed: int, sources: Sequence[Source], large: int, unlis
         yield from (specs[first : first + BATCH] for specs in plans)
     extra = plan_large(large, seed)
     yield from (extra[first : first + BATCH] for first in range(0, large, BATCH))
-    further = [plan_unlisted(source, unlisted, seed) for source in sources]
-    for first in range(0, unlisted, BATCH):
-        yield from (specs[first : first + BATCH] for specs in further)
+    for count, plan_further in ((unlisted, plan_unlisted), (coarse, plan_coarse)):
+        further = [plan_further(source, count, seed) for source in sources]
+        for first in range(0, count, BATCH):
+            yield from (specs[first : first + BATCH] for specs in further)
 
 
 def _batch_name(batch: Sequence[CaseSpec]) -> str:
@@ -243,7 +248,7 @@ def _run_batch(
     digests = _seal_batch(batch, seed, folder, hosts, ablation, jobs)
     # From here to the comparison of the digests nothing but the other process touches the recordings.
     options = [] if calibrated else [ENGINE]
-    subprocess.run([sys.executable, "-m", "palpd.blind.diagnose_case", str(folder / "recordings"), str(jobs), *options], check=True)
+    subprocess.run(beside("palpd.blind.diagnose_case", str(folder / "recordings"), str(jobs), *options), check=True)
     return {"batch": _batch_name(batch), "digests": digests, "outcomes": _score_batch(batch, folder, digests, jobs)}
 
 
@@ -253,8 +258,8 @@ def _seal_batch(batch: list[CaseSpec], seed: int, folder: Path, hosts: Hosts, ab
         raise BadInput(f"{folder} exists already; name a new folder with --keep, or remove the batch that was interrupted")
     recordings.mkdir(parents=True)
     sealed.mkdir()
-    with ProcessPoolExecutor(jobs) as pool:
-        each_case = pool.map(make_case, batch, *([x] * len(batch) for x in (seed, recordings, sealed, hosts, ablation)))
+    with pool(jobs) as workers:
+        each_case = workers.map(make_case, batch, *([x] * len(batch) for x in (seed, recordings, sealed, hosts, ablation)))
         return {name: digest for digests in each_case for name, digest in digests.items()}
 
 
@@ -262,5 +267,5 @@ def _score_batch(batch: list[CaseSpec], folder: Path, digests: dict[str, str], j
     for name, digest in digests.items():
         if _digest(folder / name) != digest:
             raise RuntimeError(f"{name} has changed since it was sealed; the check is void, run it again")
-    with ProcessPoolExecutor(jobs) as pool:
-        return list(pool.map(score_case, [folder / "recordings"] * len(batch), [folder / "sealed"] * len(batch), batch))
+    with pool(jobs) as workers:
+        return list(workers.map(score_case, [folder / "recordings"] * len(batch), [folder / "sealed"] * len(batch), batch))

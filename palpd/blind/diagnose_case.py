@@ -9,11 +9,11 @@ import json
 import os
 import resource
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
 from palpd.gap.commands import diagnose_files
+from palpd.workers import pool
 
 ENGINE = "--engine"
 """Option that states the engine's own probabilities."""
@@ -70,8 +70,8 @@ def main(folder: Path, jobs: int, *, calibrated: bool = True) -> int:
         Number of recordings that failed.
     """
     recordings = sorted(folder.glob("*.csv"))
-    with ProcessPoolExecutor(jobs) as pool:
-        return sum(sentence is not None for sentence in pool.map(partial(diagnose_case, calibrated=calibrated), recordings))
+    with pool(jobs) as workers:
+        return sum(sentence is not None for sentence in workers.map(partial(diagnose_case, calibrated=calibrated), recordings))
 
 
 if __name__ == "__main__":

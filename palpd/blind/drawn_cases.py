@@ -20,6 +20,7 @@ from palpd.blind.drawn_cells import (
     draw_deviations,
     draw_motion,
     log_uniform,
+    with_coarse_steps,
 )
 from palpd.blind.laws import FOREIGN_LAWS, LIBRARY_LAWS, NOVEL_LAWS, Floats, Law, Planted, SensorRows, Shape, SimulatedRun
 from palpd.blind.simulated_run import rows
@@ -183,6 +184,8 @@ def describe(plants: Sequence[FittedLaw], detectability: Detectability) -> list[
 def _draw_case(r: np.random.Generator, spec: CaseSpec) -> SealedCase:
     kind, effects = spec.kind, spec.effects
     cell = draw_cell(r)
+    if spec.steps_over_noise:
+        cell = with_coarse_steps(cell, spec.steps_over_noise)
     motion = draw_motion(r, cell)
     t_s = _row_times(r, cell, motion.duration_s)
     detectability = Detectability(cell, draw_deviations(r, motion), motion, t_s)

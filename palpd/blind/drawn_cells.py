@@ -3,7 +3,7 @@
 Every press scatters, and no two cycles are alike.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -322,6 +322,25 @@ def _draw_rig(r: np.random.Generator) -> CellRealisation:
         scatter_surface_m=0.004 * radius,
         scatter_stiffness=0.01,
         stated=stated,
+    )
+
+
+def with_coarse_steps(cell: CellRealisation, over_noise: tuple[float, float, float]) -> CellRealisation:
+    """Give a cell coarse steps.
+
+    Args:
+        cell: The cell.
+        over_noise: Steps as in a `CaseSpec`.
+
+    Returns:
+        The cell, its noise as it was.
+    """
+    lateral, vertical, torque = over_noise
+    return replace(
+        cell,
+        step_fxy_N=_stated(lateral * cell.noise_N),
+        step_fz_N=_stated(vertical * cell.noise_N),
+        step_Nm=_stated(torque * cell.noise_Nm),
     )
 
 

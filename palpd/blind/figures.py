@@ -53,7 +53,13 @@ noise. No two cycles are alike. MuJoCo's controllers hold their targets (125 or 
 of the drawn cells above 190 Hz, and in most of MuJoCo's, the robot reports slower than the sensor.
 
 The SNR of an effect is the norm of its noise-free change over 20 ms means of all channels, in sensor sigmas of such a mean. Changes that
-tolerances and press scatter (as Gaussians) can hide do not count. It is 6 to 200 in drawn and injected cells, and 4 to 60 in MuJoCo's."""
+tolerances and press scatter (as Gaussians) can hide do not count. It is 6 to 200 in drawn and injected cells, and 4 to 60 in MuJoCo's.
+
+`--coarse N` adds N cells of each source whose readings have coarse steps, two healthy ones for each one with a listed effect. The steps
+of fz, of the lateral forces and of the torques are drawn apart from each other and from what acts. Each is 1 to 8 times the stated noise,
+uniform in the logarithm; that of a HEX-70's fz is 4.4 times. The cell file states steps and noise. The SNR counts a step as white noise
+of its square over 12. This says too much where a force rests within one step: there the true SNR can be far smaller. A recording of
+`injected` is rounded once the effect is in it, to a whole multiple of its own step. It keeps its own step where that is the coarser."""
 """How the cells are made; stands above the tables."""
 
 READING = """\
@@ -173,13 +179,15 @@ def _numbers(result: CheckResult) -> str:
     numbers = f"{result['cases']} {each}"
     if result["large"]:
         numbers += f" and {result['large']} further drawn cells with one effect of SNR > 20"
+    if result["coarse"]:
+        numbers += f" and {result['coarse']} further cells of each source with coarse steps"
     return f"{numbers}, seed {result['seed']}; SHA-256 over the sealed files: `{result['sealed_sha256']}`. Again: `{_command(result)}`."
 
 
 def _command(result: CheckResult) -> str:
     source = "all" if len(result["sources"]) == len(SOURCES) else ",".join(result["sources"])
     parts = [f"palpd blind --source {source} --cases {result['cases']} --seed {result['seed']}"]
-    parts += [f"--large {result['large']}"] if result["large"] else []
+    parts += [f"--{name} {result[name]}" for name in ("large", "unlisted", "coarse") if result[name]]
     parts += [f"--recordings {result['recordings']}"] if result["recordings"] else []
     return " ".join([*parts, "--json blind.json --docs docs"])
 

@@ -146,6 +146,41 @@ def simulated_host(seed: int, index: int) -> Host:
     return Host(f"mujoco {index}", case.stated.as_yaml(), case.recording(stated=fine), (), case.reading([], other=True).samples)
 
 
+def coarsened(host: Host, over_noise: tuple[float, float, float]) -> Host:
+    """The host with coarse steps in its cell file, to which its recording is rounded once the effects are in it.
+
+    A step is a whole multiple of the recording's own, and that itself where it is coarser: no reading is rounded to another lattice.
+
+    Args:
+        host: The host.
+        over_noise: Steps as in a `CaseSpec`. The noise is that of the cell file; where it states none, that of the recording.
+
+    Returns:
+        The host. Its cell file states the steps, and the noise before them if it did so already.
+    """
+    cell = cell_of(host.content, host.samples)
+    keys = ("resolution_fxy_N", "resolution_fz_N", "resolution_Nm")
+    columns = (slice(0, 2), slice(2, 3), slice(3, 6))
+    coarse = np.array(over_noise) * [cell.noise_N, cell.noise_N, cell.noise_Nm]
+    own = [max(map(own_step, host.samples.wrench[:, axes].T)) for axes in columns]
+    steps = {key: max(round(x / step), 1) * step if step else float(x) for key, x, step in zip(keys, coarse, own, strict=True)}
+    sensor = {**(host.content.get("sensor") or {}), **{key: step for key, step in steps.items() if step}}
+    return replace(host, content={**host.content, "sensor": sensor})
+
+
+def own_step(values: Floats) -> float:
+    """Smallest distance between two readings of a channel.
+
+    Args:
+        values: Readings (n,).
+
+    Returns:
+        The distance in the unit of the channel; 0 where all readings are equal.
+    """
+    levels = np.unique(np.round(values, 9))
+    return float(np.diff(levels).min()) if len(levels) > 1 else 0.0
+
+
 def draw_injected(spec: CaseSpec, seed: int, hosts: Sequence[Host]) -> SealedCase:
     """Plant the effects of a case into a host. The same arguments give the same case.
 
@@ -166,6 +201,8 @@ def draw_injected(spec: CaseSpec, seed: int, hosts: Sequence[Host]) -> SealedCas
     first = strata.index(spec.stratum)
     for attempt in range(HOSTS_TRIED):
         host = hosts[(spec.index + attempt) % len(hosts)] if hosts else simulated_host(seed + 1, HOSTS_TRIED * spec.index + attempt)
+        if spec.steps_over_noise:
+            host = coarsened(host, spec.steps_over_noise)
         fine = _detectability(host.content, host.samples)
         taken = {*host.causes, *(other for cause in host.causes for other in INDISTINGUISHABLE.get(cause, ()))}
         if taken & set(spec.effects):

@@ -71,7 +71,7 @@ def draw_mujoco(spec: CaseSpec, seed: int) -> SealedCase:
         CannotDraw: No cell shows the effects.
     """
     for attempt in range(CELLS_TRIED):
-        case = draw_case(seed, spec.index + attempt * NEXT_CELL, effects=spec.effects)
+        case = draw_case(seed, spec.index + attempt * NEXT_CELL, spec.effects, spec.steps_over_noise)
         unfiltered = case.stated.filter_cutoff_Hz is None and "sensor.filter" in spec.effects
         shown = not unfiltered and all(each.reached_snr >= LEAST_SNR for each in case.planted)
         if shown and _within_tolerance(case):

@@ -1,5 +1,7 @@
 """What the cases of a check shall be: every kind has its share, every effect and stratum its turn."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from palpd.blind.laws import FOREIGN_LAWS, INDISTINGUISHABLE, LIBRARY_LAWS, NOVEL_LAWS
@@ -19,8 +21,10 @@ LARGE_STRATA = ("20-60", "> 60")
 """Strata of effects that were left out of the library: where there is enough to see that nothing listed fits."""
 NOVEL_STRATA = ("20-60", "10-20")
 """Strata of effects outside the list, in turn: those of the targets for learned laws."""
-FIRST_EXTRA, FIRST_UNLISTED = 900_000, 950_000
-"""Index of the first extra case, and of the first one with an effect outside the list."""
+FIRST_EXTRA, FIRST_UNLISTED, FIRST_COARSE = 900_000, 950_000, 980_000
+"""Index of the first extra case, of the first one with an effect outside the list, and of the first one with coarse steps."""
+COARSEST_OVER_NOISE = 8.0
+"""Largest coarse step over the noise; the smallest is 1, and 4.4 is that of a HEX-70 (0.131 N, noise 0.03 N)."""
 VARIANCE = {law.effect for law in LIBRARY_LAWS if law.variance}
 """Effects that change scatter and not the mean."""
 
@@ -119,3 +123,32 @@ def plan_unlisted(source: Source, cases: int, seed: int) -> list[CaseSpec]:
         )
         for n in range(cases)
     ]
+
+
+def plan_coarse(source: Source, cases: int, seed: int) -> list[CaseSpec]:
+    """Further cells with coarse steps: two healthy ones, then one with a listed effect, every effect in turn.
+
+    The steps of each axis are log-uniform, drawn apart from what acts.
+
+    Args:
+        source: Where the cases come from.
+        cases: Number of cases.
+        seed: Seed of the steps and of the order of the effects.
+
+    Returns:
+        One specification a case; they count in the lines of coarse steps alone.
+    """
+    random = np.random.default_rng([seed, 17, len(source)])
+    names = effects_of(source)
+    kind: CaseKind = "library" if "library" in names else "foreign"
+    mine = [e for e in names[kind] if e not in VARIANCE]
+    order = [mine[int(k)] for k in random.permutation(len(mine))]
+    specs = []
+    for n, (lateral, vertical, torque) in enumerate((COARSEST_OVER_NOISE ** random.uniform(size=(cases, 3))).tolist()):
+        spec = CaseSpec(source, FIRST_COARSE + n, "healthy", (), "20-60", extra=True, steps_over_noise=(lateral, vertical, torque))
+        turn, place = divmod(n, 3)
+        if place == 2:
+            stratum = SINGLE_STRATA[(turn + turn // len(order)) % len(SINGLE_STRATA)]
+            spec = replace(spec, kind=kind, effects=(order[turn % len(order)],), stratum=stratum)
+        specs.append(spec)
+    return specs

@@ -61,6 +61,7 @@ class CaseOutcome(TypedDict):
 
     source: Source
     extra: bool
+    steps_over_noise: tuple[float, float, float] | None
     kind: CaseKind
     planted: list[str]
     host_causes: list[str]
@@ -153,6 +154,7 @@ def _unanswered_outcome(spec: CaseSpec, truth: Truth, failed: str | None) -> Cas
         "case": spec.name,
         "source": truth["source"],
         "extra": spec.extra,
+        "steps_over_noise": spec.steps_over_noise,
         "kind": truth["kind"],
         "planted": [e["id"] for e in effects],
         "host_causes": truth["host_causes"],
@@ -413,11 +415,13 @@ def scores(outcomes: Sequence[CaseOutcome]) -> list[Score]:
     """Every line of the table. Extra cases count in the line of their class alone."""
     usual = [o for o in outcomes if not o["extra"]]
     by = {kind: [o for o in usual if o["kind"] == kind] for kind in CASE_KINDS}
+    coarse = [o for o in outcomes if o["steps_over_noise"]]
     return [
-        *_attribution_scores(by, [o for o in outcomes if o["extra"] and o["kind"] == "library"]),
+        *_attribution_scores(by, [o for o in outcomes if o["extra"] and o["kind"] == "library" and not o["steps_over_noise"]]),
         *_place_scores(by),
         *_two_effect_scores(by["two"]),
         *_unknown_scores(by),
+        *_coarse_step_scores(coarse),
         *_law_scores(by, outcomes),
         *_probability_scores(by, usual),
         *_closing_scores(by),
@@ -491,6 +495,14 @@ def _unknown_scores(by: OutcomesByKind) -> Iterator[Score]:
     family = [named and bool(o.get("family")) for named, o in zip(relative, removed, strict=True)]
     yield _share("left out, an indistinguishable effect listed: it is named with its family", family, "≥ 0.90")
     yield _share("  it is named", relative)
+
+
+def _coarse_step_scores(coarse: Sequence[CaseOutcome]) -> Iterator[Score]:
+    planted = [o for o in coarse if o["planted"]]
+    yield _share("coarse steps: healthy cell kept silent", [silent(o) for o in coarse if not o["planted"]], "≥ 0.98")
+    yield _share("  one effect of these: truth within the group", [in_group(o) for o in planted])
+    yield _share("  one effect of these: right and nothing else named", [alone(o) for o in planted])
+    yield _share("  one effect of these: called unknown", [o["verdict"] == "unknown" for o in planted])
 
 
 def _law_scores(by: OutcomesByKind, outcomes: Sequence[CaseOutcome]) -> Iterator[Score]:

@@ -146,7 +146,10 @@ class Truth(TypedDict):
 
 @dataclass(frozen=True)
 class CaseSpec:
-    """What a case shall be. `extra` cases count in the line of their own class alone."""
+    """What a case shall be. `extra` cases count in the line of their own class alone.
+
+    `steps_over_noise` are coarse steps of the lateral forces, of fz and of the torques, over the stated noise; None: those of the source.
+    """
 
     source: Source
     index: int
@@ -154,6 +157,7 @@ class CaseSpec:
     effects: tuple[str, ...]
     stratum: str
     extra: bool = False
+    steps_over_noise: tuple[float, float, float] | None = None
 
     @property
     def name(self) -> str:

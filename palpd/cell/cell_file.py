@@ -318,6 +318,24 @@ class CellFile(StrictBlock):
             raise ValueError(f"learned effect {twice[0]} stands twice in this cell; give the other one another id, or remove it")
         return self
 
+    def at_site(self, name: str | None) -> "CellFile":
+        """The cell at one of its sites, as a cell without sites; the same cell where it has no site of that name."""
+        for site in self.sites:
+            if site.name == name:
+                return self.model_copy(update={"tissue": site.tissue, "effects": self.effects | site.effects, "sites": ()})
+        return self
+
+    def assumed_at_site(self, name: str | None) -> "CellFile":
+        """The same cell, whose modulus counts as not known where nobody said that it is that of a site.
+
+        It is, where the file has that site with another modulus than the common one.
+        """
+        own, common = self.at_site(name).tissue, self.tissue or TissueBlock()
+        if own is None or own.youngs_modulus_Pa != common.youngs_modulus_Pa:
+            return self
+        unknown = max(self.tolerances.youngs_modulus, 1.0)
+        return self.model_copy(update={"tolerances": self.tolerances.model_copy(update={"youngs_modulus": unknown})})
+
     def with_effects(self, effects: EffectValues) -> "CellFile":
         """The same cell with these effects in place of its own (not checked: they come from a fit)."""
         return self.model_copy(update={"effects": effects})
@@ -380,9 +398,11 @@ def load_cell(path: str | Path, library: Mapping[str, Effect] = EFFECTS) -> Cell
         The cell.
 
     Raises:
-        ConfigError: Where the file is absent or no cell, one sentence that names line and key.
+        ConfigError: Where the file is absent, empty or no cell, one sentence that names line and key.
     """
-    return _cell_of(read_yaml(Path(path)), library)
+    document = read_yaml(Path(path))
+    document.refuse_empty()
+    return _cell_of(document, library)
 
 
 def parse_cell(values: object, where: str, library: Mapping[str, Effect] = EFFECTS) -> CellFile:

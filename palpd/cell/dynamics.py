@@ -316,13 +316,13 @@ def servo_heights(u: Floats, dt_s: Column, natural_frequency_Hz: float, damping_
     """The positions of `servo`, without speed and acceleration.
 
     Args:
-        u: Target positions (n,).
+        u: Target positions, (n,) or (n, k).
         dt_s: Step before each sample in s, one number or (n,).
         natural_frequency_Hz: Undamped natural frequency.
         damping_ratio: Damping ratio, 1 at critical damping.
 
     Returns:
-        Positions (n,).
+        Positions, shaped as the target.
     """
     p, q = poles(natural_frequency_Hz, damping_ratio)
     one, two = _pair(u, dt_s, p, q, {})

@@ -1,8 +1,8 @@
 """The command line: options and printing.
 
-Exit codes: 0 done, 2 bad input or refused (one sentence on stderr), 3 stopped by the guard, a fault or a signal, 130 interrupted by a
-signal while nothing moved. This file imports next to nothing: the handler of signals stands before anything else is imported. Only Python's
-own start comes before it. `app` holds all commands and is built when it is asked for.
+Exit codes: 0 done, 2 bad input or refused (one sentence on stderr), 3 stopped by the guard, a fault or a signal, 128 + the number of a
+signal that interrupted while nothing moved. This file imports next to nothing: the handler of signals stands before anything else is
+imported. Only Python's own start comes before it. `app` holds all commands and is built when it is asked for.
 """
 
 import _signal  # type: ignore[import-not-found] # not signal, which imports enum, as long as half of Python's own start
@@ -37,7 +37,7 @@ def main() -> None:
 def _end_at_once(number: int, _frame: "FrameType | None") -> None:
     """End a process that has not begun its work."""
     os.write(2, f"palpd: interrupted by {SIGNALS[number]} while palpd was starting; nothing was moved\n".encode())
-    os._exit(130)
+    os._exit(128 + number)
 
 
 def __getattr__(name: str) -> "Any":

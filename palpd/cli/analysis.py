@@ -15,7 +15,7 @@ from palpd.cli.curve_options import (
     LengthUnitOption,
     TimeColumn,
 )
-from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, app, display, finish, terminal
+from palpd.cli.options import DEFAULT_CONFIG, AcceptImplausible, ConfigOption, HereOption, JsonOption, app, display, finish, terminal
 from palpd.cli.output_options import Output
 from palpd.file_kinds import CSV, MODEL, PICTURE
 from palpd.files import check_writable, write_json
@@ -103,6 +103,7 @@ def train(
     method: Annotated[
         str, typer.Option("--method", help="linear (b - m a), network (the paper's 2-10-1), prior-network or bias")
     ] = "linear",
+    accept_implausible: AcceptImplausible = False,
 ) -> None:
     """Learn the inertial model from free motion; write it with its card. Which method is best: docs/compensation.md."""
     from palpd.compensation.model_card import refuse_place
@@ -120,6 +121,7 @@ def train(
         sensor_serial=data.sensor_serial,
         sensor_delay_s=data.sensor_delay_s,
         method=method,  # type: ignore[arg-type]
+        accept_implausible=accept_implausible,
     )
     terminal().print(
         f"{out} and its card: {card.n} points, rmse {card.rmse_N * 1e3:.1f} mN; bias {card.bias_N:+.3f} N, "
@@ -144,7 +146,8 @@ def map_(
     depth_m: Annotated[float, typer.Option("--depth-m", min=0.001, max=0.02, help="of a press")] = 0.005,
     inclusion_m: Annotated[float, typer.Option("--inclusion-m", min=0.002, max=0.1, help="smallest inclusion not to be missed")] = 0.01,
     most_presses: Annotated[int, typer.Option("--most-presses", min=1, max=1000, help="end after this number all the same")] = 200,
-    seed: Annotated[int, typer.Option("--seed", help="another emulated field")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="another emulated field")] = 0,
+    here: HereOption = False,
     json_file: JsonOption = None,
 ) -> None:
     """Press a field where it pays most until a hard inclusion is found or excluded; draw the map.
@@ -162,7 +165,7 @@ def map_(
         mapping.refuse_two_sources(presses, config, emulated)
         pressed = Mapped(mapping.read_presses(presses, where))
     elif config is not None:
-        pressed = _pressed_by_robot(where, config, out, most_presses)
+        pressed = _pressed_by_robot(where, config, out, most_presses, here)
     else:
         pressed = mapped(where, out, emulated, seed, display(), most_presses)
     survey, truth, stopped = pressed.survey, pressed.true_inclusion_m, pressed.stop_reason
@@ -180,7 +183,7 @@ def map_(
     finish(3 if stopped else 0, stopped)
 
 
-def _pressed_by_robot(where: "Field", config: Path, out: Path, most_presses: int) -> "Mapped":
+def _pressed_by_robot(where: "Field", config: Path, out: Path, most_presses: int, here: bool) -> "Mapped":
     """The presses of the robot of that configuration, by the service or in the foreground."""
     from palpd.analysis.stiffness_map import Survey, write_presses
     from palpd.cli.jobs import carried_out
@@ -188,7 +191,7 @@ def _pressed_by_robot(where: "Field", config: Path, out: Path, most_presses: int
     from palpd.daemon.stiffness_survey import Mapped
 
     field = {"width_m": where.width_m, "height_m": where.height_m, "depth_m": where.depth_m, "inclusion_m": where.inclusion_m}
-    arguments = {**field, "most_presses": most_presses}
+    arguments = {**field, "most_presses": most_presses, "here": here}
     end = carried_out("map", arguments, load_config(config), out)
     survey = Survey(where)
     for (x_m, y_m), modulus_Pa in zip(end.figures.get("places_m", []), end.figures.get("moduli_Pa", []), strict=True):
@@ -204,8 +207,8 @@ def modulus_line(result: "LoadingResult | CurveResult | EnrichedResult") -> str:
     scale, unit = (1e6, "MPa") if value_Pa >= 1e6 else (1e3, "kPa")
     low, high = result["ci95_Pa"] or (None, None)
     interval = f" (95 %: {low / scale:.3g} to {high / scale:.3g} {unit})" if low is not None and high is not None else ""
-    line = f"E = {value_Pa / scale:.3g} {unit}{interval}"
     figures: dict[str, Any] = {**result}
+    line = f"E = {value_Pa / scale:.3g} {unit}{interval}{', Hertz does not fit' if figures.get('hertz_misfit') else ''}"
     if (depth_m := figures.get("depth_m")) is not None:
         model = "equation 1 at the peak" if figures.get("fit") == "peak" else "Hertz over the loading"
         line += f" by {model}, {depth_m * 1e3:.3g} mm deep"

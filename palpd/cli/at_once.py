@@ -1,20 +1,24 @@
 """`palpd abort` and `palpd status` without the rest of the command line: an abort must reach the daemon within 0.25 s of the keystroke.
 
 The commands that `--help` shows (service.py) call the same functions; what is not plainly one of their options is left to them.
+Both work without a configuration that can be read: they then ask at the usual control sockets.
 """
 
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from palpd.cli.first_abort import configured_path, default_sockets, send_abort
 from palpd.cli.last_ticks import print_last_ticks
-from palpd.daemon.socket_client import ARM_PATIENCE_S, PATIENCE_S, ask
+from palpd.daemon.socket_client import ARM_PATIENCE_S, PATIENCE_S, NoDaemon, ask
+from palpd.errors import ConfigError, Refused
 
 if TYPE_CHECKING:
-    from palpd.daemon.socket_client import ControlAnswer, ControlRequest, JobSummary, ProposedRun
+    from palpd.daemon.socket_client import ControlAnswer, ControlRequest, JobSummary, KnownPlace, KnownProbe, ProposedRun
 
 WATCH_EVERY_S = 0.5
 """Pause between two questions of `palpd status --watch`: what a person can read."""
@@ -48,20 +52,21 @@ def done_at_once(arguments: Sequence[str]) -> bool:
 
 
 def abort(config: Path, socket: Path | None) -> None:
-    """Ask the daemon to stop the arm, and print its answer.
+    """Ask the daemon to stop the arm, and print its answer. Without a readable `config` all daemons at the usual sockets are asked.
 
     Args:
         config: config.yaml, which says where the daemon listens.
         socket: Control socket in place of the one of `config`.
 
     Raises:
-        PalpdError: Where no daemon answers, or `config` cannot be read.
+        PalpdError: Where no daemon answers, or one refuses.
     """
-    print(speak({"do": "abort"}, config, socket)["state"])
+    for _, answer in _answers({"do": "abort"}, config, socket):
+        print(answer["state"])
 
 
 def status(config: Path, socket: Path | None, json_file: Path | None) -> None:
-    """Print what the daemon is doing.
+    """Print what the daemon is doing. Without a readable `config` it is the first that answers at the usual sockets.
 
     Args:
         config: config.yaml, which says where the daemon listens.
@@ -69,9 +74,9 @@ def status(config: Path, socket: Path | None, json_file: Path | None) -> None:
         json_file: File to write the answer to, if any.
 
     Raises:
-        PalpdError: Where no daemon answers, or a file cannot be read or written.
+        PalpdError: Where no daemon answers, or the file cannot be written.
     """
-    answer = speak({"do": "status"}, config, socket)
+    _, answer = next(_answers({"do": "status"}, config, socket))
     last = answer.get("last")
     for line in status_lines(answer):
         print(line)
@@ -90,17 +95,19 @@ def watch(config: Path, socket: Path | None) -> None:
         socket: Control socket in place of the one of `config`.
 
     Raises:
-        PalpdError: Where no daemon answers, or `config` cannot be read.
+        PalpdError: Where no daemon answers.
     """
     before: list[str] = []
+    path, answer = next(_answers({"do": "status"}, config, socket))
     while True:
-        lines = status_lines(speak({"do": "status"}, config, socket))
+        lines = status_lines(answer)
         if sys.stdout.isatty():
             print(f"\x1b[{len(before)}F\x1b[J" * bool(before), *(f"{line}\n" for line in lines), sep="", end="", flush=True)
         elif lines != before:
             print(lines[0], flush=True)
         before = lines
         time.sleep(WATCH_EVERY_S)
+        answer = ask(path, {"do": "status"}, PATIENCE_S)
 
 
 def status_lines(answer: "ControlAnswer") -> list[str]:
@@ -120,6 +127,7 @@ def status_lines(answer: "ControlAnswer") -> list[str]:
     active = answer.get("active")
     if active:
         lines += [job_line(active), *proposal_lines(active["proposal"])]
+    lines += probe_lines(answer.get("probe"), answer.get("place"))
     cell, last = answer.get("cell"), answer.get("last")
     if cell:
         verdict = "ready" if cell["ready"] else f"not ready: {cell['reason']}"
@@ -129,6 +137,30 @@ def status_lines(answer: "ControlAnswer") -> list[str]:
         kept = f", recording {recording}" if recording else ""
         lines.append(f"Last job: {last['verdict']}{f' ({reason})' if reason else ''}{kept}.")
         lines.extend(f"  note: {note}" for note in last.get("notes", []))
+    return lines
+
+
+def probe_lines(probe: "KnownProbe | None", place: "KnownPlace | None") -> list[str]:
+    """Say whether the probe is free, where the tip stands, and where sites count from.
+
+    Args:
+        probe: The last answer about the probe, if any.
+        place: The last known place, if any.
+
+    Returns:
+        Lines; none where nothing is known.
+    """
+    lines = []
+    if probe is not None:
+        reasons = f" ({'; '.join(probe['reasons'])})" if probe["reasons"] else ""
+        advice = "" if probe["state"] == "free" else f"; {probe['advice']}"
+        state = "not known to be free" if probe["state"] == "unknown" else probe["state"]
+        lines.append(f"The probe is {state}{reasons}, judged {probe['date']}{advice}.")
+    if place is not None and place["x_m"] is not None and place["y_m"] is not None:
+        over = f", over site {place['site']} of the last plan" if place["site"] else ""
+        lines.append(f"The tip is at x = {place['x_m'] * 1e3:.1f} mm, y = {place['y_m'] * 1e3:.1f} mm{over}.")
+    if place is not None and place["unfinished"] is not None:
+        lines.append(f"The run {place['unfinished']} was not finished: start with --return to its start, or --here.")
     return lines
 
 
@@ -205,19 +237,85 @@ def speak(request: "ControlRequest", config: Path, socket: Path | None) -> "Cont
 
 
 def control_socket(config: Path) -> Path:
-    """Where the daemon of that config.yaml listens, read from its `paths` alone; what is not plain there is left to the models."""
-    from palpd.files import read_yaml
-
-    content = read_yaml(config).keys_and_values()
-    paths = content.get("paths", {})
-    plain = isinstance(paths, dict) and all(isinstance(paths.get(key), str | None) for key in ("socket", "state"))
-    overridden = any(name.upper().startswith("PALPD_PATHS") for name in os.environ)
-    if not plain or overridden or paths.get("state", "state") is None:
+    """Where the daemon of that config.yaml listens, read from its `paths` alone; what is wrong there is said by the models."""
+    socket = _stated_socket(config)
+    if socket is None:
         from palpd.config import load_config
 
         return load_config(config).paths.control_socket
-    base, socket = config.resolve().parent, paths.get("socket")
-    return base / socket if socket is not None else base / paths.get("state", "state") / "palpd.sock"
+    return socket
+
+
+def usual_sockets(config: Path) -> list[Path]:
+    """Where a daemon may listen whose config.yaml cannot be read: as the environment, its plain lines and the defaults have it."""
+    paths: list[Path | None] = []
+    with suppress(ConfigError):
+        if overrides := _paths_of_environment():
+            paths.append(_socket_in(overrides, Path(os.path.realpath(config)).parent))
+    plain = configured_path(str(config))
+    paths += [Path(path) for path in ([plain] if plain else []) + default_sockets(str(config))]
+    return [path for path in dict.fromkeys(paths) if path is not None]
+
+
+def _answers(request: "ControlRequest", config: Path, socket: Path | None) -> "Iterator[tuple[Path, ControlAnswer]]":
+    """The daemon's control socket and its answer; those of each daemon that answers at a usual socket where `config` cannot be read."""
+    try:
+        stated, unreadable = socket or _stated_socket(config), f"{config} does not say where the daemon listens; correct its paths"
+    except ConfigError as error:
+        stated, unreadable = None, str(error)
+    if stated is not None:
+        yield stated, ask(stated, request, PATIENCE_S)
+        return
+    paths, refusals, silent = usual_sockets(config), list[Refused](), True
+    for path in paths if request["do"] == "abort" else ():
+        send_abort(str(path))  # a daemon that hangs must not delay the abort of the next
+    for path in paths:
+        try:
+            answer = ask(path, request, PATIENCE_S)
+        except NoDaemon:
+            continue
+        except Refused as refused:
+            refusals.append(refused)
+            continue
+        if silent:
+            print(f"palpd: {unreadable}", file=sys.stderr)
+        silent = False
+        print(f"palpd: the daemon at {path} answers", file=sys.stderr)
+        yield path, answer
+    if refusals:
+        raise refusals[0]
+    if silent:
+        places = " or ".join(map(str, paths))
+        end = "nothing was stopped; if the arm moves, use the emergency stop" if request["do"] == "abort" else "give its --socket"
+        raise NoDaemon(f"{unreadable}. No daemon answers at {places} either: {end}")
+
+
+def _stated_socket(config: Path) -> Path | None:
+    """The control socket that config.yaml and the environment state; None where the paths are wrong. Raises ConfigError."""
+    from palpd.files import read_yaml
+
+    paths = read_yaml(config).keys_and_values().get("paths", {})
+    return _socket_in({**paths, **_paths_of_environment()}, config.resolve().parent) if isinstance(paths, dict) else None
+
+
+def _socket_in(paths: dict[str, Any], base: Path) -> Path | None:
+    """The control socket of the block `paths`, relative to a folder; None where the block is wrong."""
+    socket, state = paths.get("socket"), paths.get("state", "state")
+    if not isinstance(socket, str | None) or not isinstance(state, str):
+        return None
+    return base / socket if socket is not None else base / state / "palpd.sock"
+
+
+def _paths_of_environment() -> dict[str, Any]:
+    """What the environment says in place of the block `paths`, by the rules of palpd.config. Raises ConfigError."""
+    variables = {name.upper(): value for name, value in os.environ.items() if name.upper().startswith("PALPD_PATHS")}
+    if not variables:
+        return {}
+    from palpd.files import parse_yaml
+
+    block = parse_yaml(variables.get("PALPD_PATHS", "{}"), "environment variable PALPD_PATHS").keys_and_values()
+    texts = {key: variables.get(f"PALPD_PATHS__{key.upper()}") for key in ("socket", "state")}
+    return {**block, **{key: None if text == "null" else text for key, text in texts.items() if text is not None}}
 
 
 def _options(arguments: Sequence[str], known: Sequence[str]) -> dict[str, Path] | None:

@@ -27,7 +27,7 @@ def exit_code_of(words: list[str]) -> int:
         finally:
             interrupts.ignore()
     except interrupts.Interrupted as interrupted:
-        exit_code = _say(str(interrupted), interrupts.EXIT_CODE)
+        exit_code = _say(str(interrupted), interrupts.exit_code())
     if interrupts.received():
         interrupts.end(exit_code)
     return exit_code

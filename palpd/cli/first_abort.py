@@ -16,6 +16,8 @@ SEND_S = 0.1
 """Longest wait for the daemon to accept. It accepts at once unless a thousand others wait."""
 REQUEST = b'{"do": "abort"}\n'
 DEFAULT_CONFIG = "config.yaml"
+INSTALLED_SOCKET = "/run/palpd/palpd.sock"
+"""Control socket of the service that `palpd install` puts into place."""
 MOST_LETTERS = 262_144
 """Longest configuration, as for every YAML file."""
 LETTERS = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-./")
@@ -24,7 +26,7 @@ NOT_NAMES = frozenset(("null", "true", "false", "yes", "no", "on", "off", "y", "
 
 
 def send_first_abort(arguments: "Sequence[str]") -> bool:
-    """Send an abort to the daemon and wait for nothing.
+    """Send an abort to the daemon and wait for nothing; without a configuration, to each daemon at a usual socket.
 
     Args:
         arguments: What stands on the command line after `palpd abort`.
@@ -32,9 +34,14 @@ def send_first_abort(arguments: "Sequence[str]") -> bool:
     Returns:
         Whether it was sent.
     """
-    path = socket_path(arguments)
-    if path is None:
-        return False
+    sent = False
+    for path in socket_paths(arguments):
+        sent = send_abort(path) or sent
+    return sent
+
+
+def send_abort(path: str) -> bool:
+    """Send an abort to the daemon at that control socket and wait for nothing. Returns whether it was sent."""
     try:
         connection = _socket.socket(_socket.AF_UNIX, _socket.SOCK_STREAM)
         try:
@@ -47,30 +54,56 @@ def send_first_abort(arguments: "Sequence[str]") -> bool:
         return False
 
 
-def socket_path(arguments: "Sequence[str]") -> str | None:
-    """Where the daemon listens, by `--socket PATH`, `--config FILE` or ./config.yaml; None where that is not plain."""
+def socket_paths(arguments: "Sequence[str]") -> list[str]:
+    """Where the daemon listens, by `--socket PATH`, `--config FILE` or ./config.yaml; none where that is not plain."""
     if len(arguments) == 2 and arguments[0] == "--socket":
-        return arguments[1]
-    if len(arguments) == 2 and arguments[0] == "--config":
-        return _configured_path(arguments[1])
-    return None if arguments else _configured_path(DEFAULT_CONFIG)
+        return [arguments[1]]
+    if arguments and (len(arguments) != 2 or arguments[0] != "--config"):
+        return []
+    config = arguments[1] if arguments else DEFAULT_CONFIG
+    path = configured_path(config)
+    if path is None:
+        return []
+    return [path] if os.path.lexists(config) else [path, *default_sockets(config)]
 
 
-def _configured_path(config: str) -> str | None:
-    if any(name.upper().startswith("PALPD_PATHS") for name in os.environ):
+def default_sockets(config: str) -> list[str]:
+    """Where a daemon listens by default: in the folder of its configuration, and where it is installed."""
+    return [os.path.join(_folder(config), "state/palpd.sock"), INSTALLED_SOCKET]  # noqa: PTH118
+
+
+def configured_path(config: str) -> str | None:
+    """Where the daemon of that configuration listens, by environment and plain lines; None where they are not plain."""
+    overrides = _plain_environment()
+    lines = _plain_lines(config)
+    if overrides is None or (lines is None and "socket" not in overrides):
         return None
+    paths = {**(lines or {}), **overrides}
+    return os.path.join(_folder(config), paths.get("socket") or paths.get("state", "state") + "/palpd.sock")  # noqa: PTH118
+
+
+def _plain_environment() -> dict[str, str] | None:
+    """What the environment says in place of paths; None where it is not plain."""
+    stated = {name.upper(): value for name, value in os.environ.items() if name.upper().startswith("PALPD_PATHS")}
+    if "null" in stated.values():
+        return None
+    return _plain_values([f"{name.removeprefix('PALPD_PATHS__').lower()}: {value}" for name, value in stated.items()])
+
+
+def _folder(config: str) -> str:
+    return os.path.dirname(os.path.realpath(config))  # noqa: PTH120
+
+
+def _plain_lines(config: str) -> dict[str, str] | None:
+    """What a configuration says of paths; nothing where it is absent, None where it is not spelled plainly."""
     if not os.path.isfile(config):  # noqa: PTH113 - pathlib takes 4 ms to import; a pipe or a device would keep the abort waiting
-        return None
+        return None if os.path.lexists(config) or "\0" in config else {}
     try:
         with open(config, encoding="utf-8") as file:  # noqa: PTH123
             text = file.read(MOST_LETTERS + 1)
     except (OSError, ValueError):
         return None
-    paths = _plain_paths(text) if len(text) <= MOST_LETTERS else None
-    if paths is None:
-        return None
-    folder = os.path.dirname(os.path.realpath(config))  # noqa: PTH120
-    return os.path.join(folder, paths.get("socket") or paths.get("state", "state") + "/palpd.sock")  # noqa: PTH118
+    return _plain_paths(text) if len(text) <= MOST_LETTERS else None
 
 
 def _plain_paths(text: str) -> dict[str, str] | None:

@@ -10,10 +10,12 @@ import typer
 
 from palpd.cli.options import (
     DEFAULT_CONFIG,
+    AcceptImplausible,
     AdoptedOption,
     CellOption,
     ConfigOption,
     EffectsOption,
+    HereOption,
     JsonOption,
     ProgressOption,
     SiteOption,
@@ -44,7 +46,9 @@ def diagnose(
     ],
     cell: Annotated[
         Path | None,
-        typer.Option("--cell", help="cell.yaml: what the simulator believes (default: what a .mcap states; not for a folder)"),
+        typer.Option(
+            "--cell", help="cell.yaml: what the simulator believes (default: what a .mcap states, E only for its site; not for a folder)"
+        ),
     ] = None,
     site: SiteOption = None,
     json_file: DiagnosisOption = None,
@@ -58,7 +62,7 @@ def diagnose(
     ] = None,
     effects: EffectsOption = None,
     adopted: AdoptedOption = True,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="processes, for a folder")] = 1,
+    jobs: Annotated[int | None, typer.Option("--jobs", min=1, help="processes, for a folder (default: 1)")] = None,
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", help="for a folder: tcp://… of a Dask cluster (palpd[cluster]), in place of processes")
     ] = None,
@@ -74,8 +78,10 @@ def diagnose(
     if len(recordings) == 1 and recordings[0].is_dir():
         beside = {"--cell": cell, "--site": site, "--cell-out": cell_out, "--report": report, "--simulated": simulated or None}
         _refuse_for_a_folder(recordings[0], beside)
-        _diagnose_fleet(recordings[0], jobs, scheduler, effects, adopted_folder(adopted), json_file)
+        _diagnose_fleet(recordings[0], jobs or 1, scheduler, effects, adopted_folder(adopted), json_file)
         return
+    if jobs is not None or scheduler is not None:
+        raise BadInput(f"{'--jobs' if jobs is not None else '--scheduler'} is for a folder of recordings; give the folder, or leave it out")
     with shown_steps("diagnosing", progress) as show:
         try:
             diagnosis = diagnose_files(
@@ -158,6 +164,7 @@ def resolve(
         float | None, typer.Option("--max-depth-m", min=0.0002, max=0.02, help="how deep a proposal may press (default: as before)")
     ] = None,
     take_reference: Annotated[bool, typer.Option("--take-reference", help="take the reference tare now instead of the kept one")] = False,
+    here: HereOption = False,
     effects: EffectsOption = None,
     adopted: AdoptedOption = True,
     folder: Annotated[
@@ -172,6 +179,7 @@ def resolve(
     from palpd.daemon import resolve as loop
     from palpd.daemon.job_client import service_at
     from palpd.daemon.session import ForegroundHost, kept_in
+    from palpd.daemon.stored_state import State
     from palpd.daemon.wiring import devices
     from palpd.files import read_yaml
     from palpd.gap.commands import adopted_sentence, library
@@ -195,6 +203,7 @@ def resolve(
             "max_depth_m": max_depth_m,
             "take_reference": take_reference,
             "adopted": adopted,
+            "here": here,
         }
         end = carried_out("resolve", arguments, settings, settings.paths.runs, agree)
         stands = fetch(end.figures.get("folder"), target) if target is not None else end.figures.get("folder")
@@ -204,12 +213,14 @@ def resolve(
         return
     check_kept(settings)
     clear_latch(settings)
+    if here:
+        State(settings.paths.state).forget("place")
     own = adopted_folder(adopted)
     known = library(effects, adopted=own)
     if own is not None and (weighed := adopted_sentence(own, known)):
         terminal().print(weighed, highlight=False, soft_wrap=True)
     kept = kept_in(folder or settings.paths.runs, "resolve" if folder is None else None)
-    nominal = load_cell(cell, known) if cell else settings.cell
+    nominal = load_cell(cell, known) if cell else settings.cell.assumed_at_site(first_plan.sites[0].name)
     host = ForegroundHost(settings, devices, display(), agree)
     host.display.say(f"This makes at most {rounds} run{'s' * (rounds != 1)}.")
     result = loop.resolve(loop.Setting(host, nominal, kept, known, max_depth_m, take_reference), first_plan, recordings or (), rounds)
@@ -224,7 +235,7 @@ def simulate(
     cell: CellOption,
     csv: Annotated[Path, typer.Option("--csv", help="recording to write"), Output(CSV)],
     source: Annotated[Literal["measured", "commanded"], typer.Option("--from", help="what drives it where both are there")] = "measured",
-    noise: Annotated[int | None, typer.Option("--noise", help="seed: add noise and rounding")] = None,
+    noise: Annotated[int | None, typer.Option("--noise", min=0, help="seed: add noise and rounding")] = None,
     simulated: Annotated[
         Path | None,
         typer.Option("--simulated", help="your own simulator's output for this motion (.csv): add what the cell has beyond --nominal"),
@@ -232,6 +243,7 @@ def simulate(
     nominal: Annotated[Path | None, typer.Option("--nominal", help="cell.yaml that your simulator simulates, with --simulated")] = None,
     effects: EffectsOption = None,
     adopted: AdoptedOption = True,
+    accept_implausible: AcceptImplausible = False,
 ) -> None:
     """What a cell, enriched or nominal, gives on any motion."""
     from palpd.gap.commands import simulate_file
@@ -248,6 +260,7 @@ def simulate(
         say=terminal().print,
         simulated=simulated,
         nominal=nominal,
+        accept_implausible=accept_implausible,
     )
     terminal().print(f"{csv}: {len(samples)} rows, {samples.duration_s:.1f} s.")
 
@@ -290,14 +303,17 @@ def export_sim(
 
 @app.command()
 def tolerances(
-    recordings: Annotated[list[Path], typer.Argument(help="recordings of a healthy cell")], cell: CellOption, json_file: JsonOption = None
+    recordings: Annotated[list[Path], typer.Argument(help="recordings of a healthy cell")],
+    cell: CellOption,
+    json_file: JsonOption = None,
+    accept_implausible: AcceptImplausible = False,
 ) -> None:
     """Estimate the tolerances block of a cell file from recordings of a healthy cell."""
     import yaml
 
     from palpd.gap.commands import tolerances_of
 
-    blocks = tolerances_of(recordings, cell)
+    blocks = tolerances_of(recordings, cell, accept_implausible)
     terminal().print(yaml.safe_dump(blocks, sort_keys=False))
     write_json(json_file, blocks)
 
@@ -314,6 +330,7 @@ def effects_(
     remove: Annotated[str | None, typer.Option("--remove", help="take this adopted effect out of your library")] = None,
     cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml that they are compared on (default: the nominal cell)")] = None,
     json_file: JsonOption = None,
+    accept_implausible: AcceptImplausible = False,
 ) -> None:
     """List the effects that a cell can have; for some, or your own, what they could be mistaken for, before anything is recorded."""
     from palpd.cell.cell_file import load_cell, nominal
@@ -324,12 +341,17 @@ def effects_(
     from palpd.gap.commands import effects_named, library
     from palpd.gap.similar_effects import similar_effects
 
-    if sum(asked is not None for asked in (adopt, remove, names or None)) > 1 or (name is not None and adopt is None):
-        raise BadInput("--adopt, --remove and effects to compare exclude each other, and --name belongs to --adopt; give one of them")
+    if sum(asked is not None for asked in (adopt, remove, names or None)) > 1 or (
+        (name is not None or accept_implausible) and adopt is None
+    ):
+        raise BadInput(
+            "--adopt, --remove and effects to compare exclude each other, and --name and --accept-implausible belong to --adopt; "
+            "give one of them"
+        )
     folder = user_folder()
     if adopt is not None:
         with terminal().status("adopting"):
-            written = adoption.adopt(adopt, folder, name, load_cell(cell) if cell else nominal())
+            written = adoption.adopt(adopt, folder, name, load_cell(cell) if cell else nominal(), accept_implausible)
         terminal().print(f"{written.law.id} is adopted ({written.path}). {written.sentence}", highlight=False, soft_wrap=True)
         write_json(json_file, written.to_json())
         return
@@ -356,7 +378,7 @@ def effects_(
 @app.command()
 def blind(
     cases: Annotated[int, typer.Option("--cases", min=1, help="how many cells of each source; 200 for a look, 1000 for a table")] = 200,
-    seed: Annotated[int, typer.Option("--seed", help="the same seed draws the same cells")] = 1,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="the same seed draws the same cells")] = 1,
     source: Annotated[str, typer.Option("--source", help="drawn, mujoco, injected, several of them (drawn,mujoco) or all")] = "drawn",
     recordings: Annotated[
         Path | None, typer.Option("--recordings", help="for injected: folder of X.csv and X.yaml to plant effects into (default: MuJoCo's)")
@@ -367,6 +389,9 @@ def blind(
     large: Annotated[int, typer.Option("--large", min=0, help="further drawn cells with one effect of SNR > 20")] = 0,
     unlisted: Annotated[
         int, typer.Option("--unlisted", min=0, help="further cells of each source with an effect outside the list, for the lines on laws")
+    ] = 0,
+    coarse: Annotated[
+        int, typer.Option("--coarse", min=0, help="further cells of each source with steps of 1 to 8 times the noise, 2 of 3 healthy")
     ] = 0,
     json_file: JsonOption = None,
     docs: Annotated[Path | None, typer.Option("--docs", help="write the table and its figures into this folder"), Output(FOLDER)] = None,
@@ -402,10 +427,10 @@ def blind(
     hosts = Hosts(recordings, causes)
     sources = sources_named(source, hosts)
     more = load_other_sources(others or [], seed, sources)
-    with _progress("blind check", (cases + unlisted) * len(sources) + large) as advance:
+    with _progress("blind check", (cases + unlisted + coarse) * len(sources) + large) as advance:
         result = run(
-            cases, seed, sources=sources, hosts=hosts, large=large, unlisted=unlisted, jobs=jobs, ablation=chosen, keep=keep,
-            resume=resume, progress=advance,
+            cases, seed, sources=sources, hosts=hosts, large=large, unlisted=unlisted, coarse=coarse, jobs=jobs, ablation=chosen,
+            keep=keep, resume=resume, progress=advance,
         )  # fmt: skip
     terminal().print(tables_as_markdown(result["tables"]), soft_wrap=True)
     write_json(json_file, result)

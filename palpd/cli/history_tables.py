@@ -7,6 +7,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from palpd.analysis.hertz_misfit import STAR_MEANS, star_note, starred
 from palpd.history.report import fault_sentences, headline, kilopascals, report_conditions, when
 from palpd.history.stored import printable, report_path
 
@@ -29,13 +30,15 @@ WHOLE = {"began", "static", "dynamic", "corrected", "peak", "value"}
 
 
 def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", header_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title=title, title_justify="left", caption_justify="left", header_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in columns:
         table.add_column(name, justify="left" if name in LEFT else "right", overflow="fold", no_wrap=name in WHOLE)
     return table
 
 
-def _modulus(modulus_Pa: float | None, ci95_Pa: "Sequence[float] | None") -> str:
+def _modulus(modulus_Pa: float | None, ci95_Pa: "Sequence[float] | None", misfit: object) -> str:
+    if misfit and modulus_Pa is not None and ci95_Pa is not None:
+        return starred(f"{kilopascals(modulus_Pa)} ({ci95_Pa[0] / 1e3:.0f} to {ci95_Pa[1] / 1e3:.0f})", misfit)
     half = "" if ci95_Pa is None else f" ± {(ci95_Pa[1] - ci95_Pa[0]) / 2e3:.1f}"
     return kilopascals(modulus_Pa) + half
 
@@ -49,11 +52,13 @@ def runs_table(entries: "Sequence[RunEntry]") -> Table:
     """The runs of a catalogue, a line each."""
     table = _table("Runs", "run", "began", "ended", "static E (kPa)", "tags", "reason, note")
     for entry in entries:
-        moduli = ", ".join(f"{site.site} {kilopascals(site.static_Pa)}" for site in entry.sites if site.static_Pa is not None)
+        known = [site for site in entry.sites if site.static_Pa is not None]
+        moduli = ", ".join(starred(f"{site.site} {kilopascals(site.static_Pa)}", site.hertz_misfit) for site in known)
         words = "; ".join(filter(None, (entry.reason, entry.note)))
         kind = ("" if entry.kind in ("palpation", "") else f"{entry.kind} ") + ("dry " if entry.dry else "")
         short = words if len(words) <= MOST_LETTERS else f"{words[: MOST_LETTERS - 1]}…"
         _row(table, entry.name, when(entry.started)[:16], kind + entry.verdict, moduli, ", ".join(entry.tags), short)
+    table.caption = STAR_MEANS if any(site.hertz_misfit for entry in entries for site in entry.sites) else None
     return table
 
 
@@ -64,12 +69,13 @@ def moduli_table(sites: "Sequence[SiteResult]") -> Table:
         _row(
             table,
             str(site["name"]),
-            _modulus(site["static_youngs_modulus_Pa"], site["static_ci95_Pa"]),
+            _modulus(site["static_youngs_modulus_Pa"], site["static_ci95_Pa"], site["hertz_misfit"]),
             kilopascals(site["dynamic_original_Pa"]),
-            _modulus(site["dynamic_corrected_Pa"], site["dynamic_corrected_ci95_Pa"]),
+            _modulus(site["dynamic_corrected_Pa"], site["dynamic_corrected_ci95_Pa"], site["hertz_misfit"]),
             "–" if site["peak_force_N"] is None else f"{site['peak_force_N']:.2f} N",
             ", ".join(f"{depth_m * 1e3:g} mm" for depth_m in site["cut_short_depths_m"]) or "none",
         )
+    table.caption = printable(star_note({str(site["name"]): site["hertz_misfit"] for site in sites})) or None
     return table
 
 
@@ -123,8 +129,10 @@ def modulus_trend_table(points: "Sequence[ModulusPoint]", site: str) -> Table:
     table = _table(title, "began", "run", "static", "dynamic", "corrected")
     for point in points:
         of = point.moduli
-        static, corrected = _modulus(of.static_Pa, of.static_ci95_Pa), _modulus(of.corrected_Pa, of.corrected_ci95_Pa)
+        static = _modulus(of.static_Pa, of.static_ci95_Pa, of.hertz_misfit)
+        corrected = _modulus(of.corrected_Pa, of.corrected_ci95_Pa, of.hertz_misfit)
         _row(table, when(point.started)[:16], point.run, static, kilopascals(of.dynamic_Pa), corrected)
+    table.caption = STAR_MEANS if any(point.moduli.hertz_misfit for point in points) else None
     return table
 
 

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from palpd.cell.plausible import ACCEPT_OPTION
 from palpd.cli.at_once import DEFAULT_CONFIG
 from palpd.cli.output_options import Application, Output
+from palpd.errors import BadInput
 from palpd.file_kinds import JSON
 from palpd.files import check_folder
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
     from palpd.cli.terminal import TerminalDisplay
     from palpd.config import Config
+    from palpd.control.plan_place import Choice
 
 app = Application(
     help="Press soft tissue with a UR5 and a HEX-70, say how stiff it is, and why a cell does not behave like its simulation.",
@@ -54,13 +57,15 @@ EffectsOption = Annotated[
 SiteOption = Annotated[str | None, typer.Option("--site", help="this site only, of recordings of the daemon (.mcap)")]
 ProgressOption = Annotated[bool, typer.Option("--progress", help="write each step to stderr, one a line, for programs")]
 AdoptedOption = Annotated[bool, typer.Option("--adopted/--no-adopted", help="whether your adopted effects count (palpd effects --adopt)")]
+HereOption = Annotated[bool, typer.Option("--here", help="count sites from where the arm stands, though the last run was not finished")]
+ReturnOption = Annotated[bool, typer.Option("--return", help="go back first to where the last, unfinished run began")]
+AcceptImplausible = Annotated[bool, typer.Option(ACCEPT_OPTION, help="let values count that palpd questions, such as a mass of 100 kg")]
 DEFAULT_PLAN = Path("plan.yaml")
 
 __all__ = [
-    "DEFAULT_CONFIG", "DEFAULT_PLAN", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "JsonOption", "PlanOption",
-    "ProgressOption", "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept", "clear_latch", "display", "finish",
-    "say_broken_effects",
-    "shown_steps", "terminal",
+    "DEFAULT_CONFIG", "DEFAULT_PLAN", "AcceptImplausible", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "HereOption",
+    "JsonOption", "PlanOption", "ProgressOption", "ReturnOption", "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept",
+    "clear_latch", "display", "finish", "place_choice", "say_broken_effects", "shown_steps", "stated_address", "terminal",
 ]  # fmt: skip
 
 
@@ -77,6 +82,24 @@ def display() -> "TerminalDisplay":
     from palpd.cli.terminal import TerminalDisplay
 
     return TerminalDisplay(terminal())
+
+
+def stated_address(option: typer.CallbackParam, address: str) -> str:
+    """Refuse an empty address to listen at, which would mean all addresses of this computer.
+
+    Args:
+        option: The option that states it.
+        address: What it states.
+
+    Returns:
+        The address.
+
+    Raises:
+        BadInput: It is empty.
+    """
+    if not address.strip():
+        raise BadInput(f"--{option.name} is empty, expected an address; 127.0.0.1 is this computer only, 0.0.0.0 all of its addresses")
+    return address
 
 
 @contextmanager
@@ -134,6 +157,13 @@ def clear_latch(config: "Config") -> None:
     latch = State(config.paths.state).clear_latch()
     if latch is not None:
         terminal().print(f"[yellow]The last run was stopped on {latch.date}: {latch.reason}. This start clears it.[/]")
+
+
+def place_choice(here: bool, go_back: bool) -> "Choice | None":
+    """What the operator answers to the question of the place. Raises BadInput where both answers are given."""
+    if here and go_back:
+        raise BadInput("--here and --return contradict each other, expected one of them; leave one out")
+    return "here" if here else "return" if go_back else None
 
 
 def check_kept(config: "Config") -> None:

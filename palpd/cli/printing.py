@@ -59,9 +59,9 @@ def print_demonstration(demonstration: "Demonstration") -> None:
     for note in result["notes"]:
         show(f"note: {note}")
     loop = result["loop"]
-    if loop:
+    if "work_us_p50" in loop:  # no wires, no timing
         show(
-            f"Loop: {loop['ticks']} ticks, {loop['missed']} missed, work p50 {loop.get('work_us_p50', 0):.0f} µs, "
-            f"p99 {loop.get('work_us_p99', 0):.0f} µs."
+            f"Loop: {loop['ticks']} ticks, {loop['missed']} missed, work p50 {loop['work_us_p50']:.0f} µs, "
+            f"p99 {loop['work_us_p99']:.0f} µs."
         )
-    show(f"{result['verdict']}: {result['recording']}" + (f" ({result['reason']})" if result["reason"] else ""))
+    show(f"{result['verdict']}: {result['recording'] or 'nothing was recorded'}" + (f" ({result['reason']})" if result["reason"] else ""))

@@ -12,7 +12,7 @@ from palpd.cli.curve_options import (
     HeightColumn,
     HeightDownPositive,
 )
-from palpd.cli.options import JsonOption, SiteOption, app, terminal
+from palpd.cli.options import AcceptImplausible, JsonOption, SiteOption, app, terminal
 from palpd.cli.output_options import Output
 from palpd.errors import BadInput
 from palpd.file_kinds import CSV, PARQUET, YAML
@@ -128,6 +128,7 @@ def import_(
     ] = None,
     offset_s: Annotated[float | None, typer.Option("--offset-s", help="added to the times of the force, for two clocks")] = None,
     tare_s: Annotated[float | None, typer.Option("--tare-s", help="take the mean of the first seconds from the force")] = None,
+    accept_implausible: AcceptImplausible = False,
 ) -> None:
     """Turn what another machine recorded into a recording that `palpd diagnose` and `palpd replay` read."""
     from palpd.interchange.import_files import ImportOptions, columns_given, import_files, source_of
@@ -162,6 +163,7 @@ def import_(
         axis=axis,
         offset_s=offset_s,
         tare_s=tare_s,
+        accept_implausible=accept_implausible,
     )
     imported = import_files(files, options, csv)
     for note in imported.notes:
@@ -175,13 +177,14 @@ def cell_from(
     out: Annotated[Path, typer.Option("--out", help="cell.yaml to write; every value says where it comes from"), Output(YAML)],
     tip_radius_m: Annotated[float | None, typer.Option("--tip-radius-m", help="radius of the tip (default: 5 mm, a guess)")] = None,
     site: SiteOption = None,
+    accept_implausible: AcceptImplausible = False,
 ) -> None:
     """Write a first cell.yaml from recordings: rates, noise, resolution, the touch and a stiffness that counts as not known."""
     from palpd.gap.commands import read_recording
     from palpd.gap.first_cell import first_cell, written_out
 
     names = ", ".join(path.name for path in recordings)
-    first = first_cell([read_recording(path, site) for path in recordings], tip_radius_m)
+    first = first_cell([read_recording(path, site) for path in recordings], tip_radius_m, accept_implausible)
     write_yaml(out, written_out(first, names))
     for sentence in first.sentences:
         terminal().print(sentence, highlight=False, markup=False)

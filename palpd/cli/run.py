@@ -1,7 +1,7 @@
 """Commands for whoever stands at the cell: run a plan, calibrate, or do it all on an emulated or simulated cell."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -9,20 +9,27 @@ from palpd.cli.options import (
     DEFAULT_CONFIG,
     DEFAULT_PLAN,
     ConfigOption,
+    HereOption,
     JsonOption,
     PlanOption,
     ProgressOption,
+    ReturnOption,
     SocketOption,
     app,
     check_kept,
     clear_latch,
     display,
     finish,
+    place_choice,
     shown_steps,
+    stated_address,
     terminal,
 )
 from palpd.cli.output_options import LINK, NEW_RECORDING, OWN_FOLDER, SOCKET, Output
 from palpd.files import check_folder, with_ending, write_json
+
+if TYPE_CHECKING:
+    from palpd.daemon.programs import ProgramEnd
 
 
 @app.command()
@@ -31,6 +38,8 @@ def run(
     plan: PlanOption = DEFAULT_PLAN,
     dry: Annotated[bool, typer.Option("--dry", help="read the real devices, command nothing")] = False,
     take_reference: Annotated[bool, typer.Option("--take-reference", help="take the reference tare now instead of the kept one")] = False,
+    here: HereOption = False,
+    go_back: ReturnOption = False,
     json_file: JsonOption = None,
 ) -> None:
     """Carry out a plan in the foreground and end with it."""
@@ -45,7 +54,7 @@ def run(
     settings, steps = load_config(config), load_plan(plan)
     check_kept(settings)
     clear_latch(settings)
-    report = carry_out(job("palpation", settings, steps, dry, take_reference), devices, display())
+    report = carry_out(job("palpation", settings, steps, dry, take_reference, place_choice(here, go_back)), devices, display())
     if report.recording is not None and settings.paths.write_reports:
         begin_report(report.recording, settings.paths.runs)
     result = run_result(report)
@@ -60,13 +69,29 @@ def run(
 def calibrate(
     config: ConfigOption = DEFAULT_CONFIG,
     temperature_C: Annotated[float | None, typer.Option("--temperature-C", help="of the sensor, if known; kept with the tare")] = None,
+    probe_free: Annotated[bool, typer.Option("--probe-free", help="your word that the probe is free, where nothing else shows it")] = False,
 ) -> None:
     """Take the reference tare: probe free, arm still. Every run's absolute force limit is measured against it."""
+    import sys
+
     from palpd.cli.jobs import carried_out
     from palpd.config import load_config
+    from palpd.errors import Refused
 
     settings = load_config(config)
-    end = carried_out("calibrate", {"temperature_C": temperature_C}, settings, settings.paths.state)
+
+    def taken(word: bool) -> "ProgramEnd":
+        return carried_out("calibrate", {"temperature_C": temperature_C, "probe_free": word}, settings, settings.paths.state)
+
+    try:
+        end = taken(probe_free)
+    except Refused as refused:
+        if "--probe-free" not in str(refused) or not sys.stdin.isatty():  # a job of the service passes the sentence on, and nothing else
+            raise
+        terminal().print(f"{refused}.", soft_wrap=True, highlight=False, markup=False)
+        if not typer.confirm("Is the probe free? Look at it."):
+            raise
+        end = taken(True)
     finish(end.exit_code, end.reason)
     forces = ", ".join(f"{force:.2f}" for force in end.figures["wrench"][:3])
     terminal().print(f"Reference tare ({forces}) N of sensor {end.figures['sensor_serial'] or 'unknown'} kept in {end.figures['state']}.")
@@ -113,34 +138,43 @@ def stiffness(config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = Non
     write_json(json_file, end.figures)
 
 
+@app.command("level-test")
+def level_test(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+    """Go 5 mm straight up, slowly, and say whether the probe is free: the force must not change with the height."""
+    _go_up("level-test", "The daemon tests on the way up; palpd status says how it ends.", config, socket)
+
+
 @app.command()
 def retract(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
     """Leave the tissue after a stop: straight up, slowly, under the guard. Works while the stop is latched, and leaves it latched."""
+    _go_up("retract", "The daemon leaves the tissue; palpd status says how it ends.", config, socket)
+
+
+def _go_up(command: Literal["retract", "level-test"], begun: str, config: Path, socket: Path | None) -> None:
+    """Ask the service for that way up; go it in the foreground where none answers."""
     from palpd.cli.at_once import speak
+    from palpd.cli.last_ticks import print_last_ticks
     from palpd.daemon.socket_client import NoDaemon
 
     try:
-        speak({"do": "retract"}, config, socket)
+        speak({"do": command}, config, socket)
     except NoDaemon:
         if socket is not None:
             raise
     else:
-        terminal().print("The daemon leaves the tissue; palpd status says how it ends.")
+        terminal().print(begun)
         return
-    _retract_in_foreground(config)
-
-
-def _retract_in_foreground(config: Path) -> None:
-    from palpd.cli.last_ticks import print_last_ticks
     from palpd.config import Plan, load_config
     from palpd.daemon.session import carry_out, job
     from palpd.daemon.wiring import devices
 
     settings = load_config(config)
     check_kept(settings)
-    report = carry_out(job("retract", settings, Plan()), devices, display())
+    report = carry_out(job("retract" if command == "retract" else "level_test", settings, Plan()), devices, display())
     print_last_ticks(report.last_ticks)
     terminal().print(f"{report.verdict}: {report.recording}")
+    if report.probe is not None:
+        terminal().print(f"{report.probe.sentence}.", soft_wrap=True, highlight=False, markup=False)
     finish(report.exit_code, report.reason)
 
 
@@ -154,7 +188,7 @@ def demo(
         ),
     ] = None,
     wires: Annotated[
-        bool, typer.Option("--wires/--no-wires", help="with --effect: emulated wires, or physics faster than real time")
+        bool, typer.Option("--wires/--no-wires", help="emulated wires, or the cell's physics alone: faster, without ur-rtde")
     ] = True,
     json_file: JsonOption = None,
     folder: Annotated[
@@ -168,15 +202,15 @@ def demo(
     from palpd.daemon.run_reports import begin_report
     from palpd.errors import BadInput
 
-    if not wires and effect is None:
-        raise BadInput("--no-wires belongs to --effect; palpd sim carries out a plan without wires")
+    if page and (full or not wires or effect is not None or json_file is not None):
+        raise BadInput("--page serves the emulated cell and palpates nothing by itself; leave --full, --effect, --no-wires and --json out")
+    if wires:
+        _require_library(page)
     if page:
-        if full or effect is not None or json_file is not None:
-            raise BadInput("--page serves the emulated cell and palpates nothing by itself; leave --full, --effect and --json out")
         _serve_demo(folder)
         return
     check_folder(folder or Path("runs"))
-    demonstration = show.gap(effect, folder, display(), wires=wires) if effect else show.palpate(full, folder, display())
+    demonstration = show.gap(effect, folder, display(), wires=wires) if effect else show.palpate(full, folder, display(), wires=wires)
     result = demonstration.result
     if effect is None and result["recording"] is not None:
         recording = Path(result["recording"])
@@ -186,23 +220,46 @@ def demo(
     finish(0 if result["verdict"] == "done" else 3, result["reason"])
 
 
+def _require_library(page: bool) -> None:
+    """Refuse emulated wires where the robot's library is not installed, and offer the run without them."""
+    from palpd.config import Config
+    from palpd.daemon.wiring import robot_kind
+    from palpd.errors import RobotError
+
+    try:
+        robot_kind(Config()).require()
+    except RobotError as error:
+        raise (
+            error if page else RobotError(f"{error}, or add --no-wires: the cell's physics alone, without bytes, timing and faults")
+        ) from None
+
+
 def _serve_demo(folder: Path | None) -> None:
     """Serve an emulated cell and its page until Ctrl-C."""
+    import socket
     import subprocess
-    import sys
 
+    from palpd.cli.service import PAGE_PORT
     from palpd.daemon.demo import service_on_wires
+    from palpd.errors import Refused
+    from palpd.workers import beside
 
     check_folder(folder or Path("runs"))
+    try:
+        socket.create_server(("127.0.0.1", PAGE_PORT)).close()  # the cell takes some seconds, which a page that cannot listen would waste
+    except OSError as error:
+        raise Refused(f"the page cannot listen at port {PAGE_PORT} ({error.strerror}); end the palpd web or demo that does") from error
     with service_on_wires(folder, display()) as config:
-        command = [sys.executable, "-m", "palpd", "web", "--config", str(config), "--plan", str(config.with_name("plan.yaml"))]
-        with config.with_name("page.log").open("wb") as log:
-            page = subprocess.Popen(command, stderr=log)
+        command = beside("palpd", "web", "--config", str(config), "--plan", str(config.with_name("plan.yaml")))
+        log = config.with_name("page.log")
+        with log.open("wb") as file:
+            page = subprocess.Popen(command, stderr=file)
         try:
-            page.wait()
+            code = page.wait()
         finally:
             page.terminate()
             page.wait()
+    finish(3 if code else 0, f"the server of the page has died ({f'signal {-code}' if code < 0 else f'exit code {code}'}); see {log}")
 
 
 @app.command()
@@ -211,7 +268,7 @@ def sim(
     config: ConfigOption = DEFAULT_CONFIG,
     cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml to press (default: the paper's phantom)")] = None,
     configured: Annotated[bool, typer.Option("--configured-cell", help="press the cell that --config states")] = False,
-    seed: Annotated[int, typer.Option("--seed", help="of the noise")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="of the noise")] = 0,
     progress: ProgressOption = False,
     json_file: JsonOption = None,
 ) -> None:
@@ -244,7 +301,7 @@ def sim(
 def emulate(
     model: Annotated[Literal["ur5", "ur5e"], typer.Option("--model", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")] = "ur5",
     cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml of what the wires lead to (default: the paper's phantom)")] = None,
-    host: Annotated[str, typer.Option("--host", help="address the controller listens on")] = "127.0.0.1",
+    host: Annotated[str, typer.Option("--host", callback=stated_address, help="address the controller listens on")] = "127.0.0.1",
     sensor_link: Annotated[
         Path | None, typer.Option("--sensor-link", help="link to make to the sensor's terminal device"), Output(LINK)
     ] = None,

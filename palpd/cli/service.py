@@ -6,13 +6,30 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 import typer
 
 from palpd.cli import at_once
-from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, SocketOption, app, check_kept, finish, terminal
+from palpd.cli.options import (
+    DEFAULT_CONFIG,
+    AcceptImplausible,
+    ConfigOption,
+    HereOption,
+    JsonOption,
+    ReturnOption,
+    SocketOption,
+    app,
+    check_kept,
+    finish,
+    place_choice,
+    stated_address,
+    terminal,
+)
 from palpd.cli.output_options import FOLDER, SOCKET, Output
 from palpd.file_kinds import JSON, YAML
 from palpd.files import check_folder, check_socket, write_json
 
 if TYPE_CHECKING:
     from palpd.daemon.socket_client import JobSummary
+
+PAGE_PORT = 8700
+"""Port of the operator's page, unless `--port` names another."""
 
 
 @app.command()
@@ -34,9 +51,10 @@ def serve(config: ConfigOption = DEFAULT_CONFIG) -> None:
 def web(
     config: ConfigOption = DEFAULT_CONFIG,
     listen: Annotated[
-        str, typer.Option("--listen", help="address to listen at; 0.0.0.0 for other computers too, such as a tablet")
+        str,
+        typer.Option("--listen", callback=stated_address, help="address to listen at; 0.0.0.0 for other computers too, such as a tablet"),
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="port to listen at")] = 8700,
+    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="port to listen at")] = PAGE_PORT,
     name: Annotated[
         list[str] | None, typer.Option("--name", help="further host name or address under which browsers may open the page")
     ] = None,
@@ -87,13 +105,17 @@ def arm(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> N
 
 @app.command()
 def start(
-    plan: Annotated[Path, typer.Argument(help="plan.yaml")], config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None
+    plan: Annotated[Path, typer.Argument(help="plan.yaml")],
+    here: HereOption = False,
+    go_back: ReturnOption = False,
+    config: ConfigOption = DEFAULT_CONFIG,
+    socket: SocketOption = None,
 ) -> None:
     """Start a plan on an armed daemon."""
     from palpd.config import load_plan
 
     values = load_plan(plan).model_dump(mode="json")
-    print(at_once.speak({"do": "start", "plan": values}, config, socket)["state"])
+    print(at_once.speak({"do": "start", "plan": values, "place": place_choice(here, go_back)}, config, socket)["state"])
 
 
 @app.command()
@@ -189,7 +211,12 @@ def stream(
         Output(SOCKET),
     ] = None,
     listen: Annotated[
-        str, typer.Option("--listen", help="address to listen at; 0.0.0.0 for other computers too, which may then read all of it")
+        str,
+        typer.Option(
+            "--listen",
+            callback=stated_address,
+            help="address to listen at; 0.0.0.0 for other computers too, which may then read all of it",
+        ),
     ] = "127.0.0.1",
     layout: Annotated[
         Path | None, typer.Option("--layout", help="write the layout for Foxglove to this file, and end"), Output(JSON)
@@ -307,6 +334,7 @@ def check_config(
     config: Annotated[Path, typer.Argument(help="config.yaml")],
     plan: Annotated[Path | None, typer.Option("--plan", help="plan.yaml to judge with it")] = None,
     json_file: JsonOption = None,
+    accept_implausible: AcceptImplausible = False,
 ) -> None:
     """Refuse what is wrong or unsafe; print how far a force would run past its limit."""
     from palpd.cli.tables import overshoot_table
@@ -314,7 +342,7 @@ def check_config(
     from palpd.daemon.overshoot import predicted
     from palpd.daemon.starting_files import checked
 
-    settings, steps = checked(config, plan)
+    settings, steps = checked(config, plan, accept_implausible)
     prediction = predicted(settings, steps)
     for table in overshoot_table(prediction):
         terminal().print(table)

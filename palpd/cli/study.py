@@ -14,7 +14,7 @@ from palpd.files import check_writable, write_json
 @app.command()
 def study(
     out: Annotated[Path, typer.Option("--out", help="folder for study.html and study.json"), Output(FOLDER)] = Path("study"),
-    seed: Annotated[int, typer.Option("--seed", help="another laboratory: noise, tares, biases")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="another laboratory: noise, tares, biases")] = 0,
     days: Annotated[int, typer.Option("--days", min=0, help="further days by the same models")] = 20,
     bare: Annotated[list[Path] | None, typer.Option("--bare", help="recording of free motion without the probe (.mcap)")] = None,
     free: Annotated[list[Path] | None, typer.Option("--free", help="recordings of free motion with the probe (.mcap)")] = None,

@@ -26,6 +26,8 @@ def site_tables(sites: "list[SiteResult]", bias_N: float | None) -> tuple[Table,
     Returns:
         The table of moduli and the table of forces.
     """
+    from palpd.analysis.hertz_misfit import star_note, starred
+
     stiff = _table("How stiff each site is (E in kPa)", "site", "true", "static", "off", "dynamic", "corrected", "YMBT", "corrected")
     forces = _table("Forces", "site", "peak", "cut short", "correction", "= bias", "+ inertial")
     for site in sites:
@@ -33,10 +35,10 @@ def site_tables(sites: "list[SiteResult]", bias_N: float | None) -> tuple[Table,
         stiff.add_row(
             site["name"],
             _kPa(true),
-            _kPa(static),
+            starred(_kPa(static), site["hertz_misfit"]),
             f"{static / true - 1:+.1%}" if static and true else "–",
             _kPa(site["dynamic_original_Pa"]),
-            _kPa(site["dynamic_corrected_Pa"]),
+            starred(_kPa(site["dynamic_corrected_Pa"]), site["hertz_misfit"]),
             _percent(site["ymbt_original"]),
             _percent(site["ymbt_corrected"]),
         )
@@ -50,6 +52,7 @@ def site_tables(sites: "list[SiteResult]", bias_N: float | None) -> tuple[Table,
             f"{site_bias_N:+.3f} N" if parts else "–",
             f"{correction_N - site_bias_N:+.3f} N" if parts and correction_N is not None else "–",
         )
+    stiff.caption = star_note({site["name"]: site["hertz_misfit"] for site in sites}) or None
     return stiff, forces
 
 
@@ -69,7 +72,7 @@ def depth_table(sites: "list[SiteResult]") -> Table:
 
 
 def diagnosis_lines(sentence: str, content: dict[str, Any]) -> list[str]:
-    """Write a diagnosis in a few lines: verdict, each effect with its parameters, gap before and after, next recording.
+    """Write a diagnosis in a few lines: doubts, verdict, each effect with its parameters, gap before and after, next recording.
 
     Args:
         sentence: The verdict.
@@ -78,7 +81,8 @@ def diagnosis_lines(sentence: str, content: dict[str, Any]) -> list[str]:
     Returns:
         The lines.
     """
-    lines = [sentence]
+    decisive = content["decisive"]
+    lines = [*(f"Doubtful: {note}" for note in decisive), sentence]
     for named in content["effects"]:
         values = ", ".join(
             f"{name} = {_plain(value['value'])} (95 %: {_plain(value['ci95'][0])} to {_plain(value['ci95'][1])})"
@@ -89,15 +93,16 @@ def diagnosis_lines(sentence: str, content: dict[str, Any]) -> list[str]:
     lines += [f"  {e['kind']} at {e['t_s']:.2f} s in {e['channel']}, size {_plain(e['size'])}" for e in content.get("events") or ()]
     shrink = content["shrink"]
     if shrink and shrink["closed"] is not None:
-        low, high = shrink["ci95"] or (shrink["closed"], shrink["closed"])
+        closed, low, high = (f"{share:.0%}" for share in (shrink["closed"], *(shrink["ci95"] or (shrink["closed"],) * 2)))
+        interval = "" if low == high else f" (95 %: {low} to {high})"
         lines.append(
             f"{shrink['channel']}: {_plain(shrink['before_rms'])} rms before, {_plain(shrink['after_rms'])} after, "
-            f"{_plain(shrink['noise_floor'])} of noise. Of the part that noise and tolerances do not explain, {shrink['closed']:.0%} "
-            f"closed (95 %: {low:.0%} to {high:.0%}) on {shrink['on']}."
+            f"{_plain(shrink['noise_floor'])} of noise. Of the part that noise and tolerances do not explain, {closed} closed{interval} "
+            f"on {shrink['on']}."
         )
     if content["next_experiment"]:
         lines.append(f"Next: {content['next_experiment']['sentence']}")
-    return lines + [f"Note: {note}" for note in content["notes"]]
+    return lines + [f"Note: {note}" for note in content["notes"] if note not in decisive]
 
 
 def _plain(value: float) -> str:
@@ -214,7 +219,7 @@ LEFT = {"learned in", "imitated by", "from", "parameters", "what it does", "what
 
 
 def _table(title: str, first: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", header_style="bold")
+    table = Table(title=title, title_justify="left", caption_justify="left", header_style="bold")
     table.add_column(first)
     for name in columns:
         table.add_column(name, justify="left" if name in LEFT else "right")

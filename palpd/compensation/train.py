@@ -20,11 +20,13 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPRegressor
 
 from palpd.analysis.intervals import correlated_sigmas, student_t_95
+from palpd.cell.plausible import ask
 from palpd.compensation.cycles import Cycle, find_cycles, mean_cycle, mean_cycle_at_run_time
 from palpd.compensation.model_card import SMOOTHING, ModelCard, data_sha256, notes_of, refuse_place, software_versions, write_model
 from palpd.compensation.refusals import refuse_clipping, refuse_contact, refuse_different
 from palpd.control.inertial import INPUT_NAME, INPUTS, OUTPUT_NAME, SCHEMA, InertialModel
 from palpd.errors import BadInput, RecordingError
+from palpd.recording.oddities import refuse_dead, refuse_repeated
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
@@ -46,6 +48,8 @@ POINTS = 500
 """Training points on the mean cycle: a network of 41 weights needs no more, and trains in a second."""
 MASS_CERTAINTY = 0.5
 """Largest half-width of the mass's 95 % interval, as a share of the probe's mass, at which mass and bias count as separable."""
+ODD_MASS_RATIO = 2.0
+"""Ratio of the moving mass to the probe's that is questioned: the probe was weighed, and a dead or turned fz shows none or less."""
 OPSET, IR_VERSION = 17, 8
 """Versions of the ONNX format: what the oldest onnxruntime that palpd allows reads."""
 
@@ -71,6 +75,7 @@ def train(
     sensor_serial: str | None = None,
     sensor_delay_s: float = 0.0,
     method: Method = DEFAULT_METHOD,
+    accept_implausible: bool = False,
 ) -> ModelCard:
     """Train velocity and acceleration -> fz on tared free motion, and write the model and its card.
 
@@ -81,22 +86,28 @@ def train(
         sensor_serial: Serial number of the sensor, if known.
         sensor_delay_s: Delay with which the sensor's filter shows a force.
         method: One of METHODS.
+        accept_implausible: Whether a moving mass counts that is not the probe's.
 
     Returns:
         The card.
 
     Raises:
-        RecordingError: A recording contains contact, clips, differs in motion from the others, or moves too little.
-        BadInput: The method is unknown, no recording was given, or a file cannot be written.
+        RecordingError: A recording contains contact, clips, is dead, differs in motion from the others, or moves too little.
+        BadInput: The method is unknown, no recording was given, a file cannot be written, or the mass is not the probe's and nobody
+            accepts it.
     """
     _refuse_arguments(recordings, out, method)
+    refuse_repeated(recordings)
     for number, samples in enumerate(recordings, start=1):
+        refuse_dead(samples, f"recording {number}: ")
         refuse_clipping(number, samples)
         refuse_contact(number, samples, probe_mass_kg)
     step_s = 1.0 / recordings[0].rate_Hz
     cycles = find_cycles(recordings, step_s, sensor_delay_s)
     refuse_different(cycles, step_s)
     line, half = _line(cycles, step_s, sensor_delay_s, probe_mass_kg)
+    check = "check that fz_N is alive and in newtons, its sign, and cell.probe.mass_kg"
+    ask(_mass_doubts(float(line[0]), float(half[0]), probe_mass_kg), accept_implausible, check)
     training = _training(cycles, step_s, sensor_delay_s)
     features = training.smoothed if method == "network" else training.at_run_time  # the paper's network as the paper trained it
     content, predicted_N = _model(method, features, training.force_N, line, half)
@@ -116,6 +127,13 @@ def train(
     card = replace(card, notes=notes_of(asdict(card), recordings[0]))
     write_model(out, content, card)
     return card
+
+
+def _mass_doubts(mass_kg: float, half_kg: float, probe_mass_kg: float) -> list[str]:
+    """A sentence where the mass that moves (95 %: ± `half_kg`) is below half or above twice the probe's."""
+    if mass_kg + half_kg >= probe_mass_kg / ODD_MASS_RATIO and mass_kg - half_kg <= ODD_MASS_RATIO * probe_mass_kg:
+        return []
+    return [f"the recordings show a moving mass of {mass_kg:.3f} ± {half_kg:.3f} kg, expected about the probe's {probe_mass_kg:g} kg"]
 
 
 def _refuse_arguments(recordings: Sequence[Samples], out: Path, method: Method) -> None:

@@ -56,7 +56,7 @@ class Record(Protocol):
 class Outcome:
     """How a run ended. `reason` is a sentence unless the run was simply done; `trips` holds one verdict of the guard for each reason.
 
-    `notes` say which presses a pause interrupted.
+    `notes` say which presses a pause interrupted. `level`: the run ended on a way up over which the force stayed level.
     """
 
     verdict: str = "done"
@@ -66,6 +66,7 @@ class Outcome:
     ticks: int = 0
     missed: int = 0
     notes: list[str] = field(default_factory=list)
+    level: bool = False
 
 
 @dataclass(slots=True)
@@ -172,7 +173,10 @@ def _without_rows(contact: Contact) -> Contact:
 
 @dataclass(slots=True)
 class Loop:
-    """One run: a robot, a sensor, a clock, a sequence, and the guard between them and the wire."""
+    """One run: a robot, a sensor, a clock, a sequence, and the guard between them and the wire.
+
+    `refuse_tare` says why a tare (6,) may not begin a run, None where it may.
+    """
 
     robot: Robot
     sensor: ForceSensor
@@ -182,6 +186,7 @@ class Loop:
     limits: Limits
     record: Record
     request: Callable[[], Request] = lambda: Request.NONE
+    refuse_tare: Callable[[Observation, Floats], str | None] = lambda _observation, _wrench: None
     stops: int = 3
     outcome: Outcome = field(default_factory=Outcome)
     _guard_state: GuardState = field(default_factory=GuardState)
@@ -192,7 +197,6 @@ class Loop:
     def run(self) -> Outcome:
         """Tick until the sequence is over. However the run ends, stop goes out `stops` times; whoever opened the devices closes them."""
         try:
-            self._tare.reference = self.explainer.reference
             while self.tick():
                 pass
         except PalpdError as error:
@@ -200,7 +204,7 @@ class Loop:
             raise Stopped(str(error)) from error
         finally:
             self._stop()
-            self.outcome.notes = self.sequence.notes
+            self.outcome.notes, self.outcome.level = self.sequence.notes, self.sequence.level
         return self.outcome
 
     def rehearse(self, times: int = 100) -> None:
@@ -246,7 +250,7 @@ class Loop:
 
     def _take_tare(self, observation: Observation) -> None:
         if self._tare.add(observation.robot, observation.frames):
-            refusal = self._tare.refusal()
+            refusal = self._tare.refusal() or self.refuse_tare(observation, self._tare.result())
             if refusal is not None:
                 self.outcome.verdict, self.outcome.reason, self.outcome.refused = "stopped", refusal, True
             self.explainer.tare = self._tare.result()

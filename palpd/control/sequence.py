@@ -61,6 +61,15 @@ LEVEL_M = 0.005
 """Way up over which the force must stay level before the tip counts as clear of tissue."""
 LEVEL_N = 0.1
 """Change of the force over that way below which it is level, 20 times what noise changes. Tissue of 5 kPa gives 0.17 N over 5 mm."""
+LIFT_N = 0.3
+"""Change of the raw force from rest to rest over the same way, beyond which the probe touched something.
+
+Larger than the bias that a tare may leave (0.19 N in the paper), smaller than a contact that would shift a modulus by a tenth."""
+LIFT_WINDOW_S = 0.1
+"""Length of the mean that is compared: 100 samples at 1 kHz leave 5 mN of noise, and the arm rises by 0.5 mm in it."""
+RISE_END_N = 0.5
+"""Change of the raw force at which such a way up ends early: something presses or holds the probe. A cable that rubs changes it less, and
+only while the arm moves; so `LIFT_N` is judged at rest."""
 CAUGHT_N = 2.0
 """Pull against the way up, and growth of the press on it, at which `palpd retract` gives up: wet tissue clings with less than 1 N."""
 FREE_STROKE_M = 0.02
@@ -141,6 +150,11 @@ class Sequence:
         """One sentence for each step that a pause interrupted."""
         return self._script.notes
 
+    @property
+    def level(self) -> bool:
+        """Whether the script ended on a way up over which the force stayed level: then the probe is free."""
+        return self._script.level
+
     def step(self, observation: Observation) -> Proposal:
         """Return the next proposal for this observation."""
         self._script.hear(observation.request)
@@ -149,7 +163,7 @@ class Sequence:
         try:
             if self._steps is None:
                 self._script.begin(observation)
-                self._steps = self._script.run()
+                self._steps = self._script.whole()
                 return next(self._steps)
             return self._steps.send(observation)
         except StopIteration:
@@ -162,11 +176,14 @@ class Sequence:
 class Script(ABC):
     """The steps that every script consists of. `observation` is the newest one; `progress` travels with each proposal.
 
-    `pause_asked` is true between an operator's pause and the resume, and `on_pause` says what it does to the step under way.
+    `pause_asked` is true between an operator's pause and the resume, and `on_pause` says what it does to the step under way. A script that
+    `lifts_first` shows by a way up that it was not tared in contact.
     """
 
     def __init__(self, arm: ArmGeometry) -> None:
         self.arm = arm
+        self.lifts_first = False
+        self.level = False
         self.progress = Progress()
         self.pause_asked = False
         self.on_pause = OnPause.STAND
@@ -174,9 +191,15 @@ class Script(ABC):
         self.observation: Observation
         self.home: tuple[float, float, float]
 
+    def whole(self) -> Steps:
+        """Lift first where that is asked for, then run."""
+        if self.lifts_first:
+            yield from self.lift()
+        yield from self.run()
+
     @abstractmethod
     def run(self) -> Steps:
-        """Run the whole script."""
+        """Run the script from where the arm stands."""
 
     def begin(self, observation: Observation) -> None:
         """Take the arm's present place as home."""
@@ -224,6 +247,45 @@ class Script(ABC):
         """Stand still until no pause is asked for."""
         while self.pause_asked:
             self.observation = yield self.standing()
+
+    def lift(self) -> Steps:
+        """Go `LEVEL_M` straight up and come back: where the run was tared in contact, the force changes on the way."""
+        self.note(phase=Phase.LIFT)
+        changed_N = yield from self.rise((0.0, 0.0, 0.0))
+        if changed_N > LIFT_N:
+            risen_m = self.observation.robot.z_m - self.home[2]
+            raise ScriptEnded(
+                f"tared in contact: the force changed by {changed_N:.2f} N over the first {risen_m * 1e3:.1f} mm straight up, expected at "
+                f"most {LIFT_N:g} N; palpd retract leaves what the probe touches"
+            )
+        yield from self.go_to(self.home[2], min(FREE_SPEED_M_PER_S, self.arm.max_speed_m_per_s))
+        yield from self.come_to_rest()
+
+    def rise(self, rest_N: tuple[float, ...]) -> Generator[Proposal, Observation, float]:
+        """Go `LEVEL_M` straight up, slowly, and rest there; end early where the force changes by more than `RISE_END_N`.
+
+        Args:
+            rest_N: force (3,) before the way, base axes.
+
+        Returns:
+            The change of the mean force over the last `LIFT_WINDOW_S`, N.
+        """
+        top_m, recent, changed_N = self.home[2] + LEVEL_M, deque[tuple[float, list[float]]](), 0.0
+        until_s = math.inf
+        while self.observation.now_s < until_s:
+            if until_s == math.inf and abs(top_m - self.observation.robot.target_pose[2]) <= REACHED_M:
+                until_s = self.observation.now_s + SETTLE_WINDOW_S
+            speed_m_per_s = min(RETRACT_M_PER_S, self.arm.max_speed_m_per_s)
+            yield from self.move(vz_m_per_s=self._towards(top_m, speed_m_per_s) if until_s == math.inf else 0.0)
+            recent.extend((self.observation.now_s, force_N) for force_N in self.observation.contact.tared[:, :3].tolist())
+            while recent and recent[0][0] < self.observation.now_s - LIFT_WINDOW_S:
+                recent.popleft()
+            if recent:
+                axes = zip(*(force_N for _, force_N in recent), strict=True)
+                changed_N = math.dist(rest_N, [math.fsum(axis) / len(recent) for axis in axes])
+            if changed_N > RISE_END_N:
+                break
+        return changed_N
 
     def begun_again(self, step: Callable[[], Generator[Proposal, Observation, Result]]) -> Generator[Proposal, Observation, Result]:
         """Carry out a step that begins above the tissue, and begin it again where a pause interrupts it.
@@ -305,12 +367,17 @@ class Script(ABC):
 
     def mean_force(self, duration_s: float) -> Generator[Proposal, Observation, float]:
         """Stand still and return the mean of fz, tared and not compensated."""
+        wrench = yield from self.mean_wrench(duration_s)
+        return wrench[2]
+
+    def mean_wrench(self, duration_s: float) -> Generator[Proposal, Observation, tuple[float, ...]]:
+        """Stand still and return the mean wrench (6,), tared and not compensated."""
         until_s = self.observation.now_s + duration_s
-        sums: list[float] = []
-        while self.observation.now_s < until_s or not sums:
+        wrenches: list[list[float]] = []
+        while self.observation.now_s < until_s or not wrenches:
             yield from self.move()
-            sums.extend(self.observation.contact.tared[:, 2].tolist())
-        return math.fsum(sums) / len(sums)
+            wrenches.extend(self.observation.contact.tared.tolist())
+        return tuple(math.fsum(axis) / len(wrenches) for axis in zip(*wrenches, strict=True))
 
     def tip_z_m(self) -> float:
         """Return the tip's height: the reported height plus the give of sensor and arm, which the encoders do not see."""
@@ -324,14 +391,25 @@ class Script(ABC):
 class Palpation(Script):
     """The plan: find the surface at every site, then press to every depth, statically or dynamically."""
 
-    def __init__(self, plan: Plan, arm: ArmGeometry, returns_to_start: bool = True) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        arm: ArmGeometry,
+        returns_to_start: bool = True,
+        back_to_m: tuple[float, float, float] | None = None,
+        top_z_m: float = -math.inf,
+    ) -> None:
         super().__init__(arm)
         self.plan = plan
         self.returns_to_start = returns_to_start
+        self.back_to_m = back_to_m
+        self.top_z_m = top_z_m
         self.trim_m = 0.0
 
     def run(self) -> Steps:
         """Visit the sites in order, at the height of the start between them, and end at the start pose."""
+        if self.back_to_m is not None:
+            yield from self.go_back(self.back_to_m)
         origin_m = self.origin()
         for index, site in enumerate(self.plan.sites):
             self.note(site=index, mode=Mode.NONE, depth_m=math.nan, surface_z_m=math.nan, repeat=-1, cut_short=False)
@@ -356,6 +434,25 @@ class Palpation(Script):
         if self.returns_to_start:
             self.note(site=-1, repeat=-1, surface_z_m=math.nan, clear_z_m=self.home[2] - CLEAR_BELOW_HOME_M)
             yield from self.travel(self.home[0], self.home[1], Phase.RETURN)
+
+    def go_back(self, start_m: tuple[float, float, float]) -> Steps:
+        """Go to where an unfinished run began, and take that as home: straight up to its greatest height, then sideways, then down.
+
+        Args:
+            start_m: where it began.
+
+        Returns:
+            The steps.
+        """
+        self.note(phase=Phase.RETURN)
+        yield from self.go_to(max(self.top_z_m, self.home[2]), self.arm.max_speed_m_per_s)
+        yield from self.come_to_rest()
+        yield from self.travel(start_m[0], start_m[1], Phase.RETURN)
+        self.home = start_m
+        self.note(floor_z_m=start_m[2])
+        yield from self.go_to(start_m[2], min(FREE_SPEED_M_PER_S, self.arm.max_speed_m_per_s))
+        yield from self.come_to_rest()
+        self.note(safe_z_m=start_m[2])
 
     def step_name(self) -> str:
         """Say which press or search is under way, and where."""
@@ -583,14 +680,20 @@ class Retract(Script):
     """Leaves the tissue after a stop: straight up, slowly, no farther than `RETRACT_LIMIT_M`.
 
     The force is the raw one against the reference tare: where the probe is loaded no tare can be taken. Its zero may have moved since,
-    so the way ends where the force has stayed level, whatever its value.
+    so the way ends where the force has stayed level, whatever its value. After an `unfinished` contact it goes up at any force, and at
+    least above `clear_z_m`, where that is known.
     """
+
+    def __init__(self, arm: ArmGeometry, unfinished: bool = False, clear_z_m: float | None = None) -> None:
+        super().__init__(arm)
+        self.unfinished = unfinished
+        self.clear_z_m = -math.inf if clear_z_m is None else clear_z_m
 
     def run(self) -> Steps:
         """Refuse where nothing presses; else go up until the force is level."""
         self.note(phase=Phase.BASELINE, safe_z_m=self.home[2] + RETRACT_LIMIT_M)
         loaded_N = yield from self.mean_force(BASELINE_S)
-        if abs(loaded_N) < CONTACT_FORCE_N:
+        if abs(loaded_N) < CONTACT_FORCE_N and not self.unfinished:
             raise NotBegun(
                 f"the force is {loaded_N:.2f} N against the reference tare, below the {CONTACT_FORCE_N:g} N of a contact: "
                 "the probe is clear of the tissue, and nothing was moved"
@@ -598,7 +701,7 @@ class Retract(Script):
         self.note(phase=Phase.RETRACT)
         track: deque[tuple[float, float]] = deque()
         highest_m = self.home[2] + RETRACT_LIMIT_M
-        while not _level(track):
+        while not _level(track) or self.observation.robot.z_m < self.clear_z_m:
             z_m, force_N = self.observation.robot.z_m, self.observation.contact.mean_N
             if force_N < min(loaded_N, 0.0) - CAUGHT_N or force_N > max(loaded_N, 0.0) + CAUGHT_N:
                 raise ScriptEnded(
@@ -607,8 +710,8 @@ class Retract(Script):
                 )
             if self.observation.robot.target_pose[2] >= highest_m - REACHED_M:
                 raise ScriptEnded(
-                    f"the force still changes after {RETRACT_LIMIT_M * 1e3:g} mm of way up, now {force_N:.1f} N; look at the cell before "
-                    "you go on, and run palpd calibrate if the probe is free"
+                    f"the tip is not clear after {RETRACT_LIMIT_M * 1e3:g} mm of way up, where the force is {force_N:.1f} N; look at the "
+                    "cell before you go on, and run palpd level-test if the probe is free"
                 )
             track.append((z_m, force_N))
             while track[-1][0] - track[0][0] > LEVEL_M:
@@ -616,6 +719,25 @@ class Retract(Script):
             yield from self.move(vz_m_per_s=self._towards(highest_m, min(RETRACT_M_PER_S, self.arm.max_speed_m_per_s)))
         yield from self.move()
         yield from self.come_to_rest()
+        self.level = True
+
+
+class LevelTest(Script):
+    """Goes 5 mm straight up: a force that stays level is no contact that changes with height. A hanging cable it cannot see."""
+
+    def run(self) -> Steps:
+        """Go up once; say what changed where the force was not level."""
+        self.note(phase=Phase.BASELINE, safe_z_m=self.home[2] + LEVEL_M)
+        rest_N = yield from self.mean_wrench(BASELINE_S)
+        self.note(phase=Phase.LIFT)
+        changed_N = yield from self.rise(rest_N[:3])
+        if changed_N > LIFT_N:
+            risen_m = self.observation.robot.z_m - self.home[2]
+            raise ScriptEnded(
+                f"the force changed by {changed_N:.2f} N over {risen_m * 1e3:.1f} mm straight up, expected at most {LIFT_N:g} N: the probe "
+                "touches something; palpd retract leaves it"
+            )
+        self.level = True
 
 
 def _mean(values: Floats) -> float:

@@ -2,7 +2,6 @@
 
 import os
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from palpd.compensation.model_card import ModelCard
 from palpd.compensation.train import train
 from palpd.config import Config, ModelConfig, PathsConfig, Plan, PlanSite, RobotConfig, SafetyConfig, SensorConfig, Strokes
 from palpd.daemon.display import Display
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_process import Job, Kind
 from palpd.daemon.run_result import RunResult, run_result, simulated_result
 from palpd.daemon.session import ForegroundHost, calibrate, carry_out, job, kept_in
 from palpd.daemon.simulated_run import run as simulate
@@ -32,6 +31,7 @@ from palpd.gap.other_motion import check_on
 from palpd.gap.report import write as write_report
 from palpd.recording.reader import Recording, samples_of
 from palpd.recording.samples import Samples, write_csv
+from palpd.workers import beside
 
 BIAS_N = 0.19
 """Bias of the emulated sensor: the paper's sensor read 0.1929 N on average in free motion with the probe, after its tare."""
@@ -65,13 +65,14 @@ class Demonstration:
     card: ModelCard | None = None
 
 
-def palpate(full: bool, folder: Path | None, display: Display) -> Demonstration:
+def palpate(full: bool, folder: Path | None, display: Display, *, wires: bool = True) -> Demonstration:
     """Calibrate, learn the inertia, palpate the paper's phantom, and add the true moduli, which the emulated cell knows.
 
     Args:
         full: Whether to carry out the paper's whole plan.
         folder: Empty folder for recordings and model; by default a new one in runs/.
         display: Shows the progress.
+        wires: As for `gap`.
 
     Returns:
         The result of the palpation, or of the free motion where that was stopped.
@@ -80,28 +81,23 @@ def palpate(full: bool, folder: Path | None, display: Display) -> Demonstration:
     folder = kept_in(folder or Path("runs"), "demo" if folder is None else None)
     cell = PHANTOM.with_effects({"sensor.bias": {"offset_N": BIAS_N}, "sensor.drift": {"rate_N_per_s": DRIFT_N_PER_S}})
     display.say(f"A UR5 and a HEX-70 are emulated; everything is kept in {folder}.")
-    with cell_on_wires(cell, folder, plan) as config:
-        display.say("1/4 reference tare")
-        calibrate(ForegroundHost(config, devices, display))
-        display.say("2/4 free motion, 2 cm up and down ten times, touching nothing")
-        free = carry_out(job("free_motion", config, plan), devices, display, "free-motion")
-        if free.exit_code or free.recording is None:
-            return Demonstration(run_result(free))
-        display.say("3/4 learning the inertial model from it")
-        card = _learn(Recording.load(free.recording), folder / "inertial.onnx", config.cell.probe.mass_kg)
-        config = config.model_copy(update={"model": ModelConfig(path=folder / "inertial.onnx")})
+    with (_on_wires if wires else _without_wires)(cell, folder, plan, display, None) as record:
+        display.say("1/3 free motion, 2 cm up and down ten times, touching nothing")
+        result, free = record("free_motion", plan, "free-motion", None)
+        if free is None:
+            return Demonstration(result)
+        display.say("2/3 learning the inertial model from it")
+        card = _learn(free, folder / "inertial.onnx", _nominal_of(cell).probe.mass_kg)
         presses = len(plan.sites) * len(plan.depths_m) * (1 + plan.repeats)
-        display.say(f"4/4 palpating {len(plan.sites)} sites, {presses} presses")
-        report = carry_out(job("palpation", config, plan), devices, display, "palpation")
-    result = run_result(report)
+        display.say(f"3/3 palpating {len(plan.sites)} sites, {presses} presses")
+        result, _ = record("palpation", plan, "palpation", folder / "inertial.onnx")
     for site in result["sites"]:
         site["true_youngs_modulus_Pa"] = true_modulus_Pa(cell, site["name"], plan)
     return Demonstration(result, card)
 
 
 def _learn(recording: Recording, model: Path, probe_mass_kg: float) -> ModelCard:
-    about = recording.header["about"]
-    serial, delay_s = about["sensor_serial"], about["delay_s"]
+    serial, delay_s = recording.header["about"].get("sensor_serial"), recording.header["body"]["delay_s"]
     return train([samples_of(recording)], model, probe_mass_kg=probe_mass_kg, sensor_serial=serial, sensor_delay_s=delay_s)
 
 
@@ -128,13 +124,13 @@ def gap(effect: str, folder: Path | None, display: Display, *, wires: bool = Tru
     cell = nominal.with_effects(effects).model_copy(update={"learned": laws})
     plans = {"palpation": VARIED, "another-motion": OTHER_MOTION} if laws else {"palpation": ONE_SITE}
     recorded: dict[str, Samples] = {}
-    with (_on_wires if wires else _without_wires)(cell, folder, display, user_effects) as record:
+    with (_on_wires if wires else _without_wires)(cell, folder, ONE_SITE, display, user_effects) as record:
         for number, (name, plan) in enumerate(plans.items(), start=1):
             display.say(f"{number}/{len(plans) + 1} palpating: {PALPATING[name]}")
-            result, samples = record(plan, name)
-            if samples is None:
+            result, recording = record("palpation", plan, name, None)
+            if recording is None:
                 return Demonstration(result)
-            recorded[name] = samples
+            recorded[name] = samples_of(recording, "A")
     csv, file, page = folder / "site-A.csv", folder / "cell.yaml", folder / "gap.html"
     write_csv(csv, recorded["palpation"])
     save_cell(file, nominal)
@@ -153,36 +149,37 @@ def gap(effect: str, folder: Path | None, display: Display, *, wires: bool = Tru
     return Demonstration(result)
 
 
-Record = Callable[[Plan, str], tuple[RunResult, Samples | None]]
-"""Carries out a plan under a name: its result, and the samples where it was done."""
+Record = Callable[[Kind, Plan, str, Path | None], tuple[RunResult, Recording | None]]
+"""Carries out a plan under a name, with an inertial model: its result, and the recording where it was done."""
 
 
 @contextmanager
-def _on_wires(cell: CellFile, folder: Path, display: Display, effects: Path | None) -> Iterator[Record]:
-    """Palpate on emulated wires, with the reference tare taken."""
-    with cell_on_wires(cell, folder, ONE_SITE, effects=effects) as config:
+def _on_wires(cell: CellFile, folder: Path, limiting: Plan, display: Display, effects: Path | None) -> Iterator[Record]:
+    """Palpate on emulated wires, with the reference tare taken, within limits that allow the plan `limiting`."""
+    with cell_on_wires(cell, folder, limiting, effects=effects) as config:
         display.say("reference tare")
         calibrate(ForegroundHost(config, devices, display))
 
-        def record(plan: Plan, name: str) -> tuple[RunResult, Samples | None]:
-            report = carry_out(job("palpation", config, plan), devices, display, name)
+        def record(kind: Kind, plan: Plan, name: str, model: Path | None) -> tuple[RunResult, Recording | None]:
+            corrected = config.model_copy(update={"model": ModelConfig(path=model)})
+            report = carry_out(job(kind, corrected, plan), devices, display, name)
             done = report.recording is not None and not report.exit_code
-            return run_result(report), samples_of(Recording.load(report.recording), "A") if done and report.recording else None
+            return run_result(report), Recording.load(report.recording) if done and report.recording else None
 
         yield record
 
 
 @contextmanager
-def _without_wires(cell: CellFile, folder: Path, display: Display, effects: Path | None) -> Iterator[Record]:
+def _without_wires(cell: CellFile, folder: Path, limiting: Plan, display: Display, effects: Path | None) -> Iterator[Record]:
     """Palpate with the cell's physics behind the loop."""
     library = load_effects(effects)
-    config = Config(safety=_limits(ONE_SITE), paths=PathsConfig(runs=folder, state=folder / "state"), cell=_nominal_of(cell))
+    config = Config(safety=_limits(limiting), paths=PathsConfig(runs=folder, state=folder / "state"), cell=_nominal_of(cell))
 
-    def record(plan: Plan, name: str) -> tuple[RunResult, Samples | None]:
-        run = simulate(Job("palpation", config, plan), cell, library=library)
+    def record(kind: Kind, plan: Plan, name: str, model: Path | None) -> tuple[RunResult, Recording | None]:
+        corrected = config.model_copy(update={"model": ModelConfig(path=model)})
+        run = simulate(Job(kind, corrected, plan), cell, library=library)
         result = simulated_result(run)
-        recording = Recording(folder / name, run.rows, run.header, {}, None)
-        return result, samples_of(recording, "A") if result["verdict"] == "done" else None
+        return result, Recording(folder / name, run.rows, run.header, {}, None) if result["verdict"] == "done" else None
 
     display.say("no wires: the cell's physics stands behind the loop, faster than real time")
     yield record
@@ -255,8 +252,7 @@ def service_on_wires(folder: Path | None, display: Display) -> Iterator[Path]:
         display.say("reference tare")
         calibrate(ForegroundHost(config, devices, display))
         with (folder / "service.log").open("wb") as log:
-            command = [sys.executable, "-m", "palpd", "serve", "--config", str(folder / "config.yaml")]
-            service = subprocess.Popen(command, stderr=log)
+            service = subprocess.Popen(beside("palpd", "serve", "--config", str(folder / "config.yaml")), stderr=log)
         try:
             yield folder / "config.yaml"
         finally:

@@ -2,11 +2,12 @@
 
 | moment | what a signal does |
 |---|---|
-| palpd imports its commands | the process ends at once with 130 (`palpd.cli.main`) |
-| no job is under way | `Interrupted` is raised in the main thread, and the process ends with 130, at the latest after `LEAVE_S` |
+| palpd imports its commands | the process ends at once (`palpd.cli.main`) |
+| no job is under way | `Interrupted` is raised in the main thread, and the process ends, at the latest after `LEAVE_S` |
 | a job is under way (`held`) | the job is asked to end; it goes its own way to a closed recording |
 
-The first signal counts. A later one changes nothing. This file imports little, because an abort imports it.
+While nothing moved, the exit code is 128 + the number of the signal. The first signal counts. A later one changes nothing. This file
+imports little, because an abort imports it.
 """
 
 import contextlib
@@ -22,8 +23,6 @@ from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """What ends a command: Ctrl-C, `kill`, and a terminal that is closed."""
-EXIT_CODE = 130
-"""Exit code of a command that was interrupted while nothing moved: 128 + SIGINT, as shells have it."""
 LEAVE_S = 0.3
 """Longest time from a signal to the end of a process without a job. Code that swallows the exception cannot make it longer."""
 
@@ -39,7 +38,7 @@ class _Received:
     at_s = 0.0
     on_signal: Callable[[], None] | None = None
     last_sentence = "interrupted"
-    last_code = EXIT_CODE
+    last_code = 1
 
 
 def listen() -> None:
@@ -62,6 +61,11 @@ def ignore() -> None:
 def received() -> str:
     """Name of the first signal that this process has received; empty while there is none."""
     return _Received.name
+
+
+def exit_code() -> int:
+    """Exit code of a command that the first signal has ended while nothing moved: 128 + its number, as shells have it."""
+    return 128 + signal.Signals[_Received.name]
 
 
 def waited_s() -> float:
@@ -135,11 +139,12 @@ def _handle(number: int, _frame: FrameType | None) -> None:
     first = not _Received.name
     if first:
         _Received.name, _Received.at_s = signal.Signals(number).name, time.monotonic()
+        _Received.last_code = exit_code()
     if _Received.on_signal is not None:
         _Received.on_signal()
     elif first:
         sentence = f"interrupted by {_Received.name}"
-        leave_within(LEAVE_S, sentence, EXIT_CODE)
+        leave_within(LEAVE_S, sentence, exit_code())
         raise Interrupted(sentence)
 
 

@@ -22,6 +22,7 @@ ACTIVITIES = {
     Phase.PAUSE_RETRACT: "leaving for a pause",
     Phase.RETURN: "returning to the start",
     Phase.DONE: "done",
+    Phase.LIFT: "going up, to show that the probe is free",
 }
 
 

@@ -6,7 +6,6 @@ when the service dies.
 """
 
 import contextlib
-import ctypes
 import json
 import math
 import os
@@ -29,6 +28,7 @@ from palpd.daemon.program_host import ProposedMotion
 from palpd.daemon.programs import PROGRAMS, ProgramEnd
 from palpd.daemon.supervisor import Report
 from palpd.errors import PalpdError, Refused, Stopped
+from palpd.workers import beside
 
 MOST_RESULT_BYTES = 1_000_000
 """Longest result that the service keeps: it reads that much in 5 ms. A diagnosis has 0.1 MB; the files of a job may hold more."""
@@ -36,8 +36,6 @@ READ_BYTES = 262_144
 """Most that the service reads of a worker at a time."""
 PIPE_BYTES = 1_048_576
 """Size of the pipes' buffers: the service writes an order, at most a request of the socket, without waiting for a worker that starts."""
-KILL_WITH_PARENT = 1
-"""PR_SET_PDEATHSIG of prctl(2)."""
 DEATH_S = 0.02
 """Longest wait for the exit code of a worker that has closed its pipe."""
 NICENESS = 10
@@ -48,12 +46,13 @@ EASY_TO_KILL = "500"
 
 @dataclass(frozen=True, slots=True)
 class WorkerOrder:
-    """What a worker is to do: a program, its arguments, the configuration, and the file or folder that the program keeps."""
+    """What a worker is to do: a program, its arguments, the configuration, the file or folder that it keeps, and who asked for it."""
 
     program: str
     arguments: dict[str, Any]
     config: Config
     kept: Path
+    by: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +98,9 @@ class WorkerProcess:
     """A worker as the service sees it. `hear` never waits for it."""
 
     def __init__(self, order: WorkerOrder) -> None:
-        command = [sys.executable, "-m", "palpd.daemon.job_worker", str(os.getpid())]
         with shielded():
             self._process = subprocess.Popen(
-                command,
+                beside("palpd.daemon.job_worker"),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 pipesize=PIPE_BYTES,
@@ -229,6 +227,7 @@ class _WorkerHost:
     config: Config
     display: _WorkerDisplay
     lines: _Lines
+    operator: str
 
     def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
         """Ask the service for the run, and wait for its report."""
@@ -284,10 +283,7 @@ def _without_nan(values: Any) -> Any:
 
 
 def main() -> NoReturn:
-    """Run a worker as `WorkerProcess` starts it: `python -m palpd.daemon.job_worker PID`, where PID is the service."""
-    ctypes.CDLL(None).prctl(KILL_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != int(sys.argv[1]):  # it died before
-        os._exit(1)
+    """Run a worker as `WorkerProcess` starts it."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # these reach all of palpd; the service ends its worker
         signal.signal(number, signal.SIG_IGN)
     os.nice(NICENESS)
@@ -295,7 +291,7 @@ def main() -> NoReturn:
         Path("/proc/self/oom_score_adj").write_text(EASY_TO_KILL)
     lines = _Lines()
     order: WorkerOrder = pickle.load(sys.stdin.buffer)
-    end = carried_out(_WorkerHost(order.config, _WorkerDisplay(lines), lines), order)
+    end = carried_out(_WorkerHost(order.config, _WorkerDisplay(lines), lines, order.by), order)
     reason, result = end.reason, json.dumps(_without_nan(end.figures), default=str)
     if len(result) > MOST_RESULT_BYTES:
         reason, result = f"{reason} (the result is too long for the service's memory; see the files of the job)".strip(), "{}"

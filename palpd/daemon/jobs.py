@@ -15,7 +15,8 @@ from palpd.config import Config
 from palpd.daemon.job_worker import ConsentRequest, Finished, RunRequest, Words, WorkerOrder, WorkerProcess
 from palpd.daemon.programs import JobProgram
 from palpd.daemon.socket_client import JobSummary, ProposedRun
-from palpd.daemon.supervisor import Report, now, recording_name
+from palpd.daemon.stored_state import now
+from palpd.daemon.supervisor import Report, recording_name
 from palpd.errors import BadInput, PalpdError, Refused
 
 KEPT_JOBS = 20
@@ -108,7 +109,7 @@ class Jobs:
         record = self._recorded(program.name, by, program.most_runs(arguments))
         kept = self._config.paths.runs / f"{record.id}{program.ending}"
         try:
-            self._worker = WorkerProcess(WorkerOrder(program.name, arguments.model_dump(), self._config, kept.absolute()))
+            self._worker = WorkerProcess(WorkerOrder(program.name, arguments.model_dump(), self._config, kept.absolute(), by))
         except OSError as error:
             self.current = None
             raise Refused(f"the worker of the job cannot be started ({error.strerror}); nothing was moved") from error

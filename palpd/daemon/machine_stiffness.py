@@ -3,8 +3,8 @@
 from palpd.analysis.results import machine_stiffness
 from palpd.config import Plan
 from palpd.daemon.program_host import ProgramHost
-from palpd.daemon.stored_state import MachineStiffness, State
-from palpd.daemon.supervisor import Report, now
+from palpd.daemon.stored_state import MachineStiffness, State, now
+from palpd.daemon.supervisor import Report
 from palpd.recording.reader import Recording
 
 

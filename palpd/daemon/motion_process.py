@@ -22,20 +22,23 @@ import numpy as np
 from palpd.config import Config, ModelConfig, Plan, filter_delay_s
 from palpd.control.inertial import InertialModel, MotionFeatures
 from palpd.control.loop import Explainer, Loop, Outcome, Record
+from palpd.control.plan_place import Choice, PlanPlace
+from palpd.control.probe_state import ProbeAnswer, ProbeEvidence, ProbeRecord, probe_state
 from palpd.control.running_zero import RunningZero
 from palpd.control.safety import Limits, sentence
-from palpd.control.sequence import ArmGeometry, FreeMotion, Palpation, Retract, RigidPress, Script, Sequence, TimedRest
+from palpd.control.sequence import ArmGeometry, FreeMotion, LevelTest, Palpation, Retract, RigidPress, Script, Sequence, TimedRest
 from palpd.control.slopes import GRAVITY_N_PER_KG, FzSlopes
 from palpd.control.tare import Tare
 from palpd.daemon.clock import RealClock
 from palpd.daemon.finding import Finding
+from palpd.daemon.probe_record import evidence_of
 from palpd.daemon.realtime import DEVICE_PRIORITY, fifo, populate, realtime
 from palpd.daemon.rehearsal import rehearse, short
 from palpd.errors import PalpdError, Refused, Stopped
 from palpd.recording.mcap_file import RunAbout
 from palpd.recording.ring import LoopState, Ring
 from palpd.recording.tick_rows import RowWriter
-from palpd.tick import ForceSensor, Request, Robot, TickRecord, Trip, Verdict
+from palpd.tick import Floats, ForceSensor, Observation, Request, Robot, TickRecord, Trip, Verdict
 
 DRAIN_S = 0.1
 """How long queued frames are read and dropped. A terminal hands out 4 kB at a time, so several reads are needed."""
@@ -50,11 +53,17 @@ REFERENCE_PATIENCE_S = 5.0
 WIRE_LIBRARIES = ("rtde_control", "rtde_receive", "libpython", "libstdc++", "libc.so")
 """Libraries whose code a rehearsal without wires does not call; their files together have 7 MB of code."""
 
-Kind = Literal["palpation", "free_motion", "stiffness", "retract", "calibrate", "check", "observe"]
-"""A retract leaves the tissue after a stop. To observe is to read the devices for some seconds and judge them: the doctor's part.
+Kind = Literal["palpation", "free_motion", "stiffness", "retract", "level_test", "calibrate", "check", "observe"]
+"""A retract leaves the tissue after a stop, and a level test shows whether the probe is free. 
+To observe is to read the devices for some seconds and judge them: the doctor's part.
 
 A check is a short dry run that is not recorded. Whatever would stop a run at its beginning also stops a check."""
 
+
+BEGIN_LOADED: tuple[Kind, ...] = ("retract", "level_test")
+"""Jobs that may begin in the tissue: no tare can be taken there."""
+JUDGE_TARE: tuple[Kind, ...] = ("palpation", "free_motion", "stiffness", "check")
+"""Jobs whose tare must be that of a free probe. A dry run that only looks is let in."""
 
 GO = "go"
 CALLED_OFF = "called off"
@@ -77,10 +86,28 @@ Build = Callable[[Config, bool], Devices]
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One task for the cell. `reference` (6,) is the tare of the last calibration, in the axes of the sensor with that serial number.
+    """One task for the cell.
 
-    A palpation that is done returns to its start pose, and a pause leaves the tissue. The recordings of earlier versions end above their
-    last site, and paused where the arm was. `watch_s` is how long devices are observed.
+    Attributes:
+        kind: What to do.
+        config: The configuration of the cell.
+        plan: The plan of a palpation.
+        dry: Whether to read the devices and command nothing.
+        reference: Tare (6,) of the last calibration; None: the job takes its own.
+        machine_stiffness_N_per_m: Stiffness of sensor, mount and arm; None: rigid.
+        reference_serial: The sensor of the reference.
+        returns_to_start: A palpation that is done returns to its start pose; in the recordings of earlier versions it did not.
+        pauses_in_place: A pause stands still instead of leaving the tissue, as in the recordings of earlier versions.
+        watch_s: How long devices are observed.
+        lifts_first: A way up shows first that the job was not tared in contact.
+        probe: What is known of the probe from before; None asks nothing of the tare.
+        confirmed: An operator's word stands for a doubtful reference.
+        unfinished: A retract goes up at any force, at least to `clear_z_m` where that is known.
+        clear_z_m: Height that clears the highest surface of the unfinished run.
+        last: Place of the palpation before.
+        choice: What the operator answered where that one was not finished.
+        back_to_m: Start pose that a palpation goes to before it begins, not below `top_z_m` on its way.
+        top_z_m: Greatest height of the unfinished run.
     """
 
     kind: Kind
@@ -93,6 +120,15 @@ class Job:
     returns_to_start: bool = True
     pauses_in_place: bool = False
     watch_s: float = 0.0
+    lifts_first: bool = False
+    probe: ProbeRecord | None = None
+    confirmed: bool = False
+    unfinished: bool = False
+    clear_z_m: float | None = None
+    last: PlanPlace | None = None
+    choice: Choice | None = None
+    back_to_m: tuple[float, float, float] | None = None
+    top_z_m: float = -math.inf
 
 
 class TripReport(TypedDict):
@@ -106,18 +142,22 @@ class TripReport(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """The devices have answered. The motion process waits for `GO` before the loop starts. `reference` (6,) is in the sensor's axes."""
+    """The devices have answered. The motion process waits for `GO` before the loop starts. `reference` (6,) is in the sensor's axes.
+
+    `pose` (6,) is that of the tip.
+    """
 
     about: RunAbout
     reference: tuple[float, ...]
+    pose: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceTaken:
-    """A calibration is over: `reference` (6,) is the mean wrench in the sensor's axes, N and Nm."""
+    """The frames of a reference tare were taken; whether they are kept is not decided here."""
 
     about: RunAbout
-    reference: tuple[float, ...]
+    evidence: ProbeEvidence
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +166,7 @@ class Observed:
 
     about: RunAbout
     findings: tuple[Finding, ...]
+    probe: ProbeAnswer | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,11 +179,12 @@ class Failed:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """The loop has ended; `outcome` says how, `trips` and `notes` are for people."""
+    """The loop has ended; `outcome` says how, `trips` and `notes` are for people, `probe` is what was judged of the tare."""
 
     outcome: Outcome
     trips: tuple[TripReport, ...]
     notes: tuple[str, ...]
+    probe: ProbeAnswer | None
 
 
 Message = Opened | ReferenceTaken | Observed | Failed | Ended
@@ -198,10 +240,10 @@ def limits_of(config: Config, muted: bool = False) -> Limits:
 def job_limits(job: Job) -> Limits:
     """The guard's limits of a job.
 
-    A retract answers a contact force with its own slow way up, so the limits that stop the arm are its only force limits.
+    A job that may begin in the tissue goes up only, and slowly, so the limits that stop the arm are its only force limits.
     """
     limits = limits_of(job.config, job.dry)
-    return replace(limits, contact_N=limits.absolute_N) if job.kind == "retract" else limits
+    return replace(limits, contact_N=limits.absolute_N) if job.kind in BEGIN_LOADED else limits
 
 
 def sequence_of(job: Job, delay_s: float) -> Sequence:
@@ -216,12 +258,14 @@ def sequence_of(job: Job, delay_s: float) -> Sequence:
     """
     arm = arm_geometry_of(job, delay_s)
     scripts: dict[str, Callable[[], Script]] = {
-        "palpation": lambda: Palpation(job.plan, arm, job.returns_to_start),
+        "palpation": lambda: Palpation(job.plan, arm, job.returns_to_start, job.back_to_m, job.top_z_m),
         "free_motion": lambda: FreeMotion(arm),
         "stiffness": lambda: RigidPress(job.plan, arm),
-        "retract": lambda: Retract(arm),
+        "retract": lambda: Retract(arm, job.unfinished, job.clear_z_m),
+        "level_test": lambda: LevelTest(arm),
     }
     script = TimedRest(arm, CHECK_S if job.kind == "check" else DRY_S) if job.dry else scripts[job.kind]()
+    script.lifts_first = job.lifts_first and not job.dry
     return Sequence(script, job.pauses_in_place)
 
 
@@ -250,7 +294,7 @@ def explainer_of(job: Job, about: RunAbout, delay_s: float) -> Explainer:
 
 
 def explainer_with(model: InertialModel | None, job: Job, delay_s: float, pulled_over_pressed: float | None = None) -> Explainer:
-    """Axes and reference tare of a job, with a model that is loaded already. A retract begins loaded, so the reference is its tare.
+    """Axes and reference tare of a job, with a model that is loaded already. Where a job may begin loaded, the reference is its tare.
 
     Args:
         model: The inertial model, or None for no correction.
@@ -273,7 +317,7 @@ def explainer_with(model: InertialModel | None, job: Job, delay_s: float, pulled
         zero=zero_of(config.model) if model is not None else None,
         correction_limit_N=config.model.correction_limit_N,
         motion=MotionFeatures(delay_s),
-        tare=reference.copy() if job.kind == "retract" else None,
+        tare=reference.copy() if job.kind in BEGIN_LOADED else None,
     )
 
 
@@ -341,18 +385,22 @@ def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Calla
     """
     try:
         if job.kind == "calibrate":
-            pipe.send(ReferenceTaken(devices.about, tuple(take_reference(devices).tolist())))
+            wrench = tuple(take_reference(devices).tolist())
+            pipe.send(ReferenceTaken(devices.about, evidence_of(job.config, devices.about, devices.robot.read().tcp_pose, wrench)))
             return
         if job.kind == "observe":
             from palpd.daemon.doctor.devices import judged  # only the doctor needs it
 
-            pipe.send(Observed(devices.about, tuple(judged(devices, job.config, job.watch_s))))
+            findings, probe = judged(devices, job.config, job.watch_s, job.probe)
+            pipe.send(Observed(devices.about, tuple(findings), probe))
             return
         explainer = explainer_of(job, devices.about, devices.about["delay_s"])
         if job.reference is None:
             explainer.reference = take_reference(devices)
+            if explainer.tare is not None:
+                explainer.tare = explainer.reference.copy()
         if job.kind != "check":
-            pipe.send(Opened(devices.about, tuple(explainer.reference.tolist())))
+            pipe.send(Opened(devices.about, tuple(explainer.reference.tolist()), devices.robot.read().tcp_pose))
             rehearse_job(job, explainer, RingWriter(ring), lambda: ring.abort_waits)  # meanwhile the recorder opens its file
             if pipe.recv() != GO:
                 pipe.send(Failed(CALLED_OFF, 2))
@@ -379,8 +427,9 @@ def rehearse_job(job: Job, explainer: Explainer, record: Record, called_off: Cal
         How the rehearsal ended; nothing depends on it.
     """
     populate(WIRE_LIBRARIES)
-    in_small = sequence_of(replace(job, plan=short(job.plan, job.config)), filter_delay_s(job.config.sensor.filter_cutoff_Hz))
-    return rehearse(job.config, in_small, explainer, job_limits(job), record, loaded=job.kind == "retract", called_off=called_off)
+    small = replace(job, plan=short(job.plan, job.config), back_to_m=None, lifts_first=False)
+    in_small = sequence_of(small, filter_delay_s(job.config.sensor.filter_cutoff_Hz))
+    return rehearse(job.config, in_small, explainer, job_limits(job), record, loaded=job.kind in BEGIN_LOADED, called_off=called_off)
 
 
 def _lost(robot: Robot) -> bool:
@@ -394,7 +443,8 @@ def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: 
     """Run the job's loop on a FIFO thread."""
     sequence, limits, rate_Hz = sequence_of(job, devices.about["delay_s"]), job_limits(job), job.config.robot.rate_Hz
     clock = RealClock(rate_Hz, devices.first_tick_s)
-    loop = Loop(devices.robot, devices.sensor, clock, sequence, explainer, limits, RingWriter(ring), request)
+    tare_judge = TareJudge(job, devices.about)
+    loop = Loop(devices.robot, devices.sensor, clock, sequence, explainer, limits, RingWriter(ring), request, tare_judge.refusal)
     failed: list[TripReport] = []
     drain(devices.sensor)  # before the watchdog is set, because draining takes longer than the watchdog waits
     with realtime() as granted:
@@ -411,7 +461,32 @@ def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: 
             LoopState.ENDED
         )  # here no ticks are due any more, and as an ordinary thread this one may wait for seconds on a busy machine
     trips = [trip_report(verdict) for verdict in outcome.trips] + failed
-    return Ended(outcome, tuple(trips), (*granted.missing, *explainer.notes(), *outcome.notes))
+    return Ended(outcome, tuple(trips), (*granted.missing, *explainer.notes(), *outcome.notes), tare_judge.answer)
+
+
+class TareJudge:
+    """Lets a run begin only where its tare is that of a free probe, or where an operator's word stands for it."""
+
+    def __init__(self, job: Job, about: RunAbout) -> None:
+        self._job, self._about = job, about
+        self.answer: ProbeAnswer | None = None
+
+    def refusal(self, observation: Observation, wrench: Floats) -> str | None:
+        """Why the run may not begin, None where it may.
+
+        Args:
+            observation: The last tick of the tare.
+            wrench: The tare (6,), in the sensor's axes.
+
+        Returns:
+            The sentence.
+        """
+        if self._job.probe is None or self._job.kind not in JUDGE_TARE or (self._job.dry and self._job.kind != "check"):
+            return None
+        evidence = evidence_of(self._job.config, self._about, observation.robot.tcp_pose, tuple(wrench.tolist()))
+        self.answer = probe_state(self._job.probe, evidence)
+        may_begin = "move" in self.answer.ways or (self._job.confirmed and "confirm" in self.answer.ways)
+        return None if may_begin else self.answer.sentence
 
 
 def trip_report(verdict: Verdict) -> TripReport:
@@ -426,7 +501,7 @@ def take_reference(devices: Devices) -> np.ndarray[Any, np.dtype[np.float64]]:
     drain(devices.sensor)
     while not tare.add(devices.robot.read(), devices.sensor.read()) and time.monotonic() < until_s:
         time.sleep(0.01)
-    refusal = tare.refusal()
+    refusal = tare.refusal() or (None if tare.varies else "no axis of the force sensor moved by a count; unplug it and plug it in")
     if refusal is not None:
         raise Refused(f"no reference tare was taken: {refusal}")
     return tare.result()

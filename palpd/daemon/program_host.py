@@ -45,6 +45,11 @@ class ProgramHost(Protocol):
         ...
 
     @property
+    def operator(self) -> str:
+        """Who answers for what is kept, for people."""
+        ...
+
+    @property
     def display(self) -> Display:
         """Takes sentences and the name of a long calculation."""
         ...

@@ -13,6 +13,7 @@ from pydantic import Field, StrictBool, StrictFloat, StrictInt, ValidationError
 from palpd.cell.effects.drivers import StrictBlock
 from palpd.config import Plan, parse_plan
 from palpd.daemon.program_host import ProgramHost
+from palpd.daemon.stored_state import State
 from palpd.errors import BadInput, PalpdError
 from palpd.files import Document, nearest, refusal
 
@@ -31,9 +32,10 @@ class ProgramEnd:
 
 
 class CalibrateArguments(StrictBlock):
-    """Of `palpd calibrate`."""
+    """Of `palpd calibrate`; `probe_free` is the operator's word that the probe is free."""
 
     temperature_C: StrictFloat | None = None
+    probe_free: StrictBool = False
 
 
 class FreeMotionArguments(StrictBlock):
@@ -54,6 +56,7 @@ class MapArguments(StrictBlock):
     depth_m: Annotated[StrictFloat, Field(ge=0.001, le=0.02)] = 0.005
     inclusion_m: Annotated[StrictFloat, Field(ge=0.002, le=0.1)] = 0.01
     most_presses: Annotated[StrictInt, Field(ge=1, le=1000)] = 200
+    here: StrictBool = False
 
 
 class ResolveArguments(StrictBlock):
@@ -66,6 +69,7 @@ class ResolveArguments(StrictBlock):
     max_depth_m: Depth | None = None
     take_reference: StrictBool = False
     adopted: StrictBool = True
+    here: StrictBool = False
 
 
 class DoctorArguments(StrictBlock):
@@ -118,7 +122,9 @@ def _calibrate(host: ProgramHost, arguments: CalibrateArguments, _: Path) -> Pro
 
     from palpd.daemon.session import calibrate
 
-    return ProgramEnd("done", figures=asdict(calibrate(host, arguments.temperature_C)) | {"state": str(host.config.paths.state)})
+    return ProgramEnd(
+        "done", figures=asdict(calibrate(host, arguments.temperature_C, arguments.probe_free)) | {"state": str(host.config.paths.state)}
+    )
 
 
 def _free_motion(host: ProgramHost, arguments: FreeMotionArguments, recording: Path) -> ProgramEnd:
@@ -138,12 +144,19 @@ def _stiffness(host: ProgramHost, _arguments: StiffnessArguments, _: Path) -> Pr
     return ProgramEnd("done", figures=figures)
 
 
+def _take_place(host: ProgramHost, here: bool) -> None:
+    """Where the operator says so, count places from where the arm stands, whatever run was not finished."""
+    if here:
+        State(host.config.paths.state).forget("place")
+
+
 def _map(host: ProgramHost, arguments: MapArguments, picture: Path) -> ProgramEnd:
     from palpd.analysis.stiffness_map import Field as MapField
     from palpd.analysis.stiffness_map import draw
     from palpd.daemon.stiffness_survey import figures_of, on_the_robot, surveyed
 
-    values = arguments.model_dump(exclude={"most_presses"})
+    _take_place(host, arguments.here)
+    values = arguments.model_dump(exclude={"most_presses", "here"})
     where = MapField(**values)
     mapped = surveyed(on_the_robot(where, host), where, picture, host.display, arguments.most_presses)
     draw(mapped.survey, mapped.survey.map(), picture)
@@ -157,9 +170,13 @@ def _resolve(host: ProgramHost, arguments: ResolveArguments, folder: Path) -> Pr
     from palpd.daemon import resolve
     from palpd.gap.commands import library
 
+    _take_place(host, arguments.here)
     known = library(None, adopted=user_folder() if arguments.adopted else None)
-    cell = parse_cell(arguments.cell, "the cell of the job", known) if arguments.cell is not None else host.config.cell
     plan = parse_plan(arguments.plan, "the plan of the first recording") if arguments.plan is not None else resolve.STANDARD
+    if arguments.cell is not None:
+        cell = parse_cell(arguments.cell, "the cell of the job", known)
+    else:
+        cell = host.config.cell.assumed_at_site(plan.sites[0].name)
     folder.mkdir(parents=True, exist_ok=True)
     setting = resolve.Setting(host, cell, folder, known, arguments.max_depth_m, arguments.take_reference)
     resolution = resolve.resolve(setting, plan, [Path(path) for path in arguments.recordings], arguments.rounds)

@@ -119,6 +119,8 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
         raise RecordingError("the recording holds no tick; there is nothing to replay")
     if missing := [key for key in NEEDED_KEYS if key not in header]:
         raise RecordingError(f"the header of {recording.path} has no {', '.join(missing)}; give a recording of palpd run")
+    place = header.get("place")
+    back_to_m = place["back_to_m"] if place is not None else None
     job = Job(
         header["kind"],
         config or parse_config(header["config"], "the recording's configuration"),
@@ -128,6 +130,11 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
         machine_stiffness_N_per_m=header["machine_stiffness_N_per_m"],
         returns_to_start=header.get("returns_to_start", False),
         pauses_in_place=header.get("pauses_in_place", True),
+        lifts_first=header.get("lifts_first", False),
+        back_to_m=(back_to_m[0], back_to_m[1], back_to_m[2]) if back_to_m is not None else None,
+        top_z_m=place["top_z_m"] if place is not None and place["top_z_m"] is not None else -math.inf,
+        unfinished=header.get("unfinished", False),
+        clear_z_m=header.get("clear_z_m"),
     )
     delay_s = header["body"]["delay_s"]
     model = None

@@ -27,7 +27,7 @@ from palpd.gap.next_experiment import Advice, advise
 from palpd.gap.posterior import Attribution
 from palpd.gap.report import write as write_report
 from palpd.recording.reader import Recording, export
-from palpd.recording.samples import Samples, read
+from palpd.recording.samples import Samples, common_site, read
 
 STANDARD = Plan(sites=(PlanSite(name="A"),), depths_m=(0.004, 0.006), hold_s=3.0, repeats=2)
 """The first recording where none is given: the way down, the search, two holds, four presses in motion, and the way back."""
@@ -112,6 +112,10 @@ def resolve(setting: Setting, plan: Plan = STANDARD, recordings: Sequence[Path] 
         raise BadInput(f"the plan has {len(plan.sites)} sites; a cell is judged at one, so give a plan with one site")
     say = setting.host.display.say
     samples = [read(path) for path in recordings]
+    if (named := common_site(samples)) is not None and named != plan.sites[0].name:
+        if plan != STANDARD:
+            raise BadInput(f"the recordings are of site {named}, and the plan presses {plan.sites[0].name}; give a plan of site {named}")
+        plan = plan.model_copy(update={"sites": (PlanSite(name=named),)})
     names = [path.name for path in recordings]
     history: list[Round] = []
     advice: Advice | None = None

@@ -10,11 +10,14 @@ import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import cast, get_args
 
 import numpy as np
 import structlog
 
 from palpd.config import Config, Plan, parse_plan, refuse_unsafe
+from palpd.control.plan_place import Choice, question
+from palpd.control.probe_state import ProbeAnswer
 from palpd.daemon.control_socket import ControlSocket, Later, Watching
 from palpd.daemon.controls import LEASE_S, Controls
 from palpd.daemon.interrupts import held, received, shielded
@@ -27,10 +30,10 @@ from palpd.daemon.programs import program_named
 from palpd.daemon.run_reports import RunReports
 from palpd.daemon.session import job as checked_job
 from palpd.daemon.session import measured_job
-from palpd.daemon.socket_client import CheckedCell, ControlAnswer, ControlRequest, LastRun
-from palpd.daemon.stored_state import Latch, State
-from palpd.daemon.supervisor import JobRun, Report, now, recording_name
-from palpd.errors import PalpdError, Refused
+from palpd.daemon.socket_client import CheckedCell, ControlAnswer, ControlRequest, KnownPlace, KnownProbe, LastRun
+from palpd.daemon.stored_state import Latch, State, now
+from palpd.daemon.supervisor import JobRun, Report, recording_name
+from palpd.errors import BadInput, PalpdError, Refused
 from palpd.recording.ring import LoopState, Ring
 from palpd.tick import Phase, Request
 
@@ -40,7 +43,7 @@ PAUSE_PATIENCE_S = 1.0
 """Longest wait for the arm to rest in a pause. The sequence takes it within a tick, but not before the tare is over."""
 STATUS_S = 0.2
 """Shortest time between two statuses that watchers receive: what a person can follow."""
-NEEDS_CONTROLS = ("arm", "start", "pause", "resume", "retract", "clear", "begin", "decide")
+NEEDS_CONTROLS = ("arm", "start", "pause", "resume", "retract", "level-test", "clear", "begin", "decide")
 """Requests of whoever holds the controls. Everyone may ask for the status and abort."""
 STILL_KINDS = ("calibrate", "observe")
 """Runs of a job that move nothing: the robot is only read."""
@@ -77,6 +80,8 @@ class Service:
         self._pausing: PendingPause | None = None
         self._first_tick = 0
         self._cell: CheckedCell | None = None
+        self._probe: KnownProbe | None = None
+        self._pose: tuple[float, ...] = ()
         self._log = structlog.get_logger("palpd.service")
         self._reports = RunReports(config.paths.runs)
         self._ending = False
@@ -145,7 +150,8 @@ class Service:
             "pause": lambda _: self._ask(Request.PAUSE),
             "resume": lambda _: self._ask(Request.RESUME),
             "abort": self._abort,
-            "retract": self._retract,
+            "retract": lambda _: self._go_up("retract"),
+            "level-test": lambda _: self._go_up("level_test"),
             "clear": self._clear,
             "begin": self._begin_job,
             "decide": self._decide,
@@ -175,6 +181,8 @@ class Service:
             "latched": latch.reason if latch else None,
             "pid": os.getpid(),
             "cell": self._cell,
+            "probe": self._probe or self._remembered(),
+            "place": self._place(),
             "controls": self._controls.holder(time.monotonic()),
             "ring": self._ring.name,
             "active": self._jobs.current.summary if self._jobs.current is not None else None,
@@ -239,6 +247,7 @@ class Service:
         return self._arming
 
     def _check(self) -> None:
+        self._first_tick = self._ring.published
         self._run = JobRun(self._job("check", Plan(), dry=True), self._build, self._ring, self._state, "check")
 
     def _checked(self, report: Report) -> None:
@@ -259,7 +268,7 @@ class Service:
             self._log.info("armed")
 
     def _job(self, kind: Kind, plan: Plan, dry: bool = False) -> Job:
-        return measured_job(kind, self._config, plan, dry, self._state.calibration())
+        return measured_job(kind, self._config, plan, dry)
 
     def _start(self, request: ControlRequest) -> ControlAnswer:
         self._refuse_running()
@@ -268,23 +277,24 @@ class Service:
         plan = parse_plan(request.get("plan"), "the plan")
         refuse_unsafe(self._config, plan)
         refuse_overload(self._config, plan)
-        self._begin("palpation", plan)
+        choice = request.get("place")
+        if choice is not None and choice not in get_args(Choice):
+            raise BadInput(f"the place is {str(choice)[:32]!r}, expected one of {', '.join(get_args(Choice))}")
+        work = measured_job("palpation", self._config, plan, choice=cast(Choice | None, choice))
+        if self._pose and plan.origin is None and (asked := question(work.last, self._pose[0], self._pose[1], work.choice)) is not None:
+            raise Refused(f"nothing was moved: {asked}")
+        self._start_run(work, recording_name("palpation"))
         self._jobs.begin_run("run", self._asking)
         self._log.info("started", sites=len(plan.sites))
         return {"state": "running"}
 
-    def _retract(self, _: ControlRequest) -> ControlAnswer:
-        """Leave the tissue after a stop. It needs no arming and no cleared latch: it is the way out, and the guard watches it."""
+    def _go_up(self, kind: Kind) -> ControlAnswer:
+        """Leave the tissue, or test whether the probe is free. It needs no arming and no cleared latch: it goes straight up, guarded."""
         self._refuse_running()
-        if self._state.calibration() is None:
-            raise Refused("there is no reference tare to judge the force by; free the probe by hand at the pendant")
-        self._begin("retract", Plan())
-        self._jobs.begin_run("retract", self._asking)
-        self._log.info("retracting")
+        self._start_run(self._job(kind, Plan()), recording_name(kind))
+        self._jobs.begin_run(kind.replace("_", "-"), self._asking)
+        self._log.info("going up", job=kind)
         return {"state": "running"}
-
-    def _begin(self, kind: Kind, plan: Plan) -> None:
-        self._start_run(self._job(kind, plan), recording_name(kind))
 
     def _start_run(self, work: Job, name: str) -> None:
         self._first_tick, self._armed = self._ring.published, False
@@ -424,6 +434,33 @@ class Service:
         if self._jobs.current is not None:
             raise Refused(f"the job {self._jobs.current.id} is running; wait for its end, or palpd abort")
 
+    def _remembered(self) -> KnownProbe | None:
+        """What the state folder says of the probe, where this service has not looked yet."""
+        marker = self._state.marker()
+        if marker is None:
+            return None
+        return KnownProbe(
+            state="unknown",
+            reasons=[f"the {marker.run} of {marker.date} is unfinished"],
+            ways=["retract"],
+            date=marker.date,
+            advice="palpd retract leaves the tissue",
+        )
+
+    def _place(self) -> KnownPlace | None:
+        """Where the tip was last seen, over which site of the last plan, and where its sites count from."""
+        last = self._state.place()
+        if not self._pose and last is None:
+            return None
+        x_m, y_m = self._pose[:2] if self._pose else (None, None)
+        return KnownPlace(
+            x_m=x_m,
+            y_m=y_m,
+            site=last.site_under(x_m, y_m) if last is not None and x_m is not None and y_m is not None else None,
+            origin_m=list(last.origin_m) if last is not None else None,
+            unfinished=last.run if last is not None and not last.returned else None,
+        )
+
     def _latch(self) -> Latch | None:
         return self._unkept or self._state.latch()
 
@@ -436,6 +473,10 @@ class Service:
             report = self._run.poll()
         except PalpdError as error:  # the latch could not be written: it holds until this process ends
             report, self._unkept = Report("stopped", str(error), 3), Latch(str(error), now())
+        if report is not None and (row := self._newest()) is not None:
+            self._pose = tuple(map(float, row["tcp_pose"]))
+        if report is not None and report.probe is not None:
+            self._probe = known_probe(report.probe, now())
         if report is not None and self._checking:
             self._checked(report)
             self._run = None
@@ -452,6 +493,11 @@ class Service:
 
     def _end(self) -> None:
         self._ending = True
+
+
+def known_probe(answer: ProbeAnswer, date: str) -> KnownProbe:
+    """An answer about the probe, as the status holds it."""
+    return KnownProbe(state=answer.state.value, reasons=list(answer.reasons), ways=sorted(answer.ways), date=date, advice=answer.advice)
 
 
 def _notify(message: str) -> None:

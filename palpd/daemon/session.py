@@ -1,21 +1,26 @@
 """One job in the foreground: the common part of `palpd run`, `calibrate`, `free-motion`, `stiffness` and the demo."""
 
 import contextlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
+from getpass import getuser
 from pathlib import Path
 
 from palpd.config import Config, Plan, refuse_unsafe
+from palpd.control.plan_place import Choice
+from palpd.control.probe_state import MOST_MOVED_REFERENCE_N, ProbeAnswer, ProbeState, probe_state
 from palpd.daemon.display import Display, ShowProgress
 from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import Interrupted, held, leave_within, received, shielded, waited_s
 from palpd.daemon.job_progress import job_progress, job_steps
 from palpd.daemon.motion_process import Build, Job, Kind
 from palpd.daemon.overshoot import refuse_overload
+from palpd.daemon.probe_record import probe_record
 from palpd.daemon.program_host import ProgramHost, ProposedMotion
-from palpd.daemon.stored_state import Calibration, State
-from palpd.daemon.supervisor import JobRun, Report, now, recording_name, wait
+from palpd.daemon.stored_state import Calibration, State, Trust, now
+from palpd.daemon.supervisor import JobRun, Report, recording_name, wait
 from palpd.errors import Refused, Stopped
 from palpd.files import check_folder
 from palpd.recording.ring import Ring
@@ -26,7 +31,7 @@ TABLES_S = 0.1
 """Shortest time for the tables of an interrupted run, where the end of the loop took longer."""
 
 
-def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_reference: bool = False) -> Job:
+def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_reference: bool = False, choice: Choice | None = None) -> Job:
     """A job with the reference tare and the stiffness that earlier steps have measured.
 
     Args:
@@ -35,6 +40,7 @@ def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_referenc
         plan: The plan of a palpation; other kinds ignore it.
         dry: Whether to read the devices and command nothing.
         take_reference: Whether the run takes its own reference tare.
+        choice: Where sites count from, where the palpation before was not finished.
 
     Returns:
         The job.
@@ -43,44 +49,66 @@ def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_referenc
         Refused: A reference tare is needed and missing, or the plan is unsafe for this cell.
         ConfigError: The limits let the expected stiffness overload the sensor.
     """
-    state = State(config.paths.state)
     if kind == "palpation":
         refuse_unsafe(config, plan)
         refuse_overload(config, plan)
-    calibration = state.calibration()
-    if kind == "retract" and calibration is None:
-        raise Refused("there is no reference tare to judge the force by; free the probe by hand at the pendant")
-    if kind not in ("calibrate", "observe") and calibration is None and not take_reference:
+    state = State(config.paths.state)
+    needs_reference = kind not in ("calibrate", "observe", "level_test", "retract") and not take_reference
+    if needs_reference and state.calibration() is None:
         raise Refused(
             f"there is no reference tare in {config.paths.state}; run palpd calibrate with the same --config, the probe free and still, "
             "or palpd run with --take-reference"
         )
-    return measured_job(kind, config, plan, dry, None if take_reference else calibration)
+    return measured_job(kind, config, plan, dry, take_reference, choice)
 
 
-def measured_job(kind: Kind, config: Config, plan: Plan, dry: bool, calibration: Calibration | None) -> Job:
-    """A job with a reference tare and the stiffness of the machine, if it was measured.
+def measured_job(
+    kind: Kind, config: Config, plan: Plan, dry: bool = False, take_reference: bool = False, choice: Choice | None = None
+) -> Job:
+    """A job with what the state folder knows: reference tare, stiffness of the machine, and the contact that no run has finished.
 
     Args:
         kind: What to do.
         config: The configuration of the cell.
         plan: The plan.
         dry: Whether to read the devices and command nothing.
-        calibration: The reference tare; without one the run takes its own.
+        take_reference: Whether the run takes its own reference tare. In a state folder that has none, this is the operator's word for it.
+        choice: Where sites count from, where the palpation before was not finished.
 
     Returns:
         The job.
+
+    Raises:
+        Refused: A retract finds nothing to leave, or nothing to judge the force by.
+        ConfigError: A file of the state folder is damaged.
     """
-    stiffness = State(config.paths.state).machine_stiffness()
-    return Job(
+    state = State(config.paths.state)
+    stiffness, known, calibration = state.machine_stiffness(), probe_record(config, state), state.calibration()
+    last = state.place() if kind == "palpation" else None
+    back = last if choice == "return" and last is not None and not last.returned else None
+    work = Job(
         kind,
         config,
         plan,
         dry,
-        reference=calibration.wrench if calibration else None,
-        reference_serial=calibration.sensor_serial if calibration else None,
         machine_stiffness_N_per_m=config.machine.stiffness_N_per_m or (stiffness.stiffness_N_per_m if stiffness else None),
+        lifts_first=kind in ("palpation", "free_motion", "stiffness"),
+        probe=known,
+        confirmed=take_reference and calibration is None,
+        last=last,
+        choice=choice,
+        back_to_m=back.start_m if back is not None else None,
+        top_z_m=back.top_z_m if back is not None else -math.inf,
     )
+    if kind == "retract" and known.marker is not None:  # it trusts the marker: a reference that was taken since may be wrong
+        return replace(work, reference=known.marker.reference, unfinished=True, clear_z_m=known.marker.clear_z_m)
+    if kind == "retract" and calibration is None:
+        raise Refused("there is no reference tare to judge the force by, and no run is unfinished; free the probe by hand at the pendant")
+    if calibration is None or take_reference:
+        return work
+    if kind == "level_test" and known.marker is not None:
+        return replace(work, reference=known.marker.reference)
+    return replace(work, reference=calibration.wrench, reference_serial=calibration.sensor_serial)
 
 
 def carry_out(work: Job, build: Build, display: Display, name: str | None = None) -> Report:
@@ -156,6 +184,11 @@ class ForegroundHost:
     display: Display
     agree: Callable[[str], bool] = _declined
 
+    @property
+    def operator(self) -> str:
+        """Whoever sits at the terminal."""
+        return getuser()
+
     def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
         """Carry out one run; `ProgramHost` says more.
 
@@ -190,26 +223,57 @@ def motion_sentence(motion: ProposedMotion) -> str:
     )
 
 
-def calibrate(host: ProgramHost, temperature_C: float | None = None) -> Calibration:
-    """Take the reference tare and keep it.
+def calibrate(host: ProgramHost, temperature_C: float | None = None, probe_free: bool = False) -> Calibration:
+    """Take the reference tare and keep it, where the probe is known to be free.
 
     Args:
         host: Carries out the run.
         temperature_C: Temperature of the sensor, if known.
+        probe_free: The operator's word that the probe is free, where nothing else shows it.
 
     Returns:
         The tare, as it is kept.
 
     Raises:
-        Refused: A device is absent, or the probe is not free and still.
+        Refused: A device is absent, or the probe is not free and still, or may not be.
         Stopped: The motion process died.
     """
     report = host.carry_out("calibrate", Plan())
-    if report.reference is None:
+    if report.evidence is None:
         raise Stopped(report.reason or "no reference tare came back")
-    calibration = Calibration(report.reference, now(), report.about.get("sensor_serial"), temperature_C)
-    State(host.config.paths.state).keep("calibration", calibration)
+    state = State(host.config.paths.state)
+    before, evidence = state.calibration(), report.evidence
+    answer = probe_state(probe_record(host.config, state), evidence)
+    trust = _trust(answer, before, probe_free)
+    kept_first = trust in ("free", "yes") and before is not None and not before.identity.differences(evidence.identity)
+    first = (before.first or before.wrench) if kept_first and before is not None else evidence.wrench
+    moved_N = math.dist(first[:3], evidence.wrench[:3])
+    if moved_N > MOST_MOVED_REFERENCE_N:
+        raise Refused(
+            f"the force is {moved_N:.1f} N off the first reference tare of this sensor with this probe, expected at most "
+            f"{MOST_MOVED_REFERENCE_N:g} N; palpd level-test goes 5 mm up and shows whether the probe is free"
+        )
+    identity = evidence.identity
+    calibration = Calibration(
+        evidence.wrench, now(), identity.sensor_serial, temperature_C,
+        probe=identity.probe, tcp=identity.tcp, tilt_rad=evidence.tilt_rad, first=first, trust=trust,
+        by=host.operator, away_N=answer.away_N,
+    )  # fmt: skip
+    state.keep("calibration", calibration)
     return calibration
+
+
+def _trust(answer: ProbeAnswer, before: Calibration | None, probe_free: bool) -> Trust:
+    """Why a reference may be kept. Raises Refused where it may not."""
+    if answer.state == ProbeState.FREE:
+        return "level" if answer.reasons else "free"
+    if "confirm" not in answer.ways:
+        raise Refused(f"no reference tare was kept: {answer.sentence}")
+    if before is None:
+        return "yes" if probe_free else "unconfirmed"  # the first of a state folder: asking for it is the yes
+    if not probe_free:
+        raise Refused(f"no reference tare was kept: {answer.sentence}")
+    return "yes"
 
 
 def kept_in(folder: Path, kind: str | None = None) -> Path:

@@ -28,6 +28,7 @@ REPEATABLE = ("abort", "status")
 """Requests that do the same when they are carried out twice. They are repeated until the patience is over."""
 
 NOBODY = "no daemon answers at {path}; start one with palpd serve, or name its socket with --socket"
+NOBODY_TO_STOP = "no daemon answers at {path}, so nothing was stopped; if the arm moves, use the emergency stop"
 
 
 class NoDaemon(Refused):
@@ -40,6 +41,7 @@ class ControlRequest(TypedDict):
     do: str
     lease: NotRequired[object]
     plan: NotRequired[object]
+    place: NotRequired[object]
     name: NotRequired[object]
     force: NotRequired[object]
     program: NotRequired[object]
@@ -55,6 +57,29 @@ class CheckedCell(TypedDict):
     ready: bool
     reason: str
     date: str
+
+
+class KnownProbe(TypedDict):
+    """Whether the probe is free, pressed or unknown, why, what that allows, what to do, and when that was judged."""
+
+    state: str
+    reasons: list[str]
+    ways: list[str]
+    advice: str
+    date: str
+
+
+class KnownPlace(TypedDict):
+    """Where the tip was last seen, in base axes, and the site of the last plan under it.
+
+    `origin_m` is where the sites of the last palpation count from, `unfinished` its name where it did not end at its start.
+    """
+
+    x_m: float | None
+    y_m: float | None
+    site: str | None
+    origin_m: list[float] | None
+    unfinished: str | None
 
 
 class ForceLimits(TypedDict):
@@ -126,6 +151,8 @@ class ControlAnswer(TypedDict, total=False):
     latched: str | None
     pid: int
     cell: CheckedCell | None
+    probe: KnownProbe | None
+    place: KnownPlace | None
     job: str
     activity: str
     steps_done: int
@@ -171,21 +198,22 @@ def ask(path: Path, request: ControlRequest, patience_s: float = PATIENCE_S) -> 
         Refused: The daemon refused, or did not answer.
     """
     until_s = time.monotonic() + patience_s
+    way_out = "; if the arm moves, use the emergency stop" if request["do"] == "abort" else ""
     while True:
         try:
             answer = json.loads(_exchange(path, json.dumps(request).encode() + b"\n", until_s))
             break
         except PermissionError as error:
-            raise Refused(f"you may not connect to the daemon at {path}; join the group that owns the socket") from error
+            raise Refused(f"you may not connect to the daemon at {path}; join the group that owns the socket{way_out}") from error
         except (FileNotFoundError, ConnectionRefusedError) as error:
-            raise NoDaemon(NOBODY.format(path=path)) from error
+            raise NoDaemon((NOBODY_TO_STOP if way_out else NOBODY).format(path=path)) from error
         except (OSError, ValueError) as error:
             if time.monotonic() + RETRY_S < until_s and request["do"] in REPEATABLE:
                 time.sleep(RETRY_S)  # the daemon is crowded and had to close this connection
                 continue
             if isinstance(error, ValueError):
-                raise Refused(f"the daemon at {path} closed the connection without an answer") from error
-            raise Refused(f"the daemon at {path} did not answer within {patience_s:g} s ({error})") from error
+                raise Refused(f"the daemon at {path} closed the connection without an answer{way_out}") from error
+            raise Refused(f"the daemon at {path} did not answer within {patience_s:g} s ({error}){way_out}") from error
     if not answer.get("ok"):
         raise Refused(answer.get("error", "the daemon refused without a reason"))
     return cast(ControlAnswer, answer)

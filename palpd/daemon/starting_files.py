@@ -5,7 +5,9 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from palpd.cell.plausible import ask, doubts, doubts_of_cell
 from palpd.config import Config, Plan, load_config, load_plan, parse_config, parse_plan, refuse_unsafe
+from palpd.control.inertial import InertialModel
 from palpd.control.sequence import SOFT_END
 from palpd.daemon.overshoot import refuse_overload
 from palpd.errors import BadInput, ConfigError
@@ -20,22 +22,30 @@ ABSOLUTE_PER_CONTACT = 2.0
 """Absolute limit over contact limit, as shipped: 25 N over 12 N."""
 
 
-def checked(config_file: Path, plan_file: Path | None) -> tuple[Config, Plan]:
+def checked(config_file: Path, plan_file: Path | None, accept_implausible: bool = False) -> tuple[Config, Plan]:
     """Read a configuration and a plan, and refuse what is wrong or unsafe, as `palpd check-config` does.
 
     Args:
         config_file: config.yaml.
         plan_file: plan.yaml; without one the built-in plan is judged.
+        accept_implausible: Whether implausible values count.
 
     Returns:
         Both.
 
     Raises:
         ConfigError: One of them is wrong, or they are unsafe together.
+        BadInput: The model or a folder cannot be used, or a value is implausible and nobody accepts it.
     """
     config = load_config(config_file)
     plan = load_plan(plan_file) if plan_file else Plan()
     _refuse_together(config, plan)
+    check_folder(config.paths.runs, config.paths.state)
+    if config.model.path is not None:
+        InertialModel.load(config.model.path, probe_mass_kg=config.cell.probe.mass_kg)
+    heights = [config.safety.min_z_m, *(config.safety.workspace_m[2] if config.safety.workspace_m else ())]
+    odd = [doubt for height_m in heights if height_m is not None for doubt in doubts("height", height_m, "a height of safety")]
+    ask([*odd, *doubts_of_cell(config.cell)], accept_implausible, f"correct {config_file.name}")
     return config, plan
 
 

@@ -1,10 +1,15 @@
-"""What survives a restart: the reference tare, the machine's stiffness, and the latch of the last stop. One JSON file each."""
+"""What survives a restart: reference tare, stiffness of the machine, latch of the last stop, an unfinished contact. One JSON file each."""
 
+import datetime
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
+from pydantic import TypeAdapter, ValidationError
+
+from palpd.control.plan_place import PlanPlace
+from palpd.control.probe_state import ContactMarker, LevelTested, ProbeIdentity
 from palpd.errors import BadInput, ConfigError, Refused
 from palpd.files import read_json, write_json
 
@@ -12,14 +17,34 @@ MOST_BYTES = 100_000
 """Largest file of state; each holds a few numbers and a sentence."""
 
 
+Trust = Literal["unconfirmed", "free", "level", "yes"]
+"""Why a reference is believed: first of its folder, within the drift of the one before, by a level test, or by an operator's word."""
+
+
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Reference tare: `wrench` (6,) in the sensor's axes, N and Nm, of a free, still probe on that date by that sensor."""
+    """Reference tare: `wrench` (6,) in the sensor's axes, N and Nm, of a free, still probe on that date by that sensor.
+
+    `first` (6,) is the tare that an operator's yes may move away from by 3 N at most. `away_N` is the force off the reference before, as
+    the operator `by` saw it.
+    """
 
     wrench: tuple[float, ...]
     date: str
     sensor_serial: str | None
     temperature_C: float | None = None
+    probe: tuple[float, ...] | None = None
+    tcp: tuple[float, ...] | None = None
+    tilt_rad: float | None = None
+    first: tuple[float, ...] | None = None
+    trust: Trust = "unconfirmed"
+    by: str = ""
+    away_N: float | None = None
+
+    @property
+    def identity(self) -> ProbeIdentity:
+        """What the tare belongs to."""
+        return ProbeIdentity(self.sensor_serial, self.probe, self.tcp)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +65,14 @@ class Latch:
     date: str
 
 
+Kept = TypeVar("Kept", Calibration, ContactMarker, LevelTested, PlanPlace)
+
+
+def now() -> str:
+    """Date and time with time zone, ISO 8601."""
+    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+
+
 class State:
     """The folder that these are kept in; made when first written to."""
 
@@ -48,16 +81,20 @@ class State:
 
     def calibration(self) -> Calibration | None:
         """The last `palpd calibrate`, if any."""
-        values = self._read("calibration")
-        if values is None:
-            return None
-        try:
-            calibration = Calibration(**{**values, "wrench": tuple(float(number) for number in values["wrench"])})
-        except (TypeError, ValueError, KeyError):
-            calibration = None
-        if calibration is None or len(calibration.wrench) != 6 or not all(map(math.isfinite, calibration.wrench)):
+        calibration = self._kept("calibration", Calibration, "no reference tare; run palpd calibrate again")
+        if calibration is not None and (len(calibration.wrench) != 6 or not all(map(math.isfinite, calibration.wrench))):
             raise ConfigError(f"{self.folder / 'calibration.json'} holds no reference tare; run palpd calibrate again")
         return calibration
+
+    def marker(self) -> ContactMarker | None:
+        """The contact that no run has finished, if any."""
+        return self._kept(
+            "contact", ContactMarker, "no contact that can be read; free the probe at the pendant, delete it, and run palpd level-test"
+        )
+
+    def level(self) -> LevelTested | None:
+        """The last level test that found the probe free, if nothing has moved since."""
+        return self._kept("level", LevelTested, "no level test; delete it")
 
     def machine_stiffness(self) -> MachineStiffness | None:
         """The last `palpd stiffness`, if any."""
@@ -81,7 +118,11 @@ class State:
         except (ConfigError, TypeError):
             return Latch(f"the reason kept in {self.folder / 'latch.json'} cannot be read", "an unknown date")
 
-    def keep(self, name: str, thing: Calibration | MachineStiffness | Latch) -> None:
+    def place(self) -> PlanPlace | None:
+        """Where the sites of the last palpation counted from."""
+        return self._kept("place", PlanPlace, "no place of a plan; delete it, and start where the sites shall count from")
+
+    def keep(self, name: str, thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested | PlanPlace) -> None:
         """Write a state file so that a crash leaves the old file or the new one, never half of it.
 
         Args:
@@ -103,8 +144,19 @@ class State:
     def clear_latch(self) -> Latch | None:
         """Clear the latch, which only an operator may do, and return what it was."""
         latch = self.latch()
-        (self.folder / "latch.json").unlink(missing_ok=True)
+        self.forget("latch")
         return latch
+
+    def forget(self, name: str) -> None:
+        """Remove a state file, if it is there."""
+        (self.folder / f"{name}.json").unlink(missing_ok=True)
+
+    def _kept(self, name: str, kind: type[Kept], damaged: str) -> Kept | None:
+        values = self._read(name)
+        try:
+            return None if values is None else TypeAdapter(kind).validate_python(values)
+        except ValidationError as error:
+            raise ConfigError(f"{self.folder / f'{name}.json'} holds {damaged}") from error
 
     def _read(self, name: str) -> dict[str, Any] | None:
         path = self.folder / f"{name}.json"

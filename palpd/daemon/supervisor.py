@@ -10,17 +10,21 @@ import multiprocessing
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from palpd.config import CONTACT_FORCE_N
 from palpd.control.inertial import read_card
+from palpd.control.plan_place import PlanPlace, question
+from palpd.control.probe_state import ProbeAnswer, ProbeEvidence, ProbeState
+from palpd.control.sequence import LEVEL_M
 from palpd.daemon import motion_process as motion
+from palpd.daemon.contact_marker import END_S, MarkedRun
 from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import shielded
 from palpd.daemon.motion_process import (
+    BEGIN_LOADED,
     CALLED_OFF,
     GO,
     Build,
@@ -37,10 +41,10 @@ from palpd.daemon.motion_process import (
 from palpd.daemon.realtime import DEVICE_PRIORITY
 from palpd.daemon.silence import explained
 from palpd.daemon.socket_client import LastTick
-from palpd.daemon.stored_state import Latch, State
+from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.witness import Witness
 from palpd.errors import PalpdError, RecordingError
-from palpd.recording.mcap_file import RecordedStall, RecordingHeader, RunAbout, part_of
+from palpd.recording.mcap_file import RecordedPlace, RecordedStall, RecordingHeader, RunAbout, part_of
 from palpd.recording.recorder import Recorder
 from palpd.recording.ring import LoopState, RecorderState, Ring, Rows
 from palpd.tick import Phase, Request, Trip
@@ -71,7 +75,10 @@ LAST_TICKS = 10
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """How a run ended, for the operator and the exit code. `last_ticks` is filled where a run was stopped."""
+    """How a run ended, for the operator and the exit code. `last_ticks` is filled where a run was stopped.
+
+    `probe` says how it leaves the probe, where it moved or looked; `evidence` is that of a reference tare.
+    """
 
     verdict: str
     reason: str = ""
@@ -80,9 +87,10 @@ class Report:
     recording: Path | None = None
     about: RunAbout = field(default_factory=lambda: RunAbout())
     notes: tuple[str, ...] = ()
-    reference: tuple[float, ...] | None = None
     last_ticks: tuple[LastTick, ...] = ()
     findings: tuple[Finding, ...] = ()
+    evidence: ProbeEvidence | None = None
+    probe: ProbeAnswer | None = None
 
 
 class MotionProcess:
@@ -111,6 +119,10 @@ class JobRun:
         self._recorder: Recorder | None = None
         self._about: RunAbout = {}
         self._reported = self._going = self._began_ticking = self._lost_recorder = self._interrupted = False
+        self._marked: MarkedRun | None = None
+        self._place: PlanPlace | None = None
+        self._opened: Opened | None = None
+        self._level = self._came_to_rest = False
         self._abort_cause = ""
         self._report: Report | None = None
         self._ended_s = self._end_by_s = math.inf
@@ -180,6 +192,8 @@ class JobRun:
             self._lost_recorder = True
             self._ring.ask(Request.ABORT)  # a palpation that is not recorded is worth nothing
         ticking = self._ring.state == LoopState.RUNNING
+        if ticking and self._marked is not None and self._ring.published > self._first_tick:
+            self._marked.follow(self._ring.read(self._ring.published - 1)[0])
         if ticking and not self._began_ticking:
             self._began_ticking, self._ticked_s = True, now_s
         if self._going and self._ring.state == LoopState.STARTING and now_s - self._ticked_s > OPENING_S:
@@ -203,16 +217,18 @@ class JobRun:
         match message:
             case Opened():
                 return self._begin_recording(message)
-            case ReferenceTaken(about, reference):
-                return Report("done", about=about, reference=reference)
-            case Observed(about, findings):
-                return Report("done", about=about, findings=findings)
+            case ReferenceTaken(about, evidence):
+                return Report("done", about=about, evidence=evidence)
+            case Observed(about, findings, probe):
+                return Report("done", about=about, findings=findings, probe=probe)
             case Failed(reason, exit_code):
                 return Report("refused" if exit_code == 2 else "stopped", reason, exit_code)
             case Ended(outcome, trips, notes):
                 exit_code = 0 if outcome.verdict == "done" else 2 if outcome.refused else 3
+                self._level, self._came_to_rest = outcome.level, True
                 by_signal = f" ({self._abort_cause})" if self._interrupted and exit_code else ""
-                return Report(outcome.verdict, outcome.reason + self._silence(trips) + by_signal, exit_code, trips, notes=notes)
+                reason = outcome.reason + self._silence(trips) + by_signal
+                return Report(outcome.verdict, reason, exit_code, trips, notes=notes, probe=message.probe)
 
     def _silence(self, trips: Sequence[TripReport]) -> str:
         """Whether a device was silent or this computer stood still, as far as that ended the run."""
@@ -222,8 +238,10 @@ class JobRun:
         return explained(trips, at_s, 1.0 / self.job.config.robot.rate_Hz, self._witness)
 
     def _begin_recording(self, opened: Opened) -> Report | None:
-        self._reported, self._about = True, opened.about
-        header = header_of(self.job, opened.about, opened.reference)
+        self._reported, self._about, self._opened = True, opened.about, opened
+        if (asked := self._place_question(opened.pose)) is not None:
+            return self._refuse(asked)
+        header = header_of(self.job, opened.about, opened.reference, opened.pose)
         model = self.job.config.model.path if self.job.kind == "palpation" else None
         folder = self.job.config.paths.runs
         try:
@@ -231,7 +249,7 @@ class JobRun:
             with shielded():
                 self._recorder = Recorder.begin(self._ring, folder / f"{self._name}.mcap", header, model.read_bytes() if model else None)
         except OSError as error:
-            return self._refuse_recording(error)
+            return self._refuse(error)
         self._began_s = time.monotonic()
         return None
 
@@ -243,14 +261,36 @@ class JobRun:
             recorder.confirm()
         except RecordingError as error:
             self._recorder = None
-            return self._refuse_recording(error)
+            return self._refuse(error)
+        try:
+            self._mark()
+        except PalpdError as error:
+            recorder.discard()
+            self._recorder = None
+            return self._refuse(error)
         self._motion.pipe.send(GO)
         self._going, self._ticked_s = True, time.monotonic()
         return None
 
-    def _refuse_recording(self, error: Exception) -> Report:
+    def _mark(self) -> None:
+        """Write the marker of a contact before anything moves; a run that could not be marked does not begin."""
+        assert self._opened is not None
+        opened = self._opened
+        if self.job.kind == "palpation" and not self.job.dry:
+            self._place = place_of(self.job, opened.pose, self._name)
+            self._state.keep("place", self._place)
+        if not self.job.dry:
+            self._marked = MarkedRun(self.job, self._state, opened.about, opened.reference, opened.pose, self._name)
+
+    def _place_question(self, pose: tuple[float, ...]) -> str | None:
+        """Whether the operator must say first where the sites count from."""
+        if self.job.kind != "palpation" or self.job.dry or self.job.plan.origin is not None:
+            return None
+        return question(self.job.last, pose[0], pose[1], self.job.choice)
+
+    def _refuse(self, reason: object) -> Report:
         self._motion.pipe.send(CALLED_OFF)
-        return Report("refused", f"nothing was moved: {error}", 2)
+        return Report("refused", f"nothing was moved: {reason}", 2)
 
     def _call_off(self) -> Report:
         """End a job whose loop was not started: nothing has moved, so nothing needs to be stopped."""
@@ -306,19 +346,27 @@ class JobRun:
                 notes = (*notes, str(error))
                 if self._lost_recorder:  # the abort in the trips was ours
                     report = replace(report, reason=f"the run was stopped because it was no longer recorded: {error}")
-            died = report.exit_code == 3 and not report.trips
-            stands = self.job.kind == "retract" and self._state.latch() is not None  # the reason of the stop before stays
+            told = self.job.kind == "level_test" and self._came_to_rest  # what it found stands in the marker
+            died = report.exit_code == 3 and not report.trips and not told
+            stands = self.job.kind in BEGIN_LOADED and self._state.latch() is not None  # the reason of the stop before stays
             if not stands and (died or any(Trip[trip["trip"]] not in UNLATCHED for trip in report.trips)):
                 self._state.keep("latch", Latch(report.reason, now()))
-        last_ticks = self._last_ticks() if report.exit_code == 3 else ()
-        if last_ticks and last_ticks[-1]["force_N"] >= CONTACT_FORCE_N:
-            notes = (*notes, f"the probe still presses with {last_ticks[-1]['force_N']:.1f} N; palpd retract leaves the tissue")
+        last_ticks = last_ticks_of(self._rows(LAST_TICKS)) if report.exit_code == 3 else ()
+        if self._place is not None and report.verdict == "done":
+            self._state.keep("place", replace(self._place, returned=True))
+        if self._marked is not None and report.exit_code == 2:
+            self._marked.undo()
+        elif self._marked is not None:
+            rows = self._rows(math.ceil(END_S * self.job.config.robot.rate_Hz) + 1)
+            probe = self._marked.end(rows, self._level, self._came_to_rest)
+            report = replace(report, probe=probe)
+            if probe.state != ProbeState.FREE:
+                notes = (*notes, probe.sentence)
         return replace(report, recording=recording, about=report.about or self._about, notes=notes, last_ticks=last_ticks)
 
-    def _last_ticks(self) -> tuple[LastTick, ...]:
+    def _rows(self, most: int) -> Rows:
         """The newest rows of this run. They come from the ring: it also holds them after a crash or without a recording."""
-        rows, _, _ = self._ring.read(max(self._first_tick, self._ring.published - LAST_TICKS))
-        return last_ticks_of(rows)
+        return self._ring.read(max(self._first_tick, self._ring.published - most))[0]
 
 
 def last_ticks_of(rows: Rows) -> tuple[LastTick, ...]:
@@ -344,13 +392,49 @@ def last_ticks_of(rows: Rows) -> tuple[LastTick, ...]:
     )
 
 
-def header_of(job: Job, about: RunAbout, reference: tuple[float, ...]) -> RecordingHeader:
+def place_of(job: Job, pose: tuple[float, ...], name: str) -> PlanPlace:
+    """Where the sites of a palpation count from.
+
+    Args:
+        job: The palpation.
+        pose: Pose (6,) of the tip before it moves.
+        name: Name of the run.
+
+    Returns:
+        The place, not yet returned to.
+    """
+    start_m = job.back_to_m or (pose[0], pose[1], pose[2])
+    origin = job.plan.origin
+    origin_m = (start_m[0], start_m[1]) if origin is None else (origin.x_m, origin.y_m)
+    top_m = max(LEVEL_M, job.plan.free.height_m if job.plan.free is not None else 0.0)
+    sites = tuple((site.name, site.x_m, site.y_m) for site in job.plan.sites)
+    return PlanPlace(now(), name, origin_m, start_m, start_m[2] + top_m, sites)
+
+
+def _recorded_place(job: Job, pose: tuple[float, ...]) -> RecordedPlace:
+    """How the sites of a run count, and how far from those of the unfinished run before."""
+    place, last = place_of(job, pose, ""), job.last
+    moved_m = None if last is None or last.returned else math.dist(place.origin_m, last.origin_m)
+    taken = "plan" if job.plan.origin is not None else "start" if job.choice is None or moved_m is None else job.choice
+    return {
+        "x_m": place.origin_m[0],
+        "y_m": place.origin_m[1],
+        "taken": taken,
+        "unfinished": None if moved_m is None or last is None else last.run,
+        "moved_m": moved_m,
+        "back_to_m": list(job.back_to_m) if job.back_to_m is not None else None,
+        "top_z_m": job.top_z_m if job.back_to_m is not None else None,
+    }
+
+
+def header_of(job: Job, about: RunAbout, reference: tuple[float, ...], pose: tuple[float, ...]) -> RecordingHeader:
     """Everything that a replay needs to make the decisions again, and where the recording came from.
 
     Args:
         job: What is carried out.
         about: What the opened devices say of themselves.
         reference: Reference tare (6,) in the sensor's axes, N and Nm.
+        pose: Pose (6,) of the tip before it moves.
 
     Returns:
         The header of the recording.
@@ -362,8 +446,12 @@ def header_of(job: Job, about: RunAbout, reference: tuple[float, ...]) -> Record
         "config": job.config.model_dump(mode="json"),
         "plan": job.plan.model_dump(mode="json"),
         "sites": [{"name": site.name, "x_m": site.x_m, "y_m": site.y_m} for site in job.plan.sites],
+        "place": _recorded_place(job, pose) if job.kind == "palpation" else None,
         "returns_to_start": job.returns_to_start,
         "pauses_in_place": job.pauses_in_place,
+        "lifts_first": job.lifts_first,
+        "unfinished": job.unfinished,
+        "clear_z_m": job.clear_z_m,
         "reference": list(reference),
         "machine_stiffness_N_per_m": job.machine_stiffness_N_per_m,
         "body": {
@@ -375,19 +463,23 @@ def header_of(job: Job, about: RunAbout, reference: tuple[float, ...]) -> Record
         "about": about,
         "epoch_offset_s": about["epoch_offset_s"],
         "model_card": _card(job),
-        "versions": {name: version(name) for name in ("palpd", "numpy", "ur-rtde", "onnxruntime")},
+        "versions": _versions(),
         "started": now(),
     }
+
+
+def _versions() -> dict[str, str]:
+    """Versions of what a recording rests on, as far as it is installed: another driver's robot needs no ur-rtde."""
+    versions = {}
+    for name in ("palpd", "numpy", "ur-rtde", "onnxruntime"):
+        with contextlib.suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    return versions
 
 
 def _card(job: Job) -> dict[str, Any] | None:
     path = job.config.model.path
     return read_card(path) if path and job.kind == "palpation" else None
-
-
-def now() -> str:
-    """Date and time with time zone, ISO 8601."""
-    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 def recording_name(kind: str) -> str:

@@ -5,12 +5,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import EFFECTS, Effect, adopted
 from palpd.cell.effects.adopted import load_adopted, remove
 from palpd.cell.effects.learned import LearnedEffect
+from palpd.cell.plausible import ask, doubts
+from palpd.cell.simulation import simulate
 from palpd.files import check_folder
-from palpd.gap.similar_effects import MOSTLY_ALIKE, similar_effects
+from palpd.gap.similar_effects import MOSTLY_ALIKE, similar_effects, standard_heights
 
 __all__ = ["AdoptedEffect", "adopt", "described", "load_adopted", "remove"]
 
@@ -35,29 +39,44 @@ class AdoptedEffect:
         return {"adopted": self.law.id, "file": str(self.path), "confounds": self.law.confounds or {}}
 
 
-def adopt(file: Path, folder: Path, name: str | None, cell: CellFile) -> AdoptedEffect:
+def adopt(file: Path, folder: Path, name: str | None, cell: CellFile, accept_implausible: bool = False) -> AdoptedEffect:
     """Adopt the law of a file.
 
     Args:
         file: File of one learned effect, such as out.learned.yaml.
         folder: The user's folder of adopted effects.
         name: Its name there; the one in the file where not given.
-        cell: The cell on whose standard motion confounds are measured, where the diagnosis has not written them.
+        cell: The cell on whose standard motion its size is judged, and confounds are measured where the diagnosis has not written them.
+        accept_implausible: Whether a law of implausible size is adopted.
 
     Returns:
         What was adopted.
 
     Raises:
         ConfigError: The file holds no law, or more than one.
-        BadInput: The name is none or taken, or the file cannot be written.
+        BadInput: The name is none or taken, the file cannot be written, or the size is implausible and nobody accepts it.
     """
     check_folder(folder)
     law = adopted.to_adopt(file, folder, name)
+    ask(_size_doubts(law, cell), accept_implausible, "check the units of its values")
     unknown = law.confounds is None
     if unknown:
         similar = similar_effects([effect := law.effect()], cell, EFFECTS | {law.id: effect})
         law = law.model_copy(update={"confounds": {one.other: round(one.cosine, 3) for one in similar if one.cosine > MOSTLY_ALIKE}})
     return AdoptedEffect(law, adopted.adopt(law, folder), unknown)
+
+
+def _size_doubts(law: LearnedEffect, cell: CellFile) -> list[str]:
+    """What is implausible about the size of a law on the standard motion of a cell."""
+    t_s, z_cmd_m = standard_heights(cell)
+    without = simulate(cell, t_s, z_cmd_m=z_cmd_m)
+    beside = simulate(cell.model_copy(update={"learned": (*cell.learned, law)}), t_s, z_cmd_m=z_cmd_m)
+    change = {name: float(np.abs(beside[name] - without[name]).max()) for name in ("fx_N", "fy_N", "fz_N", "z_m")}
+    return [
+        doubt
+        for name, size in change.items()
+        for doubt in doubts("law height" if name == "z_m" else "law force", size, f"the change of {name} by {law.id}")
+    ]
 
 
 def described(effect: Effect, laws: Mapping[str, LearnedEffect], folder: Path) -> dict[str, Any]:

@@ -11,14 +11,27 @@ from palpd.cell.cell_file import CellFile, load_cell, parse_cell, save_cell
 from palpd.cell.effects import EFFECTS, Effect, load_effects, save_learned
 from palpd.cell.effects.adopted import load_adopted
 from palpd.cell.effects.learned import held_sentence
+from palpd.cell.plausible import ask, doubts_of_cell
 from palpd.cell.simulation import share_outside, simulate
 from palpd.errors import BadInput, RecordingError
 from palpd.files import write_json
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.tolerances import estimate_tolerances
 from palpd.gap.user_simulator import UserSimulator, simulate_with
+from palpd.recording.oddities import questions_of
 from palpd.recording.reader import Recording, holds_ticks, read_header, samples_of, visited_sites
-from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, named_once, read, read_columns, refuse_values, write_csv
+from palpd.recording.samples import (
+    COLUMNS,
+    WRENCH_COLUMNS,
+    Samples,
+    common_site,
+    named_once,
+    read,
+    read_columns,
+    refuse_values,
+    site_named_in,
+    write_csv,
+)
 from palpd.tick import Floats
 
 
@@ -120,7 +133,7 @@ def read_recording(path: Path, site: str | None = None) -> Samples:
         raise RecordingError(
             f"{path.name} holds {len(visited)} sites ({', '.join(visited)}), expected one; choose one with --site, or site= in Python"
         )
-    return samples_of(recording, site or next(iter(visited), None))
+    return samples_of(recording, next(iter(visited), None) if site is None else site)
 
 
 def diagnose_files(
@@ -142,7 +155,8 @@ def diagnose_files(
 
     Args:
         recordings: The recordings.
-        cell: The cell file; without one the cell that recordings of the daemon state.
+        cell: The cell file; without one the cell that recordings of the daemon state. That one knows the modulus of a site only where it
+            states it for that site.
         json_out: Where to write out.json, and beside it the motion of the next experiment.
         cell_out: Where to write the enriched cell.
         effects: A file with user effects (.py) or learned ones (.yaml).
@@ -169,6 +183,8 @@ def diagnose_files(
     nominal = nominal_cell(cell, recordings, known)
     show("reading the recording")
     samples = [read_recording(path, site) for path in recordings]
+    if cell is None:
+        nominal = nominal.assumed_at_site(common_site(samples))
     simulators = [UserSimulator.of_file(path, one.t_s) for path, one in zip(simulated, samples, strict=False)]
     diagnosis = diagnose(samples, nominal, known, propose=propose, calibrated=calibrated, simulators=simulators, show=show)
     if adopted is not None and (weighed := adopted_sentence(adopted, diagnosis.problem.library)):
@@ -211,6 +227,7 @@ def simulate_file(
     say: Callable[[str], None] = lambda _: None,
     simulated: Path | None = None,
     nominal: Path | None = None,
+    accept_implausible: bool = False,
 ) -> Samples:
     """Simulate the recording that a cell gives on the motion of a file.
 
@@ -225,12 +242,14 @@ def simulate_file(
         say: Is called with a sentence for every learned effect that leaves what it knows.
         simulated: The output of a user's own simulator for that motion, to which what the cell has beyond the nominal one is added.
         nominal: The file of that nominal cell.
+        accept_implausible: Whether an implausible cell or motion counts.
 
     Returns:
         The recording.
 
     Raises:
-        BadInput: Only one of `simulated` and `nominal` is given, or noise is asked for besides.
+        BadInput: Only one of `simulated` and `nominal` is given, noise is asked for besides, or something is implausible and nobody
+            accepts it.
         RecordingError: The motion has not the columns that are needed.
     """
     if (simulated is None) != (nominal is None):
@@ -240,9 +259,13 @@ def simulate_file(
     measured = "z_m" in columns and not from_commanded
     if from_commanded and "z_cmd_m" not in columns:
         raise RecordingError(f"{motion.name} has no column z_cmd_m; it is needed to simulate from the command.")
-    enriched = load_cell(cell, known)
+    enriched = load_cell(cell, known).at_site(site_named_in(motion))
     own = None if simulated is None or nominal is None else (UserSimulator.of_file(simulated, columns["t_s"]), load_cell(nominal, known))
     samples = simulate_columns(enriched, columns, measured=measured, noise_seed=noise_seed, library=known, own=own)
+    for note in ask(
+        [*doubts_of_cell(enriched), *questions_of(samples)], accept_implausible, "check the units of the motion and of the cell file"
+    ):
+        say(note)
     for name, share in share_outside(enriched, columns["t_s"], **_drive(columns, measured), library=known).items():
         if share > 0.0:
             say(held_sentence(name, share))
@@ -273,8 +296,11 @@ def simulate_columns(
         The recording.
 
     Raises:
-        BadInput: Noise is asked for with a user's own simulator.
+        BadInput: Noise is asked for with a user's own simulator, or its seed is negative.
+        RecordingError: What comes out is not finite.
     """
+    if noise_seed is not None and not (noise_seed >= 0 and noise_seed == int(noise_seed)):
+        raise BadInput(f"the seed of the noise is {noise_seed}, expected a whole number from 0 on; give another")
     t_s = columns["t_s"]
     if own is None:
         out = simulate(cell, t_s, **_drive(columns, measured), noise_seed=noise_seed, library=library)
@@ -282,6 +308,7 @@ def simulate_columns(
         out = simulate_with(*own, cell, columns, library, measured=measured)
     else:
         raise BadInput("noise is added to palpd's own simulation, and the nominal is your simulator's; leave --noise or --simulated out")
+    refuse_values({"t_s": t_s, **out}, "the simulation")
     speed = out.get("vz_m_per_s", columns.get("vz_m_per_s") if measured else None)
     return Samples(
         t_s,
@@ -312,10 +339,23 @@ def read_motion(path: Path) -> dict[str, Floats]:
         RecordingError: The file is no such motion.
     """
     columns, _ = read_columns(path, _motion_columns)
-    if len(columns["t_s"]) < 2:
-        raise RecordingError(f"{path.name} has {len(columns['t_s'])} rows; a motion needs two rows or more in the order of time.")
-    refuse_values(columns, path.name)
+    check_motion(columns, path.name)
     return columns
+
+
+def check_motion(columns: Mapping[str, Floats], name: str) -> None:
+    """Check the columns of a motion.
+
+    Args:
+        columns: `t_s` and what else there is.
+        name: What errors call the motion.
+
+    Raises:
+        RecordingError: There are less than two rows, or a value that no motion has.
+    """
+    refuse_values(columns, name)
+    if len(columns["t_s"]) < 2:
+        raise RecordingError(f"{name} has {len(columns['t_s'])} rows; a motion needs two rows or more in the order of time.")
 
 
 def _motion_columns(path: Path, header: Sequence[str]) -> list[str]:
@@ -324,15 +364,16 @@ def _motion_columns(path: Path, header: Sequence[str]) -> list[str]:
     return named_once(path, header, COLUMNS[:4])
 
 
-def tolerances_of(recordings: Sequence[Path], cell: Path) -> dict[str, dict[str, float]]:
+def tolerances_of(recordings: Sequence[Path], cell: Path, accept_implausible: bool = False) -> dict[str, dict[str, float]]:
     """Estimate tolerances from the files of a healthy cell.
 
     Args:
         recordings: Recordings of a healthy cell.
         cell: Its cell file.
+        accept_implausible: Whether doubtful recordings and implausible tolerances count.
 
     Returns:
         The blocks `tolerances` and `repeatability`.
     """
-    nominal: CellFile = load_cell(cell)
-    return estimate_tolerances([read(path) for path in recordings], nominal)
+    samples = [read(path) for path in recordings]
+    return estimate_tolerances(samples, load_cell(cell).at_site(common_site(samples)), accept_implausible)

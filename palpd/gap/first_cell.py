@@ -9,19 +9,17 @@ import numpy as np
 from palpd.analysis.curves import Curve, analyse_curve
 from palpd.cell.cell_file import cell_from
 from palpd.cell.dynamics import servo_heights, steps
+from palpd.cell.plausible import ask, doubts
 from palpd.cell.report_times import find_reports
 from palpd.errors import BadInput, RecordingError
 from palpd.files import parse_yaml
-from palpd.gap.noise import dead, measured_rms
-from palpd.gap.plausibility import refuse_turned
 from palpd.gap.recorded_noise import with_recorded_noise
+from palpd.recording.oddities import CLEAR_NOISES, dead, measured_rms, questions_of, refuse_repeated, refuse_turned, swing_N
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
 GUESSED_TIP_RADIUS_M = 0.005
 """Tip radius where none is given: the emulated cell's."""
-CLEAR_NOISES = 10.0
-"""Swing of the force, in standard deviations of its noise, that shows a contact."""
 BIN_S = 0.05
 """Length of the means over which inertia is sought: the speeds' noise gives little acceleration over it, and a robot's motion is seen."""
 FEWEST_BINS = 10
@@ -49,25 +47,28 @@ class FirstCell:
     sentences: tuple[str, ...]
 
 
-def first_cell(recordings: Sequence[Samples], tip_radius_m: float | None = None) -> FirstCell:
+def first_cell(recordings: Sequence[Samples], tip_radius_m: float | None = None, accept_implausible: bool = False) -> FirstCell:
     """Estimate a cell file from recordings.
 
     Args:
         recordings: Recordings of one cell.
         tip_radius_m: Radius of the spherical tip, or None where it is not known.
+        accept_implausible: Whether implausible values count.
 
     Returns:
         The cell file, value by value.
 
     Raises:
-        RecordingError: There is no recording, or its forces or heights have the wrong sign.
-        BadInput: The radius is impossible.
+        RecordingError: There is no recording, its fz never changes, or its forces or heights have the wrong sign.
+        BadInput: The radius is impossible, or a value is implausible and nobody accepts it.
     """
     if not recordings:
         raise RecordingError("no recording was given; at least one is needed")
     if tip_radius_m is not None and not 0.0 < tip_radius_m < 1.0:
         raise BadInput(f"the tip radius is {tip_radius_m:g} m, expected above zero and below 1 m; give it in metres (5 mm is 0.005)")
+    refuse_repeated(recordings)
     for samples in recordings:
+        _refuse_constant(samples)
         refuse_turned(samples)
     radius_m = tip_radius_m or GUESSED_TIP_RADIUS_M
     touches = [touch for samples in recordings if (touch := _touch(samples, radius_m)) is not None]
@@ -99,7 +100,21 @@ def first_cell(recordings: Sequence[Samples], tip_radius_m: float | None = None)
     if robot["servo_natural_frequency_Hz"].value is not None and any(samples.z_cmd_m is not None for samples in recordings):
         tolerances["servo_natural_frequency"] = CommentedValue(SERVO_TOLERANCE, "relative: the step of the search")
     blocks = {"probe": probe, "sensor": sensor, "robot": robot, "tissue": tissue, "tolerances": tolerances}
-    return FirstCell(blocks, tuple(_sentences(blocks, tip_radius_m is None)))
+    questions = [question for samples in recordings for question in questions_of(samples)]
+    if tissue is not None:
+        questions += doubts("modulus", tissue["youngs_modulus_Pa"].value or 0.0, "the modulus of the tissue")
+    questions += doubts("mass", mass_kg, "the moving mass")
+    accepted = ask(questions, accept_implausible, "check the units and signs of force, height and time, and the tip radius")
+    return FirstCell(blocks, (*accepted, *_sentences(blocks, tip_radius_m is None)))
+
+
+def _refuse_constant(samples: Samples) -> None:
+    """Refuse a constant fz, which shows neither noise nor steps nor a touch. Raises RecordingError."""
+    if dead(samples.wrench[:, 2]):
+        raise RecordingError(
+            f"fz_N is {samples.wrench[0, 2]:g} throughout, expected noise at least: it shows nothing of the cell; check that the sensor is "
+            "alive and the column the right one, and record again"
+        )
 
 
 def written_out(first: FirstCell, names: str) -> str:
@@ -139,8 +154,7 @@ class _Touch(NamedTuple):
 def _touch(samples: Samples, tip_radius_m: float) -> _Touch | None:
     """Where contact begins and how stiff it is; None where nothing is touched."""
     fz_N = samples.wrench[:, 2]
-    swing_N = float(np.quantile(fz_N, 0.995) - np.quantile(fz_N, 0.005))
-    if dead(fz_N) or swing_N < CLEAR_NOISES * measured_rms(fz_N):
+    if swing_N(fz_N) < CLEAR_NOISES * measured_rms(fz_N):
         return None
     try:
         fit = analyse_curve(Curve("", samples.z_m, fz_N, samples.t_s, 1.0, ("fz_N", "z_m")), tip_radius_m=tip_radius_m)

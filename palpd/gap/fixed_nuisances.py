@@ -11,7 +11,7 @@ from palpd.gap.noise import FX, FZ, TX, Z, resolutions
 from palpd.gap.nuisances import Columns
 from palpd.gap.phases import FREE_STILL, HOLDING
 from palpd.gap.prepare import PreparedRecording
-from palpd.gap.rounding import Rounding, undithered_rms
+from palpd.gap.rounding import undithered_rms
 from palpd.gap.whitening import Whitening
 from palpd.recording.samples import runs_of_true
 from palpd.tick import Floats
@@ -36,15 +36,12 @@ class FixedNuisances:
     columns: Columns
 
 
-def fixed_nuisances(
-    cell: CellFile, recordings: Sequence[PreparedRecording], rounding: Rounding | None, servo_errors_m: Floats, noise: Whitening
-) -> FixedNuisances:
+def fixed_nuisances(cell: CellFile, recordings: Sequence[PreparedRecording], servo_errors_m: Floats, noise: Whitening) -> FixedNuisances:
     """The nuisances of all recordings that no state of the cell changes.
 
     Args:
         cell: The nominal cell.
         recordings: Its recordings, b bins in all.
-        rounding: Of fz, where it is coarser than stated: its zero then depends on the state and is left out.
         servo_errors_m: Heights (2, b) by which a controller within specification may differ from the nominal servo.
         noise: Noise of the bins.
 
@@ -56,7 +53,7 @@ def fixed_nuisances(
     for recording in recordings:
         here = slice(start, start + len(recording.bins))
         start = here.stop
-        for label, values in _of_recording(cell, recording, rounding, servo_errors_m[:, here]):
+        for label, values in _of_recording(cell, recording, servo_errors_m[:, here]):
             column = np.zeros(b)
             column[here] = values
             labels.append(label)
@@ -64,16 +61,14 @@ def fixed_nuisances(
     return FixedNuisances(tuple(labels), Columns.of(columns, (7, b)))
 
 
-def _of_recording(
-    cell: CellFile, recording: PreparedRecording, rounding: Rounding | None, servo_errors_m: Floats
-) -> Iterator[tuple[Column, Floats]]:
+def _of_recording(cell: CellFile, recording: PreparedRecording, servo_errors_m: Floats) -> Iterator[tuple[Column, Floats]]:
     for channel in range(FX, 7):
-        if recording.judged[channel] and not (channel == FZ and rounding is not None):
-            yield from zero_columns(cell, recording, channel)
+        if recording.judged[channel]:
+            yield from _zero_columns(cell, recording, channel)
     if recording.judged[Z]:
         for name, values in zip(("hidden delay", "controller order"), servo_errors_m, strict=True):
             yield Column("computation", name, Z), values
-    yield from _rounding_offsets(cell, recording, rounding)
+    yield from _rounding_offsets(cell, recording)
 
 
 def torque_arm_m(cell: CellFile) -> float:
@@ -81,29 +76,23 @@ def torque_arm_m(cell: CellFile) -> float:
     return max(CROSSTALK_ARM_M, CROSSTALK_ARM_M / 0.08 * cell.probe.tip_length_m)
 
 
-def zero_columns(cell: CellFile, recording: PreparedRecording, channel: int) -> Iterator[tuple[Column, Floats]]:
-    """Bias and drift of one axis.
-
-    Args:
-        cell: The nominal cell.
-        recording: One of its recordings, b bins.
-        channel: The axis.
-
-    Yields:
-        What they stand for, and one standard deviation of each (b,) in the unit of the channel.
-    """
+def _zero_columns(cell: CellFile, recording: PreparedRecording, channel: int) -> Iterator[tuple[Column, Floats]]:
+    """Bias and drift of one axis; a drift that goes through coarse rounding depends on the state and is none of them."""
     arm = 1.0 if channel < TX else torque_arm_m(cell)
     yield Column("recording", "bias_N", channel), arm * cell.tolerances.bias_N * np.ones(len(recording.bins))
-    yield Column("recording", "drift_N_per_min", channel), arm * cell.tolerances.drift_N_per_min / 60.0 * recording.t_s
+    if channel != FZ or recording.rounding is None:
+        yield Column("recording", "drift_N_per_min", channel), arm * cell.tolerances.drift_N_per_min / 60.0 * recording.t_s
 
 
-def _rounding_offsets(cell: CellFile, recording: PreparedRecording, rounding: Rounding | None) -> Iterator[tuple[Column, Floats]]:
+def _rounding_offsets(cell: CellFile, recording: PreparedRecording) -> Iterator[tuple[Column, Floats]]:
     """Where noise does not dither the rounding, every rest keeps an offset of up to half a step."""
-    for channel, stated in enumerate(resolutions(cell)):
-        step = rounding.step_N if channel == FZ and rounding is not None else stated
-        if step <= 0 or not recording.judged[channel]:
+    for channel, step in enumerate(resolutions(cell)):
+        if not recording.judged[channel]:
             continue
-        offset = undithered_rms(step, float(recording.noise_rms[channel]))
+        if channel == FZ and recording.rounding is not None:
+            offset = recording.rounding.undithered_rms_N
+        else:
+            offset = undithered_rms(step, max(recording.noise_rms[channel] ** 2 - step**2 / 12.0, 0.0) ** 0.5)
         if offset < 0.1 * recording.noise_rms[channel]:
             continue
         first, end = runs_of_true(np.isin(recording.bin_phase, (FREE_STILL, HOLDING)))

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 
 from palpd.errors import BadInput, PalpdError, RecordingError
 from palpd.gap.commands import diagnose_files
+from palpd.workers import pool
 
 COMMON_CELL = "cell.yaml"
 """In a folder of one cell's recordings this cell file stands for all that have none of their own."""
@@ -127,8 +128,8 @@ def diagnose_folder(
         BadInput: There is no recording or no cluster.
     """
     recordings = recordings_in(folder)
-    with _executor(jobs, scheduler) as pool:
-        waiting = {pool.submit(diagnose_one, path, cell_of(path, folder), effects, adopted): path for path in recordings}
+    with _executor(jobs, scheduler) as executor:
+        waiting = {executor.submit(diagnose_one, path, cell_of(path, folder), effects, adopted): path for path in recordings}
         for done in as_completed(waiting):
             error, path = done.exception(), waiting[done]
             yield done.result() if error is None else _failed(path, cell_of(path, folder), error)
@@ -138,8 +139,8 @@ def diagnose_folder(
 def _executor(jobs: int, scheduler: str | None) -> Iterator[Executor]:
     """Processes of this machine, or the workers of a Dask cluster at that address, by the same interface."""
     if scheduler is None:
-        with ProcessPoolExecutor(jobs) as pool:
-            yield pool
+        with pool(jobs) as workers:
+            yield workers
         return
     try:
         from distributed import Client
@@ -149,8 +150,8 @@ def _executor(jobs: int, scheduler: str | None) -> Iterator[Executor]:
         client = Client(scheduler, timeout=10.0)
     except (OSError, ValueError) as error:
         raise BadInput(f"there is no Dask scheduler at {scheduler} ({error}); start one with `dask scheduler`.") from None
-    with client, client.get_executor() as pool:
-        yield cast(Executor, pool)
+    with client, client.get_executor() as workers:
+        yield cast(Executor, workers)
 
 
 def by_cell(rows: Sequence[FleetRow]) -> list[CellRow]:

@@ -1,7 +1,7 @@
 """Stage 3 of a diagnosis: which sets of effects could have made the residual; each likely one is fitted."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import product
 from math import inf
 
@@ -112,9 +112,10 @@ def fit_rounding(problem: Problem) -> NominalFit:
         The fit; another way needs evidence, since an effect may imitate it. The stated step is rounded to the nearest level, as stated.
     """
     nominal = fit_nominal(problem)
-    if problem.rounding is None or problem.rounding.step_N == problem.cell.sensor.resolution_fz_N:
+    rounding = problem.recordings[0].rounding
+    if rounding is None or rounding.step_N == problem.cell.sensor.resolution_fz_N:
         return nominal
-    others = [fit_nominal(problem.with_rounding(replace(problem.rounding, way=way))) for way in WAYS if way != problem.rounding.way]
+    others = [fit_nominal(problem.rounded(way)) for way in WAYS if way != rounding.way]
     best = min(others, key=_surprise)
     return best if _surprise(best) < _surprise(nominal) - WAY_NATS else nominal
 

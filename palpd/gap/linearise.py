@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from palpd.cell.cell_file import CROSSTALK, CellFile, EffectValues
-from palpd.gap.fixed_nuisances import Column, zero_columns
+from palpd.cell.cell_file import CROSSTALK, CellFile, EffectValues, Estimated
+from palpd.gap.fixed_nuisances import Column
 from palpd.gap.noise import FX, FY, FZ, TX, TY, Z
 from palpd.gap.nuisances import ColumnByChannel, Columns, Nuisances, Stretch, nuisances
 from palpd.gap.prepare import PreparedRecording
@@ -16,6 +16,9 @@ from palpd.tick import Floats
 
 LEAKS_INTO = {"fx_per_fz": FX, "fy_per_fz": FY, "tx_per_fz": TX, "ty_per_fz": TY}
 LEAKS = np.isin(SHARED, CROSSTALK)
+
+DRIFT_STEP_SD = 0.5
+"""Drift, in standard deviations, by which its column is taken where readings follow it in steps."""
 
 
 @dataclass(frozen=True)
@@ -140,21 +143,22 @@ def _own_columns(problem: Problem, effects: EffectValues, eta: Floats, shared: l
             column[here] = values
             return label, {label.channel: problem.noise.whiten_channel(label.channel, column)}
 
-        for label, values in _rounded_zero(problem, recording, cell):
+        for label, values in _rounded_drift(problem, recording, cell):
             yield whitened(label, values)
         for label, values in _computation_errors(problem, recording, cell, predicted[:, here]):
             yield whitened(label, values)
         yield from _press_columns(problem, recording, here, shared)
 
 
-def _rounded_zero(problem: Problem, recording: PreparedRecording, cell: CellFile) -> Iterator[tuple[Column, Floats]]:
-    """Bias and drift of fz where it is rounded coarsely: readings between two levels do not follow them."""
-    if problem.rounding is None or not recording.judged[FZ]:
+def _rounded_drift(problem: Problem, recording: PreparedRecording, cell: CellFile) -> Iterator[tuple[Column, Floats]]:
+    """Drift of fz where noise does not dither its rounding, through the rounding, as the effect acts. A bias moves all readings alike."""
+    if recording.rounding is None or not recording.judged[FZ]:
         return
-    fz_N = recording.reading(cell, recording.motion, problem.library).wrench(len(recording.motion.t_s))[:, FZ - 1]
-    felt = recording.binned_steps(recording.motion, problem.rounding.slope(fz_N))
-    for label, values in zero_columns(problem.cell, recording, FZ):
-        yield label, felt * values
+    drift_N_per_min = problem.cell.tolerances.drift_N_per_min
+    estimated = cell.estimated or Estimated()
+    drifted = cell.with_estimated(estimated.model_copy(update={"drift_N_per_min": DRIFT_STEP_SD * drift_N_per_min}))
+    change = problem.binned_wrench(recording, drifted, recording.motion) - problem.binned_wrench(recording, cell, recording.motion)
+    yield Column("recording", "drift_N_per_min", FZ), change[FZ - 1] / DRIFT_STEP_SD
 
 
 def _computation_errors(

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from palpd.cell.cell_file import CellFile
+from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples, runs_of_true
 from palpd.tick import Floats
 
@@ -23,39 +24,6 @@ def declared_rms(cell: CellFile) -> Floats:
     s = cell.sensor
     noise = np.array([cell.robot.position_noise_rms_m, *[s.noise_rms_N] * 3, *[s.noise_rms_Nm] * 3])
     return np.asarray(np.sqrt(noise**2 + resolutions(cell) ** 2 / 12.0))
-
-
-def measured_rms(values: Floats, where: NDArray[np.bool_] | None = None) -> float:
-    """Rms of the white part of a signal, from its second differences without the largest 2 % (corners, steps).
-
-    Args:
-        values: The signal (n,).
-        where: Samples that count (n,); all where not given.
-
-    Returns:
-        The rms in the unit of the signal; 0 of too few samples.
-    """
-    differences = np.diff(values, 2)
-    if where is not None:
-        differences = differences[where[2:] & where[1:-1] & where[:-2]]
-    if len(differences) < 6:
-        return 0.0
-    squares = np.sort(differences**2)
-    kept = squares[: max(4, int(0.98 * len(squares)))]
-    # A normal variable without its largest 2 %: |x| < 2.326 holds 0.856 of the variance in 0.98 of the probability.
-    return float(np.sqrt(kept.mean() / 6.0 / 0.8735))
-
-
-def dead(values: Floats) -> bool:
-    """Whether a channel (n,) never changes.
-
-    Args:
-        values: The channel (n,).
-
-    Returns:
-        True where all values are equal.
-    """
-    return bool(np.all(values == values[0]))
 
 
 MOST_APART = 1.2

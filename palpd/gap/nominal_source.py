@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from palpd.errors import RecordingError
-from palpd.gap.noise import CHANNELS, FZ, dead, declared_rms, measured_rms
-from palpd.gap.plausibility import CLEAR_NOISES, SHAPE_CORRELATION, WRONG_UNIT_RATIO, correlation
+from palpd.gap.noise import CHANNELS, FZ, declared_rms
+from palpd.gap.plausibility import SHAPE_CORRELATION, WRONG_UNIT_RATIO
 from palpd.gap.problem import Problem
 from palpd.gap.user_simulator import NominalDifference
+from palpd.recording.oddities import CLEAR_NOISES, correlation, dead, measured_rms
 from palpd.recording.samples import Samples
 
 UNITS = {"fz_N": ("mN", "kN"), "z_m": ("mm", "km")}

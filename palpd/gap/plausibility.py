@@ -8,12 +8,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palpd.analysis.young import PLAUSIBLE_MODULUS_PA
 from palpd.cell.cell_file import CellFile, TissueBlock
+from palpd.cell.plausible import doubts, doubts_of_cell
 from palpd.errors import RecordingError
-from palpd.gap.noise import CHANNELS, FZ, dead, declared_rms, lattice_step, measured_rms
+from palpd.gap.noise import CHANNELS, FZ, declared_rms, lattice_step
 from palpd.gap.prepare import moves
 from palpd.gap.problem import Problem
+from palpd.recording.oddities import (
+    CLEAR_NOISES,
+    HEIGHT_CORRELATION,
+    correlation,
+    dead,
+    measured_rms,
+    refuse_dead,
+    refuse_repeated,
+    refuse_turned,
+    swing_N,
+    turned_twice,
+)
 from palpd.recording.samples import Samples, runs_of_true
 from palpd.tick import Floats
 
@@ -50,14 +62,11 @@ ODD_FORCE_RATIO = 10.0
 SHAPE_CORRELATION = 0.7
 """Least correlation of measured with expected force for a judgement of the unit: a healthy press has above 0.95."""
 
-HEIGHT_CORRELATION = 0.4
-"""Least correlation of force with height that shows contact: strokes in the air, without force, keep it below 0.8 in healthy recordings."""
-
-CLEAR_NOISES = 10.0
-"""Number of standard deviations of noise that a change of force must have to be judged."""
-
 FAR_TOUCH_TIP_RADII = 1.0
 """Distance of the touch from the stated surface in tip radii that is worth a note: at this depth Hertz has long ended."""
+
+SLOPE_S = 0.05
+"""Time between two speeds that give an acceleration: the noise of speeds gives little over it, and a robot's motion is seen."""
 
 FROZEN_S = 1.0
 """Shortest stretch of constant fz worth a note: dropouts of a live sensor are shorter."""
@@ -74,67 +83,94 @@ def check_recordings(recordings: Sequence[Samples], cell: CellFile) -> list[str]
         cell: Their cell file.
 
     Returns:
-        One sentence for everything odd that does not prevent a diagnosis.
+        One sentence for everything that makes a verdict doubtful without preventing one: units, signs, dead axes, missing contact.
 
     Raises:
         RecordingError: There is no recording, or one has another unit, a wrong sign, a dead height or fz, a hole in time, or several
-            sites.
+            sites, or stands there twice.
     """
     if not recordings:
         raise RecordingError("no recording was given; at least one is needed")
-    notes = []
-    for number, samples in enumerate(recordings):
-        label = f"recording {number + 1}: " if len(recordings) > 1 else ""
-        _refuse_mixed_sites(samples, label)
-        notes += [
-            label + note
-            for note in [
-                *_time_notes(samples, label),
-                *_motion_notes(samples, cell, label),
-                *_depth_notes(samples, cell, label),
-                *_force_notes(samples, cell, label),
-            ]
-        ]
+    for samples, label in zip(recordings, _labels(recordings), strict=True):
+        _refuse_mixed_sites(samples.sites, f"{label}the recording holds")
+    _refuse_mixed_sites(list(dict.fromkeys(name for samples in recordings for name in samples.sites)), "the recordings together hold")
+    refuse_repeated(recordings)
+    notes = [f"{doubt}; correct the cell file." for doubt in doubts_of_cell(cell)]
+    for samples, label in zip(recordings, _labels(recordings), strict=True):
+        _refuse_hole(samples, label)
+        odd = [*_motion_notes(samples, cell, label), *_depth_notes(samples, cell, label), *_force_notes(samples, cell, label)]
+        refuse_dead(samples, label)
+        notes += [label + note for note in odd]
+    return notes
+
+
+def recording_notes(recordings: Sequence[Samples], cell: CellFile) -> list[str]:
+    """What is worth knowing of recordings that `check_recordings` has let pass, and does not make the verdict doubtful.
+
+    Args:
+        recordings: The recordings.
+        cell: Their cell file.
+
+    Returns:
+        The sentences.
+    """
+    notes = [
+        label + note
+        for samples, label in zip(recordings, _labels(recordings), strict=True)
+        for note in (*_hole_notes(samples), *_air_notes(samples, cell))
+    ]
     if cell.sites:
         notes.append(
-            f"the cell file has sites ({', '.join(site.name for site in cell.sites)}), and a diagnosis compares with its tissue block "
-            "alone; copy the tissue and effects of the recorded site there."
+            f"the cell file has sites ({', '.join(site.name for site in cell.sites)}), and the recording names none of them, so its tissue "
+            "block counts; palpd export --site writes the name into the recording."
         )
     return notes
 
 
-def _refuse_mixed_sites(samples: Samples, label: str) -> None:
-    if len(samples.sites) > 1:
+def _labels(recordings: Sequence[Samples]) -> list[str]:
+    return [f"recording {number + 1}: " if len(recordings) > 1 else "" for number in range(len(recordings))]
+
+
+def _refuse_mixed_sites(sites: Sequence[str], holder: str) -> None:
+    if len(sites) > 1:
         raise RecordingError(
-            f"{label}the recording holds {len(samples.sites)} sites ({', '.join(samples.sites)}), expected one; "
+            f"{holder} {len(sites)} sites ({', '.join(sites)}), expected one; "
             "export each with palpd export --site and diagnose it against its own cell file."
         )
 
 
-def _time_notes(samples: Samples, label: str) -> list[str]:
-    """Holes in time."""
+def _refuse_hole(samples: Samples, label: str) -> None:
     step_s = np.diff(samples.t_s)
-    usual_s = float(np.median(step_s))
-    longest = int(np.argmax(step_s))
+    usual_s, longest = float(np.median(step_s)), int(np.argmax(step_s))
     hole_s, begin_s = float(step_s[longest]), float(samples.t_s[longest])
     if hole_s > max(LONGEST_HOLE_S, HOLE_STEPS * usual_s):
         raise RecordingError(
             f"{label}t_s jumps from {begin_s:.6g} s to {begin_s + hole_s:.6g} s after row {longest + 1}, usual are {usual_s:.3g} s; "
             "split the file there and diagnose both parts as two recordings of the cell, or correct t_s."
         )
-    holes = int(np.sum(step_s > max(SHORT_HOLE_S, SHORT_HOLE_STEPS * usual_s)))
-    if holes:
-        return [
-            f"samples are missing at {holes} place{'s' if holes > 1 else ''}, the longest time {hole_s:.3g} s from {begin_s:.6g} s on; "
-            "nothing is judged there, and a sensor or recorder that pauses should be mended."
-        ]
-    return []
+
+
+def _hole_notes(samples: Samples) -> list[str]:
+    step_s = np.diff(samples.t_s)
+    holes = int(np.sum(step_s > max(SHORT_HOLE_S, SHORT_HOLE_STEPS * float(np.median(step_s)))))
+    if not holes:
+        return []
+    return [
+        f"samples are missing at {holes} place{'s' if holes > 1 else ''}, the longest time {step_s.max():.3g} s from "
+        f"{samples.t_s[int(np.argmax(step_s))]:.6g} s on; nothing is judged there, and a sensor or recorder that pauses should be mended."
+    ]
+
+
+def _air_notes(samples: Samples, cell: CellFile) -> list[str]:
+    if cell.tissue is None or not bool((samples.z_m < cell.tissue.surface_z_m).all()):
+        return []
+    return ["there is no free motion: inertia, cable and bias can hardly be distinguished from the tissue."]
 
 
 def _motion_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
     """Stroke, dead heights, and heights against speeds."""
-    notes = []
     stroke_m = float(np.ptp(samples.z_m))
+    notes = [f"{doubt}; check the unit of z_m." for doubt in doubts("stroke", stroke_m, "the stroke of z_m")]
     path_m = float(np.sum(np.abs(samples.vz_m_per_s[1:]) * np.diff(samples.t_s)))
     if stroke_m > LONGEST_STROKE_M:
         raise RecordingError(
@@ -173,64 +209,57 @@ def _depth_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
         notes.append(f"the deepest press is {radii:.0f} tip radii below the stated surface; check the unit of z_m and tissue.surface_z_m.")
     if depth_m <= 0:
         notes.append("the probe never comes below the stated surface: nothing of the tissue can be judged.")
-    elif bool((samples.z_m < cell.tissue.surface_z_m).all()):
-        notes.append("there is no free motion: inertia, cable and bias can hardly be distinguished from the tissue.")
     return notes
 
 
 def _force_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
     """Liveness, sign and unit of fz against the force of the stated tissue, and the height of the touch."""
-    if cell.tissue is None:
-        return []
-    fz_N, depth_m = samples.wrench[:, 2], np.maximum(cell.tissue.surface_z_m - samples.z_m, 0.0)
+    fz_N, z_m = samples.wrench[:, 2], samples.z_m
     noise_N = max(float(declared_rms(cell)[FZ]), cell.sensor.resolution_fz_N)
-    expected_N = _hertz_N(cell.tissue, cell.probe.tip_radius_m, depth_m)
+    depth_m = np.maximum(cell.tissue.surface_z_m - z_m, 0.0) if cell.tissue is not None else np.zeros(len(samples))
+    expected_N = _hertz_N(cell.tissue, cell.probe.tip_radius_m, depth_m) if cell.tissue is not None else depth_m
     peak_N = float(expected_N.max())
     if dead(fz_N):
-        if peak_N > CLEAR_NOISES * noise_N or (peak_N > 0 and not cell.tolerances.modulus_known):
-            raise RecordingError(
-                f"{label}fz_N is {fz_N[0]:g} throughout while the probe goes {depth_m.max() * 1e3:.3g} mm into the tissue, expected up to "
-                f"{peak_N:.3g} N; the sensor is dead or the column is wrong: record fz_N and diagnose again."
-            )
+        return _dead_notes(samples, cell, depth_m, peak_N, noise_N, label)
+    if cell.tissue is None:
         return []
-    swing_N = _swing_N(fz_N)
-    if swing_N < CLEAR_NOISES * max(noise_N, measured_rms(fz_N)):
-        if cell.tolerances.modulus_known and peak_N > 2.0 * CLEAR_NOISES * noise_N and swing_N < 0.1 * peak_N:
+    if swing_N(fz_N) < CLEAR_NOISES * max(noise_N, measured_rms(fz_N)):
+        if cell.tolerances.modulus_known and peak_N > 2.0 * CLEAR_NOISES * noise_N and swing_N(fz_N) < 0.1 * peak_N:
             return [
-                f"fz_N changes by {swing_N:.2g} N only where the cell file expects {peak_N:.3g} N: the sensor does not feel the press, or "
-                "the probe does not touch; check its wiring, its mount and tissue.surface_z_m."
+                f"fz_N changes by {swing_N(fz_N):.2g} N only where the cell file expects {peak_N:.3g} N: the sensor does not feel the "
+                "press, or the probe does not touch; check its wiring, its mount and tissue.surface_z_m."
             ]
         return []
     refuse_turned(samples, label)
+    notes = [f"{doubt}; check the signs of force and height." for doubt in turned_twice(samples)]
     if depth_m.any():
-        notes = _shape_notes(fz_N, expected_N, peak_N, cell, label)
-        return [*notes, *_frozen_notes(samples, expected_N, noise_N), *_touch_notes(samples, cell, noise_N)]
-    return _touch_notes(samples, cell, noise_N)
+        notes += [*_shape_notes(fz_N, expected_N, peak_N, cell, label), *_frozen_notes(samples, expected_N, noise_N)]
+    return [*notes, *_touch_notes(samples, cell, noise_N)]
 
 
-def refuse_turned(samples: Samples, label: str = "") -> None:
-    """Refuse a force that rises with the height; the side to which fz leaves its usual level says which of the two is turned.
-
-    Args:
-        samples: The recording.
-        label: What an error begins with.
-
-    Raises:
-        RecordingError: Forces or heights have the wrong sign.
-    """
-    fz_N = samples.wrench[:, 2]
-    if _swing_N(fz_N) < CLEAR_NOISES * measured_rms(fz_N) or correlation(fz_N, samples.z_m) <= HEIGHT_CORRELATION:
-        return
-    level_N = np.median(fz_N)
-    if fz_N.max() - level_N > level_N - fz_N.min():
+def _dead_notes(samples: Samples, cell: CellFile, depth_m: Floats, peak_N: float, noise_N: float, label: str) -> list[str]:
+    """A constant fz: refused where contact or inertia must have changed it, else noted."""
+    fz_N = samples.wrench[0, 2]
+    if peak_N > CLEAR_NOISES * noise_N or (peak_N > 0 and not cell.tolerances.modulus_known):
         raise RecordingError(
-            f"{label}fz_N rises with z_m, expected to rise while the probe goes down; z_m looks positive downwards: "
-            "multiply z_m, z_cmd_m and vz_m_per_s by -1."
+            f"{label}fz_N is {fz_N:g} throughout while the probe goes {depth_m.max() * 1e3:.3g} mm into the tissue, expected up to "
+            f"{peak_N:.3g} N; the sensor is dead or the column is wrong: record fz_N and diagnose again."
         )
-    raise RecordingError(
-        f"{label}fz_N falls to {fz_N.min():.3g} N while the probe presses, expected to rise; pressing gives positive fz_N: "
-        "multiply the forces by -1 (palpd import --compression-negative)."
-    )
+    inertia_N = cell.probe.mass_kg * _acceleration_swing_m_per_s2(samples)
+    if moves(samples, cell) and inertia_N > cell.sensor.resolution_fz_N:  # no rounding hides a swing of more than its step
+        raise RecordingError(
+            f"{label}fz_N is {fz_N:g} throughout while the inertia of {cell.probe.mass_kg:g} kg changes by {inertia_N:.2g} N, more than "
+            f"the sensor's step of {cell.sensor.resolution_fz_N:g} N; the sensor is dead or the column is wrong: record fz_N again."
+        )
+    return [f"fz_N is {fz_N:g} throughout, so nothing vertical is judged; check that the sensor is alive, and press the tissue."]
+
+
+def _acceleration_swing_m_per_s2(samples: Samples) -> float:
+    """Largest less smallest acceleration, by speeds 50 ms apart; 0 of a recording that is shorter than three of these."""
+    rows = max(1, round(SLOPE_S * samples.rate_Hz))
+    if len(samples) < 3 * rows:
+        return 0.0
+    return float(np.ptp((samples.vz_m_per_s[rows:] - samples.vz_m_per_s[:-rows]) / (samples.t_s[rows:] - samples.t_s[:-rows])))
 
 
 def _shape_notes(fz_N: Floats, expected_N: Floats, peak_N: float, cell: CellFile, label: str) -> list[str]:
@@ -242,10 +271,8 @@ def _shape_notes(fz_N: Floats, expected_N: Floats, peak_N: float, cell: CellFile
     assert tissue is not None
     size = f"fz_N is {ratio:.3g} times the force that the cell file expects ({peak_N:.3g} N at the deepest point)"
     if not cell.tolerances.modulus_known:
-        low_Pa, high_Pa = PLAUSIBLE_MODULUS_PA
-        if low_Pa < ratio * tissue.youngs_modulus_Pa < high_Pa:
-            return []
-        return [f"{size}, a modulus of {ratio * tissue.youngs_modulus_Pa:.3g} Pa; check the units of fz_N, z_m and probe.tip_radius_m."]
+        odd = doubts("modulus", ratio * tissue.youngs_modulus_Pa, "the modulus that this gives")
+        return [f"{size}; {doubt}; check the units of fz_N, z_m and probe.tip_radius_m." for doubt in odd]
     if 1.0 / WRONG_UNIT_RATIO < ratio < WRONG_UNIT_RATIO:
         return [f"{size}; check the unit of fz_N and tissue.youngs_modulus_Pa."]
     unit = "fz_N looks like mN, divide by 1000" if ratio > 1.0 else "fz_N looks like kN, multiply by 1000"
@@ -292,26 +319,6 @@ def _touch_notes(samples: Samples, cell: CellFile, noise_N: float) -> list[str]:
 
 def _hertz_N(tissue: TissueBlock, tip_radius_m: float, depth_m: Floats) -> Floats:
     return np.asarray(4.0 / 3.0 * tissue.youngs_modulus_Pa / (1.0 - tissue.poisson_ratio**2) * np.sqrt(tip_radius_m) * depth_m**1.5)
-
-
-def _swing_N(fz_N: Floats) -> float:
-    """How far a force (n,) goes, without its rarest values."""
-    return float(np.quantile(fz_N, 0.995) - np.quantile(fz_N, 0.005))
-
-
-def correlation(one: Floats, other: Floats) -> float:
-    """Correlation of two columns.
-
-    Args:
-        one: A column (n,).
-        other: Another one (n,).
-
-    Returns:
-        The correlation; 0 where one is constant.
-    """
-    a, b = one - one.mean(), other - other.mean()
-    size = float(np.sqrt((a @ a) * (b @ b)))
-    return float(a @ b) / size if size > 0.0 else 0.0
 
 
 def _slope_ratio(samples: Samples) -> float | None:

@@ -15,9 +15,11 @@ from palpd.cell.report_times import Reports, find_reports, straight_between
 from palpd.cell.simulation import MeanReading, mean_reading
 from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
 from palpd.gap.bins import Bins, make_bins
-from palpd.gap.noise import FZ, Z, dead, declared_rms, measured_rms
+from palpd.gap.noise import FZ, Z, declared_rms
 from palpd.gap.phases import FREE_STILL, HOLDING, ROUNDING, Ints, Phases, find_phases
+from palpd.gap.rounding import Rounding
 from palpd.gap.user_simulator import NominalDifference, UserSimulator, difference
+from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
@@ -33,6 +35,9 @@ LAST_DIGITS = 1e-9
 UNREPORTED_SHARE = 0.5
 """Share of the servo's lag by acceleration, a/wn², by which the tip may differ from the height that a commanded robot reports, one
 standard deviation: behind the encoders everything gives way to inertia, and reports are filtered. Only the contact force feels it."""
+
+MOST_AT_REST = 100
+"""Steps at rest whose predicted forces say where the sensor's zero lies: at rest they change slowly."""
 
 REST_SAMPLES = 60
 """Fewest samples at rest from which the noise is measured; with fewer, the whole recording is used."""
@@ -59,6 +64,8 @@ class PreparedRecording:
     rest: NDArray[np.bool_]  # (n,) samples at which the noise was measured
     noise_measured: bool  # whether there were enough of them
     judged: tuple[bool, ...]  # which of the 7 channels are compared
+    at_rest: Ints  # numbers of at most MOST_AT_REST steps at rest in the air, evenly spread
+    rounding: Rounding | None = None  # of fz, where noise does not dither it
     beyond: NominalDifference | None = None  # what the user's simulator predicts beyond the nominal cell; None without one
 
     @cached_property
@@ -98,6 +105,19 @@ class PreparedRecording:
             The reading.
         """
         return mean_reading(cell, motion, library) if self.beyond is None else self.beyond.reading(cell, motion, library)
+
+    def rounded(self, rounding: Rounding) -> "PreparedRecording":
+        """The recording whose fz is rounded so: its noise is that of all forces, and not of those between two levels that happened to rest.
+
+        Args:
+            rounding: The rounding.
+
+        Returns:
+            A new recording.
+        """
+        noise_rms = self.noise_rms.copy()
+        noise_rms[FZ] = max(noise_rms[FZ], np.hypot(rounding.noise_rms_N, rounding.step_N / 12.0**0.5))
+        return replace(self, rounding=rounding, noise_rms=noise_rms)
 
     def heights(self, palpd_m: Floats, t_s: Floats) -> Floats:
         """Predicted heights; with a user's simulator its output + palpd(cell) - palpd(nominal cell).
@@ -183,6 +203,8 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecordin
     still = np.isin(phases.phase, (FREE_STILL, HOLDING)) & (phases.since_s > 0.1 * phases.since_s.max())
     rest = still if samples.held is None else still & ~samples.held
     judged, noise_rms = _noise(samples, cell, reports, still, rest)
+    share_at_rest = samples_per_step.mean(phases.at_rest_in_air.astype(float))
+    at_rest = np.flatnonzero(share_at_rest == share_at_rest.max())
     return PreparedRecording(
         samples=samples,
         phases=phases,
@@ -204,6 +226,7 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecordin
         rest=rest,
         noise_measured=bool(still.sum() >= REST_SAMPLES),
         judged=judged,
+        at_rest=at_rest[:: 1 + len(at_rest) // MOST_AT_REST],
     )
 
 

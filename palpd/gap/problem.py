@@ -16,7 +16,7 @@ from palpd.cell.simulation import Followed, predict_motion, scale_of
 from palpd.gap.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
 from palpd.gap.noise import FX, FZ, Z
 from palpd.gap.prepare import PreparedRecording, prepare, with_simulator
-from palpd.gap.rounding import Rounding, undithered_rms
+from palpd.gap.rounding import Rounding, Way
 from palpd.gap.servo_error import servo_errors
 from palpd.gap.user_simulator import UserSimulator
 from palpd.gap.whitening import Whitening
@@ -92,7 +92,6 @@ class Problem:
         scale: Sizes that bounds and starting values of effects refer to.
         shared_sd: Standard deviations of SHARED (11,), in the units of the cell file, relative ones as logarithms.
         servo_errors_m: Heights (2, b) by which a controller within specification may differ from the nominal servo.
-        rounding: Of fz, where it is coarser than stated.
         excess_noise: Whether the noise is larger than stated.
         measured: Measured bins (7, b) in their units.
         noise: Noise of the bins.
@@ -105,7 +104,6 @@ class Problem:
     scale: Scale
     shared_sd: Floats
     servo_errors_m: Floats
-    rounding: Rounding | None
     excess_noise: bool
     measured: Floats
     noise: Whitening
@@ -120,7 +118,7 @@ class Problem:
     @cached_property
     def fixed_nuisances(self) -> FixedNuisances:
         """Nuisances that do not depend on the state of the cell, whitened."""
-        return fixed_nuisances(self.cell, self.recordings, self.rounding, self.servo_errors_m, self.noise)
+        return fixed_nuisances(self.cell, self.recordings, self.servo_errors_m, self.noise)
 
     @property
     def nominal_eta(self) -> Floats:
@@ -181,16 +179,17 @@ class Problem:
         """
         return replace(self, shared_sd=shared_sd, _predictions=_Predictions())
 
-    def with_rounding(self, rounding: Rounding) -> "Problem":
-        """The problem in which fz is rounded in another way, with the same step.
+    def rounded(self, way: Way) -> "Problem":
+        """The problem in which fz is rounded in another way, where it is.
 
         Args:
-            rounding: The rounding.
+            way: The kind of the rounding.
 
         Returns:
             A new problem.
         """
-        return replace(self, rounding=rounding, _predictions=_Predictions())
+        recordings = tuple(replace(one, rounding=one.rounding and replace(one.rounding, way=way)) for one in self.recordings)
+        return replace(self, recordings=recordings, _predictions=_Predictions())
 
     def own_tolerances(self, effects: Iterable[str]) -> NDArray[np.bool_]:
         """Which of SHARED (11,) the effects themselves are, once they exceed their tolerance."""
@@ -322,8 +321,8 @@ class Problem:
         """
         self._predictions.simulations += 1
         reading = recording.reading(cell, motion, self.library)
-        if self.rounding is not None and FZ - 1 in reading.own:
-            reading.own[FZ - 1] = self.rounding.mean(reading.own[FZ - 1])
+        if recording.rounding is not None and FZ - 1 in reading.own:
+            reading.own[FZ - 1] = recording.rounding.readings(reading.own[FZ - 1], recording.at_rest)
         return reading.averaged(lambda values: recording.binned_steps(motion, values), len(recording.bins))
 
 
@@ -333,7 +332,7 @@ def make_problem(
     library: Mapping[str, Effect] = EFFECTS,
     max_bins: int = MAX_BINS,
     *,
-    rounding: Rounding | None = None,
+    roundings: Sequence[Rounding] = (),
     excess_noise: bool = False,
     scale: Scale | None = None,
     simulators: Sequence[UserSimulator] = (),
@@ -345,7 +344,7 @@ def make_problem(
         cell: Its cell file; known effects in it are part of the nominal cell.
         library: The effects that may be present.
         max_bins: Largest number of bins of all recordings, about.
-        rounding: Of fz, where it is coarser than stated.
+        roundings: Of fz in each recording, where noise does not dither it.
         excess_noise: Whether the noise is larger than stated.
         scale: Sizes that effects refer to, of the longest recording where not given.
         simulators: A user's own simulator for each recording; none where palpd's own cell is the nominal.
@@ -355,11 +354,13 @@ def make_problem(
     """
     cell = cell.with_estimated(None).model_copy(update={"uncertainty": ()})
     prepared = tuple(prepare(samples, cell, max(600, max_bins // len(recordings))) for samples in recordings)
+    if roundings:
+        prepared = tuple(one.rounded(rounding) for one, rounding in zip(prepared, roundings, strict=True))
     if simulators:
         prepared = tuple(with_simulator(one, its, cell, library) for one, its in zip(prepared, simulators, strict=True))
     longest = max(recordings, key=lambda s: s.duration_s)
     errors_m = [servo_errors(one, cell, library) for one in prepared]
-    noise = _whitening(cell, prepared, rounding, errors_m)
+    noise = _whitening(cell, prepared, errors_m)
     return Problem(
         cell=cell,
         recordings=prepared,
@@ -367,7 +368,6 @@ def make_problem(
         scale=scale or scale_of(cell, longest.t_s, longest.z_m, longest.vz_m_per_s, longest.wrench[:, 2]),
         shared_sd=_shared_sd(cell),
         servo_errors_m=np.hstack(errors_m),
-        rounding=rounding,
         excess_noise=excess_noise,
         measured=np.hstack([_measured(one) for one in prepared]),
         noise=noise,
@@ -395,7 +395,7 @@ def _measured(recording: PreparedRecording) -> Floats:
     return np.ascontiguousarray(recording.bins.mean(np.hstack([z, samples.wrench])).T)
 
 
-def _whitening(cell: CellFile, recordings: Sequence[PreparedRecording], rounding: Rounding | None, errors_m: Sequence[Floats]) -> Whitening:
+def _whitening(cell: CellFile, recordings: Sequence[PreparedRecording], errors_m: Sequence[Floats]) -> Whitening:
     """Noise of the bins: of readings, of heights that drive the force, of rounding, of the controller, and of reports that bins share."""
     sigmas = []
     for one, (_, acceleration_m) in zip(recordings, errors_m, strict=True):
@@ -406,10 +406,12 @@ def _whitening(cell: CellFile, recordings: Sequence[PreparedRecording], rounding
             sigma[Z] *= OWN_HEIGHT_NOISE * np.sqrt(one.samples_each)
         sigma[Z] = np.hypot(sigma[Z], acceleration_m)
         sigma[FZ] = np.hypot(sigma[FZ], one.motion.z_noise_m * _stiffness(cell, one))
-        sigma[FZ] = np.hypot(sigma[FZ], undithered_rms(rounding.step_N if rounding else 0.0, float(one.noise_rms[FZ])))
+        sigma[FZ] = np.hypot(sigma[FZ], one.rounding.undithered_rms_N if one.rounding else 0.0)
         sigma[~np.array(one.judged)] = np.inf
         sigmas.append(sigma)
     heights_m = [one.bins.means() @ one.reports.joined * (one.noise_rms[Z] * (one.samples_each > 1.0)) for one in recordings]
+    for one in heights_m:
+        one.eliminate_zeros()  # all of them where every sample is a report
     shared = {Z: csr_array(block_diag(heights_m)), FZ: csr_array(block_diag([one.inertial_noise_N for one in recordings]))}
     return Whitening.of(np.hstack(sigmas), shared)
 

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CellFile
-from palpd.gap.noise import FX, FY, FZ, TX, TY, TZ, dead, lattice_step, measured_rms
-from palpd.gap.phases import FREE_STILL, HOLDING, find_phases
+from palpd.gap.noise import FX, FY, FZ, TX, TY, TZ, lattice_step
+from palpd.gap.phases import FREE_STILL, HOLDING, Phases, find_phases
 from palpd.gap.prepare import REST_SAMPLES
+from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
@@ -23,7 +24,7 @@ FAR_FROM_STATED = 5.0
 """Ratio of measured and stated noise from which on a note says so: no surroundings change a healthy sensor this far."""
 
 
-def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[CellFile, list[str]]:
+def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[CellFile, list[str], list[str]]:
     """Take noise and resolution that a cell file does not state from the recordings.
 
     Args:
@@ -31,15 +32,15 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
         cell: The cell file.
 
     Returns:
-        The cell with every value stated, and one sentence for each value that was measured or is far from the stated one.
+        The cell with every value stated, a sentence for each value that is far from the stated one, and one for those that were measured.
     """
     resolution = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
-    rests = [_rests(_phases(samples, cell)) for samples in recordings]
+    rests = [_rests(_phases(samples, cell).phase) for samples in recordings]
     resting = all(rest is not None for rest in rests)
     noise = {key: _noise_rms(recordings, rests, channels) for key, channels in NOISE.items()}
     stated = cell.sensor.model_fields_set
     measured: dict[str, float] = {key: step for key, step in resolution.items() if key not in stated}
-    notes = []
+    far = []
     for key, rms in noise.items():
         if rms is None:
             continue
@@ -47,15 +48,15 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
         if key not in stated:
             measured[key] = rms
         elif resting and not rms / FAR_FROM_STATED <= before <= rms * FAR_FROM_STATED and before > 0.0:
-            notes.append(f"sensor.{key} is {before:.3g} and the recording shows {rms:.3g}, expected within a factor of 5; correct it.")
+            far.append(f"sensor.{key} is {before:.3g} and the recording shows {rms:.3g}, expected within a factor of 5; correct it.")
     if not measured:
-        return cell, notes
+        return cell, far, []
     values = ", ".join(f"{key} {value:.3g}" for key, value in measured.items())
-    notes.append(f"the cell file does not state all noise and resolution, so the recording's own count: {values}.")
-    return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=measured)}), notes
+    note = f"the cell file does not state all noise and resolution, so the recording's own count: {values}."
+    return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=measured)}), far, [note]
 
 
-def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[float, float]:
+def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[float, list[float]]:
     """What rests show of fz before it is rounded.
 
     Args:
@@ -64,19 +65,18 @@ def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[f
 
     Returns:
         Noise of a sample in N, by the lateral axes, whose steps are finer: the stated one where none shows it, or where they are noisier or
-        quieter than healthy ones. Then the mean of fz at rest in the air in N, 0 where nothing rests there.
+        quieter than healthy ones. Then the mean of fz at rest in the air in N, of each recording.
     """
     phases = [_phases(samples, cell) for samples in recordings]
-    stated_N, shown_N = cell.sensor.noise_rms_N, _noise_rms(recordings, [_rests(phase) for phase in phases], (FX, FY))
+    stated_N, shown_N = cell.sensor.noise_rms_N, _noise_rms(recordings, [_rests(its.phase) for its in phases], (FX, FY))
     healthy = shown_N is not None and stated_N / HEALTHY_NOISE <= shown_N <= stated_N * HEALTHY_NOISE
-    free_N = np.concatenate([samples.wrench[phase == FREE_STILL, 2] for samples, phase in zip(recordings, phases, strict=True)])
-    return shown_N if shown_N is not None and healthy else stated_N, float(free_N.mean()) if free_N.size else 0.0
+    rests_N = [float(samples.wrench[its.at_rest_in_air, 2].mean()) for samples, its in zip(recordings, phases, strict=True)]
+    return shown_N if shown_N is not None and healthy else stated_N, rests_N
 
 
-def _phases(samples: Samples, cell: CellFile) -> NDArray[np.int_]:
-    """The phase of every sample (n,)."""
+def _phases(samples: Samples, cell: CellFile) -> Phases:
     surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
-    return find_phases(samples, surface_m, cell.robot.position_noise_rms_m).phase
+    return find_phases(samples, surface_m, cell.robot.position_noise_rms_m)
 
 
 def _rests(phase: NDArray[np.int_]) -> NDArray[np.bool_] | None:

@@ -425,7 +425,7 @@ def _phase_figure(curves: Curves, channel: str, content: Mapping[str, Any]) -> M
     if not means:
         return Markup("")
     floors = _floors(content, channel)
-    scale, unit = _scaled(channel, max(*(float(np.abs(course).max()) for course, _ in means.values()), *floors.values()))
+    scale, unit = _scaled(channel, max([*(float(np.abs(course).max()) for course, _ in means.values()), *floors.values()]))
     share_percent = 100.0 * (np.arange(PHASE_STEPS) + 0.5) / PHASE_STEPS
     with styled_figure(10.0, 2.3 * ((len(means) + 2) // 3) + 0.2) as figure:
         grid = figure.subplots((len(means) + 2) // 3, 3, sharex=True, sharey=True, squeeze=False)

@@ -1,13 +1,19 @@
 """Readings of fz that noise does not dither: rounded more coarsely than the cell file states, or than their noise is large."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from palpd.cell.cell_file import CellFile
+from palpd.gap.phases import Ints
+from palpd.recording.oddities import measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
@@ -19,73 +25,171 @@ DITHERED = 0.36
 """Noise, in steps, from which on the mean reading follows the force within a sixth, and by less than 3 % of a step."""
 
 REACH = 1.5
-"""Steps up to which the force is that of the probe alone, in the air."""
+"""Steps from the force at rest up to which the force is that of the probe alone, in the air."""
 
-LEAST_DITHER = 0.25
-"""Least noise, in steps, with which a reading is predicted: neither the levels nor the force between them are known better."""
+LEAST_DITHER = 0.1
+"""Least noise, in steps, with which a reading is predicted: less would make corners of the edges, and no force is known that well."""
+
+FARTHEST = 7.0
+"""Standard deviations of the noise beyond which no reading comes to a level."""
+
+POINTS_PER_STEP = 100
+"""Points of the table of mean readings: straight lines between them are exact to a thousandth of a step."""
+
+
+NOISES = np.geomspace(0.02, 0.7, 42)
+"""Noise, in steps, among which that of rounded readings is sought."""
+
+STRETCH = 100
+"""Readings of a rest that share a mean: of more, a force that creeps changes it."""
+
+EVEN_RMS = 0.6
+"""Rms of rounded readings, in steps, from which on their variance is the same wherever they rest: that of the noise and 1/12."""
+
+LARGEST_JUMP = 6.0
+"""Second difference of rounded readings, in steps, that counts at most: noise below a step makes no larger ones."""
+
+
+def rounded_moments(force: Floats, noise_rms: float, way: Way = "nearest") -> tuple[Floats, Floats]:
+    """Mean and variance of a force with normal noise after it was rounded to whole numbers.
+
+    A reading is level `k` or a higher one where force and noise reach the edge of that level, so both moments are short sums over the
+    edges near the force.
+
+    Args:
+        force: Forces without noise (n,), in steps from a level.
+        noise_rms: Noise before the rounding, in steps.
+        way: Kind of the rounding; towards the zero of `force` where it cuts.
+
+    Returns:
+        Means (n,) in steps, and variances (n,) in squared steps.
+    """
+    nearest, sigma = np.rint(force), max(noise_rms, 1e-9)
+    mean, square = np.zeros_like(nearest), np.zeros_like(nearest)
+    for k in range(1, int(FARTHEST * sigma + 1.5) + 1):
+        above = ndtr((force - _edge(nearest + k, way)) / sigma)
+        below = ndtr((_edge(nearest + (1 - k), way) - force) / sigma)
+        mean += above - below
+        square += (2 * k - 1) * (above + below)
+    return nearest + mean, square - mean**2
+
+
+def _edge(level: Floats, way: Way) -> Floats:
+    """Least force that is rounded to these levels or to higher ones."""
+    if way == "nearest":
+        return level - 0.5
+    return level if way == "down" else np.where(level > 0.0, level, level - 1.0)
 
 
 @dataclass(frozen=True)
 class Rounding:
-    """Readings of fz are `level_N` plus a multiple of `step_N`; `noise_rms_N` is the noise before the rounding, and `way` its kind."""
+    """How fz is rounded in one recording, and where the cell's forces lie between its levels.
+
+    The tare leaves the levels anywhere, and nobody knows the force behind a reading that rests between two of them. The readings at rest
+    say it: their mean fixes how far the force at rest lies from its level. So what a cell predicts is laid between the levels by *its own*
+    forces at rest, and its mean readings are given in the frame of its forces. A zero that has moved (bias, whether an effect or within
+    tolerance) then moves all forces and all predicted readings alike, and drift acts by what it changes beside the rests.
+
+    Attributes:
+        step_N: Distance of the levels.
+        level_N: One of the levels, on the scale of the readings.
+        rest_N: Mean reading at rest in the air, on that scale.
+        noise_rms_N: Noise before the rounding.
+        way: Kind of the rounding.
+        reach_N: Largest distance from the force at rest that is predicted to a fraction of a step. Beyond, tolerances decide on which side
+            of a level a force lies.
+    """
 
     step_N: float
     level_N: float
+    rest_N: float
     noise_rms_N: float
-    way: Way = "nearest"
-    reach_N: float = np.inf
-    """Largest force that is predicted to a fraction of a step. Beyond, tolerances decide on which side of a level it lies."""
+    way: Way
+    reach_N: float
 
-    def mean(self, force_N: Floats) -> Floats:
-        """Mean reading of a force with normal noise.
-
-        Args:
-            force_N: Forces without noise (n,).
-
-        Returns:
-            Mean readings (n,) in N.
-        """
-        if self.way == "nearest":
-            return self._mean_of_nearest(force_N)
-        down_N = self._mean_of_nearest(force_N - 0.5 * self.step_N)
-        # Towards zero, a negative force comes to the next level above.
-        return down_N if self.way == "down" else down_N + self.step_N * ndtr(-force_N / self._sigma_N)
-
-    def force_N(self, reading_N: float) -> float:
-        """The force whose mean reading this is.
+    def readings(self, force_N: Floats, at_rest: Ints) -> Floats:
+        """Mean readings of a cell's forces with normal noise, in the frame of these forces.
 
         Args:
-            reading_N: A mean of readings.
+            force_N: Forces without noise (n,), from any zero.
+            at_rest: Numbers of some of them at rest in the air.
 
         Returns:
-            The force in N.
+            Mean readings (n,) from the same zero in N.
         """
-        forces_N = reading_N + self.step_N * np.linspace(-1.0, 1.0, 2001)
-        return float(forces_N[np.argmin(np.abs(self.mean(forces_N) - reading_N))])
+        rest_N = force_N[at_rest]
+        zero_N = self._zero(rest_N)
+        near = np.abs(force_N - rest_N.mean()) <= self.reach_N
+        return np.where(near, force_N + self._moved(force_N + zero_N), force_N)
 
     @property
-    def _sigma_N(self) -> float:
-        """Noise with which a reading is predicted."""
-        return max(self.noise_rms_N, LEAST_DITHER * self.step_N)
+    def undithered_rms_N(self) -> float:
+        """Rms of the rounding error that averaging does not remove, over all forces."""
+        return undithered_rms(self.step_N, self.noise_rms_N)
 
-    def _mean_of_nearest(self, force_N: Floats) -> Floats:
-        turn = 2.0 * np.pi / self.step_N * (force_N - self.level_N)
-        damping = float(np.exp(-2.0 * (np.pi * self._sigma_N / self.step_N) ** 2))
-        # Fourier series of a dithered quantiser's mean (Widrow and Kollár 2008, ch. 19): sin(k turn) (-1)^k / k; two terms are enough.
-        moved = self.step_N / np.pi * damping * np.sin(turn) * (damping**3 * np.cos(turn) - 1.0)
-        return np.asarray(force_N + np.where(np.abs(force_N) <= self.reach_N, moved, 0.0))
+    def _zero(self, rest_N: Floats) -> float:
+        """What a cell's forces at rest (m,) lack on the scale of the readings, for their mean reading to be the measured one."""
 
-    def slope(self, force_N: Floats) -> Floats:
-        """Change of the mean reading per change of the force.
+        def excess_N(zero_N: float) -> float:
+            return float((rest_N + zero_N + self._moved(rest_N + zero_N)).mean()) - self.rest_N
 
-        Args:
-            force_N: Forces without noise (n,).
+        start_N = self.rest_N - float(rest_N.mean())
+        return float(brentq(excess_N, start_N - 1.01 * self.step_N, start_N + 1.01 * self.step_N, xtol=1e-9 * self.step_N))
 
-        Returns:
-            Slopes (n,), 1 where noise dithers the rounding.
-        """
-        h = 0.1 * self.step_N
-        return (self.mean(force_N + h) - self.mean(force_N - h)) / (2.0 * h)
+    def _moved(self, force_N: Floats) -> Floats:
+        """What the rounding adds on average to forces (n,) on the scale of the readings."""
+        return np.interp(force_N, *self._table)
+
+    @cached_property
+    def _table(self) -> tuple[Floats, Floats]:
+        """Forces on the scale of the readings, as far as the reach, and what the rounding adds to them."""
+        steps = int(self.reach_N / self.step_N) + 4
+        force_N = self.rest_N + self.step_N * np.linspace(-steps, steps, 2 * steps * POINTS_PER_STEP + 1)
+        force = (force_N - self.level_N) / self.step_N
+        mean, _ = rounded_moments(force, max(self.noise_rms_N / self.step_N, LEAST_DITHER), self.way)
+        return force_N, self.step_N * (mean - force)
+
+
+def noise_before_rounding(values: Floats, at_rest: NDArray[np.bool_], step: float) -> tuple[float, float]:
+    """The range of noise before the rounding that readings at rest allow.
+
+    A reading that rests in the middle of a level varies less than its noise, and one that rests between two levels varies more. So the
+    variance is compared with that of a rounded normal number at the mean reading of each short stretch of rest. Where only two levels
+    occur, any smaller noise gives the same readings: the range is then wide.
+
+    Args:
+        values: The readings of one axis (n,).
+        at_rest: Which of them rest (n,).
+        step: Step to which they are rounded; 0 for none.
+
+    Returns:
+        Least and largest noise (rms) that the readings allow, both 0 of too few.
+    """
+    rms = measured_rms(values, at_rest)
+    if rms >= EVEN_RMS * step:
+        pure = max(rms**2 - step**2 / 12.0, 0.0) ** 0.5
+        return pure, pure
+    inner = np.flatnonzero(at_rest[2:] & at_rest[1:-1] & at_rest[:-2]) + 1
+    if len(inner) < STRETCH:
+        return 0.0, 0.0
+    readings = values / step
+    squares = np.clip(readings[inner + 1] - 2.0 * readings[inner] + readings[inner - 1], -LARGEST_JUMP, LARGEST_JUMP) ** 2 / 6.0
+    # Neighbours share two of three readings; noise may reach a level twice that was never seen; the mean of a stretch is noisy.
+    square = float(squares.mean())
+    error = float(np.linalg.norm([2.0 * squares.std() * (3.0 / len(inner)) ** 0.5, 2.0 / len(inner), square / STRETCH]))
+    begin = np.flatnonzero(np.diff(inner, prepend=-2) > 1)
+    begin = np.concatenate([np.arange(a, b, STRETCH) for a, b in pairwise([*begin.tolist(), len(inner)])])
+    count = np.diff(begin, append=len(inner))
+    mean = np.add.reduceat(readings[inner], begin) / count - np.angle(np.exp(2j * np.pi * readings[inner]).mean()) / (2.0 * np.pi)
+    apart = np.abs(mean - np.rint(mean))
+    force = np.linspace(0.0, 0.5, 101)
+    expected = []
+    for noise in NOISES:
+        mean_there, variance = rounded_moments(force, noise)
+        expected.append(float(np.average(np.interp(apart, mean_there, variance), weights=count)))
+    expected_there = np.maximum.accumulate(expected) + 1e-9 * np.arange(len(NOISES))
+    low, high = np.interp([square - error, square + error], expected_there, NOISES).tolist()
+    return low * step, high * step
 
 
 def undithered_rms(step: float, noise_rms: float) -> float:
@@ -93,15 +197,12 @@ def undithered_rms(step: float, noise_rms: float) -> float:
 
     Args:
         step: Rounding step, in the unit of the channel.
-        noise_rms: Noise of a sample, rounding included, in the same unit.
+        noise_rms: Noise before the rounding, in the same unit.
 
     Returns:
         Rms in the same unit; 0 without rounding.
     """
-    if step <= 0.0:
-        return 0.0
-    pure = np.sqrt(max(noise_rms**2 - step**2 / 12.0, 0.0))
-    return float(step / np.sqrt(12.0) * np.exp(-2.0 * (np.pi * pure / step) ** 2))
+    return float(step / np.sqrt(12.0) * np.exp(-2.0 * (np.pi * noise_rms / step) ** 2)) if step > 0.0 else 0.0
 
 
 def coarse_step_N(samples: Samples, cell: CellFile) -> float:
@@ -129,27 +230,29 @@ def coarse_step_N(samples: Samples, cell: CellFile) -> float:
     return float(steps[np.argmax(np.abs(np.exp(2j * np.pi * values / steps[:, None]).sum(axis=1)))])
 
 
-def rounding_of(
-    recordings: Sequence[Samples], steps_N: Sequence[float], cell: CellFile, noise_rms_N: float, free_N: float
-) -> Rounding | None:
+def roundings_of(
+    recordings: Sequence[Samples], steps_N: Sequence[float], cell: CellFile, noise_rms_N: float, rests_N: Sequence[float]
+) -> list[Rounding]:
     """How fz is rounded; its levels follow from the mean of all values on the circle of one step.
 
     Args:
-        recordings: The recordings as they were read.
+        recordings: The recordings as they were read; each was tared by itself, so its levels are its own.
         steps_N: Coarse step of each, 0 for none.
         cell: Their cell file.
         noise_rms_N: Noise of a sample before rounding.
-        free_N: Mean reading of fz at rest in the air, where the cell predicts no force.
+        rests_N: Mean reading of fz at rest in the air in each.
 
     Returns:
-        The rounding with the coarsest of the steps, its levels as forces above those at rest; None where noise dithers the stated step.
+        The rounding of each to the coarsest of the steps; none where noise dithers the stated step.
     """
     coarse_N = max(steps_N)
     step_N = coarse_N or cell.sensor.resolution_fz_N
     if noise_rms_N >= DITHERED * step_N:
-        return None
-    turns = np.exp(2j * np.pi * np.concatenate([s.wrench[:, 2] for s in recordings]) / step_N)
-    level_N = float(np.angle(turns.mean()) / (2.0 * np.pi) * step_N)
-    rounding = Rounding(step_N, level_N, noise_rms_N)
-    reach_N = np.inf if coarse_N else REACH * step_N
-    return replace(rounding, level_N=level_N - rounding.force_N(free_N), reach_N=reach_N)
+        return []
+    roundings = []
+    for samples, rest_N in zip(recordings, rests_N, strict=True):
+        readings_N = samples.wrench[:, 2]
+        turn = np.exp(2j * np.pi * readings_N / step_N).mean()
+        reach_N = float(np.abs(readings_N - rest_N).max()) + step_N if coarse_N else REACH * step_N
+        roundings.append(Rounding(step_N, float(np.angle(turn) / (2.0 * np.pi) * step_N), rest_N, noise_rms_N, "nearest", reach_N))
+    return roundings

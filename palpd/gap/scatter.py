@@ -12,10 +12,11 @@ from scipy.ndimage import median_filter
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
-from palpd.gap.noise import FZ, dead, declared_rms, held_runs, measured_rms, repeats, resolutions
+from palpd.gap.noise import FZ, declared_rms, held_runs, repeats, resolutions
 from palpd.gap.phases import FREE_STILL, HOLDING
 from palpd.gap.prepare import PreparedRecording
-from palpd.gap.rounding import coarse_step_N
+from palpd.gap.rounding import coarse_step_N, noise_before_rounding
+from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
 
 HEALTHY_RATIO = 1.2
@@ -29,6 +30,9 @@ UNEVEN = 0.02
 
 P_SEEN = 0.99
 """Probability of a coarse step or of held samples once they have been seen: chance alone makes neither."""
+
+LEAST_NOISE_RATIO = 0.01
+"""Least ratio of shown and stated noise: less is none."""
 
 LONE_RATIO = 1.45
 """Noise of one axis over that of the others above which something unknown acts on that axis."""
@@ -180,31 +184,30 @@ def _held_samples(readings: Sequence[Readings]) -> Seen | None:
 def _noise(recordings: Sequence[PreparedRecording], readings: Sequence[Readings], cell: CellFile) -> tuple[Seen | None, float]:
     """More noise on all axes, and the probability that one axis alone is noisy."""
     coarse = any(one.coarse_step_N > 0 for one in readings)
-    declared = declared_rms(cell)
-    rounding = resolutions(cell) ** 2 / 12.0
-    stated = np.sqrt(np.maximum(declared**2 - rounding, 0.0))
+    steps = resolutions(cell)
+    stated = np.sqrt(np.maximum(declared_rms(cell) ** 2 - steps**2 / 12.0, 0.0))
     samples = sum(int(np.isin(one.phases.phase, (FREE_STILL, HOLDING)).sum()) for one in recordings)
-    ratios, errors = [], []
+    ranges = []
     for channel in range(1, 7):
         if channel == FZ and coarse:
             continue
-        squares = [
-            measured_rms(reading.bridged.wrench[:, channel - 1], one.rest) ** 2
+        noises = [
+            noise_before_rounding(reading.bridged.wrench[:, channel - 1], one.rest, float(steps[channel]))
             for one, reading in zip(recordings, readings, strict=True)
             if one.judged[channel] and one.noise_measured
         ]
-        if not squares or stated[channel] <= 0:
-            continue
-        pure = np.sqrt(max(float(np.mean(squares)) - rounding[channel], 1e-4 * stated[channel] ** 2))
-        ratios.append(float(pure / stated[channel]))
-        errors.append(1.3 / np.sqrt(max(samples, 30)))
-    if len(ratios) < 2:
+        if noises and stated[channel] > 0:
+            ranges.append(np.maximum(np.sqrt(np.mean(np.square(noises), axis=0)) / stated[channel], LEAST_NOISE_RATIO))
+    if len(ranges) < 2:
         return None, 0.0
-    ratio, error = float(np.median(ratios)), float(np.median(errors)) / np.sqrt(len(ratios))
+    low, high = np.array(ranges).T
+    ratio, axis_error = float(np.median(np.sqrt(low * high))), 1.3 / np.sqrt(max(samples, 30))
+    error = axis_error / np.sqrt(len(ranges))
     width = np.hypot(error, 0.02)
     probability = _sigmoid((np.log(ratio) - np.log(HEALTHY_RATIO + 0.06)) / width)
-    spread = float(np.max(np.abs(np.log(np.array(ratios) / ratio))))
-    p_lone_axis = _sigmoid((spread - np.log(LONE_RATIO)) / float(np.hypot(np.median(errors), 0.04)))
+    # Rounding may hide how noisy an axis is: it differs from the others by no less than its readings say.
+    spread = float(np.max(np.abs(np.log(np.clip(ratio, low, high) / ratio))))
+    p_lone_axis = _sigmoid((spread - np.log(LONE_RATIO)) / float(np.hypot(axis_error, 0.04)))
     if probability < 1e-3:
         return None, p_lone_axis
     # The cell's own noise, without the effect, may be anything within specification.

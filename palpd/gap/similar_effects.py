@@ -91,6 +91,13 @@ def standard_motion(cell: CellFile) -> tuple[TestMotion, MotionLimits]:
     return motion, limits
 
 
+def standard_heights(cell: CellFile) -> tuple[Floats, Floats]:
+    """Times (n,) in s and commanded heights (n,) in m of the standard motion of a cell."""
+    motion, limits = standard_motion(cell)
+    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else 0.0
+    return motion.heights(1.0 / ROWS_HZ, surface_m, surface_m + limits.home_m, limits.acceleration_m_per_s2)
+
+
 def similar_effects(effects: Sequence[Effect], cell: CellFile, library: Mapping[str, Effect], most: int = 4) -> list[Similarity]:
     """The effects of a library that are most similar to some effects, on the standard motion of a cell.
 
@@ -103,9 +110,7 @@ def similar_effects(effects: Sequence[Effect], cell: CellFile, library: Mapping[
     Returns:
         The similarities, for each effect the most similar first.
     """
-    motion, limits = standard_motion(cell)
-    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else 0.0
-    t_s, z_cmd_m = motion.heights(1.0 / ROWS_HZ, surface_m, surface_m + limits.home_m, limits.acceleration_m_per_s2)
+    t_s, z_cmd_m = standard_heights(cell)
     problem = make_problem([blank_recording(cell, t_s, z_cmd_m)], cell, library, MAX_BINS)
     base = linearise(problem, {}, problem.nominal_eta)
     shapes = {name: list(_shapes(problem, other, base)) for name, other in library.items() if not other.scatter}

@@ -5,17 +5,22 @@ from collections.abc import Sequence
 import numpy as np
 
 from palpd.cell.cell_file import CellFile
+from palpd.cell.plausible import ask
 from palpd.gap.evidence import fit
 from palpd.gap.linearise import linearise
 from palpd.gap.noise import FZ
+from palpd.gap.plausibility import check_recordings
 from palpd.gap.problem import make_problem, tolerance_key
 from palpd.recording.samples import Samples
+
+MOST_TIMES_STATED = 10.0
+"""Estimated over stated tolerance that is not questioned: ten standard deviations off, a cell is not within specification."""
 
 ITERATIONS = 4
 """Iterations of expectation-maximisation; each costs a fit of every recording."""
 
 
-def estimate_tolerances(recordings: Sequence[Samples], cell: CellFile) -> dict[str, dict[str, float]]:
+def estimate_tolerances(recordings: Sequence[Samples], cell: CellFile, accept_implausible: bool = False) -> dict[str, dict[str, float]]:
     """Estimate one standard deviation of every deviation over recordings of a healthy cell.
 
     Variance components by expectation-maximisation from the stated values, which count as one more observation. So a deviation that the
@@ -24,10 +29,18 @@ def estimate_tolerances(recordings: Sequence[Samples], cell: CellFile) -> dict[s
     Args:
         recordings: Recordings of a healthy cell.
         cell: Its cell file with stated tolerances.
+        accept_implausible: Whether doubtful recordings and implausible tolerances count.
 
     Returns:
         The blocks `tolerances` and `repeatability`, in the units of the cell file.
+
+    Raises:
+        RecordingError: A recording cannot be judged.
+        BadInput: A recording is doubtful or a tolerance implausible, and nobody accepts it.
     """
+    questions = check_recordings(recordings, cell)
+    check = "give recordings of a healthy cell in SI units, or correct the cell file"
+    ask(questions, accept_implausible, check)
     stated = {"tolerances": cell.tolerances.model_dump(), "repeatability": cell.repeatability.model_dump()}
     estimated = stated
     for _ in range(ITERATIONS):
@@ -42,6 +55,13 @@ def estimate_tolerances(recordings: Sequence[Samples], cell: CellFile) -> dict[s
             block: {name: _spread(squares.get((block, name), []), value) for name, value in values.items()}
             for block, values in stated.items()
         }
+    questions = [
+        f"{block}.{name} would be {estimated[block][name]:.3g} and {value:.3g} is stated, expected at most {MOST_TIMES_STATED:g} times that"
+        for block, values in stated.items()
+        for name, value in values.items()
+        if not estimated[block][name] <= MOST_TIMES_STATED * value
+    ]
+    ask(questions, accept_implausible, check)
     return estimated
 
 

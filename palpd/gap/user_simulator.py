@@ -20,7 +20,7 @@ from palpd.cell.effects import Effect
 from palpd.cell.simulation import MeanReading, capture, commanded_motion, mean_reading, predict_motion, wrench_of
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import BadInput, PalpdError, RecordingError
-from palpd.gap.noise import measured_rms
+from palpd.recording.oddities import measured_rms
 from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, named_once, read_columns, refuse_values
 from palpd.tick import Floats
 

@@ -23,7 +23,7 @@ from palpd.history.remarks import remarks_of
 from palpd.history.stored import DIAGNOSIS, StoredRecording, stored_recordings
 
 FILE = "catalogue.sqlite"
-SCHEMA_NUMBER = 1
+SCHEMA_NUMBER = 2
 """Raised whenever SCHEMA or the meaning of a column changes: a catalogue with another number is made anew."""
 BUSY_S = 10.0
 """Longest wait for another process that writes. A write takes milliseconds."""
@@ -41,7 +41,8 @@ CREATE TABLE runs (
 CREATE INDEX runs_by_time ON runs (started_s);
 CREATE TABLE moduli (
     run BLOB NOT NULL, place INTEGER NOT NULL, site TEXT NOT NULL, static_Pa REAL, static_low_Pa REAL, static_high_Pa REAL,
-    dynamic_Pa REAL, corrected_Pa REAL, corrected_low_Pa REAL, corrected_high_Pa REAL, PRIMARY KEY (run, place)
+    dynamic_Pa REAL, corrected_Pa REAL, corrected_low_Pa REAL, corrected_high_Pa REAL, hertz_misfit INTEGER NOT NULL,
+    PRIMARY KEY (run, place)
 ) WITHOUT ROWID;
 CREATE INDEX moduli_by_site ON moduli (site);
 CREATE TABLE effects (
@@ -56,7 +57,10 @@ ShowRead = Callable[[int, int, str], None]
 
 
 class SiteModuli(NamedTuple):
-    """Moduli of a site in one run, in Pa, with 95 % intervals; what the run does not give is None. `dynamic_Pa` is as measured."""
+    """Moduli of a site in one run, in Pa, with 95 % intervals; what the run does not give is None. `dynamic_Pa` is as measured.
+
+    With `hertz_misfit` the moduli change with depth, and the intervals cover their range.
+    """
 
     site: str
     static_Pa: float | None
@@ -64,6 +68,7 @@ class SiteModuli(NamedTuple):
     dynamic_Pa: float | None
     corrected_Pa: float | None
     corrected_ci95_Pa: tuple[float, float] | None
+    hertz_misfit: bool = False
 
 
 class RunEntry(NamedTuple):
@@ -405,7 +410,7 @@ def _insert(
             f"INSERT OR REPLACE INTO runs ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})", tuple(columns.values())
         )
         connection.execute("DELETE FROM moduli WHERE run = ?", (name,))
-        connection.executemany(f"INSERT INTO moduli VALUES ({', '.join('?' * 10)})", [(name, *each) for each in moduli])
+        connection.executemany(f"INSERT INTO moduli VALUES ({', '.join('?' * 11)})", [(name, *each) for each in moduli])
         _read_beside(connection, recording, stamps[1])
 
 
@@ -452,7 +457,7 @@ def _moduli(place: int, site: Any) -> tuple[Any, ...]:
     static, corrected = site["static_ci95_Pa"] or (None, None), site["dynamic_corrected_ci95_Pa"] or (None, None)
     return (
         place, _text(site["name"]), site["static_youngs_modulus_Pa"], *static, site["dynamic_original_Pa"], site["dynamic_corrected_Pa"],
-        *corrected,
+        *corrected, site["hertz_misfit"] is not None,
     )  # fmt: skip
 
 
@@ -509,13 +514,15 @@ def _runs(connection: sqlite3.Connection, only: RunFilter) -> list[RunEntry]:
     where, values = _conditions(only)
     limit = f" LIMIT {int(only.most)}" if only.most is not None else ""
     order = f"ORDER BY started_s DESC, name DESC{limit}"
-    of_site = "run, site, static_Pa, static_low_Pa, static_high_Pa, dynamic_Pa, corrected_Pa, corrected_low_Pa, corrected_high_Pa"
+    of_site = (
+        "run, site, hertz_misfit, static_Pa, static_low_Pa, static_high_Pa, dynamic_Pa, corrected_Pa, corrected_low_Pa, corrected_high_Pa"
+    )
     chosen = "" if where == "1" and not limit else f"WHERE run IN (SELECT name FROM runs WHERE {where} {order})"
     moduli: dict[bytes, list[SiteModuli]] = defaultdict(list)
     query = f"SELECT {of_site} FROM moduli {chosen} ORDER BY run, place"
-    for run, site, static_Pa, low_Pa, high_Pa, dynamic_Pa, corrected_Pa, below_Pa, above_Pa in connection.execute(query, values):
+    for run, site, misfit, static_Pa, low_Pa, high_Pa, dynamic_Pa, corrected_Pa, below_Pa, above_Pa in connection.execute(query, values):
         static, corrected = None if low_Pa is None else (low_Pa, high_Pa), None if below_Pa is None else (below_Pa, above_Pa)
-        moduli[run].append(SiteModuli(site, static_Pa, static, dynamic_Pa, corrected_Pa, corrected))
+        moduli[run].append(SiteModuli(site, static_Pa, static, dynamic_Pa, corrected_Pa, corrected, bool(misfit)))
     *names, _ = RunEntry._fields  # the last are the sites
     rows = connection.execute(f"SELECT {', '.join(names)} FROM runs WHERE {where} {order}", values)
     dry, tags = names.index("dry"), names.index("tags")

@@ -10,8 +10,8 @@ from palpd.history.facts import RunFacts
 from palpd.recording.mcap_file import RecordingHeader
 
 KINDS = (
-    ("static", "static_youngs_modulus_Pa", "static_ci95_Pa"),
-    ("dynamic, corrected", "dynamic_corrected_Pa", "dynamic_corrected_ci95_Pa"),
+    ("static", "static_youngs_modulus_Pa", "static", "depths"),
+    ("dynamic, corrected", "dynamic_corrected_Pa", "dynamic_corrected", "presses"),
 )
 MOVED = ("paths", "sensor.port")
 """Settings that say where things lie, and change nothing that is measured."""
@@ -46,7 +46,8 @@ class DifferentSetting:
 def modulus_differences(one: RunFacts, other: RunFacts) -> list[ModulusDifference]:
     """How far the moduli of two runs differ, at the sites that both have by name.
 
-    The errors of both runs count as independent: an error that they share, such as that of the sensor's gain, is in neither interval.
+    The errors of both runs count as independent: an error that they share, such as that of the sensor's gain, is in neither interval. So
+    is the range over depth where Hertz does not fit, if both pressed to the same depths.
 
     Args:
         one: A run.
@@ -58,8 +59,9 @@ def modulus_differences(one: RunFacts, other: RunFacts) -> list[ModulusDifferenc
     others: Mapping[str, SiteResult] = {site["name"]: site for site in other["sites"]}
     differences = []
     for site in one["sites"]:
-        for kind, value, interval in KINDS:
+        for kind, value, name, pressed in KINDS:
             mine, theirs = dict(site), dict(others.get(site["name"], {}))
+            interval = f"{name}_noise_ci95_Pa" if _depths(mine.get(pressed)) == _depths(theirs.get(pressed)) else f"{name}_ci95_Pa"
             one_Pa, other_Pa = mine.get(value), theirs.get(value)
             if isinstance(one_Pa, float) and isinstance(other_Pa, float):
                 half_Pa = _half(mine.get(interval), theirs.get(interval))
@@ -67,6 +69,10 @@ def modulus_differences(one: RunFacts, other: RunFacts) -> list[ModulusDifferenc
                 ci95_Pa = None if half_Pa is None else (difference_Pa - half_Pa, difference_Pa + half_Pa)
                 differences.append(ModulusDifference(site["name"], kind, one_Pa, other_Pa, difference_Pa, ci95_Pa))
     return differences
+
+
+def _depths(presses: Any) -> set[float]:
+    return {press["commanded_m"] for press in presses or ()}
 
 
 def _half(*intervals: Any) -> float | None:

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from palpd.analysis.results import SiteResult
 from palpd.config import Plan
+from palpd.control.plan_place import SAME_PLACE_M
+from palpd.recording.mcap_file import RecordedPlace
 from palpd.tick import Floats, Mode, Phase
 
 DEPTH_TOLERANCE_M = 5e-5
@@ -55,6 +57,27 @@ def deviations(rows: NDArray[np.void], plan: Plan, sites: list[SiteResult]) -> l
         step_s = float(np.median(np.diff(ticks.now_s))) if len(rows) > 1 else 0.0
         sentences.append(f"the run was paused for {paused * step_s:.1f} s")
     return sentences
+
+
+def place_sentences(place: RecordedPlace | None) -> list[str]:
+    """Say where sites count from, after a run that was not finished.
+
+    Args:
+        place: Of the recording's header; None in recordings of earlier versions.
+
+    Returns:
+        One sentence, or none where the sites count from an ordinary start.
+    """
+    if place is None or place["unfinished"] is None or place["moved_m"] is None:
+        return []
+    if place["taken"] == "return":
+        return [f"the run first went back to where the unfinished run {place['unfinished']} began"]
+    if place["moved_m"] <= SAME_PLACE_M:
+        return []
+    return [
+        f"sites count from ({place['x_m'] * 1e3:.1f}, {place['y_m'] * 1e3:.1f}) mm, {place['moved_m'] * 1e3:.0f} mm from those of the "
+        f"unfinished run {place['unfinished']}: a name may stand for another place"
+    ]
 
 
 def _of_site(ticks: Ticks, plan: Plan, site: SiteResult) -> Iterator[str]:

@@ -12,7 +12,7 @@ from palpd.analysis.results import DryFigures, LoopFigures, SiteResult, cut_shor
 from palpd.analysis.stalls import stall_figures
 from palpd.config import parse_plan
 from palpd.errors import ConfigError, RecordingError
-from palpd.history.deviations import deviations
+from palpd.history.deviations import deviations, place_sentences
 from palpd.history.stored import RECORDING
 from palpd.recording.mcap_file import RecordedTrip, RunAbout
 from palpd.recording.reader import Recording
@@ -131,12 +131,13 @@ def _facts(recording: Recording) -> RunFacts:
 
 
 def _deviations(recording: Recording, measured: list[SiteResult]) -> list[str]:
-    """Where the run differs from its plan; of a plan that another version wrote, that it cannot be compared."""
+    """Where the run differs from its plan and from the place of the run before; of a plan of another version, that nobody can tell."""
+    places = place_sentences(recording.header.get("place"))
     try:
         plan = parse_plan(recording.header["plan"], "the recording's plan")
     except ConfigError as error:
-        return [f"the run cannot be compared with its plan ({error})"]
-    return deviations(recording.rows, plan, measured)
+        return [*places, f"the run cannot be compared with its plan ({error})"]
+    return places + deviations(recording.rows, plan, measured)
 
 
 def load(path: Path) -> tuple[Recording, RunFacts]:

@@ -161,22 +161,30 @@ def draw_moduli(figure: Drawing, sites: Sequence[SiteResult], beside: Mapping[st
         for filled, results in ((True, {site["name"]: site for site in sites}), (False, beside or {})):
             if not filled and interval is None:
                 continue
-            at, values, halves = [], [], []
+            at, values, intervals_Pa = [], [], []
             for place, site in enumerate(sites):
                 result = dict(results.get(site["name"], {}))
                 if isinstance(modulus_Pa := result.get(value), float):
-                    ci95_Pa: Any = result.get(interval or "") or (0.0, 0.0)
                     at.append(place + 0.14 * (number - 1) + (0.0 if filled else 0.06))
                     values.append(modulus_Pa / 1e3)
-                    halves.append((ci95_Pa[1] - ci95_Pa[0]) / 2e3)
+                    ci95_Pa: Any = result.get(interval or "")
+                    intervals_Pa.append(ci95_Pa)
             if values:
                 name = label if filled else f"{label}, run beside"
                 face = colour if filled or marker == "x" else "none"
-                axes.errorbar(at, values, halves, fmt=marker, color=colour, markerfacecolor=face, markersize=5, capsize=3, label=name)
+                bars = _bars(values, intervals_Pa)
+                axes.errorbar(at, values, bars, fmt=marker, color=colour, markerfacecolor=face, markersize=5, capsize=3, label=name)
     axes.set(ylabel="E (kPa)", xlim=(-0.5, len(sites) - 0.5))
     axes.set_xticks(range(len(sites)), [_label(site["name"]) for site in sites])
     axes.grid(visible=False, axis="x")
     _legend(figure, [axes])
+
+
+def _bars(values_kPa: Sequence[float], intervals_Pa: Sequence[Sequence[float] | None]) -> Floats:
+    """Lengths (2, n) of the bars below and above values, zero where there is no interval."""
+    ends = [(value, value) if ci is None else (ci[0] / 1e3, ci[1] / 1e3) for value, ci in zip(values_kPa, intervals_Pa, strict=True)]
+    low, high = np.array(ends).reshape(-1, 2).T
+    return np.maximum([values_kPa - low, high - values_kPa], 0.0)
 
 
 def draw_course(figure: Drawing, recording: Recording, trips: Sequence[RecordedTrip]) -> None:
@@ -272,8 +280,8 @@ def draw_trend(figure: Drawing, points: Mapping[str, Sequence[ModulusPoint]], be
             known = [(point, modulus_Pa) for point in of_site if (modulus_Pa := value(point.moduli)) is not None]
             days = np.array([(point.started_s - day_0_s) / SECONDS_A_DAY for point, _ in known])
             values = np.array([modulus_Pa / 1e3 for _, modulus_Pa in known])
-            halves = np.array([(ci[1] - ci[0]) / 2e3 if (ci := interval(point.moduli)) else 0.0 for point, _ in known])
-            axes.errorbar(days, values, halves, fmt="o-", color=colour, markersize=3.5, linewidth=0.8, capsize=2, label=label)
+            bars = _bars(values.tolist(), [interval(point.moduli) for point, _ in known])
+            axes.errorbar(days, values, bars, fmt="o-", color=colour, markersize=3.5, linewidth=0.8, capsize=2, label=label)
             mine = np.array([point.started_s == began_s for point, _ in known], bool)
             axes.plot(days[mine], values[mine], "o", markerfacecolor="none", markeredgecolor=INK, markersize=9)
         axes.set_title(_label(site))

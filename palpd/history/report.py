@@ -12,6 +12,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from palpd.analysis.figure_style import inline_svg, save_figure, styled_figure
+from palpd.analysis.hertz_misfit import star_note, starred
 from palpd.analysis.page import rendered_page
 from palpd.analysis.results import SiteResult
 from palpd.errors import BadInput
@@ -152,6 +153,7 @@ def page(report: RunReport) -> str:
             headline=headline(facts),
             tiles=_tiles(facts),
             moduli=[_modulus_row(site) for site in facts["sites"]],
+            misfits=[f"Site {site['name']}: {misfit['sentence']}." for site in facts["sites"] if (misfit := site["hertz_misfit"])],
             depths=_depth_rows(facts),
             faults=fault_sentences(facts),
             timing=_timing_rows(facts),
@@ -198,8 +200,8 @@ def sheet(report: RunReport) -> Figure:
             words,
             conditions,
         ]
-        lines += fault_sentences(facts)[:2]
-        text = "\n".join(_wrapped(printable(line), 120) for line in lines)
+        lines += [*fault_sentences(facts)[:2], star_note({str(site["name"]): site["hertz_misfit"] for site in facts["sites"]})]
+        text = "\n".join(_wrapped(printable(line), 120) for line in lines if line)
         head.text(0.02, 0.97 - 0.3 / head_in, text.replace("$", r"\$"), fontsize=8, va="top", linespacing=1.35)
         if table:
             axes = head.add_axes((0.02, 0.0, 0.96, (0.22 + 0.2 * len(table)) / head_in))
@@ -349,10 +351,10 @@ def _tiles(facts: RunFacts) -> list[tuple[str, str, str]]:
 def _modulus_row(site: SiteResult) -> list[str]:
     return [
         str(site["name"]),
-        kilopascals(site["static_youngs_modulus_Pa"]),
+        starred(kilopascals(site["static_youngs_modulus_Pa"]), site["hertz_misfit"]),
         interval_kPa(site["static_ci95_Pa"]),
         kilopascals(site["dynamic_original_Pa"]),
-        kilopascals(site["dynamic_corrected_Pa"]),
+        starred(kilopascals(site["dynamic_corrected_Pa"]), site["hertz_misfit"]),
         interval_kPa(site["dynamic_corrected_ci95_Pa"]),
         "–" if site["peak_force_N"] is None else f"{site['peak_force_N']:.2f} N",
         ", ".join(f"{depth_m * 1e3:g} mm" for depth_m in site["cut_short_depths_m"]) or "none",

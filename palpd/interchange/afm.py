@@ -43,11 +43,12 @@ class AfmReader:
     def channels(self, path: Path) -> Sequence[Channel]:
         """List the columns of the curves."""
         curves = _curves(path)
-        return [
-            Channel(_name(column, number, len(curves)), "column", UNITS[column], _rate_Hz(curve), len(curve))
-            for number, curve in enumerate(curves, start=1)
-            for column in _columns(curve)
-        ]
+        with understanding(path, KIND):
+            return [
+                Channel(_name(column, number, len(curves)), "column", UNITS[column], _rate_Hz(curve), len(curve))
+                for number, curve in enumerate(curves, start=1)
+                for column in _columns(curve)
+            ]
 
     def columns(self, path: Path, names: Sequence[str]) -> dict[str, ChannelData]:
         """Read columns by their names.
@@ -94,7 +95,11 @@ def _curves(path: Path) -> list[Any]:
     with understanding(path, KIND):
         try:
             curves = list(afmformats.load_data(path))
-        except (afmformats.errors.AFMFileFormatError, afmformats.errors.MissingMetaDataError) as failure:  # which are no Exception
+        except (
+            afmformats.errors.AFMFileFormatError,
+            afmformats.errors.MissingMetaDataError,
+            afmformats.meta.MetaDataMissingError,
+        ) as failure:  # which are no Exception
             raise ValueError(f"no format of its ending fits what is in it: {failure}") from failure
     if not curves:
         raise RecordingError(f"{path.name} holds no curve; export it again")

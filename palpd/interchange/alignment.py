@@ -171,15 +171,20 @@ def tared(t_s: Floats, z_m: Floats, wrench: Floats, tare_s: float) -> Floats:
         The tared readings (n, 6).
 
     Raises:
-        BadInput: The stretch is empty, or the tip moves in it.
+        BadInput: The stretch is empty or longer than the recording, or the tip moves in it.
     """
     first = t_s - t_s[0] <= tare_s
     if tare_s <= 0.0 or first.sum() < 2:
         raise BadInput(
             f"--tare-s {tare_s:g} holds {int(first.sum())} samples, expected 2 or more; give the seconds for which the probe is still"
         )
+    if tare_s > t_s[-1] - t_s[0]:
+        raise BadInput(
+            f"--tare-s is {tare_s:g} s and the recording lasts {t_s[-1] - t_s[0]:.3g} s; give the seconds at its start for which the "
+            "probe is free and still"
+        )
     moved_m, stroke_m = float(np.ptp(z_m[first])), float(np.ptp(z_m))
-    if moved_m > STILL_SHARE * stroke_m and not first.all():
+    if moved_m > STILL_SHARE * stroke_m:
         raise BadInput(
             f"the tip moves by {moved_m:.3g} m in the first {tare_s:g} s, expected at most 1 % of its stroke of {stroke_m:.3g} m; give a "
             "shorter --tare-s, in which the probe is free and still"

@@ -4,6 +4,7 @@ A reader is one object that fits the protocol `FileReader`. Readers are found by
 package can bring its own.
 """
 
+import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -143,7 +144,7 @@ def refuse_not_finite(path: Path, name: str, values: Floats) -> None:
 
 @contextmanager
 def understanding(path: Path, kind: str) -> Iterator[None]:
-    """Turn whatever a library says of a damaged file into one sentence.
+    """Turn whatever a library raises over a damaged file into one sentence, and keep what it logs off the terminal.
 
     Args:
         path: The file.
@@ -155,6 +156,8 @@ def understanding(path: Path, kind: str) -> Iterator[None]:
     Raises:
         RecordingError: The library raised an error of any class.
     """
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
     try:
         yield
     except PalpdError:
@@ -164,6 +167,8 @@ def understanding(path: Path, kind: str) -> Iterator[None]:
         raise RecordingError(
             f"{path.name} cannot be read as {kind} ({what}); it is truncated, damaged or something else: copy or export it again"
         ) from failure
+    finally:
+        logging.disable(before)
 
 
 def refuse_empty(path: Path) -> None:

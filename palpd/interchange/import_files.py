@@ -8,12 +8,14 @@ from typing import Literal
 
 import numpy as np
 
+from palpd.cell.plausible import ask
 from palpd.errors import BadInput, RecordingError
 from palpd.files import nearest
 from palpd.interchange.alignment import Axis, TipPath, Wrench, continuous, overlap, refuse_turn, rotated, tared, turned
 from palpd.interchange.channels import Channel, ChannelData, FileReader, Kind, listing
 from palpd.interchange.registry import reader_of
-from palpd.interchange.units import Quantity, UnitScale, refuse_impossible, refuse_unconfirmed, scale_of, unit_named
+from palpd.interchange.units import Quantity, UnitScale, refuse_unconfirmed, scale_of, unit_named
+from palpd.recording.oddities import dead, questions_of, refuse_dead
 from palpd.recording.samples import MIN_SAMPLES, WRENCH_COLUMNS, Samples, samples_from_columns, write_csv
 from palpd.tick import Floats
 
@@ -29,6 +31,8 @@ KNOWN_COLUMNS = (OWN, ("force", "tip position", "time"), ("force", "height (meas
 """Names of force, height and time that formats fix, so that nobody need give them."""
 CLEAR_SHARE = 0.05
 """Share of the swing of the force that it may have at the start before a note asks for a tare."""
+FALLING_SHARE = 0.3
+"""Share of the swing of the force by which it may be lower where the tip is lowest: adhesion and friction stay below."""
 SLOPE_ERROR = 0.2
 """Largest error of the integral of speeds, as a share of the heights' own deviation, with which the speeds belong to the heights."""
 
@@ -38,7 +42,7 @@ class ImportOptions:
     """What the user says of foreign files; what is absent is found where there is one choice only.
 
     `time_columns` is one name for all files, or one for each. `columns` names further columns of the recording (ROLES). `offset_s` is added
-    to the times of the force, `tare_s` is the length of the still start.
+    to the times of the force, `tare_s` is the length of the still start, `accept_implausible` lets implausible values count.
     """
 
     force_column: str | None = None
@@ -62,6 +66,7 @@ class ImportOptions:
     axis: Axis | None = None
     offset_s: float | None = None
     tare_s: float | None = None
+    accept_implausible: bool = False
 
 
 @dataclass(frozen=True)
@@ -174,7 +179,10 @@ def read_files(paths: Sequence[Path], options: ImportOptions) -> Imported:
         readings = tared(t_s, columns["z_m"], readings, options.tare_s)
     columns |= {"t_s": t_s - t_s[0], **dict(zip(WRENCH_COLUMNS, np.ascontiguousarray(readings.T), strict=True))}
     samples = samples_from_columns(columns, names)
-    return Imported(samples, (*notes, *_questions(samples, options)))
+    refuse_dead(samples, f"{names}: ")
+    check = "check columns, --force-unit, --length-unit, --time-unit and the signs (--axis, --compression-negative, --height-column)"
+    notes += ask([f"{names}: {each}" for each in _questions(samples, options)], options.accept_implausible, check)
+    return Imported(samples, (*notes, *_tare_notes(samples, options)))
 
 
 class _Reading:
@@ -194,8 +202,6 @@ class _Reading:
         together = [each for each in (self._pose, self._wrench) if each is not None]
         optional: list[tuple[Kind, str | None]] = [("twist", options.twist), ("command", options.command)]
         self._twist, self._command = (self._vector(kind, name) if self._pose is not None else None for kind, name in optional)
-        if self._command is None and options.command is not None and self._pose is not None:
-            self._command = (self._source_with(options.command), options.command)
         self._tables = self._columns_by_file()
         vectors = [*together, *(each for each in (self._twist, self._command) if each is not None)]
         self._columns = self._read([*vectors, *((source, name) for source, names in self._tables for name in names)])
@@ -231,7 +237,6 @@ class _Reading:
         t_s = self._times(pose)
         vz_m_per_s = z_cmd_m = None
         z_m = turned(np.ascontiguousarray(pose.values[:, :3]), axis)[:, 2]
-        refuse_impossible(self._pose[1], "length", z_m, "m")
         if self._twist is not None:
             twist = self._columns[self._twist[0].path, self._twist[1]]
             vz_m_per_s = _at(t_s, self._times(twist), turned(twist.values, axis)[:, 2], f"{self._twist[1]} and {self._pose[1]}")
@@ -249,7 +254,6 @@ class _Reading:
         if self._wrench is None:
             return self._wrench_of_columns()
         column = self._columns[self._wrench[0].path, self._wrench[1]]
-        refuse_impossible(self._wrench[1], "force", column.values[:, :3], "N")
         return Wrench(self._times(column), column.values, column.frame)
 
     def _with_known_columns(self, options: ImportOptions) -> ImportOptions:
@@ -271,6 +275,7 @@ class _Reading:
             source = self._source_with(name)
             if any(channel.name == name and channel.kind == "column" for channel in source.channels):
                 raise BadInput(f"{name} is a column of numbers, expected a {kind}; name it with {self._column_option(kind)}")
+            _refuse_other_kind(source, name, kind)
             return source, name
         choices = [(source, channel.name) for source in self.sources for channel in source.of_kind(kind)]
         if len(choices) == 1:
@@ -366,9 +371,7 @@ class _Reading:
         values = self._columns[source.path, name].values
         scale = scale_of(name, quantity, values, stated=stated, given=unit, per_volt=per_volt.get(quantity))
         self._scales[source.path, name] = scale
-        scaled = values * scale.factor if scale.factor != 1.0 else values
-        refuse_impossible(name, quantity, scaled, scale.unit)
-        return scaled
+        return values * scale.factor if scale.factor != 1.0 else values
 
     def _time_column(self, source: Source, columns: Sequence[str]) -> str | None:
         """Name of the column of time of a file; None where its columns have times of their own."""
@@ -426,6 +429,16 @@ class _Reading:
             if role not in MOTION_ROLES:
                 wrench[:, WRENCH_COLUMNS.index(role)] = scaled[column]
         return Wrench(t_s, wrench, None)
+
+
+def _refuse_other_kind(source: Source, name: str, kind: Kind) -> None:
+    """Refuse a topic that holds something else than the option it was given for. Raises BadInput."""
+    fitting: dict[Kind, tuple[Kind, ...]] = {"pose": ("pose", "command", "transforms"), "command": ("command", "pose", "transforms")}
+    for channel in source.channels:
+        if channel.name == name and channel.kind not in (*fitting.get(kind, (kind,)), "other"):
+            raise BadInput(
+                f"--{kind} {name}: it holds a {channel.kind}, expected a {kind}; {source.path.name} holds {listing(source.channels)}"
+            )
 
 
 def _at(t_s: Floats, own_s: Floats, values: Floats, names: str) -> Floats:
@@ -492,22 +505,22 @@ def _refuse_contradictions(options: ImportOptions) -> None:
 
 
 def _questions(samples: Samples, options: ImportOptions) -> list[str]:
-    """What looks wrong in the result: a force that is not tared, or that falls while the tip presses."""
+    """What is implausible in the result, such as a force that falls while the tip presses."""
     fz_N, z_m = samples.wrench[:, 2], samples.z_m
-    swing_N = float(np.ptp(fz_N))
-    if swing_N == 0.0:
-        return [f"The force is {fz_N[0]:g} N throughout; is it the right column?"]
-    notes = []
+    if dead(fz_N):
+        return [*questions_of(samples), f"fz_N is {fz_N[0]:g} throughout, expected noise at least"]
     high, low = z_m >= np.quantile(z_m, 0.8), z_m <= np.quantile(z_m, 0.05)
-    level_N, deep_N = float(np.median(fz_N[high])), float(np.median(fz_N[low]))
-    if deep_N - level_N < -0.3 * swing_N:
-        option = "--axis or --compression-negative" if options.axis else "--compression-negative"
-        notes.append(
-            f"fz_N falls by {level_N - deep_N:.3g} N where the tip is lowest; pressing must give a positive force: check {option}."
-        )
+    fall_N = float(np.median(fz_N[high]) - np.median(fz_N[low]))
+    if fall_N <= FALLING_SHARE * float(np.ptp(fz_N)):
+        return questions_of(samples)
+    option = "--axis or --compression-negative" if options.axis else "--compression-negative"
+    return [*questions_of(samples), f"fz_N falls by {fall_N:.3g} N where the tip is lowest, and pressing gives a positive force ({option})"]
+
+
+def _tare_notes(samples: Samples, options: ImportOptions) -> list[str]:
+    """A note where the force does not look tared."""
+    fz_N = samples.wrench[:, 2]
     start_N = float(np.median(fz_N[: max(3, len(fz_N) // 100)]))
-    if options.tare_s is None and abs(start_N) > CLEAR_SHARE * swing_N:
-        notes.append(
-            f"fz_N begins at {start_N:.3g} N; a diagnosis expects a tared sensor: give --tare-s if the probe is free at the start."
-        )
-    return notes
+    if options.tare_s is not None or abs(start_N) <= CLEAR_SHARE * float(np.ptp(fz_N)):
+        return []
+    return [f"fz_N begins at {start_N:.3g} N; a diagnosis expects a tared sensor: give --tare-s if the probe is free at the start."]

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from palpd.cell.plausible import PLAUSIBLE
 from palpd.errors import BadInput
 from palpd.tick import Floats
 
@@ -41,10 +42,6 @@ PER_SECOND = re.compile(r"[_\s,]\s*([a-zµμ]*m)(?:_per_|/)s$")
 NOT_APPENDED = ("in", "min")
 """Units that end a name only in brackets: "force_min" is a minimum."""
 
-LONGEST_STROKE_M = 1.0
-"""No palpation moves this far; a height that does is in another unit."""
-LARGEST_FORCE_N = 1e5
-"""No probe of a palpation bears this force; a force that large is in another unit."""
 SLOWEST_STEP_S = 0.5
 """Time step above which a column of time without a unit is in ms, µs or ns: recordings have 5 to 2000 Hz."""
 
@@ -136,10 +133,10 @@ def _size_guess(quantity: Quantity, values: Floats) -> str | None:
     """The unit in which numbers of this size would be usual; None where SI is."""
     if quantity == "length":
         span = float(np.ptp(values)) if len(values) else 0.0
-        return None if span <= LONGEST_STROKE_M else "mm" if span <= 1e3 else "um" if span <= 1e5 else "nm"
+        return None if span <= PLAUSIBLE["stroke"].high else "mm" if span <= 1e3 else "um" if span <= 1e5 else "nm"
     if quantity == "force":
         peak = float(np.abs(values).max()) if len(values) else 0.0
-        return None if peak <= LARGEST_FORCE_N else "uN" if peak <= 1e9 else "nN"
+        return None if peak <= PLAUSIBLE["force"].high else "uN" if peak <= 1e9 else "nN"
     if quantity == "time" and len(values) > 1:
         step = float(np.median(np.diff(values)))
         return None if step <= SLOWEST_STEP_S else "ms" if step <= 200.0 else "us" if step <= 2e5 else "ns"
@@ -163,28 +160,3 @@ def refuse_unconfirmed(scales: list[UnitScale], confirmed: bool, name: str) -> N
         options = " and ".join(dict.fromkeys(f"{OPTIONS[each.quantity]} {each.unit}" for each in guesses if each.quantity in OPTIONS))
         explicit = f", or give {options}" if options else ""
         raise BadInput(f"{name}: palpd guesses that {shown}; repeat the command with --units confirmed if that is right{explicit}")
-
-
-def refuse_impossible(column: str, quantity: Quantity, values: Floats, unit: str) -> None:
-    """Refuse values that no palpation has in SI.
-
-    Args:
-        column: Name of the column.
-        quantity: What it holds.
-        values: Its numbers in SI (n,).
-        unit: The unit that was applied.
-
-    Raises:
-        BadInput: A stroke or a force is impossible.
-    """
-    if quantity == "length" and (stroke_m := float(np.ptp(values))) > LONGEST_STROKE_M:
-        raise BadInput(
-            f"column {column} spans {stroke_m:.3g} m as {unit}, expected less than {LONGEST_STROKE_M:g} m; correct --length-unit or the "
-            "column"
-        )
-    if quantity == "force" and (peak_N := float(np.abs(values).max())) > LARGEST_FORCE_N:
-        row = int(np.argmax(np.abs(values))) + 1
-        raise BadInput(
-            f"column {column} is {peak_N:.3g} N as {unit} in row {row} of the numbers, expected less than {LARGEST_FORCE_N:g} N; "
-            "correct --force-unit or the column"
-        )

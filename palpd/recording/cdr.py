@@ -242,6 +242,37 @@ def absent_fields(schema: str) -> tuple[str, ...] | None:
     return absent if theirs == expected else None
 
 
+def absent_in(tick: bytes) -> tuple[str, ...] | None:
+    """Find which fields of LATER a Tick message does not have, where the message definition is lost.
+
+    Args:
+        tick: The message.
+
+    Returns:
+        The names, or None where it is no tick.
+    """
+    for known in range(len(LATER), -1, -1):
+        absent = tuple(LATER)[known:]
+        frames = _frames_of_length(absent).get(len(tick), -1)
+        if frames >= 0 and np.frombuffer(tick, tick_layout(frames, absent))["frames"][0] == frames:
+            return absent
+    return None
+
+
+def epoch_offset_s(tick: bytes, absent: tuple[str, ...]) -> float:
+    """What turns monotonic seconds into Unix time, from the two times of a Tick message.
+
+    Args:
+        tick: The message.
+        absent: Fields of LATER that it does not have.
+
+    Returns:
+        The offset in s, to a microsecond.
+    """
+    packed = np.frombuffer(tick, tick_layout(_frames_of_length(absent)[len(tick)], absent))[0]
+    return float(packed["sec"] + 1e-9 * packed["nanosec"] - packed["now_s"])
+
+
 def _fields_of(schema: str) -> list[str]:
     return [line for line in schema.splitlines() if "=" not in line and not line.startswith("#")]
 

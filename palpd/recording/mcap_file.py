@@ -9,12 +9,14 @@ import fcntl
 import io
 import itertools
 import json
+import math
 import mmap
 import os
+import re
 import struct
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Literal, TypedDict, cast
@@ -23,7 +25,7 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, DataEnd, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, Metadata, Schema
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
 from zstandard import ZstdError
@@ -35,6 +37,7 @@ from palpd.recording import cdr
 from palpd.recording.topics import SCHEMAS, TICK_TOPIC, TOPICS, Rows, TopicMessages
 
 HEADER, FOOTER, MODEL = "palpd.header", "palpd.footer", "model.onnx"
+HEADER_LOST = "its header is lost: configuration, plan and names of sites"
 _UNREADABLE = (McapError, ZstdError, struct.error, ValueError, KeyError, RuntimeError, MemoryError, OverflowError)
 """What the MCAP reader raises on truncated or altered bytes."""
 LATEST_S = 1e11
@@ -67,6 +70,23 @@ class RecordedSite(TypedDict):
     y_m: float
 
 
+class RecordedPlace(TypedDict):
+    """Where the sites count from, in base axes.
+
+    `taken` says how: as the `plan` states, the `start` pose, `here` by the operator's word, or after a `return`. `unfinished` is the run
+    before, where it did not end at its start, and `moved_m` the way from its origin to this one. A run that went back first went to
+    `back_to_m`, not below `top_z_m` on its way.
+    """
+
+    x_m: float
+    y_m: float
+    taken: Literal["plan", "start", "here", "return"]
+    unfinished: str | None
+    moved_m: float | None
+    back_to_m: list[float] | None
+    top_z_m: float | None
+
+
 class RecordedGeometry(TypedDict):
     """What the moduli of a run depend on. Without a measured machine stiffness the machine counts as rigid."""
 
@@ -81,18 +101,23 @@ class RecordingHeader(TypedDict, total=False):
 
     `config` and `plan` are config.yaml and plan.yaml as parsed, `model_card` is the inertial model's card, `reference` (6,) the tare of
     the last calibration. `epoch_offset_s` turns monotonic seconds into Unix time. A palpation without `returns_to_start` ended above
-    its last site; without `pauses_in_place` a pause stood still where the arm was. A simulated run fills only what the analysis reads.
-    `format_version` is that of the file, 1 where it is absent.
+    its last site; with `pauses_in_place` a pause stood still where the arm was; without `lifts_first` nothing showed that it was
+    not tared in contact. A retract of an `unfinished` contact went up at any force, at least to `clear_z_m`. A simulated run fills only
+    what the analysis reads. `format_version` is that of the file, 1 where it is absent.
     """
 
     format_version: int
-    kind: Literal["palpation", "free_motion", "stiffness", "retract", "calibrate", "check", "observe"]
+    kind: Literal["palpation", "free_motion", "stiffness", "retract", "level_test", "calibrate", "check", "observe"]
     dry: bool
     config: dict[str, Any]
     plan: dict[str, Any]
     sites: list[RecordedSite]
+    place: RecordedPlace | None
     returns_to_start: bool
     pauses_in_place: bool
+    lifts_first: bool
+    unfinished: bool
+    clear_z_m: float | None
     reference: list[float]
     machine_stiffness_N_per_m: float | None
     body: RecordedGeometry
@@ -138,9 +163,19 @@ class RecordingFooter(TypedDict, total=False):
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEAD = struct.Struct("<BQ")
 """Opcode and length of a record's content, by the MCAP specification."""
+_INDEX, _END_BYTES = struct.Struct("<HI"), 4
+"""Channel and length of an index of messages, and the size of the checksum that ends the data."""
 
-_ZSTD, _BEFORE_ZSTD = b"\x04\x00\x00\x00zstd", _RECORD_HEAD.size + struct.calcsize("<QQQI")
-"""Name of a chunk's compression, and the number of bytes of the chunk before it: head, times, size and checksum."""
+_BEGIN = re.compile(
+    rb"\x06.{36}\x04\0{3}zstd"  # a chunk: head, times, size and checksum stand before the name of its compression
+    rb"|\x0c.{8}\x0c\0{3}palpd\.(?:header|footer)"
+    rb"|\x09.{24}\x0a\0{3}model\.onnx"  # an attachment: head and two times stand before its name
+    rb"|\x0f\x04\0{7}",  # the end of the data
+    re.DOTALL,
+)
+"""How a record begins that recovery looks for behind a damaged one."""
+_CHUNK_BYTES = struct.calcsize("<QQQIIQ")
+"""Size of a chunk without the name of its compression and its content."""
 
 
 def part_of(path: Path) -> Path:
@@ -169,7 +204,8 @@ class RecordingWriter:
         fcntl.flock(self._stream, fcntl.LOCK_EX)
         self._writer = Writer(self._stream, chunk_size=1 << 30, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="ros2", library="palpd")
-        self._writer.add_metadata(HEADER, {"json": json.dumps(header)})
+        self._header = _checked(json.dumps(header))
+        self._writer.add_metadata(HEADER, self._header)
         if model_bytes is not None:
             self._writer.add_attachment(0, 0, MODEL, "application/octet-stream", model_bytes)
         schema = {name: self._writer.register_schema(name, "ros2msg", text.encode()) for name, text in SCHEMAS.items()}
@@ -193,7 +229,8 @@ class RecordingWriter:
     def close(self, footer: RecordingFooter) -> Path:
         """Finish the file, sync it to the disk and rename it. Raises RecordingError where that name exists by now."""
         self._writer.flush()
-        self._writer.add_metadata(FOOTER, {"json": json.dumps(footer)})
+        again = {f"{HEADER}.{key}": text for key, text in self._header.items()}  # where the first is damaged, the second restores it
+        self._writer.add_metadata(FOOTER, _checked(json.dumps(footer)) | again)
         self._writer.finish()
         self._stream.flush()
         os.fsync(self._stream.fileno())
@@ -220,6 +257,18 @@ class RecordingWriter:
         self._sequence[topic] += len(messages)
 
 
+def _checked(text: str) -> dict[str, str]:
+    """A text with its checksum, which the format gives metadata none."""
+    return {"json": text, "crc32": str(zlib.crc32(text.encode()))}
+
+
+class _Header(dict[str, Any]):
+    """The header of a recording; a key that it lacks is refused in a sentence."""
+
+    def __missing__(self, key: str) -> Any:
+        raise RecordingError(f"the recording does not say its {key}: it was restored without its header; use what needs the ticks alone")
+
+
 class _Records(StreamReader):  # type: ignore[misc] # the library has no types
     """The records of a file, without taking its indices apart: nobody here asks for them, and they took half of the time of a load.
 
@@ -242,7 +291,10 @@ class Contents:
     model_bytes: bytes | None = None
     schema: str | None = None
     torn: str = ""
+    header_lost: bool = False
+    _foreign: bool = field(default=False, repr=False)
     _ticks: int | None = field(default=None, repr=False)
+    _absent: tuple[str, ...] = field(default=(), repr=False)
 
     def batches(self, path: Path, *, skip_damaged: bool = False) -> Iterator[list[bytes]]:
         """Yield the Tick messages chunk by chunk and fill the other attributes meanwhile.
@@ -264,13 +316,15 @@ class Contents:
             raise RecordingError(f"{path} cannot be read ({error.strerror}); give a recording that exists") from error
         with stream:
             start = stream.read(len(_MAGIC))
-            if start != _MAGIC:
+            if start != _MAGIC and not (skip_damaged and start and _holds_record(stream)):
                 raise RecordingError(f"{path} is not an MCAP file: it begins with {start!r}; give a recording of palpd run")
             stream.seek(0)
+            self.torn = "" if start == _MAGIC else "at byte 0 (its name of a format)"
             yield from self._salvage(stream) if skip_damaged else self._read(stream)
 
     def _salvage(self, stream: IO[bytes]) -> Iterator[list[bytes]]:
         """Yield from every chunk whose checksum is right, wherever the file is damaged besides."""
+        self._ticks = list(TOPICS).index(TICK_TOPIC) + 1  # as the writer numbers them: the record that says so may be damaged
         with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             position, ended = len(_MAGIC), False
             while 0 <= position < len(data) and not ended:
@@ -281,29 +335,46 @@ class Contents:
                     if (batch := self._salvaged(data[position], data[position + _RECORD_HEAD.size : end])) is not None:
                         yield batch
                     if ended:
-                        self._check_data(data[:position], data[position + _RECORD_HEAD.size : end])
+                        self._check_data(data, position)
                     position = end
                 except _UNREADABLE as error:
-                    self.torn = self.torn or f"at byte {position} of {len(data)} ({type(error).__name__})"
-                    # The length of a damaged record is believed only where a record begins behind it.
-                    after = end is not None and _end_of_record(data, end) is not None
-                    position = end if after and end is not None else _next_chunk(data, position + 1)
+                    outside = "outside of its chunks: header or footer may be altered, " if data[position] == Opcode.METADATA else ""
+                    self.torn = self.torn or f"{outside}at byte {position} of {len(data)} ({type(error).__name__})"
+                    ended, position = False, _next_record(data, position + 1)
             if not ended and not self.torn:
                 self.torn = "(it has no end of data)"
 
-    def _check_data(self, before: bytes, content: bytes) -> None:
-        """Compare the checksum of all records, which covers the header and the footer too; zero stands for none."""
-        stated = int.from_bytes(content[:4], "little")
-        if not self.torn and stated not in (0, zlib.crc32(before)):
-            self.torn = "outside of its chunks: header or footer may be altered"
+    def _check_data(self, data: mmap.mmap, end: int) -> None:
+        """Compare the checksum of all records before `end`, which covers the header and the footer too; zero stands for none."""
+        stated = int.from_bytes(data[end + _RECORD_HEAD.size : end + _RECORD_HEAD.size + _END_BYTES], "little")
+        with memoryview(data) as whole, whole[:end] as before:
+            if not self.torn and stated not in (0, zlib.crc32(before)):
+                self.torn = "outside of its chunks: header or footer may be altered"
 
     def _salvaged(self, opcode: int, content: bytes) -> list[bytes] | None:
-        """The Tick messages of a chunk; of other records the content is kept, and the answer is None."""
+        """The Tick messages of a chunk; of other records the content is kept, and the answer is None.
+
+        Raises ValueError where the record is none of ours, or its length is not that of its content.
+        """
+        stream = io.BytesIO(content)
         if opcode == Opcode.CHUNK:
-            return self._ticks_of(Chunk.read(ReadDataStream(io.BytesIO(content))))
-        if opcode == Opcode.METADATA:
-            self._keep(Metadata.read(ReadDataStream(io.BytesIO(content))))
-        elif opcode == Opcode.ATTACHMENT:
+            chunk = Chunk.read(ReadDataStream(stream))
+            if len(content) != _CHUNK_BYTES + len(chunk.compression) + len(chunk.data):
+                raise ValueError("the chunk has another length than its content")
+            return self._ticks_of(chunk)
+        if opcode in (Opcode.HEADER, Opcode.METADATA):
+            record = (Header if opcode == Opcode.HEADER else Metadata).read(ReadDataStream(stream))
+            if stream.tell() != len(content):
+                raise ValueError("the record has another length than its content")
+            if isinstance(record, Metadata):
+                self._keep(record)
+        elif opcode == Opcode.MESSAGE_INDEX:
+            if len(content) < _INDEX.size or _INDEX.unpack_from(content)[1] != len(content) - _INDEX.size:
+                raise ValueError("the index has another length than its content")
+        elif opcode != Opcode.ATTACHMENT:
+            if opcode != Opcode.DATA_END or len(content) != _END_BYTES:
+                raise ValueError("no record that palpd writes")
+        else:
             if zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little"):
                 raise ValueError("the checksum of the attachment is wrong")
             attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
@@ -327,26 +398,33 @@ class Contents:
             self.torn = f"{where} ({type(error).__name__})"
 
     def _keep(self, metadata: Metadata) -> None:
-        """Keep the recording's header or footer. Raises ValueError where it holds no keys."""
-        if metadata.name not in (HEADER, FOOTER):
-            return
-        content = json.loads(metadata.metadata["json"])
-        if not isinstance(content, dict):
-            raise ValueError(f"{metadata.name} holds a {type(content).__name__}, expected keys and values")
-        offset_s = content.get("epoch_offset_s", 0.0)
-        if not isinstance(offset_s, int | float) or not abs(offset_s) < LATEST_S:
-            raise ValueError(f"epoch_offset_s is {offset_s!r}, expected the seconds of Unix time at which the clock began")
-        version = content.get("format_version", 1)
-        if not isinstance(version, int) or version < 1:
-            raise ValueError(f"format_version is {version!r}, expected a whole number from 1")
+        """Keep the recording's header or footer. Raises ValueError where it is damaged, or holds what no recording does."""
         if metadata.name == HEADER:
-            self.header = cast(RecordingHeader, content)
-        else:
-            self.footer = cast(RecordingFooter, content)
+            self.header = cast(RecordingHeader, _Header(self._content_of(metadata.metadata)))
+        elif metadata.name == FOOTER:
+            again = {key.removeprefix(f"{HEADER}."): text for key, text in metadata.metadata.items() if key.startswith(HEADER)}
+            if self.header is None and again:
+                self.header = cast(RecordingHeader, _Header(self._content_of(again)))
+            self.footer = cast(RecordingFooter, self._content_of(metadata.metadata))
+
+    def _content_of(self, texts: Mapping[str, str]) -> dict[str, Any]:
+        checked = "crc32" in texts  # recordings from before have no checksum
+        if checked and texts["crc32"] != str(zlib.crc32(texts["json"].encode())):
+            raise ValueError("the checksum is wrong")
+        content = json.loads(texts["json"])
+        if not isinstance(content, dict):
+            content = {"epoch_offset_s": None}  # refused below
+        offset_s, version = content.get("epoch_offset_s", 0.0), content.get("format_version", 1)
+        if not isinstance(offset_s, int | float) or not abs(offset_s) < LATEST_S or not isinstance(version, int) or version < 1:
+            self._foreign = checked
+            raise ValueError(f"epoch_offset_s is {offset_s!r} and format_version {version!r}")
+        return content
 
     def _ticks_of(self, chunk: Chunk) -> list[bytes]:
-        content, _ = get_chunk_data_stream(chunk, validate_crc=True)
-        data = content.read(chunk.uncompressed_size)
+        content, size = get_chunk_data_stream(chunk, validate_crc=True)
+        if size != chunk.uncompressed_size:  # its checksum is that of the content alone
+            raise ValueError(f"the chunk has {size} bytes and states {chunk.uncompressed_size}")
+        data = content.read(size)
         head = struct.Struct("<BQH")
         messages, position = [], 0
         while position < len(data):
@@ -371,7 +449,26 @@ class Contents:
     @property
     def absent(self) -> tuple[str, ...]:
         """Fields that ticks got after this recording was made."""
-        return (cdr.absent_fields(self.schema) if self.schema is not None else None) or ()
+        return (cdr.absent_fields(self.schema) if self.schema is not None else self._absent) or ()
+
+    def restore(self, part: Path, tick: bytes) -> None:
+        """Put what a tick and the rest of the file say in place of a header or a schema that is damaged.
+
+        Args:
+            part: The file.
+            tick: A Tick message of it.
+        """
+        absent = cdr.absent_in(tick)
+        if absent is None or self._foreign:
+            return
+        self._absent = absent
+        if self.header is None:
+            again = Contents()
+            for _ in again.batches(part, skip_damaged=True):
+                pass  # a copy of the header stands behind the ticks
+            lost = _Header(epoch_offset_s=cdr.epoch_offset_s(tick, absent))
+            self.header = again.header or cast(RecordingHeader, lost)
+            self.header_lost = again.header is None
 
     def refuse_foreign(self, path: Path) -> None:
         """Refuse a file that is no recording of palpd, or whose ticks have other fields. Raises RecordingError."""
@@ -403,23 +500,32 @@ def _end_of_record(data: mmap.mmap, position: int) -> int | None:
     return end if Opcode.HEADER <= opcode <= Opcode.DATA_END and end <= len(data) else None
 
 
-def _next_chunk(data: mmap.mmap, position: int) -> int:
-    """Where the next chunk of zstd begins; -1 without one."""
-    while (match := data.find(_ZSTD, position)) >= 0:
-        begin = match - _BEFORE_ZSTD
-        if begin >= position and data[begin] == Opcode.CHUNK and _end_of_record(data, begin) is not None:
-            return begin
-        position = match + 1
-    return -1
+def _next_record(data: mmap.mmap, position: int) -> int:
+    """Where the next record begins that holds something; -1 without one."""
+    match = _BEGIN.search(data, position)
+    return match.start() if match is not None else -1
+
+
+def _holds_record(stream: IO[bytes]) -> bool:
+    with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return _next_record(data, 0) >= 0
 
 
 @dataclass(frozen=True, slots=True)
 class LostTicks:
-    """Ticks that no whole chunk holds: their number, and the times since the first restored tick between which they are missing."""
+    """Ticks that no whole chunk holds: their number, and the times since the first restored tick between which they are missing.
+
+    `begin_s` is NaN for those before it.
+    """
 
     ticks: int
     begin_s: float
     end_s: float
+
+    @property
+    def place(self) -> str:
+        """Where they are missing, in words."""
+        return "at the begin" if math.isnan(self.begin_s) else f"from {self.begin_s:.2f} s to {self.end_s:.2f} s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -437,7 +543,7 @@ class Recovered:
         """What was restored, and which ticks are missing at what time."""
         restored = f"{self.ticks} ticks, {self.duration_s:.1f} s restored."
         if self.lost:
-            places = ", ".join(f"{one.ticks} from {one.begin_s:.2f} s to {one.end_s:.2f} s" for one in self.lost)
+            places = ", ".join(f"{one.ticks} {one.place}" for one in self.lost)
             return f"{restored} {sum(one.ticks for one in self.lost)} ticks are missing ({places}): the file is damaged {self.torn}."
         return f"{restored} The file is damaged {self.torn}; what stood there or after the last tick is lost." if self.torn else restored
 
@@ -451,6 +557,8 @@ def recover(part: Path) -> Recovered:
     contents = Contents()
     batches = contents.batches(part, skip_damaged=True)
     first = next((batch for batch in batches if batch), [])
+    if first and (contents.torn or contents.header is None):
+        contents.restore(part, first[0])
     contents.refuse_foreign(part)
     assert contents.header is not None
     if not first:
@@ -471,13 +579,18 @@ def recover(part: Path) -> Recovered:
             begin_s = float(rows["now_s"][0]) if ticks == 0 else begin_s
             # A tick that was late counts those before it as missed: they never were.
             absent = int(rows["index"][0]) - last - 1 - int(rows["missed"][0])
-            if ticks and contents.torn and absent > 0:
+            if contents.torn and absent > 0:
                 lost.append(LostTicks(absent, end_s - begin_s, float(rows["now_s"][0]) - begin_s))
             end_s, ticks, last = float(rows["now_s"][-1]), ticks + len(rows), int(rows["index"][-1])
-        unclosed: RecordingFooter = {"verdict": "unfinished", "reason": "the recording was not closed; recovered from what was whole"}
+        unclosed: RecordingFooter = {
+            "verdict": "unfinished",
+            "reason": "the recording was not closed, or its end is damaged; recovered from what was whole",
+        }
         footer = contents.footer or unclosed
         if lost:
             footer["damaged_ticks"] = sum(one.ticks for one in lost)
+        if contents.header_lost:
+            footer["reason"] = f"{footer.get('reason', '')}; {HEADER_LOST}".removeprefix("; ")
         writer.close(footer)
     except BaseException as error:
         writer.abandon()
@@ -485,7 +598,8 @@ def recover(part: Path) -> Recovered:
         if isinstance(error, OSError):
             raise _no_room(path, error) from error
         raise
-    return Recovered(path, ticks, end_s - begin_s, tuple(lost), contents.torn)
+    torn = f"{contents.torn}; {HEADER_LOST}" if contents.header_lost else contents.torn
+    return Recovered(path, ticks, end_s - begin_s, tuple(lost), torn)
 
 
 def _no_room(path: Path, error: OSError) -> RecordingError:

@@ -75,7 +75,7 @@ class Recording:
         """Return the number of a site in the rows. Raises RecordingError."""
         names = [site["name"] for site in self.header.get("sites", [])]
         if name not in names:
-            raise RecordingError(f"{self.path} has no site {name}; it has {', '.join(names) or 'none'}")
+            raise RecordingError(f"{self.path} has no site {name or 'without a name'}; it has {', '.join(names) or 'none'}")
         return names.index(name)
 
     def site_name(self, number: int) -> str:
@@ -182,7 +182,7 @@ def _samples_and_rows(recording: Recording, site: str | None) -> tuple[Samples, 
     chosen = rows
     if site is not None:
         chosen = _own_part(rows[rows["site"] == recording.site_index(site)])
-        begin_s = max(begin_s, _first_motion_s(robot_t_s, states))
+        begin_s = max(begin_s, _last_rest_s(robot_t_s, states))
     filled = np.arange(chosen["frame_t_s"].shape[1]) < chosen["frames"][:, None]
     t_s, wrench, row_of = chosen["frame_t_s"][filled], chosen["tared"][filled], np.repeat(np.arange(len(chosen)), chosen["frames"])
     later = np.ones(len(t_s), bool)
@@ -201,13 +201,14 @@ def _samples_and_rows(recording: Recording, site: str | None) -> tuple[Samples, 
     return replace(samples, sites=tuple(recording.site_name(number) for number in visited.tolist() if number >= 0)), chosen, row_of
 
 
-def _first_motion_s(robot_t_s: Floats, states: Rows) -> float:
-    """Time of the first state (k,) whose target moves, -inf where none does.
+def _last_rest_s(robot_t_s: Floats, states: Rows) -> float:
+    """Time of the last state (k,) before the target first moves, -inf where it does not.
 
-    The tare ends with that motion: what a sensor shows from its tare on (a bias, a drift) begins there in an emulated cell.
+    The tare ends with that motion: what a sensor shows from its tare on (a bias, a drift) begins there in an emulated cell. The state
+    before is still at rest. Samples that began in the motion would put a servo that starts from rest off by what the target had moved.
     """
     moves = np.linalg.norm(states["target_speed"][:, :3], axis=1) > STILL_M_PER_S
-    return float(robot_t_s[np.argmax(moves)]) if moves.any() else -np.inf
+    return float(robot_t_s[max(int(np.argmax(moves)) - 1, 0)]) if moves.any() else -np.inf
 
 
 def _own_part(rows: Rows) -> Rows:
@@ -227,7 +228,8 @@ def export(recording: Recording, path: Path, site: str | None = None) -> Samples
     Args:
         recording: a closed recording.
         path: file to write.
-        site: name of the only site to use. None uses all; where there are several, columns say site, phase, mode and place of each row.
+        site: name of the only site to use, which a column says. None uses all; where there are several, columns say site, phase, mode and
+            place of each row.
 
     Returns:
         The samples that were written.
@@ -240,7 +242,8 @@ def export(recording: Recording, path: Path, site: str | None = None) -> Samples
     if site is None and len(visited) == 1:
         site = visited[0]
     samples, rows, row_of = _samples_and_rows(recording, site)
-    extra = {} if len(visited) < 2 or site else _places(recording, rows, row_of)
+    named = {SITE_COLUMN: [site] * len(samples)} if site else {}
+    extra = named if len(visited) < 2 or site else _places(recording, rows, row_of)
     if is_parquet(path):
         metadata = {HEADER: json.dumps(recording.header), FOOTER: json.dumps(recording.footer)}
         write_parquet(path, samples, extra=extra, metadata=metadata)

@@ -47,7 +47,7 @@ class Samples:
     wrench: Floats
     held: NDArray[np.bool_] | None = None
     sites: tuple[str, ...] = ()
-    """Names in the column `site` of a file, in their order; empty without that column."""
+    """Names in the column `site` of a file, or of the sites of a recording of the daemon, in their order; empty where nothing names one."""
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -79,6 +79,12 @@ def runs_of_true(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.
 def read(path: Path) -> Samples:
     """A recording from a `.parquet` or a CSV file. Raises RecordingError."""
     return read_parquet(path) if is_parquet(path) else read_csv(path)
+
+
+def common_site(recordings: Iterable[Samples]) -> str | None:
+    """The only site that recordings name; None where they name none or several."""
+    names = {name for samples in recordings for name in samples.sites}
+    return names.pop() if len(names) == 1 else None
 
 
 def is_parquet(path: Path) -> bool:
@@ -136,7 +142,7 @@ def read_parquet(path: Path) -> Samples:
         with opened(path, error=RecordingError) as file:
             table = parquet.read_table(file)
         present = _present(path, list(table.column_names))
-        columns = {name: np.asarray(table.column(name).to_numpy(zero_copy_only=False), dtype=float) for name in present}
+        columns = {name: numbers_of(table.column(name).to_numpy(zero_copy_only=False), path.name, name) for name in present}
         names = table.column(SITE_COLUMN).to_pylist() if SITE_COLUMN in table.column_names else []
     except (OSError, ValueError, TypeError, ArrowException):
         raise RecordingError(f"{path.name} cannot be read as Parquet with numbers in every column; write it again or give a CSV.") from None
@@ -157,12 +163,40 @@ def samples_from_columns(columns: dict[str, Floats], name: str) -> Samples:
         RecordingError: a column is missing, too short or not finite, or time does not increase.
     """
     _present(Path(name), list(columns))
-    rows = len(columns["t_s"])
+    rows = np.size(columns["t_s"])
     if rows < MIN_SAMPLES:
         raise RecordingError(f"{name} has {rows} rows and at least {MIN_SAMPLES} are needed to judge a cell; record for longer.")
     refuse_values(columns, name)
     wrench = np.column_stack([columns[column] for column in WRENCH_COLUMNS])
-    return Samples(columns["t_s"], columns.get(OPTIONAL_COLUMN), columns["z_m"], columns["vz_m_per_s"], wrench)
+    # Columns of one table keep all of it in memory.
+    motion = {column: np.ascontiguousarray(columns[column]) for column in COLUMNS if column in columns and column not in WRENCH_COLUMNS}
+    return Samples(motion["t_s"], motion.get(OPTIONAL_COLUMN), motion["z_m"], motion["vz_m_per_s"], wrench)
+
+
+def numbers_of(values: object, name: str, column: str) -> Floats:
+    """A column of a table or a data frame as numbers.
+
+    Args:
+        values: What stands in the column.
+        name: What errors call the recording.
+        column: Name of the column.
+
+    Returns:
+        The numbers (n,).
+
+    Raises:
+        RecordingError: The column holds dates, or values that are masked.
+        TypeError: It holds something that is no number.
+        ValueError: It holds something that is no number.
+    """
+    array = np.asanyarray(values)
+    if array.dtype.kind in "mM":
+        raise RecordingError(f"{name}: {column} holds dates or durations ({array.dtype}), expected numbers; give seconds, as numbers.")
+    if np.ma.is_masked(array):
+        raise RecordingError(
+            f"{name}: {column} has {int(np.sum(np.ma.getmaskarray(array)))} masked values, expected none; leave these rows out."
+        )
+    return np.asarray(array, dtype=float)
 
 
 def refuse_values(columns: Mapping[str, Floats], name: str) -> None:
@@ -173,8 +207,14 @@ def refuse_values(columns: Mapping[str, Floats], name: str) -> None:
         name: What errors call the recording.
 
     Raises:
-        RecordingError: A value is not finite, or time does not increase.
+        RecordingError: Columns differ in length, a value is not finite, or time does not increase.
     """
+    shapes = {column: np.shape(values) for column, values in columns.items()}
+    if uneven := [column for column, shape in shapes.items() if len(shape) != 1 or shape != shapes["t_s"]]:
+        of = " × ".join(map(str, shapes[uneven[0]])) or "one"
+        raise RecordingError(
+            f"{name}: {uneven[0]} holds {of} values and t_s {' × '.join(map(str, shapes['t_s'])) or 'one'}; give columns of one length."
+        )
     for column in columns:
         wrong = np.flatnonzero(~(np.abs(columns[column]) <= LARGEST))
         if len(wrong):
@@ -239,10 +279,10 @@ def write_csv(path: Path, samples: Samples, *, extra: Mapping[str, Sequence[str 
     """
     columns = _columns_of(samples)
     header = [*columns, *extra]
-    if not extra and len(samples) >= MANY_ROWS and (write_table := _fast_writer()) is not None:
+    if len(samples) >= MANY_ROWS and (write_table := _fast_writer()) is not None:
         with writing(path) as stream:
             stream.write((",".join(header) + "\n").encode())
-            write_table(list(columns.values()), stream)
+            write_table([*columns.values(), *extra.values()], stream)
         return
     table: list[list[str | float]] = np.column_stack(list(columns.values())).tolist()
     for row, *values in zip(table, *extra.values(), strict=True):
@@ -252,7 +292,7 @@ def write_csv(path: Path, samples: Samples, *, extra: Mapping[str, Sequence[str 
         file.writelines(",".join(map(str, row)) + "\n" for row in table)
 
 
-def _fast_writer() -> Callable[[Sequence[Floats], IO[bytes]], None] | None:
+def _fast_writer() -> Callable[[Sequence[Floats | Sequence[str | float]], IO[bytes]], None] | None:
     """What writes columns (n,) as rows of text to the last bit five times as fast; None where pyarrow is not installed."""
     try:
         import pyarrow
@@ -260,9 +300,9 @@ def _fast_writer() -> Callable[[Sequence[Floats], IO[bytes]], None] | None:
     except ImportError:
         return None
 
-    def write(columns: Sequence[Floats], stream: IO[bytes]) -> None:
-        table = pyarrow.table({str(k): np.ascontiguousarray(column) for k, column in enumerate(columns)})
-        arrow_csv.write_csv(table, stream, arrow_csv.WriteOptions(include_header=False))
+    def write(columns: Sequence[Floats | Sequence[str | float]], stream: IO[bytes]) -> None:
+        table = pyarrow.table({str(k): pyarrow.array(column) for k, column in enumerate(columns)})
+        arrow_csv.write_csv(table, stream, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
 
     return write
 
@@ -303,6 +343,14 @@ def _site_names(path: Path, layout: Layout) -> tuple[str, ...]:
         read_layout(file, path.name, COLUMNS)
         rows = (cells_of(line, layout.delimiter) for line in file if not is_comment(line))
         return _distinct(cells[column] for cells in rows if column < len(cells))
+
+
+def site_named_in(path: Path) -> str | None:
+    """The only site that a CSV file names in its column `site`; None where it names none or several. Raises RecordingError."""
+    with opened_text(path, error=RecordingError) as file:
+        layout = read_layout(file, path.name, COLUMNS)
+    names = _site_names(path, layout) if SITE_COLUMN in layout.header else ()
+    return names[0] if len(names) == 1 else None
 
 
 def _distinct(names: Iterable[str]) -> tuple[str, ...]:

@@ -129,9 +129,8 @@ def setup(name: str, cell: CellFile = PHANTOM) -> CellFile:
     Returns:
         A cell with the tissue and effects of that site only.
     """
-    site = next(each for each in cell.sites if each.name == name)
     sensor = cell.sensor.model_copy(update={"resolution_fz_N": COUNT_FZ_N, "filter_cutoff_Hz": CUTOFF_Hz})
-    return cell.model_copy(update={"tissue": site.tissue, "effects": cell.effects | site.effects, "sites": (), "sensor": sensor})
+    return cell.at_site(name).model_copy(update={"sensor": sensor})
 
 
 def free_cell(cell: CellFile, effects: dict[str, dict[str, float]]) -> CellFile:

@@ -6,6 +6,7 @@ import contextlib
 import os
 import socket
 import sys
+from ipaddress import ip_address
 from pathlib import Path
 
 import uvicorn
@@ -13,6 +14,7 @@ import uvicorn
 from palpd.errors import PalpdError
 from palpd.web.access import is_loopback
 from palpd.web.application import PageSettings, build
+from palpd.web.connections import EntranceServer
 from palpd.web.log import log
 from palpd.web.sessions import Sessions, read_token
 
@@ -25,44 +27,51 @@ def main(words: list[str]) -> int:
     except PalpdError as error:
         print(f"palpd: {error}", file=sys.stderr)
         return error.exit_code
-    server = uvicorn.Server(
-        uvicorn.Config(
-            build(settings, Sessions(token)),
-            log_config=None,
-            access_log=False,
-            lifespan="on",
-            loop="asyncio",
-            http="h11",
-            ws="websockets-sansio",
-            ws_max_size=4096,
-            ws_per_message_deflate=False,
-            timeout_keep_alive=15,
-            timeout_graceful_shutdown=1,
-            server_header=False,
-        )
-    )
     try:
         family = socket.AF_INET6 if ":" in settings.listen else socket.AF_INET
-        listener = socket.create_server((settings.listen, settings.port), family=family, backlog=1024)
+        listener = socket.create_server((settings.listen, settings.port), family=family)
     except OSError as error:
         reason = error.strerror or error
         print(
             f"palpd: the page cannot listen at {settings.listen} port {settings.port} ({reason}); see --listen and --port", file=sys.stderr
         )
         return 2
-    name = settings.names[0] if settings.names else "127.0.0.1"
+    config = uvicorn.Config(
+        build(settings, Sessions(token)),
+        log_config=None,
+        access_log=False,
+        lifespan="on",
+        loop="asyncio",
+        http="h11",
+        ws="websockets-sansio",
+        ws_max_size=4096,
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=1,
+        server_header=False,
+    )
+    address = _link(settings, listener)
     if "JOURNAL_STREAM" in os.environ:  # others may read the journal
-        print(f"The page of palpd: http://{name}:{settings.port}/, the token stands in {token_file}", flush=True)
+        print(f"The page of palpd: {address}, the token stands in {token_file}", flush=True)
     else:
-        print(f"The page of palpd: http://{name}:{settings.port}/?token={token}", flush=True)
-    log("page served", listen=settings.listen, port=settings.port, socket=str(settings.socket), loopback_only=_only_here(settings.listen))
+        print(f"The page of palpd: {address}?token={token}", flush=True)
+    log(
+        "page served",
+        listen=settings.listen,
+        port=settings.port,
+        socket=str(settings.socket),
+        loopback_only=is_loopback({"client": listener.getsockname()}),
+    )
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(server.serve([listener]))
+        asyncio.run(EntranceServer(config, listener).serve())
     return 0
 
 
-def _only_here(listen: str) -> bool:
-    return is_loopback({"client": (listen, 0)})
+def _link(settings: PageSettings, listener: socket.socket) -> str:
+    """The address to open. Where the page listens at all addresses, that is the first `--name`, else this computer's own."""
+    host, address = settings.listen, ip_address(listener.getsockname()[0])
+    if address.is_unspecified:
+        host = settings.names[0] if settings.names else "127.0.0.1" if address.version == 4 else "::1"
+    return f"http://{f'[{host}]' if ':' in host else host}:{settings.port}/"
 
 
 def _settings(words: list[str]) -> tuple[PageSettings, Path]:

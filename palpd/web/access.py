@@ -27,7 +27,7 @@ OPEN = ("/static/",)
 RATE_PER_S, BURST = 20.0, 120.0
 """Requests of one browser: a page asks some 2 a second, and 30 at once when it is opened."""
 TRIES_PER_S, TRIES = 0.1, 10.0
-"""Attempts with a wrong token from one address."""
+"""Wrong tokens of one address that are answered and logged singly. The right one opens the page whatever came before it."""
 MOST_AT_ONCE = 64
 """Most requests under way, besides aborts and streams."""
 MOST_ADDRESSES = 1000
@@ -43,13 +43,14 @@ HEADERS = {
     "Content-Security-Policy": POLICY,
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
-    "Referrer-Policy": "no-referrer",
+    "Referrer-Policy": "same-origin",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
     "Cache-Control": "no-store",
+    "Connection": "close",
 }
-"""Headers of every answer, unless its route has set one itself."""
+"""Headers of every answer, unless its route has set one itself. A connection carries one request (connections.py)."""
 
 
 class Rates:
@@ -94,7 +95,7 @@ class Access:
             await self._app(scope, receive, _with_headers(send))
         elif refusal is None and self._at_once >= MOST_AT_ONCE:
             sentence = f"{MOST_AT_ONCE} requests are under way, expected fewer; try again in a second"
-            await _refused(sentence, 503)(scope, receive, _with_headers(send))
+            await self._refused(headers, sentence, 503)(scope, receive, _with_headers(send))
         elif refusal is None:
             self._at_once += 1
             try:
@@ -124,53 +125,55 @@ class Access:
             return self._abort_refusal(scope, headers, session)
         if headers.get("host", "") not in self._hosts:
             names = ", ".join(sorted(self._hosts))
-            return _refused(f"this page is not served under {headers.get('host', '')[:80]!r}, expected one of {names}; see --name", 421)
+            sentence = f"this page is not served under {headers.get('host', '')[:80]!r}, expected one of {names}; see --name"
+            return self._refused(headers, sentence, 421)
         changes = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
         if (changes or origin is not None) and not self._own(origin) and not _is_token(session):
-            return _refused("the request comes from another page than palpd's; open palpd's own page", 403)
+            return self._refused(headers, "the request comes from another page than palpd's; open palpd's own page", 403)
+        token = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0] if path == "/" else ""
+        if token or path == ENTER:
+            return self._entered(scope, headers, token) if token else None
         who = session.id if session is not None else scope["browser"]
         if not self._rates.take(who):
             log("requests refused, too many", browser=scope["browser"], session=who)
-            return _refused(f"more than {RATE_PER_S:g} requests a second came from this browser; wait some seconds", 429)
+            return self._refused(headers, f"more than {RATE_PER_S:g} requests a second came from this browser; wait some seconds", 429)
         if scope["type"] == "http" and _length(headers) > MOST_BODY_BYTES:
-            return _refused(f"the request has {_length(headers)} bytes, expected at most {MOST_BODY_BYTES}; send less", 413)
+            sentence = f"the request has {_length(headers)} bytes, expected at most {MOST_BODY_BYTES}; send less"
+            return self._refused(headers, sentence, 413)
         if path.startswith(OPEN):
             return None
-        token = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0] if path == "/" else ""
-        if token or path == ENTER:
-            return self._entered(scope, token) if token else None
         if session is None or session.expired:
-            wants_page = scope["type"] == "http" and "text/html" in headers.get("accept", "")
-            return (
-                HTMLResponse(self._entrance(EXPIRED), 401)
-                if wants_page
-                else JSONResponse({"ok": False, "error": EXPIRED, "expired": True}, 401)
-            )
+            return self._refused(headers, EXPIRED, 401, expired=True)
         if scope["type"] == "http" and changes and not _is_token(session) and not _same(headers.get("x-palpd-csrf", ""), session.csrf):
-            return _refused("the request does not carry the mark of an open page; reload the page", 403)
+            return self._refused(headers, "the request does not carry the mark of an open page; reload the page", 403)
         return None
 
     def _abort_refusal(self, scope: Scope, headers: Headers, session: Session | None) -> Response | None:
         if scope["type"] != "http" or scope["method"] != "POST":
-            return _refused("an abort is sent with POST", 405)
+            return self._refused(headers, "an abort is sent with POST", 405)
         if not self._own(headers.get("origin")) and not _is_token(session):
-            return _refused("the abort comes from another page than palpd's; open palpd's own page, or use palpd abort", 403)
+            return self._refused(headers, "the abort comes from another page than palpd's; open palpd's own page, or use palpd abort", 403)
         if not is_loopback(scope) and session is None:
-            return _refused("an abort from another computer needs a page that was once opened with the token; use palpd abort", 401)
+            return self._refused(
+                headers, "an abort from another computer needs a page that was once opened with the token; use palpd abort", 401
+            )
         return None
 
     def _own(self, origin: str | None) -> bool:
         scheme, _, host = (origin or "").partition("://")
         return scheme in ("http", "https") and host in self._hosts
 
-    def _entered(self, scope: Scope, token: str) -> Response:
-        """The answer to a token: a cookie and an address without it, or a refusal."""
-        if not self._tries.take(scope["client"][0] if scope.get("client") else ""):
-            return _refused("too many wrong tokens came from this address; wait some minutes", 429)
+    def _entered(self, scope: Scope, headers: Headers, token: str) -> Response:
+        """The answer to a token: a cookie and an address without it, or a refusal.
+
+        Only wrong tokens are counted. A page of another site can send as many as it likes, and must not lock the operator out.
+        """
         if not self._sessions.opened_by(token):
+            if not self._tries.take(scope["client"][0] if scope.get("client") else ""):
+                return self._refused(headers, "too many wrong tokens came from this address; the right one still opens the page", 429)
             log("wrong token", browser=scope["browser"])
             sentence = "the token is not the one of this page; palpd web prints the link, and keeps the token in its token file"
-            return HTMLResponse(self._entrance(sentence), 401)
+            return self._refused(headers, sentence, 401)
         cookie = self._sessions.begin()
         log("page opened", browser=scope["browser"], session=cookie.partition(".")[0])
         answer = RedirectResponse("/", 303)
@@ -186,7 +189,13 @@ class Access:
             body += message.get("body", b"")
             more = message.get("more_body", False)
         token = parse_qs(body.decode("latin-1")).get("token", [""])[0]
-        await self._entered(scope, token)(scope, receive, send)
+        await self._entered(scope, Headers(scope=scope), token)(scope, receive, send)
+
+    def _refused(self, headers: Headers, sentence: str, code: int, **more: bool) -> Response:
+        """A refusal: a page for a browser that opens an address, JSON for a program."""
+        if "text/html" in headers.get("accept", ""):
+            return HTMLResponse(self._entrance(sentence), code)
+        return JSONResponse({"ok": False, "error": sentence, **more}, code)
 
 
 def browser_of(scope: Scope, headers: Headers) -> str:
@@ -237,10 +246,6 @@ def _same(given: str, expected: str) -> bool:
 def _length(headers: Headers) -> int:
     text = headers.get("content-length", "0")
     return int(text) if text.isdigit() else 0
-
-
-def _refused(sentence: str, code: int) -> Response:
-    return JSONResponse({"ok": False, "error": sentence}, code)
 
 
 async def json_body(receive: Receive) -> dict[str, Any] | None:

@@ -4,14 +4,12 @@ The server itself stays small and answers aborts while figures are drawn. What i
 """
 
 import asyncio
-import contextlib
-import os
-import threading
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from palpd.errors import Refused
+from palpd.workers import end, started
 
 if TYPE_CHECKING:
     from concurrent.futures import ProcessPoolExecutor
@@ -50,7 +48,7 @@ class Aside:
             PalpdError: What the function raises; Refused, where it takes too long or its process dies.
         """
         if self._pool is None:
-            self._pool = _started()
+            self._pool = started(1, method="spawn", niceness=NICE)
         if self._ending is not None:
             self._ending.cancel()
         self._waiting += 1
@@ -71,32 +69,5 @@ class Aside:
     def close(self) -> None:
         """End the process, whatever it does."""
         pool, self._pool = self._pool, None
-        if pool is None:
-            return
-        processes = list((getattr(pool, "_processes", None) or {}).values())
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in processes:
-            with contextlib.suppress(OSError):
-                process.kill()
-
-
-def _started() -> "ProcessPoolExecutor":
-    from concurrent.futures import ProcessPoolExecutor  # imported here: a page without a run needs none of it
-    from multiprocessing import get_context
-
-    return ProcessPoolExecutor(1, get_context("spawn"), initializer=_begin)
-
-
-def _begin() -> None:
-    """Give way to everything else, and end with the server: a server that is killed tells its workers nothing."""
-    os.nice(NICE)
-    threading.Thread(target=_end_with_the_server, daemon=True, name="end with the server").start()
-
-
-def _end_with_the_server() -> None:
-    from multiprocessing import parent_process
-
-    server = parent_process()
-    assert server is not None
-    server.join()
-    os._exit(0)
+        if pool is not None:
+            end(pool)

@@ -6,7 +6,6 @@ The server imports nothing that computes. So it stays small, a refusal has the w
 import asyncio
 import contextlib
 import os
-import resource
 import shutil
 import signal
 import sys
@@ -21,6 +20,7 @@ from typing import Any, Literal
 
 from palpd.errors import BadInput, PalpdError, Refused
 from palpd.files import read_json
+from palpd.workers import beside
 
 NICENESS = 15
 """Niceness of a child: the loop, the service and the server all come first."""
@@ -112,13 +112,13 @@ class Child:
 class Children:
     """The commands that a page has asked for. All methods are called in the server's event loop."""
 
-    def __init__(self, program: Sequence[str] = (sys.executable, "-m", "palpd")) -> None:
+    def __init__(self, program: Sequence[str] | None = None) -> None:
         """Make a keeper of commands.
 
         Args:
-            program: What runs them.
+            program: What runs them; palpd where not given, which then ends with this process.
         """
-        self._program = tuple(program)
+        self._program = tuple(program or beside("palpd"))
         self._numbers = count(1)
         self._children: dict[int, Child] = {}
         self._turn = asyncio.Semaphore(MOST_AT_ONCE)
@@ -234,20 +234,25 @@ class Children:
 
     async def _run(self, child: Child) -> None:
         import_path = os.pathsep.join(filter(None, sys.path))  # the child runs in its own folder, and finds the same palpd
-        process = await asyncio.create_subprocess_exec(
-            *self._program,
-            *child.words,
-            cwd=child.folder,
-            stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.DEVNULL,
-            stderr=asyncio.subprocess.PIPE,
-            start_new_session=True,
-            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": import_path},
+        start = asyncio.ensure_future(
+            asyncio.create_subprocess_exec(
+                *self._program,
+                *child.words,
+                cwd=child.folder,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.DEVNULL,
+                stderr=asyncio.subprocess.PIPE,
+                start_new_session=True,
+                env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": import_path},
+            )
         )
+        try:
+            process = await asyncio.shield(start)
+        except asyncio.CancelledError:  # unshielded it would kill the child and leave what the child has started
+            await _gone(await start)
+            raise
         with contextlib.suppress(OSError):  # it has ended already
             os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS)
-            # Its own limit: should the server die, the child ends all the same.
-            resource.prlimit(process.pid, resource.RLIMIT_CPU, (int(child.limit_s) + 1, int(child.limit_s) + 5))
         lines: deque[str] = deque(maxlen=KEPT_LINES)
         try:
             async with asyncio.timeout(child.limit_s):
@@ -291,9 +296,10 @@ async def _lines(stream: asyncio.StreamReader) -> AsyncIterator[str]:
 
 async def _gone(process: asyncio.subprocess.Process) -> None:
     """End a process and all that it has started: first politely, so that it removes half-written files."""
+    end = asyncio.ensure_future(process.wait())
     for number in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, number)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(END_S):
-                await process.wait()
+        # asyncio.timeout would not do: before Python 3.11.3 it raises CancelledError for TimeoutError in a task that was cancelled
+        await asyncio.wait([end], timeout=END_S)
+    end.cancel()

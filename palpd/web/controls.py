@@ -18,10 +18,11 @@ if TYPE_CHECKING:
 KEYS = {
     "status": (),
     "arm": ("lease",),
-    "start": ("lease", "plan"),
+    "start": ("lease", "plan", "place"),
     "pause": ("lease",),
     "resume": ("lease",),
     "retract": ("lease",),
+    "level-test": ("lease",),
     "clear": ("lease",),
     "take": ("name", "force"),
     "renew": ("lease",),

@@ -20,7 +20,10 @@ MOST_SITES = 1000
 
 
 class LiveSite(TypedDict):
-    """A site of the run or job under way: moduli in Pa with their 95 % intervals, and its place in the base's axes."""
+    """A site of the run or job under way: moduli in Pa with their 95 % intervals, and its place in the base's axes.
+
+    `hertz_misfit` says how the moduli change with depth, where they do.
+    """
 
     name: str
     x_m: float | None
@@ -31,6 +34,7 @@ class LiveSite(TypedDict):
     dynamic_ci95_Pa: list[float] | None
     peak_N: float | None
     cut_short: bool
+    hertz_misfit: str | None
 
 
 class LiveModuli:
@@ -134,6 +138,7 @@ def moduli_of(recording: str) -> list[LiveSite]:
             "dynamic_ci95_Pa": site["dynamic_corrected_ci95_Pa"],
             "peak_N": _finite(site["peak_force_N"]),
             "cut_short": site["cut_short"],
+            "hertz_misfit": None if site["hertz_misfit"] is None else site["hertz_misfit"]["sentence"],
         })  # fmt: skip
     return live
 

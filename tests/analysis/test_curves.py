@@ -175,7 +175,7 @@ def test_a_length_in_another_unit_is_questioned(tmp_path: Path) -> None:
     assert any("check --length-unit of Z(mm)" in warning for warning in large["warnings"])
     assert any("check the units of force, length and tip radius" in warning for warning in large["warnings"])
     small = analyse_curve(read_curve(path, as_nm), tip_radius_m=RADIUS_M)
-    assert any("outside of 50 to 1e+08 Pa" in warning for warning in small["warnings"])
+    assert any("expected 50 to 3e+07 Pa" in warning for warning in small["warnings"])
     right = analyse_curve(read_curve(path, MACHINE), tip_radius_m=RADIUS_M)
     assert not any("check" in warning for warning in right["warnings"])
 

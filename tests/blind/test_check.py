@@ -180,6 +180,7 @@ def outcome(kind: str, planted: list[str], named: list[str], **more: Any) -> Cas
     base: CaseOutcome = {
         "source": "drawn",
         "extra": False,
+        "steps_over_noise": None,
         "kind": kind,
         "planted": planted,
         "host_causes": [],
@@ -267,6 +268,25 @@ def test_extra_cases_count_in_their_own_line_alone() -> None:
     specs = plan_large(200, 1)
     assert all(spec.extra and spec.kind == "library" for spec in specs)
     assert not {spec.index for spec in specs} & {spec.index for spec in plan("drawn", 1000, 1)}
+
+
+def test_cells_with_coarse_steps_count_in_their_own_lines_alone() -> None:
+    steps = {"extra": True, "steps_over_noise": (1.0, 4.4, 2.0)}
+    coarse = [
+        outcome("healthy", [], [], **steps),
+        outcome("healthy", [], ["sensor.bias"], **steps),
+        outcome("library", ["sensor.bias"], ["sensor.bias", "robot.lag"], **steps),
+        outcome("library", ["cable.friction"], ["cable.friction"], snr=30.0, **steps),
+    ]
+    plain = [outcome("library", ["cable.friction"], ["robot.lag"], snr=30.0), outcome("healthy", [], ["sensor.bias"])]
+    by = {score.what: (score.value, score.n) for score in scores(coarse + plain)}
+    assert by["coarse steps: healthy cell kept silent"] == (0.5, 2)
+    assert by["  one effect of these: truth within the group"] == (1.0, 2)
+    assert by["  one effect of these: right and nothing else named"] == (0.5, 2)
+    assert by["  one effect of these: called unknown"] == (0.0, 2)
+    assert by["healthy cell kept silent"] == (0.0, 1)
+    assert by["right cause first, library laws, SNR > 20"] == (0.0, 1)
+    assert "| coarse steps: healthy cell kept silent | 50.0 % |" in as_markdown(table(coarse))
 
 
 def test_the_nearest_law_of_an_exact_change_is_that_law_with_its_parameters() -> None:

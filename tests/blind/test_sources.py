@@ -15,9 +15,9 @@ from palpd.blind import sources as sources_module
 from palpd.blind.check import run
 from palpd.blind.detectability import Detectability
 from palpd.blind.drawn_cells import CHANNELS, no_deviations
-from palpd.blind.injected_cells import Host, changed, declared_recordings, draw_injected, load_causes, load_hosts
+from palpd.blind.injected_cells import Host, changed, coarsened, declared_recordings, draw_injected, load_causes, load_hosts
 from palpd.blind.laws import LIBRARY_LAWS, Planted
-from palpd.blind.plans import effects_of, plan
+from palpd.blind.plans import COARSEST_OVER_NOISE, FIRST_COARSE, effects_of, plan, plan_coarse
 from palpd.blind.recorded_cells import RecordedMotion, cell_of
 from palpd.blind.score import score_case
 from palpd.blind.sources import Hosts, draw, sources_named
@@ -155,6 +155,55 @@ def test_every_source_plants_every_kind_in_turn(source: Source) -> None:
         assert {spec.effects[0] for spec in specs if spec.kind == kind} <= set(effects)
     assert sum(spec.kind == "healthy" for spec in specs) == 80
     assert [spec.kind for spec in plan(source, 100, 1, hosts=3)].count("healthy") == 3, "a real recording comes once as it is"
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_coarse_steps_are_drawn_apart_from_what_acts(source: Source) -> None:
+    specs = plan_coarse(source, 300, 1)
+    assert plan_coarse(source, 90, 1) == specs[:90]
+    assert [spec.kind for spec in specs[:90]].count("healthy") == 60
+    assert all(spec.extra and spec.index >= FIRST_COARSE for spec in specs)
+    steps = np.log([spec.steps_over_noise for spec in specs]) / np.log(COARSEST_OVER_NOISE)
+    assert np.all((steps > 0.0) & (steps < 1.0))
+    assert steps.mean(axis=0) == pytest.approx(0.5, abs=0.06)
+    assert np.abs(np.corrcoef(steps.T) - np.eye(3)).max() < 0.2
+    healthy = np.array([spec.kind == "healthy" for spec in specs])
+    assert steps[healthy].mean(axis=0) == pytest.approx(steps[~healthy].mean(axis=0), abs=0.1)
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_a_recording_with_coarse_steps_holds_the_steps_that_its_cell_file_states(source: Source) -> None:
+    if source != "drawn":
+        pytest.importorskip("mujoco", reason="MuJoCo is not installed; install the dev group to draw cells with its physics.")
+    spec = replace(plan_coarse(source, 1, 5)[0], steps_over_noise=(7.0, 4.4, 1.5))
+    case = draw(spec, 5, Hosts())
+    assert case.truth["effects"] == []
+    sensor = case.cell["sensor"]
+    for key, noise, over_noise, axes in (
+        ("resolution_fxy_N", "noise_rms_N", 7.0, (0, 1)), ("resolution_fz_N", "noise_rms_N", 4.4, (2,)),
+        ("resolution_Nm", "noise_rms_Nm", 1.5, (3, 4, 5)),
+    ):  # fmt: skip
+        assert sensor[key] == pytest.approx(over_noise * sensor[noise], rel=1e-3)
+        levels = case.samples.wrench[:, axes] / sensor[key]
+        assert np.allclose(levels, np.round(levels), atol=1e-6)
+    residual = case.samples.wrench[:, 5] / sensor["noise_rms_Nm"]
+    assert float(residual.std()) == pytest.approx((1.0 + 1.5**2 / 12.0) ** 0.5, rel=0.25), "the noise before rounding is the stated one"
+
+
+def test_a_recording_is_never_rounded_to_another_lattice_than_its_own() -> None:
+    sensor = host().content["sensor"]
+    own, noise = sensor["resolution_fz_N"], sensor["noise_rms_N"]
+    coarse = coarsened(host(), (1.0, 8.0, 1.0)).content["sensor"]
+    assert coarse["resolution_fz_N"] / own == pytest.approx(round(8.0 * noise / own), abs=1e-6)
+    assert coarse["resolution_fz_N"] == pytest.approx(8.0 * noise, rel=0.5 * own / noise / 8.0)
+    coarser = replace(host(), samples=replace(host().samples, wrench=np.round(host().samples.wrench / (20.0 * noise)) * 20.0 * noise))
+    kept = coarsened(coarser, (1.0, 8.0, 1.0)).content["sensor"]
+    assert kept["resolution_fz_N"] == pytest.approx(20.0 * noise), "a recording whose own step is coarser keeps it"
+    unsaid = {**host().content, "sensor": {"rate_Hz": sensor["rate_Hz"]}}
+    stated = coarsened(replace(host(), content=unsaid), (1.0, 8.0, 1.0)).content["sensor"]
+    assert stated.keys() == {"rate_Hz", "resolution_fxy_N", "resolution_fz_N", "resolution_Nm"}, (
+        "a noise that was not stated is not made up"
+    )
 
 
 def test_a_source_that_does_not_exist_or_needs_what_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,6 +18,7 @@ from benchmarks.emulated_cell import PATIENT, emulated_cell, until
 from palpd.web.sessions import SESSION_S, Sessions
 from tests.browser.waiting import PATIENCE_S, until_text
 from tests.hil.serving import Served, served
+from tests.robot_library import skip_without_ur_rtde
 
 playwright_api: Any = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; pip install playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -102,6 +103,7 @@ class Pages:
 def all_pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pages]:
     if CHROMIUM is None:
         pytest.skip("chromium is not installed; apt install chromium")
+    skip_without_ur_rtde()
     with (
         emulated_cell(tmp_path_factory.mktemp("cell"), "ur5") as cell,
         served(cell.anew(tmp_path_factory.mktemp("run"), 1500.0, **PATIENT), PATIENCE_S) as service,

@@ -194,6 +194,32 @@ def test_an_expired_page_aborts_and_says_what_to_do_otherwise(scene: Scene) -> N
     scene.aborts(2)
 
 
+def test_a_token_that_is_typed_opens_the_page_and_a_wrong_one_is_one_sentence(scene: Scene) -> None:
+    context = scene.chromium.new_context()
+    context.set_default_timeout(1e3 * PATIENCE_S)
+    scene.contexts.append(context)
+    page = context.new_page()
+    page.goto(ADDRESS, wait_until="commit")
+    page.fill("#token", "a wrong one")
+    page.click("text=Open the page")
+    until_text(page, "#main", "the token is not the one of this page")
+    page.fill("#token", scene.token_file.read_text().strip())
+    page.keyboard.press("Enter")
+    page.wait_for_selector("body[data-link=open][data-service=open]")
+    assert page.url == f"{ADDRESS}/"
+
+
+def test_an_abort_without_a_service_points_at_the_emergency_stop(scene: Scene) -> None:
+    page = scene.open()
+    hidden = scene.service.path.with_name("away.sock")
+    scene.service.path.rename(hidden)
+    try:
+        page.click("#abort")
+        until_text(page, "#message", "so nothing was stopped; if the arm moves, use the emergency stop")
+    finally:
+        hidden.rename(scene.service.path)
+
+
 def test_a_hung_server_is_a_lost_link_and_a_new_one_is_found(scene: Scene) -> None:
     page = scene.open()
     page.wait_for_selector("body:not([data-old])")

@@ -16,8 +16,11 @@ from tests.paths import EXAMPLE
 from tests.paths import SHARED_DATA as DATA
 
 
-def test_an_empty_file_is_the_nominal_cell(tmp_path: Path) -> None:
+def test_a_file_that_states_nothing_but_its_version_is_the_nominal_cell_and_an_empty_one_is_refused(tmp_path: Path) -> None:
     (tmp_path / "cell.yaml").write_text("")
+    with pytest.raises(ConfigError, match="is empty"):
+        load_cell(tmp_path / "cell.yaml")
+    (tmp_path / "cell.yaml").write_text("version: 1\n")
     cell = load_cell(tmp_path / "cell.yaml")
     assert cell == nominal()
     assert cell.tissue is not None

@@ -6,24 +6,27 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
-from palpd.cli import app, at_once, main
-from palpd.cli.first_abort import socket_path
+from palpd.cli import app, at_once, first_abort, main
+from palpd.cli.first_abort import socket_paths
 from palpd.config import load_config
 from palpd.daemon import interrupts
 from palpd.errors import PalpdError, Refused
 from tests.paths import ROOT
+from tests.web.fake_service import FakeService
 
 HEAVY = ("numpy", "pydantic", "rich", "typer", "structlog", "scipy", "dataclasses", "inspect")
 COMMANDS = (
-    "run", "calibrate", "free-motion", "stiffness", "retract", "demo", "sim", "emulate", "serve", "web", "status", "arm", "start", "pause",
-    "resume", "abort", "clear", "jobs", "job", "controls", "stream", "init", "install", "doctor", "migrate", "check-config", "runs", "info",
-    "report", "replay", "export", "recover", "import", "cell-from", "analyse", "train", "map", "diagnose", "resolve", "simulate",
-    "export-sim", "tolerances", "effects", "blind", "study",
+    "run", "calibrate", "free-motion", "stiffness", "level-test", "retract", "demo", "sim", "emulate", "serve", "web", "status", "arm",
+    "start", "pause", "resume", "abort", "clear", "jobs", "job", "controls", "stream", "init", "install", "doctor", "migrate",
+    "check-config", "runs", "info", "report", "replay", "export", "recover", "import", "cell-from", "analyse", "train",
+    "map", "diagnose", "resolve", "simulate", "export-sim", "tolerances", "effects", "blind", "study",
 )  # fmt: skip
 
 
@@ -77,7 +80,6 @@ def test_a_folder_is_not_diagnosed_with_the_options_of_one_recording(
 @pytest.mark.parametrize(
     ("text", "variables"),
     [
-        ("", {}),
         ("robot: {model: ur5}", {}),
         ("paths: {state: kept}", {}),
         ("paths: {state: /var/lib/palpd, socket: /run/palpd/palpd.sock}", {}),
@@ -119,13 +121,13 @@ PLAIN = "robot:\n  host: a # b\n# c\npaths:\n  state: kept/here # d\n  runs: run
 
 @pytest.mark.parametrize(
     "text",
-    ["", "robot: {model: ur5}", "paths: {state: kept}", "paths: {state: /var/lib, socket: /run/p.sock}", "paths: {socket: null}", PLAIN],
+    ["robot: {model: ur5}", "paths: {state: kept}", "paths: {state: /var/lib, socket: /run/p.sock}", "paths: {socket: null}", PLAIN],
 )
 def test_the_first_abort_goes_where_the_daemon_listens(tmp_path: Path, text: str) -> None:
     config = written(tmp_path, text)
     expected = str(load_config(config).paths.control_socket)
-    assert socket_path(["--config", str(config)]) == expected
-    assert socket_path(["--socket", "/a"]) == "/a"
+    assert socket_paths(["--config", str(config)]) == [expected]
+    assert socket_paths(["--socket", "/a"]) == ["/a"]
 
 
 @pytest.mark.parametrize(
@@ -137,7 +139,7 @@ def test_the_first_abort_goes_where_the_daemon_listens(tmp_path: Path, text: str
     ],
 )  # fmt: skip
 def test_the_first_abort_leaves_to_the_whole_reader_what_is_not_plain(tmp_path: Path, text: str) -> None:
-    assert socket_path(["--config", str(written(tmp_path, text))]) is None
+    assert socket_paths(["--config", str(written(tmp_path, text))]) == []
 
 
 def test_the_first_abort_waits_for_no_pipe_and_no_device(tmp_path: Path) -> None:
@@ -146,18 +148,43 @@ def test_the_first_abort_waits_for_no_pipe_and_no_device(tmp_path: Path) -> None
     (tmp_path / "huge.yaml").write_text("")
     os.truncate(tmp_path / "huge.yaml", 3_000_000_000)
     for name in ("pipe.yaml", "zero.yaml", "huge.yaml", "", "a\0b"):
-        assert socket_path(["--config", str(tmp_path / name)]) is None
+        assert socket_paths(["--config", str(tmp_path / name)]) == []
 
 
-def test_the_first_abort_leaves_other_options_and_variables_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_abort_leaves_other_options_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert socket_path([]) is None
     written(tmp_path, "")
-    assert socket_path([]) == str(tmp_path / "state" / "palpd.sock")
-    assert socket_path(["--help"]) is None
-    assert socket_path(["--socket", "/a", "--config", "b"]) is None
-    monkeypatch.setenv("palpd_paths__state", "elsewhere")
-    assert socket_path([]) is None
+    assert socket_paths([]) == [str(tmp_path / "state" / "palpd.sock")]
+    assert socket_paths(["--help"]) == []
+    assert socket_paths(["--socket", "/a", "--config", "b"]) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "variables", "place"),
+    [
+        ("paths: {state: kept}", {"palpd_paths__state": "elsewhere"}, "elsewhere/palpd.sock"),
+        ("paths: {socket: a.sock}", {"PALPD_PATHS__STATE": "elsewhere"}, "a.sock"),
+        ("paths: {state: [", {"PALPD_PATHS__SOCKET": "b.sock"}, "b.sock"),
+        ("paths: {state: [", {"PALPD_PATHS__STATE": "elsewhere"}, None),
+        ("", {"PALPD_PATHS__SOCKET": "null"}, None),
+        ("", {"PALPD_PATHS__STATE": "with a blank"}, None),
+        ("", {"PALPD_PATHS": "{state: elsewhere}"}, None),
+    ],
+)
+def test_the_first_abort_goes_where_the_environment_says_plainly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, variables: dict[str, str], place: str | None
+) -> None:
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert socket_paths(["--config", str(written(tmp_path, text))]) == ([] if place is None else [str(tmp_path / place)])
+
+
+def test_the_first_abort_without_a_configuration_goes_to_every_usual_socket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    usual = [str(tmp_path / "state" / "palpd.sock"), first_abort.INSTALLED_SOCKET]
+    assert list(dict.fromkeys(socket_paths([]))) == usual
+    monkeypatch.setenv("PALPD_PATHS__SOCKET", "/a")
+    assert socket_paths([]) == ["/a", *usual]
 
 
 def test_an_abort_is_sent_before_anything_large_is_imported(tmp_path: Path) -> None:
@@ -178,6 +205,127 @@ def test_an_abort_is_sent_before_anything_large_is_imported(tmp_path: Path) -> N
         with connection:
             assert json.loads(connection.recv(100)) == {"do": "abort"}
     assert done.stdout == "\n"
+
+
+@pytest.fixture
+def daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], FakeService]]:
+    """Starts fake services in the test's folder; that of an installation stands there too."""
+    services: list[FakeService] = []
+
+    def start(place: str) -> FakeService:
+        path = tmp_path / place
+        path.parent.mkdir(exist_ok=True)
+        services.append(FakeService(path))
+        return services[-1]
+
+    monkeypatch.setattr(first_abort, "INSTALLED_SOCKET", str(tmp_path / "run" / "palpd.sock"))
+    yield start
+    for service in services:
+        service.close()
+
+
+UNREADABLE = ["safety: {a: 1}\nsafety: {a: 2}\n", "paths: 5", "paths: {state: [", "\0", None]
+
+
+@pytest.mark.parametrize("text", UNREADABLE)
+@pytest.mark.parametrize("place", ["state/palpd.sock", "run/palpd.sock"])
+def test_abort_and_status_find_the_daemon_without_a_readable_configuration(
+    tmp_path: Path, daemon: Callable[[str], FakeService], capsys: pytest.CaptureFixture[str], text: str | None, place: str
+) -> None:
+    service, config = daemon(place), tmp_path / "config.yaml"
+    if text is not None:
+        written(tmp_path, text)
+    at_once.abort(config, None)
+    printed = capsys.readouterr()
+    assert printed.out == "disarmed\n"
+    assert f"{config}" in printed.err
+    assert f"palpd: the daemon at {service.path} answers\n" in printed.err
+    assert service.asked("abort")
+    at_once.status(config, None, tmp_path / "status.json")
+    printed = capsys.readouterr()
+    assert printed.out == "disarmed\n"
+    assert f"palpd: the daemon at {service.path} answers\n" in printed.err
+    assert json.loads((tmp_path / "status.json").read_text())["state"] == "disarmed"
+
+
+@pytest.mark.parametrize(
+    ("text", "variables"),
+    [
+        ("paths: {state: kept}\nsafety: {a: 1}\nsafety: {a: 2}\n", {}),
+        (None, {"PALPD_PATHS__STATE": "kept"}),
+        (None, {"palpd_paths__socket": "kept/palpd.sock"}),
+        (None, {"PALPD_PATHS": "{state: kept}"}),
+        ("safety: [", {"PALPD_PATHS": "{state: other}", "PALPD_PATHS__STATE": "kept"}),
+    ],
+)
+def test_plain_lines_and_the_environment_say_where_an_abort_without_a_configuration_goes(
+    tmp_path: Path, daemon: Callable[[str], FakeService], monkeypatch: pytest.MonkeyPatch, text: str | None, variables: dict[str, str]
+) -> None:
+    service = daemon("kept/palpd.sock")
+    if text is not None:
+        written(tmp_path, text)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    at_once.abort(tmp_path / "config.yaml", None)
+    assert service.asked("abort")
+
+
+def test_an_abort_without_a_configuration_reaches_all_daemons_and_one_that_refuses_is_an_error(
+    tmp_path: Path, daemon: Callable[[str], FakeService], capsys: pytest.CaptureFixture[str]
+) -> None:
+    here, installed = daemon("state/palpd.sock"), daemon("run/palpd.sock")
+    here.answers["abort"] = {"ok": False, "error": "it hangs"}
+    with pytest.raises(Refused, match="it hangs"):
+        at_once.abort(tmp_path / "config.yaml", None)
+    assert here.asked("abort")
+    assert installed.asked("abort")
+    assert f"{installed.path} answers" in capsys.readouterr().err
+
+
+def test_an_abort_that_finds_nobody_says_where_it_looked_and_points_at_the_emergency_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(first_abort, "INSTALLED_SOCKET", str(tmp_path / "run" / "palpd.sock"))
+    with pytest.raises(Refused) as refused:
+        at_once.abort(tmp_path / "config.yaml", None)
+    for words in ("config.yaml cannot be read", f"{tmp_path}/state/palpd.sock or {tmp_path}/run/palpd.sock", "emergency stop"):
+        assert words in str(refused.value)
+    with pytest.raises(Refused, match="--socket"):
+        at_once.status(tmp_path / "config.yaml", None, None)
+    with pytest.raises(Refused, match="emergency stop"):
+        at_once.abort(tmp_path / "config.yaml", tmp_path / "absent.sock")
+
+
+def test_a_readable_configuration_names_the_one_daemon_that_is_asked(tmp_path: Path, daemon: Callable[[str], FakeService]) -> None:
+    other = daemon("run/palpd.sock")
+    with pytest.raises(Refused, match="no daemon answers at"):
+        at_once.abort(written(tmp_path, "paths: {state: kept}"), None)
+    assert other.requests == []
+
+
+@pytest.mark.parametrize("text", [*UNREADABLE, "safety: {contact_limit_N: yes}"])
+def test_a_retract_without_limits_that_hold_moves_nothing_and_seeks_no_other_daemon(
+    tmp_path: Path, daemon: Callable[[str], FakeService], monkeypatch: pytest.MonkeyPatch, text: str | None
+) -> None:
+    monkeypatch.setattr("palpd.daemon.session.carry_out", lambda *_: pytest.fail("it ran in the foreground"))
+    installed, config = daemon("run/palpd.sock"), tmp_path / "config.yaml"
+    if text is not None:
+        written(tmp_path, text)
+    done = CliRunner().invoke(app, ["retract", "--config", str(config)])
+    assert isinstance(done.exception, PalpdError)
+    assert done.exception.exit_code == 2
+    assert installed.requests == []
+    assert CliRunner().invoke(app, ["retract", "--config", str(config), "--socket", str(installed.path)]).exit_code == 0
+    assert installed.asked("retract")
+
+
+def test_an_abort_without_a_configuration_imports_nothing_heavy(tmp_path: Path, daemon: Callable[[str], FakeService]) -> None:
+    service = daemon("state/palpd.sock")
+    code = f"import sys; from palpd.cli import main\ntry: main()\nfinally: print(sorted(set(sys.modules) & set({HEAVY!r})))"
+    command = [sys.executable, "-c", code, "abort", "--config", str(tmp_path / "config.yaml")]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
+    assert done.stdout == "disarmed\n[]\n"
+    assert service.asked("abort")
 
 
 def test_an_abort_does_not_depend_on_the_rest_of_the_configuration(tmp_path: Path) -> None:
@@ -286,7 +434,7 @@ def test_a_signal_while_palpd_imports_its_commands_is_one_sentence(name: str) ->
         "main()"
     )
     done = subprocess.run([sys.executable, "-c", code, "effects"], capture_output=True, text=True, cwd=ROOT, check=False)
-    assert done.returncode == 130
+    assert done.returncode == 128 + signal.Signals[name]
     assert done.stderr == f"palpd: interrupted by {name} while palpd was starting; nothing was moved\n"
 
 
@@ -358,3 +506,35 @@ def test_the_page_is_not_served_with_a_plan_that_no_run_would_take(
     assert ended.value.code == 2
     assert str(plan) in capsys.readouterr().err
     assert not (tmp_path / "here").exists()
+
+
+@pytest.mark.parametrize("words", [["web", "--listen", ""], ["stream", "--metrics", "9464", "--listen", " "], ["emulate", "--host", ""]])
+def test_an_empty_address_is_refused_and_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path, "")
+    done = CliRunner().invoke(app, words)
+    assert isinstance(done.exception, PalpdError)
+    assert "127.0.0.1 is this computer only" in str(done.exception)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["config.yaml"]
+
+
+def test_a_demo_whose_page_cannot_listen_says_so_before_anything_is_emulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        monkeypatch.setattr("palpd.cli.service.PAGE_PORT", taken.getsockname()[1])
+        done = CliRunner().invoke(app, ["demo", "--page", "--out", str(tmp_path / "demo")])
+    assert isinstance(done.exception, Refused)
+    assert "Address already in use" in str(done.exception)
+    assert not (tmp_path / "demo").exists()
+
+
+def test_a_demo_says_that_the_server_of_its_page_has_died(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    @contextmanager
+    def no_service(folder: Path, _: object) -> Iterator[Path]:
+        yield written(folder, "")
+
+    monkeypatch.setattr("palpd.cli.service.PAGE_PORT", 0)
+    monkeypatch.setattr("palpd.daemon.demo.service_on_wires", no_service)
+    monkeypatch.setattr(sys, "executable", "false")
+    done = CliRunner().invoke(app, ["demo", "--page", "--out", str(tmp_path)])
+    assert done.exit_code == 3
+    assert f"the server of the page has died (exit code 1); see {tmp_path}/page.log" in done.output

@@ -165,3 +165,59 @@ def test_a_configuration_that_is_named_must_exist(home: Path, command: list[str]
 def test_an_output_that_is_no_name_of_a_file_is_refused(home: Path, command: list[str], name: str) -> None:
     (home / "loop.mcap").symlink_to("loop.mcap")
     assert isinstance(refused(*command, "--out", name), BadInput)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["import", "a.csv", "--csv", "b.csv", "--force-N-per-V", "nan"], ["import", "a.csv", "--csv", "b.csv", "--tare-s", "inf"],
+        ["analyse", "a.csv", "--poisson-ratio", "nan"], ["analyse", "a.csv", "--machine-stiffness-N-per-m", "inf"],
+    ],
+)  # fmt: skip
+def test_no_option_is_a_number_that_is_not_finite(home: Path, command: list[str]) -> None:
+    assert "expected a finite number" in str(refused(*command))
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["simulate", "a.csv", "--cell", "c.yaml", "--csv", "o.csv", "--noise", "-1"],
+        *([name, "--seed", "-1"] for name in ("sim", "map", "blind", "study")),
+    ],
+)
+def test_seeds_begin_at_zero(home: Path, command: list[str]) -> None:
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 2
+    assert "greater than or equal to 0" in result.output
+
+
+@pytest.mark.parametrize(("option", "value"), [("--jobs", "2"), ("--scheduler", "tcp://127.0.0.1:1")])
+def test_options_for_a_folder_are_refused_with_one_recording(home: Path, option: str, value: str) -> None:
+    error = refused("diagnose", "no.csv", "--cell", "no.yaml", option, value)
+    assert f"{option} is for a folder of recordings" in str(error)
+
+
+def test_empty_files_are_refused(home: Path) -> None:
+    (home / "empty.yaml").write_text("# nothing\n")
+    assert "empty.yaml is empty, expected keys and values" in str(refused("check-config", "empty.yaml"))
+    assert "empty.yaml is empty, expected keys and values" in str(refused("diagnose", "no.csv", "--cell", "empty.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("model: {path: missing.onnx}", "missing"),
+        ("paths: {runs: /proc/nope}", "cannot be written"),
+        ("safety: {min_z_m: 1.0e+9}", "a height of safety is 1e+09 m, expected -2 to 2 m"),
+        ("cell: {probe: {mass_kg: 200.0}}", "probe.mass_kg is 200 kg, expected 0 to 5 kg"),
+    ],
+)
+def test_a_configuration_is_not_sound_with_what_cannot_be_used(home: Path, text: str, words: str) -> None:
+    (home / "odd.yaml").write_text(text)
+    assert words in str(refused("check-config", "odd.yaml"))
+
+
+def test_an_implausible_configuration_is_sound_once_it_is_accepted(home: Path) -> None:
+    (home / "odd.yaml").write_text("cell: {probe: {mass_kg: 200.0}}")
+    assert "--accept-implausible" in str(refused("check-config", "odd.yaml"))
+    assert CliRunner().invoke(app, ["check-config", "odd.yaml", "--accept-implausible"]).exit_code == 0

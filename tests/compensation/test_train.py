@@ -207,3 +207,26 @@ def test_a_recording_of_another_probe_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"free\.mcap was recorded with a probe of 0\.25 kg, expected the 0\.2 kg"):
         refuse_other_probe(recording, MASS_KG)
     refuse_other_probe(recording, 0.252)
+
+
+def test_a_force_without_a_live_axis_trains_nothing(tmp_path: Path) -> None:
+    still = free_motion()
+    still.wrench[:] = 0.0
+    with pytest.raises(RecordingError, match="recording 1: fz_N is 0 throughout, and no other axis"):
+        train([still], tmp_path / "m.onnx", probe_mass_kg=MASS_KG, accept_implausible=True)
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, 1e-3])
+def test_a_mass_that_is_not_the_probes_is_questioned_and_can_be_accepted(tmp_path: Path, factor: float) -> None:
+    motion = free_motion(bias_N=0.0)
+    odd = changed(motion, factor * motion.wrench[:, 2])
+    with pytest.raises(BadInput, match=r"a moving mass of .* kg, expected about the probe's 0\.2 kg; .*--accept-implausible"):
+        train([odd], tmp_path / "m.onnx", probe_mass_kg=MASS_KG)
+    assert not list(tmp_path.iterdir())
+    train([odd], tmp_path / "m.onnx", probe_mass_kg=MASS_KG, accept_implausible=True)
+    assert (tmp_path / "m.onnx").exists()
+
+
+def test_the_same_recording_twice_trains_nothing(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="recordings 1 and 2 hold the same samples"):
+        train([free_motion(), free_motion()], tmp_path / "m.onnx", probe_mass_kg=MASS_KG)

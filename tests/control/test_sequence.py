@@ -10,7 +10,7 @@ from palpd.analysis import results
 from palpd.cell.cell_file import CellFile
 from palpd.config import Config, Plan
 from palpd.control.sequence import ArmGeometry, Palpation, Sequence
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_process import Job, Kind
 from palpd.daemon.simulated_run import SimulatedRecording, run
 from palpd.tick import NO_FRAMES, ForceSensor, Mode, Phase, Request, SensorFrames, Trip
 from tests.scenes import contact, observation, robot
@@ -354,8 +354,54 @@ def test_a_retract_goes_no_farther_than_its_limit() -> None:
     drifting = cell_file(effects={"sensor.drift": {"rate_N_per_s": 0.3}}, wall={"z_m": 0.0, "stiffness_N_per_m": 400.0}, tissue=None)
     done = retracted(-0.008, drifting)
     assert done.outcome.verdict == "stopped"
-    assert "still changes after 60 mm" in done.outcome.reason
+    assert "not clear after 60 mm" in done.outcome.reason
     assert done.rows["target_pose"][-1, 2] < -0.008 + 0.0601
+
+
+def test_a_retract_of_an_unfinished_contact_goes_up_at_any_force_and_above_the_clear_height() -> None:
+    light = cell_file(tissue={"youngs_modulus_Pa": 3_000, "surface_z_m": 0.0})
+    assert "clear of the tissue" in retracted(-0.002, light).outcome.reason
+    job = Job("retract", Config(), unfinished=True, clear_z_m=0.012)
+    done = run(job, light, home_above_m=-0.002)
+    assert done.outcome.verdict == "done", done.outcome
+    assert done.outcome.level
+    assert done.rows["tcp_pose"][-1, 2] == pytest.approx(0.012, abs=5e-4)
+    assert not done.rows["command_m_per_s"][:, :2].any()
+
+
+@pytest.mark.parametrize("kind", ["palpation", "free_motion", "stiffness"])
+@pytest.mark.parametrize("depth_m", [0.002, 0.004, 0.008])
+def test_a_run_that_was_tared_in_the_tissue_ends_on_its_first_way_up(kind: Kind, depth_m: float) -> None:
+    done = run(Job(kind, Config(), lifts_first=True), cell_file(), home_above_m=-depth_m)
+    assert done.outcome.verdict == "stopped"
+    assert done.outcome.reason.startswith("tared in contact: the force changed by")
+    assert set(done.rows["phase"]) == {Phase.TARE, Phase.LIFT, Phase.DONE}
+    assert not done.rows["command_m_per_s"][:, :2].any(), "nothing goes sideways"
+    assert done.rows["command_m_per_s"][:, 2].min() >= 0.0, "nothing goes down"
+    assert done.rows["command_m_per_s"][:, 2].max() <= 0.005
+    assert not done.outcome.level
+
+
+def test_a_run_in_free_air_comes_back_from_its_first_way_up_and_finds_the_same_moduli() -> None:
+    plan = Plan(depths_m=(0.005,), repeats=1, hold_s=1.0)
+    lifted, plain = (run(Job("palpation", Config(), plan, lifts_first=lifts), cell_file()) for lifts in (True, False))
+    way = lifted.rows[lifted.rows["phase"] == Phase.LIFT]
+    assert lifted.outcome.verdict == "done", lifted.outcome
+    assert np.ptp(way["target_pose"][:, 2]) == pytest.approx(0.005, abs=2e-5)
+    assert way["target_pose"][-1, 2] == pytest.approx(way["target_pose"][0, 2], abs=2e-5)
+    static_Pa = [results.sites(done.rows, done.header)[0]["static_youngs_modulus_Pa"] for done in (lifted, plain)]
+    assert static_Pa[0] == pytest.approx(static_Pa[1], rel=5e-3)
+
+
+@pytest.mark.parametrize(("above_m", "level"), [(0.01, True), (0.0005, True), (-0.0015, False), (-0.006, False)])
+def test_a_level_test_goes_up_once_and_tells_free_air_from_tissue(above_m: float, level: bool) -> None:
+    done = run(Job("level_test", Config()), cell_file(), home_above_m=above_m)
+    assert done.outcome.level == level
+    assert done.outcome.verdict == ("done" if level else "stopped")
+    assert level or "the probe touches something; palpd retract leaves it" in done.outcome.reason
+    assert not done.rows["command_m_per_s"][:, :2].any()
+    assert done.rows["command_m_per_s"][:, 2].min() >= 0.0
+    assert np.ptp(done.rows["target_pose"][:, 2]) <= 0.00501
 
 
 @pytest.mark.parametrize(("depth_m", "stiffness_N_per_m", "trip"), [(0.004, 7000.0, Trip.ABSOLUTE_FORCE)])
@@ -376,3 +422,18 @@ def test_an_abort_stops_a_retract() -> None:
     done = retracted(-0.006, requests={120: Request.ABORT})
     assert [trip.trip for trip in done.outcome.trips] == [Trip.OPERATOR]
     assert done.rows["command_stop"][-1]
+
+
+def test_a_run_goes_back_to_where_an_unfinished_one_began_straight_up_first_and_counts_from_there() -> None:
+    start_m = (0.02, -0.01, 0.028)
+    done = run(Job("palpation", Config(), Plan.model_validate(TWO_SITES), back_to_m=start_m, top_z_m=0.04), cell_file(), home_above_m=0.02)
+    way = done.rows[done.rows["phase"] == Phase.RETURN]
+    sideways = np.hypot(*way["command_m_per_s"][:, :2].T) > 0.0
+    assert done.outcome.verdict == "done", done.outcome
+    first_sideways = int(np.argmax(sideways))
+    assert way["target_pose"][first_sideways, 2] == pytest.approx(0.04, abs=2e-5), "at the greatest height of the unfinished run"
+    searches = done.rows[done.rows["phase"] == Phase.SEARCH]
+    places = [tuple(searches["target_pose"][searches["site"] == site][0, :2]) for site in (0, 1)]
+    assert places[0] == pytest.approx((0.02, -0.01), abs=2e-5)
+    assert places[1] == pytest.approx((0.04, -0.02), abs=2e-5)
+    assert done.rows["target_pose"][-1, :3] == pytest.approx(start_m, abs=2e-5)

@@ -12,10 +12,12 @@ from palpd.daemon import doctor
 from palpd.daemon.doctor import devices, machine, stored, weight
 from palpd.daemon.doctor.devices import DeviceRecord
 from palpd.daemon.finding import Finding
+from palpd.daemon.probe_record import probe_record
 from palpd.daemon.stored_state import Calibration, Latch, State
 from palpd.errors import SensorError
 from palpd.tick import NO_FRAMES, RobotMode, SafetyMode, SensorFrames
 from tests.paths import ROOT
+from tests.robot_library import skip_without_ur_rtde
 from tests.scenes import robot
 
 HOST = "127.0.9.73"
@@ -68,13 +70,18 @@ def of_sensor(folder: Path, **changes: Any) -> list[Finding]:
     return devices.judge_sensor(record(**changes), config(folder), ScriptedSensor())
 
 
+def of_probe(folder: Path, **changes: Any) -> list[Finding]:
+    settings = config(folder)
+    return devices.judge_probe(record(**changes), settings, ScriptedSensor(), probe_record(settings, State(folder)))[0]
+
+
 def of_robot(folder: Path, **changes: Any) -> list[Finding]:
     return devices.judge_robot(record(**changes), config(folder))
 
 
 def test_a_healthy_cell_has_nothing_to_complain_of(tmp_path: Path) -> None:
     State(tmp_path).keep("calibration", Calibration(tuple(FREE), "today", "PRE00042"))
-    findings = of_sensor(tmp_path) + of_robot(tmp_path)
+    findings = of_sensor(tmp_path) + of_probe(tmp_path) + of_robot(tmp_path)
     assert [finding.verdict for finding in findings] == ["ok"] * 7
     assert named(findings, "sensor noise").figures["noise_N"] == pytest.approx([0.05] * 3, rel=0.1)
     assert max(map(abs, named(findings, "sensor drift").figures["drift_N"])) < 0.01
@@ -108,9 +115,17 @@ def test_drift_is_measured_over_the_whole_watch(tmp_path: Path) -> None:
 
 def test_a_loaded_probe_and_another_sensor_differ_from_the_tare(tmp_path: Path) -> None:
     State(tmp_path).keep("calibration", Calibration((1.0, -2.0, 34.0, 0.0, 0.0, 0.0), "today", "PRE00042"))
-    assert named(of_sensor(tmp_path), "probe free").verdict == "fail"
+    assert named(of_probe(tmp_path), "probe free").verdict == "fail"
     State(tmp_path).keep("calibration", Calibration(tuple(FREE), "today", "PRE00007"))
-    assert "PRE00007" in named(of_sensor(tmp_path), "probe free").measured
+    assert "PRE00007" in named(of_probe(tmp_path), "probe free").measured
+
+
+@pytest.mark.parametrize("changes", [{"last": None}, {"status": 1}, {"wrench": np.tile(FREE, (10_000, 1))}, {"n": 3}])
+def test_data_that_cannot_be_used_never_show_a_free_probe(tmp_path: Path, changes: dict[str, Any]) -> None:
+    State(tmp_path).keep("calibration", Calibration(tuple(FREE), "today", "PRE00042"))
+    finding = named(of_probe(tmp_path, **changes), "probe free")
+    assert finding.verdict == "fail"
+    assert "nothing may move" in finding.advice
 
 
 def late(by_s: float) -> np.ndarray[Any, Any]:
@@ -255,6 +270,7 @@ def test_a_device_that_is_there_and_does_not_open_fails(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def emulated(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
+    skip_without_ur_rtde()
     with started(tmp_path_factory.mktemp("doctor"), "ur5", ROOT / "palpd" / "cell" / "phantom.yaml", HOST) as cell:
         yield cell
 

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from palpd.config import Config, parse_config
+from palpd.control.probe_state import ProbeEvidence, ProbeIdentity
 from palpd.daemon.job_worker import Finished, RunRequest, Words, WorkerOrder, WorkerProcess
 from palpd.daemon.stored_state import State
 from palpd.daemon.supervisor import Report
@@ -28,7 +29,7 @@ def begun(config: Config, tmp_path: Path) -> Iterator[Callable[..., WorkerProces
     workers: list[WorkerProcess] = []
 
     def begin(program: str, **arguments: Any) -> WorkerProcess:
-        workers.append(WorkerProcess(WorkerOrder(program, arguments, config, tmp_path / "kept")))
+        workers.append(WorkerProcess(WorkerOrder(program, arguments, config, tmp_path / "kept", "Ann")))
         return workers[-1]
 
     yield begin
@@ -52,7 +53,8 @@ def test_a_program_asks_for_its_run_and_keeps_what_came(begun: Callable[..., Wor
     assert isinstance(request, RunRequest)
     assert (request.kind, request.recording) == ("calibrate", None)
     assert worker.hear() is None, "it waits for the report"
-    worker.answer(Report("done", reference=(1.0, 2.0, 3.0, 0.0, 0.0, 0.0), about={"sensor_serial": "PRE00042"}))  # type: ignore[typeddict-item]
+    evidence = ProbeEvidence((0.0,) * 6, (1.0, 2.0, 3.0, 0.0, 0.0, 0.0), 0.0, ProbeIdentity("PRE00042", None, None))
+    worker.answer(Report("done", evidence=evidence))
     end = heard(worker)
     assert isinstance(end, Finished)
     assert (end.verdict, end.exit_code) == ("done", 0)
@@ -99,7 +101,7 @@ import os, sys, time
 from pathlib import Path
 from palpd.config import Config
 from palpd.daemon.job_worker import WorkerOrder, WorkerProcess
-worker = WorkerProcess(WorkerOrder("calibrate", {}, Config(), Path("kept")))
+worker = WorkerProcess(WorkerOrder("calibrate", {}, Config(), Path("kept"), "Ann"))
 while worker.hear() is None:
     time.sleep(0.01)
 print(worker.pid, flush=True)

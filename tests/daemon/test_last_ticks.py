@@ -44,7 +44,7 @@ def test_each_tick_has_its_force_height_speed_and_command() -> None:
 def over(ring: Ring, first_tick: int, exit_code: int) -> Report:
     """The report of a run that published its first row at `first_tick`, and that nothing recorded."""
     run = object.__new__(JobRun)
-    run._ring, run._first_tick, run._recorder, run._about = ring, first_tick, None, {}
+    run._ring, run._first_tick, run._recorder, run._about, run._marked, run._place = ring, first_tick, None, {}, None, None
     return run._over(Report("stopped", "the motion process ended by signal 11", exit_code))
 
 

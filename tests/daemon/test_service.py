@@ -27,6 +27,7 @@ from palpd.errors import Refused
 from palpd.recording.reader import Recording, recover
 from palpd.tick import ROW, Phase, Request
 from tests.paths import ROOT
+from tests.robot_library import skip_without_ur_rtde
 
 HOST = "127.0.9.72"
 PHANTOM = ROOT / "palpd" / "cell" / "phantom.yaml"
@@ -424,6 +425,7 @@ def until(true: Callable[[], bool], patience_s: float) -> None:
 @pytest.fixture(scope="module")
 def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
     folder = tmp_path_factory.mktemp("daemon")
+    skip_without_ur_rtde()
     with started(folder, "ur5", PHANTOM, HOST) as emulated:
         served = Daemon(folder, emulated)
         yield served

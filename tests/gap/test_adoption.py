@@ -153,3 +153,11 @@ def test_a_law_without_measured_confounds_is_compared_when_it_is_adopted(tmp_pat
     assert done.law.confounds
     assert max(done.law.confounds.values()) > 0.95
     assert load_learned(done.path) == (done.law,)
+
+
+def test_a_law_of_implausible_size_is_adopted_only_where_that_is_accepted(tmp_path: Path) -> None:
+    save_learned(tmp_path / "law.yaml", [learned(values=[0.0, 2e4, 2e4])])
+    with pytest.raises(BadInput, match=r"the change of fz_N by learned\.test is 2e\+04 N, expected 0 to 1000 N .*--accept-implausible"):
+        adopt(tmp_path / "law.yaml", tmp_path / "mine", None, nominal())
+    assert not (tmp_path / "mine").exists()
+    assert adopt(tmp_path / "law.yaml", tmp_path / "mine", None, nominal(), accept_implausible=True).path.exists()

@@ -19,6 +19,7 @@ from palpd.cell.effects.drivers import Driver
 from palpd.cell.simulation import simulate
 from palpd.gap.commands import simulate_file, write_answer
 from palpd.gap.diagnosis import Diagnosis
+from palpd.gap.law_search import finding
 from palpd.gap.law_search.bases import hats, powers
 from palpd.gap.law_search.evidence import SIZES, group_evidence
 from palpd.gap.law_search.finding import leading_leaves
@@ -90,6 +91,14 @@ def test_out_json_the_file_and_the_report_hold_the_law(rail: Diagnosis, tmp_path
     assert content["learned"]["formula"] in html
     assert 'id="law' in html or "law" in html
     assert "without the law" in html
+
+
+def test_a_law_over_few_bins_shows_its_data_in_the_report(rail: Diagnosis, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A recording of 49 rows has no stretch of the driver with three bins."""
+    monkeypatch.setattr(finding, "SHOWN_POINTS", 100_000)
+    content = rail.to_json()
+    assert content["learned"]["data"]["x"]
+    assert "Explained by the law" in page(content, curves_of(rail), rail.problem.library, "x")
 
 
 def test_a_single_step_is_an_event_with_its_time_and_size() -> None:

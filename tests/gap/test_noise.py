@@ -1,17 +1,25 @@
 """What the diagnosis takes for noise, and where samples stand in time."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from palpd.cell.cell_file import nominal
+from palpd.cell.cell_file import CellFile, nominal
+from palpd.cell.effects import EFFECTS
+from palpd.cell.simulation import simulate
 from palpd.gap.bins import Bins
-from palpd.gap.noise import FZ, lattice_step, measured_rms
-from palpd.gap.rounding import Rounding, Way, coarse_step_N, rounding_of
-from palpd.gap.scatter import without_held, without_tails
+from palpd.gap.linearise import linearise
+from palpd.gap.noise import FZ, lattice_step
+from palpd.gap.prepare import prepare
+from palpd.gap.problem import make_problem
+from palpd.gap.recorded_noise import readings_at_rest_N
+from palpd.gap.rounding import WAYS, Way, coarse_step_N, noise_before_rounding, rounded_moments, roundings_of
+from palpd.gap.scatter import Readings, scatter_effects, without_held, without_tails
 from palpd.gap.whitening import Whitening
+from palpd.recording.oddities import measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
@@ -76,56 +84,147 @@ def test_repeats_by_chance_are_counted_whatever_their_last_bits() -> None:
     assert without_held(at_rest(wrench))[1] == without_held(at_rest(turned))[1] == 0
 
 
+def rounded(force: Floats, way: Way) -> Floats:
+    return {"nearest": np.rint, "down": np.floor, "to zero": np.trunc}[way](force)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_mean_and_variance_of_rounded_readings_are_those_of_simulated_ones(way: Way) -> None:
+    """Noise of 0.02 to 2 steps, forces anywhere between the levels: errors of a simulation of that length, and no larger ones."""
+    rng, n = np.random.default_rng(12), 100_000
+    for noise in np.exp(rng.uniform(np.log(0.02), np.log(2.0), 40)):
+        force = rng.uniform(-3.0, 3.0, 5)
+        readings = rounded(force[:, None] + noise * rng.standard_normal((5, n)), way)
+        mean, variance = rounded_moments(force, noise, way)
+        spread = np.sqrt(np.maximum(variance, 1e-4) / n)
+        fourth = ((readings - mean[:, None]) ** 4).mean(axis=1)
+        assert np.abs(readings.mean(axis=1) - mean).max() < 5.0 * spread.max()
+        assert (np.abs(readings.var(axis=1) - variance) < 5.0 * np.sqrt(np.maximum(fourth, 1e-4) / n)).all()
+
+
+def test_noise_before_rounding_is_that_of_the_readings_wherever_they_rest() -> None:
+    """Readings that rest in the middle of a level vary less than q²/12 alone, and those between two levels vary more."""
+    rng, n = np.random.default_rng(13), 20_000
+    seen = []
+    for noise in np.exp(rng.uniform(np.log(0.1), np.log(3.0), 60)):
+        rest = np.rint(rng.uniform(-0.5, 0.5) + noise * rng.standard_normal(n))
+        low, high = noise_before_rounding(0.131 * rest, np.ones(n, bool), 0.131)
+        assert 0.85 * low < 0.131 * noise < 1.15 * high
+        seen.append(high < 1.3 * low)
+        if noise > 0.3:
+            assert seen[-1], "noise of 0.3 steps or more shows"
+    assert not all(seen), "noise far below a step hides in it"
+
+
+def at_rest_in_turn(rng: np.random.Generator, forces_N: Sequence[float], noise_N: float, zero_N: float, n: int = 50_000) -> Floats:
+    """Readings (n of each force, to whole steps of 0.131 N) of a sensor whose zero is off."""
+    return 0.131 * np.rint((np.repeat(forces_N, n) + zero_N + noise_N * rng.standard_normal(n * len(forces_N))) / 0.131)
+
+
+@pytest.mark.parametrize("noise", [0.15, 0.25, 0.3])
+@pytest.mark.parametrize("zero_N", [-0.171, 0.0, 0.03])
+def test_a_zero_that_is_off_moves_all_readings_alike_and_is_counted_once(noise: float, zero_N: float) -> None:
+    """Readings minus those predicted without any bias are the bias, at rest and beside it: so tolerance and effect act in one frame."""
+    noise_N, forces_N = noise * 0.131, np.array([0.0, 0.05, -0.08, 0.11])
+    readings_N = at_rest_in_turn(np.random.default_rng(9), forces_N, noise_N, zero_N)
+    wrench = np.zeros((len(readings_N), 6))
+    wrench[:, 2] = readings_N
+    means_N = readings_N.reshape(4, -1).mean(axis=1)
+    (rounding,) = roundings_of([at_rest(wrench)], [0.0], nominal(), noise_N, [float(means_N[0])])
+    predicted_N = rounding.readings(forces_N, np.array([0]))
+    np.testing.assert_allclose(means_N - predicted_N, zero_N, atol=0.03 * 0.131)
+    # A hypothesis with that bias predicts the same readings, moved by it.
+    np.testing.assert_allclose(rounding.readings(forces_N + zero_N, np.array([0])), predicted_N + zero_N, atol=1e-9)
+    far_N = np.array([0.0, 5.3 * 0.131])
+    assert rounding.readings(far_N, np.array([0]))[1] == far_N[1], "far from the rests tolerances hide the levels"
+
+
+def test_each_recording_has_the_levels_of_its_own_tare() -> None:
+    rng, noise_N = np.random.default_rng(14), 0.02
+    recordings, rests_N = [], []
+    for tare_N in (0.02, -0.05):
+        wrench = np.zeros((100_000, 6))
+        wrench[:, 2] = at_rest_in_turn(rng, (0.0, 0.08), noise_N, 0.01) - tare_N
+        recordings.append(at_rest(wrench))
+        rests_N.append(float(wrench[:50_000, 2].mean()))
+    for samples, rounding in zip(recordings, roundings_of(recordings, [0.0, 0.0], nominal(), noise_N, rests_N), strict=True):
+        first_N, then_N = samples.wrench[:, 2].reshape(2, -1).mean(axis=1)
+        at_first_N, there_N = rounding.readings(np.array([0.0, 0.08]), np.array([0]))
+        assert there_N - at_first_N == pytest.approx(then_N - first_N, abs=0.03 * 0.131)
+
+
+@pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("level", [0.0, 0.5])
-def test_coarse_rounding_is_found_and_followed_on_average(level: float) -> None:
+def test_coarse_rounding_is_found_and_followed_on_average(way: Way, level: float) -> None:
+    if way == "to zero" and level:
+        pytest.skip("integers in software are cut towards their zero")
     rng = np.random.default_rng(5)
-    wrench = rng.normal(0.0, 0.1, (20_000, 6)) + np.linspace(0.0, 8.0, 20_000)[:, None]
-    wrench[:, 2] = (np.rint(wrench[:, 2] / 0.37 - level) + level) * 0.37
-    coarse = rounding_of([at_rest(wrench)], [coarse_step_N(at_rest(wrench), nominal())], nominal(), 0.1, 0.0)
-    assert coarse is not None
+    wrench = rng.normal(0.0, 0.1, (20_000, 6)) + np.repeat(np.linspace(0.0, 8.0, 200), 100)[:, None]
+    wrench[:, 2] = (rounded(wrench[:, 2] / 0.37 - level, way) + level) * 0.37
+    rest_N = float(0.37 * (rounded(rng.normal(0.0, 0.1, 200_000) / 0.37 - level, way) + level).mean())
+    (coarse,) = roundings_of([at_rest(wrench)], [coarse_step_N(at_rest(wrench), nominal())], nominal(), 0.1, [rest_N])
     assert coarse.step_N == pytest.approx(0.37, rel=2e-3)
     assert abs((coarse.level_N / 0.37 - level + 0.5) % 1.0 - 0.5) < 0.1
-    rounding = Rounding(0.37, 0.1, 0.12)
-    for force_N in (0.0, 0.2, 1.23):
-        readings = 0.1 + 0.37 * np.rint((force_N + rng.normal(0.0, 0.12, 200_000) - 0.1) / 0.37)
-        assert rounding.mean(np.array([force_N]))[0] == pytest.approx(readings.mean(), abs=2e-3)
-    assert rounding.slope(np.linspace(0.0, 3.7, 1000)).mean() == pytest.approx(1.0, abs=0.01)
+    forces_N = np.array([0.0, 0.2, 1.23, -0.3])
+    readings_N = 0.37 * (rounded((forces_N[:, None] + rng.normal(0.0, 0.1, (4, 200_000))) / 0.37 - level, way) + level)
+    predicted_N = replace(coarse, way=way).readings(forces_N, np.array([0]))
+    np.testing.assert_allclose(predicted_N - predicted_N[0], readings_N.mean(axis=1) - rest_N, atol=0.02 * 0.37)
 
 
 def test_rounding_to_the_stated_step_counts_where_noise_does_not_dither_it() -> None:
-    rng = np.random.default_rng(8)
     step_N = nominal().sensor.resolution_fz_N
     for noise, counts in ((0.3, True), (0.6, False)):
-        wrench = np.zeros((20_000, 6))
-        wrench[:, 2] = np.round(rng.normal(0.4 * step_N, noise * step_N, 20_000) / step_N) * step_N
-        rounding = rounding_of([at_rest(wrench)], [0.0], nominal(), noise * step_N, 0.0)
-        mean_N = 0.4 * step_N if rounding is None else float(rounding.mean(np.array([0.4 * step_N]))[0])
-        assert (rounding is not None) == counts
-        assert mean_N == pytest.approx(wrench[:, 2].mean(), abs=4.0 * noise * step_N / 20_000**0.5 + 1e-3 * step_N)
+        assert bool(roundings_of([at_rest(np.zeros((100, 6)))], [0.0], nominal(), noise * step_N, [0.0])) == counts
 
 
-def test_levels_lie_where_the_zero_of_the_sensor_puts_them_and_are_known_in_the_air_only() -> None:
-    """A bias of a quarter of a step moves the force at rest to the side of its level."""
-    step_N, noise_N = nominal().sensor.resolution_fz_N, 0.3 * nominal().sensor.resolution_fz_N
-    rng = np.random.default_rng(9)
-    force_N, bias_N = 0.1 * step_N, 0.25 * step_N
-    wrench = np.zeros((200_000, 6))
-    wrench[:, 2] = np.round((rng.normal(bias_N, noise_N, 200_000)) / step_N) * step_N
-    rounding = rounding_of([at_rest(wrench)], [0.0], nominal(), noise_N, float(wrench[:, 2].mean()))
-    assert rounding is not None
-    more = np.round(rng.normal(force_N + bias_N, noise_N, 200_000) / step_N) * step_N
-    at_zero_N, there_N = rounding.mean(np.array([0.0, force_N]))
-    assert there_N - at_zero_N == pytest.approx(more.mean() - wrench[:, 2].mean(), abs=0.01 * step_N)
-    far_N = np.array([5.3 * step_N])
-    assert rounding.mean(far_N) == far_N
+def free_strokes(cell: CellFile, bias_N: float = 0.0) -> Samples:
+    """A recording of strokes and rests in the air."""
+    t_s = np.arange(20_000) / 500.0
+    z_cmd_m = 0.02 + 0.005 * np.clip(np.sin(2.0 * np.pi * t_s / 8.0) * 3.0, -1.0, 1.0)
+    biased = cell.with_effects({"sensor.bias": {"offset_N": bias_N}})
+    columns = simulate(biased, t_s, z_cmd_m=z_cmd_m, noise_seed=1)
+    wrench = np.column_stack([columns[name] for name in ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")])
+    return Samples(t_s, z_cmd_m, columns["z_m"], columns["vz_m_per_s"], wrench)
 
 
-@pytest.mark.parametrize(("way", "cut"), [("down", np.floor), ("to zero", np.trunc)])
-def test_readings_that_are_cut_and_not_rounded_are_followed_on_average(way: Way, cut: Callable[[Floats], Floats]) -> None:
-    rng = np.random.default_rng(7)
-    for force_N in (-1.1, -0.1, 0.0, 0.2, 1.23):
-        readings = 0.37 * cut((force_N + rng.normal(0.0, 0.12, 200_000)) / 0.37)
-        assert Rounding(0.37, 0.0, 0.12, way).mean(np.array([force_N]))[0] == pytest.approx(readings.mean(), abs=2e-3)
+def undithered(noise_N: float = 0.03) -> CellFile:
+    sensor = nominal().sensor.model_copy(update={"noise_rms_N": noise_N})
+    return nominal().model_copy(update={"sensor": sensor})
+
+
+@pytest.mark.parametrize("noise_N", [0.018, 0.03])
+@pytest.mark.parametrize("bias_N", [0.0, 0.03, 0.0655])
+def test_an_axis_is_no_noisier_or_quieter_for_where_it_rests_between_its_levels(noise_N: float, bias_N: float) -> None:
+    cell = undithered(noise_N)
+    samples = free_strokes(cell, bias_N)
+
+    def p_lone_axis(samples: Samples) -> float:
+        return scatter_effects([prepare(samples, cell, 600)], [Readings.of(samples, cell)], cell, EFFECTS).p_lone_axis
+
+    assert p_lone_axis(samples) < 0.01
+    louder = samples.wrench + 0.1 * np.random.default_rng(2).standard_normal((20_000, 1)) * (np.arange(6) == 2)
+    assert p_lone_axis(replace(samples, wrench=louder)) > 0.99
+
+
+def test_drift_acts_through_the_rounding_as_the_effect_does() -> None:
+    """Its column is what a cell with that drift predicts more, and a bias column is the same for all readings."""
+    cell = undithered()
+    samples = free_strokes(cell)
+    roundings = roundings_of([samples], [0.0], cell, *readings_at_rest_N([samples], cell))
+    problem = make_problem([samples], cell, roundings=roundings)
+    around = linearise(problem, {}, problem.nominal_eta)
+    per_min = cell.tolerances.drift_N_per_min
+
+    def column(name: str) -> Floats:
+        (number,) = around.numbers("recording", name, FZ)
+        return around.space.explained(np.eye(around.space.size)[number])[FZ]
+
+    effect = {"sensor.drift": {"rate_N_per_s": 0.5 * per_min / 60.0}}
+    change = 2.0 * (problem.predict(effect, problem.nominal_eta) - around.prediction)[FZ]
+    np.testing.assert_allclose(column("drift_N_per_min"), change, atol=1e-6 * np.abs(change).max())
+    effect = {"sensor.bias": {"offset_N": cell.tolerances.bias_N}}
+    change = (problem.predict(effect, problem.nominal_eta) - around.prediction)[FZ]
+    np.testing.assert_allclose(column("bias_N"), change, atol=1e-6 * np.abs(change).max())
 
 
 def test_tails_are_taken_out_of_noise_that_is_too_large_only() -> None:

@@ -8,7 +8,8 @@ import pytest
 from palpd.cell.cell_file import CellFile, cell_from, nominal
 from palpd.cell.effects import EFFECTS
 from palpd.errors import RecordingError
-from palpd.gap.plausibility import channel_notes, check_recordings
+from palpd.gap.commands import simulate_columns
+from palpd.gap.plausibility import channel_notes, check_recordings, recording_notes
 from palpd.gap.problem import make_problem
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -38,6 +39,61 @@ def test_a_force_that_is_constant_while_the_probe_presses_is_refused_as_dead(axe
         check_recordings([replace(HEALTHY, wrench=wrench)], cell)
 
 
+def strokes_in_the_air(mass_kg: float = 0.2, resolution_fz_N: float = 0.131) -> tuple[Samples, CellFile]:
+    """Strokes of 20 mm at 20 mm/s above the surface, with the sensor that the emulated cell has."""
+    sensor = {"noise_rms_N": 0.03, "resolution_fz_N": resolution_fz_N}
+    cell = cell_from({"probe": {"mass_kg": mass_kg}, "sensor": sensor, "tissue": None}, "in the air")
+    t_s = np.arange(0.0, 16.0, 0.002)
+    z_cmd_m = 0.01 + 0.02 * np.interp(t_s % 4.0, [0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 0.0, 1.0, 1.0, 0.0])
+    return simulate_columns(cell, {"t_s": t_s, "z_cmd_m": z_cmd_m}, measured=False, noise_seed=1), cell
+
+
+def test_a_coarse_and_quiet_sensor_in_free_air_is_not_called_dead() -> None:
+    samples, cell = strokes_in_the_air()
+    assert len(np.unique(samples.wrench[:, 2])) > 1
+    assert check_recordings([samples], cell) == []
+
+
+@pytest.mark.parametrize(("mass_kg", "resolution_N", "is_dead"), [(0.5, 0.131, True), (0.2, 0.131, False), (0.2, 0.01, True)])
+def test_a_constant_force_in_free_air_is_dead_where_inertia_exceeds_a_step(mass_kg: float, resolution_N: float, is_dead: bool) -> None:
+    samples, cell = strokes_in_the_air(mass_kg, resolution_N)
+    samples.wrench[:, 2] = 0.131
+    if is_dead:
+        with pytest.raises(RecordingError, match=r"fz_N is 0\.131 throughout while the inertia of"):
+            check_recordings([samples], cell)
+    else:
+        assert check_recordings([samples], cell) == [
+            "fz_N is 0.131 throughout, so nothing vertical is judged; check that the sensor is alive, and press the tissue."
+        ]
+
+
+def test_a_wrench_without_a_live_axis_is_refused_also_where_nothing_is_in_reach() -> None:
+    samples, cell = strokes_in_the_air()
+    samples.wrench[:] = 0.0
+    with pytest.raises(RecordingError, match="no other axis of the force changes, while the probe moves by 20 mm"):
+        check_recordings([samples], cell)
+
+
+def test_two_wrong_signs_that_cancel_are_questioned() -> None:
+    assert HEALTHY.z_cmd_m is not None
+    both = replace(
+        HEALTHY, z_m=-HEALTHY.z_m, z_cmd_m=-HEALTHY.z_cmd_m, vz_m_per_s=-HEALTHY.vz_m_per_s, wrench=HEALTHY.wrench * [1, 1, -1, 1, 1, 1]
+    )
+    assert any("both signs look wrong" in note for note in check_recordings([both], nominal()))
+
+
+def test_the_same_recording_twice_is_no_further_evidence() -> None:
+    again = replace(HEALTHY, wrench=HEALTHY.wrench.copy())
+    with pytest.raises(RecordingError, match="recordings 1 and 2 hold the same samples"):
+        check_recordings([HEALTHY, again], nominal())
+
+
+def test_a_cell_that_cannot_be_carried_is_said_above_the_verdict() -> None:
+    heavy = cell_from({"probe": {"mass_kg": 106.0}}, "heavy")
+    diagnosis = quick(HEALTHY, heavy)
+    assert any("probe.mass_kg is 106 kg, expected 0 to 5 kg" in note for note in diagnosis.to_json()["decisive"])
+
+
 def test_dead_lateral_axes_are_noted_and_the_rest_is_judged() -> None:
     wrench = HEALTHY.wrench.copy()
     wrench[:, [0, 1, 3, 4, 5]] = 0.0
@@ -59,7 +115,7 @@ def test_an_odd_force_is_questioned_and_not_refused() -> None:
 
 def test_an_unknown_modulus_is_questioned_where_no_tissue_has_it() -> None:
     assert check_recordings([with_forces(100.0)], with_modulus_unknown()) == []
-    assert any("a modulus of" in note for note in check_recordings([with_forces(1e5)], with_modulus_unknown()))
+    assert any("the modulus that this gives is" in note for note in check_recordings([with_forces(1e5)], with_modulus_unknown()))
 
 
 @pytest.mark.parametrize("cell", [nominal(), with_modulus_unknown()], ids=["known", "unknown modulus"])
@@ -99,7 +155,7 @@ def test_a_short_hole_is_noted_with_its_time() -> None:
     keep[300:350] = False
     assert HEALTHY.z_cmd_m is not None
     holed = Samples(HEALTHY.t_s[keep], HEALTHY.z_cmd_m[keep], HEALTHY.z_m[keep], HEALTHY.vz_m_per_s[keep], HEALTHY.wrench[keep])
-    assert [note for note in check_recordings([holed], nominal()) if "missing at 1 place, the longest time 0.408 s from 2.39" in note]
+    assert [note for note in recording_notes([holed], nominal()) if "missing at 1 place, the longest time 0.408 s from 2.39" in note]
 
 
 def test_time_in_milliseconds_is_refused() -> None:
@@ -141,6 +197,12 @@ def test_recordings_of_several_sites_are_refused_and_named() -> None:
         check_recordings([replace(HEALTHY, sites=("A", "B"))], nominal())
 
 
+def test_recordings_of_two_sites_are_not_judged_as_one_cell() -> None:
+    one, other = (replace(HEALTHY, sites=(name,)) for name in "AB")
+    with pytest.raises(RecordingError, match=r"the recordings together hold 2 sites \(A, B\), expected one"):
+        check_recordings([one, other], nominal())
+
+
 def test_a_cell_file_with_sites_says_which_tissue_counts() -> None:
     cell = cell_from({"sites": [{"name": "A"}, {"name": "B", "x_m": 0.03}]}, "sites")
-    assert any("has sites (A, B)" in note for note in check_recordings([HEALTHY], cell))
+    assert any("has sites (A, B), and the recording names none of them" in note for note in recording_notes([HEALTHY], cell))

@@ -19,7 +19,7 @@ def in_nanonewtons(samples: Samples) -> Samples:
 
 
 def test_noise_and_resolution_that_are_not_stated_are_those_of_the_recording() -> None:
-    cell, notes = with_recorded_noise([in_nanonewtons(recording("second order", 101))], CellFile.model_validate({}))
+    cell, _, notes = with_recorded_noise([in_nanonewtons(recording("second order", 101))], CellFile.model_validate({}))
     assert cell.sensor.noise_rms_N == pytest.approx(0.05e-9, rel=0.1)
     assert cell.sensor.resolution_fz_N == pytest.approx(0.131e-9, rel=0.01)
     assert "noise_rms_N" in notes[0]
@@ -36,8 +36,8 @@ def test_noise_before_rounding_is_that_of_lateral_axes_where_these_are_healthy()
 
 def test_stated_noise_stays_and_is_questioned_where_the_recording_shows_another() -> None:
     samples = recording("second order", 101)
-    assert with_recorded_noise([samples], nominal()) == (nominal(), [])
-    cell, notes = with_recorded_noise([in_nanonewtons(samples)], nominal())
+    assert with_recorded_noise([samples], nominal()) == (nominal(), [], [])
+    cell, notes, _ = with_recorded_noise([in_nanonewtons(samples)], nominal())
     assert cell == nominal()
     assert "sensor.noise_rms_N is 0.05 and the recording shows 4.94e-11" in notes[0]
 

@@ -3,11 +3,14 @@
 import copy
 import json
 import re
+from dataclasses import replace
+from html import unescape as html_text
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import jsonschema
+import numpy as np
 import pytest
 
 from palpd.cell.cell_file import nominal
@@ -72,7 +75,9 @@ def test_the_report_begins_with_the_sentence_of_the_verdict(rubbing: Diagnosis, 
     html = (tmp_path / "out.html").read_text(encoding="utf-8")
     headline = re.search(r"<h1>(.*?)</h1>", html)
     assert headline is not None
-    assert headline[1] == rubbing.sentence
+    assert html_text(headline[1]) == rubbing.sentence
+    assert rubbing.modulus is not None
+    assert rubbing.modulus.sentence in rubbing.sentence
     assert html.index("<h1>") < html.index("<svg")
     assert "Coulomb" in html or EFFECTS["cable.friction"].what in html
     for name, (value, _, _) in rubbing.effects[0].parameters.items():
@@ -89,6 +94,12 @@ def test_a_healthy_cell_has_a_report_that_accuses_nobody(healthy: Diagnosis) -> 
     html = page(healthy.to_json(), curves_of(healthy), EFFECTS, "x")
     assert 'class="none"' in html
     assert "cause found" not in html
+
+
+def test_a_recording_of_one_phase_without_any_floor_has_a_report(healthy: Diagnosis) -> None:
+    curves = curves_of(healthy)
+    curves = replace(curves, phase=np.zeros_like(curves.phase))
+    assert "mean of 1" in page(healthy.to_json() | {"gap": []}, curves, EFFECTS, "x")
 
 
 def test_a_group_and_the_next_experiment_are_shown(rubbing: Diagnosis) -> None:

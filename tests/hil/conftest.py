@@ -5,11 +5,13 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from benchmarks.emulated_cell import EmulatedCell, emulated_cell
+from tests.robot_library import skip_without_ur_rtde
 
 
 @pytest.fixture(scope="package")
 def cb3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedCell]:
     """A UR5 at 125 Hz and a HEX-70 at 1 kHz."""
+    skip_without_ur_rtde()
     with emulated_cell(tmp_path_factory.mktemp("cell"), "ur5") as cell:
         yield cell
 

@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.arming import ARMING_FAULTS, failed_arming, fresh, objection, prepared, required
 from benchmarks.emulated_cell import EmulatedCell, emulated_cell, retry_if_machine_stalled
+from tests.robot_library import skip_without_ur_rtde
 
 pytestmark = pytest.mark.hil
 
@@ -20,6 +21,7 @@ def test_every_fault_has_a_row() -> None:
 
 @pytest.fixture(scope="module")
 def calibrated(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[EmulatedCell, str]]:
+    skip_without_ur_rtde()
     with emulated_cell(tmp_path_factory.mktemp(request.param), request.param) as base:
         yield base, prepared(base)
 

@@ -9,6 +9,7 @@ import yaml
 from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell
 from palpd.recording.reader import Recording
 from palpd.tick import Trip
+from tests.robot_library import skip_without_ur_rtde
 
 pytestmark = pytest.mark.hil
 
@@ -28,6 +29,7 @@ def wired(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedCell]:
     """A UR5 with a Net F/T whose page is on port 8049."""
     folder = tmp_path_factory.mktemp("cell")
     (folder / "cell.yaml").write_text(yaml.safe_dump(CELL))
+    skip_without_ur_rtde()
     with emulated_cell(folder, "ur5", folder / "cell.yaml", "--net-ft-port", "8049") as cell:
         yield cell
 

@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell
 from palpd.recording.reader import Recording
+from tests.robot_library import skip_without_ur_rtde
 
 pytestmark = pytest.mark.hil
 
@@ -19,6 +20,7 @@ OVER_READ_N = (1656 / 1528 - 1.0) * 0.2 * 9.81
 @pytest.fixture(scope="module")
 def parting_at_load(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedCell]:
     """A sensor of that law."""
+    skip_without_ur_rtde()
     with emulated_cell(tmp_path_factory.mktemp("cell"), "ur5", None, "--fz-parts-at", "load") as cell:
         yield cell
 

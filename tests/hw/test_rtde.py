@@ -29,6 +29,7 @@ from hw.rtde import STOP_TIMEOUT_S, VARIABLES, UrReader, UrRobot
 from palpd.errors import RobotError
 from palpd.tick import RobotState
 from tests.paths import ROOT
+from tests.robot_library import skip_without_ur_rtde
 
 WATCHDOG_HZ = 10
 REST_WITHIN_S = 0.110
@@ -115,6 +116,7 @@ def test_a_watchdog_faster_than_the_commands_is_refused() -> None:
 
 
 def test_a_robot_that_is_not_there_is_refused_at_once() -> None:
+    skip_without_ur_rtde()
     began_s = time.monotonic()
     with pytest.raises(RobotError, match=r"cannot be reached .* on port 30004 within 2 s; check robot\.host"):
         UrReader(next(_hosts), model="ur5", rate_Hz=125)
@@ -125,6 +127,7 @@ def test_a_robot_that_is_not_there_is_refused_at_once() -> None:
 def test_a_controller_that_falls_silent_is_refused_in_bounded_time(
     controller: Callable[..., FarController], silent_after: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    skip_without_ur_rtde()
     monkeypatch.setattr("hw.rtde.CONNECT_TIMEOUT_S", 0.2)
     began_s = time.monotonic()
     with pytest.raises(RobotError, match=r"does not answer on port 30004 within 0\.2 s after the connection was made"):
@@ -141,6 +144,7 @@ def test_a_controller_that_falls_silent_is_refused_in_bounded_time(
     ],
 )
 def test_a_controller_of_another_kind_is_refused(controller: Callable[..., FarController], kinds: dict[str, Any], sentence: str) -> None:
+    skip_without_ur_rtde()
     with pytest.raises(RobotError, match=sentence):
         UrReader(controller(**kinds).host, model="ur5", rate_Hz=125)
 
@@ -252,6 +256,7 @@ def say(word):
 
 @pytest.fixture(scope="module", params=["ur5", "ur5e"])
 def client(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    skip_without_ur_rtde()
     with emulated_cell(tmp_path_factory.mktemp(request.param), request.param) as cell:
         yield Client(cell)
 
@@ -423,6 +428,7 @@ def test_a_frozen_network_does_not_hang_stop_or_close(client: Client) -> None:
 
 @pytest.mark.hil
 def test_a_protective_stop_shows_and_refuses_motion_with_its_reason(tmp_path: Path) -> None:
+    skip_without_ur_rtde()
     with emulated_cell(tmp_path, "ur5") as cell:
         client = Client(cell)
         report = client.run(

@@ -11,11 +11,11 @@ from palpd.cell.cell_file import cell_from, load_cell, nominal
 from palpd.cell.simulation import simulate
 from palpd.cli.gap import diagnose
 from palpd.config import Plan, PlanSite
-from palpd.errors import RecordingError
+from palpd.errors import BadInput, RecordingError
 from palpd.gap.commands import read_recording
 from palpd.gap.first_cell import first_cell, written_out
 from palpd.interchange.foreign import import_command, is_foreign
-from palpd.interchange.import_files import ImportOptions, read_files
+from palpd.interchange.import_files import ImportOptions, read_files, source_of
 from palpd.interchange.registry import GROUP, OURS, reader_of, readers
 from palpd.recording import samples as samples_file
 from palpd.recording.mcap_file import RecordingWriter
@@ -71,8 +71,9 @@ def test_a_recording_of_the_daemon_is_read_by_its_site_and_is_not_foreign(tmp_pa
     assert np.array_equal(one.wrench, read_csv(tmp_path / "b.csv").wrench)
     with pytest.raises(RecordingError, match=r"run\.mcap holds 2 sites \(A, B\), expected one; choose one with --site"):
         read_recording(path)
-    with pytest.raises(RecordingError, match="has no site C; it has A, B"):
-        read_recording(path, "C")
+    for name, words in (("C", "C"), ("", "without a name")):
+        with pytest.raises(RecordingError, match=f"has no site {words}; it has A, B"):
+            read_recording(path, name)
     with pytest.raises(RecordingError, match=r"run\.mcap is a recording of palpd, or a damaged bag; palpd diagnose"):
         read_files([path], ImportOptions())
 
@@ -182,3 +183,35 @@ def test_no_first_cell_is_made_of_a_force_with_the_wrong_sign() -> None:
     turned["fz_N"] *= -1.0
     with pytest.raises(RecordingError, match=r"multiply the forces by -1 \(palpd import --compression-negative\)"):
         first_cell([samples_file.samples_from_columns(turned, "turned.csv")])
+
+
+@pytest.mark.parametrize(
+    ("factor", "height_factor", "question"),
+    [(1e3, 1.0, "the modulus of the tissue is"), (1.0, 1e3, "the stroke of z_m is"), (-1.0, -1.0, "both signs look wrong")],
+    ids=["mN", "mm", "two signs"],
+)
+def test_a_first_cell_of_another_unit_or_axis_is_questioned_and_can_be_accepted(factor: float, height_factor: float, question: str) -> None:
+    made_of = simulated({})
+    odd = Samples(
+        made_of.t_s, None, height_factor * made_of.z_m, height_factor * made_of.vz_m_per_s, made_of.wrench * [1, 1, factor, 1, 1, 1]
+    )
+    with pytest.raises(BadInput, match=f"{question}.*--accept-implausible"):
+        first_cell([odd], 0.005)
+    accepted = first_cell([odd], 0.005, accept_implausible=True)
+    assert any(question in sentence for sentence in accepted.sentences)
+
+
+@pytest.mark.parametrize("fz_N", [0.0, 0.5])
+def test_no_first_cell_is_made_of_a_force_that_never_changes(fz_N: float) -> None:
+    made_of = simulated({})
+    made_of.wrench[:, 2] = fz_N
+    with pytest.raises(RecordingError, match="throughout, expected noise at least"):
+        first_cell([made_of], 0.005, accept_implausible=True)
+
+
+def test_a_damaged_file_of_an_instrument_is_one_sentence_and_no_log(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("afmformats")
+    (tmp_path / "a.ibw").write_bytes(b"\x05\x00" + bytes(300))
+    with pytest.raises(RecordingError, match="it is truncated, damaged or something else"):
+        source_of(tmp_path / "a.ibw")
+    assert "Traceback" not in capfd.readouterr().err

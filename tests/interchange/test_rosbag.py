@@ -198,3 +198,10 @@ def test_an_empty_topic_is_refused(tmp_path: Path) -> None:
 
 def test_a_straight_tool_is_straight() -> None:
     assert np.allclose(Rotation.from_quat(STRAIGHT_DOWN).apply([0.0, 0.0, 1.0]), [0.0, 0.0, -1.0])
+
+
+@pytest.mark.parametrize(("option", "topic"), [("wrench", "/pose"), ("pose", "/wrench"), ("twist", "/pose"), ("command", "/twist")])
+def test_a_topic_of_another_kind_is_refused(tmp_path: Path, option: str, topic: str) -> None:
+    path = bag(tmp_path, "mcap", truth(0.5))
+    with pytest.raises(BadInput, match=f"--{option} {topic}: it holds a {topic[1:]}, expected a {option}; .* holds"):
+        read_files([path], ImportOptions(**{option: topic}))  # type: ignore[arg-type]

@@ -81,7 +81,7 @@ def test_an_unnamed_unit_is_si_and_said_and_a_size_that_is_impossible_is_questio
     deep = written(tmp_path, table("t,F,z", T_S, FORCE_N, -DEPTH_M * 2e3), "deep.csv")
     with pytest.raises(BadInput, match=r"deep\.csv: palpd guesses that z is a length in mm"):
         read_files([deep], ImportOptions("F", height_column="z", time_columns=("t",)))
-    with pytest.raises(BadInput, match=r"column z spans 4 m as m, expected less than 1 m; correct --length-unit or the column"):
+    with pytest.raises(BadInput, match=r"the stroke of z_m is 4 m, expected 0 to 1 m .* or accept it with --accept-implausible"):
         read_files([deep], ImportOptions("F", height_column="z", time_columns=("t",), length_unit="m"))
     late = written(tmp_path, table("t,F,z", T_S * 1e3, FORCE_N, -DEPTH_M), "late.csv")
     with pytest.raises(BadInput, match="t is a time in ms"):
@@ -222,9 +222,39 @@ def test_a_tare_takes_the_mean_of_a_still_start_and_refuses_a_moving_one(tmp_pat
 
 def test_a_force_of_the_wrong_sign_is_noticed(tmp_path: Path) -> None:
     path = written(tmp_path, table("t_s,fz_N,z_m", T_S, -FORCE_N, -DEPTH_M))
-    assert any("check --compression-negative" in note for note in read_files([path], ImportOptions()).notes)
+    with pytest.raises(BadInput, match=r"pressing gives a positive force \(--compression-negative\)"):
+        read_files([path], ImportOptions())
+    assert any("Accepted although implausible: " in note for note in read_files([path], ImportOptions(accept_implausible=True)).notes)
     fixed = read_files([path], ImportOptions(compression_negative=True))
     assert fixed.samples.wrench[:, 2].max() == FORCE_N.max()
+
+
+@pytest.mark.parametrize(
+    ("force_N", "height_m", "options", "question"),
+    [
+        (-FORCE_N, DEPTH_M, {}, "both signs look wrong"),
+        (FORCE_N, -DEPTH_M, {"time_unit": "us"}, "the speed vz_m_per_s is"),
+    ],
+)
+def test_values_that_no_palpation_has_are_questioned(
+    tmp_path: Path, force_N: np.ndarray, height_m: np.ndarray, options: dict[str, str], question: str
+) -> None:
+    path = written(tmp_path, table("t_s,fz_N,z_m", T_S, force_N, height_m))
+    with pytest.raises(BadInput, match=f"{question}.*--accept-implausible"):
+        read_files([path], ImportOptions(**options))  # type: ignore[arg-type]
+
+
+def test_a_force_that_never_changes_is_refused_and_nobody_can_accept_it(tmp_path: Path) -> None:
+    path = written(tmp_path, table("t_s,fz_N,z_m", T_S, 0.0 * T_S, -DEPTH_M))
+    with pytest.raises(RecordingError, match="no other axis of the force changes"):
+        read_files([path], ImportOptions(accept_implausible=True))
+
+
+@pytest.mark.parametrize("tare_s", [T_S[-1] - T_S[0], 1e4])
+def test_a_tare_over_the_presses_or_beyond_the_file_is_refused(tmp_path: Path, tare_s: float) -> None:
+    path = written(tmp_path, table("t_s,fz_N,z_m", T_S, FORCE_N, -DEPTH_M))
+    with pytest.raises(BadInput, match=r"the tip moves by|the recording lasts"):
+        read_files([path], ImportOptions(tare_s=tare_s))
 
 
 def ur_log(folder: Path, separator: str, turn_deg: float = 0.0) -> Path:

@@ -493,16 +493,18 @@ def test_an_export_of_several_sites_says_where_each_row_belongs(tmp_path: Path) 
     assert read_csv(tmp_path / "all.csv").sites == samples_of(recording).sites == ("A", "B")
 
 
-def test_an_export_of_one_site_has_the_columns_of_a_recording_only(tmp_path: Path) -> None:
+def test_an_export_of_one_site_has_the_columns_of_a_recording_and_the_name_of_the_site(tmp_path: Path) -> None:
     recording = Recording.load(write(tmp_path / "run.mcap", palpation()))
     export(recording, tmp_path / "b.csv", "B")
-    assert (tmp_path / "b.csv").read_text().splitlines()[0] == ",".join(COLUMNS)
-    assert read_csv(tmp_path / "b.csv").sites == ()
+    assert (tmp_path / "b.csv").read_text().splitlines()[0] == ",".join((*COLUMNS, "site"))
+    assert read_csv(tmp_path / "b.csv").sites == ("B",)
     assert samples_of(recording, "B").sites == ("B",)
 
 
 @pytest.mark.parametrize("site", ["A", None], ids=["named", "the only one"])
-def test_the_samples_of_a_site_begin_with_the_first_motion_and_without_the_travel(tmp_path: Path, site: str | None) -> None:
+def test_the_samples_of_a_site_begin_with_the_last_rest_before_the_first_motion_and_without_the_travel(
+    tmp_path: Path, site: str | None
+) -> None:
     rows = palpation(200)
     rows["site"] = 0
     rows["target_speed"][50:, 2] = -0.01
@@ -512,7 +514,7 @@ def test_the_samples_of_a_site_begin_with_the_first_motion_and_without_the_trave
     rows["phase"][180:] = Phase.TRAVEL
     export(Recording.load(write(tmp_path / "run.mcap", rows)), tmp_path / "a.csv", site)
     samples = read_csv(tmp_path / "a.csv")
-    assert samples.wrench[0, 0] == pytest.approx(rows["robot_t_s"][50], abs=1e-3)
+    assert samples.wrench[0, 0] == pytest.approx(rows["robot_t_s"][49], abs=1e-3)
     assert samples.wrench[-1, 0] == pytest.approx(rows["frame_t_s"][179, 7])
 
 

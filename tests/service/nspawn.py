@@ -13,6 +13,7 @@ import pytest
 from palpd.daemon.socket_client import ask
 from palpd.errors import Refused
 from palpd.recording.reader import Recording, recover
+from tests.robot_library import skip_without_ur_rtde
 from tests.service.container import INSIDE_CODE, INSIDE_PYTHON, Container, booted, missing, until
 
 pytestmark = [pytest.mark.hil, pytest.mark.skipif(missing() is not None, reason=f"booting systemd in a container {missing()}")]
@@ -102,6 +103,7 @@ class Installed:
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installed]:
     """Installed as systemd/README.md says, before emulated wires."""
+    skip_without_ur_rtde()
     with booted(tmp_path_factory.mktemp("nspawn")) as inside:
         installed = Installed(inside)
         inside.run(f"{INSIDE_PYTHON}/bin/python3", "-m", "venv", "--without-pip", "/opt/palpd/.venv")

@@ -1,9 +1,13 @@
 """Who reaches what: the token, hosts, origins, forged requests, rates, and the abort that needs none of it."""
 
 import json
+from collections.abc import Callable
+from html import unescape
 from pathlib import Path
 
 import pytest
+from httpx import Response
+from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from palpd.errors import BadInput
@@ -51,11 +55,45 @@ def test_the_form_of_the_entrance_takes_the_token_too(browser: Browser) -> None:
     assert client.get("/plan").status_code == 200
 
 
-def test_wrong_tokens_are_refused_and_soon_not_even_compared(browser: Browser) -> None:
+def test_wrong_tokens_are_limited_and_the_right_one_opens_the_page_after_any_number_of_them(browser: Browser) -> None:
     client = browser(opened=False)
-    codes = [client.get("/", params={"token": "x" * each}).status_code for each in range(1, int(TRIES) + 3)]
-    assert codes == [401] * int(TRIES) + [429] * 2
-    assert client.get("/", params={"token": TOKEN}).status_code == 429
+    codes = [client.get("/", params={"token": "x" * each}).status_code for each in range(1, int(access.BURST) + 50)]
+    assert codes[: int(TRIES)] == [401] * int(TRIES)
+    assert set(codes[int(TRIES) + 5 :]) == {429}
+    assert client.post("/enter", data={"token": "wrong"}).status_code == 429
+    assert browser(opened=False).get("/", params={"token": TOKEN}).status_code == 303
+    assert browser(opened=False).post("/enter", data={"token": TOKEN}).status_code == 303
+
+
+def test_requests_without_a_token_do_not_keep_the_right_one_out(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(access, "RATE_PER_S", 0.0)
+    client = browser(opened=False)
+    assert {client.get("/plan").status_code for _ in range(int(access.BURST) + 5)} == {401, 429}
+    assert client.post("/enter", data={"token": TOKEN}).status_code == 303
+    assert client.get("/", params={"token": TOKEN}).status_code == 303
+
+
+@pytest.mark.parametrize(
+    ("request_of", "code", "words"),
+    [
+        (lambda client: client.get("/plan"), 401, "12 hours"),
+        (lambda client: client.get("/", params={"token": "wrong"}), 401, "palpd web prints the link"),
+        (lambda client: client.post("/enter", data={"token": TOKEN}, headers={"origin": "null"}), 403, "open palpd's own page"),
+        (lambda client: client.get("/", headers={"host": "other:8700"}), 421, "not served under 'other:8700'"),
+    ],
+)
+def test_a_refusal_is_a_page_for_a_browser_and_json_for_a_program(
+    browser: Browser, request_of: Callable[[TestClient], Response], code: int, words: str
+) -> None:
+    client = browser(opened=False)
+    program = request_of(client)
+    assert program.status_code == code
+    assert words in program.json()["error"]
+    client.headers["accept"] = "text/html,application/xhtml+xml,*/*;q=0.8"
+    page = request_of(client)
+    assert page.status_code == code
+    assert page.headers["content-type"].startswith("text/html")
+    assert words in unescape(page.text)
 
 
 def test_the_page_of_another_site_can_neither_ask_nor_watch_nor_abort(browser: Browser, service: FakeService) -> None:

@@ -36,10 +36,12 @@ def test_only_requests_of_the_page_go_through_with_their_own_keys(browser: Brows
     assert client.post("/do/renew", content=b"{" * 5000).status_code == 400
 
 
-def test_without_a_service_the_page_says_what_the_terminal_says(browser: Browser, service: FakeService) -> None:
+def test_an_abort_that_reaches_no_service_points_at_the_emergency_stop(browser: Browser, service: FakeService) -> None:
     client = browser()
     service.close()
     error = client.post("/abort").json()["error"]
+    assert error == f"no daemon answers at {service.path}, so nothing was stopped; if the arm moves, use the emergency stop"
+    error = client.post("/do/arm").json()["error"]
     assert error == f"no daemon answers at {service.path}; start one with palpd serve, or name its socket with --socket"
 
 

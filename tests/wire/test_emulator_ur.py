@@ -22,6 +22,7 @@ import serial
 
 from hw.emulators.__main__ import main
 from hw.emulators.process import Emulated, started
+from tests.robot_library import skip_without_ur_rtde
 
 pytestmark = pytest.mark.hil
 
@@ -49,6 +50,7 @@ _hosts = (f"127.0.{os.getpid() % 250 + 2}.{k}" for k in itertools.count(2))
 @contextmanager
 def client(host: str, body: str) -> Iterator[subprocess.Popen[str]]:
     """A client process that runs `body`."""
+    skip_without_ur_rtde()
     program = PRELUDE + body + "\nsay()\nos._exit(0)\n"
     process = subprocess.Popen([sys.executable, "-c", program, host], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:

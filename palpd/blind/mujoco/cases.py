@@ -148,13 +148,14 @@ class MujocoCase:
         return record(self.reading(other=other), stated or self.stated, path, rng, self.deviations["noise_ratio"])
 
 
-def draw_case(seed: int, index: int, effects: Sequence[str] = ()) -> MujocoCase:
+def draw_case(seed: int, index: int, effects: Sequence[str] = (), steps_over_noise: tuple[float, float, float] | None = None) -> MujocoCase:
     """Draw one case; the same arguments give the same case to the last bit.
 
     Args:
         seed: seed of the whole set.
         index: number of the case in the set.
         effects: ids of the effects to plant.
+        steps_over_noise: coarse steps, as in a `CaseSpec`.
 
     Returns:
         The case, its effects scaled to their signal-to-noise ratios. A motion that hardly shows an effect at any size gives a lower one.
@@ -162,11 +163,23 @@ def draw_case(seed: int, index: int, effects: Sequence[str] = ()) -> MujocoCase:
     rng = np.random.default_rng([seed, index])
     rig: Rig = "arm" if rng.random() < ARM_SHARE else "slide"
     case = _draw_cell(rng, seed, index, rig)
+    if steps_over_noise:
+        case.stated = _with_coarse_steps(case.stated, steps_over_noise)
     own_contact = any(name.startswith(OWN_CONTACT) for name in effects)
     if rig == "slide" and rng.random() < ENGINE_SHARE and not own_contact:
         case.healthy = replace(case.healthy, plant=replace(case.healthy.plant, engine_contact=True))
     case.planted = tuple(_scaled(case, EFFECTS[name], case.yardstick(), rng) for name in effects)
     return case
+
+
+def _with_coarse_steps(stated: StatedCell, over_noise: tuple[float, float, float]) -> StatedCell:
+    lateral, vertical, torque = over_noise
+    return replace(
+        stated,
+        resolution_fxy_N=lateral * stated.noise_rms_N,
+        resolution_fz_N=vertical * stated.noise_rms_N,
+        resolution_Nm=torque * stated.noise_rms_Nm,
+    )
 
 
 def _draw_servo(rng: np.random.Generator) -> ServoDesign:

@@ -105,6 +105,8 @@ def adopt(law: LearnedEffect, folder: Path) -> Path:
     check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
     path = _file_of(law.id, folder)
+    if path.exists():  # adopted meanwhile
+        raise BadInput(f"{path} exists and is not replaced; give another --name, or remove it first")
     save_learned(path, [law])
     return path
 

@@ -37,13 +37,25 @@ PHASE = Parameter("phase_rad", "rad", -np.pi, np.pi, (0.0, np.pi / 2, np.pi, -np
 """Parameters of a learned effect: a factor on the whole law, and where a law that repeats in time stands when a recording begins; half a
 turn is its other sign."""
 
+LARGEST = 1e12
+"""Largest value of a curve, as of any column of a recording."""
+
+PROBED = 1001
+"""Number of values of the driver, over the range of a law, at which its formula is tried when it is read."""
+
 MOST_LETTERS = 500
 """Longest formula: a law that is longer is a table."""
+
+
+class LawNotFinite(ConfigError, ValueError):
+    """A law gives inf, NaN or a number that overflows sooner or later."""
 
 
 @lru_cache(maxsize=4096)
 def formula_of(text: str) -> Callable[[Floats], Floats]:
     """Compile a formula of x: numbers, x, pi, + - * / **, and the functions of _FUNCTIONS. Nothing else is evaluated.
+
+    Where it has no value it gives inf or NaN.
 
     Raises:
         ValueError: The text is no such formula.
@@ -74,7 +86,7 @@ def formula_of(text: str) -> Callable[[Floats], Floats]:
 
     def evaluated(x: Floats) -> Floats:
         with np.errstate(all="ignore"):
-            return np.nan_to_num(np.broadcast_to(value(tree, x), x.shape).astype(float))
+            return np.broadcast_to(value(tree, x), x.shape).astype(float)
 
     evaluated(np.ones(1))
     return evaluated
@@ -113,8 +125,11 @@ class Term(StrictBlock):
             )
         if any(b <= a for a, b in zip(self.knots[:-1], self.knots[1:], strict=True)) or self.range[0] > self.range[1]:
             raise ValueError("knots or range do not ascend; give them from the smallest to the largest")
+        if not np.all(np.abs(self.values) <= LARGEST):
+            raise ValueError(f"values hold {max(self.values, key=abs):g}, expected numbers up to {LARGEST:g}; correct them")
         if self.formula is not None:
             formula_of(self.formula)
+            self.curve(np.linspace(*self.range, PROBED) if self.driver.period is None else np.linspace(0.0, self.driver.period, PROBED))
         return self
 
     @property
@@ -136,11 +151,21 @@ class Term(StrictBlock):
 
         Returns:
             Values (n,).
+
+        Raises:
+            LawNotFinite: The formula has no value somewhere in its range.
         """
         if self.driver.period is None:
             x = np.clip(x, *self.range)
         if self.formula is not None:
-            return formula_of(self.formula)(x)
+            values = formula_of(self.formula)(x)
+            wrong = np.flatnonzero(~(np.abs(values) <= LARGEST))
+            if len(wrong):
+                raise LawNotFinite(
+                    f"the formula {self.formula} is {values[wrong[0]]:g} at x = {x[wrong[0]]:g}, expected a finite number up to "
+                    f"{LARGEST:g} in its whole range; correct the formula or the range"
+                )
+            return values
         knots = np.asarray(self.knots, float)
         # Knots of a curve that repeats lie in [0, period], where the coordinate would fold the last one back.
         at = knots if self.driver.period else self.driver.coordinate(knots)

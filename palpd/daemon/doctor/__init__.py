@@ -8,12 +8,14 @@ from dataclasses import asdict
 from typing import Any, TypedDict
 
 from palpd.config import HEX_70, Config
-from palpd.daemon.doctor.devices import identified, judge_robot, judge_sensor, observed, reached
+from palpd.daemon.doctor.devices import DeviceRecord, identified, judge_probe, judge_robot, judge_sensor, observed, reached
 from palpd.daemon.doctor.machine import examine_machine, is_there, port
 from palpd.daemon.doctor.stored import examine_stored
 from palpd.daemon.doctor.weight import AskOperator, check_weight
 from palpd.daemon.finding import Finding, Judgement
+from palpd.daemon.probe_record import probe_record
 from palpd.daemon.realtime import DEVICE_PRIORITY, fifo
+from palpd.daemon.stored_state import State
 from palpd.errors import PalpdError
 from palpd.tick import SensorDriver
 
@@ -51,7 +53,7 @@ def examined(
         sensor, about_sensor = _opened(opened, "sensor.port", config, open_sensor, there, config.sensor.port)
         robot, about_robot = _opened(opened, "robot.host", config, open_robot, _answers(config.robot.host), config.robot.host)
         record = observed(sensor, robot, watch_s)
-        findings += [about_sensor, *judge_sensor(record, config, sensor)] if sensor else [about_sensor]
+        findings += [about_sensor, *judge_sensor(record, config, sensor), *_probe(record, config, sensor)] if sensor else [about_sensor]
         findings += [about_robot, *judge_robot(record, config)] if robot else [about_robot]
         if weight_N is not None and sensor is not None:
             findings.append(check_weight(sensor, record.last, config.sensor, weight_N, ask, sensor.pulled_over_pressed))
@@ -100,6 +102,14 @@ def _opened(opened: ExitStack, key: str, config: Config, build: Callable[[Config
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     opened.callback(device.close)
     return device, identified(device, config) if name == "sensor" else reached(config)
+
+
+def _probe(record: DeviceRecord, config: Config, sensor: SensorDriver) -> list[Finding]:
+    """Whether the probe is free, as far as the state folder can be read; `examine_stored` says where it cannot."""
+    try:
+        return judge_probe(record, config, sensor, probe_record(config, State(config.paths.state)))[0]
+    except PalpdError:
+        return []
 
 
 def _answers(host: str) -> bool:

@@ -8,18 +8,20 @@ from typing import Any, Protocol
 import numpy as np
 
 from palpd.config import Config
+from palpd.control.probe_state import ProbeAnswer, ProbeRecord, ProbeState, probe_state
 from palpd.control.safety import TILT_RAD
-from palpd.control.tare import DRIFT_N, FREE_N, STABLE_RMS_N, tilt_rad
+from palpd.control.tare import DRIFT_N, STABLE_RMS_N, tilt_rad
 from palpd.daemon.finding import Finding
 from palpd.daemon.motion_process import drain
+from palpd.daemon.probe_record import evidence_of
 from palpd.daemon.realtime import LOOP_PRIORITY, fifo
-from palpd.daemon.stored_state import State
-from palpd.errors import PalpdError
 from palpd.tick import Floats, ForceSensor, Robot, RobotMode, RobotState, SafetyMode, SensorDriver, StateReader
 
 READ_EVERY_S = 0.0005
 """Pause between two readings: half the period of the sensor."""
 AXES = ("Fx", "Fy", "Fz")
+FEWEST_FRAMES = 10
+"""Fewest frames that say anything of noise, drift or contact."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,20 +104,23 @@ class OpenedDevices(Protocol):
         ...
 
 
-def judged(devices: OpenedDevices, config: Config, watch_s: float) -> list[Finding]:
+def judged(devices: OpenedDevices, config: Config, watch_s: float, known: ProbeRecord | None) -> tuple[list[Finding], ProbeAnswer | None]:
     """Observe both devices, and judge them.
 
     Args:
         devices: The opened devices.
         config: The configuration, for rates and limits.
         watch_s: How long to read.
+        known: What is known of the probe from before; None judges nothing of it.
 
     Returns:
-        All findings.
+        All findings, and whether the probe is free.
     """
     sensor: SensorDriver = devices.sensor
     record = observed(sensor, devices.robot, watch_s)
-    return [identified(sensor, config), *judge_sensor(record, config, sensor), reached(config), *judge_robot(record, config)]
+    probe, answer = judge_probe(record, config, sensor, known)
+    findings = [identified(sensor, config), *judge_sensor(record, config, sensor), *probe, reached(config), *judge_robot(record, config)]
+    return findings, answer
 
 
 def identified(sensor: SensorDriver, config: Config) -> Finding:
@@ -137,7 +142,7 @@ def reached(config: Config) -> Finding:
 
 
 def judge_sensor(record: DeviceRecord, config: Config, sensor: SensorDriver) -> list[Finding]:
-    """Judge frames, noise, drift, and whether the probe is as free as at the reference tare.
+    """Judge frames, noise and drift.
 
     Args:
         record: What the sensor sent.
@@ -170,9 +175,9 @@ def judge_sensor(record: DeviceRecord, config: Config, sensor: SensorDriver) -> 
         frames = Finding("sensor frames", "warn", measured, "single frames are damaged: another USB port, a shorter cable", figures)
     else:
         frames = Finding("sensor frames", "ok", measured, "", figures)
-    if len(record.wrench) < 10:
+    if len(record.wrench) < FEWEST_FRAMES:
         return [frames]
-    return [frames, _noise(record, config), _drift(record), *_free(record, config, sensor)]
+    return [frames, _noise(record, config), _drift(record)]
 
 
 def _noise(record: DeviceRecord, config: Config) -> Finding:
@@ -210,21 +215,35 @@ def _drift(record: DeviceRecord) -> Finding:
     return Finding("sensor drift", "ok", measured, "", figures)
 
 
-def _free(record: DeviceRecord, config: Config, sensor: SensorDriver) -> list[Finding]:
-    try:
-        calibration = State(config.paths.state).calibration()
-    except PalpdError:
-        calibration = None
-    if calibration is None:
-        return []
-    away_N = float(np.linalg.norm(record.wrench[:, :3].mean(axis=0) - calibration.wrench[:3]))
-    measured, figures = f"{away_N:.2f} N from the reference tare", {"away_N": away_N}
-    if calibration.sensor_serial and sensor.serial_number and calibration.sensor_serial != sensor.serial_number:
-        measured = f"the tare is of sensor {calibration.sensor_serial}, {sensor.serial_number} is connected"
-        return [Finding("probe free", "fail", measured, "run palpd calibrate")]
-    if away_N > FREE_N:
-        return [Finding("probe free", "fail", measured, "free the probe; if it was changed, run palpd calibrate", figures)]
-    return [Finding("probe free", "ok", measured, "", figures)]
+def judge_probe(
+    record: DeviceRecord, config: Config, sensor: SensorDriver, known: ProbeRecord | None
+) -> tuple[list[Finding], ProbeAnswer | None]:
+    """Judge whether the probe is free.
+
+    Args:
+        record: What both devices sent.
+        config: The configuration.
+        sensor: The sensor, for its serial number.
+        known: What is known from before; None judges nothing.
+
+    Returns:
+        One finding and the answer, or none of both.
+    """
+    if known is None or (known.reference is None and known.marker is None):
+        return [], None
+    robot, fault = record.last, ""
+    if robot is None:
+        fault = "no state came from the robot"
+    elif len(record.wrench) < FEWEST_FRAMES or record.status or not np.ptp(record.wrench, axis=0).any():
+        fault = "the force sensor sent no frames that can be used"
+    wrench = tuple(record.wrench.mean(axis=0).tolist()) if len(record.wrench) else (0.0,) * 6
+    pose = robot.tcp_pose if robot is not None else (0.0,) * 6
+    answer = probe_state(known, evidence_of(config, {"sensor_serial": sensor.serial_number}, pose, wrench, fault))
+    measured = "free" if answer.away_N is None else f"{answer.state.value}, {answer.away_N:.2f} N from the reference tare"
+    figures: dict[str, object] = {"away_N": answer.away_N, "state": answer.state.value, "reasons": list(answer.reasons)}
+    if answer.state == ProbeState.FREE:
+        return [Finding("probe free", "ok", measured, "", figures)], answer
+    return [Finding("probe free", "fail", f"{answer.state.value}: {'; '.join(answer.reasons)}", answer.advice, figures)], answer
 
 
 def judge_robot(record: DeviceRecord, config: Config) -> list[Finding]:

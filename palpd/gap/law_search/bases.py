@@ -68,7 +68,9 @@ class Basis:
             unit = x / max(abs(self.low), abs(self.high))
             return np.stack([unit, unit**2], axis=-1)
         at = (self.driver.coordinate(x) - self.knots[0]) / (self.knots[1] - self.knots[0])
-        return np.asarray(np.maximum(1.0 - np.abs(at[..., None] - np.arange(len(self.knots))), 0.0))
+        out: Floats = at[..., None] - np.arange(len(self.knots))
+        np.subtract(1.0, np.abs(out, out=out), out=out)  # in place: it is as large as everything else together
+        return np.maximum(out, 0.0, out=out)
 
     def shown_at(self) -> Floats:
         """Values of the driver (k,) at which a curve of this basis is written down, in its unit."""

@@ -184,7 +184,8 @@ class LawFinding:
         order = order[np.argsort(x[order])]
         # Equal stretches of the driver, so that a curve is seen along its whole range.
         edges = np.searchsorted(x[order], np.linspace(x[order[0]], x[order[-1]], SHOWN_POINTS + 1)[1:-1])
-        points = [part for part in np.split(order, edges) if len(part) > 2]
+        stretches = [part for part in np.split(order, edges) if len(part)]
+        points = [part for part in stretches if len(part) > 2] or stretches  # a short press has few bins
 
         def means(of: Floats) -> list[float]:
             return [float(sum(v[p, 0] @ of[c, p] for c, v in unit.items()) / live[p].sum()) for p in points]
@@ -356,7 +357,7 @@ def _log_prior(problem: Problem, listed: Fit) -> float:
 def _within_specification(problem: Problem, listed: Fit) -> NuisanceSpace:
     """Everything within specification around a fit, and rounding."""
     space = NuisanceSpace(listed.linearisation.space.columns, listed.residual)
-    rounding = rounding_columns(problem, problem.noise.natural(problem.predict(listed.values, listed.eta)))
+    rounding = rounding_columns(problem, problem.noise.natural(problem.data - listed.remainder))
     return space.with_columns(rounding) if rounding else space
 
 

@@ -135,7 +135,7 @@ def formulas_of(basis: Basis, x: Floats, *, with_constant: bool) -> Iterator[For
 def _formula(driver: Driver, low: float, high: float, shapes: tuple[FormulaShape, ...], x: Floats, price: float) -> Formula | None:
     inside = np.clip(x, low, high) if driver.period is None else x
     sizes = tuple(float(np.abs(formula_of(shape.text)(inside)).max()) for shape in shapes)
-    return Formula(driver, low, high, shapes, sizes, price) if min(sizes) > 1e-200 else None
+    return Formula(driver, low, high, shapes, sizes, price) if all(1e-200 < size < 1e200 for size in sizes) else None
 
 
 def neighbours(formula: Formula, x: Floats) -> list[Formula]:

@@ -8,7 +8,7 @@ from math import cos, sin
 import numpy as np
 
 from palpd.cell.cell_file import EffectValues
-from palpd.cell.dynamics import lowpass, servo
+from palpd.cell.dynamics import lowpass, servo_heights
 from palpd.cell.effects.drivers import Driver, DriverState, FactorName, driver_values, factor_values
 from palpd.cell.effects.learned import ChannelName
 from palpd.cell.simulation import capture, commanded_motion, wrench_of
@@ -27,6 +27,11 @@ REST_SPEED_M_PER_S = 0.5e-3
 
 REST_SHARE = 0.05
 """The same as a share of the usual speed."""
+
+HARMONICS, LEAST_HARMONIC = 4, 0.02
+"""Most harmonics of the error of rounded readings, and the least amplitude of a further one, in steps."""
+MOST_FILTERED = 2_000_000
+"""Largest number of values that are filtered at once: a filter needs ten times their memory, and of a million rows there are 8 million."""
 
 SHALLOW = 0.1
 """Scale of the distance from the surface as a share of the deepest press, so that the last millimetre is resolved."""
@@ -138,16 +143,29 @@ class Scene:
         """Duration of the longest recording."""
         return max(float(state.t_s[-1] - state.t_s[0]) for state in self.contact)
 
-    def _means(self, channel: str, of: Callable[[DriverState], Floats]) -> Floats:
-        """Means over the bins (b, ...) of what is computed at the steps of every recording; zero where heights are not compared."""
+    def _means(
+        self,
+        channel: str,
+        of: Callable[[DriverState], Floats],
+        behind: Callable[[DriverState, Floats], Floats] = lambda _, values: values,
+    ) -> Floats:
+        """Means over the bins (b, ...) of what is computed at the steps of every recording; zero where heights are not compared.
+
+        `behind` filters columns (n, k), as many at once as memory should hold.
+        """
         out = []
         for one, contact, robot in zip(self.problem.recordings, self.contact, self.robot, strict=True):
-            if channel != "z_m":
-                out.append(one.step_means @ of(contact))
-            elif robot is not None:
-                out.append(one.z_means @ of(robot))
-            else:
+            state, means = (contact, one.step_means) if channel != "z_m" else (robot, one.z_means)
+            if state is None:
                 out.append(np.zeros((len(one.bins), *of(contact).shape[1:])))
+                continue
+            values = of(state)
+            width = max(1, MOST_FILTERED // len(values))
+            if values.ndim == 1 or values.shape[1] <= width:
+                out.append(means @ behind(state, values))
+            else:
+                parts = [values[:, k : k + width] for k in range(0, values.shape[1], width)]
+                out.append(np.hstack([means @ behind(state, part) for part in parts]))
         return np.concatenate(out)
 
     def driver(self, channel: str, driver: Driver) -> Floats:
@@ -193,7 +211,7 @@ class Scene:
                 if candidate.channel != "z_m":
                     return lowpass(column, state.dt_s, -2.0 * np.pi * cutoff_Hz, {}) if cutoff_Hz else column
                 if candidate.driver.acts_on_target:
-                    return servo(column, state.dt_s, robot.servo_natural_frequency_Hz, robot.servo_damping_ratio, {})[0]
+                    return servo_heights(column, state.dt_s, robot.servo_natural_frequency_Hz, robot.servo_damping_ratio)
                 return column
 
             # Filters over uneven steps take one column at a time.
@@ -215,10 +233,11 @@ class Scene:
         """
 
         def at_steps(state: DriverState) -> Floats:
-            curve = candidate.basis.columns(driver_values(candidate.driver, state, {}))
-            return behind(state, curve * factor_values(candidate.factor, state)[:, None])
+            columns = candidate.basis.columns(driver_values(candidate.driver, state, {}))
+            columns *= factor_values(candidate.factor, state)[:, None]
+            return columns
 
-        return self._means(candidate.channel, at_steps)
+        return self._means(candidate.channel, at_steps, behind)
 
     def both_azimuths(self, values: Floats) -> dict[int, Floats]:
         """Columns (b, 2 m) by channel of a force to the side: along x, then along y.
@@ -251,24 +270,27 @@ class Scene:
         return np.asarray(dealt[np.concatenate(stroke)])
 
 
-def rounding_columns(problem: Problem, prediction: Floats) -> dict[int, Floats]:
-    """Nuisances (b, 2) by channel for the mean error of rounded readings in the air, q/π e^(-2(πσ/q)²) sin(2πf/q) with any phase.
+def rounding_columns(problem: Problem, fitted: Floats) -> dict[int, Floats]:
+    """Nuisances (b, 2k) by channel for the mean error of rounded readings, Σ q/kπ e^(-2(πkσ/q)²) sin(2πkf/q) with any phases.
+
+    Otherwise the levels that a slow press crosses look like a law that repeats over the height.
 
     Args:
         problem: The recordings.
-        prediction: Predicted readings (7, b).
+        fitted: Readings (7, b) with all fitted deviations: the force between two levels must be known.
 
     Returns:
         Whitened columns in units of their standard deviation.
     """
-    air = problem.per_bin(lambda one: one.bins.mean(one.phases.depth_m)) <= 0.0
-    noise = np.max([one.noise_rms for one in problem.recordings], axis=0)
-    out = {}
-    for channel, step in enumerate(resolutions(problem.cell)):
-        if channel != FZ or step <= 0.0:
-            continue
-        pure = np.sqrt(max(noise[channel] ** 2 - step**2 / 12.0, 0.0))
-        size = step / np.pi * np.exp(-2.0 * (np.pi * pure / step) ** 2)
-        angle = 2.0 * np.pi * prediction[channel] / step
-        out[channel] = size * np.where(air, [np.sin(angle), np.cos(angle)], 0.0).T
-    return whitened(problem.noise, out)
+    rounding, step_N = problem.recordings[0].rounding, float(resolutions(problem.cell)[FZ])
+    if step_N <= 0.0:
+        return {}
+    square = float(max(one.noise_rms[FZ] for one in problem.recordings)) ** 2
+    noise = (rounding.noise_rms_N if rounding is not None else max(square - step_N**2 / 12.0, 0.0) ** 0.5) / step_N
+    turn = 2.0 * np.pi * fitted[FZ] / step_N
+    columns = []
+    for k in range(1, HARMONICS + 1):
+        size_N = step_N / (np.pi * k) * np.exp(-2.0 * (np.pi * k * noise) ** 2)
+        if k == 1 or size_N > LEAST_HARMONIC * step_N:
+            columns += [size_N * np.sin(k * turn), size_N * np.cos(k * turn)]
+    return whitened(problem.noise, {FZ: np.array(columns).T})

@@ -10,7 +10,7 @@ const PATIENCE_MS = { arm: 65000 };
 const LEASE = "palpd.lease";
 const PLAN = "palpd.plan";
 const NAME = "palpd.operator";
-const DONE = { arm: "Armed", start: "Started", pause: "Pause", resume: "Resume", retract: "The arm leaves the tissue", clear: "The latch is cleared" };
+const DONE = { arm: "Armed", start: "Started", pause: "Pause", resume: "Resume", retract: "The arm leaves the tissue", "level-test": "The arm goes 5 mm up", clear: "The latch is cleared" };
 
 const take = document.getElementById("take");
 const operator = document.getElementById("operator");
@@ -61,7 +61,8 @@ async function press(what) {
   }
   const plan = chosenPlan();
   if (plan === null) return say("No plan is chosen; choose one on the Run page.", "refused");
-  return request("start", { text: plan.text, file: plan.name });
+  const place = document.getElementById("place-choice")?.value || null;
+  return request("start", { text: plan.text, file: plan.name, place });
 }
 
 for (const button of document.querySelectorAll("[data-do]")) {

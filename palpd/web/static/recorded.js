@@ -51,8 +51,10 @@ function showFacts() {
     tile("Duration", duration(facts.duration_s), `${loop.ticks} ticks, ${loop.missed} missed`),
     tile("Largest force", facts.peak_force_N === null ? "–" : `${facts.peak_force_N.toFixed(2)} N`, `${facts.faults.length} ${facts.faults.length === 1 ? "fault" : "faults"}, ${facts.cut_short.length} cut short`),
     ...facts.sites.filter((site) => site.static_youngs_modulus_Pa !== null).slice(0, 6).map((site) => {
-      const interval = site.static_ci95_Pa;
-      return tile(`Site ${site.name}`, `${kilopascals(site.static_youngs_modulus_Pa)} kPa`, interval ? `static, ± ${((interval[1] - interval[0]) / 2e3).toFixed(1)} (95 %)` : "static");
+      const interval = site.static_ci95_Pa, misfit = site.hertz_misfit;
+      const more = misfit ? `Hertz does not fit: ${kilopascals(misfit.low_Pa)} to ${kilopascals(misfit.high_Pa)} over depth`
+        : interval ? `static, ± ${((interval[1] - interval[0]) / 2e3).toFixed(1)} (95 %)` : "static";
+      return tile(`Site ${site.name}`, `${kilopascals(site.static_youngs_modulus_Pa)} kPa`, more);
     }));
   showRemarks(facts.remarks);
   const names = facts.sites.map((site) => site.name);

@@ -97,8 +97,23 @@ on("status", (event) => {
     : event.steps === undefined ? event.activity
     : `${event.steps_done} of ${event.steps} steps, ${event.activity}`);
   showLast(event);
+  showProbe(event);
 });
 on("lost", () => { status = null; });
+
+const WAYS = { retract: "Retract leaves the tissue", level_test: "Level test goes 5 mm up and tells", confirm: "palpd calibrate --probe-free takes your word for it" };
+
+/** Whether the probe is free, where the tip stands, and what a start would ask. */
+function showProbe({ probe, place, job }) {
+  const state = { free: "free", pressed: "pressed", unknown: "not known to be free" };
+  const line = at("probe-state");
+  line.dataset.kind = probe && probe.state !== "free" ? "bad" : "";
+  put("probe-state", !probe || job !== undefined ? "" : `The probe is ${state[probe.state]}${probe.reasons.length ? `: ${probe.reasons.join("; ")}` : ""}.${probe.state === "free" ? "" : ` What to do: ${Object.keys(WAYS).filter((way) => probe.ways.includes(way)).map((way) => WAYS[way]).join(", ") || probe.advice}.`}`);
+  const mm = (value) => fixed(value * 1e3, 1);
+  put("place-state", !place || place.x_m === null ? "" : `Tip at x = ${mm(place.x_m)} mm, y = ${mm(place.y_m)} mm${place.site ? `, over site ${place.site} of the last plan` : ""}.`);
+  at("place-line").hidden = !place?.unfinished;
+  if (!place?.unfinished) at("place-choice").value = "";
+}
 
 function showLast({ latched, last, job }) {
   at("fault").dataset.kind = latched ? "bad" : last && last.verdict !== "done" ? "warn" : "";
@@ -116,7 +131,8 @@ function row(site) {
   const interval = (ci) => (ci === null ? "–" : `${kPa(ci[0])} – ${kPa(ci[1])}`);
   const line = document.createElement("tr");
   const head = Object.assign(document.createElement("th"), { scope: "row", textContent: site.name });
-  const cells = [kPa(site.static_Pa), interval(site.static_ci95_Pa), kPa(site.dynamic_Pa), interval(site.dynamic_ci95_Pa), site.peak_N === null ? "–" : site.peak_N.toFixed(1) + (site.cut_short ? " ✂" : "")];
+  const star = (value) => kPa(value) + (value !== null && site.hertz_misfit ? " *" : "");
+  const cells = [star(site.static_Pa), interval(site.static_ci95_Pa), star(site.dynamic_Pa), interval(site.dynamic_ci95_Pa), site.peak_N === null ? "–" : site.peak_N.toFixed(1) + (site.cut_short ? " ✂" : "")];
   line.append(head, ...cells.map((textContent) => Object.assign(document.createElement("td"), { textContent })));
   return line;
 }
@@ -124,7 +140,9 @@ function row(site) {
 on("sites", (event) => {
   sites = event.sites;
   at("sites").replaceChildren(...sites.map(row));
-  put("sites-note", event.error || (sites.some((site) => site.cut_short) ? "✂ a press was cut short below the contact limit" : sites.length ? "" : "moduli come when a site is over"));
+  const notes = [sites.some((site) => site.cut_short) && "✂ a press was cut short below the contact limit",
+    ...sites.filter((site) => site.hertz_misfit).map((site) => `* ${site.name}: ${site.hertz_misfit}`)].filter(Boolean);
+  put("sites-note", event.error || (sites.length ? notes.join(". ") : "moduli come when a site is over"));
   showMap();
 });
 

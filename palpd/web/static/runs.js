@@ -23,7 +23,7 @@ function row(run) {
     else chosen.delete(run.key);
     showChosen();
   });
-  const moduli = run.sites.filter((site) => site.static_Pa !== null).map((site) => `${site.site} ${kilopascals(site.static_Pa)}`).join(", ");
+  const moduli = run.sites.filter((site) => site.static_Pa !== null).map((site) => `${site.site} ${kilopascals(site.static_Pa)}${site.hertz_misfit ? " (Hertz does not fit)" : ""}`).join(", ");
   const kind = [run.kind === "palpation" ? "" : run.kind.replace("_", " "), run.dry ? "dry" : ""].filter(Boolean).join(", ");
   const link = make("a", { href: `/runs/view?run=${encodeURIComponent(run.key)}`, text: run.name });
   return make("tr", {},

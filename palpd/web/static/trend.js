@@ -40,7 +40,8 @@ function show(trend) {
     return make("div", {}, make("h3", { text: `${effect.effect}: ${effect.parameter}` }), make("p", { className: "faint", text: effect.slope ? slopeText(effect.slope, "", 1) : `${effect.points.length} of the three diagnoses that a change per day takes` }), holder);
   }));
   if (!trend.effects.length) byId("effects").replaceChildren(make("p", { className: "faint", text: "No diagnosis beside these runs has named an effect. Diagnose a run on its page, and keep the diagnosis for the trend." }));
-  byId("notes").replaceChildren(...trend.notes.map((note) => make("li", { text: note })));
+  const misfits = moduli.some((each) => each.hertz_misfit) ? ["Hertz does not fit in some of these runs: E changes with depth, and the bars cover its range."] : [];
+  byId("notes").replaceChildren(...[...misfits, ...trend.notes].map((note) => make("li", { text: note })));
 }
 
 async function update() {

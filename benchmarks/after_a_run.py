@@ -1,0 +1,293 @@
+"""How the last run ended, and what each next command then does, over emulated wires: the table of docs/safety.md.
+
+python -m benchmarks.after_a_run --docs docs
+"""
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, command_of, emulated_cell, family, until
+from palpd.daemon.socket_client import NoDaemon, ask
+from palpd.errors import Refused
+
+PRESSED_N = 4.0
+"""Force at which a run is ended in the tissue: well above a contact, far below the limits."""
+SOFT_N_PER_M, HARD_N_PER_M = 1000.0, 8000.0
+PATIENCE_S = 180.0
+"""Longest wait for a job: a map draws a picture after its press."""
+PAGE, BEGIN, END = "safety.md", "<!-- after-a-run:begin -->", "<!-- after-a-run:end -->"
+
+
+class Cell:
+    """A service before an emulated cell, calibrated, which may be killed and begun again."""
+
+    def __init__(self, wired: EmulatedCell) -> None:
+        self.wired = wired
+        self.config = wired.config
+        self.socket = wired.folder / "state" / "palpd.sock"
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def begin(self) -> None:
+        """Begin the service, and wait until it has looked at its devices."""
+        with (self.wired.folder / "log.jsonl").open("ab") as log:
+            command = [sys.executable, "-m", "palpd", "serve", "--config", str(self.config)]
+            self.process = subprocess.Popen(command, stderr=log, start_new_session=True)
+        self.until_idle()
+
+    def end(self, number: int = signal.SIGTERM) -> None:
+        """End the service with a signal."""
+        if self.process is not None and self.process.poll() is None:
+            self.process.send_signal(number)
+            self.process.wait(30.0)
+
+    def do(self, what: str, **more: Any) -> dict[str, Any]:
+        """Send one request. Raises Refused."""
+        return dict(ask(self.socket, {"do": what, **more}, 60.0))  # type: ignore[typeddict-item]
+
+    def status(self) -> dict[str, Any]:
+        """The status of the service."""
+        return self.do("status")
+
+    def until_idle(self) -> dict[str, Any]:
+        """Wait until nothing runs; returns how the last job ended."""
+
+        def idle() -> bool:
+            with suppress(NoDaemon):
+                return bool(self.status()["state"] in ("disarmed", "armed"))
+            return False
+
+        until(idle, "the service is idle", PATIENCE_S, every_s=0.05)
+        return dict(self.status().get("last", {}))
+
+    def program(self, name: str, **arguments: Any) -> dict[str, Any]:
+        """Carry out a program as a job; returns its record. Raises Refused."""
+        job = self.do("begin", program=name, arguments=arguments)["id"]
+        self.until_idle()
+        return self.do("job", id=job)
+
+    def press(self) -> None:
+        """Arm, start, and wait until the probe presses."""
+        self.do("arm")
+        self.do("start", plan=PRESS)
+        until(lambda: self.wired.truth()["contact_N"] >= PRESSED_N, "the probe presses")
+
+
+# --- how a run ends ---------------------------------------------------------------------------------------------------------------
+
+
+def _done(cell: Cell) -> None:
+    cell.do("arm")
+    cell.do("start", plan=PRESS | {"depths_m": [0.002]})
+    cell.until_idle()
+
+
+def _contact_limit(cell: Cell) -> None:
+    cell.do("arm")
+    cell.do("start", plan=PRESS | {"depths_m": [0.02]})
+    until(lambda: cell.status().get("phase") == "baseline" and cell.status()["depth_m"] is not None, "the surface is found", every_s=0.02)
+    cell.wired.wall(0.003, HARD_N_PER_M)
+    cell.until_idle()
+
+
+def _abort(cell: Cell) -> None:
+    cell.press()
+    cell.do("abort")
+    cell.until_idle()
+
+
+def _latched(cell: Cell) -> None:
+    cell.press()
+    cell.wired.wires.ask("silent", s=1.0)
+    cell.until_idle()
+    time.sleep(1.0)
+
+
+def _motion_killed(cell: Cell) -> None:
+    cell.press()
+    assert cell.process is not None
+    for pid in family(cell.process.pid):
+        if "spawn_main" in command_of(pid):
+            os.kill(pid, signal.SIGKILL)
+    cell.until_idle()
+
+
+def _service_killed(cell: Cell) -> None:
+    cell.press()
+    cell.end(signal.SIGKILL)
+    time.sleep(2.0)
+    cell.begin()
+
+
+def _power_lost(cell: Cell) -> None:
+    cell.press()
+    assert cell.process is not None
+    os.killpg(cell.process.pid, signal.SIGKILL)
+    cell.process.wait()
+    time.sleep(2.0)
+    cell.begin()
+
+
+ENDS: Mapping[str, Callable[[Cell], None]] = {
+    "done": _done,
+    "contact limit": _contact_limit,
+    "abort": _abort,
+    "latched stop": _latched,
+    "motion process killed": _motion_killed,
+    "service killed": _service_killed,
+    "power lost": _power_lost,
+}
+
+# --- what comes next --------------------------------------------------------------------------------------------------------------
+
+
+def _why(refused: str) -> str:
+    """A refusal, in a word."""
+    words = {
+        "the probe is pressed": "refused: pressed",
+        "is not known": "refused: unknown",
+        "the last run was stopped": "refused: latched",
+        "is disarmed": "refused: disarmed",
+        "is clear of the tissue": "refused: free",
+    }
+    return next((short for phrase, short in words.items() if phrase in refused), f"refused: {refused}")
+
+
+def _outcome(act: Callable[[], str]) -> str:
+    try:
+        return act()
+    except Refused as refused:
+        return _why(str(refused))
+
+
+def _arm(cell: Cell) -> str:
+    return str(cell.do("arm")["state"])
+
+
+def _start(cell: Cell) -> str:
+    cell.do("start", plan=PRESS | {"depths_m": [0.002]})
+    last = cell.until_idle()
+    return "runs" if last["verdict"] == "done" else f"{last['verdict']}: {last['reason']}"
+
+
+def _calibrate(cell: Cell) -> str:
+    job = cell.program("calibrate")
+    return "kept" if job["verdict"] == "done" else _why(job["reason"])
+
+
+def _take_reference(cell: Cell) -> str:
+    daemon = cell.wired.run(PRESS | {"depths_m": [0.002]})
+    code = daemon.wait()
+    return "runs" if code == 0 else _why(daemon.stderr)
+
+
+def _doctor(cell: Cell) -> str:
+    findings = cell.program("doctor", watch_s=1.0)["result"]["findings"]
+    said = next(finding for finding in findings if finding["name"] == "probe free")
+    return str(said["figures"]["state"])
+
+
+def _retract(cell: Cell) -> str:
+    cell.do("retract")
+    last = cell.until_idle()
+    if last["verdict"] == "done":
+        return f"leaves the tissue, then {cell.status()['probe']['state']}"
+    return _why(last["reason"])
+
+
+def _clear(cell: Cell) -> str:
+    cell.do("clear")
+    return f"clears the latch; {cell.status()['probe']['state']}"
+
+
+def _map(cell: Cell) -> str:
+    with suppress(Refused):
+        cell.do("arm")
+    job = cell.program("map", most_presses=1, depth_m=0.002, width_m=0.01, height_m=0.01)
+    return "runs" if job["verdict"] == "done" else _why(job["reason"])
+
+
+COMMANDS: Mapping[str, Callable[[Cell], str]] = {
+    "doctor": _doctor,
+    "arm": _arm,
+    "start": _start,
+    "calibrate": _calibrate,
+    "run --take-reference": _take_reference,
+    "clear": _clear,
+    "map": _map,
+    "retract": _retract,
+}
+
+
+def row(wired: EmulatedCell, end: str, commands: tuple[str, ...] = tuple(COMMANDS)) -> dict[str, str]:
+    """End a run in that way, and try the commands one after the other in the state that it left.
+
+    Args:
+        wired: The emulated cell.
+        end: Name of the end.
+        commands: Which commands to try, in this order.
+
+    Returns:
+        What each did.
+    """
+    with served(wired) as cell:
+        ENDS[end](cell)
+        return {command: _outcome(lambda command=command: COMMANDS[command](cell)) for command in commands}  # type: ignore[misc]
+
+
+@contextmanager
+def served(wired: EmulatedCell) -> Iterator[Cell]:
+    """A calibrated service within the context."""
+    calibrated = wired.palpd("calibrate", "--config", wired.config)
+    assert calibrated.returncode == 0, calibrated.stderr
+    cell = Cell(wired)
+    try:
+        cell.begin()
+        yield cell
+    finally:
+        cell.end()
+        cell.end(signal.SIGKILL)
+
+
+def table(rows: Mapping[str, Mapping[str, str]]) -> str:
+    """The rows as Markdown."""
+    lines = [f"| the last run ended by | {' | '.join(COMMANDS)} |", f"|---{'|---' * len(COMMANDS)}|"]
+    return "\n".join([*lines, *(f"| {end} | {' | '.join(row[command] for command in COMMANDS)} |" for end, row in rows.items())])
+
+
+def rows_of(page: str) -> dict[str, dict[str, str]]:
+    """The rows of a page that holds the table."""
+    lines = page[page.index(BEGIN) + len(BEGIN) : page.index(END)].strip().splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return {row[0]: dict(zip(cells[0][1:], row[1:], strict=True)) for row in cells[2:]}
+
+
+def main() -> None:
+    """Fill the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--docs", type=Path, help="folder of the pages; the table is written into it")
+    arguments = parser.parse_args()
+    rows: dict[str, dict[str, str]] = {}
+    with tempfile.TemporaryDirectory() as folder, emulated_cell(Path(folder)) as wired:
+        for number, end in enumerate(ENDS):
+            own = Path(folder) / str(number)
+            own.mkdir()
+            rows[end] = row(wired.anew(own, SOFT_N_PER_M, **PATIENT), end)
+            print(end, rows[end], flush=True)
+    print(table(rows))
+    if arguments.docs is not None:
+        page = arguments.docs / PAGE
+        text = page.read_text()
+        page.write_text(text[: text.index(BEGIN) + len(BEGIN)] + "\n" + table(rows) + "\n" + text[text.index(END) :])
+
+
+if __name__ == "__main__":
+    main()
