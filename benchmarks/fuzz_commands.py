@@ -46,6 +46,7 @@ run --config {config} --plan {plan} --json {out.json}
 calibrate --config {config}
 free-motion --out {new.mcap} --config {config}
 stiffness --config {config} --json {out.json}
+level-test --config {config}
 retract --config {config}
 demo --json {out.json} --out {folder}
 sim --plan {plan} --config {config} --cell {cell} --json {out.json}
@@ -198,7 +199,7 @@ web --port 70000 --config {config}
 SLOW = ("diagnose", "resolve", "serve", "blind", "study", "demo", "emulate", "stream", "web")
 """Commands that work for long, or for ever, on what they accept: they are given only what they must refuse."""
 NO_DEVICE = (
-    "run", "calibrate", "free-motion", "stiffness", "retract", "status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job",
+    "run", "calibrate", "free-motion", "stiffness", "level-test", "retract", "status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job",
     "controls",
 )  # fmt: skip
 """Commands that need a daemon or devices, which are not there: they refuse every line."""

@@ -1,9 +1,6 @@
 """All commands together."""
 
-import math
 import sys
-from collections.abc import Callable
-from functools import wraps
 from typing import Any
 
 import typer
@@ -26,25 +23,6 @@ def _place(command: Any) -> int:
 
 
 app.registered_commands.sort(key=_place)
-
-
-def _with_finite_numbers(command: Callable[..., None]) -> Callable[..., None]:
-    """The command, which refuses options that are nan or infinite: comparisons with a limit let both pass."""
-
-    @wraps(command)
-    def carried_out(**options: Any) -> None:
-        for name, value in options.items():
-            for number in value if isinstance(value, list | tuple) else (value,):
-                if isinstance(number, float) and not math.isfinite(number):
-                    raise BadInput(f"--{name.replace('_', '-')} is {number:g}, expected a finite number; correct it")
-        command(**options)
-
-    return carried_out
-
-
-for registered in app.registered_commands:
-    if registered.callback is not None:
-        registered.callback = _with_finite_numbers(registered.callback)
 
 
 def carry_out(words: list[str]) -> None:

@@ -1,7 +1,6 @@
 """What commands write: an option that names an output says so beside its type, and all are checked here before a command begins."""
 
 import inspect
-import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import wraps
 from pathlib import Path
@@ -16,6 +15,8 @@ from palpd.files import check_folder, check_link, check_resumed, check_socket, c
 FOLDER, OWN_FOLDER, NEW_RECORDING, SOCKET, LINK, RESUMED = "folder", "own folder", "new recording", "socket", "link", "resumed file"
 """What an option names besides a plain file: a folder to write into, one for this call alone, a recording whose folder is made, a Unix
 socket, a link, a file that is read first."""
+LARGEST = 1e15
+"""Largest number of an option; the stiffest machine has some 1e9 N/m."""
 ForceOption = Annotated[bool, typer.Option("--force", help="replace outputs that palpd did not make; an input never")]
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -114,8 +115,7 @@ def _with_checked_files(command: Callable[..., Any]) -> Callable[..., Any]:
     def checked(**values: Any) -> Any:
         force = values.pop("force") if takes_force else None
         for name, value in values.items():
-            if isinstance(value, float) and not math.isfinite(value):
-                raise BadInput(f"--{name.replace('_', '-')} is {value}, expected a finite number; correct it")
+            _refuse_number(name, value)
         with file_use(_paths(values[name] for name in inputs), force=force):
             for name, output in outputs.items():
                 output.check(values[name])
@@ -126,6 +126,13 @@ def _with_checked_files(command: Callable[..., Any]) -> Callable[..., Any]:
         checked.__signature__ = signature.replace(parameters=[*signature.parameters.values(), force])  # type: ignore[attr-defined]
         checked.__annotations__ = {**command.__annotations__, "force": ForceOption}
     return checked
+
+
+def _refuse_number(name: str, value: object) -> None:
+    """Refuse an option that is nan, infinite or beyond every unit: comparisons with a limit let the first pass. Raises BadInput."""
+    for number in value if isinstance(value, list | tuple) else (value,):
+        if isinstance(number, float) and not abs(number) <= LARGEST:
+            raise BadInput(f"--{name.replace('_', '-')} is {number:g}, expected a finite number of at most {LARGEST:g}; correct it")
 
 
 def _paths(values: Iterator[Any]) -> Iterator[Path]:

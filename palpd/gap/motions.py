@@ -147,7 +147,7 @@ def _stroke(from_m: float, to_m: float, speed: float, acceleration: float, step_
     way_m = abs(to_m - from_m)
     top = min(speed, (way_m * acceleration) ** 0.5)
     ramp_s = top / acceleration
-    duration_s = way_m / top + ramp_s if way_m > 0 else 0.0
+    duration_s = way_m / top + ramp_s if top > 0 else 0.0  # not way_m: its product with the acceleration may be too small for a number
     t = np.arange(1, ceil(duration_s / step_s) + 1) * step_s
     first, last = np.minimum(t, ramp_s), np.clip(t - (duration_s - ramp_s), 0.0, ramp_s)
     middle = np.clip(t - ramp_s, 0.0, duration_s - ramp_s)

@@ -175,7 +175,7 @@ def test_no_bytes_bring_it_down(listening: Listening, data: bytes) -> None:
 
 
 def test_a_second_daemon_on_the_same_socket_is_refused(listening: Listening) -> None:
-    with pytest.raises(Refused, match="another palpd"):
+    with pytest.raises(Refused, match="already serves"):
         ControlSocket(listening.path, listening.answer)
 
 

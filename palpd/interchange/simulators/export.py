@@ -424,7 +424,8 @@ def agreement_of(cell: CellFile, rows: Floats, expected: Mapping[str, Floats]) -
     torque_Nm = sensor.noise_rms_Nm or sensor.noise_rms_N * cell.probe.tip_length_m
     noise = dict.fromkeys(COLUMNS[2:5], sensor.noise_rms_N) | dict.fromkeys(COLUMNS[5:], torque_Nm)
     noise |= {"z_m": robot.position_noise_rms_m or 5e-6, "vz_m_per_s": robot.velocity_noise_rms_m_per_s or 2e-4}
-    off = {name: float(np.sqrt(np.mean((rows[:, k] - expected[name]) ** 2))) / noise[name] for k, name in enumerate(COLUMNS)}
+    with np.errstate(over="ignore"):  # a difference that is too large for a number is infinite, and refused as such
+        off = {name: float(np.sqrt(np.mean((rows[:, k] - expected[name]) ** 2))) / noise[name] for k, name in enumerate(COLUMNS)}
     return Agreement(off, max(off, key=lambda name: off[name]))
 
 
