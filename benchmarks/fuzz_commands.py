@@ -199,8 +199,8 @@ web --port 70000 --config {config}
 SLOW = ("diagnose", "resolve", "serve", "blind", "study", "demo", "emulate", "stream", "web")
 """Commands that work for long, or for ever, on what they accept: they are given only what they must refuse."""
 NO_DEVICE = (
-    "run", "calibrate", "free-motion", "stiffness", "level-test", "retract", "status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job",
-    "controls",
+    "run", "calibrate", "free-motion", "stiffness", "level-test", "retract", "status", "arm", "start", "pause", "resume", "abort", "clear",
+    "jobs", "job", "controls",
 )  # fmt: skip
 """Commands that need a daemon or devices, which are not there: they refuse every line."""
 FINE = {("map", "header alone"), ("import", "unclosed quote"), ("analyse", "unclosed quote"), ("simulate", "three rows")}
