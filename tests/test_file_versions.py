@@ -133,7 +133,7 @@ def test_an_export_to_parquet_holds_the_columns_of_the_csv_and_the_header(tmp_pa
     for again in (read(tmp_path / "a.parquet"), read(tmp_path / "a.csv")):
         assert (again.t_s == samples.t_s).all()
         assert (again.wrench == samples.wrench).all()
-        assert again.sites == (() if site else ("A", "B"))
+        assert again.sites == ((site,) if site else ("A", "B"))
     export(recording, tmp_path / "a.parquet", site)
     (tmp_path / "a.parquet").write_bytes(b"PAR1 of another program")
     with pytest.raises(BadInput, match="exists and is not overwritten"):

@@ -105,7 +105,9 @@ def test_a_twist_of_something_else_is_not_used(tmp_path: Path) -> None:
     slope = np.gradient(one.pose[:, 2], (one.pose_ns - one.pose_ns[0]) * 1e-9)
     equal = np.isin(one.wrench_ns[: len(imported.samples)], one.pose_ns)
     np.testing.assert_allclose(imported.samples.vz_m_per_s[equal], slope, rtol=0, atol=1e-9)
-    named = read_files([path], ImportOptions(twist="/twist")).samples
+    with pytest.raises(BadInput, match=r"z_m changes 0\.333 times as fast as vz_m_per_s says"):
+        read_files([path], ImportOptions(twist="/twist"))
+    named = read_files([path], ImportOptions(twist="/twist", accept_implausible=True)).samples
     np.testing.assert_allclose(named.vz_m_per_s[equal], 3.0 * one.twist[:, 2], rtol=0, atol=1e-9)
 
 
