@@ -387,6 +387,14 @@ class Daemon:
         self.do("start", plan=plan)
         until(lambda: self.do("status").get("phase") == phase, 40.0)
 
+    def retract(self) -> None:
+        """Out of what a run left behind: until then nothing else may move."""
+        with pytest.raises(Refused, match="is unfinished"):
+            self.arm()
+        self.do("retract")
+        until(lambda: self.state() == "disarmed", 30.0)
+        assert self.do("status")["probe"]["state"] == "free"
+
     def arm(self) -> None:
         """As an operator does: again, where the machine had stood still and what the devices said was rightly found too old."""
         for _ in range(4):
@@ -487,6 +495,8 @@ def test_killed_in_mid_run_nothing_of_it_survives_the_arm_rests_and_the_recordin
     assert Recording.load(restored.path).rows["phase"].max() > 0
     daemon.begin()
     assert daemon.state() in ("checking", "disarmed")
+    until(lambda: daemon.state() == "disarmed", 30.0)
+    daemon.retract()
 
 
 @pytest.mark.hil
@@ -508,6 +518,7 @@ def test_a_motion_process_that_dies_in_mid_run_latches_over_a_restart(daemon: Da
     daemon.do("clear")
     assert daemon.do("status")["latched"] is None
     until(lambda: daemon.state() == "disarmed", 30.0)
+    daemon.retract()
 
 
 @pytest.mark.hil

@@ -58,10 +58,11 @@ class Served:
 
 
 @contextmanager
-def served(cell: EmulatedCell, patience_s: float = 60.0) -> Iterator[Served]:
+def served(cell: EmulatedCell, patience_s: float = 60.0, *, calibrate: bool = True) -> Iterator[Served]:
     """Calibrate, and serve within the context."""
-    calibrated = cell.palpd("calibrate", "--config", cell.config, patience_s=patience_s)
-    assert calibrated.returncode == 0, calibrated.stderr
+    if calibrate:
+        calibrated = cell.palpd("calibrate", "--config", cell.config, patience_s=patience_s)
+        assert calibrated.returncode == 0, calibrated.stderr
     with Path(cell.folder, "log.jsonl").open("wb") as log:
         process = subprocess.Popen([sys.executable, "-m", "palpd", "serve", "--config", str(cell.config)], stderr=log)
     try:

@@ -122,7 +122,9 @@ def test_a_pause_in_the_tissue_retracts_and_a_resume_begins_the_press_again(cell
 def proposing(service: Served, recording: Path) -> dict[str, Any]:
     """A resolve of one recording, up to its proposal."""
     service.do("arm")
-    begun = service.do("begin", program="resolve", arguments={"recordings": [str(recording)], "rounds": 1, "adopted": False})
+    stated = {"tissue": {"youngs_modulus_Pa": 72e3}}  # a modulus that nobody states is not known, and what hides in it no gap
+    arguments = {"recordings": [str(recording)], "rounds": 1, "adopted": False, "cell": stated}
+    begun = service.do("begin", program="resolve", arguments=arguments)
     until(lambda: service.do("status")["state"] != "running", "a motion is proposed", 180.0, every_s=0.1)
     return begun
 
@@ -197,7 +199,8 @@ def test_after_a_restart_nothing_moves_and_no_job_is_known(cell: Callable[..., E
         service.press()
         service.process.send_signal(signal.SIGTERM)
         service.process.wait(30.0)
-    with served(wired) as again:
+    with served(wired, calibrate=False) as again:
         status = again.do("status")
+        assert status["probe"]["state"] == "pressed"
         assert (status["state"], status["active"], again.do("jobs")["jobs"]) == ("disarmed", None, [])
         assert not any(sample.speed_m_per_s for sample in wired.log(float(wired.truth()["t_s"]) - 2.0))
