@@ -7,11 +7,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile
-from palpd.gap.noise import FX, FZ, TX, Z, resolutions
+from palpd.gap.noise import FX, FZ, TX, Z
 from palpd.gap.nuisances import Columns
 from palpd.gap.phases import FREE_STILL, HOLDING
 from palpd.gap.prepare import PreparedRecording
-from palpd.gap.rounding import undithered_rms
 from palpd.gap.whitening import Whitening
 from palpd.recording.samples import runs_of_true
 from palpd.tick import Floats
@@ -68,7 +67,7 @@ def _of_recording(cell: CellFile, recording: PreparedRecording, servo_errors_m: 
     if recording.judged[Z]:
         for name, values in zip(("hidden delay", "controller order"), servo_errors_m, strict=True):
             yield Column("computation", name, Z), values
-    yield from _rounding_offsets(cell, recording)
+    yield from _rounding_offsets(recording)
 
 
 def torque_arm_m(cell: CellFile) -> float:
@@ -84,20 +83,14 @@ def _zero_columns(cell: CellFile, recording: PreparedRecording, channel: int) ->
         yield Column("recording", "drift_N_per_min", channel), arm * cell.tolerances.drift_N_per_min / 60.0 * recording.t_s
 
 
-def _rounding_offsets(cell: CellFile, recording: PreparedRecording) -> Iterator[tuple[Column, Floats]]:
-    """Where noise does not dither the rounding, every rest keeps an offset of up to half a step."""
-    for channel, step in enumerate(resolutions(cell)):
-        if not recording.judged[channel]:
-            continue
-        if channel == FZ and recording.rounding is not None:
-            offset = recording.rounding.undithered_rms_N
-        else:
-            offset = undithered_rms(step, max(recording.noise_rms[channel] ** 2 - step**2 / 12.0, 0.0) ** 0.5)
-        if offset < 0.1 * recording.noise_rms[channel]:
-            continue
-        first, end = runs_of_true(np.isin(recording.bin_phase, (FREE_STILL, HOLDING)))
-        for a, b in zip(first[:MOST_RESTS], end[:MOST_RESTS], strict=True):
-            if b - a >= 3:
-                rest = np.zeros(len(recording.bins))
-                rest[a:b] = offset
-                yield Column("recording", "rounding", channel), rest
+def _rounding_offsets(recording: PreparedRecording) -> Iterator[tuple[Column, Floats]]:
+    """Where noise does not dither the rounding of fz, every rest keeps an offset of up to half a step."""
+    offset_N = recording.rounding.undithered_rms_N if recording.rounding is not None and recording.judged[FZ] else 0.0
+    if offset_N < 0.1 * recording.noise_rms[FZ]:
+        return
+    first, end = runs_of_true(np.isin(recording.bin_phase, (FREE_STILL, HOLDING)))
+    for a, b in zip(first[:MOST_RESTS], end[:MOST_RESTS], strict=True):
+        if b - a >= 3:
+            rest = np.zeros(len(recording.bins))
+            rest[a:b] = offset_N
+            yield Column("recording", "rounding", FZ), rest

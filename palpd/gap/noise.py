@@ -19,11 +19,15 @@ def resolutions(cell: CellFile) -> Floats:
     return np.array([0.0, s.resolution_fxy_N, s.resolution_fxy_N, s.resolution_fz_N, *[s.resolution_Nm] * 3])
 
 
+def pure_rms(cell: CellFile) -> Floats:
+    """Stated noise of one sample per channel (7,), before it is rounded."""
+    s = cell.sensor
+    return np.array([cell.robot.position_noise_rms_m, *[s.noise_rms_N] * 3, *[s.noise_rms_Nm] * 3])
+
+
 def declared_rms(cell: CellFile) -> Floats:
     """Stated noise of one sample per channel (7,), rounding included."""
-    s = cell.sensor
-    noise = np.array([cell.robot.position_noise_rms_m, *[s.noise_rms_N] * 3, *[s.noise_rms_Nm] * 3])
-    return np.asarray(np.sqrt(noise**2 + resolutions(cell) ** 2 / 12.0))
+    return np.asarray(np.sqrt(pure_rms(cell) ** 2 + resolutions(cell) ** 2 / 12.0))
 
 
 MOST_APART = 1.2

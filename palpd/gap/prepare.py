@@ -17,7 +17,7 @@ from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
 from palpd.gap.bins import Bins, make_bins
 from palpd.gap.noise import FZ, Z, declared_rms
 from palpd.gap.phases import FREE_STILL, HOLDING, ROUNDING, Ints, Phases, find_phases
-from palpd.gap.rounding import Rounding
+from palpd.gap.rounding import Rounding, undithered
 from palpd.gap.user_simulator import NominalDifference, UserSimulator, difference
 from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
@@ -287,7 +287,9 @@ def _noise(
             measured[channel] = rms if enough or declared[channel] == 0.0 else min(rms, declared[channel])
             digits[channel] = max(LAST_DIGITS * float(np.ptp(signal)), 1e-300)
     floor = np.where(declared > 0, declared, np.maximum(measured, digits))
-    return tuple(judged), np.where(measured > 0, np.maximum(measured, 0.5 * floor), floor)
+    # Of readings that noise does not dither, those that happen to rest within a level show too little of it.
+    least = np.where(undithered(cell), 1.0, 0.5) * floor
+    return tuple(judged), np.where(measured > 0, np.maximum(measured, least), floor)
 
 
 def _inertial_noise(samples: Samples, cell: CellFile, motion: TipMotion, reports: Reports, bins: Bins) -> csr_array:

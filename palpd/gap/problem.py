@@ -16,9 +16,10 @@ from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS, Effect, Scale
 from palpd.cell.simulation import Followed, predict_motion, scale_of
 from palpd.gap.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
-from palpd.gap.noise import FX, FZ, Z
+from palpd.gap.noise import FX, FY, FZ, TX, Z, pure_rms, resolutions
+from palpd.gap.phases import PHASES
 from palpd.gap.prepare import PreparedRecording, prepare, with_simulator
-from palpd.gap.rounding import Rounding, Way
+from palpd.gap.rounding import Rounding, Way, undithered_rms
 from palpd.gap.servo_error import servo_errors
 from palpd.gap.user_simulator import UserSimulator
 from palpd.gap.whitening import Whitening
@@ -418,6 +419,7 @@ def _whitening(cell: CellFile, recordings: Sequence[PreparedRecording], errors_m
         sigma[Z] = np.hypot(sigma[Z], acceleration_m)
         sigma[FZ] = np.hypot(sigma[FZ], one.motion.z_noise_m * _stiffness(cell, one))
         sigma[FZ] = np.hypot(sigma[FZ], one.rounding.undithered_rms_N if one.rounding else 0.0)
+        _hide_rounding(sigma, cell)
         sigma[~np.array(one.judged)] = np.inf
         sigmas.append(sigma)
     heights_m = [one.bins.means() @ one.reports.joined * (one.noise_rms[Z] * (one.samples_each > 1.0)) for one in recordings]
@@ -425,6 +427,17 @@ def _whitening(cell: CellFile, recordings: Sequence[PreparedRecording], errors_m
         one.eliminate_zeros()  # all of them where every sample is a report
     shared = {Z: csr_array(block_diag(heights_m)), FZ: csr_array(block_diag([one.inertial_noise_N for one in recordings]))}
     return Whitening.of(np.hstack(sigmas), shared)
+
+
+def _hide_rounding(sigma: Floats, cell: CellFile) -> None:
+    """Widen the noise (7, b) of lateral forces and torques by the error of rounding that noise does not dither.
+
+    Where the force is the same, so is that error: no number of bins averages it, and all of them count as one reading for each phase.
+    """
+    alike = np.sqrt(sigma.shape[1] / len(PHASES))
+    for channel in (FX, FY, *range(TX, 7)):
+        step, noise = resolutions(cell)[channel], pure_rms(cell)[channel]
+        sigma[channel] = np.hypot(sigma[channel], alike * undithered_rms(step, noise))
 
 
 def _stiffness(cell: CellFile, recording: PreparedRecording) -> Floats:

