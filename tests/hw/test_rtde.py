@@ -36,7 +36,8 @@ REST_WITHIN_S = 0.110
 """After the last speed command: the watchdog's 100 ms, a cycle and the ramp."""
 STOPS_WITHIN_S = STOP_TIMEOUT_S + 0.25
 """The rest is the machine's; a call that hangs does so for seconds."""
-ATTEMPTS = 5
+ATTEMPTS = 20
+"""The library crashed 22 of 50 clients whose connection was dropped, up to seven in a row."""
 CRASHES = (-signal.SIGSEGV, -signal.SIGABRT)
 _hosts = (f"127.0.{90 + os.getpid() % 100}.{n}" for n in count(1))
 
