@@ -25,7 +25,8 @@ on("status", (status) => {
   const kind = paused ? "paused" : status.latched && !status.job ? "latched" : status.state;
   const words = paused ? "Paused" : kind === "latched" ? "Stopped" : STATES[status.state] ?? status.state;
   const not_ready = status.cell && !status.cell.ready ? `not ready: ${status.cell.reason}` : "";
-  show(kind, words, status.activity ?? status.active?.activity ?? (status.latched || not_ready));
+  const pressed = status.probe?.state === "pressed" && !status.job ? "The probe is pressed" : "";
+  show(kind, words, status.activity ?? status.active?.activity ?? [pressed, status.latched || not_ready].filter(Boolean).join("; "));
 });
 on("lost", ({ reason }) => {
   document.body.dataset.service = "lost";
