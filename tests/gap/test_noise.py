@@ -207,7 +207,7 @@ def test_an_axis_is_no_noisier_or_quieter_for_where_it_rests_between_its_levels(
 
 
 def rounded_laterals(step_noises: float, effects: EffectValues | None = None) -> tuple[Samples, CellFile]:
-    """Presses whose lateral forces and torques are rounded to a step of so many noises, and the cell file that states it."""
+    """Presses whose lateral forces and torques are rounded to a step of that many noises, and the cell file that states it."""
     stated, motion = nominal().sensor, recording("second order", 101)
     steps = {"resolution_fxy_N": step_noises * stated.noise_rms_N, "resolution_Nm": step_noises * stated.noise_rms_Nm}
     cell = nominal().model_copy(update={"sensor": stated.model_copy(update=steps)})
