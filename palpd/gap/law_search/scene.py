@@ -15,7 +15,7 @@ from palpd.cell.simulation import capture, commanded_motion, wrench_of
 from palpd.gap.law_search.bases import Basis
 from palpd.gap.law_search.formulas import Formula
 from palpd.gap.law_search.nuisance_space import whitened
-from palpd.gap.noise import CHANNELS, FX, FY, FZ, TX, TY, Z, resolutions
+from palpd.gap.noise import CHANNELS, FZ, Z, resolutions
 from palpd.gap.phases import Ints
 from palpd.gap.prepare import PreparedRecording
 from palpd.gap.problem import Problem, return_memory
@@ -239,19 +239,6 @@ class Scene:
             return columns
 
         return self._means(candidate.channel, at_steps, behind)
-
-    def both_azimuths(self, values: Floats) -> dict[int, Floats]:
-        """Columns (b, 2 m) by channel of a force to the side: along x, then along y.
-
-        Args:
-            values: Columns (b, m) of the force in N.
-
-        Returns:
-            The columns in the channels that are compared.
-        """
-        none, arm_m = np.zeros_like(values), self.problem.cell.probe.tip_length_m
-        of = {FX: (values, none), FY: (none, values), TX: (none, arm_m * values), TY: (-arm_m * values, none)}
-        return {channel: np.hstack(both) for channel, both in of.items() if self.judged(channel)}
 
     def judged(self, channel: int) -> bool:
         """Whether any recording compares a channel."""
