@@ -25,8 +25,8 @@ def _without_nulls(values: Any) -> Any:
 
 
 EffectValues = dict[str, Annotated[dict[str, StrictFloat], BeforeValidator(_without_nulls)]]
-Positive = Annotated[StrictFloat, Field(gt=0.0)]
-NotNegative = Annotated[StrictFloat, Field(ge=0.0)]
+Positive = Annotated[StrictFloat, Field(gt=0.0, le=1e15)]
+NotNegative = Annotated[StrictFloat, Field(ge=0.0, le=1e15)]
 Length = Annotated[StrictFloat, Field(gt=0.0, lt=1.0)]
 Height = Annotated[StrictFloat, Field(gt=-10.0, lt=10.0)]
 Modulus = Annotated[StrictFloat, Field(ge=1.0, le=1e13)]

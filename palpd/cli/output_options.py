@@ -15,8 +15,8 @@ from palpd.files import check_folder, check_link, check_resumed, check_socket, c
 FOLDER, OWN_FOLDER, NEW_RECORDING, SOCKET, LINK, RESUMED = "folder", "own folder", "new recording", "socket", "link", "resumed file"
 """What an option names besides a plain file: a folder to write into, one for this call alone, a recording whose folder is made, a Unix
 socket, a link, a file that is read first."""
-LARGEST = 1e15
-"""Largest number of an option; the stiffest machine has some 1e9 N/m."""
+SMALLEST, LARGEST = 1e-18, 1e15
+"""Least and largest number of an option but for 0: an optical trap holds 1e-12 N, and the stiffest machine has some 1e9 N/m."""
 ForceOption = Annotated[bool, typer.Option("--force", help="replace outputs that palpd did not make; an input never")]
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -131,8 +131,8 @@ def _with_checked_files(command: Callable[..., Any]) -> Callable[..., Any]:
 def _refuse_number(name: str, value: object) -> None:
     """Refuse an option that is nan, infinite or beyond every unit: comparisons with a limit let the first pass. Raises BadInput."""
     for number in value if isinstance(value, list | tuple) else (value,):
-        if isinstance(number, float) and not abs(number) <= LARGEST:
-            raise BadInput(f"--{name.replace('_', '-')} is {number:g}, expected a finite number of at most {LARGEST:g}; correct it")
+        if isinstance(number, float) and not (number == 0.0 or SMALLEST <= abs(number) <= LARGEST):
+            raise BadInput(f"--{name.replace('_', '-')} is {number:g}, expected 0 or a number of {SMALLEST:g} to {LARGEST:g}; correct it")
 
 
 def _paths(values: Iterator[Any]) -> Iterator[Path]:

@@ -175,3 +175,10 @@ def test_the_sites_of_the_phantom_stand_30_mm_apart() -> None:
         ("C", 60, 0.0),
         ("D", 90, 0.0),
     ]
+
+
+def test_a_number_beyond_every_unit_is_refused(tmp_path: Path) -> None:
+    """It overflowed in the recording of a simulated run."""
+    (tmp_path / "cell.yaml").write_text("probe: {mass_kg: 1.0e+300}\n")
+    with pytest.raises(ConfigError, match=r"probe.mass_kg is 1e\+300; expected less than or equal to"):
+        load_cell(tmp_path / "cell.yaml")

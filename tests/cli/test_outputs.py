@@ -172,10 +172,11 @@ def test_an_output_that_is_no_name_of_a_file_is_refused(home: Path, command: lis
     [
         ["import", "a.csv", "--csv", "b.csv", "--force-N-per-V", "nan"], ["import", "a.csv", "--csv", "b.csv", "--tare-s", "inf"],
         ["analyse", "a.csv", "--poisson-ratio", "nan"], ["analyse", "a.csv", "--machine-stiffness-N-per-m", "inf"],
+        ["analyse", "a.csv", "--machine-stiffness-N-per-m", "1e-300"],
     ],
 )  # fmt: skip
-def test_no_option_is_a_number_that_is_not_finite(home: Path, command: list[str]) -> None:
-    assert "expected a finite number" in str(refused(*command))
+def test_no_option_is_a_number_beyond_every_unit(home: Path, command: list[str]) -> None:
+    assert "expected 0 or a number of 1e-18 to 1e+15" in str(refused(*command))
 
 
 @pytest.mark.parametrize(
