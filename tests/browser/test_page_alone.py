@@ -209,6 +209,14 @@ def test_a_token_that_is_typed_opens_the_page_and_a_wrong_one_is_one_sentence(sc
     assert page.url == f"{ADDRESS}/"
 
 
+def test_a_module_that_comes_late_hears_the_first_status(scene: Scene) -> None:
+    """Its service says nothing more, as one that is disarmed does."""
+    page = scene.open()
+    page.route("**/static/run.js", lambda route: (time.sleep(1.0), route.continue_()))
+    page.reload(wait_until="commit")
+    until(lambda: "3 of 8 steps" in page.text_content("#progress-text"), "the first status is shown", 20.0)
+
+
 def test_an_abort_without_a_service_points_at_the_emergency_stop(scene: Scene) -> None:
     page = scene.open()
     hidden = scene.service.path.with_name("away.sock")

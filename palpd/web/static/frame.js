@@ -48,4 +48,4 @@ on("closed", async () => {
 });
 
 if (document.body.dataset.page === "entrance") show("gone", "Not open", "");
-else begin();
+else document.addEventListener("DOMContentLoaded", begin); // once the page's own module listens too: the first status comes but once
