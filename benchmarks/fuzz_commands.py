@@ -326,7 +326,7 @@ def _bad_options(sound: dict[str, Path]) -> Iterator[Line]:
                 continue
             yield Line((*good, option), "option without value", refused=True)
             if kind in (int, float):
-                for number in NUMBERS:
+                for number in SURE if name in SLOW else NUMBERS:
                     yield Line((*good, f"{option}={number}"), f"number {number[:9]!r}", number in SURE)
             elif get_origin(kind) is Literal:
                 for word in ("", "no-such-word", "N N"):

@@ -41,6 +41,16 @@ class Served:
         until(disarmed, "the service is disarmed", timeout_s, every_s=0.05)
         return dict(self.do("status").get("last", {}))
 
+    def until_phase(self, phase: str) -> None:
+        """The running job is in the phase; a job that ends before fails the test with its reason."""
+
+        def reached() -> bool:
+            status = self.do("status")
+            assert status["state"] != "disarmed", f"the job ended before {phase}: {status.get('last')}"
+            return bool(status.get("phase") == phase)
+
+        until(reached, phase, every_s=0.02)
+
     def press(self) -> None:
         """Press until the probe is loaded."""
         self.do("arm")

@@ -70,7 +70,7 @@ def test_a_map_is_cancelled_in_its_second_press_and_keeps_the_first(cell: Callab
         begun = service.do("begin", program="map", arguments=FIELD)
         assert begun["most_runs"] == 3
         until(lambda: service.do("status").get("active", {})["runs"] == 2, "the second press", 120.0, every_s=0.05)
-        until(lambda: service.do("status").get("phase") == "press", "the second press presses", every_s=0.02)
+        service.until_phase("press")
         worker = worker_of(service)
         assert service.do("cancel", id=begun["id"])["state"] == "aborting"
         job = ended(service, begun["id"])
@@ -161,7 +161,7 @@ def test_a_proposed_motion_waits_for_consent_and_is_recorded_only_with_it(cell: 
         with pytest.raises(Refused, match="number 1, not 2"):
             service.do("decide", id=begun["id"], number=2, agree=True)
         service.do("decide", id=begun["id"], number=1, agree=True)
-        until(lambda: service.do("status").get("phase") == "free_motion", "the motion is carried out", every_s=0.05)
+        service.until_phase("free_motion")
         service.do("abort")
         job = ended(service, begun["id"])
         assert job["verdict"] == "stopped"
@@ -185,7 +185,7 @@ def test_when_the_service_is_killed_its_worker_dies_and_the_arm_stops(cell: Call
     with served(cell(**PATIENT)) as service:
         service.do("arm")
         service.do("begin", program="map", arguments=FIELD)
-        until(lambda: service.do("status").get("phase") == "press", "the first press", every_s=0.02)
+        service.until_phase("press")
         worker = worker_of(service)
         killed_s = float(service.cell.truth()["t_s"])
         os.kill(service.process.pid, signal.SIGKILL)
