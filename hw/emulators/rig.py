@@ -122,6 +122,7 @@ class Rig:
 
     def skip(self, samples: int) -> None:
         """Advance the devices' clocks over milliseconds in which the process stood still."""
+        self.controller.stand_still(samples * SAMPLE_S)
         self.daq.counter = (self.daq.counter + samples) % 65536
         if self.box is not None:
             self.box.skip(samples)

@@ -319,3 +319,16 @@ def test_the_counter_leaps_when_told_and_goes_on_where_the_process_did_not(link:
     obey(rig, {"do": "counter_jump", "by": 1000}, 100.5, [0.0])
     rig.skip(250)
     assert (rig.daq.counter - before) % 65536 == 1250
+
+
+def test_a_process_that_stood_still_right_after_it_had_read_counts_that_time_as_none_of_the_watchdogs(link: Path) -> None:
+    bench = Bench(link)
+    rig = bench.rig
+    rig.controller.write({"input_int_register_0": (35,), "input_double_register_0": (10.0,)}, bench.t_s)
+    bench.run(0.02)
+    rig.skip(500)
+    bench.t_s += 0.5
+    bench.run(0.05)
+    assert rig.controller.runtime is Runtime.PLAYING
+    bench.run(0.1)
+    assert rig.controller.stops[-1][1] == "watchdog"
