@@ -121,7 +121,7 @@ def name_in(folder: Path, recording: Path) -> str | None:
         The name; None where the recording stands elsewhere.
     """
     try:
-        return recording.resolve().relative_to(folder.resolve()).as_posix().removesuffix(RECORDING)
+        return Path(os.path.realpath(recording)).relative_to(os.path.realpath(folder)).as_posix().removesuffix(RECORDING)
     except ValueError:
         return None
 
