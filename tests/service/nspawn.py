@@ -89,7 +89,10 @@ class Installed:
         return until(lambda: self.state() == state, patience_s, f"the daemon is {state}")
 
     def begin(self) -> None:
-        """A run that is well under way: the probe moves."""
+        """A run that is well under way: the probe moves. What an earlier one left in the tissue is retracted first."""
+        if (probe := self.do("status")["probe"]) is not None and probe["state"] != "free":
+            self.do("retract")
+            self.until_state("disarmed")
         self.do("arm")
         self.do("start", plan=PLAN)
         until(lambda: self.do("status").get("phase") in ("search", "press", "hold"), 30.0, "the search begins")
@@ -137,7 +140,7 @@ def test_it_starts_is_ready_and_waits_disarmed(service: Installed) -> None:
     assert service.inside.shows("palpd", "ActiveState") == "active"
     assert service.do("status")["state"] in ("checking", "disarmed")
     service.until_state("disarmed")
-    assert service.do("status")["cell"]["reason"].startswith("there is no reference tare")
+    assert "there is no reference tare; palpd level-test goes 5 mm up" in service.do("status")["cell"]["reason"]
     with pytest.raises(Refused, match="there is no reference tare"):
         service.do("arm")
 
