@@ -21,6 +21,7 @@ def test_the_table_names_every_end_and_every_command() -> None:
     assert {tuple(cells) for cells in TABLE.values()} == {tuple(COMMANDS)}
 
 
+@pytest.mark.timeout(900)  # seven cells with some ten runs each: three minutes alone, more on a computer that does other work
 def test_what_a_command_does_after_a_run_stands_in_the_table(tmp_path: Path) -> None:
     skip_without_ur_rtde()
     assert filled(tmp_path) == TABLE
