@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from palpd.daemon.stiffness_survey import Mapped
 
 
-@app.command()
+@app.command(examples=["palpd analyse run.mcap --site A", "palpd analyse recording.csv --cell enriched.yaml"])
 def analyse(
     file: Annotated[Path, typer.Argument(help="a recording (.mcap), or a curve of another machine as CSV")],
     site: Annotated[str | None, typer.Option("--site", help="this site only (recordings)")] = None,
@@ -93,7 +93,7 @@ def analyse(
         write_json(json_file, curve)
 
 
-@app.command()
+@app.command(examples=["palpd train free.mcap --out cell/inertial.onnx"])
 def train(
     runs: Annotated[list[Path], typer.Argument(help="recordings of free motion (.mcap or .csv)")],
     out: Annotated[
@@ -129,7 +129,13 @@ def train(
     )
 
 
-@app.command("map")
+@app.command(
+    "map",
+    examples=[
+        "palpd map --config cell/config.yaml --width-m 0.04 --height-m 0.02 --out map.png",
+        "palpd map --presses presses.csv --out map.png",
+    ],
+)
 def map_(
     out: Annotated[
         Path, typer.Option("--out", help="picture to write (.png); the presses are kept beside it (.csv)"), Output(PICTURE)

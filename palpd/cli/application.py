@@ -6,23 +6,25 @@ from typing import Any
 import typer
 
 from palpd.cli import analysis, gap, history, recordings, run, service, study
+from palpd.cli.command_groups import ORDER
 from palpd.cli.options import app
 from palpd.errors import BadInput, Refused
 
-__all__ = ["app", "carry_out"]
+__all__ = ["app", "carry_out", "name_of"]
 
 UsageError: Any = typer.BadParameter.__bases__[0]
 """What typer raises for words that fit no command; it has no public name."""
 
-FILES = [each.__name__ for each in (run, service, history, recordings, analysis, gap, study)]
-"""The files of commands, in the order of `palpd --help`."""
+FILES = (run, service, history, recordings, analysis, gap, study)
+"""Where the commands stand; importing them registers them."""
 
 
-def _place(command: Any) -> int:
-    return FILES.index(command.callback.__module__)
+def name_of(command: Any) -> str:
+    """The name of a registered command."""
+    return command.name or command.callback.__name__
 
 
-app.registered_commands.sort(key=_place)
+app.registered_commands.sort(key=lambda command: ORDER.index(name_of(command)))
 
 
 def carry_out(words: list[str]) -> None:

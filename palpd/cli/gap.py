@@ -39,7 +39,12 @@ DiagnosisOption = Annotated[
 ]
 
 
-@app.command()
+@app.command(
+    examples=[
+        "palpd diagnose recording.csv --cell cell.yaml --report report.html --cell-out enriched.yaml",
+        "palpd diagnose run.mcap --site A",
+    ]
+)
 def diagnose(
     recordings: Annotated[
         list[Path], typer.Argument(help="recordings of one cell (.csv, .parquet, .mcap), or a folder of X.csv with X.yaml")
@@ -150,7 +155,7 @@ def _diagnose_fleet(
     write_json(json_file, {"recordings": [asdict(row) for row in rows], "cells": [asdict(cell) for cell in cells]})
 
 
-@app.command()
+@app.command(examples=["palpd resolve --config cell/config.yaml --rounds 2"])
 def resolve(
     config: ConfigOption = DEFAULT_CONFIG,
     recordings: Annotated[
@@ -229,7 +234,7 @@ def resolve(
     finish(3 if result["verdict"] == "stopped" else 0, result["reason"])
 
 
-@app.command()
+@app.command(examples=["palpd simulate recording.csv --cell enriched.yaml --csv predicted.csv"])
 def simulate(
     motion: Annotated[Path, typer.Argument(help="t_s and z_m or z_cmd_m (.csv)")],
     cell: CellOption,
@@ -265,7 +270,13 @@ def simulate(
     terminal().print(f"{csv}: {len(samples)} rows, {samples.duration_s:.1f} s.")
 
 
-@app.command("export-sim")
+@app.command(
+    "export-sim",
+    examples=[
+        "palpd export-sim enriched.yaml --to fmu --out enriched-fmu",
+        "palpd export-sim enriched.yaml --to mujoco --out enriched-mujoco",
+    ],
+)
 def export_sim(
     cell: Annotated[Path, typer.Argument(help="cell.yaml, enriched or not")],
     to: Annotated[Literal["mujoco", "fmu"], typer.Option("--to", help="the simulator (both need palpd[sim])")],
@@ -301,7 +312,7 @@ def export_sim(
     )
 
 
-@app.command()
+@app.command(examples=["palpd tolerances healthy-1.csv healthy-2.csv --cell cell.yaml"])
 def tolerances(
     recordings: Annotated[list[Path], typer.Argument(help="recordings of a healthy cell")],
     cell: CellOption,
@@ -318,7 +329,7 @@ def tolerances(
     write_json(json_file, blocks)
 
 
-@app.command("effects")
+@app.command("effects", examples=["palpd effects", "palpd effects tissue.thickness --cell cell.yaml"])
 def effects_(
     names: Annotated[
         list[str] | None, typer.Argument(help="effects to compare with the library (default: those given with --effects)")
@@ -375,7 +386,7 @@ def effects_(
     write_json(json_file, content)
 
 
-@app.command()
+@app.command(examples=["palpd blind --cases 3 --jobs 1 --keep look"])
 def blind(
     cases: Annotated[int, typer.Option("--cases", min=1, help="how many cells of each source; 200 for a look, 1000 for a table")] = 200,
     seed: Annotated[int, typer.Option("--seed", min=0, help="the same seed draws the same cells")] = 1,

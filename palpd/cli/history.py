@@ -19,7 +19,7 @@ FolderOption = Annotated[Path | None, typer.Option("--folder", help="folder of t
 RunArgument = Annotated[str, typer.Argument(metavar="RUN", help="a recording (.mcap), a name that palpd runs shows, or: last")]
 
 
-@app.command()
+@app.command(examples=["palpd runs --folder runs", "palpd runs last --folder runs --tag good"])
 def runs(
     chosen: Annotated[
         list[str] | None, typer.Argument(metavar="[RUN]...", help="runs to tag or to note something of: paths, names, or: last")
@@ -71,7 +71,7 @@ def runs(
             _say(f"note: {sentence}")
 
 
-@app.command()
+@app.command(examples=["palpd info last --folder runs", "palpd info run.mcap"])
 def info(
     run: RunArgument,
     course: Annotated[
@@ -111,7 +111,7 @@ def info(
     write_json(json_file, {**facts, **words})
 
 
-@app.command()
+@app.command(examples=["palpd report run.mcap", "palpd report last --folder runs --pdf run.pdf"])
 def report(
     run: RunArgument,
     beside: Annotated[str | None, typer.Option("--beside", metavar="OTHER", help="a run to compare it with: path, name, or: last")] = None,

@@ -11,6 +11,7 @@ import typer
 
 from palpd.cell.plausible import ACCEPT_OPTION
 from palpd.cli.at_once import DEFAULT_CONFIG
+from palpd.cli.command_groups import GroupedCommands
 from palpd.cli.output_options import Application, Output
 from palpd.errors import BadInput
 from palpd.file_kinds import JSON
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
     from palpd.control.plan_place import Choice
 
 app = Application(
+    cls=GroupedCommands,
     help="Press soft tissue with a UR5 and a HEX-70, say how stiff it is, and why a cell does not behave like its simulation.",
+    epilog="palpd COMMAND --help shows the options of a command, and examples. Begin with palpd demo, or with docs/start.md.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # help in colours takes 0.3 s more to import

@@ -1,7 +1,7 @@
 """What commands write: an option that names an output says so beside its type, and all are checked here before a command begins."""
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
@@ -67,20 +67,30 @@ _CHECKS: Mapping[str, Callable[[Path], None]] = {
 }
 
 
+_EXAMPLES = "\b\nExamples:"
+"""How the end of a command's help begins; the first letter keeps its lines as they are."""
+
+
+def examples_of(command: Any) -> list[str]:
+    """The lines that the help of a registered command gives as examples."""
+    return [line.strip() for line in (command.epilog or "").removeprefix(_EXAMPLES).splitlines() if line.strip()]
+
+
 class Application(typer.Typer):
     """An application whose commands write over nothing that they read, and over nothing that palpd did not make without --force."""
 
-    def command(self, name: str | None = None, **settings: Any) -> Callable[[Command], Command]:
+    def command(self, name: str | None = None, *, examples: Sequence[str] = (), **settings: Any) -> Callable[[Command], Command]:
         """Register a command; its function stays as it is.
 
         Args:
             name: Name of the command; the function's where not given.
+            examples: Lines that a person may type, which its help ends with.
             settings: What typer takes besides.
 
         Returns:
             The decorator.
         """
-        register = super().command(name, **settings)
+        register = super().command(name, epilog=_EXAMPLES + "\n  ".join(("", *examples)), **settings)
 
         def registered(command: Command) -> Command:
             register(_with_checked_files(command))

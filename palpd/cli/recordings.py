@@ -19,7 +19,7 @@ from palpd.file_kinds import CSV, PARQUET, YAML
 from palpd.files import write_json, write_yaml
 
 
-@app.command()
+@app.command(examples=["palpd replay run.mcap"])
 def replay(
     recording: Annotated[Path, typer.Argument(help="a recording (.mcap), or a CSV of one site")],
     config: Annotated[Path | None, typer.Option("--config", help="judge it by this configuration instead of its own")] = None,
@@ -48,7 +48,7 @@ def replay(
     write_json(json_file, judged)
 
 
-@app.command()
+@app.command(examples=["palpd export run.mcap --site A --csv site-A.csv"])
 def export(
     recording: Annotated[Path, typer.Argument(help="a recording (.mcap)")],
     csv: Annotated[Path | None, typer.Option("--csv", help="file to write, one row a sensor sample"), Output(CSV)] = None,
@@ -77,7 +77,7 @@ def export(
         terminal().print(f"{file}: {len(samples)} rows, {samples.duration_s:.1f} s.")
 
 
-@app.command()
+@app.command(examples=["palpd recover cut-off.part"])
 def recover(part: Annotated[Path, typer.Argument(help="FILE.part of a run that was cut off")]) -> None:
     """Make a readable recording of what a crash left behind."""
     from palpd.recording.reader import recover as restore
@@ -86,7 +86,14 @@ def recover(part: Annotated[Path, typer.Argument(help="FILE.part of a run that w
     terminal().print(f"{recovered.path}: {recovered.sentence}")
 
 
-@app.command("import")
+@app.command(
+    "import",
+    examples=[
+        "palpd import press.csv",
+        "palpd import press.csv --force-column 'Force (mN)' --height-column 'Height (mm)' --time-column 'Time (s)' "
+        "--compression-negative --units confirmed --csv recording.csv",
+    ],
+)
 def import_(
     files: Annotated[
         list[Path], typer.Argument(help="a table, bag, TDMS, MATLAB or AFM file; or two, one with the motion and one with the force")
@@ -171,7 +178,7 @@ def import_(
     show(f"{csv}: {len(imported.samples)} rows, {imported.samples.duration_s:.1f} s.")
 
 
-@app.command("cell-from")
+@app.command("cell-from", examples=["palpd cell-from recording.csv --tip-radius-m 0.004 --out cell.yaml"])
 def cell_from(
     recordings: Annotated[list[Path], typer.Argument(help="recordings of one cell (.csv, .parquet, .mcap)")],
     out: Annotated[Path, typer.Option("--out", help="cell.yaml to write; every value says where it comes from"), Output(YAML)],

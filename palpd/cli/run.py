@@ -32,7 +32,12 @@ if TYPE_CHECKING:
     from palpd.daemon.programs import ProgramEnd
 
 
-@app.command()
+@app.command(
+    examples=[
+        "palpd run --config cell/config.yaml --plan cell/plan.yaml --dry",
+        "palpd run --config cell/config.yaml --plan cell/plan.yaml",
+    ]
+)
 def run(
     config: ConfigOption = DEFAULT_CONFIG,
     plan: PlanOption = DEFAULT_PLAN,
@@ -65,7 +70,7 @@ def run(
     finish(report.exit_code, report.reason)
 
 
-@app.command()
+@app.command(examples=["palpd calibrate --config cell/config.yaml"])
 def calibrate(
     config: ConfigOption = DEFAULT_CONFIG,
     temperature_C: Annotated[float | None, typer.Option("--temperature-C", help="of the sensor, if known; kept with the tare")] = None,
@@ -97,7 +102,7 @@ def calibrate(
     terminal().print(f"Reference tare ({forces}) N of sensor {end.figures['sensor_serial'] or 'unknown'} kept in {end.figures['state']}.")
 
 
-@app.command("free-motion")
+@app.command("free-motion", examples=["palpd free-motion --config cell/config.yaml --out free.mcap"])
 def free_motion(
     out: Annotated[Path, typer.Option("--out", help="recording to write (.mcap)"), Output(NEW_RECORDING)],
     config: ConfigOption = DEFAULT_CONFIG,
@@ -120,7 +125,7 @@ def free_motion(
     finish(end.exit_code, end.reason)
 
 
-@app.command()
+@app.command(examples=["palpd stiffness --config cell/config.yaml"])
 def stiffness(config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = None) -> None:
     """Press a rigid plate and keep how far sensor and arm give way; every depth is corrected by it afterwards."""
     from palpd.cli.jobs import carried_out
@@ -138,13 +143,13 @@ def stiffness(config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = Non
     write_json(json_file, end.figures)
 
 
-@app.command("level-test")
+@app.command("level-test", examples=["palpd level-test --config cell/config.yaml"])
 def level_test(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
     """Go 5 mm straight up, slowly, and say whether the probe is free: the force must not change with the height."""
     _go_up("level-test", "The daemon tests on the way up; palpd status says how it ends.", config, socket)
 
 
-@app.command()
+@app.command(examples=["palpd retract --config cell/config.yaml"])
 def retract(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
     """Leave the tissue after a stop: straight up, slowly, under the guard. Works while the stop is latched, and leaves it latched."""
     _go_up("retract", "The daemon leaves the tissue; palpd status says how it ends.", config, socket)
@@ -178,7 +183,7 @@ def _go_up(command: Literal["retract", "level-test"], begun: str, config: Path, 
     finish(report.exit_code, report.reason)
 
 
-@app.command()
+@app.command(examples=["palpd demo", "palpd demo --effect tissue.viscoelastic --no-wires"])
 def demo(
     full: Annotated[bool, typer.Option("--full", help="the paper's plan: 3 to 10 mm, 10 s holds, ten presses a depth")] = False,
     effect: Annotated[
@@ -262,7 +267,7 @@ def _serve_demo(folder: Path | None) -> None:
     finish(3 if code else 0, f"the server of the page has died ({f'signal {-code}' if code < 0 else f'exit code {code}'}); see {log}")
 
 
-@app.command()
+@app.command(examples=["palpd sim --config cell/config.yaml --plan cell/plan.yaml"])
 def sim(
     plan: PlanOption = DEFAULT_PLAN,
     config: ConfigOption = DEFAULT_CONFIG,
@@ -297,7 +302,7 @@ def sim(
     finish(0 if result["verdict"] == "done" else 3, result["reason"])
 
 
-@app.command()
+@app.command(examples=["palpd emulate --sensor-link hex", "palpd emulate --model ur5e --cell cell.yaml --sensor-link hex"])
 def emulate(
     model: Annotated[Literal["ur5", "ur5e"], typer.Option("--model", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")] = "ur5",
     cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml of what the wires lead to (default: the paper's phantom)")] = None,

@@ -11,7 +11,7 @@ from palpd.file_kinds import HTML, JSON
 from palpd.files import check_writable, write_json
 
 
-@app.command()
+@app.command(examples=["palpd study --days 0 --out study", "palpd study --published"])
 def study(
     out: Annotated[Path, typer.Option("--out", help="folder for study.html and study.json"), Output(FOLDER)] = Path("study"),
     seed: Annotated[int, typer.Option("--seed", min=0, help="another laboratory: noise, tares, biases")] = 0,

@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import shlex
 import signal
 import socket
 import subprocess
@@ -9,12 +11,16 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
-from palpd.cli import app, at_once, first_abort, main
+from palpd.cli import app, application, at_once, first_abort, main
+from palpd.cli.command_groups import GROUPS
 from palpd.cli.first_abort import socket_paths
+from palpd.cli.output_options import examples_of
 from palpd.config import load_config
 from palpd.daemon import interrupts
 from palpd.errors import PalpdError, Refused
@@ -69,8 +75,25 @@ def test_help_imports_neither_numbers_nor_models_nor_colours() -> None:
     done = subprocess.run([sys.executable, "-c", code, "--help"], capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 0
     assert done.stderr == "[]\n"
-    shown = [line.split()[0] for line in done.stdout.partition("Commands:")[2].splitlines() if line.strip()]
-    assert tuple(shown) == COMMANDS
+    for title, names in GROUPS.items():
+        shown = done.stdout.partition(f"\n{title}:\n")[2].partition("\n\n")[0]
+        assert tuple(re.findall(r"^  (\S+)  ", shown, re.M)) == names
+    assert sorted(name for names in GROUPS.values() for name in names) == sorted(COMMANDS)
+
+
+@pytest.mark.parametrize("registered", application.app.registered_commands, ids=application.name_of)
+def test_the_help_of_a_command_ends_with_examples_that_its_options_allow(registered: Any) -> None:
+    name, group = application.name_of(registered), typer.main.get_command(app)
+    examples = examples_of(registered)
+    help_text = CliRunner().invoke(app, [name, "--help"]).output
+    assert help_text.rstrip().endswith("\n    ".join(["  Examples:", *examples]))
+    assert 1 <= len(examples) <= 2
+    for example in examples:
+        words = shlex.split(example)
+        assert words[:2] == ["palpd", name]
+        group.commands[name].make_context(name, words[2:])
+    with pytest.raises(application.UsageError):
+        group.commands[name].make_context(name, ["--colour"])
 
 
 @pytest.mark.parametrize("place", ["", "."])
