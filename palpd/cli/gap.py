@@ -105,7 +105,7 @@ def diagnose(
     if report is not None:
         write_report(report, diagnosis, ", ".join(path.name for path in recordings))
     for line in diagnosis_lines(diagnosis.sentence, diagnosis.to_json()):
-        terminal().print(line, highlight=False)
+        terminal().print(line)
 
 
 def _refuse_for_a_folder(folder: Path, options: Mapping[str, object]) -> None:
@@ -151,7 +151,7 @@ def _diagnose_fleet(
     if len(cells) < len(rows):
         terminal().print(fleet_table(cells))
     if adopted is not None and (weighed := adopted_sentence(adopted, known)):
-        terminal().print(weighed, highlight=False, soft_wrap=True)
+        terminal().print(weighed, soft_wrap=True)
     write_json(json_file, {"recordings": [asdict(row) for row in rows], "cells": [asdict(cell) for cell in cells]})
 
 
@@ -212,7 +212,7 @@ def resolve(
         }
         end = carried_out("resolve", arguments, settings, settings.paths.runs, agree)
         stands = fetch(end.figures.get("folder"), target) if target is not None else end.figures.get("folder")
-        terminal().print(f"Everything is kept in {stands}; the page is gap.html.", highlight=False)
+        terminal().print(f"Everything is kept in {stands}; the page is gap.html.")
         write_json(json_file, end.figures)
         finish(end.exit_code, end.reason)
         return
@@ -223,13 +223,13 @@ def resolve(
     own = adopted_folder(adopted)
     known = library(effects, adopted=own)
     if own is not None and (weighed := adopted_sentence(own, known)):
-        terminal().print(weighed, highlight=False, soft_wrap=True)
+        terminal().print(weighed, soft_wrap=True)
     kept = kept_in(folder or settings.paths.runs, "resolve" if folder is None else None)
     nominal = load_cell(cell, known) if cell else settings.cell.assumed_at_site(first_plan.sites[0].name)
     host = ForegroundHost(settings, devices, display(), agree)
     host.display.say(f"This makes at most {rounds} run{'s' * (rounds != 1)}.")
     result = loop.resolve(loop.Setting(host, nominal, kept, known, max_depth_m, take_reference), first_plan, recordings or (), rounds)
-    terminal().print(f"Everything is kept in {kept}; the page is gap.html.", highlight=False)
+    terminal().print(f"Everything is kept in {kept}; the page is gap.html.")
     write_json(json_file, result)
     finish(3 if result["verdict"] == "stopped" else 0, result["reason"])
 
@@ -308,7 +308,6 @@ def export_sim(
     terminal().print(
         f"{out}: the cell for {to}{also}. Its rollout of motion.csv differs from palpd simulate by {written.agreement.worst:.1e} times the "
         f"noise ({written.agreement.channel}). README.md in it says how to run it.",
-        highlight=False,
     )
 
 
@@ -363,11 +362,11 @@ def effects_(
     if adopt is not None:
         with terminal().status("adopting"):
             written = adoption.adopt(adopt, folder, name, load_cell(cell) if cell else nominal(), accept_implausible)
-        terminal().print(f"{written.law.id} is adopted ({written.path}). {written.sentence}", highlight=False, soft_wrap=True)
+        terminal().print(f"{written.law.id} is adopted ({written.path}). {written.sentence}", soft_wrap=True)
         write_json(json_file, written.to_json())
         return
     if remove is not None:
-        terminal().print(f"{remove} is removed ({adoption.remove(remove, folder)}).", highlight=False, soft_wrap=True)
+        terminal().print(f"{remove} is removed ({adoption.remove(remove, folder)}).", soft_wrap=True)
         return
     say_broken_effects()
     known = library(effects, adopted=folder if adopted else None)
@@ -454,7 +453,7 @@ def _blind_advice(cases: int, seed: int, jobs: int, json_file: Path | None) -> N
 
     with _progress("advice", cases) as advance:
         result = run(cases, seed, jobs=jobs, progress=advance)
-    terminal().print(sentence(result["table"]), highlight=False)
+    terminal().print(sentence(result["table"]))
     write_json(json_file, result)
 
 

@@ -144,9 +144,9 @@ def import_(
     if csv is None:
         for path in files:
             source = source_of(path)
-            show(f"{path} is {source.reader.name}; it holds", highlight=False, markup=False)
+            show(f"{path} is {source.reader.name}; it holds")
             for channel in source.channels:
-                show(f"  {channel}", highlight=False, markup=False)
+                show(f"  {channel}")
         return
     options = ImportOptions(
         force_column=force_column,
@@ -174,7 +174,7 @@ def import_(
     )
     imported = import_files(files, options, csv)
     for note in imported.notes:
-        show(note, highlight=False, markup=False)
+        show(note)
     show(f"{csv}: {len(imported.samples)} rows, {imported.samples.duration_s:.1f} s.")
 
 
@@ -194,5 +194,5 @@ def cell_from(
     first = first_cell([read_recording(path, site) for path in recordings], tip_radius_m, accept_implausible)
     write_yaml(out, written_out(first, names))
     for sentence in first.sentences:
-        terminal().print(sentence, highlight=False, markup=False)
-    terminal().print(f"{out}: read its comments, and correct what you know better.", highlight=False, markup=False)
+        terminal().print(sentence)
+    terminal().print(f"{out}: read its comments, and correct what you know better.")

@@ -65,7 +65,7 @@ def run(
     result = run_result(report)
     print_run(result)
     if report.recording is not None and settings.paths.write_reports:
-        terminal().print(f"report, in some seconds: {report_path(report.recording)}", soft_wrap=True, highlight=False, markup=False)
+        terminal().print(f"report, in some seconds: {report_path(report.recording)}", soft_wrap=True)
     write_json(json_file, result)
     finish(report.exit_code, report.reason)
 
@@ -93,7 +93,7 @@ def calibrate(
     except Refused as refused:
         if "--probe-free" not in str(refused) or not sys.stdin.isatty():  # a job of the service passes the sentence on, and nothing else
             raise
-        terminal().print(f"{refused}.", soft_wrap=True, highlight=False, markup=False)
+        terminal().print(f"{refused}.", soft_wrap=True)
         if not typer.confirm("Is the probe free? Look at it."):
             raise
         end = taken(True)
@@ -179,7 +179,7 @@ def _go_up(command: Literal["retract", "level-test"], begun: str, config: Path, 
     print_last_ticks(report.last_ticks)
     terminal().print(f"{report.verdict}: {report.recording}")
     if report.probe is not None:
-        terminal().print(f"{report.probe.sentence}.", soft_wrap=True, highlight=False, markup=False)
+        terminal().print(f"{report.probe.sentence}.", soft_wrap=True)
     finish(report.exit_code, report.reason)
 
 

@@ -257,7 +257,6 @@ def init(
     terminal().print(
         f"{config} and {plan} fit each other. Next: set robot.host and sensor.port in {config}, then palpd doctor --config {config}.",
         soft_wrap=True,
-        highlight=False,
     )
 
 
@@ -320,15 +319,15 @@ def migrate(
     migration = migration_of(file, kind)
     show = terminal().print
     if not migration.changes:
-        show(migration.unchanged, soft_wrap=True, highlight=False, markup=False)
+        show(migration.unchanged, soft_wrap=True)
         return
     for sentence in migration.changes:
-        show(sentence, soft_wrap=True, highlight=False, markup=False)
+        show(sentence, soft_wrap=True)
     if dry_run:
         return
     kept = old or file.with_name(f"{file.name}.old")
     write(migration, kept)
-    show(f"{file} is written anew; as it was it is kept in {kept}.", soft_wrap=True, highlight=False, markup=False)
+    show(f"{file} is written anew; as it was it is kept in {kept}.", soft_wrap=True)
 
 
 @app.command("check-config", examples=["palpd check-config cell/config.yaml --plan cell/plan.yaml"])

@@ -56,5 +56,5 @@ def _published_gap(json_file: Path | None) -> None:
 
     figures = study_paper.published()
     terminal().print(published_table(figures))
-    terminal().print(figures["sentence"], highlight=False)
+    terminal().print(figures["sentence"])
     write_json(json_file, figures)

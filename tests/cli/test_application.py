@@ -534,6 +534,16 @@ def test_a_terminal_without_the_signs_gets_the_tables_all_the_same(tmp_path: Pat
     assert done.stdout.rstrip().endswith(b"c\\udcff.yaml is sound.")
 
 
+@pytest.mark.parametrize("name", ["c[/x].yaml", "c[red].yaml", "c[bold]"])
+def test_a_name_that_looks_like_markup_is_printed_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(name).parent.mkdir(exist_ok=True)
+    Path(name).write_bytes((ROOT / "config.yaml").read_bytes())
+    done = CliRunner().invoke(app, ["check-config", name])
+    assert done.exit_code == 0
+    assert f"{name} is sound." in done.output
+
+
 def test_the_page_is_not_served_with_a_plan_that_no_run_would_take(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
