@@ -112,7 +112,7 @@ class Jobs:
             self._worker = WorkerProcess(WorkerOrder(program.name, arguments.model_dump(), self._config, kept.absolute(), by))
         except OSError as error:
             self.current = None
-            raise Refused(f"the worker of the job cannot be started ({error.strerror}); nothing was moved") from error
+            raise Refused(f"the worker of the job cannot be started ({error.strerror}){'; nothing was moved' * program.moves}") from error
         self._changed(f"begun, at most {record.most_runs} run{'s' * (record.most_runs != 1)}")
         return record
 

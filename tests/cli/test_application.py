@@ -461,8 +461,9 @@ def test_an_error_is_one_sentence_and_its_exit_code(monkeypatch: pytest.MonkeyPa
     assert capsys.readouterr().err == "palpd: nothing is running\n"
 
 
+@pytest.mark.parametrize(("command", "moved"), [("effects", ""), ("run", "; nothing was moved")])
 @pytest.mark.parametrize("name", [number.name for number in interrupts.SIGNALS])
-def test_a_signal_while_palpd_imports_its_commands_is_one_sentence(name: str) -> None:
+def test_a_signal_while_palpd_imports_its_commands_is_one_sentence(name: str, command: str, moved: str) -> None:
     code = (
         "import os, signal, sys\n"
         "for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP): signal.signal(number, signal.SIG_DFL)\n"  # a shell may ignore them
@@ -473,9 +474,9 @@ def test_a_signal_while_palpd_imports_its_commands_is_one_sentence(name: str) ->
         "from palpd.cli import main\n"
         "main()"
     )
-    done = subprocess.run([sys.executable, "-c", code, "effects"], capture_output=True, text=True, cwd=ROOT, check=False)
+    done = subprocess.run([sys.executable, "-c", code, command], capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 128 + signal.Signals[name]
-    assert done.stderr == f"palpd: interrupted by {name} while palpd was starting; nothing was moved\n"
+    assert done.stderr == f"palpd: interrupted by {name} while palpd was starting{moved}\n"
 
 
 def test_before_the_handler_of_signals_almost_nothing_is_imported() -> None:
