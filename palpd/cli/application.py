@@ -33,10 +33,24 @@ def carry_out(words: list[str]) -> None:
         code = app(words or ["--help"], prog_name="palpd", standalone_mode=False)
     except UsageError as error:
         context = getattr(error, "ctx", None)
-        sentence = " ".join(str(error.format_message()).split()).rstrip(".")
+        sentence = " ".join(str(error.format_message()).replace("Value error, ", "").split()).rstrip(".") + _what_works(error)
         help_line = f"{context.command_path if context else 'palpd'} --help"
         raise BadInput(f"{sentence[:1].lower()}{sentence[1:]}; {help_line} shows what is expected") from None
     except typer.Abort:
         raise Refused("the question was not answered, so nothing was done; answer it, or give --yes where there is one") from None
     if code:
         sys.exit(code)
+
+
+def _what_works(error: Any) -> str:
+    """What to take instead, where a robot or a simulator was asked for that palpd does not know."""
+    option = getattr(getattr(error, "param", None), "name", "") if "is not one of" in str(error.message) else ""
+    if option == "model":
+        from palpd.config import OTHER_ROBOTS
+
+        return f": {OTHER_ROBOTS}"
+    if option == "to":
+        from palpd.interchange.simulators.export import OTHER_SIMULATORS
+
+        return f": {OTHER_SIMULATORS}"
+    return ""

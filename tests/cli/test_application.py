@@ -589,3 +589,23 @@ def test_a_demo_says_that_the_server_of_its_page_has_died(tmp_path: Path, monkey
     done = CliRunner().invoke(app, ["demo", "--page", "--out", str(tmp_path)])
     assert done.exit_code == 3
     assert f"the server of the page has died (exit code 1); see {tmp_path}/page.log" in done.output
+
+
+@pytest.mark.parametrize(
+    ("words", "answers"),
+    [
+        (["emulate", "--model", "ur10e"], ("'ur10e'", "UR10e", "counts", "needs a driver", "docs/what-works.md")),
+        (["init", "--model", "franka"], ("'franka'", "needs a driver", "docs/what-works.md")),
+        (["export-sim", "cell.yaml", "--to", "isaac", "--out", "x"], ("'isaac'", "FMI 3.0", "--simulated FILE", "docs/what-works.md")),
+    ],
+)
+def test_whoever_asks_for_another_robot_or_simulator_reads_what_works(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], answers: tuple[str, ...]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["palpd", *words])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    sentence = capsys.readouterr().err
+    assert all(answer in sentence for answer in answers)
+    assert "Value error" not in sentence
