@@ -143,43 +143,57 @@ def stiffness(config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = Non
     write_json(json_file, end.figures)
 
 
+NoWaitOption = Annotated[bool, typer.Option("--no-wait", help="where the service does it: do not wait for its end")]
+
+
 @app.command("level-test", examples=["palpd level-test --config cell/config.yaml"])
-def level_test(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+def level_test(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, no_wait: NoWaitOption = False) -> None:
     """Go 5 mm straight up, slowly, and say whether the probe is free: the force must not change with the height."""
-    _go_up("level-test", "The daemon tests on the way up; palpd status says how it ends.", config, socket)
+    _go_up("level-test", config, socket, no_wait)
 
 
 @app.command(examples=["palpd retract --config cell/config.yaml"])
-def retract(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+def retract(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, no_wait: NoWaitOption = False) -> None:
     """Leave the tissue after a stop: straight up, slowly, under the guard. Works while the stop is latched, and leaves it latched."""
-    _go_up("retract", "The daemon leaves the tissue; palpd status says how it ends.", config, socket)
+    _go_up("retract", config, socket, no_wait)
 
 
-def _go_up(command: Literal["retract", "level-test"], begun: str, config: Path, socket: Path | None) -> None:
-    """Ask the service for that way up; go it in the foreground where none answers."""
-    from palpd.cli.at_once import speak
+def _go_up(command: Literal["retract", "level-test"], config: Path, socket: Path | None, no_wait: bool) -> None:
+    """Ask the service for that way up and wait for its end; go it in the foreground where none answers."""
+    from palpd.cli.at_once import control_socket, probe_lines
     from palpd.cli.last_ticks import print_last_ticks
-    from palpd.daemon.socket_client import NoDaemon
+    from palpd.daemon.job_client import awaited
+    from palpd.daemon.socket_client import NoDaemon, ask
 
+    show, path = terminal().print, socket or control_socket(config)
     try:
-        speak({"do": command}, config, socket)
+        begun = ask(path, {"do": command})
     except NoDaemon:
         if socket is not None:
             raise
     else:
-        terminal().print(begun)
+        if no_wait or "id" not in begun:  # a service of an older palpd does not say it
+            show("The daemon goes up; palpd status says how it ends.")
+            return
+        job = awaited(path, begun["id"], display())
+        print_last_ticks(job["result"]["last_ticks"])
+        show(f"{job['verdict']}: {job['result']['recording'] or 'nothing was recorded'}", soft_wrap=True)
+        for line in probe_lines(ask(path, {"do": "status"}).get("probe"), None):
+            show(line, soft_wrap=True)
+        finish(job["exit_code"], job["reason"])
         return
     from palpd.config import Plan, load_config
-    from palpd.daemon.session import carry_out, job
+    from palpd.daemon.session import carry_out
+    from palpd.daemon.session import job as checked_job
     from palpd.daemon.wiring import devices
 
     settings = load_config(config)
     check_kept(settings)
-    report = carry_out(job("retract" if command == "retract" else "level_test", settings, Plan()), devices, display())
+    report = carry_out(checked_job("retract" if command == "retract" else "level_test", settings, Plan()), devices, display())
     print_last_ticks(report.last_ticks)
-    terminal().print(f"{report.verdict}: {report.recording}")
+    show(f"{report.verdict}: {report.recording or 'nothing was recorded'}", soft_wrap=True)
     if report.probe is not None:
-        terminal().print(f"{report.probe.sentence}.", soft_wrap=True)
+        show(f"{report.probe.sentence}.", soft_wrap=True)
     finish(report.exit_code, report.reason)
 
 

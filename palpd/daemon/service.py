@@ -290,9 +290,9 @@ class Service:
         """Leave the tissue, or test whether the probe is free. It needs no arming and no cleared latch: it goes straight up, guarded."""
         self._refuse_running()
         self._start_run(self._job(kind, Plan()), recording_name(kind))
-        self._jobs.begin_run(kind.replace("_", "-"), self._asking)
+        job_id = self._jobs.begin_run(kind.replace("_", "-"), self._asking)
         self._log.info("going up", job=kind)
-        return {"state": "running"}
+        return {"state": "running", "id": job_id}
 
     def _start_run(self, work: Job, name: str) -> None:
         self._first_tick, self._armed = self._ring.published, False
