@@ -34,6 +34,8 @@ from palpd.errors import BadInput, RecordingError
 from palpd.file_kinds import CSV, HTML, JSON, YAML
 from palpd.files import check_writable, write_json
 
+FEW_CASES = 20
+"""Number of cases below which a blind check shows the cases and no rates: of 19, a rate is known to a fifth at best."""
 DiagnosisOption = Annotated[
     Path | None, typer.Option("--json", help="write the figures to this file too"), Output(JSON, beside=(".next.csv", ".learned.yaml"))
 ]
@@ -425,7 +427,7 @@ def blind(
     from palpd.blind.check import run
     from palpd.blind.comparison import ablation_named, load_ablations, load_other_sources
     from palpd.blind.figures import PAGE_FILES, write_page
-    from palpd.blind.score import tables_as_markdown
+    from palpd.blind.score import cases_as_markdown, tables_as_markdown
     from palpd.blind.sources import Hosts, sources_named
 
     if docs is not None:
@@ -442,7 +444,12 @@ def blind(
             cases, seed, sources=sources, hosts=hosts, large=large, unlisted=unlisted, coarse=coarse, jobs=jobs, ablation=chosen,
             keep=keep, resume=resume, progress=advance,
         )  # fmt: skip
-    terminal().print(tables_as_markdown(result["tables"]), soft_wrap=True)
+    if len(result["outcomes"]) < FEW_CASES:
+        terminal().print(cases_as_markdown(result["outcomes"]), soft_wrap=True)
+        n = len(result["outcomes"])
+        terminal().print(f"{n} case{'s' * (n != 1)} cannot show rates: --cases 200 gives a table of them. --json holds all figures.")
+    else:
+        terminal().print(tables_as_markdown(result["tables"]), soft_wrap=True)
     write_json(json_file, result)
     if docs is not None:
         terminal().print(str(write_page(result, docs, beside, more)))
