@@ -24,7 +24,7 @@ from palpd.cell.effects.tissue import MODULUS
 from palpd.cell.simulation import equilibrium_force_N, true_surface_m, wrench_of
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
-from palpd.recording.reader import Recording, samples_of
+from palpd.recording.reader import Recording, holds_ticks, refuse_site, samples_of
 from palpd.recording.samples import Samples, common_site, read, runs_of_true
 from palpd.tick import Floats
 
@@ -242,9 +242,10 @@ def analysed(file: Path, cell: CellFile, site: str | None = None) -> dict[str, A
     Returns:
         The keys of an `EnrichedResult`; for a run also `sites`, a list of them.
     """
-    if file.suffix != ".mcap":
+    if not holds_ticks(file):
+        refuse_site(file, site)
         samples = read(file)
-        return {**_result(enriched_modulus([samples], cell.at_site(common_site([samples]))), site or file.stem)}
+        return {**_result(enriched_modulus([samples], cell.at_site(common_site([samples]))), file.stem)}
     recording = Recording.load(file)
     names = [site] if site is not None else [each["name"] for each in recording.header["sites"]]
     sites = [_result(enriched_modulus([samples_of(recording, name)], cell.at_site(name)), name) for name in names]

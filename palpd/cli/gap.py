@@ -157,7 +157,7 @@ def _diagnose_fleet(
     write_json(json_file, {"recordings": [asdict(row) for row in rows], "cells": [asdict(cell) for cell in cells]})
 
 
-@app.command(examples=["palpd resolve --config cell/config.yaml --rounds 2"])
+@app.command(examples=["palpd resolve --config cell/config.yaml --rounds 2"], apart={"recordings": ("plan",)})
 def resolve(
     config: ConfigOption = DEFAULT_CONFIG,
     recordings: Annotated[
@@ -330,7 +330,15 @@ def tolerances(
     write_json(json_file, blocks)
 
 
-@app.command("effects", examples=["palpd effects", "palpd effects tissue.thickness --cell cell.yaml"])
+@app.command(
+    "effects",
+    examples=["palpd effects", "palpd effects tissue.thickness --cell cell.yaml"],
+    apart={
+        "adopt": ("names", "remove", "effects", "adopted"),
+        "remove": ("names", "effects", "adopted", "name", "cell", "json_file", "accept_implausible"),
+        "names": ("name", "accept_implausible"),
+    },
+)
 def effects_(
     names: Annotated[
         list[str] | None, typer.Argument(help="effects to compare with the library (default: those given with --effects)")
@@ -353,13 +361,8 @@ def effects_(
     from palpd.gap.commands import effects_named, library
     from palpd.gap.similar_effects import similar_effects
 
-    if sum(asked is not None for asked in (adopt, remove, names or None)) > 1 or (
-        (name is not None or accept_implausible) and adopt is None
-    ):
-        raise BadInput(
-            "--adopt, --remove and effects to compare exclude each other, and --name and --accept-implausible belong to --adopt; "
-            "give one of them"
-        )
+    if (name is not None or accept_implausible) and adopt is None:
+        raise BadInput("--name and --accept-implausible belong to --adopt, which is not given; give it, or leave them out")
     folder = user_folder()
     if adopt is not None:
         with terminal().status("adopting"):
@@ -387,7 +390,25 @@ def effects_(
     write_json(json_file, content)
 
 
-@app.command(examples=["palpd blind --cases 3 --jobs 1 --keep look"])
+@app.command(
+    examples=["palpd blind --cases 3 --jobs 1 --keep look"],
+    apart={
+        "advice": (
+            "source",
+            "recordings",
+            "causes",
+            "large",
+            "unlisted",
+            "coarse",
+            "docs",
+            "keep",
+            "resume",
+            "ablation",
+            "compare",
+            "others",
+        )
+    },
+)
 def blind(
     cases: Annotated[int, typer.Option("--cases", min=1, help="how many cells of each source; 200 for a look, 1000 for a table")] = 200,
     seed: Annotated[int, typer.Option("--seed", min=0, help="the same seed draws the same cells")] = 1,

@@ -25,7 +25,13 @@ FolderOption = Annotated[Path | None, typer.Option("--folder", help="folder of t
 RunArgument = Annotated[str, typer.Argument(metavar="RUN", help="a recording (.mcap), a name that palpd runs shows, or: last")]
 
 
-@app.command(examples=["palpd runs --folder runs", "palpd runs last --folder runs --tag good"])
+LISTING = ("since", "until", "site", "verdict", "kind", "tagged", "text", "most", "trend", "rebuild", "json_file")
+"""Options of `palpd runs` that list; with runs to tag they would not count."""
+
+
+@app.command(
+    examples=["palpd runs --folder runs", "palpd runs last --folder runs --tag good"], apart={"chosen": LISTING, "trend": ("most",)}
+)
 def runs(
     chosen: Annotated[
         list[str] | None, typer.Argument(metavar="[RUN]...", help="runs to tag or to note something of: paths, names, or: last")

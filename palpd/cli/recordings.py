@@ -13,7 +13,7 @@ from palpd.cli.curve_options import (
     HeightDownPositive,
 )
 from palpd.cli.options import AcceptImplausible, JsonOption, SiteOption, app, terminal
-from palpd.cli.output_options import Output
+from palpd.cli.output_options import Output, refuse_left_out
 from palpd.errors import BadInput
 from palpd.file_kinds import CSV, PARQUET, YAML
 from palpd.files import write_json, write_yaml
@@ -138,10 +138,13 @@ def import_(
     accept_implausible: AcceptImplausible = False,
 ) -> None:
     """Turn what another machine recorded into a recording that `palpd diagnose` and `palpd replay` read."""
+    values = locals()
     from palpd.interchange.import_files import ImportOptions, columns_given, import_files, source_of
 
     show = terminal().print
     if csv is None:
+        others = values.keys() - {"files", "csv"}
+        refuse_left_out(import_, values, sorted(others), "without --csv files are only listed", "give --csv too, or leave them out")
         for path in files:
             source = source_of(path)
             show(f"{path} is {source.reader.name}; it holds")

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     examples=[
         "palpd run --config cell/config.yaml --plan cell/plan.yaml --dry",
         "palpd run --config cell/config.yaml --plan cell/plan.yaml",
-    ]
+    ],
+    apart={"dry": ("here", "go_back")},
 )
 def run(
     config: ConfigOption = DEFAULT_CONFIG,
@@ -197,7 +198,10 @@ def _go_up(command: Literal["retract", "level-test"], config: Path, socket: Path
     finish(report.exit_code, report.reason)
 
 
-@app.command(examples=["palpd demo", "palpd demo --effect tissue.viscoelastic --no-wires"])
+@app.command(
+    examples=["palpd demo", "palpd demo --effect tissue.viscoelastic --no-wires"],
+    apart={"page": ("full", "effect", "wires", "json_file"), "effect": ("full",)},
+)
 def demo(
     full: Annotated[bool, typer.Option("--full", help="the paper's plan: 3 to 10 mm, 10 s holds, ten presses a depth")] = False,
     effect: Annotated[
@@ -219,10 +223,7 @@ def demo(
     from palpd.cli.printing import print_demonstration
     from palpd.daemon import demo as show
     from palpd.daemon.run_reports import begin_report
-    from palpd.errors import BadInput
 
-    if page and (full or not wires or effect is not None or json_file is not None):
-        raise BadInput("--page serves the emulated cell and palpates nothing by itself; leave --full, --effect, --no-wires and --json out")
     if wires:
         _require_library(page)
     if page:
@@ -281,7 +282,7 @@ def _serve_demo(folder: Path | None) -> None:
     finish(3 if code else 0, f"the server of the page has died ({f'signal {-code}' if code < 0 else f'exit code {code}'}); see {log}")
 
 
-@app.command(examples=["palpd sim --config cell/config.yaml --plan cell/plan.yaml"])
+@app.command(examples=["palpd sim --config cell/config.yaml --plan cell/plan.yaml"], apart={"cell": ("configured",)})
 def sim(
     plan: PlanOption = DEFAULT_PLAN,
     config: ConfigOption = DEFAULT_CONFIG,
@@ -299,10 +300,7 @@ def sim(
     from palpd.daemon.motion_process import Job
     from palpd.daemon.run_result import simulated_result
     from palpd.daemon.simulated_run import run as simulate
-    from palpd.errors import BadInput
 
-    if configured and cell is not None:
-        raise BadInput("--cell and --configured-cell each name the cell to press; give one of them")
     settings, steps = load_config(config), load_plan(plan)
     refuse_unsafe(settings, steps)
     library = load_effects()
@@ -316,7 +314,10 @@ def sim(
     finish(0 if result["verdict"] == "done" else 3, result["reason"])
 
 
-@app.command(examples=["palpd emulate --sensor-link hex", "palpd emulate --model ur5e --cell cell.yaml --sensor-link hex"])
+@app.command(
+    examples=["palpd emulate --sensor-link hex", "palpd emulate --model ur5e --cell cell.yaml --sensor-link hex"],
+    apart={"net_ft_port": ("sensor_link", "fz_parts_at")},
+)
 def emulate(
     model: Annotated[Literal["ur5", "ur5e"], typer.Option("--model", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")] = "ur5",
     cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml of what the wires lead to (default: the paper's phantom)")] = None,

@@ -84,7 +84,9 @@ def web(
     os.execve(sys.executable, [sys.executable, "-m", "palpd.web", *map(str, words)], environment)
 
 
-@app.command(examples=["palpd status --config cell/config.yaml", "palpd status --config cell/config.yaml --watch"])
+@app.command(
+    examples=["palpd status --config cell/config.yaml", "palpd status --config cell/config.yaml --watch"], apart={"watch": ("json_file",)}
+)
 def status(
     config: ConfigOption = DEFAULT_CONFIG,
     socket: SocketOption = None,
@@ -154,7 +156,11 @@ def jobs(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, jso
 
 
 @app.command(
-    examples=["palpd job 20260714-101502-map --config cell/config.yaml", "palpd job 20260714-101502-map --cancel --config cell/config.yaml"]
+    examples=[
+        "palpd job 20260714-101502-map --config cell/config.yaml",
+        "palpd job 20260714-101502-map --cancel --config cell/config.yaml",
+    ],
+    apart={"cancel": ("agree", "json_file"), "agree": ("json_file",)},
 )
 def job(
     job_id: Annotated[str, typer.Argument(metavar="ID", help="as palpd jobs lists it")],
@@ -197,7 +203,10 @@ def controls(
     print(f"{holder} holds the controls." if holder else "Nobody holds the controls.")
 
 
-@app.command(examples=["palpd stream --config cell/config.yaml --foxglove 8765 --metrics 9464", "palpd stream --layout palpd-layout.json"])
+@app.command(
+    examples=["palpd stream --config cell/config.yaml --foxglove 8765 --metrics 9464", "palpd stream --layout palpd-layout.json"],
+    apart={"layout": ("foxglove", "metrics", "force")},
+)
 def stream(
     config: ConfigOption = DEFAULT_CONFIG,
     socket: SocketOption = None,
