@@ -3,6 +3,7 @@
 The pages that say how to do one thing go on from the files of docs/start.md. The README's commands are in test_readme.py.
 """
 
+import json
 import os
 import re
 import runpy
@@ -36,6 +37,7 @@ SIMULATOR = DOCS / "my-simulator.md"
 PAGES = [page for page in sorted(DOCS.rglob("*.md")) if commands_of(page) and page not in (START, ON_WIRES, SIMULATOR)]
 LEAVES = {
     "tutorials/csv.md": {"recording.csv", "cell.yaml", "report.html", "out.json", "enriched.yaml"},
+    "tutorials/modulus.md": {"modulus.json", "report.html", "enriched.yaml"},
     "tutorials/rosbag.md": {"bag.csv", "bag.yaml", "bag.html"},
     "how-to/fleet.md": {"fleet.json"},
     "how-to/service.md": {"look"},
@@ -119,6 +121,14 @@ def test_the_commands_of_a_page_run_word_by_word(page: Path, started: Path, tmp_
             shutil.copy(started / name, tmp_path)
     run_page(page, tmp_path)
     assert LEAVES.get(str(page.relative_to(DOCS)), set()) <= {path.name for path in tmp_path.iterdir()}
+
+
+def test_start_my_csv_and_the_modulus_are_followed_one_after_the_other_in_one_folder(started: Path) -> None:
+    for name in ("csv.md", "modulus.md"):
+        run_page(DOCS / "tutorials" / name, started)
+    modulus = json.loads((started / "modulus.json").read_text())
+    assert modulus["ci95_Pa"][0] < 40_000.0 < modulus["ci95_Pa"][1]
+    assert modulus["ci95_Pa"][1] - modulus["ci95_Pa"][0] < 2_000.0
 
 
 def test_the_examples_of_the_commands_run_where_no_cell_and_no_hour_is_needed(

@@ -228,8 +228,9 @@ def modulus_line(result: "LoadingResult | CurveResult | EnrichedResult") -> str:
     if (depth_m := figures.get("depth_m")) is not None:
         model = "equation 1 at the peak" if figures.get("fit") == "peak" else "Hertz over the loading"
         line += f" by {model}, {depth_m * 1e3:.3g} mm deep"
-    if (rms_N := figures.get("rms_N")) is not None and (peak_N := figures.get("peak_force_N")) is not None:
-        line += f", misfit {rms_N:.2g} N rms of {peak_N:.3g} N"
+    if (rms_N := figures.get("rms_N")) is not None:
+        peak_N = figures.get("peak_force_N")
+        line += f" by the cell file, misfit {rms_N:.2g} N rms" if peak_N is None else f", misfit {rms_N:.2g} N rms of {peak_N:.3g} N"
     return f"{line}, contact at {result['contact_point_m']:.6g} m"
 
 
