@@ -24,6 +24,7 @@ from palpd.daemon.interrupts import held, received, shielded
 from palpd.daemon.job_progress import job_progress, job_steps
 from palpd.daemon.job_worker import RunRequest
 from palpd.daemon.jobs import Jobs
+from palpd.daemon.kept_plans import KeptPlans
 from palpd.daemon.motion_process import Build, Job, Kind
 from palpd.daemon.overshoot import refuse_overload
 from palpd.daemon.programs import program_named
@@ -43,7 +44,7 @@ PAUSE_PATIENCE_S = 1.0
 """Longest wait for the arm to rest in a pause. The sequence takes it within a tick, but not before the tare is over."""
 STATUS_S = 0.2
 """Shortest time between two statuses that watchers receive: what a person can follow."""
-NEEDS_CONTROLS = ("arm", "start", "pause", "resume", "retract", "level-test", "clear", "begin", "decide")
+NEEDS_CONTROLS = ("arm", "start", "pause", "resume", "retract", "level-test", "clear", "begin", "decide", "keep-plan", "forget-plan")
 """Requests of whoever holds the controls. Everyone may ask for the status and abort."""
 STILL_KINDS = ("calibrate", "observe")
 """Runs of a job that move nothing: the robot is only read."""
@@ -88,6 +89,7 @@ class Service:
         self._unkept: Latch | None = None
         self._controls = Controls()
         self._jobs = Jobs(config)
+        self._plans = KeptPlans(config.paths.state / "plans")
         self._published: tuple[float, ControlAnswer] = (0.0, {})
 
     def serve(self) -> None:
@@ -158,6 +160,9 @@ class Service:
             "cancel": self._cancel,
             "jobs": lambda _: {"jobs": [record.summary for record in self._jobs.all()]},
             "job": lambda request: self._jobs.known(request.get("id")).answer(),
+            "plans": self._plans.answer,
+            "keep-plan": self._change_plans,
+            "forget-plan": self._change_plans,
             "watch": lambda request: Watching({"ok": True, "event": "status", **self._status(request)}),
             "take": self._take,
             "renew": self._renew,
@@ -274,9 +279,7 @@ class Service:
         self._refuse_running()
         if not self._armed:
             raise Refused("the daemon is disarmed; run palpd arm first")
-        plan = parse_plan(request.get("plan"), "the plan")
-        refuse_unsafe(self._config, plan)
-        refuse_overload(self._config, plan)
+        plan = self._plan_of(request)
         choice = request.get("place")
         if choice is not None and choice not in get_args(Choice):
             raise BadInput(f"the place is {str(choice)[:32]!r}, expected one of {', '.join(get_args(Choice))}")
@@ -299,6 +302,21 @@ class Service:
     def _start_run(self, work: Job, name: str) -> None:
         self._first_tick, self._armed = self._ring.published, False
         self._run = JobRun(work, self._build, self._ring, self._state, name)
+
+    def _plan_of(self, request: ControlRequest) -> Plan:
+        """The plan of a request, within the limits of this cell. Raises ConfigError."""
+        plan = parse_plan(request.get("plan"), "the plan")
+        refuse_unsafe(self._config, plan)
+        refuse_overload(self._config, plan)
+        return plan
+
+    def _change_plans(self, request: ControlRequest) -> ControlAnswer:
+        """Keep or forget a plan. A run comes first: a slow disk must not delay its abort."""
+        if self._standing in ("checking", "running", "waiting"):
+            raise Refused("the arm is at work, and a slow disk must not delay an abort; keep and forget plans when it is over")
+        if request["do"] == "forget-plan":
+            return self._plans.forget(request)
+        return self._plans.keep(request, self._plan_of(request), self._asking)
 
     # --- jobs with a program ------------------------------------------------------------------------------------------------
 
