@@ -10,7 +10,7 @@ const PATIENCE_MS = { arm: 65000 };
 const LEASE = "palpd.lease";
 const PLAN = "palpd.plan";
 const NAME = "palpd.operator";
-const DONE = { arm: "Armed", start: "Started", pause: "Pause", resume: "Resume", retract: "The arm leaves the tissue", "level-test": "The arm goes 5 mm up", clear: "The latch is cleared" };
+const DONE = { arm: "Armed", start: "Started", pause: "Pause", resume: "Resume", retract: "The arm leaves the tissue", "level-test": "The arm goes 5 mm up", clear: "The latch is cleared", "keep-plan": "The plan is kept", "forget-plan": "The plan is forgotten" };
 
 const take = document.getElementById("take");
 const operator = document.getElementById("operator");
@@ -22,6 +22,9 @@ let sure_until_ms = 0;
 
 /** Whether this page holds the controls. */
 export const holding = () => lease !== null;
+
+/** What proves that; null where this page does not hold them. */
+export const currentLease = () => lease;
 
 /** The plan to start: {name, text} as YAML; null where none is chosen. The plan editor sets it too. */
 export const chosenPlan = () => JSON.parse(sessionStorage.getItem(PLAN) ?? "null");
@@ -50,7 +53,7 @@ async function takeControls(force) {
 export async function request(what, content = {}) {
   if (lease === null && !(await takeControls(false))) return { ok: false };
   const answer = await ask(`/do/${what}`, { ...content, lease }, { patience_ms: PATIENCE_MS[what] ?? 8000 });
-  say(answer.ok ? `${DONE[what] ?? what}: ${answer.state}.` : answer.error, answer.ok ? "done" : "refused");
+  say(answer.ok ? `${[DONE[what] ?? what, answer.state].filter(Boolean).join(": ")}.` : answer.error, answer.ok ? "done" : "refused");
   return answer;
 }
 
