@@ -134,7 +134,7 @@ async function renewed() {
   const answer = await ask("/do/renew", { lease: mine });
   if (answer.ok || lease !== mine || answer.unreached || answer.expired) return true;
   keep(null);
-  say(answer.error, "refused");
+  say(answer.error); // gone after a while: the button says who holds them
   return false;
 }
 setInterval(renewed, RENEW_MS);
