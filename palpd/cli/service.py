@@ -125,8 +125,11 @@ def start(
 
     if (plan is None) == (kept is None):
         raise BadInput("a start needs one plan; give a plan.yaml, or --kept NAME")
-    text = at_once.speak({"do": "plans", "name": kept}, config, socket)["yaml"] if kept is not None else ""
-    steps = load_plan(plan) if plan is not None else parse_plan(parse_yaml(text, f"the kept plan {kept}").content, f"the kept plan {kept}")
+    if plan is not None:
+        steps = load_plan(plan)
+    else:
+        name = f"the kept plan {kept}"
+        steps = parse_plan(parse_yaml(at_once.speak({"do": "plans", "name": kept}, config, socket)["yaml"], name).content, name)
     values = steps.model_dump(mode="json")
     print(at_once.speak({"do": "start", "plan": values, "place": place_choice(here, go_back)}, config, socket)["state"])
 

@@ -16,7 +16,7 @@ import numpy as np
 import structlog
 
 from palpd.config import Config, Plan, parse_plan, refuse_unsafe
-from palpd.control.plan_place import ANSWERS, Choice, question
+from palpd.control.plan_place import ANSWERS, Choice, PlanPlace, question
 from palpd.control.probe_state import ProbeAnswer, ProbeState
 from palpd.daemon.control_socket import ControlSocket, Later, Watching
 from palpd.daemon.controls import LEASE_S, Controls
@@ -202,7 +202,8 @@ class Service:
             return {"ok": False, "error": str(error)}
 
     def _status(self, _: ControlRequest) -> ControlAnswer:
-        standing, probe = self._standing(), self._known_probe()
+        place, probe = _kept(self._state.place), self._known_probe()
+        standing = self._standing(place)
         answer: ControlAnswer = {
             "state": self._word,
             "now": what_now(standing).published,
@@ -210,7 +211,7 @@ class Service:
             "pid": os.getpid(),
             "cell": self._cell,
             "probe": known_probe(*probe) if probe is not None else None,
-            "place": self._place(),
+            "place": self._place(place),
             "controls": self._controls.holder(time.monotonic()),
             "ring": self._ring.name,
             "active": self._jobs.current.summary if self._jobs.current is not None else None,
@@ -248,13 +249,12 @@ class Service:
             "tick": int(row["index"]),
         }
 
-    def _standing(self) -> Standing:
+    def _standing(self, place: PlanPlace | None) -> Standing:
         """Where everything stands, for `what_now`."""
         run, row, job = self._run.job if self._run is not None else None, self._newest(), self._jobs.current
         progress = self._meter.read() if self._meter is not None and run is not None and not self._checking else None
         latch, last, probe = self._latch(), self._last, self._known_probe()
         stopped = last is not None and last.verdict != "done" and last.exit_code != 2
-        place = _kept(self._state.place)
         return Standing(
             armed=self._armed,
             arming=self._arming is not None,
@@ -279,7 +279,7 @@ class Service:
 
     def _refuse(self, action: Action) -> None:
         """Refuse what `what_now` finds impossible. What looks at the devices itself is judged without what was seen before."""
-        standing = self._standing()
+        standing = self._standing(_kept(self._state.place))
         obstacle = what_now(replace(standing, probe=None) if action in LOOKS else standing).obstacles.get(action)
         if obstacle is not None:
             raise Refused(obstacle.as_refusal)
@@ -511,9 +511,8 @@ class Service:
             return None
         return ProbeAnswer(ProbeState.UNKNOWN, (f"the {marker.run} of {marker.date} is unfinished",), frozenset(("retract",))), marker.date
 
-    def _place(self) -> KnownPlace | None:
+    def _place(self, last: PlanPlace | None) -> KnownPlace | None:
         """Where the tip was last seen, over which site of the last plan, and where its sites count from."""
-        last = _kept(self._state.place)
         if not self._pose and last is None:
             return None
         x_m, y_m = self._pose[:2] if self._pose else (None, None)
