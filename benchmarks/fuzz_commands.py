@@ -89,13 +89,14 @@ train {free} --out {new.onnx} --config {config}
 map --presses {presses} --out {out.png} --json {out.json}
 diagnose {mcap} --cell {cell} --site A --json {out.json}
 diagnose {csv} --cell {cell} --json {out.json} --cell-out {out.yaml} --report {out.html} --effects {effect}
-resolve --config {config} --recording {csv} --cell {cell} --plan {plan} --rounds 1 --yes --effects {effect} --out {folder} --json {out.json}
+resolve --config {config} --recording {csv} --cell {cell} --rounds 1 --yes --effects {effect} --out {folder} --json {out.json}
+resolve --config {config} --plan {plan} --rounds 1 --yes --out {folder}
 simulate {csv} --cell {cell} --csv {new.csv} --effects {effect}
 export-sim {cell} --to mujoco --out {folder}
 tolerances {csv} --cell {cell} --json {out.json}
 effects --effects {effect} --cell {cell} --json {out.json}
 blind --cases 1 --jobs 1 --json {out.json} --docs {folder} --keep {folder}
-study --out {folder} --days 0 --free {mcap} --palpation {mcap} --json {out.json}
+study --out {folder} --free {mcap} --palpation {mcap} --json {out.json}
 """
 """Sound lines; a word in braces is an input of that kind, or an output: out.* may be replaced, new.* must not exist, folder is made."""
 CONTRADICTIONS = """
@@ -109,6 +110,11 @@ analyse {csv} --depth-column z_m --height-down-positive --force-column fz_N --ti
 analyse {csv} --force-column fz_N --height-column z_m
 analyse {csv} --force-column no_such --height-column z_m --tip-radius-m 0.005
 analyse {mcap} --site Z
+analyse {mcap} --tip-radius-m 0.005
+analyse {csv} --cell {cell} --force-column fz_N
+import {csv} --force-column fz_N
+job x --agree --cancel
+runs {mcap} --tag good --since 2026-01-01
 export {mcap} --csv out.csv --site Z
 export {mcap}
 export {mcap} --parquet out.csv

@@ -25,7 +25,9 @@ from typer.models import ArgumentInfo, OptionInfo
 import palpd.api
 from palpd.cell.cell_file import CellFile, nominal
 from palpd.cell.effects import EFFECTS, Effect, Values
-from palpd.cli import analysis, application, gap, history, recordings, run, service, study
+from palpd.cli import application
+from palpd.cli.command_groups import GROUPS
+from palpd.cli.output_options import examples_of
 from palpd.config import Config, Plan
 from palpd.files import file_use
 from palpd.gap.similar_effects import MOSTLY_ALIKE, ONE_DIRECTION, Similarity, similar_effects, standard_motion
@@ -87,8 +89,9 @@ def parameters_of(command: Callable[..., None]) -> Iterator[tuple[str, OptionInf
         yield name, info, annotation, default
 
 
-def command_section(name: str, command: Callable[..., None]) -> str:
-    """What a command does, its arguments and its options."""
+def command_section(name: str, registered: Any) -> str:
+    """What a command does, its arguments, its options and examples."""
+    command = registered.callback
     arguments, options = [], []
     usage = f"palpd {name}"
     for parameter, info, kind, default in parameters_of(command):
@@ -102,22 +105,26 @@ def command_section(name: str, command: Callable[..., None]) -> str:
         options.append((names, words_of_type(kind, info), required, info.help or ""))
     rows = [*arguments, *options]
     shown = table(("", "value", "default", "meaning"), rows) if rows else ""
-    return f"### palpd {name}\n\n{prose(command.__doc__)}\n\n```\n{usage}{' [OPTIONS]' if options else ''}\n```\n\n{shown}"
+    examples = "\n".join(examples_of(registered))
+    usage += " [OPTIONS]" if options else ""
+    return f"### palpd {name}\n\n{prose(command.__doc__)}\n\n```\n{usage}\n```\n\n{shown}\nExamples:\n\n```\n{examples}\n```\n"
 
 
 def commands() -> str:
     """The page of all commands."""
-    listed = [(one.callback, one.name) for one in application.app.registered_commands]
-    names = {callback: name or callback.__name__ for callback, name in listed if callback is not None}
+    registered = {application.name_of(each): each for each in application.app.registered_commands}
     out = [HEAD, "# Commands\n"]
     out.append(
         "`palpd COMMAND --help` shows the same in the terminal. Exit codes: 0 done; 2 bad input or refused, with one sentence on stderr; "
-        "3 stopped by the guard or a fault, with the reason. `palpd --install-completion` completes commands in your shell.\n"
+        "3 stopped by the guard or a fault, with the reason; 128 + the number of a signal that came while nothing moved (130 Ctrl-C, 143 "
+        "SIGTERM). `palpd --install-completion` completes commands in your shell.\n"
     )
-    for module in (run, service, recordings, history, analysis, gap, study):
-        about = prose(module.__doc__)
-        out.append(f"## {about.partition(':')[0].rstrip('.')}\n")
-        out += [command_section(name, callback) for callback, name in names.items() if callback.__module__ == module.__name__]
+    out.append(
+        table(("to", "commands"), [(title, ", ".join(f"[{name}](#palpd-{name})" for name in names)) for title, names in GROUPS.items()])
+    )
+    for title, names in GROUPS.items():
+        out.append(f"## {title}\n")
+        out += [command_section(name, registered[name]) for name in names]
     return "\n".join(out)
 
 

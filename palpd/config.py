@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar, get_args
 
-from pydantic import Field, StrictFloat, StrictInt, ValidationError, model_validator
+from pydantic import Field, StrictFloat, StrictInt, ValidationError, field_validator, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, EnvSettingsSource
 
@@ -26,6 +26,11 @@ SLOWEST_M_PER_S = 1e-4
 FILTERS_HZ = (500.0, 150.0, 50.0, 15.0, 5.0, 1.5)
 HEX_70, UR_RTDE = "hex-70", "ur-rtde"
 """Kinds of sensor and robot that a config.yaml has where it names none."""
+OTHER_ROBOTS = (
+    "only the controller matters, so a UR3, UR5 or UR10 of the CB3 series counts as ur5, an e-Series one (UR3e, UR10e, UR16e) as ur5e; "
+    "of these the UR5 and the UR5e were tried, on emulated wires. An arm of another make needs a driver (docs/what-works.md)"
+)
+"""What does work, for whoever asks for another robot."""
 HEX_70_CAPACITY_N = 200.0
 """Nominal capacity of the HEX-70 of the 200 N class on every force axis; overload begins above it."""
 
@@ -53,6 +58,13 @@ class RobotConfig(StrictBlock):
     """Acceleration of every commanded speed."""
     options: dict[str, Option] = Field(default_factory=dict)
     """What only the driver of this `kind` knows."""
+
+    @field_validator("model", mode="before")
+    @classmethod
+    def _known_model(cls, model: object) -> object:
+        if isinstance(model, str) and model not in ("ur5", "ur5e"):
+            raise ValueError(f"{model!r} is neither ur5 nor ur5e: {OTHER_ROBOTS}")
+        return model
 
     @property
     def rate_Hz(self) -> float:

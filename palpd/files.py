@@ -212,7 +212,8 @@ def read_text(path: Path, *, most_bytes: int = MOST_YAML_BYTES, error: type[Palp
 
 def _no_text(name: str, place: str, head: bytes) -> str:
     if kind := what_it_is(head):
-        return f"{name} is {kind}, expected text in UTF-8; give the file that it was made from, or save it as UTF-8"
+        advice = "save it as UTF-8" if kind.startswith("text") else "give the text file that belongs in its place"
+        return f"{name} is {kind}, expected text in UTF-8; {advice}"
     return f"{name}, {place}: a byte is not UTF-8, expected text; save the file as UTF-8"
 
 

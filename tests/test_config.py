@@ -277,3 +277,8 @@ def test_an_origin_or_a_site_counted_from_it_outside_the_workspace_is_refused(or
     refuse_unsafe(config, parse_plan({**plan, "origin": {"x_m": 0.0, "y_m": 0.0}}, "it"))
     with pytest.raises(ConfigError, match=words):
         refuse_unsafe(config, parse_plan({**plan, "origin": {"x_m": origin[0], "y_m": origin[1]}}, "it"))
+
+
+def test_a_robot_of_another_name_is_refused_with_what_works() -> None:
+    with pytest.raises(ConfigError, match=r"robot.model: 'ur10e' is neither ur5 nor ur5e: only the controller matters.*docs/what-works.md"):
+        parse_config({"robot": {"model": "ur10e"}}, "config.yaml")

@@ -69,6 +69,21 @@ def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path, r
         read(path)
 
 
+@pytest.mark.parametrize(
+    ("head", "what", "advice"),
+    [
+        (b"PK\x03\x04", "a zip archive", "give the text file that belongs in its place"),
+        (b"\xff\xfe", "text in UTF-16", "save it as UTF-8"),
+    ],
+)
+def test_only_a_text_is_to_be_saved_as_utf_8(tmp_path: Path, head: bytes, what: str, advice: str) -> None:
+    path = tmp_path / "plan.yaml"
+    path.write_bytes(head + b"\x00\xff\xfe")
+    with pytest.raises(BadInput) as refused:
+        read_text(path)
+    assert str(refused.value) == f"{path} is {what}, expected text in UTF-8; {advice}"
+
+
 def test_what_is_not_utf_8_is_refused_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "some.yaml"
     path.write_bytes(b"a: 1\nb: \xff\n")

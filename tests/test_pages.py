@@ -3,6 +3,7 @@
 The pages that say how to do one thing go on from the files of docs/start.md. The README's commands are in test_readme.py.
 """
 
+import json
 import os
 import re
 import runpy
@@ -10,12 +11,18 @@ import shlex
 import shutil
 import subprocess
 import sys
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import pytest
 
 from benchmarks.emulated_cell import EmulatedCell, emulated_cell, retry_if_machine_stalled
+from benchmarks.fuzz_inputs import sound_files
+from palpd.cli import application
 from palpd.cli.application import carry_out
+from palpd.cli.command_groups import ORDER
+from palpd.cli.output_options import examples_of
 from palpd.errors import RecordingError
 from palpd.interchange import registry
 from palpd.interchange.import_files import ImportOptions, read_files
@@ -30,6 +37,7 @@ SIMULATOR = DOCS / "my-simulator.md"
 PAGES = [page for page in sorted(DOCS.rglob("*.md")) if commands_of(page) and page not in (START, ON_WIRES, SIMULATOR)]
 LEAVES = {
     "tutorials/csv.md": {"recording.csv", "cell.yaml", "report.html", "out.json", "enriched.yaml"},
+    "tutorials/modulus.md": {"modulus.json", "report.html", "enriched.yaml"},
     "tutorials/rosbag.md": {"bag.csv", "bag.yaml", "bag.html"},
     "how-to/fleet.md": {"fleet.json"},
     "how-to/service.md": {"look"},
@@ -53,6 +61,19 @@ BY_HAND = {
 }
 
 
+NEEDS_MORE = {
+    **dict.fromkeys(("run", "calibrate", "stiffness", "free-motion", "level-test", "retract", "doctor", "resolve"), "needs a cell"),
+    **dict.fromkeys(("status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job", "controls"), "needs a daemon"),
+    **dict.fromkeys(("emulate", "serve", "web"), "serves until Ctrl-C"),
+    **dict.fromkeys(("demo", "blind"), "minutes; the README's commands try them"),
+    "palpd stream --config cell/config.yaml --foxglove 8765 --metrics 9464": "serves until Ctrl-C",
+    "palpd map --config cell/config.yaml --width-m 0.04 --height-m 0.02 --out map.png": "needs a cell",
+    "tolerances": "needs recordings of a healthy cell; how-to/tolerances.md makes some",
+    "palpd study --days 0 --out study": "minutes; tests/study makes the page",
+}
+"""Commands and examples that are only parsed, each with the reason."""
+
+
 def run_in_process(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A line as a shell would run it, without a process for palpd and the examples."""
     program, *arguments = shlex.split(line, comments=True)
@@ -65,41 +86,78 @@ def run_in_process(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
         subprocess.run(["bash", "-euc", line], check=True)
 
 
-def run_page(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def run_page(page: Path, folder: Path) -> None:
     """Run a page's commands in a folder; what it quotes must be printed."""
-    (folder / "docs").symlink_to(DOCS)
-    monkeypatch.chdir(folder)
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setenv("PALPD_EFFECTS_DIR", str(folder / "effects"))
-    for line in commands_of(page):
-        run_in_process(line, monkeypatch)
-    printed = words(capsys.readouterr().out)
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(StringIO()) as printed:
+        if not (folder / "docs").exists():
+            (folder / "docs").symlink_to(DOCS)
+        patch.chdir(folder)
+        patch.setenv("COLUMNS", "200")
+        patch.setenv("PALPD_EFFECTS_DIR", str(folder / "effects"))
+        for line in commands_of(page):
+            run_in_process(line, patch)
     for line in quoted_in(page):
-        assert words(line) in printed
+        assert words(line) in words(printed.getvalue())
 
 
 @pytest.fixture(scope="module")
 def started(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder in which the first page was followed."""
-    return tmp_path_factory.mktemp("started")
+    """The folder in which the first page was followed, word by word."""
+    folder = tmp_path_factory.mktemp("started")
+    run_page(START, folder)
+    return folder
 
 
-def test_the_first_page_runs_word_by_word(started: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    run_page(START, started, monkeypatch, capsys)
+def test_the_first_page_runs_word_by_word(started: Path) -> None:
     assert {"press.csv", "recording.csv", "cell.yaml", "enriched.yaml", "report.html", "predicted.csv"} <= {
         path.name for path in started.iterdir()
     }
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_the_commands_of_a_page_run_word_by_word(
-    page: Path, started: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_commands_of_a_page_run_word_by_word(page: Path, started: Path, tmp_path: Path) -> None:
     if page.parent.name != "tutorials":
         for name in ("press.csv", "recording.csv", "cell.yaml", "enriched.yaml"):
             shutil.copy(started / name, tmp_path)
-    run_page(page, tmp_path, monkeypatch, capsys)
+    run_page(page, tmp_path)
     assert LEAVES.get(str(page.relative_to(DOCS)), set()) <= {path.name for path in tmp_path.iterdir()}
+
+
+def test_start_my_csv_and_the_modulus_are_followed_one_after_the_other_in_one_folder(started: Path) -> None:
+    for name in ("csv.md", "modulus.md"):
+        run_page(DOCS / "tutorials" / name, started)
+    modulus = json.loads((started / "modulus.json").read_text())
+    assert modulus["ci95_Pa"][0] < 40_000.0 < modulus["ci95_Pa"][1]
+    assert modulus["ci95_Pa"][1] - modulus["ci95_Pa"][0] < 2_000.0
+
+
+def test_the_examples_of_the_commands_run_where_no_cell_and_no_hour_is_needed(
+    started: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PALPD_EFFECTS_DIR", str(tmp_path / "effects"))
+    sound = sound_files(tmp_path / "sound")
+    for name, file in {
+        "free.mcap": sound["free"],
+        "presses.csv": sound["presses"],
+        "cut-off.part": sound["part"],
+        "run.mcap": ROOT / "tests" / "version_1" / "recording.mcap",
+        **{name: started / name for name in ("press.csv", "recording.csv", "cell.yaml", "enriched.yaml", "report.html", "predicted.csv")},
+    }.items():
+        shutil.copy(file, name)
+    (tmp_path / "runs").mkdir()
+    shutil.copy("run.mcap", "runs")
+    examples = {application.name_of(each): examples_of(each) for each in application.app.registered_commands}
+    tried = [
+        line
+        for name in sorted(ORDER, key=lambda name: name != "init")
+        for line in examples[name]
+        if name not in NEEDS_MORE and line not in NEEDS_MORE
+    ]
+    assert len(tried) > 30
+    for line in tried:
+        run_in_process(line, monkeypatch)
+    assert set(NEEDS_MORE) <= {*ORDER, *(line for lines in examples.values() for line in lines)}
 
 
 @pytest.mark.hil

@@ -47,5 +47,6 @@ def test_every_option_says_what_it_is() -> None:
 
 
 def test_the_pages_of_the_site_are_all_in_its_navigation() -> None:
-    pages = {str(path.relative_to(ROOT / "docs")) for path in (ROOT / "docs").rglob("*.md")}
+    sources = [path for ending in ("md", "ipynb") for path in (ROOT / "docs").rglob(f"*.{ending}")]
+    pages = {str(path.relative_to(ROOT / "docs").with_suffix(".md")) for path in sources}
     assert set(re.findall(r"\S+\.md$", Path(ROOT / "docs" / "mkdocs.yml").read_text(), flags=re.MULTILINE)) == pages

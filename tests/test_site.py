@@ -1,5 +1,6 @@
 """The docs site builds: every link has its target, and no page asks for anything from elsewhere."""
 
+import json
 import os
 import re
 import subprocess
@@ -10,6 +11,7 @@ import pytest
 
 from tests.paths import ROOT
 
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 LOADED = re.compile(r"""<(?:script|link|img|iframe)\b[^>]*?(?:src|href)=["']?(https?:[^"'\s>]*)""")
 """What a browser fetches by itself when it opens a page."""
 
@@ -25,9 +27,29 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_site_builds_with_every_link_and_page(site: Path) -> None:
-    pages = {path.relative_to(ROOT / "docs").with_suffix(".html") for path in (ROOT / "docs").rglob("*.md")}
-    assert all((site / page).exists() for page in pages)
+    sources = [path for ending in ("md", "ipynb") for path in (ROOT / "docs").rglob(f"*.{ending}")]
+    assert all((site / path.relative_to(ROOT / "docs").with_suffix(".html")).exists() for path in sources)
     assert not list(site.rglob("generate.py"))
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_and_its_page_shows_figures_and_tables(site: Path, notebook: Path) -> None:
+    page = (site / "notebooks" / f"{notebook.stem}.html").read_text()
+    pictures = re.findall(rf'<img[^>]*src="({notebook.stem}-\d+\.png)"', page)
+    assert pictures
+    assert all((site / "notebooks" / picture).read_bytes().startswith(b"\x89PNG") for picture in pictures)
+    assert "<table>" in page
+    assert f'href="{notebook.name}"' in page, "it can be downloaded"
+    assert (site / "notebooks" / notebook.name).exists()
+    links = re.findall(r'href="(notebooks/[^"]*)"', (site / "api.html").read_text())
+    assert f"notebooks/{notebook.stem}.html" in links
+
+
+@pytest.mark.parametrize("word", ["UR10", "UR10e", "Franka", "Isaac", "Gazebo", "Simulink", "Windows", "ROS"])
+def test_the_search_finds_what_works(site: Path, word: str) -> None:
+    entries = json.loads((site / "search" / "search_index.json").read_text())["docs"]
+    found = [entry["location"] for entry in entries if re.search(rf"\b{word}\b", entry["text"])]
+    assert any(place.startswith("what-works.html") for place in found)
 
 
 def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:

@@ -50,6 +50,9 @@ def write_bag(path):
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
+    if path.exists():
+        print(f"{path} exists already and is kept")
+        return
     t_s, z_m, vz_m_per_s, wrench = press("bag")
     store = get_typestore(Stores.ROS2_HUMBLE)
     types = store.types

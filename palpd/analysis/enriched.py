@@ -24,7 +24,7 @@ from palpd.cell.effects.tissue import MODULUS
 from palpd.cell.simulation import equilibrium_force_N, true_surface_m, wrench_of
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
-from palpd.recording.reader import Recording, samples_of
+from palpd.recording.reader import Recording, holds_ticks, refuse_site, samples_of
 from palpd.recording.samples import Samples, common_site, read, runs_of_true
 from palpd.tick import Floats
 
@@ -38,6 +38,8 @@ ACCEPTED = 0.01
 """Relative change of the modulus that is still accepted after the last step."""
 CHANGE_AT_MOST = 3.0
 """Largest factor on the modulus in one step, so that a bad start does not throw it away."""
+UNEXPLAINED = 3.0
+"""Misfit, in what noise and scatter make, above which the cell file does not describe the recording."""
 FAST_CREEP = 0.1
 """Share of a press below which a creep's time makes it a gain."""
 
@@ -52,6 +54,7 @@ class EnrichedModulus:
         surface_z_m: Height of the true surface.
         surface_sigma_m: One standard deviation of that height.
         rms_N: Rms of the residual.
+        expected_rms_N: Rms that noise, rounding and the scatter of presses would leave.
         gain: Factor of a force at rest that the cell file holds beside its modulus.
         cell: The cell that predicts the recordings.
     """
@@ -61,6 +64,7 @@ class EnrichedModulus:
     surface_z_m: float
     surface_sigma_m: float
     rms_N: float
+    expected_rms_N: float
     gain: float
     cell: CellFile
 
@@ -104,7 +108,8 @@ def enriched_modulus(recordings: Sequence[Samples], cell: CellFile) -> EnrichedM
         raise RecordingError("the cell file has no tissue, so there is no modulus to estimate; give one with a tissue block")
     contact = _Contact.of(recordings, cell)
     fit = _converged(contact)
-    touching = contact.force_N(fit.modulus_Pa, fit.shift_m) > cell.sensor.noise_rms_N
+    force_N = contact.force_N(fit.modulus_Pa, fit.shift_m)
+    touching = force_N > cell.sensor.noise_rms_N
     presses = max(sum(int(first > 0) for first in runs_of_true(touching)[0]), 1)
     step_s = float(np.median(np.diff(recordings[0].t_s)))
     gain = _settled_gain(contact.cell, FAST_CREEP * float(touching.sum()) * step_s / presses)
@@ -120,6 +125,11 @@ def enriched_modulus(recordings: Sequence[Samples], cell: CellFile) -> EnrichedM
         surface_z_m=true_surface_m(estimated),
         surface_sigma_m=float(sigmas[1]),
         rms_N=float(np.sqrt(np.mean(fit.residual_N**2))),
+        expected_rms_N=math.hypot(
+            cell.sensor.noise_rms_N,
+            cell.sensor.resolution_fz_N / math.sqrt(12.0),
+            cell.repeatability.stiffness * float(np.sqrt(np.mean(force_N**2))),
+        ),
         gain=gain,
         cell=estimated,
     )
@@ -242,9 +252,10 @@ def analysed(file: Path, cell: CellFile, site: str | None = None) -> dict[str, A
     Returns:
         The keys of an `EnrichedResult`; for a run also `sites`, a list of them.
     """
-    if file.suffix != ".mcap":
+    if not holds_ticks(file):
+        refuse_site(file, site)
         samples = read(file)
-        return {**_result(enriched_modulus([samples], cell.at_site(common_site([samples]))), site or file.stem)}
+        return {**_result(enriched_modulus([samples], cell.at_site(common_site([samples]))), file.stem)}
     recording = Recording.load(file)
     names = [site] if site is not None else [each["name"] for each in recording.header["sites"]]
     sites = [_result(enriched_modulus([samples_of(recording, name)], cell.at_site(name)), name) for name in names]
@@ -259,8 +270,19 @@ def _result(estimate: EnrichedModulus, name: str) -> EnrichedResult:
         "contact_point_m": estimate.surface_z_m,
         "contact_sigma_m": estimate.surface_sigma_m,
         "rms_N": estimate.rms_N,
-        "warnings": [],
+        "warnings": _doubts(estimate),
     }
+
+
+def _doubts(estimate: EnrichedModulus) -> list[str]:
+    scatters = any(EFFECTS[name].scatter for name in estimate.cell.effects if name in EFFECTS)  # more noise than the cell file states
+    if scatters or estimate.rms_N <= UNEXPLAINED * estimate.expected_rms_N:
+        return []
+    times = estimate.rms_N / estimate.expected_rms_N
+    return [
+        f"the misfit of {estimate.rms_N:.2g} N rms is {times:.1f} times what noise and scatter of this cell make: something is not in the "
+        "cell file, so E and its interval may be off; palpd diagnose --cell-out names it"
+    ]
 
 
 def _settled_gain(cell: CellFile, within_s: float) -> float:

@@ -232,21 +232,6 @@ def raster(where: Field, step_m: float = 0.005) -> list[tuple[float, float]]:
     return [(float(a), float(b)) for row, b in enumerate(y) for a in (x if row % 2 == 0 else x[::-1])]
 
 
-def refuse_two_sources(presses: Path | None, config: Path | None, emulated: bool) -> None:
-    """Refuse presses that were made beside a cell to press.
-
-    Args:
-        presses: Table of presses that were made, if any.
-        config: Configuration of a robot that would press, if any.
-        emulated: Whether an emulated robot would press.
-
-    Raises:
-        BadInput: Where both are given.
-    """
-    if presses is not None and (config is not None or emulated):
-        raise BadInput("--presses draws presses that were made; leave it out to make new ones with --config or --emulated")
-
-
 def read_presses(path: Path, where: Field) -> Survey:
     """Read presses from a CSV file with the columns x_m, y_m and youngs_modulus_Pa.
 

@@ -649,6 +649,21 @@ def tables_as_markdown(tables: Mapping[str, list[ScoreRow]]) -> str:
     return "\n".join(f"### {SOURCE_TITLES[name]}\n\n{as_markdown(rows)}" for name, rows in tables.items())
 
 
+def cases_as_markdown(outcomes: Sequence[CaseOutcome]) -> str:
+    """Case by case what was planted and what was answered: of few cases a rate says nothing."""
+    lines = ["| case | planted | SNR | answer | probability of what was planted | gap closed |", "|---|---|---|---|---|---|"]
+    for o in outcomes:
+        planted = ", ".join(o["planted"]) or "nothing"
+        snr = "–" if o["snr"] is None else f"{o['snr']:.1f}"
+        named = ", ".join(o["named"]) if o["verdict"] == "effects" else answer(o)
+        beliefs = [o["p"].get(name, 0.0) for name in o["planted"]] or [o["p_none"]]
+        probability = ", ".join(f"{belief:.2f}" for belief in beliefs) if o["verdict"] is not None else "–"
+        closed = o.get("closed")
+        share = "–" if closed is None else _text(closed, True)
+        lines.append(f"| {o.get('case', o['source'])} | {planted} | {snr} | {named} | {probability} | {share} |")
+    return "\n".join(lines) + "\n"
+
+
 def _text(value: float, share: bool) -> str:
     return f"{100 * value:.1f} %" if share else f"{value:.3g}"
 

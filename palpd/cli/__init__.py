@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 SIGNALS = {_signal.SIGINT: "SIGINT", _signal.SIGTERM: "SIGTERM", _signal.SIGHUP: "SIGHUP"}
 """What ends a command: Ctrl-C, `kill`, and a terminal that is closed."""
+MOVE = ("run", "free-motion", "stiffness", "level-test", "retract", "map", "resolve")
+"""Commands that move an arm, where an interrupted one says that none was moved."""
 
 
 def main() -> None:
@@ -36,7 +38,8 @@ def main() -> None:
 
 def _end_at_once(number: int, _frame: "FrameType | None") -> None:
     """End a process that has not begun its work."""
-    os.write(2, f"palpd: interrupted by {SIGNALS[number]} while palpd was starting; nothing was moved\n".encode())
+    moved = "; nothing was moved" if sys.argv[1:2] and sys.argv[1] in MOVE else ""
+    os.write(2, f"palpd: interrupted by {SIGNALS[number]} while palpd was starting{moved}\n".encode())
     os._exit(128 + number)
 
 

@@ -16,7 +16,7 @@ from palpd.cli.curve_options import (
     TimeColumn,
 )
 from palpd.cli.options import DEFAULT_CONFIG, AcceptImplausible, ConfigOption, HereOption, JsonOption, app, display, finish, terminal
-from palpd.cli.output_options import Output
+from palpd.cli.output_options import Output, refuse_left_out
 from palpd.file_kinds import CSV, MODEL, PICTURE
 from palpd.files import check_writable, write_json
 
@@ -28,7 +28,14 @@ if TYPE_CHECKING:
     from palpd.daemon.stiffness_survey import Mapped
 
 
-@app.command()
+CURVE = (
+    "force_column", "force_unit", "depth_column", "height_column", "height_down_positive", "length_unit", "compression_negative",
+    "time_column", "tip_radius_m", "poisson_ratio", "machine_stiffness_N_per_m", "fit", "contact", "baseline",
+)  # fmt: skip
+"""Options of `palpd analyse` for curves of other machines alone."""
+
+
+@app.command(examples=["palpd analyse run.mcap --site A", "palpd analyse recording.csv --cell enriched.yaml"], apart={"cell": CURVE})
 def analyse(
     file: Annotated[Path, typer.Argument(help="a recording (.mcap), or a curve of another machine as CSV")],
     site: Annotated[str | None, typer.Option("--site", help="this site only (recordings)")] = None,
@@ -56,7 +63,8 @@ def analyse(
     json_file: JsonOption = None,
 ) -> None:
     """Young's modulus with its interval, from a recording of ours or a curve of another machine."""
-    from palpd.recording.reader import Recording, holds_ticks
+    values = locals()
+    from palpd.recording.reader import Recording, holds_ticks, refuse_site
 
     if cell is not None:
         from palpd.analysis.enriched import analysed
@@ -69,6 +77,7 @@ def analyse(
     elif holds_ticks(file):
         from palpd.analysis.results import analysed_sites
 
+        refuse_left_out(analyse, values, CURVE, f"{file.name} is a recording of the daemon", "leave it out")
         sites = analysed_sites(Recording.load(file), site)
         for loading in sites:
             terminal().print(f"{loading['name']}: ", end="")
@@ -77,6 +86,7 @@ def analyse(
     else:
         from palpd.analysis.curves import Mapping, analyse_curve, read_curve, refuse_unknown_tip
 
+        refuse_site(file, site)
         mapping = Mapping(
             force_column, force_unit, depth_column, height_column, height_down_positive, length_unit, compression_negative, time_column
         )
@@ -93,7 +103,7 @@ def analyse(
         write_json(json_file, curve)
 
 
-@app.command()
+@app.command(examples=["palpd train free.mcap --out cell/inertial.onnx"])
 def train(
     runs: Annotated[list[Path], typer.Argument(help="recordings of free motion (.mcap or .csv)")],
     out: Annotated[
@@ -129,7 +139,14 @@ def train(
     )
 
 
-@app.command("map")
+@app.command(
+    "map",
+    examples=[
+        "palpd map --config cell/config.yaml --width-m 0.04 --height-m 0.02 --out map.png",
+        "palpd map --presses presses.csv --out map.png",
+    ],
+    apart={"presses": ("config", "emulated", "most_presses", "seed", "here"), "config": ("emulated", "seed"), "emulated": ("here",)},
+)
 def map_(
     out: Annotated[
         Path, typer.Option("--out", help="picture to write (.png); the presses are kept beside it (.csv)"), Output(PICTURE)
@@ -162,7 +179,6 @@ def map_(
     refuse_format(out)
     check_writable(None if presses else out.with_suffix(".csv"), kind=CSV)
     if presses is not None:
-        mapping.refuse_two_sources(presses, config, emulated)
         pressed = Mapped(mapping.read_presses(presses, where))
     elif config is not None:
         pressed = _pressed_by_robot(where, config, out, most_presses, here)
@@ -212,8 +228,9 @@ def modulus_line(result: "LoadingResult | CurveResult | EnrichedResult") -> str:
     if (depth_m := figures.get("depth_m")) is not None:
         model = "equation 1 at the peak" if figures.get("fit") == "peak" else "Hertz over the loading"
         line += f" by {model}, {depth_m * 1e3:.3g} mm deep"
-    if (rms_N := figures.get("rms_N")) is not None and (peak_N := figures.get("peak_force_N")) is not None:
-        line += f", misfit {rms_N:.2g} N rms of {peak_N:.3g} N"
+    if (rms_N := figures.get("rms_N")) is not None:
+        peak_N = figures.get("peak_force_N")
+        line += f" by the cell file, misfit {rms_N:.2g} N rms" if peak_N is None else f", misfit {rms_N:.2g} N rms of {peak_N:.3g} N"
     return f"{line}, contact at {result['contact_point_m']:.6g} m"
 
 

@@ -6,23 +6,25 @@ from typing import Any
 import typer
 
 from palpd.cli import analysis, gap, history, recordings, run, service, study
+from palpd.cli.command_groups import ORDER
 from palpd.cli.options import app
 from palpd.errors import BadInput, Refused
 
-__all__ = ["app", "carry_out"]
+__all__ = ["app", "carry_out", "name_of"]
 
 UsageError: Any = typer.BadParameter.__bases__[0]
 """What typer raises for words that fit no command; it has no public name."""
 
-FILES = [each.__name__ for each in (run, service, history, recordings, analysis, gap, study)]
-"""The files of commands, in the order of `palpd --help`."""
+FILES = (run, service, history, recordings, analysis, gap, study)
+"""Where the commands stand; importing them registers them."""
 
 
-def _place(command: Any) -> int:
-    return FILES.index(command.callback.__module__)
+def name_of(command: Any) -> str:
+    """The name of a registered command."""
+    return command.name or command.callback.__name__
 
 
-app.registered_commands.sort(key=_place)
+app.registered_commands.sort(key=lambda command: ORDER.index(name_of(command)))
 
 
 def carry_out(words: list[str]) -> None:
@@ -31,10 +33,24 @@ def carry_out(words: list[str]) -> None:
         code = app(words or ["--help"], prog_name="palpd", standalone_mode=False)
     except UsageError as error:
         context = getattr(error, "ctx", None)
-        sentence = " ".join(str(error.format_message()).split()).rstrip(".")
+        sentence = " ".join(str(error.format_message()).replace("Value error, ", "").split()).rstrip(".") + _what_works(error)
         help_line = f"{context.command_path if context else 'palpd'} --help"
         raise BadInput(f"{sentence[:1].lower()}{sentence[1:]}; {help_line} shows what is expected") from None
     except typer.Abort:
         raise Refused("the question was not answered, so nothing was done; answer it, or give --yes where there is one") from None
     if code:
         sys.exit(code)
+
+
+def _what_works(error: Any) -> str:
+    """What to take instead, where a robot or a simulator was asked for that palpd does not know."""
+    option = getattr(getattr(error, "param", None), "name", "") if "is not one of" in str(error.message) else ""
+    if option == "model":
+        from palpd.config import OTHER_ROBOTS
+
+        return f": {OTHER_ROBOTS}"
+    if option == "to":
+        from palpd.interchange.simulators.export import OTHER_SIMULATORS
+
+        return f": {OTHER_SIMULATORS}"
+    return ""

@@ -34,12 +34,19 @@ from palpd.errors import BadInput, RecordingError
 from palpd.file_kinds import CSV, HTML, JSON, YAML
 from palpd.files import check_writable, write_json
 
+FEW_CASES = 20
+"""Number of cases below which a blind check shows the cases and no rates: of 19, a rate is known to a fifth at best."""
 DiagnosisOption = Annotated[
     Path | None, typer.Option("--json", help="write the figures to this file too"), Output(JSON, beside=(".next.csv", ".learned.yaml"))
 ]
 
 
-@app.command()
+@app.command(
+    examples=[
+        "palpd diagnose recording.csv --cell cell.yaml --report report.html --cell-out enriched.yaml",
+        "palpd diagnose run.mcap --site A",
+    ]
+)
 def diagnose(
     recordings: Annotated[
         list[Path], typer.Argument(help="recordings of one cell (.csv, .parquet, .mcap), or a folder of X.csv with X.yaml")
@@ -100,7 +107,7 @@ def diagnose(
     if report is not None:
         write_report(report, diagnosis, ", ".join(path.name for path in recordings))
     for line in diagnosis_lines(diagnosis.sentence, diagnosis.to_json()):
-        terminal().print(line, highlight=False)
+        terminal().print(line)
 
 
 def _refuse_for_a_folder(folder: Path, options: Mapping[str, object]) -> None:
@@ -146,11 +153,11 @@ def _diagnose_fleet(
     if len(cells) < len(rows):
         terminal().print(fleet_table(cells))
     if adopted is not None and (weighed := adopted_sentence(adopted, known)):
-        terminal().print(weighed, highlight=False, soft_wrap=True)
+        terminal().print(weighed, soft_wrap=True)
     write_json(json_file, {"recordings": [asdict(row) for row in rows], "cells": [asdict(cell) for cell in cells]})
 
 
-@app.command()
+@app.command(examples=["palpd resolve --config cell/config.yaml --rounds 2"], apart={"recordings": ("plan",)})
 def resolve(
     config: ConfigOption = DEFAULT_CONFIG,
     recordings: Annotated[
@@ -207,7 +214,7 @@ def resolve(
         }
         end = carried_out("resolve", arguments, settings, settings.paths.runs, agree)
         stands = fetch(end.figures.get("folder"), target) if target is not None else end.figures.get("folder")
-        terminal().print(f"Everything is kept in {stands}; the page is gap.html.", highlight=False)
+        terminal().print(f"Everything is kept in {stands}; the page is gap.html.")
         write_json(json_file, end.figures)
         finish(end.exit_code, end.reason)
         return
@@ -218,18 +225,18 @@ def resolve(
     own = adopted_folder(adopted)
     known = library(effects, adopted=own)
     if own is not None and (weighed := adopted_sentence(own, known)):
-        terminal().print(weighed, highlight=False, soft_wrap=True)
+        terminal().print(weighed, soft_wrap=True)
     kept = kept_in(folder or settings.paths.runs, "resolve" if folder is None else None)
     nominal = load_cell(cell, known) if cell else settings.cell.assumed_at_site(first_plan.sites[0].name)
     host = ForegroundHost(settings, devices, display(), agree)
     host.display.say(f"This makes at most {rounds} run{'s' * (rounds != 1)}.")
     result = loop.resolve(loop.Setting(host, nominal, kept, known, max_depth_m, take_reference), first_plan, recordings or (), rounds)
-    terminal().print(f"Everything is kept in {kept}; the page is gap.html.", highlight=False)
+    terminal().print(f"Everything is kept in {kept}; the page is gap.html.")
     write_json(json_file, result)
     finish(3 if result["verdict"] == "stopped" else 0, result["reason"])
 
 
-@app.command()
+@app.command(examples=["palpd simulate recording.csv --cell enriched.yaml --csv predicted.csv"])
 def simulate(
     motion: Annotated[Path, typer.Argument(help="t_s and z_m or z_cmd_m (.csv)")],
     cell: CellOption,
@@ -265,7 +272,13 @@ def simulate(
     terminal().print(f"{csv}: {len(samples)} rows, {samples.duration_s:.1f} s.")
 
 
-@app.command("export-sim")
+@app.command(
+    "export-sim",
+    examples=[
+        "palpd export-sim enriched.yaml --to fmu --out enriched-fmu",
+        "palpd export-sim enriched.yaml --to mujoco --out enriched-mujoco",
+    ],
+)
 def export_sim(
     cell: Annotated[Path, typer.Argument(help="cell.yaml, enriched or not")],
     to: Annotated[Literal["mujoco", "fmu"], typer.Option("--to", help="the simulator (both need palpd[sim])")],
@@ -297,11 +310,10 @@ def export_sim(
     terminal().print(
         f"{out}: the cell for {to}{also}. Its rollout of motion.csv differs from palpd simulate by {written.agreement.worst:.1e} times the "
         f"noise ({written.agreement.channel}). README.md in it says how to run it.",
-        highlight=False,
     )
 
 
-@app.command()
+@app.command(examples=["palpd tolerances healthy-1.csv healthy-2.csv --cell cell.yaml"])
 def tolerances(
     recordings: Annotated[list[Path], typer.Argument(help="recordings of a healthy cell")],
     cell: CellOption,
@@ -318,7 +330,15 @@ def tolerances(
     write_json(json_file, blocks)
 
 
-@app.command("effects")
+@app.command(
+    "effects",
+    examples=["palpd effects", "palpd effects tissue.thickness --cell cell.yaml"],
+    apart={
+        "adopt": ("names", "remove", "effects", "adopted"),
+        "remove": ("names", "effects", "adopted", "name", "cell", "json_file", "accept_implausible"),
+        "names": ("name", "accept_implausible"),
+    },
+)
 def effects_(
     names: Annotated[
         list[str] | None, typer.Argument(help="effects to compare with the library (default: those given with --effects)")
@@ -341,22 +361,17 @@ def effects_(
     from palpd.gap.commands import effects_named, library
     from palpd.gap.similar_effects import similar_effects
 
-    if sum(asked is not None for asked in (adopt, remove, names or None)) > 1 or (
-        (name is not None or accept_implausible) and adopt is None
-    ):
-        raise BadInput(
-            "--adopt, --remove and effects to compare exclude each other, and --name and --accept-implausible belong to --adopt; "
-            "give one of them"
-        )
+    if (name is not None or accept_implausible) and adopt is None:
+        raise BadInput("--name and --accept-implausible belong to --adopt, which is not given; give it, or leave them out")
     folder = user_folder()
     if adopt is not None:
         with terminal().status("adopting"):
             written = adoption.adopt(adopt, folder, name, load_cell(cell) if cell else nominal(), accept_implausible)
-        terminal().print(f"{written.law.id} is adopted ({written.path}). {written.sentence}", highlight=False, soft_wrap=True)
+        terminal().print(f"{written.law.id} is adopted ({written.path}). {written.sentence}", soft_wrap=True)
         write_json(json_file, written.to_json())
         return
     if remove is not None:
-        terminal().print(f"{remove} is removed ({adoption.remove(remove, folder)}).", highlight=False, soft_wrap=True)
+        terminal().print(f"{remove} is removed ({adoption.remove(remove, folder)}).", soft_wrap=True)
         return
     say_broken_effects()
     known = library(effects, adopted=folder if adopted else None)
@@ -375,7 +390,25 @@ def effects_(
     write_json(json_file, content)
 
 
-@app.command()
+@app.command(
+    examples=["palpd blind --cases 3 --jobs 1 --keep look"],
+    apart={
+        "advice": (
+            "source",
+            "recordings",
+            "causes",
+            "large",
+            "unlisted",
+            "coarse",
+            "docs",
+            "keep",
+            "resume",
+            "ablation",
+            "compare",
+            "others",
+        )
+    },
+)
 def blind(
     cases: Annotated[int, typer.Option("--cases", min=1, help="how many cells of each source; 200 for a look, 1000 for a table")] = 200,
     seed: Annotated[int, typer.Option("--seed", min=0, help="the same seed draws the same cells")] = 1,
@@ -415,7 +448,7 @@ def blind(
     from palpd.blind.check import run
     from palpd.blind.comparison import ablation_named, load_ablations, load_other_sources
     from palpd.blind.figures import PAGE_FILES, write_page
-    from palpd.blind.score import tables_as_markdown
+    from palpd.blind.score import cases_as_markdown, tables_as_markdown
     from palpd.blind.sources import Hosts, sources_named
 
     if docs is not None:
@@ -432,7 +465,12 @@ def blind(
             cases, seed, sources=sources, hosts=hosts, large=large, unlisted=unlisted, coarse=coarse, jobs=jobs, ablation=chosen,
             keep=keep, resume=resume, progress=advance,
         )  # fmt: skip
-    terminal().print(tables_as_markdown(result["tables"]), soft_wrap=True)
+    if len(result["outcomes"]) < FEW_CASES:
+        terminal().print(cases_as_markdown(result["outcomes"]), soft_wrap=True)
+        n = len(result["outcomes"])
+        terminal().print(f"{n} case{'s' * (n != 1)} cannot show rates: --cases 200 gives a table of them. --json holds all figures.")
+    else:
+        terminal().print(tables_as_markdown(result["tables"]), soft_wrap=True)
     write_json(json_file, result)
     if docs is not None:
         terminal().print(str(write_page(result, docs, beside, more)))
@@ -443,7 +481,7 @@ def _blind_advice(cases: int, seed: int, jobs: int, json_file: Path | None) -> N
 
     with _progress("advice", cases) as advance:
         result = run(cases, seed, jobs=jobs, progress=advance)
-    terminal().print(sentence(result["table"]), highlight=False)
+    terminal().print(sentence(result["table"]))
     write_json(json_file, result)
 
 

@@ -13,13 +13,25 @@ from palpd.file_kinds import COURSE, HTML, PICTURE
 from palpd.files import check_writable, write_json
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from palpd.history.catalogue import Catalogue, RunFilter
 
+MOST_COLUMNS = 1000
+"""Widest table: a row has a reason of 60 letters and moduli of as many sites as a plan has."""
+MOST_UNBROKEN = 12
+"""Letters of a word in a narrow table up to which it is not broken; names and figures never are."""
 FolderOption = Annotated[Path | None, typer.Option("--folder", help="folder of the runs (default: paths.runs of --config)")]
 RunArgument = Annotated[str, typer.Argument(metavar="RUN", help="a recording (.mcap), a name that palpd runs shows, or: last")]
 
 
-@app.command()
+LISTING = ("since", "until", "site", "verdict", "kind", "tagged", "text", "most", "trend", "rebuild", "json_file")
+"""Options of `palpd runs` that list; with runs to tag they would not count."""
+
+
+@app.command(
+    examples=["palpd runs --folder runs", "palpd runs last --folder runs --tag good"], apart={"chosen": LISTING, "trend": ("most",)}
+)
 def runs(
     chosen: Annotated[
         list[str] | None, typer.Argument(metavar="[RUN]...", help="runs to tag or to note something of: paths, names, or: last")
@@ -71,7 +83,7 @@ def runs(
             _say(f"note: {sentence}")
 
 
-@app.command()
+@app.command(examples=["palpd info last --folder runs", "palpd info run.mcap"])
 def info(
     run: RunArgument,
     course: Annotated[
@@ -98,7 +110,7 @@ def info(
     for line in before:
         _say(line)
     if facts["sites"]:
-        terminal().print(moduli_table(facts["sites"]))
+        _show(moduli_table(facts["sites"]))
     for line in after:
         _say(line)
     words = {
@@ -111,7 +123,7 @@ def info(
     write_json(json_file, {**facts, **words})
 
 
-@app.command()
+@app.command(examples=["palpd report run.mcap", "palpd report last --folder runs --pdf run.pdf"])
 def report(
     run: RunArgument,
     beside: Annotated[str | None, typer.Option("--beside", metavar="OTHER", help="a run to compare it with: path, name, or: last")] = None,
@@ -156,7 +168,18 @@ def _say(line: str) -> None:
     """Print a line as it is: what files hold is neither markup nor a command to the terminal."""
     from palpd.history.stored import printable
 
-    terminal().print(printable(line), highlight=False, markup=False, soft_wrap=True)
+    terminal().print(printable(line), soft_wrap=True)
+
+
+def _show(table: "Table") -> None:
+    """Print a table with a line for each row in a pipe; in a narrow terminal its lines run on: a broken name cannot be copied."""
+    console = terminal()
+    for column in table.columns:
+        cells = [str(column.header), *map(str, column.cells)]
+        column.min_width = max(map(len, cells)) if column.no_wrap else min(max(map(len, " ".join(cells).split())), MOST_UNBROKEN)
+    width = table.__rich_measure__(console, console.options.update(max_width=MOST_COLUMNS))
+    table.width = max(width.minimum, min(width.maximum, console.width)) if console.is_terminal else width.maximum
+    console.print(table, crop=False)
 
 
 def _remark(chosen: list[str], tag: list[str], untag: list[str], note: str, place: Path) -> None:
@@ -192,7 +215,7 @@ def _print_runs(catalogue: "Catalogue", only: "RunFilter", most: int, place: Pat
 
     entries, count = catalogue.runs(replace(only, most=most)), catalogue.count(only)
     if entries:
-        terminal().print(runs_table(entries))
+        _show(runs_table(entries))
     else:
         _say(f"No run in {place} is like that.")
     if count > most:
@@ -206,9 +229,9 @@ def _print_trend(catalogue: "Catalogue", site: str, only: "RunFilter", json_file
 
     points, slopes, effects = site_trend(catalogue, site, only)
     if points:
-        terminal().print(modulus_trend_table(points, site))
+        _show(modulus_trend_table(points, site))
     if effects:
-        terminal().print(effect_trend_table(effects))
+        _show(effect_trend_table(effects))
     for line in slope_lines(slopes):
         _say(line)
     write_json(json_file, trend_as_json(site, points, slopes, effects) | {"notes": catalogue.notes})

@@ -25,7 +25,7 @@ MOST_LETTERS = 60
 
 
 LEFT = {"run", "ended", "static E (kPa)", "tags", "reason, note", "site", "cut short", "effect", "parameter"}
-WHOLE = {"began", "static", "dynamic", "corrected", "peak", "value"}
+WHOLE = {"run", "began", "static", "dynamic", "corrected", "peak", "value"}
 """Columns that are not broken into lines."""
 
 
@@ -125,8 +125,7 @@ def modulus_trend_table(points: "Sequence[ModulusPoint]", site: str) -> Table:
     Returns:
         The table.
     """
-    title = f"Site {printable(site)} over the days, kPa ± 95 %".replace("[", "\\[")
-    table = _table(title, "began", "run", "static", "dynamic", "corrected")
+    table = _table(f"Site {printable(site)} over the days, kPa ± 95 %", "began", "run", "static", "dynamic", "corrected")
     for point in points:
         of = point.moduli
         static = _modulus(of.static_Pa, of.static_ci95_Pa, of.hertz_misfit)

@@ -11,6 +11,7 @@ import typer
 
 from palpd.cell.plausible import ACCEPT_OPTION
 from palpd.cli.at_once import DEFAULT_CONFIG
+from palpd.cli.command_groups import GroupedCommands
 from palpd.cli.output_options import Application, Output
 from palpd.errors import BadInput
 from palpd.file_kinds import JSON
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
     from palpd.control.plan_place import Choice
 
 app = Application(
+    cls=GroupedCommands,
     help="Press soft tissue with a UR5 and a HEX-70, say how stiff it is, and why a cell does not behave like its simulation.",
+    epilog="palpd COMMAND --help shows the options of a command, and examples. Begin with palpd demo, or with docs/start.md.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # help in colours takes 0.3 s more to import
@@ -71,10 +74,15 @@ __all__ = [
 
 @cache
 def terminal() -> "Console":
-    """The terminal that the commands print to; made when something is printed, since rich takes a tenth of a second to import."""
+    """The terminal that the commands print to; made when something is printed, since rich takes a tenth of a second to import.
+
+    Texts are printed as they are, since names of files and sites may look like markup. In a pipe no line is broken.
+    """
     from rich.console import Console
 
-    return Console()
+    console = Console(markup=False, highlight=False)
+    console.soft_wrap = not console.is_terminal
+    return console
 
 
 def display() -> "TerminalDisplay":
@@ -116,8 +124,10 @@ def shown_steps(activity: str, progress: bool) -> Iterator[Callable[[str], None]
     if progress:
         yield lambda step: print(step, file=sys.stderr, flush=True)
         return
+    from rich.text import Text
+
     with terminal().status(activity) as status:
-        yield lambda step: status.update(f"{activity}: {step}".replace("[", "\\["))
+        yield lambda step: status.update(Text(f"{activity}: {step}"))
 
 
 def finish(exit_code: int, reason: str) -> None:
@@ -156,7 +166,7 @@ def clear_latch(config: "Config") -> None:
 
     latch = State(config.paths.state).clear_latch()
     if latch is not None:
-        terminal().print(f"[yellow]The last run was stopped on {latch.date}: {latch.reason}. This start clears it.[/]")
+        terminal().print(f"The last run was stopped on {latch.date}: {latch.reason}. This start clears it.", style="yellow")
 
 
 def place_choice(here: bool, go_back: bool) -> "Choice | None":

@@ -1,12 +1,14 @@
 """What commands write: an option that names an output says so beside its type, and all are checked here before a command begins."""
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
 
 import typer
+from typer.models import ArgumentInfo, ParameterInfo
 
 from palpd.errors import BadInput
 from palpd.file_kinds import RECORDING
@@ -67,23 +69,41 @@ _CHECKS: Mapping[str, Callable[[Path], None]] = {
 }
 
 
+_EXAMPLES = "\b\nExamples:"
+"""How the end of a command's help begins; the first letter keeps its lines as they are."""
+
+
+def examples_of(command: Any) -> list[str]:
+    """The lines that the help of a registered command gives as examples."""
+    return [line.strip() for line in (command.epilog or "").removeprefix(_EXAMPLES).splitlines() if line.strip()]
+
+
 class Application(typer.Typer):
     """An application whose commands write over nothing that they read, and over nothing that palpd did not make without --force."""
 
-    def command(self, name: str | None = None, **settings: Any) -> Callable[[Command], Command]:
+    def command(
+        self,
+        name: str | None = None,
+        *,
+        examples: Sequence[str] = (),
+        apart: Mapping[str, Sequence[str]] = MappingProxyType({}),
+        **settings: Any,
+    ) -> Callable[[Command], Command]:
         """Register a command; its function stays as it is.
 
         Args:
             name: Name of the command; the function's where not given.
+            examples: Lines that a person may type, which its help ends with.
+            apart: Parameters with which others would be left out without a word, so that both together are refused.
             settings: What typer takes besides.
 
         Returns:
             The decorator.
         """
-        register = super().command(name, **settings)
+        register = super().command(name, epilog=_EXAMPLES + "\n  ".join(("", *examples)), **settings)
 
         def registered(command: Command) -> Command:
-            register(_with_checked_files(command))
+            register(_with_checks(command, apart))
             return command
 
         return registered
@@ -105,8 +125,8 @@ def _holds_path(hint: Any) -> bool:
     return hint is Path or any(map(_holds_path, get_args(hint)))
 
 
-def _with_checked_files(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The same command, which checks its outputs first, with --force where it has any."""
+def _with_checks(command: Callable[..., Any], apart: Mapping[str, Sequence[str]]) -> Callable[..., Any]:
+    """The same command, which checks its options and its outputs first, with --force where it has any."""
     outputs, inputs = outputs_of(command), inputs_of(command)
     signature = inspect.signature(command)
     takes_force = bool(outputs) and "force" not in signature.parameters
@@ -119,6 +139,7 @@ def _with_checked_files(command: Callable[..., Any]) -> Callable[..., Any]:
         with file_use(_paths(values[name] for name in inputs), force=force):
             for name, output in outputs.items():
                 output.check(values[name])
+            _refuse_together(command, apart, values)
             return command(**values)
 
     if takes_force:
@@ -126,6 +147,50 @@ def _with_checked_files(command: Callable[..., Any]) -> Callable[..., Any]:
         checked.__signature__ = signature.replace(parameters=[*signature.parameters.values(), force])  # type: ignore[attr-defined]
         checked.__annotations__ = {**command.__annotations__, "force": ForceOption}
     return checked
+
+
+def _refuse_together(command: Callable[..., Any], apart: Mapping[str, Sequence[str]], values: Mapping[str, Any]) -> None:
+    """Refuse options of which one would be left out without a word. Raises BadInput."""
+    for name in apart:
+        if _given(command, values, name):
+            refuse_left_out(command, values, apart[name], f"{_spelled(command, name, values)} is given")
+
+
+def refuse_left_out(
+    command: Callable[..., Any],
+    values: Mapping[str, Any],
+    names: Iterable[str],
+    why: str,
+    advice: str = "leave out the one or the other",
+) -> None:
+    """Refuse options that would not count.
+
+    Args:
+        command: The command.
+        values: Values of its parameters.
+        names: Parameters that would not count.
+        why: Why they would not.
+        advice: What to do.
+
+    Raises:
+        BadInput: One of them is given.
+    """
+    given = [_spelled(command, name, values) for name in names if _given(command, values, name)]
+    if given:
+        raise BadInput(f"{why}, so {' and '.join(given)} would not count; {advice}")
+
+
+def _given(command: Callable[..., Any], values: Mapping[str, Any], name: str) -> bool:
+    return values[name] not in (inspect.signature(command).parameters[name].default, [], ())
+
+
+def _spelled(command: Callable[..., Any], name: str, values: Mapping[str, Any]) -> str:
+    """A parameter as a person types it: the name of an option, or of an argument; of a flag, the side that was given."""
+    info = next(part for part in get_args(get_type_hints(command, include_extras=True)[name]) if isinstance(part, ParameterInfo))
+    if isinstance(info, ArgumentInfo):
+        return str(info.metavar or name.upper()).strip("[].")
+    on, _, off = str(info.default if isinstance(info.default, str) else (info.param_decls or ("",))[0]).partition("/")
+    return off if values[name] is False and off else on
 
 
 def _refuse_number(name: str, value: object) -> None:

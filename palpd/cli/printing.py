@@ -25,7 +25,7 @@ def print_run(result: "RunResult") -> None:
         turned = ", ".join(f"{each:+.3f}" for each in rotation_rad)
         show(f"Tip at ({x_m:+.4f}, {y_m:+.4f}, {z_m:+.4f}) m in base axes, rotation vector ({turned}) rad. Nothing was commanded.")
     for note in result["notes"]:
-        show(f"[yellow]note:[/] {note}")
+        show(f"note: {note}", style="yellow")
     print_last_ticks(result["last_ticks"])
     show(f"{result['verdict']}: {result['recording'] or 'nothing was recorded'}")
 
@@ -35,14 +35,13 @@ def print_demonstration(demonstration: "Demonstration") -> None:
     show, result, card = terminal().print, demonstration.result, demonstration.card
     if "diagnosis" in result:
         for line in diagnosis_lines(result["diagnosis"]["sentence"], result["diagnosis"]):
-            show(line, highlight=False)
+            show(line)
         if check := result["diagnosis"].get("another_motion"):
             added = "the law" if result["diagnosis"]["learned"] else "the named effects"
             closed = "" if check["closed"] is None else f": {check['closed']:.0%} of the gap closed"
             show(
                 f"On another motion {check['channel']} is {check['before_rms']:.3g} rms off without {added} and "
                 f"{check['after_rms']:.3g} with it; noise makes {check['noise']:.3g}{closed}.",
-                highlight=False,
             )
         return
     print_last_ticks(result["last_ticks"])

@@ -13,13 +13,13 @@ from palpd.cli.curve_options import (
     HeightDownPositive,
 )
 from palpd.cli.options import AcceptImplausible, JsonOption, SiteOption, app, terminal
-from palpd.cli.output_options import Output
+from palpd.cli.output_options import Output, refuse_left_out
 from palpd.errors import BadInput
 from palpd.file_kinds import CSV, PARQUET, YAML
 from palpd.files import write_json, write_yaml
 
 
-@app.command()
+@app.command(examples=["palpd replay run.mcap"])
 def replay(
     recording: Annotated[Path, typer.Argument(help="a recording (.mcap), or a CSV of one site")],
     config: Annotated[Path | None, typer.Option("--config", help="judge it by this configuration instead of its own")] = None,
@@ -48,7 +48,7 @@ def replay(
     write_json(json_file, judged)
 
 
-@app.command()
+@app.command(examples=["palpd export run.mcap --site A --csv site-A.csv"])
 def export(
     recording: Annotated[Path, typer.Argument(help="a recording (.mcap)")],
     csv: Annotated[Path | None, typer.Option("--csv", help="file to write, one row a sensor sample"), Output(CSV)] = None,
@@ -77,7 +77,7 @@ def export(
         terminal().print(f"{file}: {len(samples)} rows, {samples.duration_s:.1f} s.")
 
 
-@app.command()
+@app.command(examples=["palpd recover cut-off.part"])
 def recover(part: Annotated[Path, typer.Argument(help="FILE.part of a run that was cut off")]) -> None:
     """Make a readable recording of what a crash left behind."""
     from palpd.recording.reader import recover as restore
@@ -86,7 +86,14 @@ def recover(part: Annotated[Path, typer.Argument(help="FILE.part of a run that w
     terminal().print(f"{recovered.path}: {recovered.sentence}")
 
 
-@app.command("import")
+@app.command(
+    "import",
+    examples=[
+        "palpd import press.csv",
+        "palpd import press.csv --force-column 'Force (mN)' --height-column 'Height (mm)' --time-column 'Time (s)' "
+        "--compression-negative --units confirmed --csv recording.csv",
+    ],
+)
 def import_(
     files: Annotated[
         list[Path], typer.Argument(help="a table, bag, TDMS, MATLAB or AFM file; or two, one with the motion and one with the force")
@@ -131,15 +138,18 @@ def import_(
     accept_implausible: AcceptImplausible = False,
 ) -> None:
     """Turn what another machine recorded into a recording that `palpd diagnose` and `palpd replay` read."""
+    values = locals()
     from palpd.interchange.import_files import ImportOptions, columns_given, import_files, source_of
 
     show = terminal().print
     if csv is None:
+        others = values.keys() - {"files", "csv"}
+        refuse_left_out(import_, values, sorted(others), "without --csv files are only listed", "give --csv too, or leave them out")
         for path in files:
             source = source_of(path)
-            show(f"{path} is {source.reader.name}; it holds", highlight=False, markup=False)
+            show(f"{path} is {source.reader.name}; it holds")
             for channel in source.channels:
-                show(f"  {channel}", highlight=False, markup=False)
+                show(f"  {channel}")
         return
     options = ImportOptions(
         force_column=force_column,
@@ -167,11 +177,11 @@ def import_(
     )
     imported = import_files(files, options, csv)
     for note in imported.notes:
-        show(note, highlight=False, markup=False)
+        show(note)
     show(f"{csv}: {len(imported.samples)} rows, {imported.samples.duration_s:.1f} s.")
 
 
-@app.command("cell-from")
+@app.command("cell-from", examples=["palpd cell-from recording.csv --tip-radius-m 0.004 --out cell.yaml"])
 def cell_from(
     recordings: Annotated[list[Path], typer.Argument(help="recordings of one cell (.csv, .parquet, .mcap)")],
     out: Annotated[Path, typer.Option("--out", help="cell.yaml to write; every value says where it comes from"), Output(YAML)],
@@ -187,5 +197,5 @@ def cell_from(
     first = first_cell([read_recording(path, site) for path in recordings], tip_radius_m, accept_implausible)
     write_yaml(out, written_out(first, names))
     for sentence in first.sentences:
-        terminal().print(sentence, highlight=False, markup=False)
-    terminal().print(f"{out}: read its comments, and correct what you know better.", highlight=False, markup=False)
+        terminal().print(sentence)
+    terminal().print(f"{out}: read its comments, and correct what you know better.")

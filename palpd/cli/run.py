@@ -32,7 +32,13 @@ if TYPE_CHECKING:
     from palpd.daemon.programs import ProgramEnd
 
 
-@app.command()
+@app.command(
+    examples=[
+        "palpd run --config cell/config.yaml --plan cell/plan.yaml --dry",
+        "palpd run --config cell/config.yaml --plan cell/plan.yaml",
+    ],
+    apart={"dry": ("here", "go_back")},
+)
 def run(
     config: ConfigOption = DEFAULT_CONFIG,
     plan: PlanOption = DEFAULT_PLAN,
@@ -60,12 +66,12 @@ def run(
     result = run_result(report)
     print_run(result)
     if report.recording is not None and settings.paths.write_reports:
-        terminal().print(f"report, in some seconds: {report_path(report.recording)}", soft_wrap=True, highlight=False, markup=False)
+        terminal().print(f"report, in some seconds: {report_path(report.recording)}", soft_wrap=True)
     write_json(json_file, result)
     finish(report.exit_code, report.reason)
 
 
-@app.command()
+@app.command(examples=["palpd calibrate --config cell/config.yaml"])
 def calibrate(
     config: ConfigOption = DEFAULT_CONFIG,
     temperature_C: Annotated[float | None, typer.Option("--temperature-C", help="of the sensor, if known; kept with the tare")] = None,
@@ -88,7 +94,7 @@ def calibrate(
     except Refused as refused:
         if "--probe-free" not in str(refused) or not sys.stdin.isatty():  # a job of the service passes the sentence on, and nothing else
             raise
-        terminal().print(f"{refused}.", soft_wrap=True, highlight=False, markup=False)
+        terminal().print(f"{refused}.", soft_wrap=True)
         if not typer.confirm("Is the probe free? Look at it."):
             raise
         end = taken(True)
@@ -97,7 +103,7 @@ def calibrate(
     terminal().print(f"Reference tare ({forces}) N of sensor {end.figures['sensor_serial'] or 'unknown'} kept in {end.figures['state']}.")
 
 
-@app.command("free-motion")
+@app.command("free-motion", examples=["palpd free-motion --config cell/config.yaml --out free.mcap"])
 def free_motion(
     out: Annotated[Path, typer.Option("--out", help="recording to write (.mcap)"), Output(NEW_RECORDING)],
     config: ConfigOption = DEFAULT_CONFIG,
@@ -120,7 +126,7 @@ def free_motion(
     finish(end.exit_code, end.reason)
 
 
-@app.command()
+@app.command(examples=["palpd stiffness --config cell/config.yaml"])
 def stiffness(config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = None) -> None:
     """Press a rigid plate and keep how far sensor and arm give way; every depth is corrected by it afterwards."""
     from palpd.cli.jobs import carried_out
@@ -138,47 +144,64 @@ def stiffness(config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = Non
     write_json(json_file, end.figures)
 
 
-@app.command("level-test")
-def level_test(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+NoWaitOption = Annotated[bool, typer.Option("--no-wait", help="where the service does it: do not wait for its end")]
+
+
+@app.command("level-test", examples=["palpd level-test --config cell/config.yaml"])
+def level_test(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, no_wait: NoWaitOption = False) -> None:
     """Go 5 mm straight up, slowly, and say whether the probe is free: the force must not change with the height."""
-    _go_up("level-test", "The daemon tests on the way up; palpd status says how it ends.", config, socket)
+    _go_up("level-test", config, socket, no_wait)
 
 
-@app.command()
-def retract(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+@app.command(examples=["palpd retract --config cell/config.yaml"])
+def retract(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, no_wait: NoWaitOption = False) -> None:
     """Leave the tissue after a stop: straight up, slowly, under the guard. Works while the stop is latched, and leaves it latched."""
-    _go_up("retract", "The daemon leaves the tissue; palpd status says how it ends.", config, socket)
+    _go_up("retract", config, socket, no_wait)
 
 
-def _go_up(command: Literal["retract", "level-test"], begun: str, config: Path, socket: Path | None) -> None:
-    """Ask the service for that way up; go it in the foreground where none answers."""
-    from palpd.cli.at_once import speak
+def _go_up(command: Literal["retract", "level-test"], config: Path, socket: Path | None, no_wait: bool) -> None:
+    """Ask the service for that way up and wait for its end; go it in the foreground where none answers."""
+    from palpd.cli.at_once import control_socket, probe_lines
     from palpd.cli.last_ticks import print_last_ticks
-    from palpd.daemon.socket_client import NoDaemon
+    from palpd.daemon.job_client import awaited
+    from palpd.daemon.socket_client import NoDaemon, ask
 
+    show, path = terminal().print, socket or control_socket(config)
     try:
-        speak({"do": command}, config, socket)
+        begun = ask(path, {"do": command})
     except NoDaemon:
         if socket is not None:
             raise
     else:
-        terminal().print(begun)
+        if no_wait or "id" not in begun:  # a service of an older palpd does not say it
+            show("The daemon goes up; palpd status says how it ends.")
+            return
+        job = awaited(path, begun["id"], display())
+        print_last_ticks(job["result"]["last_ticks"])
+        show(f"{job['verdict']}: {job['result']['recording'] or 'nothing was recorded'}", soft_wrap=True)
+        for line in probe_lines(ask(path, {"do": "status"}).get("probe"), None):
+            show(line, soft_wrap=True)
+        finish(job["exit_code"], job["reason"])
         return
     from palpd.config import Plan, load_config
-    from palpd.daemon.session import carry_out, job
+    from palpd.daemon.session import carry_out
+    from palpd.daemon.session import job as checked_job
     from palpd.daemon.wiring import devices
 
     settings = load_config(config)
     check_kept(settings)
-    report = carry_out(job("retract" if command == "retract" else "level_test", settings, Plan()), devices, display())
+    report = carry_out(checked_job("retract" if command == "retract" else "level_test", settings, Plan()), devices, display())
     print_last_ticks(report.last_ticks)
-    terminal().print(f"{report.verdict}: {report.recording}")
+    show(f"{report.verdict}: {report.recording or 'nothing was recorded'}", soft_wrap=True)
     if report.probe is not None:
-        terminal().print(f"{report.probe.sentence}.", soft_wrap=True, highlight=False, markup=False)
+        show(f"{report.probe.sentence}.", soft_wrap=True)
     finish(report.exit_code, report.reason)
 
 
-@app.command()
+@app.command(
+    examples=["palpd demo", "palpd demo --effect tissue.viscoelastic --no-wires"],
+    apart={"page": ("full", "effect", "wires", "json_file"), "effect": ("full",)},
+)
 def demo(
     full: Annotated[bool, typer.Option("--full", help="the paper's plan: 3 to 10 mm, 10 s holds, ten presses a depth")] = False,
     effect: Annotated[
@@ -200,10 +223,7 @@ def demo(
     from palpd.cli.printing import print_demonstration
     from palpd.daemon import demo as show
     from palpd.daemon.run_reports import begin_report
-    from palpd.errors import BadInput
 
-    if page and (full or not wires or effect is not None or json_file is not None):
-        raise BadInput("--page serves the emulated cell and palpates nothing by itself; leave --full, --effect, --no-wires and --json out")
     if wires:
         _require_library(page)
     if page:
@@ -262,7 +282,7 @@ def _serve_demo(folder: Path | None) -> None:
     finish(3 if code else 0, f"the server of the page has died ({f'signal {-code}' if code < 0 else f'exit code {code}'}); see {log}")
 
 
-@app.command()
+@app.command(examples=["palpd sim --config cell/config.yaml --plan cell/plan.yaml"], apart={"cell": ("configured",)})
 def sim(
     plan: PlanOption = DEFAULT_PLAN,
     config: ConfigOption = DEFAULT_CONFIG,
@@ -280,10 +300,7 @@ def sim(
     from palpd.daemon.motion_process import Job
     from palpd.daemon.run_result import simulated_result
     from palpd.daemon.simulated_run import run as simulate
-    from palpd.errors import BadInput
 
-    if configured and cell is not None:
-        raise BadInput("--cell and --configured-cell each name the cell to press; give one of them")
     settings, steps = load_config(config), load_plan(plan)
     refuse_unsafe(settings, steps)
     library = load_effects()
@@ -297,7 +314,10 @@ def sim(
     finish(0 if result["verdict"] == "done" else 3, result["reason"])
 
 
-@app.command()
+@app.command(
+    examples=["palpd emulate --sensor-link hex", "palpd emulate --model ur5e --cell cell.yaml --sensor-link hex"],
+    apart={"net_ft_port": ("sensor_link", "fz_parts_at")},
+)
 def emulate(
     model: Annotated[Literal["ur5", "ur5e"], typer.Option("--model", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")] = "ur5",
     cell: Annotated[Path | None, typer.Option("--cell", help="cell.yaml of what the wires lead to (default: the paper's phantom)")] = None,

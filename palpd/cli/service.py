@@ -32,7 +32,7 @@ PAGE_PORT = 8700
 """Port of the operator's page, unless `--port` names another."""
 
 
-@app.command()
+@app.command(examples=["palpd serve --config cell/config.yaml"])
 def serve(config: ConfigOption = DEFAULT_CONFIG) -> None:
     """Run the daemon: connect, wait disarmed, obey the control socket."""
     from palpd.config import load_config
@@ -47,7 +47,7 @@ def serve(config: ConfigOption = DEFAULT_CONFIG) -> None:
     Service(settings, devices).serve()
 
 
-@app.command()
+@app.command(examples=["palpd web --config cell/config.yaml --plan cell/plan.yaml"])
 def web(
     config: ConfigOption = DEFAULT_CONFIG,
     listen: Annotated[
@@ -84,7 +84,9 @@ def web(
     os.execve(sys.executable, [sys.executable, "-m", "palpd.web", *map(str, words)], environment)
 
 
-@app.command()
+@app.command(
+    examples=["palpd status --config cell/config.yaml", "palpd status --config cell/config.yaml --watch"], apart={"watch": ("json_file",)}
+)
 def status(
     config: ConfigOption = DEFAULT_CONFIG,
     socket: SocketOption = None,
@@ -97,13 +99,13 @@ def status(
     at_once.status(config, socket, json_file)
 
 
-@app.command()
+@app.command(examples=["palpd arm --config cell/config.yaml"])
 def arm(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
     """Check the real devices, which takes some seconds, and let the daemon move at the next start."""
     print(at_once.speak({"do": "arm"}, config, socket)["state"])
 
 
-@app.command()
+@app.command(examples=["palpd start cell/plan.yaml --config cell/config.yaml"])
 def start(
     plan: Annotated[Path, typer.Argument(help="plan.yaml")],
     here: HereOption = False,
@@ -118,31 +120,31 @@ def start(
     print(at_once.speak({"do": "start", "plan": values, "place": place_choice(here, go_back)}, config, socket)["state"])
 
 
-@app.command()
+@app.command(examples=["palpd pause --config cell/config.yaml"])
 def pause(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
     """Leave the tissue, and wait at the safe height; `palpd resume` begins the press again."""
     print(at_once.position(at_once.speak({"do": "pause"}, config, socket)))
 
 
-@app.command()
+@app.command(examples=["palpd resume --config cell/config.yaml"])
 def resume(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
     """Go on after a pause."""
     print(at_once.position(at_once.speak({"do": "resume"}, config, socket)))
 
 
-@app.command()
+@app.command(examples=["palpd abort", "palpd abort --config cell/config.yaml"])
 def abort(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
     """Stop the arm and end the plan. A convenience, not an emergency stop."""
     at_once.abort(config, socket)
 
 
-@app.command()
+@app.command(examples=["palpd clear --config cell/config.yaml"])
 def clear(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
     """Clear the latch of the last stop, after looking at the cell."""
     print(at_once.speak({"do": "clear"}, config, socket)["state"])
 
 
-@app.command()
+@app.command(examples=["palpd jobs --config cell/config.yaml"])
 def jobs(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, json_file: JsonOption = None) -> None:
     """List the jobs of the daemon since it began: the running one, and the last ones with how they ended."""
     answer = at_once.speak({"do": "jobs"}, config, socket)
@@ -153,7 +155,13 @@ def jobs(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, jso
     write_json(json_file, answer)
 
 
-@app.command()
+@app.command(
+    examples=[
+        "palpd job 20260714-101502-map --config cell/config.yaml",
+        "palpd job 20260714-101502-map --cancel --config cell/config.yaml",
+    ],
+    apart={"cancel": ("agree", "json_file"), "agree": ("json_file",)},
+)
 def job(
     job_id: Annotated[str, typer.Argument(metavar="ID", help="as palpd jobs lists it")],
     agree: Annotated[bool | None, typer.Option("--agree/--decline", help="answer the motion that it proposes")] = None,
@@ -179,7 +187,7 @@ def job(
     write_json(json_file, answer)
 
 
-@app.command()
+@app.command(examples=["palpd controls --config cell/config.yaml"])
 def controls(
     free: Annotated[bool, typer.Option("--free", help="take them from whoever holds them, and let them go; logged")] = False,
     config: ConfigOption = DEFAULT_CONFIG,
@@ -195,7 +203,10 @@ def controls(
     print(f"{holder} holds the controls." if holder else "Nobody holds the controls.")
 
 
-@app.command()
+@app.command(
+    examples=["palpd stream --config cell/config.yaml --foxglove 8765 --metrics 9464", "palpd stream --layout palpd-layout.json"],
+    apart={"layout": ("foxglove", "metrics", "force")},
+)
 def stream(
     config: ConfigOption = DEFAULT_CONFIG,
     socket: SocketOption = None,
@@ -236,7 +247,7 @@ def stream(
     serving.serve(settings, socket or settings.paths.control_socket, outputs, lambda sentence: print(sentence, flush=True))
 
 
-@app.command()
+@app.command(examples=["palpd init cell", "palpd init cell --model ur5e --limit-N 10 --depths-mm 4,5"])
 def init(
     folder: Annotated[Path, typer.Argument(help="where to write both files"), Output(FOLDER)] = Path(),
     model: Annotated[Literal["ur5", "ur5e"], typer.Option("--model", help="ur5: CB3, 125 Hz; ur5e: e-Series, 500 Hz")] = "ur5",
@@ -255,11 +266,10 @@ def init(
     terminal().print(
         f"{config} and {plan} fit each other. Next: set robot.host and sensor.port in {config}, then palpd doctor --config {config}.",
         soft_wrap=True,
-        highlight=False,
     )
 
 
-@app.command()
+@app.command(examples=["palpd install --prefix build"])
 def install(
     prefix: Annotated[Path, typer.Option("--prefix", help="folder that stands for / (a package's build root)"), Output(FOLDER)] = Path("/"),
 ) -> None:
@@ -271,7 +281,7 @@ def install(
     terminal().print(NEXT_STEPS, soft_wrap=True)
 
 
-@app.command()
+@app.command(examples=["palpd doctor --config cell/config.yaml", "palpd doctor --config cell/config.yaml --weight-N 5"])
 def doctor(
     config: ConfigOption = DEFAULT_CONFIG,
     weight_N: Annotated[float | None, typer.Option("--weight-N", min=0.5, max=100, help="known weight to hang on the probe")] = None,
@@ -303,7 +313,7 @@ def doctor(
     finish(2 if failed else 0, f"{len(failed)} of {len(findings)} checks failed: {', '.join(finding.name for finding in failed)}")
 
 
-@app.command()
+@app.command(examples=["palpd migrate cell.yaml --dry-run", "palpd migrate cell.yaml"])
 def migrate(
     file: Annotated[Path, typer.Argument(help="config.yaml, cell.yaml or plan.yaml of an older palpd")],
     kind: Annotated[
@@ -318,18 +328,18 @@ def migrate(
     migration = migration_of(file, kind)
     show = terminal().print
     if not migration.changes:
-        show(migration.unchanged, soft_wrap=True, highlight=False, markup=False)
+        show(migration.unchanged, soft_wrap=True)
         return
     for sentence in migration.changes:
-        show(sentence, soft_wrap=True, highlight=False, markup=False)
+        show(sentence, soft_wrap=True)
     if dry_run:
         return
     kept = old or file.with_name(f"{file.name}.old")
     write(migration, kept)
-    show(f"{file} is written anew; as it was it is kept in {kept}.", soft_wrap=True, highlight=False, markup=False)
+    show(f"{file} is written anew; as it was it is kept in {kept}.", soft_wrap=True)
 
 
-@app.command("check-config")
+@app.command("check-config", examples=["palpd check-config cell/config.yaml --plan cell/plan.yaml"])
 def check_config(
     config: Annotated[Path, typer.Argument(help="config.yaml")],
     plan: Annotated[Path | None, typer.Option("--plan", help="plan.yaml to judge with it")] = None,

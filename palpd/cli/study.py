@@ -11,7 +11,10 @@ from palpd.file_kinds import HTML, JSON
 from palpd.files import check_writable, write_json
 
 
-@app.command()
+@app.command(
+    examples=["palpd study --days 0 --out study", "palpd study --published"],
+    apart={"published": ("out", "seed", "days", "bare", "free", "palpation", "cell"), "palpation": ("seed", "days")},
+)
 def study(
     out: Annotated[Path, typer.Option("--out", help="folder for study.html and study.json"), Output(FOLDER)] = Path("study"),
     seed: Annotated[int, typer.Option("--seed", min=0, help="another laboratory: noise, tares, biases")] = 0,
@@ -32,7 +35,6 @@ def study(
 
     sources = Sources(bare or [], free or [], palpation, cell or [])
     if published:
-        sources.refuse_any()
         _published_gap(json_file)
         return
     if out.is_dir():
@@ -56,5 +58,5 @@ def _published_gap(json_file: Path | None) -> None:
 
     figures = study_paper.published()
     terminal().print(published_table(figures))
-    terminal().print(figures["sentence"], highlight=False)
+    terminal().print(figures["sentence"])
     write_json(json_file, figures)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
+from rich.text import Text
 
 if TYPE_CHECKING:
     from palpd.analysis.results import SiteResult
@@ -203,7 +204,7 @@ def finding_table(findings: "Sequence[Finding]") -> Table:
     table = Table("check", "", "measured", "what to do")
     colours = {"ok": "green", "warn": "yellow", "fail": "red"}
     for finding in findings:
-        table.add_row(finding.name, f"[{colours[finding.verdict]}]{finding.verdict}[/]", finding.measured, finding.advice)
+        table.add_row(finding.name, Text(finding.verdict, colours[finding.verdict]), finding.measured, finding.advice)
     return table
 
 

@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager, contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
 from palpd.daemon.display import JobProgress, ShowProgress
 
@@ -16,12 +17,12 @@ class TerminalDisplay:
         self._console = console
 
     def say(self, sentence: str) -> None:
-        """Print one sentence as it is, without markup."""
+        """Print one sentence as it is."""
         self._console.print(sentence, highlight=False, markup=False, soft_wrap=True)
 
     def waiting(self, activity: str) -> AbstractContextManager[object]:
         """Turn a spinner beside the activity."""
-        return self._console.status(activity)
+        return self._console.status(Text(activity))
 
     @contextmanager
     def job(self, steps: int) -> Iterator[ShowProgress]:
@@ -29,7 +30,7 @@ class TerminalDisplay:
         if not self._console.is_terminal:
             yield self._lines(steps)
             return
-        columns = TextColumn("{task.description:<34}"), BarColumn(), TextColumn("{task.fields[figures]}"), TimeElapsedColumn()
+        columns = TextColumn("{task.description:<34}", markup=False), BarColumn(), TextColumn("{task.fields[figures]}"), TimeElapsedColumn()
         with Progress(*columns, console=self._console, transient=True) as bar:
             task = bar.add_task("opening robot and sensor", total=steps, figures="")
 

@@ -6,6 +6,7 @@ A command that ends before its job, by a signal or an error, cancels the job.
 import contextlib
 import getpass
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -18,6 +19,8 @@ from palpd.daemon.session import motion_sentence
 from palpd.daemon.socket_client import ARM_PATIENCE_S, ControlAnswer, NoDaemon, ask, watched
 from palpd.errors import PalpdError, Refused
 
+ASK_EVERY_S = 0.2
+"""Pause between two questions about a job: what a person can follow."""
 RENEW_S = 3.0
 """Pause between two renewals of the lease: a third of the time that the service waits."""
 
@@ -65,6 +68,34 @@ def carried_out_by_service(
                 ask(path, {"do": "cancel", "id": job_id})
             raise
         return _end_of(ask(path, {"do": "job", "id": job_id}))
+
+
+def awaited(path: Path, job_id: str, display: Display) -> ControlAnswer:
+    """Wait for the end of a job that is a single run, and show how far it is. It asks again and again, so it needs no place of a watcher.
+
+    Args:
+        path: The control socket.
+        job_id: The job.
+        display: Shows the progress.
+
+    Returns:
+        The job that has ended.
+
+    Raises:
+        Refused: The service refuses, or is gone.
+    """
+    try:
+        with display.job(1) as show:
+            while (job := ask(path, {"do": "job", "id": job_id}))["ended"] is None:
+                now = ask(path, {"do": "status"})
+                if "force_N" in now:
+                    show(JobProgress(now["activity"], now["steps_done"], now["force_N"], now["z_m"]))
+                time.sleep(ASK_EVERY_S)
+    except BaseException:
+        with contextlib.suppress(PalpdError):
+            ask(path, {"do": "cancel", "id": job_id})
+        raise
+    return job
 
 
 @contextmanager

@@ -112,20 +112,24 @@ class Jobs:
             self._worker = WorkerProcess(WorkerOrder(program.name, arguments.model_dump(), self._config, kept.absolute(), by))
         except OSError as error:
             self.current = None
-            raise Refused(f"the worker of the job cannot be started ({error.strerror}); nothing was moved") from error
+            raise Refused(f"the worker of the job cannot be started ({error.strerror}){'; nothing was moved' * program.moves}") from error
         self._changed(f"begun, at most {record.most_runs} run{'s' * (record.most_runs != 1)}")
         return record
 
-    def begin_run(self, kind: str, by: str) -> None:
+    def begin_run(self, kind: str, by: str) -> str:
         """Note a job that is a single run without a program, such as that of `palpd start`.
 
         Args:
             kind: Kind of the run.
             by: Who asked for it, for people.
+
+        Returns:
+            The id of the job.
         """
-        self._recorded(kind, by, 1).runs = 1
-        self._runs = True
+        record = self._recorded(kind, by, 1)
+        record.runs, self._runs = 1, True
         self._changed("begun")
+        return record.id
 
     def decide(self, job_id: object, number: object, agree: object) -> None:
         """Pass on the operator's answer to a proposed motion.

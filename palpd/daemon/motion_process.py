@@ -58,6 +58,8 @@ Kind = Literal["palpation", "free_motion", "stiffness", "retract", "level_test",
 To observe is to read the devices for some seconds and judge them: the doctor's part.
 
 A check is a short dry run that is not recorded. Whatever would stop a run at its beginning also stops a check."""
+STILL_KINDS: tuple[Kind, ...] = ("calibrate", "observe")
+"""Jobs that move nothing: the robot is only read. In a dry run it is, too."""
 
 
 BEGIN_LOADED: tuple[Kind, ...] = ("retract", "level_test")
@@ -129,6 +131,11 @@ class Job:
     choice: Choice | None = None
     back_to_m: tuple[float, float, float] | None = None
     top_z_m: float = -math.inf
+
+    @property
+    def moves(self) -> bool:
+        """Whether it commands the arm."""
+        return not self.dry and self.kind not in STILL_KINDS
 
 
 class TripReport(TypedDict):
@@ -355,7 +362,7 @@ def serve(build: Build, ring_name: str, pipe: Connection, life: Connection) -> N
         os._exit(0)
     try:
         fifo(DEVICE_PRIORITY)
-        devices = build(job.config, job.dry or job.kind in ("calibrate", "observe"))  # kept here: see the end
+        devices = build(job.config, not job.moves)  # kept here: see the end
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         _do(devices, job, ring, pipe, request)
     except PalpdError as error:

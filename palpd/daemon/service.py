@@ -24,7 +24,7 @@ from palpd.daemon.interrupts import held, received, shielded
 from palpd.daemon.job_progress import job_progress, job_steps
 from palpd.daemon.job_worker import RunRequest
 from palpd.daemon.jobs import Jobs
-from palpd.daemon.motion_process import Build, Job, Kind
+from palpd.daemon.motion_process import STILL_KINDS, Build, Job, Kind
 from palpd.daemon.overshoot import refuse_overload
 from palpd.daemon.programs import program_named
 from palpd.daemon.run_reports import RunReports
@@ -45,8 +45,6 @@ STATUS_S = 0.2
 """Shortest time between two statuses that watchers receive: what a person can follow."""
 NEEDS_CONTROLS = ("arm", "start", "pause", "resume", "retract", "level-test", "clear", "begin", "decide")
 """Requests of whoever holds the controls. Everyone may ask for the status and abort."""
-STILL_KINDS = ("calibrate", "observe")
-"""Runs of a job that move nothing: the robot is only read."""
 WATCHDOG_S = 0.5
 """Period of feeding the watchdog of systemd: a small part of WatchdogSec in the unit."""
 
@@ -292,9 +290,9 @@ class Service:
         """Leave the tissue, or test whether the probe is free. It needs no arming and no cleared latch: it goes straight up, guarded."""
         self._refuse_running()
         self._start_run(self._job(kind, Plan()), recording_name(kind))
-        self._jobs.begin_run(kind.replace("_", "-"), self._asking)
+        job_id = self._jobs.begin_run(kind.replace("_", "-"), self._asking)
         self._log.info("going up", job=kind)
-        return {"state": "running"}
+        return {"state": "running", "id": job_id}
 
     def _start_run(self, work: Job, name: str) -> None:
         self._first_tick, self._armed = self._ring.published, False
@@ -324,7 +322,7 @@ class Service:
 
     def _run_for_job(self, asked: RunRequest) -> None:
         if self._ending or self._jobs.current is None or self._jobs.current.aborted:
-            raise Refused("the job was aborted; nothing was moved")
+            raise Refused("the job was aborted" + ("" if asked.kind in STILL_KINDS else "; nothing more was moved"))
         latch = self._latch()
         if latch is not None and asked.kind not in STILL_KINDS:
             raise Refused(f"a run was stopped on {latch.date}: {latch.reason}; nothing more was moved")

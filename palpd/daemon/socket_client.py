@@ -180,6 +180,7 @@ class ControlAnswer(TypedDict, total=False):
     exit_code: int
     verdict: str
     reason: str
+    ended: str | None
 
 
 def ask(path: Path, request: ControlRequest, patience_s: float = PATIENCE_S) -> ControlAnswer:

@@ -10,6 +10,7 @@ from palpd.config import Config, Plan, load_config, load_plan, parse_config, par
 from palpd.control.inertial import InertialModel
 from palpd.control.sequence import SOFT_END
 from palpd.daemon.overshoot import refuse_overload
+from palpd.daemon.wiring import robot_kind, sensor_kind
 from palpd.errors import BadInput, ConfigError
 from palpd.file_kinds import YAML
 from palpd.files import check_folder, check_writable, parse_yaml, shipped, write_yaml
@@ -35,11 +36,13 @@ def checked(config_file: Path, plan_file: Path | None, accept_implausible: bool 
 
     Raises:
         ConfigError: One of them is wrong, or they are unsafe together.
-        BadInput: The model or a folder cannot be used, or a value is implausible and nobody accepts it.
+        BadInput: A driver, the model or a folder cannot be used, or a value is implausible and nobody accepts it.
     """
     config = load_config(config_file)
     plan = load_plan(plan_file) if plan_file else Plan()
     _refuse_together(config, plan)
+    sensor_kind(config)
+    robot_kind(config)
     check_folder(config.paths.runs, config.paths.state)
     if config.model.path is not None:
         InertialModel.load(config.model.path, probe_mass_kg=config.cell.probe.mass_kg)

@@ -197,7 +197,7 @@ class JobRun:
         if ticking and not self._began_ticking:
             self._began_ticking, self._ticked_s = True, now_s
         if self._going and self._ring.state == LoopState.STARTING and now_s - self._ticked_s > OPENING_S:
-            return self._kill(f"the loop did not begin within {OPENING_S:g} s; nothing was moved")
+            return self._kill(f"the loop did not begin within {OPENING_S:g} s{'; nothing was moved' * self.job.moves}")
         if ticking and now_s - self._ticked_s > STALLED_S:
             return self._kill(f"the loop stood still for {STALLED_S:g} s and was killed; the controller's watchdog stops the arm")
         if self._ring.state != LoopState.ENDED:
@@ -290,7 +290,7 @@ class JobRun:
 
     def _refuse(self, reason: object) -> Report:
         self._motion.pipe.send(CALLED_OFF)
-        return Report("refused", f"nothing was moved: {reason}", 2)
+        return Report("refused", f"{'nothing was moved: ' * self.job.moves}{reason}", 2)
 
     def _call_off(self) -> Report:
         """End a job whose loop was not started: nothing has moved, so nothing needs to be stopped."""
@@ -304,7 +304,7 @@ class JobRun:
         if self._recorder is not None:
             self._recorder.discard()
             self._recorder = None
-        return Report("refused", f"{self._abort_cause} {moment}; nothing was moved", 2)
+        return Report("refused", f"{self._abort_cause} {moment}{'; nothing was moved' * self.job.moves}", 2)
 
     def _death(self) -> str:
         self._motion.process.join(0.5)

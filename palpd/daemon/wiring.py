@@ -103,7 +103,10 @@ def _named(key: str, name: str, group: str, ours: Mapping[str, str]) -> Plugin:
     known = plugins(group, ours)
     if name not in known:
         near = nearest(name, list(known))
-        raise ConfigError(f"{key} is {name!r}{near}; known are {', '.join(sorted(known))}; install the package that brings another")
+        raise ConfigError(
+            f"{key} is {name!r}{near}; known are {', '.join(sorted(known))}; install the package that brings another, or write a driver "
+            "(docs/sensors.md)"
+        )
     return known[name]
 
 

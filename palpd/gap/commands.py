@@ -19,7 +19,7 @@ from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.tolerances import estimate_tolerances
 from palpd.gap.user_simulator import UserSimulator, simulate_with
 from palpd.recording.oddities import questions_of
-from palpd.recording.reader import Recording, holds_ticks, read_header, samples_of, visited_sites
+from palpd.recording.reader import Recording, holds_ticks, read_header, refuse_site, samples_of, visited_sites
 from palpd.recording.samples import (
     COLUMNS,
     WRENCH_COLUMNS,
@@ -124,8 +124,7 @@ def read_recording(path: Path, site: str | None = None) -> Samples:
         RecordingError: The file is no recording, or holds several sites and none is named.
     """
     if not holds_ticks(path):
-        if site is not None:
-            raise RecordingError(f"{path.name} is no recording of the daemon, so --site {site} chooses nothing in it; leave --site out")
+        refuse_site(path, site)
         return read(path)
     recording = Recording.load(path)
     visited = visited_sites(recording)

@@ -147,7 +147,7 @@ def _similarity(name: str, change: Projected, other: str, shapes: Sequence[Shape
     for shape in shapes:
         amount = shape.change.dot(change) / max(shape.change.dot(shape.change), 1e-300)
         bound = np.append(np.inf, np.maximum(abs(amount) * shape.reach, 1e-300))
-        factor = np.linalg.cholesky(_regular(gram([shape.change, *shape.slopes, change]))).T
+        factor = _factor(gram([shape.change, *shape.slopes, change]))
         fit = lsq_linear(factor[:, :-1], factor[:, -1], (-bound, bound))
         best = max(best, 1.0 - 2.0 * float(fit.cost) / size2)
     cosine = min(best, 1.0) ** 0.5
@@ -155,6 +155,11 @@ def _similarity(name: str, change: Projected, other: str, shapes: Sequence[Shape
     return Similarity(name, other, cosine, float((2.0 * log(ODDS)) ** 0.5 / sine))
 
 
-def _regular(normal: Floats) -> Floats:
-    """The matrix with a small diagonal that makes it positive definite."""
-    return np.asarray(normal + np.diag(1e-9 * np.diag(normal) + 1e-300))
+def _factor(normal: Floats) -> Floats:
+    """A matrix F with F.T F = normal, of full rank.
+
+    What is projected out may be 1e5 times as large as what remains, so rounding can make an eigenvalue negative.
+    """
+    size = np.sqrt(np.diag(normal) + 1e-300)
+    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 1e-9))).T * size)

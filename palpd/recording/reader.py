@@ -93,6 +93,12 @@ def read_header(path: Path) -> RecordingHeader:
     return contents.header
 
 
+def refuse_site(path: Path, site: str | None) -> None:
+    """Refuse the name of a site for a file that is no recording of the daemon. Raises RecordingError."""
+    if site is not None:
+        raise RecordingError(f"{path.name} is no recording of the daemon, so --site {site} chooses nothing in it; leave --site out")
+
+
 def holds_ticks(path: Path) -> bool:
     """Whether a file is a recording of the daemon's ticks by its name; others are tables of samples."""
     return path.suffix in (".mcap", ".part")

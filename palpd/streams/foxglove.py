@@ -6,8 +6,9 @@ The library's threads send. A viewer that is too slow loses messages there, and 
 
 import json
 import logging
+import re
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from palpd.errors import BadInput, Refused
@@ -16,6 +17,8 @@ from palpd.recording.topics import SCHEMAS, TOPICS, TopicMessages
 from palpd.streams.ring_ticks import QUIET_S
 from palpd.streams.service_watch import Status
 
+PROTOCOL = "foxglove.sdk.v1"
+"""What viewers must ask for. The library refuses the older foxglove.websocket.v1, with a sentence that does not say so."""
 STATUS_TOPIC, LOG_TOPIC = "/status", "/log"
 STATUS_SCHEMA: dict[str, Any] = {
     "title": "palpd.Status",
@@ -35,17 +38,42 @@ STATUS_SCHEMA: dict[str, Any] = {
 """Form of /status. It has no nulls, which Foxglove's JSON schemas do not know."""
 
 
-class FoxgloveServer:
-    """Serves at a host and port from its creation on. Raises BadInput without the library, Refused where the port is taken."""
+class _LibrarySays(logging.Handler):
+    """Passes on what the library says, and says of each computer once why its viewer was refused."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, say: Callable[[str], None]) -> None:
+        super().__init__(logging.ERROR)
+        self._say, self._refused = say, set[str]()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Say it."""
+        sentence = record.getMessage()
+        refused = re.fullmatch(r"Dropping client (.*):\d+: handshake failed", sentence)
+        if refused is None:
+            self._say(f"Foxglove: {sentence}.")
+        elif refused[1] not in self._refused:
+            self._refused.add(refused[1])
+            self._say(f"Foxglove: a viewer at {refused[1]} was refused, since it does not speak {PROTOCOL}; install a newer viewer.")
+
+
+class FoxgloveServer:
+    """Serves at a host and port from its creation on. Raises BadInput without the library, Refused where the port is taken.
+
+    Args:
+        host: Address to listen at.
+        port: Port to listen at; 0: any.
+        say: Takes sentences for people.
+    """
+
+    def __init__(self, host: str, port: int, say: Callable[[str], None] = print) -> None:
         try:
             import foxglove
             from foxglove.channels import LogChannel
             from foxglove.messages import Log, LogLevel
         except ImportError:
             raise BadInput("--foxglove needs foxglove-sdk, which is not installed; install palpd[live]") from None
-        logging.getLogger("foxglove").setLevel(logging.ERROR)  # it warns of each client that does not speak its protocol
+        log = logging.getLogger("foxglove")
+        log.handlers, log.propagate = [_LibrarySays(say)], False
         context = self._context = foxglove.Context()  # the server keeps no hold of it, and without it announces no topic
         self._channels = {
             topic: foxglove.Channel(

@@ -140,7 +140,7 @@ def opened(config: Config, path: Path, outputs: Outputs, say: Callable[[str], No
     with ExitStack() as stack:
         foxglove = metrics = force = None
         if outputs.foxglove_port is not None:
-            foxglove = stack.enter_context(closing(FoxgloveServer(host, outputs.foxglove_port)))
+            foxglove = stack.enter_context(closing(FoxgloveServer(host, outputs.foxglove_port, say)))
             say(f"Foxglove: ws://{host}:{foxglove.port}")
         if outputs.metrics_port is not None:
             metrics = stack.enter_context(closing(MetricsServer(host, outputs.metrics_port)))

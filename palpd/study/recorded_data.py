@@ -22,11 +22,6 @@ class Sources:
     def __bool__(self) -> bool:
         return bool(self.bare or self.free or self.palpation or self.cells)
 
-    def refuse_any(self) -> None:
-        """Refuse recordings beside the paper's printed numbers. Raises BadInput."""
-        if self:
-            raise BadInput("--published is about the paper's printed numbers alone; leave out --bare, --free, --palpation and --cell")
-
 
 def load_recorded(sources: Sources) -> Data:
     """Read the recordings of a study. Raises BadInput where one that is needed is not given, or a cell names no site."""

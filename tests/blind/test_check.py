@@ -10,6 +10,7 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from palpd.blind.check import make_case, run
 from palpd.blind.comparison import load_other_sources
@@ -37,6 +38,8 @@ from palpd.blind.truth import CASE_KINDS, CaseKind, CaseSpec, SealedCase
 from palpd.cell.cell_file import Estimated, cell_from
 from palpd.cell.effects import EFFECTS
 from palpd.cell.simulation import simulate as library_simulate
+from palpd.cli import app
+from palpd.cli.gap import FEW_CASES
 from palpd.errors import BadInput
 
 MODULES = ("drawn_cases.py", "drawn_cells.py", "detectability.py", "simulated_run.py", "laws.py")
@@ -200,6 +203,21 @@ def outcome(kind: str, planted: list[str], named: list[str], **more: Any) -> Cas
         "law": NO_LAW,
     }
     return base | more
+
+
+@pytest.mark.parametrize(("cases", "table"), [(FEW_CASES - 1, False), (FEW_CASES, True)])
+def test_few_cases_are_shown_one_by_one_and_rates_only_of_more(monkeypatch: pytest.MonkeyPatch, cases: int, table: bool) -> None:
+    outcomes = [
+        outcome("library", ["cable.friction"], ["robot.lag"], case="drawn-000000", closed=0.5, p={"cable.friction": 0.25}),
+        *[outcome("healthy", [], [], p_none=0.97) for _ in range(cases - 1)],
+    ]
+    result = {"tables": {"drawn": []}, "outcomes": outcomes}
+    monkeypatch.setattr("palpd.blind.check.run", lambda *_, **__: result)
+    printed = CliRunner().invoke(app, ["blind", "--cases", str(cases)]).output
+    assert ("| drawn-000000 | cable.friction | 15.0 | robot.lag | 0.25 | 50.0 % |" in printed) != table
+    assert ("| drawn | nothing | – | none | 0.97 | – |" in printed) != table
+    assert (f"{cases} cases cannot show rates" in printed) != table
+    assert ("95 % interval" in printed) == table
 
 
 def test_scores_count_what_they_say() -> None:

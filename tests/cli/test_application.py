@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import shlex
 import signal
 import socket
 import subprocess
@@ -9,12 +11,16 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
-from palpd.cli import app, at_once, first_abort, main
+from palpd.cli import app, application, at_once, first_abort, main
+from palpd.cli.command_groups import GROUPS
 from palpd.cli.first_abort import socket_paths
+from palpd.cli.output_options import examples_of
 from palpd.config import load_config
 from palpd.daemon import interrupts
 from palpd.errors import PalpdError, Refused
@@ -69,8 +75,25 @@ def test_help_imports_neither_numbers_nor_models_nor_colours() -> None:
     done = subprocess.run([sys.executable, "-c", code, "--help"], capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 0
     assert done.stderr == "[]\n"
-    shown = [line.split()[0] for line in done.stdout.partition("Commands:")[2].splitlines() if line.strip()]
-    assert tuple(shown) == COMMANDS
+    for title, names in GROUPS.items():
+        shown = done.stdout.partition(f"\n{title}:\n")[2].partition("\n\n")[0]
+        assert tuple(re.findall(r"^  (\S+)  ", shown, re.M)) == names
+    assert sorted(name for names in GROUPS.values() for name in names) == sorted(COMMANDS)
+
+
+@pytest.mark.parametrize("registered", application.app.registered_commands, ids=application.name_of)
+def test_the_help_of_a_command_ends_with_examples_that_its_options_allow(registered: Any) -> None:
+    name, group = application.name_of(registered), typer.main.get_command(app)
+    examples = examples_of(registered)
+    help_text = CliRunner().invoke(app, [name, "--help"]).output
+    assert help_text.rstrip().endswith("\n    ".join(["  Examples:", *examples]))
+    assert 1 <= len(examples) <= 2
+    for example in examples:
+        words = shlex.split(example)
+        assert words[:2] == ["palpd", name]
+        group.commands[name].make_context(name, words[2:])
+    with pytest.raises(application.UsageError):
+        group.commands[name].make_context(name, ["--colour"])
 
 
 @pytest.mark.parametrize("place", ["", "."])
@@ -438,8 +461,9 @@ def test_an_error_is_one_sentence_and_its_exit_code(monkeypatch: pytest.MonkeyPa
     assert capsys.readouterr().err == "palpd: nothing is running\n"
 
 
+@pytest.mark.parametrize(("command", "moved"), [("effects", ""), ("run", "; nothing was moved")])
 @pytest.mark.parametrize("name", [number.name for number in interrupts.SIGNALS])
-def test_a_signal_while_palpd_imports_its_commands_is_one_sentence(name: str) -> None:
+def test_a_signal_while_palpd_imports_its_commands_is_one_sentence(name: str, command: str, moved: str) -> None:
     code = (
         "import os, signal, sys\n"
         "for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP): signal.signal(number, signal.SIG_DFL)\n"  # a shell may ignore them
@@ -450,9 +474,9 @@ def test_a_signal_while_palpd_imports_its_commands_is_one_sentence(name: str) ->
         "from palpd.cli import main\n"
         "main()"
     )
-    done = subprocess.run([sys.executable, "-c", code, "effects"], capture_output=True, text=True, cwd=ROOT, check=False)
+    done = subprocess.run([sys.executable, "-c", code, command], capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 128 + signal.Signals[name]
-    assert done.stderr == f"palpd: interrupted by {name} while palpd was starting; nothing was moved\n"
+    assert done.stderr == f"palpd: interrupted by {name} while palpd was starting{moved}\n"
 
 
 def test_before_the_handler_of_signals_almost_nothing_is_imported() -> None:
@@ -511,6 +535,16 @@ def test_a_terminal_without_the_signs_gets_the_tables_all_the_same(tmp_path: Pat
     assert done.stdout.rstrip().endswith(b"c\\udcff.yaml is sound.")
 
 
+@pytest.mark.parametrize("name", ["c[/x].yaml", "c[red].yaml", "c[bold]"])
+def test_a_name_that_looks_like_markup_is_printed_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(name).parent.mkdir(exist_ok=True)
+    Path(name).write_bytes((ROOT / "config.yaml").read_bytes())
+    done = CliRunner().invoke(app, ["check-config", name])
+    assert done.exit_code == 0
+    assert f"{name} is sound." in done.output
+
+
 def test_the_page_is_not_served_with_a_plan_that_no_run_would_take(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -555,3 +589,23 @@ def test_a_demo_says_that_the_server_of_its_page_has_died(tmp_path: Path, monkey
     done = CliRunner().invoke(app, ["demo", "--page", "--out", str(tmp_path)])
     assert done.exit_code == 3
     assert f"the server of the page has died (exit code 1); see {tmp_path}/page.log" in done.output
+
+
+@pytest.mark.parametrize(
+    ("words", "answers"),
+    [
+        (["emulate", "--model", "ur10e"], ("'ur10e'", "UR10e", "counts", "needs a driver", "docs/what-works.md")),
+        (["init", "--model", "franka"], ("'franka'", "needs a driver", "docs/what-works.md")),
+        (["export-sim", "cell.yaml", "--to", "isaac", "--out", "x"], ("'isaac'", "FMI 3.0", "--simulated FILE", "docs/what-works.md")),
+    ],
+)
+def test_whoever_asks_for_another_robot_or_simulator_reads_what_works(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], answers: tuple[str, ...]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["palpd", *words])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    sentence = capsys.readouterr().err
+    assert all(answer in sentence for answer in answers)
+    assert "Value error" not in sentence

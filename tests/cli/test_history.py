@@ -1,9 +1,11 @@
 """palpd runs, info and report as a user types them."""
 
+import io
 import json
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner, Result
 
 from palpd.cli import app
@@ -44,6 +46,24 @@ def test_runs_are_listed_tagged_filtered_and_written_as_json(runs: Path, tmp_pat
     typed("runs", "--folder", runs, "--json", json_file)
     assert "was damaged; it was made anew from 3 recordings" in json.loads(json_file.read_text())["notes"][0]
     assert "made anew from 3 recordings" in typed("runs", "--rebuild", "--folder", runs).stdout
+
+
+LONG = "palpation-20261122-233001-of-the-sample-of-november"
+
+
+@pytest.mark.parametrize(("width", "tty"), [(20, True), (60, True), (20, False)])
+def test_a_narrow_terminal_and_a_pipe_break_no_name_of_a_run(runs: Path, monkeypatch: pytest.MonkeyPatch, width: int, tty: bool) -> None:
+    (runs / "day-0.mcap").rename(runs / f"{LONG}.mcap")
+    printed = io.StringIO()
+    console = Console(file=printed, width=width, force_terminal=tty, color_system=None)
+    monkeypatch.setattr("palpd.cli.history.terminal", lambda: console)
+    for words in (["runs"], ["runs", "--trend", "A"], ["info", LONG]):
+        typed(*words, "--folder", runs)
+        lines = [line for line in printed.getvalue().splitlines() if LONG in line]
+        assert lines, words
+        if not tty and words == ["runs"]:
+            assert all(cell in lines[0] for cell in ("done", "A ")), "a line for each run"
+        printed.truncate(0)
 
 
 def test_the_folder_of_the_runs_is_that_of_the_configuration(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

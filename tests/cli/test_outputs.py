@@ -1,6 +1,7 @@
 """Every command tries the places of its outputs before it works, and refuses bad input in one sentence."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -135,7 +136,6 @@ def test_an_empty_plan_is_refused(home: Path) -> None:
 def test_what_belongs_together_is_asked_for(home: Path) -> None:
     for command, words in (
         (["diagnose", "no.csv"], "--cell is required: give the cell.yaml that your simulator uses; palpd cell-from writes a first one"),
-        (["map", "--presses", "p.csv", "--emulated"], "--presses draws presses that were made"),
         (["effects", "no.such"], "there is no effect 'no.such'"),
         (["blind", "--ablation", "nothing"], "--ablation is 'nothing'; expected one of"),
         (["blind", "--source", "nothing"], "--source is 'nothing'; expected one of"),
@@ -143,9 +143,40 @@ def test_what_belongs_together_is_asked_for(home: Path) -> None:
         (["blind", "--source", "injected", "--causes", "plan.yaml"], "--causes says what acts in --recordings"),
         (["blind", "--source", "injected", "--recordings", "."], "causes.yaml"),
         (["study", "--free", "a.mcap"], "needs both --free and --palpation"),
-        (["study", "--published", "--free", "a.mcap"], "leave out --bare"),
     ):
         assert words in str(refused(*command)), command
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("analyse a.csv --cell c.yaml --force-column f --fit peak", "--cell is given, so --force-column and --fit would not count"),
+        ("analyse run.mcap --tip-radius-m 3", "run.mcap is a recording of the daemon, so --tip-radius-m would not count; leave it out"),
+        ("analyse a.csv --site A", "a.csv is no recording of the daemon, so --site A chooses nothing in it"),
+        ("analyse a.csv --cell cell.yaml --site A", "a.csv is no recording of the daemon, so --site A chooses nothing in it"),
+        ("import a.csv --force-column f", "without --csv files are only listed, so --force-column would not count; give --csv too"),
+        ("demo --page --no-wires", "--page is given, so --no-wires would not count"),
+        ("demo --full --effect sensor.gain", "--effect is given, so --full would not count"),
+        ("sim --cell c.yaml --configured-cell", "--cell is given, so --configured-cell would not count"),
+        ("emulate --net-ft-port 8099 --sensor-link hex", "--net-ft-port is given, so --sensor-link would not count"),
+        ("run --dry --return", "--dry is given, so --return would not count"),
+        ("status --watch --json a.json", "--watch is given, so --json would not count"),
+        ("job x --agree --cancel", "--cancel is given, so --agree would not count"),
+        ("stream --layout a.json --foxglove 8765", "--layout is given, so --foxglove would not count"),
+        ("map --presses p.csv --emulated", "--presses is given, so --emulated would not count"),
+        ("study --published --free a.mcap", "--published is given, so --free would not count"),
+        ("effects sensor.gain --remove learned.a", "--remove is given, so NAMES would not count"),
+        ("blind --advice --docs d", "--advice is given, so --docs would not count"),
+        ("resolve --recording a.csv --plan p.yaml", "--recording is given, so --plan would not count"),
+        ("runs last --tag good --since 2026-11-22", "RUN is given, so --since would not count"),
+    ],
+)
+def test_an_option_that_would_not_count_is_refused(home: Path, line: str, words: str) -> None:
+    shutil.copy(ROOT / "palpd" / "cell" / "phantom.yaml", home / "cell.yaml")
+    (home / "a.csv").write_text("t_s\n")
+    before = sorted(home.iterdir())
+    assert words in str(refused(*line.split()))
+    assert sorted(home.iterdir()) == before
 
 
 def test_a_file_of_effects_is_read_or_refused(home: Path) -> None:

@@ -8,18 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
+from palpd.cli import app
 from palpd.config import parse_config
 from palpd.daemon.control_socket import ControlSocket
 from palpd.daemon.display import ShowProgress
 from palpd.daemon.interrupts import Interrupted
-from palpd.daemon.job_client import carried_out_by_service, controls, service_at
+from palpd.daemon.job_client import awaited, carried_out_by_service, controls, service_at
 from palpd.daemon.job_worker import ConsentRequest, Finished, Words
 from palpd.daemon.service import Service
 from palpd.daemon.socket_client import ask
 from palpd.daemon.stored_state import Calibration, State
 from palpd.daemon.supervisor import Report
 from palpd.errors import BadInput, Refused
+from palpd.tick import Request
 from tests.daemon.test_jobs import MOTION, ScriptedWorker
 from tests.daemon.test_service import ScriptedRun
 
@@ -150,3 +153,42 @@ def test_a_lease_is_renewed_as_long_as_it_is_held(socket_path: Path, monkeypatch
 
 def test_where_nobody_serves_the_foreground_does_the_work(tmp_path: Path) -> None:
     assert not service_at(tmp_path / "nobody.sock")
+
+
+@pytest.mark.parametrize("command", ["retract", "level-test"])
+def test_a_way_up_by_the_service_is_awaited_and_a_clear_may_follow_at_once(socket_path: Path, command: str) -> None:
+    done = CliRunner().invoke(app, [command, "--socket", str(socket_path)])
+    assert done.exit_code == 0
+    assert done.output.endswith("\ndone: nothing was recorded\n"), "the service of this test logs there, too"
+    assert ask(socket_path, {"do": "jobs"})["jobs"][0]["program"] == command
+    assert CliRunner().invoke(app, ["clear", "--socket", str(socket_path)]).output.endswith("disarmed\n")
+
+
+def test_a_way_up_that_is_refused_or_stopped_says_so_with_its_exit_code(socket_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Checked, "poll", lambda _: Report("stopped", "the probe is held", 3, notes=["look"]))
+    done = CliRunner().invoke(app, ["retract", "--socket", str(socket_path)])
+    assert done.exit_code == 3
+    assert "palpd: the probe is held" in done.output
+
+
+def test_a_way_up_that_is_interrupted_is_stopped_and_one_that_nobody_awaits_goes_on(
+    socket_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Checked, "poll", lambda _: None)
+    done = CliRunner().invoke(app, ["retract", "--socket", str(socket_path), "--no-wait"])
+    assert done.output.endswith("\nThe daemon goes up; palpd status says how it ends.\n")
+    job_id = ask(socket_path, {"do": "jobs"})["jobs"][0]["id"]
+    asked: list[Request] = []
+    monkeypatch.setattr(Checked, "ask", lambda _, request: asked.append(request))
+    monkeypatch.setattr("palpd.daemon.job_client.ASK_EVERY_S", 0.0)
+
+    class Interrupting(Kept):
+        @contextmanager
+        def job(self, steps: int) -> Iterator[ShowProgress]:  # type: ignore[override]
+            yield lambda _: None
+            pytest.fail("it has ended")
+
+    monkeypatch.setattr("palpd.daemon.job_client.time.sleep", lambda _: (_ for _ in ()).throw(Interrupted("interrupted by SIGINT")))
+    with pytest.raises(Interrupted):
+        awaited(socket_path, job_id, Interrupting())
+    assert asked == [Request.ABORT]

@@ -85,10 +85,12 @@ def test_the_terminal_prints_a_sentence_as_it_is_and_draws_a_job() -> None:
         display = TerminalDisplay(console)
         display.say("kept in runs/[demo] with a path longer than the terminal is wide " + "x" * 60)
         with display.job(4) as show:
-            show(JobProgress("site A: pressing", 2, 1.25, -0.004))
+            show(JobProgress("site [/A]: pressing", 2, 1.25, -0.004))
+        with display.waiting("diagnosing [/b]"):
+            pass
     text = capture.get()
     assert "runs/[demo] with a path longer than the terminal is wide " + "x" * 60 in text
-    assert "site A: pressing" in text
+    assert "site [/A]: pressing" in text
     assert "1.25 N" in text
     assert "-4.00 mm" in text
 

@@ -12,6 +12,7 @@ from palpd.control.loop import Outcome
 from palpd.daemon import motion_process
 from palpd.daemon.motion_process import Devices, Job, explainer_of
 from palpd.daemon.realtime import Granted
+from palpd.daemon.supervisor import JobRun
 from palpd.errors import Stopped
 from palpd.recording.ring import LoopState, Ring
 from palpd.tick import Request
@@ -43,3 +44,18 @@ def test_a_loop_says_that_it_ended_before_its_thread_becomes_an_ordinary_one(
     finally:
         ring.unlink()
         ring.close()
+
+
+@pytest.mark.parametrize(
+    ("job", "reason"),
+    [
+        (Job("palpation", Config()), "nothing was moved: the sensor is silent"),
+        (Job("palpation", Config(), dry=True), "the sensor is silent"),
+        (Job("calibrate", Config()), "the sensor is silent"),
+        (Job("observe", Config()), "the sensor is silent"),
+    ],
+)
+def test_only_what_would_have_moved_says_that_nothing_was_moved(job: Job, reason: str) -> None:
+    run = JobRun.__new__(JobRun)
+    run.job, run._motion = job, MagicMock()
+    assert run._refuse("the sensor is silent").reason == reason

@@ -223,7 +223,8 @@ def test_a_damaged_reference_tare_is_refused(service: Service, wrench: Any) -> N
 def test_a_retract_needs_neither_arming_nor_a_cleared_latch_and_leaves_the_latch(service: Service) -> None:
     service._state.keep("calibration", TARE)
     service._state.keep("latch", Latch("the lateral force was 9 N", "yesterday"))
-    assert service.answer({"do": "retract"}) == {"ok": True, "state": "running"}
+    answer = service.answer({"do": "retract"})
+    assert answer == {"ok": True, "state": "running", "id": service._jobs.current.id}  # type: ignore[union-attr]
     assert service._run is not None
     assert service._run.job.kind == "retract"
     assert service._run.job.reference == TARE.wrench

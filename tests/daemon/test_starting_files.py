@@ -43,3 +43,12 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
     for folder in (tmp_path / "file", tmp_path / "loop", Path("/proc/x"), tmp_path / ("n" * 300)):
         with pytest.raises(BadInput, match=r"cannot be (written|made)"):
             write_starting_files(folder, "ur5", 12.0, [])
+
+
+@pytest.mark.parametrize(
+    ("block", "known"), [("sensor: {kind: franka}", "hex-70"), ("robot: {kind: franka, rtde_rate_Hz: 100}", "ur-rtde")]
+)
+def test_a_driver_that_no_package_brings_is_not_sound(tmp_path: Path, block: str, known: str) -> None:
+    (tmp_path / "config.yaml").write_text(block)
+    with pytest.raises(ConfigError, match=rf"kind is 'franka'; known are .*{known}.*docs/sensors.md"):
+        checked(tmp_path / "config.yaml", None)

@@ -1,6 +1,6 @@
 """What effects could be mistaken for, before anything is recorded."""
 
-from palpd.cell.cell_file import nominal
+from palpd.cell.cell_file import cell_from, nominal
 from palpd.cell.effects import EFFECTS, load_effects, user_effects
 from palpd.gap.similar_effects import ONE_DIRECTION, similar_effects
 from tests.paths import EXAMPLE
@@ -28,3 +28,12 @@ def test_a_user_effect_is_compared_with_the_library() -> None:
     similar = similar_effects([pulse], nominal(), {name: known[name] for name in (*FEW, pulse.id)})
     assert {one.other for one in similar} <= set(FEW)
     assert max(one.cosine for one in similar) < 0.5
+
+
+def test_effects_are_compared_on_a_cell_whose_modulus_is_not_known() -> None:
+    """Almost all of an effect in proportion to the force is then within specification, and rounding is not small beside the rest."""
+    cell = cell_from({"tolerances": {"youngs_modulus": 1.0}}, "a first cell")
+    library = {name: EFFECTS[name] for name in ("tissue.thickness", "robot.compliance", "sensor.gain", "tissue.modulus")}
+    similar = similar_effects([EFFECTS["tissue.thickness"]], cell, library)
+    assert similar[0].other == "robot.compliance"
+    assert 0.9 < similar[0].cosine <= 1.0

@@ -29,6 +29,17 @@ def test_after_an_abort_a_retract_leaves_slowly_and_arming_works_again(cell: Cal
         assert service.do("arm")["state"] == "armed"
 
 
+def test_a_typed_retract_ends_with_its_end_so_that_a_clear_may_follow(cell: Callable[..., EmulatedCell]) -> None:
+    with served(cell(**PATIENT)) as service:
+        service.abort_in_the_tissue()
+        done = service.cell.palpd("retract", "--config", service.cell.config)
+        assert done.returncode == 0, done.stderr
+        assert service.cell.truth()["contact_N"] == 0.0
+        assert "done: " in done.stdout
+        assert "The probe is free" in done.stdout
+        assert service.do("clear")["state"] == "disarmed"
+
+
 def test_a_sensor_that_falls_silent_during_a_retract_stops_the_arm(cell: Callable[..., EmulatedCell]) -> None:
     with served(cell(**PATIENT)) as service:
         service.abort_in_the_tissue()

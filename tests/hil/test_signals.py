@@ -98,3 +98,4 @@ def test_every_command_that_moves_ends_with_the_true_reason(
     assert outcome is not None, "the command ended before the signal"
     assert not outcome.why, outcome
     assert outcome.gone_s < END_S
+    assert command != "calibrate" or "moved" not in outcome.sentence

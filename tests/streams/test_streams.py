@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 from typer.testing import CliRunner
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from palpd.cli import app
@@ -342,6 +343,21 @@ def test_a_viewer_reads_the_status_the_log_and_the_latch(served: Served) -> None
         seen = [message_of(served, client) for _ in range(2)]
     assert {topic[number] for number, _, _ in seen} == {"/status", "/log"}
     assert all(b"18 N were pressed" in data for _, _, data in seen)
+
+
+def test_a_viewer_of_the_older_protocol_is_refused_and_the_sentence_names_what_to_install(served: Served) -> None:
+    assert served.stream.foxglove is not None
+    url = f"ws://127.0.0.1:{served.stream.foxglove.port}"
+    for _ in range(2):
+        with pytest.raises(InvalidStatus) as refused:
+            connect(url, subprotocols=["foxglove.websocket.v1"], open_timeout=PATIENCE_S)  # type: ignore[list-item]
+        assert refused.value.response.status_code == 400
+        assert b"sec-websocket-protocol" in bytes(refused.value.response.body or b"")
+    until(served.stream, lambda: len(served.sentences) > 3, "the refusal is said")
+    said = [sentence for sentence in served.sentences if "refused" in sentence]
+    assert said == ["Foxglove: a viewer at 127.0.0.1 was refused, since it does not speak foxglove.sdk.v1; install a newer viewer."], (
+        "once for a computer, though a viewer tries again and again"
+    )
 
 
 def test_a_status_fits_its_schema() -> None:

@@ -274,7 +274,6 @@ def test_the_same_study_runs_on_recordings_of_the_daemon(tmp_path: Path) -> None
     [
         ({"cell": ["A=enriched.yaml"]}, "needs both --free and --palpation"),
         ({"bare": [Path("bare.mcap")]}, "needs both --free and --palpation"),
-        ({"published": True, "free": [Path("free.mcap")]}, "--published is about the paper's printed numbers alone"),
     ],
 )
 def test_what_would_be_passed_over_is_refused(options: dict[str, Any], printed: str, tmp_path: Path) -> None:

@@ -34,6 +34,11 @@ from palpd.tick import Floats
 
 Target = Literal["mujoco", "fmu"]
 NEEDS: dict[Target, str] = {"mujoco": "mujoco", "fmu": "pythonfmu3"}
+OTHER_SIMULATORS = (
+    "fmu is for programs that load FMI 3.0, and those whose Python may load fmpy; Isaac Sim, Gazebo, Simulink and Drake were not tried. "
+    "Any simulator can be compared with a recording: palpd diagnose --simulated FILE (docs/what-works.md)"
+)
+"""What does work, for whoever asks for another simulator."""
 HERE = Path(__file__).parent
 
 LONGEST_STEP_S, STEP_OF_SERVO = 0.002, 0.25
