@@ -1,9 +1,8 @@
-"""From `palpd demo --page` to a diagnosed run in the browser: how long each step takes, and the README's picture of the page.
+"""From `palpd demo --page` to a diagnosed run in the browser: how long each step takes.
 
-`python -m benchmarks.first_run [--docs docs]`. Headless Chromium does what a new user does: Arm, Start, watch, Runs, Diagnose.
+`python -m benchmarks.first_run`. Headless Chromium does what a new user does: Arm, Start, watch, Runs, Diagnose.
 """
 
-import argparse
 import os
 import signal
 import subprocess
@@ -11,21 +10,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from benchmarks.operator_page import opened_pages
 
-AT_SITE = 3
-"""The picture is taken during the first deep press after this many sites are over."""
-DEEP_N = 6.0
 PATIENCE_MS = 600_000
 
 
 def main() -> None:
     """Serve the demo, drive its page, print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--docs", type=Path, help="folder whose figures/page.png the picture becomes")
-    docs = parser.parse_args().docs
     begun_s, steps = time.monotonic(), list[tuple[str, float]]()
 
     def step(what: str) -> None:
@@ -39,7 +31,7 @@ def main() -> None:
         try:
             link = next(line.split()[-1] for line in demo.stdout if "?token=" in line)
             step("the page is served")
-            drive(link, docs and docs / "figures" / "page.png", step)
+            drive(link, step)
         finally:
             os.killpg(demo.pid, signal.SIGINT)
             demo.communicate()
@@ -48,12 +40,11 @@ def main() -> None:
         print(f"| {what} | {at_s:.0f} |")
 
 
-def drive(link: str, picture: Path | None, step: Callable[[str], None]) -> None:
+def drive(link: str, step: Callable[[str], None]) -> None:
     """Arm, start, watch, and diagnose the first site.
 
     Args:
         link: The page, with its token.
-        picture: File for the picture; None for none.
         step: Told what has been done.
     """
     with opened_pages(link, 1) as (page,):
@@ -65,11 +56,6 @@ def drive(link: str, picture: Path | None, step: Callable[[str], None]) -> None:
         step("armed")
         page.click("[data-do=start]")
         page.wait_for_selector("body[data-state=running]")
-        if picture is not None:
-            page.wait_for_function(f"document.querySelectorAll('#sites tr').length >= {AT_SITE}")
-            page.wait_for_function(f"Number(document.getElementById('force').textContent) > {DEEP_N}")
-            page.evaluate("document.activeElement.blur()")
-            page.screenshot(path=str(picture))
         page.wait_for_selector("body:not([data-state=running])")
         step(f"the run is {page.text_content('#fault')}")
         page.goto(link.partition("?")[0] + "runs")

@@ -215,6 +215,15 @@ class PathsConfig(StrictBlock):
         return self.socket or self.state / "palpd.sock"
 
 
+class PageConfig(StrictBlock):
+    """The operator's page."""
+
+    camera_url: str | None = Field(
+        default=None, pattern=r"^https?://([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?(/[!-~]*)?$", max_length=2000
+    )
+    """Address of a camera's picture or MJPEG stream (http or https, without a password), shown beside the charts; null: none."""
+
+
 class Config(StrictBlock):
     """All of config.yaml. Relative paths are relative to the file."""
 
@@ -232,6 +241,8 @@ class Config(StrictBlock):
     """How far the machine gives way."""
     paths: PathsConfig = PathsConfig()
     """Folders."""
+    page: PageConfig = PageConfig()
+    """The operator's page."""
     cell: CellFile = Field(default_factory=nominal)
     """The cell as the simulator knows it: the keys of cell.yaml."""
 

@@ -1,6 +1,7 @@
 """The one way in and the one way out for files: what is read is checked first, what is written appears whole or not at all."""
 
 import errno
+import fcntl
 import io
 import json
 import os
@@ -586,6 +587,16 @@ def writing_text(path: Path) -> Iterator[IO[str]]:
         yield text
         text.flush()
         text.detach()
+
+
+def is_growing(path: Path) -> bool:
+    """Whether a process holds the lock of a regular file that it writes. Raises OSError where the file cannot be opened."""
+    with path.open("rb") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
 
 
 def write_bytes(path: Path, content: bytes, *, own: bool = False) -> None:

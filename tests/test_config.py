@@ -1,5 +1,6 @@
 """config.yaml and plan.yaml: what is wrong is said in one sentence."""
 
+import json
 from pathlib import Path
 from typing import get_args
 
@@ -81,6 +82,21 @@ def test_a_second_safety_block_is_refused(tmp_path: Path) -> None:
 def test_a_host_that_is_no_name_is_refused(tmp_path: Path, host: str) -> None:
     with pytest.raises(ConfigError, match=r"robot\.host is "):
         load_config(written(tmp_path, f"robot: {{host: {host}}}"))
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "camera.lab/stream", "ftp://camera.lab/", "javascript:alert(1)", "http://user:password@camera.lab/", "http://", "http://a b/",
+        "http://camera.lab; script-src *", "http://camera.lab,evil", "http://camera.lab/\n",
+    ],
+)  # fmt: skip
+def test_a_camera_is_an_address_without_a_password_that_fits_a_content_policy(tmp_path: Path, url: str) -> None:
+    text = f"page: {{camera_url: {json.dumps(url)}}}"
+    with pytest.raises(ConfigError, match="camera_url"):
+        load_config(written(tmp_path, text))
+    good = load_config(written(tmp_path, "page: {camera_url: 'https://[fe80::1]:8443/cell?fps=5'}"))
+    assert good.page.camera_url == "https://[fe80::1]:8443/cell?fps=5"
 
 
 @pytest.mark.parametrize("key", ["press_speed_m_per_s", "search.speed_m_per_s", "free.speed_m_per_s"])

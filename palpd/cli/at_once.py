@@ -18,11 +18,16 @@ from palpd.daemon.socket_client import ARM_PATIENCE_S, PATIENCE_S, NoDaemon, ask
 from palpd.errors import ConfigError, Refused
 
 if TYPE_CHECKING:
-    from palpd.daemon.socket_client import ControlAnswer, ControlRequest, JobSummary, KnownPlace, KnownProbe, ProposedRun
+    from palpd.daemon.socket_client import ControlAnswer, ControlRequest, JobSummary, KnownNow, KnownPlace, KnownProbe, ProposedRun
 
 WATCH_EVERY_S = 0.5
 """Pause between two questions of `palpd status --watch`: what a person can read."""
 DEFAULT_CONFIG = Path("config.yaml")
+NEXT = {
+    "check": "palpd doctor", "arm": "palpd arm", "start": "palpd start PLAN", "resume": "palpd resume", "retract": "palpd retract",
+    "level-test": "palpd level-test", "calibrate": "palpd calibrate", "clear": "palpd clear", "decide": "palpd job ID --agree or --decline",
+}  # fmt: skip
+"""The command of each button that may be sensible next."""
 OPTIONS = {"abort": ("--config", "--socket"), "status": ("--config", "--socket")}
 """Options of the commands that are carried out at once, each with a value."""
 
@@ -117,9 +122,9 @@ def status_lines(answer: "ControlAnswer") -> list[str]:
         answer: The answer.
 
     Returns:
-        Lines: what it does now, the latch, the last check of the devices, the last job.
+        Lines: what it does now and what is sensible next, the latch, the last check of the devices, the last job.
     """
-    lines = [position(answer)]
+    lines = [position(answer), *now_lines(answer.get("now"))]
     if answer.get("latched"):
         lines.append(f"The last stop is latched: {answer['latched']}. Leave the tissue with palpd retract, then palpd clear.")
     if answer.get("controls"):
@@ -138,6 +143,21 @@ def status_lines(answer: "ControlAnswer") -> list[str]:
         lines.append(f"Last job: {last['verdict']}{f' ({reason})' if reason else ''}{kept}.")
         lines.extend(f"  note: {note}" for note in last.get("notes", []))
     return lines
+
+
+def now_lines(now: "KnownNow | None") -> list[str]:
+    """Say what stands, and the command that is sensible next.
+
+    Args:
+        now: What the daemon says of it.
+
+    Returns:
+        One line; none from a daemon of an older version.
+    """
+    if now is None:
+        return []
+    command = NEXT.get(now["next"] or "")
+    return [f"{now['sentence']}{f' Next: {command}.' if command else ''}"]
 
 
 def probe_lines(probe: "KnownProbe | None", place: "KnownPlace | None") -> list[str]:

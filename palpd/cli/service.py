@@ -77,6 +77,7 @@ def web(
     kept.parent.mkdir(parents=True, exist_ok=True)
     words = ["--socket", settings.paths.control_socket, "--runs", settings.paths.runs, "--token-file", kept]
     words += ["--listen", listen, "--port", port, "--config", config, *(["--plan", plan] if plan else [])]
+    words += ["--camera-url", settings.page.camera_url] if settings.page.camera_url else []
     words += [word for each in name or [] for word in ("--name", each)]
     sys.stdout.flush()
     # this process becomes the server, which imports next to nothing: so it has no configuration and no typer in its memory

@@ -11,6 +11,8 @@ SITE_REACH_M = 0.005
 
 Choice = Literal["here", "return"]
 """What the operator answers: count from where the arm stands, or go back to where the unfinished run began."""
+ANSWERS = "--return goes back first, straight up and then sideways, and --here counts from where the arm stands"
+"""What the terminal offers with the question."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +56,7 @@ def question(last: PlanPlace | None, x_m: float, y_m: float, choice: Choice | No
         choice: What the operator has answered.
 
     Returns:
-        The sentence.
+        The sentence, without the answers.
     """
     if choice is not None or last is None or last.returned:
         return None
@@ -65,6 +67,5 @@ def question(last: PlanPlace | None, x_m: float, y_m: float, choice: Choice | No
     stands = f", at its site {site}" if site is not None else ""
     return (
         f"the run {last.run} of {last.date} was not finished, and the arm stands {away_m * 1e3:.0f} mm from where it began{stands}: sites "
-        f"would count from another place; --return goes back first, straight up to z = {last.top_z_m:.3f} m and then sideways, and --here "
-        "counts from where the arm stands"
+        "would count from another place"
     )

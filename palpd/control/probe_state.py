@@ -138,12 +138,14 @@ class ProbeAnswer:
     away_N: float | None = None
 
     @property
+    def head(self) -> str:
+        """The state in words."""
+        return "whether the probe is free is not known" if self.state == ProbeState.UNKNOWN else f"the probe is {self.state}"
+
+    @property
     def sentence(self) -> str:
         """State, reasons and what to do, for people."""
-        if self.state == ProbeState.FREE:
-            return "the probe is free"
-        head = "the probe is pressed" if self.state == ProbeState.PRESSED else "whether the probe is free is not known"
-        return f"{head}: {'; '.join(self.reasons)}; {self.advice}"
+        return self.head if self.state == ProbeState.FREE else f"{self.head}: {'; '.join(self.reasons)}; {self.advice}"
 
     @property
     def advice(self) -> str:

@@ -8,12 +8,17 @@ from typing import Protocol
 
 @dataclass(frozen=True, slots=True)
 class JobProgress:
-    """Where a running job stands: what the arm does now, how many of the job's steps are done, contact force and height of the tip."""
+    """Where a running job stands: what the arm does now, how many of the job's steps are done, contact force and height of the tip.
+
+    `site` is the site that it is at; `left_s` the time that the steps to come are expected to take.
+    """
 
     activity: str
     steps_done: int
     force_N: float
     z_m: float
+    site: str | None = None
+    left_s: float | None = None
 
 
 ShowProgress = Callable[[JobProgress], None]

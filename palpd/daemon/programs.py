@@ -78,6 +78,12 @@ class DoctorArguments(StrictBlock):
     watch_s: Annotated[StrictFloat, Field(ge=1.0, le=600.0)] = 10.0
 
 
+class RecoverArguments(StrictBlock):
+    """Of the recovery of a recording that was cut off: its name in the service's runs, without ending."""
+
+    name: str = Field(max_length=1000)
+
+
 @dataclass(frozen=True)
 class JobProgram:
     """One program.
@@ -195,6 +201,18 @@ def _doctor(host: ProgramHost, arguments: DoctorArguments, _: Path) -> ProgramEn
     return ProgramEnd("done", figures={**as_json(findings)})
 
 
+def _recover(host: ProgramHost, arguments: RecoverArguments, _: Path) -> ProgramEnd:
+    from palpd.history.stored import unfinished_recordings
+    from palpd.recording.mcap_file import recover
+
+    folder = host.config.paths.runs
+    part = unfinished_recordings(folder).get(arguments.name)
+    if part is None:
+        raise BadInput(f"no unfinished recording in {folder} is called {arguments.name[:80]!r}, or a run still writes it; reload the list")
+    recovered = recover(part)
+    return ProgramEnd("done", recovered.sentence, figures={"recording": str(recovered.path)})
+
+
 PROGRAMS: Mapping[str, JobProgram] = {
     program.name: program
     for program in (
@@ -204,6 +222,7 @@ PROGRAMS: Mapping[str, JobProgram] = {
         JobProgram("map", MapArguments, _map, lambda arguments: arguments.most_presses, ending=".png"),
         JobProgram("resolve", ResolveArguments, _resolve, lambda arguments: arguments.rounds),
         JobProgram("doctor", DoctorArguments, _doctor, moves=False),
+        JobProgram("recover", RecoverArguments, _recover, lambda _: 0, moves=False),
     )
 }
 """All programs, by name."""

@@ -8,20 +8,20 @@ import math
 import os
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import cast, get_args
+from typing import TypeVar, cast, get_args
 
 import numpy as np
 import structlog
 
 from palpd.config import Config, Plan, parse_plan, refuse_unsafe
-from palpd.control.plan_place import Choice, question
-from palpd.control.probe_state import ProbeAnswer
+from palpd.control.plan_place import ANSWERS, Choice, question
+from palpd.control.probe_state import ProbeAnswer, ProbeState
 from palpd.daemon.control_socket import ControlSocket, Later, Watching
 from palpd.daemon.controls import LEASE_S, Controls
 from palpd.daemon.interrupts import held, received, shielded
-from palpd.daemon.job_progress import job_progress, job_steps
+from palpd.daemon.job_progress import JobMeter
 from palpd.daemon.job_worker import RunRequest
 from palpd.daemon.jobs import Jobs
 from palpd.daemon.motion_process import STILL_KINDS, Build, Job, Kind
@@ -33,7 +33,8 @@ from palpd.daemon.session import measured_job
 from palpd.daemon.socket_client import CheckedCell, ControlAnswer, ControlRequest, KnownPlace, KnownProbe, LastRun
 from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.supervisor import JobRun, Report, recording_name
-from palpd.errors import BadInput, PalpdError, Refused
+from palpd.daemon.what_now import LOOKS, Action, Standing, what_now
+from palpd.errors import BadInput, ConfigError, PalpdError, Refused
 from palpd.recording.ring import LoopState, Ring
 from palpd.tick import Phase, Request
 
@@ -43,10 +44,15 @@ PAUSE_PATIENCE_S = 1.0
 """Longest wait for the arm to rest in a pause. The sequence takes it within a tick, but not before the tare is over."""
 STATUS_S = 0.2
 """Shortest time between two statuses that watchers receive: what a person can follow."""
-NEEDS_CONTROLS = ("arm", "start", "pause", "resume", "retract", "level-test", "clear", "begin", "decide")
+NEEDS_CONTROLS = ("check", "arm", "start", "pause", "resume", "retract", "level-test", "clear", "begin", "decide")
 """Requests of whoever holds the controls. Everyone may ask for the status and abort."""
+STANDS_FOR: Mapping[str, Action] = {"calibrate": "calibrate", "doctor": "check", "recover": "recover"}
+"""The button that a program has; the others have that of a start, since they move the arm."""
 WATCHDOG_S = 0.5
 """Period of feeding the watchdog of systemd: a small part of WatchdogSec in the unit."""
+
+
+Kept = TypeVar("Kept")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +81,14 @@ class Service:
         self._run: JobRun | None = None
         self._last: Report | None = None
         self._arming: Later | None = None
+        self._looking: Later | None = None
         self._pausing: PendingPause | None = None
+        self._pause_asked = False
         self._first_tick = 0
+        self._meter: JobMeter | None = None
         self._cell: CheckedCell | None = None
-        self._probe: KnownProbe | None = None
+        self._fault = ""
+        self._probe: tuple[ProbeAnswer, str] | None = None
         self._pose: tuple[float, ...] = ()
         self._log = structlog.get_logger("palpd.service")
         self._reports = RunReports(config.paths.runs)
@@ -118,7 +128,7 @@ class Service:
                 if time.monotonic() - fed_s > WATCHDOG_S:
                     idle = self._run is None or self._ring.state != LoopState.RUNNING
                     if idle or self._ring.published != ticks:  # fed only while ticks advance, so that systemd notices a loop that hangs
-                        _notify(f"WATCHDOG=1\nSTATUS={self._standing}")
+                        _notify(f"WATCHDOG=1\nSTATUS={self._word}")
                     fed_s, ticks = time.monotonic(), self._ring.published
         finally:
             _notify("STOPPING=1")
@@ -128,7 +138,7 @@ class Service:
             self._free_ring()
 
     @property
-    def _standing(self) -> str:
+    def _word(self) -> str:
         if self._checking:
             return "checking"
         if self._jobs.current is not None:
@@ -143,6 +153,7 @@ class Service:
         """Carry out one request of the control socket; refusals are sentences and change nothing."""
         commands: dict[str, Callable[[ControlRequest], ControlAnswer | Later | Watching | bytes]] = {
             "status": self._status,
+            "check": self._look,
             "arm": self._arm,
             "start": self._start,
             "pause": lambda _: self._ask(Request.PAUSE),
@@ -173,13 +184,14 @@ class Service:
             return {"ok": False, "error": str(error)}
 
     def _status(self, _: ControlRequest) -> ControlAnswer:
-        latch = self._latch()
+        standing, probe = self._standing(), self._known_probe()
         answer: ControlAnswer = {
-            "state": self._standing,
-            "latched": latch.reason if latch else None,
+            "state": self._word,
+            "now": what_now(standing).published,
+            "latched": standing.latch[1] if standing.latch else None,
             "pid": os.getpid(),
             "cell": self._cell,
-            "probe": self._probe or self._remembered(),
+            "probe": known_probe(*probe) if probe is not None else None,
             "place": self._place(),
             "controls": self._controls.holder(time.monotonic()),
             "ring": self._ring.name,
@@ -201,22 +213,58 @@ class Service:
 
     def _under_way(self, job: Job) -> ControlAnswer:
         """Where the running job stands by its newest tick; without a tick only what it is."""
-        row, progress = self._newest(), job_progress(job, self._ring)
-        if row is None or progress is None:
+        row, progress = self._newest(), self._meter.read() if self._meter is not None else None
+        if row is None or progress is None or self._meter is None:
             return {"job": job.kind, "activity": "opening robot and sensor"}
-        depth_m = float(row["surface_z_m"] - row["tcp_pose"][2])
         return {
             "job": job.kind,
             "activity": progress.activity,
             "steps_done": progress.steps_done,
-            "steps": job_steps(job),
+            "steps": self._meter.steps,
+            "left_s": None if progress.left_s is None else float(round(progress.left_s)),
             "phase": Phase(int(row["phase"])).name.lower(),
             "site": int(row["site"]),
             "force_N": progress.force_N,
             "z_m": progress.z_m,
-            "depth_m": depth_m if math.isfinite(depth_m) else None,
+            "depth_m": _depth_m(row),
             "tick": int(row["index"]),
         }
+
+    def _standing(self) -> Standing:
+        """Where everything stands, for `what_now`."""
+        run, row, job = self._run.job if self._run is not None else None, self._newest(), self._jobs.current
+        progress = self._meter.read() if self._meter is not None and run is not None and not self._checking else None
+        latch, last, probe = self._latch(), self._last, self._known_probe()
+        stopped = last is not None and last.verdict != "done" and last.exit_code != 2
+        place = _kept(self._state.place)
+        return Standing(
+            armed=self._armed,
+            arming=self._arming is not None,
+            run=run.kind if run is not None else None,
+            phase=Phase(int(row["phase"])) if row is not None and run is not None else None,
+            site=progress.site if progress is not None else None,
+            force_N=progress.force_N if progress is not None else 0.0,
+            depth_m=_depth_m(row) if row is not None else None,
+            job=job.id if job is not None else None,
+            activity=job.activity if job is not None else "",
+            proposal=job is not None and job.proposal is not None,
+            pause_asked=self._pause_asked,
+            pause_pending=self._pausing is not None,
+            latch=(latch.date, latch.reason) if latch is not None else None,
+            reference=_kept(self._state.calibration) is not None,
+            unfinished=self._state.holds("contact"),
+            probe=probe[0] if probe is not None else None,
+            fault=self._fault,
+            question=question(place, self._pose[0], self._pose[1], None) if self._pose else None,
+            last=last.reason if stopped and last is not None else "",
+        )
+
+    def _refuse(self, action: Action) -> None:
+        """Refuse what `what_now` finds impossible. What looks at the devices itself is judged without what was seen before."""
+        standing = self._standing()
+        obstacle = what_now(replace(standing, probe=None) if action in LOOKS else standing).obstacles.get(action)
+        if obstacle is not None:
+            raise Refused(obstacle.as_refusal)
 
     def _newest(self) -> np.void | None:
         """The newest tick of the running job; the ring also holds those of jobs before."""
@@ -226,33 +274,34 @@ class Service:
         return rows[-1] if len(rows) else None
 
     def _arm(self, _: ControlRequest) -> ControlAnswer | Later:
-        if not self._checking:
-            self._refuse_running()
-        if self._arming is not None:
-            raise Refused("another client is arming the daemon; see palpd status")
-        latch = self._latch()
-        if latch is not None:
-            raise Refused(
-                f"the last run was stopped on {latch.date}: {latch.reason}; look at the cell, leave the tissue with palpd retract, "
-                "then palpd clear"
-            )
-        if self._state.calibration() is None:
-            raise Refused("there is no reference tare; run palpd calibrate with the probe free and still")
+        self._refuse("arm")
         self._armed = False
-        self._arming = Later()
         if self._run is None:
             self._check()
+        self._arming = Later()
         return self._arming
 
+    def _look(self, _: ControlRequest) -> Later:
+        """Check the devices and the probe anew; it commands nothing."""
+        self._refuse("check")
+        self._armed = False
+        self._check()
+        self._looking = Later()
+        return self._looking
+
     def _check(self) -> None:
-        self._first_tick = self._ring.published
+        self._first_tick, self._meter = self._ring.published, None
         self._run = JobRun(self._job("check", Plan(), dry=True), self._build, self._ring, self._state, "check")
 
     def _checked(self, report: Report) -> None:
         ready = report.verdict == "done" and self._run is not None and self._run.job.reference is not None
         reason = report.reason or ("" if ready else "there is no reference tare; run palpd calibrate with the probe free and still")
         self._cell = {"ready": ready, "reason": reason, "date": now()}
+        self._fault = reason if report.probe is None else ""
         self._log.info("checked", ready=ready, reason=reason, date=self._cell["date"], notes=report.notes)
+        if self._looking is not None:
+            self._looking.answer = {"ok": True, "state": "disarmed", "cell": self._cell}
+            self._looking = None
         arming, self._arming = self._arming, None
         if arming is None:
             return
@@ -269,9 +318,7 @@ class Service:
         return measured_job(kind, self._config, plan, dry)
 
     def _start(self, request: ControlRequest) -> ControlAnswer:
-        self._refuse_running()
-        if not self._armed:
-            raise Refused("the daemon is disarmed; run palpd arm first")
+        self._refuse("start")
         plan = parse_plan(request.get("plan"), "the plan")
         refuse_unsafe(self._config, plan)
         refuse_overload(self._config, plan)
@@ -280,7 +327,7 @@ class Service:
             raise BadInput(f"the place is {str(choice)[:32]!r}, expected one of {', '.join(get_args(Choice))}")
         work = measured_job("palpation", self._config, plan, choice=cast(Choice | None, choice))
         if self._pose and plan.origin is None and (asked := question(work.last, self._pose[0], self._pose[1], work.choice)) is not None:
-            raise Refused(f"nothing was moved: {asked}")
+            raise Refused(f"nothing was moved: {asked}; {ANSWERS}")
         self._start_run(work, recording_name("palpation"))
         self._jobs.begin_run("run", self._asking)
         self._log.info("started", sites=len(plan.sites))
@@ -288,24 +335,23 @@ class Service:
 
     def _go_up(self, kind: Kind) -> ControlAnswer:
         """Leave the tissue, or test whether the probe is free. It needs no arming and no cleared latch: it goes straight up, guarded."""
-        self._refuse_running()
+        self._refuse("retract" if kind == "retract" else "level-test")
         self._start_run(self._job(kind, Plan()), recording_name(kind))
         job_id = self._jobs.begin_run(kind.replace("_", "-"), self._asking)
         self._log.info("going up", job=kind)
         return {"state": "running", "id": job_id}
 
     def _start_run(self, work: Job, name: str) -> None:
-        self._first_tick, self._armed = self._ring.published, False
+        self._first_tick, self._armed, self._pause_asked = self._ring.published, False, False
+        self._meter = JobMeter(work, self._ring)
         self._run = JobRun(work, self._build, self._ring, self._state, name)
 
     # --- jobs with a program ------------------------------------------------------------------------------------------------
 
     def _begin_job(self, request: ControlRequest) -> ControlAnswer:
         """Start the worker of a program. Where the program moves the arm, this spends the arming, for all runs that it announces."""
-        self._refuse_running()
         program = program_named(request.get("program"))
-        if program.moves and not self._armed:
-            raise Refused("the daemon is disarmed; run palpd arm first")
+        self._refuse(STANDS_FOR.get(program.name, "start"))
         record = self._jobs.begin(program, request.get("arguments", {}), self._asking)
         self._armed = False
         return {"state": "running", "id": record.id, "most_runs": record.most_runs}
@@ -324,7 +370,7 @@ class Service:
         if self._ending or self._jobs.current is None or self._jobs.current.aborted:
             raise Refused("the job was aborted" + ("" if asked.kind in STILL_KINDS else "; nothing more was moved"))
         latch = self._latch()
-        if latch is not None and asked.kind not in STILL_KINDS:
+        if latch is not None and asked.kind not in READS:
             raise Refused(f"a run was stopped on {latch.date}: {latch.reason}; nothing more was moved")
         config = self._config.with_runs(asked.recording.parent) if asked.recording is not None else self._config
         work = replace(checked_job(asked.kind, config, asked.plan, take_reference=asked.take_reference), watch_s=asked.watch_s)
@@ -333,7 +379,7 @@ class Service:
 
     def _decide(self, request: ControlRequest) -> ControlAnswer:
         self._jobs.decide(request.get("id"), request.get("number"), request.get("agree"))
-        return {"state": self._standing}
+        return {"state": self._word}
 
     def _cancel(self, request: ControlRequest) -> ControlAnswer:
         """An abort that cannot hit a later job."""
@@ -377,13 +423,10 @@ class Service:
     # --- a run under way ----------------------------------------------------------------------------------------------------
 
     def _ask(self, wish: Request) -> Later:
-        if self._run is None or self._checking or self._run.job.kind in STILL_KINDS:
-            raise Refused("nothing is running that could pause")
-        if self._run.job.kind == "retract":
-            raise Refused("the arm leaves the tissue already; wait for its end, or palpd abort")
-        if self._pausing is not None:
-            raise Refused("another client is pausing or resuming the run; see palpd status")
+        self._refuse("pause" if wish == Request.PAUSE else "resume")
+        assert self._run is not None
         self._run.ask(wish)
+        self._pause_asked = wish == Request.PAUSE
         self._pausing = PendingPause(Later(), wish, self._ring.published, time.monotonic() + PAUSE_PATIENCE_S)
         return self._pausing.later
 
@@ -419,35 +462,27 @@ class Service:
         return {"state": "aborting" if self._run else "disarmed"}
 
     def _clear(self, _: ControlRequest) -> ControlAnswer:
-        if not self._checking:
-            self._refuse_running()
+        self._refuse("clear")
         self._unkept = None
         self._state.clear_latch()
         self._log.info("cleared")
         return {"state": "disarmed"}
 
-    def _refuse_running(self) -> None:
-        if self._checking:
-            raise Refused("the devices are being checked; try again in some seconds")
-        if self._jobs.current is not None:
-            raise Refused(f"the job {self._jobs.current.id} is running; wait for its end, or palpd abort")
-
-    def _remembered(self) -> KnownProbe | None:
-        """What the state folder says of the probe, where this service has not looked yet."""
-        marker = self._state.marker()
+    def _known_probe(self) -> tuple[ProbeAnswer, str] | None:
+        """The last answer about the probe with its date; what the state folder says, where this service has not looked yet."""
+        if self._probe is not None:
+            return self._probe
+        try:
+            marker = self._state.marker()
+        except ConfigError as error:
+            return ProbeAnswer(ProbeState.UNKNOWN, (str(error),), frozenset()), now()
         if marker is None:
             return None
-        return KnownProbe(
-            state="unknown",
-            reasons=[f"the {marker.run} of {marker.date} is unfinished"],
-            ways=["retract"],
-            date=marker.date,
-            advice="palpd retract leaves the tissue",
-        )
+        return ProbeAnswer(ProbeState.UNKNOWN, (f"the {marker.run} of {marker.date} is unfinished",), frozenset(("retract",))), marker.date
 
     def _place(self) -> KnownPlace | None:
         """Where the tip was last seen, over which site of the last plan, and where its sites count from."""
-        last = self._state.place()
+        last = _kept(self._state.place)
         if not self._pose and last is None:
             return None
         x_m, y_m = self._pose[:2] if self._pose else (None, None)
@@ -474,12 +509,12 @@ class Service:
         if report is not None and (row := self._newest()) is not None:
             self._pose = tuple(map(float, row["tcp_pose"]))
         if report is not None and report.probe is not None:
-            self._probe = known_probe(report.probe, now())
+            self._probe = report.probe, now()
         if report is not None and self._checking:
             self._checked(report)
             self._run = None
         elif report is not None:
-            self._run, self._last, self._cell = None, report, None
+            self._run, self._last, self._cell, self._fault = None, report, None, ""
             if report.recording is not None and self._config.paths.write_reports:
                 self._reports.add(report.recording)
             self._log.info("ended", verdict=report.verdict, reason=report.reason, recording=str(report.recording), notes=report.notes)
@@ -504,6 +539,20 @@ def known_probe(answer: ProbeAnswer, date: str) -> KnownProbe:
         The entry `probe` of the status.
     """
     return KnownProbe(state=answer.state.value, reasons=list(answer.reasons), ways=sorted(answer.ways), date=date, advice=answer.advice)
+
+
+def _depth_m(row: np.void) -> float | None:
+    """Depth of the tip below the surface; None where that is not known."""
+    depth_m = float(row["surface_z_m"] - row["tcp_pose"][2])
+    return depth_m if math.isfinite(depth_m) else None
+
+
+def _kept(read: Callable[[], Kept]) -> Kept | None:
+    """What a file of the state folder holds; None where it is damaged: whoever needs it then says so, and the status goes on."""
+    try:
+        return read()
+    except ConfigError:
+        return None
 
 
 def _notify(message: str) -> None:

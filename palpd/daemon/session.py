@@ -14,7 +14,7 @@ from palpd.control.probe_state import MOST_MOVED_REFERENCE_N, ProbeAnswer, Probe
 from palpd.daemon.display import Display, ShowProgress
 from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import Interrupted, held, leave_within, received, shielded, waited_s
-from palpd.daemon.job_progress import job_progress, job_steps
+from palpd.daemon.job_progress import JobMeter
 from palpd.daemon.motion_process import Build, Job, Kind
 from palpd.daemon.overshoot import refuse_overload
 from palpd.daemon.probe_record import probe_record
@@ -159,13 +159,14 @@ def carry_out(work: Job, build: Build, display: Display, name: str | None = None
 def _watched(run: JobRun, work: Job, ring: Ring, display: Display) -> Report:
     """Show the progress until the run is over. A terminal that is gone hides nothing of how it ended."""
     reports: list[Report] = []
+    meter = JobMeter(work, ring)
 
     def show_newest(show: ShowProgress) -> None:
-        progress = job_progress(work, ring)
+        progress = meter.read()
         if progress is not None:
             show(progress)
 
-    with contextlib.suppress(OSError), display.job(job_steps(work)) as show:
+    with contextlib.suppress(OSError), display.job(meter.steps) as show:
         reports.append(wait(run, lambda: show_newest(show)))
     return reports[0] if reports else wait(run)
 

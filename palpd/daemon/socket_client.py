@@ -82,6 +82,27 @@ class KnownPlace(TypedDict):
     unfinished: str | None
 
 
+class KnownObstacle(TypedDict):
+    """Why a button is impossible now, and the button that leads out."""
+
+    reason: str
+    way: str | None
+
+
+class KnownNow(TypedDict):
+    """What stands: `state` for programs, `word` and `sentence` for people; what is sensible `next`, and why the rest is impossible.
+
+    `question` says why a start must answer first where its sites count from.
+    """
+
+    state: str
+    word: str
+    sentence: str
+    next: str | None
+    obstacles: dict[str, KnownObstacle]
+    question: str | None
+
+
 class ForceLimits(TypedDict):
     """The guard's limits as the service read them when it began: on the compensated force, and on the raw one."""
 
@@ -151,12 +172,14 @@ class ControlAnswer(TypedDict, total=False):
     latched: str | None
     pid: int
     cell: CheckedCell | None
+    now: KnownNow
     probe: KnownProbe | None
     place: KnownPlace | None
     job: str
     activity: str
     steps_done: int
     steps: int
+    left_s: float | None
     phase: str
     site: int
     force_N: float

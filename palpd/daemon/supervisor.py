@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from palpd.control.inertial import read_card
-from palpd.control.plan_place import PlanPlace, question
+from palpd.control.plan_place import ANSWERS, PlanPlace, question
 from palpd.control.probe_state import ProbeAnswer, ProbeEvidence, ProbeState
 from palpd.control.sequence import LEVEL_M
 from palpd.daemon import motion_process as motion
@@ -240,7 +240,7 @@ class JobRun:
     def _begin_recording(self, opened: Opened) -> Report | None:
         self._reported, self._about, self._opened = True, opened.about, opened
         if (asked := self._place_question(opened.pose)) is not None:
-            return self._refuse(asked)
+            return self._refuse(f"{asked}; {ANSWERS}")
         header = header_of(self.job, opened.about, opened.reference, opened.pose)
         model = self.job.config.model.path if self.job.kind == "palpation" else None
         folder = self.job.config.paths.runs

@@ -17,8 +17,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from palpd.errors import BadInput, RecordingError
+from palpd.files import is_growing
 
-RECORDING = ".mcap"
+RECORDING, PART = ".mcap", ".part"
 REMARKS, REPORT, DIAGNOSIS = ".remarks.json", ".report.html", ".diagnosis.json"
 LAST = "last"
 """Stands for the recording that was closed last."""
@@ -81,14 +82,42 @@ def stored_recordings(folder: Path) -> dict[str, StoredRecording]:
     return recordings
 
 
-def _files(folder: str, place: str, levels: int = LEVELS) -> Iterator[tuple[str, str, FileStamp]]:
+def unfinished_recordings(folder: Path) -> dict[str, Path]:
+    """The recordings that were cut off, by name: nobody writes them any more, and nobody has recovered them.
+
+    Args:
+        folder: The folder of the runs; one that does not exist holds none.
+
+    Returns:
+        The path of each FILE.part.
+
+    Raises:
+        BadInput: The folder cannot be read.
+    """
+    unfinished = {}
+    try:
+        for place, name, _ in _files(os.fspath(folder), "", endings=(PART,)):
+            part = folder / (place + name)
+            with contextlib.suppress(OSError):  # it may not be read, or was removed meanwhile
+                if not part.with_suffix(RECORDING).exists() and not is_growing(part):
+                    unfinished[place + name.removesuffix(PART)] = part
+    except FileNotFoundError:
+        return {}
+    except OSError as error:
+        raise BadInput(f"{folder} cannot be read ({error.strerror or error}); give the folder of the runs") from error
+    return unfinished
+
+
+def _files(
+    folder: str, place: str, levels: int = LEVELS, endings: tuple[str, ...] = (RECORDING, REMARKS, DIAGNOSIS)
+) -> Iterator[tuple[str, str, FileStamp]]:
     """Place, name and stamp of each recording and of what may belong to one; links to folders are not followed."""
     with os.scandir(folder) as entries:
         for entry in entries:
             if entry.is_dir(follow_symlinks=False):
                 with contextlib.suppress(OSError):  # one that may not be read, or was removed meanwhile, holds nothing
-                    yield from _files(entry.path, f"{place}{entry.name}/", levels - 1) if levels else ()
-            elif entry.name.endswith((RECORDING, REMARKS, DIAGNOSIS)):
+                    yield from _files(entry.path, f"{place}{entry.name}/", levels - 1, endings) if levels else ()
+            elif entry.name.endswith(endings):
                 try:
                     status = entry.stat()
                 except OSError:  # it was removed meanwhile, or is a link to nothing
@@ -188,7 +217,7 @@ def recording_meant(run: str, folder: Path) -> Path:
         RecordingError: There is none, or several are called so.
     """
     path = Path(run)
-    is_path = path.is_absolute() or (path.suffix in (RECORDING, ".part") and os.path.lexists(path))
+    is_path = path.is_absolute() or (path.suffix in (RECORDING, PART) and os.path.lexists(path))
     return path if is_path else recording_named(run, folder)
 
 

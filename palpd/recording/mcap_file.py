@@ -32,7 +32,7 @@ from zstandard import ZstdError
 
 from palpd.errors import RecordingError
 from palpd.file_versions import NEWEST_RECORDING, newer
-from palpd.files import read_by_others
+from palpd.files import is_growing, read_by_others
 from palpd.recording import cdr
 from palpd.recording.topics import SCHEMAS, TICK_TOPIC, TOPICS, Rows, TopicMessages
 
@@ -611,8 +611,5 @@ def _refuse_growing(part: Path) -> None:
         if not part.is_file():
             part.stat()
             raise RecordingError(f"{part} is no regular file; give the unfinished recording of a run")
-        with part.open("rb") as stream:
-            try:
-                fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise RecordingError(f"{part} is still being written; wait for the run to end") from None
+        if is_growing(part):
+            raise RecordingError(f"{part} is still being written; wait for the run to end")

@@ -84,8 +84,11 @@ def _settings(words: list[str]) -> tuple[PageSettings, Path]:
     parser.add_argument("--name", action="append", default=[])
     parser.add_argument("--plan", type=Path)
     parser.add_argument("--config", type=Path)
+    parser.add_argument("--camera-url")
     values = parser.parse_args(words)
-    settings = PageSettings(values.socket, values.runs, values.listen, values.port, tuple(values.name), values.plan, values.config)
+    settings = PageSettings(
+        values.socket, values.runs, values.listen, values.port, tuple(values.name), values.plan, values.config, values.camera_url
+    )
     return settings, values.token_file
 
 

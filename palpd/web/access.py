@@ -36,11 +36,11 @@ MOST_BODY_BYTES = 262_144
 """Largest request: as the control socket takes it."""
 EXPIRED = "this page is not open any more: its 12 hours are over, or it was never opened with the token; open it with the link of palpd web"
 POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; font-src 'self'; "
-    "frame-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:{pictures_from}; connect-src 'self'; "
+    "font-src 'self'; frame-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
 )
+"""What a page may load, and from where: this server, and pictures of the camera where one is configured."""
 HEADERS = {
-    "Content-Security-Policy": POLICY,
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "same-origin",
@@ -74,7 +74,17 @@ class Rates:
 class Access:
     """ASGI middleware around the whole application."""
 
-    def __init__(self, app: ASGIApp, sessions: Sessions, hosts: frozenset[str], cookie: str, entrance: Callable[[str], str]) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        sessions: Sessions,
+        hosts: frozenset[str],
+        cookie: str,
+        entrance: Callable[[str], str],
+        pictures_from: str | None = None,
+    ) -> None:
+        policy = POLICY.format(pictures_from=f" {pictures_from}" if pictures_from else "")
+        self._headers = {"Content-Security-Policy": policy, **HEADERS}
         self._app, self._sessions, self._hosts, self._cookie, self._entrance = app, sessions, hosts, cookie, entrance
         self._at_once = 0
         self._rates, self._tries = Rates(RATE_PER_S, BURST), Rates(TRIES_PER_S, TRIES)
@@ -90,23 +100,33 @@ class Access:
         scope["browser"] = browser_of(scope, headers)
         refusal = self._refusal(scope, headers, session)
         if refusal is None and scope["path"] == ENTER:
-            await self._enter(scope, receive, _with_headers(send))
+            await self._enter(scope, receive, self._with_headers(send))
         elif refusal is None and (scope["type"] == "websocket" or scope["path"] == ABORT):
-            await self._app(scope, receive, _with_headers(send))
+            await self._app(scope, receive, self._with_headers(send))
         elif refusal is None and self._at_once >= MOST_AT_ONCE:
             sentence = f"{MOST_AT_ONCE} requests are under way, expected fewer; try again in a second"
-            await self._refused(headers, sentence, 503)(scope, receive, _with_headers(send))
+            await self._refused(headers, sentence, 503)(scope, receive, self._with_headers(send))
         elif refusal is None:
             self._at_once += 1
             try:
-                await self._app(scope, receive, _with_headers(send))
+                await self._app(scope, receive, self._with_headers(send))
             finally:
                 self._at_once -= 1
         elif scope["type"] == "websocket":
             await receive()  # the handshake
             await send({"type": "websocket.close", "code": 4401, "reason": "refused"})
         else:
-            await refusal(scope, receive, _with_headers(send))
+            await refusal(scope, receive, self._with_headers(send))
+
+    def _with_headers(self, send: Send) -> Send:
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in self._headers.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        return send_with_headers
 
     def _session(self, headers: Headers) -> Session | None:
         scheme, _, token = headers.get("authorization", "").partition(" ")
@@ -221,17 +241,6 @@ def is_loopback(scope: Scope) -> bool:
         return False
     mapped = getattr(address, "ipv4_mapped", None)
     return (mapped or address).is_loopback
-
-
-def _with_headers(send: Send) -> Send:
-    async def send_with_headers(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            headers = MutableHeaders(scope=message)
-            for name, value in HEADERS.items():
-                headers.setdefault(name, value)
-        await send(message)
-
-    return send_with_headers
 
 
 def _is_token(session: Session | None) -> bool:

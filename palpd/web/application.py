@@ -15,6 +15,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from starlette.applications import Starlette
 from starlette.routing import BaseRoute, Mount
@@ -46,6 +47,8 @@ class PageSettings:
     """Plan that the page offers first."""
     config: Path | None = None
     """config.yaml of the cell, for the commands that judge and rehearse a plan."""
+    camera_url: str | None = None
+    """Address of a camera's picture, as the configuration allows it: no password, no blank, no quote."""
 
     @property
     def hosts(self) -> frozenset[str]:
@@ -74,8 +77,8 @@ Routes = Callable[[Page], list[BaseRoute]]
 Background = Callable[[Page], AbstractAsyncContextManager[None]]
 
 
-def _frame_routes(_: Page) -> list[BaseRoute]:
-    return [*shell.routes()]
+def _frame_routes(page: Page) -> list[BaseRoute]:
+    return [*shell.routes(page.settings.camera_url)]
 
 
 ROUTES: list[Routes] = [
@@ -109,6 +112,14 @@ def build(settings: PageSettings, sessions: Sessions) -> Starlette:
 
     routes = [route for each in ROUTES for route in each(page)]
     application = Starlette(routes=[*routes, Mount("/static", StaticFiles(directory=shell.STATIC))], lifespan=lifespan)
-    application.add_middleware(Access, sessions=sessions, hosts=settings.hosts, cookie=f"palpd_{settings.port}", entrance=shell.entrance)
+    camera = urlsplit(settings.camera_url or "")
+    application.add_middleware(
+        Access,
+        sessions=sessions,
+        hosts=settings.hosts,
+        cookie=f"palpd_{settings.port}",
+        entrance=shell.entrance,
+        pictures_from=f"{camera.scheme}://{camera.netloc}" if camera.netloc else None,
+    )
     application.state.page = page
     return application

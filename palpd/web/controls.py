@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 KEYS = {
     "status": (),
+    "check": ("lease",),
     "arm": ("lease",),
     "start": ("lease", "plan", "place"),
     "pause": ("lease",),

@@ -28,6 +28,8 @@ MOST_WAITING = 64
 """Frames that wait for a page: two seconds. One that is further behind is dropped, and opens its link anew."""
 MOST_PAGES = 32
 """Most pages at a time."""
+BESIDE = ("retract", "level_test")
+"""Runs that leave charts, sites and map of the palpation before on the page."""
 FULL = f"{MOST_PAGES} pages are open already, expected fewer; close one of them"
 
 
@@ -60,6 +62,7 @@ class Live:
         """Take an event of the service."""
         if event["event"] == "status":
             self.ticks.watch(event.get("ring"))
+            self.ticks.beside = event["state"] == "checking" or event.get("job") in BESIDE
             self.moduli.hear(event)
         elif event["event"] == "lost":
             self.ticks.watch(None)

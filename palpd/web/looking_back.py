@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
 from palpd.errors import RecordingError
-from palpd.history.stored import RECORDING, recording_named, stored_recordings
+from palpd.history.stored import RECORDING, recording_named, stored_recordings, unfinished_recordings
 
 if TYPE_CHECKING:
     from palpd.history.catalogue import RunFilter
@@ -58,7 +58,8 @@ def listed(folder: Path, query: Mapping[str, str]) -> dict[str, Any]:
         query: What to look for: `since`, `until`, `site`, `verdict`, `kind`, `tag`, `text`, and `most`.
 
     Returns:
-        The runs with their keys, how many fit, the sites, tags and verdicts that there are, and notes for the user.
+        The runs with their keys, how many fit, the sites, tags and verdicts that there are, notes for the user, and the names of
+        the recordings that were cut off, whatever the filter.
 
     Raises:
         BadInput: A day is none, or the folder cannot be read.
@@ -84,6 +85,7 @@ def listed(folder: Path, query: Mapping[str, str]) -> dict[str, Any]:
             "verdicts": sorted({entry.verdict for entry in known}),
             "kinds": sorted({entry.kind for entry in known} - {""}),
             "notes": list(catalogue.notes),
+            "unfinished": sorted(unfinished_recordings(folder), reverse=True),
         }
 
 

@@ -54,7 +54,7 @@ class ServiceLink:
 
     async def ask(self, request: ControlRequest) -> ControlAnswer:
         """Send a request; the answer's `error` holds the refusal, in the words of the service."""
-        patience_s = ARM_PATIENCE_S if request["do"] == "arm" else PATIENCE_S
+        patience_s = ARM_PATIENCE_S if request["do"] in ("arm", "check") else PATIENCE_S
         return await asyncio.get_running_loop().run_in_executor(self._pool, _answer, self.socket, request, patience_s)
 
     async def abort(self) -> ControlAnswer:

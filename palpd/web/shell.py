@@ -29,7 +29,7 @@ class Tab(NamedTuple):
 TABS = (Tab("run", "Run", "/"), Tab("plan", "Plan", "/plan"), Tab("runs", "Runs", "/runs"), Tab("resolve", "Resolve", "/resolve"))
 
 
-def page(request: Request, part: str, title: str, tab: str) -> HTMLResponse:
+def page(request: Request, part: str, title: str, tab: str, *, camera: str = "") -> HTMLResponse:
     """Make a page of the application.
 
     Args:
@@ -37,11 +37,12 @@ def page(request: Request, part: str, title: str, tab: str) -> HTMLResponse:
         part: Name of the file in `pages/`, without ending; `static/PART.js` is loaded with it where it exists.
         title: Of the page, for the browser.
         tab: Name of the tab that it belongs to.
+        camera: HTML that shows the camera's picture, on the Run page.
 
     Returns:
         The page.
     """
-    return HTMLResponse(_framed(part, title, tab, request.scope["session"].csrf))
+    return HTMLResponse(_framed(part, title, tab, request.scope["session"].csrf).replace("$camera", camera))
 
 
 def entrance(sentence: str) -> str:
@@ -49,12 +50,20 @@ def entrance(sentence: str) -> str:
     return _framed("entrance", "palpd: not open", "", "").replace("$sentence", escape(sentence))
 
 
-def routes() -> list[Route]:
-    """One route a tab."""
+def routes(camera_url: str | None) -> list[Route]:
+    """One route a tab.
+
+    Args:
+        camera_url: Address of a camera's picture, for the Run page.
+
+    Returns:
+        The routes.
+    """
+    camera = Template(_read("camera")).substitute(url=escape(camera_url)) if camera_url is not None else ""
 
     def of(tab: Tab) -> Route:
         async def show(request: Request) -> HTMLResponse:
-            return page(request, tab.name, f"palpd: {tab.title}", tab.name)
+            return page(request, tab.name, f"palpd: {tab.title}", tab.name, camera=camera)
 
         return Route(tab.path, show, name=tab.name)
 

@@ -15,6 +15,8 @@ from palpd.web.aside import Aside
 REST = 5.0
 """Pause between two analyses, as a multiple of what the last one took: a long run is not read again all the time."""
 LEAST_REST_S = 2.0
+PALPATE = ("run", "map", "resolve")
+"""Programs whose moduli are shown; the others leave those of the job before on the page."""
 MOST_SITES = 1000
 """Sites that are kept of a job; a plan has no more, and a map 200."""
 
@@ -58,7 +60,7 @@ class LiveModuli:
     def hear(self, status: dict[str, Any]) -> None:
         """Take a status of the service: has a job begun, is a site over, has a run ended?"""
         active = status.get("active")
-        if active is not None and active["id"] != self._job:
+        if active is not None and active["id"] != self._job and active["program"] in PALPATE:
             self._job, self._sites, self._error, self._site, self._recording = active["id"], {}, "", -1, None
             self._publish(self.event())
         if status.get("recording") and status.get("job") == "palpation":

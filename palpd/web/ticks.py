@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palpd.errors import PalpdError
 from palpd.recording.ring import Ring, Rows
@@ -17,11 +18,18 @@ KEPT_POINTS = 3000
 """Points that a page receives when it is opened: the last 25 s."""
 PRESSES = (Mode.STATIC, Mode.DYNAMIC, Mode.STIFFNESS)
 IN_TISSUE = (Phase.PRESS, Phase.HOLD, Phase.RETRACT)
+PAUSED = (Phase.PAUSED, Phase.PAUSE_RETRACT)
+BROKEN_S = 0.25
+"""Time without a tick that a line is not drawn across: a loop that stood still for so long has missed 30 ticks."""
+ASIDE_S = 1.0
+"""Time on the charts between a palpation and a retract or a look after it, however long that came later."""
 RATE_OVER_S = 1.0
 """Time over which the rate of the loop is counted."""
 
 Point = list[float | int | None]
-"""t_s, raw_N, inertial_N, force_N, z_m, depth_m, press: `t_s` since the run's first tick; `press` counts, 0 outside of a press."""
+"""t_s, raw_N, inertial_N, force_N, z_m, depth_m, press: `t_s` since the run's first tick; `press` counts, 0 outside of a press.
+
+All but the time are null where lines end: before a gap in time, and where a pause or another site begins or ends."""
 
 
 @dataclass(slots=True)
@@ -44,17 +52,22 @@ class Health:
 
 @dataclass(slots=True)
 class TickStream:
-    """Reads the ring of the service. `points` are the last ones of the run; `run` counts the runs that were seen."""
+    """Reads the ring of the service. `points` are the last ones of the run; `run` counts the runs that were seen.
+
+    A run that is `beside` the matter, such as a retract, a level test or a look at the devices, goes on with the points of the one before.
+    """
 
     points: deque[Point] = field(default_factory=lambda: deque(maxlen=KEPT_POINTS))
     health: Health = field(default_factory=Health)
     run: int = 0
+    beside: bool = False
     _ring: Ring | None = None
     _cursor: int = 0
     _began_s: float = math.nan
     _last_index: int = -1
     _press: int = 0
     _press_key: tuple[int, int, int, float] | None = None
+    _before: Rows | None = None
     _times: deque[float] = field(default_factory=deque)
 
     def watch(self, name: str | None) -> None:
@@ -89,17 +102,36 @@ class TickStream:
             self._begin(rows)
         self._last_index = int(rows["index"][-1])
         self._note_health(rows, lost)
-        points = [self._point(rows[at]) for at in _chosen(rows)]
+        points, broken = list[Point](), self._broken(rows)
+        done = 0
+        for at in _chosen(rows):
+            point = self._point(rows[at])
+            if broken[done : at + 1].any():
+                points.append([point[0], None, None, None, None, None, 0])
+            points.append(point)
+            done = at + 1
         self.points.extend(points)
         return points
 
+    def _broken(self, rows: Rows) -> NDArray[np.bool_]:
+        """Which rows (n,) a line must not lead to from the row before: after a gap in time, at another site, around a pause."""
+        known = rows if self._before is None else np.concatenate((self._before, rows))
+        self._before = rows[-1:].copy()
+        paused = np.isin(known["phase"], PAUSED)
+        away = (np.diff(known["now_s"]) > BROKEN_S) | (np.diff(known["site"]) != 0) | (paused[1:] != paused[:-1])
+        return away if len(known) > len(rows) else np.concatenate(([False], away))
+
     def _begin(self, rows: Rows) -> None:
-        """A new run: its ticks are counted from its beginning."""
+        """A new run: its ticks are counted from its beginning; those of a run beside the matter go on from the run before."""
+        self._times.clear()
+        self.health, self._press_key, self._began_s = Health(), None, float(rows["now_s"][0])
+        last_s = self.points[-1][0] if self.points else None
+        if self.beside and last_s is not None:
+            self._began_s -= last_s + ASIDE_S
+            return
         self.run += 1
         self.points.clear()
-        self._times.clear()
-        self.health, self._press, self._press_key = Health(), 0, None
-        self._began_s = float(rows["now_s"][0])
+        self._press, self._before = 0, None
 
     def _note_health(self, rows: Rows, lost: int) -> None:
         health, now_s = self.health, rows["now_s"]
@@ -125,6 +157,8 @@ class TickStream:
         depth_m = float(row["surface_z_m"]) - z_m
         key = (int(row["site"]), int(row["mode"]), int(row["repeat"]), float(row["depth_m"]))
         press = 0
+        if int(row["phase"]) in PAUSED:
+            self._press_key = None  # the press begins again
         if int(row["mode"]) in PRESSES and int(row["phase"]) in IN_TISSUE:
             if key != self._press_key:
                 self._press, self._press_key = self._press + 1, key

@@ -16,13 +16,13 @@ import pytest
 
 from benchmarks.emulated_cell import PATIENT, emulated_cell, until
 from palpd.web.sessions import SESSION_S, Sessions
-from tests.browser.waiting import PATIENCE_S, until_text
+from tests.browser.waiting import PATIENCE_S, free_port, until_text
 from tests.hil.serving import Served, served
 from tests.robot_library import skip_without_ur_rtde
 
 playwright_api: Any = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; pip install playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-PORT = 8790
+PORT = free_port()
 PATIENCE_MS = 1000.0 * PATIENCE_S
 PLAN = {
     "sites": [{"name": "A"}],
@@ -59,6 +59,24 @@ class Pages:
             return False
 
         until(listens, "the page is served", PATIENCE_S, every_s=0.2)
+
+    @property
+    def free(self) -> bool:
+        """Whether the service knows the probe to be free, and nothing runs."""
+        status = self.service.do("status")
+        return bool(status["state"] in ("disarmed", "armed") and (status["probe"] or {}).get("state") == "free")
+
+    def kill_the_service(self) -> None:
+        """As a crash does: nothing of it is left to stop the arm but the controller's watchdog."""
+        self.service.process.kill()
+        self.service.process.wait(30.0)
+
+    def serve_again(self) -> None:
+        """Start the service as systemd does after a crash."""
+        with Path(self.service.cell.folder, "log.jsonl").open("ab") as log:
+            command = [sys.executable, "-m", "palpd", "serve", "--config", str(self.service.cell.config)]
+            self.service = Served(self.service.cell, subprocess.Popen(command, stderr=log))
+        self.service.until_disarmed(PATIENCE_S)
 
     def stop(self) -> None:
         """End the server by force: a page that hangs must not hold a test."""
@@ -115,6 +133,8 @@ def all_pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pages]:
         pages.start()
         yield pages
         pages.stop()
+        pages.service.process.terminate()  # it may be another than the first
+        pages.service.process.wait(30.0)
         chromium.close()
 
 
@@ -125,6 +145,11 @@ def pages(all_pages: Pages) -> Iterator[Pages]:
     all_pages.close_browsers()
     all_pages.service.do("abort")
     all_pages.service.until_disarmed(PATIENCE_S)
+    if not all_pages.free:  # the test has failed
+        all_pages.service.do("retract")
+        all_pages.service.until_disarmed(PATIENCE_S)
+        if all_pages.service.do("status")["latched"]:
+            all_pages.service.do("clear")
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from palpd.history.remarks import remark
+from tests.browser.waiting import free_port
 from tests.history.conftest import simulated
 from tests.paths import ROOT
 from tests.web.fake_resolve import PROPOSAL, FakeResolve
@@ -66,12 +67,6 @@ class Scene:
             self.page.screenshot(path=str(Path(folder, f"{name}-{size}-{scheme}.png")), full_page=True)
         self.page.emulate_media(color_scheme="light")
         self.page.set_viewport_size({"width": 1400, "height": 900})
-
-
-def free_port() -> int:
-    with closing(socket.socket()) as listener:
-        listener.bind(("127.0.0.1", 0))
-        return int(listener.getsockname()[1])
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +138,35 @@ def test_a_run_shows_facts_slider_and_report(scene: Scene) -> None:
     assert len([request for request in scene.service.requests if request["do"] == "abort"]) > before  # the report took no focus
 
 
+def test_tags_and_notes_stay_on_the_page_of_a_run_after_a_reload(scene: Scene) -> None:
+    """The facts of a run are read once and kept; its remarks change."""
+    scene.show("/runs/view?run=day-2")
+    scene.page.wait_for_selector("#facts:not([hidden])")
+    scene.page.fill("[name=tag]", "new-tip")
+    scene.page.fill("[name=note]", "a note that stays")
+    scene.page.get_by_role("button", name="Keep", exact=True).click()
+    scene.until(".note", "a note that stays")
+    scene.page.reload()
+    scene.until(".note", "a note that stays")
+    scene.until(".tag", "new-tip")
+    scene.page.get_by_label("take the tag new-tip away").click()
+    scene.page.wait_for_selector(".tag", state="detached")
+    scene.page.reload()
+    scene.until(".note", "a note that stays")
+    scene.page.wait_for_selector("#curve svg")
+    assert scene.page.locator(".tag").count() == 0
+
+
+def test_lines_of_a_run_end_at_a_gap_another_site_and_a_pause(scene: Scene) -> None:
+    scene.show("/runs/view?run=day-1")
+    columns = {
+        "t_s": [0.0, 0.1, 0.2, 1.2, 1.3, 1.4, 1.5, 1.6], "site": [0, 0, 0, 0, 0, 1, 1, 1], "phase": [4, 4, 4, 4, 4, 4, 12, 4],
+        "force_high_N": [1, 2, 3, 4, 5, 6, 7, 8],
+    }  # fmt: skip
+    script = "(columns) => import('/static/chart.js').then(({ broken }) => broken(columns).force_high_N)"
+    assert scene.page.evaluate(script, columns) == [1, 2, 3, None, 4, 5, None, 6, None, 7, None, 8]
+
+
 def test_two_runs_are_chosen_and_compared(scene: Scene) -> None:
     scene.show("/runs")
     scene.until("#count", "3 runs")
@@ -175,7 +199,7 @@ def test_a_run_is_diagnosed_with_progress_or_cancelled(scene: Scene) -> None:
 def test_a_trend_shows_all_runs_of_a_site(scene: Scene) -> None:
     scene.show("/runs/trend?site=A")
     scene.until("#moduli circle")
-    assert scene.page.locator("#moduli circle.line0").count() == 3
+    assert scene.page.locator("#moduli > svg circle.line0").count() == 3
     assert "kPa per day" in scene.text("#slopes")
     scene.keep("trend")
 

@@ -1,5 +1,6 @@
 """The page in a browser, before a service on emulated wires: order and content, not time. Screenshots are kept."""
 
+import json
 import os
 import signal
 from collections.abc import Callable
@@ -8,11 +9,13 @@ from typing import Any
 import pytest
 
 from benchmarks.emulated_cell import until
-from tests.browser.conftest import Pages
+from tests.browser.conftest import PORT, Pages
 from tests.browser.waiting import PATIENCE_S, above, until_text
 
 pytestmark = [pytest.mark.hil, pytest.mark.timeout(900)]
 
+ATTEMPTS = 3
+NEXT = {"Retract": "retract", "Arm": "arm", "Start": "start"}
 Choose = Callable[[Any], None]
 
 
@@ -25,23 +28,34 @@ def message(page: Any) -> str:
     return str(page.text_content("#message"))
 
 
+def press_the_lit_button(page: Any, name: str, then: str, pages: Pages) -> None:
+    """The page leads: press what it lights, and wait for the state that follows.
+
+    Once more where this machine was too slow: the service then refuses, moves nothing, and the same button is lit again.
+    """
+    for _ in range(ATTEMPTS):
+        until(lambda: page.locator(".controls [data-next]").all_inner_texts() == [name], f"{name} is lit", PATIENCE_S, every_s=0.1)
+        page.click(".controls [data-next]")
+        until(lambda: pages.service.do("status")["now"]["next"] != NEXT[name], f"{name} is answered", PATIENCE_S, every_s=0.05)
+        until(lambda: pages.service.do("status")["now"]["next"] or then == "running", "it is over", PATIENCE_S, every_s=0.1)
+        now = pages.service.do("status")["now"]
+        if now["state"] == then:
+            break
+        print(f"after {name} the service says {now['word']}: {now['sentence']}; the machine was too slow, once more")
+    state_is(page, then)
+
+
 def press_until_held(page: Any, pages: Pages, choose: Choose) -> None:
     """Arm, start, and wait until the probe is held in the tissue."""
     choose(page)
-    page.click("[data-do=arm]")
-    state_is(page, "armed")
-    page.click("[data-do=start]")
-    state_is(page, "running")
+    press_the_lit_button(page, "Arm", "armed", pages)
+    press_the_lit_button(page, "Start", "running", pages)
     until(lambda: pages.service.do("status").get("phase") == "hold", "the probe is held in the tissue", PATIENCE_S, every_s=0.1)
 
 
 def out_of_the_tissue(page: Any, pages: Pages) -> None:
     """Retract with the button, as after every stop in the tissue."""
-    page.click("[data-do=retract]")
-    until(
-        lambda: pages.service.do("status").get("last", {}).get("recording", "").endswith("retract.mcap"), "the arm left", 120.0, every_s=0.1
-    )
-    pages.service.until_disarmed(PATIENCE_S)
+    press_the_lit_button(page, "Retract", "disarmed", pages)
     assert pages.service.cell.truth()["contact_N"] < 0.5
 
 
@@ -51,7 +65,8 @@ def test_a_run_is_started_watched_paused_aborted_and_left(pages: Pages, choose: 
     press_until_held(page, pages, choose)
     until_text(page, "#force", above(2.0))
     until_text(page, "#depth", above(3.0))
-    until_text(page, "#progress-text", "holding")
+    assert until_text(page, "#progress-text", "holding, about ").endswith(" min left")
+    until_text(page, "#doing", "The probe holds with ")
     until_text(page, "#rate", above(20.0))
     assert "contact_N" not in str(page.text_content("body"))
     pages.keep(page, "2-holding")
@@ -68,6 +83,7 @@ def test_a_run_is_started_watched_paused_aborted_and_left(pages: Pages, choose: 
     page.keyboard.press("Space")
     until(lambda: pages.service.do("status")["state"] == "disarmed", "the space bar aborts, also while Pause has the focus", PATIENCE_S)
     until_text(page, "#fault", "the operator aborted")
+    until_text(page, "#doing", "The last run was stopped: the operator aborted the run. The probe is in the tissue")
     assert "Abort carried out" in message(page)
     assert pages.service.cell.truth()["contact_N"] > 2.0, "the arm rests where it was"
     pages.keep(page, "4-aborted")
@@ -117,7 +133,7 @@ def test_one_operator_holds_the_controls_and_everyone_aborts(pages: Pages, choos
     anna, ben = pages.open("anna"), pages.open("ben", scheme="dark", size=(1024, 768))
     press_until_held(anna, pages, choose)
     until_text(ben, "#holder", "anna holds the controls")
-    ben.click("#pause")
+    ben.click("#pause", force=True)  # it is greyed, and says why
     until_text(ben, "#message", "anna holds the controls; ")
     assert pages.service.do("status")["phase"] == "hold"
     pages.keep(ben, "8-second-operator")
@@ -133,8 +149,8 @@ def test_one_operator_holds_the_controls_and_everyone_aborts(pages: Pages, choos
 
 def test_a_wrong_plan_is_refused_in_one_sentence_and_nothing_moves(pages: Pages) -> None:
     page = pages.open("<img src=x onerror=alert(1)>")
-    page.click("[data-do=arm]")
-    state_is(page, "armed")
+    assert page.get_attribute("[data-do=start]", "aria-disabled") == "true"
+    press_the_lit_button(page, "Arm", "armed", pages)
     until_text(page, "#holder", "You hold the controls")
     for text, sentence in (
         ("sites: [{name: A}]\ndepths_m: [0.4]\n", "a depth of 0.4 m is outside 0.0002 to 0.02 m"),
@@ -146,3 +162,69 @@ def test_a_wrong_plan_is_refused_in_one_sentence_and_nothing_moves(pages: Pages)
         until_text(page, "#message", sentence)
         assert pages.service.do("status")["state"] == "armed"
     assert page.query_selector("main img") is None
+
+
+def test_after_an_abort_the_lit_buttons_lead_to_the_next_start(pages: Pages, choose: Choose) -> None:
+    page = pages.open()
+    press_until_held(page, pages, choose)
+    page.click("#abort")
+    state_is(page, "pressed")
+    page.wait_for_timeout(1000.0)  # the last frames
+    before = page.evaluate("document.getElementById('press-chart').toDataURL()")
+    assert page.get_attribute("[data-do=arm]", "title") == "The probe is pressed. Retract first."
+    press_the_lit_button(page, "Retract", "disarmed", pages)
+    assert pages.service.cell.truth()["contact_N"] < 0.5
+    assert page.evaluate("document.getElementById('press-chart').toDataURL()") == before, "the curve of the press stays"
+    press_the_lit_button(page, "Arm", "armed", pages)
+    press_the_lit_button(page, "Start", "running", pages)
+    until(lambda: pages.service.do("status").get("phase") == "hold", "the probe is held in the tissue again", PATIENCE_S, every_s=0.1)
+    page.click("#abort")
+    state_is(page, "pressed")
+    press_the_lit_button(page, "Retract", "disarmed", pages)
+
+
+def test_progress_never_runs_backwards_over_a_run(pages: Pages) -> None:
+    page = pages.open()
+    plan = {"sites": [{"name": "A"}, {"name": "B", "x_m": 0.005}], "depths_m": [0.002, 0.003], "hold_s": 0.3, "repeats": 1,
+            "press_speed_m_per_s": 0.02, "search": {"speed_m_per_s": 0.01, "max_travel_m": 0.03}}  # fmt: skip
+    page.set_input_files("#plan-file", {"name": "two.yaml", "mimeType": "text/yaml", "buffer": json.dumps(plan).encode()})
+    press_the_lit_button(page, "Arm", "armed", pages)
+    press_the_lit_button(page, "Start", "running", pages)
+    steps = [(0.0, 1.0)]
+    while page.get_attribute("body", "data-state") == "running":
+        value, most = page.evaluate("(({ value, max }) => [value, max])(document.getElementById('progress'))")
+        if most > 1:
+            steps.append((float(value), float(most)))
+    done = [value for value, _ in steps]
+    assert pages.service.do("status")["last"]["verdict"] == "done", pages.service.do("status")["last"]
+    assert done == sorted(done)
+    assert {most for _, most in steps[1:]} == {10.0}
+    assert len(set(done)) >= 8, "it was followed from step to step"
+
+
+def test_a_service_that_is_killed_in_contact_comes_back_and_the_page_leads_out(pages: Pages, choose: Choose) -> None:
+    page = pages.open()
+    press_until_held(page, pages, choose)
+    pages.kill_the_service()
+    state_is(page, "gone")
+    assert page.text_content("#doing") == "The service does not answer. If the arm moves, use the emergency stop."
+    page.click("#abort")
+    until_text(page, "#message", "so nothing was stopped; if the arm moves, use the emergency stop")
+    pages.keep(page, "9-service-dead")
+    pages.serve_again()
+    state_is(page, "pressed")
+    until_text(page, "#message", lambda text: text == "")
+    assert page.text_content("#force-name") == "Force against reference"
+    until_text(page, "#force", above(2.0))
+    pages.keep(page, "10-service-back")
+    page.goto(f"http://127.0.0.1:{PORT}/runs")
+    page.wait_for_selector("#runs .chip.unfinished")
+    name = str(page.text_content("#runs tr .name"))
+    page.click(f"[aria-label='recover {name}']")
+    until_text(page, "#message", "the probe is pressed; Retract leaves the tissue")
+    press_the_lit_button(page, "Retract", "disarmed", pages)
+    page.click(f"[aria-label='recover {name}']")
+    page.wait_for_selector(f"#runs a:text-is('{name}')")
+    assert page.locator(f"[aria-label='recover {name}']").count() == 0
+    until_text(page, "#message", "Recover: done. ")
+    pages.keep(page, "11-recovered")

@@ -430,6 +430,15 @@ def test_a_status_for_people_says_what_where_and_how_far() -> None:
     assert "palpd retract" in lines[1]
 
 
+def test_a_status_says_what_is_sensible_next_with_its_command() -> None:
+    now = {"state": "pressed", "word": "In the tissue", "sentence": "The probe is in the tissue.", "next": "retract"}
+    more = {"obstacles": {}, "question": None}
+    answer = {"ok": True, "state": "disarmed", "latched": None, "now": now | more}
+    assert at_once.status_lines(answer)[1] == "The probe is in the tissue. Next: palpd retract."  # type: ignore[arg-type]
+    answer["now"] = now | more | {"next": None}
+    assert at_once.status_lines(answer)[1] == "The probe is in the tissue."  # type: ignore[arg-type]
+
+
 def test_a_watch_without_a_terminal_prints_a_line_whenever_the_status_has_changed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

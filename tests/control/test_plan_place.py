@@ -2,7 +2,7 @@
 
 import pytest
 
-from palpd.control.plan_place import SAME_PLACE_M, Choice, PlanPlace, question
+from palpd.control.plan_place import ANSWERS, SAME_PLACE_M, Choice, PlanPlace, question
 
 LAST = PlanPlace("yesterday", "run-7", (0.4, 0.1), (0.4, 0.1, 0.13), 0.135, (("A", 0.0, 0.0), ("B", 0.09, 0.0)))
 
@@ -12,8 +12,9 @@ def test_a_start_over_another_site_of_an_unfinished_run_is_asked_about() -> None
     assert asked is not None
     assert "run-7 of yesterday" in asked
     assert "90 mm from where it began, at its site B" in asked
-    assert "--return" in asked
-    assert "--here" in asked
+    assert "--" not in asked, "the page and the terminal name the answers in their own words"
+    assert "--return" in ANSWERS
+    assert "--here" in ANSWERS
 
 
 @pytest.mark.parametrize("choice", ["here", "return"])

@@ -2,18 +2,22 @@
 
 import io
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rich.console import Console
 
 from palpd.cli.terminal import TerminalDisplay
 from palpd.config import Config, Plan
 from palpd.daemon.display import JobProgress, NoDisplay
-from palpd.daemon.job_progress import job_progress, job_steps
+from palpd.daemon.job_progress import JobMeter
 from palpd.daemon.motion_process import Job, Kind
+from palpd.daemon.simulated_run import run as simulated
 from palpd.recording.ring import Ring
-from palpd.tick import ROW, Mode, Phase
+from palpd.tick import ROW, Mode, Phase, Request
+from tests.simulated import cell_file
 
 PLAN = Plan.model_validate(
     {
@@ -39,23 +43,65 @@ def job(kind: Kind = "palpation") -> Job:
 
 
 def progress_at(ring: Ring, work: Job, **fields: float) -> JobProgress:
+    meter = JobMeter(work, ring)
     row = np.zeros(1, ROW)
     row["depth_m"] = np.nan
     for name, value in fields.items():
         row[name] = value
     ring.write(row[0])
-    progress = job_progress(work, ring)
+    progress = meter.read()
     assert progress is not None
     return progress
 
 
-def test_nothing_is_known_before_the_first_tick(ring: Ring) -> None:
-    assert job_progress(job(), ring) is None
+def followed(ring: Ring, work: Job, rows: NDArray[np.void]) -> list[JobProgress]:
+    """What the meter says at each row of a run."""
+    meter, progress_seen = JobMeter(work, ring), []
+    for row in rows:
+        ring.write(row)
+        progress = meter.read()
+        assert progress is not None
+        progress_seen.append(progress)
+    return progress_seen
+
+
+def test_nothing_is_known_before_the_first_tick_of_the_run_itself(ring: Ring) -> None:
+    ring.write(np.zeros(1, ROW)[0])
+    assert JobMeter(job(), ring).read() is None, "the ring still holds the ticks of the run before"
 
 
 @pytest.mark.parametrize(("kind", "steps"), [("palpation", 22), ("free_motion", 10), ("calibrate", 1), ("stiffness", 1)])
-def test_a_job_counts_its_steps(kind: Kind, steps: int) -> None:
-    assert job_steps(job(kind)) == steps
+def test_a_job_counts_its_steps(ring: Ring, kind: Kind, steps: int) -> None:
+    assert JobMeter(job(kind), ring).steps == steps
+
+
+@pytest.mark.parametrize("pause", [False, True])
+def test_over_a_whole_run_progress_never_goes_back_and_the_time_left_is_honest(ring: Ring, pause: bool) -> None:
+    plan = Plan.model_validate(
+        {"sites": [{"name": "A"}, {"name": "B", "x_m": 0.03}], "depths_m": [0.003, 0.005], "hold_s": 2.0, "repeats": 2, "mode": "both"}
+    )
+    requests = {2500: Request.PAUSE, 3500: Request.RESUME} if pause else {}
+    work = replace(job(), plan=plan, lifts_first=True)
+    rows = simulated(work, cell_file(), requests=requests).rows
+    progress_seen = followed(ring, work, rows)
+    steps = [progress.steps_done for progress in progress_seen]
+    assert steps == sorted(steps)
+    assert (steps[0], steps[-1], set(steps)) == (0, 14, set(range(15)))
+    assert [progress.site for progress in progress_seen if progress.site] == sorted(
+        progress.site for progress in progress_seen if progress.site
+    )
+    left_s = [progress.left_s or 0.0 for progress in progress_seen]
+    moving = np.cumsum(~np.isin(rows["phase"], (Phase.PAUSED, Phase.PAUSE_RETRACT))) / 125.0
+    to_come_s = moving[-1] - moving
+    at_site = [k for k, progress in enumerate(progress_seen) if progress.site is not None]
+    wrong_s = np.abs(np.array(left_s) - to_come_s)[at_site]
+    assert wrong_s.max() < to_come_s[0] / 8.0, "within an eighth of the run, also where a pause costs half a press"
+    assert left_s[-1] == 0.0
+
+
+def test_a_return_to_the_start_of_an_unfinished_run_is_no_progress(ring: Ring) -> None:
+    """Its phase is that of the way home at the end."""
+    assert progress_at(ring, job(), site=-1, phase=Phase.RETURN).steps_done == 0
 
 
 @pytest.mark.parametrize(
@@ -63,9 +109,11 @@ def test_a_job_counts_its_steps(kind: Kind, steps: int) -> None:
     [
         ({"site": -1, "phase": Phase.TARE}, 0),
         ({"site": 0, "mode": Mode.FREE_MOTION, "repeat": 1, "phase": Phase.FREE_MOTION}, 1),
-        ({"site": 0, "repeat": -1, "phase": Phase.SEARCH}, 2),
+        ({"site": 0, "mode": Mode.SEARCH, "repeat": -1, "phase": Phase.SEARCH}, 2),
         ({"site": 0, "mode": Mode.STATIC, "depth_m": 0.006, "repeat": -1, "phase": Phase.HOLD}, 4),
         ({"site": 0, "mode": Mode.DYNAMIC, "depth_m": 0.004, "repeat": 0, "phase": Phase.PRESS}, 5),
+        ({"site": 0, "repeat": 2, "phase": Phase.RETRACT}, 11),
+        ({"site": 1, "repeat": -1, "phase": Phase.TRAVEL}, 11),
         ({"site": 1, "mode": Mode.DYNAMIC, "depth_m": 0.006, "repeat": 2, "phase": Phase.PRESS}, 21),
     ],
 )

@@ -1,10 +1,12 @@
 """Jobs of the service without devices and without processes: the worker and the runs are scripted."""
 
 import json
+import shutil
 import time
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,13 +15,16 @@ from palpd.config import Config, Plan, parse_config
 from palpd.daemon.control_socket import Later, Watching
 from palpd.daemon.controls import LEASE_S
 from palpd.daemon.job_worker import ConsentRequest, Finished, RunRequest, Words, WorkerOrder
+from palpd.daemon.programs import program_named
 from palpd.daemon.service import Service
 from palpd.daemon.stored_state import Calibration, Latch, State
 from palpd.daemon.supervisor import Report
-from palpd.errors import Stopped
+from palpd.errors import BadInput, Stopped
 from palpd.tick import Request
 from tests.daemon.test_service import PLAN, ScriptedRun
+from tests.paths import ROOT
 
+OLD_RECORDING = ROOT / "tests" / "version_1" / "recording.mcap"
 MOTION = {"gap": "fz", "decides": "gain or modulus", "duration_s": 20.0, "expected_peak_N": 4.0, "limit_N": 12.0, "plan": {}}
 PRESS = RunRequest("palpation", Plan(), None, True)
 
@@ -207,6 +212,22 @@ def test_a_run_of_a_job_is_judged_by_the_configuration_of_the_service(service: S
     if service._run is not None:
         assert service._run.job.config.safety == service._config.safety
         assert service._run.job.config.paths.runs == tmp_path / "kept"
+
+
+def test_a_recording_that_was_cut_off_is_recovered_by_a_job_that_moves_nothing(service: Service, tmp_path: Path) -> None:
+    """The page cannot write into the folder of the runs; the service can."""
+    runs = service._config.paths.runs
+    runs.mkdir()
+    shutil.copy(OLD_RECORDING, runs / "killed.part")
+    assert do(service, "begin", program="recover", arguments={"name": "killed"})["most_runs"] == 0
+    program = program_named("recover")
+    host = SimpleNamespace(config=service._config)
+    end = program.carry_out(host, program.validated({"name": "killed"}), tmp_path)  # type: ignore[arg-type]
+    assert (end.verdict, end.figures) == ("done", {"recording": str(runs / "killed.mcap")})
+    assert "ticks" in end.reason
+    for name in ("killed", "../killed", "absent"):
+        with pytest.raises(BadInput, match="no unfinished recording"):
+            program.carry_out(host, program.validated({"name": name}), tmp_path)  # type: ignore[arg-type]
 
 
 # --- consent ------------------------------------------------------------------------------------------------------------------

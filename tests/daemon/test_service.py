@@ -16,6 +16,7 @@ import pytest
 from hw.emulators.process import Emulated, started
 from palpd.cli.at_once import position
 from palpd.config import Config, load_config, parse_config
+from palpd.control.probe_state import ProbeAnswer, ProbeState
 from palpd.daemon.control_socket import Later
 from palpd.daemon.install import UNITS, installed, unit_python
 from palpd.daemon.motion_process import Job
@@ -292,6 +293,71 @@ def test_a_pause_that_no_tick_shows_is_refused_after_a_second(service: Service, 
     assert isinstance(later, Later)
     assert later.answer is not None
     assert "not paused within 1 s" in later.answer["error"]
+
+
+def test_the_status_says_what_is_next_and_refusals_say_the_same(service: Service) -> None:
+    """Through an abort in the tissue: the terminal is refused with what the page shows."""
+    assert (status(service)["now"]["state"], status(service)["now"]["next"]) == ("untared", "calibrate")
+    armed(service)
+    assert (status(service)["now"]["state"], status(service)["now"]["next"]) == ("armed", "start")
+    service.answer({"do": "start", "plan": PLAN})
+    assert status(service)["now"]["state"] == "running"
+    pressed = ProbeAnswer(ProbeState.PRESSED, ("the run is unfinished",), frozenset(("retract",)), 2.1)
+    end(service, Report("stopped", "the operator aborted the run", 3, probe=pressed))
+    now = status(service)["now"]
+    assert (now["state"], now["next"]) == ("pressed", "retract")
+    for request in ({"do": "start", "plan": PLAN}, {"do": "level-test"}, {"do": "clear"}, {"do": "begin", "program": "recover"}):
+        obstacle = now["obstacles"][request.get("program", request["do"])]
+        assert refusal(service, **request) == f"{obstacle['reason']}; palpd retract leaves the tissue"
+    assert service.answer({"do": "retract"})["ok"]  # type: ignore[index]
+
+
+def test_an_arm_looks_again_before_it_believes_an_old_answer(service: Service) -> None:
+    """Somebody may have freed the probe by hand since."""
+    service._state.keep("calibration", TARE)
+    service._probe = ProbeAnswer(ProbeState.PRESSED, ("it was",), frozenset(("retract",))), "an hour ago"
+    assert "arm" in status(service)["now"]["obstacles"]
+    later = service.answer({"do": "arm"})
+    end(service, Report("done", probe=ProbeAnswer(ProbeState.FREE)))
+    assert isinstance(later, Later)
+    assert later.answer == {"ok": True, "state": "armed"}
+    assert status(service)["now"]["next"] == "start"
+
+
+def test_a_check_looks_at_the_devices_and_arms_nothing(service: Service) -> None:
+    armed(service)
+    later = service.answer({"do": "check"})
+    assert isinstance(later, Later)
+    assert status(service)["now"]["state"] == "checking"
+    end(service, Report("refused", "the sensor is silent", 2))
+    assert later.answer is not None
+    assert later.answer["ok"]
+    now = status(service)["now"]
+    assert (now["state"], now["sentence"], now["next"]) == ("unready", "The sensor is silent.", "check")
+    assert "arm" not in now["obstacles"], "an arm looks at the devices itself"
+
+
+def test_a_pause_can_be_resumed_before_a_tick_has_shown_it(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    armed(service)
+    service.answer({"do": "start", "plan": PLAN})
+    assert "is not paused" in refusal(service, do="resume")
+    now_s = time.monotonic()
+    service.answer({"do": "pause"})
+    monkeypatch.setattr("palpd.daemon.service.time.monotonic", lambda: now_s + 2.0)
+    service._answer_pause()
+    assert status(service)["now"]["next"] == "resume"
+    assert "is paused; palpd resume goes on" in refusal(service, do="pause")
+    assert isinstance(service.answer({"do": "resume"}), Later)
+
+
+def test_a_state_file_that_is_damaged_leaves_the_status_alive(service: Service) -> None:
+    service._state.keep("calibration", TARE)
+    for name in ("contact", "place"):
+        (service._state.folder / f"{name}.json").write_text("{half")
+    now = status(service)["now"]
+    assert now["state"] == "unknown"
+    assert "contact.json" in now["sentence"]
+    assert now["next"] == "check"
 
 
 def test_an_unknown_command_is_told_what_there_is(service: Service) -> None:

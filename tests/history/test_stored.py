@@ -1,12 +1,13 @@
 """Which recording a name means, and what stands beside it."""
 
+import fcntl
 import os
 from pathlib import Path
 
 import pytest
 
 from palpd.errors import RecordingError
-from palpd.history.stored import beside, name_in, printable, recording_meant, recording_named, stored_recordings
+from palpd.history.stored import beside, name_in, printable, recording_meant, recording_named, stored_recordings, unfinished_recordings
 
 
 @pytest.fixture
@@ -27,6 +28,19 @@ def test_recordings_in_folders_below_are_listed_with_what_stands_beside_them(fol
         "palpation.A.diagnosis.json", "palpation.diagnosis.json", "palpation.remarks.json",
     ]  # fmt: skip
     assert not recordings["demo-2/palpation"].beside
+
+
+def test_recordings_that_were_cut_off_are_listed_until_they_are_recovered_and_not_while_a_run_writes_them(tmp_path: Path) -> None:
+    (tmp_path / "map").mkdir()
+    for name in ("killed", "recovered", "map/press-3", "running"):
+        (tmp_path / f"{name}.part").write_bytes(b"x")
+    (tmp_path / "recovered.mcap").write_bytes(b"x")
+    with (tmp_path / "running.part").open("rb") as recorder:
+        fcntl.flock(recorder, fcntl.LOCK_EX)
+        assert unfinished_recordings(tmp_path) == {name: tmp_path / f"{name}.part" for name in ("killed", "map/press-3")}
+    assert "running" in unfinished_recordings(tmp_path), "its recorder has died"
+    assert unfinished_recordings(tmp_path / "absent") == {}
+    assert stored_recordings(tmp_path).keys() == {"recovered"}
 
 
 def test_a_whole_disk_is_not_searched(tmp_path: Path) -> None:

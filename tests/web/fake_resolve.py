@@ -7,6 +7,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from palpd.daemon.what_now import Standing, what_now
+
 ID = "20261122-101502-resolve"
 PLAN = {"sites": [{"name": "A", "x_m": 0.0, "y_m": 0.0}], "depths_m": [0.003], "mode": "static", "hold_s": 0.5, "press_speed_m_per_s": 0.01}
 GAP = "A gap in fz_N during holds: tissue.viscoelastic (0.62) or sensor.drift (0.31) <b>explains</b> it."
@@ -56,7 +58,9 @@ class FakeResolve:
     def status(self) -> dict[str, Any]:
         """The status that the service would give."""
         state = "armed" if self.job is None or self.job["ended"] else self.job["state"]
-        return {"state": state, "latched": None, "controls": None, "active": self.job, "cell": None, "ring": "absent", "pid": 1}
+        standing = Standing(armed=state == "armed", job=None if state == "armed" else ID, proposal=state == "waiting", reference=True)
+        now = what_now(standing).published
+        return {"state": state, "now": now, "latched": None, "controls": None, "active": self.job, "cell": None, "ring": "absent", "pid": 1}
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """Answer one request."""

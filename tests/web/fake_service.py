@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from palpd.daemon.what_now import Standing, what_now
 from palpd.recording.ring import Ring
 from palpd.tick import ROW, Mode, Phase
 
@@ -25,7 +26,7 @@ class FakeService:
         self.answers: dict[str, dict[str, Any]] = {}
         self.status: dict[str, Any] = {
             "state": "disarmed", "latched": None, "pid": 1, "cell": None, "controls": None, "ring": self.ring.name, "active": None,
-            "limits": {"contact_N": 12.0, "absolute_N": 25.0},
+            "limits": {"contact_N": 12.0, "absolute_N": 25.0}, "now": what_now(Standing(reference=True)).published,
         }  # fmt: skip
         self._over = False
         self.held = threading.Event()
@@ -48,6 +49,19 @@ class FakeService:
             with suppress(OSError):
                 watcher.sendall(json.dumps(event).encode() + b"\n")
 
+    def stand(self, standing: Standing, **more: Any) -> None:
+        """Publish that this stands, in the words of the real service; `more` is what a status holds besides."""
+        kept = {key: self.status[key] for key in ("pid", "cell", "ring", "limits")}
+        now = what_now(standing).published
+        run = {"job": standing.run, "activity": now["sentence"], "force_N": standing.force_N, "z_m": 0.1, "depth_m": standing.depth_m,
+               "tick": 7, "site": 0} if standing.busy and standing.run is not None else {}  # fmt: skip
+        if standing.phase is not None:
+            run["phase"] = standing.phase.name.lower()
+        state = {"latched": "disarmed", "pressed": "disarmed", "paused": "running"}.get(now["state"], now["state"])
+        latched = standing.latch[1] if standing.latch is not None else None
+        status = {"state": state, "now": now, "latched": latched, "controls": None, "active": None, **kept, **run, **more}
+        self.publish({"event": "status", **status})
+
     def write(self, number: int, t_s: float, force_N: float = 0.0, **fields: Any) -> None:
         """Write one tick into the ring."""
         row = np.zeros(1, ROW)
@@ -60,6 +74,14 @@ class FakeService:
             row[name] = value
         self.ring.write(row)
 
+    def drop_watchers(self) -> None:
+        """Break the connections of all watchers."""
+        watchers, self._watchers = self._watchers, []
+        for watcher in watchers:
+            with suppress(OSError):
+                watcher.shutdown(socket.SHUT_RDWR)
+            watcher.close()
+
     def close(self) -> None:
         """End as a service that dies: every connection breaks."""
         if self._over:
@@ -69,10 +91,7 @@ class FakeService:
         with suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
-        for watcher in self._watchers:
-            with suppress(OSError):
-                watcher.shutdown(socket.SHUT_RDWR)
-            watcher.close()
+        self.drop_watchers()
         self.path.unlink(missing_ok=True)
         self.ring.unlink()
         self.ring.close()

@@ -45,6 +45,14 @@ def test_runs_are_listed_and_filtered_as_palpd_runs_does(browser: TestClient, ru
     assert refusal(browser.get("/runs/list", params={"since": "yesterday"})).startswith("the day is 'yesterday', expected year")
 
 
+def test_a_recording_that_was_cut_off_is_listed_whatever_the_filter(browser: TestClient, runs: Path) -> None:
+    (runs / "killed.part").write_bytes(b"x")
+    answer = browser.get("/runs/list", params={"verdict": "stopped"}).json()
+    (runs / "killed.part").unlink()
+    assert answer["unfinished"] == ["killed"]
+    assert browser.get("/runs/list").json()["unfinished"] == []
+
+
 def test_a_damaged_catalogue_is_made_anew_and_the_list_says_so(browser: TestClient, runs: Path) -> None:
     (runs / "catalogue.sqlite").write_bytes(b"no catalogue at all")
     answer = browser.get("/runs/list").json()

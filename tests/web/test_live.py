@@ -67,6 +67,56 @@ def test_presses_are_told_apart_and_a_reading_that_is_none_is_no_number(ticks: T
     json.dumps(list(ticks.points), allow_nan=False)
 
 
+def test_lines_end_at_a_gap_in_time_at_another_site_and_around_a_pause(ticks: TickStream, service: FakeService) -> None:
+    at = {"site": 0, "mode": Mode.DYNAMIC, "depth_m": 0.004, "surface_z_m": 0.1, "phase": Phase.PRESS}
+    courses: list[tuple[float, dict[str, Any]]] = [
+        (0.000, at), (0.008, at), (0.300, at),
+        (0.308, at | {"phase": Phase.PAUSED}), (0.316, at | {"phase": Phase.PAUSED}), (0.324, at),
+        (0.332, at | {"site": 1}), (0.340, at | {"site": 1}),
+    ]  # fmt: skip
+    for number, (t_s, fields) in enumerate(courses):
+        service.write(number, t_s, 1.0, **fields)
+        ticks.read()
+    ended = [point[0] for point in ticks.points if point[4] is None]
+    assert ended == [0.3, 0.308, 0.324, 0.332]
+    assert all(point[1:6] == [None] * 5 and point[6] == 0 for point in ticks.points if point[4] is None)
+    presses = [point[6] for point in ticks.points if point[4] is not None]
+    assert presses == [1, 1, 1, 0, 0, 2, 3, 3], "a press that begins again after a pause is another curve"
+
+
+def test_an_end_of_a_line_within_one_reading_is_seen_and_ticks_that_are_thinned_end_none(ticks: TickStream, service: FakeService) -> None:
+    for number in range(200):
+        service.write(number, number / 125.0 + (1.0 if number >= 100 else 0.0), 1.0)
+    points = ticks.read()
+    assert len([point for point in points if point[4] is None]) == 1
+    for number in range(200, 400):
+        service.write(number, 1.0 + number / 125.0, 1.0)
+    assert all(point[4] is not None for point in ticks.read())
+
+
+def test_a_retract_and_a_look_go_on_after_the_palpation_and_the_next_palpation_begins_anew(service: FakeService, tmp_path: Path) -> None:
+    async def whole() -> None:
+        live = Page(PageSettings(service.path, tmp_path)).live
+        live.hear({"event": "status", **service.status, "state": "running", "job": "palpation"})
+        for number in range(3):
+            service.write(number, 100.0 + number, 1.0, surface_z_m=0.1)
+        live.ticks.read()
+        jobs = ({"state": "checking"}, {"state": "running", "job": "retract"}, {"state": "running", "job": "level_test"})
+        for minute, job in enumerate(jobs):
+            live.hear({"event": "status", **service.status, **job})
+            service.write(0, 5000.0 + 60.0 * minute, 2.0)
+            live.ticks.read()
+        assert live.ticks.run == 1, "the page keeps its charts"
+        assert [point[0] for point in live.ticks.points if point[4] is not None] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+        assert sum(point[4] is None for point in live.ticks.points) == 5, "no line leads from one to the next"
+        live.hear({"event": "status", **service.status, "state": "running", "job": "palpation"})
+        service.write(0, 9000.0, 1.0)
+        live.ticks.read()
+        assert (live.ticks.run, [point[0] for point in live.ticks.points]) == (2, [0.0])
+
+    asyncio.run(whole())
+
+
 def test_a_ring_that_cannot_be_opened_reads_as_one_without_rows() -> None:
     ticks = TickStream()
     ticks.watch("palpd-absent")

@@ -2,12 +2,17 @@
 
 import hashlib
 import re
+from html import escape
 from pathlib import Path
 
 import pytest
+from starlette.testclient import TestClient
 
+from palpd.web.application import PageSettings, build
+from palpd.web.sessions import Sessions
 from palpd.web.shell import PAGES, STATIC, TABS
-from tests.web.conftest import Browser
+from tests.web.conftest import HERE, ORIGIN, TOKEN, Browser
+from tests.web.fake_service import FakeService
 
 VENDORED = {
     "uPlot.iife.min.js": "19c8d4c6ad88929a79f4ae49d6f7161566dfd0ba3d15cc495e974f787eb78f1f",
@@ -41,3 +46,17 @@ def test_abort_stands_on_every_page_apart_from_tabs_and_pause(browser: Browser) 
         box = page[page.index('class="abort-box"') : page.index('class="standing"')]
         assert box.count("<button") == 1
         assert f'<a href="{tab.path}" aria-current=page>{tab.title}</a>' in page
+
+
+@pytest.mark.parametrize("url", [None, "http://camera.lab:8080/stream?fps=5&x=$y", "https://10.0.0.7/cell.jpg"])
+def test_only_the_origin_of_the_configured_camera_may_send_pictures(service: FakeService, tmp_path: Path, url: str | None) -> None:
+    application = build(PageSettings(service.path, tmp_path, camera_url=url), Sessions(TOKEN))
+    client = TestClient(application, base_url=ORIGIN, client=(HERE, 40000), headers={"authorization": f"Bearer {TOKEN}"})
+    origin = "" if url is None else f" {url[: url.index('/', 8)]}"
+    page = client.get("/")
+    for answer in (page, client.get("/runs"), client.get("/static/page.css")):
+        assert f"; img-src 'self' data: blob:{origin}; connect-src 'self';" in answer.headers["content-security-policy"]
+    assert page.text.count('id="camera"') == (url is not None)
+    assert "$camera" not in page.text
+    if url is not None:
+        assert f'src="{escape(url)}"' in page.text

@@ -82,7 +82,7 @@ def heard(statuses: list[dict[str, Any]]) -> tuple[list[str], dict[str, Any]]:
 
 
 def test_a_site_is_analysed_when_the_next_one_begins_and_once_more_at_the_end() -> None:
-    under_way = {"active": {"id": "1"}, "job": "palpation", "recording": "/r/one.part"}
+    under_way = {"active": {"id": "1", "program": "run"}, "job": "palpation", "recording": "/r/one.part"}
     ended = {"active": None, "last": {"recording": "/r/one.mcap"}}
     asked, event = heard([under_way | {"site": 0}, under_way | {"site": 0}, ended, ended])
     assert asked == ["one.mcap"]
@@ -96,8 +96,8 @@ def test_a_map_keeps_the_places_of_all_its_runs_and_a_new_job_begins_empty(monke
 
     def of_run(job: str, name: str) -> list[dict[str, Any]]:
         return [
-            {"active": {"id": job}, "job": "palpation", "recording": f"/r/{name}.part", "site": 0},
-            {"active": {"id": job}, "last": {"recording": f"/r/{name}.mcap"}},
+            {"active": {"id": job, "program": "map"}, "job": "palpation", "recording": f"/r/{name}.part", "site": 0},
+            {"active": {"id": job, "program": "map"}, "last": {"recording": f"/r/{name}.mcap"}},
         ]
 
     _, event = heard([*of_run("map", "one"), *of_run("map", "two")])
@@ -106,9 +106,17 @@ def test_a_map_keeps_the_places_of_all_its_runs_and_a_new_job_begins_empty(monke
     assert event["sites"] == []
 
 
+@pytest.mark.parametrize("program", ["retract", "level-test", "calibrate", "doctor", "recover", "free-motion", "stiffness"])
+def test_what_does_not_palpate_leaves_the_sites_of_the_palpation_before(program: str) -> None:
+    before = {"active": {"id": "1", "program": "run"}, "job": "palpation", "recording": "/r/one.part"}
+    after = {"active": {"id": "2", "program": program}, "job": program, "recording": "/r/up.part"}
+    _, event = heard([before | {"site": 0}, {"active": None, "last": {"recording": "/r/one.mcap"}}, after])
+    assert (event["job"], event["sites"]) == ("1", [{"name": "one"}])
+
+
 def test_what_cannot_be_computed_is_said() -> None:
     _, event = heard([
-        {"active": {"id": "1"}, "job": "palpation", "recording": "/r/bad.part", "site": 0},
+        {"active": {"id": "1", "program": "run"}, "job": "palpation", "recording": "/r/bad.part", "site": 0},
         {"active": None, "last": {"recording": "/r/bad.mcap"}},
     ])  # fmt: skip
     assert (event["sites"], event["error"]) == ([], "this was not computed")

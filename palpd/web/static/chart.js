@@ -43,10 +43,26 @@ function line(xs, ys, sx, sy) {
 }
 
 function area(xs, low, high, sx, sy) {
-  const known = xs.map((_, k) => k).filter((k) => low[k] !== null && high[k] !== null);
-  const there = known.map((k) => `${sx(xs[k]).toFixed(1)} ${sy(high[k]).toFixed(1)}`);
-  const back = known.reverse().map((k) => `${sx(xs[k]).toFixed(1)} ${sy(low[k]).toFixed(1)}`);
-  return there.length ? `M${[...there, ...back].join("L")}Z` : "";
+  let path = "", there = [], back = [];
+  const close = () => {
+    if (there.length) path += `M${[...there, ...back].join("L")}Z`;
+    [there, back] = [[], []];
+  };
+  for (let k = 0; k < xs.length; k++) {
+    if (xs[k] === null || low[k] === null || high[k] === null) { close(); continue; }
+    there.push(`${sx(xs[k]).toFixed(1)} ${sy(high[k]).toFixed(1)}`);
+    back.unshift(`${sx(xs[k]).toFixed(1)} ${sy(low[k]).toFixed(1)}`);
+  }
+  close();
+  return path;
+}
+
+const MARKS = [null, "M-4-4H4V4H-4Z", "M0-5.5L5.5 0L0 5.5L-5.5 0Z", "M0-5L5 4H-5Z"];
+
+/** A point: a circle, a square, a diamond or a triangle, so that series are told apart without their colours. */
+function mark(colour, x, y) {
+  return MARKS[colour] ? element("path", { class: `point line${colour}`, d: MARKS[colour], transform: `translate(${x} ${y})` })
+    : element("circle", { class: `point line${colour}`, cx: x, cy: y, r: 4 });
 }
 
 /**
@@ -66,6 +82,8 @@ export function chart(holder, spec) {
     const sx = (x) => LEFT + ((x - x0) / (x1 - x0 || 1)) * (width - LEFT - RIGHT);
     const sy = (y) => height - BOTTOM - ((y - y0) / (y1 - y0 || 1)) * (height - TOP - BOTTOM);
     const svg = element("svg", { class: "drawing", viewBox: `0 0 ${width} ${height}`, width, height, role: "img", "aria-label": spec.label });
+    const names = spec.series.filter((each) => each.label);
+    if (names.length > 1) svg.classList.add("told");
     for (const span of spec.spans ?? []) {
       const from = Math.max(sx(span.from), LEFT), to = Math.min(sx(span.to), width - RIGHT);
       if (to <= from) continue;
@@ -91,7 +109,7 @@ export function chart(holder, spec) {
         if (each.y[k] === null || each.y[k] === undefined) return;
         const [low, high] = [each.low?.[k] ?? null, each.high?.[k] ?? null];
         if (low !== null && high !== null) inside.append(element("line", { class: `line line${colour}`, x1: sx(x), x2: sx(x), y1: sy(low), y2: sy(high) }));
-        const point = element("circle", { class: `point line${colour}`, cx: sx(x), cy: sy(each.y[k]), r: 4 });
+        const point = mark(colour, sx(x), sy(each.y[k]));
         if (each.names) point.append(element("title", {}, each.names[k]));
         inside.append(point);
       });
@@ -108,13 +126,15 @@ export function chart(holder, spec) {
       svg.append(element("rect", { class: "window", x: sx(from), y: TOP, width: Math.max(2, sx(to) - sx(from)), height: height - TOP - BOTTOM }));
     }
     drawing.place = (pixels) => x0 + ((pixels - LEFT) / (width - LEFT - RIGHT)) * (x1 - x0);
-    const names = spec.series.filter((each) => each.label);
     const legend = document.createElement("p");
     legend.className = "keys";
     for (const each of names.length > 1 || spec.legend ? names : []) {
       const entry = document.createElement("span");
-      entry.className = `key key${each.colour ?? 0}`;
-      entry.textContent = each.label;
+      entry.className = "key";
+      const sample = element("svg", { class: `drawing${names.length > 1 ? " told" : ""}`, width: 34, height: 12, "aria-hidden": "true" });
+      if (each.y && !each.bare) sample.append(element("path", { class: `line line${each.colour ?? 0}`, d: "M0 6H34" }));
+      if (each.points) sample.append(mark(each.colour ?? 0, 17, 6));
+      entry.append(sample, each.label);
       legend.append(entry);
     }
     holder.replaceChildren(...(legend.childElementCount ? [legend] : []), svg);
@@ -131,6 +151,19 @@ export function chart(holder, spec) {
   });
   holder.observer.observe(holder);
   return drawing;
+}
+
+const PAUSED = [8, 12]; // phases of a recording: it waits, or goes up to wait
+const BROKEN_S = 0.25;
+
+/** Columns of a course with an unknown row wherever a line must end: at a gap in time, at another site, and around a pause. */
+export function broken(columns) {
+  const t_s = columns.t_s, steps = t_s.slice(1).map((t, k) => t - t_s[k]).sort((one, other) => one - other);
+  const longest_s = Math.max(BROKEN_S, 4 * (steps[steps.length >> 1] ?? 0));
+  const paused = columns.phase.map((phase) => PAUSED.includes(phase));
+  const before = t_s.map((t, k) => k > 0 && (t - t_s[k - 1] > longest_s || columns.site[k] !== columns.site[k - 1] || paused[k] !== paused[k - 1]));
+  return Object.fromEntries(Object.entries(columns).map(([name, values]) => [name, values.flatMap((value, k) =>
+    before[k] ? [name === "t_s" ? (t_s[k - 1] + t_s[k]) / 2 : name === "site" || name === "phase" ? value : null, value] : [value])]));
 }
 
 /** Take a chart away, and put something else in its place. */

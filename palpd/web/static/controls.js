@@ -1,22 +1,27 @@
-// Arm, start, pause, retract, clear, and who holds the controls. All refusals are the service's own sentences.
+// Arm, start, pause, retract, clear, and who holds the controls. What is impossible, and why, is the service's own answer (`status.now`).
 
 import { on } from "./link.js";
-import { say } from "./message.js";
+import { NAMES, inButtons, say } from "./message.js";
 import { ask, read } from "./requests.js";
 
 const RENEW_MS = 3000;
 const SURE_MS = 5000;
-const PATIENCE_MS = { arm: 65000 };
+const PATIENCE_MS = { arm: 65000, check: 65000 };
 const LEASE = "palpd.lease";
 const PLAN = "palpd.plan";
 const NAME = "palpd.operator";
-const DONE = { arm: "Armed", start: "Started", pause: "Pause", resume: "Resume", retract: "The arm leaves the tissue", "level-test": "The arm goes 5 mm up", clear: "The latch is cleared" };
+const DONE = { check: "Robot and sensor were checked", arm: "Armed", start: "Started", pause: "The run pauses", resume: "The run goes on", retract: "The arm leaves the tissue", "level-test": "The arm goes 5 mm up", clear: "The latch is cleared", begin: "The job has begun", decide: "Answered" };
 
 const take = document.getElementById("take");
 const operator = document.getElementById("operator");
 const holder = document.getElementById("holder");
 const pause = document.getElementById("pause");
+const decide = document.getElementById("decide");
+const place = document.getElementById("place-choice");
+const buttons = [...document.querySelectorAll("[data-do]")];
 let status = null;
+let lost = false;
+let job = null;
 let lease = sessionStorage.getItem(LEASE);
 let sure_until_ms = 0;
 
@@ -46,28 +51,60 @@ async function takeControls(force) {
   return answer.ok;
 }
 
-/** Send a request that needs the controls, and take them first where nobody holds them. Says how it ended, and returns the answer. */
+/**
+ * Send a request that needs the controls, and take them first where nobody holds them. Says how it ended, and returns the answer.
+ * Controls that have run out, while the link was lost, are taken once more: it is the same press of the same button.
+ */
 export async function request(what, content = {}) {
-  if (lease === null && !(await takeControls(false))) return { ok: false };
-  const answer = await ask(`/do/${what}`, { ...content, lease }, { patience_ms: PATIENCE_MS[what] ?? 8000 });
-  say(answer.ok ? `${DONE[what] ?? what}: ${answer.state}.` : answer.error, answer.ok ? "done" : "refused");
+  const held = lease !== null;
+  if (!held && !(await takeControls(false))) return { ok: false };
+  const send = () => ask(`/do/${what}`, { ...content, lease }, { patience_ms: PATIENCE_MS[what] ?? 8000 });
+  let answer = await send();
+  if (held && !answer.ok && !answer.unreached && !(await renewed()) && await takeControls(false)) answer = await send();
+  say(answer.ok ? `${DONE[what] ?? what}.` : answer.error, answer.ok ? "done" : "refused");
   return answer;
 }
 
-async function press(what) {
-  if (what !== "start") {
-    if (what === "arm") say("Checking robot and sensor …");
-    return request(what);
-  }
-  const plan = chosenPlan();
-  if (plan === null) return say("No plan is chosen; choose one on the Run page.", "refused");
-  const place = document.getElementById("place-choice")?.value || null;
-  return request("start", { text: plan.text, file: plan.name, place });
+/** Why a button is impossible now: {reason, way}; null where it is possible. `others` says that somebody else holds the controls. */
+function obstacleOf(what) {
+  if (lost) return { reason: "the service does not answer", way: null };
+  if (lease === null && status?.controls) return { reason: `${status.controls} holds the controls`, way: null, others: true };
+  const obstacle = status?.now?.obstacles?.[what] ?? null;
+  return obstacle === null && what === "start" && chosenPlan() === null ? { reason: "no plan is chosen", way: "plan" } : obstacle;
 }
 
-for (const button of document.querySelectorAll("[data-do]")) {
-  button.addEventListener("click", () => press(button.dataset.do));
+const WAYS = { abort: "Wait for its end, or Abort", plan: "Choose a plan first", clear: "Look at the cell, then Clear" };
+const capital = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
+
+function sentenceOf({ reason, way }) {
+  return `${capital(inButtons(reason))}.${way ? ` ${WAYS[way] ?? `${NAMES[way]} first`}.` : ""}`;
 }
+
+async function press(what) {
+  const obstacle = obstacleOf(what);
+  if (obstacle !== null && !obstacle.others) return say(`${NAMES[what]} is not possible: ${sentenceOf(obstacle)}`, "refused");
+  if (what === "arm" || what === "check") say("Checking robot and sensor …");
+  if (what === "calibrate") return begin("calibrate", {});
+  if (what !== "start") return request(what);
+  const plan = chosenPlan();
+  return request("start", { text: plan?.text, file: plan?.name, place: place.value || null });
+}
+
+/** Begin a job; its end is said in the line of messages. */
+export async function begin(program, content) {
+  const answer = await request("begin", { program, arguments: content });
+  if (answer.ok) job = answer.id;
+  return answer;
+}
+
+on("job", (event) => {
+  if (event.id !== job || event.ended === null) return;
+  job = null;
+  say(`${capital(event.program)}: ${event.verdict}${event.reason ? `. ${event.reason}` : ""}`, event.verdict === "done" ? "done" : "refused");
+  document.dispatchEvent(new CustomEvent("palpd-job", { detail: event }));
+});
+
+for (const button of buttons) button.addEventListener("click", () => press(button.dataset.do));
 
 take.addEventListener("click", async () => {
   if (lease !== null) {
@@ -84,15 +121,18 @@ take.addEventListener("click", async () => {
   }
 });
 
-setInterval(async () => {
-  if (lease === null) return;
+/** Renew the controls. Resolves to whether this page still holds them, as far as it can know. */
+async function renewed() {
+  if (lease === null) return false;
   const mine = lease;
   const answer = await ask("/do/renew", { lease: mine });
-  if (!answer.ok && lease === mine && answer.error && !answer.unreached) {
-    keep(null);
-    say(answer.error, "refused");
-  }
-}, RENEW_MS);
+  if (answer.ok || lease !== mine || answer.unreached || answer.expired) return true;
+  keep(null);
+  say(answer.error, "refused");
+  return false;
+}
+setInterval(renewed, RENEW_MS);
+renewed(); // what another page of this tab held may have ended since
 
 operator.value = localStorage.getItem(NAME) ?? "";
 operator.addEventListener("change", () => localStorage.setItem(NAME, operator.value.trim()));
@@ -100,14 +140,32 @@ operator.addEventListener("change", () => localStorage.setItem(NAME, operator.va
 function show() {
   const other = lease === null && status?.controls;
   take.textContent = lease !== null ? "Release controls" : other ? (performance.now() <= sure_until_ms ? "Press again to take them" : "Take by force") : "Take controls";
+  holder.classList.toggle("hidden", lease !== null); // the button says so
   holder.textContent = lease !== null ? "You hold the controls" : other ? `${status.controls} holds the controls` : "";
-  const paused = ["paused", "pause_retract"].includes(status?.phase);
-  pause.dataset.do = paused ? "resume" : "pause";
-  pause.textContent = paused ? "Resume" : "Pause";
+  const obstacles = status?.now?.obstacles ?? {};
+  pause.dataset.do = obstacles.pause && !obstacles.resume ? "resume" : "pause";
+  pause.textContent = NAMES[pause.dataset.do];
+  const next = other || lost ? null : status?.now?.next;
+  for (const button of buttons) {
+    const what = button.dataset.do, obstacle = obstacleOf(what);
+    if (obstacle) button.setAttribute("aria-disabled", "true");
+    else button.removeAttribute("aria-disabled");
+    button.title = obstacle ? sentenceOf(obstacle) : button.dataset.about ?? "";
+    button.toggleAttribute("data-next", what === next && !obstacle);
+    if (what === "clear") button.hidden = !status?.latched;
+  }
+  decide.hidden = status?.now?.next !== "decide";
+  decide.toggleAttribute("data-next", !decide.hidden);
+  document.body.toggleAttribute("data-no-plan", next === "start" && chosenPlan() === null);
+  const question = status?.now?.question ?? null;
+  document.getElementById("place-line").hidden = question === null;
+  document.getElementById("place-question").textContent = question === null ? "" : `${capital(question)}.`;
+  if (question === null) place.value = "";
 }
 
-on("status", (event) => { status = event; show(); });
-on("lost", () => { status = null; show(); });
+on("status", (event) => { [status, lost] = [event, false]; show(); });
+on("lost", () => { [status, lost] = [null, true]; show(); });
+document.addEventListener("palpd-plan", show);
 show();
 
 if (chosenPlan() === null && document.body.dataset.page !== "entrance") {

@@ -3,13 +3,13 @@
 import "./abort.js";
 import "./controls.js";
 import { begin, on } from "./link.js";
-import { say } from "./message.js";
+import { inButtons, say, unsay } from "./message.js";
 import { ask } from "./requests.js";
 
 const state = document.getElementById("state");
 const doing = document.getElementById("doing");
 const link = document.getElementById("link");
-const STATES = { disarmed: "Disarmed", checking: "Checking the devices", armed: "Armed", running: "Running", waiting: "Waiting for an answer" };
+const GONE = "The service does not answer. If the arm moves, use the emergency stop.";
 const LINKS = { connecting: "", open: "", lost: "Link lost", expired: "Page expired" };
 let expired = false;
 
@@ -19,18 +19,14 @@ function show(kind, words, more) {
   if (doing.textContent !== more) doing.textContent = more;
 }
 
-on("status", (status) => {
+on("status", ({ now }) => {
+  if (document.body.dataset.service === "lost") unsay(); // what was refused while nobody answered
   document.body.dataset.service = "open";
-  const paused = status.phase === "paused";
-  const kind = paused ? "paused" : status.latched && !status.job ? "latched" : status.state;
-  const words = paused ? "Paused" : kind === "latched" ? "Stopped" : STATES[status.state] ?? status.state;
-  const not_ready = status.cell && !status.cell.ready ? `not ready: ${status.cell.reason}` : "";
-  const pressed = status.probe?.state === "pressed" && !status.job ? "The probe is pressed" : "";
-  show(kind, words, status.activity ?? status.active?.activity ?? [pressed, status.latched || not_ready].filter(Boolean).join("; "));
+  show(now.state, now.word, inButtons(now.sentence));
 });
-on("lost", ({ reason }) => {
+on("lost", () => {
   document.body.dataset.service = "lost";
-  show("gone", "No service", reason);
+  show("gone", "No service", GONE);
 });
 on("refused", ({ reason }) => say(reason, "refused"));
 on("link", (now) => {

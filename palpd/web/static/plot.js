@@ -20,7 +20,7 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { re
 
 const FONT = "12px system-ui, sans-serif";
 
-/** A chart of the last `window_s` seconds. `series` are [colour name, width]; `range` gives the y limits; `lines` the horizontal ones. */
+/** A chart of the last `window_s` seconds. `series` are [colour name, width, dash]; `range` gives the y limits; `lines` the horizontal ones. */
 export class Rolling {
   constructor(element, { series, unit, range, lines = () => [], window_s = 20, keep = 3000 }) {
     Object.assign(this, { element, series, unit, range, lines, window_s, keep });
@@ -45,7 +45,7 @@ export class Rolling {
       padding: [8, 16, 0, 0],
       scales: { x: { time: false, range: () => { const end = Math.max(this.window_s, this.data[0].at(-1) ?? 0); return [end - this.window_s, end]; } }, y: { range: (_, low, high) => this.range(low ?? 0, high ?? 0) } },
       axes: [{ ...axis, size: 26, values: (_, at) => at.map((t) => `${t} s`) }, { ...axis, size: 52, values: (_, at) => at.map((v) => `${v} ${this.unit}`) }],
-      series: [{}, ...this.series.map(([name, width]) => ({ stroke: () => colours[name], width, points: { show: false } }))],
+      series: [{}, ...this.series.map(([name, width, dash]) => ({ stroke: () => colours[name], width, dash, points: { show: false } }))],
       hooks: { draw: [(plot) => this.drawLines(plot)] },
     }, this.data, this.element);
   }
@@ -137,7 +137,8 @@ export function drawPress(canvas, points, before, contact_N) {
     ctx.beginPath(); ctx.moveTo(left, y(at)); ctx.lineTo(width - right, y(at)); ctx.stroke();
     ctx.fillText(`${number(at)} N`, left - 6, y(at) + 4);
   }
-  const line = (each, stroke, thick) => {
+  const line = (each, stroke, thick, dash = []) => {
+    ctx.setLineDash(dash);
     ctx.strokeStyle = stroke;
     ctx.lineWidth = thick;
     ctx.lineJoin = "round";
@@ -147,11 +148,10 @@ export function drawPress(canvas, points, before, contact_N) {
   };
   ctx.save();
   ctx.beginPath(); ctx.rect(left, top, width - left - right, height - top - bottom); ctx.clip();
-  line(before, colours.raw, 1.5);
+  line(before, colours.raw, 1.5, [1, 3]);
   line(points, colours.force, 2.5);
   if (contact_N && contact_N < y_max) {
-    ctx.setLineDash([6, 4]);
-    line([[0, contact_N], [x_max, contact_N]], colours.limit, 1.5);
+    line([[0, contact_N], [x_max, contact_N]], colours.limit, 1.5, [6, 4]);
   }
   ctx.restore();
 }

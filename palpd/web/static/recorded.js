@@ -1,6 +1,6 @@
 // One run: what it was, its force and depth over time, its diagnosis, its report, and that of two runs side by side.
 
-import { chart, extent, instead, scaled, spansOf } from "./chart.js";
+import { broken, chart, extent, instead, scaled, spansOf } from "./chart.js";
 import { say } from "./message.js";
 import { ask, read } from "./requests.js";
 import { byId, duration, framed, make, refuse, resultOf, work } from "./work.js";
@@ -57,6 +57,7 @@ function showFacts() {
       return tile(`Site ${site.name}`, `${kilopascals(site.static_youngs_modulus_Pa)} kPa`, more);
     }));
   showRemarks(facts.remarks);
+  ask("/runs/remark", { run }).then((answer) => { if (answer.ok) showRemarks(answer.remarks); }); // the facts may have been read before a remark
   const names = facts.sites.map((site) => site.name);
   byId("diagnose").elements.site.replaceChildren(...names.map((name) => make("option", { value: name, text: name })));
   byId("diagnose").hidden = names.length === 0;
@@ -90,7 +91,7 @@ async function showCourse() {
   const answer = await piece(0, 1e9);
   if (!answer.ok) { refuse(byId("overview"), answer.error); return; }
   whole = answer.duration_s;
-  const columns = answer.columns, spans = spansOf(columns, facts.sites.map((site) => site.name));
+  const columns = broken(answer.columns), spans = spansOf(columns, facts.sites.map((site) => site.name));
   overview = chart(byId("overview"), {
     label: `contact force over the whole run of ${duration(whole)}; a window of it is shown below`, height: 110, x: [0, whole], xLabel: "", yLabel: "N", spans, window: shown,
     series: [{ x: columns.t_s, low: columns.force_low_N, high: columns.force_high_N, y: columns.force_high_N }],
@@ -121,7 +122,8 @@ function moved() {
     if (number !== fetching) return;
     const answer = await piece(from, to);
     if (number !== fetching) return;
-    if (answer.ok) draw(answer.columns, spansOf(answer.columns, facts.sites.map((site) => site.name)));
+    const columns = answer.ok ? broken(answer.columns) : null;
+    if (answer.ok) draw(columns, spansOf(columns, facts.sites.map((site) => site.name)));
     else refuse(byId("curve"), answer.error);
   }, 120);
 }

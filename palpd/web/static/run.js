@@ -2,11 +2,12 @@
 
 import { choosePlan, chosenPlan } from "./controls.js";
 import { on } from "./link.js";
-import { say } from "./message.js";
+import { inButtons, say } from "./message.js";
 import { Rolling, drawMap, drawPress, onColours } from "./plot.js";
 
 const OLD_MS = 280;
 const MOST_LINES = 200;
+const COMPENSATED = ["palpation", "free_motion", "stiffness"]; // the others take no tare of their own: their force is the raw one
 const MOST_PLAN_BYTES = 250000;
 const at = (id) => document.getElementById(id);
 const put = (id, text) => { const each = at(id); if (each.textContent !== text) each.textContent = text; };
@@ -26,7 +27,7 @@ let health = null;
 let curve_is_new = true;
 
 const force = new Rolling(at("force-chart"), {
-  series: [["raw", 1], ["inertial", 1], ["force", 2.5]],
+  series: [["raw", 1.5, [1, 3]], ["inertial", 1.5, [7, 4]], ["force", 2.5]],
   unit: "N",
   range: (low, high) => [Math.min(-1, low * 1.1), Math.max((limits?.contact_N ?? 12) * 1.12, high * 1.08)],
   lines: () => (limits ? [{ at: limits.contact_N, name: `contact limit ${limits.contact_N} N` }, { at: limits.absolute_N, name: `absolute limit ${limits.absolute_N} N` }] : []),
@@ -38,7 +39,7 @@ const depth = new Rolling(at("depth-chart"), {
 });
 
 on("frame", (frame) => {
-  if (frame.run !== run) {
+  if (frame.run !== run || frame.readable !== undefined) { // a new run, or all of the last 25 s after the link was opened anew
     run = frame.run;
     force.clear();
     depth.clear();
@@ -46,14 +47,15 @@ on("frame", (frame) => {
   }
   health = frame.h;
   for (const point of frame.p) {
-    const [t_s, raw_N, inertial_N, force_N, , depth_m, number] = point;
+    const [t_s, raw_N, inertial_N, force_N, z_m, depth_m, number] = point;
     force.add(t_s, raw_N, inertial_N, force_N);
     depth.add(t_s, depth_m === null ? null : depth_m * 1e3);
+    if (z_m === null) continue; // here the lines end
     if (number > press) {
       if (curve.length) before = curve;
       [press, curve] = [number, []];
     }
-    if (number && depth_m !== null) {
+    if (number && depth_m !== null && force_N !== null) {
       curve.push([depth_m * 1e3, force_N]);
       curve_is_new = true;
     }
@@ -73,13 +75,17 @@ function draw() {
   document.body.toggleAttribute("data-old", old);
   if (newest === null) return;
   const [, raw_N, inertial_N, force_N, z_m, depth_m] = newest;
-  put("force", fixed(force_N, 2));
+  const [rate_Hz, missed, robot_ms, sensor_ms, work_us, absolute_N] = health;
+  const compensated = running && COMPENSATED.includes(status.job);
+  put("force-name", compensated ? "Force, compensated" : "Force against reference");
+  const read = status?.probe?.date.slice(11, 19);
+  put("now-head", running ? "Now" : read ? `Last read at ${read}` : "Last read");
+  put("force", fixed(compensated ? force_N : absolute_N, 2));
   put("raw", fixed(raw_N, 2));
   put("inertial", fixed(inertial_N, 2));
-  const inside = depth_m !== null;
-  put("depth-name", inside ? "Depth" : "Height of the tip");
-  put("depth", fixed((inside ? depth_m : z_m) * 1e3, inside ? 2 : 1));
-  const [rate_Hz, missed, robot_ms, sensor_ms, work_us, absolute_N] = health;
+  const known = depth_m !== null, above = known && depth_m < 0;
+  put("depth-name", above ? "Above the surface" : known ? "Depth" : "Height of the tip");
+  put("depth", fixed((known ? Math.abs(depth_m) : z_m) * 1e3, known && !above ? 2 : 1));
   put("absolute", limits ? `${fixed(absolute_N, 1)} of ${limits.absolute_N}` : fixed(absolute_N, 1));
   put("rate", fixed(rate_Hz, 1));
   put("missed", `${missed}`);
@@ -91,35 +97,42 @@ function draw() {
 on("status", (event) => {
   status = event;
   limits = event.limits ?? null;
-  at("progress").max = event.steps ?? 1;
-  at("progress").value = event.steps_done ?? 0;
+  at("steps").toggleAttribute("data-idle", event.job === undefined);
+  const counted = (event.steps ?? 1) > 1;
+  at("progress").max = counted ? event.steps : 1;
+  at("progress").value = counted ? event.steps_done : 0;
   put("progress-text", event.job === undefined ? "no run is under way"
-    : event.steps === undefined ? event.activity
-    : `${event.steps_done} of ${event.steps} steps, ${event.activity}`);
+    : counted ? `${event.steps_done} of ${event.steps} steps, ${event.activity}${left(event.left_s)}`
+    : event.activity);
   showLast(event);
   showProbe(event);
 });
-on("lost", () => { status = null; });
+on("lost", () => {
+  status = null;
+  put("progress-text", "not known: the service does not answer");
+});
 
-const WAYS = { retract: "Retract leaves the tissue", level_test: "Level test goes 5 mm up and tells", confirm: "palpd calibrate --probe-free takes your word for it" };
+/** The time that is left, as roughly as it is known. */
+function left(left_s) {
+  if (left_s === null || left_s === undefined) return "";
+  if (left_s < 10) return ", some seconds left";
+  return left_s < 90 ? `, about ${Math.ceil(left_s / 10) * 10} s left` : `, about ${Math.ceil(left_s / 60)} min left`;
+}
 
 /** Whether the probe is free, where the tip stands, and what a start would ask. */
 function showProbe({ probe, place, job }) {
   const state = { free: "free", pressed: "pressed", unknown: "not known to be free" };
   const line = at("probe-state");
   line.dataset.kind = probe && probe.state !== "free" ? "bad" : "";
-  put("probe-state", !probe || job !== undefined ? "" : `The probe is ${state[probe.state]}${probe.reasons.length ? `: ${probe.reasons.join("; ")}` : ""}.${probe.state === "free" ? "" : ` What to do: ${Object.keys(WAYS).filter((way) => probe.ways.includes(way)).map((way) => WAYS[way]).join(", ") || probe.advice}.`}`);
+  put("probe-state", !probe || job !== undefined ? "" : `The probe is ${state[probe.state]}${probe.reasons.length ? `: ${probe.reasons.join("; ")}` : ""}; looked at ${probe.date.slice(11, 19)}.${probe.state === "free" ? "" : ` ${inButtons(probe.advice)}.`}`);
   const mm = (value) => fixed(value * 1e3, 1);
   put("place-state", !place || place.x_m === null ? "" : `Tip at x = ${mm(place.x_m)} mm, y = ${mm(place.y_m)} mm${place.site ? `, over site ${place.site} of the last plan` : ""}.`);
-  at("place-line").hidden = !place?.unfinished;
-  if (!place?.unfinished) at("place-choice").value = "";
 }
 
-function showLast({ latched, last, job }) {
+function showLast({ latched, last }) {
   at("fault").dataset.kind = latched ? "bad" : last && last.verdict !== "done" ? "warn" : "";
-  put("fault", latched ? `Stopped: ${latched}` : !last ? "nothing has run since the service began" : `${last.verdict}${last.reason ? `: ${last.reason}` : ""}`);
-  put("fault-do", latched && job === undefined ? "What to do: look at the cell. Leave the tissue with Retract. Then Clear, and Arm again." : "");
-  const notes = [...(last?.notes ?? []), ...(last?.recording ? [`recording ${last.recording.split("/").at(-1)}`] : [])];
+  put("fault", latched ? `Stopped: ${latched}` : !last ? "nothing has run since the service began" : `${last.verdict}${last.reason ? `: ${inButtons(last.reason)}` : ""}`);
+  const notes = [...(last?.notes ?? []).map(inButtons), ...(last?.recording ? [`recording ${last.recording.split("/").at(-1)}`] : [])];
   const list = at("fault-notes");
   if (list.dataset.shown === notes.join("\n")) return;
   list.dataset.shown = notes.join("\n");
@@ -161,6 +174,29 @@ on("log", ({ line }) => {
   while (list.children.length > MOST_LINES) list.firstChild.remove();
   if (low) list.scrollTop = list.scrollHeight;
 });
+
+// --- the distance view: state, force and depth as large as the screen allows ---
+
+function view(distant) {
+  document.body.toggleAttribute("data-distance", distant);
+  put("distance", distant ? "Close the distance view" : "Distance view");
+}
+at("distance").addEventListener("click", () => {
+  const distant = !document.body.hasAttribute("data-distance");
+  history.replaceState(null, "", distant ? "/?view=distance" : "/");
+  view(distant);
+});
+view(new URLSearchParams(location.search).get("view") === "distance");
+
+// --- the camera, where one is configured ---
+
+const CAMERA_AGAIN_MS = 5000;
+const camera = at("camera");
+camera?.addEventListener("error", () => {
+  at("camera-note").textContent = `no picture from ${new URL(camera.src).host}; trying again`;
+  setTimeout(() => { camera.src = camera.getAttribute("src"); }, CAMERA_AGAIN_MS);
+});
+camera?.addEventListener("load", () => { at("camera-note").textContent = ""; });
 
 const showPlan = () => put("plan-name", chosenPlan()?.name ?? "none chosen");
 document.addEventListener("palpd-plan", showPlan);

@@ -1,5 +1,6 @@
 // The list of the runs, with a filter, and the choice of two to compare.
 
+import { begin } from "./controls.js";
 import { read } from "./requests.js";
 import { byId, make, refuse } from "./work.js";
 
@@ -37,6 +38,15 @@ function row(run) {
     make("td", { className: "words", text: [run.reason, run.note].filter(Boolean).join("; ") }));
 }
 
+/** A recording that was cut off: the service writes what is whole of it into a new file. */
+function unfinished(name) {
+  const recover = make("button", { type: "button", text: "Recover", ariaLabel: `recover ${name}`, on: { click: () => begin("recover", { name }) } });
+  return make("tr", {}, make("td"), make("td", { className: "name", text: name }), make("td"),
+    make("td", {}, make("span", { className: "chip unfinished", text: "unfinished" })), make("td", { className: "number", text: "–" }), make("td", { text: "–" }), make("td"),
+    make("td", { className: "words" }, "it was cut off, and its file was never closed ", recover));
+}
+document.addEventListener("palpd-job", show);
+
 function showChosen() {
   const names = [...chosen.values()];
   compare.disabled = names.length !== 2;
@@ -56,7 +66,7 @@ async function show() {
   choices(filter.elements.tag, answer.tags, "any tag");
   choices(filter.elements.site, answer.sites, "any site");
   choices(filter.elements.verdict, answer.verdicts, "any end");
-  list.replaceChildren(...answer.runs.map(row));
+  list.replaceChildren(...answer.unfinished.map(unfinished), ...answer.runs.map(row));
   const some = answer.runs.length < answer.count ? `the newest ${answer.runs.length} of ` : "";
   byId("count").textContent = answer.count ? `${some}${answer.count} ${answer.count === 1 ? "run" : "runs"} in ${answer.folder}` : `No run in ${answer.folder} is like that.`;
   byId("more").hidden = answer.runs.length >= answer.count;
