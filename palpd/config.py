@@ -2,11 +2,11 @@
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar, get_args
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
-from pydantic import Field, StrictFloat, StrictInt, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, Field, StrictFloat, StrictInt, ValidationError, field_validator, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, EnvSettingsSource
 
@@ -14,7 +14,7 @@ from palpd.cell.cell_file import HINTS, CellFile, Version, nominal
 from palpd.cell.effects.drivers import StrictBlock
 from palpd.errors import ConfigError
 from palpd.file_versions import Kind, refuse_renamed
-from palpd.files import Document, nearest, parse_yaml, read_yaml, refusal
+from palpd.files import Document, faults, nearest, parse_yaml, read_yaml, refusal
 from palpd.tick import Option
 
 Model = TypeVar("Model", bound=StrictBlock)
@@ -205,7 +205,7 @@ class PathsConfig(StrictBlock):
     write_reports: bool = True
     """Whether a report is written beside each recording when its run is over."""
     state: Path = Path("state")
-    """Folder of reference tare, machine stiffness and latch."""
+    """Folder of reference tare, machine stiffness, latch and kept plans."""
     socket: Path | None = None
     """Control socket of `palpd serve`; null: `palpd.sock` in `state`."""
 
@@ -310,6 +310,19 @@ class Strokes(StrictBlock):
     """Speed of a stroke."""
 
 
+SHALLOWEST_M, DEEPEST_M = 0.0002, 0.02
+"""Depths of a press that a plan may ask for."""
+
+
+def _possible_depth(depth_m: float) -> float:
+    if not SHALLOWEST_M <= depth_m <= DEEPEST_M:
+        raise ValueError(f"a depth of {depth_m:g} m is outside {SHALLOWEST_M} to {DEEPEST_M} m; depths are in metres (4 mm is 0.004)")
+    return depth_m
+
+
+Depth = Annotated[StrictFloat, AfterValidator(_possible_depth), Field(json_schema_extra={"minimum": SHALLOWEST_M, "maximum": DEEPEST_M})]
+
+
 class Plan(StrictBlock):
     """plan.yaml: where, how deep, how fast, how often. Without depths nothing is pressed or looked for, which needs free strokes."""
 
@@ -321,7 +334,7 @@ class Plan(StrictBlock):
     """Place that the sites count from, at most 0.3 m from the arm; null: where the arm stands."""
     mode: Literal["dynamic", "static", "both"] = "both"
     """`static`: press, hold, measure. `dynamic`: press and leave at once. `both`: one after the other."""
-    depths_m: tuple[StrictFloat, ...] = Field(default=(0.004, 0.006, 0.008), max_length=100)
+    depths_m: tuple[Depth, ...] = Field(default=(0.004, 0.006, 0.008), max_length=100)
     """Depths of the presses, 0.0002 to 0.02; a plan must give them."""
     press_speed_m_per_s: StrictFloat = Field(default=0.01, ge=SLOWEST_M_PER_S, le=0.05)
     """Speed of a press."""
@@ -340,9 +353,6 @@ class Plan(StrictBlock):
     def _sensible(self) -> Self:
         if not self.depths_m and self.free is None:
             raise ValueError("depths_m is empty and there are no free strokes: the plan does nothing; give one of them")
-        for depth_m in self.depths_m:
-            if not 0.0002 <= depth_m <= 0.02:
-                raise ValueError(f"a depth of {depth_m:g} m is outside 0.0002 to 0.02 m; depths are in metres (4 mm is 0.004)")
         names = [site.name for site in self.sites]
         if len(set(names)) != len(names):
             raise ValueError(f"site names must differ, found {', '.join(names)}")
@@ -412,6 +422,23 @@ def parse_config(values: object, where: str) -> Config:
     return _validated(Config, Document(where, values))
 
 
+PlanLimit = tuple[float, float, str]
+"""Least and most of a number of a plan, and the key of the configuration that says so."""
+
+
+def plan_limits(config: Config, plan: Plan) -> dict[str, PlanLimit]:
+    """The limits that a configuration sets to the numbers of a plan.
+
+    Args:
+        config: Configuration with the limits.
+        plan: The plan: sites count from its origin.
+
+    Returns:
+        The limits by the path of the number's key, such as `sites.2.x_m`.
+    """
+    return {key: limit for key, _, limit, _ in _limited(config, plan)}
+
+
 def refuse_unsafe(config: Config, plan: Plan) -> None:
     """Refuse a plan that the limits of the configuration do not allow.
 
@@ -422,30 +449,56 @@ def refuse_unsafe(config: Config, plan: Plan) -> None:
     Raises:
         ConfigError: Where a speed of the plan is above the limit, or a place of it is outside the workspace.
     """
-    safety = config.safety
-    speeds = [("press_speed_m_per_s", plan.press_speed_m_per_s), ("search.speed_m_per_s", plan.search.speed_m_per_s)]
-    if plan.free is not None:
-        speeds.append(("free.speed_m_per_s", plan.free.speed_m_per_s))
-    for name, speed in speeds:
-        if speed > safety.max_speed_m_per_s:
-            raise ConfigError(
-                f"the plan's {name} is {speed:g} m/s, above safety.max_speed_m_per_s of {safety.max_speed_m_per_s:g}; lower one of them"
+    wrong = {key: sentence for key, value, limit, sentence in _limited(config, plan) if not limit[0] <= value <= limit[1]}
+    if wrong:
+        raise ConfigError(next(iter(wrong.values())), wrong)
+
+
+def _limited(config: Config, plan: Plan) -> Iterator[tuple[str, float, PlanLimit, str]]:
+    """Each number of a plan that the configuration limits: key, value, limit, and the sentence for a value that is outside."""
+    safety, origin = config.safety, plan.origin
+    speed = (SLOWEST_M_PER_S, safety.max_speed_m_per_s, "safety.max_speed_m_per_s")
+    speeds = {
+        "press_speed_m_per_s": plan.press_speed_m_per_s,
+        "search.speed_m_per_s": plan.search.speed_m_per_s,
+        "free.speed_m_per_s": plan.free.speed_m_per_s if plan.free is not None else SLOWEST_M_PER_S,
+    }
+    for key, value in speeds.items():
+        yield key, value, speed, f"the plan's {key} is {value:g} m/s, above {speed[2]} of {speed[1]:g}; lower one of them"
+    if origin is None or safety.workspace_m is None:
+        return
+    places: list[tuple[str, str, Origin | PlanSite, tuple[float, float]]] = [("origin", "origin", origin, (0.0, 0.0))]
+    places += [(f"sites.{index}", f"site {site.name}", site, (origin.x_m, origin.y_m)) for index, site in enumerate(plan.sites)]
+    for key, name, place, from_m in places:
+        for axis, value, base_m, (low_m, high_m) in zip("xy", (place.x_m, place.y_m), from_m, safety.workspace_m, strict=False):
+            sentence = (
+                f"the plan's {name} is at {axis} = {base_m + value:g} m in the base's axes, but safety.workspace_m allows {low_m:g} to "
+                f"{high_m:g} m; move it, or widen the workspace"
             )
-    if plan.origin is not None and safety.workspace_m is not None:
-        _refuse_outside(plan.origin, plan.sites, safety.workspace_m)
+            yield f"{key}.{axis}_m", value, (low_m - base_m, high_m - base_m, "safety.workspace_m"), sentence
 
 
-def _refuse_outside(origin: Origin, sites: tuple[PlanSite, ...], workspace_m: tuple[Span, Span, Span]) -> None:
-    """Refuse an origin, or a site counted from it, that the guard would stop the arm at."""
-    places = [("origin", origin.x_m, origin.y_m)]
-    places += [(f"site {site.name}", origin.x_m + site.x_m, origin.y_m + site.y_m) for site in sites]
-    for name, *place_m in places:
-        for axis, at_m, (low_m, high_m) in zip("xy", place_m, workspace_m, strict=False):
-            if not low_m <= at_m <= high_m:
-                raise ConfigError(
-                    f"the plan's {name} is at {axis} = {at_m:g} m in the base's axes, but safety.workspace_m allows {low_m:g} to "
-                    f"{high_m:g} m; move it, or widen the workspace"
-                )
+def close_sites(config: Config, plan: Plan) -> dict[str, str]:
+    """Question sites whose contacts may overlap.
+
+    Args:
+        config: Configuration with the tip.
+        plan: The plan.
+
+    Returns:
+        A sentence for each site that is nearer than two tip radii to one before it, by its key.
+    """
+    apart_m, questions = 2.0 * config.cell.probe.tip_radius_m, {}
+    for index, site in enumerate(plan.sites):
+        away_m, name = min(
+            ((math.hypot(site.x_m - other.x_m, site.y_m - other.y_m), other.name) for other in plan.sites[:index]), default=(math.inf, "")
+        )
+        if away_m < apart_m - 1e-9:  # decimals such as 0.03 - 0.02 are not exact
+            questions[f"sites.{index}"] = (
+                f"site {site.name} is {away_m * 1e3:.3g} mm from site {name}, nearer than {apart_m * 1e3:g} mm (two tip radii): "
+                "their presses overlap; is that meant?"
+            )
+    return questions
 
 
 def _complete_plan(document: Document) -> Plan:
@@ -542,4 +595,4 @@ def _validated(model: type[Model], document: Document) -> Model:
     try:
         return model.model_validate(document.keys_and_values())
     except ValidationError as error:
-        raise ConfigError(refusal(error, model, document, HINTS)) from error
+        raise ConfigError(refusal(error, model, document, HINTS), faults(error, model, HINTS)) from error

@@ -12,6 +12,8 @@ PalpdError
 └── Stopped           a run that had begun was ended by the guard or by a fault                       exit 3
 """
 
+from collections.abc import Mapping
+
 
 class PalpdError(Exception):
     """Root of the tree; `exit_code` is what the command line returns."""
@@ -24,7 +26,11 @@ class BadInput(PalpdError):
 
 
 class ConfigError(BadInput):
-    """A configuration, plan or cell file is wrong, incomplete or unsafe."""
+    """A configuration, plan or cell file is wrong, incomplete or unsafe. `faults` has a sentence for each wrong key, by its path."""
+
+    def __init__(self, sentence: str, faults: Mapping[str, str] | None = None) -> None:
+        super().__init__(sentence)
+        self.faults = dict(faults or {})
 
 
 class RecordingError(BadInput):

@@ -22,6 +22,7 @@ from palpd.file_kinds import RECORDING, kind_made, marked_json, marked_text, wha
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
+    from pydantic_core import ErrorDetails
 
 Location = tuple[str | int, ...]
 
@@ -354,19 +355,40 @@ def refusal(error: "ValidationError", model: "type[BaseModel]", document: Docume
         The sentence.
     """
     first = error.errors(include_url=False)[0]
-    location: Location = first["loc"]
-    key, place, message = ".".join(map(str, location)) or "the file", document.place(location), first["msg"]
-    if first["type"] == "extra_forbidden":
+    return f"{document.place(first['loc'])}: {_complaint(first, model, hints)}"
+
+
+def faults(error: "ValidationError", model: "type[BaseModel]", hints: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Turn every complaint of pydantic into a sentence without its place.
+
+    Args:
+        error: As for `refusal`.
+        model: As for `refusal`.
+        hints: As for `refusal`.
+
+    Returns:
+        The sentences by the path of their key, such as `sites.2.x_m`; the path of what belongs to no key is empty.
+    """
+    wrong = {".".join(map(str, each["loc"])): _complaint(each, model, hints) for each in error.errors(include_url=False)}
+    # a list without what is wrong in it may be too short, which is no fault of its own
+    return {path: sentence for path, sentence in wrong.items() if not any(each.startswith(f"{path}.") for each in wrong)}
+
+
+def _complaint(complaint: "ErrorDetails", model: "type[BaseModel]", hints: Mapping[str, str] | None) -> str:
+    location, message = complaint["loc"], complaint["msg"]
+    key = ".".join(map(str, location)) or "the file"
+    if complaint["type"] == "extra_forbidden":
         known = _fields_at(model, location[:-1])
-        return f"{place}: there is no key {key!r}{nearest(str(location[-1]), known)}; expected {', '.join(known)}"
-    if first["type"] == "missing":
-        return f"{place}: {key} is not given; it has no default"
-    if first["type"] == "value_error":
-        return f"{place}: {f'{key}: ' if location else ''}{message.removeprefix('Value error, ')}"
-    ranged = first["type"] in ("less_than", "less_than_equal", "greater_than", "greater_than_equal") or isinstance(first["input"], str)
+        return f"there is no key {key!r}{nearest(str(location[-1]), known)}; expected {', '.join(known)}"
+    if complaint["type"] == "missing":
+        return f"{key} is not given; it has no default"
+    if complaint["type"] == "value_error":
+        return f"{f'{key}: ' if location else ''}{message.removeprefix('Value error, ')}"
+    bounds = ("less_than", "less_than_equal", "greater_than", "greater_than_equal")
+    ranged = complaint["type"] in bounds or isinstance(complaint["input"], str)
     hint = next((f" ({hint})" for end, hint in (hints or {}).items() if ranged and key.endswith(end)), "")
     expected = message.replace("Input should be", "expected").replace("a valid ", "a ")
-    return f"{place}: {key} is {_shown(first['input'])}{hint}; {expected[0].lower()}{expected[1:]}"
+    return f"{key} is {_shown(complaint['input'])}{hint}; {expected[0].lower()}{expected[1:]}"
 
 
 def nearest(word: str, known: list[str]) -> str:

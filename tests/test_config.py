@@ -1,6 +1,7 @@
 """config.yaml and plan.yaml: what is wrong is said in one sentence."""
 
 import json
+import pickle
 from pathlib import Path
 from typing import get_args
 
@@ -9,7 +10,7 @@ import yaml
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from palpd.cell.cell_file import CellFile, CellSite
-from palpd.config import Config, Plan, PlanSite, load_config, load_plan, parse_config, parse_plan, refuse_unsafe
+from palpd.config import Config, Plan, PlanSite, close_sites, load_config, load_plan, parse_config, parse_plan, plan_limits, refuse_unsafe
 from palpd.daemon.overshoot import overshoot_N, predicted, refuse_overload
 from palpd.errors import ConfigError
 from tests.paths import ROOT
@@ -266,6 +267,42 @@ def test_a_plan_faster_than_the_limit_is_refused() -> None:
     config = Config.model_validate({"safety": {"max_speed_m_per_s": 0.005}})
     with pytest.raises(ConfigError, match="press_speed"):
         refuse_unsafe(config, Plan())
+
+
+def test_every_key_that_is_wrong_has_its_sentence_which_survives_a_way_between_processes() -> None:
+    with pytest.raises(ConfigError) as refused:
+        parse_plan({"sites": [{"name": "A", "x_m": 9.0}], "depths_m": [0.004, 4.0], "hold": 1}, "it")
+    error = pickle.loads(pickle.dumps(refused.value))
+    assert set(error.faults) == {"sites.0.x_m", "depths_m.1", "hold"}
+    assert str(error) == f"it: {error.faults['sites.0.x_m']}"
+    slow = Config.model_validate({"safety": {"max_speed_m_per_s": 0.002}})
+    with pytest.raises(ConfigError) as unsafe:
+        refuse_unsafe(slow, Plan())
+    assert set(unsafe.value.faults) == {"press_speed_m_per_s", "search.speed_m_per_s"}
+
+
+def test_the_limit_that_a_plan_is_shown_is_the_one_that_refuses_it() -> None:
+    config = Config.model_validate({"safety": {"max_speed_m_per_s": 0.03, "workspace_m": [[-0.2, 0.2], [-0.1, 0.3], [0.0, 0.5]]}})
+    values = {"sites": [{"name": "A"}, {"name": "B", "x_m": 0.05}], "depths_m": [0.004], "origin": {"x_m": 0.1, "y_m": 0.0}}
+    limits = plan_limits(config, parse_plan(values, "it"))
+    assert limits["press_speed_m_per_s"] == (1e-4, 0.03, "safety.max_speed_m_per_s")
+    assert limits["sites.1.x_m"][:2] == pytest.approx((-0.3, 0.1))
+    for x_m, sound in ((limits["sites.1.x_m"][1] - 1e-9, True), (limits["sites.1.x_m"][1] + 1e-9, False)):
+        plan = parse_plan({**values, "sites": [{"name": "A"}, {"name": "B", "x_m": x_m}]}, "it")
+        if sound:
+            refuse_unsafe(config, plan)
+        else:
+            with pytest.raises(ConfigError, match=r"site B is at x = 0\.2 m"):
+                refuse_unsafe(config, plan)
+
+
+def test_sites_nearer_than_two_tip_radii_are_questioned() -> None:
+    at = {"A": 0.0, "B": 0.01, "C": 0.0101, "D": 0.03, "E": 0.0}
+    plan = parse_plan({"sites": [{"name": name, "x_m": x_m} for name, x_m in at.items()], "depths_m": [0.004]}, "it")
+    questions = close_sites(Config(), plan)
+    assert set(questions) == {"sites.2", "sites.4"}, "10 mm are two radii of a tip of 5 mm"
+    assert "site C is 0.1 mm from site B" in questions["sites.2"]
+    assert "site E is 0 mm from site A" in questions["sites.4"]
 
 
 def test_limits_that_overload_the_sensor_on_the_expected_stiffness_are_refused() -> None:

@@ -297,6 +297,7 @@ def sim(
     from palpd.cell.effects import load_effects
     from palpd.cli.printing import print_run
     from palpd.config import load_config, load_plan, refuse_unsafe
+    from palpd.daemon.kept_plans import rehearsed_config_sha256
     from palpd.daemon.motion_process import Job
     from palpd.daemon.run_result import simulated_result
     from palpd.daemon.simulated_run import run as simulate
@@ -310,7 +311,7 @@ def sim(
         simulated = simulate(job, pressed, seed=seed, library=library, show=lambda at_s: show(f"{at_s:.0f} s of the plan"))
     result = simulated_result(simulated)
     print_run(result)
-    write_json(json_file, result)
+    write_json(json_file, {**result, "config_sha256": rehearsed_config_sha256(settings)})
     finish(0 if result["verdict"] == "done" else 3, result["reason"])
 
 

@@ -1,5 +1,6 @@
 """Commands for whoever keeps the daemon: serve, speak to it, install it, and judge machine, devices and configuration."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
@@ -106,18 +107,27 @@ def arm(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> N
     print(at_once.speak({"do": "arm"}, config, socket)["state"])
 
 
-@app.command(examples=["palpd start cell/plan.yaml --config cell/config.yaml"])
+@app.command(examples=["palpd start cell/plan.yaml --config cell/config.yaml", "palpd start --kept phantom --config cell/config.yaml"])
 def start(
-    plan: Annotated[Path, typer.Argument(help="plan.yaml")],
+    plan: Annotated[Path | None, typer.Argument(help="plan.yaml")] = None,
+    kept: Annotated[
+        str | None, typer.Option("--kept", metavar="NAME", help="a plan that the daemon keeps, as palpd plans lists it")
+    ] = None,
     here: HereOption = False,
     go_back: ReturnOption = False,
     config: ConfigOption = DEFAULT_CONFIG,
     socket: SocketOption = None,
 ) -> None:
     """Start a plan on an armed daemon."""
-    from palpd.config import load_plan
+    from palpd.config import load_plan, parse_plan
+    from palpd.errors import BadInput
+    from palpd.files import parse_yaml
 
-    values = load_plan(plan).model_dump(mode="json")
+    if (plan is None) == (kept is None):
+        raise BadInput("a start needs one plan; give a plan.yaml, or --kept NAME")
+    text = at_once.speak({"do": "plans", "name": kept}, config, socket)["yaml"] if kept is not None else ""
+    steps = load_plan(plan) if plan is not None else parse_plan(parse_yaml(text, f"the kept plan {kept}").content, f"the kept plan {kept}")
+    values = steps.model_dump(mode="json")
     print(at_once.speak({"do": "start", "plan": values, "place": place_choice(here, go_back)}, config, socket)["state"])
 
 
@@ -185,6 +195,29 @@ def job(
     print(at_once.job_line(cast("JobSummary", answer)))
     for line in at_once.proposal_lines(answer["proposal"]):
         print(line)
+    write_json(json_file, answer)
+
+
+@app.command(examples=["palpd plans --config cell/config.yaml"])
+def plans(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, json_file: JsonOption = None) -> None:
+    """List the plans that the daemon keeps, with what their rehearsals gave. The tab Plan of the page keeps and forgets them."""
+    from palpd.config import load_config
+    from palpd.daemon.kept_plans import rehearsed_config_sha256
+
+    answer = at_once.speak({"do": "plans"}, config, socket)
+    current = rehearsed_config_sha256(load_config(config)) if answer["plans"] else ""
+    for plan in answer["plans"]:
+        figures, rehearsed = plan["rehearsal"], "not rehearsed"
+        if figures is not None:
+            end = "" if figures["verdict"] == "done" else ", stopped by the guard"
+            presses = f"{figures['cut_short']} of {figures['presses']} presses cut short{end}"
+            rehearsed = (
+                f"{figures['duration_s']:.0f} s, at most {figures['peak_force_N']:.1f} N, {presses} in the rehearsal of {figures['date']}"
+            )
+            rehearsed += "" if figures["config_sha256"] == current else ", before the configuration changed"
+        print(f"{plan['name']}: {rehearsed}; kept by {plan['by'] or 'hand'} {plan['kept']}")
+    if not answer["plans"]:
+        print("No plan is kept.")
     write_json(json_file, answer)
 
 
@@ -345,22 +378,42 @@ def check_config(
     config: Annotated[Path, typer.Argument(help="config.yaml")],
     plan: Annotated[Path | None, typer.Option("--plan", help="plan.yaml to judge with it")] = None,
     json_file: JsonOption = None,
+    faults: Annotated[bool, typer.Option("--faults", help="write what is wrong to --json, by its keys, instead of refusing it")] = False,
     accept_implausible: AcceptImplausible = False,
 ) -> None:
     """Refuse what is wrong or unsafe; print how far a force would run past its limit."""
     from palpd.cli.tables import overshoot_table
-    from palpd.config import Plan
+    from palpd.config import Plan, close_sites, load_plan, plan_limits
+    from palpd.control.sequence import SOFT_END
+    from palpd.daemon.kept_plans import rehearsed_config_sha256
     from palpd.daemon.overshoot import predicted
     from palpd.daemon.starting_files import checked
+    from palpd.errors import ConfigError
 
-    settings, steps = checked(config, plan, accept_implausible)
-    prediction = predicted(settings, steps)
+    try:
+        settings, steps = checked(config, plan, accept_implausible)
+    except ConfigError as error:
+        if not faults or json_file is None:
+            raise
+        about: dict[str, object] = {"refusal": str(error), "faults": error.faults, "plan_schema": Plan.model_json_schema()}
+        with suppress(ConfigError):  # a plan that is only unsafe is shown all the same
+            about["plan"] = load_plan(plan).model_dump(mode="json", exclude_none=True) if plan is not None else None
+        write_json(json_file, about)
+        return
+    prediction, questions = predicted(settings, steps), close_sites(settings, steps)
     for table in overshoot_table(prediction):
         terminal().print(table)
+    for question in questions.values():
+        terminal().print(f"question: {question}", soft_wrap=True, highlight=False)
     terminal().print(f"{config} is sound." if plan is None else f"{config} and {plan} are sound.")
     content = {
         "expected_stiffness_N_per_m": settings.safety.expected_stiffness_N_per_m,
         "plan": steps.model_dump(mode="json", exclude_none=True),
         "plan_schema": Plan.model_json_schema(),
+        "limits": plan_limits(settings, steps),
+        "questions": questions,
+        "soft_end_N": SOFT_END * settings.safety.contact_limit_N,
+        "apart_m": 2.0 * settings.cell.probe.tip_radius_m,
+        "config_sha256": rehearsed_config_sha256(settings),
     }
     write_json(json_file, {**prediction, **content})

@@ -61,7 +61,7 @@ class Watching:
 
 AnswerRequest = Callable[[ControlRequest], ControlAnswer | Later | Watching | bytes]
 """Carries out a request. Bytes are a finished line: a long result is turned into JSON elsewhere."""
-UNLOGGED = ("status", "jobs", "job", "watch", "renew")
+UNLOGGED = ("status", "jobs", "job", "plans", "watch", "renew")
 """Requests that change nothing, and come often."""
 
 

@@ -102,11 +102,12 @@ def refuse_overload(config: Config, plan: Plan) -> None:
     stiffness = config.safety.expected_stiffness_N_per_m
     peak_N = config.safety.contact_limit_N + overshoot_N(config, speed, stiffness)
     if peak_N >= config.sensor.capacity_N:
-        raise ConfigError(
+        sentence = (
             f"contact_limit_N of {config.safety.contact_limit_N:g} N and an overshoot of "
             f"{peak_N - config.safety.contact_limit_N:.0f} N at {speed:g} m/s on {stiffness:g} N/m reach {peak_N:.0f} N, "
             f"beyond the sensor's {config.sensor.capacity_N:g} N; press slower or lower the limit"
         )
+        raise ConfigError(sentence, {"press_speed_m_per_s" if speed == plan.press_speed_m_per_s else "search.speed_m_per_s": sentence})
 
 
 def predicted(config: Config, plan: Plan) -> OvershootForecast:

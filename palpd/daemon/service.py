@@ -24,6 +24,7 @@ from palpd.daemon.interrupts import held, received, shielded
 from palpd.daemon.job_progress import JobMeter
 from palpd.daemon.job_worker import RunRequest
 from palpd.daemon.jobs import Jobs
+from palpd.daemon.kept_plans import KeptPlans
 from palpd.daemon.motion_process import STILL_KINDS, Build, Job, Kind
 from palpd.daemon.overshoot import refuse_overload
 from palpd.daemon.programs import program_named
@@ -44,7 +45,20 @@ PAUSE_PATIENCE_S = 1.0
 """Longest wait for the arm to rest in a pause. The sequence takes it within a tick, but not before the tare is over."""
 STATUS_S = 0.2
 """Shortest time between two statuses that watchers receive: what a person can follow."""
-NEEDS_CONTROLS = ("check", "arm", "start", "pause", "resume", "retract", "level-test", "clear", "begin", "decide")
+NEEDS_CONTROLS = (
+    "check",
+    "arm",
+    "start",
+    "pause",
+    "resume",
+    "retract",
+    "level-test",
+    "clear",
+    "begin",
+    "decide",
+    "keep-plan",
+    "forget-plan",
+)
 """Requests of whoever holds the controls. Everyone may ask for the status and abort."""
 STANDS_FOR: Mapping[str, Action] = {"calibrate": "calibrate", "doctor": "check", "recover": "recover"}
 """The button that a program has; the others have that of a start, since they move the arm."""
@@ -96,6 +110,7 @@ class Service:
         self._unkept: Latch | None = None
         self._controls = Controls()
         self._jobs = Jobs(config)
+        self._plans = KeptPlans(config.paths.state / "plans")
         self._published: tuple[float, ControlAnswer] = (0.0, {})
 
     def serve(self) -> None:
@@ -167,6 +182,9 @@ class Service:
             "cancel": self._cancel,
             "jobs": lambda _: {"jobs": [record.summary for record in self._jobs.all()]},
             "job": lambda request: self._jobs.known(request.get("id")).answer(),
+            "plans": self._plans.answer,
+            "keep-plan": self._change_plans,
+            "forget-plan": self._change_plans,
             "watch": lambda request: Watching({"ok": True, "event": "status", **self._status(request)}),
             "take": self._take,
             "renew": self._renew,
@@ -319,9 +337,7 @@ class Service:
 
     def _start(self, request: ControlRequest) -> ControlAnswer:
         self._refuse("start")
-        plan = parse_plan(request.get("plan"), "the plan")
-        refuse_unsafe(self._config, plan)
-        refuse_overload(self._config, plan)
+        plan = self._plan_of(request)
         choice = request.get("place")
         if choice is not None and choice not in get_args(Choice):
             raise BadInput(f"the place is {str(choice)[:32]!r}, expected one of {', '.join(get_args(Choice))}")
@@ -345,6 +361,21 @@ class Service:
         self._first_tick, self._armed, self._pause_asked = self._ring.published, False, False
         self._meter = JobMeter(work, self._ring)
         self._run = JobRun(work, self._build, self._ring, self._state, name)
+
+    def _plan_of(self, request: ControlRequest) -> Plan:
+        """The plan of a request, within the limits of this cell. Raises ConfigError."""
+        plan = parse_plan(request.get("plan"), "the plan")
+        refuse_unsafe(self._config, plan)
+        refuse_overload(self._config, plan)
+        return plan
+
+    def _change_plans(self, request: ControlRequest) -> ControlAnswer:
+        """Keep or forget a plan. A run comes first: a slow disk must not delay its abort."""
+        if self._word in ("checking", "running", "waiting"):
+            raise Refused("the arm is at work, and a slow disk must not delay an abort; keep and forget plans when it is over")
+        if request["do"] == "forget-plan":
+            return self._plans.forget(request)
+        return self._plans.keep(request, self._plan_of(request), self._asking)
 
     # --- jobs with a program ------------------------------------------------------------------------------------------------
 
@@ -370,7 +401,7 @@ class Service:
         if self._ending or self._jobs.current is None or self._jobs.current.aborted:
             raise Refused("the job was aborted" + ("" if asked.kind in STILL_KINDS else "; nothing more was moved"))
         latch = self._latch()
-        if latch is not None and asked.kind not in READS:
+        if latch is not None and asked.kind not in STILL_KINDS:
             raise Refused(f"a run was stopped on {latch.date}: {latch.reason}; nothing more was moved")
         config = self._config.with_runs(asked.recording.parent) if asked.recording is not None else self._config
         work = replace(checked_job(asked.kind, config, asked.plan, take_reference=asked.take_reference), watch_s=asked.watch_s)

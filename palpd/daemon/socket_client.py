@@ -49,6 +49,8 @@ class ControlRequest(TypedDict):
     id: NotRequired[object]
     number: NotRequired[object]
     agree: NotRequired[object]
+    was: NotRequired[object]
+    rehearsal: NotRequired[object]
 
 
 class CheckedCell(TypedDict):
@@ -162,6 +164,16 @@ class JobSummary(TypedDict):
     exit_code: int | None
 
 
+class KeptPlan(TypedDict):
+    """A plan that the service keeps: who kept it when, the hash of its text, and what its rehearsal gave, if there was one."""
+
+    name: str
+    sha256: str
+    by: str
+    kept: str
+    rehearsal: dict[str, Any] | None
+
+
 class ControlAnswer(TypedDict, total=False):
     """The answer to a request: `ok` and what the command answers, or `error` with a sentence. All but `ok` depend on the command."""
 
@@ -204,6 +216,8 @@ class ControlAnswer(TypedDict, total=False):
     verdict: str
     reason: str
     ended: str | None
+    plans: list[KeptPlan]
+    yaml: str
 
 
 def ask(path: Path, request: ControlRequest, patience_s: float = PATIENCE_S) -> ControlAnswer:

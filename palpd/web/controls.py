@@ -33,9 +33,12 @@ KEYS = {
     "cancel": ("id",),
     "jobs": (),
     "job": ("id",),
+    "plans": ("name",),
+    "keep-plan": ("lease", "name", "plan", "was", "rehearsal"),
+    "forget-plan": ("lease", "name", "was"),
 }
 """Requests of docs/jobs.md that a page may send, and their keys."""
-UNLOGGED = ("status", "jobs", "job", "renew")
+UNLOGGED = ("status", "jobs", "job", "plans", "renew")
 """Requests that change nothing, and come often."""
 
 
@@ -94,7 +97,7 @@ async def _read_plan(what: str, content: dict[str, Any]) -> None:
     from palpd.files import parse_yaml  # imported here: yaml takes 3 MB, and most requests are no plan
 
     text = content.pop("text", None)
-    if what == "start" and isinstance(text, str):
+    if what in ("start", "keep-plan") and isinstance(text, str):
         name = "".join(letter for letter in str(content.pop("file", "plan.yaml")) if letter.isprintable())[:80]
         content["plan"] = (await asyncio.to_thread(parse_yaml, text, name)).keys_and_values()
 

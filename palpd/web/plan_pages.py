@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
+from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 
 from palpd.errors import BadInput, Refused
 from palpd.files import MOST_YAML_BYTES
-from palpd.web.answers import answering, body_of, text_in
+from palpd.web.answers import answering, as_json, body_of, text_in
 
 if TYPE_CHECKING:
     from palpd.web.application import Page, PageSettings
@@ -27,14 +28,14 @@ class PlanPages:
     def __init__(self, page: "Page") -> None:
         self._settings, self._children = page.settings, page.children
 
-    async def check(self, request: Request) -> Mapping[str, Any]:
-        """Judge a plan as `palpd check-config` does, and predict how far a force would run past its limit."""
+    async def check(self, request: Request) -> Mapping[str, Any] | Response:
+        """Judge a plan as `palpd check-config` does, and predict how far a force would run past its limit. A refusal names its keys."""
         text, config = await _plan_in(request), config_of(self._settings)
-        words = ["check-config", str(config), "--plan", PLAN, "--json", "out.json"]
+        words = ["check-config", str(config), "--plan", PLAN, "--json", "out.json", "--faults"]
         about = ("check", text, _written_ns(config))
         child = await self._children.answered("the check of the plan", about, words, limit_s=CHECK_LIMIT_S, files={PLAN: text})
         content: Mapping[str, Any] = await run_in_threadpool(child.result)
-        return content
+        return as_json({"ok": False, "error": content["refusal"], **content}, 400) if "refusal" in content else content
 
     async def rehearse(self, request: Request) -> Mapping[str, Any]:
         """Begin to carry out a plan on the simulated cell that the configuration states."""

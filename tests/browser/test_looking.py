@@ -1,6 +1,7 @@
 """The tabs Runs, Plan and Resolve in a real browser: order and content. PALPD_SCREENSHOTS, where it is set, gets pictures of each."""
 
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -14,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from palpd.config import parse_plan
 from palpd.history.remarks import remark
 from tests.browser.waiting import free_port
 from tests.history.conftest import simulated
@@ -214,13 +216,10 @@ def test_a_plan_is_edited_judged_rehearsed_and_started(scene: Scene) -> None:
     scene.until("#standing .sound")
     scene.page.get_by_label("hold (s)").fill("0.4")
     scene.page.wait_for_function("() => document.getElementById('yaml').value.includes('hold_s: 0.4')")
-    scene.page.get_by_label("press speed (m/s)").fill("1")
-    scene.until("#standing .refusal", "press_speed_m_per_s is 1")
-    assert scene.page.locator("[aria-invalid]").get_attribute("data-path") == "press_speed_m_per_s"
-    scene.page.get_by_label("press speed (m/s)").fill("0.02")
     scene.until("#standing .sound")
     scene.until("#force svg")  # the rehearsal begins by itself
     assert "rehearsed on the simulated cell" in scene.text("#tiles")
+    scene.until("#standing .sound", "No press is cut short on the simulated cell of config.yaml, which is not the tissue under the probe.")
     first = scene.text("#tiles .tile")
     scene.page.get_by_label("hold (s)").fill("2.4")
     scene.page.wait_for_function("() => document.getElementById('yaml').value.includes('hold_s: 2.4')")
@@ -232,6 +231,188 @@ def test_a_plan_is_edited_judged_rehearsed_and_started(scene: Scene) -> None:
     scene.page.wait_for_url(f"{scene.address}/")
     started = [request for request in scene.service.requests if request["do"] == "start"]
     assert (started[-1]["plan"]["hold_s"], started[-1]["lease"]) == (2.4, "a-lease")
+
+
+def plan_shown(scene: Scene, yaml: str) -> None:
+    """Show the tab with that plan, as its text, and wait until the form has it."""
+    scene.show("/plan")
+    scene.until("#standing .sound, #standing .warned, #standing .refusal")  # of the plan that the test before has left
+    scene.page.fill("#yaml", yaml)
+    scene.until("#standing", "checking")
+    scene.until("#standing .sound, #standing .warned")
+
+
+def field(scene: Scene, path: str) -> Any:
+    """The input of a key."""
+    return scene.page.locator(f'[data-path="{path}"]')
+
+
+def beside(scene: Scene, path: str) -> str:
+    """What a screen reader says of a field besides its name: all that stands beside it."""
+    described = field(scene, path).get_attribute("aria-describedby")
+    return str(scene.page.locator(f'[id="{described}"]').inner_text())
+
+
+def test_the_form_speaks_millimetres_and_changes_no_number_that_nobody_touched(scene: Scene) -> None:
+    exact = "0.0123456789012345"
+    plan_shown(
+        scene, f"sites: [{{name: A, x_m: {exact}}}]\ndepths_m: [0.0041234567891, 0.006]\nmode: static\nsearch: {{speed_m_per_s: 0.0033}}\n"
+    )
+    shown = {path: field(scene, path).input_value() for path in ("sites.0.x_m", "depths_m", "search.speed_m_per_s", "hold_s")}
+    assert shown == {"sites.0.x_m": "12.3456789012345", "depths_m": "4.1234567891, 6", "search.speed_m_per_s": "3.3", "hold_s": "3"}
+    assert scene.page.get_by_label("press speed (mm/s)").input_value() == "10"
+    field(scene, "depths_m").fill("4.1234567891, 7.1")
+    field(scene, "press_speed_m_per_s").fill("11.1")
+    scene.page.wait_for_function("() => document.getElementById('yaml').value.includes('press_speed_m_per_s: 0.0111\\n')")
+    text = scene.page.input_value("#yaml")
+    for line in (f"x_m: {exact},", "depths_m: [0.0041234567891, 0.0071]", "speed_m_per_s: 0.0033", "hold_s: 3\n"):
+        assert line in text
+
+
+def test_what_is_wrong_stands_beside_its_field_in_its_unit_and_above_stands_what_has_none(scene: Scene) -> None:
+    plan_shown(scene, "sites: [{name: A}, {name: B, x_m: 0.03}]\ndepths_m: [0.004]\nmode: static\n")
+    assert beside(scene, "press_speed_m_per_s").startswith("0.1 to 50 mm/s\na force runs 4.1 N past its limit on 5000 N/m")
+    field(scene, "press_speed_m_per_s").fill("60")
+    field(scene, "depths_m").fill("4, 80")
+    field(scene, "sites.1.name").fill("a b")
+    scene.until("#standing .refusal", "3 values are not possible; what is wrong stands beside the field.")
+    assert beside(scene, "press_speed_m_per_s") == "60 mm/s: expected 0.1 to 50 mm/s"
+    assert beside(scene, "depths_m") == "80 mm: expected 0.2 to 20 mm"
+    assert beside(scene, "sites.1.name").startswith("sites.1.name is 'a b'")
+    assert {each.get_attribute("data-path") for each in scene.page.locator("[aria-invalid]").all()} == {
+        "press_speed_m_per_s", "depths_m", "sites.1.name",
+    }  # fmt: skip
+    assert scene.page.locator("main [role=alert]").count() == 1
+    assert scene.page.get_by_role("button", name="Start this plan").is_disabled()
+    scene.keep("plan-wrong")
+    nothing_for_axe(scene)
+    field(scene, "press_speed_m_per_s").fill("10")
+    field(scene, "depths_m").fill("4")
+    field(scene, "sites.1.name").fill("A")
+    scene.until("#standing .refusal", "site names must differ, found A, A")
+    assert scene.page.locator("[aria-invalid]").count() == 0
+
+
+def test_a_press_that_would_be_cut_short_is_named_beside_its_depth_and_its_site_and_the_start_says_so(scene: Scene) -> None:
+    plan_shown(scene, "sites: [{name: A}, {name: B, x_m: 0.03}]\ndepths_m: [0.003, 0.015]\nmode: static\nhold_s: 0.3\n")
+    scene.until("#standing .warned", "2 of 4 presses would be cut short at 10.8 N on the simulated cell of config.yaml")
+    assert re.search(r"15 mm: cut short at 1[01]\.\d( to 1[01]\.\d)? mm, 10\.8 N \(A, B\)", beside(scene, "depths_m"))
+    assert beside(scene, "depths_m").count("cut short") == 1, "the press to 3 mm is none of them"
+    assert re.fullmatch(r"15 mm: cut short at 1[01]\.\d mm, 10\.8 N", beside(scene, "sites.1.x_m"))
+    start = scene.page.get_by_role("button", name="Start, though 2 presses would be cut short")
+    assert "main" not in (start.get_attribute("class") or "")
+    scene.keep("plan-cut-short")
+    nothing_for_axe(scene)
+    field(scene, "depths_m").fill("3")
+    scene.until("#standing .sound", "No press is cut short")
+    assert "cut short" not in beside(scene, "sites.1.x_m")
+    assert "main" in (scene.page.get_by_role("button", name="Start this plan").get_attribute("class") or "")
+    field(scene, "depths_m").fill("3, 15")
+    scene.until("#standing .warned")
+    start.click()
+    scene.page.wait_for_url(f"{scene.address}/")
+    assert [request for request in scene.service.requests if request["do"] == "start"][-1]["plan"]["depths_m"] == [0.003, 0.015]
+
+
+@pytest.mark.parametrize(
+    ("x_mm", "y_mm", "place"),
+    [
+        ((0,), (0,), ("20", "0")),
+        ((0, 30), (0, 0), ("60", "0")),
+        ((0, 12.5), (0, -12.5), ("25", "-25")),
+        ((0, 40, 20), (0, 0, 0), ("-20", "0")),
+        ((7, 7), (3, 3), ("27", "3")),
+        ((460, 490), (0, 0), ("490", "20")),
+    ],
+)
+def test_a_new_site_goes_on_with_the_last_two_and_falls_on_no_other(
+    scene: Scene, x_mm: tuple[float, ...], y_mm: tuple[float, ...], place: tuple[str, str]
+) -> None:
+    sites = ", ".join(f"{{name: S{k}, x_m: {x / 1e3}, y_m: {y / 1e3}}}" for k, (x, y) in enumerate(zip(x_mm, y_mm, strict=True)))
+    plan_shown(scene, f"sites: [{sites}]\ndepths_m: [0.004]\n")
+    scene.page.get_by_role("button", name="Add a site").click()
+    new = len(x_mm)
+    assert (field(scene, f"sites.{new}.x_m").input_value(), field(scene, f"sites.{new}.y_m").input_value()) == place
+    assert scene.page.locator("#places circle").count() == new + 1
+
+
+def test_sites_that_overlap_are_questioned_beside_the_second(scene: Scene) -> None:
+    plan_shown(scene, "sites: [{name: A}, {name: B, x_m: 0.03}]\ndepths_m: [0.004]\n")
+    field(scene, "sites.1.x_m").fill("4")
+    scene.until('[id="about-sites.1"] .question', "site B is 4 mm from site A, nearer than 10 mm (two tip radii)")
+    assert beside(scene, "sites.0.x_m") == ""
+    assert scene.page.get_by_role("img", name="the sites from above: A at x 0, y 0 mm; B at x 4, y 0 mm").is_visible()
+
+
+def test_a_plan_is_kept_with_its_rehearsal_chosen_on_another_day_and_started(scene: Scene) -> None:
+    plan_shown(scene, "sites: [{name: A}]\ndepths_m: [0.003, 0.015]\nmode: static\nhold_s: 0.35\n")
+    scene.until("#standing .warned")
+    scene.page.fill("#kept-name", "../phantom")
+    scene.page.get_by_role("button", name="Keep this plan").click()
+    scene.until("#kept-refusal .refusal", "'../phantom' is no name of a plan")
+    scene.page.fill("#kept-name", "phantom-3")
+    scene.page.get_by_role("button", name="Keep this plan").click()
+    scene.until("#kept li[aria-current]", "1 of 2 presses cut short")
+    plan_shown(scene, "sites: [{name: A}]\ndepths_m: [0.002]\nmode: static\nhold_s: 0.3\n")
+    scene.until("#kept-state", "changed since it was kept")
+    scene.page.evaluate("sessionStorage.clear()")  # another day
+    scene.show("/plan")
+    assert "phantom-3" not in scene.page.input_value("#kept-name")
+    scene.page.get_by_role("button", name="Choose: phantom-3").click()
+    scene.page.wait_for_function("() => document.querySelector('[data-path=depths_m]')?.value === '3, 15'")
+    scene.until("#standing .warned", "1 of 2 presses would be cut short")
+    scene.keep("plan-kept")
+    nothing_for_axe(scene)
+    scene.page.get_by_role("button", name="Start, though 1 press would be cut short").click()
+    scene.page.wait_for_url(f"{scene.address}/")
+    started = [request for request in scene.service.requests if request["do"] == "start"][-1]
+    assert (started["plan"]["depths_m"], started["plan"]["hold_s"]) == ([0.003, 0.015], 0.35)
+    assert scene.text("#plan-name") == "phantom-3"
+
+
+def test_a_kept_plan_that_another_operator_has_changed_is_replaced_on_purpose_only(scene: Scene) -> None:
+    mine, theirs = ({"sites": [{"name": "A"}], "depths_m": [depth_m], "mode": "static", "hold_s": 0.3} for depth_m in (0.003, 0.004))
+    before = scene.service.plans.keep({"do": "keep-plan", "name": "shared"}, parse_plan(mine, "it"), "anna")["plans"][0]
+    scene.show("/plan")
+    scene.page.get_by_role("button", name="Choose: shared").click()
+    scene.page.wait_for_function("() => document.querySelector('[data-path=depths_m]')?.value === '3'")
+    scene.service.plans.keep({"do": "keep-plan", "name": "shared", "was": before["sha256"]}, parse_plan(theirs, "it"), "bert")
+    field(scene, "depths_m").fill("2.5")
+    scene.until("#standing .sound")
+    scene.page.get_by_role("button", name="Keep this plan").click()
+    scene.until("#kept-refusal .refusal", "the plan shared was changed meanwhile (by bert")
+    scene.until("#kept li[aria-current]", "It was changed since you chose it.")
+    assert "depths_m: [0.004]" in str(scene.service.plans.answer({"do": "plans", "name": "shared"})["yaml"])
+    scene.page.get_by_role("button", name="Replace shared").click()
+    scene.page.wait_for_function("() => document.getElementById('kept-refusal').textContent === ''")
+    assert "depths_m: [0.0025]" in str(scene.service.plans.answer({"do": "plans", "name": "shared"})["yaml"])
+    for _ in range(2):  # the first press only asks
+        assert [plan["name"] for plan in scene.service.plans.all() if plan["name"] == "shared"]
+        scene.page.get_by_role("button", name="Forget shared").click()
+    scene.page.locator("#kept li", has_text="shared").wait_for(state="detached")
+    assert not [plan for plan in scene.service.plans.all() if plan["name"] == "shared"]
+
+
+def test_a_rehearsal_with_another_configuration_counts_no_more_until_the_plan_is_chosen(scene: Scene) -> None:
+    plan = parse_plan({"sites": [{"name": "A"}], "depths_m": [0.003], "mode": "static", "hold_s": 0.45}, "it")
+    figures = {"verdict": "done", "duration_s": 9.9, "peak_force_N": 1.1, "presses": 1, "cut_short": 0, "config_sha256": "0f" * 32}
+    scene.service.plans.keep({"do": "keep-plan", "name": "old", "rehearsal": figures}, plan, "anna")
+    scene.show("/plan")
+    scene.until("#kept li", "config.yaml has changed since the rehearsal")
+    scene.page.get_by_role("button", name="Choose: old").click()
+    scene.until("#kept li[aria-current] .chip.done", "no press cut short")
+    kept = next(plan for plan in scene.service.plans.all() if plan["name"] == "old")
+    assert kept["rehearsal"]["config_sha256"] != figures["config_sha256"]  # type: ignore[index]
+
+
+def nothing_for_axe(scene: Scene) -> None:
+    """Let axe look at the page as it stands, light and dark."""
+    axe = (Path(__file__).parent / "axe.min.js").read_text()
+    for scheme in ("light", "dark"):
+        scene.page.emulate_media(color_scheme=scheme)
+        findings = scene.page.evaluate(f"async () => {{ {axe}; return (await axe.run()).violations; }}")
+        assert [f"{each['id']}: {each['nodes'][0]['html'][:120]}" for each in findings] == [], scheme
+    scene.page.emulate_media(color_scheme="light")
 
 
 def test_resolve_is_a_conversation(scene: Scene) -> None:

@@ -23,6 +23,7 @@ from palpd.cli.first_abort import socket_paths
 from palpd.cli.output_options import examples_of
 from palpd.config import load_config
 from palpd.daemon import interrupts
+from palpd.daemon.kept_plans import rehearsed_config_sha256
 from palpd.errors import PalpdError, Refused
 from tests.paths import ROOT
 from tests.web.fake_service import FakeService
@@ -30,7 +31,7 @@ from tests.web.fake_service import FakeService
 HEAVY = ("numpy", "pydantic", "rich", "typer", "structlog", "scipy", "dataclasses", "inspect")
 COMMANDS = (
     "run", "calibrate", "free-motion", "stiffness", "level-test", "retract", "demo", "sim", "emulate", "serve", "web", "status", "arm",
-    "start", "pause", "resume", "abort", "clear", "jobs", "job", "controls", "stream", "init", "install", "doctor", "migrate",
+    "start", "pause", "resume", "abort", "clear", "jobs", "job", "plans", "controls", "stream", "init", "install", "doctor", "migrate",
     "check-config", "runs", "info", "report", "replay", "export", "recover", "import", "cell-from", "analyse", "train",
     "map", "diagnose", "resolve", "simulate", "export-sim", "tolerances", "effects", "blind", "study",
 )  # fmt: skip
@@ -357,6 +358,48 @@ def test_a_retract_without_limits_that_hold_moves_nothing_and_seeks_no_other_dae
     assert installed.requests == []
     assert CliRunner().invoke(app, ["retract", "--config", str(config), "--socket", str(installed.path)]).exit_code == 0
     assert installed.asked("retract")
+
+
+KEPT = {"name": "morning", "sha256": "0f", "by": "anna", "kept": "2026-11-25T08:00:00+00:00", "rehearsal": None}
+
+
+def test_the_plans_that_the_daemon_keeps_are_listed_with_their_rehearsals(tmp_path: Path, daemon: Callable[[str], FakeService]) -> None:
+    service, config = daemon("state/palpd.sock"), written(tmp_path, "safety: {contact_limit_N: 11}")
+    figures = {
+        "verdict": "done",
+        "duration_s": 61.5,
+        "peak_force_N": 9.94,
+        "presses": 24,
+        "cut_short": 14,
+        "date": "2026-11-24T10:15",
+    }
+    current = rehearsed_config_sha256(load_config(config))
+    plans = [
+        KEPT,
+        *({**KEPT, "name": name, "rehearsal": {**figures, "config_sha256": of}} for name, of in (("b", current), ("c", "0f" * 32))),
+    ]
+    service.answers["plans"] = {"ok": True, "plans": plans}
+    done = CliRunner().invoke(app, ["plans", "--config", str(config)])
+    first, second, third = done.output.splitlines()
+    assert first == "morning: not rehearsed; kept by anna 2026-11-25T08:00:00+00:00"
+    figures_in_words = "62 s, at most 9.9 N, 14 of 24 presses cut short in the rehearsal of 2026-11-24T10:15"
+    assert second == f"b: {figures_in_words}; kept by anna 2026-11-25T08:00:00+00:00"
+    assert third == f"c: {figures_in_words}, before the configuration changed; kept by anna 2026-11-25T08:00:00+00:00"
+    service.answers["plans"] = {"ok": True, "plans": []}
+    assert CliRunner().invoke(app, ["plans", "--config", str(config)]).output == "No plan is kept.\n"
+
+
+def test_a_kept_plan_is_started_by_its_name(tmp_path: Path, daemon: Callable[[str], FakeService]) -> None:
+    service, config = daemon("state/palpd.sock"), str(written(tmp_path, "paths: {}"))
+    service.answers["plans"] = {"ok": True, "plans": [KEPT], "yaml": 'sites:\n  - {"name": "A"}\ndepths_m: [0.0041]\n'}
+    assert CliRunner().invoke(app, ["start", "--kept", "morning", "--config", config]).exit_code == 0
+    assert service.asked("plans") == [{"do": "plans", "name": "morning"}]
+    assert service.asked("start")[0]["plan"]["depths_m"] == [0.0041]
+    for words in ([], ["plan.yaml", "--kept", "morning"]):
+        done = CliRunner().invoke(app, ["start", *words, "--config", config])
+        assert isinstance(done.exception, PalpdError)
+        assert "needs one plan" in str(done.exception)
+    assert len(service.asked("start")) == 1
 
 
 def test_an_abort_without_a_configuration_imports_nothing_heavy(tmp_path: Path, daemon: Callable[[str], FakeService]) -> None:

@@ -7,7 +7,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from palpd.config import parse_plan
+from palpd.daemon.kept_plans import KeptPlans
 from palpd.daemon.what_now import Standing, what_now
+from palpd.errors import PalpdError
 
 ID = "20261122-101502-resolve"
 PLAN = {"sites": [{"name": "A", "x_m": 0.0, "y_m": 0.0}], "depths_m": [0.003], "mode": "static", "hold_s": 0.5, "press_speed_m_per_s": 0.01}
@@ -30,6 +33,7 @@ class FakeResolve:
         self.requests: list[dict[str, Any]] = []
         self.refusal = ""
         self.job: dict[str, Any] | None = None
+        self.plans = KeptPlans(path.parent / "plans")
         fake = self
 
         class Handler(socketserver.StreamRequestHandler):
@@ -92,5 +96,15 @@ class FakeResolve:
                 "Next: hold longer.",
             ]
             return {"ok": True, **self.job, "log": log, "result": {"rounds": ROUNDS, "diagnosis": None} if self.job["ended"] else {}}
+        if do in ("plans", "keep-plan", "forget-plan"):
+            return self._kept(request)
         standard = {"lease": "a-lease", "lease_s": 10.0} if do in ("take", "renew") else {}
         return {"ok": True, **self.status(), **standard}
+
+    def _kept(self, request: Any) -> dict[str, Any]:
+        try:
+            if request["do"] == "keep-plan":
+                return {"ok": True, **self.plans.keep(request, parse_plan(request["plan"], "the plan"), "anna")}
+            return {"ok": True, **(self.plans.answer if request["do"] == "plans" else self.plans.forget)(request)}
+        except PalpdError as error:
+            return {"ok": False, "error": str(error)}

@@ -27,6 +27,18 @@ def test_a_plan_that_is_no_yaml_is_refused_with_its_line_and_reaches_nobody(brow
     assert service.asked("start") == []
 
 
+def test_a_plan_to_keep_is_read_as_one_to_start_and_goes_on_with_what_the_page_has_seen(browser: Browser, service: FakeService) -> None:
+    figures = {"verdict": "done"}
+    content = {"name": "morning", "text": PLAN, "was": "0f", "rehearsal": figures, "lease": "1", "path": "/etc/passwd"}
+    assert browser().post("/do/keep-plan", json=content).json()["ok"]
+    plan = {"sites": [{"name": "A"}], "depths_m": [0.004]}
+    assert service.asked("keep-plan") == [
+        {"do": "keep-plan", "lease": "1", "name": "morning", "plan": plan, "was": "0f", "rehearsal": figures}
+    ]
+    assert not browser().post("/do/keep-plan", json={**content, "text": "a: ["}).json()["ok"]
+    assert len(service.asked("keep-plan")) == 1
+
+
 def test_only_requests_of_the_page_go_through_with_their_own_keys(browser: Browser, service: FakeService) -> None:
     client = browser()
     assert client.post("/do/watch").status_code == 404

@@ -28,7 +28,10 @@ def test_a_sound_plan_comes_back_with_its_schema_and_how_far_a_force_would_run(b
     ("yaml", "sentence"),
     [
         ("", "plan.yaml: sites and depths_m are not given; a plan says where and how deep"),
-        (SHORT.replace("0.003", "4"), "plan.yaml: a depth of 4 m is outside 0.0002 to 0.02 m; depths are in metres (4 mm is 0.004)"),
+        (
+            SHORT.replace("0.003", "4"),
+            "plan.yaml, line 2: depths_m.0: a depth of 4 m is outside 0.0002 to 0.02 m; depths are in metres (4 mm is 0.004)",
+        ),
         (SHORT + "repeat: 3\n", "plan.yaml, line 7: there is no key 'repeat' (did you mean 'repeats'?); expected "),
         (SHORT + "depths_m: [0.004]\n", "plan.yaml, line 7: the key 'depths_m' stands here and in line 2, expected once"),
         (SHORT.replace("0.02\n", "0.051\n"), "plan.yaml, line 5: press_speed_m_per_s is 0.051; expected less than or equal to 0.05"),
@@ -39,6 +42,47 @@ def test_a_plan_that_is_wrong_is_refused_as_in_the_terminal(browser: TestClient,
     answer = browser.post("/plan/check", json={"yaml": yaml})
     assert answer.status_code == 400
     assert answer.json()["error"].startswith(sentence)
+
+
+def test_a_refusal_names_every_key_that_is_wrong(browser: TestClient) -> None:
+    wrong = SHORT.replace("0.003", "0.003, 4").replace("{name: A}", "{name: A}, {name: a b, x_m: 0.03}").replace("hold_s: 0.2", "hold_s: 0")
+    answer = browser.post("/plan/check", json={"yaml": wrong}).json()
+    assert set(answer["faults"]) == {"depths_m.1", "sites.1.name", "hold_s"}
+    assert answer["faults"]["hold_s"] == "hold_s is 0; expected greater than or equal to 0.1"
+    assert answer["error"].startswith("plan.yaml, line 1: sites.1.name is 'a b'"), "the sentence of the terminal is that of the first"
+    assert answer["plan_schema"] == Plan.model_json_schema()
+    assert "plan" not in answer
+    assert browser.post("/plan/check", json={"yaml": "a: ["}).json()["faults"] == {}
+
+
+def test_what_only_the_cell_does_not_allow_comes_back_with_the_plan_and_its_limits(browser: TestClient, runs: Path) -> None:
+    config = runs.parent / "config.yaml"
+    before, plan = config.read_text(), SHORT + "origin: {x_m: 0.0, y_m: 0.3}\n"
+    config.write_text("safety: {max_speed_m_per_s: 0.01, workspace_m: [[-0.1, 0.1], [-0.1, 0.2], [-0.1, 0.4]]}\n")
+    try:
+        answer = browser.post("/plan/check", json={"yaml": plan}).json()
+        slower = plan.replace("0.02", "0.01").replace("y_m: 0.3", "y_m: 0.15")
+        sound = browser.post("/plan/check", json={"yaml": slower}).json()
+    finally:
+        config.write_text(before)
+    assert set(answer["faults"]) == {"press_speed_m_per_s", "search.speed_m_per_s", "origin.y_m", "sites.0.y_m"}
+    assert answer["plan"]["press_speed_m_per_s"] == 0.02
+    assert sound["ok"], sound
+    assert sound["limits"]["press_speed_m_per_s"] == [1e-4, 0.01, "safety.max_speed_m_per_s"]
+    assert sound["limits"]["sites.0.y_m"] == [pytest.approx(-0.25), pytest.approx(0.05), "safety.workspace_m"]
+
+
+def test_sites_whose_presses_overlap_are_questioned_and_the_plan_is_sound(browser: TestClient) -> None:
+    answer = browser.post("/plan/check", json={"yaml": SHORT.replace("{name: A}", "{name: A}, {name: B, x_m: 0.004, y_m: 0.003}")}).json()
+    sentence = "site B is 5 mm from site A, nearer than 10 mm (two tip radii): their presses overlap; is that meant?"
+    assert (answer["ok"], answer["questions"], answer["apart_m"]) == (True, {"sites.1": sentence}, 0.01)
+
+
+def test_a_rehearsal_is_known_by_the_configuration_of_the_check(browser: TestClient) -> None:
+    end = ended(browser, browser.post("/plan/rehearse", json={"yaml": SHORT}).json())
+    result = browser.get(f"/calculations/{end['number']}/result").json()["result"]
+    checked = browser.post("/plan/check", json={"yaml": SHORT}).json()
+    assert result["config_sha256"] == checked["config_sha256"]
 
 
 def test_a_plan_outside_the_workspace_is_refused(browser: TestClient, runs: Path) -> None:

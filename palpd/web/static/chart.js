@@ -69,16 +69,21 @@ function mark(colour, x, y) {
  * Draw a chart into an element, and again when its width changes.
  *
  * spec: {label, height, x: [low, high], y: [low, high], xLabel, yLabel, xTick: value -> text,
- *   series: [{x, y, low, high, label, colour (0 to 3), points}], limits: [{y, label}], spans: [{from, to, label}]}
+ *   equal: the same scale on both axes, series: [{x, y, low, high, label, colour (0 to 3), points, labels (of points)}], limits: [{y, label}], spans: [{from, to, label}]}
  * Returns {place: x in pixels -> value, redraw}.
  */
 export function chart(holder, spec) {
   const drawing = {};
   const redraw = () => {
     const width = Math.max(holder.clientWidth, 240), height = spec.height ?? 220;
-    const [x0, x1] = spec.x ?? extent(...spec.series.map((each) => each.x));
+    let [x0, x1] = spec.x ?? extent(...spec.series.map((each) => each.x));
     let [y0, y1] = spec.y ?? extent(...spec.series.flatMap((each) => [each.y ?? [], each.low ?? [], each.high ?? []]), (spec.limits ?? []).map((each) => each.y));
-    if (!spec.y) [y0, y1] = [y0 - 0.06 * (y1 - y0), y1 + (spec.limits ? 0.2 : 0.06) * (y1 - y0)];
+    if (!spec.y && !spec.equal) [y0, y1] = [y0 - 0.06 * (y1 - y0), y1 + (spec.limits ? 0.2 : 0.06) * (y1 - y0)];
+    if (spec.equal) {
+      const [wide, high] = [width - LEFT - RIGHT, height - TOP - BOTTOM], a_pixel = 1.3 * Math.max((x1 - x0) / wide, (y1 - y0) / high);
+      [x0, x1] = [(x0 + x1 - a_pixel * wide) / 2, (x0 + x1 + a_pixel * wide) / 2];
+      [y0, y1] = [(y0 + y1 - a_pixel * high) / 2, (y0 + y1 + a_pixel * high) / 2];
+    }
     const sx = (x) => LEFT + ((x - x0) / (x1 - x0 || 1)) * (width - LEFT - RIGHT);
     const sy = (y) => height - BOTTOM - ((y - y0) / (y1 - y0 || 1)) * (height - TOP - BOTTOM);
     const svg = element("svg", { class: "drawing", viewBox: `0 0 ${width} ${height}`, width, height, role: "img", "aria-label": spec.label });
@@ -112,6 +117,7 @@ export function chart(holder, spec) {
         const point = mark(colour, sx(x), sy(each.y[k]));
         if (each.names) point.append(element("title", {}, each.names[k]));
         inside.append(point);
+        if (each.labels) inside.append(element("text", { class: "span-name", x: sx(x) + 7, y: sy(each.y[k]) - 6 }, each.labels[k]));
       });
     }
     for (const limit of spec.limits ?? []) {

@@ -10,7 +10,7 @@ const PATIENCE_MS = { arm: 65000, check: 65000 };
 const LEASE = "palpd.lease";
 const PLAN = "palpd.plan";
 const NAME = "palpd.operator";
-const DONE = { check: "Robot and sensor were checked", arm: "Armed", start: "Started", pause: "The run pauses", resume: "The run goes on", retract: "The arm leaves the tissue", "level-test": "The arm goes 5 mm up", clear: "The latch is cleared", begin: "The job has begun", decide: "Answered" };
+const DONE = { check: "Robot and sensor were checked", arm: "Armed", start: "Started", pause: "The run pauses", resume: "The run goes on", retract: "The arm leaves the tissue", "level-test": "The arm goes 5 mm up", clear: "The latch is cleared", begin: "The job has begun", decide: "Answered", "keep-plan": "The plan is kept", "forget-plan": "The plan is forgotten" };
 
 const take = document.getElementById("take");
 const operator = document.getElementById("operator");
@@ -27,6 +27,9 @@ let sure_until_ms = 0;
 
 /** Whether this page holds the controls. */
 export const holding = () => lease !== null;
+
+/** What proves that; null where this page does not hold them. */
+export const currentLease = () => lease;
 
 /** The plan to start: {name, text} as YAML; null where none is chosen. The plan editor sets it too. */
 export const chosenPlan = () => JSON.parse(sessionStorage.getItem(PLAN) ?? "null");

@@ -5,15 +5,11 @@ import { request } from "./controls.js";
 import { on } from "./link.js";
 import { say } from "./message.js";
 import { ask } from "./requests.js";
-import { byId, duration, framed, make, refuse, resultOf, work } from "./work.js";
+import { byId, duration, framed, make, refuse, resultOf, tile, work } from "./work.js";
 
 const PAUSE_MS = 1000;
 let status = {};
 let shown = new URLSearchParams(location.search).get("job"), drawn = "", answered = "", finished = "";
-
-function tile(name, value, more, mood = "") {
-  return make("div", { className: `tile ${mood}` }, make("span", { text: name }), make("b", { text: value }), make("span", { text: more }));
-}
 
 async function update() {
   const answer = await ask("/do/jobs");

@@ -21,6 +21,9 @@ export function make(name, options = {}, ...children) {
 
 export const byId = (id) => document.getElementById(id);
 
+/** A figure with its name, and what belongs to it. */
+export const tile = (name, value, more, mood = "") => make("div", { className: `tile ${mood}` }, make("span", { text: name }), make("b", { text: value }), make("span", { text: more }));
+
 /** Seconds as people read them. */
 export function duration(seconds) {
   if (seconds < 60) return `${seconds.toFixed(seconds < 10 ? 1 : 0)} s`;
