@@ -18,7 +18,7 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 TIMING_KEYS = {"seconds", "realtime_factor", "cost"}
 """Keys that measure the machine and not the code."""
-WORDING_KEYS = {"sentence", "notes", "family"}
+WORDING_KEYS = {"sentence", "plain", "basis", "what", "notes", "family"}
 """Keys that hold words for people."""
 
 

@@ -312,7 +312,13 @@ def slug(name: str) -> str:
 def effect_section(effect: Effect, similar: Sequence[Similarity]) -> str:
     """One effect: formula, parameters, figure, and what it is confused with."""
     rows = [
-        (f"`{one.name}`", "–" if one.unit == "1" else one.unit, nominal_words(effect, one.name), "may be absent" if one.optional else "")
+        (
+            f"`{one.name}`",
+            one.label,
+            "–" if one.unit == "1" else one.unit,
+            nominal_words(effect, one.name),
+            "may be absent" if one.optional else "",
+        )
         for one in effect.named_parameters
     ]
     notes = []
@@ -331,7 +337,7 @@ def effect_section(effect: Effect, similar: Sequence[Similarity]) -> str:
     if alike:
         lines = [(f"[`{one.other}`](#{slug(one.other)})", f"{one.cosine:.2f}", f"{one.told_at_snr:.0f}") for one in alike]
         confused = table(("confused with", "cosine", "distinguished from SNR on"), lines)
-    parameters = table(("parameter", "unit", "no effect at", ""), rows)
+    parameters = table(("parameter", "meaning", "unit", "no effect at", ""), rows)
     return (
         f"### {effect.id}\n\n{effect.what[0].upper()}{effect.what[1:]}. {' '.join(notes)}\n\n```\n{effect.formula}\n```\n\n{parameters}\n"
         f"![{effect.id} on a standard motion](figures/{effect.id}.svg)\n\n{confused}"

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from palpd.analysis.modulus_intervals import KnownWeight, Measured, PressScatter
+from palpd.quantities import quantity
 from palpd.tick import Floats
 
 SIGNIFICANCE = 0.01
@@ -80,7 +81,9 @@ def misfit_over_depth(
     probability = float(chdtrc(len(groups) - 1, max(chi_square, 0.0)))
     if probability >= SIGNIFICANCE:
         return None
-    lowest, highest = (f"{shown(modulus_Pa[k])} at {depth_m[k] * 1e3:.2g} mm" for k in (np.argmin(modulus_Pa), np.argmax(modulus_Pa)))
+    lowest, highest = (
+        f"{quantity(float(modulus_Pa[k]), 'Pa')} at {depth_m[k] * 1e3:.2g} mm" for k in (np.argmin(modulus_Pa), np.argmax(modulus_Pa))
+    )
     return {
         "low_Pa": float(modulus_Pa.min()),
         "high_Pa": float(modulus_Pa.max()),
@@ -89,11 +92,6 @@ def misfit_over_depth(
             "does not describe this sample (inclusion, layer, relaxation, tip shape), so compare at equal depth"
         ),
     }
-
-
-def shown(modulus_Pa: float) -> str:
-    """A modulus with three digits and its unit."""
-    return f"{modulus_Pa / 1e6:.3g} MPa" if modulus_Pa >= 1e6 else f"{modulus_Pa / 1e3:.3g} kPa"
 
 
 def _level(probability: float) -> str:

@@ -6,8 +6,8 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-STYLE = "page.css"
-"""The style sheet, beside this file. A template adds to it only what no other page has."""
+STYLE, MACROS = "page.css", "page.html.j2"
+"""The style sheet and the macros of all templates, beside this file. A template adds only what no other page has."""
 
 
 def rendered_page(room: str, template: str, **content: Any) -> str:
@@ -22,6 +22,7 @@ def rendered_page(room: str, template: str, **content: Any) -> str:
         The page.
     """
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
-    source = files(room).joinpath(template).read_text(encoding="utf-8")
-    style = files("palpd.analysis").joinpath(STYLE).read_text(encoding="utf-8")
+    shared = files("palpd.analysis")
+    source = shared.joinpath(MACROS).read_text(encoding="utf-8") + files(room).joinpath(template).read_text(encoding="utf-8")
+    style = shared.joinpath(STYLE).read_text(encoding="utf-8")
     return environment.from_string(source).render(style=Markup(style.strip()), **content)

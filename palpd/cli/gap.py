@@ -106,7 +106,7 @@ def diagnose(
             raise _with_import_command(error, recordings) from error
     if report is not None:
         write_report(report, diagnosis, ", ".join(path.name for path in recordings))
-    for line in diagnosis_lines(diagnosis.sentence, diagnosis.to_json()):
+    for line in diagnosis_lines(diagnosis.to_json()):
         terminal().print(line)
 
 
@@ -381,6 +381,8 @@ def effects_(
         terminal().print(effect_table({name: effect for name, effect in known.items() if name not in laws}))
         if laws:
             terminal().print(adopted_table(laws, folder))
+    for effect in compared if names else ():
+        terminal().print(f"{effect.id}: {effect.what}. {effect.formula}")
     content: dict[str, object] = {"effects": [adoption.described(effect, laws, folder) for effect in known.values()]}
     if compared:
         with terminal().status("comparing"):

@@ -34,15 +34,10 @@ def print_demonstration(demonstration: "Demonstration") -> None:
     """Print what `palpd demo` measured, or its diagnosis."""
     show, result, card = terminal().print, demonstration.result, demonstration.card
     if "diagnosis" in result:
-        for line in diagnosis_lines(result["diagnosis"]["sentence"], result["diagnosis"]):
+        for line in diagnosis_lines(result["diagnosis"]):
             show(line)
         if check := result["diagnosis"].get("another_motion"):
-            added = "the law" if result["diagnosis"]["learned"] else "the named effects"
-            closed = "" if check["closed"] is None else f": {check['closed']:.0%} of the gap closed"
-            show(
-                f"On another motion {check['channel']} is {check['before_rms']:.3g} rms off without {added} and "
-                f"{check['after_rms']:.3g} with it; noise makes {check['noise']:.3g}{closed}.",
-            )
+            show(check["sentence"])
         return
     print_last_ticks(result["last_ticks"])
     if card is None:

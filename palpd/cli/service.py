@@ -404,7 +404,7 @@ def check_config(
     for table in overshoot_table(prediction):
         terminal().print(table)
     for question in questions.values():
-        terminal().print(f"question: {question}", soft_wrap=True, highlight=False)
+        terminal().print(f"question: {question}", soft_wrap=True)
     terminal().print(f"{config} is sound." if plan is None else f"{config} and {plan} are sound.")
     content = {
         "expected_stiffness_N_per_m": settings.safety.expected_stiffness_N_per_m,

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 from rich.text import Text
 
+from palpd.quantities import number
+
 if TYPE_CHECKING:
     from palpd.analysis.results import SiteResult
     from palpd.cell.effects import Effect
@@ -72,43 +74,24 @@ def depth_table(sites: "list[SiteResult]") -> Table:
     return table
 
 
-def diagnosis_lines(sentence: str, content: dict[str, Any]) -> list[str]:
-    """Write a diagnosis in a few lines: doubts, verdict, each effect with its parameters, gap before and after, next recording.
+def diagnosis_lines(content: dict[str, Any]) -> list[str]:
+    """Write a diagnosis in a few lines: doubts, answer, each cause with its parameters, what to do next.
 
     Args:
-        sentence: The verdict.
         content: The diagnosis as its JSON has it.
 
     Returns:
         The lines.
     """
-    decisive = content["decisive"]
-    lines = [*(f"Doubtful: {note}" for note in decisive), sentence]
-    for named in content["effects"]:
-        values = ", ".join(
-            f"{name} = {_plain(value['value'])} (95 %: {_plain(value['ci95'][0])} to {_plain(value['ci95'][1])})"
-            for name, value in named["parameters"].items()
-        )
-        group = f"; cannot be distinguished from {', '.join(named['indistinguishable_from'])}" if named["indistinguishable_from"] else ""
-        lines.append(f"  {named['id']}, probability {named['probability']:.2f}: {values}{group}")
-    lines += [f"  {e['kind']} at {e['t_s']:.2f} s in {e['channel']}, size {_plain(e['size'])}" for e in content.get("events") or ()]
-    shrink = content["shrink"]
-    if shrink and shrink["closed"] is not None:
-        closed, low, high = (f"{share:.0%}" for share in (shrink["closed"], *(shrink["ci95"] or (shrink["closed"],) * 2)))
-        interval = "" if low == high else f" (95 %: {low} to {high})"
-        lines.append(
-            f"{shrink['channel']}: {_plain(shrink['before_rms'])} rms before, {_plain(shrink['after_rms'])} after, "
-            f"{_plain(shrink['noise_floor'])} of noise. Of the part that noise and tolerances do not explain, {closed} closed{interval} "
-            f"on {shrink['on']}."
-        )
-    if content["next_experiment"]:
-        lines.append(f"Next: {content['next_experiment']['sentence']}")
+    decisive, plain = content["decisive"], content["plain"]
+    lines = [*(f"Doubtful: {note}" for note in decisive), plain["answer"]]
+    lines += filter(None, (" ".join(filter(None, (plain["sure"], plain["where"], plain["closed"]))), content["basis"]))
+    for cause in plain["causes"]:
+        lines.append(f"  {cause['id']}: {cause['sentence']} {cause['sure']} {cause['mistaken_for']}")
+        lines += [f"    {name}: {label} {value}" for name, label, value in cause["parameters"]]
+    lines += [f"  {event}" for event in plain["events"]]
+    lines += [f"Next: {sentence} {command}".rstrip() for sentence, command in plain["steps"]]
     return lines + [f"Note: {note}" for note in content["notes"] if note not in decisive]
-
-
-def _plain(value: float) -> str:
-    """Four digits, without an exponent where a person reads the number more easily without."""
-    return f"{value:.0f}" if 1e4 <= abs(value) < 1e6 else f"{value:.4g}"
 
 
 def effect_table(library: "Mapping[str, Effect]") -> Table:
@@ -133,7 +116,7 @@ def adopted_table(laws: "Mapping[str, LearnedEffect]", folder: Path) -> Table:
 
     table = _table(f"Adopted effects ({folder})", "effect", "what it does", "learned in", "imitated by")
     for law in laws.values():
-        ranges = "; ".join(f"{_plain(t.range[0])} to {_plain(t.range[1])} {UNITS[t.driver.quantity]}" for t in law.terms)
+        ranges = "; ".join(f"{number(t.range[0], 4)} to {number(t.range[1], 4)} {UNITS[t.driver.quantity]}" for t in law.terms)
         imitated = ", ".join(f"{name} ({cosine:.2f})" for name, cosine in (law.confounds or {}).items())
         table.add_row(law.id, law.what, ranges, imitated or "nothing in the list")
     return table

@@ -98,6 +98,7 @@ class Job:
         reference: Tare (6,) of the last calibration; None: the job takes its own.
         machine_stiffness_N_per_m: Stiffness of sensor, mount and arm; None: rigid.
         reference_serial: The sensor of the reference.
+        reference_date: When that was taken; None where nobody knows.
         returns_to_start: A palpation that is done returns to its start pose; in the recordings of earlier versions it did not.
         pauses_in_place: A pause stands still instead of leaving the tissue, as in the recordings of earlier versions.
         watch_s: How long devices are observed.
@@ -119,6 +120,7 @@ class Job:
     reference: tuple[float, ...] | None = None
     machine_stiffness_N_per_m: float | None = None
     reference_serial: str | None = None
+    reference_date: str | None = None
     returns_to_start: bool = True
     pauses_in_place: bool = False
     watch_s: float = 0.0

@@ -108,7 +108,7 @@ def measured_job(
         return work
     if kind == "level_test" and known.marker is not None:
         return replace(work, reference=known.marker.reference)
-    return replace(work, reference=calibration.wrench, reference_serial=calibration.sensor_serial)
+    return replace(work, reference=calibration.wrench, reference_serial=calibration.sensor_serial, reference_date=calibration.date)
 
 
 def carry_out(work: Job, build: Build, display: Display, name: str | None = None) -> Report:

@@ -453,6 +453,7 @@ def header_of(job: Job, about: RunAbout, reference: tuple[float, ...], pose: tup
         "unfinished": job.unfinished,
         "clear_z_m": job.clear_z_m,
         "reference": list(reference),
+        "reference_date": now() if job.reference is None else job.reference_date,
         "machine_stiffness_N_per_m": job.machine_stiffness_N_per_m,
         "body": {
             "tip_radius_m": arm.tip_radius_m,

@@ -16,6 +16,7 @@ from palpd.cell.simulation import share_outside, simulate
 from palpd.errors import BadInput, RecordingError
 from palpd.files import write_json
 from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.gap.plain import plain_answer
 from palpd.gap.tolerances import estimate_tolerances
 from palpd.gap.user_simulator import UserSimulator, simulate_with
 from palpd.recording.oddities import questions_of
@@ -211,6 +212,7 @@ def write_answer(path: Path, diagnosis: Diagnosis) -> None:
         learned = path.with_name(f"{path.stem}.learned.yaml")
         save_learned(learned, [diagnosis.finding.learned])
         content["learned"]["file"] = learned.name
+        content["plain"] = plain_answer(content, diagnosis.problem.library)
     write_json(path, content)
 
 

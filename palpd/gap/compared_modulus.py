@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from palpd.analysis.hertz_misfit import shown
 from palpd.analysis.modulus_intervals import NORMAL_95
 from palpd.cell.effects.tissue import MODULUS
 from palpd.gap.linearise import Linearisation
 from palpd.gap.nuisances import stable_inverse
 from palpd.gap.problem import SHARED, Problem
+from palpd.quantities import quantity
 
 FAR_SIGMAS = 2.0
 """Distance of the measured modulus from the compared one, in standard deviations of both, above which the file is questioned."""
@@ -38,12 +38,11 @@ class ComparedModulus:
     def sentence(self) -> str:
         """Both moduli and their distance in words."""
         of_site = f" of site {self.site}" if self.site is not None else ""
-        deviation = self.measured_Pa / self.compared_Pa - 1.0
-        low, high = (shown(bound_Pa) for bound_Pa in self.ci95_Pa)
+        measured = quantity(self.measured_Pa, "Pa", self.ci95_Pa)
         doubt = " Is it this sample's? tolerances.youngs_modulus: 1.0 says that it is not known." if self.far else ""
         return (
-            f"The cell file's modulus{of_site} is {shown(self.compared_Pa)}; the recording measures {shown(self.measured_Pa)} "
-            f"({deviation:+.1%}; 95 %: {low} to {high}).{doubt}"
+            f"The cell file's modulus{of_site} is {quantity(self.compared_Pa, 'Pa')}; the recording measures {measured}, "
+            f"{self.measured_Pa / self.compared_Pa - 1.0:+.1%}.{doubt}"
         )
 
     def to_json(self) -> dict[str, Any]:

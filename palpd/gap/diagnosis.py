@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from palpd.analysis.hertz_misfit import shown
 from palpd.cell.cell_file import CellFile, OpenHypothesis
 from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.effects.learned import held_sentence, learned_law_of
@@ -25,7 +24,7 @@ from palpd.gap.law_search.finding import LawFinding, find, leading_leaves
 from palpd.gap.linearise import linearise
 from palpd.gap.next_experiment import ExperimentProposal, advise
 from palpd.gap.nominal_source import NominalSource, nominal_source
-from palpd.gap.phases import PHASE_PHRASES
+from palpd.gap.plain import answer_sentence, plain_answer
 from palpd.gap.plausibility import channel_notes, check_recordings, recording_notes
 from palpd.gap.posterior import Attribution, posterior
 from palpd.gap.prepare import without_rounding
@@ -38,6 +37,7 @@ from palpd.gap.uncertainty import open_hypotheses
 from palpd.gap.user_simulator import UserSimulator, left_out
 from palpd.gap.verdict import DiagnosisVerdict, NamedEffect, decide, deviation_notes, enriched_cell, unnatural_notes, with_finding
 from palpd.gap.where import Band, Gap, Place, Trend, Unexplained, bands, gap_table, largest_gap, residuals, trend, unexplained
+from palpd.quantities import quantity
 from palpd.recording.samples import Samples, common_site
 
 SCHEMA = "palpd.diagnosis/1"
@@ -336,55 +336,16 @@ class Diagnosis:
 
     @property
     def sentence(self) -> str:
-        """The verdict in words, which modulus it rests on, and what could not be judged."""
-        modulus = f" {self.modulus.sentence}" if self.modulus is not None else self._fitted_modulus
-        return self._verdict + modulus + (self.source.unjudged if self.source is not None else "")
+        """The answer in words, with what it rests on."""
+        content, library = self._content, self.problem.library
+        plain = plain_answer(content, library)
+        return " ".join(filter(None, (answer_sentence(content, library, with_ids=True), plain["where"], plain["closed"], content["basis"])))
 
     @property
-    def _verdict(self) -> str:
-        """The verdict in words."""
-        if self.verdict == "none":
-            return f"No gap beyond the cell's own tolerances (probability {self.p_none:.2f})."
-        place = f"{self.where['channel'].split('_')[0]} {PHASE_PHRASES[self.where['phase']]}" if self.where else "the readings"
-        named = " and ".join(f"{e.id} ({e.probability:.2f})" for e in self.effects) or "none"
-        if self.finding.learned is not None and not self.finding.secondary:
-            beside = f" It {'replaces' if self.finding.replaces else 'stands beside'} {named}." if self.effects else ""
-            return (
-                f"Something outside the list acts on {place} (probability {self.p_unknown:.2f}): {self.finding.learned.what}. "
-                f"{self._law}{beside}"
-            )
-        if self.verdict == "unknown":
-            nearest = f"Something outside the list acts on {place} (probability {self.p_unknown:.2f}). Nearest in the list: {named}."
-            return nearest + self._secondary
-        closed = (
-            f" Putting this into the simulator closes {100 * self.shrink.closed:.0f} % of what noise and tolerances do not explain."
-            if self.shrink.closed is not None
-            else ""
-        )
-        verdict = f"There is a gap in {place}, and this recording does not say which effect causes it: {named}."
-        if self.verdict == "effects":
-            verdict = f"The gap in {place} comes from {named}.{closed}"
-        groups = "".join(
-            f" This recording cannot distinguish {e.id} from {' or '.join(e.indistinguishable_from)}."
-            for e in self.effects
-            if e.indistinguishable_from
-        )
-        families = dict.fromkeys(e.family for e in self.effects if e.family)
-        return verdict + groups + self._secondary + "".join(f" Other {family} would look the same." for family in families)
-
-    @property
-    def _secondary(self) -> str:
-        """What listed effects leave, in words, where it follows a law."""
-        if not self.finding.secondary or self.finding.learned is None:
-            return ""
-        return f" What that leaves follows a law: {self.finding.learned.what}. {self._law}"
-
-    @property
-    def _law(self) -> str:
-        """The learned law in a sentence: its formula, or that it is a curve."""
-        assert self.finding.learned is not None
-        formulas = [term.formula for term in self.finding.learned.terms if term.formula]
-        return f"Its law is {' and '.join(formulas)}." if formulas else "Its law is a curve, which the report shows."
+    def _basis(self) -> str:
+        """Which modulus the answer rests on, and what could not be judged."""
+        modulus = self.modulus.sentence if self.modulus is not None else self._fitted_modulus
+        return f"{modulus}{self.source.unjudged if self.source is not None else ''}".strip()
 
     @property
     def _fitted_modulus(self) -> str:
@@ -395,17 +356,29 @@ class Diagnosis:
             return ""
         value_Pa = tissue.youngs_modulus_Pa * (1.0 + estimated.youngs_modulus)
         return (
-            f" The modulus was not known; the fit gives {shown(value_Pa)}. "
+            f"The modulus was not known; the fit gives {quantity(value_Pa, 'Pa')}. "
             "A wrong sensor.gain, robot.compliance or tissue.thickness would have changed it."
         )
 
     def to_json(self) -> dict[str, Any]:
         """The content of out.json, palpd.diagnosis/1."""
-        candidates = sorted(self.candidates.items(), key=lambda item: (-item[1], item[0]))
+        content = self._content
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
             "sentence": self.sentence,
+            "plain": plain_answer(content, self.problem.library),
+            **content,
+            "uncertainty": [one.model_dump(mode="json", exclude_none=True) for one in self.uncertainty],
+        }
+
+    @property
+    def _content(self) -> dict[str, Any]:
+        """What out.json says without words, and without what takes long."""
+        candidates = sorted(self.candidates.items(), key=lambda item: (-item[1], item[0]))
+        return {
+            "verdict": self.verdict,
+            "basis": self._basis,
             "where": self.where,
             "gap": [{name: value for name, value in vars(g).items() if name != "samples"} for g in self.gap],
             "effects": [effect.to_json() for effect in self.effects],
@@ -419,7 +392,6 @@ class Diagnosis:
             "trend": self.trend,
             "learned": self.finding.to_json(),
             "events": self.finding.events or None,
-            "uncertainty": [one.model_dump(mode="json", exclude_none=True) for one in self.uncertainty],
             "modulus": None if self.modulus is None else self.modulus.to_json(),
             "decisive": self.decisive,
             "notes": self.notes,

@@ -9,8 +9,10 @@ from palpd.cell.cell_file import CellFile
 from palpd.errors import BadInput
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.noise import CHANNELS, declared_rms
+from palpd.gap.plain import CHANNEL_WORDS, unit_of
 from palpd.gap.problem import make_problem
 from palpd.gap.user_simulator import UserSimulator
+from palpd.quantities import quantity
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
@@ -56,10 +58,21 @@ class MotionCheck:
         before, after, noise = self.before_rms, self.after_rms, self.noise
         return None if before < LEAST_GAP * noise else min(1.0, 1.0 - (after**2 - noise**2) / (before**2 - noise**2))
 
+    @property
+    def sentence(self) -> str:
+        """How far off the cell is without and with what was found, in words."""
+        unit = unit_of(self.channel)
+        before, after, noise = (quantity(value, unit) for value in (self.before_rms, self.after_rms, self.noise))
+        closed = "" if self.closed is None else f" {100 * self.closed:.0f} % of the gap closes there."
+        return (
+            f"On a motion of {self.t_s[-1]:.0f} s that the diagnosis has not seen, the {CHANNEL_WORDS[self.channel]} is {before} rms off "
+            f"without what was found and {after} with it; noise alone makes {noise}.{closed}"
+        )
+
     def to_json(self) -> dict[str, Any]:
         """The figures."""
         figures = {"before_rms": self.before_rms, "after_rms": self.after_rms, "noise": self.noise, "closed": self.closed}
-        return {"channel": self.channel, "duration_s": float(self.t_s[-1] - self.t_s[0])} | figures
+        return {"channel": self.channel, "sentence": self.sentence, "duration_s": float(self.t_s[-1] - self.t_s[0])} | figures
 
 
 def check_on(diagnosis: Diagnosis, samples: Samples, simulator: UserSimulator | None = None) -> MotionCheck:

@@ -15,6 +15,7 @@ from palpd.gap.noise import FZ
 from palpd.gap.posterior import Attribution
 from palpd.gap.problem import Problem, tolerance_key
 from palpd.gap.scatter import Scatter
+from palpd.quantities import quantity
 from palpd.tick import Floats
 
 P_NONE_TO_ACQUIT = 0.25
@@ -202,8 +203,8 @@ def unnatural_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
         The sentences.
     """
     return [
-        f"{effect.id} has {parameter.name} {effect.parameters[parameter.name][0]:.3g} {parameter.unit}, expected at most "
-        f"{parameter.natural:g} of parts that work; check the times in the recording, and whether rows are missing."
+        f"{effect.id} has {parameter.name} {quantity(effect.parameters[parameter.name][0], parameter.unit)}, expected at most "
+        f"{quantity(parameter.natural, parameter.unit)} of parts that work; check the times in the recording, and whether rows are missing."
         for effect in verdict.effects
         for parameter in problem.library[effect.id].parameters
         if parameter.natural is not None and abs(effect.parameters[parameter.name][0]) >= parameter.natural

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -20,6 +19,7 @@ from palpd.analysis.young import modulus_peak_Pa
 from palpd.history.catalogue import SiteModuli
 from palpd.history.stored import printable
 from palpd.history.trend import SECONDS_A_DAY, ModulusPoint
+from palpd.quantities import number
 from palpd.recording.mcap_file import RecordedTrip
 from palpd.recording.reader import Recording
 from palpd.tick import Floats, Mode, Phase
@@ -102,6 +102,11 @@ def any_text() -> Iterator[None]:
         yield
 
 
+def is_pressed(site: SiteResult) -> bool:
+    """Whether anything was pressed at a site."""
+    return bool(site["depths"] or site["presses"])
+
+
 def draw_forces(figure: Drawing, recording: Recording, sites: Sequence[SiteResult], beside: Recording | None = None) -> None:
     """Force over depth, site by site: holds, presses, Hertz at the static modulus, and the same of a run beside.
 
@@ -113,7 +118,7 @@ def draw_forces(figure: Drawing, recording: Recording, sites: Sequence[SiteResul
     """
     curves, tip = press_curves(recording), recording.header["body"]
     others = {} if beside is None else dict(zip((site["name"] for site in beside.header["sites"]), press_curves(beside), strict=True))
-    shown = list(zip(sites, curves, strict=True))[:MOST_SITES]
+    shown = [each for each in zip(sites, curves, strict=True) if is_pressed(each[0])][:MOST_SITES]
     rows = -(-len(shown) // SITES_A_ROW)
     grid = figure.subplots(rows, min(SITES_A_ROW, len(shown)), sharex=True, sharey=True, squeeze=False)
     for axes in grid.flat[len(shown) :]:
@@ -143,41 +148,27 @@ def draw_forces(figure: Drawing, recording: Recording, sites: Sequence[SiteResul
     _legend(figure, grid.flat)
 
 
-def draw_moduli(figure: Drawing, sites: Sequence[SiteResult], beside: Mapping[str, SiteResult] | None = None) -> None:
-    """Moduli with their 95 % intervals, site by site.
+def draw_map(figure: Drawing, places_m: Floats, sites: Sequence[SiteResult]) -> None:
+    """Where the sites lie and how stiff each is: a stiffness map.
 
     Args:
         figure: Where it is drawn.
-        sites: Results of a run.
-        beside: Results of another run by site.
+        places_m: Their places (n, 2) along the base's axes.
+        sites: Their results (n).
     """
     axes = figure.subplots()
-    marks: tuple[tuple[str, str, str | None, str, str], ...] = (
-        ("static", "static_youngs_modulus_Pa", "static_ci95_Pa", "o", STATIC),
-        ("dynamic", "dynamic_original_Pa", None, "x", GREY),
-        ("dynamic, corrected", "dynamic_corrected_Pa", "dynamic_corrected_ci95_Pa", "s", DYNAMIC),
-    )
-    for number, (label, value, interval, marker, colour) in enumerate(marks):
-        for filled, results in ((True, {site["name"]: site for site in sites}), (False, beside or {})):
-            if not filled and interval is None:
-                continue
-            at, values, intervals_Pa = [], [], []
-            for place, site in enumerate(sites):
-                result = dict(results.get(site["name"], {}))
-                if isinstance(modulus_Pa := result.get(value), float):
-                    at.append(place + 0.14 * (number - 1) + (0.0 if filled else 0.06))
-                    values.append(modulus_Pa / 1e3)
-                    ci95_Pa: Any = result.get(interval or "")
-                    intervals_Pa.append(ci95_Pa)
-            if values:
-                name = label if filled else f"{label}, run beside"
-                face = colour if filled or marker == "x" else "none"
-                bars = _bars(values, intervals_Pa)
-                axes.errorbar(at, values, bars, fmt=marker, color=colour, markerfacecolor=face, markersize=5, capsize=3, label=name)
-    axes.set(ylabel="E (kPa)", xlim=(-0.5, len(sites) - 0.5))
-    axes.set_xticks(range(len(sites)), [_label(site["name"]) for site in sites])
-    axes.grid(visible=False, axis="x")
-    _legend(figure, [axes])
+    moduli_Pa = [each["static_youngs_modulus_Pa"] or each["dynamic_corrected_Pa"] for each in sites]
+    known = [k for k, modulus_Pa in enumerate(moduli_Pa) if modulus_Pa is not None]
+    x_mm, y_mm = 1e3 * places_m[known].T
+    stiffness_kPa = np.array([moduli_Pa[k] for k in known], float) / 1e3
+    dots = axes.scatter(x_mm, y_mm, c=stiffness_kPa, s=220, cmap="viridis", edgecolors=INK, linewidths=0.7)
+    for k, x, y, stiffness in zip(known, x_mm, y_mm, stiffness_kPa, strict=True):
+        words = f"{_label(sites[k]['name'])}\n{number(stiffness)}"
+        axes.annotate(words, (x, y), (0, 11), textcoords="offset points", ha="center", va="bottom", fontsize=8.5)
+    axes.set(xlabel="x (mm)", ylabel="y (mm)")
+    axes.margins(0.2, 0.4)
+    axes.set_aspect("equal", adjustable="datalim")
+    figure.colorbar(dots, ax=axes, label="E (kPa)", fraction=0.05)
 
 
 def _bars(values_kPa: Sequence[float], intervals_Pa: Sequence[Sequence[float] | None]) -> Floats:
@@ -210,13 +201,13 @@ def draw_course(figure: Drawing, recording: Recording, trips: Sequence[RecordedT
         if trips:
             axes.axvline(float(t_s[-1]), color=RED, linewidth=1.2, label="stopped" if axes is above else None)
     edges = [0, *(np.flatnonzero(np.diff(rows["site"])) + 1).tolist(), len(rows)]
-    for number, (begin, end) in enumerate(pairwise(edges)):
+    for count, (begin, end) in enumerate(pairwise(edges)):
         site = int(rows["site"][begin])
         if site < 0:
             continue
         span = (float(t_s[begin]), float(t_s[min(end, len(t_s) - 1)]))
         for axes in (above, below):
-            axes.axvspan(*span, color=(BLUE, ORANGE)[number % 2], alpha=TINT_ALPHA, linewidth=0)
+            axes.axvspan(*span, color=(BLUE, ORANGE)[count % 2], alpha=TINT_ALPHA, linewidth=0)
         if len(edges) <= MOST_SITES + 3:
             above.annotate(
                 _label(recording.site_name(site)), ((span[0] + span[1]) / 2, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 3),

@@ -12,11 +12,10 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from palpd.analysis.figure_style import inline_svg, save_figure, styled_figure
-from palpd.analysis.hertz_misfit import star_note, starred
 from palpd.analysis.page import rendered_page
-from palpd.analysis.results import SiteResult
 from palpd.errors import BadInput
 from palpd.files import write_text
+from palpd.history.card import site_rows, tare_and_guard
 from palpd.history.catalogue import FILE, Catalogue, RunFilter
 from palpd.history.comparison import DifferentSetting, ModulusDifference, different_settings, modulus_differences
 from palpd.history.facts import RunFacts, load, reading
@@ -28,12 +27,14 @@ from palpd.history.figures import (
     draw_course,
     draw_forces,
     draw_loop,
-    draw_moduli,
+    draw_map,
     draw_trend,
+    is_pressed,
 )
 from palpd.history.remarks import Remarks, remarks_of
 from palpd.history.stored import name_in, printable
 from palpd.history.trend import ModulusPoint, modulus_points
+from palpd.quantities import number
 from palpd.recording.reader import Recording
 from palpd.tick import Phase
 
@@ -45,7 +46,9 @@ KIND_WORDS = {
     "calibrate": "reference tare",
     "check": "check of the devices",
 }
-FIGURES = ("forces", "moduli", "course", "loop", "trend")
+FIGURES = ("forces", "map", "course", "loop", "trend")
+MOST_REMARKABLE = 4
+"""Sentences on what to know of a run that the card shows; all stand below it."""
 LAST_TICKS = 10
 """Ticks before a stop that are shown."""
 MOST_RUNS = 200
@@ -56,6 +59,8 @@ MOST_SETTINGS = 40
 """Settings that differ between two runs, and are listed."""
 SHEET_IN = (8.27, 11.69)
 """A4."""
+SHEET_LETTERS = (12, 26, 26, 50, 10, 16)
+"""Most letters of a cell in each column of its table."""
 
 
 @dataclass(frozen=True)
@@ -151,11 +156,13 @@ def page(report: RunReport) -> str:
             sensor=str(facts["about"].get("sensor_serial") or "of unknown serial"),
             mood=mood(facts),
             headline=headline(facts),
-            tiles=_tiles(facts),
-            moduli=[_modulus_row(site) for site in facts["sites"]],
+            sites=site_rows(facts),
+            tare_and_guard=tare_and_guard(report.recording, facts),
             misfits=[f"Site {site['name']}: {misfit['sentence']}." for site in facts["sites"] if (misfit := site["hertz_misfit"])],
             depths=_depth_rows(facts),
-            faults=fault_sentences(facts),
+            remarkable=_remarkable(facts),
+            most_remarkable=MOST_REMARKABLE,
+            duration=_duration(facts["duration_s"]),
             timing=_timing_rows(facts),
             last_ticks=_last_ticks(report.recording) if facts["verdict"] != "done" else [],
             conditions=report_conditions(report.recording, facts),
@@ -166,7 +173,7 @@ def page(report: RunReport) -> str:
             differences=[_difference_row(each) for each in differences],
             settings=[_setting_row(each) for each in settings[:MOST_SETTINGS]],
             more_settings=max(0, len(settings) - MOST_SETTINGS),
-            left_out=max(0, len(facts["sites"]) - MOST_SITES),
+            left_out=max(0, sum(map(is_pressed, facts["sites"])) - MOST_SITES),
             figures=dict.fromkeys(FIGURES, "")
             | {name: _svg(name, height_in, draw) for name, (height_in, draw) in _figures(report).items()},
         )
@@ -185,30 +192,33 @@ def sheet(report: RunReport) -> Figure:
         RecordingError: The recording holds what no page can show.
     """
     facts, figures = report.facts, _figures(report)
-    drawn = {name: figures[name] for name in ("forces", "course", "loop") if name in figures}
-    table = [_modulus_row(site) for site in facts["sites"]][:MOST_SITES]
+    drawn = {name: figures[name] for name in ("forces", "map", "course") if name in figures}
+    table = [[*row[:4], *row[5:]] for row in site_rows(facts)[:MOST_SITES]]
+    name, words = printable(facts["name"]), headline(facts)
     with reading(report.recording.path), any_text(), styled_figure(*SHEET_IN) as figure:
-        head_in = 1.6 + 0.2 * len(table)
+        conditions = ", ".join(f"{key} {value}" for key, value in report_conditions(report.recording, facts)[:3])
+        lines = [
+            f"{KIND_WORDS.get(facts['kind'], facts['kind'])}, {when(facts['started'])}, {_duration(facts['duration_s'])}. {words}",
+            *_remarkable(facts)[:MOST_REMARKABLE],
+            *tare_and_guard(report.recording, facts),
+            conditions,
+        ]
+        text = "\n".join(_wrapped(printable(line), 120) for line in lines if line)
+        head_in = 0.8 + 0.17 * text.count("\n") + 0.22 * (len(table) + 1)
         heights_in = [head_in, *(height_in for height_in, _ in drawn.values())]
         places: Any = figure.subfigures(len(heights_in), 1, height_ratios=heights_in)  # an array: there always are several
         head, *parts = places
-        name, words = printable(facts["name"]), headline(facts)
         head.text(0.02, 0.97, name[:80].replace("$", r"\$"), fontsize=13, weight="bold", va="top")
-        conditions = ", ".join(f"{key} {value}" for key, value in report_conditions(report.recording, facts)[:6])
-        lines = [
-            f"{KIND_WORDS.get(facts['kind'], facts['kind'])}, {when(facts['started'])}, {facts['duration_s']:.0f} s",
-            words,
-            conditions,
-        ]
-        lines += [*fault_sentences(facts)[:2], star_note({str(site["name"]): site["hertz_misfit"] for site in facts["sites"]})]
-        text = "\n".join(_wrapped(printable(line), 120) for line in lines if line)
         head.text(0.02, 0.97 - 0.3 / head_in, text.replace("$", r"\$"), fontsize=8, va="top", linespacing=1.35)
         if table:
             axes = head.add_axes((0.02, 0.0, 0.96, (0.22 + 0.2 * len(table)) / head_in))
             axes.axis("off")
-            titles = ["site", "static (kPa)", "95 %", "dynamic", "corrected (kPa)", "95 %", "peak", "cut short"]
-            cells = [[printable(cell).replace("$", r"\$")[:24] for cell in row] for row in table]
-            drawing = axes.table(cellText=cells, colLabels=titles, loc="upper left", cellLoc="left", colLoc="left", edges="horizontal")
+            titles = ["site", "static E (95 %)", "dynamic, corrected", "Hertz", "peak", "cut short"]
+            cells = [[printable(cell).replace("$", r"\$")[: SHEET_LETTERS[k]] for k, cell in enumerate(row)] for row in table]
+            widths = np.array(SHEET_LETTERS) / sum(SHEET_LETTERS)
+            drawing = axes.table(
+                cellText=cells, colLabels=titles, colWidths=widths, loc="upper left", cellLoc="left", colLoc="left", edges="horizontal"
+            )
             drawing.auto_set_font_size(False)
             drawing.set_fontsize(8)
         for part, (_, draw) in zip(parts, drawn.values(), strict=True):
@@ -252,11 +262,13 @@ def _figures(report: RunReport) -> dict[str, tuple[float, Callable[[Drawing], No
     """What is drawn: the height of each figure in inches, and what draws it."""
     facts, recording = report.facts, report.recording
     figures: dict[str, tuple[float, Callable[[Drawing], None]]] = {}
-    if any(site["depths"] or site["presses"] for site in facts["sites"]):
-        rows = -(-min(len(facts["sites"]), MOST_SITES) // SITES_A_ROW)
+    if pressed := [site for site in facts["sites"] if is_pressed(site)]:
+        rows = -(-min(len(pressed), MOST_SITES) // SITES_A_ROW)
         figures["forces"] = 0.6 + 2.4 * rows, lambda figure: draw_forces(figure, recording, facts["sites"], report.beside)
-        others = None if report.beside_facts is None else {site["name"]: site for site in report.beside_facts["sites"]}
-        figures["moduli"] = 2.6, lambda figure: draw_moduli(figure, facts["sites"], others)
+    measured = [each["static_youngs_modulus_Pa"] or each["dynamic_corrected_Pa"] for each in facts["sites"]]
+    if len(measured) - measured.count(None) > 1:
+        places_m = np.array([(each["x_m"], each["y_m"]) for each in recording.header["sites"]], float)
+        figures["map"] = 2.2, lambda figure: draw_map(figure, places_m, facts["sites"])
     figures["course"] = 3.6, lambda figure: draw_course(figure, recording, facts["trips"])
     figures["loop"] = 2.6, lambda figure: draw_loop(figure, recording)
     history = {site: points for site, points in (report.history or {}).items() if len(points) >= FEWEST_RUNS}
@@ -267,7 +279,7 @@ def _figures(report: RunReport) -> dict[str, tuple[float, Callable[[Drawing], No
 
 
 def _svg(name: str, height_in: float, draw: Callable[[Drawing], None]) -> Markup:
-    with any_text(), styled_figure(10.0, height_in) as figure:
+    with any_text(), styled_figure(4.4 if name == "map" else 10.0, height_in) as figure:
         draw(figure)
         return inline_svg(figure, name)
 
@@ -295,7 +307,7 @@ def headline(facts: RunFacts) -> str:
     if not facts["sites"]:
         return "Done."
     presses = sum(len(site["presses"]) + sum(depth["E_Pa"] is not None for depth in site["depths"]) for site in facts["sites"])
-    pressed = sum(bool(site["presses"] or site["depths"]) for site in facts["sites"])
+    pressed = sum(map(is_pressed, facts["sites"]))
     count = len(facts["cut_short"])
     cut = f", {count} {'depth' if count == 1 else 'depths'} cut short" if count else ""
     return f"Done: {presses} presses at {pressed} {'site' if pressed == 1 else 'sites'}{cut}."
@@ -323,42 +335,19 @@ def fault_sentences(facts: RunFacts) -> list[str]:
 
 
 def kilopascals(modulus_Pa: float | None) -> str:
-    """A modulus in kPa, or a dash."""
-    return "–" if modulus_Pa is None else f"{modulus_Pa / 1e3:.1f}"
+    """A modulus in kPa with three digits, or a dash."""
+    return "–" if modulus_Pa is None else number(modulus_Pa / 1e3)
 
 
-def interval_kPa(ci95_Pa: Sequence[float] | None) -> str:
-    """A 95 % interval in kPa, or a dash."""
-    return "–" if ci95_Pa is None else f"{ci95_Pa[0] / 1e3:.1f} to {ci95_Pa[1] / 1e3:.1f}"
+def _remarkable(facts: RunFacts) -> list[str]:
+    """What to know of a run besides why it ended, the gravest first."""
+    sentences = [*fault_sentences(facts), *facts["cut_short"], *facts["deviations"]]
+    return [each for each in sentences if facts["verdict"] == "done" or each != facts["reason"]]
 
 
-def _tiles(facts: RunFacts) -> list[tuple[str, str, str]]:
-    loop, ticks = facts["loop"], facts["loop"]["ticks"]
-    minutes, seconds = divmod(round(facts["duration_s"]), 60)
-    tiles = [("Duration", f"{minutes} min {seconds} s" if minutes else f"{facts['duration_s']:.1f} s", f"{ticks} ticks")]
-    sites = [site for site in facts["sites"] if site["static_youngs_modulus_Pa"] is not None]
-    if sites:
-        values = sorted(site["static_youngs_modulus_Pa"] or 0.0 for site in sites)
-        span = kilopascals(values[0]) if len(values) == 1 else f"{kilopascals(values[0])} to {kilopascals(values[-1])}"
-        tiles.append(("Static modulus", f"{span} kPa", f"{len(sites)} of {len(facts['sites'])} sites"))
-    limit = "against the run's own tare, corrected" if facts["model_card"] else "against the run's own tare"
-    tiles.append(("Largest contact force", f"{facts['peak_force_N']:.2f} N", limit))
-    missed = f"{loop['missed']} missed ({100 * loop['missed'] / ticks:.2g} %)" if ticks else "no tick"
-    tiles.append(("Work of a tick, p99", f"{loop.get('work_us_p99', 0.0):.0f} µs", missed))
-    return tiles
-
-
-def _modulus_row(site: SiteResult) -> list[str]:
-    return [
-        str(site["name"]),
-        starred(kilopascals(site["static_youngs_modulus_Pa"]), site["hertz_misfit"]),
-        interval_kPa(site["static_ci95_Pa"]),
-        kilopascals(site["dynamic_original_Pa"]),
-        starred(kilopascals(site["dynamic_corrected_Pa"]), site["hertz_misfit"]),
-        interval_kPa(site["dynamic_corrected_ci95_Pa"]),
-        "–" if site["peak_force_N"] is None else f"{site['peak_force_N']:.2f} N",
-        ", ".join(f"{depth_m * 1e3:g} mm" for depth_m in site["cut_short_depths_m"]) or "none",
-    ]
+def _duration(duration_s: float) -> str:
+    minutes, seconds = divmod(round(duration_s), 60)
+    return f"{minutes} min {seconds} s" if minutes else f"{duration_s:.1f} s"
 
 
 def _depth_rows(facts: RunFacts) -> list[list[str]]:
@@ -480,10 +469,10 @@ def _hashes(facts: RunFacts) -> list[tuple[str, str]]:
 
 def _difference_row(each: ModulusDifference) -> list[str]:
     relative = f"{100 * each.difference_Pa / each.one_Pa:+.1f} %" if each.one_Pa else "–"
-    interval = "–" if each.ci95_Pa is None else f"{each.ci95_Pa[0] / 1e3:+.1f} to {each.ci95_Pa[1] / 1e3:+.1f}"
+    interval = "" if each.ci95_Pa is None else f" ({each.ci95_Pa[0] / 1e3:+.1f} to {each.ci95_Pa[1] / 1e3:+.1f})"
     words = {None: "", True: "differs", False: "within noise"}[each.beyond_noise]
-    values = kilopascals(each.one_Pa), kilopascals(each.other_Pa), f"{each.difference_Pa / 1e3:+.1f}"
-    return [str(each.site), each.kind, *values, interval, relative, words]
+    values = kilopascals(each.one_Pa), kilopascals(each.other_Pa), f"{each.difference_Pa / 1e3:+.1f}{interval}"
+    return [str(each.site), each.kind, *values, relative, words]
 
 
 def _setting_row(each: DifferentSetting) -> list[str]:

@@ -55,6 +55,22 @@ def part(s: Span, rows: slice) -> Span:
     return out
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "an added force that depends on the height of the probe"),
+        ({"driver": {"quantity": "height", "period": 0.00498}}, "an added force that repeats every 4.98 mm of height"),
+        ({"driver": {"quantity": "time", "period": 2.0}, "factor": "force"}, "a share of the contact force that repeats every 2 s"),
+        (
+            {"driver": {"quantity": "depth", "memory": "play", "constant": 5e-4}, "channels": {"fx_N": 1.0}},
+            "an added force on fx that depends on the depth of the press with a dead band of 0.5 mm",
+        ),
+    ],
+)
+def test_a_law_is_said_in_words_with_lengths_in_millimetres(changes: dict[str, Any], words: str) -> None:
+    assert learned(**changes).terms[0].words == words
+
+
 @pytest.mark.parametrize("quantity", list(UNITS))
 @pytest.mark.parametrize("memory", [None, "relaxed", "play", "stop", "slew"])
 def test_a_driver_over_blocks_of_samples_is_that_of_the_whole_recording(quantity: Any, memory: Any) -> None:

@@ -14,7 +14,7 @@ from palpd.daemon.contact_marker import MarkedRun
 from palpd.daemon.motion_process import Kind
 from palpd.daemon.session import calibrate, measured_job
 from palpd.daemon.stored_state import Calibration, State
-from palpd.daemon.supervisor import Report
+from palpd.daemon.supervisor import Report, header_of
 from palpd.errors import ConfigError, Refused
 from palpd.recording.ring import Rows
 from palpd.tick import ROW, Phase
@@ -22,6 +22,7 @@ from palpd.tick import ROW, Phase
 HOME = (0.0, 0.0, 0.130, math.pi, 0.0, 0.0)
 ZERO = (1.0, -2.0, -50.0, 0.0, 0.0, 0.0)
 ABOUT: Any = {"sensor_serial": "PRE00042"}
+DEVICES: Any = ABOUT | {"delay_s": 0.0, "epoch_offset_s": 0.0}
 SURFACE_M = 0.100
 
 
@@ -216,6 +217,15 @@ def test_a_run_that_takes_its_own_reference_has_the_operators_word_in_a_new_fold
     fresh = settings(tmp_path / "fresh")
     assert measured_job("palpation", fresh, Plan(), take_reference=True).confirmed
     assert not measured_job("palpation", settings(tmp_path), Plan(), take_reference=True).confirmed
+
+
+def test_a_recording_holds_the_date_of_the_reference_that_its_forces_count_from(tmp_path: Path, state: State) -> None:
+    kept = state.calibration()
+    assert kept is not None
+    job = measured_job("palpation", settings(tmp_path), Plan())
+    assert header_of(job, DEVICES, kept.wrench, HOME)["reference_date"] == kept.date
+    own = measured_job("palpation", settings(tmp_path / "fresh"), Plan(), take_reference=True)
+    assert header_of(own, DEVICES, kept.wrench, HOME)["reference_date"]
 
 
 def test_jobs_that_move_show_on_a_way_up_that_they_are_free(tmp_path: Path, state: State) -> None:

@@ -16,17 +16,20 @@ from palpd.config import Config, Plan
 from palpd.daemon.motion_process import Job
 from palpd.errors import BadInput, RecordingError
 from palpd.history import after_run
+from palpd.history.card import site_rows, tare_and_guard
 from palpd.history.catalogue import Catalogue
 from palpd.history.comparison import different_settings, modulus_differences
 from palpd.history.facts import facts_of, load
 from palpd.history.remarks import Remarks, remark
 from palpd.history.report import RunReport, mood, page, report_of, save_sheet, site_history, write_report
+from palpd.quantities import quantity
 from palpd.recording.reader import Recording
 from tests.history.conftest import PLAN
 
 NOW = "2026-11-22T10:15:00+00:00"
 EVIL = "<img src=x onerror=alert(1)> $\\frac{ [red]\x1b[2J"
 EVIL_SITE = "<img src=x onerror=a()>$\\frac{"
+MODULI = (("static_youngs_modulus_Pa", "static_ci95_Pa"), ("dynamic_corrected_Pa", "dynamic_corrected_ci95_Pa"))
 
 
 class Outline(html.parser.HTMLParser):
@@ -66,6 +69,55 @@ def test_the_page_of_a_run_says_conditions_moduli_timing_and_hashes(simulated: P
         assert words in text, words
     assert mood(facts) == "done"
     assert "What to know of this run" not in text
+
+
+def test_the_card_says_stiffness_hertz_tare_and_guard(simulated: Path) -> None:
+    report = report_of(simulated / "day-0.mcap")
+    site = report.facts["sites"][0]
+    (row,) = site_rows(report.facts)
+    assert row[:4] == ["A", *(quantity(site[key], "Pa", tuple(site[ci95])) for key, ci95 in MODULI), "fits"]  # type: ignore[literal-required]
+    tare, guard = tare_and_guard(report.recording, report.facts)
+    assert re.search(r"The zero moved by [+-]0\.0\d\d N in 0\.\d min", tare)
+    assert "Age of the reference tare: not recorded." in tare
+    assert "The way up of 5 mm was not made: nothing showed that the probe was free." in tare
+    assert f"Largest contact force {report.facts['peak_force_N']:.2f} N of 12 N allowed" in guard
+    assert guard.endswith("The guard never stepped in.")
+    content = page(report)
+    card = Outline(content[content.index('<section class="card">') : content.index("</section>")]).text
+    assert all(words in card for words in (*row[:4], tare, guard))
+    assert content.count('<details class="fold">') == content.count("<details class=") >= 4
+
+
+def test_the_card_of_a_site_that_hertz_does_not_describe_says_the_range_of_e(simulated: Path) -> None:
+    _, facts = load(simulated / "day-0.mcap")
+    facts["sites"][0]["hertz_misfit"] = {"low_Pa": 105e3, "high_Pa": 135e3, "sentence": "E changes"}
+    assert site_rows(facts)[0][3] == "does not fit: E from 105 to 135 kPa over depth"
+    facts["sites"][0] |= {"hertz_misfit": None, "depths": facts["sites"][0]["depths"][:1], "presses": []}
+    assert site_rows(facts)[0][3] == "not known from one depth"
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ({"reference_date": "2026-09-18T14:13:20+00:00"}, "Age of the reference tare: 3.0 days."),
+        ({"reference_date": "2026-09-21T14:13:20+00:00"}, "Age of the reference tare: that of this run."),
+        ({"lifts_first": True}, "Before anything else the arm went 5 mm up, and the probe was free."),
+    ],
+)
+def test_the_card_says_how_old_the_reference_is_and_whether_the_way_up_was_made(
+    simulated: Path, header: dict[str, Any], words: str
+) -> None:
+    recording, facts = load(simulated / "day-0.mcap")
+    changed = dataclasses.replace(recording, header=recording.header | header)  # type: ignore[arg-type]
+    assert words in tare_and_guard(changed, facts)[0]
+
+
+def test_the_card_of_a_run_that_the_guard_stopped_says_why_and_the_headline_is_not_said_again(simulated: Path) -> None:
+    report = report_of(simulated / "day-2.mcap")
+    assert "The guard stepped in: contact force 2.53 N reached the limit of 2.5 N" in tare_and_guard(report.recording, report.facts)[1]
+    known = page(report).split("What to know of this run")[1].split("</ul>")[0]
+    assert "contact force 2.53 N" not in known
+    assert "limit reached" in known
 
 
 def test_the_page_is_one_file_that_asks_for_nothing(simulated: Path) -> None:

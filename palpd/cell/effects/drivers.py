@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, model_validator
 
 from palpd.cell.dynamics import Column, Floats, Memory, Span, lowpass, play
+from palpd.quantities import quantity
 
 Quantity = Literal[
     "time", "height", "gap", "depth", "force", "force_rate", "speed", "acceleration", "direction", "time_in_contact", "time_in_motion",
@@ -47,15 +48,15 @@ WORDS: dict[Quantity, str] = {
     "command": "the commanded height",
 }
 FACTOR_WORDS: dict[FactorName, str] = {
-    "one": "an added force that depends on",
-    "force": "a share of the contact force that depends on",
-    "surface": "a moved surface that depends on",
-    "speed": "a damping that depends on",
-    "direction": "a friction that depends on",
-    "force_direction": "a friction in proportion to the contact force that depends on",
-    "air": "an added force in the air that depends on",
-    "pushing": "an added force while the probe moves down that depends on",
-    "acceleration": "a moving mass that depends on",
+    "one": "an added force",
+    "force": "a share of the contact force",
+    "surface": "a moved surface",
+    "speed": "a damping",
+    "direction": "a friction",
+    "force_direction": "a friction in proportion to the contact force",
+    "air": "an added force in the air",
+    "pushing": "an added force while the probe moves down",
+    "acceleration": "a moving mass",
 }
 FAMILIES: dict[str, str] = {"depth": "with how deep it presses", "force": "with how deep it presses"}
 
@@ -98,14 +99,22 @@ class Driver(StrictBlock):
     @property
     def words(self) -> str:
         """The driver in words."""
-        words, unit, value = WORDS[self.quantity], UNITS[self.quantity], f"{self.constant or 0.0:.3g}"
+        words, unit, constant = WORDS[self.quantity], UNITS[self.quantity], self.constant or 0.0
         if self.memory == "relaxed":
-            words = f"{words}, low-passed with a time constant of {value} s"
+            words = f"{words}, low-passed with a time constant of {quantity(constant, 's')}"
         elif self.memory in ("play", "stop"):
-            words = f"{words} with a dead band of {value} {unit}"
+            words = f"{words} with a dead band of {quantity(constant, unit)}"
         elif self.memory == "slew":
-            words = f"how far a speed limit of {value} {unit}/s holds back {words}"
-        return f"{words}, repeating every {self.period:.4g} {unit}" if self.period else words
+            words = f"how far a speed limit of {quantity(constant, unit)}/s holds back {words}"
+        return f"{words}, repeating every {quantity(self.period, unit)}" if self.period else words
+
+    @property
+    def dependence(self) -> str:
+        """How something follows the driver, in words that go on after it."""
+        if self.period is None or self.memory is not None:
+            return f"that depends on {self.words}"
+        of = "" if self.quantity == "time" else f" of {WORDS[self.quantity].removeprefix('the ').partition(' of the ')[0]}"
+        return f"that repeats every {quantity(self.period, UNITS[self.quantity])}{of}"
 
     def coordinate(self, x: Floats) -> Floats:
         """The coordinate over which the curve is straight between knots.

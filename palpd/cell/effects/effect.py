@@ -92,7 +92,7 @@ class Parameter:
     that it is positive throughout its range. `optional` means that the law also works without it; a diagnosis tries both. `natural` is
     the largest size that working parts have: a diagnosis doubts and reports a larger one. `choices` are the only values that it can
     have, the usual one first; a diagnosis tries each. A `nuisance` says by which of several laws real
-    cells show the effect: it is optional, a diagnosis fits it, and no file names it.
+    cells show the effect: it is optional, a diagnosis fits it, and no file names it. `words` say what it is where its name does not.
     """
 
     name: str
@@ -106,6 +106,13 @@ class Parameter:
     natural: float | None = None
     choices: tuple[float, ...] = ()
     nuisance: bool = False
+    words: str = ""
+
+    @property
+    def label(self) -> str:
+        """What it is, for people: its words, else its name without the unit."""
+        unit = self.unit.replace("/", "_per_").replace(" ", "_")
+        return self.words or self.name.removesuffix(f"_{unit}").replace("_", " ")
 
     def bounds(self, scale: Scale) -> tuple[float, float]:
         """The range to search, (lower, upper)."""
@@ -153,7 +160,7 @@ def relaxation_time(*shares: float, of_a_press: float = 0.0) -> Parameter:
     def shortest(s: Scale) -> float:
         return max(s.step_s, of_a_press * s.depth_m / s.speed_m_per_s)
 
-    return Parameter("tau_s", "s", shortest, lambda s: 5.0 * s.duration_s, starts, nominal=None, log=True)
+    return Parameter("tau_s", "s", shortest, lambda s: 5.0 * s.duration_s, starts, nominal=None, log=True, words="time constant")
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +170,8 @@ class Effect:
     Attributes:
         id: Site and name, such as `sensor.gain`.
         site: The stage of the physics at which it acts.
-        what: What it does, in words.
+        what: What it does, as a sentence for people without its first capital and its full stop. What stands before a colon is enough
+            where causes are listed; behind it stands how it shows.
         parameters: Its numbers, with unit and bounds.
         law: Changes a stretch of samples.
         setting: Changes the numbers of the cell.
@@ -202,6 +210,11 @@ class Effect:
             )
         if self.site not in SITES:
             raise ConfigError(f"effect {self.id} stands at site {self.site!r}; expected one of {', '.join(SITES)}")
+
+    @property
+    def cause(self) -> str:
+        """What it is, in few words."""
+        return self.what.partition(":")[0]
 
     @property
     def named_parameters(self) -> tuple[Parameter, ...]:

@@ -141,7 +141,7 @@ class Term(StrictBlock):
         words = FACTOR_WORDS[self.factor]
         if "z_m" in self.channels:
             words = words.replace("an added force", "an added height")
-        return words.replace(" that depends", f"{lateral} that depends") + f" {self.driver.words}"
+        return f"{words}{lateral} {self.driver.dependence}"
 
     def curve(self, x: Floats) -> Floats:
         """The curve, held outside its range.

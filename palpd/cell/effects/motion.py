@@ -16,9 +16,9 @@ def _lag(c: Constants, p: Values) -> None:
 LAG = Effect(
     "robot.lag",
     "robot",
-    "servo slower than stated, or damped otherwise",
+    "the robot follows its command faster or slower than stated: its height runs ahead, lags behind or overshoots",
     (
-        Parameter("bandwidth_ratio", "1", 0.02, 5.0, (0.7, 0.4, 1.5), nominal=1.0, log=True),
+        Parameter("bandwidth_ratio", "1", 0.02, 5.0, (0.7, 0.4, 1.5), nominal=1.0, log=True, words="bandwidth over the stated one"),
         Parameter("damping_ratio", "1", 0.1, 5.0, (0.7,), nominal=None, log=True, optional=True),
     ),
     setting=_lag,
@@ -40,7 +40,7 @@ def _vibration(s: Span, p: Values, _memory: Memory) -> None:
 VIBRATION = Effect(
     "robot.vibration",
     "robot",
-    "sinusoidal motion, reported in z",
+    "the robot vibrates: its height swings to and fro at one frequency",
     (
         Parameter("amplitude_m", "m", 0.0, lambda s: s.stroke_m, of("stroke_m", 0.01)),
         Parameter(
@@ -70,7 +70,7 @@ def _backlash(s: Span, p: Values, memory: Memory) -> None:
 BACKLASH = Effect(
     "robot.backlash",
     "tip",
-    "tip lags the reported height by a dead band at reversals",
+    "the drive has play: after a reversal the tip stands still while the reported height already moves",
     (Parameter("width_m", "m", 0.0, lambda s: 0.5 * s.stroke_m, of("depth_m", 0.03, 0.1)),),
     law=_backlash,
     formula="the tip follows z behind a dead band: it rests until z has moved by width against it",
@@ -84,7 +84,7 @@ def _compliance(c: Constants, p: Values) -> None:
 COMPLIANCE = Effect(
     "robot.compliance",
     "tip",
-    "tip gives way under load, the robot does not report it",
+    "the arm or the mount gives way: the larger the force, the less deep the tip is than the robot reports",
     (
         Parameter(
             "stiffness_N_per_m",

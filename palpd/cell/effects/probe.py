@@ -16,8 +16,8 @@ def _mass(c: Constants, p: Values) -> None:
 MASS = Effect(
     "probe.mass",
     "probe",
-    "moving mass differs",
-    (Parameter("delta_kg", "kg", lambda s: -s.mass_kg, lambda s: 20.0 * s.mass_kg, of("mass_kg", 0.3, -0.3)),),
+    "the moving mass is not the stated one: the force is off while the arm speeds up or brakes",
+    (Parameter("delta_kg", "kg", lambda s: -s.mass_kg, lambda s: 20.0 * s.mass_kg, of("mass_kg", 0.3, -0.3), words="further mass"),),
     setting=_mass,
     tolerance="mass_kg",
     formula="f - (mass_stated + delta) · a",
@@ -32,7 +32,7 @@ def _resonance(s: Span, p: Values, memory: Memory) -> None:
 RESONANCE = Effect(
     "structure.resonance",
     "probe",
-    "part of the probe's inertia rings on a flexible mount",
+    "the probe's mount rings: the force swings on after the arm has started or stopped",
     (
         Parameter(
             "frequency_Hz",
@@ -44,7 +44,7 @@ RESONANCE = Effect(
             log=True,
         ),
         Parameter("damping_ratio", "1", 1e-3, 1.0, (0.05, 0.2), nominal=None, log=True),
-        Parameter("participation", "1", 0.0, 1.0, (0.5,)),
+        Parameter("participation", "1", 0.0, 1.0, (0.5,), words="share of the mass that rings"),
     ),
     law=_resonance,
     formula="f - mass · ((1 - participation) · a + participation · a_m), with a_m behind a mount of frequency and damping_ratio",
@@ -58,7 +58,7 @@ def _spring(s: Span, p: Values, memory: Memory) -> None:
 SPRING = Effect(
     "cable.spring",
     "probe",
-    "a cable pulls in proportion to the travel",
+    "a cable pulls like a spring: the force changes with the height, also in the air",
     (
         Parameter(
             "stiffness_N_per_m",
@@ -101,7 +101,7 @@ def _friction(s: Span, p: Values, memory: Memory) -> None:
 FRICTION = Effect(
     "cable.friction",
     "probe",
-    "Coulomb force against the motion, zero at rest; with presliding it builds up over a length and stays at rest",
+    "something rubs: a force of constant size acts against the motion",
     (
         # strokes that are short against the presliding length show a part of it
         Parameter("force_N", "N", 0.0, lambda s: 4.0 * s.range_N, of("force_N", 0.05)),
@@ -128,7 +128,7 @@ def _viscous(s: Span, p: Values, _memory: Memory) -> None:
 VISCOUS = Effect(
     "cable.viscous",
     "probe",
-    "force against the motion, linear in speed",
+    "something drags: a force against the motion grows with the speed",
     (
         Parameter(
             "coefficient_N_s_per_m",
@@ -151,8 +151,8 @@ def _lateral(s: Span, p: Values, _memory: Memory) -> None:
 LATERAL = Effect(
     "contact.lateral",
     "probe",
-    "oblique contact: lateral force in proportion to the contact force",
-    (Parameter("ratio", "1", 0.0, 3.0, (0.05,)), AZIMUTH),
+    "the contact is oblique: each press also pushes the probe to the side",
+    (Parameter("ratio", "1", 0.0, 3.0, (0.05,), words="lateral force over vertical force"), AZIMUTH),
     law=_lateral,
     family=SIDEWAYS,
     discrepancy_drivers=LOAD,
@@ -174,7 +174,7 @@ def _tilt(s: Span, p: Values, _memory: Memory) -> None:
 TILT = Effect(
     "probe.tilt",
     "probe",
-    "sensor tilted against z",
+    "the sensor is tilted: a part of each vertical force shows as a lateral one",
     (Parameter("angle_rad", "rad", 0.0, 1.2, (0.05,)), AZIMUTH),
     law=_tilt,
     family=SIDEWAYS,

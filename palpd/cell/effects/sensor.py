@@ -33,8 +33,8 @@ some 1e-3."""
 SKEW = Effect(
     "clock.skew",
     "clock",
-    "the sensor's clock runs fast or slow against the robot's",
-    (Parameter("ratio", "1", -LARGEST_SKEW, LARGEST_SKEW, (1e-4, -1e-4, 1e-3, -1e-3), natural=NATURAL_SKEW),),
+    "the clocks of sensor and robot run apart: the force comes later and later, or earlier and earlier",
+    (Parameter("ratio", "1", -LARGEST_SKEW, LARGEST_SKEW, (1e-4, -1e-4, 1e-3, -1e-3), natural=NATURAL_SKEW, words="error of the clock"),),
     setting=_skew,
     starts_at_tare=True,
     formula="the row at t holds the wrench of t · (1 + ratio)",
@@ -48,7 +48,7 @@ def _latency(c: Constants, p: Values) -> None:
 LATENCY = Effect(
     "sensor.latency",
     "clock",
-    "wrench late against the robot state",
+    "the sensor reports late or early: force and height are shifted by a constant time",
     (Parameter("delay_s", "s", lambda s: -0.02 * s.duration_s, lambda s: 0.1 * s.duration_s, of("step_s", 2.0, 10.0, 40.0)),),
     setting=_latency,
     tolerance="latency_s",
@@ -63,8 +63,8 @@ def _gain(c: Constants, p: Values) -> None:
 GAIN = Effect(
     "sensor.gain",
     "sensor",
-    "fz · (1 + error)",
-    (Parameter("error", "1", -0.95, 10.0, (0.1, -0.1)),),
+    "the sensor's scale is off: each vertical force is too large or too small by one factor",
+    (Parameter("error", "1", -0.95, 10.0, (0.1, -0.1), words="error of the scale"),),
     setting=_gain,
     tolerance="gain",
     family=SCALE_OF_FORCE,
@@ -83,12 +83,12 @@ def _crosstalk(c: Constants, p: Values) -> None:
 CROSSTALK = Effect(
     "sensor.crosstalk",
     "sensor",
-    "fz leaks into the other axes",
+    "the vertical force leaks into other axes: lateral forces and torques rise with it",
     (
-        Parameter("fx_per_fz", "1", -1.0, 1.0, (0.02,)),
-        Parameter("fy_per_fz", "1", -1.0, 1.0, (0.02,)),
-        Parameter("tx_per_fz_m", "m", lambda s: -s.tip_length_m, lambda s: s.tip_length_m, of("tip_length_m", 0.02)),
-        Parameter("ty_per_fz_m", "m", lambda s: -s.tip_length_m, lambda s: s.tip_length_m, of("tip_length_m", 0.02)),
+        Parameter("fx_per_fz", "1", -1.0, 1.0, (0.02,), words="share in fx"),
+        Parameter("fy_per_fz", "1", -1.0, 1.0, (0.02,), words="share in fy"),
+        Parameter("tx_per_fz_m", "m", lambda s: -s.tip_length_m, lambda s: s.tip_length_m, of("tip_length_m", 0.02), words="arm of tx"),
+        Parameter("ty_per_fz_m", "m", lambda s: -s.tip_length_m, lambda s: s.tip_length_m, of("tip_length_m", 0.02), words="arm of ty"),
     ),
     setting=_crosstalk,
     tolerance="crosstalk",
@@ -123,7 +123,7 @@ def _hysteresis(s: Span, p: Values, memory: Memory) -> None:
 HYSTERESIS = Effect(
     "sensor.hysteresis",
     "sensor",
-    "rate-independent loop",
+    "the sensor has hysteresis: a force reads differently while it rises and while it falls",
     (
         Parameter("width_N", "N", lambda s: s.noise_N, lambda s: 10.0 * s.range_N, of("force_N", 0.1, 0.5), nominal=None, log=True),
         Parameter("amplitude_N", "N", lambda s: -s.range_N, lambda s: s.range_N, of("force_N", 0.05, -0.05)),
@@ -146,9 +146,9 @@ def _settled_creep(p: Values, within_s: float) -> float:
 CREEP = Effect(
     "sensor.creep",
     "sensor",
-    "reading creeps up under load",
+    "the sensor creeps: its reading keeps rising while the load stays",
     # what has settled before a press is over is no creep: nothing could tell it from a gain
-    (Parameter("ratio", "1", 0.0, 5.0, (0.05, 0.3)), relaxation_time(0.05, 0.3, 0.01, of_a_press=0.3)),
+    (Parameter("ratio", "1", 0.0, 5.0, (0.05, 0.3), words="creep over load"), relaxation_time(0.05, 0.3, 0.01, of_a_press=0.3)),
     law=_creep,
     shows_at_rest=True,
     gain_at_rest=_settled_creep,
@@ -163,7 +163,7 @@ def _warmup(s: Span, p: Values, _memory: Memory) -> None:
 WARMUP = Effect(
     "sensor.warmup",
     "sensor",
-    "A · (1 - exp(-t/τ)) on fz",
+    "the sensor warms up: its zero moves fast at first and then settles",
     (
         Parameter("amplitude_N", "N", lambda s: -s.range_N, lambda s: s.range_N, of("noise_N", 2.0, -2.0)),
         relaxation_time(0.2, 0.7, 0.05),
@@ -183,7 +183,7 @@ def _filter(c: Constants, p: Values) -> None:
 FILTER = Effect(
     "sensor.filter",
     "sensor",
-    "the real cutoff differs from the stated one",
+    "the sensor's filter is not the stated one: fast changes of the force are smoothed more, or less",
     (
         Parameter(
             "cutoff_Hz",
@@ -208,7 +208,7 @@ def _bias(c: Constants, p: Values) -> None:
 BIAS = Effect(
     "sensor.bias",
     "sensor",
-    "constant on fz after the tare",
+    "the sensor's zero is off: a constant force is added after the tare",
     (Parameter("offset_N", "N", lambda s: -s.range_N, lambda s: s.range_N, of("noise_N", 2.0, -2.0)),),
     setting=_bias,
     tolerance="bias_N",
@@ -226,7 +226,7 @@ def _drift(c: Constants, p: Values) -> None:
 DRIFT = Effect(
     "sensor.drift",
     "sensor",
-    "linear in time on fz",
+    "the sensor's zero drifts: the force rises or falls steadily in time",
     (
         Parameter(
             "rate_N_per_s",
@@ -256,11 +256,23 @@ PUSHED, PULLED = 1.0, -1.0
 ASYMMETRY = Effect(
     "sensor.asymmetry",
     "sensor",
-    "another slope above (side 1) or below (side -1) a reading of at_N",
+    "the sensor's slope changes at some force: readings beyond it are too large or too small",
     (
-        Parameter("ratio", "1", -0.95, 10.0, (0.1, -0.1)),
-        Parameter("at_N", "N", 0.0, lambda s: s.range_N, of("force_N", 0.3, 0.0, 0.6), nominal=None),
-        Parameter("side", "1", PULLED, PUSHED, (PUSHED, PULLED), nominal=None, optional=True, choices=(PUSHED, PULLED)),
+        Parameter("ratio", "1", -0.95, 10.0, (0.1, -0.1), words="change of the slope"),
+        Parameter(
+            "at_N", "N", 0.0, lambda s: s.range_N, of("force_N", 0.3, 0.0, 0.6), nominal=None, words="force at which the slope changes"
+        ),
+        Parameter(
+            "side",
+            "1",
+            PULLED,
+            PUSHED,
+            (PUSHED, PULLED),
+            nominal=None,
+            optional=True,
+            choices=(PUSHED, PULLED),
+            words="side (1: above that force, -1: below)",
+        ),
     ),
     law=_asymmetry,
     family=SCALE_OF_FORCE,
@@ -277,8 +289,8 @@ def _noise(c: Constants, p: Values) -> None:
 NOISE = Effect(
     "sensor.noise",
     "sensor",
-    "more noise than stated, all six axes",
-    (Parameter("ratio", "1", 0.01, 1e3, (1.5, 3.0), nominal=1.0, log=True),),
+    "the sensor is noisier than stated: the readings of all axes scatter more",
+    (Parameter("ratio", "1", 0.01, 1e3, (1.5, 3.0), nominal=1.0, log=True, words="noise over the stated noise"),),
     setting=_noise,
     scatter="noise",
     formula="rms of the noise = ratio · rms_stated",
@@ -297,7 +309,7 @@ def _least_limit(s: Scale) -> float:
 SATURATION = Effect(
     "sensor.saturation",
     "sensor",
-    "fz clipped",
+    "the sensor is at its limit: the reading stays flat above some force",
     (Parameter("limit_N", "N", _least_limit, lambda s: 2.0 * s.range_N, of("force_N", 0.8), nominal=inf, log=True),),
     setting=_saturation,
     discrepancy_drivers=LOAD,
@@ -312,7 +324,7 @@ def _quantization(c: Constants, p: Values) -> None:
 QUANTIZATION = Effect(
     "sensor.quantization",
     "sensor",
-    "coarser step than stated",
+    "the sensor rounds more coarsely than stated: the readings stand on steps",
     (Parameter("step_N", "N", 0.0, lambda s: s.range_N, lambda s: (4.0 * s.noise_N, 0.2 * s.force_N)),),
     setting=_quantization,
     scatter="coarse step",
@@ -327,7 +339,7 @@ def _dropout(c: Constants, p: Values) -> None:
 DROPOUT = Effect(
     "sensor.dropout",
     "sensor",
-    "samples held now and then",
+    "samples are lost: now and then the last reading is repeated",
     (
         Parameter("rate_Hz", "Hz", 0.0, lambda s: s.nyquist_Hz, lambda s: (20.0 / s.duration_s,)),
         Parameter("length_s", "s", lambda s: s.step_s, lambda s: 0.2 * s.duration_s, of("step_s", 5.0), nominal=None, log=True),

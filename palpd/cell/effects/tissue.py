@@ -17,7 +17,7 @@ def _surface(c: Constants, p: Values) -> None:
 SURFACE = Effect(
     "tissue.surface",
     "tissue",
-    "surface higher or lower than stated",
+    "the surface lies higher or lower than stated: every press touches earlier or later",
     (Parameter("offset_m", "m", lambda s: -s.depth_m, lambda s: s.stroke_m, of("depth_m", 0.05, -0.05)),),
     setting=_surface,
     tolerance="surface_z_m",
@@ -33,8 +33,8 @@ def _modulus(c: Constants, p: Values) -> None:
 MODULUS = Effect(
     "tissue.modulus",
     "tissue",
-    "stiffer or softer than stated",
-    (Parameter("ratio", "1", 0.01, 100.0, (1.2, 0.8, 3.0, 0.3), nominal=1.0, log=True),),
+    "the tissue is stiffer or softer than stated: every press gives a larger or smaller force, by one factor",
+    (Parameter("ratio", "1", 0.01, 100.0, (1.2, 0.8, 3.0, 0.3), nominal=1.0, log=True, words="stiffness over the stated stiffness"),),
     setting=_modulus,
     tolerance="youngs_modulus",
     family=SCALE_OF_FORCE,
@@ -79,10 +79,10 @@ def _first(below_m: Floats, k: int, sunk_m: float, pressed: bool, enough_m: floa
 PLASTICITY = Effect(
     "tissue.plasticity",
     "tissue",
-    "surface sinks after the k-th press by set · ratio^k",
+    "the tissue stays dented: its surface sinks after each press",
     (
-        Parameter("set_m", "m", 0.0, lambda s: s.depth_m, of("depth_m", 0.02, 0.1)),
-        Parameter("ratio", "1", 0.0, 1.0, (0.7, 0.3), nominal=None),
+        Parameter("set_m", "m", 0.0, lambda s: s.depth_m, of("depth_m", 0.02, 0.1), words="dent of the first press"),
+        Parameter("ratio", "1", 0.0, 1.0, (0.7, 0.3), nominal=None, words="each dent over the one before"),
     ),
     law=_plasticity,
     starts_at_tare=True,
@@ -110,7 +110,7 @@ def _thickness(s: Span, p: Values, _memory: Memory) -> None:
 THICKNESS = Effect(
     "tissue.thickness",
     "tissue",
-    "finite thickness on a rigid base (Dimitriadis 2002, bonded, ν = 0.5)",
+    "the tissue is a layer on a hard base: the force grows faster with depth than in thick tissue",
     (
         Parameter(
             "thickness_m",
@@ -137,9 +137,9 @@ def _inclusion(s: Span, p: Values, _memory: Memory) -> None:
 INCLUSION = Effect(
     "tissue.inclusion",
     "tissue",
-    "hard inclusion below the surface",
+    "something hard lies below the surface: the tissue becomes stiffer with depth",
     (
-        Parameter("contrast", "1", 0.0, 100.0, (0.5, 3.0)),
+        Parameter("contrast", "1", 0.0, 100.0, (0.5, 3.0), words="added stiffness of deep presses, as a share"),
         Parameter("depth_m", "m", lambda s: 0.05 * s.depth_m, lambda s: 20.0 * s.depth_m, of("depth_m", 1.0, 3.0), nominal=None, log=True),
     ),
     law=_inclusion,
@@ -159,8 +159,8 @@ def _preconditioning(s: Span, p: Values, memory: Memory) -> None:
 PRECONDITIONING = Effect(
     "tissue.preconditioning",
     "tissue",
-    "softer where it has been pressed before (Mullins)",
-    (Parameter("softening", "1", 0.0, 1.0, (0.1, 0.4)),),
+    "the tissue softens where it was pressed before: the force falls short until a press goes deeper than before",
+    (Parameter("softening", "1", 0.0, 1.0, (0.1, 0.4), words="largest loss of force, as a share"),),
     law=_preconditioning,
     starts_at_tare=True,
     discrepancy_drivers=LOAD,
@@ -177,8 +177,8 @@ def _viscoelastic(s: Span, p: Values, memory: Memory) -> None:
 VISCOELASTIC = Effect(
     "tissue.viscoelastic",
     "tissue",
-    "standard linear solid: an extra, decaying, rate-dependent part",
-    (Parameter("ratio", "1", 0.0, 20.0, (0.2, 1.0)), relaxation_time(0.01, 0.05, 0.002)),
+    "the tissue relaxes: the force decays while the probe is held",
+    (Parameter("ratio", "1", 0.0, 20.0, (0.2, 1.0), words="decaying force over lasting force"), relaxation_time(0.01, 0.05, 0.002)),
     law=_viscoelastic,
     shows_at_rest=True,
     formula="max(0, f + ratio · (f - low-pass of f with time constant tau))",
@@ -216,7 +216,7 @@ def _adhesion(s: Span, p: Values, memory: Memory) -> None:
 ADHESION = Effect(
     "tissue.adhesion",
     "tissue",
-    "pulls on the probe while it leaves",
+    "the tissue sticks to the probe: it pulls on the probe that leaves",
     (
         # where the range is long, the pull is a quarter of it at most: it still grows when it begins to fade
         Parameter("force_N", "N", 0.0, lambda s: 4.0 * s.range_N, of("force_N", 0.05, 0.2)),

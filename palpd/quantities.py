@@ -1,0 +1,83 @@
+"""Numbers for people: three digits, the unit that suits the size, and a 95 % interval behind the value."""
+
+from math import floor, isfinite, log10, pi
+
+PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p"))
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+WIDE = 0.4
+"""Length of an interval, as a share of the value, from which on two digits of the value are enough."""
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number as people read it, with a power of ten where there would be many zeros.
+
+    Args:
+        value: The number.
+        digits: How many digits.
+
+    Returns:
+        The text.
+    """
+    if not isfinite(value):
+        return "-∞" if value < 0.0 else "∞" if value > 0.0 else "–"
+    if value != 0.0 and not 1e-3 <= abs(value) < 1e5:
+        mantissa, power = f"{value:.{digits - 1}e}".split("e")
+        return f"{mantissa}·10{str(int(power)).translate(SUPERSCRIPTS)}"
+    return f"{value:.{digits}g}" if abs(value) < 10**digits - 0.5 else f"{value:.0f}"
+
+
+def scaled(size: float, unit: str) -> tuple[float, str]:
+    """The unit in which a size reads well.
+
+    Args:
+        size: In the SI unit, at least 0.
+        unit: The SI unit; "1" for none.
+
+    Returns:
+        One of that unit in the SI unit, and its name.
+    """
+    if unit == "rad":
+        return pi / 180.0, "°"
+    if unit == "1":
+        return (1e-6, "ppm") if 0.0 < size < 1e-3 else (1.0, "")
+    if unit == "Pa":
+        return (1e6, "MPa") if size >= 1e6 else (1e3, "kPa") if size >= 1e3 else (1.0, "Pa")
+    if unit == "N/m" and size >= 1e3:
+        return 1e3, "N/mm"
+    if unit == "kg" and size < 0.1:
+        scale, name = scaled(1e3 * size, "g")
+        return 1e-3 * scale, name
+    if unit[0] not in "Nmsg" or unit[1:2] == "²":
+        return 1.0, unit
+    return next(((scale, prefix + unit) for scale, prefix in PREFIXES if size >= 0.1 * scale), (1.0, unit))
+
+
+def quantity(value: float, unit: str, ci95: tuple[float, float] | None = None) -> str:
+    """A value with the unit that suits it: 62.5 kPa, and with its interval 62.5 (61.8 to 63.2) kPa.
+
+    Args:
+        value: In the SI unit.
+        unit: The SI unit; "1" for none.
+        ci95: Its interval, in the SI unit.
+
+    Returns:
+        The text.
+    """
+    finite = [abs(each) for each in (value, *(ci95 or ())) if isfinite(each)]
+    scale, name = scaled(abs(value) or max(finite, default=0.0), unit)
+    text = number(value / scale) if ci95 is None else _with_interval(value / scale, ci95[0] / scale, ci95[1] / scale)
+    return f"{text}{'' if name == '°' else ' '}{name}".rstrip()
+
+
+def _with_interval(value: float, low: float, high: float) -> str:
+    """Three digits, more where the interval needs them, two where it is wide."""
+    largest = max(map(abs, (value, low, high)))
+    if high <= low:
+        return number(value)
+    if not 1e-3 <= largest < 1e5:
+        return f"{number(value)} ({number(low)} to {number(high)})"
+    size = abs(value) or largest
+    decimals = min(max(0, (1 if high - low > WIDE * size else 2) - floor(log10(size))), 6)
+    while f"{low:.{decimals}f}" == f"{high:.{decimals}f}" and decimals < 6:
+        decimals += 1
+    return f"{value:.{decimals}f} ({low:.{decimals}f} to {high:.{decimals}f})"
