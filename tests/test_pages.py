@@ -63,7 +63,7 @@ BY_HAND = {
 
 NEEDS_MORE = {
     **dict.fromkeys(("run", "calibrate", "stiffness", "free-motion", "level-test", "retract", "doctor", "resolve"), "needs a cell"),
-    **dict.fromkeys(("status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job", "controls"), "needs a daemon"),
+    **dict.fromkeys(("status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job", "plans", "controls"), "needs a daemon"),
     **dict.fromkeys(("emulate", "serve", "web"), "serves until Ctrl-C"),
     **dict.fromkeys(("demo", "blind"), "minutes; the README's commands try them"),
     "palpd stream --config cell/config.yaml --foxglove 8765 --metrics 9464": "serves until Ctrl-C",

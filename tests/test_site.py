@@ -48,8 +48,8 @@ def test_a_notebook_runs_and_its_page_shows_figures_and_tables(site: Path, noteb
 @pytest.mark.parametrize("word", ["UR10", "UR10e", "Franka", "Isaac", "Gazebo", "Simulink", "Windows", "ROS"])
 def test_the_search_finds_what_works(site: Path, word: str) -> None:
     entries = json.loads((site / "search" / "search_index.json").read_text())["docs"]
-    found = [entry["location"] for entry in entries if re.search(rf"\b{word}\b", entry["text"])]
-    assert any(place.startswith("what-works.html") for place in found)
+    places = [entry["location"] for entry in entries if re.search(rf"\b{word}\b", entry["text"])]
+    assert any(place.startswith("what-works.html") for place in places)
 
 
 def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:

@@ -150,7 +150,7 @@ def _with_checks(command: Callable[..., Any], apart: Mapping[str, Sequence[str]]
 
 
 def _refuse_together(command: Callable[..., Any], apart: Mapping[str, Sequence[str]], values: Mapping[str, Any]) -> None:
-    """Refuse options of which one would be left out without a word. Raises BadInput."""
+    """Refuse two options where one would not count. Raises BadInput."""
     for name in apart:
         if _given(command, values, name):
             refuse_left_out(command, values, apart[name], f"{_spelled(command, name, values)} is given")

@@ -94,7 +94,15 @@ def read_header(path: Path) -> RecordingHeader:
 
 
 def refuse_site(path: Path, site: str | None) -> None:
-    """Refuse the name of a site for a file that is no recording of the daemon. Raises RecordingError."""
+    """Refuse the name of a site for a file that is no recording of the daemon.
+
+    Args:
+        path: The file.
+        site: The name, or None.
+
+    Raises:
+        RecordingError: A site is named.
+    """
     if site is not None:
         raise RecordingError(f"{path.name} is no recording of the daemon, so --site {site} chooses nothing in it; leave --site out")
 

@@ -354,8 +354,8 @@ def test_a_viewer_of_the_older_protocol_is_refused_and_the_sentence_names_what_t
         assert refused.value.response.status_code == 400
         assert b"sec-websocket-protocol" in bytes(refused.value.response.body or b"")
     until(served.stream, lambda: len(served.sentences) > 3, "the refusal is said")
-    said = [sentence for sentence in served.sentences if "refused" in sentence]
-    assert said == ["Foxglove: a viewer at 127.0.0.1 was refused, since it does not speak foxglove.sdk.v1; install a newer viewer."], (
+    printed = [sentence for sentence in served.sentences if "refused" in sentence]
+    assert printed == ["Foxglove: a viewer at 127.0.0.1 was refused, since it does not speak foxglove.sdk.v1; install a newer viewer."], (
         "once for a computer, though a viewer tries again and again"
     )
 
