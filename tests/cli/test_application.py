@@ -284,7 +284,7 @@ def test_abort_and_status_find_the_daemon_without_a_readable_configuration(
     assert service.asked("abort")
     at_once.status(config, None, tmp_path / "status.json")
     printed = capsys.readouterr()
-    assert printed.out == "disarmed\n"
+    assert printed.out == "disarmed\nNothing moves. Next: palpd arm.\n"
     assert f"palpd: the daemon at {service.path} answers\n" in printed.err
     assert json.loads((tmp_path / "status.json").read_text())["state"] == "disarmed"
 
