@@ -14,7 +14,7 @@ from palpd.cell.cell_file import HINTS, CellFile, Version, nominal
 from palpd.cell.effects.drivers import StrictBlock
 from palpd.errors import ConfigError
 from palpd.file_versions import Kind, refuse_renamed
-from palpd.files import Document, faults, nearest, parse_yaml, read_yaml, refusal
+from palpd.files import NAME_PATTERN, Document, faults, nearest, parse_yaml, read_yaml, refusal
 from palpd.tick import Option
 
 Model = TypeVar("Model", bound=StrictBlock)
@@ -273,7 +273,7 @@ CONTACT_FORCE_N = 1.0
 class PlanSite(StrictBlock):
     """A place to press, as an offset along the base's axes from the plan's origin, or from the start pose where it gives none."""
 
-    name: str = Field(min_length=1, max_length=32, pattern=r"^[A-Za-z0-9_.-]+$")
+    name: str = Field(min_length=1, max_length=32, pattern=NAME_PATTERN)
     """Letters, digits, `_`, `.` and `-`."""
     x_m: StrictFloat = Field(default=0.0, ge=-0.5, le=0.5)
     """Offset along the base's x axis."""

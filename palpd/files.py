@@ -342,6 +342,10 @@ def parse_json(text: str, name: str, *, error: type[PalpdError] = BadInput) -> A
 # --- what a model says of a file ----------------------------------------------------------------------------------------------
 
 
+NAME_PATTERN = r"^[A-Za-z0-9_.-]+$"
+"""Names that are parts of file names and of columns."""
+
+
 def refusal(error: "ValidationError", model: "type[BaseModel]", document: Document, hints: Mapping[str, str] | None = None) -> str:
     """Turn the first complaint of pydantic into one sentence: file, line, what was found, what was expected.
 
@@ -384,6 +388,8 @@ def _complaint(complaint: "ErrorDetails", model: "type[BaseModel]", hints: Mappi
         return f"{key} is not given; it has no default"
     if complaint["type"] == "value_error":
         return f"{f'{key}: ' if location else ''}{message.removeprefix('Value error, ')}"
+    if complaint["type"] == "string_pattern_mismatch" and complaint["ctx"]["pattern"] == NAME_PATTERN:
+        return f"{key} is {_shown(complaint['input'])}; expected letters (a to z), digits, '.', '_' and '-', without a space"
     bounds = ("less_than", "less_than_equal", "greater_than", "greater_than_equal")
     ranged = complaint["type"] in bounds or isinstance(complaint["input"], str)
     hint = next((f" ({hint})" for end, hint in (hints or {}).items() if ranged and key.endswith(end)), "")

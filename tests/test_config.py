@@ -332,6 +332,11 @@ def test_an_origin_or_a_site_counted_from_it_outside_the_workspace_is_refused(or
         refuse_unsafe(config, parse_plan({**plan, "origin": {"x_m": origin[0], "y_m": origin[1]}}, "it"))
 
 
+def test_a_name_of_a_site_with_a_space_is_refused_in_words() -> None:
+    with pytest.raises(ConfigError, match=r"sites\.0\.name is 'a b'; expected letters \(a to z\), digits, .* without a space"):
+        parse_plan({"sites": [{"name": "a b"}], "depths_m": [0.003]}, "the plan")
+
+
 def test_a_robot_of_another_name_is_refused_with_what_works() -> None:
     with pytest.raises(ConfigError, match=r"robot.model: 'ur10e' is neither ur5 nor ur5e: only the controller matters.*docs/what-works.md"):
         parse_config({"robot": {"model": "ur10e"}}, "config.yaml")
