@@ -63,7 +63,10 @@ export async function request(what, content = {}) {
   if (!held && !(await takeControls(false))) return { ok: false };
   const send = () => ask(`/do/${what}`, { ...content, lease }, { patience_ms: PATIENCE_MS[what] ?? 8000 });
   let answer = await send();
-  if (held && !answer.ok && !answer.unreached && !(await renewed()) && await takeControls(false)) answer = await send();
+  if (held && !answer.ok && !answer.unreached && !(await renewed())) {
+    if (!(await takeControls(false))) return { ok: false }; // it has said who holds them now
+    answer = await send();
+  }
   say(answer.ok ? `${DONE[what] ?? what}.` : answer.error, answer.ok ? "done" : "refused");
   return answer;
 }
