@@ -11,10 +11,12 @@ from palpd.daemon.probe_record import evidence_of, identity_of, probe_record
 from palpd.daemon.stored_state import State, now
 from palpd.recording.mcap_file import RunAbout
 from palpd.recording.ring import Rows
-from palpd.tick import Phase
+from palpd.tick import Floats, Phase
 
 END_S = 0.3
 """Length of the end of a run whose frames give the force at rest."""
+STILL_M = 1e-4
+"""Largest distance from where the arm stands at the end of a tick that counts as at rest: 0.1 N on soft tissue."""
 SAYS_NOTHING = (Phase.IDLE, Phase.TARE, Phase.LIFT, Phase.DONE)
 """Phases that do not show that the first way up is over and was level."""
 
@@ -72,7 +74,8 @@ class MarkedRun:
         self.follow(rows)
         pose = tuple(map(float, rows[-1]["tcp_pose"]))
         last = rows[rows["now_s"] >= rows["now_s"][-1] - END_S]
-        wrenches = np.concatenate([row["wrench"][: row["frames"]] for row in last])
+        still = last[np.linalg.norm(last["tcp_pose"][:, :3] - last["tcp_pose"][-1, :3], axis=1) < STILL_M]
+        wrenches = _frames(still) if still["frames"].any() else _frames(last)  # a sensor that fell silent first has only the others
         fault = "" if came_to_rest and len(wrenches) else "the run sent nothing more at its end"
         wrench = tuple(wrenches.mean(axis=0).tolist()) if len(wrenches) else (0.0,) * 6
         self._marker = replace(self._marker, pose=pose, at_rest=not fault)
@@ -88,3 +91,8 @@ class MarkedRun:
         else:
             self._state.keep("contact", self._marker)
         return answer
+
+
+def _frames(rows: Rows) -> Floats:
+    """The wrenches (n, 6) of all frames of these ticks."""
+    return np.concatenate([row["wrench"][: row["frames"]] for row in rows])

@@ -85,6 +85,19 @@ def test_a_stop_in_the_tissue_leaves_a_mark_that_only_a_way_out_removes(tmp_path
     assert again.marker() is None
 
 
+def test_the_force_at_the_end_is_that_of_the_arm_at_rest_and_not_a_mean_of_the_press(tmp_path: Path, state: State) -> None:
+    pressing = rows(Phase.PRESS, SURFACE_M - 0.004, 4.2, SURFACE_M)
+    pressing["tcp_pose"][:, 2] += np.linspace(0.004, 0.0, len(pressing))
+    pressing["wrench"][:, :8, 2] += np.linspace(4.2, 0.0, len(pressing))[:, None]
+    answer = marked(tmp_path, state).end(pressing, level=False, came_to_rest=True)
+    assert answer.away_N == pytest.approx(4.2, abs=0.1)
+    pressing["frames"][-10:] = 0  # the sensor fell silent while the arm pressed on
+    answer = marked(tmp_path, state).end(pressing, level=False, came_to_rest=True)
+    assert answer.state == ProbeState.PRESSED
+    assert answer.away_N is not None
+    assert answer.away_N < 4.2, "what was seen last is all that is known"
+
+
 def test_a_run_whose_process_died_cannot_say_where_it_left_the_arm(tmp_path: Path, state: State) -> None:
     run = marked(tmp_path, state)
     answer = run.end(rows(Phase.TRAVEL, HOME[2]), level=False, came_to_rest=False)
