@@ -33,7 +33,9 @@ def carry_out(words: list[str]) -> None:
         code = app(words or ["--help"], prog_name="palpd", standalone_mode=False)
     except UsageError as error:
         context = getattr(error, "ctx", None)
-        sentence = " ".join(str(error.format_message()).replace("Value error, ", "").split()).rstrip(".") + _what_works(error)
+        sentence = " ".join(
+            str(error.format_message()).replace("Value error, ", "").replace("Input should be", "expected a value").split()
+        ).rstrip(".") + _what_works(error)
         help_line = f"{context.command_path if context else 'palpd'} --help"
         raise BadInput(f"{sentence[:1].lower()}{sentence[1:]}; {help_line} shows what is expected") from None
     except typer.Abort:
