@@ -4,6 +4,7 @@ python -m benchmarks.after_a_run --docs docs
 """
 
 import argparse
+import itertools
 import os
 import signal
 import subprocess
@@ -12,11 +13,11 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, command_of, emulated_cell, family, until
+from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, command_of, emulated_cell, family, retry_if_machine_stalled, until
 from palpd.daemon.socket_client import NoDaemon, ask
 from palpd.errors import Refused
 
@@ -260,26 +261,41 @@ def served(wired: EmulatedCell) -> Iterator[ServedCell]:
         cell.end(signal.SIGKILL)
 
 
-def filled(folder: Path) -> dict[str, dict[str, str]]:
+def filled(folder: Path, known: Mapping[str, Mapping[str, str]] | None = None) -> dict[str, dict[str, str]]:
     """Fill the table: every end in an emulated cell of its own, some of them side by side, since they mostly wait.
 
     Args:
         folder: Where the cells keep their files.
+        known: The rows as they were before. A row that differs is made again where the machine stood still meanwhile; None: no row is.
 
     Returns:
         What each command did, by the end before it.
     """
 
-    def one(end: str) -> dict[str, str]:
+    def filled_row(end: str) -> dict[str, str]:
         own = folder / end.replace(" ", "-")
-        (own / "run").mkdir(parents=True)
-        with emulated_cell(own) as wired:
-            cells = row(wired.anew(own / "run", SOFT_N_PER_M, **PATIENT), end)
-            print(end, cells, flush=True)
-            return cells
+        with ExitStack() as stack:
+            attempts = itertools.count()
+
+            def cell() -> EmulatedCell:
+                wires, run = own / f"wires-{(k := next(attempts))}", own / f"run-{k}"
+                wires.mkdir(parents=True)
+                run.mkdir()
+                return stack.enter_context(emulated_cell(wires)).anew(run, SOFT_N_PER_M, **PATIENT)
+
+            def attempt(wired: EmulatedCell) -> dict[str, str]:
+                try:
+                    cells = row(wired, end)
+                except Refused as refused:
+                    raise AssertionError(f"{end}: {refused}") from refused
+                print(end, cells, flush=True)
+                assert known is None or cells == known[end], f"{end}: {cells}, expected {known[end]}"
+                return cells
+
+            return retry_if_machine_stalled(cell, attempt)
 
     with ThreadPoolExecutor(SIDE_BY_SIDE) as threads:
-        return dict(zip(ENDS, threads.map(one, ENDS), strict=True))
+        return dict(zip(ENDS, threads.map(filled_row, ENDS), strict=True))
 
 
 def table(rows: Mapping[str, Mapping[str, str]]) -> str:

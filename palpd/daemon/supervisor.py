@@ -51,6 +51,8 @@ from palpd.tick import Phase, Request, Trip
 
 STALLED_S = 2.0
 """A loop whose tick counter stands still for this long is killed. The controller's watchdog has stopped the arm long before."""
+LOOK_S = 0.25
+"""Longest time between two looks at the loop; a longer one shows that this process, and perhaps the whole computer, stood still."""
 OPENING_S = 40.0
 """Longest wait for the devices to open, including the start of the program on the controller."""
 CLOSING_S = 10.0
@@ -111,6 +113,28 @@ class MotionProcess:
             self.pipe.send(None)
 
 
+class TickWatch:
+    """How long the ticks have not advanced, without the time for which this process stood still too: a computer that stops hangs no loop."""
+
+    def __init__(self, ticks: int, now_s: float) -> None:
+        self._ticks = ticks
+        self.begin(now_s)
+
+    def begin(self, now_s: float) -> None:
+        """Count from now on."""
+        self._since_s = self._looked_s = now_s
+
+    def still_s(self, ticks: int, now_s: float) -> float:
+        """The time without a new tick, in s, given the ticks that were counted until now."""
+        stood_still_s = max(0.0, now_s - self._looked_s - LOOK_S)
+        self._looked_s = now_s
+        if ticks != self._ticks:
+            self._ticks, self._since_s = ticks, now_s
+        else:
+            self._since_s += stood_still_s
+        return now_s - self._since_s
+
+
 class JobRun:
     """One job under way. `poll` never waits; it returns a report when the job is over, the devices and the recording are closed."""
 
@@ -127,8 +151,8 @@ class JobRun:
         self._report: Report | None = None
         self._ended_s = self._end_by_s = math.inf
         self._began_s = self._closing_s = time.monotonic()
-        self._first_tick = self._ticks = ring.published
-        self._ticked_s = self._began_s
+        self._first_tick = ring.published
+        self._watch = TickWatch(ring.published, self._began_s)
         ring.state = LoopState.STARTING
         ring.forget_requests()  # requests for an earlier run are void; from here on every abort counts
         with shielded():
@@ -185,8 +209,7 @@ class JobRun:
     def _watched(self) -> Report | None:
         """Judge how long everything takes, and whether the run is still recorded."""
         now_s = time.monotonic()
-        if self._ring.published != self._ticks:
-            self._ticks, self._ticked_s = self._ring.published, now_s
+        still_s = self._watch.still_s(self._ring.published, now_s)
         failed = self._ring.recorder_state == RecorderState.FAILED
         if self._recorder is not None and (failed or not self._recorder.alive) and not self._lost_recorder:
             self._lost_recorder = True
@@ -195,10 +218,11 @@ class JobRun:
         if ticking and self._marked is not None and self._ring.published > self._first_tick:
             self._marked.follow(self._ring.read(self._ring.published - 1)[0])
         if ticking and not self._began_ticking:
-            self._began_ticking, self._ticked_s = True, now_s
-        if self._going and self._ring.state == LoopState.STARTING and now_s - self._ticked_s > OPENING_S:
+            self._began_ticking, still_s = True, 0.0
+            self._watch.begin(now_s)
+        if self._going and self._ring.state == LoopState.STARTING and still_s > OPENING_S:
             return self._kill(f"the loop did not begin within {OPENING_S:g} s{'; nothing was moved' * self.job.moves}")
-        if ticking and now_s - self._ticked_s > STALLED_S:
+        if ticking and still_s > STALLED_S:
             return self._kill(f"the loop stood still for {STALLED_S:g} s and was killed; the controller's watchdog stops the arm")
         if self._ring.state != LoopState.ENDED:
             self._ended_s = now_s
@@ -269,7 +293,8 @@ class JobRun:
             self._recorder = None
             return self._refuse(error)
         self._motion.pipe.send(GO)
-        self._going, self._ticked_s = True, time.monotonic()
+        self._going = True
+        self._watch.begin(time.monotonic())
         return None
 
     def _mark(self) -> None:
