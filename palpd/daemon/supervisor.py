@@ -114,7 +114,7 @@ class MotionProcess:
 
 
 class TickWatch:
-    """How long the ticks have not advanced, without the time for which this process stood still too: a computer that stops hangs no loop."""
+    """Time for which ticks did not advance while this process itself ran: a computer that stood still is no loop that hangs."""
 
     def __init__(self, ticks: int, now_s: float) -> None:
         self._ticks = ticks

@@ -62,7 +62,7 @@ def test_a_law_outside_the_list_is_found_and_closes_the_gap_on_another_motion(tm
     assert answer["another_motion"]["closed"] > 0.95
     page = (tmp_path / "gap.html").read_text(encoding="utf-8")
     assert "The law on another motion" in page
-    assert "x is the height of the probe in m" in page
+    assert "repeating every 2.5 mm, in m <code>x</code>" in page
 
 
 def test_the_table_of_laws_stands_between_its_marks() -> None:

@@ -98,7 +98,7 @@ def test_a_law_over_few_bins_shows_its_data_in_the_report(rail: Diagnosis, monke
     monkeypatch.setattr(finding, "SHOWN_POINTS", 100_000)
     content = rail.to_json()
     assert content["learned"]["data"]["x"]
-    assert "Explained by the law" in page(content, curves_of(rail), rail.problem.library, "x")
+    assert "What it does" in page(content, curves_of(rail), rail.problem.library, "x")
 
 
 def test_a_single_step_is_an_event_with_its_time_and_size() -> None:

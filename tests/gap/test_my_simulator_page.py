@@ -30,8 +30,8 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     (code,) = blocks("python")
     exec(code, {"__name__": "page"})
     own, mine = capsys.readouterr().out.strip().splitlines()
-    assert "comes from cable.friction (" not in own
-    assert "comes from cable.friction (" in mine
+    assert "something rubs (cable.friction" not in own
+    assert "something rubs (cable.friction" in mine
     for command in "".join(blocks("bash")).splitlines():
         done = run(command, tmp_path)
         assert done.returncode == 0, done.stderr
