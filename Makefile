@@ -2,6 +2,8 @@
 PYTHON ?=
 UV := .venv/bin/uv
 READY := .venv/.ready
+# two processes, each with emulated cells on addresses of its own; a module stays in one, so that its cells and diagnoses are made once
+PARALLEL_TESTS := --numprocesses=2 --dist=loadscope
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
 .PHONY: setup demo test test-wires test-rest test-service test-browser test-deb coverage lint bench bench-long minutes endurance faults arming signals aborts presses laws soak slopes cold deb docs mutation audit samples clean
@@ -31,10 +33,10 @@ test: lint
 	$(MAKE) test-browser coverage samples
 
 test-wires: setup
-	.venv/bin/pytest -m hil --ignore=tests/browser
+	.venv/bin/pytest -m hil --ignore=tests/browser $(PARALLEL_TESTS)
 
 test-rest: setup
-	nice .venv/bin/pytest -m "not hil" --ignore=tests/browser
+	nice .venv/bin/pytest -m "not hil" --ignore=tests/browser $(PARALLEL_TESTS)
 
 test-browser: setup
 	.venv/bin/pytest tests/browser

@@ -321,7 +321,7 @@ def press_into_wall(cell: EmulatedCell, stiffness_N_per_m: float, speed_m_per_s:
 @contextmanager
 def emulated_cell(folder: Path, model: str = "ur5", cell: Path | None = None, *options: str) -> Iterator[EmulatedCell]:
     """An emulated cell in a process of its own on an address of its own; `options` are more options of the emulators."""
-    host = f"127.0.8{os.getpid() % 10}.{(os.getpid() // 10 + next(_hosts)) % 250 + 2}"
+    host = f"127.{os.getpid() % 250 + 2}.{os.getpid() // 250 % 250}.{next(_hosts) % 250 + 2}"  # no other test process has it
     with started(folder, model, cell, host, *options) as wires:
         yield EmulatedCell(wires, model, folder)
 
