@@ -1,4 +1,4 @@
-"""A loop that hangs is told from a computer that stood still: the supervisor counts only the time for which it ran itself."""
+"""The supervisor separates a loop that hangs from a computer that stood still: it counts only the time for which it ran itself."""
 
 import pytest
 
