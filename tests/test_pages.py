@@ -97,7 +97,7 @@ def run_page(page: Path, folder: Path) -> None:
         for line in commands_of(page):
             run_in_process(line, patch)
     for line in quoted_in(page):
-        assert words(line) in words(printed.getvalue())
+        assert words(line) in words(printed.getvalue()), printed.getvalue()
 
 
 @pytest.fixture(scope="module")
