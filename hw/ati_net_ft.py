@@ -286,7 +286,6 @@ def read_page(page: bytes, address: str) -> BoxPage:
     """Read `netftapi2.xml`.
 
     Args:
-        page: Its bytes.
         address: Address of the box, for errors.
 
     Returns:

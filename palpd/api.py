@@ -123,9 +123,6 @@ class Cell:
         Args:
             effects: Parameters by name, by the id of the effect.
 
-        Returns:
-            The cell.
-
         Raises:
             ConfigError: There is no such effect or parameter.
         """
@@ -355,9 +352,6 @@ def load(path: str | Path, site: str | None = None) -> LoadedRecording:
         path: A CSV or Parquet file, or a recording of the daemon (.mcap).
         site: Site of a recording of the daemon; None where it holds one only.
 
-    Returns:
-        The recording.
-
     Raises:
         BadInput: That is no path.
         RecordingError: The file is no recording, or holds several sites and none is named.
@@ -371,7 +365,6 @@ def tip_motion(recording: Source, cell: CellSource) -> dict[str, Floats]:
     """The motion of the tip behind the noisy reports of a recording: what to drive your own simulator with.
 
     Args:
-        recording: The recording.
         cell: The cell; its servo and the noise of its robot and sensor say what is noise.
 
     Returns:
@@ -398,14 +391,10 @@ def simulate(
 
     Args:
         motion: A recording, or a data frame with `t_s` and `z_m` or `z_cmd_m`.
-        cell: The cell.
         drive: `measured` takes the reported heights, `commanded` the commanded ones through the robot's servo.
         noise_seed: Seed of noise and rounding; neither without one.
         simulated: Your own simulator, or its output for this motion; what the cell has beyond `nominal` is added to it.
         nominal: The cell that your simulator simulates.
-
-    Returns:
-        The recording.
 
     Raises:
         BadInput: Only one of `simulated` and `nominal` is given, or the seed is negative.
@@ -442,9 +431,6 @@ def diagnose(
         effects: The effects that may be present, by id.
         propose: Whether to look for the motion that would decide what is open.
         simulated: Your own simulator as the nominal, or its output for each recording; the cell then says what is within specification.
-
-    Returns:
-        The diagnosis.
 
     Raises:
         BadInput: There are not as many outputs as recordings.

@@ -393,9 +393,6 @@ def parse_plan(values: object, where: str) -> Plan:
         values: Keys and values of plan.yaml.
         where: What an error calls them.
 
-    Returns:
-        The plan.
-
     Raises:
         ConfigError: Where the data is no plan, one sentence.
     """
@@ -410,9 +407,6 @@ def parse_config(values: object, where: str) -> Config:
     Args:
         values: Keys and values of config.yaml.
         where: What an error calls them.
-
-    Returns:
-        The configuration.
 
     Raises:
         ConfigError: Where the data is no configuration, one sentence.
@@ -483,7 +477,6 @@ def close_sites(config: Config, plan: Plan) -> dict[str, str]:
 
     Args:
         config: Configuration with the tip.
-        plan: The plan.
 
     Returns:
         A sentence for each site that is nearer than two tip radii to one before it, by its key.

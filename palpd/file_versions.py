@@ -24,7 +24,6 @@ def newer(version: int, newest: int, what: str) -> str | None:
     """Say that something is newer than this palpd.
 
     Args:
-        version: Its version.
         newest: The newest version that this palpd reads.
         what: What it is, such as "the file".
 
@@ -40,7 +39,6 @@ def renamed_keys(kind: Kind, content: object, at: Location = ()) -> list[tuple[L
     """Find the keys of a file that have another name today.
 
     Args:
-        kind: Kind of the file.
         content: What it holds.
         at: Where that stands in the file.
 
@@ -66,7 +64,6 @@ def refuse_renamed(kind: Kind, document: Document) -> None:
     """Refuse a file with a key that has another name today, and name the command that rewrites it.
 
     Args:
-        kind: Kind of the file.
         document: What it holds, and the lines of its keys.
 
     Raises:

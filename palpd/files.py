@@ -148,9 +148,6 @@ def opened(path: Path, *, most_bytes: int = MOST_TABLE_BYTES, error: type[PalpdE
         most_bytes: Largest size in bytes.
         error: Class of the refusal.
 
-    Yields:
-        The bytes of the file.
-
     Raises:
         PalpdError: Of the class `error`, where the file is absent, no regular file, too large or not readable.
     """
@@ -175,9 +172,6 @@ def opened_text(path: Path, *, error: type[PalpdError] = BadInput) -> Iterator[I
     Args:
         path: File to read.
         error: Class of the refusal.
-
-    Yields:
-        The text of the file.
 
     Raises:
         PalpdError: Of the class `error`, as `opened` does, and where the bytes are not UTF-8.
@@ -301,9 +295,6 @@ def read_json(path: Path, *, most_bytes: int = MOST_JSON_BYTES, error: type[Palp
         most_bytes: Largest size in bytes.
         error: Class of the refusal.
 
-    Returns:
-        Its content.
-
     Raises:
         PalpdError: Of the class `error`, as `read_text` does, and where the text is not what `parse_json` accepts.
     """
@@ -317,9 +308,6 @@ def parse_json(text: str, name: str, *, error: type[PalpdError] = BadInput) -> A
         text: One JSON value.
         name: What an error calls it.
         error: Class of the refusal.
-
-    Returns:
-        Its content.
 
     Raises:
         PalpdError: Of the class `error`, one sentence.
@@ -354,9 +342,6 @@ def refusal(error: "ValidationError", model: "type[BaseModel]", document: Docume
         model: Model that the document was validated against.
         document: Names the file and the lines of its keys.
         hints: Questions to ask about a number out of range, by the end of the key that it belongs to.
-
-    Returns:
-        The sentence.
     """
     first = error.errors(include_url=False)[0]
     return f"{document.place(first['loc'])}: {_complaint(first, model, hints)}"
@@ -632,7 +617,6 @@ def write_bytes(path: Path, content: bytes, *, own: bool = False) -> None:
 
     Args:
         path: File to write.
-        content: Its bytes.
         own: Whether it is palpd's by its place, as for `writing`.
 
     Raises:
@@ -661,7 +645,6 @@ def write_text(path: Path, text: str, *, own: bool = False) -> None:
 
     Args:
         path: File to write.
-        text: Its text.
         own: Whether it is palpd's by its place, as for `writing`.
 
     Raises:
@@ -675,7 +658,6 @@ def write_yaml(path: Path, text: str) -> None:
 
     Args:
         path: File to write.
-        text: Its text.
 
     Raises:
         BadInput: As `writing` does.
@@ -756,9 +738,6 @@ class _StrictLoader(yaml.SafeLoader):
         Args:
             node: The mapping's node.
             deep: Whether what it holds is constructed at once.
-
-        Returns:
-            The mapping.
 
         Raises:
             yaml.MarkedYAMLError: Where a key stands twice or is no name.

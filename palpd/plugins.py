@@ -32,9 +32,6 @@ class Plugin(NamedTuple):
 
         Args:
             why: What is wrong with it.
-
-        Returns:
-            One sentence.
         """
         why = " ".join(why.split())
         return f"plug-in {self.name!r} of {self.group} cannot be used ({self.place}: {why}); repair or uninstall package {self.package}"

@@ -29,9 +29,6 @@ def pool(jobs: int) -> Iterator["ProcessPoolExecutor"]:
 
     Args:
         jobs: Number of processes.
-
-    Yields:
-        The pool.
     """
     # A signal during a fork would raise in the hooks of the fork, which swallow it, or in a worker that has the handler of the command.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
@@ -55,9 +52,6 @@ def started(jobs: int, *, method: Literal["fork", "spawn"], niceness: int = 0) -
         jobs: Number of processes.
         method: How they start; a process with threads, such as a server, must spawn.
         niceness: What is added to their niceness.
-
-    Returns:
-        The pool.
     """
     from concurrent.futures import ProcessPoolExecutor  # imported here: whoever starts a command alone needs none of it
     from multiprocessing import get_context
@@ -79,7 +73,6 @@ def beside(module: str, *arguments: str) -> list[str]:
 
     Args:
         module: Name of the module, which runs as its own program.
-        arguments: Its arguments.
 
     Returns:
         The command line.

@@ -1,4 +1,4 @@
-"""The docstring law: what a public function takes, returns and raises stands in its docstring, with units and shapes."""
+"""The docstring rule: shapes, the meaning of None and what is raised stand in a docstring, and nothing that name and type say already."""
 
 import ast
 import re
@@ -9,7 +9,30 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 ARRAYS = re.compile(r"\b(Floats|Ints|Bools|NDArray|ndarray)\b")
+MAY_BE_NONE = re.compile(r"\bNone\b")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
+Documented = Function | ast.ClassDef
+MEASURE = re.compile(r"\(|\d|None|null|`|%|\bin (?:m|s|N|Hz|Pa|kPa|mm|rad)\b")
+"""What makes an entry say more than its words: a shape, a number, a unit, the meaning of None, a name."""
+FILLERS = frozenset(
+    {
+        "a", "all", "an", "and", "are", "as", "by", "each", "for", "from", "in", "is",
+        "it", "its", "of", "one", "or", "that", "the", "their", "this", "to", "with", "content",
+        "figure", "file", "function", "given", "instance", "list", "made", "mapping", "name", "new", "number", "object",
+        "path", "result", "row", "same", "sentence", "sequence", "such", "text", "thing", "value", "what", "which",
+        "word",
+    }
+)  # fmt: skip
+"""Words that fit every entry (without a plural s)."""
+OTHER_WORDS = {
+    "c": ["constant"],
+    "config": ["configuration"],
+    "fit": ["hypothesi"],
+    "path": ["folder"],
+    "problem": ["recording"],
+    "whitening": ["noise"],
+}
+"""What names and types of the code are called in prose."""
 
 
 def public_functions(tree: ast.Module) -> Iterator[Function]:
@@ -63,37 +86,86 @@ def objections(function: Function) -> list[str]:
     array = any(argument.annotation is not None and ARRAYS.search(ast.unparse(argument.annotation)) for argument in taken)
     if (len(taken) < 2 and not array) or "command" in decorators(function) or "property" in decorators(function):
         return out
-    args = section(text, "Args")
-    if args is None:
-        out.append("has no Args section")
-    else:
-        described = set(re.findall(r"^\s+\*{0,2}(\w+)(?: \(.*?\))?:", args, re.MULTILINE))
-        out += [f"Args lacks `{argument.arg}`" for argument in taken if argument.arg not in described and not argument.arg.startswith("_")]
+    described = set(re.findall(r"^\s+\*{0,2}(\w+)(?: \(.*?\))?:", section(text, "Args") or "", re.MULTILINE))
+    out += [
+        f"Args lacks `{argument.arg}`, an array or perhaps None"
+        for argument in taken
+        if argument.annotation is not None and needs_entry(ast.unparse(argument.annotation))
+        if argument.arg not in described and not argument.arg.startswith("_")
+    ]
     returned = ast.unparse(function.returns) if function.returns else "None"
-    if returned not in {"None", "NoReturn"} and section(text, "Returns") is None and section(text, "Yields") is None:
+    if returned != "None" and needs_entry(returned) and section(text, "Returns") is None and section(text, "Yields") is None:
         out.append("has no Returns section")
     if raises(function) and section(text, "Raises") is None:
         out.append("has no Raises section")
     return out
 
 
+def needs_entry(annotation: str) -> bool:
+    """Whether a type leaves a question open: the shape of an array, or what None means."""
+    return bool(ARRAYS.search(annotation) or MAY_BE_NONE.search(annotation))
+
+
+def words_of(text: str) -> set[str]:
+    """The words of a name or a text, in small letters and without a plural s."""
+    apart = re.sub(r"([a-z])([A-Z])", r"\1 \2", text).replace("_", " ")
+    return {word[:-1] if word.endswith("s") and not word.endswith("ss") else word for word in re.findall("[a-z]+", apart.lower())}
+
+
+def says_nothing(name: str, annotation: str, text: str) -> bool:
+    """Whether an entry only repeats the name and the type of what it describes."""
+    if MEASURE.search(text) or needs_entry(annotation):
+        return False
+    known = words_of(name) | words_of(annotation)
+    return words_of(text) <= known | FILLERS | {other for word in known for other in OTHER_WORDS.get(word, [])}
+
+
+def entries(node: Documented) -> Iterator[tuple[str, str, str]]:
+    """Name, type and text of each entry under Args and Attributes, and of what is returned under the function's own name."""
+    text = ast.get_docstring(node) or ""
+    if isinstance(node, ast.ClassDef):
+        types = {
+            each.target.id: ast.unparse(each.annotation)
+            for each in node.body
+            if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name)
+        }
+    else:
+        types = {each.arg: ast.unparse(each.annotation) if each.annotation else "" for each in arguments(node)}
+        if (returned := section(text, "Returns") or section(text, "Yields")) is not None:
+            yield node.name, ast.unparse(node.returns) if node.returns else "", returned
+    for title in ("Args", "Attributes"):
+        for entry in re.split(r"\n(?= {4}\S)", section(text, title) or ""):
+            if match := re.match(r"\s+\*{0,2}(\w+)(?: \(.*?\))?:(.*)", entry, re.DOTALL):
+                yield match[1], types.get(match[1], ""), match[2]
+
+
+def empty_entries(tree: ast.Module) -> Iterator[str]:
+    """One line an entry that says nothing."""
+    for node in ast.walk(tree):
+        if isinstance(node, Documented):
+            for name, annotation, text in entries(node):
+                if says_nothing(name, annotation, text):
+                    yield f"{node.name} says nothing by `{name}: {' '.join(text.split())}`; leave it out"
+
+
 def findings() -> list[str]:
-    """One line an objection: file, line, function, what is missing."""
-    return [
-        f"{path.relative_to(ROOT)}:{function.lineno}: {function.name} {objection}"
-        for folder in ("palpd", "hw")
-        for path in sorted((ROOT / folder).rglob("*.py"))
-        for function in public_functions(ast.parse(path.read_text(encoding="utf-8")))
-        for objection in objections(function)
-    ]
+    """One line an objection: file, line, function, what is wrong."""
+    out = []
+    for path in (path for folder in ("palpd", "hw") for path in sorted((ROOT / folder).rglob("*.py"))):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        out += [
+            f"{path.relative_to(ROOT)}:{each.lineno}: {each.name} {fault}" for each in public_functions(tree) for fault in objections(each)
+        ]
+        out += [f"{path.relative_to(ROOT)}: {fault}" for fault in empty_entries(tree)]
+    return out
 
 
-def test_every_public_function_says_what_it_takes_returns_and_raises() -> None:
+def test_docstrings_say_what_names_and_types_do_not() -> None:
     assert not findings(), "\n".join(findings())
 
 
 GOOD = '''
-def f(a_m: float, b: Floats) -> float:
+def f(a_m: float, b: Floats) -> Floats:
     """Say something.
 
     Args:
@@ -101,7 +173,7 @@ def f(a_m: float, b: Floats) -> float:
         b: Forces in N (n,).
 
     Returns:
-        A number.
+        Means in N (n,).
 
     Raises:
         ValueError: If not.
@@ -113,9 +185,9 @@ def f(a_m: float, b: Floats) -> float:
 @pytest.mark.parametrize(
     ("part", "objection"),
     [
-        ("    Args:\n        a_m: Height in m.\n        b: Forces in N (n,).\n", "has no Args section"),
-        ("        b: Forces in N (n,).\n", "Args lacks `b`"),
-        ("    Returns:\n        A number.\n", "has no Returns section"),
+        ("    Args:\n        a_m: Height in m.\n        b: Forces in N (n,).\n", "Args lacks `b`, an array or perhaps None"),
+        ("        b: Forces in N (n,).\n", "Args lacks `b`, an array or perhaps None"),
+        ("    Returns:\n        Means in N (n,).\n", "has no Returns section"),
         ("    Raises:\n        ValueError: If not.\n", "has no Raises section"),
     ],
 )
@@ -125,3 +197,22 @@ def test_the_check_sees_what_is_missing(part: str, objection: str) -> None:
 
     assert judged(GOOD) == []
     assert judged(GOOD.replace(part, "")) == [objection]
+
+
+@pytest.mark.parametrize(
+    ("name", "annotation", "text", "empty"),
+    [
+        ("cell", "CellFile", "The cell.", True),
+        ("problem", "Problem", "The recordings.", True),
+        ("read_force", "Wrench", "The wrench.", True),
+        ("cell", "CellFile", "Its modulus counts as not known.", False),
+        ("cell", "CellFile | None", "The cell.", False),
+        ("force_N", "float", "Largest force of the run.", False),
+        ("noise", "Whitening", "Noise of 1 s.", False),
+    ],
+)
+def test_an_entry_that_repeats_name_and_type_is_seen(name: str, annotation: str, text: str, empty: bool) -> None:
+    assert says_nothing(name, annotation, text) == empty
+    docstring = f'"""Say.\n\n    Args:\n        {name}: {text}\n        other_m: Way.\n    """'
+    sentence = f"def f({name}: {annotation}, other_m: float) -> None:\n    {docstring}\n"
+    assert len(list(empty_entries(ast.parse(sentence)))) == empty

@@ -199,7 +199,6 @@ class Controller:
         A script without command registers sleeps for as long as its `sleep` lines say, and ends. In local control scripts are ignored.
 
         Args:
-            script: text of the script.
             now_s: host time.
         """
         if not self.remote_control:

@@ -103,7 +103,6 @@ class NetBox:
         """Carry out a request; what is none is ignored.
 
         Args:
-            request: its bytes.
             client: address and port that it came from.
         """
         if len(request) != 8 or request[:2] != b"\x12\x34":

@@ -210,10 +210,6 @@ class Emulated:
     def ask(self, verb: str, **arguments: Any) -> dict[str, Any]:
         """Carry out a verb of the control channel.
 
-        Args:
-            verb: its name.
-            arguments: its arguments.
-
         Returns:
             The answer.
 

@@ -291,7 +291,6 @@ class Rig:
 
         Args:
             z_m: height of the wall.
-            stiffness_N_per_m: its stiffness.
         """
         self.cell.place_wall(z_m, stiffness_N_per_m)
         self._wall_z_m = z_m

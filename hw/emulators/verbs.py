@@ -29,9 +29,6 @@ def obey(rig: Rig, request: dict[str, Any], now_s: float, lateness_s: Sequence[f
         now_s: host time.
         lateness_s: lateness of the latest ticks, for `stats`.
 
-    Returns:
-        The answer.
-
     Raises:
         ValueError: the verb is unknown.
         KeyError: `do` is missing.

@@ -80,7 +80,6 @@ def read_curve(path: Path, mapping: Mapping) -> Curve:
     """Read a curve from a text file with a header row somewhere.
 
     Args:
-        path: Text file.
         mapping: Columns, units and directions of the curve.
 
     Returns:
@@ -158,7 +157,6 @@ def analyse_curve(
     """Young's modulus of a curve with its interval.
 
     Args:
-        curve: The curve.
         tip_radius_m: Radius of the spherical tip.
         poisson_ratio: Poisson's ratio of the tissue.
         machine_stiffness_N_per_m: Stiffness of the machine in series with the tissue, or None for rigid.

@@ -167,9 +167,6 @@ def star_note(misfits: Mapping[str, HertzMisfit | None]) -> str:
 
     Args:
         misfits: The misfit of each site.
-
-    Returns:
-        The note.
     """
     ranges = [f"{site} {m['low_Pa'] / 1e3:.1f} to {m['high_Pa'] / 1e3:.1f} kPa" for site, m in misfits.items() if m is not None]
     return f"{STAR_MEANS} ({', '.join(ranges)})" if ranges else ""

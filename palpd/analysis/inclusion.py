@@ -89,7 +89,6 @@ def find_inclusion(
         depth_m: Depths (n,) of the holds below the surface, in m.
         force_N: Forces (n,) of the holds, in N.
         surface_sigma_m: One sigma of the height of the surface.
-        force_sigma_N: One sigma of a force.
         classes_m: Depths of inclusions that are compared, in m.
         prior: Probability of an inclusion before the presses.
 

@@ -29,7 +29,6 @@ class KnownWeight:
     """What is known of the weight that hung on the sensor at the tare. Without a correction for two slopes it matters nothing.
 
     Attributes:
-        weight_N: The weight.
         force_sigma_N: One standard deviation that its tolerance leaves on a contact force above that weight.
     """
 
@@ -39,9 +38,6 @@ class KnownWeight:
     @classmethod
     def of(cls, header: RecordingHeader) -> "KnownWeight":
         """The weight by the cell of a recording, and the uncertainty of a force by the ratio of the sensor's two slopes.
-
-        Args:
-            header: Header of the recording.
 
         Returns:
             The weight; without uncertainty where the readings were not corrected for two slopes.
@@ -138,7 +134,6 @@ def approach_sigma_m(tip_z_m: Floats, force_N: Floats, tip_radius_m: float) -> f
     Args:
         tip_z_m: Heights (n,) of the tip on its way down.
         force_N: Forces (n,) at these heights.
-        tip_radius_m: Radius of the tip.
 
     Returns:
         The standard deviation in m; None where the approach cannot be fitted.

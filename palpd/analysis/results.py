@@ -219,7 +219,6 @@ def sites(rows: NDArray[np.void], header: RecordingHeader) -> list[SiteResult]:
 
     Args:
         rows: Ticks, with the fields of ROW of palpd.tick.
-        header: Header of the recording.
 
     Returns:
         One result per site, in the order of the plan.
@@ -237,7 +236,6 @@ def analysed(rows: NDArray[np.void], header: RecordingHeader) -> list[LoadingRes
 
     Args:
         rows: Ticks, with the fields of ROW of palpd.tick.
-        header: Header of the recording.
 
     Returns:
         One result per site, in the order of the plan.
@@ -254,9 +252,6 @@ def analysed_sites(recording: Recording, site: str | None = None) -> list[Loadin
     Args:
         recording: Recording of a palpation.
         site: Name of the only site to analyse, or None for all.
-
-    Returns:
-        One result a site.
 
     Raises:
         RecordingError: Where the recording has no such site.

@@ -111,7 +111,6 @@ class Survey:
 
         Args:
             place_m: Where it was, from the corner of the field.
-            modulus_Pa: Its modulus.
 
         Raises:
             BadInput: The place is outside the field, or the modulus is not above zero.
@@ -201,7 +200,6 @@ def search(
 
     Args:
         press: Presses at a place (x, y) in m and gives the modulus in Pa.
-        where: The field.
         most: Largest number of presses.
         survey: Presses made before; it also keeps the new ones if `press` raises.
         watch: Is called with every new map.
@@ -222,7 +220,6 @@ def raster(where: Field, step_m: float = 0.005) -> list[tuple[float, float]]:
     """Places of an even raster, row by row, to and fro.
 
     Args:
-        where: The field.
         step_m: Distance between neighbours.
 
     Returns:
@@ -236,11 +233,7 @@ def read_presses(path: Path, where: Field) -> Survey:
     """Read presses from a CSV file with the columns x_m, y_m and youngs_modulus_Pa.
 
     Args:
-        path: The file.
         where: The field that they belong to.
-
-    Returns:
-        The presses.
 
     Raises:
         BadInput: The file cannot be read, or a row is no press in the field.
@@ -272,7 +265,6 @@ def write_presses(path: Path, survey: Survey) -> None:
     """Write a CSV file that `read_presses` reads.
 
     Args:
-        path: The file.
         survey: The presses.
 
     Raises:
@@ -301,9 +293,6 @@ def figure_of(survey: Survey, stiffness: Map, truth: tuple[float, float, float] 
         survey: the presses.
         stiffness: the map that follows from them.
         truth: centre x, y and radius of an emulated inclusion in m, to be drawn too.
-
-    Returns:
-        The figure.
     """
     modulus_kPa = np.exp(stiffness.mean) * stiffness.background_Pa / 1e3
     depth_mm = survey.field_.depth_m * 1e3

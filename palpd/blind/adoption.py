@@ -49,9 +49,6 @@ def adopt_and_name(first: Samples, second: Samples, cell: CellFile, max_bins: in
         second: Another recording of the same cell, of another motion.
         cell: The cell as the simulator knows it.
         max_bins: Largest number of bins of each diagnosis, about.
-
-    Returns:
-        The outcome.
     """
     learning = diagnose([first], cell, max_bins=max_bins, propose=False)
     if learning.finding.learned is None:
@@ -70,9 +67,6 @@ def name_again(learned: Path, second: Samples, cell: CellFile, *, secondary: boo
         cell: The cell as the simulator knows it.
         secondary: Whether the law is only what a named listed cause leaves.
         max_bins: Largest number of bins of the diagnosis, about.
-
-    Returns:
-        The outcome.
     """
     with TemporaryDirectory() as folder:
         law = adopt(learned, Path(folder) / "library", None, cell).law
@@ -98,12 +92,8 @@ def recorded(noise_free: Samples, cell: CellFile, seed: int) -> Samples:
     """The recording that a cell makes of noise-free rows: stated noise, white, and stated rounding.
 
     Args:
-        noise_free: The rows.
         cell: The cell, which states both.
         seed: Seed of the noise.
-
-    Returns:
-        The recording.
     """
     r, robot, sensor = np.random.default_rng([seed, 19]), cell.robot, cell.sensor
     n = len(noise_free)

@@ -24,9 +24,6 @@ def load_ablations(paths: Sequence[Path], seed: int) -> list[CheckResult]:
         paths: JSON files of blind checks with --ablation.
         seed: Seed of the check of the whole method.
 
-    Returns:
-        The checks.
-
     Raises:
         BadInput: Where a check drew other cells, or nothing was taken away in it.
     """
@@ -47,10 +44,6 @@ def load_other_sources(paths: Sequence[Path], seed: int, sources: Sequence[Sourc
     Args:
         paths: JSON files of blind checks of the whole method.
         seed: Seed of the check whose page it is.
-        sources: Its sources.
-
-    Returns:
-        The checks.
 
     Raises:
         BadInput: Where a check has another seed, lacks a part of the method, or has a source that is on the page already.

@@ -168,7 +168,6 @@ def fit_strength(detectability: Detectability, law: Law, shape: Shape, snr: floa
 
     Args:
         detectability: The cell and motion that show the effect.
-        law: The law.
         shape: Its drawn shape.
         snr: Wanted signal-to-noise ratio.
 

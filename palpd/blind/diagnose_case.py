@@ -23,7 +23,6 @@ def diagnose_case(recording: Path, *, calibrated: bool = True) -> str | None:
     """Diagnose one case.
 
     Args:
-        recording: Its recording.
         calibrated: Whether probabilities are stated by the fitted map; the engine's own otherwise.
 
     Returns:

@@ -54,8 +54,6 @@ def measured(
     """Make the recording of a run: robot noise, sensor noise, the laws of the electronics, rounding.
 
     Args:
-        r: Random generator.
-        cell: The cell.
         run: The noise-free run on the fine grid.
         motion: The commanded motion.
         t_s: Times of the rows in s (m,).
@@ -85,7 +83,6 @@ def laws_of(kind: CaseKind, effect: str) -> list[Law]:
     """The laws that a kind of case may plant for an effect.
 
     Args:
-        kind: Kind of the case.
         effect: Id of the effect.
 
     Returns:
@@ -101,9 +98,6 @@ def draw_case(seed: int, spec: CaseSpec) -> SealedCase:
     Args:
         seed: Seed of the check.
         spec: What the case shall be: two effects for `two`, none for `healthy`; the stratum is a key of STRATA.
-
-    Returns:
-        The case.
 
     Raises:
         CannotDraw: No cell shows the effects in this stratum.
@@ -130,13 +124,8 @@ def plant(r: np.random.Generator, detectability: Detectability, law: Law, snrs: 
     """Draw a law's shape and scale it to a drawn signal-to-noise ratio.
 
     Args:
-        r: Random generator.
         detectability: The cell and motion.
-        law: The law.
         snrs: Range of the ratio.
-
-    Returns:
-        The fitted law.
 
     Raises:
         CannotDraw: This cell does not show the law at that size.
@@ -263,9 +252,6 @@ def by_channel(values: Floats) -> dict[str, float]:
 
     Args:
         values: Values (7,), as in CHANNELS.
-
-    Returns:
-        One value a channel.
     """
     return dict(zip(CHANNELS, values.tolist(), strict=True))
 

@@ -240,7 +240,6 @@ def log_uniform(r: np.random.Generator, low: float, high: float) -> float:
     """Draw from a distribution that is uniform in the logarithm.
 
     Args:
-        r: Random generator.
         low: Lower bound, above zero.
         high: Upper bound.
 
@@ -329,7 +328,6 @@ def with_coarse_steps(cell: CellRealisation, over_noise: tuple[float, float, flo
     """Give a cell coarse steps.
 
     Args:
-        cell: The cell.
         over_noise: Steps as in a `CaseSpec`.
 
     Returns:
@@ -348,11 +346,7 @@ def draw_motion(r: np.random.Generator, cell: CellRealisation) -> DrawnMotion:
     """Draw free strokes and presses in a random order, each with its own depth, speeds, acceleration, hold and rest.
 
     Args:
-        r: Random generator.
         cell: The cell, whose noise, tip and tissue set the depths.
-
-    Returns:
-        The motion.
     """
     deepest = (log_uniform(r, 60.0, 200.0) * cell.noise_N / cell.hertz_N_per_m15) ** (2.0 / 3.0)
     deepest = float(np.clip(deepest, 0.25 * cell.tip_radius_m, 1.5 * cell.tip_radius_m))
@@ -393,7 +387,6 @@ def draw_deviations(r: np.random.Generator, motion: DrawnMotion) -> Deviations:
     """Draw a cell within its specification.
 
     Args:
-        r: Random generator.
         motion: The motion, whose presses scatter.
 
     Returns:

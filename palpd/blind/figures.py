@@ -126,13 +126,9 @@ def write_page(check: CheckResult, folder: Path, ablations: Sequence[CheckResult
     """Write blind.md and its figures into a folder.
 
     Args:
-        check: the result of the check.
         folder: where the page and the figures go; it is created.
         ablations: results of checks with a part of the method taken away, to be compared.
         others: results of checks of other sources with the same seed, for the same page.
-
-    Returns:
-        The path of the page.
     """
     folder.mkdir(parents=True, exist_ok=True)
     result = together([check, *others])

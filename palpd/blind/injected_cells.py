@@ -113,9 +113,6 @@ def load_hosts(folder: Path, causes: Path | None) -> list[Host]:
         folder: It holds X.csv and X.yaml.
         causes: The file of causes; None: `causes.yaml` in the folder.
 
-    Returns:
-        The hosts.
-
     Raises:
         BadInput: There is none.
     """
@@ -135,9 +132,6 @@ def simulated_host(seed: int, index: int) -> Host:
     Args:
         seed: Seed of the check.
         index: Number of the host.
-
-    Returns:
-        The host.
     """
     from palpd.blind.mujoco_cells import draw_healthy
 
@@ -152,7 +146,6 @@ def coarsened(host: Host, over_noise: tuple[float, float, float]) -> Host:
     A step is a whole multiple of the recording's own, and that itself where it is coarser: no reading is rounded to another lattice.
 
     Args:
-        host: The host.
         over_noise: Steps as in a `CaseSpec`. The noise is that of the cell file; where it states none, that of the recording.
 
     Returns:
@@ -190,9 +183,6 @@ def draw_injected(spec: CaseSpec, seed: int, hosts: Sequence[Host]) -> SealedCas
         spec: What the case shall be.
         seed: Seed of the check.
         hosts: Hosts to choose from; none: MuJoCo simulates them.
-
-    Returns:
-        The case.
 
     Raises:
         CannotDraw: No host shows the effects.
@@ -306,11 +296,7 @@ def rounded(samples: Samples, cell: CellRealisation) -> Samples:
     """The recording in the steps of its cell.
 
     Args:
-        samples: The recording.
         cell: Gives the steps; 0 is no step.
-
-    Returns:
-        The recording.
     """
     wrench = samples.wrench.copy()
     for column, step in enumerate([cell.step_fxy_N] * 2 + [cell.step_fz_N] + [cell.step_Nm] * 3):
@@ -326,8 +312,5 @@ def hosts_in(folder: Path | None, causes: Path | None) -> tuple[Host, ...]:
     Args:
         folder: It holds X.csv and X.yaml; None: there are no hosts.
         causes: The file of causes; None: `causes.yaml` in the folder.
-
-    Returns:
-        The hosts.
     """
     return () if folder is None else tuple(load_hosts(folder, causes))

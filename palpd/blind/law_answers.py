@@ -102,9 +102,6 @@ def law_outcome(truth: Truth, diagnosis: Mapping[str, Any], learned_file: Path, 
         learned_file: The file of the learned law.
         enriched: The enriched cell.
         change_file: What the planted effect changes, as `write_true_change` wrote it.
-
-    Returns:
-        The outcome.
     """
     outcome, statement, learned = without_a_law(truth), _statement(truth), diagnosis["learned"]
     outcome["events"] = bool(diagnosis["events"])

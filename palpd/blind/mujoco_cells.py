@@ -64,9 +64,6 @@ def draw_mujoco(spec: CaseSpec, seed: int) -> SealedCase:
         spec: What the case shall be; its stratum is not used, the ratios are log-uniform over `SNR_RANGE`.
         seed: Seed of the check.
 
-    Returns:
-        The case.
-
     Raises:
         CannotDraw: No cell shows the effects.
     """

@@ -51,7 +51,6 @@ def plan(source: Source, cases: int, seed: int, hosts: int = 0) -> list[CaseSpec
 
     Args:
         source: Where the cases come from.
-        cases: Number of cases.
         seed: Seed of the order of the effects.
         hosts: Number of real recordings that effects are planted into; each comes once as it is, before all others. 0: none.
 
@@ -88,7 +87,6 @@ def plan_large(cases: int, seed: int) -> list[CaseSpec]:
     """Further drawn cells with one effect of SNR > 20, the law of the contract, and no indistinguishable effect.
 
     Args:
-        cases: Number of cases.
         seed: Seed of the order of the effects.
 
     Returns:
@@ -108,7 +106,6 @@ def plan_unlisted(source: Source, cases: int, seed: int) -> list[CaseSpec]:
 
     Args:
         source: Where the cases come from.
-        cases: Number of cases.
         seed: Seed of the order of the effects.
 
     Returns:
@@ -132,7 +129,6 @@ def plan_coarse(source: Source, cases: int, seed: int) -> list[CaseSpec]:
 
     Args:
         source: Where the cases come from.
-        cases: Number of cases.
         seed: Seed of the steps and of the order of the effects.
 
     Returns:

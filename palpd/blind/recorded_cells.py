@@ -28,7 +28,6 @@ def cell_of(content: Mapping[str, Any], samples: Samples) -> CellRealisation:
 
     Args:
         content: The keys of cell.yaml.
-        samples: The recording.
 
     Returns:
         The cell. Channels that do not change in the recording count as not recorded.

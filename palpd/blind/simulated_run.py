@@ -23,7 +23,6 @@ def simulate(
     """Simulate a noise-free run of the cell on a fine grid.
 
     Args:
-        cell: Numbers of the cell.
         deviations: Where the cell lies within its tolerances.
         motion: Commanded motion.
         planted: Laws with their parameters.
@@ -125,7 +124,6 @@ def rows(w: SimulatedRun, t_s: Floats, planted: Sequence[Planted] = (), random: 
     """The noise-free rows of a run: height, then the wrench with the sensor's delay and clock skew.
 
     Args:
-        w: The run.
         t_s: Times of the rows in s (m,).
         planted: Laws with their parameters; those at the stage `row` are applied here.
         random: Generator for such laws.

@@ -28,9 +28,6 @@ def sources_named(name: str, hosts: Hosts) -> tuple[Source, ...]:
         name: One source, several with commas between them, or `all`.
         hosts: Where the injected cases find their recordings.
 
-    Returns:
-        The sources.
-
     Raises:
         BadInput: There is no such source, or it needs MuJoCo, which is not installed.
     """
@@ -57,9 +54,6 @@ def draw(spec: CaseSpec, seed: int, hosts: Hosts) -> SealedCase:
         spec: What the case shall be.
         seed: Seed of the check.
         hosts: Where the injected cases find their recordings.
-
-    Returns:
-        The case.
 
     Raises:
         CannotDraw: No cell shows the effects at any SNR.

@@ -76,15 +76,10 @@ def names(
     """Right names of a law: every factor with every quantity.
 
     Args:
-        channel: The channel.
-        factors: Factors.
         quantities: Quantities of the driver.
         memory: Memory of the driver.
         constant: Constant of the memory, in SI units; None: any.
         period: Period of the curve, in the unit of the driver.
-
-    Returns:
-        The names.
     """
     each = product(factors, quantities)
     return [LawName(channel=channel, factor=f, quantity=q, memory=memory, constant=constant, period=period) for f, q in each]

@@ -378,9 +378,6 @@ def cell_from(content: object, where: str, library: Mapping[str, Effect] = EFFEC
         where: What an error calls them.
         library: Effects that the cell may have, by id.
 
-    Returns:
-        The cell.
-
     Raises:
         ConfigError: Where the data is no cell, one sentence that names the key.
     """
@@ -393,9 +390,6 @@ def load_cell(path: str | Path, library: Mapping[str, Effect] = EFFECTS) -> Cell
     Args:
         path: File to read.
         library: Effects that the cell may have, by id.
-
-    Returns:
-        The cell.
 
     Raises:
         ConfigError: Where the file is absent, empty or no cell, one sentence that names line and key.
@@ -412,9 +406,6 @@ def parse_cell(values: object, where: str, library: Mapping[str, Effect] = EFFEC
         values: Keys and values of cell.yaml.
         where: What an error calls them.
         library: Effects that the cell may have, by id.
-
-    Returns:
-        The cell.
 
     Raises:
         ConfigError: Where the data is no cell, one sentence.

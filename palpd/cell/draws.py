@@ -41,7 +41,6 @@ def drawn_cell(cell: CellFile, hypothesis: OpenHypothesis, rng: np.random.Genera
     """Draw a cell from one hypothesis.
 
     Args:
-        cell: The cell.
         hypothesis: What it may be.
         rng: Source of the draws.
 

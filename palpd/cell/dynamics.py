@@ -336,7 +336,6 @@ def mounted(a: Floats, dt_s: Column, frequency_Hz: float, damping_ratio: float, 
         a: Accelerations (n,) of the base.
         dt_s: Step before each sample in s, one number or (n,).
         frequency_Hz: Undamped natural frequency.
-        damping_ratio: Damping ratio ζ.
         memory: State that is carried from one stretch of samples to the next.
 
     Returns:

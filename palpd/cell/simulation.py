@@ -56,7 +56,6 @@ def physics(cell: CellFile, place: Place | None = None, library: Library = EFFEC
     """The physics of a cell file, at one of its sites.
 
     Args:
-        cell: The cell.
         place: A site of the cell, or None for the cell's own tissue.
         library: Effects by id.
         begun: False leaves out what counts from the first row of a recording.
@@ -311,7 +310,6 @@ def place_named(cell: CellFile, site: str | None) -> Place | None:
     """A site of a cell by its name.
 
     Args:
-        cell: The cell.
         site: Name of one of its sites, or None for the cell's own tissue.
 
     Returns:
@@ -341,7 +339,6 @@ def commanded_motion(
     """How the tip follows commanded heights, starting at rest at the first.
 
     Args:
-        cell: The cell.
         t_s: Times (n,) in s.
         z_cmd_m: Commanded heights (n,) in m.
         library: Effects by id.
@@ -375,7 +372,6 @@ def predict_motion(
     """Heights that the robot will report for commanded heights.
 
     Args:
-        cell: The cell.
         t_s: Times (n,) in s.
         z_cmd_m: Commanded heights (n,) in m.
         library: Effects by id.
@@ -408,9 +404,6 @@ class MeanReading:
 
         Args:
             more: What to add by axis.
-
-        Returns:
-            A new reading.
         """
         return replace(self, own=self.own | {axis: self.own.get(axis, 0.0) + values for axis, values in more.items()})
 
@@ -442,13 +435,9 @@ def mean_reading(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, 
     """Mean wrench that the sensor will read during a motion: noise-free, not rounded to the stated steps.
 
     Args:
-        cell: The cell.
         motion: Motion of the tip, n samples.
         library: Effects by id.
         site: Name of a site of the cell, or None for the cell's own tissue.
-
-    Returns:
-        The reading.
     """
     what = physics(cell, place_named(cell, site), library)
     s = _span(what.constants, motion)
@@ -475,7 +464,6 @@ def wrench_of(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, sit
     """Mean wrench that the sensor will read during a motion: noise-free, not rounded to the stated steps.
 
     Args:
-        cell: The cell.
         motion: Motion of the tip, n samples.
         library: Effects by id.
         site: Name of a site of the cell, or None for the cell's own tissue.
@@ -502,7 +490,6 @@ def predict_wrench(
     """Mean wrench during a motion that the robot reported.
 
     Args:
-        cell: The cell.
         t_s: Times (n,) in s.
         z_m: Reported heights (n,) in m.
         vz_m_per_s: Reported speeds (n,), or None to take them from the heights.
@@ -531,7 +518,6 @@ def simulate(
     """The columns of a recording of this cell.
 
     Args:
-        cell: The cell.
         t_s: Times (n,) in s.
         z_cmd_m: Commanded heights (n,) in m; they drive the cell where no heights are given.
         z_m: Reported heights (n,) in m, or None to simulate them.
@@ -574,7 +560,6 @@ def capture(cell: CellFile, library: Library, site: Site, run: Callable[[CellFil
     """The samples of a simulation at one stage.
 
     Args:
-        cell: The cell.
         library: Its effects.
         site: The stage.
         run: Simulates a cell with a library.
@@ -604,7 +589,6 @@ def share_outside(
     """How far a simulation leaves what learned effects know: there their curves are held.
 
     Args:
-        cell: The cell.
         t_s: Times (n,) in s.
         z_cmd_m: Commanded heights (n,) in m.
         z_m: Reported heights (n,) in m, or None to simulate them.
@@ -631,7 +615,6 @@ def true_surface_m(cell: CellFile, site: str | None = None, library: Library = E
     """Height of the untouched surface (or wall) of a site: the stated one with deviations and effects.
 
     Args:
-        cell: The cell.
         site: Name of a site of the cell, or None for the cell's own tissue.
         library: Effects by id.
 
@@ -646,7 +629,6 @@ def equilibrium_force_N(cell: CellFile, depth_m: float, site: str | None = None,
     """Noise-free contact force of a first press after a long hold.
 
     Args:
-        cell: The cell.
         depth_m: Depth below the true surface.
         site: Name of a site of the cell, or None for the cell's own tissue.
         library: Effects by id.
@@ -667,7 +649,6 @@ def scale_of(cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats, fz_N:
     """The scale of a recording; bounds and starting values of effects are multiples of it.
 
     Args:
-        cell: The cell.
         t_s: Times (n,) in s.
         z_m: Heights (n,) in m.
         vz_m_per_s: Vertical speeds (n,).
@@ -771,7 +752,6 @@ class SteppedCell:
 
         Args:
             z_m: Height of the wall.
-            stiffness_N_per_m: Its stiffness.
         """
         self._cell = self._cell.model_copy(update={"wall": Wall(z_m=z_m, stiffness_N_per_m=stiffness_N_per_m)})
         self._build()
@@ -839,7 +819,6 @@ class MovedCell:
         """A cell at rest.
 
         Args:
-            what: Its physics.
             reporting: How it reports.
             noise_seed: Seed of noise and rounding; neither without one.
         """

@@ -118,9 +118,6 @@ def watch(config: Path, socket: Path | None) -> None:
 def status_lines(answer: "ControlAnswer") -> list[str]:
     """Say for people what the daemon answers to `status`.
 
-    Args:
-        answer: The answer.
-
     Returns:
         Lines: what it does now and what is sensible next, the latch, the last check of the devices, the last job.
     """
@@ -186,9 +183,6 @@ def probe_lines(probe: "KnownProbe | None", place: "KnownPlace | None") -> list[
 
 def job_line(job: "JobSummary") -> str:
     """Say in one line what a job is and how far it is.
-
-    Args:
-        job: The job.
 
     Returns:
         Id, state, runs, and the activity or the reason.

@@ -83,7 +83,6 @@ def info_lines(recording: "Recording", facts: "RunFacts", remarks: "Remarks") ->
     """What `palpd info` prints before the table of moduli, and behind it.
 
     Args:
-        recording: The recording.
         facts: What it says.
         remarks: Tags and notes.
 
@@ -120,10 +119,6 @@ def modulus_trend_table(points: "Sequence[ModulusPoint]", site: str) -> Table:
 
     Args:
         points: Oldest first.
-        site: Its name.
-
-    Returns:
-        The table.
     """
     table = _table(f"Site {printable(site)} over the days, kPa ± 95 %", "began", "run", "static", "dynamic", "corrected")
     for point in points:

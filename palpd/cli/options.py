@@ -99,9 +99,6 @@ def stated_address(option: typer.CallbackParam, address: str) -> str:
         option: The option that states it.
         address: What it states.
 
-    Returns:
-        The address.
-
     Raises:
         BadInput: It is empty.
     """

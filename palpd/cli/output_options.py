@@ -166,7 +166,6 @@ def refuse_left_out(
     """Refuse options that would not count.
 
     Args:
-        command: The command.
         values: Values of its parameters.
         names: Parameters that would not count.
         why: Why they would not.

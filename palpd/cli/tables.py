@@ -79,9 +79,6 @@ def diagnosis_lines(content: dict[str, Any]) -> list[str]:
 
     Args:
         content: The diagnosis as its JSON has it.
-
-    Returns:
-        The lines.
     """
     decisive, plain = content["decisive"], content["plain"]
     lines = [*(f"Doubtful: {note}" for note in decisive), plain["answer"]]
@@ -106,11 +103,7 @@ def adopted_table(laws: "Mapping[str, LearnedEffect]", folder: Path) -> Table:
     """The adopted effects of a user: what each does, over which range it was learned, and what imitates it.
 
     Args:
-        laws: The laws by name.
         folder: The folder that they stand in.
-
-    Returns:
-        The table.
     """
     from palpd.cell.effects.drivers import UNITS
 

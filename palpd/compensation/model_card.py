@@ -88,9 +88,6 @@ def notes_of(card: dict[str, Any], samples: Samples) -> list[str]:
     Args:
         card: Fields of a card.
         samples: One of the recordings, for the count of its force.
-
-    Returns:
-        The sentences.
     """
     bias_N, inertial_N = abs(card["bias_N"]), card["inertial_rms_N"]
     share = bias_N / (bias_N + inertial_N) if bias_N + inertial_N > 0 else 0.0
@@ -139,7 +136,6 @@ def write_model(out: Path, content: bytes, card: ModelCard) -> None:
     Args:
         out: File of the model.
         content: The model as ONNX.
-        card: Its card.
 
     Raises:
         BadInput: A file cannot be written.

@@ -25,7 +25,6 @@ def refuse_clipping(number: int, samples: Samples) -> None:
 
     Args:
         number: Number of the recording, from 1.
-        samples: The recording.
 
     Raises:
         RecordingError: A force stands at its largest or smallest value too often.
@@ -46,7 +45,6 @@ def refuse_contact(number: int, samples: Samples, probe_mass_kg: float) -> None:
 
     Args:
         number: Number of the recording, from 1.
-        samples: The recording.
         probe_mass_kg: Mass of the probe, for the inertia.
 
     Raises:
@@ -99,7 +97,6 @@ def refuse_other_probe(recording: Recording, mass_kg: float) -> None:
     """Refuse a recording with a probe of another mass, if its header holds the mass.
 
     Args:
-        recording: The recording.
         mass_kg: Expected mass of the probe.
 
     Raises:

@@ -82,14 +82,9 @@ def train(
     Args:
         recordings: Recordings of one free motion, with this probe.
         out: File of the model; the card goes beside it.
-        probe_mass_kg: Mass of the probe.
         sensor_serial: Serial number of the sensor, if known.
         sensor_delay_s: Delay with which the sensor's filter shows a force.
-        method: One of METHODS.
         accept_implausible: Whether a moving mass counts that is not the probe's.
-
-    Returns:
-        The card.
 
     Raises:
         RecordingError: A recording contains contact, clips, is dead, differs in motion from the others, or moves too little.

@@ -104,9 +104,6 @@ class InertialModel:
             probe_mass_kg: mass of this cell's probe.
             sensor_serial: serial number of the connected sensor, if known.
 
-        Returns:
-            The model.
-
         Raises:
             ModelRefused: model and card do not belong together, or not to this probe and sensor.
         """
@@ -121,11 +118,7 @@ class InertialModel:
 
         Args:
             content: the ONNX file.
-            card: its card.
             name: what errors call the model.
-
-        Returns:
-            The model.
 
         Raises:
             ModelRefused: model and card do not belong together.

@@ -165,9 +165,6 @@ def probe_state(record: ProbeRecord, evidence: ProbeEvidence) -> ProbeAnswer:
     Args:
         record: What is known from before.
         evidence: What the devices say now.
-
-    Returns:
-        The answer.
     """
     if evidence.fault:
         return ProbeAnswer(ProbeState.UNKNOWN, (evidence.fault,), frozenset())

@@ -224,9 +224,6 @@ class Script(ABC):
             vx_m_per_s: speed along the base's x.
             vy_m_per_s: speed along the base's y.
             vz_m_per_s: speed along the base's z, up.
-
-        Returns:
-            The steps.
         """
         self.observation = yield Proposal(Command((vx_m_per_s, vy_m_per_s, vz_m_per_s)), self.progress)
         if self.pause_asked and self.on_pause == OnPause.BEGIN_AGAIN:
@@ -329,9 +326,6 @@ class Script(ABC):
             x_m: goal in base axes.
             y_m: goal in base axes.
             phase: what the record calls it.
-
-        Returns:
-            The steps.
         """
         self.note(phase=phase, mode=Mode.NONE, floor_z_m=self.observation.robot.target_pose[2])
         while True:
@@ -349,9 +343,6 @@ class Script(ABC):
         Args:
             z_m: height of the goal.
             speed_m_per_s: speed of the way.
-
-        Returns:
-            The steps.
         """
         while abs(z_m - self.observation.robot.target_pose[2]) > REACHED_M:
             yield from self.move(vz_m_per_s=self._towards(z_m, speed_m_per_s))
@@ -440,9 +431,6 @@ class Palpation(Script):
 
         Args:
             start_m: where it began.
-
-        Returns:
-            The steps.
         """
         self.note(phase=Phase.RETURN)
         yield from self.go_to(max(self.top_z_m, self.home[2]), self.arm.max_speed_m_per_s)
@@ -533,9 +521,6 @@ class Palpation(Script):
         Args:
             surface_z_m: height of the surface.
             depth_m: depth below it.
-
-        Returns:
-            The steps.
         """
         yield from self.prepare(Mode.STATIC, depth_m)
         yield from self.press(surface_z_m, depth_m, settle=True)
@@ -552,9 +537,6 @@ class Palpation(Script):
         Args:
             surface_z_m: height of the surface.
             depth_m: depth below it.
-
-        Returns:
-            The steps.
         """
         yield from self.prepare(Mode.DYNAMIC, depth_m)
         yield from self.press(surface_z_m, depth_m, settle=False)
@@ -566,9 +548,6 @@ class Palpation(Script):
         Args:
             mode: kind of the press.
             depth_m: its depth below the surface.
-
-        Returns:
-            The steps.
         """
         self.note(phase=Phase.BASELINE, mode=mode, depth_m=depth_m, cut_short=False)
         yield from self.wait(BASELINE_S)
@@ -580,9 +559,6 @@ class Palpation(Script):
             surface_z_m: height of the surface.
             depth_m: depth below it.
             settle: wait there for a stable force.
-
-        Returns:
-            The steps.
         """
         goal_z_m = surface_z_m - depth_m
         give_m = self.arm.contact_limit_N / self.arm.machine_stiffness_N_per_m
@@ -645,9 +621,6 @@ class Palpation(Script):
         Args:
             surface_z_m: height of the surface.
             speed_m_per_s: speed of the way.
-
-        Returns:
-            The steps.
         """
         self.note(phase=Phase.RETRACT)
         self.on_pause = OnPause.FINISH
@@ -808,9 +781,6 @@ class RigidPress(Script):
         Args:
             touched_z_m: height at which the plate was met.
             lowest_m: height at which it counts as not rigid.
-
-        Returns:
-            The steps.
 
         Raises:
             SurfaceNotFound: the plate gave way.

@@ -65,9 +65,6 @@ class MarkedRun:
             rows: The last ticks, at least `END_S` of them; none where the run died before its first.
             level: Whether the run ended on a way up over which the force stayed level.
             came_to_rest: Whether the loop itself brought the arm to rest; false where its process died.
-
-        Returns:
-            The answer.
         """
         if not len(rows):
             return ProbeAnswer(ProbeState.UNKNOWN, ("the run sent no tick",), frozenset())

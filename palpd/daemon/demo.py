@@ -218,7 +218,6 @@ def true_modulus_Pa(cell: CellFile, site: str, plan: Plan) -> float:
 
     Args:
         cell: The emulated cell.
-        site: Name of the site.
         plan: The plan, for its depths.
 
     Returns:
@@ -267,7 +266,6 @@ def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, model: str =
     The phantom's hardest site takes 13 N at 8 mm and 20.5 N at 10 mm. The limits are set above that.
 
     Args:
-        cell: The cell.
         folder: Folder for the cell file, the recordings and the stored state.
         plan: The plan that the limits have to allow.
         model: ur5 or ur5e.

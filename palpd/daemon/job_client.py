@@ -42,7 +42,6 @@ def carried_out_by_service(
     Args:
         path: The control socket.
         name: Name of the program.
-        arguments: Its arguments.
         display: Shows the log and the progress of each run.
         agree: Asks whoever sits at the terminal.
 
@@ -75,7 +74,6 @@ def awaited(path: Path, job_id: str, display: Display) -> ControlAnswer:
 
     Args:
         path: The control socket.
-        job_id: The job.
         display: Shows the progress.
 
     Returns:

@@ -98,9 +98,6 @@ class Jobs:
             values: Its arguments, as a request holds them.
             by: Who asked for it, for people.
 
-        Returns:
-            The record of the job.
-
         Raises:
             BadInput: The arguments are wrong.
             Refused: This machine starts no process.
@@ -135,7 +132,6 @@ class Jobs:
         """Pass on the operator's answer to a proposed motion.
 
         Args:
-            job_id: The job.
             number: Number of the proposal, so that no answer counts for a later motion.
             agree: Whether it may be carried out.
 

@@ -223,11 +223,7 @@ def limits_of(config: Config, muted: bool = False) -> Limits:
     """The guard's limits of a configuration.
 
     Args:
-        config: The configuration.
         muted: Whether the robot is only read, so that no program needs to run on its controller.
-
-    Returns:
-        The limits.
     """
     safety = config.safety
     return Limits(

@@ -53,7 +53,6 @@ def delays(config: Config, speed_m_per_s: float) -> tuple[Delay, ...]:
     """Every delay between the force at the tip and the tip at rest.
 
     Args:
-        config: The configuration.
         speed_m_per_s: Speed of the press, for the time of braking.
 
     Returns:
@@ -76,7 +75,6 @@ def overshoot_N(config: Config, speed_m_per_s: float, stiffness_N_per_m: float) 
     """Force beyond the limit at which the daemon reacts, against a linear wall: k v times all delays, three sigmas of noise, one count.
 
     Args:
-        config: The configuration.
         speed_m_per_s: Speed of the press.
         stiffness_N_per_m: Stiffness of the wall.
 

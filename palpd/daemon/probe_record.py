@@ -13,11 +13,7 @@ def identity_of(config: Config, about: RunAbout | None = None) -> ProbeIdentity:
     """Sensor, probe and TCP as the configuration and the opened devices tell.
 
     Args:
-        config: The configuration.
         about: What the opened devices say of themselves.
-
-    Returns:
-        The identity.
     """
     probe = config.cell.probe
     return ProbeIdentity(
@@ -29,11 +25,7 @@ def probe_record(config: Config, state: State) -> ProbeRecord:
     """What is known of the probe before a run.
 
     Args:
-        config: The configuration.
         state: The state folder.
-
-    Returns:
-        The record.
 
     Raises:
         ConfigError: A file of the state folder is damaged.
@@ -52,14 +44,10 @@ def evidence_of(config: Config, about: RunAbout, pose: tuple[float, ...], wrench
     """What the devices say of the probe.
 
     Args:
-        config: The configuration.
         about: What the opened devices say of themselves.
         pose: Pose (6,) of the tip.
         wrench: Mean raw wrench (6,) in the sensor's axes.
         fault: Why the data cannot be used; empty where they can.
-
-    Returns:
-        The evidence.
     """
     return ProbeEvidence(pose, wrench, tilt_rad(pose[3:]), identity_of(config, about), fault)
 

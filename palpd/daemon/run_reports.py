@@ -12,7 +12,6 @@ def begin_report(recording: Path, folder: Path, *, stays: bool = False) -> subpr
     """Start to write the report of a run.
 
     Args:
-        recording: Its recording.
         folder: The folder of the runs, for the catalogue.
         stays: Whether the starting process stays and shows its sentences; else the process is on its own, and palpd report says what fails.
 

@@ -42,9 +42,6 @@ def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_referenc
         take_reference: Whether the run takes its own reference tare.
         choice: Where sites count from, where the palpation before was not finished.
 
-    Returns:
-        The job.
-
     Raises:
         Refused: A reference tare is needed and missing, or the plan is unsafe for this cell.
         ConfigError: The limits let the expected stiffness overload the sensor.
@@ -70,13 +67,9 @@ def measured_job(
     Args:
         kind: What to do.
         config: The configuration of the cell.
-        plan: The plan.
         dry: Whether to read the devices and command nothing.
         take_reference: Whether the run takes its own reference tare. In a state folder that has none, this is the operator's word for it.
         choice: Where sites count from, where the palpation before was not finished.
-
-    Returns:
-        The job.
 
     Raises:
         Refused: A retract finds nothing to leave, or nothing to judge the force by.
@@ -115,7 +108,6 @@ def carry_out(work: Job, build: Build, display: Display, name: str | None = None
     """Do a job from opening the devices to the closed recording. SIGINT, SIGTERM and SIGHUP abort it at any moment.
 
     Args:
-        work: The job.
         build: Opens robot and sensor.
         display: Shows the progress.
         name: File name of the recording without suffix; by default the time and the kind of the job.

@@ -225,7 +225,6 @@ def ask(path: Path, request: ControlRequest, patience_s: float = PATIENCE_S) -> 
 
     Args:
         path: The control socket.
-        request: The request.
         patience_s: Longest wait for the answer.
 
     Returns:

@@ -81,7 +81,6 @@ def mapped(where: Field, out: Path, emulated: bool, seed: int, display: Display,
     """Press an emulated or simulated field until the map is certain.
 
     Args:
-        where: The field.
         out: The picture.
         emulated: Whether to press on emulated wires instead of in simulation.
         seed: Seed of the field.
@@ -103,7 +102,6 @@ def surveyed(press: Press, where: Field, out: Path, display: Display, most: int 
 
     Args:
         press: Presses one place and returns its modulus in Pa.
-        where: The field.
         out: The picture.
         display: Shows the presses.
         most: Largest number of presses.
@@ -131,9 +129,6 @@ def plan_at(place_m: Place, where: Field) -> Plan:
     Args:
         place_m: Way from the field's corner to the place, x and y.
         where: The field, for the depth.
-
-    Returns:
-        The plan.
     """
     return Plan.model_validate(
         {"sites": [{"name": "place", "x_m": place_m[0], "y_m": place_m[1]}], "mode": "dynamic", "depths_m": [where.depth_m], "repeats": 1}
@@ -144,7 +139,6 @@ def on_the_robot(where: Field, host: ProgramHost) -> Press:
     """Presses by the daemon on a cell or on emulated wires.
 
     Args:
-        where: The field.
         host: Carries out each press.
 
     Returns:
@@ -172,7 +166,6 @@ def in_simulation(where: Field, cell_of: Callable[[int], CellFile], seed: int) -
     """Presses by the daemon's loop on simulated cells, faster than real time; each begins at the field's corner.
 
     Args:
-        where: The field.
         cell_of: The cell under each place, by the number of the press.
         seed: Seed of the noise.
 

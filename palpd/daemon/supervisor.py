@@ -460,9 +460,6 @@ def header_of(job: Job, about: RunAbout, reference: tuple[float, ...], pose: tup
         about: What the opened devices say of themselves.
         reference: Reference tare (6,) in the sensor's axes, N and Nm.
         pose: Pose (6,) of the tip before it moves.
-
-    Returns:
-        The header of the recording.
     """
     arm = motion.arm_geometry_of(job, about["delay_s"])
     return {
@@ -517,7 +514,6 @@ def wait(run: JobRun, on_poll: Callable[[], None] | None = None, poll_s: float =
     """Poll a run until it is over. If `on_poll` fails, the run is aborted, and the error raised when the arm is at rest.
 
     Args:
-        run: The run.
         on_poll: Called after each poll that found the run still under way.
         poll_s: Pause between two polls.
 

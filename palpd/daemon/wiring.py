@@ -29,7 +29,6 @@ def devices(config: Config, muted: bool) -> Devices:
     """Open sensor and robot of a configuration.
 
     Args:
-        config: The configuration.
         muted: Whether the robot is only read and never commanded.
 
     Returns:

@@ -83,9 +83,7 @@ def described(effect: Effect, laws: Mapping[str, LearnedEffect], folder: Path) -
     """An effect of a library as data: its name, what it does, its formula and parameters, and where it is adopted.
 
     Args:
-        effect: The effect.
         laws: The adopted effects of the user.
-        folder: Their folder.
 
     Returns:
         The data.

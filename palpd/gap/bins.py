@@ -26,9 +26,6 @@ class Bins:
         Args:
             t_s: Times of the samples (n,).
             count: Samples in a bin.
-
-        Returns:
-            The bins.
         """
         n = len(t_s)
         step_s = np.diff(t_s)
@@ -80,9 +77,6 @@ def make_bins(t_s: Floats, phases: Phases, samples_per_step: Bins, max_bins: int
         phases: Phases of the samples.
         samples_per_step: The samples of every step.
         max_bins: Largest number of bins, about; with fewer steps, every step is a bin.
-
-    Returns:
-        The bins.
     """
     n = len(t_s)
     step_s = np.diff(t_s, append=2 * t_s[-1] - t_s[-2])

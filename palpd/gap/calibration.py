@@ -83,7 +83,6 @@ def as_stated(verdict: DiagnosisVerdict, by: ProbabilityMap) -> DiagnosisVerdict
 
     Args:
         verdict: The engine's verdict.
-        by: The map.
 
     Returns:
         The same verdict and names with other probabilities.

@@ -82,9 +82,6 @@ def adopted_sentence(folder: Path, known: Mapping[str, Effect]) -> str:
     Args:
         folder: The folder of adopted effects.
         known: The library.
-
-    Returns:
-        The sentence.
     """
     names = [name for name in load_adopted(folder) if name in known]
     return f"Adopted effects were weighed with the others: {', '.join(names)} ({folder})." if names else ""
@@ -95,11 +92,7 @@ def nominal_cell(cell: Path | None, recordings: Sequence[Path], known: Mapping[s
 
     Args:
         cell: The cell file; without one the cell that the configuration of the first recording states.
-        recordings: The recordings.
         known: The effects that it may have.
-
-    Returns:
-        The cell.
 
     Raises:
         BadInput: No file is given, and a recording is none of the daemon.
@@ -117,9 +110,6 @@ def read_recording(path: Path, site: str | None = None) -> Samples:
     Args:
         path: The recording.
         site: Site of a recording of the daemon; None where it holds one only.
-
-    Returns:
-        The samples.
 
     Raises:
         RecordingError: The file is no recording, or holds several sites and none is named.
@@ -154,7 +144,6 @@ def diagnose_files(
     """Diagnose recordings of one cell jointly.
 
     Args:
-        recordings: The recordings.
         cell: The cell file; without one the cell that recordings of the daemon state. That one knows the modulus of a site only where it
             states it for that site.
         json_out: Where to write out.json, and beside it the motion of the next experiment.
@@ -167,9 +156,6 @@ def diagnose_files(
         calibrated: Whether probabilities are stated by the fitted map; the engine's own otherwise.
         simulated: The output of a user's own simulator for each recording, which is then the nominal prediction.
         show: Shows the step that begins.
-
-    Returns:
-        The diagnosis.
 
     Raises:
         BadInput: There are not as many outputs as recordings.
@@ -201,7 +187,6 @@ def write_answer(path: Path, diagnosis: Diagnosis) -> None:
 
     Args:
         path: Where to write out.json.
-        diagnosis: The diagnosis.
     """
     content = diagnosis.to_json()
     if diagnosis.proposal is not None:
@@ -234,7 +219,6 @@ def simulate_file(
 
     Args:
         motion: The motion; its `z_m` drives the cell, or its `z_cmd_m` where that is absent.
-        cell: The cell file.
         csv_out: Where to write the recording.
         from_commanded: Drive it with `z_cmd_m` in any case.
         noise_seed: Seed of noise and rounding; neither without one.
@@ -244,9 +228,6 @@ def simulate_file(
         simulated: The output of a user's own simulator for that motion, to which what the cell has beyond the nominal one is added.
         nominal: The file of that nominal cell.
         accept_implausible: Whether an implausible cell or motion counts.
-
-    Returns:
-        The recording.
 
     Raises:
         BadInput: Only one of `simulated` and `nominal` is given, noise is asked for besides, or something is implausible and nobody
@@ -286,15 +267,11 @@ def simulate_columns(
     """Simulate the recording that a cell gives on a motion.
 
     Args:
-        cell: The cell.
         columns: `t_s`, and `z_m` (with `vz_m_per_s`, where there is one) or `z_cmd_m`, each (n,).
         measured: Whether the reported heights drive the cell; else the commanded ones do.
         noise_seed: Seed of noise and rounding; neither without one.
         library: The effects that the cell may name.
         own: A user's own simulator and the nominal cell that it simulates; palpd's own where not given.
-
-    Returns:
-        The recording.
 
     Raises:
         BadInput: Noise is asked for with a user's own simulator, or its seed is negative.
@@ -370,7 +347,6 @@ def tolerances_of(recordings: Sequence[Path], cell: Path, accept_implausible: bo
 
     Args:
         recordings: Recordings of a healthy cell.
-        cell: Its cell file.
         accept_implausible: Whether doubtful recordings and implausible tolerances count.
 
     Returns:

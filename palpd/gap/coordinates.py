@@ -129,7 +129,6 @@ def start_values(effect: Effect, scale: Scale, peaks_Hz: Sequence[float]) -> lis
     Several amplitudes of either sign start one at a time: a combination with a wrong sign would look like nothing at all.
 
     Args:
-        effect: The effect.
         scale: Sizes that its starting values refer to.
         peaks_Hz: Frequencies that stand out in the residual.
 
@@ -163,7 +162,6 @@ def stretched(effect: Effect, values: dict[str, float], factor: float, scale: Sc
     """The parameters of an effect that is larger or smaller.
 
     Args:
-        effect: The effect.
         values: Its parameters.
         factor: Change of its size.
         scale: Sizes that its bounds refer to.

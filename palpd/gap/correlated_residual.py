@@ -77,9 +77,6 @@ def row_weights(remainder: Floats) -> Floats:
 def wrong_tolerances(best: Fit) -> Floats:
     """By how much the tolerances of shared deviations are too narrow for a hypothesis.
 
-    Args:
-        best: The hypothesis.
-
     Returns:
         Factors (11,); 1 where the deviation is credible.
     """

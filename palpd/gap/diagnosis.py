@@ -68,7 +68,6 @@ def diagnose(
     """Diagnose the recordings of one cell jointly; the same input gives the same answer.
 
     Args:
-        recordings: The recordings.
         cell: The cell as the simulator knows it; where it has the site that the recordings name, the cell at that site.
         effects: The effects that may be present.
         max_bins: Largest number of bins of all recordings, about; fewer are faster.
@@ -76,9 +75,6 @@ def diagnose(
         calibrated: Whether probabilities are stated by the fitted map; the engine's own otherwise.
         simulators: A user's own simulator for each recording, as the nominal; palpd's own cell is the nominal without any.
         show: Shows the step that begins.
-
-    Returns:
-        The diagnosis.
 
     Raises:
         RecordingError: The recordings cannot be judged.
@@ -204,15 +200,7 @@ def _stages(
 
 
 def held_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
-    """One sentence for every learned law, of the library or of the cell, that these recordings drive outside its range.
-
-    Args:
-        problem: The recordings.
-        verdict: The verdict.
-
-    Returns:
-        The sentences.
-    """
+    """One sentence for every learned law, of the library or of the cell, that these recordings drive outside its range."""
     cell = problem.cell_at(verdict.fit.values, verdict.fit.eta)
     samples = [one.samples for one in problem.recordings]
     shares: dict[str, list[float]] = {}
@@ -228,7 +216,6 @@ def with_laws_whole(cell: CellFile, library: Mapping[str, Effect]) -> CellFile:
     """A cell with learned effects of a library as data of its own, in place of their names.
 
     Args:
-        cell: The cell.
         library: Effects by id.
 
     Returns:

@@ -119,9 +119,6 @@ def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
     Args:
         problem: The data and their prediction.
         best: The optimum under the exact laws.
-
-    Returns:
-        The hypothesis with its evidence.
     """
     space, at, eta = best.around.space, best.prediction, best.around.eta
     residual = problem.data + best.around.offset() - at

@@ -55,9 +55,6 @@ def first_cell(recordings: Sequence[Samples], tip_radius_m: float | None = None,
         tip_radius_m: Radius of the spherical tip, or None where it is not known.
         accept_implausible: Whether implausible values count.
 
-    Returns:
-        The cell file, value by value.
-
     Raises:
         RecordingError: There is no recording, its fz never changes, or its forces or heights have the wrong sign.
         BadInput: The radius is impossible, or a value is implausible and nobody accepts it.
@@ -121,7 +118,6 @@ def written_out(first: FirstCell, names: str) -> str:
     """Write a first cell file with its comments.
 
     Args:
-        first: The cell file.
         names: Names of the recordings.
 
     Returns:

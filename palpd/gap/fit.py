@@ -77,9 +77,6 @@ def fit_values(problem: Problem, start: EffectValues, around: Linearisation, *, 
         around: Nuisances to begin with.
         iterations: Most iterations of the first search.
         rounds: Most times that the nuisances are linearised again at the optimum; it stops where they have converged.
-
-    Returns:
-        The optimum.
     """
     where = coordinates(start, problem.library, problem.scale)
     best = gauss_newton(problem, around, where, coordinates_of(where, start), iterations)
@@ -113,9 +110,6 @@ def gauss_newton(problem: Problem, around: Linearisation, where: tuple[Coordinat
         where: The k free parameters.
         u: Coordinates (k,) at which the search starts.
         iterations: Most iterations.
-
-    Returns:
-        The optimum.
     """
     target = problem.data + around.offset()
     u = inside(where, u)

@@ -62,11 +62,7 @@ def cell_of(recording: Path, folder: Path) -> str:
     """The cell of a recording: its folder, else its name without the number or date at the end.
 
     Args:
-        recording: The recording.
         folder: The folder of the fleet.
-
-    Returns:
-        The name of the cell.
     """
     if recording.parent != folder:
         return recording.parent.name
@@ -84,8 +80,6 @@ def diagnose_one(recording: Path, cell: str, effects: Path | None = None, adopte
     """Diagnose a recording by its cell file and write X.json beside it.
 
     Args:
-        recording: The recording.
-        cell: The name of its cell.
         effects: A file with user effects.
         adopted: The folder of a user's adopted effects.
 

@@ -73,9 +73,6 @@ class LawRivals:
         Args:
             t_s: Times (n,).
             z_cmd_m: Commanded heights (n,).
-
-        Returns:
-            The share.
         """
         law = self.alike[0].fit
         cell = self.problem.cell_at(law.values, law.eta)
@@ -86,7 +83,6 @@ def rivals_of_law(problem: Problem, attribution: Attribution, finding: LawFindin
     """A learned law, those that the recordings do not distinguish from it, and the answer of the list.
 
     Args:
-        problem: The recordings.
         attribution: The posterior over listed hypotheses.
         finding: What the search for laws found.
 

@@ -67,9 +67,6 @@ class Linearisation:
 
         Args:
             bins: Which of them (b,).
-
-        Returns:
-            A new linearisation.
         """
         prediction = np.where(bins[None, :], self.prediction, 0.0)
         owned = np.where(bins[None, None, :], self.owned, 0.0)

@@ -198,7 +198,6 @@ def same_again(problem: Problem, limits: MotionLimits) -> tuple[TestMotion, Floa
     """The motion of the longest recording, once more.
 
     Args:
-        problem: The recordings.
         limits: What a motion may ask of the cell.
 
     Returns:
@@ -235,9 +234,6 @@ def cycle_again(problem: Problem, recording: int, cycle: int, limits: MotionLimi
     """One press or stroke of a recording, several times.
 
     Args:
-        problem: The recordings.
-        recording: Number of the recording.
-        cycle: Number of the cycle in it.
         limits: What a motion may ask of the cell.
 
     Returns:
@@ -267,12 +263,8 @@ def blank_recording(cell: CellFile, t_s: Floats, z_cmd_m: Floats) -> Samples:
     """A recording of a motion whose wrench is only the stated noise; a channel without any is not judged.
 
     Args:
-        cell: The cell file.
         t_s: Times (n,).
         z_cmd_m: Commanded heights (n,).
-
-    Returns:
-        The recording.
     """
     random = np.random.default_rng(0)
     z_m = predict_motion(cell, t_s, z_cmd_m)

@@ -154,9 +154,6 @@ def advise(problem: Problem, attribution: Attribution, limits: MotionLimits | No
         attribution: The posterior over hypotheses.
         limits: What the motion may ask of the cell; no more than the recordings where not given.
         finding: What the search for laws found, where the verdict is `unknown`.
-
-    Returns:
-        The advice.
     """
     if finding is not None and finding.refused is not None and _anything_moves(problem):
         return _again(problem, finding.refused, limits)
@@ -284,7 +281,6 @@ def score(problem: Problem, rivals: Sequence[Hypothesis], motion: TestMotion, li
     Args:
         problem: The recordings so far.
         rivals: The h open hypotheses.
-        motion: The motion.
         limits: Where it starts, and its acceleration.
         patience: Number of times that it is recorded.
 

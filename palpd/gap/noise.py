@@ -81,9 +81,6 @@ def repeats(readings: Floats) -> NDArray[np.bool_]:
 def held_runs(samples: Samples) -> tuple[int, float, float]:
     """Stretches of rows whose six readings all repeat.
 
-    Args:
-        samples: The recording.
-
     Returns:
         Their number, their mean length in samples beyond the first, and the number of repeats that chance alone gives: each live axis
         repeats by itself as often as it does while another one changes.

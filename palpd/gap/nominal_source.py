@@ -77,7 +77,6 @@ def nominal_source(problem: Problem, not_judged: Sequence[str]) -> NominalSource
     """Check the output of a user's simulator against the recordings.
 
     Args:
-        problem: The recordings.
         not_judged: Effects that were left out.
 
     Returns:

@@ -67,9 +67,6 @@ class Block(NamedTuple):
 
         Args:
             bins: Which of them (b,).
-
-        Returns:
-            A new block.
         """
         if issparse(self.rows):
             kept = self.rows.data * bins[self.rows.indices]
@@ -112,11 +109,7 @@ class Columns:
         """Gather columns.
 
         Args:
-            columns: The columns.
             shape: Numbers of channels and bins (c, b).
-
-        Returns:
-            The columns.
         """
         blocks = _blocks(columns, shape[1])
         return Columns(shape, blocks, _inner_products(blocks, blocks, (len(columns), len(columns))))
@@ -158,9 +151,6 @@ class Columns:
 
         Args:
             bins: Which of them (b,), or of each channel (c, b).
-
-        Returns:
-            New columns.
         """
         by_channel = np.broadcast_to(bins, self.shape)
         return self._of_blocks(self.shape[1], [block.where(by_channel[block.channel]) for block in self.blocks])
@@ -181,9 +171,6 @@ class Columns:
 
     def of_channel(self, channel: int) -> tuple[Ints, Floats]:
         """Columns of one channel.
-
-        Args:
-            channel: The channel.
 
         Returns:
             The numbers (m,) of those that are not zero there, and these as rows (m, b).
@@ -368,9 +355,6 @@ def nuisances(columns: Columns) -> Nuisances:
 
     Args:
         columns: Columns (k, c, b), each multiplied with the standard deviation of its coefficient.
-
-    Returns:
-        The nuisances.
     """
     factor = cholesky(np.eye(columns.size) + columns.gram, lower=True, check_finite=False)
     return Nuisances(columns, factor, 2.0 * float(np.log(np.diag(factor)).sum()))
@@ -393,7 +377,6 @@ def project(values: Floats, space: Nuisances) -> Projected:
 
     Args:
         values: The vector (c, b).
-        space: The nuisances.
 
     Returns:
         The projected vector.
@@ -424,9 +407,6 @@ class Vectors:
         Args:
             vectors: Values (b,) of each vector by channel, in the channels where they are not zero.
             b: Number of bins.
-
-        Returns:
-            The vectors.
         """
         blocks, squares = _blocks(vectors, b), np.zeros(len(vectors))
         for block in blocks:
@@ -472,7 +452,6 @@ class Widened:
         """Widen nuisances by further columns.
 
         Args:
-            space: The nuisances.
             columns: The m further columns.
 
         Returns:

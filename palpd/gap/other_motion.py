@@ -27,7 +27,6 @@ class MotionCheck:
     """Means over 20 ms of one channel on another motion.
 
     Attributes:
-        channel: The channel.
         t_s: Times (n,) of the means.
         measured: What was measured (n,).
         plain: What the cell predicts without effects and laws, its fitted deviations within tolerance included (n,).
@@ -79,7 +78,6 @@ def check_on(diagnosis: Diagnosis, samples: Samples, simulator: UserSimulator | 
     """Compare another recording of the same cell with what the diagnosed one lets expect.
 
     Args:
-        diagnosis: The diagnosis.
         samples: A recording that it has not seen.
         simulator: The output of the user's simulator for this recording, where the diagnosis had one that cannot be asked again.
 

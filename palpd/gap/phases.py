@@ -78,12 +78,8 @@ def find_phases(samples: Samples, surface_z_m: float, position_noise_rms_m: floa
     of |v|), v the derivative of the commanded height where there is one, else the reported speed low-passed at 5 Hz.
 
     Args:
-        samples: The recording.
         surface_z_m: Height of the nominal surface.
         position_noise_rms_m: Noise of the heights, which makes no press.
-
-    Returns:
-        The phases.
     """
     velocity = _velocity(samples)
     speed = np.abs(velocity)

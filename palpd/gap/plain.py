@@ -63,9 +63,6 @@ def plain_answer(content: Mapping[str, Any], library: Mapping[str, Effect]) -> P
     Args:
         content: The content of out.json.
         library: Effects by id.
-
-    Returns:
-        The words.
     """
     sure = {"none": content["p_none"], "unknown": content["p_unknown"]}.get(content["verdict"])
     return {
@@ -91,9 +88,6 @@ def answer_sentence(content: Mapping[str, Any], library: Mapping[str, Effect], *
         content: The content of out.json.
         library: Effects by id.
         with_ids: Whether each cause is followed by its id and its probability.
-
-    Returns:
-        The sentence.
     """
     verdict, named, learned, events = (content.get(key) for key in ("verdict", "effects", "learned", "events"))
     probabilities = {each["id"]: each["probability"] for each in content["candidates"]}

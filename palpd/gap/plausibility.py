@@ -79,10 +79,6 @@ ODD_NOISE_RATIO = 4.0
 def check_recordings(recordings: Sequence[Samples], cell: CellFile) -> list[str]:
     """Check recordings against their cell file.
 
-    Args:
-        recordings: The recordings.
-        cell: Their cell file.
-
     Returns:
         One sentence for everything that makes a verdict doubtful without preventing one: units, signs, dead axes, missing contact.
 
@@ -106,15 +102,7 @@ def check_recordings(recordings: Sequence[Samples], cell: CellFile) -> list[str]
 
 
 def recording_notes(recordings: Sequence[Samples], cell: CellFile) -> list[str]:
-    """What is worth knowing of recordings that `check_recordings` has let pass, and does not make the verdict doubtful.
-
-    Args:
-        recordings: The recordings.
-        cell: Their cell file.
-
-    Returns:
-        The sentences.
-    """
+    """What is worth knowing of recordings that `check_recordings` has let pass, and does not make the verdict doubtful."""
     notes = [
         label + note
         for samples, label in zip(recordings, _labels(recordings), strict=True)

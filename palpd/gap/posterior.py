@@ -162,8 +162,6 @@ def known_and_unknown(one: Fit, residual: ResidualStructure, gap_energy: float, 
     both it is: small for a discrepancy, any for something unknown.
 
     Args:
-        one: The hypothesis.
-        residual: Structure of its residual.
         gap_energy: Energy of the gap in squared sigmas.
         most: Largest log likelihood that a residual of any shape may have.
 

@@ -100,21 +100,11 @@ class PreparedRecording:
             cell: The cell in some state.
             motion: Motion of the tip in this recording, at the samples or the steps.
             library: Effects by id.
-
-        Returns:
-            The reading.
         """
         return mean_reading(cell, motion, library) if self.beyond is None else self.beyond.reading(cell, motion, library)
 
     def rounded(self, rounding: Rounding) -> "PreparedRecording":
-        """The recording whose fz is rounded so: its noise is that of all forces, and not of those between two levels that happened to rest.
-
-        Args:
-            rounding: The rounding.
-
-        Returns:
-            A new recording.
-        """
+        """The recording whose fz is rounded so: its noise is that of all forces, not of those that happened to rest between two levels."""
         noise_rms = self.noise_rms.copy()
         noise_rms[FZ] = max(noise_rms[FZ], np.hypot(rounding.noise_rms_N, rounding.step_N / 12.0**0.5))
         return replace(self, rounding=rounding, noise_rms=noise_rms)
@@ -148,9 +138,6 @@ class PreparedRecording:
 def without_rounding(samples: Samples) -> Samples:
     """Take rounding out of heights that stand still, so that it is not taken for motion.
 
-    Args:
-        samples: The recording.
-
     Returns:
         The recording, its heights and speeds constant where only rounding changes them.
     """
@@ -168,10 +155,6 @@ def without_rounding(samples: Samples) -> Samples:
 def moves(samples: Samples, cell: CellFile) -> bool:
     """Whether the heights of a recording span more than their noise.
 
-    Args:
-        samples: The recording.
-        cell: Its cell file.
-
     Returns:
         True where something moves.
     """
@@ -183,12 +166,8 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecordin
     """Prepare a recording for comparison with the simulation of a cell.
 
     Args:
-        samples: The recording.
         cell: Its nominal cell.
         max_bins: Largest number of bins, about.
-
-    Returns:
-        The prepared recording.
     """
     surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
     phases = find_phases(samples, surface_m, cell.robot.position_noise_rms_m)
@@ -234,7 +213,6 @@ def with_simulator(one: PreparedRecording, simulator: UserSimulator, cell: CellF
     """A recording whose nominal prediction is that of a user's simulator.
 
     Args:
-        one: The recording.
         simulator: The simulator; it is asked for the motion of the recording.
         cell: The nominal cell.
         library: Its effects by id.

@@ -165,9 +165,6 @@ class Problem:
 
         Args:
             weight: The number of rows: one for all channels, or one of each channel (7,).
-
-        Returns:
-            A new problem.
         """
         return replace(self, noise=self.noise.with_row_weight(weight))
 
@@ -176,9 +173,6 @@ class Problem:
 
         Args:
             shared_sd: Standard deviations of SHARED (11,).
-
-        Returns:
-            A new problem.
         """
         return replace(self, shared_sd=shared_sd, _predictions=_Predictions())
 
@@ -188,9 +182,6 @@ class Problem:
         Args:
             way: The kind of the rounding.
             first_N: Finer step to which it was rounded before; 0 for none.
-
-        Returns:
-            A new problem.
         """
         recordings = tuple(
             replace(one, rounding=one.rounding and replace(one.rounding, way=way, first_N=first_N)) for one in self.recordings
@@ -207,9 +198,6 @@ class Problem:
 
         Args:
             bins: Which of them (b,).
-
-        Returns:
-            A new problem.
         """
         return replace(self, noise=self.noise.restricted_to(bins))
 
@@ -221,9 +209,6 @@ class Problem:
         Args:
             effects: Parameters by effect, beside the known ones of the cell or in place of the same.
             eta: Shared deviations (11,) in standard deviations.
-
-        Returns:
-            Its cell file.
         """
         return self.cell.with_effects(self.cell.effects | effects).with_estimated(self.estimated(eta))
 
@@ -352,7 +337,6 @@ def make_problem(
     """Prepare the recordings of one cell for comparison with its simulation without effects.
 
     Args:
-        recordings: The recordings.
         cell: Its cell file; known effects in it are part of the nominal cell.
         library: The effects that may be present.
         max_bins: Largest number of bins of all recordings, about.
@@ -360,9 +344,6 @@ def make_problem(
         excess_noise: Whether the noise is larger than stated.
         scale: Sizes that effects refer to, of the longest recording where not given.
         simulators: A user's own simulator for each recording; none where palpd's own cell is the nominal.
-
-    Returns:
-        The problem.
     """
     cell = cell.with_estimated(None).model_copy(update={"uncertainty": ()})
     prepared = tuple(prepare(samples, cell, max(600, max_bins // len(recordings))) for samples in recordings)

@@ -30,7 +30,6 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
 
     Args:
         recordings: The recordings of the cell.
-        cell: The cell file.
 
     Returns:
         The cell with every value stated, a sentence for each value that is far from the stated one, and one for those that were measured.

@@ -73,9 +73,6 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
         library: effects by id; their descriptions and units.
         title: names the recordings.
         check: how the enriched cell does on another motion.
-
-    Returns:
-        The page.
     """
     channel = (content["where"] or content["shrink"])["channel"]
     proposed = content["next_experiment"]

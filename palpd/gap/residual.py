@@ -66,7 +66,6 @@ def test_residual(problem: Problem, fit: Fit, segments: Sequence[Segment]) -> Re
 
     Args:
         problem: The data and their prediction.
-        fit: The hypothesis.
         segments: The rests and strokes of the problem.
 
     Returns:
@@ -98,9 +97,6 @@ def segments_of(problem: Problem) -> list[Segment]:
 
     Args:
         problem: The data.
-
-    Returns:
-        The segments.
     """
     out = []
     start = 0

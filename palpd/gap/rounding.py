@@ -219,7 +219,6 @@ def coarse_step_N(samples: Samples, cell: CellFile) -> float:
     """The usual distance between neighbouring values of fz.
 
     Args:
-        samples: One recording.
         cell: Its cell file, with the stated step and noise.
 
     Returns:
@@ -248,7 +247,6 @@ def roundings_of(
     Args:
         recordings: The recordings as they were read; each was tared by itself, so its levels are its own.
         steps_N: Coarse step of each, 0 for none.
-        cell: Their cell file.
         noise_rms_N: Noise of a sample before rounding.
         rests_N: Mean reading of fz at rest in the air in each.
 

@@ -66,10 +66,6 @@ class Readings:
     def of(samples: Samples, cell: CellFile) -> "Readings":
         """Clean a recording.
 
-        Args:
-            samples: The recording.
-            cell: Its cell file.
-
         Returns:
             The cleaned readings.
         """
@@ -97,9 +93,6 @@ class Scatter:
 def without_held(samples: Samples) -> tuple[Samples, int, float]:
     """Bridge rows that only repeat the last one, unless they are no more than chance.
 
-    Args:
-        samples: The recording.
-
     Returns:
         The bridged recording, the number of stretches, and their mean length in s.
     """
@@ -120,7 +113,6 @@ def without_tails(samples: Samples, cell: CellFile) -> Samples:
     noise is healthy, pulses are pulses.
 
     Args:
-        samples: The recording.
         cell: Its cell file, with the stated noise.
 
     Returns:
@@ -141,9 +133,7 @@ def scatter_effects(
     """Test the recordings for the library's effects of the scatter.
 
     Args:
-        recordings: The prepared recordings.
         readings: The same recordings as they were cleaned.
-        cell: Their cell file.
         library: The effects that may be present.
 
     Returns:

@@ -65,7 +65,6 @@ def held_out(problem: Problem, best: Fit) -> Shrink:
     """Fit on all but every fourth cycle and judge there, four times over (cross-validation).
 
     Args:
-        problem: The recordings.
         best: The named effects at their best.
 
     Returns:

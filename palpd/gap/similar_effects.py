@@ -35,7 +35,6 @@ class Similarity:
     """How much of an effect's change another effect can make.
 
     Attributes:
-        effect: The effect.
         other: The other effect.
         cosine: Cosine of the angle between the change and what the other can make, with everything within specification projected out.
         told_at_snr: Size of the effect (SNR) from which on the two are distinguished at odds of 20.
@@ -102,8 +101,6 @@ def similar_effects(effects: Sequence[Effect], cell: CellFile, library: Mapping[
     """The effects of a library that are most similar to some effects, on the standard motion of a cell.
 
     Args:
-        effects: The effects.
-        cell: The cell.
         library: The effects to compare with.
         most: Number of similar effects for each.
 

@@ -38,7 +38,6 @@ def sketch(effect: Effect, fitted: Mapping[str, float]) -> Markup:
     An effect that is small beside a press is drawn in the air, where the arm starts.
 
     Args:
-        effect: The effect.
         fitted: Its parameters as a diagnosis found them: the sketch has them on the same side of none, such as softer and not stiffer.
 
     Returns:

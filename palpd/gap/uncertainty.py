@@ -38,7 +38,6 @@ def open_hypotheses(problem: Problem, verdict: DiagnosisVerdict, attribution: At
     """The hypotheses that remain, each with the joint uncertainty of its numbers.
 
     Args:
-        problem: The recordings.
         verdict: The verdict; its effects of the scatter belong to every hypothesis.
         attribution: The posterior over hypotheses.
         fit: The hypothesis of the answer, with what is outside the list taken from its residual.
@@ -66,7 +65,6 @@ def open_hypothesis(problem: Problem, fit: Fit, share: float, scatter: Sequence[
     """A hypothesis with the joint uncertainty of its numbers.
 
     Args:
-        problem: The recordings.
         fit: The hypothesis at its best.
         share: Its probability.
         scatter: Effects of the scatter, which act beside it.

@@ -65,9 +65,6 @@ class UserSimulator:
             function: Takes a motion, gives columns.
             name: What sentences call it.
 
-        Returns:
-            The simulator.
-
         Raises:
             BadInput: Later, when it is asked and fails.
         """
@@ -95,9 +92,6 @@ class UserSimulator:
             t_s: Times (n,) of that motion.
             name: What sentences call it.
 
-        Returns:
-            The simulator.
-
         Raises:
             RecordingError: The output does not fit the motion.
         """
@@ -109,11 +103,7 @@ class UserSimulator:
         """The output of a simulator for one motion, from a CSV file.
 
         Args:
-            path: The file.
             t_s: Times (n,) of that motion.
-
-        Returns:
-            The simulator.
 
         Raises:
             RecordingError: The file is no such output, or does not fit the motion.
@@ -171,7 +161,6 @@ class NominalDifference:
     """What a user's simulator predicts beyond palpd's nominal cell, for one motion of n samples.
 
     Attributes:
-        simulator: The simulator.
         output: Its output for that motion by column, (n,) each.
         cell: The nominal cell.
         t_s: Times (n,) from the first row.
@@ -211,9 +200,6 @@ class NominalDifference:
             cell: The nominal cell in some state.
             motion: The motion of the robot at some times.
             library: Effects by id.
-
-        Returns:
-            The reading.
         """
         reading = mean_reading(cell, motion, library)
         if len(self.raised_m) == 1 or _tip_effects(cell, library) == _tip_effects(self.cell, library):
@@ -235,15 +221,11 @@ def difference(
     """Ask a user's simulator for a motion, and compare it with palpd's nominal cell.
 
     Args:
-        simulator: The simulator.
         cell: The nominal cell.
         library: Its effects by id.
         motion: The motion of the tip at n samples.
         reported: Commanded heights (n,), or None, and heights (n,) as the robot reports them.
         deepest_m: Depth of the deepest press; 0 where nothing is touched, and the tip is then never raised.
-
-    Returns:
-        The difference.
     """
     z_cmd_m, z_m = reported
     shares = RAISED if simulator.any_motion and deepest_m > 0.0 else (0.0,)

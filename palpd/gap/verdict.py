@@ -80,13 +80,9 @@ def decide(problem: Problem, nominal: Fit, attribution: Attribution, scatter: Sc
     """Decide which effects to name.
 
     Args:
-        problem: The recordings.
         nominal: The hypothesis without effects.
         attribution: The posterior over hypotheses.
         scatter: The effects of the scatter.
-
-    Returns:
-        The verdict.
     """
     p_unknown = 1.0 - (1.0 - attribution.p_unknown) * (1.0 - scatter.p_lone_axis)
     p_healthy_scatter = float(np.prod([1.0 - s.probability for s in scatter.effects]))
@@ -105,10 +101,6 @@ def decide(problem: Problem, nominal: Fit, attribution: Attribution, scatter: Sc
 def by_named_parameters(problem: Problem, one: Fit) -> Fit:
     """The hypothesis by the laws that files can state: what says by which of several laws an effect acts is a nuisance.
 
-    Args:
-        problem: The recordings.
-        one: The hypothesis.
-
     Returns:
         The hypothesis, fitted again where it had such a nuisance.
     """
@@ -123,7 +115,6 @@ def with_finding(verdict: DiagnosisVerdict, finding: LawFinding) -> DiagnosisVer
     """The verdict with a law or events that no listed effect explains.
 
     Args:
-        verdict: The verdict from the list.
         finding: What the search for laws found.
 
     Returns:
@@ -193,15 +184,7 @@ def _probable_groups(best: Fit, attribution: Attribution) -> dict[str, list[str]
 
 
 def unnatural_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
-    """One sentence for every parameter of a named effect that is larger than working parts have.
-
-    Args:
-        problem: The recordings.
-        verdict: The verdict.
-
-    Returns:
-        The sentences.
-    """
+    """One sentence for every parameter of a named effect that is larger than working parts have."""
     return [
         f"{effect.id} has {parameter.name} {quantity(effect.parameters[parameter.name][0], parameter.unit)}, expected at most "
         f"{quantity(parameter.natural, parameter.unit)} of parts that work; check the times in the recording, and whether rows are missing."
@@ -215,7 +198,6 @@ def deviation_notes(problem: Problem, fit: Fit) -> list[str]:
     """One sentence for every deviation that the answer leaves far out of tolerance.
 
     Args:
-        problem: The recordings.
         fit: The hypothesis that is the answer, with what is outside the list taken from its residual.
 
     Returns:
@@ -237,15 +219,7 @@ def deviation_notes(problem: Problem, fit: Fit) -> list[str]:
 
 
 def enriched_cell(problem: Problem, verdict: DiagnosisVerdict) -> CellFile:
-    """The cell with the named effects and the in-tolerance deviations that were fitted with them.
-
-    Args:
-        problem: The recordings.
-        verdict: The verdict.
-
-    Returns:
-        The cell file.
-    """
+    """The cell with the named effects and the in-tolerance deviations that were fitted with them."""
     named: EffectValues = {e.id: {n: v for n, (v, _, _) in e.parameters.items()} for e in verdict.effects}
     effects = verdict.fit.values | named if named else named
     cell = problem.cell.with_effects(problem.cell.effects | effects)
@@ -254,10 +228,6 @@ def enriched_cell(problem: Problem, verdict: DiagnosisVerdict) -> CellFile:
 
 def estimated_with(problem: Problem, fit: Fit) -> Estimated:
     """The in-tolerance deviations that were fitted with a hypothesis; bias and drift, which each recording has of its own, by their mean.
-
-    Args:
-        problem: The recordings.
-        fit: The hypothesis.
 
     Returns:
         The block `estimated` of a cell file.

@@ -74,7 +74,6 @@ def residuals(problem: Problem, around: Linearisation) -> list[Floats]:
     """Measured minus predicted of every recording.
 
     Args:
-        problem: The recordings.
         around: The state of the cell that predicts.
 
     Returns:
@@ -93,7 +92,6 @@ def gap_table(problem: Problem, around: Linearisation, residual: Sequence[Floats
     """The gap of every compared channel in every phase that occurs.
 
     Args:
-        problem: The recordings.
         around: The nuisances, which set the floor.
         residual: Measured minus predicted of every recording (n, 7).
 
@@ -140,7 +138,6 @@ def largest_gap(problem: Problem, table: Sequence[Gap], change: Floats) -> Place
     In-tolerance deviations, too, exceed their floor in some places.
 
     Args:
-        problem: The recordings.
         table: The gap by channel and phase.
         change: What the effects do to the whitened prediction (7, b).
 
@@ -164,10 +161,6 @@ def largest_gap(problem: Problem, table: Sequence[Gap], change: Floats) -> Place
 
 def unexplained(problem: Problem, fit: Fit) -> Unexplained | None:
     """The channel and phase with the largest residual of a hypothesis.
-
-    Args:
-        problem: The recordings.
-        fit: The hypothesis.
 
     Returns:
         The place and its rms; None where the residual is noise.
@@ -195,7 +188,6 @@ def bands(problem: Problem, residual: Sequence[Floats]) -> list[Band]:
     """Gap of the first recording in octaves of frequency.
 
     Args:
-        problem: The recordings.
         residual: Measured minus predicted of every recording (n, 7).
 
     Returns:
@@ -233,7 +225,6 @@ def trend(problem: Problem, residual: Sequence[Floats]) -> list[Trend]:
     """Mean and rms of the gap, cycle by cycle.
 
     Args:
-        problem: The recordings.
         residual: Measured minus predicted of every recording (n, 7).
 
     Returns:

@@ -36,9 +36,6 @@ class Whitening:
         Args:
             sigma: Noise (7, b) that every bin has for itself.
             shared: Noise that neighbours share, by channel (b, k).
-
-        Returns:
-            The whitening.
         """
         factors = {channel: _factor(sigma[channel] ** 2, columns) for channel, columns in shared.items()}
         return Whitening(sigma, shared, {channel: factor for channel, factor in factors.items() if factor is not None})
@@ -48,9 +45,6 @@ class Whitening:
 
         Args:
             factor: Its widening (7, b).
-
-        Returns:
-            A new whitening.
         """
         return Whitening.of(self.sigma * factor, self.shared)
 
@@ -59,9 +53,6 @@ class Whitening:
 
         Args:
             weight: The number of rows: one for all channels, or one of each channel (7,).
-
-        Returns:
-            A new whitening.
         """
         factor = np.broadcast_to(np.asarray(weight) ** -0.5, len(self.sigma))
         return Whitening.of(self.sigma * factor[:, None], {channel: columns * factor[channel] for channel, columns in self.shared.items()})
@@ -71,9 +62,6 @@ class Whitening:
 
         Args:
             bins: Which of them (b,).
-
-        Returns:
-            A new whitening.
         """
         return replace(self, sigma=np.where(bins, self.sigma, np.inf))
 
@@ -95,7 +83,6 @@ class Whitening:
         """Values of one channel in units of their noise.
 
         Args:
-            channel: The channel.
             values: Values (b,), or columns (b, n) of them, in its unit.
 
         Returns:
@@ -123,7 +110,6 @@ class Whitening:
         """Values of one channel in its unit, the inverse of `whiten_channel`.
 
         Args:
-            channel: The channel.
             values: Values (..., b) in sigmas.
 
         Returns:

@@ -30,7 +30,6 @@ def look_back(recording: Path, folder: Path) -> list[str]:
     """Take a recording up into the catalogue, and write its report beside it.
 
     Args:
-        recording: The recording.
         folder: The folder of the runs.
 
     Returns:

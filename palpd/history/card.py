@@ -49,7 +49,6 @@ def tare_and_guard(recording: Recording, facts: RunFacts) -> tuple[str, str]:
     """How far the zero and its reference can be believed, and how near the forces came to their limits.
 
     Args:
-        recording: The recording.
         facts: What it says.
 
     Returns:

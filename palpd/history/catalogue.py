@@ -179,7 +179,6 @@ class Catalogue:
         """Take up a recording of the folder that was read already.
 
         Args:
-            recording: The recording.
             facts: What it says.
 
         Raises:
@@ -207,12 +206,6 @@ class Catalogue:
     def runs(self, only: RunFilter = RunFilter()) -> list[RunEntry]:
         """The runs that are asked for, newest first.
 
-        Args:
-            only: Which ones.
-
-        Returns:
-            One entry a run.
-
         Raises:
             Refused: Another process keeps the catalogue busy.
         """
@@ -220,9 +213,6 @@ class Catalogue:
 
     def count(self, only: RunFilter = RunFilter()) -> int:
         """Number of runs that are asked for, whatever `most` says.
-
-        Args:
-            only: Which ones.
 
         Raises:
             Refused: Another process keeps the catalogue busy.

@@ -50,7 +50,6 @@ def modulus_differences(one: RunFacts, other: RunFacts) -> list[ModulusDifferenc
     is the range over depth where Hertz does not fit, if both pressed to the same depths.
 
     Args:
-        one: A run.
         other: Another run.
 
     Returns:
@@ -84,7 +83,6 @@ def different_settings(one: RecordingHeader, other: RecordingHeader) -> list[Dif
     """What differs between the conditions of two runs: configuration, plan, devices and versions.
 
     Args:
-        one: Header of a recording.
         other: Header of another.
 
     Returns:

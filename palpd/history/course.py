@@ -36,9 +36,6 @@ Course = NDArray[np.void]
 def course_of(recording: Path) -> Course:
     """Read force and height of a recording over time.
 
-    Args:
-        recording: The recording.
-
     Returns:
         Points (n,) of POINT, at most MOST_POINTS.
 
@@ -152,9 +149,6 @@ def write_course(path: Path, course: Course) -> None:
 
 def read_course(path: Path) -> Course:
     """Read what `write_course` wrote.
-
-    Args:
-        path: The file.
 
     Returns:
         Points (n,).

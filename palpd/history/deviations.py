@@ -44,8 +44,6 @@ def deviations(rows: NDArray[np.void], plan: Plan, sites: list[SiteResult]) -> l
 
     Args:
         rows: Ticks of a palpation, with the fields of ROW of palpd.tick.
-        plan: Its plan.
-        sites: Its results.
 
     Returns:
         One sentence a deviation, in the order of the plan.

@@ -78,12 +78,6 @@ def reading(path: Path) -> Iterator[None]:
 def facts_of(recording: Recording) -> RunFacts:
     """Gather what a recording says of its run.
 
-    Args:
-        recording: The recording.
-
-    Returns:
-        The facts.
-
     Raises:
         RecordingError: Header or footer lack what a recording of palpd has.
     """
@@ -145,9 +139,6 @@ def load(path: Path) -> tuple[Recording, RunFacts]:
 
     Args:
         path: The recording.
-
-    Returns:
-        The recording and the facts.
 
     Raises:
         RecordingError: It cannot be read, is no recording of palpd, or was removed meanwhile.

@@ -113,7 +113,6 @@ def draw_forces(figure: Drawing, recording: Recording, sites: Sequence[SiteResul
     Args:
         figure: Where it is drawn.
         recording: Recording of a palpation.
-        sites: Its results.
         beside: Another recording; its presses are drawn at the sites with the same names.
     """
     curves, tip = press_curves(recording), recording.header["body"]
@@ -183,7 +182,6 @@ def draw_course(figure: Drawing, recording: Recording, trips: Sequence[RecordedT
 
     Args:
         figure: Where it is drawn.
-        recording: The recording.
         trips: What stopped it.
     """
     rows = recording.rows
@@ -221,7 +219,6 @@ def draw_loop(figure: Drawing, recording: Recording) -> None:
 
     Args:
         figure: Where it is drawn.
-        recording: The recording.
     """
     ticking = recording.rows["phase"] != Phase.IDLE
     now_s, planned_s, work_us, missed = (recording.rows[name][ticking] for name in ("now_s", "planned_s", "work_us", "missed"))

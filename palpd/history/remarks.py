@@ -45,12 +45,6 @@ class Remarks(BaseModel):
 def remarks_of(recording: Path) -> Remarks:
     """Tags and notes of a run; none where nobody has written any.
 
-    Args:
-        recording: Its recording.
-
-    Returns:
-        The remarks.
-
     Raises:
         BadInput: The file beside the recording is damaged.
     """

@@ -134,9 +134,6 @@ def page(report: RunReport) -> str:
     Args:
         report: What it shows.
 
-    Returns:
-        The page.
-
     Raises:
         RecordingError: The recording holds what no page can show.
     """
@@ -184,9 +181,6 @@ def sheet(report: RunReport) -> Figure:
 
     Args:
         report: What it shows.
-
-    Returns:
-        The figure.
 
     Raises:
         RecordingError: The recording holds what no page can show.
@@ -406,11 +400,7 @@ def report_conditions(recording: Recording, facts: RunFacts) -> list[tuple[str, 
     """The conditions of a run in words, the most important first.
 
     Args:
-        recording: Its recording.
         facts: What it says.
-
-    Returns:
-        Names and values.
 
     Raises:
         RecordingError: The header lacks what a recording of palpd has.

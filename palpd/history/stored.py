@@ -130,11 +130,7 @@ def beside(recording: Path, ending: str) -> Path:
     """Path of a file that belongs to a recording.
 
     Args:
-        recording: The recording.
         ending: REMARKS, REPORT, or another ending.
-
-    Returns:
-        The path beside it.
     """
     return recording.with_name(recording.name.removesuffix(RECORDING) + ending)
 
@@ -144,7 +140,6 @@ def name_in(folder: Path, recording: Path) -> str | None:
 
     Args:
         folder: The folder of the runs.
-        recording: The recording.
 
     Returns:
         The name; None where the recording stands elsewhere.
@@ -180,9 +175,6 @@ def recording_named(name: str, folder: Path) -> Path:
         name: A name as `palpd runs` shows it, the end or the beginning of one, or `last`.
         folder: The folder of the runs.
 
-    Returns:
-        Its path.
-
     Raises:
         RecordingError: None is called so, or several are.
     """
@@ -209,9 +201,6 @@ def recording_meant(run: str, folder: Path) -> Path:
     Args:
         run: A path, a name, or `last`.
         folder: The folder of the runs, for a name.
-
-    Returns:
-        Its path.
 
     Raises:
         RecordingError: There is none, or several are called so.

@@ -50,7 +50,6 @@ def modulus_points(entries: Sequence[RunEntry], site: str) -> list[ModulusPoint]
 
     Args:
         entries: The runs, in any order.
-        site: Name of the site.
 
     Returns:
         One point a run that has pressed it.
@@ -64,7 +63,6 @@ def modulus_trend(catalogue: Catalogue, site: str, only: RunFilter) -> tuple[lis
 
     Args:
         catalogue: The runs.
-        site: Name of the site.
         only: Which runs count.
 
     Returns:
@@ -86,7 +84,6 @@ def site_trend(
 
     Args:
         catalogue: The runs.
-        site: Name of the site.
         only: Which runs count for the moduli.
 
     Returns:
@@ -127,7 +124,6 @@ def trend_as_json(
     """A trend for `--json` and for a web page.
 
     Args:
-        site: Name of the site.
         points: As `modulus_trend` gives them.
         slopes: As `modulus_trend` gives them.
         effects: As `effect_trend` gives them.

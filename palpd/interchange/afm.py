@@ -54,11 +54,7 @@ class AfmReader:
         """Read columns by their names.
 
         Args:
-            path: The file.
             names: Names of channels.
-
-        Returns:
-            The numbers of each.
 
         Raises:
             RecordingError: A column is absent, or holds what is no number.

@@ -84,11 +84,7 @@ class FileReader(Protocol):
         """Read channels by their names.
 
         Args:
-            path: The file.
             names: Names of channels, as `channels` lists them.
-
-        Returns:
-            The numbers of each.
 
         Raises:
             RecordingError: A channel is absent or damaged; the sentence names column and row.
@@ -98,9 +94,6 @@ class FileReader(Protocol):
 
 def listing(channels: Sequence[Channel]) -> str:
     """Name channels in an error.
-
-    Args:
-        channels: The channels of a file.
 
     Returns:
         Their names with units and rates, cut short.
@@ -114,7 +107,6 @@ def refuse_many(path: Path, number: int) -> None:
     """Refuse a file with more channels than any instrument has.
 
     Args:
-        path: The file.
         number: Number of its channels.
 
     Raises:
@@ -128,7 +120,6 @@ def refuse_not_finite(path: Path, name: str, values: Floats) -> None:
     """Refuse a channel that holds what is no finite number.
 
     Args:
-        path: The file.
         name: Name of the channel.
         values: Its numbers (n,).
 
@@ -147,7 +138,6 @@ def understanding(path: Path, kind: str) -> Iterator[None]:
     """Turn whatever a library raises over a damaged file into one sentence, and keep what it logs off the terminal.
 
     Args:
-        path: The file.
         kind: What the file should be.
 
     Yields:
@@ -181,7 +171,6 @@ def without_package(path: Path, kind: str, package: str) -> RecordingError:
     """Say which package is missing.
 
     Args:
-        path: The file.
         kind: What the file is.
         package: The package that reads it.
 

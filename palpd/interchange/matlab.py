@@ -38,11 +38,7 @@ class MatlabReader:
         """Read vectors by their names.
 
         Args:
-            path: The file.
             names: Names of channels.
-
-        Returns:
-            The numbers of each.
 
         Raises:
             RecordingError: A vector is absent, or holds what is no number.

@@ -77,11 +77,7 @@ class RosbagReader:
         """Read topics; a topic of transforms is named with its frame, /tf:tool0. All times have one origin.
 
         Args:
-            path: The file.
             names: Names of channels.
-
-        Returns:
-            The numbers of each.
 
         Raises:
             RecordingError: A topic is absent, empty, of another type or damaged.

@@ -85,11 +85,7 @@ class TableReader:
         """Read columns by their names.
 
         Args:
-            path: The file.
             names: Names of channels.
-
-        Returns:
-            The numbers of each.
 
         Raises:
             RecordingError: A column is absent, or a row of it holds no number.
@@ -121,7 +117,6 @@ def lines_of(path: Path, most_bytes: int | None = None) -> list[str]:
     """Read the lines of a text in UTF-8, UTF-16 or Latin-1.
 
     Args:
-        path: The file.
         most_bytes: Number of bytes after which only whole lines count, or None for the whole file.
 
     Returns:
@@ -158,13 +153,6 @@ def lines_of(path: Path, most_bytes: int | None = None) -> list[str]:
 
 def layout_of(path: Path, lines: list[str]) -> TableLayout:
     """Find header, separator and rows of numbers of a table.
-
-    Args:
-        path: The file, for its name.
-        lines: Its lines.
-
-    Returns:
-        The layout.
 
     Raises:
         RecordingError: There are no rows of numbers, or no header fits them.

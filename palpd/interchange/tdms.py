@@ -39,11 +39,7 @@ class TdmsReader:
         """Read channels by their names.
 
         Args:
-            path: The file.
             names: Names of channels.
-
-        Returns:
-            The numbers of each.
 
         Raises:
             RecordingError: A channel is absent, damaged, or holds what is no number.

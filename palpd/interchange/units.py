@@ -94,7 +94,6 @@ def scale_of(
     """Find the unit of a column.
 
     Args:
-        column: Name of the column.
         quantity: What it holds.
         values: Its numbers (n,).
         stated: Unit that the file states beside the name.
@@ -149,7 +148,6 @@ def refuse_unconfirmed(scales: list[UnitScale], confirmed: bool, name: str) -> N
     Args:
         scales: Units of the columns.
         confirmed: Whether the user has confirmed the guesses.
-        name: Name of the file.
 
     Raises:
         BadInput: A guess is not confirmed.

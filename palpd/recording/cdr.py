@@ -65,7 +65,6 @@ def pack_stamped(stamp_ns: Nanoseconds, frame: str, values: Floats) -> list[byte
 
     Args:
         stamp_ns: Unix times (n,) of the headers.
-        frame: name of the frame.
         values: PoseStamped (n, 7), TwistStamped (n, 6) or WrenchStamped (n, 6).
 
     Returns:
@@ -95,9 +94,6 @@ def tick_layout(frames: int, absent: tuple[str, ...] = ()) -> np.dtype[np.void]:
     Args:
         frames: Number of sensor frames in it.
         absent: Fields of LATER that it does not have.
-
-    Returns:
-        The layout.
     """
     fields = _header(BASE_FRAME)
     for name in _ONCE:

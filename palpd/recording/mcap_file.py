@@ -301,7 +301,6 @@ class Contents:
         """Yield the Tick messages chunk by chunk and fill the other attributes meanwhile.
 
         Args:
-            path: the file.
             skip_damaged: go on with the next whole chunk after a damaged one; otherwise reading stops there.
 
         Yields:
@@ -456,7 +455,6 @@ class Contents:
         """Put what a tick and the rest of the file say in place of a header or a schema that is damaged.
 
         Args:
-            part: The file.
             tick: A Tick message of it.
         """
         absent = cdr.absent_in(tick)

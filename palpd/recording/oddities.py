@@ -64,7 +64,6 @@ def refuse_dead(samples: Samples, label: str = "") -> None:
     """Refuse a wrench none of whose axes ever changes although the probe moves: rounding hides some axes of a quiet sensor, never all six.
 
     Args:
-        samples: The recording.
         label: What an error begins with.
 
     Raises:
@@ -93,7 +92,6 @@ def refuse_turned(samples: Samples, label: str = "") -> None:
     """Refuse a force that rises with the height; the side to which fz leaves its usual level says which of the two is turned.
 
     Args:
-        samples: The recording.
         label: What an error begins with.
 
     Raises:
@@ -119,9 +117,6 @@ def turned_twice(samples: Samples) -> list[str]:
 
     Two wrong signs leave a force that falls with the height, as it should. Yet a press ends at its lowest point, so there the force
     changes most.
-
-    Args:
-        samples: The recording.
 
     Returns:
         No sentence or one, without a full stop.
@@ -163,9 +158,6 @@ def _slope_doubts(samples: Samples) -> list[str]:
 def slope_ratio(samples: Samples) -> float | None:
     """How fast z_m changes over how fast vz_m_per_s says it does.
 
-    Args:
-        samples: The recording.
-
     Returns:
         The ratio, negative where their signs disagree; None where neither says anything.
     """
@@ -181,9 +173,6 @@ def swing_N(fz_N: Floats) -> float:
 
     Args:
         fz_N: The force (n,).
-
-    Returns:
-        Its swing.
     """
     return float(np.quantile(fz_N, 0.995) - np.quantile(fz_N, 0.005))
 

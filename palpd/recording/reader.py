@@ -97,7 +97,6 @@ def refuse_site(path: Path, site: str | None) -> None:
     """Refuse the name of a site for a file that is no recording of the daemon.
 
     Args:
-        path: The file.
         site: The name, or None.
 
     Raises:

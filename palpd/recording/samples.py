@@ -106,7 +106,6 @@ def read_columns(path: Path, present: Callable[[Path, Sequence[str]], list[str]]
     """Read columns of numbers from a CSV file.
 
     Args:
-        path: The file.
         present: Which columns are read of a header; it refuses a header that lacks some.
 
     Returns:
@@ -156,9 +155,6 @@ def samples_from_columns(columns: dict[str, Floats], name: str) -> Samples:
         columns: arrays (n,) by the names of COLUMNS.
         name: what errors call the recording.
 
-    Returns:
-        The samples.
-
     Raises:
         RecordingError: a column is missing, too short or not finite, or time does not increase.
     """
@@ -179,7 +175,6 @@ def numbers_of(values: object, name: str, column: str) -> Floats:
     Args:
         values: What stands in the column.
         name: What errors call the recording.
-        column: Name of the column.
 
     Returns:
         The numbers (n,).

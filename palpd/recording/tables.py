@@ -52,7 +52,6 @@ def with_points(text: str, layout: Layout) -> str:
     """A cell or a line of a table with decimal points.
 
     Args:
-        text: The text.
         layout: Layout of the table.
 
     Returns:
@@ -68,9 +67,6 @@ def read_layout(file: IO[str], name: str, columns: Sequence[str]) -> Layout:
         file: The table, at its beginning; afterwards it stands behind the header.
         name: What errors call it.
         columns: Names that the header should have.
-
-    Returns:
-        The layout.
 
     Raises:
         RecordingError: The lines are too long, or decimal commas separate nothing.

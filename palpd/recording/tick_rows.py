@@ -21,12 +21,7 @@ class RowWriter:
         self._bytes = rows.view(np.uint8).data
 
     def fill(self, at: int, record: TickRecord) -> None:
-        """Write a tick into a row.
-
-        Args:
-            at: number of the row.
-            record: the tick.
-        """
+        """Write a tick into a row."""
         (timing, robot, frames, contact, request, _), _, _, work_us = record
         n = len(frames)
         start = at * ROW.itemsize
@@ -53,9 +48,6 @@ class RowWriter:
 
 def decision(record: TickRecord) -> bytes:
     """Pack what the daemon decided in a tick: the fields `DECISIONS` of ROW, as they stand in a row.
-
-    Args:
-        record: the tick.
 
     Returns:
         The bytes of these fields.

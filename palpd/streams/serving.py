@@ -127,9 +127,6 @@ def opened(config: Config, path: Path, outputs: Outputs, say: Callable[[str], No
         outputs: What is served, and where.
         say: Takes sentences for people: where each output is, and what goes wrong.
 
-    Yields:
-        The stream.
-
     Raises:
         BadInput: Nothing is to be served, or a library is missing.
         Refused: A port or a socket is taken.

@@ -205,8 +205,6 @@ def inclusion_below(holds: Sequence[Hold], force_sigma_N: float = FORCE_SIGMA_N,
     """Evidence of an inclusion in the static holds of a setup.
 
     Args:
-        holds: The holds.
-        force_sigma_N: One sigma of a force.
         surface_sigma_m: One sigma of the zero of depth.
 
     Returns:
@@ -256,12 +254,8 @@ def on_a_day(cell: CellFile, bias_N: float, rng: np.random.Generator) -> CellFil
     """The cell with the bias and warm-up of a day.
 
     Args:
-        cell: The cell.
         bias_N: Bias after the tare.
         rng: Draws the warm-up.
-
-    Returns:
-        The cell on that day.
     """
     day = {
         "sensor.bias": {"offset_N": bias_N},
@@ -358,9 +352,6 @@ def study(seed: int = 0, days: int = 20) -> Study:
     Args:
         seed: Seed of everything.
         days: Number of further days.
-
-    Returns:
-        The study.
     """
     data = simulated(seed)
     methods = fitted(data.free)

@@ -76,7 +76,6 @@ def take(cell: CellFile, z_cmd_m: Floats, seed: int) -> Take:
     Above tissue whose surface is believed at 0, the upper half of the way to where the motion begins counts as clear, as in the daemon.
 
     Args:
-        cell: The cell.
         z_cmd_m: Commanded heights (n,) in m.
         seed: Seed of noise and tare.
 
@@ -137,7 +136,6 @@ def free_cell(cell: CellFile, effects: dict[str, dict[str, float]]) -> CellFile:
     """The same robot, probe and sensor with nothing in reach.
 
     Args:
-        cell: The cell.
         effects: Effects that it has instead of its own, by id.
 
     Returns:

@@ -20,9 +20,6 @@ Endpoint = Callable[[Request], Awaitable[Response]]
 def answering(work: Callable[[Request], Awaitable[Mapping[str, Any] | Response]]) -> Endpoint:
     """Make a route of a function that returns data, a response, or raises a refusal.
 
-    Args:
-        work: The function.
-
     Returns:
         The route's endpoint: `{"ok": true, ...}`, or `{"ok": false, "error": sentence}`.
     """
@@ -84,9 +81,6 @@ def number_in(body: Mapping[str, Any], name: str) -> float:
     Args:
         body: The request's data, or the queries of its address.
         name: Its key.
-
-    Returns:
-        The number.
 
     Raises:
         BadInput: It is no finite number.

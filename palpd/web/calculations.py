@@ -73,9 +73,6 @@ def routes(page: "Page") -> list[BaseRoute]:
 
     Args:
         page: What all routes share.
-
-    Returns:
-        The routes.
     """
     of = Calculations(page)
     return [
@@ -92,11 +89,7 @@ async def report_response(path: Path, request: Request, name: str) -> Response:
 
     Args:
         path: The HTML file.
-        request: The request.
         name: Name of the download.
-
-    Returns:
-        The response.
 
     Raises:
         BadInput: The file is absent or too large.
@@ -110,11 +103,7 @@ def download_response(path: Path, name: str) -> Response:
     """A file as a download. Letters that a header cannot hold become underscores.
 
     Args:
-        path: The file.
         name: Its name at the user's.
-
-    Returns:
-        The response.
 
     Raises:
         BadInput: The file is absent.

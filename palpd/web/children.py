@@ -135,9 +135,6 @@ class Children:
             limit_s: Longest time that it may run.
             files: Text files that it reads, by name.
 
-        Returns:
-            The child.
-
         Raises:
             Refused: Too many wait already.
             BadInput: A word is no text of a command line, or its folder cannot be made.

@@ -106,9 +106,6 @@ def routes(page: "Page") -> list[BaseRoute]:
 
     Args:
         page: What all routes share.
-
-    Returns:
-        The routes.
     """
     of = HistoryPages(page)
     return [

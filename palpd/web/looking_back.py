@@ -35,9 +35,6 @@ def recording_of(folder: Path, key: str) -> Path:
         folder: The folder of the runs.
         key: Key of a run, as the list gives it.
 
-    Returns:
-        Its path.
-
     Raises:
         RecordingError: No recording of the folder is called so.
     """
@@ -155,7 +152,6 @@ def remarked(recording: Path, tags: list[str], untag: list[str], note: str) -> d
     """Add tags and a note to a run, or take tags away.
 
     Args:
-        recording: Its recording.
         tags: Tags to add.
         untag: Tags to take away.
         note: A note to add; empty for none.

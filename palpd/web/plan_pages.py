@@ -50,9 +50,6 @@ def routes(page: "Page") -> list[BaseRoute]:
 
     Args:
         page: What all routes share.
-
-    Returns:
-        The routes.
     """
     of = PlanPages(page)
     return [

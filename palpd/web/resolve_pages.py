@@ -61,9 +61,6 @@ def routes(page: "Page") -> list[BaseRoute]:
 
     Args:
         page: What all routes share.
-
-    Returns:
-        The routes.
     """
     of = ResolvePages(page)
     return [

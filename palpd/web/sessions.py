@@ -67,9 +67,6 @@ def read_token(path: Path) -> str:
     Args:
         path: The file. Nobody but its owner may have any right to it.
 
-    Returns:
-        The token.
-
     Raises:
         BadInput: The file is open to others, or holds no token.
         Refused: The file cannot be written.

@@ -38,9 +38,6 @@ def page(request: Request, part: str, title: str, tab: str, *, camera: str = "")
         title: Of the page, for the browser.
         tab: Name of the tab that it belongs to.
         camera: HTML that shows the camera's picture, on the Run page.
-
-    Returns:
-        The page.
     """
     return HTMLResponse(_framed(part, title, tab, request.scope["session"].csrf).replace("$camera", camera))
 
@@ -55,9 +52,6 @@ def routes(camera_url: str | None) -> list[Route]:
 
     Args:
         camera_url: Address of a camera's picture, for the Run page.
-
-    Returns:
-        The routes.
     """
     camera = Template(_read("camera")).substitute(url=escape(camera_url)) if camera_url is not None else ""
 

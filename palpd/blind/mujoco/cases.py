@@ -80,9 +80,6 @@ class MujocoCase:
         Args:
             planted: the effects that act; None: all of the case.
             other: on the second motion.
-
-        Returns:
-            The reading.
         """
         acting = self.planted if planted is None else planted
         key = (other, *((each.effect.id, *each.values.items()) for each in acting))
@@ -117,9 +114,6 @@ class MujocoCase:
         Args:
             plant: the mechanics.
             other: on the second motion.
-
-        Returns:
-            The run.
         """
         if other or plant is not self.healthy.plant:
             return simulate(plant, self.other_path if other else self.path)
@@ -374,9 +368,6 @@ def _next_size(tried: list[tuple[float, float]], low: float, high: float) -> flo
 
 def sealed_truth(case: MujocoCase) -> dict[str, Any]:
     """What is true about a case, as JSON.
-
-    Args:
-        case: the case.
 
     Returns:
         Rig, deviations, every effect with its parameters, signal-to-noise ratios and sizes, and how exact the healthy cell is.

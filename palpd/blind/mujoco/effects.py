@@ -72,11 +72,7 @@ def change_plant(setup: CellSetup, **changes: object) -> CellSetup:
     """The cell with other mechanics.
 
     Args:
-        setup: the cell.
         changes: fields of the plant by name.
-
-    Returns:
-        The new cell.
     """
     return replace(setup, plant=replace(setup.plant, **changes))  # type: ignore[arg-type]
 
@@ -85,11 +81,7 @@ def change_sensor(setup: CellSetup, **changes: object) -> CellSetup:
     """The cell with another sensor.
 
     Args:
-        setup: the cell.
         changes: fields of the sensor by name.
-
-    Returns:
-        The new cell.
     """
     return replace(setup, sensor=replace(setup.sensor, **changes))  # type: ignore[arg-type]
 
@@ -98,11 +90,7 @@ def add_stage(setup: CellSetup, stage: Callable[[Array, PlantRun], Array]) -> Ce
     """The cell with one more step in the transducer.
 
     Args:
-        setup: the cell.
         stage: see `setup.Stage`.
-
-    Returns:
-        The new cell.
     """
     return change_sensor(setup, stages=(*setup.sensor.stages, stage))
 
@@ -111,11 +99,7 @@ def add_zero(setup: CellSetup, zero: Callable[[Array, PlantRun], Array]) -> Cell
     """The cell with one more wandering of the sensor's zero.
 
     Args:
-        setup: the cell.
         zero: see `setup.ZeroStage`.
-
-    Returns:
-        The new cell.
     """
     return change_sensor(setup, zero_stages=(*setup.sensor.zero_stages, zero))
 
@@ -124,11 +108,7 @@ def add_force(setup: CellSetup, make: Callable[[PressPath, Array], ForceTerm]) -
     """The cell with one more term in the tissue's force.
 
     Args:
-        setup: the cell.
         make: makes the term from path and times.
-
-    Returns:
-        The new cell.
     """
     return change_plant(setup, force_terms=(*setup.plant.force_terms, make))
 
@@ -156,9 +136,6 @@ def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
         rng: source of chance.
         low: smallest value.
         high: largest value.
-
-    Returns:
-        The number.
     """
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
@@ -169,9 +146,6 @@ def peak_force_N(cell: StatedCell, path: PressPath) -> float:
     Args:
         cell: gives the Hertz factor.
         path: gives the depth.
-
-    Returns:
-        The force, N.
     """
     return cell.hertz_N_per_m15 * path.deepest_m**1.5
 

@@ -28,8 +28,6 @@ def second_order(z_m: Array, step_s: float, natural_frequency_Hz: float, damping
     Args:
         z_m: (n,) commanded height, m.
         step_s: sampling step, s.
-        natural_frequency_Hz: natural frequency, Hz.
-        damping_ratio: damping ratio.
 
     Returns:
         (n,) height, m.

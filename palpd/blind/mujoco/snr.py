@@ -46,9 +46,6 @@ def yardstick(samples: Samples, cell: StatedCell, directions: list[Array]) -> Ya
         samples: gives the times.
         cell: gives the noise and the robot's report rate.
         directions: (n, 7) changes for one standard deviation of every tolerance and of every press.
-
-    Returns:
-        The yardstick.
     """
     bins = np.floor(samples.t_s / BIN_S + 1e-9).astype(np.intp)
     rows = np.bincount(bins).astype(float)

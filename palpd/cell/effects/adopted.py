@@ -96,9 +96,6 @@ def adopt(law: LearnedEffect, folder: Path) -> Path:
         law: The law, under its new name.
         folder: Folder of adopted effects; it is made where it does not exist.
 
-    Returns:
-        The file.
-
     Raises:
         BadInput: The name is taken, or nothing can be written there.
     """
@@ -115,7 +112,6 @@ def remove(name: str, folder: Path) -> Path:
     """Take an adopted effect out of a user's library.
 
     Args:
-        name: Its name.
         folder: Folder of adopted effects.
 
     Returns:

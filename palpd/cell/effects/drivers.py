@@ -152,9 +152,6 @@ class DriverState:
         Args:
             s: Samples at the stage of the probe.
             rest_speed_m_per_s: Speed at which friction turns over.
-
-        Returns:
-            The state.
         """
         gap_m = s.tip_m - s.surface_m
         if not np.isfinite(gap_m).all():  # there is no tissue
@@ -249,7 +246,6 @@ def driver_values(driver: Driver, s: DriverState, memory: Memory) -> Floats:
     """Values of a driver over a stretch of samples.
 
     Args:
-        driver: The driver.
         s: The moving probe.
         memory: State that is carried from one stretch of samples to the next.
 

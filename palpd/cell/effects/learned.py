@@ -194,11 +194,7 @@ class Term(StrictBlock):
         """The term with its curve multiplied by a number; one that repeats in time also has its clock ahead.
 
         Args:
-            factor: The number.
             shift_s: By how much the clock is ahead.
-
-        Returns:
-            The term.
         """
         if self.of_phase and shift_s:
             curve = self.curve(np.asarray(self.knots, float) + shift_s)
@@ -325,9 +321,6 @@ def held_sentence(name: str, share: float, what: str = "rows") -> str:
         name: The learned effect.
         share: Share of the samples.
         what: What the samples are.
-
-    Returns:
-        The sentence.
     """
     return f"{name}: {share:.1%} of the {what} lie outside the range that it was learned in; its curve is held there."
 
@@ -370,9 +363,6 @@ def load_learned(path: str | Path) -> tuple[LearnedEffect, ...]:
     Args:
         path: The YAML file.
 
-    Returns:
-        The effects.
-
     Raises:
         ConfigError: Where it is no such file, one sentence that names line and key.
     """
@@ -388,7 +378,6 @@ def save_learned(path: str | Path, learned: Iterable[LearnedEffect]) -> None:
 
     Args:
         path: File to write.
-        learned: The effects.
 
     Raises:
         BadInput: The file cannot be written.

@@ -37,7 +37,6 @@ def examined(
 
     Args:
         config: The configuration of the cell.
-        open_sensor: Opens the sensor.
         open_robot: Opens the robot for reading.
         watch_s: How long the devices are observed.
         weight_N: A known weight that the operator hangs on the probe; None skips that.
@@ -65,9 +64,6 @@ def examined_without_devices(config: Config) -> list[Finding]:
 
     Args:
         config: The configuration of the cell.
-
-    Returns:
-        The findings.
     """
     return [*examine_machine(config), *examine_stored(config), *port(config.sensor.port)]
 

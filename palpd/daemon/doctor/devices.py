@@ -108,7 +108,6 @@ def judged(devices: OpenedDevices, config: Config, watch_s: float, known: ProbeR
     """Observe both devices, and judge them.
 
     Args:
-        devices: The opened devices.
         config: The configuration, for rates and limits.
         watch_s: How long to read.
         known: What is known of the probe from before; None judges nothing of it.
@@ -129,9 +128,6 @@ def identified(sensor: SensorDriver, config: Config) -> Finding:
     Args:
         sensor: The opened sensor.
         config: The configuration, for its port.
-
-    Returns:
-        The finding.
     """
     return Finding("sensor", "ok", f"{sensor.serial_number} at {config.sensor.port}, calibration from {sensor.calibration_source}")
 
@@ -148,9 +144,6 @@ def judge_sensor(record: DeviceRecord, config: Config, sensor: SensorDriver) -> 
         record: What the sensor sent.
         config: The configuration, for rate, noise and limits.
         sensor: The sensor, for its serial number.
-
-    Returns:
-        One finding each.
     """
     expected_Hz, step = config.sensor.rate_Hz, sensor.counter_step
     lost = int((record.counter_steps // step - 1).clip(min=0).sum())
@@ -222,7 +215,6 @@ def judge_probe(
 
     Args:
         record: What both devices sent.
-        config: The configuration.
         sensor: The sensor, for its serial number.
         known: What is known from before; None judges nothing.
 
@@ -252,9 +244,6 @@ def judge_robot(record: DeviceRecord, config: Config) -> list[Finding]:
     Args:
         record: What the robot sent.
         config: The configuration, for rate and limits.
-
-    Returns:
-        One finding each.
     """
     robot = record.last
     if robot is None or len(record.state_s) < 10:

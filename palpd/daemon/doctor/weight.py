@@ -45,12 +45,8 @@ def check_weight(
         sensor: The open sensor.
         robot: State of the robot, for its orientation; without one the tool points straight down.
         config: How the sensor is mounted and which slopes are set.
-        weight_N: The weight.
         ask: Tells the operator what to do.
         pulled_over_pressed: Ratio of the sensor's two slopes of Fz; None where it has one.
-
-    Returns:
-        One finding.
     """
     ask("Leave the probe free and still.")
     free = _mean(sensor)

@@ -33,7 +33,6 @@ class Basis:
     """Columns of a curve over a driver.
 
     Attributes:
-        driver: The driver.
         low: Smallest value of the driver that counts, in its unit.
         high: Largest one.
         knots: Coordinates of the knots (m,) of hats; empty for other bases.
@@ -87,7 +86,6 @@ def hats(driver: Driver, x: Floats, count: int = KNOTS) -> Basis | None:
     """Hats at even knots with a Matérn prior of smoothness 3/2 and several lengths.
 
     Args:
-        driver: The driver.
         x: Its values (n,) where the curve matters, in its unit.
         count: Number of knots.
 
@@ -108,7 +106,6 @@ def powers(driver: Driver, x: Floats) -> Basis | None:
     """X and x² for a relaxed state.
 
     Args:
-        driver: The driver.
         x: Its values (n,).
 
     Returns:
@@ -128,9 +125,6 @@ def harmonics(driver: Driver, x: Floats) -> Basis:
     Args:
         driver: The driver, with its period.
         x: Its values (n,).
-
-    Returns:
-        The basis.
     """
     low, high = _range(x)
     return Basis(driver, low, high, np.zeros(0), (np.diag(np.repeat(HARMONIC_VARIANCES, 2) ** 0.5),))

@@ -14,7 +14,6 @@ def confounds(finding: LawFinding, fits: Mapping[tuple[str, ...], Fit]) -> dict[
     """The effects that imitate a law, each as it was fitted to the same recordings.
 
     Args:
-        finding: The law.
         fits: Every set of listed effects at its best.
 
     Returns:

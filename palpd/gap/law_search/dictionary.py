@@ -97,9 +97,6 @@ def plain_drivers(scene: Scene) -> list[tuple[Driver, float]]:
 def groups(scene: Scene) -> Iterator[Group]:
     """Every group but the periodic ones.
 
-    Args:
-        scene: The recordings.
-
     Yields:
         The groups, channel by channel.
     """
@@ -181,10 +178,6 @@ def _speed_limits(scene: Scene, price: float) -> Iterator[Group]:
 def refined(scene: Scene, candidate: LawCandidate) -> list[LawCandidate]:
     """A candidate with other constants of its memory.
 
-    Args:
-        scene: The recordings.
-        candidate: The candidate.
-
     Returns:
         Candidates that differ in the constant; none where the driver has no memory.
     """
@@ -212,7 +205,6 @@ def periodic(scene: Scene, remainder: Floats) -> Iterator[LawCandidate]:
     """The likeliest periodic laws, by a scan over frequencies.
 
     Args:
-        scene: The recordings.
         remainder: What the nuisances leave of the residual (7, b), whitened.
 
     Yields:

@@ -71,7 +71,6 @@ def find_events(scene: Scene, space: NuisanceSpace) -> Events:
     """Pursue events greedily: each one that is found joins the nuisances.
 
     Args:
-        scene: The recordings.
         space: Nuisances and residual.
 
     Returns:
@@ -207,7 +206,6 @@ def wander_nats(scene: Scene, space: NuisanceSpace) -> float:
     """Evidence of a random walk in time of the zero or of the scale of fz (an Ornstein-Uhlenbeck process).
 
     Args:
-        scene: The recordings.
         space: Nuisances and residual.
 
     Returns:

@@ -54,7 +54,6 @@ class RefusedLaw:
     """A law that the recordings support and that is not named.
 
     Attributes:
-        law: The law.
         reason: It changes in time, or one press or stroke alone shows it.
         recording: Number of the recording with that press.
         cycle: Number of the cycle of that press there.
@@ -243,14 +242,10 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
     fewer parts counts. Else the law stands beside them.
 
     Args:
-        problem: The recordings.
         nominal: The fit without effects.
         listed: The fit of the listed answer; the same where nothing is named.
         coarse: Whether readings are rounded far more coarsely than stated. They then follow the force in steps, and any law fits the steps:
             nothing is sought.
-
-    Returns:
-        The finding.
     """
     if coarse:
         return _nothing(listed)
@@ -380,11 +375,7 @@ def learned_effect(law: LearnedLaw, nats: float) -> LearnedEffect:
     """A law as data.
 
     Args:
-        law: The law.
         nats: Its evidence beyond the listed answer.
-
-    Returns:
-        The learned effect.
     """
     terms = tuple(_term(law, number) for number in range(len(law.terms)))
     first = law.terms[0].candidate
@@ -408,7 +399,6 @@ def free_name(name: str, taken: set[str]) -> str:
     """A name that is free.
 
     Args:
-        name: The name.
         taken: Names that there are already.
 
     Returns:

@@ -49,10 +49,8 @@ class Formula:
     """One or two functions of a driver, each with a coefficient.
 
     Attributes:
-        driver: The driver.
         low: Smallest value of the driver that counts, in its unit.
         high: Largest one.
-        shapes: The functions.
         sizes: Largest absolute value of each, by which the columns are divided.
         price: Log of the number of formulas of its kind.
     """
@@ -142,7 +140,6 @@ def neighbours(formula: Formula, x: Floats) -> list[Formula]:
     """The formula with its place and width a little off; the price of the grid has paid for that.
 
     Args:
-        formula: The formula.
         x: Values (b,) of its driver in the bins.
 
     Returns:

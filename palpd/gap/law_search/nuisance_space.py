@@ -110,9 +110,6 @@ class NuisanceSpace:
 
         Args:
             columns: Whitened columns (b, n) by channel.
-
-        Returns:
-            Their products.
         """
         seen = self._nuisances.whitened(self.columns.against(columns))
         raw = sum(values.T @ values for values in columns.values())
@@ -123,7 +120,6 @@ class NuisanceSpace:
         """Inner products of one whitened shape cut to many windows, by running sums.
 
         Args:
-            channel: The channel.
             shape: The shape (b,).
             begin: First bin of every window (w,).
             end: End of every window (w,), not part of it.
@@ -158,9 +154,6 @@ class NuisanceSpace:
 
         Args:
             bins: Which of them in each channel (7, b).
-
-        Returns:
-            A new space.
         """
         return NuisanceSpace(self.columns.restricted_to(bins), np.where(bins, self.residual, 0.0))
 
@@ -170,7 +163,6 @@ class NuisanceSpace:
         Args:
             columns: Whitened columns (b, n) by channel.
             fold: The fold (b,) of every bin.
-            folds: Number of folds.
 
         Returns:
             Products inside every fold, and outside every fold.

@@ -43,7 +43,6 @@ class LawCandidate:
 
     Attributes:
         channel: A channel, or LATERAL for a force at the tip to the side.
-        factor: The factor.
         basis: Curve or formula over the driver.
         price: Nats that it costs to name it.
         azimuth_rad: Direction of a force to the side.
@@ -70,9 +69,6 @@ class LawCandidate:
 
         Args:
             tip_length_m: Arm of a force to the side.
-
-        Returns:
-            The weights by channel.
         """
         if self.channel != LATERAL:
             return {self.channel: 1.0}  # type: ignore[dict-item]
@@ -85,7 +81,6 @@ class Scene:
     """The recordings of a problem, simulated in one state of the cell.
 
     Attributes:
-        problem: The recordings.
         contact: The moving probe at the steps of every recording.
         robot: The nominal follower of the command, where heights are compared.
         rest_speed_m_per_s: Speed at which friction turns over.
@@ -102,12 +97,8 @@ class Scene:
         """Simulate the recordings.
 
         Args:
-            problem: The recordings.
             effects: Parameters by effect.
             eta: Shared deviations (11,) in standard deviations.
-
-        Returns:
-            The scene.
         """
         return_memory()
         cell, library = problem.cell_at(effects, eta), problem.library
@@ -174,7 +165,6 @@ class Scene:
 
         Args:
             channel: The channel; heights have drivers of the follower, all others those of the contact.
-            driver: The driver.
 
         Returns:
             Values (b,) in SI units.
@@ -189,7 +179,6 @@ class Scene:
 
         Args:
             channel: The channel, as above.
-            name: The factor.
 
         Returns:
             Values (b,) in SI units.
@@ -198,9 +187,6 @@ class Scene:
 
     def columns(self, candidate: LawCandidate) -> dict[int, Floats]:
         """What each coefficient of a candidate changes, with all filters that lie behind it.
-
-        Args:
-            candidate: The candidate.
 
         Returns:
             Columns (b, m) by channel, in the units of the channels.
@@ -226,7 +212,6 @@ class Scene:
         """Factor times basis in the bins.
 
         Args:
-            candidate: The candidate.
             behind: Filters that lie behind it.
 
         Returns:
@@ -264,7 +249,6 @@ def rounding_columns(problem: Problem, fitted: Floats) -> dict[int, Floats]:
     Otherwise the levels that a slow press crosses look like a law that repeats over the height.
 
     Args:
-        problem: The recordings.
         fitted: Readings (7, b) with all fitted deviations: the force between two levels must be known.
 
     Returns:

@@ -95,9 +95,6 @@ class Scorer:
     def exact(self, candidate: LawCandidate) -> tuple[Scored, dict[int, Floats]]:
         """A candidate weighed with all filters, in all bins.
 
-        Args:
-            candidate: The candidate.
-
         Returns:
             It with its evidence, and its whitened columns (b, m) by channel.
         """

@@ -64,7 +64,6 @@ class LearnedLaw:
     """One or two terms, in the scene in which they were found.
 
     Attributes:
-        scene: The recordings.
         space: The nuisances without the terms.
         terms: The terms in the order in which they were found; none where there is no law.
     """
@@ -163,7 +162,6 @@ def search(scene: Scene, space: NuisanceSpace, gained: float = 0.0) -> LearnedLa
     """Search for a law in a residual.
 
     Args:
-        scene: The recordings.
         space: Nuisances and residual.
         gained: Nats that listed effects have gained before.
 

@@ -175,9 +175,6 @@ def bundled(entry: Path, definitions: Sequence[Definition], tail: str, written_b
         tail: Lines that stand after all definitions.
         written_by: Sentence that says where the file comes from.
 
-    Returns:
-        The text.
-
     Raises:
         BadInput: Two files define the same name.
     """

@@ -80,7 +80,6 @@ def export_cell(
     """Write a folder with a cell for another simulator.
 
     Args:
-        cell: The cell.
         target: The simulator.
         folder: Folder to write; it must not exist, or be empty.
         draws: Further cells, drawn from what a diagnosis left open.
@@ -158,7 +157,6 @@ def check_ranges(cell: CellFile, library: Mapping[str, Effect] = EFFECTS) -> Non
     """Refuse a parameter outside the range in which its law means something; a range that depends on a recording is not judged.
 
     Args:
-        cell: The cell.
         library: Effects by id.
 
     Raises:
@@ -199,7 +197,6 @@ def step_of(rate_Hz: float, servo_natural_frequency_Hz: float) -> float:
 
     Args:
         rate_Hz: Rate of the sensor.
-        servo_natural_frequency_Hz: Natural frequency of the servo.
 
     Returns:
         The step in s.
@@ -234,7 +231,6 @@ def example_motion(cell: CellFile, site: str | None = None, library: Mapping[str
     """Two presses that any cell can take: a slow one with a hold, and a faster one.
 
     Args:
-        cell: The cell.
         site: Name of a site of the cell, or None for the cell's own tissue.
         library: Effects by id.
 
@@ -325,9 +321,6 @@ def model_xml(numbers: Sequence[Mapping[str, Any]], tip_length_m: float) -> str:
     Args:
         numbers: Cells of `cells.json`, the exported one first.
         tip_length_m: Distance from the sensor to the tip.
-
-    Returns:
-        The model.
     """
     first, c = numbers[0], numbers[0]["constants"]
     radius_m, length_m = c["tip_radius_m"], max(tip_length_m, c["tip_radius_m"])
@@ -418,12 +411,8 @@ def agreement_of(cell: CellFile, rows: Floats, expected: Mapping[str, Floats]) -
     """How far a rollout is from palpd's own simulation, in rms of the stated noise of each channel.
 
     Args:
-        cell: The cell.
         rows: Values (n, 8) of COLUMNS.
         expected: The columns of palpd's simulation.
-
-    Returns:
-        The figures.
     """
     sensor, robot = cell.sensor, cell.robot
     torque_Nm = sensor.noise_rms_Nm or sensor.noise_rms_N * cell.probe.tip_length_m

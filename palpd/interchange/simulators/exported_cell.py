@@ -28,9 +28,6 @@ def read_cells(path: Path) -> list[dict[str, Any]]:
 
     Args:
         path: The file `cells.json`.
-
-    Returns:
-        The numbers of each cell.
     """
     cells: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["cells"]
     return cells
@@ -42,9 +39,6 @@ def chosen(cells: list[dict[str, Any]], draw: int) -> dict[str, Any]:
     Args:
         cells: The cells of an export.
         draw: 0 for the exported cell, k for the k-th drawn one.
-
-    Returns:
-        Its numbers.
 
     Raises:
         ValueError: There is no such draw.
@@ -76,11 +70,7 @@ def cell_of(numbers: Mapping[str, Any], what: Physics, noise_seed: int | None = 
 
     Args:
         numbers: One cell of `cells.json`.
-        what: Its physics.
         noise_seed: Seed of noise and rounding; neither without one.
-
-    Returns:
-        The cell.
     """
     return MovedCell(what, Reporting(**numbers["reporting"]), noise_seed=noise_seed)
 

@@ -87,7 +87,6 @@ class CellInMujoco:
         """Let the tissue push the probe.
 
         Args:
-            model: The model.
             data: Its state, with heights and speeds.
         """
         if data.time < self._last_s:
