@@ -1,5 +1,6 @@
 """What the commands share: the application they belong to, options, the terminal, and the way out."""
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -72,16 +73,22 @@ __all__ = [
 ]  # fmt: skip
 
 
+PIPE_WIDTH = 200
+"""Letters in a line where the output is no terminal: rich takes 80 there, and cut names of effects."""
+
+
 @cache
 def terminal() -> "Console":
     """The terminal that the commands print to; made when something is printed, since rich takes a tenth of a second to import.
 
-    Texts are printed as they are, since names of files and sites may look like markup. In a pipe no line is broken.
+    Texts are printed as they are, since names of files and sites may look like markup. In a pipe no line is broken, and no table is cut.
     """
     from rich.console import Console
 
     console = Console(markup=False, highlight=False)
     console.soft_wrap = not console.is_terminal
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = PIPE_WIDTH
     return console
 
 

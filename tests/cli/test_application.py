@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 from palpd.cli import app, application, at_once, first_abort, main
 from palpd.cli.command_groups import GROUPS
 from palpd.cli.first_abort import socket_paths
+from palpd.cli.options import PIPE_WIDTH, terminal
 from palpd.cli.output_options import examples_of
 from palpd.config import load_config
 from palpd.daemon import interrupts
@@ -661,3 +662,14 @@ def test_whoever_asks_for_another_robot_or_simulator_reads_what_works(
     sentence = capsys.readouterr().err
     assert all(answer in sentence for answer in answers)
     assert "Value error" not in sentence
+
+
+def test_a_table_in_a_pipe_is_as_wide_as_it_needs_and_on_a_narrow_line_as_it_was_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    try:
+        for columns, width in ((None, PIPE_WIDTH), ("60", 60)):
+            terminal.cache_clear()
+            monkeypatch.delenv("COLUMNS", raising=False) if columns is None else monkeypatch.setenv("COLUMNS", columns)
+            assert not terminal().is_terminal
+            assert terminal().width == width
+    finally:
+        terminal.cache_clear()
