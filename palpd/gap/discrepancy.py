@@ -11,8 +11,8 @@ from scipy.linalg import cholesky, solve_triangular
 from palpd.cell.cell_file import EffectValues
 from palpd.gap.coordinates import Coordinate
 from palpd.gap.fit import Optimum
+from palpd.gap.gaussian.nuisances import Columns, Projected, Widened, stable_inverse
 from palpd.gap.linearise import Linearisation
-from palpd.gap.nuisances import Columns, Projected, Widened, stable_inverse
 from palpd.gap.problem import Problem
 from palpd.tick import Floats
 

@@ -11,8 +11,8 @@ from palpd.cell.effects import Scale
 from palpd.gap.coordinates import Coordinate
 from palpd.gap.discrepancy import P_EXACT_LAW, model_discrepancies
 from palpd.gap.fit import Optimum, fit_values
+from palpd.gap.gaussian.nuisances import Nuisances, gram, project, stable_inverse
 from palpd.gap.linearise import Linearisation
-from palpd.gap.nuisances import Nuisances, gram, project, stable_inverse
 from palpd.gap.problem import Problem
 from palpd.tick import Floats
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from palpd.cell.cell_file import EffectValues
 from palpd.gap.coordinates import Coordinate, coordinates, coordinates_of, inside, values_at
+from palpd.gap.gaussian.nuisances import gram, project
 from palpd.gap.linearise import Linearisation, linearise
-from palpd.gap.nuisances import gram, project
 from palpd.gap.problem import MODULUS, Problem
 from palpd.tick import Floats
 

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from palpd.gap.coordinates import Coordinate
 from palpd.gap.evidence import Fit, PossibleLaw
 from palpd.gap.fit import gauss_newton, jacobian_at
-from palpd.gap.nuisances import gram, project, stable_inverse
+from palpd.gap.gaussian.nuisances import gram, project, stable_inverse
 from palpd.gap.problem import Problem
 from palpd.tick import Floats
 

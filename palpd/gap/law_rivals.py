@@ -9,8 +9,8 @@ import numpy as np
 from palpd.cell.effects.learned import LearnedEffect
 from palpd.cell.simulation import share_outside
 from palpd.gap.evidence import fit
+from palpd.gap.gaussian.nuisance_space import whitened
 from palpd.gap.law_search.finding import LawFinding, free_name, learned_effect
-from palpd.gap.law_search.nuisance_space import whitened
 from palpd.gap.law_search.scene import Scene
 from palpd.gap.law_search.search import LearnedLaw
 from palpd.gap.posterior import Attribution, Hypothesis

@@ -19,14 +19,14 @@ from palpd.cell.effects.drivers import Driver
 from palpd.cell.simulation import simulate
 from palpd.gap.commands import simulate_file, write_answer
 from palpd.gap.diagnosis import Diagnosis
+from palpd.gap.gaussian.evidence import SIZES, group_evidence
+from palpd.gap.gaussian.nuisance_space import NuisanceSpace
+from palpd.gap.gaussian.nuisances import Columns
 from palpd.gap.law_search import finding
 from palpd.gap.law_search.bases import hats, powers
-from palpd.gap.law_search.evidence import SIZES, group_evidence
 from palpd.gap.law_search.finding import leading_leaves
 from palpd.gap.law_search.formulas import formulas_of
 from palpd.gap.law_search.held_out import FOLDS, held_out
-from palpd.gap.law_search.nuisance_space import NuisanceSpace
-from palpd.gap.nuisances import Columns
 from palpd.gap.report import curves_of, page
 from palpd.tick import Floats
 from tests.gap.test_diagnosis import heights, quick, recording

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 from palpd.gap.evidence import Fit
+from palpd.gap.gaussian.nuisances import project
 from palpd.gap.law_search.finding import LawFinding
-from palpd.gap.nuisances import project
 
 MOST, LEAST_COSINE = 4, 0.5
 """Number of imitations that are listed, and the cosine from which on one is any."""

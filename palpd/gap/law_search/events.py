@@ -6,8 +6,8 @@ from typing import TypedDict
 
 import numpy as np
 
-from palpd.gap.law_search.evidence import posterior_of
-from palpd.gap.law_search.nuisance_space import NuisanceSpace
+from palpd.gap.gaussian.evidence import posterior_of
+from palpd.gap.gaussian.nuisance_space import NuisanceSpace
 from palpd.gap.law_search.scene import Scene
 from palpd.gap.noise import CHANNELS, FX, FZ
 from palpd.gap.problem import Problem

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpd.gap.law_search.evidence import posterior_of
-from palpd.gap.law_search.nuisance_space import ColumnsByChannel, NuisanceSpace
+from palpd.gap.gaussian.evidence import posterior_of
+from palpd.gap.gaussian.nuisance_space import ColumnsByChannel, NuisanceSpace
 from palpd.gap.phases import Ints
 from palpd.tick import Floats
 

@@ -5,10 +5,10 @@ from functools import cached_property
 
 import numpy as np
 
+from palpd.gap.gaussian.evidence import group_evidence
+from palpd.gap.gaussian.nuisance_space import NuisanceSpace, whitened
 from palpd.gap.law_search.bases import Basis
-from palpd.gap.law_search.evidence import group_evidence
 from palpd.gap.law_search.held_out import FOLDS, LEAST_GAIN_SHARE, HeldOut, held_out
-from palpd.gap.law_search.nuisance_space import NuisanceSpace, whitened
 from palpd.gap.law_search.scene import LawCandidate, Scene
 from palpd.gap.law_search.scoring import Scored, Scorer
 from palpd.gap.noise import Z

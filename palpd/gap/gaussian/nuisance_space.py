@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from palpd.gap.nuisances import Columns, Nuisances, nuisances
-from palpd.gap.whitening import Whitening
+from palpd.gap.gaussian.nuisances import Columns, Nuisances, nuisances
+from palpd.gap.gaussian.whitening import Whitening
 from palpd.tick import Floats
 
 ColumnsByChannel = Mapping[int, Floats]

@@ -5,7 +5,7 @@ from math import log
 
 import numpy as np
 
-from palpd.gap.law_search.nuisance_space import Products
+from palpd.gap.gaussian.nuisance_space import Products
 from palpd.tick import Floats
 
 SIZES = (8.0, 20.0, 50.0, 150.0)
