@@ -6,10 +6,10 @@ import numpy as np
 
 from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.cell.effects import EFFECTS
+from palpd.gap.data.noise import FZ
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.gaussian.nuisances import nuisances
 from palpd.gap.linearise import linearise
-from palpd.gap.noise import FZ
 from palpd.gap.problem import Problem, tolerance_key
 
 KEYS = {effect.tolerance: effect.id for effect in EFFECTS.values() if effect.tolerance is not None}

@@ -316,7 +316,7 @@ class GapDiagnosis(_Shown):
     def figure(self) -> Figure:
         """The channel with the largest gap: measured less simulated, by the cell as stated and with what was found."""
         from palpd.analysis.figure_style import ENRICHED, NOMINAL, styled_figure, thinned
-        from palpd.gap.noise import CHANNELS
+        from palpd.gap.data.noise import CHANNELS
         from palpd.gap.report import curves_of
 
         curves, content = curves_of(self.answer), self.to_json()

@@ -18,6 +18,10 @@ from palpd.cell.simulation import share_outside
 from palpd.gap.calibration import as_stated, stored_map
 from palpd.gap.compared_modulus import ComparedModulus, compared_modulus
 from palpd.gap.correlated_residual import compare_again
+from palpd.gap.data.prepare import without_rounding
+from palpd.gap.data.recorded_noise import readings_at_rest_N, with_recorded_noise
+from palpd.gap.data.rounding import roundings_of
+from palpd.gap.data.scatter import Readings, scatter_effects
 from palpd.gap.hypotheses import fit_rounding, search
 from palpd.gap.law_search.confounds import confounds
 from palpd.gap.law_search.finding import LawFinding, find, leading_leaves
@@ -27,11 +31,7 @@ from palpd.gap.nominal_source import NominalSource, nominal_source
 from palpd.gap.plain import answer_sentence, plain_answer
 from palpd.gap.plausibility import channel_notes, check_recordings, recording_notes
 from palpd.gap.posterior import Attribution, posterior
-from palpd.gap.prepare import without_rounding
 from palpd.gap.problem import MAX_BINS, Problem, make_problem, return_memory
-from palpd.gap.recorded_noise import readings_at_rest_N, with_recorded_noise
-from palpd.gap.rounding import roundings_of
-from palpd.gap.scatter import Readings, scatter_effects
 from palpd.gap.shrink import Shrink, held_out, without_effects
 from palpd.gap.uncertainty import open_hypotheses
 from palpd.gap.user_simulator import UserSimulator, left_out

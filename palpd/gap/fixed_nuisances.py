@@ -7,11 +7,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile
+from palpd.gap.data.noise import FX, FZ, TX, Z
+from palpd.gap.data.phases import FREE_STILL, HOLDING
+from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.gaussian.nuisances import Columns
 from palpd.gap.gaussian.whitening import Whitening
-from palpd.gap.noise import FX, FZ, TX, Z
-from palpd.gap.phases import FREE_STILL, HOLDING
-from palpd.gap.prepare import PreparedRecording
 from palpd.recording.samples import runs_of_true
 from palpd.tick import Floats
 

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CROSSTALK, CellFile, EffectValues, Estimated
+from palpd.gap.data.noise import FX, FY, FZ, TX, TY, Z
+from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.fixed_nuisances import Column
 from palpd.gap.gaussian.nuisances import ColumnByChannel, Columns, Nuisances, Stretch, nuisances
-from palpd.gap.noise import FX, FY, FZ, TX, TY, Z
-from palpd.gap.prepare import PreparedRecording
 from palpd.gap.problem import RELATIVE, SHARED, Problem, tolerance_key
 from palpd.tick import Floats
 

@@ -11,8 +11,8 @@ import numpy as np
 from palpd.cell.cell_file import CellFile, TissueBlock
 from palpd.cell.plausible import doubts, doubts_of_cell
 from palpd.errors import RecordingError
-from palpd.gap.noise import CHANNELS, FZ, declared_rms, lattice_step
-from palpd.gap.prepare import moves
+from palpd.gap.data.noise import CHANNELS, FZ, declared_rms, lattice_step
+from palpd.gap.data.prepare import moves
 from palpd.gap.problem import Problem
 from palpd.recording.oddities import (
     CLEAR_NOISES,

@@ -15,12 +15,12 @@ from palpd.cell.cell_file import CROSSTALK, CROSSTALK_ARM_M, CellFile, EffectVal
 from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS, Effect, Scale
 from palpd.cell.simulation import Followed, predict_motion, scale_of
+from palpd.gap.data.noise import FX, FY, FZ, TX, Z, pure_rms, resolutions
+from palpd.gap.data.phases import PHASES
+from palpd.gap.data.prepare import PreparedRecording, prepare, with_simulator
+from palpd.gap.data.rounding import Rounding, Way, undithered_rms
 from palpd.gap.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
 from palpd.gap.gaussian.whitening import Whitening
-from palpd.gap.noise import FX, FY, FZ, TX, Z, pure_rms, resolutions
-from palpd.gap.phases import PHASES
-from palpd.gap.prepare import PreparedRecording, prepare, with_simulator
-from palpd.gap.rounding import Rounding, Way, undithered_rms
 from palpd.gap.servo_error import servo_errors
 from palpd.gap.user_simulator import UserSimulator
 from palpd.recording.samples import Samples

@@ -14,10 +14,10 @@ from palpd.analysis.figure_style import ENRICHED, GREY, NOMINAL
 from palpd.analysis.page import rendered_page
 from palpd.cell.effects import Effect
 from palpd.files import write_text
+from palpd.gap.data.noise import CHANNELS
+from palpd.gap.data.phases import PHASES
 from palpd.gap.diagnosis import Diagnosis
-from palpd.gap.noise import CHANNELS
 from palpd.gap.other_motion import MotionCheck
-from palpd.gap.phases import PHASES
 from palpd.gap.plain import channel_words, plain_answer, unit_of
 from palpd.gap.report_figures import PHASE_WORDS, Curves, figures_of
 from palpd.gap.sketch import law_sketch, sketch

@@ -14,9 +14,9 @@ from scipy.signal import welch
 
 from palpd.analysis.figure_style import BLUE, ENRICHED, FLOOR, GREY, INK, NOMINAL, ORANGE, YELLOW, inline_svg, styled_figure, thinned
 from palpd.cell.effects.learned import formula_of
-from palpd.gap.noise import CHANNELS
+from palpd.gap.data.noise import CHANNELS
+from palpd.gap.data.phases import PHASES
 from palpd.gap.other_motion import MotionCheck
-from palpd.gap.phases import PHASES
 from palpd.gap.plain import CHANNEL_WORDS, unit_of
 from palpd.quantities import scaled
 from palpd.tick import Floats

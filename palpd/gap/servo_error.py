@@ -8,8 +8,8 @@ import numpy as np
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
 from palpd.cell.simulation import predict_motion
-from palpd.gap.noise import Z
-from palpd.gap.prepare import PreparedRecording
+from palpd.gap.data.noise import Z
+from palpd.gap.data.prepare import PreparedRecording
 from palpd.tick import Floats
 
 HIDDEN_DELAY_S = 0.004

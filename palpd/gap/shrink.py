@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from palpd.gap.data.noise import CHANNELS
+from palpd.gap.data.phases import Ints
 from palpd.gap.evidence import Fit
 from palpd.gap.fit import LEAST_MODULUS_FACTOR, gauss_newton
-from palpd.gap.noise import CHANNELS
-from palpd.gap.phases import Ints
 from palpd.gap.problem import MODULUS, Problem
 from palpd.gap.where import Gap
 from palpd.tick import Floats

@@ -7,10 +7,10 @@ from typing import TypedDict
 
 import numpy as np
 
+from palpd.gap.data.noise import CHANNELS, declared_rms
+from palpd.gap.data.phases import PHASES
 from palpd.gap.evidence import Fit
 from palpd.gap.linearise import Linearisation
-from palpd.gap.noise import CHANNELS, declared_rms
-from palpd.gap.phases import PHASES
 from palpd.gap.problem import SHARED, Problem
 from palpd.tick import Floats
 

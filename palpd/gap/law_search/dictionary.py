@@ -7,9 +7,9 @@ from math import log
 import numpy as np
 
 from palpd.cell.effects.drivers import Driver, FactorName, Quantity
+from palpd.gap.data.noise import CHANNELS
 from palpd.gap.law_search.bases import FINE_KNOTS, Basis, harmonics, hats, powers
 from palpd.gap.law_search.scene import LATERAL, LawCandidate, Scene
-from palpd.gap.noise import CHANNELS
 from palpd.tick import Floats
 
 FACTOR_PRICE: dict[FactorName, float] = {

@@ -9,6 +9,7 @@ import numpy as np
 
 from palpd.cell.effects.drivers import FAMILIES, UNITS
 from palpd.cell.effects.learned import LearnedEffect, Term
+from palpd.gap.data.noise import CHANNELS
 from palpd.gap.discrepancy import discrepancy_columns
 from palpd.gap.evidence import Fit, fit
 from palpd.gap.fit import jacobian_at
@@ -18,7 +19,6 @@ from palpd.gap.law_search.events import Event, find_events, wander_nats
 from palpd.gap.law_search.formulas import Formula
 from palpd.gap.law_search.scene import LATERAL, LawCandidate, Scene, rounding_columns
 from palpd.gap.law_search.search import ALIKE_NATS, NAMED_NATS, LearnedLaw, search
-from palpd.gap.noise import CHANNELS
 from palpd.gap.posterior import P_NONE, P_ONE, P_THREE, P_TWO, P_UNKNOWN
 from palpd.gap.problem import Problem, return_memory
 from palpd.tick import Floats

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palpd.gap.data.phases import Ints
 from palpd.gap.gaussian.evidence import posterior_of
 from palpd.gap.gaussian.nuisance_space import ColumnsByChannel, NuisanceSpace
-from palpd.gap.phases import Ints
 from palpd.tick import Floats
 
 FOLDS = 4

@@ -12,12 +12,12 @@ from palpd.cell.dynamics import lowpass, servo_heights
 from palpd.cell.effects.drivers import Driver, DriverState, FactorName, driver_values, factor_values
 from palpd.cell.effects.learned import ChannelName
 from palpd.cell.simulation import capture, commanded_motion, wrench_of
+from palpd.gap.data.noise import CHANNELS, FZ, Z, resolutions
+from palpd.gap.data.phases import Ints
+from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.gaussian.nuisance_space import whitened
 from palpd.gap.law_search.bases import Basis
 from palpd.gap.law_search.formulas import Formula
-from palpd.gap.noise import CHANNELS, FZ, Z, resolutions
-from palpd.gap.phases import Ints
-from palpd.gap.prepare import PreparedRecording
 from palpd.gap.problem import Problem, return_memory
 from palpd.tick import Floats
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from palpd.cell.effects.drivers import Driver, FactorName
+from palpd.gap.data.noise import CHANNELS, FX, FY, TX, TY
 from palpd.gap.gaussian.evidence import GroupEvidence, batch_nats, group_evidence
 from palpd.gap.gaussian.nuisance_space import COARSENESS, NuisanceSpace, Products, coarse, whitened
 from palpd.gap.law_search.bases import Basis
 from palpd.gap.law_search.dictionary import groups, periodic, refined
 from palpd.gap.law_search.formulas import Formula, formulas_of, neighbours
 from palpd.gap.law_search.scene import LATERAL, LawCandidate, Scene
-from palpd.gap.noise import CHANNELS, FX, FY, TX, TY
 from palpd.tick import Floats
 
 AZIMUTHS_RAD = np.arange(6) * np.pi / 6.0

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from palpd.gap.phases import Ints, Phases
+from palpd.gap.data.phases import Ints, Phases
 from palpd.tick import Floats
 
 

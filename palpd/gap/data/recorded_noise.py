@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CellFile
-from palpd.gap.noise import FX, FY, FZ, TX, TY, TZ, lattice_step
-from palpd.gap.phases import FREE_STILL, HOLDING, Phases, find_phases
-from palpd.gap.prepare import REST_SAMPLES
-from palpd.gap.rounding import noise_before_rounding
+from palpd.gap.data.noise import FX, FY, FZ, TX, TY, TZ, lattice_step
+from palpd.gap.data.phases import FREE_STILL, HOLDING, Phases, find_phases
+from palpd.gap.data.prepare import REST_SAMPLES
+from palpd.gap.data.rounding import noise_before_rounding
 from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats

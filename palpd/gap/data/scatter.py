@@ -12,10 +12,10 @@ from scipy.ndimage import median_filter
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
-from palpd.gap.noise import FZ, declared_rms, held_runs, pure_rms, repeats, resolutions
-from palpd.gap.phases import FREE_STILL, HOLDING
-from palpd.gap.prepare import PreparedRecording
-from palpd.gap.rounding import coarse_step_N, noise_before_rounding
+from palpd.gap.data.noise import FZ, declared_rms, held_runs, pure_rms, repeats, resolutions
+from palpd.gap.data.phases import FREE_STILL, HOLDING
+from palpd.gap.data.prepare import PreparedRecording
+from palpd.gap.data.rounding import coarse_step_N, noise_before_rounding
 from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats

@@ -14,10 +14,10 @@ from palpd.cell.effects import Effect
 from palpd.cell.report_times import Reports, find_reports, straight_between
 from palpd.cell.simulation import MeanReading, mean_reading
 from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
-from palpd.gap.bins import Bins, make_bins
-from palpd.gap.noise import FZ, Z, declared_rms
-from palpd.gap.phases import FREE_STILL, HOLDING, ROUNDING, Ints, Phases, find_phases
-from palpd.gap.rounding import Rounding, undithered
+from palpd.gap.data.bins import Bins, make_bins
+from palpd.gap.data.noise import FZ, Z, declared_rms
+from palpd.gap.data.phases import FREE_STILL, HOLDING, ROUNDING, Ints, Phases, find_phases
+from palpd.gap.data.rounding import Rounding, undithered
 from palpd.gap.user_simulator import NominalDifference, UserSimulator, difference
 from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples

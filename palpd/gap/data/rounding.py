@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from palpd.cell.cell_file import CellFile
-from palpd.gap.noise import pure_rms, resolutions
-from palpd.gap.phases import Ints
+from palpd.gap.data.noise import pure_rms, resolutions
+from palpd.gap.data.phases import Ints
 from palpd.recording.oddities import measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
