@@ -8,8 +8,8 @@ import numpy as np
 from palpd.analysis.modulus_intervals import NORMAL_95
 from palpd.cell.effects.tissue import MODULUS
 from palpd.gap.gaussian.nuisances import stable_inverse
-from palpd.gap.linearise import Linearisation
-from palpd.gap.problem import SHARED, Problem
+from palpd.gap.model.linearise import Linearisation
+from palpd.gap.model.problem import SHARED, Problem
 from palpd.quantities import quantity
 
 FAR_SIGMAS = 2.0

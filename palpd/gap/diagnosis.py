@@ -25,13 +25,13 @@ from palpd.gap.data.scatter import Readings, scatter_effects
 from palpd.gap.hypotheses import fit_rounding, search
 from palpd.gap.law_search.confounds import confounds
 from palpd.gap.law_search.finding import LawFinding, find, leading_leaves
-from palpd.gap.linearise import linearise
+from palpd.gap.model.linearise import linearise
+from palpd.gap.model.plausibility import channel_notes, check_recordings, recording_notes
+from palpd.gap.model.problem import MAX_BINS, Problem, make_problem, return_memory
 from palpd.gap.next_experiment import ExperimentProposal, advise
 from palpd.gap.nominal_source import NominalSource, nominal_source
 from palpd.gap.plain import answer_sentence, plain_answer
-from palpd.gap.plausibility import channel_notes, check_recordings, recording_notes
 from palpd.gap.posterior import Attribution, posterior
-from palpd.gap.problem import MAX_BINS, Problem, make_problem, return_memory
 from palpd.gap.shrink import Shrink, held_out, without_effects
 from palpd.gap.uncertainty import open_hypotheses
 from palpd.gap.user_simulator import UserSimulator, left_out

@@ -8,12 +8,12 @@ import numpy as np
 
 from palpd.cell.cell_file import EffectValues
 from palpd.cell.effects import Scale
-from palpd.gap.coordinates import Coordinate
 from palpd.gap.discrepancy import P_EXACT_LAW, model_discrepancies
 from palpd.gap.fit import Optimum, fit_values
 from palpd.gap.gaussian.nuisances import Nuisances, gram, project, stable_inverse
-from palpd.gap.linearise import Linearisation
-from palpd.gap.problem import Problem
+from palpd.gap.model.coordinates import Coordinate
+from palpd.gap.model.linearise import Linearisation
+from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
 
 LOG_SIZE_RANGE = 7.0

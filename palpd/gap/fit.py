@@ -7,10 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from palpd.cell.cell_file import EffectValues
-from palpd.gap.coordinates import Coordinate, coordinates, coordinates_of, inside, values_at
 from palpd.gap.gaussian.nuisances import gram, project
-from palpd.gap.linearise import Linearisation, linearise
-from palpd.gap.problem import MODULUS, Problem
+from palpd.gap.model.coordinates import Coordinate, coordinates, coordinates_of, inside, values_at
+from palpd.gap.model.linearise import Linearisation, linearise
+from palpd.gap.model.problem import MODULUS, Problem
 from palpd.tick import Floats
 
 GAIN_TO_STOP = 0.02

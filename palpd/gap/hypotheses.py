@@ -10,14 +10,14 @@ from scipy.ndimage import median_filter
 
 from palpd.cell.cell_file import EffectValues
 from palpd.cell.effects import Effect, Scale
-from palpd.gap.coordinates import coordinates, coordinates_of, start_values, stretched
 from palpd.gap.data.noise import FZ, Z
 from palpd.gap.data.rounding import WAYS
 from palpd.gap.evidence import Fit, fit, laplace_evidence
 from palpd.gap.fit import gauss_newton, jacobian_at
 from palpd.gap.gaussian.nuisances import Vectors, gram, project
-from palpd.gap.linearise import Linearisation, linearise
-from palpd.gap.problem import MODULUS, SHARED, Problem
+from palpd.gap.model.coordinates import coordinates, coordinates_of, start_values, stretched
+from palpd.gap.model.linearise import Linearisation, linearise
+from palpd.gap.model.problem import MODULUS, SHARED, Problem
 from palpd.tick import Floats
 
 WAY_NATS = 5.0

@@ -13,8 +13,8 @@ from palpd.gap.gaussian.nuisance_space import whitened
 from palpd.gap.law_search.finding import LawFinding, free_name, learned_effect
 from palpd.gap.law_search.scene import Scene
 from palpd.gap.law_search.search import LearnedLaw
+from palpd.gap.model.problem import Problem
 from palpd.gap.posterior import Attribution, Hypothesis
-from palpd.gap.problem import Problem
 from palpd.tick import Floats
 
 MOST_ALIKE = 3

@@ -8,7 +8,7 @@ import numpy as np
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.simulation import predict_motion
-from palpd.gap.problem import Problem
+from palpd.gap.model.problem import Problem
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 

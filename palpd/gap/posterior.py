@@ -7,7 +7,7 @@ from math import comb, log
 import numpy as np
 
 from palpd.gap.evidence import Fit
-from palpd.gap.problem import Problem
+from palpd.gap.model.problem import Problem
 from palpd.gap.residual import ResidualStructure, segments_of, test_residual
 
 P_NONE, P_ONE, P_TWO, P_THREE = 0.3, 0.6, 0.12, 0.02

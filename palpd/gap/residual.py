@@ -17,7 +17,7 @@ from palpd.gap.data.noise import CHANNELS, FZ
 from palpd.gap.data.phases import FREE_MOVING, LOADING, PHASES, UNLOADING, Ints
 from palpd.gap.evidence import Fit
 from palpd.gap.gaussian.nuisances import PLAUSIBLE_SD
-from palpd.gap.problem import Problem, tolerance_key
+from palpd.gap.model.problem import Problem, tolerance_key
 from palpd.tick import Floats
 
 SHAPES = 5

@@ -6,15 +6,15 @@ from typing import Any, Literal
 import numpy as np
 
 from palpd.cell.cell_file import CellFile, EffectValues, Estimated
-from palpd.gap.coordinates import Coordinate
 from palpd.gap.data.noise import FZ
 from palpd.gap.data.scatter import Scatter
 from palpd.gap.evidence import Fit, fit
 from palpd.gap.intervals import interval
 from palpd.gap.law_search.finding import LawFinding
-from palpd.gap.linearise import linearise
+from palpd.gap.model.coordinates import Coordinate
+from palpd.gap.model.linearise import linearise
+from palpd.gap.model.problem import Problem, tolerance_key
 from palpd.gap.posterior import Attribution
-from palpd.gap.problem import Problem, tolerance_key
 from palpd.quantities import quantity
 from palpd.tick import Floats
 

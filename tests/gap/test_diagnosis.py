@@ -17,10 +17,10 @@ from palpd.cell.simulation import WRENCH, simulate
 from palpd.errors import RecordingError
 from palpd.gap.data.noise import CHANNELS, declared_rms
 from palpd.gap.diagnosis import Diagnosis, diagnose
-from palpd.gap.linearise import linearise
+from palpd.gap.model.linearise import linearise
+from palpd.gap.model.problem import make_problem
 from palpd.gap.next_experiment import WORTH_NATS
 from palpd.gap.posterior import P_UNKNOWN, known_and_unknown
-from palpd.gap.problem import make_problem
 from palpd.gap.residual import ResidualStructure
 from palpd.recording.samples import Samples
 from palpd.tick import Floats

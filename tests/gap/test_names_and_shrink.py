@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.plain_cells import cell_of, recording
 from palpd.cell.cell_file import CellFile
-from palpd.gap.problem import SHARED, Problem, make_problem
+from palpd.gap.model.problem import SHARED, Problem, make_problem
 from palpd.gap.shrink import _without_effects_at_its_modulus
 from palpd.gap.verdict import _probable_groups
 

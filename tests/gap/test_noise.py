@@ -19,8 +19,8 @@ from palpd.gap.data.rounding import WAYS, Way, coarse_step_N, noise_before_round
 from palpd.gap.data.scatter import Readings, scatter_effects, without_held, without_tails
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.gaussian.whitening import Whitening
-from palpd.gap.linearise import linearise
-from palpd.gap.problem import make_problem
+from palpd.gap.model.linearise import linearise
+from palpd.gap.model.problem import make_problem
 from palpd.recording.oddities import measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats

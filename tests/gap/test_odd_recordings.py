@@ -14,7 +14,7 @@ from palpd.errors import RecordingError
 from palpd.gap.data.phases import find_phases
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.hypotheses import fit_nominal, ringing_frequencies, spectral_peaks
-from palpd.gap.problem import make_problem
+from palpd.gap.model.problem import make_problem
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 from tests.gap.test_rigs import names, quick, rig

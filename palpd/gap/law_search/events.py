@@ -10,7 +10,7 @@ from palpd.gap.data.noise import CHANNELS, FX, FZ
 from palpd.gap.gaussian.evidence import posterior_of
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace
 from palpd.gap.law_search.scene import Scene
-from palpd.gap.problem import Problem
+from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
 
 EVERY = 4

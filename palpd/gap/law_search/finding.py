@@ -19,8 +19,8 @@ from palpd.gap.law_search.events import Event, find_events, wander_nats
 from palpd.gap.law_search.formulas import Formula
 from palpd.gap.law_search.scene import LATERAL, LawCandidate, Scene, rounding_columns
 from palpd.gap.law_search.search import ALIKE_NATS, NAMED_NATS, LearnedLaw, search
+from palpd.gap.model.problem import Problem, return_memory
 from palpd.gap.posterior import P_NONE, P_ONE, P_THREE, P_TWO, P_UNKNOWN
-from palpd.gap.problem import Problem, return_memory
 from palpd.tick import Floats
 
 DISCREPANCY_SIZE = 0.06

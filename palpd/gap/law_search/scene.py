@@ -18,7 +18,7 @@ from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.gaussian.nuisance_space import whitened
 from palpd.gap.law_search.bases import Basis
 from palpd.gap.law_search.formulas import Formula
-from palpd.gap.problem import Problem, return_memory
+from palpd.gap.model.problem import Problem, return_memory
 from palpd.tick import Floats
 
 LATERAL = "lateral"

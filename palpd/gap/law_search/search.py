@@ -13,7 +13,7 @@ from palpd.gap.law_search.bases import Basis
 from palpd.gap.law_search.held_out import FOLDS, LEAST_GAIN_SHARE, HeldOut, held_out
 from palpd.gap.law_search.scene import LawCandidate, Scene
 from palpd.gap.law_search.scoring import Scored, Scorer
-from palpd.gap.problem import return_memory
+from palpd.gap.model.problem import return_memory
 from palpd.tick import Floats
 
 WORTH_A_LOOK_NATS = 6.0

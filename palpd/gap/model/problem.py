@@ -19,9 +19,9 @@ from palpd.gap.data.noise import FX, FY, FZ, TX, Z, pure_rms, resolutions
 from palpd.gap.data.phases import PHASES
 from palpd.gap.data.prepare import PreparedRecording, prepare, with_simulator
 from palpd.gap.data.rounding import Rounding, Way, undithered_rms
-from palpd.gap.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
 from palpd.gap.gaussian.whitening import Whitening
-from palpd.gap.servo_error import servo_errors
+from palpd.gap.model.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
+from palpd.gap.model.servo_error import servo_errors
 from palpd.gap.user_simulator import UserSimulator
 from palpd.recording.samples import Samples
 from palpd.tick import Floats

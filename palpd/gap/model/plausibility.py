@@ -13,7 +13,7 @@ from palpd.cell.plausible import doubts, doubts_of_cell
 from palpd.errors import RecordingError
 from palpd.gap.data.noise import CHANNELS, FZ, declared_rms, lattice_step
 from palpd.gap.data.prepare import moves
-from palpd.gap.problem import Problem
+from palpd.gap.model.problem import Problem
 from palpd.recording.oddities import (
     CLEAR_NOISES,
     HEIGHT_CORRELATION,

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from palpd.cell.cell_file import CROSSTALK, CellFile, EffectValues, Estimated
 from palpd.gap.data.noise import FX, FY, FZ, TX, TY, Z
 from palpd.gap.data.prepare import PreparedRecording
-from palpd.gap.fixed_nuisances import Column
 from palpd.gap.gaussian.nuisances import ColumnByChannel, Columns, Nuisances, Stretch, nuisances
-from palpd.gap.problem import RELATIVE, SHARED, Problem, tolerance_key
+from palpd.gap.model.fixed_nuisances import Column
+from palpd.gap.model.problem import RELATIVE, SHARED, Problem, tolerance_key
 from palpd.tick import Floats
 
 LEAKS_INTO = {"fx_per_fz": FX, "fy_per_fz": FY, "tx_per_fz": TX, "ty_per_fz": TY}
