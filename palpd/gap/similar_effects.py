@@ -9,8 +9,8 @@ from scipy.optimize import lsq_linear
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
-from palpd.gap.fit import jacobian_at
 from palpd.gap.gaussian.nuisances import Projected, gram, project
+from palpd.gap.infer.fit import jacobian_at
 from palpd.gap.model.coordinates import coordinates, coordinates_of, start_values
 from palpd.gap.model.linearise import Linearisation, linearise
 from palpd.gap.model.problem import Problem, make_problem

@@ -17,11 +17,11 @@ from palpd.cell.simulation import WRENCH, simulate
 from palpd.errors import RecordingError
 from palpd.gap.data.noise import CHANNELS, declared_rms
 from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.gap.infer.posterior import P_UNKNOWN, known_and_unknown
+from palpd.gap.infer.residual import ResidualStructure
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import make_problem
 from palpd.gap.next_experiment import WORTH_NATS
-from palpd.gap.posterior import P_UNKNOWN, known_and_unknown
-from palpd.gap.residual import ResidualStructure
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 

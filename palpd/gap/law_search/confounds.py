@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
-from palpd.gap.evidence import Fit
 from palpd.gap.gaussian.nuisances import project
+from palpd.gap.infer.evidence import Fit
 from palpd.gap.law_search.finding import LawFinding
 
 MOST, LEAST_COSINE = 4, 0.5

@@ -10,17 +10,17 @@ import numpy as np
 from palpd.cell.effects.drivers import FAMILIES, UNITS
 from palpd.cell.effects.learned import LearnedEffect, Term
 from palpd.gap.data.noise import CHANNELS
-from palpd.gap.discrepancy import discrepancy_columns
-from palpd.gap.evidence import Fit, fit
-from palpd.gap.fit import jacobian_at
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace, whitened
 from palpd.gap.gaussian.nuisances import Columns, project
+from palpd.gap.infer.discrepancy import discrepancy_columns
+from palpd.gap.infer.evidence import Fit, fit
+from palpd.gap.infer.fit import jacobian_at
+from palpd.gap.infer.posterior import P_NONE, P_ONE, P_THREE, P_TWO, P_UNKNOWN
 from palpd.gap.law_search.events import Event, find_events, wander_nats
 from palpd.gap.law_search.formulas import Formula
 from palpd.gap.law_search.scene import LATERAL, LawCandidate, Scene, rounding_columns
 from palpd.gap.law_search.search import ALIKE_NATS, NAMED_NATS, LearnedLaw, search
 from palpd.gap.model.problem import Problem, return_memory
-from palpd.gap.posterior import P_NONE, P_ONE, P_THREE, P_TWO, P_UNKNOWN
 from palpd.tick import Floats
 
 DISCREPANCY_SIZE = 0.06

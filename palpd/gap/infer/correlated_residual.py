@@ -14,11 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from palpd.gap.evidence import Fit, fit
-from palpd.gap.hypotheses import CREDIBLE_SD
+from palpd.gap.infer.evidence import Fit, fit
+from palpd.gap.infer.hypotheses import CREDIBLE_SD
+from palpd.gap.infer.posterior import Attribution, Hypothesis, attribution_of, posterior
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import Problem
-from palpd.gap.posterior import Attribution, Hypothesis, attribution_of, posterior
 from palpd.tick import Floats
 
 WHITE_ENOUGH = 1.5

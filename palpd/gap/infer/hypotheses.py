@@ -12,9 +12,9 @@ from palpd.cell.cell_file import EffectValues
 from palpd.cell.effects import Effect, Scale
 from palpd.gap.data.noise import FZ, Z
 from palpd.gap.data.rounding import WAYS
-from palpd.gap.evidence import Fit, fit, laplace_evidence
-from palpd.gap.fit import gauss_newton, jacobian_at
 from palpd.gap.gaussian.nuisances import Vectors, gram, project
+from palpd.gap.infer.evidence import Fit, fit, laplace_evidence
+from palpd.gap.infer.fit import gauss_newton, jacobian_at
 from palpd.gap.model.coordinates import coordinates, coordinates_of, start_values, stretched
 from palpd.gap.model.linearise import Linearisation, linearise
 from palpd.gap.model.problem import MODULUS, SHARED, Problem

@@ -6,9 +6,9 @@ from math import comb, log
 
 import numpy as np
 
-from palpd.gap.evidence import Fit
+from palpd.gap.infer.evidence import Fit
+from palpd.gap.infer.residual import ResidualStructure, segments_of, test_residual
 from palpd.gap.model.problem import Problem
-from palpd.gap.residual import ResidualStructure, segments_of, test_residual
 
 P_NONE, P_ONE, P_TWO, P_THREE = 0.3, 0.6, 0.12, 0.02
 """Prior probabilities of that many effects; every set of one size is as likely as the others."""

@@ -8,10 +8,10 @@ import numpy as np
 
 from palpd.gap.data.noise import CHANNELS
 from palpd.gap.data.phases import Ints
-from palpd.gap.evidence import Fit
-from palpd.gap.fit import LEAST_MODULUS_FACTOR, gauss_newton
+from palpd.gap.infer.evidence import Fit
+from palpd.gap.infer.fit import LEAST_MODULUS_FACTOR, gauss_newton
+from palpd.gap.infer.where import Gap
 from palpd.gap.model.problem import MODULUS, Problem
-from palpd.gap.where import Gap
 from palpd.tick import Floats
 
 FOLDS = 4

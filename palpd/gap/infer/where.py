@@ -9,7 +9,7 @@ import numpy as np
 
 from palpd.gap.data.noise import CHANNELS, declared_rms
 from palpd.gap.data.phases import PHASES
-from palpd.gap.evidence import Fit
+from palpd.gap.infer.evidence import Fit
 from palpd.gap.model.linearise import Linearisation
 from palpd.gap.model.problem import SHARED, Problem
 from palpd.tick import Floats

@@ -8,9 +8,9 @@ import numpy as np
 
 from palpd.cell.cell_file import EffectValues
 from palpd.cell.effects import Scale
-from palpd.gap.discrepancy import P_EXACT_LAW, model_discrepancies
-from palpd.gap.fit import Optimum, fit_values
 from palpd.gap.gaussian.nuisances import Nuisances, gram, project, stable_inverse
+from palpd.gap.infer.discrepancy import P_EXACT_LAW, model_discrepancies
+from palpd.gap.infer.fit import Optimum, fit_values
 from palpd.gap.model.coordinates import Coordinate
 from palpd.gap.model.linearise import Linearisation
 from palpd.gap.model.problem import Problem

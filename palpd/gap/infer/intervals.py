@@ -8,9 +8,9 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from palpd.gap.evidence import Fit, PossibleLaw
-from palpd.gap.fit import gauss_newton, jacobian_at
 from palpd.gap.gaussian.nuisances import gram, project, stable_inverse
+from palpd.gap.infer.evidence import Fit, PossibleLaw
+from palpd.gap.infer.fit import gauss_newton, jacobian_at
 from palpd.gap.model.coordinates import Coordinate
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from palpd.cell.cell_file import EffectValues
-from palpd.gap.fit import Optimum
 from palpd.gap.gaussian.nuisances import Columns, Projected, Widened, stable_inverse
+from palpd.gap.infer.fit import Optimum
 from palpd.gap.model.coordinates import Coordinate
 from palpd.gap.model.linearise import Linearisation
 from palpd.gap.model.problem import Problem

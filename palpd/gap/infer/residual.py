@@ -15,8 +15,8 @@ from scipy.ndimage import median_filter
 
 from palpd.gap.data.noise import CHANNELS, FZ
 from palpd.gap.data.phases import FREE_MOVING, LOADING, PHASES, UNLOADING, Ints
-from palpd.gap.evidence import Fit
 from palpd.gap.gaussian.nuisances import PLAUSIBLE_SD
+from palpd.gap.infer.evidence import Fit
 from palpd.gap.model.problem import Problem, tolerance_key
 from palpd.tick import Floats
 
