@@ -22,7 +22,7 @@ from palpd.files import write_yaml
 from palpd.gap.commands import write_answer
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.infer.posterior import Attribution
-from palpd.gap.law_search.finding import LawFinding
+from palpd.gap.laws.finding import LawFinding
 from palpd.gap.motions import MotionLimits
 from palpd.gap.next_experiment import Advice, advise
 from palpd.gap.report import write as write_report

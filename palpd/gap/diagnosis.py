@@ -26,8 +26,8 @@ from palpd.gap.infer.hypotheses import fit_rounding, search
 from palpd.gap.infer.posterior import Attribution, posterior
 from palpd.gap.infer.shrink import Shrink, held_out, without_effects
 from palpd.gap.infer.where import Band, Gap, Place, Trend, Unexplained, bands, gap_table, largest_gap, residuals, trend, unexplained
-from palpd.gap.law_search.confounds import confounds
-from palpd.gap.law_search.finding import LawFinding, find, leading_leaves
+from palpd.gap.laws.confounds import confounds
+from palpd.gap.laws.finding import LawFinding, find, leading_leaves
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.plausibility import channel_notes, check_recordings, recording_notes
 from palpd.gap.model.problem import MAX_BINS, Problem, make_problem, return_memory

@@ -11,9 +11,9 @@ from palpd.cell.simulation import share_outside
 from palpd.gap.gaussian.nuisance_space import whitened
 from palpd.gap.infer.evidence import fit
 from palpd.gap.infer.posterior import Attribution, Hypothesis
-from palpd.gap.law_search.finding import LawFinding, free_name, learned_effect
-from palpd.gap.law_search.scene import Scene
-from palpd.gap.law_search.search import LearnedLaw
+from palpd.gap.laws.finding import LawFinding, free_name, learned_effect
+from palpd.gap.laws.scene import Scene
+from palpd.gap.laws.search import LearnedLaw
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
 

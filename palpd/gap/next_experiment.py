@@ -17,7 +17,7 @@ from palpd.gap.gaussian.nuisances import Nuisances, gram, nuisances, project
 from palpd.gap.infer.discrepancy import DISCREPANCY_SIZES, discrepancy_columns
 from palpd.gap.infer.posterior import Attribution, Hypothesis
 from palpd.gap.law_rivals import LawHypothesis, LawRivals, rivals_of_law
-from palpd.gap.law_search.finding import LawFinding, RefusedLaw
+from palpd.gap.laws.finding import LawFinding, RefusedLaw
 from palpd.gap.model.coordinates import values_at
 from palpd.gap.model.linearise import Linearisation, linearise
 from palpd.gap.model.problem import SHARED, Problem, make_problem

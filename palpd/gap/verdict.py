@@ -11,7 +11,7 @@ from palpd.gap.data.scatter import Scatter
 from palpd.gap.infer.evidence import Fit, fit
 from palpd.gap.infer.intervals import interval
 from palpd.gap.infer.posterior import Attribution
-from palpd.gap.law_search.finding import LawFinding
+from palpd.gap.laws.finding import LawFinding
 from palpd.gap.model.coordinates import Coordinate
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import Problem, tolerance_key

@@ -8,8 +8,8 @@ import numpy as np
 
 from palpd.cell.effects.drivers import Driver, FactorName, Quantity
 from palpd.gap.data.noise import CHANNELS
-from palpd.gap.law_search.bases import FINE_KNOTS, Basis, harmonics, hats, powers
-from palpd.gap.law_search.scene import LATERAL, LawCandidate, Scene
+from palpd.gap.laws.bases import FINE_KNOTS, Basis, harmonics, hats, powers
+from palpd.gap.laws.scene import LATERAL, LawCandidate, Scene
 from palpd.tick import Floats
 
 FACTOR_PRICE: dict[FactorName, float] = {

@@ -9,7 +9,7 @@ import numpy as np
 from palpd.gap.data.noise import CHANNELS, FX, FZ
 from palpd.gap.gaussian.evidence import posterior_of
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace
-from palpd.gap.law_search.scene import Scene
+from palpd.gap.laws.scene import Scene
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from palpd.cell.effects.drivers import Driver
 from palpd.cell.effects.learned import formula_of
-from palpd.gap.law_search.bases import KNOTS, Basis
+from palpd.gap.laws.bases import KNOTS, Basis
 from palpd.tick import Floats
 
 PLACES = np.linspace(0.05, 0.95, 13)

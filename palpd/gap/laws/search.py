@@ -9,10 +9,10 @@ from palpd.gap.data.noise import Z
 from palpd.gap.data.phases import Ints
 from palpd.gap.gaussian.evidence import group_evidence
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace, whitened
-from palpd.gap.law_search.bases import Basis
-from palpd.gap.law_search.held_out import FOLDS, LEAST_GAIN_SHARE, HeldOut, held_out
-from palpd.gap.law_search.scene import LawCandidate, Scene
-from palpd.gap.law_search.scoring import Scored, Scorer
+from palpd.gap.laws.bases import Basis
+from palpd.gap.laws.held_out import FOLDS, LEAST_GAIN_SHARE, HeldOut, held_out
+from palpd.gap.laws.scene import LawCandidate, Scene
+from palpd.gap.laws.scoring import Scored, Scorer
 from palpd.gap.model.problem import return_memory
 from palpd.tick import Floats
 

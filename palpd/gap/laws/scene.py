@@ -16,8 +16,8 @@ from palpd.gap.data.noise import CHANNELS, FZ, Z, resolutions
 from palpd.gap.data.phases import Ints
 from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.gaussian.nuisance_space import whitened
-from palpd.gap.law_search.bases import Basis
-from palpd.gap.law_search.formulas import Formula
+from palpd.gap.laws.bases import Basis
+from palpd.gap.laws.formulas import Formula
 from palpd.gap.model.problem import Problem, return_memory
 from palpd.tick import Floats
 

@@ -16,10 +16,10 @@ from palpd.gap.infer.discrepancy import discrepancy_columns
 from palpd.gap.infer.evidence import Fit, fit
 from palpd.gap.infer.fit import jacobian_at
 from palpd.gap.infer.posterior import P_NONE, P_ONE, P_THREE, P_TWO, P_UNKNOWN
-from palpd.gap.law_search.events import Event, find_events, wander_nats
-from palpd.gap.law_search.formulas import Formula
-from palpd.gap.law_search.scene import LATERAL, LawCandidate, Scene, rounding_columns
-from palpd.gap.law_search.search import ALIKE_NATS, NAMED_NATS, LearnedLaw, search
+from palpd.gap.laws.events import Event, find_events, wander_nats
+from palpd.gap.laws.formulas import Formula
+from palpd.gap.laws.scene import LATERAL, LawCandidate, Scene, rounding_columns
+from palpd.gap.laws.search import ALIKE_NATS, NAMED_NATS, LearnedLaw, search
 from palpd.gap.model.problem import Problem, return_memory
 from palpd.tick import Floats
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from palpd.gap.gaussian.nuisances import project
 from palpd.gap.infer.evidence import Fit
-from palpd.gap.law_search.finding import LawFinding
+from palpd.gap.laws.finding import LawFinding
 
 MOST, LEAST_COSINE = 4, 0.5
 """Number of imitations that are listed, and the cosine from which on one is any."""

@@ -9,10 +9,10 @@ from palpd.cell.effects.drivers import Driver, FactorName
 from palpd.gap.data.noise import CHANNELS, FX, FY, TX, TY
 from palpd.gap.gaussian.evidence import GroupEvidence, batch_nats, group_evidence
 from palpd.gap.gaussian.nuisance_space import COARSENESS, NuisanceSpace, Products, coarse, whitened
-from palpd.gap.law_search.bases import Basis
-from palpd.gap.law_search.dictionary import groups, periodic, refined
-from palpd.gap.law_search.formulas import Formula, formulas_of, neighbours
-from palpd.gap.law_search.scene import LATERAL, LawCandidate, Scene
+from palpd.gap.laws.bases import Basis
+from palpd.gap.laws.dictionary import groups, periodic, refined
+from palpd.gap.laws.formulas import Formula, formulas_of, neighbours
+from palpd.gap.laws.scene import LATERAL, LawCandidate, Scene
 from palpd.tick import Floats
 
 AZIMUTHS_RAD = np.arange(6) * np.pi / 6.0
