@@ -15,6 +15,7 @@ from palpd.cell.cell_file import CellFile, OpenHypothesis
 from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.effects.learned import held_sentence, learned_law_of
 from palpd.cell.simulation import share_outside
+from palpd.gap.advise.next_experiment import ExperimentProposal, advise
 from palpd.gap.calibration import as_stated, stored_map
 from palpd.gap.data.prepare import without_rounding
 from palpd.gap.data.recorded_noise import readings_at_rest_N, with_recorded_noise
@@ -31,7 +32,6 @@ from palpd.gap.laws.finding import LawFinding, find, leading_leaves
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.plausibility import channel_notes, check_recordings, recording_notes
 from palpd.gap.model.problem import MAX_BINS, Problem, make_problem, return_memory
-from palpd.gap.next_experiment import ExperimentProposal, advise
 from palpd.gap.nominal_source import NominalSource, nominal_source
 from palpd.gap.plain import answer_sentence, plain_answer
 from palpd.gap.uncertainty import open_hypotheses

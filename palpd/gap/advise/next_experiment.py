@@ -11,17 +11,17 @@ import numpy as np
 from palpd.cell.cell_file import CROSSTALK
 from palpd.cell.simulation import equilibrium_force_N
 from palpd.files import writing
+from palpd.gap.advise.law_rivals import LawHypothesis, LawRivals, rivals_of_law
+from palpd.gap.advise.motions import MotionLimits, TestMotion, blank_recording, cycle_again, motions, same_again, surface_of
 from palpd.gap.data.noise import FX
 from palpd.gap.data.prepare import moves
 from palpd.gap.gaussian.nuisances import Nuisances, gram, nuisances, project
 from palpd.gap.infer.discrepancy import DISCREPANCY_SIZES, discrepancy_columns
 from palpd.gap.infer.posterior import Attribution, Hypothesis
-from palpd.gap.law_rivals import LawHypothesis, LawRivals, rivals_of_law
 from palpd.gap.laws.finding import LawFinding, RefusedLaw
 from palpd.gap.model.coordinates import values_at
 from palpd.gap.model.linearise import Linearisation, linearise
 from palpd.gap.model.problem import SHARED, Problem, make_problem
-from palpd.gap.motions import MotionLimits, TestMotion, blank_recording, cycle_again, motions, same_again, surface_of
 from palpd.tick import Floats
 
 OPEN_ABOVE = 0.03
