@@ -25,7 +25,7 @@ from palpd.gap.commands import write_answer
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.infer.posterior import Attribution
 from palpd.gap.laws.finding import LawFinding
-from palpd.gap.report import write as write_report
+from palpd.gap.report.page import write as write_report
 from palpd.recording.reader import Recording, export
 from palpd.recording.samples import Samples, common_site, read
 

@@ -27,7 +27,7 @@ from palpd.gap.laws.bases import hats, powers
 from palpd.gap.laws.finding import leading_leaves
 from palpd.gap.laws.formulas import formulas_of
 from palpd.gap.laws.held_out import FOLDS, held_out
-from palpd.gap.report import curves_of, page
+from palpd.gap.report.page import curves_of, page
 from palpd.tick import Floats
 from tests.gap.test_diagnosis import heights, quick, recording
 

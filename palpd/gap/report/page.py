@@ -19,8 +19,8 @@ from palpd.gap.data.phases import PHASES
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.other_motion import MotionCheck
 from palpd.gap.plain import channel_words, plain_answer, unit_of
-from palpd.gap.report_figures import PHASE_WORDS, Curves, figures_of
-from palpd.gap.sketch import law_sketch, sketch
+from palpd.gap.report.figures import PHASE_WORDS, Curves, figures_of
+from palpd.gap.report.sketch import law_sketch, sketch
 from palpd.quantities import quantity
 from palpd.recording.samples import Samples
 
@@ -77,7 +77,7 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
     channel = (content["where"] or content["shrink"])["channel"]
     proposed = content["next_experiment"]
     return rendered_page(
-        "palpd.gap",
+        "palpd.gap.report",
         "report.html.j2",
         title=title,
         nominal=NOMINAL,
