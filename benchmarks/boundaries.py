@@ -6,11 +6,11 @@ import numpy as np
 
 from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.cell.effects import EFFECTS
+from palpd.gap.data.noise import FZ
 from palpd.gap.diagnosis import Diagnosis, diagnose
-from palpd.gap.linearise import linearise
-from palpd.gap.noise import FZ
-from palpd.gap.nuisances import nuisances
-from palpd.gap.problem import Problem, tolerance_key
+from palpd.gap.gaussian.nuisances import nuisances
+from palpd.gap.model.linearise import linearise
+from palpd.gap.model.problem import Problem, tolerance_key
 
 KEYS = {effect.tolerance: effect.id for effect in EFFECTS.values() if effect.tolerance is not None}
 """Effect of every tolerance that has one."""

@@ -24,7 +24,7 @@ from palpd.cell.motion_profile import Move, commanded_heights
 from palpd.cell.simulation import scale_of, simulate
 from palpd.errors import BadInput
 from palpd.files import read_text, write_text
-from palpd.gap.coordinates import stretched
+from palpd.gap.model.coordinates import stretched
 from palpd.interchange.simulators.export import MOST_OFF, Target, agreement_of, export_cell
 from palpd.interchange.simulators.exported_cell import COLUMNS
 from palpd.tick import Floats

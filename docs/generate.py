@@ -413,7 +413,7 @@ def shown_motion(cell: CellFile) -> dict[str, Floats]:
 
 def typical(effect: Effect, cell: CellFile, motion: dict[str, Floats]) -> Values:
     """Parameters of a typical size on a motion; those that may be absent are."""
-    from palpd.gap.problem import make_problem
+    from palpd.gap.model.problem import make_problem
 
     columns = {"z_m": motion["z_cmd_m"], "vz_m_per_s": np.gradient(motion["z_cmd_m"], motion["t_s"])}
     simulated = palpd.api.simulate(motion, cell, drive="commanded", noise_seed=1).samples

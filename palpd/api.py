@@ -316,8 +316,8 @@ class GapDiagnosis(_Shown):
     def figure(self) -> Figure:
         """The channel with the largest gap: measured less simulated, by the cell as stated and with what was found."""
         from palpd.analysis.figure_style import ENRICHED, NOMINAL, styled_figure, thinned
-        from palpd.gap.noise import CHANNELS
-        from palpd.gap.report import curves_of
+        from palpd.gap.data.noise import CHANNELS
+        from palpd.gap.report.page import curves_of
 
         curves, content = curves_of(self.answer), self.to_json()
         channel = (content["where"] or content["shrink"])["channel"]
@@ -340,7 +340,7 @@ class GapDiagnosis(_Shown):
         Raises:
             BadInput: The file cannot be written.
         """
-        from palpd.gap.report import write
+        from palpd.gap.report.page import write
 
         write(Path(path), self.answer, title)
 

@@ -10,7 +10,7 @@ from palpd.cell.cell_file import CellFile
 from palpd.gap.adoption import adopt
 from palpd.gap.commands import library, write_answer
 from palpd.gap.diagnosis import diagnose
-from palpd.gap.problem import MAX_BINS
+from palpd.gap.model.problem import MAX_BINS
 from palpd.recording.samples import Samples
 
 

@@ -17,9 +17,9 @@ from palpd.blind.drawn_cells import CellRealisation, Deviations, DrawnMotion, dr
 from palpd.blind.laws import Floats, Planted, Shape
 from palpd.blind.truth import CannotDraw
 from palpd.cell.cell_file import CellFile, cell_from
+from palpd.gap.advise.motions import MotionLimits, TestMotion
+from palpd.gap.advise.next_experiment import advise
 from palpd.gap.diagnosis import Diagnosis, diagnose
-from palpd.gap.motions import MotionLimits, TestMotion
-from palpd.gap.next_experiment import advise
 from palpd.recording.samples import Samples
 from palpd.workers import pool
 

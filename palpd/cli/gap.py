@@ -78,7 +78,7 @@ def diagnose(
     """Show where measurement and simulation disagree, which effect causes it, and how far the gap closes."""
     from palpd.cli.tables import diagnosis_lines
     from palpd.gap.commands import diagnose_files
-    from palpd.gap.report import write as write_report
+    from palpd.gap.report.page import write as write_report
 
     _refuse_foreign(recordings)
     say_broken_effects()

@@ -28,7 +28,7 @@ from palpd.errors import BadInput
 from palpd.files import write_yaml
 from palpd.gap.commands import diagnose_files
 from palpd.gap.other_motion import check_on
-from palpd.gap.report import write as write_report
+from palpd.gap.report.page import write as write_report
 from palpd.recording.reader import Recording, samples_of
 from palpd.recording.samples import Samples, write_csv
 from palpd.workers import beside

@@ -19,13 +19,13 @@ from palpd.daemon.motion_process import Job
 from palpd.daemon.program_host import ProgramHost, ProposedMotion
 from palpd.errors import BadInput
 from palpd.files import write_yaml
+from palpd.gap.advise.motions import MotionLimits
+from palpd.gap.advise.next_experiment import Advice, advise
 from palpd.gap.commands import write_answer
 from palpd.gap.diagnosis import Diagnosis, diagnose
-from palpd.gap.law_search.finding import LawFinding
-from palpd.gap.motions import MotionLimits
-from palpd.gap.next_experiment import Advice, advise
-from palpd.gap.posterior import Attribution
-from palpd.gap.report import write as write_report
+from palpd.gap.infer.posterior import Attribution
+from palpd.gap.laws.finding import LawFinding
+from palpd.gap.report.page import write as write_report
 from palpd.recording.reader import Recording, export
 from palpd.recording.samples import Samples, common_site, read
 

@@ -15,28 +15,28 @@ from palpd.cell.cell_file import CellFile, OpenHypothesis
 from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.effects.learned import held_sentence, learned_law_of
 from palpd.cell.simulation import share_outside
+from palpd.gap.advise.next_experiment import ExperimentProposal, advise
 from palpd.gap.calibration import as_stated, stored_map
-from palpd.gap.compared_modulus import ComparedModulus, compared_modulus
-from palpd.gap.correlated_residual import compare_again
-from palpd.gap.hypotheses import fit_rounding, search
-from palpd.gap.law_search.confounds import confounds
-from palpd.gap.law_search.finding import LawFinding, find, leading_leaves
-from palpd.gap.linearise import linearise
-from palpd.gap.next_experiment import ExperimentProposal, advise
+from palpd.gap.data.prepare import without_rounding
+from palpd.gap.data.recorded_noise import readings_at_rest_N, with_recorded_noise
+from palpd.gap.data.rounding import roundings_of
+from palpd.gap.data.scatter import Readings, scatter_effects
+from palpd.gap.infer.compared_modulus import ComparedModulus, compared_modulus
+from palpd.gap.infer.correlated_residual import compare_again
+from palpd.gap.infer.hypotheses import fit_rounding, search
+from palpd.gap.infer.posterior import Attribution, posterior
+from palpd.gap.infer.shrink import Shrink, held_out, without_effects
+from palpd.gap.infer.where import Band, Gap, Place, Trend, Unexplained, bands, gap_table, largest_gap, residuals, trend, unexplained
+from palpd.gap.laws.confounds import confounds
+from palpd.gap.laws.finding import LawFinding, find, leading_leaves
+from palpd.gap.model.linearise import linearise
+from palpd.gap.model.plausibility import channel_notes, check_recordings, recording_notes
+from palpd.gap.model.problem import MAX_BINS, Problem, make_problem, return_memory
 from palpd.gap.nominal_source import NominalSource, nominal_source
 from palpd.gap.plain import answer_sentence, plain_answer
-from palpd.gap.plausibility import channel_notes, check_recordings, recording_notes
-from palpd.gap.posterior import Attribution, posterior
-from palpd.gap.prepare import without_rounding
-from palpd.gap.problem import MAX_BINS, Problem, make_problem, return_memory
-from palpd.gap.recorded_noise import readings_at_rest_N, with_recorded_noise
-from palpd.gap.rounding import roundings_of
-from palpd.gap.scatter import Readings, scatter_effects
-from palpd.gap.shrink import Shrink, held_out, without_effects
 from palpd.gap.uncertainty import open_hypotheses
 from palpd.gap.user_simulator import UserSimulator, left_out
 from palpd.gap.verdict import DiagnosisVerdict, NamedEffect, decide, deviation_notes, enriched_cell, unnatural_notes, with_finding
-from palpd.gap.where import Band, Gap, Place, Trend, Unexplained, bands, gap_table, largest_gap, residuals, trend, unexplained
 from palpd.quantities import quantity
 from palpd.recording.samples import Samples, common_site
 

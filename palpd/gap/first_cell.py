@@ -13,7 +13,7 @@ from palpd.cell.plausible import ask, doubts
 from palpd.cell.report_times import find_reports
 from palpd.errors import BadInput, RecordingError
 from palpd.files import parse_yaml
-from palpd.gap.recorded_noise import with_recorded_noise
+from palpd.gap.data.recorded_noise import with_recorded_noise
 from palpd.recording.oddities import CLEAR_NOISES, dead, measured_rms, questions_of, refuse_repeated, refuse_turned, swing_N
 from palpd.recording.samples import Samples
 from palpd.tick import Floats

@@ -7,10 +7,10 @@ import numpy as np
 
 from palpd.cell.cell_file import CellFile
 from palpd.errors import BadInput
+from palpd.gap.data.noise import CHANNELS, declared_rms
 from palpd.gap.diagnosis import Diagnosis
-from palpd.gap.noise import CHANNELS, declared_rms
+from palpd.gap.model.problem import make_problem
 from palpd.gap.plain import CHANNEL_WORDS, unit_of
-from palpd.gap.problem import make_problem
 from palpd.gap.user_simulator import UserSimulator
 from palpd.quantities import quantity
 from palpd.recording.samples import Samples

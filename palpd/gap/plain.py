@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, TypedDict
 
 from palpd.cell.effects import Effect
-from palpd.gap.phases import PHASE_PHRASES
+from palpd.gap.data.phases import PHASE_PHRASES
 from palpd.quantities import number, quantity, scaled
 
 CHANNEL_WORDS = {

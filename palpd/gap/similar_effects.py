@@ -9,12 +9,12 @@ from scipy.optimize import lsq_linear
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
-from palpd.gap.coordinates import coordinates, coordinates_of, start_values
-from palpd.gap.fit import jacobian_at
-from palpd.gap.linearise import Linearisation, linearise
-from palpd.gap.motions import MotionLimits, TestMotion, blank_recording
-from palpd.gap.nuisances import Projected, gram, project
-from palpd.gap.problem import Problem, make_problem
+from palpd.gap.advise.motions import MotionLimits, TestMotion, blank_recording
+from palpd.gap.gaussian.nuisances import Projected, gram, project
+from palpd.gap.infer.fit import jacobian_at
+from palpd.gap.model.coordinates import coordinates, coordinates_of, start_values
+from palpd.gap.model.linearise import Linearisation, linearise
+from palpd.gap.model.problem import Problem, make_problem
 from palpd.tick import Floats
 
 ONE_DIRECTION = 0.98

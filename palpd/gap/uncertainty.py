@@ -7,12 +7,12 @@ from math import log
 import numpy as np
 
 from palpd.cell.cell_file import EffectValues, Estimated, OpenHypothesis, OpenParameter
-from palpd.gap.coordinates import Coordinate
-from palpd.gap.evidence import Fit
-from palpd.gap.fit import jacobian_at
-from palpd.gap.noise import FZ
-from palpd.gap.posterior import Attribution
-from palpd.gap.problem import RELATIVE, SHARED, Problem
+from palpd.gap.data.noise import FZ
+from palpd.gap.infer.evidence import Fit
+from palpd.gap.infer.fit import jacobian_at
+from palpd.gap.infer.posterior import Attribution
+from palpd.gap.model.coordinates import Coordinate
+from palpd.gap.model.problem import RELATIVE, SHARED, Problem
 from palpd.gap.verdict import ZEROS, DiagnosisVerdict, NamedEffect, by_named_parameters, estimated_with
 from palpd.tick import Floats
 

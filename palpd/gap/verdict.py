@@ -6,15 +6,15 @@ from typing import Any, Literal
 import numpy as np
 
 from palpd.cell.cell_file import CellFile, EffectValues, Estimated
-from palpd.gap.coordinates import Coordinate
-from palpd.gap.evidence import Fit, fit
-from palpd.gap.intervals import interval
-from palpd.gap.law_search.finding import LawFinding
-from palpd.gap.linearise import linearise
-from palpd.gap.noise import FZ
-from palpd.gap.posterior import Attribution
-from palpd.gap.problem import Problem, tolerance_key
-from palpd.gap.scatter import Scatter
+from palpd.gap.data.noise import FZ
+from palpd.gap.data.scatter import Scatter
+from palpd.gap.infer.evidence import Fit, fit
+from palpd.gap.infer.intervals import interval
+from palpd.gap.infer.posterior import Attribution
+from palpd.gap.laws.finding import LawFinding
+from palpd.gap.model.coordinates import Coordinate
+from palpd.gap.model.linearise import linearise
+from palpd.gap.model.problem import Problem, tolerance_key
 from palpd.quantities import quantity
 from palpd.tick import Floats
 

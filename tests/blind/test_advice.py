@@ -5,7 +5,7 @@ import pytest
 
 from palpd.blind.advice import _of_legs, _random, table
 from palpd.blind.drawn_cells import draw_cell
-from palpd.gap.motions import MotionLimits, motions
+from palpd.gap.advise.motions import MotionLimits, motions
 
 
 @pytest.mark.parametrize("seed", range(3))

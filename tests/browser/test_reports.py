@@ -10,7 +10,7 @@ import pytest
 
 from palpd.cell.cell_file import nominal
 from palpd.cell.effects import EFFECTS
-from palpd.gap.report import curves_of, page
+from palpd.gap.report.page import curves_of, page
 from palpd.history.report import report_of, write_report
 from tests.browser.test_page_alone import AXE
 from tests.gap.test_diagnosis import quick, recording

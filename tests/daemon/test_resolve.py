@@ -14,8 +14,8 @@ from palpd.daemon import resolve as loop
 from palpd.daemon.display import NoDisplay
 from palpd.daemon.program_host import ProposedMotion
 from palpd.errors import BadInput
-from palpd.gap.motions import TestMotion
-from palpd.gap.next_experiment import Advice, ExperimentProposal
+from palpd.gap.advise.motions import TestMotion
+from palpd.gap.advise.next_experiment import Advice, ExperimentProposal
 
 PAIR = ("sensor.gain", "tissue.modulus")
 

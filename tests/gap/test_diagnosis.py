@@ -15,13 +15,13 @@ from palpd.cell.effects import EFFECTS
 from palpd.cell.report_times import find_reports
 from palpd.cell.simulation import WRENCH, simulate
 from palpd.errors import RecordingError
+from palpd.gap.advise.next_experiment import WORTH_NATS
+from palpd.gap.data.noise import CHANNELS, declared_rms
 from palpd.gap.diagnosis import Diagnosis, diagnose
-from palpd.gap.linearise import linearise
-from palpd.gap.next_experiment import WORTH_NATS
-from palpd.gap.noise import CHANNELS, declared_rms
-from palpd.gap.posterior import P_UNKNOWN, known_and_unknown
-from palpd.gap.problem import make_problem
-from palpd.gap.residual import ResidualStructure
+from palpd.gap.infer.posterior import P_UNKNOWN, known_and_unknown
+from palpd.gap.infer.residual import ResidualStructure
+from palpd.gap.model.linearise import linearise
+from palpd.gap.model.problem import make_problem
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 

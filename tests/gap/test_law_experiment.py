@@ -7,11 +7,11 @@ import pytest
 
 from palpd.cell.cell_file import nominal
 from palpd.config import parse_plan
+from palpd.gap.advise.law_rivals import rivals_of_law
+from palpd.gap.advise.motions import MotionLimits, same_again
+from palpd.gap.advise.next_experiment import Advice, advise
 from palpd.gap.diagnosis import Diagnosis
-from palpd.gap.law_rivals import rivals_of_law
-from palpd.gap.law_search.finding import LawFinding, RefusedLaw, _of_one_cycle
-from palpd.gap.motions import MotionLimits, same_again
-from palpd.gap.next_experiment import Advice, advise
+from palpd.gap.laws.finding import LawFinding, RefusedLaw, _of_one_cycle
 from tests.gap.test_diagnosis import recording
 from tests.gap.test_law_search import rail_N, with_force
 

@@ -19,15 +19,15 @@ from palpd.cell.effects.drivers import Driver
 from palpd.cell.simulation import simulate
 from palpd.gap.commands import simulate_file, write_answer
 from palpd.gap.diagnosis import Diagnosis
-from palpd.gap.law_search import finding
-from palpd.gap.law_search.bases import hats, powers
-from palpd.gap.law_search.evidence import SIZES, group_evidence
-from palpd.gap.law_search.finding import leading_leaves
-from palpd.gap.law_search.formulas import formulas_of
-from palpd.gap.law_search.held_out import FOLDS, held_out
-from palpd.gap.law_search.nuisance_space import NuisanceSpace
-from palpd.gap.nuisances import Columns
-from palpd.gap.report import curves_of, page
+from palpd.gap.gaussian.evidence import SIZES, group_evidence
+from palpd.gap.gaussian.nuisance_space import NuisanceSpace
+from palpd.gap.gaussian.nuisances import Columns
+from palpd.gap.laws import finding
+from palpd.gap.laws.bases import hats, powers
+from palpd.gap.laws.finding import leading_leaves
+from palpd.gap.laws.formulas import formulas_of
+from palpd.gap.laws.held_out import FOLDS, held_out
+from palpd.gap.report.page import curves_of, page
 from palpd.tick import Floats
 from tests.gap.test_diagnosis import heights, quick, recording
 
@@ -149,7 +149,7 @@ def test_columns_that_are_filtered_one_by_one_are_those_that_are_filtered_togeth
         together = law.scene.columns(candidate)
         assert together
         with monkeypatch.context() as little_memory:
-            little_memory.setattr("palpd.gap.law_search.scene.MOST_FILTERED", 1)
+            little_memory.setattr("palpd.gap.laws.scene.MOST_FILTERED", 1)
             one_by_one = law.scene.columns(candidate)
         assert all(one_by_one[row] == pytest.approx(values, rel=1e-9, abs=1e-12) for row, values in together.items())
 

@@ -6,8 +6,8 @@ import pytest
 from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.cell.cell_file import CellFile, EffectValues
 from palpd.gap.diagnosis import diagnose
-from palpd.gap.linearise import linearise
-from palpd.gap.problem import SHARED, Problem, make_problem
+from palpd.gap.model.linearise import linearise
+from palpd.gap.model.problem import SHARED, Problem, make_problem
 from palpd.recording.samples import Samples
 
 

@@ -8,10 +8,10 @@ import numpy as np
 from palpd.cell.cell_file import nominal
 from palpd.cell.simulation import equilibrium_force_N
 from palpd.config import parse_plan
+from palpd.gap.advise.motions import MotionLimits, TestMotion, motions
+from palpd.gap.advise.next_experiment import advise, rivals_of, score, within_force
 from palpd.gap.diagnosis import Diagnosis, diagnose
-from palpd.gap.motions import MotionLimits, TestMotion, motions
-from palpd.gap.next_experiment import advise, rivals_of, score, within_force
-from palpd.gap.posterior import Attribution
+from palpd.gap.infer.posterior import Attribution
 from tests.gap.test_diagnosis import recording
 
 LIMITS = MotionLimits(0.006, 9.0, 0.01, 0.02, 0.01, 0.05, 0.5)

@@ -11,16 +11,16 @@ from benchmarks.plain_cells import recording
 from palpd.cell.cell_file import CellFile, EffectValues, nominal
 from palpd.cell.effects import EFFECTS
 from palpd.cell.simulation import WRENCH, simulate
-from palpd.gap.bins import Bins
+from palpd.gap.data.bins import Bins
+from palpd.gap.data.noise import FZ, lattice_step
+from palpd.gap.data.prepare import prepare
+from palpd.gap.data.recorded_noise import readings_at_rest_N
+from palpd.gap.data.rounding import WAYS, Way, coarse_step_N, noise_before_rounding, rounded_moments, roundings_of
+from palpd.gap.data.scatter import Readings, scatter_effects, without_held, without_tails
 from palpd.gap.diagnosis import diagnose
-from palpd.gap.linearise import linearise
-from palpd.gap.noise import FZ, lattice_step
-from palpd.gap.prepare import prepare
-from palpd.gap.problem import make_problem
-from palpd.gap.recorded_noise import readings_at_rest_N
-from palpd.gap.rounding import WAYS, Way, coarse_step_N, noise_before_rounding, rounded_moments, roundings_of
-from palpd.gap.scatter import Readings, scatter_effects, without_held, without_tails
-from palpd.gap.whitening import Whitening
+from palpd.gap.gaussian.whitening import Whitening
+from palpd.gap.model.linearise import linearise
+from palpd.gap.model.problem import make_problem
 from palpd.recording.oddities import measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats

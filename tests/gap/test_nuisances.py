@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpd.gap.nuisances import Columns, Vectors, nuisances
+from palpd.gap.gaussian.nuisances import Columns, Vectors, nuisances
 from palpd.tick import Floats
 
 SHAPE = (3, 90)

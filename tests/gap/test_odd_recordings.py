@@ -11,10 +11,10 @@ from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.cell.cell_file import CellFile
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
+from palpd.gap.data.phases import find_phases
 from palpd.gap.diagnosis import Diagnosis, diagnose
-from palpd.gap.hypotheses import fit_nominal, ringing_frequencies, spectral_peaks
-from palpd.gap.phases import find_phases
-from palpd.gap.problem import make_problem
+from palpd.gap.infer.hypotheses import fit_nominal, ringing_frequencies, spectral_peaks
+from palpd.gap.model.problem import make_problem
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 from tests.gap.test_rigs import names, quick, rig

@@ -9,8 +9,8 @@ from palpd.cell.cell_file import CellFile, cell_from, nominal
 from palpd.cell.effects import EFFECTS
 from palpd.errors import RecordingError
 from palpd.gap.commands import simulate_columns
-from palpd.gap.plausibility import channel_notes, check_recordings, recording_notes
-from palpd.gap.problem import make_problem
+from palpd.gap.model.plausibility import channel_notes, check_recordings, recording_notes
+from palpd.gap.model.problem import make_problem
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 from tests.gap.test_diagnosis import quick, recording

@@ -20,12 +20,12 @@ from palpd.cell.cell_file import nominal
 from palpd.cell.effects import EFFECTS, Effect, Parameter
 from palpd.cli.tables import diagnosis_lines
 from palpd.errors import BadInput
-from palpd.gap import report, report_figures
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.plain import plain_answer
-from palpd.gap.report import curves_of, page
-from palpd.gap.report_figures import Curves
-from palpd.gap.sketch import sketch
+from palpd.gap.report import figures
+from palpd.gap.report.figures import Curves
+from palpd.gap.report.page import curves_of, page, write
+from palpd.gap.report.sketch import sketch
 from palpd.quantities import quantity
 from tests.gap.test_diagnosis import quick, recording
 
@@ -84,7 +84,7 @@ def first_screen(html: str) -> str:
 
 
 def test_the_report_begins_with_the_answer_its_causes_in_plain_words_and_what_to_do_next(rubbing: Diagnosis, tmp_path: Path) -> None:
-    report.write(tmp_path / "out.html", rubbing, "rubbing.csv")
+    write(tmp_path / "out.html", rubbing, "rubbing.csv")
     html = (tmp_path / "out.html").read_text(encoding="utf-8")
     assert "<h1>The gap has one cause: something rubs.</h1>" in html
     text = first_screen(html)
@@ -164,7 +164,7 @@ def test_what_a_file_calls_itself_cannot_become_markup(rubbing_page: str) -> Non
 
 def test_a_report_that_cannot_be_written_is_refused_in_one_sentence(rubbing: Diagnosis, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="cannot be written"):
-        report.write(tmp_path / "absent" / "out.html", rubbing, "x")
+        write(tmp_path / "absent" / "out.html", rubbing, "x")
 
 
 def test_every_figure_has_units_at_its_axes_and_the_key_of_its_phases(rubbing_page: str) -> None:
@@ -317,7 +317,7 @@ def test_whatever_an_answer_holds_it_has_a_report_and_lines_for_the_terminal(
     rubbing: Diagnosis, monkeypatch: pytest.MonkeyPatch, examples: int, drawn: bool
 ) -> None:
     if not drawn:  # to lay a figure out and write it takes nearly all of the time
-        monkeypatch.setattr(report_figures, "inline_svg", lambda *_: Markup("<svg></svg>"))
+        monkeypatch.setattr(figures, "inline_svg", lambda *_: Markup("<svg></svg>"))
     whole, curves = rubbing.to_json(), short_curves(rubbing)
 
     @settings(max_examples=examples, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))

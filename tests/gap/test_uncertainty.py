@@ -10,9 +10,9 @@ from benchmarks.plain_cells import cell_of, recording
 from palpd.cell.cell_file import CROSSTALK, OpenHypothesis, load_cell, save_cell
 from palpd.cell.draws import spread
 from palpd.gap.diagnosis import diagnose
-from palpd.gap.evidence import fit
-from palpd.gap.linearise import linearise
-from palpd.gap.problem import Problem, make_problem
+from palpd.gap.infer.evidence import fit
+from palpd.gap.model.linearise import linearise
+from palpd.gap.model.problem import Problem, make_problem
 from palpd.gap.uncertainty import open_hypothesis
 from tests.gap.test_intervals import DRAWS, SIZES, drawn
 

@@ -12,10 +12,10 @@ from palpd.cell.effects import EFFECTS
 from palpd.cell.simulation import simulate
 from palpd.errors import BadInput, RecordingError
 from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.gap.model.problem import make_problem
 from palpd.gap.nominal_source import nominal_source
 from palpd.gap.other_motion import check_on
-from palpd.gap.problem import make_problem
-from palpd.gap.report import curves_of, write
+from palpd.gap.report.page import curves_of, write
 from palpd.gap.user_simulator import UserSimulator, simulate_with
 from palpd.recording.samples import WRENCH_COLUMNS, Samples
 from palpd.tick import Floats

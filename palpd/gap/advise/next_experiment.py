@@ -1,0 +1,383 @@
+"""Stage 7 of a diagnosis: a safe motion that best separates the hypotheses that are still open, and what no motion can separate."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import exp, inf, log
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpd.cell.cell_file import CROSSTALK
+from palpd.cell.simulation import equilibrium_force_N
+from palpd.files import writing
+from palpd.gap.advise.law_rivals import LawHypothesis, LawRivals, rivals_of_law
+from palpd.gap.advise.motions import MotionLimits, TestMotion, blank_recording, cycle_again, motions, same_again, surface_of
+from palpd.gap.data.noise import FX
+from palpd.gap.data.prepare import moves
+from palpd.gap.gaussian.nuisances import Nuisances, gram, nuisances, project
+from palpd.gap.infer.discrepancy import DISCREPANCY_SIZES, discrepancy_columns
+from palpd.gap.infer.posterior import Attribution, Hypothesis
+from palpd.gap.laws.finding import LawFinding, RefusedLaw
+from palpd.gap.model.coordinates import values_at
+from palpd.gap.model.linearise import Linearisation, linearise
+from palpd.gap.model.problem import SHARED, Problem, make_problem
+from palpd.tick import Floats
+
+OPEN_ABOVE = 0.03
+"""Hypotheses with more than this share of the best one's probability are still open."""
+
+MOST_OPEN = 4
+"""Number of open hypotheses that a motion is sought for; the cost grows with its square."""
+
+WORTH_NATS = 1.0
+"""A motion that is not expected to change the odds of any two by e is not worth proposing."""
+
+OVERHEAD_S = 20.0
+"""Time of a run besides its motion: opening, taring, the search of the surface."""
+
+MOST_ROWS = 12_000
+"""Number of rows in which a trial motion is simulated; each counts for the recorded rows that it stands for."""
+
+TRIAL_BINS = 1500
+"""Number of bins of a trial motion, about: a third of a diagnosis, since eleven motions are tried."""
+
+FOREVER = 100.0
+"""Repetitions of a motion that count as unlimited patience."""
+
+
+@dataclass(frozen=True)
+class ExperimentProposal:
+    """A motion to record next: in words, as a plan, as commanded heights over time; the log odds that it is expected to bring."""
+
+    sentence: str
+    plan: dict[str, Any]
+    t_s: Floats
+    z_cmd_m: Floats
+    expected_gain: float
+    motion: TestMotion
+
+    def to_json(self) -> dict[str, Any]:
+        """For out.json; `motion_csv` is the content until it has been written to a file."""
+        every = max(1, len(self.t_s) // 3000)
+        rows = "\n".join(f"{t:.4f},{z:.7g}" for t, z in zip(self.t_s[::every], self.z_cmd_m[::every], strict=True))
+        return {"sentence": self.sentence, "plan": self.plan, "motion_csv": f"t_s,z_cmd_m\n{rows}\n", "expected_gain": self.expected_gain}
+
+    def write_motion(self, path: Path) -> None:
+        """Write the commanded heights as a CSV.
+
+        Raises:
+            BadInput: The file cannot be written.
+        """
+        with writing(path) as stream:
+            np.savetxt(stream, np.column_stack([self.t_s, self.z_cmd_m]), "%.9g", ",", header="t_s,z_cmd_m", comments="")
+
+
+@dataclass(frozen=True)
+class ScoredMotion:
+    """A motion and the log odds (h, h) that it is expected to bring for the row's hypothesis, were it true, against the column's."""
+
+    motion: TestMotion
+    t_s: Floats
+    z_cmd_m: Floats
+    odds: Floats
+
+    def apart(self, one: int, other: int) -> float:
+        """Expected log odds between two hypotheses, whichever of them is true.
+
+        Args:
+            one: Number of the first.
+            other: Number of the second.
+
+        Returns:
+            The smaller of both directions, in nats.
+        """
+        return float(min(self.odds[one, other], self.odds[other, one]))
+
+    def resolved(self, shares: Floats) -> float:
+        """Doubt that the motion removes: 2 p_i p_j (1 - e^(-odds/4)) over all pairs, by Bhattacharyya's bound on mistaking them.
+
+        Args:
+            shares: Probabilities of the hypotheses (h,).
+
+        Returns:
+            The doubt, as a probability.
+        """
+        return sum(2.0 * float(shares[i] * shares[j]) * (1.0 - exp(-0.25 * self.apart(i, j))) for i in range(len(shares)) for j in range(i))
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What is open and which motion decides it.
+
+    Attributes:
+        names: The open hypotheses, the most probable first.
+        shares: Their probabilities (h,), which add up to one.
+        proposal: The best motion, if any is worth its time.
+        pair: The two hypotheses that it is to separate, or the two most probable ones.
+        most: Largest expected log odds for that pair.
+        forever: The same if the motion went on FOREVER times as long.
+        hidden_by: The tolerance without which that would be most.
+    """
+
+    names: tuple[str, ...]
+    shares: Floats
+    proposal: ExperimentProposal | None
+    pair: tuple[str, str] | None
+    most: float
+    forever: float = inf
+    hidden_by: str | None = None
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        if self.proposal is not None:
+            return self.proposal.sentence
+        if self.pair is None:
+            return "Nothing is open that a motion could decide."
+        hidden = f" The tolerance of {self.hidden_by} hides the rest." if self.hidden_by else ""
+        return (
+            f"No motion within the limits distinguishes {self.pair[0]} from {self.pair[1]}. The best is expected to bring "
+            f"{self.most:.2g} nats, and {self.forever:.2g} when it goes on {FOREVER:.0f} times as long; a proposal needs {WORTH_NATS:g}."
+            f"{hidden}"
+        )
+
+
+def advise(problem: Problem, attribution: Attribution, limits: MotionLimits | None = None, finding: LawFinding | None = None) -> Advice:
+    """The motion that removes most of the doubt per minute, or why there is none.
+
+    Where the verdict is a law outside the list, that is the motion that would refute it: it spreads the drivers of the law and of those
+    that fit as well. Where a law was refused, it is the motion that would show it again.
+
+    Args:
+        problem: The recordings so far.
+        attribution: The posterior over hypotheses.
+        limits: What the motion may ask of the cell; no more than the recordings where not given.
+        finding: What the search for laws found, where the verdict is `unknown`.
+    """
+    if finding is not None and finding.refused is not None and _anything_moves(problem):
+        return _again(problem, finding.refused, limits)
+    laws = rivals_of_law(problem, attribution, finding) if finding is not None else None
+    if laws is None:
+        return _between(problem, rivals_of(attribution), limits)
+    advice = _between(laws.problem, laws.alike, limits, laws)
+    return advice if advice.proposal is not None or not laws.against_list else _between(laws.problem, laws.against_list, limits, laws)
+
+
+def _between(problem: Problem, rivals: Sequence[Hypothesis], limits: MotionLimits | None, laws: LawRivals | None = None) -> Advice:
+    """The motion that decides between some hypotheses."""
+    names = tuple(one.name for one in rivals)
+    shares = np.array([one.share for one in rivals])
+    shares = shares / shares.sum()
+    if len(rivals) < 2:
+        return Advice(names, shares, None, None, 0.0)
+    if limits is None and not _anything_moves(problem):
+        return Advice(names, shares, None, (names[0], names[1]), 0.0, 0.0)  # no motion has been shown to be safe
+    limits = within_force(problem, rivals, limits or MotionLimits.of(problem))
+    scored = [score(problem, rivals, motion, limits) for motion in motions(limits)]
+    pairs = [(i, j) for i in range(len(rivals)) for j in range(i + 1, len(rivals))]
+    worth = [s for s in scored if any(s.apart(*p) >= WORTH_NATS for p in pairs)]
+    if worth:
+        best = max(worth, key=lambda s: s.resolved(shares) / (float(s.t_s[-1]) + OVERHEAD_S))
+        able = [p for p in pairs if best.apart(*p) >= WORTH_NATS]
+        i, j = max(able, key=lambda p: shares[p[0]] * shares[p[1]] * (1.0 - exp(-0.25 * best.apart(*p))))
+        pair, gain = (names[i], names[j]), best.apart(i, j)
+        proposal = _proposal(best, pair, gain) if laws is None else _refutation(best, pair, gain, laws)
+        return Advice(names, shares, proposal, pair, gain)
+    best = max(scored, key=lambda s: s.apart(0, 1))
+    forever, hidden_by = _hidden(problem, rivals[:2], best, limits)
+    return Advice(names, shares, None, (names[0], names[1]), best.apart(0, 1), forever, hidden_by)
+
+
+def rivals_of(attribution: Attribution) -> list[Hypothesis]:
+    """The open hypotheses, the most probable first; none that only adds an effect to a more probable one."""
+    top = attribution.best.share
+    out: list[Hypothesis] = []
+    for one in attribution.hypotheses:
+        if one.share > OPEN_ABOVE * top and not any(set(o.fit.names) < set(one.fit.names) and o.fit.names for o in out):
+            out.append(one)
+    return out[:MOST_OPEN]
+
+
+def within_force(problem: Problem, rivals: Sequence[Hypothesis], limits: MotionLimits) -> MotionLimits:
+    """Limit the depth so that no open hypothesis expects more than the allowed force after a long hold.
+
+    Args:
+        problem: The recordings so far.
+        rivals: The open hypotheses.
+        limits: The limits, with the force.
+
+    Returns:
+        The limits with that depth; 0 where it is less than a tenth of the allowed one.
+    """
+    if problem.cell.tissue is None:
+        return limits
+    depth_m = limits.depth_m
+    for one in rivals:
+        cell = problem.cell_at(one.fit.values, one.fit.eta)
+        while depth_m > 0.1 * limits.depth_m and equilibrium_force_N(cell, depth_m, None, problem.library) > limits.force_N:
+            depth_m *= 0.95
+    return replace(limits, depth_m=depth_m if depth_m > 0.1 * limits.depth_m else 0.0)
+
+
+def _refutation(best: ScoredMotion, pair: tuple[str, str], gain: float, laws: LawRivals) -> ExperimentProposal:
+    """The proposal of a motion on which a law may fail."""
+    usual = _proposal(best, pair, gain)
+    outside = laws.share_outside(best.t_s, best.z_cmd_m)
+    held = f"{outside:.0%} of it lies outside the range of the law, where its curve is held." if outside > 0.01 else ""
+    inside = "It stays within the range of the law, so the law must hold there."
+    first, second = (laws.words.get(name, name) for name in pair)
+    what = best.motion.what
+    sentence = (
+        f"{what[0].upper()}{what[1:]} ({best.t_s[-1]:.0f} s) and diagnose both recordings jointly. {held or inside} "
+        f"This is expected to change the odds between {first} and {second} by a factor of {_factor(gain)}."
+    )
+    return replace(usual, sentence=sentence)
+
+
+def _anything_moves(problem: Problem) -> bool:
+    return any(moves(one.samples, problem.cell) for one in problem.recordings)
+
+
+def _again(problem: Problem, refused: RefusedLaw, limits: MotionLimits | None) -> Advice:
+    """The motion that shows a refused law again: the whole one where it changes in time, else the press or stroke that showed it."""
+    known = limits or MotionLimits.of(problem)
+    names, shares = ("a law that repeats", "a change in time that does not"), np.array([0.5, 0.5])
+    gain = refused.law.nats
+    if refused.reason == "time":
+        motion, t_s, z_cmd_m = same_again(problem, known)
+        what = (
+            f"Record the same motion again ({t_s[-1]:.0f} s) and diagnose both recordings jointly. A law repeats, a random walk does not. "
+            "The plan has the same depths, speeds and holds; the motion file is the recorded one."
+        )
+    else:
+        motion = cycle_again(problem, refused.recording, refused.cycle, known)
+        surface_m = surface_of(problem)
+        t_s, z_cmd_m = motion.heights(problem.scale.step_s, surface_m, surface_m + known.home_m, known.acceleration_m_per_s2)
+        driver = refused.law.terms[0].candidate.driver.words
+        what = (
+            f"{motion.what[0].upper()}{motion.what[1:]} ({t_s[-1]:.0f} s) and diagnose both recordings jointly. What remains follows "
+            f"{driver}, but one press or stroke alone shows it, and a law must repeat."
+        )
+    return Advice(names, shares, ExperimentProposal(what, motion.plan(), t_s, z_cmd_m, gain, motion), None, gain)
+
+
+def _factor(gain: float) -> str:
+    return "more than a thousand" if gain > log(1000.0) else f"{exp(gain):.0f}"
+
+
+def _proposal(best: ScoredMotion, pair: tuple[str, str], gain: float) -> ExperimentProposal:
+    what = best.motion.what
+    sentence = (
+        f"{what[0].upper()}{what[1:]} ({best.t_s[-1]:.0f} s) and diagnose both recordings jointly. "
+        f"This is expected to change the odds between {pair[0]} and {pair[1]} by a factor of {_factor(gain)}."
+    )
+    return ExperimentProposal(sentence, best.motion.plan(), best.t_s, best.z_cmd_m, gain, best.motion)
+
+
+def score(problem: Problem, rivals: Sequence[Hypothesis], motion: TestMotion, limits: MotionLimits, patience: float = 1.0) -> ScoredMotion:
+    """What a recording of a motion is expected to say about the open hypotheses.
+
+    Args:
+        problem: The recordings so far.
+        rivals: The h open hypotheses.
+        limits: Where it starts, and its acceleration.
+        patience: Number of times that it is recorded.
+
+    Returns:
+        The motion with its expected log odds.
+    """
+    surface_m = surface_of(problem)
+    rows_s = max(problem.scale.step_s, 1e-4)
+    home_m = surface_m + limits.home_m
+    _, whole = motion.heights(20.0 * rows_s, surface_m, home_m, limits.acceleration_m_per_s2)
+    step_s = rows_s * max(1, round(20 * len(whole) / MOST_ROWS))
+    t_s, z_cmd_m = motion.heights(step_s, surface_m, home_m, limits.acceleration_m_per_s2)
+    trial = _trial(problem, t_s, z_cmd_m, step_s / rows_s * patience)
+    return ScoredMotion(motion, t_s, z_cmd_m, _log_odds(trial, rivals))
+
+
+def _trial(problem: Problem, t_s: Floats, z_cmd_m: Floats, weight: float) -> Problem:
+    """The problem that a recording of that motion would pose, each row counting for `weight` rows."""
+    blank = blank_recording(problem.cell, t_s, z_cmd_m)
+    measured = np.any([one.judged[FX:] for one in problem.recordings], axis=0)
+    blank = replace(blank, wrench=blank.wrench * measured)
+    roundings = [one.rounding for one in problem.recordings[:1] if one.rounding is not None]
+    trial = make_problem([blank], problem.cell, problem.library, TRIAL_BINS, roundings=roundings, scale=problem.scale)
+    return trial.with_row_weight(weight)
+
+
+def _log_odds(trial: Problem, rivals: Sequence[Hypothesis]) -> Floats:
+    """Log odds (h, h) that the recording would bring for the row's hypothesis, were it true, against the column's.
+
+    They are half the squared difference of the predictions in sigmas that nothing can make up for: neither in-tolerance deviations, nor
+    the other's parameters within their uncertainty, nor a discrepancy of the other's law.
+    """
+    base = linearise(trial, {}, trial.nominal_eta)
+    gaps = [trial.predict(one.fit.values, one.fit.eta) - base.prediction for one in rivals]
+    trial = trial.with_model_error_floor(max(gaps, key=lambda g: float(np.vdot(g, g))))
+    predictions = [trial.predict(one.fit.values, one.fit.eta) for one in rivals]
+    odds = np.zeros((len(rivals), len(rivals)))
+    for column, other in enumerate(rivals):
+        there = linearise(trial, other.fit.values, other.fit.eta)
+        free = _free_columns(trial, other, there)
+        free += other.curve_columns(trial) if isinstance(other, LawHypothesis) else []
+        laws, _ = discrepancy_columns(trial, other.fit.values, there.prediction, there)
+        wider = laws.scaled(max(size for size, _ in DISCREPANCY_SIZES))
+        wide = nuisances(there.space.columns.beside(wider)) if wider.size else None
+        for row, prediction in enumerate(predictions):
+            if row != column:
+                difference = prediction - there.prediction
+                odds[row, column] = _unexplained(difference, free, there.space)
+                if wide is not None:
+                    price = 0.5 * (wide.log_determinant - there.space.log_determinant)
+                    odds[row, column] = min(odds[row, column], _unexplained(difference, free, wide) + price)
+    return odds
+
+
+def _free_columns(trial: Problem, other: Hypothesis, there: Linearisation) -> list[Floats]:
+    """Changes by one standard deviation of each independent combination of the other's parameters."""
+    fit = other.fit
+    if not fit.names:
+        return []
+    values, vectors = np.linalg.eigh(fit.covariance)
+    out = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        spread = min(max(float(value), 0.0), 1e6) ** 0.5
+        step = min(1e-2, spread) if spread > 0.0 else 1e-2
+        moved = trial.predict(values_at(fit.where, fit.u + step * vector), fit.eta)
+        out.append((moved - there.prediction) * (spread / step))
+    return out
+
+
+def _unexplained(difference: Floats, free: Sequence[Floats], space: Nuisances) -> float:
+    """Half the squared difference without what nuisances and free columns explain."""
+    d = project(difference, space)
+    columns = [project(c, space) for c in free]
+    seen = np.array([c.dot(d) for c in columns])
+    taken = float(seen @ np.linalg.solve(np.eye(len(columns)) + gram(columns), seen)) if columns else 0.0
+    return 0.5 * max(d.dot(d) - taken, 0.0)
+
+
+def _hidden(problem: Problem, two: Sequence[Hypothesis], best: ScoredMotion, limits: MotionLimits) -> tuple[float, str | None]:
+    """Log odds that the motion would bring for ever, and the tolerance without which it would bring most, if that is worth it."""
+    forever = score(problem, two, best.motion, limits, FOREVER).apart(0, 1)
+    most, hidden_by = max(2.0 * forever, WORTH_NATS), None
+    for k, name in enumerate(SHARED):
+        if problem.shared_sd[k] == 0.0 or name in CROSSTALK:
+            continue
+        exact = np.where(np.arange(len(SHARED)) == k, 1e-6 * problem.shared_sd, problem.shared_sd)
+        without = _trial(problem, best.t_s, best.z_cmd_m, FOREVER).with_shared_sd(exact)
+        odds = _log_odds(without, [_without_deviation(one, k) for one in two])
+        gain = float(min(odds[0, 1], odds[1, 0]))
+        if gain > most:
+            most, hidden_by = gain, name
+    return forever, hidden_by
+
+
+def _without_deviation(one: Hypothesis, k: int) -> Hypothesis:
+    """The hypothesis with its k-th shared deviation at zero."""
+    around = one.fit.linearisation
+    eta = around.eta.copy()
+    eta[k] = 0.0
+    return replace(one, fit=replace(one.fit, linearisation=replace(around, eta=eta)))

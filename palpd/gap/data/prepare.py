@@ -1,0 +1,346 @@
+"""Stage 1 of a diagnosis: a recording is cut into phases and bins; the motion of its tip and the noise of its channels are estimated."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array
+
+from palpd.cell.cell_file import CellFile
+from palpd.cell.dynamics import TipMotion, steps
+from palpd.cell.effects import Effect
+from palpd.cell.report_times import Reports, find_reports, straight_between
+from palpd.cell.simulation import MeanReading, mean_reading
+from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
+from palpd.gap.data.bins import Bins, make_bins
+from palpd.gap.data.noise import FZ, Z, declared_rms
+from palpd.gap.data.phases import FREE_STILL, HOLDING, ROUNDING, Ints, Phases, find_phases
+from palpd.gap.data.rounding import Rounding, undithered
+from palpd.gap.user_simulator import NominalDifference, UserSimulator, difference
+from palpd.recording.oddities import dead, measured_rms
+from palpd.recording.samples import Samples
+from palpd.tick import Floats
+
+FILTER_MEMORY = 4.6
+"""Time constants after which a filter has forgotten all but one hundredth of its input."""
+
+STILL_NOISES = 6.0
+"""Span of 98 % of the heights, in standard deviations of their noise, below which nothing moves: noise alone spans five."""
+
+LAST_DIGITS = 1e-9
+"""Least noise of a channel without any, as a share of its span: readings have no more digits."""
+
+UNREPORTED_SHARE = 0.5
+"""Share of the servo's lag by acceleration, a/wn², by which the tip may differ from the height that a commanded robot reports, one
+standard deviation: behind the encoders everything gives way to inertia, and reports are filtered. Only the contact force feels it."""
+
+MOST_AT_REST = 100
+"""Steps at rest whose predicted forces say where the sensor's zero lies: at rest they change slowly."""
+
+REST_SAMPLES = 60
+"""Fewest samples at rest from which the noise is measured; with fewer, the whole recording is used."""
+
+
+@dataclass(frozen=True)
+class PreparedRecording:
+    """One recording of n samples in b bins, with the noise of every bin and the motion behind its noisy heights."""
+
+    samples: Samples
+    phases: Phases
+    bins: Bins  # of samples
+    steps: Bins  # of the simulation's steps; a step is several samples long where the motion is smooth enough
+    sampled: TipMotion  # at every sample
+    motion: TipMotion  # at the steps, moved to even times where these were nearly even
+    step_means: csr_array  # (b, steps) takes means over the bins of what is known at the times of `motion`
+    otherwise: tuple[TipMotion, TipMotion]  # `motion` with another path, and with its acceleration averaged once more
+    reports: Reports  # of the robot
+    robot_t_s: Floats  # (k,) times from the first row: of the samples where the robot reports more slowly, else of the steps
+    z_cmd_m: Floats | None  # (k,) at those times
+    z_means: csr_array  # (b, k) takes means over the bins of heights at those times
+    inertial_noise_N: csr_array  # (b, r) effect on fz of one standard deviation of the error of each reported speed
+    noise_rms: Floats  # (7,) of one sample, as measured
+    rest: NDArray[np.bool_]  # (n,) samples at which the noise was measured
+    noise_measured: bool  # whether there were enough of them
+    judged: tuple[bool, ...]  # which of the 7 channels are compared
+    at_rest: Ints  # numbers of at most MOST_AT_REST steps at rest in the air, evenly spread
+    rounding: Rounding | None = None  # of fz, where noise does not dither it
+    beyond: NominalDifference | None = None  # what the user's simulator predicts beyond the nominal cell; None without one
+
+    @cached_property
+    def samples_each(self) -> float:
+        """Number of samples per report of the robot."""
+        return self.reports.rows_each
+
+    @cached_property
+    def t_s(self) -> Floats:
+        """Mean time of every bin (b,), from the first sample."""
+        return self.bins.mean(self.samples.t_s - self.samples.t_s[0])
+
+    @cached_property
+    def bin_phase(self) -> Ints:
+        """Phase of every bin (b,)."""
+        return self.bins.label(self.phases.phase)
+
+    @cached_property
+    def bin_cycle(self) -> Ints:
+        """Cycle of every bin (b,)."""
+        return self.bins.label(self.phases.cycle)
+
+    @cached_property
+    def bin_press(self) -> Ints:
+        """Press of every bin (b,), -1 for none."""
+        return self.bins.label(self.phases.press)
+
+    def reading(self, cell: CellFile, motion: TipMotion, library: Mapping[str, Effect]) -> MeanReading:
+        """Predicted mean reading; with a user's simulator its output + palpd(cell) - palpd(nominal cell).
+
+        Args:
+            cell: The cell in some state.
+            motion: Motion of the tip in this recording, at the samples or the steps.
+            library: Effects by id.
+        """
+        return mean_reading(cell, motion, library) if self.beyond is None else self.beyond.reading(cell, motion, library)
+
+    def rounded(self, rounding: Rounding) -> "PreparedRecording":
+        """The recording whose fz is rounded so: its noise is that of all forces, not of those that happened to rest between two levels."""
+        noise_rms = self.noise_rms.copy()
+        noise_rms[FZ] = max(noise_rms[FZ], np.hypot(rounding.noise_rms_N, rounding.step_N / 12.0**0.5))
+        return replace(self, rounding=rounding, noise_rms=noise_rms)
+
+    def heights(self, palpd_m: Floats, t_s: Floats) -> Floats:
+        """Predicted heights; with a user's simulator its output + palpd(cell) - palpd(nominal cell).
+
+        Args:
+            palpd_m: What palpd predicts (m,).
+            t_s: At these times (m,) from the first row.
+
+        Returns:
+            The heights (m,).
+        """
+        return palpd_m if self.beyond is None else palpd_m + self.beyond.heights(t_s)
+
+    def binned_steps(self, motion: TipMotion, values: Floats) -> Floats:
+        """Means over the bins of what was computed at the even times of a motion.
+
+        Args:
+            motion: Motion at the steps of this recording.
+            values: One value per time of that motion.
+
+        Returns:
+            Means (b,) in the unit of the values.
+        """
+        assert len(motion.t_s) == self.step_means.shape[1]
+        return np.asarray(self.step_means @ values)
+
+
+def without_rounding(samples: Samples) -> Samples:
+    """Take rounding out of heights that stand still, so that it is not taken for motion.
+
+    Returns:
+        The recording, its heights and speeds constant where only rounding changes them.
+    """
+    least_m = ROUNDING * float(np.abs(samples.z_m).max())
+    still_m, z_cmd_m = float(samples.z_m[0]), samples.z_cmd_m
+    if float(np.ptp(samples.z_m)) > least_m:
+        return samples
+    if z_cmd_m is not None and float(np.ptp(z_cmd_m)) <= least_m:
+        z_cmd_m = np.full_like(z_cmd_m, z_cmd_m[0])
+    resting = float(np.abs(samples.vz_m_per_s).max()) <= least_m * samples.rate_Hz
+    speeds = np.zeros_like(samples.vz_m_per_s) if resting else samples.vz_m_per_s
+    return replace(samples, z_m=np.full_like(samples.z_m, still_m), z_cmd_m=z_cmd_m, vz_m_per_s=speeds)
+
+
+def moves(samples: Samples, cell: CellFile) -> bool:
+    """Whether the heights of a recording span more than their noise.
+
+    Returns:
+        True where something moves.
+    """
+    low_m, high_m = np.quantile(samples.z_m, (0.01, 0.99))
+    return bool(high_m - low_m > STILL_NOISES * cell.robot.position_noise_rms_m)
+
+
+def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecording:
+    """Prepare a recording for comparison with the simulation of a cell.
+
+    Args:
+        cell: Its nominal cell.
+        max_bins: Largest number of bins, about.
+    """
+    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
+    phases = find_phases(samples, surface_m, cell.robot.position_noise_rms_m)
+    reports = find_reports(samples.t_s, samples.z_m)
+    sampled = estimate_tip_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m, reports)
+    again = estimate_tip_motion(cell, samples.t_s, sampled.z_m, sampled.vz_m_per_s, samples.z_cmd_m)
+    unreported_m = _unreported_height(cell, samples, sampled)
+    samples_per_step = Bins.of_equal_length(samples.t_s, _step_length(samples, cell, reports.rows_each))
+    steps = make_bins(samples_per_step.mean(samples.t_s), phases, samples_per_step, max_bins)
+    bins = samples_per_step.merged(steps)
+    robot_t_s, z_cmd_m, z_means = _robot_grid(samples, reports, sampled, samples_per_step, steps, bins)
+    still = np.isin(phases.phase, (FREE_STILL, HOLDING)) & (phases.since_s > 0.1 * phases.since_s.max())
+    rest = still if samples.held is None else still & ~samples.held
+    judged, noise_rms = _noise(samples, cell, reports, still, rest)
+    share_at_rest = samples_per_step.mean(phases.at_rest_in_air.astype(float))
+    at_rest = np.flatnonzero(share_at_rest == share_at_rest.max())
+    return PreparedRecording(
+        samples=samples,
+        phases=phases,
+        bins=bins,
+        steps=steps,
+        sampled=sampled,
+        motion=_at_steps(sampled, samples_per_step),
+        step_means=_step_means(sampled, samples_per_step, steps),
+        otherwise=(
+            _at_steps(replace(sampled, z_m=again.z_m + unreported_m, vz_m_per_s=again.vz_m_per_s), samples_per_step),
+            _at_steps(replace(sampled, az_m_per_s2=again.az_m_per_s2), samples_per_step),
+        ),
+        reports=reports,
+        robot_t_s=robot_t_s,
+        z_cmd_m=z_cmd_m,
+        z_means=z_means,
+        inertial_noise_N=_inertial_noise(samples, cell, sampled, reports, bins) if judged[FZ] else csr_array((len(bins), 1)),
+        noise_rms=noise_rms,
+        rest=rest,
+        noise_measured=bool(still.sum() >= REST_SAMPLES),
+        judged=judged,
+        at_rest=at_rest[:: 1 + len(at_rest) // MOST_AT_REST],
+    )
+
+
+def with_simulator(one: PreparedRecording, simulator: UserSimulator, cell: CellFile, library: Mapping[str, Effect]) -> PreparedRecording:
+    """A recording whose nominal prediction is that of a user's simulator.
+
+    Args:
+        simulator: The simulator; it is asked for the motion of the recording.
+        cell: The nominal cell.
+        library: Its effects by id.
+
+    Returns:
+        The recording with the difference of the two nominal predictions.
+    """
+    reported = one.samples.z_cmd_m, one.samples.z_m
+    return replace(one, beyond=difference(simulator, cell, library, one.sampled, reported, float(one.phases.depth_m.max())))
+
+
+def _unreported_height(cell: CellFile, samples: Samples, motion: TipMotion) -> Floats:
+    """Heights (n,) by which the tip may differ from the reports in acceleration, one standard deviation; 0 without a command."""
+    if samples.z_cmd_m is None:
+        return np.zeros(len(samples))
+    return np.asarray(UNREPORTED_SHARE * motion.az_m_per_s2 / (2.0 * np.pi * cell.robot.servo_natural_frequency_Hz) ** 2)
+
+
+def _robot_grid(
+    samples: Samples, reports: Reports, sampled: TipMotion, samples_per_step: Bins, steps: Bins, bins: Bins
+) -> tuple[Floats, Floats | None, csr_array]:
+    """Times at which the robot is simulated (k,), its commanded heights there (k,), and the matrix of means over the bins (b, k)."""
+    if reports.rows_each > 1.0:
+        z_means = bins.means() @ reports.joined @ straight_between(reports.t_s, samples.t_s)
+        return samples.t_s - samples.t_s[0], samples.z_cmd_m, z_means
+    # A time that is off by a tenth of a step makes, by the robot's lag, a height that is off by more than its noise.
+    t_s = samples_per_step.mean(sampled.t_s)
+    robot_t_s = _even(t_s)
+    z_cmd_m = None if samples.z_cmd_m is None else np.interp(robot_t_s, t_s, samples_per_step.mean(samples.z_cmd_m))
+    return robot_t_s, z_cmd_m, steps.means() @ straight_between(t_s, robot_t_s)
+
+
+def _noise(
+    samples: Samples, cell: CellFile, reports: Reports, still: NDArray[np.bool_], rest: NDArray[np.bool_]
+) -> tuple[tuple[bool, ...], Floats]:
+    """Which channels are compared, and the noise rms of one sample of each (7,): as measured, at least half of the stated."""
+    declared = declared_rms(cell)
+    judged, measured, digits = [], np.zeros(7), np.full(7, 1e-300)
+    for channel in range(7):
+        if channel == Z:
+            usable = samples.z_cmd_m is not None and not dead(samples.z_m)
+            signal, where = reports.values(samples.z_m), still[np.searchsorted(samples.t_s, reports.t_s)]
+        else:
+            signal, where = samples.wrench[:, channel - 1], rest
+            usable = not dead(signal)
+        judged.append(usable)
+        if usable:
+            enough = where.sum() >= REST_SAMPLES
+            rms = measured_rms(signal, where) if enough else measured_rms(signal)
+            measured[channel] = rms if enough or declared[channel] == 0.0 else min(rms, declared[channel])
+            digits[channel] = max(LAST_DIGITS * float(np.ptp(signal)), 1e-300)
+    floor = np.where(declared > 0, declared, np.maximum(measured, digits))
+    # Of readings that noise does not dither, those that happen to rest within a level show too little of it.
+    least = np.where(undithered(cell), 1.0, 0.5) * floor
+    return tuple(judged), np.where(measured > 0, np.maximum(measured, least), floor)
+
+
+def _inertial_noise(samples: Samples, cell: CellFile, motion: TipMotion, reports: Reports, bins: Bins) -> csr_array:
+    """Effect of one standard deviation of the error of each reported speed (r,) on the binned force of inertia (b,), in N.
+
+    The error of one report pushes forth and back for the time over which slopes are taken, and for the memory of the sensor's filter
+    after that. Bins share it.
+    """
+    n, dt_s = len(samples), 1.0 / samples.rate_Hz
+    weights = cell.probe.mass_kg * motion.v_noise_m_per_s * slope_weights(dt_s, motion.slope_half)
+    first = -(len(weights) // 2)
+    if cell.sensor.filter_cutoff_Hz:
+        per_step = 2.0 * np.pi * cell.sensor.filter_cutoff_Hz * dt_s
+        remembered = np.exp(-per_step * np.arange(int(FILTER_MEMORY / per_step) + 1))
+        weights, first = np.convolve(weights, remembered[::-1] / remembered.sum()), first - len(remembered) + 1
+    weight = bins.mean(np.broadcast_to(motion.acceleration_weight, n))
+    return csr_array(diags_array(weight) @ _means_of_sums(bins, weights, first, n) @ reports.joined)
+
+
+def _means_of_sums(bins: Bins, weights: Floats, first: int, n: int) -> csr_array:
+    """Matrix (b, n) that takes weighted sums of neighbours of n samples, from `first` on, and their mean over every bin."""
+    reach = bins.count + len(weights) - 1
+    row = np.repeat(np.arange(len(bins)), reach)
+    k = np.arange(len(row)) - np.repeat(np.cumsum(reach) - reach, reach)
+    column = bins.begin[row] + first + k
+    total = np.concatenate([[0.0], np.cumsum(weights)])
+    value = (total[np.minimum(k + 1, len(weights))] - total[np.maximum(k + 1 - bins.count[row], 0)]) / bins.count[row]
+    inside = (column >= 0) & (column < n)
+    return csr_array((value[inside], (row[inside], column[inside])), shape=(len(bins), n))
+
+
+def _step_length(samples: Samples, cell: CellFile, samples_each: float) -> int:
+    """Number of samples in one step of the simulation.
+
+    A step takes at most a fifth of the time over which heights are averaged, and at least 4500 steps remain. It takes up to a third where
+    the robot reports no more often, since no faster motion is known there.
+    """
+    averaged = 0.25 / cell.robot.servo_natural_frequency_Hz * samples.rate_Hz
+    return max(1, min(int(averaged / 5.0), len(samples) // 4500), min(int(averaged / 3.0), int(samples_each)))
+
+
+def _at_steps(motion: TipMotion, samples_per_step: Bins) -> TipMotion:
+    t_s = samples_per_step.mean(motion.t_s)
+    even_s = _even(t_s)
+
+    def at(values: Floats) -> Floats:
+        return np.interp(even_s, t_s, samples_per_step.mean(values))
+
+    return replace(
+        motion,
+        t_s=even_s,
+        z_m=at(motion.z_m),
+        vz_m_per_s=at(motion.vz_m_per_s),
+        az_m_per_s2=at(motion.az_m_per_s2),
+        dt_s=steps(even_s),
+        even_s=0.0 if even_s is t_s else float(even_s[1] - even_s[0]),
+    )
+
+
+def _step_means(sampled: TipMotion, samples_per_step: Bins, steps: Bins) -> csr_array:
+    """The matrix (b, steps) from values at the even times of the steps to means over bins of their true times."""
+    t_s = samples_per_step.mean(sampled.t_s)
+    even_s = _even(t_s)
+    return steps.means() @ straight_between(np.clip(t_s, even_s[0], even_s[-1]), even_s)
+
+
+def _even(t_s: Floats) -> Floats:
+    """Times of steps on an even grid, since a filter over even steps costs a tenth of one over uneven ones.
+
+    They move by up to half a step; the last step may be short and move further. Where that does not suffice they stay.
+    """
+    if len(t_s) < 4:
+        return t_s
+    step_s = float(t_s[-2] - t_s[0]) / (len(t_s) - 2)
+    even_s = t_s[0] + step_s * np.arange(len(t_s))
+    return even_s if float(np.abs(even_s - t_s)[:-1].max()) < 0.5 * step_s else t_s

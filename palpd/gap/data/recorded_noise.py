@@ -1,0 +1,120 @@
+"""Noise and resolution of a sensor as its recordings show them, for what the cell file does not state."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpd.cell.cell_file import CellFile
+from palpd.gap.data.noise import FX, FY, FZ, TX, TY, TZ, lattice_step
+from palpd.gap.data.phases import FREE_STILL, HOLDING, Phases, find_phases
+from palpd.gap.data.prepare import REST_SAMPLES
+from palpd.gap.data.rounding import noise_before_rounding
+from palpd.recording.oddities import dead, measured_rms
+from palpd.recording.samples import Samples
+from palpd.tick import Floats
+
+NOISE = {"noise_rms_N": (FX, FY, FZ), "noise_rms_Nm": (TX, TY, TZ)}
+RESOLUTION = {"resolution_fxy_N": (FX, FY), "resolution_fz_N": (FZ,), "resolution_Nm": (TX, TY, TZ)}
+"""Channels that a key of the cell file's sensor block is about."""
+
+HEALTHY_NOISE = 1.5
+"""Ratio of shown and stated noise beyond which lateral axes say nothing of the noise of fz."""
+
+FAR_FROM_STATED = 5.0
+"""Ratio of measured and stated noise from which on a note says so: no surroundings change a healthy sensor this far."""
+
+
+def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[CellFile, list[str], list[str]]:
+    """Take noise and resolution that a cell file does not state from the recordings.
+
+    Args:
+        recordings: The recordings of the cell.
+
+    Returns:
+        The cell with every value stated, a sentence for each value that is far from the stated one, and one for those that were measured.
+    """
+    resolution = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
+    rests = [_rests(_phases(samples, cell).phase) for samples in recordings]
+    resting = all(rest is not None for rest in rests)
+    noise = {key: _noise_range(recordings, rests, channels) for key, channels in NOISE.items()}
+    stated = cell.sensor.model_fields_set
+    measured: dict[str, float] = {key: step for key, step in resolution.items() if key not in stated}
+    far = []
+    for key, shown in noise.items():
+        if shown is None:
+            continue
+        (low, high), before = shown, float(getattr(cell.sensor, key))
+        rms = (low * high) ** 0.5
+        if key not in stated:
+            measured[key] = rms
+        elif resting and not low / FAR_FROM_STATED <= before <= high * FAR_FROM_STATED and before > 0.0:
+            far.append(f"sensor.{key} is {before:.3g} and the recording shows {rms:.3g}, expected within a factor of 5; correct it.")
+    if not measured:
+        return cell, far, []
+    values = ", ".join(f"{key} {value:.3g}" for key, value in measured.items())
+    note = f"the cell file does not state all noise and resolution, so the recording's own count: {values}."
+    return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=measured)}), far, [note]
+
+
+def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[float, list[float]]:
+    """What rests show of fz before it is rounded.
+
+    Args:
+        recordings: The recordings of the cell.
+        cell: The cell file, with its stated noise.
+
+    Returns:
+        Noise of a sample in N: the stated one, as far as the lateral axes, whose steps are finer, allow it; and where these are noisier or
+        quieter than healthy ones. Then the mean of fz at rest in the air in N, of each recording.
+    """
+    phases = [_phases(samples, cell) for samples in recordings]
+    stated_N = cell.sensor.noise_rms_N
+    low_N, high_N = _noise_range(recordings, [_rests(its.phase) for its in phases], (FX, FY)) or (stated_N, stated_N)
+    healthy = low_N / HEALTHY_NOISE <= stated_N <= high_N * HEALTHY_NOISE
+    rests_N = [float(samples.wrench[its.at_rest_in_air, 2].mean()) for samples, its in zip(recordings, phases, strict=True)]
+    return min(max(stated_N, low_N), high_N) if healthy else stated_N, rests_N
+
+
+def _phases(samples: Samples, cell: CellFile) -> Phases:
+    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
+    return find_phases(samples, surface_m, cell.robot.position_noise_rms_m)
+
+
+def _rests(phase: NDArray[np.int_]) -> NDArray[np.bool_] | None:
+    """Samples at rest (n,) by their phases; None where there are too few to measure noise."""
+    still = np.isin(phase, (FREE_STILL, HOLDING))
+    return still if still.sum() >= REST_SAMPLES else None
+
+
+def _noise_range(
+    recordings: Sequence[Samples], rests: Sequence[NDArray[np.bool_] | None], channels: tuple[int, ...]
+) -> tuple[float, float] | None:
+    """Least and largest noise of one sample before rounding, the medians over live axes and recordings; None without a live axis."""
+    ranges = []
+    for samples, rest in zip(recordings, rests, strict=True):
+        for channel in channels:
+            signal = samples.wrench[:, channel - 1]
+            if not dead(signal) and len(np.unique(signal)) > 2:  # two levels show neither a step nor noise
+                step, least = lattice_step(signal), 1e-9 * float(np.ptp(signal))
+                low, high = (0.0, 0.0) if rest is None else noise_before_rounding(signal, rest, step)
+                if high == 0.0:
+                    square = (_quiet_rms(signal) if rest is None else measured_rms(signal, rest)) ** 2
+                    low = high = max(square - step**2 / 12.0, 0.01 * square) ** 0.5
+                ranges.append((max(low, least), max(high, least)))
+    if not ranges:
+        return None
+    low, high = np.median(ranges, axis=0).tolist()
+    return low, high
+
+
+def _quiet_rms(values: Floats) -> float:
+    """Rms of the white part of a signal that never rests, from the lower quartile of its second differences."""
+    quartile = float(np.quantile(np.abs(np.diff(values, 2)), 0.25)) if len(values) > 2 else 0.0
+    return quartile / (0.3186 * 6.0**0.5) or measured_rms(values)  # |x| < 0.3186 σ in a quarter of normal cases
+
+
+def _step(recordings: Sequence[Samples], channels: tuple[int, ...]) -> float:
+    """Finest step of the readings; 0 without one."""
+    steps = [lattice_step(samples.wrench[:, channel - 1]) for samples in recordings for channel in channels]
+    return min((step for step in steps if step > 0.0), default=0.0)

@@ -1,0 +1,202 @@
+"""How the real law of an effect may differ from the library's: the model discrepancy of Kennedy and O'Hagan (2001)."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
+
+from palpd.cell.cell_file import EffectValues
+from palpd.gap.gaussian.nuisances import Columns, Projected, Widened, stable_inverse
+from palpd.gap.infer.fit import Optimum
+from palpd.gap.model.coordinates import Coordinate
+from palpd.gap.model.linearise import Linearisation
+from palpd.gap.model.problem import Problem
+from palpd.tick import Floats
+
+P_EXACT_LAW = 0.3
+"""Prior probability that an effect follows its law exactly."""
+
+DISCREPANCY_SIZES = ((0.02, 0.3), (0.06, 0.25), (0.12, 0.15))
+"""Sizes that a discrepancy may have in each direction, as shares of the effect, and their prior probabilities. With P_EXACT_LAW they
+add up to one."""
+
+SPREAD = "spread"
+"""Kind of the directions in which a time constant or a width is several ones: with these an effect stays what it is."""
+
+OTHER_SHAPES = (0.2, 0.45, 2.2, 5.0)
+"""Factors on a time constant or a width whose law is mixed in: real laws often have more than one."""
+
+SPREAD_SIZE = 4.0
+"""How much larger the direction of another time constant or width may be than an error of a law: real ones are spread over decades."""
+
+SMALLEST_EFFECT = 1.0
+"""Energy, in sigmas, below which an effect is too small to show a discrepancy."""
+
+LARGEST_STRETCH = 6.0
+"""Most that a direction is scaled up to the size of the effect."""
+
+
+@dataclass(frozen=True)
+class ModelDiscrepancy:
+    """A discrepancy of one kind and size at its best.
+
+    Attributes:
+        log_prior: Log of its prior probability.
+        gain: Gain of log likelihood over the exact law.
+        covariance: Gives the covariance (k, k) of the coordinates under it.
+        move: Move (k,) of the coordinates with it, from the optimum of the exact law.
+        change: Gives the change (7, b) of the prediction that is not the effect's own: neither a spread of its shapes nor its parameters.
+    """
+
+    log_prior: float
+    gain: float
+    covariance: Callable[[], Floats]
+    move: Floats
+    change: Callable[[], Floats]
+
+
+def model_discrepancies(
+    problem: Problem, best: Optimum, residual: Projected, slopes: list[Projected], normal: Floats
+) -> list[ModelDiscrepancy]:
+    """Discrepancies in one kind of direction or in all, of every size.
+
+    The parameters move with the discrepancy by one Gauss-Newton step. What such a step promises without any discrepancy does not
+    count, since the optimum has found that it is not there.
+
+    Args:
+        problem: The data and their prediction.
+        best: The optimum under the exact laws.
+        residual: The residual of that optimum.
+        slopes: The k slopes of the prediction with the coordinates.
+        normal: Their inner products (k, k).
+
+    Returns:
+        One for every size and kind; none where the effects are too small to show any.
+    """
+    columns, kind = discrepancy_columns(problem, best.values, best.prediction, best.around)
+    if not columns.size:
+        return []
+    wide = Widened.by(best.around.space, columns)
+    against_residual = wide.against(residual)
+    against_slopes = np.array([wide.against(j) for j in slopes]).T
+    slope = np.array([j.dot(residual) for j in slopes])
+    reach = np.diag([_reach(c, x) ** -2 for c, x in zip(best.where, best.u.tolist(), strict=True)])
+    promised = 0.5 * float(slope @ np.linalg.solve(normal + reach, slope))
+    ways = [kind == k for k in np.unique(kind)]
+    if len(ways) > 1:
+        ways.append(np.ones(len(kind), dtype=bool))
+
+    def discrepancy(way: NDArray[np.bool_], size: float, prior: float) -> ModelDiscrepancy:
+        factor = cholesky(np.eye(int(way.sum())) + size**2 * wide.squares[np.ix_(way, way)], lower=True)
+        of_residual, of_slopes = (size * solve_triangular(factor, x[way], lower=True) for x in (against_residual, against_slopes))
+        inner = normal - of_slopes.T @ of_slopes
+        pull = slope - of_slopes.T @ of_residual
+        move = np.asarray(np.linalg.solve(inner + reach, pull))
+        gain = 0.5 * (float(of_residual @ of_residual) + float(pull @ move)) - promised - float(np.log(np.diag(factor)).sum())
+
+        def change() -> Floats:
+            coefficients = np.zeros(columns.size)
+            coefficients[way] = size * solve_triangular(factor, of_residual - of_slopes @ move, lower=True, trans="T")
+            return columns.times(np.where(kind == SPREAD, 0.0, coefficients))
+
+        return ModelDiscrepancy(log(prior / len(ways)), gain, lambda: stable_inverse(inner), move, change)
+
+    return [discrepancy(way, size, prior) for size, prior in DISCREPANCY_SIZES for way in ways]
+
+
+def _reach(c: Coordinate, u: float) -> float:
+    """How far a parameter may move with a discrepancy: by about half of itself."""
+    if c.parameter.log:
+        return 0.5
+    return 0.5 / c.scale if c.angle else 0.5 * max(abs(u), 1e-3)
+
+
+def discrepancy_columns(problem: Problem, values: EffectValues, at: Floats, around: Linearisation) -> tuple[Columns, NDArray[np.str_]]:
+    """Directions in which real laws may differ from the library's.
+
+    A law may be stronger or weaker with depth, speed, direction, time and since the motion changed, in each channel, and it may be mixed
+    with the same law at other shapes. Each direction is as large as the part of the effect that tolerances do not hide, or smaller.
+
+    Args:
+        problem: Gives the prediction.
+        values: Parameters by effect.
+        at: The prediction (7, b) there.
+        around: The nuisances.
+
+    Returns:
+        The m directions, and the kind (m,) of each.
+    """
+    columns, kinds = [], []
+    modulations = list(_modulations(problem)) if values else []
+    for name in values:
+        others = {other: v for other, v in values.items() if other != name}
+        part = at - problem.predict(others, around.eta)
+        energy = float(np.linalg.norm(around.space.beyond(part)))
+        if energy < SMALLEST_EFFECT:
+            continue
+        for kind, shape in _shapes(problem, values, name, at, part, around.eta, modulations):
+            norm = sum(float(there @ there) for there in shape.values()) ** 0.5
+            if norm > 1e-6 * energy:
+                factor = min(energy / norm, LARGEST_STRETCH) * (SPREAD_SIZE if kind == SPREAD else 1.0)
+                columns.append({channel: there * factor for channel, there in shape.items()})
+                kinds.append(kind)
+    return Columns.of(columns, (at.shape[0], at.shape[1])), np.array(kinds)
+
+
+def _shapes(
+    problem: Problem,
+    values: EffectValues,
+    name: str,
+    at: Floats,
+    part: Floats,
+    eta: Floats,
+    modulations: Sequence[tuple[str, Floats]],
+) -> Iterator[tuple[str, dict[int, Floats]]]:
+    """Directions (b,) by channel for one effect, whose part of the prediction `at` is `part`."""
+    effect = problem.library[name]
+    live = np.flatnonzero(part.any(axis=1)).tolist()
+    for parameter in effect.parameters:
+        if parameter.nominal is None and parameter.log and parameter.name in values[name]:
+            lower, upper = parameter.bounds(problem.scale)
+            for factor in OTHER_SHAPES:
+                other = min(max(values[name][parameter.name] * factor, lower), upper)
+                yield SPREAD, dict(enumerate(problem.predict(values | {name: values[name] | {parameter.name: other}}, eta) - at))
+    for driver, modulation in modulations:
+        if driver in effect.discrepancy_drivers:
+            yield driver, {channel: part[channel] * modulation for channel in live}
+    if len(live) > 1:
+        for channel in live:
+            yield "channel", {channel: part[channel]}
+
+
+def _modulations(problem: Problem) -> Iterator[tuple[str, Floats]]:
+    """Smooth functions (b,) of what the probe is doing, and the driver that each is a function of."""
+    pieces: list[list[tuple[str, Floats]]] = []
+    for one in problem.recordings:
+        mean = one.bins.mean
+        depth = mean(one.phases.depth_m) / problem.scale.depth_m
+        speed = mean(one.phases.velocity_m_per_s) / problem.scale.speed_m_per_s
+        rest = np.log1p(mean(one.phases.since_s) / (3.0 * problem.scale.step_s))
+        rest = rest / max(rest.max(), 1e-9)
+        moving = mean(one.phases.moving.astype(float))
+        late = one.t_s / max(problem.scale.duration_s, 1e-9)
+        pieces.append(
+            [
+                ("depth", depth),
+                ("depth", depth**2),
+                ("speed", np.abs(speed)),
+                ("speed", np.clip(speed, -1.0, 1.0)),
+                ("speed", moving),
+                ("rest", rest),
+                ("rest", rest * moving),
+                ("time", late),
+                ("time", np.exp(-10.0 * late)),
+                ("time", (one.bin_cycle == 0).astype(float)),
+            ]
+        )
+    for same in zip(*pieces, strict=True):
+        row = np.concatenate([values for _, values in same])
+        yield same[0][0], row - row.mean()

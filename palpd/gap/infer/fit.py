@@ -1,0 +1,176 @@
+"""The best parameters of a set of effects: Gauss-Newton, with everything within specification marginalised."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from palpd.cell.cell_file import EffectValues
+from palpd.gap.gaussian.nuisances import gram, project
+from palpd.gap.model.coordinates import Coordinate, coordinates, coordinates_of, inside, values_at
+from palpd.gap.model.linearise import Linearisation, linearise
+from palpd.gap.model.problem import MODULUS, Problem
+from palpd.tick import Floats
+
+GAIN_TO_STOP = 0.02
+"""Gain of one iteration, in squared sigmas, below which an optimum has been reached: it is one hundredth of a nat."""
+
+CONVERGED_SD = 0.1
+"""Move of the shared deviations between two linearisations below which the nuisances have converged, in standard deviations."""
+
+LARGEST_STEP_SD = 4.0
+"""Largest move of a shared deviation in one linearisation: further away its column is no longer a guide."""
+
+LARGEST_DEVIATION_SD = 8.0
+"""Largest shared deviation around which the nuisances are linearised: beyond any tolerance, and near enough to stay a cell."""
+
+LEAST_MODULUS_FACTOR = 0.01
+"""Least factor of a modulus in one linearisation."""
+
+LARGEST_MOVE = 2.0
+"""Largest move of a coordinate in one iteration: two units, or a factor of seven."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Parameters of a set of effects at which the squared residual is least.
+
+    Attributes:
+        where: The k free parameters.
+        u: Their coordinates (k,).
+        misfit: Squared whitened residual with the nuisances projected out.
+        prediction: Whitened prediction (7, b) there.
+        around: The nuisances with which it was found.
+        problem: The data and their prediction.
+    """
+
+    where: tuple[Coordinate, ...]
+    u: Floats
+    misfit: float
+    prediction: Floats
+    around: Linearisation
+    problem: Problem
+
+    @cached_property
+    def jacobian(self) -> list[Floats]:
+        """Slopes of the prediction with every coordinate there, k of (7, b)."""
+        return jacobian_at(self.problem, self.where, self.u, self.around.eta, self.prediction)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The effects."""
+        return tuple(dict.fromkeys(c.effect for c in self.where))
+
+    @property
+    def values(self) -> EffectValues:
+        """Parameters by effect."""
+        return values_at(self.where, self.u)
+
+
+def fit_values(problem: Problem, start: EffectValues, around: Linearisation, *, iterations: int = 8, rounds: int = 0) -> Optimum:
+    """The best parameters of a set of effects.
+
+    Args:
+        problem: The data and their prediction.
+        start: Parameters by effect at which the search starts; empty for a cell without effects.
+        around: Nuisances to begin with.
+        iterations: Most iterations of the first search.
+        rounds: Most times that the nuisances are linearised again at the optimum; it stops where they have converged.
+    """
+    where = coordinates(start, problem.library, problem.scale)
+    best = gauss_newton(problem, around, where, coordinates_of(where, start), iterations)
+    for _ in range(rounds):
+        residual = problem.data + around.offset() - best.prediction
+        eta = around.space.coefficients(residual)[: len(around.eta)]
+        eta = _with_modulus_by_its_factor(problem, around.eta, eta)
+        eta = np.clip(eta, around.eta - LARGEST_STEP_SD, around.eta + LARGEST_STEP_SD)
+        eta = np.clip(eta, -LARGEST_DEVIATION_SD, LARGEST_DEVIATION_SD)
+        move = np.abs(eta - around.eta).max()
+        around = linearise(problem, best.values, eta)
+        best = gauss_newton(problem, around, where, best.u, max(2, iterations // 2))
+        if move < CONVERGED_SD:
+            break
+    return best
+
+
+def _with_modulus_by_its_factor(problem: Problem, before: Floats, linear: Floats) -> Floats:
+    """Shared deviations (11,) after a linear step, the logarithm of the modulus moved so that the force grows as that step says."""
+    factor = 1.0 + (linear - before) * problem.shared_sd
+    step = np.log(np.maximum(factor, LEAST_MODULUS_FACTOR)) / np.maximum(problem.shared_sd, 1e-300)
+    return np.where(MODULUS, before + step, linear)
+
+
+def gauss_newton(problem: Problem, around: Linearisation, where: tuple[Coordinate, ...], u: Floats, iterations: int) -> Optimum:
+    """Damped Gauss-Newton (Levenberg 1944, Marquardt 1963) with fixed nuisances.
+
+    Args:
+        problem: The data and their prediction.
+        around: The nuisances.
+        where: The k free parameters.
+        u: Coordinates (k,) at which the search starts.
+        iterations: Most iterations.
+    """
+    target = problem.data + around.offset()
+    u = inside(where, u)
+    at = problem.predict(values_at(where, u), around.eta)
+    r = project(target - at, around.space)
+    misfit = r.dot(r)
+    damping = 1e-3
+    for _ in range(iterations):
+        columns = [project(j, around.space) for j in jacobian_at(problem, where, u, around.eta, at)]
+        normal = gram(columns)
+        slope = np.array([j.dot(r) for j in columns])
+        for _ in range(5):
+            diagonal = np.diag(normal)
+            lhs = normal + np.diag(damping * diagonal + 1e-12 * max(diagonal.max(initial=0.0), 1e-300))
+            move = np.linalg.lstsq(lhs, slope, rcond=None)[0]
+            trial = inside(where, u + np.clip(move, -LARGEST_MOVE, LARGEST_MOVE))
+            there = problem.predict(values_at(where, trial), around.eta)
+            r_there = project(target - there, around.space)
+            misfit_there = r_there.dot(r_there)
+            if misfit_there < misfit:
+                break
+            damping = max(damping, 1e-4) * 10.0
+        else:
+            break
+        gained = misfit - misfit_there
+        u, at, r, misfit = trial, there, r_there, misfit_there
+        damping = max(damping * 0.1, 1e-6)
+        if gained < GAIN_TO_STOP:
+            break
+    return Optimum(where, u, misfit, at, around, problem)
+
+
+def jacobian_at(problem: Problem, where: Sequence[Coordinate], u: Floats, eta: Floats, at: Floats) -> list[Floats]:
+    """Slopes of the prediction with every coordinate, by forward differences.
+
+    Args:
+        problem: Gives the prediction.
+        where: The k free parameters.
+        u: Their coordinates (k,).
+        eta: Shared deviations (11,) in standard deviations.
+        at: The prediction (7, b) there.
+
+    Returns:
+        k slopes (7, b).
+    """
+    out = []
+    for k, c in enumerate(where):
+        h = _difference(c, float(u[k]), problem.scale.duration_s)
+        if not c.angle and u[k] + h > c.to(c.upper):
+            h = -h
+        there = u.copy()
+        there[k] += h
+        out.append((problem.predict(values_at(where, there), eta) - at) / h)
+    return out
+
+
+def _difference(c: Coordinate, u: float, duration_s: float) -> float:
+    """Step of a forward difference."""
+    if c.parameter.unit == "Hz" and c.parameter.log:
+        # One hundredth of a frequency may be many turns at the end of a recording.
+        return 1e-2 / max(1.0, float(np.exp(min(u, 300.0))) * duration_s)
+    if c.parameter.log or c.angle:
+        return 1e-2 / (c.scale if c.angle else 1.0)
+    return 1e-2 * max(abs(u), 0.1)

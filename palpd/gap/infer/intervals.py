@@ -1,0 +1,138 @@
+"""Intervals of the parameters of a hypothesis, over all laws that its effects may follow, and as far as the residual says."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import ndtr
+
+from palpd.gap.gaussian.nuisances import gram, project, stable_inverse
+from palpd.gap.infer.evidence import Fit, PossibleLaw
+from palpd.gap.infer.fit import gauss_newton, jacobian_at
+from palpd.gap.model.coordinates import Coordinate
+from palpd.gap.model.problem import Problem
+from palpd.tick import Floats
+
+COVERED = 0.95
+"""Probability that an interval holds the parameter."""
+
+PARABOLIC = 0.03
+"""Relative error of the rise of the residual's norm at the end of an interval below which the end stays where it is."""
+
+MOST_STEPS = 4
+"""Most steps to the end of an interval; most take one."""
+
+LARGEST_STRETCH = 5.0
+"""Largest factor between the distances of an end and of that of the parabola: further away the recording does not say."""
+
+
+def half_width(laws: Sequence[PossibleLaw], k: int) -> float:
+    """Distance from the reported coordinate within which the true one lies with the probability COVERED.
+
+    The reported one is the best of the exact law. Where the law is off, the best with its discrepancy lies elsewhere, and that distance
+    belongs to the uncertainty.
+
+    Args:
+        laws: The laws that the effects may follow.
+        k: Number of the coordinate.
+
+    Returns:
+        The distance.
+    """
+    weight = np.array([law.probability for law in laws])
+    move = np.array([law.move[k] for law in laws])
+    sd = np.sqrt(np.maximum([law.covariance()[k, k] for law in laws], 1e-300))
+
+    def missed(half: float) -> float:
+        return float(weight @ (ndtr((half - move) / sd) - ndtr((-half - move) / sd))) - COVERED
+
+    most = float((np.abs(move) + 6.0 * sd).max())
+    return float(brentq(missed, 0.0, most, rtol=1e-3)) if missed(most) > 0.0 else most
+
+
+def interval(problem: Problem, one: Fit, k: int) -> tuple[float, float]:
+    """Ends of the interval of one parameter.
+
+    Args:
+        problem: The data and their prediction.
+        one: The hypothesis at its best.
+        k: Number of the coordinate.
+
+    Returns:
+        Both ends, in the unit of the parameter; an angle may exceed its range.
+    """
+    c = one.where[k]
+    value = one.values[c.effect][c.parameter.name]
+    if c.fixed:
+        return value, value
+    half = half_width(one.laws, k)
+    if c.angle:
+        return value - half * c.scale, value + half * c.scale
+    profile = _Profile.of(problem, one, k)
+    ends = [c.back(profile.end(sign * half)) for sign in (-1.0, 1.0)]
+    return min(*ends, value), max(*ends, value)
+
+
+@dataclass(frozen=True)
+class _Profile:
+    """The residual's norm over one coordinate, all others fitted again.
+
+    Attributes:
+        problem: The data and their prediction.
+        one: The hypothesis at its best.
+        k: Number of the coordinate.
+        follow: Moves (k,) of all coordinates with it, to first order.
+        sd: Standard deviation of the coordinate under the exact law.
+    """
+
+    problem: Problem
+    one: Fit
+    k: int
+    follow: Floats
+    sd: float
+
+    @staticmethod
+    def of(problem: Problem, one: Fit, k: int) -> "_Profile":
+        around = one.linearisation
+        at = problem.predict(one.values, around.eta)
+        normal = gram([project(j, around.space) for j in jacobian_at(problem, one.where, one.u, around.eta, at)])
+        covariance = stable_inverse(normal)
+        variance = float(covariance[k, k])
+        return _Profile(problem, one, k, covariance[:, k] / max(variance, 1e-300), sqrt(max(variance, 0.0)))
+
+    def end(self, distance: float) -> float:
+        """The coordinate at which the residual has risen as a parabola would over a distance from the best one.
+
+        Where the residual does not rise, since the search ended beside the best place, the end lies further away.
+        """
+        c, best = self.one.where[self.k], float(self.one.u[self.k])
+        enough = abs(distance) / self.sd if self.sd > 0.0 else 0.0
+
+        def at(stretch: float) -> float:
+            return c.to(c.back(best + stretch * distance))  # inside the range
+
+        if enough == 0.0 or at(1.0) == best or abs(self._rise(at(1.0), iterations=0) - enough) <= PARABOLIC * enough:
+            return at(1.0)
+        before, rise_before, stretch = 0.0, 0.0, 1.0
+        for _ in range(MOST_STEPS):
+            rise = self._rise(at(stretch), iterations=2)
+            if abs(rise - enough) <= PARABOLIC * enough:
+                break
+            slope = (rise - rise_before) / (stretch - before)
+            further = stretch + (enough - rise) / slope if slope > 0.0 else 2.0 * stretch
+            before, rise_before = stretch, rise
+            stretch = float(np.clip(further, max(0.5 * stretch, 1.0 / LARGEST_STRETCH), min(2.0 * stretch, LARGEST_STRETCH)))
+            if at(stretch) == at(before):
+                break
+        return at(stretch)
+
+    def _rise(self, x: float, iterations: int) -> float:
+        """Square root of the rise of the squared residual there, with that many iterations of the others; 0 where it does not rise."""
+        one = self.one
+        value = one.where[self.k].back(x)
+        where: tuple[Coordinate, ...] = tuple(replace(c, lower=value, upper=value) if j == self.k else c for j, c in enumerate(one.where))
+        start = one.u + self.follow * (x - float(one.u[self.k]))
+        there = gauss_newton(self.problem, one.linearisation, where, start, iterations if len(where) > 1 else 0)
+        return sqrt(max(there.misfit - one.misfit, 0.0))

@@ -1,0 +1,198 @@
+"""Stage 4 of a diagnosis, continued: the probability of every hypothesis, of no effect, and of something outside the list."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import comb, log
+
+import numpy as np
+
+from palpd.gap.infer.evidence import Fit
+from palpd.gap.infer.residual import ResidualStructure, segments_of, test_residual
+from palpd.gap.model.problem import Problem
+
+P_NONE, P_ONE, P_TWO, P_THREE = 0.3, 0.6, 0.12, 0.02
+"""Prior probabilities of that many effects; every set of one size is as likely as the others."""
+
+P_UNKNOWN = 0.15
+"""Prior probability that something outside the list is at work."""
+
+DISCREPANCY_ENERGY = 0.04
+"""Mean share of the gap's energy by which the law of a known effect is off; for something unknown any share is as likely. With
+P_UNKNOWN this puts even odds at a fifth."""
+
+FURTHER_EFFECT_COST = 3.0
+"""Least price of a further effect in nats, whatever its prior: it must explain data that the smaller set does not."""
+
+TESTED = 12
+"""Number of likeliest hypotheses whose residual is tested."""
+
+INDISTINGUISHABLE = 0.04
+"""Odds against the named effect above which another one cannot be distinguished from it."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A hypothesis with the structure of its residual, its probability, and the share of that without anything unknown beside it."""
+
+    fit: Fit
+    residual: ResidualStructure
+    share: float
+    share_known: float
+
+    @property
+    def known(self) -> float:
+        """Probability of these effects alone."""
+        return self.share * self.share_known
+
+    @property
+    def unknown(self) -> float:
+        """Probability of these effects beside something unknown."""
+        return self.share * (1.0 - self.share_known)
+
+    @property
+    def name(self) -> str:
+        """Its effects in words."""
+        return " with ".join(self.fit.names) or "no effect"
+
+
+@dataclass(frozen=True)
+class Attribution:
+    """The posterior over hypotheses.
+
+    Attributes:
+        hypotheses: The tested ones, the most probable first.
+        p_none: Probability that there is no effect and nothing unknown.
+        p_unknown: Probability that something outside the list is at work.
+        marginal: Probability of every effect.
+        groups: For every effect of the best hypothesis the effects that could stand in its place.
+    """
+
+    hypotheses: list[Hypothesis]
+    p_none: float
+    p_unknown: float
+    marginal: dict[str, float]
+    groups: dict[str, list[str]]
+
+    @property
+    def best(self) -> Hypothesis:
+        """The most probable hypothesis."""
+        return self.hypotheses[0]
+
+
+def posterior(problem: Problem, fits: Mapping[tuple[str, ...], Fit], most_tested: int = TESTED) -> Attribution:
+    """Weigh the hypotheses against each other, each without and with something unknown beside it.
+
+    Args:
+        problem: The data and their prediction.
+        fits: The fitted hypotheses by their effects; no effect is among them.
+        most_tested: Number of likeliest hypotheses whose residual is tested; less likely ones are left out.
+
+    Returns:
+        Their probabilities.
+    """
+    worth = _worth(problem, fits)
+    order = sorted(fits, key=lambda names: -(worth[names] + fits[names].log_likelihood))
+    segments = segments_of(problem)
+    tested = {names: test_residual(problem, fits[names], segments) for names in dict.fromkeys([*order[:most_tested], ()])}
+    most = _most_of_any_shape(fits, tested, worth)
+    nominal, gap = fits[()], tested[()]
+    logs: dict[tuple[str, ...], tuple[float, float]] = {}
+    for names, residual in tested.items():
+        energy = max(gap.energy, nominal.misfit - fits[names].misfit + residual.energy)
+        known, unknown = known_and_unknown(fits[names], residual, energy, most - worth[names])
+        logs[names] = worth[names] + known, worth[names] + unknown
+    total = float(np.logaddexp.reduce([w for both in logs.values() for w in both]))
+    return attribution_of(
+        [
+            Hypothesis(
+                fits[names],
+                tested[names],
+                share=float(np.exp(np.logaddexp(known, unknown) - total)),
+                share_known=float(np.exp(known - np.logaddexp(known, unknown))),
+            )
+            for names, (known, unknown) in logs.items()
+        ]
+    )
+
+
+def attribution_of(hypotheses: list[Hypothesis]) -> Attribution:
+    """The posterior of hypotheses whose probabilities add up to one."""
+    hypotheses = sorted(hypotheses, key=lambda one: -one.share)
+    marginal: dict[str, float] = {}
+    for one in hypotheses:
+        for name in one.fit.names:
+            marginal[name] = marginal.get(name, 0.0) + one.share
+    p_none = sum(one.known for one in hypotheses if not one.fit.names)
+    p_unknown = sum(one.unknown for one in hypotheses)
+    return Attribution(hypotheses, p_none, p_unknown, marginal, _groups(hypotheses))
+
+
+def _worth(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> dict[tuple[str, ...], float]:
+    """Log prior and volume of every hypothesis: a set is worth FURTHER_EFFECT_COST less than its smaller ones at least."""
+    listed = sum(not effect.scatter for effect in problem.library.values())
+    by_set = {frozenset(names): one.occam for names, one in fits.items()}
+    out = {}
+    for names, one in fits.items():
+        prior = log((P_NONE, P_ONE, P_TWO, P_THREE)[len(names)]) - log(comb(listed, len(names)))
+        smaller = [by_set[rest] for name in names if len(names) > 1 and (rest := frozenset(names) - {name}) in by_set]
+        out[names] = prior + min([one.occam, *(occam - FURTHER_EFFECT_COST for occam in smaller)])
+    return out
+
+
+def _most_of_any_shape(
+    fits: Mapping[tuple[str, ...], Fit], tested: Mapping[tuple[str, ...], ResidualStructure], worth: Mapping[tuple[str, ...], float]
+) -> float:
+    """Largest log probability that a residual of any shape may lend to a hypothesis.
+
+    Where one listed effect leaves only noise, no explanation can be better. Then no data support something of any shape, alone or
+    beside that effect.
+    """
+    clean = [
+        worth[names] + fits[names].log_exact for names, residual in tested.items() if len(names) == 1 and residual.log_bayes_factor < 0.0
+    ]
+    most = max(clean, default=np.inf)
+    above = sum(worth[names] + fits[names].log_exact + residual.log_bayes_factor > most for names, residual in tested.items())
+    return most - log(max(1, above))
+
+
+def known_and_unknown(one: Fit, residual: ResidualStructure, gap_energy: float, most: float) -> tuple[float, float]:
+    """Log likelihoods of a hypothesis without and with something unknown beside its effects.
+
+    Either a model discrepancy suffices, or exact laws leave a residual of any shape. Its share of the gap's energy then says which of
+    both it is: small for a discrepancy, any for something unknown.
+
+    Args:
+        gap_energy: Energy of the gap in squared sigmas.
+        most: Largest log likelihood that a residual of any shape may have.
+
+    Returns:
+        Both log likelihoods.
+    """
+    any_shape = log(P_UNKNOWN) + min(one.log_exact + residual.log_bayes_factor, most)
+    if not one.names:
+        return log(1.0 - P_UNKNOWN) + one.log_exact, any_shape
+    sums = []
+    for evidence, energy in (
+        (log(1.0 - P_UNKNOWN) + one.log_likelihood, one.discrepancy_energy),
+        (any_shape, residual.energy),
+    ):
+        share = min(energy / max(gap_energy, 1.0), 1.0)
+        log_odds = log(1.0 - P_UNKNOWN) - log(P_UNKNOWN) - share / DISCREPANCY_ENERGY - log(DISCREPANCY_ENERGY)
+        sums.append((evidence - float(np.logaddexp(0.0, -log_odds)), evidence - float(np.logaddexp(0.0, log_odds))))
+    known, unknown = np.logaddexp(*np.array(sums))
+    return float(known), float(unknown)
+
+
+def _groups(hypotheses: list[Hypothesis]) -> dict[str, list[str]]:
+    """For every effect of the best hypothesis the ones that could stand in its place, the most probable first."""
+    best = hypotheses[0]
+    out: dict[str, list[str]] = {}
+    for name in best.fit.names:
+        rest = set(best.fit.names) - {name}
+        rivals: list[tuple[float, str]] = []
+        for one in hypotheses[1:]:
+            others = set(one.fit.names) - rest
+            if rest <= set(one.fit.names) and len(others) == 1 and one.share > INDISTINGUISHABLE * best.share:
+                rivals.append((one.share, others.pop()))
+        out[name] = [other for _, other in sorted(rivals, reverse=True)]
+    return out

@@ -1,0 +1,245 @@
+"""Events and noise in time: what happened at certain times, and would not happen again because of what the probe does."""
+
+from dataclasses import dataclass
+from math import log
+from typing import TypedDict
+
+import numpy as np
+
+from palpd.gap.data.noise import CHANNELS, FX, FZ
+from palpd.gap.gaussian.evidence import posterior_of
+from palpd.gap.gaussian.nuisance_space import NuisanceSpace
+from palpd.gap.laws.scene import Scene
+from palpd.gap.model.problem import Problem
+from palpd.tick import Floats
+
+EVERY = 4
+"""Every fourth bin is tried as the time of an event; the nearest bin is found afterwards."""
+
+EVENT_SIGMAS = 20.0
+"""Prior size of an event, in sigmas beyond what tolerances hide."""
+
+PULSES = (3, 9, 27, 81)
+"""Lengths of pulses and bursts, in bins."""
+
+KIND_PRICE = log(12.0)
+"""Nats for the kind and the channel of an event, beside the log of the number of its times."""
+
+EVENT_NATS, MOST_EVENTS = 6.0, 6
+"""Evidence of one event below which the search for them ends, and most events."""
+
+BURST_SD = (2.0, 5.0)
+"""Spreads that noise may have within a burst, in sigmas."""
+
+WANDER_KNOTS = 160
+WANDER_LENGTHS = (2.0, 8.0, 40.0)
+WANDER_SIZES = (8.0, 20.0, 50.0, 150.0)
+"""A random walk of the zero or of the scale of fz: knots in time, correlation lengths in knots, sizes in sigmas."""
+
+
+class Event(TypedDict):
+    """Something that happened once: time from the first sample of its recording, channel, size in the unit of the channel, kind."""
+
+    recording: int
+    t_s: float
+    channel: str
+    size: float
+    kind: str
+
+
+@dataclass(frozen=True)
+class Events:
+    """The events of a residual, and their evidence together in nats."""
+
+    listed: list[Event]
+    nats: float
+    change: Floats
+
+
+@dataclass(frozen=True)
+class _Atom:
+    """An event that may have happened: evidence, and its whitened column in one channel."""
+
+    nats: float
+    kind: str
+    channel: int
+    bin: int
+    column: Floats
+
+
+def find_events(scene: Scene, space: NuisanceSpace) -> Events:
+    """Pursue events greedily: each one that is found joins the nuisances.
+
+    Args:
+        space: Nuisances and residual.
+
+    Returns:
+        The events; none where nothing stands out.
+    """
+    problem, beside = scene.problem, space
+    force = scene.factor("fz_N", "force")
+    atoms: list[_Atom] = []
+    while len(atoms) < MOST_EVENTS:
+        each = [atom for channel in range(FX, 7) if scene.judged(channel) for atom in _atoms(problem, beside, channel, force)]
+        best = max(each, key=lambda atom: atom.nats, default=None)
+        if best is None or best.nats < EVENT_NATS:
+            break
+        atoms.append(best)
+        if best.kind == "burst":  # noise has no column: its bins no longer count
+            beside = beside.restricted_to((np.arange(7)[:, None] != best.channel) | (best.column == 0.0))
+        else:
+            beside = beside.with_columns({best.channel: best.column[:, None] * _unit(best)})
+    sizes, change = _sizes(space, [atom for atom in atoms if atom.kind != "burst"])
+    return Events([_described(problem, space, atom, sizes.get(id(atom))) for atom in atoms], sum(atom.nats for atom in atoms), change)
+
+
+def _unit(atom: _Atom) -> float:
+    """Factor on the column of an event that was found: ten times EVENT_SIGMAS, so that its size is free."""
+    return 10.0 * EVENT_SIGMAS / max(float(np.linalg.norm(atom.column)), 1e-300)
+
+
+def _sizes(space: NuisanceSpace, atoms: list[_Atom]) -> tuple[dict[int, float], Floats]:
+    """Coefficients of events that are fitted together, by the identity of each, and their change (7, b)."""
+    change = np.zeros_like(space.residual)
+    if not atoms:
+        return {}, change
+    columns: dict[int, Floats] = {}
+    for k, atom in enumerate(atoms):
+        columns.setdefault(atom.channel, np.zeros((len(atom.column), len(atoms))))[:, k] = atom.column
+    mean, _ = posterior_of(space.products(columns), np.diag([_unit(atom) for atom in atoms]))
+    for channel, values in columns.items():
+        change[channel] = values @ mean
+    return {id(atom): float(value) for atom, value in zip(atoms, mean, strict=True)}, change
+
+
+def _atoms(problem: Problem, space: NuisanceSpace, channel: int, force: Floats) -> list[_Atom]:
+    """The likeliest step, fall of the contact force, pulse and burst in one channel."""
+    r = space.remainder[channel]
+    white = 1.0 / problem.noise.sigma[channel]
+    white = np.where(np.isfinite(problem.noise.sigma[channel]), white, 0.0)
+    ends, first = [], 0
+    for one in problem.recordings:
+        first += len(one.bins)
+        ends.append(first)
+    last = np.asarray(ends)[np.searchsorted(ends, np.arange(first), side="right")]
+    times = np.arange(1, first - 1, EVERY)
+    trials = [("step", white, times, last[times])]
+    if channel == FZ:
+        press_end = _end_of_contact(force)
+        falls = times[press_end[times] > times]
+        trials.append(("fall of the contact force", white * force, falls, press_end[falls]))
+    trials += [("pulse", white, times, np.minimum(times + length, last[times])) for length in PULSES]
+    out = []
+    for kind, shape, begin, end in trials:
+        if not len(begin):
+            continue
+        norm, slope = space.windows(channel, shape, begin, end)
+        gain = _gain(norm, slope)
+        k = int(np.argmax(gain))
+        a, b, nats = _sharpened(space, channel, shape, int(begin[k]), int(end[k]), moves_end=kind == "pulse")
+        column = np.zeros(first)
+        column[a:b] = shape[a:b]
+        out.append(_Atom(nats - log(len(times)) - KIND_PRICE, kind, channel, a, column))
+    return out + _bursts(r, channel)
+
+
+def _gain(norm: Floats, slope: Floats) -> Floats:
+    """Evidence of columns of unknown size, from their squares and their products with the residual."""
+    size = EVENT_SIGMAS**2
+    return np.where(norm > 1e-9, -0.5 * log(1.0 + size) + 0.5 * slope**2 / np.maximum(norm, 1e-9) * size / (1.0 + size), -np.inf)
+
+
+def _sharpened(space: NuisanceSpace, channel: int, shape: Floats, begin: int, end: int, *, moves_end: bool) -> tuple[int, int, float]:
+    """Begin, end and evidence of an event whose begin and end are moved to where they fit best."""
+    near = max(EVERY, (end - begin) // 2) if moves_end else EVERY
+    begins = np.unique(np.clip(np.linspace(begin - near, begin + near, 25).astype(np.intp), 0, len(shape) - 2))
+    ends = np.unique(np.clip(np.linspace(end - near, end + near, 25).astype(np.intp), 1, len(shape))) if moves_end else np.array([end])
+    a, b = (grid.ravel() for grid in np.meshgrid(begins, ends, indexing="ij"))
+    a, b = a[b > a], b[b > a]
+    gain = _gain(*space.windows(channel, shape, a, b))
+    k = int(np.argmax(gain))
+    return int(a[k]), int(b[k]), float(gain[k])
+
+
+def _bursts(r: Floats, channel: int) -> list[_Atom]:
+    """The likeliest stretch of wider noise, judged by differences of neighbours, which no slow change makes."""
+    d2 = 0.5 * np.diff(r, append=r[-1]) ** 2
+    sums = np.concatenate([[0.0], np.cumsum(d2)])
+    out = []
+    for length in PULSES[1:]:
+        begin = np.arange(0, len(r) - length, EVERY)
+        if not len(begin):
+            continue
+        energy = sums[begin + length] - sums[begin]
+        count = 0.5 * length  # neighbouring differences share a reading
+        each = [-0.5 * count * log(1.0 + sd**2) + 0.25 * energy * sd**2 / (1.0 + sd**2) for sd in BURST_SD]
+        gain = np.logaddexp(*each) - log(2.0)
+        k = int(np.argmax(gain))
+        column = np.zeros(len(r))
+        column[begin[k] : begin[k] + length] = 1.0
+        out.append(_Atom(float(gain[k]) - log(len(begin)) - KIND_PRICE, "burst", channel, int(begin[k]), column))
+    return out
+
+
+def _end_of_contact(force: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """For every bin (b,) in contact the first one after it in the air; its own number in the air."""
+    n = len(force)
+    air = np.where(force > 0.0, n, np.arange(n))
+    return np.asarray(np.minimum.accumulate(air[::-1])[::-1])
+
+
+def _described(problem: Problem, space: NuisanceSpace, atom: _Atom, coefficient: float | None) -> Event:
+    """The event in words and units; a burst has no coefficient, and its size is the spread of its noise."""
+    ends = np.cumsum([len(one.bins) for one in problem.recordings])
+    number = int(np.searchsorted(ends, atom.bin, side="right"))
+    one, mine = problem.recordings[number], atom.column != 0.0
+    sigma = problem.noise.sigma[atom.channel][mine]
+    if coefficient is None:
+        size = float(np.std(space.remainder[atom.channel][mine]) * np.median(sigma))
+    else:
+        size = coefficient * float(np.abs(atom.column[mine] * sigma).max())
+    t_s = float(one.t_s[atom.bin - int(ends[number]) + len(one.bins)])
+    return Event(recording=number, t_s=t_s, channel=CHANNELS[atom.channel], size=size, kind=atom.kind)
+
+
+def wander_nats(scene: Scene, space: NuisanceSpace) -> float:
+    """Evidence of a random walk in time of the zero or of the scale of fz (an Ornstein-Uhlenbeck process).
+
+    Args:
+        space: Nuisances and residual.
+
+    Returns:
+        The larger of both, in nats.
+    """
+    if not scene.judged(FZ):
+        return -np.inf
+    problem = scene.problem
+    hats, start = [], 0
+    for one in problem.recordings:
+        t = one.t_s / max(float(one.t_s[-1]), 1e-12) * (WANDER_KNOTS - 1)
+        mine = np.zeros((problem.data.shape[1], WANDER_KNOTS))
+        mine[start : start + len(t)] = np.maximum(1.0 - np.abs(t[:, None] - np.arange(WANDER_KNOTS)), 0.0)
+        start += len(t)
+        hats.append(mine)
+    white = np.where(np.isfinite(problem.noise.sigma[FZ]), 1.0 / problem.noise.sigma[FZ], 0.0)[:, None]
+    best = -np.inf
+    for factor in (white, white * scene.factor("fz_N", "force")[:, None]):
+        products = [space.products({FZ: factor * mine}) for mine in hats]
+        # Every recording wanders by itself.
+        best = max(best, sum(_wander(one.gram, one.slope) for one in products))
+    return best
+
+
+def _wander(gram: Floats, slope: Floats) -> float:
+    distance = np.abs(np.subtract.outer(np.arange(WANDER_KNOTS), np.arange(WANDER_KNOTS)))
+    each = []
+    for length in WANDER_LENGTHS:
+        root = np.linalg.cholesky(np.exp(-distance / length))
+        values, vectors = np.linalg.eigh(root.T @ gram @ root)
+        values = np.maximum(values, 0.0)
+        q = vectors.T @ (root.T @ slope)
+        for size in WANDER_SIZES:
+            square = size**2 / max(float(values.sum()), 1e-300)
+            weight = 1.0 + square * values
+            each.append(float(0.5 * (square * q**2 / weight - np.log(weight)).sum()))
+    return float(np.logaddexp.reduce(each) - log(len(each)))

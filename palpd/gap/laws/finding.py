@@ -1,0 +1,453 @@
+"""What the search for laws adds to an answer from the list: a learned effect, events, or nothing."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import comb, exp, log
+from typing import Any, Literal
+
+import numpy as np
+
+from palpd.cell.effects.drivers import FAMILIES, UNITS
+from palpd.cell.effects.learned import LearnedEffect, Term
+from palpd.gap.data.noise import CHANNELS
+from palpd.gap.gaussian.nuisance_space import NuisanceSpace, whitened
+from palpd.gap.gaussian.nuisances import Columns, project
+from palpd.gap.infer.discrepancy import discrepancy_columns
+from palpd.gap.infer.evidence import Fit, fit
+from palpd.gap.infer.fit import jacobian_at
+from palpd.gap.infer.posterior import P_NONE, P_ONE, P_THREE, P_TWO, P_UNKNOWN
+from palpd.gap.laws.events import Event, find_events, wander_nats
+from palpd.gap.laws.formulas import Formula
+from palpd.gap.laws.scene import LATERAL, LawCandidate, Scene, rounding_columns
+from palpd.gap.laws.search import ALIKE_NATS, NAMED_NATS, LearnedLaw, search
+from palpd.gap.model.problem import Problem, return_memory
+from palpd.tick import Floats
+
+DISCREPANCY_SIZE = 0.06
+"""Share of a listed effect by which its real law may differ, in each direction, before something else is sought beside it."""
+
+PARAMETER_REACH = 0.5
+"""Share of a listed effect by which its parameters may move when something is sought beside it."""
+
+LEAST_SHARE_BESIDE = 0.2
+"""Share of the gap's energy from which something beside a listed effect is of its own, and no error of that effect's law."""
+
+ALTERNATIONS = 3
+"""Times that listed parameters and the law beside them are fitted in turn, before the law is sought again."""
+
+MANY_PARTS = 2
+"""Number of listed effects from which on a law alone is tried although they leave nothing: together they can imitate almost any shape."""
+
+MOST_CERTAIN = 0.97
+"""Largest probability of a law: 38 of 38 accepted laws were right, and (38 + 1) / (38 + 2) is what that supports."""
+
+SHOWN_POINTS = 40
+"""Points in which the data behind a curve are shown."""
+
+
+ONE_CYCLE = 0.6
+"""Share of a law's change, beyond tolerances, from which on one press or stroke alone shows it."""
+
+
+@dataclass(frozen=True)
+class RefusedLaw:
+    """A law that the recordings support and that is not named.
+
+    Attributes:
+        reason: It changes in time, or one press or stroke alone shows it.
+        recording: Number of the recording with that press.
+        cycle: Number of the cycle of that press there.
+    """
+
+    law: LearnedLaw
+    reason: Literal["time", "one cycle"]
+    recording: int = 0
+    cycle: int = 0
+
+
+@dataclass(frozen=True)
+class LawFinding:
+    """What the search for laws found.
+
+    Attributes:
+        learned: The learned effect; None where no law was accepted.
+        law: The law behind it.
+        beside: The listed effects that it stands beside; the fit without effects where it stands alone.
+        replaces: Whether it, or the events, replace the listed effects, which only imitated them.
+        events: Events, which are no law.
+        note: A sentence for the reader, or None.
+        nats: Evidence of the law or of the events beyond the listed answer.
+        secondary: Whether listed effects stand as the cause, and the law says what they leave: an error of their own laws, or something
+            besides. The verdict is then theirs.
+        refused: A law that another recording may show, or None.
+    """
+
+    learned: LearnedEffect | None
+    law: LearnedLaw | None
+    beside: Fit
+    replaces: bool
+    events: list[Event]
+    note: str | None
+    nats: float
+    secondary: bool = False
+    refused: RefusedLaw | None = None
+
+    def beside_named(self, leading_leaves: float) -> "LawFinding":
+        """The finding where the list names causes that leave little: it says what they leave, and takes nothing from them.
+
+        A law that would replace a cause is then one sentence for the reader: a real cause never has quite its listed law. Where none of
+        several listed effects explains most of the gap, one law that is likelier than all of them replaces them: they imitated it.
+
+        Args:
+            leading_leaves: Share of what the named effects explain together that the best of them alone leaves; 0 of one effect.
+
+        Returns:
+            The finding beside the named causes, or in their place.
+        """
+        if self.events:  # the named cause only imitated them, or they stand out of its residual
+            return self if self.replaces else _nothing(self.beside, _EVENTS_BESIDE)
+        if not self.replaces or self.learned is None:
+            return replace(self, secondary=True)
+        if len(self.learned.terms) == 1 and leading_leaves >= LEAST_SHARE_BESIDE:
+            return self
+        note = f"A law outside the list explains this recording as well: {self.learned.what}. Another motion decides."
+        return _nothing(self.beside, note)
+
+    def beside_law(self, listed: Fit) -> Fit:
+        """The listed answer with the law taken from its residual.
+
+        Args:
+            listed: The listed answer.
+
+        Returns:
+            The fit beside the law; the listed answer itself where there is no law.
+        """
+        if self.learned is None or self.law is None:
+            return listed
+        return replace(self.beside, residual=self.beside.residual - self.law.change)
+
+    @property
+    def p_outside(self) -> float:
+        """Probability that something outside the list is at work, as far as this search says."""
+        if self.secondary or (self.learned is None and not self.events):
+            return 0.0
+        return _probability(self.nats)
+
+    def to_json(self) -> dict[str, Any] | None:
+        """The key `learned` of out.json; None where there is no law."""
+        if self.learned is None or self.law is None:
+            return None
+        terms = [self._term(number) for number in range(len(self.learned.terms))]
+        family = FAMILIES.get(self.learned.terms[0].driver.quantity)
+        whole = {"id": self.learned.id, "what": self.learned.what, "site": self.learned.site, "family": family}
+        rest = {"probability": self.learned.probability, "alike": list(self.learned.alike), "replaces_listed": self.replaces, "file": None}
+        return whole | terms[0] | rest | {"confounds": self.learned.confounds or {}, "further_terms": terms[1:]}
+
+    def _term(self, number: int) -> dict[str, Any]:
+        assert self.learned is not None
+        assert self.law is not None
+        term, fitted = self.learned.terms[number], self.law.terms[number]
+        values, sd = np.array(term.values), np.array(term.sd)
+        low, high = values - 1.96 * sd, values + 1.96 * sd
+        band = {"x": list(term.knots), "value": values.tolist(), "low": low.tolist(), "high": high.tolist()}
+        return {
+            "channels": term.channels,
+            "factor": term.factor,
+            "driver": term.driver.words,
+            "driver_unit": UNITS[term.driver.quantity],
+            "formula": term.formula,
+            "curve": band,
+            "range": list(term.range),
+            "held_out_nats": [round(gain, 1) for gain in fitted.held_out.gains.tolist()],
+            "nats": round(fitted.nats, 1),
+            "data": self._data(number),
+        }
+
+    def _data(self, number: int) -> dict[str, list[float]]:
+        """Means of the data behind a curve over its driver, in the unit of the curve: without the term, and with it."""
+        assert self.law is not None
+        law, candidate = self.law, self.law.terms[number].candidate
+        problem, change = law.scene.problem, np.zeros_like(self.law.change)
+        mean, _ = law.coefficients(number)
+        for channel, values in law.terms[number].columns.items():
+            change[channel] = values @ mean
+        after = NuisanceSpace(law.space.columns, law.space.residual - law.change).remainder
+        factor = law.scene.factor(candidate.channel, candidate.factor)[:, None]
+        weights = candidate.weights(problem.cell.probe.tip_length_m)
+        unit = whitened(problem.noise, {CHANNELS.index(name): weight * factor for name, weight in weights.items()})
+        x = law.scene.driver(candidate.channel, candidate.driver)
+        if candidate.driver.period is not None:
+            x = np.mod(x, candidate.driver.period)
+        live = np.sum([values[:, 0] ** 2 for values in unit.values()], axis=0)
+        order = np.flatnonzero(live > 1e-6 * live.max())
+        order = order[np.argsort(x[order])]
+        # Equal stretches of the driver, so that a curve is seen along its whole range.
+        edges = np.searchsorted(x[order], np.linspace(x[order[0]], x[order[-1]], SHOWN_POINTS + 1)[1:-1])
+        stretches = [part for part in np.split(order, edges) if len(part)]
+        points = [part for part in stretches if len(part) > 2] or stretches  # a short press has few bins
+
+        def means(of: Floats) -> list[float]:
+            return [float(sum(v[p, 0] @ of[c, p] for c, v in unit.items()) / live[p].sum()) for p in points]
+
+        spread = [float(live[p].sum() ** -0.5) for p in points]
+        at = [float(np.average(x[p], weights=live[p])) for p in points]
+        return {"x": at, "before": means(after + change), "after": means(after), "sd": spread}
+
+
+def _probability(nats: float) -> float:
+    """Probability of something outside the list by its evidence beyond the listed answer."""
+    return min(MOST_CERTAIN, 1.0 / (1.0 + exp(-min(nats + log(P_UNKNOWN / (1.0 - P_UNKNOWN)), 50.0))))
+
+
+def _nothing(beside: Fit, note: str | None = None, refused: RefusedLaw | None = None) -> LawFinding:
+    """No finding beside a fit, and why."""
+    return LawFinding(None, None, beside, False, [], note, 0.0, refused=refused)
+
+
+def leading_leaves(fits: Mapping[tuple[str, ...], Fit], listed: Fit) -> float:
+    """How much of what listed effects explain together the best of them alone leaves.
+
+    Args:
+        fits: The fitted hypotheses by their effects; no effect is among them.
+        listed: The fit of the listed effects.
+
+    Returns:
+        The share of the misfit that they take away together; 0 for one effect, and where no single one was fitted.
+    """
+    if len(listed.names) < MANY_PARTS:
+        return 0.0
+    nominal = fits[()].misfit
+    alone = [nominal - fits[(name,)].misfit for name in listed.names if (name,) in fits]
+    return 1.0 - max(alone) / max(nominal - listed.misfit, 1e-300) if alone else 0.0
+
+
+def _of_one_cycle(law: LearnedLaw) -> RefusedLaw | None:
+    """The refusal of a law that is likely enough but that one press or stroke alone shows; None for any other."""
+    if not law.likely:
+        return None
+    seen = (NuisanceSpace(law.space.columns, law.change).remainder ** 2).sum(axis=0)
+    first, best = 0, (0.0, 0, 0)
+    for number, one in enumerate(law.scene.problem.recordings):
+        energy = np.bincount(one.bin_cycle, seen[first : first + len(one.bin_cycle)])
+        first += len(one.bin_cycle)
+        best = max(best, (float(energy.max()), number, int(np.argmax(energy))))
+    return RefusedLaw(law, "one cycle", best[1], best[2]) if best[0] >= ONE_CYCLE * float(seen.sum()) else None
+
+
+def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -> LawFinding:
+    """Search for a law and for events beyond the listed answer, and decide.
+
+    On top of one listed effect nothing is found: it stands. Something is, or several effects were needed: if a law alone beats the listed
+    effects, and these with the law on top of them, they only imitated it and it replaces them. Of two explanations alike the one with
+    fewer parts counts. Else the law stands beside them.
+
+    Args:
+        nominal: The fit without effects.
+        listed: The fit of the listed answer; the same where nothing is named.
+        coarse: Whether readings are rounded far more coarsely than stated. They then follow the force in steps, and any law fits the steps:
+            nothing is sought.
+    """
+    if coarse:
+        return _nothing(listed)
+    scene, space = Scene.of(problem, listed.values, listed.eta), _space_beside(problem, listed)
+    gained = listed.log_evidence - nominal.log_evidence + _log_prior(problem, listed)
+    top = search(scene, space, gained)
+    return_memory()
+    events = find_events(scene, space)
+    eventful = events.nats >= max(NAMED_NATS, (top.nats if top.carries else 0.0) - ALIKE_NATS) and _matters(listed, events.change)
+    leaves_nothing = not eventful and not top.carries
+    if leaves_nothing and len(listed.names) < MANY_PARTS:
+        return _nothing(listed, refused=_of_one_cycle(top))
+    law, judged_in, beside, replaces, imitated = top, space, listed, False, False
+    if listed.names:
+        alone_space, alone_scene = _space_beside(problem, nominal), Scene.of(problem, {}, nominal.eta)
+        alone = search(alone_scene, alone_space)
+        rival = gained + max(NAMED_NATS, (top.nats if top.carries else 0.0) - ALIKE_NATS)
+        if eventful:  # where events alone explain more than the listed effects, these imitated a part of them
+            alone_events = find_events(alone_scene, alone_space)
+            rival = max(rival, gained + events.nats - ALIKE_NATS, alone_events.nats - ALIKE_NATS)
+            # In one or two presses nothing repeats: what happens at every press looks like an event.
+            repeats = sum(one.phases.presses for one in problem.recordings) not in (1, 2)
+            imitated = repeats and alone_events.nats > gained
+            events = alone_events if imitated else events
+        # A smooth curve of time is no answer where events are one.
+        replaces = alone.carries and alone.nats >= rival and not (eventful and _plain_time(alone.terms[0].candidate))
+        if replaces:
+            law, judged_in, beside = alone, alone_space, nominal
+        elif leaves_nothing:
+            return _nothing(listed, refused=_of_one_cycle(top))
+        elif not eventful:
+            law, judged_in, beside = _fitted_together(problem, listed, top, gained)
+    if eventful and not replaces:
+        return LawFinding(None, None, listed, imitated, events.listed, _EVENTS, max(events.nats - gained, NAMED_NATS))
+    wanders = wander_nats(law.scene, judged_in)
+    if _plain_time(law.terms[0].candidate) or wanders > law.nats - ALIKE_NATS:
+        return _nothing(listed, _IN_TIME, RefusedLaw(law, "time"))
+    secondary = not replaces and bool(listed.names)
+    nats = law.nats - gained if replaces else top.nats
+    return LawFinding(learned_effect(law, nats), law, beside, replaces, [], _time_note(law), nats, secondary)
+
+
+def _fitted_together(problem: Problem, listed: Fit, top: LearnedLaw, gained: float) -> tuple[LearnedLaw, NuisanceSpace, Fit]:
+    """The law on top of listed effects, the space in which it was judged, and these effects.
+
+    Without the law, the listed parameters imitate a part of it. So both are fitted in turn, and the law is sought again.
+    In the end the law is what the listed effects leave as they are, and not what they could leave.
+    """
+    law = replace(top, space=_within_specification(problem, listed))
+    # A second term may be the error of the listed parameters, so the first one alone stays while these move.
+    moved = replace(law, terms=top.terms[:1])
+    beside = listed
+    for _ in range(ALTERNATIONS):
+        without = replace(problem, measured=problem.measured - problem.noise.natural(moved.change))
+        again = fit(without, beside.values, beside.linearisation, iterations=3, rounds=1)
+        beside = replace(again, residual=again.residual + moved.change)
+        moved = replace(moved, space=_within_specification(problem, beside))
+    space = _space_beside(problem, beside)
+    second = search(Scene.of(problem, beside.values, beside.eta), space, gained)
+    if not second.carries or second.terms[0].nats < top.terms[0].nats:
+        return law, _space_beside(problem, listed), listed
+    return replace(second, space=_within_specification(problem, beside)), space, beside
+
+
+_EVENTS = (
+    "What remains looks like single events (see `events`), and not like a law. Another recording will not show them at the same times."
+)
+_EVENTS_BESIDE = "What the named effects leave looks like single events in time: steps, pulses or falls of the contact force."
+_IN_TIME = (
+    "Something changes smoothly or randomly in time, and not by what the cell does. One recording cannot distinguish a slow state from a "
+    "random walk. Record the same motion again: a law repeats, a random walk does not."
+)
+
+
+def _time_note(law: LearnedLaw) -> str | None:
+    driver = law.terms[0].candidate.driver
+    if driver.quantity in ("time", "presses", "deepest") and driver.period is None:
+        return (
+            "The law follows the course of this recording (time, number of presses or deepest press). One recording cannot distinguish "
+            "these, so the law may not hold in another one. Record a second one in another order."
+        )
+    return None
+
+
+def _plain_time(candidate: LawCandidate) -> bool:
+    """Whether a candidate is an added smooth curve of time, which a random walk is as well."""
+    driver = candidate.driver
+    return driver.quantity == "time" and driver.period is None and candidate.factor in ("one", "air")
+
+
+def _matters(listed: Fit, change: Floats) -> bool:
+    """Whether a change beside listed effects holds enough of the gap to be something of its own."""
+    if not listed.names:
+        return True
+    own, whole = (project(one, listed.linearisation.space) for one in (change, change + listed.change))
+    return own.dot(own) >= LEAST_SHARE_BESIDE * whole.dot(whole)
+
+
+def _log_prior(problem: Problem, listed: Fit) -> float:
+    """Log prior odds of a set of listed effects against none."""
+    count, effects = len(listed.names), sum(not effect.scatter for effect in problem.library.values())
+    return log((P_NONE, P_ONE, P_TWO, P_THREE)[count] / P_NONE) - log(comb(effects, count))
+
+
+def _within_specification(problem: Problem, listed: Fit) -> NuisanceSpace:
+    """Everything within specification around a fit, and rounding."""
+    space = NuisanceSpace(listed.linearisation.space.columns, listed.residual)
+    rounding = rounding_columns(problem, problem.noise.natural(problem.data - listed.remainder))
+    return space.with_columns(rounding) if rounding else space
+
+
+def _space_beside(problem: Problem, listed: Fit) -> NuisanceSpace:
+    """The same, with the reach of the listed parameters and the discrepancy of the listed laws."""
+    space, around = _within_specification(problem, listed), listed.linearisation
+    if not listed.names:
+        return space
+    prediction = problem.predict(listed.values, around.eta)
+    reach = PARAMETER_REACH * float(np.linalg.norm(listed.change))
+    jacobian = jacobian_at(problem, listed.where, listed.u, around.eta, prediction)
+    moves = [j * (reach / max(float(np.linalg.norm(j)), 1e-300)) for j in jacobian]
+    parameters = Columns.of([dict(enumerate(one)) for one in moves], space.columns.shape)
+    discrepancies, _ = discrepancy_columns(problem, listed.values, prediction, around)
+    return NuisanceSpace(space.columns.beside(parameters).beside(discrepancies.scaled(DISCREPANCY_SIZE)), listed.residual)
+
+
+def learned_effect(law: LearnedLaw, nats: float) -> LearnedEffect:
+    """A law as data.
+
+    Args:
+        nats: Its evidence beyond the listed answer.
+    """
+    terms = tuple(_term(law, number) for number in range(len(law.terms)))
+    first = law.terms[0].candidate
+    alike = dict.fromkeys(_words(one.candidate) for one in law.terms[0].alike)
+    problem = law.scene.problem
+    return LearnedEffect(
+        id=free_name(
+            f"learned.{first.factor}_{first.driver.memory or 'of'}_{first.driver.quantity}",
+            {*problem.library, *(one.id for one in problem.cell.learned)},
+        ),
+        what="; ".join(term.words for term in terms),
+        site="robot" if first.channel == "z_m" else "probe",
+        rest_speed_m_per_s=law.scene.rest_speed_m_per_s,
+        terms=terms,
+        alike=tuple(words for words in alike if words != _words(first)),
+        probability=_probability(nats),
+    )
+
+
+def free_name(name: str, taken: set[str]) -> str:
+    """A name that is free.
+
+    Args:
+        taken: Names that there are already.
+
+    Returns:
+        The name, with a number where it is taken.
+    """
+    return next(one for one in (name, *(f"{name}_{k}" for k in range(2, len(taken) + 3))) if one not in taken)
+
+
+def _words(candidate: LawCandidate) -> str:
+    """Factor and driver in words, which distinguish candidates for a reader."""
+    side = (
+        " to the side" if candidate.channel == LATERAL else f" on {candidate.channel.split('_')[0]}" if candidate.channel != "fz_N" else ""
+    )
+    factor = "" if candidate.factor == "one" else f"{candidate.factor.replace('_', ' × ')} × "
+    return f"{factor}curve of {candidate.driver.words}{side}"
+
+
+def _term(law: LearnedLaw, number: int) -> Term:
+    candidate = law.terms[number].candidate
+    mean, _ = law.coefficients(number)
+    x = candidate.basis.shown_at()
+    columns = candidate.basis.columns(x)
+    weights = candidate.weights(law.scene.problem.cell.probe.tip_length_m)
+    basis = candidate.basis
+    free, covariance = law.uncertain(number)
+    sd = _spread(free.basis.columns(x) - (_usual(law, free) if free.factor == "one" else 0.0), covariance)
+    return Term(
+        channels={name: round(weight, 9) for name, weight in weights.items()},
+        factor=candidate.factor,
+        driver=candidate.driver,
+        knots=_rounded(x),
+        values=_rounded(columns @ mean),
+        sd=_rounded(sd),
+        range=(float(f"{basis.low:.9g}"), float(f"{basis.high:.9g}")),
+        formula=basis.text(mean) if isinstance(basis, Formula) else None,
+    )
+
+
+def _usual(law: LearnedLaw, candidate: LawCandidate) -> Floats:
+    """Mean of the columns (m,) over the recording: a constant force is the sensor's bias, and no part of a band."""
+    return np.asarray(candidate.basis.columns(law.scene.driver(candidate.channel, candidate.driver)).mean(axis=0))
+
+
+def _spread(columns: Floats, covariance: Floats) -> Floats:
+    """Standard deviation (k,) of a curve."""
+    return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", columns, covariance, columns), 0.0))
+
+
+def _rounded(values: Floats) -> tuple[float, ...]:
+    """Numbers that a person can read: seven digits, and zero where they are nothing beside the largest."""
+    values = np.where(np.abs(values) < 1e-9 * np.abs(values).max(), 0.0, values)
+    return tuple(float(f"{value:.7g}") for value in values.tolist())

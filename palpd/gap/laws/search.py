@@ -1,0 +1,265 @@
+"""The search for a law: score the dictionary, take the likeliest term, put it beside the nuisances, repeat."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from palpd.gap.data.noise import Z
+from palpd.gap.data.phases import Ints
+from palpd.gap.gaussian.evidence import group_evidence
+from palpd.gap.gaussian.nuisance_space import NuisanceSpace, whitened
+from palpd.gap.laws.bases import Basis
+from palpd.gap.laws.held_out import FOLDS, LEAST_GAIN_SHARE, HeldOut, held_out
+from palpd.gap.laws.scene import LawCandidate, Scene
+from palpd.gap.laws.scoring import Scored, Scorer
+from palpd.gap.model.problem import return_memory
+from palpd.tick import Floats
+
+WORTH_A_LOOK_NATS = 6.0
+"""Evidence of a first term below which nothing is looked at."""
+
+NAMED_NATS, NAMED_HEIGHT_NATS = 10.0, 40.0
+"""Evidence from which a law is named, and a law of the height: heights are known so well that any controller differs by something."""
+
+FURTHER_NATS, FURTHER_SHARE = 10.0, 0.06
+"""Evidence of a further term, in nats and as a share of what is gained so far: a false second term costs more than a missed one."""
+
+MOST_TERMS = 2
+ALIKE_NATS = 3.0
+"""Evidence within which the recording does not distinguish two laws."""
+
+REST_SPEED_RATIOS = (0.25, 0.5, 2.0, 4.0)
+"""Factors on the speed at which friction turns over that are tried for a law that depends on the direction."""
+
+PAIRS_WITH_FORMULAS = 5
+"""Likeliest pairs of factor and driver for which closed formulas are tried."""
+
+
+@dataclass(frozen=True)
+class LawTerm:
+    """A term that was found.
+
+    Attributes:
+        candidate: Channel, factor, driver and curve.
+        nats: Its evidence beside the terms before it, the price taken off.
+        columns: Its whitened columns (b, m) by channel, with all filters.
+        root: Root (m, m) of the prior covariance of the coefficients.
+        held_out: What it says of strokes that it did not see.
+        alike: The candidates that fit as well, with other factors or drivers.
+        free_curve: The curve that its formula replaced; None where the term is a curve.
+    """
+
+    candidate: LawCandidate
+    nats: float
+    columns: dict[int, Floats]
+    root: Floats
+    held_out: HeldOut
+    alike: tuple[Scored, ...]
+    free_curve: LawCandidate | None = None
+
+
+@dataclass(frozen=True)
+class LearnedLaw:
+    """One or two terms, in the scene in which they were found.
+
+    Attributes:
+        space: The nuisances without the terms.
+        terms: The terms in the order in which they were found; none where there is no law.
+    """
+
+    scene: Scene
+    space: NuisanceSpace
+    terms: tuple[LawTerm, ...]
+
+    @property
+    def nats(self) -> float:
+        """Evidence of all terms."""
+        return sum(term.nats for term in self.terms)
+
+    @cached_property
+    def _joint(self) -> tuple[Floats, Floats, list[slice]]:
+        """Posterior mean and covariance of the coefficients of all terms, and where each term's stand."""
+        sizes = [len(term.root) for term in self.terms]
+        ends = np.cumsum(sizes).tolist()
+        slices = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        root = np.zeros((ends[-1], ends[-1]))
+        columns: dict[int, Floats] = {}
+        for term, mine in zip(self.terms, slices, strict=True):
+            root[mine, mine] = term.root
+            for channel, values in term.columns.items():
+                columns.setdefault(channel, np.zeros((len(values), ends[-1])))[:, mine] = values
+        products = self.space.products(columns)
+        inner = np.linalg.inv(np.eye(len(root)) + root.T @ products.gram @ root)
+        covariance = root @ inner @ root.T
+        return covariance @ products.slope, covariance, slices
+
+    def coefficients(self, number: int) -> tuple[Floats, Floats]:
+        """Coefficients of a term beside the others.
+
+        Args:
+            number: Which term.
+
+        Returns:
+            Posterior mean (m,) and covariance (m, m).
+        """
+        mean, covariance, slices = self._joint
+        return mean[slices[number]], covariance[slices[number], slices[number]]
+
+    def uncertain(self, number: int) -> tuple[LawCandidate, Floats]:
+        """How well the curve of a term is known: as a free curve also where a formula holds, since another formula may be the true one.
+
+        Args:
+            number: Which term.
+
+        Returns:
+            The candidate of a curve, and the covariance (m, m) of its coefficients.
+        """
+        free = self.terms[number].free_curve
+        if free is None:
+            return self.terms[number].candidate, self.coefficients(number)[1]
+        columns = whitened(self.scene.problem.noise, self.scene.columns(free))
+        return free, group_evidence(self.space.products(columns), free.basis.priors).covariance
+
+    @cached_property
+    def change(self) -> Floats:
+        """What the law does to the whitened prediction (7, b)."""
+        out = np.zeros_like(self.space.residual)
+        for number, term in enumerate(self.terms):
+            mean, _ = self.coefficients(number)
+            for channel, values in term.columns.items():
+                out[channel] += values @ mean
+        return out
+
+    @property
+    def likely(self) -> bool:
+        """Whether the first term is likely enough to be named."""
+        return bool(self.terms) and self.terms[0].nats >= (NAMED_HEIGHT_NATS if self.terms[0].candidate.channel == "z_m" else NAMED_NATS)
+
+    @property
+    def carries(self) -> bool:
+        """Whether that is so, and it holds on strokes that it did not see."""
+        return self.likely and self.terms[0].held_out.carries(self.terms[0].nats)
+
+    def instead(self, candidate: LawCandidate) -> "LearnedLaw | None":
+        """The same law with another first term.
+
+        Args:
+            candidate: The other term.
+
+        Returns:
+            The law with that at its likeliest, or None where tolerances hide it.
+        """
+        columns = whitened(self.scene.problem.noise, self.scene.columns(candidate))
+        evidence = group_evidence(self.space.products(columns), candidate.basis.priors)
+        if not np.isfinite(evidence.nats):
+            return None
+        first = LawTerm(candidate, evidence.nats - candidate.price, columns, evidence.root, self.terms[0].held_out, ())
+        return replace(self, terms=(first, *self.terms[1:]))
+
+
+def search(scene: Scene, space: NuisanceSpace, gained: float = 0.0) -> LearnedLaw:
+    """Search for a law in a residual.
+
+    Args:
+        space: Nuisances and residual.
+        gained: Nats that listed effects have gained before.
+
+    Returns:
+        The law; without terms where nothing is worth a look.
+    """
+    fold = scene.strokes(FOLDS)
+    terms: list[LawTerm] = []
+    scorer = Scorer(scene, space)
+    while len(terms) < MOST_TERMS:
+        term = _next_term(scorer, fold)
+        if term is None:
+            break
+        if not terms and "direction" in (*term.candidate.factor.split("_"), term.candidate.driver.quantity):
+            scene, term = _with_best_rest_speed(scene, space, term, fold)
+            scorer = Scorer(scene, space)
+        so_far = max(gained, 0.0) + sum(one.nats for one in terms)
+        if terms and (term.nats < max(FURTHER_NATS, FURTHER_SHARE * so_far) or term.held_out.total < LEAST_GAIN_SHARE * term.nats):
+            break
+        terms.append(term)
+        if not LearnedLaw(scene, space, (term,)).carries and len(terms) == 1:
+            break
+        more = {channel: values @ term.root for channel, values in term.columns.items()}
+        scorer = scorer.beside(scorer.space.with_columns(more))
+    return LearnedLaw(scene, space, tuple(terms))
+
+
+def _next_term(scorer: Scorer, fold: Ints) -> LawTerm | None:
+    """The likeliest term, with a closed formula where one holds."""
+    scene, space = scorer.scene, scorer.space
+    scored = scorer.scan()
+    return_memory()
+    if not scored or scored[0].nats < WORTH_A_LOOK_NATS:
+        return None
+    scored += [better for one in _first_of_each(scored, 3) for better in scorer.refine(one)]
+    scored.sort(key=lambda one: -one.nats)
+    leading = _first_of_each(scored, PAIRS_WITH_FORMULAS)
+    leading += [one for lead in leading if (one := scorer.best_formula(lead)) is not None]
+    return_memory()
+    exact = sorted((scorer.exact(lead.candidate) for lead in leading), key=lambda one: -one[0].nats)
+    # A change of the reported height below the noise of one report is an error of the model of the follower.
+    exact = [one for one in exact if one[0].candidate.channel != "z_m" or _height_rms_m(scene, one[0], one[1]) > _report_noise_m(scene)]
+    if not exact:
+        return None
+    (best, columns), *others = exact
+    close = [one for one, _ in others if one.nats > best.nats - ALIKE_NATS and one.candidate.name != best.candidate.name]
+    close += [
+        one for one in scored if one.nats > best.nats - ALIKE_NATS and one.candidate.name not in {o.candidate.name for o in [best, *close]}
+    ]
+    return LawTerm(
+        best.candidate,
+        best.nats,
+        columns,
+        best.evidence.root,
+        held_out(space, columns, best.evidence.root, fold),
+        tuple(_first_of_each(close, 8)),
+        _free_curve(best, scored),
+    )
+
+
+def _with_best_rest_speed(scene: Scene, space: NuisanceSpace, term: LawTerm, fold: Ints) -> tuple[Scene, LawTerm]:
+    """The term with the speed at which its friction turns over, and the scene with that speed."""
+    best = scene, term
+    for ratio in REST_SPEED_RATIOS:
+        other = scene.with_rest_speed(ratio * scene.rest_speed_m_per_s)
+        one, columns = Scorer(other, space).exact(term.candidate)
+        nats = one.nats - float(np.log(1 + len(REST_SPEED_RATIOS)))
+        if nats > best[1].nats:
+            gains = held_out(space, columns, one.evidence.root, fold)
+            best = other, replace(term, nats=nats, columns=columns, root=one.evidence.root, held_out=gains)
+    return best
+
+
+def _free_curve(best: Scored, scored: list[Scored]) -> LawCandidate | None:
+    """The curve that a formula replaced."""
+    if isinstance(best.candidate.basis, Basis):
+        return None
+    same = (one.candidate for one in scored if one.candidate.name == best.candidate.name)
+    return next((replace(one, azimuth_rad=best.candidate.azimuth_rad) for one in same), None)
+
+
+def _first_of_each(scored: list[Scored], most: int) -> list[Scored]:
+    """The first of each channel, factor, quantity and memory."""
+    out: dict[tuple[object, ...], Scored] = {}
+    for one in scored:
+        driver = one.candidate.driver
+        key = (one.candidate.channel, one.candidate.factor, driver.quantity, driver.memory, driver.period is None)
+        out.setdefault(key, one)
+    return list(out.values())[:most]
+
+
+def _height_rms_m(scene: Scene, one: Scored, columns: dict[int, Floats]) -> float:
+    """Rms of the change of the height."""
+    white = np.zeros_like(scene.problem.data)
+    white[Z] = columns[Z] @ one.evidence.mean
+    return float(np.sqrt(np.mean(scene.problem.noise.natural(white)[Z] ** 2)))
+
+
+def _report_noise_m(scene: Scene) -> float:
+    """Noise of one report of the height."""
+    return max(float(one.noise_rms[Z]) for one in scene.problem.recordings)

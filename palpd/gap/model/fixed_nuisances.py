@@ -1,0 +1,96 @@
+"""Nuisances that do not depend on the state of the cell: zeros, errors of the controller, rounding. They are computed once a problem."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile
+from palpd.gap.data.noise import FX, FZ, TX, Z
+from palpd.gap.data.phases import FREE_STILL, HOLDING
+from palpd.gap.data.prepare import PreparedRecording
+from palpd.gap.gaussian.nuisances import Columns
+from palpd.gap.gaussian.whitening import Whitening
+from palpd.recording.samples import runs_of_true
+from palpd.tick import Floats
+
+MOST_RESTS = 80
+"""Rests of a recording that keep a rounding offset of their own; more would cost time and say little."""
+
+
+class Column(NamedTuple):
+    """What a column stands for: a deviation of the cell, of one recording or of one press, or an error of the computation."""
+
+    scope: Literal["cell", "recording", "press", "computation"]
+    name: str
+    channel: int = -1
+
+
+@dataclass(frozen=True)
+class FixedNuisances:
+    """Columns and what each of them stands for."""
+
+    labels: tuple[Column, ...]
+    columns: Columns
+
+
+def fixed_nuisances(cell: CellFile, recordings: Sequence[PreparedRecording], servo_errors_m: Floats, noise: Whitening) -> FixedNuisances:
+    """The nuisances of all recordings that no state of the cell changes.
+
+    Args:
+        cell: The nominal cell.
+        recordings: Its recordings, b bins in all.
+        servo_errors_m: Heights (2, b) by which a controller within specification may differ from the nominal servo.
+        noise: Noise of the bins.
+
+    Returns:
+        Their columns, whitened.
+    """
+    labels, columns = [], []
+    start, b = 0, servo_errors_m.shape[1]
+    for recording in recordings:
+        here = slice(start, start + len(recording.bins))
+        start = here.stop
+        for label, values in _of_recording(cell, recording, servo_errors_m[:, here]):
+            column = np.zeros(b)
+            column[here] = values
+            labels.append(label)
+            columns.append({label.channel: noise.whiten_channel(label.channel, column)})
+    return FixedNuisances(tuple(labels), Columns.of(columns, (7, b)))
+
+
+def _of_recording(cell: CellFile, recording: PreparedRecording, servo_errors_m: Floats) -> Iterator[tuple[Column, Floats]]:
+    for channel in range(FX, 7):
+        if recording.judged[channel]:
+            yield from _zero_columns(cell, recording, channel)
+    if recording.judged[Z]:
+        for name, values in zip(("hidden delay", "controller order"), servo_errors_m, strict=True):
+            yield Column("computation", name, Z), values
+    yield from _rounding_offsets(recording)
+
+
+def torque_arm_m(cell: CellFile) -> float:
+    """Tolerated torque over tolerated force: 0.05 m, and in proportion more on a probe that is longer than 0.08 m."""
+    return max(CROSSTALK_ARM_M, CROSSTALK_ARM_M / 0.08 * cell.probe.tip_length_m)
+
+
+def _zero_columns(cell: CellFile, recording: PreparedRecording, channel: int) -> Iterator[tuple[Column, Floats]]:
+    """Bias and drift of one axis; a drift that goes through coarse rounding depends on the state and is none of them."""
+    arm = 1.0 if channel < TX else torque_arm_m(cell)
+    yield Column("recording", "bias_N", channel), arm * cell.tolerances.bias_N * np.ones(len(recording.bins))
+    if channel != FZ or recording.rounding is None:
+        yield Column("recording", "drift_N_per_min", channel), arm * cell.tolerances.drift_N_per_min / 60.0 * recording.t_s
+
+
+def _rounding_offsets(recording: PreparedRecording) -> Iterator[tuple[Column, Floats]]:
+    """Where noise does not dither the rounding of fz, every rest keeps an offset of up to half a step."""
+    offset_N = recording.rounding.undithered_rms_N if recording.rounding is not None and recording.judged[FZ] else 0.0
+    if offset_N < 0.1 * recording.noise_rms[FZ]:
+        return
+    first, end = runs_of_true(np.isin(recording.bin_phase, (FREE_STILL, HOLDING)))
+    for a, b in zip(first[:MOST_RESTS], end[:MOST_RESTS], strict=True):
+        if b - a >= 3:
+            rest = np.zeros(len(recording.bins))
+            rest[a:b] = offset_N
+            yield Column("recording", "rounding", FZ), rest

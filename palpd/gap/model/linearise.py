@@ -1,0 +1,200 @@
+"""Everything within specification around one state of the cell, as columns of a linear model with coefficients N(0, 1)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpd.cell.cell_file import CROSSTALK, CellFile, EffectValues, Estimated
+from palpd.gap.data.noise import FX, FY, FZ, TX, TY, Z
+from palpd.gap.data.prepare import PreparedRecording
+from palpd.gap.gaussian.nuisances import ColumnByChannel, Columns, Nuisances, Stretch, nuisances
+from palpd.gap.model.fixed_nuisances import Column
+from palpd.gap.model.problem import RELATIVE, SHARED, Problem, tolerance_key
+from palpd.tick import Floats
+
+LEAKS_INTO = {"fx_per_fz": FX, "fy_per_fz": FY, "tx_per_fz": TX, "ty_per_fz": TY}
+LEAKS = np.isin(SHARED, CROSSTALK)
+
+DRIFT_STEP_SD = 0.5
+"""Drift, in standard deviations, by which its column is taken where readings follow it in steps."""
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """The nuisances around one state of the cell.
+
+    Attributes:
+        effects: The effects in that state.
+        eta: The shared deviations there (11,), in standard deviations.
+        labels: What each column stands for (k,). Effects change the list: a press that no longer touches has no columns.
+        space: The columns, prepared to be projected out; the first 11 are the shared deviations.
+        prediction: Whitened prediction (7, b) of the cell in that state.
+        owned: Changes (m, 7, b) by one standard deviation of what the effects stand for, which is no nuisance here.
+    """
+
+    effects: EffectValues
+    eta: Floats
+    labels: tuple[Column, ...]
+    space: Nuisances
+    prediction: Floats
+    owned: Floats
+
+    def numbers(self, scope: str, name: str | None = None, channel: int | None = None) -> list[int]:
+        """Numbers of the columns of one kind.
+
+        Args:
+            scope: What they belong to, as in Column.
+            name: Name of the deviation; any where not given.
+            channel: Channel; any where not given.
+
+        Returns:
+            The numbers in ascending order.
+        """
+        return [
+            k
+            for k, label in enumerate(self.labels)
+            if label.scope == scope and name in (None, label.name) and channel in (None, label.channel)
+        ]
+
+    def offset(self) -> Floats:
+        """Prediction (7, b) to give back, since the coefficients count from zero and not from `eta`."""
+        return self.space.explained(np.pad(self.eta, (0, len(self.labels) - len(self.eta))))
+
+    def restricted_to(self, bins: NDArray[np.bool_]) -> "Linearisation":
+        """The nuisances of a problem in which only some bins count.
+
+        Args:
+            bins: Which of them (b,).
+        """
+        prediction = np.where(bins[None, :], self.prediction, 0.0)
+        owned = np.where(bins[None, None, :], self.owned, 0.0)
+        return Linearisation(self.effects, self.eta, self.labels, nuisances(self.space.columns.restricted_to(bins)), prediction, owned)
+
+
+def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisation:
+    """Nuisance columns around a state of the cell.
+
+    A deviation that one of the effects stands for is the effect's own: it is fitted, not marginalised, and its column is zero. The press
+    scatter of that deviation stays, since an effect changes all presses alike.
+
+    Args:
+        problem: The data and their prediction.
+        effects: Parameters by effect.
+        eta: Shared deviations (11,) in standard deviations.
+
+    Returns:
+        Shared deviations first, then those of every recording and its presses.
+    """
+    eta = np.where(problem.own_tolerances(effects), 0.0, eta)
+    prediction = problem.predict(effects, eta)
+    shared = _shared_columns(problem, effects, eta, prediction)
+    labelled: list[tuple[Column, ColumnByChannel]] = [
+        (Column("cell", name), dict(enumerate(column))) for name, column in zip(SHARED, shared, strict=True)
+    ]
+    labelled += _own_columns(problem, effects, eta, shared)
+    keys = {problem.library[name].tolerance for name in effects}
+    fixed = problem.fixed_nuisances
+    labels = (*(label for label, _ in labelled), *fixed.labels)
+    replaced = [label.scope != "press" and label.channel in (-1, FZ) and tolerance_key(label.name) in keys for label in labels]
+    changing = Columns.of([{} if gone else column for gone, (_, column) in zip(replaced, labelled, strict=False)], prediction.shape)
+    remaining, taken = fixed.columns.without(np.flatnonzero(replaced[len(labelled) :]))
+    owned = [Columns.of([column], prediction.shape).dense()[0] for gone, (_, column) in zip(replaced, labelled, strict=False) if gone]
+    space = nuisances(changing.beside(remaining))
+    return Linearisation(effects, eta, labels, space, prediction, np.array([*owned, *taken]).reshape(-1, *prediction.shape))
+
+
+def _shared_columns(problem: Problem, effects: EffectValues, eta: Floats, prediction: Floats) -> list[Floats]:
+    """Forward differences of the prediction with every shared deviation, also with those that the effects stand for."""
+    sd = problem.shared_sd
+    leaking = eta + np.where(LEAKS, 0.5, 0.0)  # each into an axis of its own, so all at once
+    leaks = (problem.predict(effects, leaking) - prediction) / 0.5 if sd[LEAKS].any() else np.zeros_like(prediction)
+    columns = []
+    for k, name in enumerate(SHARED):
+        column = np.zeros_like(prediction)
+        if sd[k] > 0.0 and name in LEAKS_INTO:
+            channel = LEAKS_INTO[name]
+            column[channel] = leaks[channel]
+        elif sd[k] > 0.0:
+            step = 0.3 if name == "surface_z_m" else 0.5
+            h = min(step, 0.05 / sd[k]) if name in RELATIVE else step
+            there = eta.copy()
+            there[k] += h
+            column = (problem.predict(effects, there) - prediction) / h
+        columns.append(column)
+    return columns
+
+
+def _own_columns(problem: Problem, effects: EffectValues, eta: Floats, shared: list[Floats]) -> Iterator[tuple[Column, ColumnByChannel]]:
+    """Labelled columns of every recording in turn, (b,) by channel, that depend on the state: errors of the computation and presses."""
+    cell = problem.cell_at(effects, eta)
+    predicted = problem.binned_prediction(effects, eta)
+    start = 0
+    for recording in problem.recordings:
+        here = slice(start, start + len(recording.bins))
+        start = here.stop
+
+        def whitened(label: Column, values: Floats, here: slice = here) -> tuple[Column, ColumnByChannel]:
+            column = np.zeros(predicted.shape[1])
+            column[here] = values
+            return label, {label.channel: problem.noise.whiten_channel(label.channel, column)}
+
+        for label, values in _rounded_drift(problem, recording, cell):
+            yield whitened(label, values)
+        for label, values in _computation_errors(problem, recording, cell, predicted[:, here]):
+            yield whitened(label, values)
+        yield from _press_columns(problem, recording, here, shared)
+
+
+def _rounded_drift(problem: Problem, recording: PreparedRecording, cell: CellFile) -> Iterator[tuple[Column, Floats]]:
+    """Drift of fz where noise does not dither its rounding, through the rounding, as the effect acts. A bias moves all readings alike."""
+    if recording.rounding is None or not recording.judged[FZ]:
+        return
+    drift_N_per_min = problem.cell.tolerances.drift_N_per_min
+    estimated = cell.estimated or Estimated()
+    drifted = cell.with_estimated(estimated.model_copy(update={"drift_N_per_min": DRIFT_STEP_SD * drift_N_per_min}))
+    change = problem.binned_wrench(recording, drifted, recording.motion) - problem.binned_wrench(recording, cell, recording.motion)
+    yield Column("recording", "drift_N_per_min", FZ), change[FZ - 1] / DRIFT_STEP_SD
+
+
+def _computation_errors(
+    problem: Problem, recording: PreparedRecording, cell: CellFile, predicted: Floats
+) -> Iterator[tuple[Column, Floats]]:
+    """Errors of the times of commanded heights and of the motion that drives the force; `predicted` (7, b) are its own bins."""
+    z_m, fz_N = predicted[Z], predicted[FZ]
+    if recording.judged[Z]:
+        # A target that is held between controller cycles is known to about a tenth of a step.
+        slope = np.gradient(z_m, recording.t_s)
+        yield Column("computation", "time", Z), 0.1 * recording.samples_each / recording.samples.rate_Hz * slope
+    if recording.judged[Z] and fz_N.any():
+        # A position loop gives way under load. What one report of the height cannot resolve is within specification.
+        yield Column("recording", "give under load", Z), recording.noise_rms[Z] * fz_N / np.abs(fz_N).max()
+    # Averaging removed a part of the motion; averaging once more removes about as much again, which is how uncertain the motion is. Of a
+    # commanded path little is averaged, and what its reports leave out counts.
+    for motion in recording.otherwise if recording.judged[FZ] else ():
+        yield Column("computation", "motion", FZ), problem.binned_wrench(recording, cell, motion)[FZ - 1] - fz_N
+
+
+def _press_columns(
+    problem: Problem, recording: PreparedRecording, here: slice, shared: list[Floats]
+) -> Iterator[tuple[Column, ColumnByChannel]]:
+    """Scatter of stiffness and surface of every press, as the shared deviations act within it."""
+    repeatability = problem.cell.repeatability
+    scatters = []
+    for name, deviation, scatter in (
+        ("stiffness", "youngs_modulus", repeatability.stiffness),
+        ("surface_z_m", "surface_z_m", repeatability.surface_z_m),
+    ):
+        source, sd = shared[SHARED.index(deviation)], problem.shared_sd[SHARED.index(deviation)]
+        if sd > 0 and scatter > 0:
+            scatters.append((name, {channel: source[channel] * (scatter / sd) for channel in np.flatnonzero(source.any(axis=1)).tolist()}))
+    for press in range(recording.phases.presses):
+        bins = np.flatnonzero(recording.bin_press == press)
+        if not len(bins):
+            continue
+        # The bins of a press follow each other; one bin at either side belongs to it in part.
+        first, end = here.start + max(int(bins[0]) - 1, 0), here.start + min(int(bins[-1]) + 2, len(recording.bins))
+        for name, changes in scatters:
+            if FZ in changes and changes[FZ][first:end].any():
+                yield Column("press", name), {channel: Stretch(first, values[first:end]) for channel, values in changes.items()}

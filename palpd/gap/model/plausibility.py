@@ -1,0 +1,374 @@
+"""What is odd about recordings before any simulation: units, signs, dead axes, holes in time, missing motion.
+
+A recording is refused where every later number would be wrong: a wrong unit or sign, a dead fz in the tissue, two sites in one file, a
+hole in time that hides motion. Everything else becomes a note, and what can still be judged is judged.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from palpd.cell.cell_file import CellFile, TissueBlock
+from palpd.cell.plausible import doubts, doubts_of_cell
+from palpd.errors import RecordingError
+from palpd.gap.data.noise import CHANNELS, FZ, declared_rms, lattice_step
+from palpd.gap.data.prepare import moves
+from palpd.gap.model.problem import Problem
+from palpd.recording.oddities import (
+    CLEAR_NOISES,
+    HEIGHT_CORRELATION,
+    correlation,
+    dead,
+    measured_rms,
+    refuse_dead,
+    refuse_repeated,
+    refuse_turned,
+    slope_ratio,
+    swing_N,
+    turned_twice,
+)
+from palpd.recording.samples import Samples, runs_of_true
+from palpd.tick import Floats
+
+LONGEST_STROKE_M = 5.0
+"""No palpation moves this far: such heights are in mm."""
+
+DEEPEST_TIP_RADII, DEEPEST_M = 20.0, 0.2
+"""A press that is deeper than both has its height in another unit; one deeper than the first is at least worth a note."""
+
+SATURATED_ROWS, SATURATED_STEPS, SATURATED_STROKE_SHARE = 4, 3.0, 0.02
+"""Rows in succession at the very largest or smallest value from which a channel looks saturated, if the height changes meanwhile by
+this share of the stroke, and enough to change the force by this many of its steps."""
+
+SAME_SHARE = 1e-3
+"""Change of a reading, as a share of all that it does, that counts as none: a limit is read with its last digit to and fro."""
+
+UNITS = {1e3: "z_m looks like mm", 1e-3: "vz_m_per_s looks like mm/s, or t_s like ms", -1.0: "their signs disagree"}
+
+LONGEST_HOLE_S = 5.0
+"""Hole in time above which a recording is refused: drift, relaxation and warm-up go on in it, and nobody knows how the probe moved."""
+
+HOLE_STEPS = 50.0
+"""Number of usual time steps above which a step is a hole: uneven recordings have steps of several times the usual one."""
+
+SHORT_HOLE_STEPS, SHORT_HOLE_S = 10.0, 0.2
+"""Hole in time that is worth a note: longer than both. A shorter one hides no motion of a robot."""
+
+WRONG_UNIT_RATIO = 200.0
+"""Measured over expected force above which the unit is wrong: no effect changes a force as much, and units differ by 1000."""
+
+ODD_FORCE_RATIO = 10.0
+"""Measured over expected force above which a note asks for the unit and the modulus."""
+
+SHAPE_CORRELATION = 0.7
+"""Least correlation of measured with expected force for a judgement of the unit: a healthy press has above 0.95."""
+
+FAR_TOUCH_TIP_RADII = 1.0
+"""Distance of the touch from the stated surface in tip radii that is worth a note: at this depth Hertz has long ended."""
+
+SLOPE_S = 0.05
+"""Time between two speeds that give an acceleration: the noise of speeds gives little over it, and a robot's motion is seen."""
+
+FROZEN_S = 1.0
+"""Shortest stretch of constant fz worth a note: dropouts of a live sensor are shorter."""
+
+ODD_NOISE_RATIO = 4.0
+"""Measured over stated noise, or its inverse, that is worth a note: the effect sensor.noise is at most about this large."""
+
+
+def check_recordings(recordings: Sequence[Samples], cell: CellFile) -> list[str]:
+    """Check recordings against their cell file.
+
+    Returns:
+        One sentence for everything that makes a verdict doubtful without preventing one: units, signs, dead axes, missing contact.
+
+    Raises:
+        RecordingError: There is no recording, or one has another unit, a wrong sign, a dead height or fz, a hole in time, or several
+            sites, or stands there twice.
+    """
+    if not recordings:
+        raise RecordingError("no recording was given; at least one is needed")
+    for samples, label in zip(recordings, _labels(recordings), strict=True):
+        _refuse_mixed_sites(samples.sites, f"{label}the recording holds")
+    _refuse_mixed_sites(list(dict.fromkeys(name for samples in recordings for name in samples.sites)), "the recordings together hold")
+    refuse_repeated(recordings)
+    notes = [f"{doubt}; correct the cell file." for doubt in doubts_of_cell(cell)]
+    for samples, label in zip(recordings, _labels(recordings), strict=True):
+        _refuse_hole(samples, label)
+        odd = [*_motion_notes(samples, cell, label), *_depth_notes(samples, cell, label), *_force_notes(samples, cell, label)]
+        refuse_dead(samples, label)
+        notes += [label + note for note in odd]
+    return notes
+
+
+def recording_notes(recordings: Sequence[Samples], cell: CellFile) -> list[str]:
+    """What is worth knowing of recordings that `check_recordings` has let pass, and does not make the verdict doubtful."""
+    notes = [
+        label + note
+        for samples, label in zip(recordings, _labels(recordings), strict=True)
+        for note in (*_hole_notes(samples), *_air_notes(samples, cell))
+    ]
+    if cell.sites:
+        notes.append(
+            f"the cell file has sites ({', '.join(site.name for site in cell.sites)}), and the recording names none of them, so its tissue "
+            "block counts; palpd export --site writes the name into the recording."
+        )
+    return notes
+
+
+def _labels(recordings: Sequence[Samples]) -> list[str]:
+    return [f"recording {number + 1}: " if len(recordings) > 1 else "" for number in range(len(recordings))]
+
+
+def _refuse_mixed_sites(sites: Sequence[str], holder: str) -> None:
+    if len(sites) > 1:
+        raise RecordingError(
+            f"{holder} {len(sites)} sites ({', '.join(sites)}), expected one; "
+            "export each with palpd export --site and diagnose it against its own cell file."
+        )
+
+
+def _refuse_hole(samples: Samples, label: str) -> None:
+    step_s = np.diff(samples.t_s)
+    usual_s, longest = float(np.median(step_s)), int(np.argmax(step_s))
+    hole_s, begin_s = float(step_s[longest]), float(samples.t_s[longest])
+    if hole_s > max(LONGEST_HOLE_S, HOLE_STEPS * usual_s):
+        raise RecordingError(
+            f"{label}t_s jumps from {begin_s:.6g} s to {begin_s + hole_s:.6g} s after row {longest + 1}, usual are {usual_s:.3g} s; "
+            "split the file there and diagnose both parts as two recordings of the cell, or correct t_s."
+        )
+
+
+def _hole_notes(samples: Samples) -> list[str]:
+    step_s = np.diff(samples.t_s)
+    holes = int(np.sum(step_s > max(SHORT_HOLE_S, SHORT_HOLE_STEPS * float(np.median(step_s)))))
+    if not holes:
+        return []
+    return [
+        f"samples are missing at {holes} place{'s' if holes > 1 else ''}, the longest time {step_s.max():.3g} s from "
+        f"{samples.t_s[int(np.argmax(step_s))]:.6g} s on; nothing is judged there, and a sensor or recorder that pauses should be mended."
+    ]
+
+
+def _air_notes(samples: Samples, cell: CellFile) -> list[str]:
+    if cell.tissue is None or not bool((samples.z_m < cell.tissue.surface_z_m).all()):
+        return []
+    return ["there is no free motion: inertia, cable and bias can hardly be distinguished from the tissue."]
+
+
+def _motion_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
+    """Stroke, dead heights, and heights against speeds."""
+    stroke_m = float(np.ptp(samples.z_m))
+    notes = [f"{doubt}; check the unit of z_m." for doubt in doubts("stroke", stroke_m, "the stroke of z_m")]
+    path_m = float(np.sum(np.abs(samples.vz_m_per_s[1:]) * np.diff(samples.t_s)))
+    if stroke_m > LONGEST_STROKE_M:
+        raise RecordingError(
+            f"{label}z_m spans {stroke_m:.3g} m, expected a stroke of millimetres to decimetres; it looks like mm, divide by 1000."
+        )
+    if not moves(samples, cell) and path_m < 3.0 * stroke_m + 1e-9:
+        notes.append(f"nothing moves (z_m spans {stroke_m:.2g} m): only bias, drift, warm-up and noise can be judged.")
+    if stroke_m == 0.0 and samples.vz_m_per_s.any():
+        raise RecordingError(f"{label}z_m is {samples.z_m[0]:g} m throughout and vz_m_per_s moves: z_m is dead; record it.")
+    if not samples.vz_m_per_s.any() and moves(samples, cell):
+        raise RecordingError(f"{label}vz_m_per_s is 0 throughout and z_m spans {stroke_m:.3g} m: vz_m_per_s is dead; record it.")
+    slope = slope_ratio(samples)
+    if slope is not None and not 0.5 < slope < 2.0:
+        near = min((1e3, 1e-3, 1e6, 1e-6, -1.0), key=lambda k: abs(np.log(abs(slope) / abs(k))) + (slope * k < 0) * 9)
+        unit = UNITS.get(near, "their units disagree")
+        sentence = f"z_m changes {slope:.3g} times as fast as vz_m_per_s says, expected 1; {unit}."
+        if 0.5 < abs(slope) / abs(near) < 2.0:
+            raise RecordingError(f"{label}{sentence} Correct the unit or sign and diagnose again.")
+        notes.append(sentence)
+    return notes
+
+
+def _depth_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
+    """Depth of the presses against tip and surface."""
+    if cell.tissue is None:
+        return []
+    notes = []
+    depth_m = cell.tissue.surface_z_m - float(samples.z_m.min())
+    radii = depth_m / cell.probe.tip_radius_m
+    if radii > DEEPEST_TIP_RADII and depth_m > DEEPEST_M:
+        raise RecordingError(
+            f"{label}the probe is {depth_m:.3g} m below the surface with a tip of {cell.probe.tip_radius_m:.3g} m radius; "
+            "z_m looks like mm read as m, divide by 1000 or correct tissue.surface_z_m."
+        )
+    if radii > DEEPEST_TIP_RADII:
+        notes.append(f"the deepest press is {radii:.0f} tip radii below the stated surface; check the unit of z_m and tissue.surface_z_m.")
+    if depth_m <= 0:
+        notes.append("the probe never comes below the stated surface: nothing of the tissue can be judged.")
+    return notes
+
+
+def _force_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
+    """Liveness, sign and unit of fz against the force of the stated tissue, and the height of the touch."""
+    fz_N, z_m = samples.wrench[:, 2], samples.z_m
+    noise_N = max(float(declared_rms(cell)[FZ]), cell.sensor.resolution_fz_N)
+    depth_m = np.maximum(cell.tissue.surface_z_m - z_m, 0.0) if cell.tissue is not None else np.zeros(len(samples))
+    expected_N = _hertz_N(cell.tissue, cell.probe.tip_radius_m, depth_m) if cell.tissue is not None else depth_m
+    peak_N = float(expected_N.max())
+    if dead(fz_N):
+        return _dead_notes(samples, cell, depth_m, peak_N, noise_N, label)
+    if cell.tissue is None:
+        return []
+    if swing_N(fz_N) < CLEAR_NOISES * max(noise_N, measured_rms(fz_N)):
+        if cell.tolerances.modulus_known and peak_N > 2.0 * CLEAR_NOISES * noise_N and swing_N(fz_N) < 0.1 * peak_N:
+            return [
+                f"fz_N changes by {swing_N(fz_N):.2g} N only where the cell file expects {peak_N:.3g} N: the sensor does not feel the "
+                "press, or the probe does not touch; check its wiring, its mount and tissue.surface_z_m."
+            ]
+        return []
+    refuse_turned(samples, label)
+    notes = [f"{doubt}; check the signs of force and height." for doubt in turned_twice(samples)]
+    if depth_m.any():
+        notes += [*_shape_notes(fz_N, expected_N, peak_N, cell, label), *_frozen_notes(samples, expected_N, noise_N)]
+    return [*notes, *_touch_notes(samples, cell, noise_N)]
+
+
+def _dead_notes(samples: Samples, cell: CellFile, depth_m: Floats, peak_N: float, noise_N: float, label: str) -> list[str]:
+    """A constant fz: refused where contact or inertia must have changed it, else noted."""
+    fz_N = samples.wrench[0, 2]
+    if peak_N > CLEAR_NOISES * noise_N or (peak_N > 0 and not cell.tolerances.modulus_known):
+        raise RecordingError(
+            f"{label}fz_N is {fz_N:g} throughout while the probe goes {depth_m.max() * 1e3:.3g} mm into the tissue, expected up to "
+            f"{peak_N:.3g} N; the sensor is dead or the column is wrong: record fz_N and diagnose again."
+        )
+    inertia_N = cell.probe.mass_kg * _acceleration_swing_m_per_s2(samples)
+    if moves(samples, cell) and inertia_N > cell.sensor.resolution_fz_N:  # no rounding hides a swing of more than its step
+        raise RecordingError(
+            f"{label}fz_N is {fz_N:g} throughout while the inertia of {cell.probe.mass_kg:g} kg changes by {inertia_N:.2g} N, more than "
+            f"the sensor's step of {cell.sensor.resolution_fz_N:g} N; the sensor is dead or the column is wrong: record fz_N again."
+        )
+    return [f"fz_N is {fz_N:g} throughout, so nothing vertical is judged; check that the sensor is alive, and press the tissue."]
+
+
+def _acceleration_swing_m_per_s2(samples: Samples) -> float:
+    """Largest less smallest acceleration, by speeds 50 ms apart; 0 of a recording that is shorter than three of these."""
+    rows = max(1, round(SLOPE_S * samples.rate_Hz))
+    if len(samples) < 3 * rows:
+        return 0.0
+    return float(np.ptp((samples.vz_m_per_s[rows:] - samples.vz_m_per_s[:-rows]) / (samples.t_s[rows:] - samples.t_s[:-rows])))
+
+
+def _shape_notes(fz_N: Floats, expected_N: Floats, peak_N: float, cell: CellFile, label: str) -> list[str]:
+    """Unit of fz by its size against the force of the stated tissue, where it has its shape."""
+    ratio = float(np.std(fz_N) / np.std(expected_N))
+    if correlation(fz_N, expected_N) < SHAPE_CORRELATION or 1.0 / ODD_FORCE_RATIO < ratio < ODD_FORCE_RATIO:
+        return []
+    tissue = cell.tissue
+    assert tissue is not None
+    size = f"fz_N is {ratio:.3g} times the force that the cell file expects ({peak_N:.3g} N at the deepest point)"
+    if not cell.tolerances.modulus_known:
+        odd = doubts("modulus", ratio * tissue.youngs_modulus_Pa, "the modulus that this gives")
+        return [f"{size}; {doubt}; check the units of fz_N, z_m and probe.tip_radius_m." for doubt in odd]
+    if 1.0 / WRONG_UNIT_RATIO < ratio < WRONG_UNIT_RATIO:
+        return [f"{size}; check the unit of fz_N and tissue.youngs_modulus_Pa."]
+    unit = "fz_N looks like mN, divide by 1000" if ratio > 1.0 else "fz_N looks like kN, multiply by 1000"
+    raise RecordingError(f"{label}{size}, expected about 1; {unit}, or correct tissue.youngs_modulus_Pa ({tissue.youngs_modulus_Pa:g} Pa).")
+
+
+def _frozen_notes(samples: Samples, expected_N: Floats, noise_N: float) -> list[str]:
+    """The longest stretch over which fz does not change at all while the expected force does."""
+    fz_N = samples.wrench[:, 2]
+    begins, ends = runs_of_true(np.diff(fz_N) == 0.0)
+    long = samples.t_s[ends] - samples.t_s[begins] > FROZEN_S
+    clipped = np.isin(fz_N[begins], (fz_N.max(), fz_N.min()))  # a saturated channel has its own note
+    for begin, end in zip(begins[long & ~clipped], ends[long & ~clipped], strict=True):
+        if np.ptp(expected_N[begin : end + 1]) > CLEAR_NOISES * noise_N:
+            return [
+                f"fz_N stays at {fz_N[begin]:.4g} N from {samples.t_s[begin]:.4g} s to {samples.t_s[end]:.4g} s while the probe moves in "
+                "the tissue: the sensor or its cable failed; leave that stretch out."
+            ]
+    return []
+
+
+def _touch_notes(samples: Samples, cell: CellFile, noise_N: float) -> list[str]:
+    """A touch far from the stated surface: the height at which fz leaves its level in the air."""
+    tissue = cell.tissue
+    assert tissue is not None
+    fz_N, z_m = samples.wrench[:, 2], samples.z_m
+    high = z_m >= np.quantile(z_m, 0.9)  # of heights that rest at their highest, all are equal
+    level_N = float(np.median(fz_N[high]))
+    threshold_N = max(CLEAR_NOISES * max(noise_N, measured_rms(fz_N)), 0.02 * float(fz_N.max() - level_N))
+    loaded = fz_N - level_N > threshold_N
+    if correlation(fz_N, -z_m) < HEIGHT_CORRELATION or not loaded.any() or bool(loaded[high].any()):
+        return []
+    # By Hertz the depth grows with the force to the power of 2/3, which leads from the threshold back to the touch.
+    share = float((threshold_N / (fz_N.max() - level_N)) ** (2.0 / 3.0))
+    touch_m = (float(np.quantile(z_m[loaded], 0.98)) - share * float(z_m.min())) / (1.0 - share)
+    distance_m = touch_m - tissue.surface_z_m
+    if abs(distance_m) <= FAR_TOUCH_TIP_RADII * cell.probe.tip_radius_m:
+        return []
+    return [
+        f"fz_N begins to rise at z = {touch_m:.4g} m and the cell file has the surface at {tissue.surface_z_m:.4g} m; "
+        "correct tissue.surface_z_m or the zero of z_m."
+    ]
+
+
+def _hertz_N(tissue: TissueBlock, tip_radius_m: float, depth_m: Floats) -> Floats:
+    return np.asarray(4.0 / 3.0 * tissue.youngs_modulus_Pa / (1.0 - tissue.poisson_ratio**2) * np.sqrt(tip_radius_m) * depth_m**1.5)
+
+
+def channel_notes(problem: Problem) -> list[str]:
+    """One sentence for every channel that is not compared, looks saturated, or hides something."""
+    notes = []
+    first = problem.recordings[0].samples
+    if all(one.samples.z_cmd_m is None for one in problem.recordings):
+        notes.append("z_cmd_m is absent: how the robot follows its command is not judged.")
+    dead = [channel for channel in range(1, 7) if not any(one.judged[channel] for one in problem.recordings)]
+    if dead:
+        names = ", ".join(f"{CHANNELS[channel]} (always {first.wrench[0, channel - 1]:g})" for channel in dead)
+        notes.append(f"{names}: never changes, so it is dead or not measured, and is not judged.")
+    notes += _noise_notes(problem)
+    for one in problem.recordings:
+        if one.judged[FZ]:
+            notes += _saturation_notes(one.samples, problem.cell)
+    if not problem.cell.tolerances.modulus_known:
+        notes.append(
+            "The modulus is not known, so it was fitted. A wrong gain, or anything else in proportion to the contact force, cannot be "
+            "distinguished from it. Surface height, thickness, inclusion and compliance of the machine differ from it only in the shape "
+            "of the force curve."
+        )
+    return notes
+
+
+def _saturation_notes(samples: Samples, cell: CellFile) -> list[str]:
+    """Plateaus of fz at its largest or smallest value while the probe moves."""
+    fz_N, z_m = samples.wrench[:, 2], samples.z_m
+    swing_N, stroke_m = float(np.ptp(fz_N)), float(np.ptp(z_m))
+    step_N = max(cell.sensor.resolution_fz_N, lattice_step(fz_N), measured_rms(fz_N))
+    least_m = max(SATURATED_STROKE_SHARE, SATURATED_STEPS * step_N / swing_N) * stroke_m
+    least_m = max(least_m, CLEAR_NOISES * cell.robot.position_noise_rms_m)
+    notes = []
+    for which, limit_N in (("largest", float(fz_N.max())), ("smallest", float(fz_N.min()))):
+        begins, ends = runs_of_true(np.abs(fz_N - limit_N) <= SAME_SHARE * swing_N)
+        flat = [(a, b) for a, b in zip(begins, ends, strict=True) if b - a >= SATURATED_ROWS and np.ptp(z_m[a:b]) > least_m]
+        if flat and abs(limit_N) > CLEAR_NOISES * cell.sensor.noise_rms_N:
+            rows = sum(b - a for a, b in flat)
+            notes.append(
+                f"fz_N stays at its {which} value {limit_N:.4g} N for {rows} rows while the probe moves, expected to follow it: it looks "
+                "saturated; press less deep, or use a sensor with a larger range."
+            )
+    return notes
+
+
+def _noise_notes(problem: Problem) -> list[str]:
+    """Noise of fz at rest far from the stated."""
+    stated_N = float(declared_rms(problem.cell)[FZ])
+    notes = []
+    for one in problem.recordings:
+        if not one.judged[FZ] or not one.noise_measured:
+            continue
+        measured_N = measured_rms(one.samples.wrench[:, 2], one.rest)
+        if measured_N > ODD_NOISE_RATIO * stated_N:
+            notes.append(
+                f"the noise of fz_N at rest is {measured_N:.2g} N and the cell file states {stated_N:.2g} N with rounding; "
+                "correct sensor.noise_rms_N, or look for vibration and bad shielding."
+            )
+        elif 0.0 < measured_N < stated_N / ODD_NOISE_RATIO:
+            notes.append(
+                f"the noise of fz_N at rest is {measured_N:.2g} N and the cell file states {stated_N:.2g} N with rounding; "
+                "correct sensor.noise_rms_N, or record without the filter that smoothed it."
+            )
+    return notes

@@ -1,0 +1,430 @@
+"""Recordings of one cell against its simulation: measured and predicted bins, in units of their noise."""
+
+import contextlib
+import ctypes
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import block_diag, csr_array
+
+from palpd.cell.cell_file import CROSSTALK, CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
+from palpd.cell.dynamics import TipMotion
+from palpd.cell.effects import EFFECTS, Effect, Scale
+from palpd.cell.simulation import Followed, predict_motion, scale_of
+from palpd.gap.data.noise import FX, FY, FZ, TX, Z, pure_rms, resolutions
+from palpd.gap.data.phases import PHASES
+from palpd.gap.data.prepare import PreparedRecording, prepare, with_simulator
+from palpd.gap.data.rounding import Rounding, Way, undithered_rms
+from palpd.gap.gaussian.whitening import Whitening
+from palpd.gap.model.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
+from palpd.gap.model.servo_error import servo_errors
+from palpd.gap.user_simulator import UserSimulator
+from palpd.recording.samples import Samples
+from palpd.tick import Floats
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+SHARED = (
+    "youngs_modulus",
+    "surface_z_m",
+    "gain",
+    "latency_s",
+    "filter_cutoff",
+    "mass_kg",
+    "servo_natural_frequency",
+    *CROSSTALK,
+)
+"""In-tolerance deviations that all recordings of a cell share. Each recording has its own bias and drift, since each is tared."""
+
+RELATIVE = {"youngs_modulus", "filter_cutoff", "servo_natural_frequency"}
+"""Deviations that are fitted as logarithms, so that an unknown modulus stays positive."""
+
+MODEL_ERROR_SHARE = 0.02
+"""Least error of a simulator's laws, as a share of the gap: no real cell follows them better."""
+
+MOST_HELD = 0.2
+"""Share of held samples above which a bin does not count."""
+
+OWN_HEIGHT_NOISE = 0.25
+"""Share of the noise of reported heights that every bin has for itself. Bins shorter than the time between reports know no more than
+their neighbours."""
+
+MOST_CACHED = 3_000_000
+"""Numbers in the predictions that are kept, 24 MB: a search often returns to a recent state. They are 96 states of a long recording."""
+
+UNKNOWN_LOG_SD = 2.5
+"""Standard deviation of the logarithm of an unknown modulus: a factor of twelve."""
+
+MAX_BINS = 4500
+"""Number of bins of a diagnosis, about; it bounds the time and memory of a diagnosis (benchmarks/diagnose.py)."""
+
+MODULUS = np.array(SHARED) == "youngs_modulus"
+SERVO = np.array(SHARED) == "servo_natural_frequency"
+LOGARITHMIC = np.isin(SHARED, list(RELATIVE))
+
+
+def tolerance_key(deviation: str) -> str:
+    """Key in the cell file's tolerances of a shared deviation."""
+    return "crosstalk" if deviation in CROSSTALK else deviation
+
+
+@dataclass
+class _Predictions:
+    """Binned predictions by what they depend on, the newest last, and the number of simulations that they took.
+
+    `followed` is what the servo last made of each recording's command.
+    """
+
+    known: dict[tuple[str, str, bytes], Floats] = field(default_factory=dict)
+    simulations: int = 0
+    followed: dict[int, Followed] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The data of a diagnosis and the prediction that they are compared with; nothing changes it in place.
+
+    Attributes:
+        cell: The nominal cell, with the effects that are known.
+        recordings: Its recordings, prepared; b bins in all.
+        library: The effects that may be present.
+        scale: Sizes that bounds and starting values of effects refer to.
+        shared_sd: Standard deviations of SHARED (11,), in the units of the cell file, relative ones as logarithms.
+        servo_errors_m: Heights (2, b) by which a controller within specification may differ from the nominal servo.
+        excess_noise: Whether the noise is larger than stated.
+        measured: Measured bins (7, b) in their units.
+        noise: Noise of the bins.
+        floor_rms: Rms (7, b) of the noise without any model error.
+    """
+
+    cell: CellFile
+    recordings: tuple[PreparedRecording, ...]
+    library: Mapping[str, Effect]
+    scale: Scale
+    shared_sd: Floats
+    servo_errors_m: Floats
+    excess_noise: bool
+    measured: Floats
+    noise: Whitening
+    floor_rms: Floats
+    _predictions: _Predictions = field(default_factory=_Predictions, repr=False)
+
+    @cached_property
+    def data(self) -> Floats:
+        """Measured bins (7, b), whitened."""
+        return self.noise.whiten(self.measured)
+
+    @cached_property
+    def fixed_nuisances(self) -> FixedNuisances:
+        """Nuisances that do not depend on the state of the cell, whitened."""
+        return fixed_nuisances(self.cell, self.recordings, self.servo_errors_m, self.noise)
+
+    @property
+    def nominal_eta(self) -> Floats:
+        """Shared deviations (11,) of the cell as stated."""
+        return np.zeros(len(self.shared_sd))
+
+    @property
+    def simulations(self) -> int:
+        """Number of force simulations so far."""
+        return self._predictions.simulations
+
+    def per_bin(self, of: Callable[[PreparedRecording], NDArray[Scalar]]) -> NDArray[Scalar]:
+        """Values of every recording's bins, joined.
+
+        Args:
+            of: Gives one value per bin of a recording.
+
+        Returns:
+            The values (b,) over all recordings.
+        """
+        return np.concatenate([of(recording) for recording in self.recordings])
+
+    # other problems of the same data
+
+    def with_model_error_floor(self, gap: Floats) -> "Problem":
+        """The problem in which no bin counts for more than the error of the simulator's laws allows.
+
+        Args:
+            gap: Whitened gap (7, b); a small share of its size in each channel is that error. It counts for no more than the readings
+                themselves, since a fit may run away.
+
+        Returns:
+            A new problem with wider noise.
+        """
+        spread = np.abs(self.measured - np.median(self.measured, axis=1, keepdims=True))
+        level = np.quantile(np.minimum(np.abs(self.noise.natural(gap)), spread.max(axis=1, keepdims=True)), 0.95, axis=1)[:, None]
+        return replace(self, noise=self.noise.widened(np.hypot(1.0, MODEL_ERROR_SHARE * level / self.noise.sigma)))
+
+    def with_row_weight(self, weight: float | Floats) -> "Problem":
+        """The problem in which every row counts for `weight` rows.
+
+        Args:
+            weight: The number of rows: one for all channels, or one of each channel (7,).
+        """
+        return replace(self, noise=self.noise.with_row_weight(weight))
+
+    def with_shared_sd(self, shared_sd: Floats) -> "Problem":
+        """The problem with other tolerances.
+
+        Args:
+            shared_sd: Standard deviations of SHARED (11,).
+        """
+        return replace(self, shared_sd=shared_sd, _predictions=_Predictions())
+
+    def rounded(self, way: Way, first_N: float) -> "Problem":
+        """The problem in which fz is rounded in another way, where it is.
+
+        Args:
+            way: The kind of the rounding.
+            first_N: Finer step to which it was rounded before; 0 for none.
+        """
+        recordings = tuple(
+            replace(one, rounding=one.rounding and replace(one.rounding, way=way, first_N=first_N)) for one in self.recordings
+        )
+        return replace(self, recordings=recordings, _predictions=_Predictions())
+
+    def own_tolerances(self, effects: Iterable[str]) -> NDArray[np.bool_]:
+        """Which of SHARED (11,) the effects themselves are, once they exceed their tolerance."""
+        keys = {self.library[name].tolerance for name in effects}
+        return np.array([tolerance_key(name) in keys for name in SHARED])
+
+    def restricted_to(self, bins: NDArray[np.bool_]) -> "Problem":
+        """The problem in which only some bins count.
+
+        Args:
+            bins: Which of them (b,).
+        """
+        return replace(self, noise=self.noise.restricted_to(bins))
+
+    # predictions
+
+    def cell_at(self, effects: EffectValues, eta: Floats) -> CellFile:
+        """The cell in a state.
+
+        Args:
+            effects: Parameters by effect, beside the known ones of the cell or in place of the same.
+            eta: Shared deviations (11,) in standard deviations.
+        """
+        return self.cell.with_effects(self.cell.effects | effects).with_estimated(self.estimated(eta))
+
+    def estimated(self, eta: Floats) -> Estimated:
+        """Shared deviations in the units of the cell file.
+
+        Args:
+            eta: The deviations (11,) in standard deviations.
+
+        Returns:
+            The block `estimated` of a cell file, without bias and drift.
+        """
+        linear = eta * self.shared_sd
+        relative = np.expm1(np.minimum(np.maximum(linear, -20.0), 20.0))
+        value = dict(zip(SHARED, np.where(LOGARITHMIC, relative, linear).tolist(), strict=True))
+        crosstalk = tuple(value.pop(name) for name in CROSSTALK)
+        return Estimated.model_construct(bias_N=0.0, drift_N_per_min=0.0, crosstalk=crosstalk, **value)
+
+    def raw_prediction(self, recording: PreparedRecording, cell: CellFile) -> Floats:
+        """Prediction at every sample.
+
+        Args:
+            recording: One of the recordings, n samples.
+            cell: The cell in some state.
+
+        Returns:
+            Heights and wrench (n, 7); zero where a channel is not compared.
+        """
+        samples = recording.samples
+        out = np.zeros((len(samples), 7))
+        if recording.judged[Z] and samples.z_cmd_m is not None:
+            heights_m = predict_motion(cell, samples.t_s, samples.z_cmd_m, self.library)
+            heights_m = recording.heights(heights_m, recording.sampled.t_s)
+            out[:, Z] = recording.reports.joined @ np.interp(recording.reports.t_s, samples.t_s, heights_m)
+        out[:, 1:] = recording.reading(cell, recording.sampled, self.library).wrench(len(samples))
+        return out
+
+    def predict(self, effects: EffectValues, eta: Floats) -> Floats:
+        """Whitened prediction of the cell in a state.
+
+        Args:
+            effects: Parameters by effect.
+            eta: Shared deviations (11,) in standard deviations.
+
+        Returns:
+            The prediction (7, b).
+        """
+        return self.noise.whiten(self.binned_prediction(effects, eta))
+
+    def binned_prediction(self, effects: EffectValues, eta: Floats) -> Floats:
+        """Prediction of the cell in a state, in the units of the channels.
+
+        The robot alone decides on its heights, and a force that is driven by measured heights does not depend on the robot. So each of
+        both is simulated only where something of its own has changed.
+
+        Args:
+            effects: Parameters by effect.
+            eta: Shared deviations (11,) in standard deviations.
+
+        Returns:
+            The prediction (7, b).
+        """
+        servo = np.where(SERVO, eta, 0.0)
+        every = self.cell.effects | effects
+        moves = {name: values for name, values in every.items() if self.library[name].motion}
+        pushes = {name: values for name, values in every.items() if name not in moves}
+        heights = self._cached("heights", moves, servo, self._binned_heights)
+        wrench = self._cached("wrench", pushes, eta - servo, lambda one, cell: self.binned_wrench(one, cell, one.motion))
+        return np.vstack([heights, wrench])
+
+    def _cached(self, what: str, effects: EffectValues, eta: Floats, simulated: Callable[[PreparedRecording, CellFile], Floats]) -> Floats:
+        """Binned heights (1, b) or wrenches (6, b) of all recordings."""
+        key = (what, repr(effects), eta.tobytes())
+        known = self._predictions.known
+        if key not in known:
+            if len(known) * self.measured.size >= MOST_CACHED:
+                del known[next(iter(known))]
+            cell = self.cell.with_effects(effects).with_estimated(self.estimated(eta))
+            bins = np.hstack([np.atleast_2d(simulated(one, cell)) for one in self.recordings])
+            # A trial far outside all reason may overflow; it only has to fit badly.
+            known[key] = bins if np.isfinite(bins.sum()) else np.nan_to_num(bins, nan=1e100, posinf=1e100, neginf=-1e100)
+        return known[key]
+
+    def _binned_heights(self, recording: PreparedRecording, cell: CellFile) -> Floats:
+        if not recording.judged[Z] or recording.z_cmd_m is None:
+            return np.zeros(len(recording.bins))
+        followed = self._predictions.followed.setdefault(id(recording), {})
+        heights_m = predict_motion(cell, recording.robot_t_s, recording.z_cmd_m, self.library, begin_s=0.0, followed=followed)
+        return recording.z_means @ recording.heights(heights_m, recording.robot_t_s)
+
+    def binned_wrench(self, recording: PreparedRecording, cell: CellFile, motion: TipMotion) -> Floats:
+        """Predicted wrench in the bins of a recording.
+
+        Args:
+            recording: One of the recordings, b bins.
+            cell: The cell in some state.
+            motion: Motion of the tip at the steps of that recording.
+
+        Returns:
+            Wrench (6, b) in N and Nm.
+        """
+        self._predictions.simulations += 1
+        reading = recording.reading(cell, motion, self.library)
+        if recording.rounding is not None and FZ - 1 in reading.own:
+            reading.own[FZ - 1] = recording.rounding.readings(reading.own[FZ - 1], recording.at_rest)
+        return reading.averaged(lambda values: recording.binned_steps(motion, values), len(recording.bins))
+
+
+def return_memory() -> None:
+    """Give the system what freed arrays leave between those in use: of a million rows 0.2 GB after a search."""
+    with contextlib.suppress(AttributeError):  # glibc alone has it
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def make_problem(
+    recordings: Sequence[Samples],
+    cell: CellFile,
+    library: Mapping[str, Effect] = EFFECTS,
+    max_bins: int = MAX_BINS,
+    *,
+    roundings: Sequence[Rounding] = (),
+    excess_noise: bool = False,
+    scale: Scale | None = None,
+    simulators: Sequence[UserSimulator] = (),
+) -> Problem:
+    """Prepare the recordings of one cell for comparison with its simulation without effects.
+
+    Args:
+        cell: Its cell file; known effects in it are part of the nominal cell.
+        library: The effects that may be present.
+        max_bins: Largest number of bins of all recordings, about.
+        roundings: Of fz in each recording, where noise does not dither it.
+        excess_noise: Whether the noise is larger than stated.
+        scale: Sizes that effects refer to, of the longest recording where not given.
+        simulators: A user's own simulator for each recording; none where palpd's own cell is the nominal.
+    """
+    cell = cell.with_estimated(None).model_copy(update={"uncertainty": ()})
+    prepared = tuple(prepare(samples, cell, max(600, max_bins // len(recordings))) for samples in recordings)
+    if roundings:
+        prepared = tuple(one.rounded(rounding) for one, rounding in zip(prepared, roundings, strict=True))
+    if simulators:
+        prepared = tuple(with_simulator(one, its, cell, library) for one, its in zip(prepared, simulators, strict=True))
+    longest = max(recordings, key=lambda s: s.duration_s)
+    errors_m = [servo_errors(one, cell, library) for one in prepared]
+    noise = _whitening(cell, prepared, errors_m)
+    return Problem(
+        cell=cell,
+        recordings=prepared,
+        library=library,
+        scale=scale or scale_of(cell, longest.t_s, longest.z_m, longest.vz_m_per_s, longest.wrench[:, 2]),
+        shared_sd=_shared_sd(cell),
+        servo_errors_m=np.hstack(errors_m),
+        excess_noise=excess_noise,
+        measured=np.hstack([_measured(one) for one in prepared]),
+        noise=noise,
+        floor_rms=noise.rms,
+    )
+
+
+def _shared_sd(cell: CellFile) -> Floats:
+    sd = {name: float(getattr(cell.tolerances, tolerance_key(name))) for name in SHARED}
+    if not cell.tolerances.modulus_known:
+        sd["youngs_modulus"] = UNKNOWN_LOG_SD
+    if not cell.sensor.filter_cutoff_Hz:
+        sd["filter_cutoff"] = 0.0
+    if cell.tissue is None:
+        sd["youngs_modulus"] = sd["surface_z_m"] = 0.0
+    for name in ("tx_per_fz", "ty_per_fz"):
+        sd[name] *= torque_arm_m(cell) / CROSSTALK_ARM_M
+    return np.array([sd[name] for name in SHARED])
+
+
+def _measured(recording: PreparedRecording) -> Floats:
+    """Measured bins (7, b); zero heights where these are not compared."""
+    samples = recording.samples
+    z = samples.z_m[:, None] if recording.judged[Z] else np.zeros((len(samples), 1))
+    return np.ascontiguousarray(recording.bins.mean(np.hstack([z, samples.wrench])).T)
+
+
+def _whitening(cell: CellFile, recordings: Sequence[PreparedRecording], errors_m: Sequence[Floats]) -> Whitening:
+    """Noise of the bins: of readings, of heights that drive the force, of rounding, of the controller, and of reports that bins share."""
+    sigmas = []
+    for one, (_, acceleration_m) in zip(recordings, errors_m, strict=True):
+        sigma = one.noise_rms[:, None] / np.sqrt(one.bins.count)[None, :]
+        if one.samples.held is not None:  # values interpolated between two readings are no readings
+            sigma[FX:, one.bins.mean(one.samples.held.astype(float)) > MOST_HELD] = np.inf
+        if one.samples_each > 1.0:  # only reports are independent, and neighbours share them
+            sigma[Z] *= OWN_HEIGHT_NOISE * np.sqrt(one.samples_each)
+        sigma[Z] = np.hypot(sigma[Z], acceleration_m)
+        sigma[FZ] = np.hypot(sigma[FZ], one.motion.z_noise_m * _stiffness(cell, one))
+        sigma[FZ] = np.hypot(sigma[FZ], one.rounding.undithered_rms_N if one.rounding else 0.0)
+        _hide_rounding(sigma, cell)
+        sigma[~np.array(one.judged)] = np.inf
+        sigmas.append(sigma)
+    heights_m = [one.bins.means() @ one.reports.joined * (one.noise_rms[Z] * (one.samples_each > 1.0)) for one in recordings]
+    for one in heights_m:
+        one.eliminate_zeros()  # all of them where every sample is a report
+    shared = {Z: csr_array(block_diag(heights_m)), FZ: csr_array(block_diag([one.inertial_noise_N for one in recordings]))}
+    return Whitening.of(np.hstack(sigmas), shared)
+
+
+def _hide_rounding(sigma: Floats, cell: CellFile) -> None:
+    """Widen the noise (7, b) of lateral forces and torques by the error of rounding that noise does not dither.
+
+    Where the force is the same, so is that error: no number of bins averages it, and all of them count as one reading for each phase.
+    """
+    alike = np.sqrt(sigma.shape[1] / len(PHASES))
+    for channel in (FX, FY, *range(TX, 7)):
+        step, noise = resolutions(cell)[channel], pure_rms(cell)[channel]
+        sigma[channel] = np.hypot(sigma[channel], alike * undithered_rms(step, noise))
+
+
+def _stiffness(cell: CellFile, recording: PreparedRecording) -> Floats:
+    """dF/dz of the nominal tissue at every bin (b,), in N/m; 0 while its modulus is not known."""
+    if cell.tissue is None or not cell.tolerances.modulus_known:
+        return np.zeros(len(recording.bins))
+    depth_m = recording.bins.mean(recording.phases.depth_m)
+    reduced_Pa = cell.tissue.youngs_modulus_Pa / (1.0 - cell.tissue.poisson_ratio**2)
+    return np.asarray(2.0 * reduced_Pa * np.sqrt(cell.probe.tip_radius_m * depth_m))

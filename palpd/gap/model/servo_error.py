@@ -1,0 +1,69 @@
+"""How real controllers differ from the nominal second-order servo without being slower: part of every healthy cell."""
+
+from collections.abc import Mapping
+from math import pi
+
+import numpy as np
+
+from palpd.cell.cell_file import CellFile
+from palpd.cell.effects import Effect
+from palpd.cell.simulation import predict_motion
+from palpd.gap.data.noise import Z
+from palpd.gap.data.prepare import PreparedRecording
+from palpd.tick import Floats
+
+HIDDEN_DELAY_S = 0.004
+"""Delay inside a controller, one standard deviation: half a cycle of a target that is held at 125 Hz, the slowest usual rate."""
+
+LARGEST_DELAY_SHARE = 0.25
+"""Largest hidden delay as a share of the servo's own lag: the rest of the servo must stay a servo."""
+
+LEAST_WIDTH_SHARE = 0.1
+"""Least second moment that remains for the servo behind a hidden delay, as a share of the stated servo's."""
+
+ACCELERATION_SHARE = 0.05
+"""Share of the lag by acceleration, a/wn², by which the heights of a real controller differ: its order and its jerk limit."""
+
+
+def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[str, Effect]) -> Floats:
+    """Differences in height that a controller within specification may show, one standard deviation each.
+
+    Args:
+        recording: One prepared recording, b bins.
+        cell: Its nominal cell.
+        library: Effects by id.
+
+    Returns:
+        What a delay inside the controller changes, and what its order and jerk limit change, (2, b) in m; zero where heights are not
+        compared.
+    """
+    if not recording.judged[Z] or recording.z_cmd_m is None:
+        return np.zeros((2, len(recording.bins)))
+    t_s = recording.robot_t_s
+    nominal_m = predict_motion(cell, t_s, recording.z_cmd_m, library)
+    natural_frequency_rad_per_s = 2.0 * pi * cell.robot.servo_natural_frequency_Hz
+    acceleration_m = np.gradient(np.gradient(nominal_m, t_s), t_s) / natural_frequency_rad_per_s**2
+    changes_m = _with_hidden_delay(recording, recording.z_cmd_m, cell, library) - nominal_m, ACCELERATION_SHARE * acceleration_m
+    return np.array([recording.z_means @ change_m for change_m in changes_m])
+
+
+def _with_hidden_delay(recording: PreparedRecording, z_cmd_m: Floats, cell: CellFile, library: Mapping[str, Effect]) -> Floats:
+    """Heights (k,) of a delay and a second-order servo that together have the lag and the second moment of the stated servo.
+
+    1 / (1 + b1 s + b2 s²) and exp(-τ s) / (1 + b1' s + b2' s²) agree to second order in s with b1' = b1 - τ and
+    b2' = b2 - b1' τ - τ²/2. A target that is held and a servo of higher order are such a delay to third order.
+    """
+    robot, t_s = cell.robot, recording.robot_t_s
+    natural_frequency_rad_per_s = 2.0 * pi * robot.servo_natural_frequency_Hz
+    b1, b2 = 2.0 * robot.servo_damping_ratio / natural_frequency_rad_per_s, natural_frequency_rad_per_s**-2
+    delay_s = min(HIDDEN_DELAY_S, LARGEST_DELAY_SHARE * b1)
+    b1_rest = b1 - delay_s
+    b2_rest = max(b2 - b1_rest * delay_s - 0.5 * delay_s**2, LEAST_WIDTH_SHARE * b2)
+    inner = robot.model_copy(
+        update={
+            "servo_natural_frequency_Hz": b2_rest**-0.5 / (2.0 * pi),
+            "servo_damping_ratio": 0.5 * b1_rest * b2_rest**-0.5,
+        }
+    )
+    late_m = np.interp(t_s - delay_s, t_s, z_cmd_m)
+    return predict_motion(cell.model_copy(update={"robot": inner}), t_s, late_m, library)
