@@ -394,7 +394,7 @@ def simulate(
         drive: `measured` takes the reported heights, `commanded` the commanded ones through the robot's servo.
         noise_seed: Seed of noise and rounding; neither without one.
         simulated: Your own simulator, or its output for this motion; what the cell has beyond `nominal` is added to it.
-        nominal: The cell that your simulator simulates.
+        nominal: The cell that your simulator simulates; None without `simulated`.
 
     Raises:
         BadInput: Only one of `simulated` and `nominal` is given, or the seed is negative.
@@ -431,6 +431,7 @@ def diagnose(
         effects: The effects that may be present, by id.
         propose: Whether to look for the motion that would decide what is open.
         simulated: Your own simulator as the nominal, or its output for each recording; the cell then says what is within specification.
+            None: palpd simulates the cell.
 
     Raises:
         BadInput: There are not as many outputs as recordings.

@@ -281,7 +281,7 @@ def draw(survey: Survey, stiffness: Map, out: Path, truth: tuple[float, float, f
         survey: the presses.
         stiffness: the map that follows from them.
         out: the file; its suffix is the format.
-        truth: centre x, y and radius of an emulated inclusion in m, to be drawn too.
+        truth: centre x, y and radius of an emulated inclusion in m, to be drawn too; None draws none.
     """
     save_figure(figure_of(survey, stiffness, truth), out)
 
@@ -292,7 +292,7 @@ def figure_of(survey: Survey, stiffness: Map, truth: tuple[float, float, float] 
     Args:
         survey: the presses.
         stiffness: the map that follows from them.
-        truth: centre x, y and radius of an emulated inclusion in m, to be drawn too.
+        truth: centre x, y and radius of an emulated inclusion in m, to be drawn too; None draws none.
     """
     modulus_kPa = np.exp(stiffness.mean) * stiffness.background_Pa / 1e3
     depth_mm = survey.field_.depth_m * 1e3

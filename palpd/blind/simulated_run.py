@@ -126,7 +126,7 @@ def rows(w: SimulatedRun, t_s: Floats, planted: Sequence[Planted] = (), random: 
     Args:
         t_s: Times of the rows in s (m,).
         planted: Laws with their parameters; those at the stage `row` are applied here.
-        random: Generator for such laws.
+        random: Generator for such laws; None: one of seed 0.
 
     Returns:
         Rows (m, 7), columns as in CHANNELS.

@@ -183,8 +183,8 @@ class OpenParameter(StrictBlock):
         name: `<effect>.<parameter>`, or `estimated.<deviation>`, where crosstalk has the names of CROSSTALK.
         scale: `linear`, `log` (of the value), `log1p` (of one plus the value, for relative deviations), or `angle` (in one turn).
         sd: Standard deviation on that scale.
-        lower: Least value.
-        upper: Largest value.
+        lower: Least value; None: no bound.
+        upper: Largest value; None: no bound.
     """
 
     name: Annotated[str, Field(pattern=r"^[\w.]+\.\w+$")]
@@ -341,7 +341,7 @@ class CellFile(StrictBlock):
         return self.model_copy(update={"effects": effects})
 
     def with_estimated(self, estimated: Estimated | None) -> "CellFile":
-        """The same cell with these in-tolerance deviations."""
+        """The same cell with these in-tolerance deviations; None: without any."""
         return self.model_copy(update={"estimated": estimated})
 
 

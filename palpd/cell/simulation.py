@@ -343,7 +343,8 @@ def commanded_motion(
         z_cmd_m: Commanded heights (n,) in m.
         library: Effects by id.
         begin_s: Time of the recording's first row, from which effects count; None for the first of `t_s`.
-        followed: What the servo made of the same heights before, by its natural frequency and damping ratio; the newest is kept there.
+        followed: What the servo made of the same heights before, by its natural frequency and damping ratio; the newest is kept there. None
+            keeps nothing.
 
     Returns:
         The true motion of the tip.
@@ -403,7 +404,7 @@ class MeanReading:
         """The reading with something added to some axes, which leaks into no other.
 
         Args:
-            more: What to add by axis.
+            more: What to add (n,) by axis.
         """
         return replace(self, own=self.own | {axis: self.own.get(axis, 0.0) + values for axis, values in more.items()})
 
@@ -590,7 +591,7 @@ def share_outside(
 
     Args:
         t_s: Times (n,) in s.
-        z_cmd_m: Commanded heights (n,) in m.
+        z_cmd_m: Commanded heights (n,) in m; None needs `z_m`.
         z_m: Reported heights (n,) in m, or None to simulate them.
         vz_m_per_s: Reported speeds (n,), or None to simulate them.
         library: Effects by id.

@@ -146,10 +146,10 @@ def now_lines(now: "KnownNow | None") -> list[str]:
     """Say what stands, and the command that is sensible next.
 
     Args:
-        now: What the daemon says of it.
+        now: What the daemon says of it; None from a daemon of an older version.
 
     Returns:
-        One line; none from a daemon of an older version.
+        One line, or none.
     """
     if now is None:
         return []

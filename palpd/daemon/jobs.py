@@ -177,7 +177,7 @@ class Jobs:
     # --- what the service does -----------------------------------------------------------------------------------------------
 
     def hear(self) -> RunRequest | None:
-        """Read what the worker has sent. Returns a run that it asks for."""
+        """Read what the worker has sent. Returns a run that it asks for, or None."""
         self._killed = [worker for worker in self._killed if not worker.gone]
         if self._worker is None or self.current is None:
             return None

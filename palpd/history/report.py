@@ -80,8 +80,8 @@ def report_of(recording: Path, beside: Path | None = None, history: Mapping[str,
 
     Args:
         recording: The recording of the run.
-        beside: The recording of a run to compare it with.
-        history: Points of the catalogue by site, for the trend.
+        beside: The recording of a run to compare it with; None: none.
+        history: Points of the catalogue by site, for the trend; None: no trend.
 
     Returns:
         The parts of the report.
@@ -329,7 +329,7 @@ def fault_sentences(facts: RunFacts) -> list[str]:
 
 
 def kilopascals(modulus_Pa: float | None) -> str:
-    """A modulus in kPa with three digits, or a dash."""
+    """A modulus in kPa with three digits; a dash for None."""
     return "–" if modulus_Pa is None else number(modulus_Pa / 1e3)
 
 

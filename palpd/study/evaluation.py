@@ -297,7 +297,7 @@ def palpated(seed: int, enriched: dict[str, CellFile] | None = None, changed: Ca
 
     Args:
         seed: Seed of the day.
-        enriched: Cells enriched by a diagnosis, by setup.
+        enriched: Cells enriched by a diagnosis, by setup; None: none is.
         changed: Changes each cell of that day.
 
     Returns:
@@ -417,7 +417,7 @@ def recorded(
         bare: Free motion without the probe.
         free: Free motion with the probe.
         palpation: A run of a plan with mode: both.
-        enriched: Cells enriched by a diagnosis, by site.
+        enriched: Cells enriched by a diagnosis, by site; None: none is.
 
     Returns:
         The recordings as the study takes them.

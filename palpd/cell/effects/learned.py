@@ -216,7 +216,7 @@ class LearnedEffect(StrictBlock):
         rest_speed_m_per_s: Speed v0 at which friction turns over; direction is tanh(v / v0).
         terms: One or two terms.
         alike: Drivers, in words, that the recording could not tell from the one that is used.
-        probability: Probability that a law like this is at work.
+        probability: Probability that a law like this is at work; None where the file does not say.
         confounds: Listed effects that imitate the law on the motion that it was learned from: the cosine of the angle between its change
             and what the effect can make, with everything within specification projected out. None where that was not measured.
     """

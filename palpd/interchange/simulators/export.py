@@ -412,7 +412,7 @@ def agreement_of(cell: CellFile, rows: Floats, expected: Mapping[str, Floats]) -
 
     Args:
         rows: Values (n, 8) of COLUMNS.
-        expected: The columns of palpd's simulation.
+        expected: The columns (n,) of palpd's simulation.
     """
     sensor, robot = cell.sensor, cell.robot
     torque_Nm = sensor.noise_rms_Nm or sensor.noise_rms_N * cell.probe.tip_length_m
