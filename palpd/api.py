@@ -104,9 +104,6 @@ class Cell:
         Args:
             blocks: Such as `tissue={"youngs_modulus_Pa": 50e3}`.
 
-        Returns:
-            The cell.
-
         Raises:
             ConfigError: A value is not possible.
         """
@@ -454,9 +451,6 @@ def analyse(source: Source, cell: CellSource | None = None, *, site: str | None 
         source: A recording of the daemon (.mcap), or with a cell any recording.
         cell: A cell, as a diagnosis enriched it: what it knows no longer passes for stiffness. Needed where the source is not the daemon's.
         site: One site of a recording of the daemon; None for all.
-
-    Returns:
-        The moduli.
 
     Raises:
         BadInput: A cell is needed and none is given.

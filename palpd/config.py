@@ -427,7 +427,6 @@ def plan_limits(config: Config, plan: Plan) -> dict[str, PlanLimit]:
     """The limits that a configuration sets to the numbers of a plan.
 
     Args:
-        config: Configuration with the limits.
         plan: The plan: sites count from its origin.
 
     Returns:
@@ -440,7 +439,6 @@ def refuse_unsafe(config: Config, plan: Plan) -> None:
     """Refuse a plan that the limits of the configuration do not allow.
 
     Args:
-        config: Configuration with the limits.
         plan: Plan to judge.
 
     Raises:

@@ -13,7 +13,6 @@ def number(value: float, digits: int = 3) -> str:
 
     Args:
         value: In any unit; NaN becomes a dash.
-        digits: How many digits.
     """
     if not isfinite(value):
         return "-∞" if value < 0.0 else "∞" if value > 0.0 else "–"

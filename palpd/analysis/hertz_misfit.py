@@ -153,7 +153,6 @@ def starred(text: str, misfit: object) -> str:
     """A modulus as a table shows it: with a star where Hertz does not fit.
 
     Args:
-        text: The modulus in words.
         misfit: The misfit, or whether there is one.
 
     Returns:

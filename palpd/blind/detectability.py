@@ -44,9 +44,6 @@ class Detectability:
 
         Heights are compared with the servo's, wrenches with those of a cell without the effects that makes the same motion.
 
-        Args:
-            planted: Laws with their parameters.
-
         Returns:
             The change (m, 7), columns as in CHANNELS.
         """
@@ -211,10 +208,8 @@ def nearest_law(
     Shapes are drawn, strengths fitted in proportion; the best ones are then fitted in all their parameters.
 
     Args:
-        detectability: The cell and motion.
         target: The whitened change (7k,).
         scales: Characteristic sizes of the cell.
-        seed: Seed of the drawn shapes.
         without: Effects that may not be used.
         only: The one effect that may be used; None: all.
         like: Parameters of the law that made the change; one start takes those that the listed law has too. None: all starts are

@@ -25,7 +25,6 @@ def simulate(
     Args:
         deviations: Where the cell lies within its tolerances.
         motion: Commanded motion.
-        planted: Laws with their parameters.
         dt_s: Step of the grid in s.
         reported: A run whose motion drives this one; None: the servo does.
 

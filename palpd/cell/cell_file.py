@@ -388,7 +388,6 @@ def load_cell(path: str | Path, library: Mapping[str, Effect] = EFFECTS) -> Cell
     """Read a cell file.
 
     Args:
-        path: File to read.
         library: Effects that the cell may have, by id.
 
     Raises:
@@ -417,10 +416,6 @@ def parse_cell(values: object, where: str, library: Mapping[str, Effect] = EFFEC
 
 def save_cell(path: str | Path, cell: CellFile) -> None:
     """Write a cell file that `load_cell` reads back equal.
-
-    Args:
-        path: File to write.
-        cell: Cell to write.
 
     Raises:
         BadInput: Where the file cannot be written.

@@ -241,9 +241,6 @@ def speak(request: "ControlRequest", config: Path, socket: Path | None) -> "Cont
         config: config.yaml, which says where the daemon listens.
         socket: Control socket in place of the one of `config`.
 
-    Returns:
-        The answer of the daemon.
-
     Raises:
         PalpdError: Where no daemon answers, or it refuses, or `config` cannot be read.
     """

@@ -83,7 +83,6 @@ def info_lines(recording: "Recording", facts: "RunFacts", remarks: "Remarks") ->
     """What `palpd info` prints before the table of moduli, and behind it.
 
     Args:
-        facts: What it says.
         remarks: Tags and notes.
 
     Returns:

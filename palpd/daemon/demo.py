@@ -218,7 +218,6 @@ def true_modulus_Pa(cell: CellFile, site: str, plan: Plan) -> float:
 
     Args:
         cell: The emulated cell.
-        plan: The plan, for its depths.
 
     Returns:
         Young's modulus in Pa.

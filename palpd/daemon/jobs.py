@@ -117,7 +117,6 @@ class Jobs:
         """Note a job that is a single run without a program, such as that of `palpd start`.
 
         Args:
-            kind: Kind of the run.
             by: Who asked for it, for people.
 
         Returns:

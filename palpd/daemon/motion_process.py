@@ -92,7 +92,6 @@ class Job:
 
     Attributes:
         kind: What to do.
-        config: The configuration of the cell.
         plan: The plan of a palpation.
         dry: Whether to read the devices and command nothing.
         reference: Tare (6,) of the last calibration; None: the job takes its own.

@@ -129,7 +129,6 @@ class State:
 
         Args:
             name: Name of the file, without `.json`.
-            thing: What it holds.
 
         Raises:
             Refused: The file cannot be written.

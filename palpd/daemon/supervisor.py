@@ -421,7 +421,6 @@ def place_of(job: Job, pose: tuple[float, ...], name: str) -> PlanPlace:
     """Where the sites of a palpation count from.
 
     Args:
-        job: The palpation.
         pose: Pose (6,) of the tip before it moves.
         name: Name of the run.
 

@@ -151,7 +151,6 @@ def draw_map(figure: Drawing, places_m: Floats, sites: Sequence[SiteResult]) -> 
     """Where the sites lie and how stiff each is: a stiffness map.
 
     Args:
-        figure: Where it is drawn.
         places_m: Their places (n, 2) along the base's axes.
         sites: Their results (n).
     """

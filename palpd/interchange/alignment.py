@@ -137,8 +137,6 @@ def overlap(path: TipPath, wrench: Wrench, names: str) -> NDArray[np.bool_]:
     """Which samples of the force lie within the times of the motion.
 
     Args:
-        path: The motion.
-        wrench: The force.
         names: What an error calls both.
 
     Returns:

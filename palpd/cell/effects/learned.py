@@ -247,7 +247,6 @@ class LearnedEffect(StrictBlock):
         """Change a stretch of samples.
 
         Args:
-            s: The samples.
             values: `strength`, a factor on the whole law, and `phase_rad` of a law that repeats in time.
             memory: State that is carried from one stretch of samples to the next, and how many samples were outside the range.
         """
@@ -375,9 +374,6 @@ def load_learned(path: str | Path) -> tuple[LearnedEffect, ...]:
 
 def save_learned(path: str | Path, learned: Iterable[LearnedEffect]) -> None:
     """Write a file that `load_learned` reads back equal.
-
-    Args:
-        path: File to write.
 
     Raises:
         BadInput: The file cannot be written.
