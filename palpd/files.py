@@ -333,7 +333,7 @@ def refusal(error: "ValidationError", model: "type[BaseModel]", document: Docume
         error: What validation raised.
         model: Model that the document was validated against.
         document: Names the file and the lines of its keys.
-        hints: Questions to ask about a number out of range, by the end of the key that it belongs to; None: none.
+        hints: Questions to ask about a number out of range, by the end of the key that it belongs to; None for none.
     """
     first = error.errors(include_url=False)[0]
     return f"{document.place(first['loc'])}: {_complaint(first, model, hints)}"

@@ -134,8 +134,7 @@ def emulate(
         mount_rotation_rad: rotation of the sensor about the flange's z.
         realtime: ask for SCHED_FIFO.
         end_with_parent: also end, within a second, when the parent process is gone.
-        effects: Python file of a user's effects, or a file of learned ones, which the cell file may name; None:
-            only listed ones.
+        effects: Python file of a user's effects, or a file of learned ones, which the cell file may name; None for none.
         fz_parts_at: where the sensor's slopes for pressing and pulling part.
         net_ft_port: port of the page of a Net F/T in place of the HEX-70; None for none.
 

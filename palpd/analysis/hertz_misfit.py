@@ -165,7 +165,7 @@ def star_note(misfits: Mapping[str, HertzMisfit | None]) -> str:
     """What the stars of a table mean, with the range over depth of each site; empty where Hertz fits all.
 
     Args:
-        misfits: The misfit of each site; None where Hertz fits.
+        misfits: The misfit of each site; None where none shows.
     """
     ranges = [f"{site} {m['low_Pa'] / 1e3:.1f} to {m['high_Pa'] / 1e3:.1f} kPa" for site, m in misfits.items() if m is not None]
     return f"{STAR_MEANS} ({', '.join(ranges)})" if ranges else ""

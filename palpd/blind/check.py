@@ -163,7 +163,7 @@ def run(
         jobs: Number of processes.
         ablation: What is taken away from the diagnosis; None: nothing.
         keep: New folder for recordings, answers and truths; None: they are removed.
-        resume: File that takes every scored batch; batches that it holds are not run again. None: no batch is kept.
+        resume: File that takes every scored batch; batches that it holds are not run again. None: no such file.
         calibrated: Whether the answers state probabilities by the fitted map; the engine's own otherwise.
         progress: Called with the number of scored cases.
 

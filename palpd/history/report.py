@@ -80,7 +80,7 @@ def report_of(recording: Path, beside: Path | None = None, history: Mapping[str,
 
     Args:
         recording: The recording of the run.
-        beside: The recording of a run to compare it with; None: none.
+        beside: The recording of a run to compare it with; None for none.
         history: Points of the catalogue by site, for the trend; None: no trend.
 
     Returns:
