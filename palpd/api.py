@@ -104,9 +104,6 @@ class Cell:
         Args:
             blocks: Such as `tissue={"youngs_modulus_Pa": 50e3}`.
 
-        Returns:
-            The cell.
-
         Raises:
             ConfigError: A value is not possible.
         """
@@ -394,7 +391,7 @@ def simulate(
         drive: `measured` takes the reported heights, `commanded` the commanded ones through the robot's servo.
         noise_seed: Seed of noise and rounding; neither without one.
         simulated: Your own simulator, or its output for this motion; what the cell has beyond `nominal` is added to it.
-        nominal: The cell that your simulator simulates.
+        nominal: The cell that your simulator simulates; None without `simulated`.
 
     Raises:
         BadInput: Only one of `simulated` and `nominal` is given, or the seed is negative.
@@ -431,6 +428,7 @@ def diagnose(
         effects: The effects that may be present, by id.
         propose: Whether to look for the motion that would decide what is open.
         simulated: Your own simulator as the nominal, or its output for each recording; the cell then says what is within specification.
+            None: palpd simulates the cell.
 
     Raises:
         BadInput: There are not as many outputs as recordings.
@@ -453,9 +451,6 @@ def analyse(source: Source, cell: CellSource | None = None, *, site: str | None 
         source: A recording of the daemon (.mcap), or with a cell any recording.
         cell: A cell, as a diagnosis enriched it: what it knows no longer passes for stiffness. Needed where the source is not the daemon's.
         site: One site of a recording of the daemon; None for all.
-
-    Returns:
-        The moduli.
 
     Raises:
         BadInput: A cell is needed and none is given.

@@ -133,7 +133,7 @@ class SensorConfig(StrictBlock):
 
 
 def filter_delay_s(cutoff_Hz: float | None) -> float:
-    """How much later than a force a one-pole low-pass shows it: 1 / (2π f_c)."""
+    """How much later than a force a one-pole low-pass shows it: 1 / (2π f_c); 0 without a filter."""
     return 1.0 / (2.0 * math.pi * cutoff_Hz) if cutoff_Hz else 0.0
 
 
@@ -363,7 +363,10 @@ KINDS: dict[type[StrictBlock], Kind] = {Config: "config", Plan: "plan"}
 
 
 def load_config(path: Path | None) -> Config:
-    """Read config.yaml, with the environment's PALPD_SECTION__KEY=… and PALPD_SECTION='{key: …}' over it. Raises ConfigError."""
+    """Read config.yaml, with the environment's PALPD_SECTION__KEY=… and PALPD_SECTION='{key: …}' over it.
+
+    None: every default. Raises ConfigError.
+    """
     document = read_yaml(path) if path else Document("the default configuration", {})
     document.refuse_empty()
     config = _validated(Config, _overridden(document))
@@ -424,7 +427,6 @@ def plan_limits(config: Config, plan: Plan) -> dict[str, PlanLimit]:
     """The limits that a configuration sets to the numbers of a plan.
 
     Args:
-        config: Configuration with the limits.
         plan: The plan: sites count from its origin.
 
     Returns:
@@ -437,7 +439,6 @@ def refuse_unsafe(config: Config, plan: Plan) -> None:
     """Refuse a plan that the limits of the configuration do not allow.
 
     Args:
-        config: Configuration with the limits.
         plan: Plan to judge.
 
     Raises:

@@ -39,7 +39,6 @@ def renamed_keys(kind: Kind, content: object, at: Location = ()) -> list[tuple[L
     """Find the keys of a file that have another name today.
 
     Args:
-        content: What it holds.
         at: Where that stands in the file.
 
     Returns:

@@ -96,9 +96,6 @@ def file_use(inputs: Iterable[Path] = (), *, force: bool | None = None) -> Itera
         inputs: What the call will read; what `opened` opens within the context counts too.
         force: Whether files that palpd did not make may be replaced; None: no, and no option would allow it.
 
-    Yields:
-        Nothing.
-
     Raises:
         BadInput: A path cannot be one of a file.
     """
@@ -144,7 +141,6 @@ def opened(path: Path, *, most_bytes: int = MOST_TABLE_BYTES, error: type[PalpdE
     """Open a regular file of bounded size for reading; a failed read inside the block is refused too.
 
     Args:
-        path: File to read.
         most_bytes: Largest size in bytes.
         error: Class of the refusal.
 
@@ -170,7 +166,6 @@ def opened_text(path: Path, *, error: type[PalpdError] = BadInput) -> Iterator[I
     """Open a table for reading as UTF-8, with or without a byte order mark, line ends as they are.
 
     Args:
-        path: File to read.
         error: Class of the refusal.
 
     Raises:
@@ -187,7 +182,6 @@ def read_text(path: Path, *, most_bytes: int = MOST_YAML_BYTES, error: type[Palp
     """Read a whole text file in UTF-8.
 
     Args:
-        path: File to read.
         most_bytes: Largest size in bytes.
         error: Class of the refusal.
 
@@ -245,7 +239,6 @@ def read_yaml(path: Path, *, error: type[PalpdError] = ConfigError) -> Document:
     """Read a YAML file; a key that stands twice in one block is refused with both line numbers.
 
     Args:
-        path: File to read.
         error: Class of the refusal.
 
     Returns:
@@ -291,7 +284,6 @@ def read_json(path: Path, *, most_bytes: int = MOST_JSON_BYTES, error: type[Palp
     """Read a JSON file; a key that stands twice in one object is refused.
 
     Args:
-        path: File to read.
         most_bytes: Largest size in bytes.
         error: Class of the refusal.
 
@@ -341,7 +333,7 @@ def refusal(error: "ValidationError", model: "type[BaseModel]", document: Docume
         error: What validation raised.
         model: Model that the document was validated against.
         document: Names the file and the lines of its keys.
-        hints: Questions to ask about a number out of range, by the end of the key that it belongs to.
+        hints: Questions to ask about a number out of range, by the end of the key that it belongs to; None for none.
     """
     first = error.errors(include_url=False)[0]
     return f"{document.place(first['loc'])}: {_complaint(first, model, hints)}"
@@ -386,7 +378,6 @@ def nearest(word: str, known: list[str]) -> str:
     """Ask whether a known word was meant: " (did you mean 'x'?)", or nothing where none is like it.
 
     Args:
-        word: What was written.
         known: What could have been written.
 
     Returns:
@@ -475,9 +466,6 @@ def check_folder(*folders: Path | None, empty: bool = False) -> None:
 def check_socket(path: Path) -> None:
     """Refuse a place where no Unix socket can be made: only a socket that nobody serves is replaced.
 
-    Args:
-        path: The socket.
-
     Raises:
         Refused: The path is too long, or something else stands there.
     """
@@ -509,9 +497,6 @@ def clear_socket(path: Path) -> None:
 
 def check_link(path: Path) -> None:
     """Refuse a place where no link to a terminal device can be made: only such a link, or one to nothing, is replaced.
-
-    Args:
-        path: The link.
 
     Raises:
         BadInput: Something else stands there.
@@ -549,7 +534,6 @@ def writing(path: Path, *, own: bool = False) -> Iterator[IO[bytes]]:
     replaced with force by another recording only, and an input of this call never. A pipe or /dev/stdout is written to directly.
 
     Args:
-        path: File to write.
         own: Whether the file is palpd's by its name and place, such as stored state: it is replaced whatever it holds.
 
     Yields:
@@ -586,9 +570,6 @@ def writing(path: Path, *, own: bool = False) -> Iterator[IO[bytes]]:
 def writing_text(path: Path) -> Iterator[IO[str]]:
     """Write a text file in UTF-8 as `writing` does, line ends as given.
 
-    Args:
-        path: File to write.
-
     Yields:
         A stream for the text.
 
@@ -616,7 +597,6 @@ def write_bytes(path: Path, content: bytes, *, own: bool = False) -> None:
     """Write a file whole or not at all.
 
     Args:
-        path: File to write.
         own: Whether it is palpd's by its place, as for `writing`.
 
     Raises:
@@ -629,10 +609,6 @@ def write_bytes(path: Path, content: bytes, *, own: bool = False) -> None:
 def copy_file(source: Path, target: Path) -> None:
     """Copy a file whole or not at all.
 
-    Args:
-        source: File to read.
-        target: File to write.
-
     Raises:
         BadInput: As `opened` and `writing` do.
     """
@@ -644,7 +620,6 @@ def write_text(path: Path, text: str, *, own: bool = False) -> None:
     """Write a text file in UTF-8 whole or not at all.
 
     Args:
-        path: File to write.
         own: Whether it is palpd's by its place, as for `writing`.
 
     Raises:
@@ -655,9 +630,6 @@ def write_text(path: Path, text: str, *, own: bool = False) -> None:
 
 def write_yaml(path: Path, text: str) -> None:
     """Write YAML, or other text with comments that begin with #, below a comment by which palpd knows it while it is unchanged.
-
-    Args:
-        path: File to write.
 
     Raises:
         BadInput: As `writing` does.
@@ -736,7 +708,6 @@ class _StrictLoader(yaml.SafeLoader):
         """Construct a mapping, and refuse a key that stands in it twice.
 
         Args:
-            node: The mapping's node.
             deep: Whether what it holds is constructed at once.
 
         Raises:

@@ -55,7 +55,6 @@ def loaded(registered: Iterable[Plugin], check: Callable[[Plugin, Any], Any]) ->
     """Load plug-ins, and leave out those that cannot be used.
 
     Args:
-        registered: The plug-ins.
         check: Takes each object in and returns what is kept of it. Raises BadInput where it is not what the group expects.
 
     Returns:

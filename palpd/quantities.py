@@ -12,7 +12,7 @@ def number(value: float, digits: int = 3) -> str:
     """A number as people read it, with a power of ten where there would be many zeros.
 
     Args:
-        digits: How many digits.
+        value: In any unit; NaN becomes a dash.
     """
     if not isfinite(value):
         return "-∞" if value < 0.0 else "∞" if value > 0.0 else "–"
@@ -54,7 +54,7 @@ def quantity(value: float, unit: str, ci95: tuple[float, float] | None = None) -
     Args:
         value: In the SI unit.
         unit: The SI unit; "1" for none.
-        ci95: Its interval, in the SI unit.
+        ci95: Its interval, in the SI unit; None where it has none.
     """
     finite = [abs(each) for each in (value, *(ci95 or ())) if isfinite(each)]
     scale, name = scaled(abs(value) or max(finite, default=0.0), unit)

@@ -25,11 +25,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 @contextmanager
 def pool(jobs: int) -> Iterator["ProcessPoolExecutor"]:
-    """Compute in several processes within the context; where it raises, such as by Ctrl-C, they end at once.
-
-    Args:
-        jobs: Number of processes.
-    """
+    """Compute in several processes within the context; where it raises, such as by Ctrl-C, they end at once."""
     # A signal during a fork would raise in the hooks of the fork, which swallow it, or in a worker that has the handler of the command.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
@@ -73,9 +69,6 @@ def beside(module: str, *arguments: str) -> list[str]:
 
     Args:
         module: Name of the module, which runs as its own program.
-
-    Returns:
-        The command line.
     """
     return [sys.executable, "-m", "palpd.workers", str(os.getpid()), module, *arguments]
 

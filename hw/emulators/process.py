@@ -128,13 +128,13 @@ def emulate(
         model: "ur5" or "ur5e".
         cell: cell file; None uses the paper's phantom.
         host: address that the controller listens on.
-        sensor_link: link to create to the sensor's terminal device.
-        control: unix socket for faults and truth.
+        sensor_link: link to create to the sensor's terminal device; None for none.
+        control: unix socket for faults and truth; None for none.
         seed: seed of every random number.
         mount_rotation_rad: rotation of the sensor about the flange's z.
         realtime: ask for SCHED_FIFO.
         end_with_parent: also end, within a second, when the parent process is gone.
-        effects: Python file of a user's effects, or a file of learned ones, which the cell file may name.
+        effects: Python file of a user's effects, or a file of learned ones, which the cell file may name; None for none.
         fz_parts_at: where the sensor's slopes for pressing and pulling part.
         net_ft_port: port of the page of a Net F/T in place of the HEX-70; None for none.
 

@@ -34,9 +34,6 @@ class Ramp:
             speed: speed (6,) at the cycle's begin, in m/s and rad/s.
             _place: pose (6,) at the cycle's begin, in m and rad; not used.
             cycle_s: length of the cycle.
-
-        Returns:
-            What the cycle holds.
         """
         after, shift, settled = speed.copy(), speed * cycle_s, 0.0
         for part in (slice(0, 3), slice(3, 6)):
@@ -86,9 +83,6 @@ class TrapezoidalMove:
             speed: speed (6,) at the cycle's begin, in m/s and rad/s.
             place: pose (6,) at the cycle's begin, in m and rad.
             cycle_s: length of the cycle.
-
-        Returns:
-            What the cycle holds.
         """
         if self._way is None:
             if speed.any():
@@ -118,9 +112,6 @@ class Servo:
             speed: speed (6,) at the cycle's begin, in m/s and rad/s.
             place: pose (6,) at the cycle's begin, in m and rad.
             cycle_s: length of the cycle.
-
-        Returns:
-            What the cycle holds.
         """
         after = displacement(place, self.goal) / max(self.lookahead_s, 2.0 * cycle_s)
         fastest = float(np.linalg.norm(after[:3]))

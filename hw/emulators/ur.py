@@ -129,7 +129,6 @@ class Wire:
         """Queue bytes and send as many as fit; the rest goes out later.
 
         Args:
-            data: bytes to send.
             now_s: host time.
         """
         self.outbox += data

@@ -49,7 +49,6 @@ class EnrichedModulus:
     """A modulus with its 95 % interval, and the cell that it belongs to.
 
     Attributes:
-        youngs_modulus_Pa: Young's modulus.
         ci95_Pa: Its 95 % interval.
         surface_z_m: Height of the true surface.
         surface_sigma_m: One standard deviation of that height.

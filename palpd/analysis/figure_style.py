@@ -132,7 +132,7 @@ def thinned(x: Floats, y: Floats) -> tuple[Floats, Floats]:
         y: ordinate, (n,).
 
     Returns:
-        Those points of x and y, in their order.
+        Those points (k,) of x and y, in their order.
     """
     if len(x) <= POINTS_PER_CURVE:
         return x, y

@@ -153,7 +153,6 @@ def starred(text: str, misfit: object) -> str:
     """A modulus as a table shows it: with a star where Hertz does not fit.
 
     Args:
-        text: The modulus in words.
         misfit: The misfit, or whether there is one.
 
     Returns:
@@ -166,7 +165,7 @@ def star_note(misfits: Mapping[str, HertzMisfit | None]) -> str:
     """What the stars of a table mean, with the range over depth of each site; empty where Hertz fits all.
 
     Args:
-        misfits: The misfit of each site.
+        misfits: The misfit of each site; None where none shows.
     """
     ranges = [f"{site} {m['low_Pa'] / 1e3:.1f} to {m['high_Pa'] / 1e3:.1f} kPa" for site, m in misfits.items() if m is not None]
     return f"{STAR_MEANS} ({', '.join(ranges)})" if ranges else ""

@@ -63,7 +63,7 @@ def stiffening(depth_m: Floats, inclusion_m: float, contrast: Floats | float) ->
     Args:
         depth_m: Depths (...,) of presses in m.
         inclusion_m: Depth of the inclusion.
-        contrast: How much stiffer a deep press gets.
+        contrast: How much stiffer a deep press gets, one number or (...,).
 
     Returns:
         Factors (...,) on the force.

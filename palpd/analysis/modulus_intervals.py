@@ -95,7 +95,6 @@ def mean_ci95_Pa(measured: Sequence[Measured], surface_sigma_m: float | None, we
     the tip and of Poisson's ratio is not in it.
 
     Args:
-        measured: The moduli.
         surface_sigma_m: Standard deviation of the height of the surface; None where it is not known.
         weight: The weight at the tare.
 
@@ -119,9 +118,6 @@ def mean_sigma_N(force_N: Floats) -> float:
 
     Args:
         force_N: Forces (n,).
-
-    Returns:
-        The standard deviation in N.
     """
     if len(force_N) < 2:
         return 0.0

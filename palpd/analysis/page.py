@@ -16,7 +16,6 @@ def rendered_page(room: str, template: str, **content: Any) -> str:
     Args:
         room: Package that the template stands in.
         template: Name of its file; it puts `style` between its style tags.
-        **content: What it shows.
     """
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
     shared = files("palpd.analysis")

@@ -166,9 +166,6 @@ class Track:
 
         Args:
             chosen: True (n,) for the frames to keep.
-
-        Returns:
-            These frames.
         """
         return Track(*(getattr(self, name)[chosen] for name in self.__slots__))
 

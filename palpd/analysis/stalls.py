@@ -64,9 +64,6 @@ def _silences(now_s: Floats, newest_s: Floats, blind: Sequence[tuple[float, floa
         now_s: Times (n,) of the ticks.
         newest_s: Times (n,) of the newest data, NaN where a tick brought none.
         blind: Spans in which this computer could not have read it.
-
-    Returns:
-        One age a silence.
     """
     known = np.flatnonzero(np.isfinite(newest_s))
     if not len(known):

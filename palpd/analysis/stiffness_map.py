@@ -264,9 +264,6 @@ def read_presses(path: Path, where: Field) -> Survey:
 def write_presses(path: Path, survey: Survey) -> None:
     """Write a CSV file that `read_presses` reads.
 
-    Args:
-        survey: The presses.
-
     Raises:
         BadInput: The file cannot be written.
     """
@@ -278,10 +275,9 @@ def draw(survey: Survey, stiffness: Map, out: Path, truth: tuple[float, float, f
     """Write the map as a figure.
 
     Args:
-        survey: the presses.
         stiffness: the map that follows from them.
         out: the file; its suffix is the format.
-        truth: centre x, y and radius of an emulated inclusion in m, to be drawn too.
+        truth: centre x, y and radius of an emulated inclusion in m, to be drawn too; None draws none.
     """
     save_figure(figure_of(survey, stiffness, truth), out)
 
@@ -290,9 +286,8 @@ def figure_of(survey: Survey, stiffness: Map, truth: tuple[float, float, float] 
     """Three maps: the stiffness, its uncertainty, and the probability of a hard place.
 
     Args:
-        survey: the presses.
         stiffness: the map that follows from them.
-        truth: centre x, y and radius of an emulated inclusion in m, to be drawn too.
+        truth: centre x, y and radius of an emulated inclusion in m, to be drawn too; None draws none.
     """
     modulus_kPa = np.exp(stiffness.mean) * stiffness.background_Pa / 1e3
     depth_mm = survey.field_.depth_m * 1e3

@@ -33,7 +33,6 @@ class ContactFit:
     """Hertz fitted to a loading curve.
 
     Attributes:
-        youngs_modulus_Pa: Young's modulus.
         ci95_Pa: Its 95 % interval under this contact law; where the modulus changes with depth it covers that range too.
         contact_point_m: Height of the surface.
         contact_sigma_m: One standard deviation of that height.
@@ -70,9 +69,6 @@ def modulus_peak_Pa(force_N: float, depth_m: float, tip_radius_m: float, poisson
         tip_radius_m: Radius of the spherical tip, above zero.
         poisson_ratio: Poisson's ratio of the tissue.
 
-    Returns:
-        Young's modulus in Pa.
-
     Raises:
         BadInput: Depth or radius is not above zero.
     """
@@ -88,9 +84,6 @@ def modulus_hertz_Pa(force_N: float, depth_m: float, tip_radius_m: float, poisso
         depth_m: Indentation, above zero.
         tip_radius_m: Radius of the spherical tip, above zero.
         poisson_ratio: Poisson's ratio of the tissue.
-
-    Returns:
-        Young's modulus in Pa.
 
     Raises:
         BadInput: Depth or radius is not above zero.

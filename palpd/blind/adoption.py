@@ -20,7 +20,6 @@ class AdoptionOutcome:
 
     Attributes:
         law: Name of the law that the first recording gave; None where none was accepted, and nothing else is known.
-        what: The law in words.
         secondary: Whether the first recording named a listed cause, and the law only what that leaves.
         verdict: The verdict on the second recording.
         effects: The effects that it named.
@@ -62,7 +61,6 @@ def name_again(learned: Path, second: Samples, cell: CellFile, *, secondary: boo
     """Adopt a learned law into a library of its own, and diagnose another recording with that.
 
     Args:
-        learned: The file of the law.
         second: Another recording of the cell that gave it.
         cell: The cell as the simulator knows it.
         secondary: Whether the law is only what a named listed cause leaves.
@@ -93,7 +91,6 @@ def recorded(noise_free: Samples, cell: CellFile, seed: int) -> Samples:
 
     Args:
         cell: The cell, which states both.
-        seed: Seed of the noise.
     """
     r, robot, sensor = np.random.default_rng([seed, 19]), cell.robot, cell.sensor
     n = len(noise_free)

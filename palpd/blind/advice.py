@@ -105,7 +105,6 @@ def run(cases: int, seed: int, *, jobs: int = 1, progress: Callable[[int], None]
     """Draw cells until enough of them are left open by their first recording, and compare both second motions on each.
 
     Args:
-        cases: Number of open cases.
         seed: The same seed draws the same cells.
         jobs: Number of processes.
         progress: Called with the number of open cases.
@@ -139,7 +138,6 @@ def compare(seed: int, index: int) -> Comparison | None:
 
     Args:
         seed: Seed of the check.
-        index: Number of the cell.
 
     Returns:
         The comparison, or None where the first recording leaves nothing open that a motion is advised for.

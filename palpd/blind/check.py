@@ -81,7 +81,7 @@ def make_case(
         recordings: Folder that the diagnosis sees.
         sealed: Folder that it does not see.
         hosts: Where injected cases find their recordings.
-        ablation: What is taken away from the diagnosis.
+        ablation: What is taken away from the diagnosis; None: nothing.
 
     Returns:
         SHA-256 of every file, by `folder/name`.
@@ -161,9 +161,9 @@ def run(
         unlisted: Number of further cases of each source with an effect outside the list.
         coarse: Number of further cases of each source with coarse steps.
         jobs: Number of processes.
-        ablation: What is taken away from the diagnosis.
+        ablation: What is taken away from the diagnosis; None: nothing.
         keep: New folder for recordings, answers and truths; None: they are removed.
-        resume: File that takes every scored batch; batches that it holds are not run again.
+        resume: File that takes every scored batch; batches that it holds are not run again. None: no such file.
         calibrated: Whether the answers state probabilities by the fitted map; the engine's own otherwise.
         progress: Called with the number of scored cases.
 

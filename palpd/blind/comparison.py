@@ -22,7 +22,7 @@ def load_ablations(paths: Sequence[Path], seed: int) -> list[CheckResult]:
 
     Args:
         paths: JSON files of blind checks with --ablation.
-        seed: Seed of the check of the whole method.
+        seed: The one that drew the cells of the whole method's check.
 
     Raises:
         BadInput: Where a check drew other cells, or nothing was taken away in it.

@@ -44,9 +44,6 @@ class Detectability:
 
         Heights are compared with the servo's, wrenches with those of a cell without the effects that makes the same motion.
 
-        Args:
-            planted: Laws with their parameters.
-
         Returns:
             The change (m, 7), columns as in CHANNELS.
         """
@@ -130,7 +127,7 @@ class Detectability:
 
     @cached_property
     def phases(self) -> Ints:
-        """The phase of every row, index into PHASES."""
+        """The phase of every row (m,), index into PHASES."""
         v = np.gradient(self.motion.at(self.t_s), self.t_s)
         moving = np.abs(v) > min(1e-3, 0.05 * float(np.percentile(np.abs(v), 95)))
         contact = self.plain_rows[:, 0] < self.cell.surface_z_m
@@ -211,13 +208,12 @@ def nearest_law(
     Shapes are drawn, strengths fitted in proportion; the best ones are then fitted in all their parameters.
 
     Args:
-        detectability: The cell and motion.
         target: The whitened change (7k,).
         scales: Characteristic sizes of the cell.
-        seed: Seed of the drawn shapes.
         without: Effects that may not be used.
         only: The one effect that may be used; None: all.
-        like: Parameters of the law that made the change; one start takes those that the listed law has too.
+        like: Parameters of the law that made the change; one start takes those that the listed law has too. None: all starts are
+            drawn.
 
     Returns:
         Effect (empty where none helps), parameters, and the SNR of the residual that it leaves.

@@ -57,7 +57,6 @@ def measured(
         run: The noise-free run on the fine grid.
         motion: The commanded motion.
         t_s: Times of the rows in s (m,).
-        planted: Planted laws with their parameters.
         robot_rate_Hz: Rate of the robot; below the sensor's rate, heights are interpolated.
 
     Returns:
@@ -84,9 +83,6 @@ def laws_of(kind: CaseKind, effect: str) -> list[Law]:
 
     Args:
         effect: Id of the effect.
-
-    Returns:
-        Laws of that effect.
     """
     table = {"library": LIBRARY_LAWS, "foreign": FOREIGN_LAWS, "novel": NOVEL_LAWS}.get(kind, LIBRARY_LAWS + FOREIGN_LAWS)
     return [law for law in table if law.effect == effect]
@@ -124,7 +120,6 @@ def plant(r: np.random.Generator, detectability: Detectability, law: Law, snrs: 
     """Draw a law's shape and scale it to a drawn signal-to-noise ratio.
 
     Args:
-        detectability: The cell and motion.
         snrs: Range of the ratio.
 
     Raises:
@@ -147,7 +142,6 @@ def describe(plants: Sequence[FittedLaw], detectability: Detectability) -> list[
 
     Args:
         plants: The laws with their sizes.
-        detectability: The cell and motion.
 
     Returns:
         One entry a law.
@@ -223,13 +217,9 @@ def true_change_of(run: SimulatedRun, z_cmd_m: Floats, t_s: Floats, change: Floa
     """What planted effects change, on the noise-free motion.
 
     Args:
-        run: The noise-free run with the effects.
         z_cmd_m: Commanded heights (m,).
         t_s: Times of the rows (m,).
         change: The change (m, 7).
-
-    Returns:
-        The change with its motion.
     """
     z, v = (np.interp(t_s, run.t_s, x) for x in (run.z_m, run.vz_m_per_s))
     return TrueChange(Samples(t_s, z_cmd_m, z, v, np.zeros((len(t_s), 6))), change)

@@ -153,7 +153,7 @@ class PressedMotion(Protocol):
         """
 
     def on_grid(self, dt_s: float) -> tuple[Floats, Floats, Ints]:
-        """Times, commanded heights and presses at even steps over the whole motion."""
+        """Times, commanded heights and presses (n,) at even steps over the whole motion."""
 
     def departure(self, dt_s: float) -> Departure | None:
         """What a recorded cell does besides; None for a drawn one."""
@@ -206,7 +206,7 @@ class DrawnMotion:
         return np.asarray(np.searchsorted(self.press_begin_s, t_s, side="right") - 1)
 
     def on_grid(self, dt_s: float) -> tuple[Floats, Floats, Ints]:
-        """Times, commanded heights and presses at even steps over the whole motion."""
+        """Times, commanded heights and presses (n,) at even steps over the whole motion."""
         if dt_s not in self._grids:
             t = np.arange(0.0, self.duration_s + dt_s, dt_s)
             self._grids[dt_s] = (t, self.at(t), self.press(t))

@@ -131,7 +131,6 @@ def simulated_host(seed: int, index: int) -> Host:
 
     Args:
         seed: Seed of the check.
-        index: Number of the host.
     """
     from palpd.blind.mujoco_cells import draw_healthy
 
@@ -263,8 +262,6 @@ def changed(samples: Samples, detectability: Detectability, planted: Sequence[Pl
 
     Args:
         samples: The recording, m rows.
-        detectability: Its cell and motion.
-        planted: Laws with their parameters.
         random: Generator of added noise; None adds none.
 
     Returns:

@@ -99,7 +99,6 @@ def law_outcome(truth: Truth, diagnosis: Mapping[str, Any], learned_file: Path, 
     Args:
         truth: The truth of the case.
         diagnosis: The content of its JSON file.
-        learned_file: The file of the learned law.
         enriched: The enriched cell.
         change_file: What the planted effect changes, as `write_true_change` wrote it.
     """
@@ -174,7 +173,6 @@ def coverage(true: TrueChange, terms: Sequence[Mapping[str, Any]], enriched: Pat
     """Share of the rows at which the true change lies in the band of a law.
 
     Args:
-        true: What the true law changes.
         terms: The terms of the learned law, as in its file.
         enriched: The enriched cell, which holds the law.
 

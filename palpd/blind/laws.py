@@ -168,7 +168,6 @@ def one_pole(u: Floats, dt_s: float, cutoff_Hz: float) -> Floats:
     Args:
         u: Signals (n,) or (n, k).
         dt_s: Step in s.
-        cutoff_Hz: Cutoff in Hz.
 
     Returns:
         The filtered signals, in the shape of u.
@@ -204,7 +203,6 @@ def delayed(u: Floats, dt_s: float, late_s: float) -> Floats:
     Args:
         u: Signal (n,).
         dt_s: Step in s.
-        late_s: Delay in s.
 
     Returns:
         The delayed signal (n,).

@@ -81,10 +81,6 @@ def draw_healthy(seed: int, index: int) -> MujocoCase:
 
     Args:
         seed: Seed of the check.
-        index: Number of the cell.
-
-    Returns:
-        The cell.
 
     Raises:
         CannotDraw: No cell is within tolerance.

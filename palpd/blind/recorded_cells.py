@@ -139,7 +139,7 @@ class RecordedMotion:
         return np.interp(t_s, self.t_s, self._smooth(s.z_m, MOTION_HZ) if s.z_cmd_m is None else s.z_cmd_m)
 
     def on_grid(self, dt_s: float) -> tuple[Floats, Floats, Ints]:
-        """Times, commanded heights and presses at even steps over the whole motion."""
+        """Times, commanded heights and presses (n,) at even steps over the whole motion."""
         if dt_s not in self._grids:
             t = np.arange(0.0, self.t_s[-1] + dt_s, dt_s)
             self._grids[dt_s] = (t, self.at(t), np.searchsorted(self.press_begin_s, t, side="right") - 1)

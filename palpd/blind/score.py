@@ -130,9 +130,8 @@ def score_case(recordings: Path, sealed: Path, spec: CaseSpec) -> CaseOutcome:
     """Compare the answer to one case with its truth.
 
     Args:
-        recordings: Folder of the recordings and answers.
-        sealed: Folder of the truths.
-        spec: What the case is.
+        recordings: Where each case has its recording and its answer.
+        sealed: Where each case has its truth.
 
     Returns:
         What was planted, what was named, and whether each answer is right.

@@ -25,7 +25,6 @@ def simulate(
     Args:
         deviations: Where the cell lies within its tolerances.
         motion: Commanded motion.
-        planted: Laws with their parameters.
         dt_s: Step of the grid in s.
         reported: A run whose motion drives this one; None: the servo does.
 
@@ -126,7 +125,7 @@ def rows(w: SimulatedRun, t_s: Floats, planted: Sequence[Planted] = (), random: 
     Args:
         t_s: Times of the rows in s (m,).
         planted: Laws with their parameters; those at the stage `row` are applied here.
-        random: Generator for such laws.
+        random: Generator for such laws; None: one of seed 0.
 
     Returns:
         Rows (m, 7), columns as in CHANNELS.

@@ -77,9 +77,9 @@ def names(
 
     Args:
         quantities: Quantities of the driver.
-        memory: Memory of the driver.
+        memory: Memory of the driver; None: without.
         constant: Constant of the memory, in SI units; None: any.
-        period: Period of the curve, in the unit of the driver.
+        period: Period of the curve, in the unit of the driver; None: without.
     """
     each = product(factors, quantities)
     return [LawName(channel=channel, factor=f, quantity=q, memory=memory, constant=constant, period=period) for f, q in each]

@@ -183,8 +183,8 @@ class OpenParameter(StrictBlock):
         name: `<effect>.<parameter>`, or `estimated.<deviation>`, where crosstalk has the names of CROSSTALK.
         scale: `linear`, `log` (of the value), `log1p` (of one plus the value, for relative deviations), or `angle` (in one turn).
         sd: Standard deviation on that scale.
-        lower: Least value.
-        upper: Largest value.
+        lower: Least value; None: no bound.
+        upper: Largest value; None: no bound.
     """
 
     name: Annotated[str, Field(pattern=r"^[\w.]+\.\w+$")]
@@ -341,7 +341,7 @@ class CellFile(StrictBlock):
         return self.model_copy(update={"effects": effects})
 
     def with_estimated(self, estimated: Estimated | None) -> "CellFile":
-        """The same cell with these in-tolerance deviations."""
+        """The same cell with these in-tolerance deviations; None: without any."""
         return self.model_copy(update={"estimated": estimated})
 
 
@@ -388,7 +388,6 @@ def load_cell(path: str | Path, library: Mapping[str, Effect] = EFFECTS) -> Cell
     """Read a cell file.
 
     Args:
-        path: File to read.
         library: Effects that the cell may have, by id.
 
     Raises:
@@ -417,10 +416,6 @@ def parse_cell(values: object, where: str, library: Mapping[str, Effect] = EFFEC
 
 def save_cell(path: str | Path, cell: CellFile) -> None:
     """Write a cell file that `load_cell` reads back equal.
-
-    Args:
-        path: File to write.
-        cell: Cell to write.
 
     Raises:
         BadInput: Where the file cannot be written.

@@ -15,8 +15,6 @@ def drawn_cells(cell: CellFile, count: int, seed: int) -> list[CellFile]:
 
     Args:
         cell: A cell with its uncertainty, as a diagnosis writes it.
-        count: Number of cells.
-        seed: Seed of the draws.
 
     Returns:
         The cells, without uncertainty.
@@ -42,7 +40,6 @@ def drawn_cell(cell: CellFile, hypothesis: OpenHypothesis, rng: np.random.Genera
 
     Args:
         hypothesis: What it may be.
-        rng: Source of the draws.
 
     Returns:
         The cell, without uncertainty.

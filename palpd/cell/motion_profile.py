@@ -14,7 +14,6 @@ class Move:
     """Go to a height, then rest there.
 
     Attributes:
-        z_m: Height to go to.
         speed_m_per_s: Largest speed on the way; a short way ends before it is reached.
         rest_s: Time at that height afterwards.
         acceleration_m_per_s2: Acceleration and deceleration.

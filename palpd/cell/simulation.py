@@ -22,6 +22,7 @@ from palpd.errors import ConfigError
 
 WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 Library = Mapping[str, Effect]
+"""Effects by id."""
 Followed = dict[tuple[float, float], tuple[Floats, Floats, Floats]]
 
 
@@ -57,7 +58,6 @@ def physics(cell: CellFile, place: Place | None = None, library: Library = EFFEC
 
     Args:
         place: A site of the cell, or None for the cell's own tissue.
-        library: Effects by id.
         begun: False leaves out what counts from the first row of a recording.
 
     Returns:
@@ -341,9 +341,9 @@ def commanded_motion(
     Args:
         t_s: Times (n,) in s.
         z_cmd_m: Commanded heights (n,) in m.
-        library: Effects by id.
         begin_s: Time of the recording's first row, from which effects count; None for the first of `t_s`.
-        followed: What the servo made of the same heights before, by its natural frequency and damping ratio; the newest is kept there.
+        followed: What the servo made of the same heights before, by its natural frequency and damping ratio; the newest is kept there. None
+            keeps nothing.
 
     Returns:
         The true motion of the tip.
@@ -374,7 +374,6 @@ def predict_motion(
     Args:
         t_s: Times (n,) in s.
         z_cmd_m: Commanded heights (n,) in m.
-        library: Effects by id.
         begin_s: As in `commanded_motion`.
         followed: As in `commanded_motion`.
 
@@ -403,7 +402,7 @@ class MeanReading:
         """The reading with something added to some axes, which leaks into no other.
 
         Args:
-            more: What to add by axis.
+            more: What to add (n,) by axis.
         """
         return replace(self, own=self.own | {axis: self.own.get(axis, 0.0) + values for axis, values in more.items()})
 
@@ -412,7 +411,6 @@ class MeanReading:
 
         Args:
             average: Takes an axis of all samples to n values.
-            n: Number of these values.
 
         Returns:
             The axes (6, n).
@@ -436,7 +434,6 @@ def mean_reading(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, 
 
     Args:
         motion: Motion of the tip, n samples.
-        library: Effects by id.
         site: Name of a site of the cell, or None for the cell's own tissue.
     """
     what = physics(cell, place_named(cell, site), library)
@@ -465,7 +462,6 @@ def wrench_of(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, sit
 
     Args:
         motion: Motion of the tip, n samples.
-        library: Effects by id.
         site: Name of a site of the cell, or None for the cell's own tissue.
 
     Returns:
@@ -493,7 +489,6 @@ def predict_wrench(
         t_s: Times (n,) in s.
         z_m: Reported heights (n,) in m.
         vz_m_per_s: Reported speeds (n,), or None to take them from the heights.
-        library: Effects by id.
         site: Name of a site of the cell, or None for the cell's own tissue.
 
     Returns:
@@ -523,7 +518,6 @@ def simulate(
         z_m: Reported heights (n,) in m, or None to simulate them.
         vz_m_per_s: Reported speeds (n,), or None to simulate them.
         noise_seed: Seed of the noise on sensor and simulated motion, with readings rounded to their steps; None for no noise.
-        library: Effects by id.
         site: Name of a site of the cell, or None for the cell's own tissue.
 
     Returns:
@@ -560,8 +554,6 @@ def capture(cell: CellFile, library: Library, site: Site, run: Callable[[CellFil
     """The samples of a simulation at one stage.
 
     Args:
-        library: Its effects.
-        site: The stage.
         run: Simulates a cell with a library.
 
     Returns:
@@ -590,10 +582,9 @@ def share_outside(
 
     Args:
         t_s: Times (n,) in s.
-        z_cmd_m: Commanded heights (n,) in m.
+        z_cmd_m: Commanded heights (n,) in m; None needs `z_m`.
         z_m: Reported heights (n,) in m, or None to simulate them.
         vz_m_per_s: Reported speeds (n,), or None to simulate them.
-        library: Effects by id.
 
     Returns:
         Share of the samples outside the range, by learned effect.
@@ -616,7 +607,6 @@ def true_surface_m(cell: CellFile, site: str | None = None, library: Library = E
 
     Args:
         site: Name of a site of the cell, or None for the cell's own tissue.
-        library: Effects by id.
 
     Returns:
         Height in m; -inf with nothing in reach.
@@ -631,10 +621,6 @@ def equilibrium_force_N(cell: CellFile, depth_m: float, site: str | None = None,
     Args:
         depth_m: Depth below the true surface.
         site: Name of a site of the cell, or None for the cell's own tissue.
-        library: Effects by id.
-
-    Returns:
-        Force in N.
     """
     what = physics(cell, place_named(cell, site), library)
     c = what.constants
@@ -840,9 +826,6 @@ class MovedCell:
             t_s: Time since the recording began.
             dt_s: Time since the sample before.
             motion: Height in m, speed in m/s and acceleration in m/s² of the robot.
-
-        Returns:
-            The force.
         """
         if t_s > self._t_s:
             self._before = _copy(self._memory)

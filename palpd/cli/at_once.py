@@ -146,10 +146,10 @@ def now_lines(now: "KnownNow | None") -> list[str]:
     """Say what stands, and the command that is sensible next.
 
     Args:
-        now: What the daemon says of it.
+        now: What the daemon says of it; None from a daemon of an older version.
 
     Returns:
-        One line; none from a daemon of an older version.
+        One line, or none.
     """
     if now is None:
         return []
@@ -240,9 +240,6 @@ def speak(request: "ControlRequest", config: Path, socket: Path | None) -> "Cont
         request: What to do, as the control socket takes it.
         config: config.yaml, which says where the daemon listens.
         socket: Control socket in place of the one of `config`.
-
-    Returns:
-        The answer of the daemon.
 
     Raises:
         PalpdError: Where no daemon answers, or it refuses, or `config` cannot be read.

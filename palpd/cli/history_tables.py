@@ -83,7 +83,6 @@ def info_lines(recording: "Recording", facts: "RunFacts", remarks: "Remarks") ->
     """What `palpd info` prints before the table of moduli, and behind it.
 
     Args:
-        facts: What it says.
         remarks: Tags and notes.
 
     Returns:
@@ -131,7 +130,7 @@ def modulus_trend_table(points: "Sequence[ModulusPoint]", site: str) -> Table:
 
 
 def effect_trend_table(effects: "Mapping[tuple[str, str], tuple[list[EffectPoint], Slope | None]]") -> Table:
-    """The parameters of effects that diagnoses have named, over the days."""
+    """The parameters of effects that diagnoses have named, over the days, as `effect_trend` gives them."""
     table = _table("Named effects over the days", "began", "run", "effect", "parameter", "value", "95 %", "probability")
     for points, _ in effects.values():
         for point in points:

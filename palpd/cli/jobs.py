@@ -20,7 +20,6 @@ def carried_out(
     """Carry out a program where it belongs.
 
     Args:
-        name: Name of the program.
         arguments: Its arguments, as a request to the service holds them.
         config: Configuration of the cell.
         kept: File or folder that the program keeps in the foreground; a job of the service keeps its own, in the service's runs.

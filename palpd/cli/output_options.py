@@ -35,7 +35,7 @@ class Output(NamedTuple):
     beside: tuple[str, ...] = ()
 
     def check(self, path: Path | None) -> None:
-        """Refuse a place that cannot be written, or that holds what may not be replaced. Raises BadInput."""
+        """Refuse a place that cannot be written, or that holds what may not be replaced; None: nothing is written. Raises BadInput."""
         if path is None:
             return
         if check := _CHECKS.get(self.kind):

@@ -48,9 +48,6 @@ def find_cycles(recordings: Sequence[Samples], step_s: float, sensor_delay_s: fl
         step_s: Time between samples of a cycle.
         sensor_delay_s: Delay with which the sensor's filter shows a force.
 
-    Returns:
-        The cycles of all recordings.
-
     Raises:
         RecordingError: A recording moves too little, differs from the first, or holds no whole cycle.
     """

@@ -134,7 +134,6 @@ def write_model(out: Path, content: bytes, card: ModelCard) -> None:
     """Write a model and its card beside it.
 
     Args:
-        out: File of the model.
         content: The model as ONNX.
 
     Raises:

@@ -45,7 +45,6 @@ def refuse_contact(number: int, samples: Samples, probe_mass_kg: float) -> None:
 
     Args:
         number: Number of the recording, from 1.
-        probe_mass_kg: Mass of the probe, for the inertia.
 
     Raises:
         RecordingError: The recording is too short, or something was touched.

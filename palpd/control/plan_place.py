@@ -53,7 +53,7 @@ def question(last: PlanPlace | None, x_m: float, y_m: float, choice: Choice | No
         last: Place of the last palpation.
         x_m: Tip in base axes.
         y_m: Tip in base axes.
-        choice: What the operator has answered.
+        choice: What the operator has answered; None: nothing yet.
 
     Returns:
         The sentence, without the answers.

@@ -198,9 +198,6 @@ def expected_drift_N(age_s: float, drift_N_per_min: float) -> float:
     Args:
         age_s: Age of the reference; a negative one means that the clock was set back.
         drift_N_per_min: Drift within tolerance.
-
-    Returns:
-        The force in N.
     """
     return min(max(abs(age_s) / 60.0 * drift_N_per_min, SMALLEST_DRIFT_N), LARGEST_DRIFT_N)
 

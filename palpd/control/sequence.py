@@ -427,11 +427,7 @@ class Palpation(Script):
             yield from self.travel(self.home[0], self.home[1], Phase.RETURN)
 
     def go_back(self, start_m: tuple[float, float, float]) -> Steps:
-        """Go to where an unfinished run began, and take that as home: straight up to its greatest height, then sideways, then down.
-
-        Args:
-            start_m: where it began.
-        """
+        """Go to where an unfinished run began, and take that as home: straight up to its greatest height, then sideways, then down."""
         self.note(phase=Phase.RETURN)
         yield from self.go_to(max(self.top_z_m, self.home[2]), self.arm.max_speed_m_per_s)
         yield from self.come_to_rest()
@@ -619,7 +615,6 @@ class Palpation(Script):
         """Go back to the safe height; a pause waits until the tip is there.
 
         Args:
-            surface_z_m: height of the surface.
             speed_m_per_s: speed of the way.
         """
         self.note(phase=Phase.RETRACT)

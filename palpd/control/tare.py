@@ -33,7 +33,6 @@ def base_from_sensor(rotation_vector_rad: tuple[float, ...], about_flange_z_rad:
 
     Args:
         rotation_vector_rad: axis-angle vector (3,) of a UR pose.
-        about_flange_z_rad: mounting angle of the sensor about the flange's z.
 
     Returns:
         Rotation matrix (3, 3) as rows.

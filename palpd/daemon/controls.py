@@ -46,7 +46,7 @@ class Controls:
             now_s: The time.
 
         Returns:
-            The token of the lease, and who lost the controls by it.
+            The token of the lease, and who lost the controls by it; None where nobody held them.
 
         Raises:
             BadInput: The name is none.

@@ -218,7 +218,6 @@ def true_modulus_Pa(cell: CellFile, site: str, plan: Plan) -> float:
 
     Args:
         cell: The emulated cell.
-        plan: The plan, for its depths.
 
     Returns:
         Young's modulus in Pa.
@@ -269,7 +268,7 @@ def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, model: str =
         folder: Folder for the cell file, the recordings and the stored state.
         plan: The plan that the limits have to allow.
         model: ur5 or ur5e.
-        effects: Python file with effects that the cell names.
+        effects: Python file with effects that the cell names; None: it names no user's effects.
 
     Yields:
         The configuration of a daemon that is wired to the emulated cell.

@@ -106,7 +106,6 @@ def leave_within(patience_s: float, sentence: str, exit_code: int) -> None:
     Args:
         patience_s: Time that is left for tables and files.
         sentence: What is printed in their place.
-        exit_code: Exit code of the process.
     """
     _Received.last_sentence, _Received.last_code = sentence, exit_code
     if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGALRM) is _leave:

@@ -41,7 +41,6 @@ def carried_out_by_service(
 
     Args:
         path: The control socket.
-        name: Name of the program.
         display: Shows the log and the progress of each run.
         agree: Asks whoever sits at the terminal.
 

@@ -259,7 +259,6 @@ def carried_out(host: _WorkerHost, order: WorkerOrder) -> ProgramEnd:
 
     Args:
         host: Passes its wishes on.
-        order: The program.
 
     Returns:
         How it ended; an error is an end too.

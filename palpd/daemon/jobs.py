@@ -117,7 +117,6 @@ class Jobs:
         """Note a job that is a single run without a program, such as that of `palpd start`.
 
         Args:
-            kind: Kind of the run.
             by: Who asked for it, for people.
 
         Returns:
@@ -177,7 +176,7 @@ class Jobs:
     # --- what the service does -----------------------------------------------------------------------------------------------
 
     def hear(self) -> RunRequest | None:
-        """Read what the worker has sent. Returns a run that it asks for."""
+        """Read what the worker has sent. Returns a run that it asks for, or None."""
         self._killed = [worker for worker in self._killed if not worker.gone]
         if self._worker is None or self.current is None:
             return None

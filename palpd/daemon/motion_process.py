@@ -92,12 +92,11 @@ class Job:
 
     Attributes:
         kind: What to do.
-        config: The configuration of the cell.
         plan: The plan of a palpation.
         dry: Whether to read the devices and command nothing.
         reference: Tare (6,) of the last calibration; None: the job takes its own.
         machine_stiffness_N_per_m: Stiffness of sensor, mount and arm; None: rigid.
-        reference_serial: The sensor of the reference.
+        reference_serial: The sensor of the reference; None where nobody knows.
         reference_date: When that was taken; None where nobody knows.
         returns_to_start: A palpation that is done returns to its start pose; in the recordings of earlier versions it did not.
         pauses_in_place: A pause stands still instead of leaving the tissue, as in the recordings of earlier versions.
@@ -106,7 +105,7 @@ class Job:
         probe: What is known of the probe from before; None asks nothing of the tare.
         confirmed: An operator's word stands for a doubtful reference.
         unfinished: A retract goes up at any force, at least to `clear_z_m` where that is known.
-        clear_z_m: Height that clears the highest surface of the unfinished run.
+        clear_z_m: Height that clears the highest surface of the unfinished run; None where that is not known.
         last: Place of the palpation before.
         choice: What the operator answered where that one was not finished.
         back_to_m: Start pose that a palpation goes to before it begins, not below `top_z_m` on its way.
@@ -484,7 +483,7 @@ class TareJudge:
             wrench: The tare (6,), in the sensor's axes.
 
         Returns:
-            The sentence.
+            The sentence, or None.
         """
         if self._job.probe is None or self._job.kind not in JUDGE_TARE or (self._job.dry and self._job.kind != "check"):
             return None

@@ -76,10 +76,6 @@ def overshoot_N(config: Config, speed_m_per_s: float, stiffness_N_per_m: float) 
 
     Args:
         speed_m_per_s: Speed of the press.
-        stiffness_N_per_m: Stiffness of the wall.
-
-    Returns:
-        The overshoot in N.
     """
     sensor = config.cell.sensor
     noise_N = 3.0 * sensor.noise_rms_N + sensor.resolution_fz_N
@@ -113,7 +109,6 @@ def predicted(config: Config, plan: Plan) -> OvershootForecast:
 
     Args:
         config: The configuration, for limits and delays.
-        plan: The plan, for its speeds.
 
     Returns:
         The forecast of `palpd check-config`.

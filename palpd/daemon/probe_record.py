@@ -13,7 +13,7 @@ def identity_of(config: Config, about: RunAbout | None = None) -> ProbeIdentity:
     """Sensor, probe and TCP as the configuration and the opened devices tell.
 
     Args:
-        about: What the opened devices say of themselves.
+        about: What the opened devices say of themselves; None: the serial number of the sensor is not known.
     """
     probe = config.cell.probe
     return ProbeIdentity(

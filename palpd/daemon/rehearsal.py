@@ -87,7 +87,6 @@ def rehearse(
     """Carry out a sequence on a simulated cell, with the code, the model and the limits of the coming run.
 
     Args:
-        config: The configuration of the run.
         sequence: A sequence of its own, of a `short` plan.
         explainer: The explainer of the run; it is copied.
         limits: The guard's limits of the run; its workspace is left out.

@@ -105,8 +105,8 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
     """Make every decision of a recorded run again.
 
     Args:
-        recording: The run.
         config: Another configuration to judge it by; then decisions may differ, and the first difference is named.
+            None: the recording's own.
 
     Returns:
         Whether the decisions are identical, and the figures of the replay.

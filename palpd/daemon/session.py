@@ -188,7 +188,7 @@ class ForegroundHost:
         Args:
             kind: What to do.
             plan: The plan of a palpation.
-            recording: File to record to.
+            recording: File to record to; None: a name by time and kind.
             take_reference: Whether the run takes its own reference tare.
 
         Returns:
@@ -274,7 +274,7 @@ def kept_in(folder: Path, kind: str | None = None) -> Path:
 
     Args:
         folder: The folder, which must be empty unless force is given; with `kind` its parent.
-        kind: Name of the command: the folder is then called so, with the time.
+        kind: Name of the command: the folder is then called so, with the time. None: `folder` itself.
 
     Returns:
         The absolute path.

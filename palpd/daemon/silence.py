@@ -20,7 +20,6 @@ def explained(trips: Sequence[TripReport], at_s: float, period_s: float, witness
     Args:
         trips: The guard's verdicts, as they are reported.
         at_s: Time of the last tick.
-        period_s: Period of the ticks.
         witness: The witness of this computer, after it was heard.
 
     Returns:

@@ -73,7 +73,7 @@ def run(
         home_above_m: Height above the surface at which the arm begins.
         library: Effects that the cell file may name.
         behind: Another sensor that reads through the simulated one.
-        about: What such a sensor says of itself.
+        about: What such a sensor says of itself; None: nothing.
         show: Shows how many seconds of the run are simulated, every SHOWN_S.
 
     Returns:

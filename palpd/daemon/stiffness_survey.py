@@ -83,7 +83,6 @@ def mapped(where: Field, out: Path, emulated: bool, seed: int, display: Display,
     Args:
         out: The picture.
         emulated: Whether to press on emulated wires instead of in simulation.
-        seed: Seed of the field.
         display: Shows the presses.
         most: Largest number of presses.
 
@@ -102,8 +101,6 @@ def surveyed(press: Press, where: Field, out: Path, display: Display, most: int 
 
     Args:
         press: Presses one place and returns its modulus in Pa.
-        out: The picture.
-        display: Shows the presses.
         most: Largest number of presses.
 
     Returns:

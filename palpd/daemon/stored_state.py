@@ -113,7 +113,7 @@ class State:
         return stiffness
 
     def latch(self) -> Latch | None:
-        """The reason of a stop that no operator has cleared; a file that cannot be read is one too."""
+        """The reason of a stop that no operator has cleared; a file that cannot be read is one too. None where there is none."""
         try:
             values = self._read("latch")
             return Latch(**values) if values is not None else None
@@ -129,7 +129,6 @@ class State:
 
         Args:
             name: Name of the file, without `.json`.
-            thing: What it holds.
 
         Raises:
             Refused: The file cannot be written.
@@ -144,7 +143,7 @@ class State:
             raise Refused(f"{error}; make room there, or run as the service's user") from error
 
     def clear_latch(self) -> Latch | None:
-        """Clear the latch, which only an operator may do, and return what it was."""
+        """Clear the latch, which only an operator may do, and return what it was; None where there was none."""
         latch = self.latch()
         self.forget("latch")
         return latch

@@ -421,7 +421,6 @@ def place_of(job: Job, pose: tuple[float, ...], name: str) -> PlanPlace:
     """Where the sites of a palpation count from.
 
     Args:
-        job: The palpation.
         pose: Pose (6,) of the tip before it moves.
         name: Name of the run.
 
@@ -514,7 +513,7 @@ def wait(run: JobRun, on_poll: Callable[[], None] | None = None, poll_s: float =
     """Poll a run until it is over. If `on_poll` fails, the run is aborted, and the error raised when the arm is at rest.
 
     Args:
-        on_poll: Called after each poll that found the run still under way.
+        on_poll: Called after each poll that found the run still under way; None: no call.
         poll_s: Pause between two polls.
 
     Returns:

@@ -74,7 +74,7 @@ class Obstacle:
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Where everything stands.
+    """Where everything stands; None for what there is not.
 
     Attributes:
         armed: Whether the next start moves the arm.

@@ -117,7 +117,7 @@ def emulated(folder: Path, model: str, cell: Path, host: str, effects: Path | No
         model: ur5 or ur5e.
         cell: Cell file of what the arm presses.
         host: Address that the controller listens on.
-        effects: Python file with a user's effects that the cell file names.
+        effects: Python file with a user's effects that the cell file names; None: it names none.
 
     Returns:
         The context; it yields the addresses of both devices.

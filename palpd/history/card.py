@@ -48,9 +48,6 @@ def _hertz(site: SiteResult) -> str:
 def tare_and_guard(recording: Recording, facts: RunFacts) -> tuple[str, str]:
     """How far the zero and its reference can be believed, and how near the forces came to their limits.
 
-    Args:
-        facts: What it says.
-
     Returns:
         The sentences on the tare and on the guard.
     """

@@ -178,9 +178,6 @@ class Catalogue:
     def keep(self, recording: StoredRecording, facts: RunFacts) -> None:
         """Take up a recording of the folder that was read already.
 
-        Args:
-            facts: What it says.
-
         Raises:
             Refused: Another process keeps the catalogue busy.
         """

@@ -80,7 +80,6 @@ def merged(points: Course, size: int) -> Course:
 
     Args:
         points: Points (n,).
-        size: Number of neighbours.
 
     Returns:
         Points (ceil(n / size),).

@@ -32,9 +32,6 @@ class Ticks(NamedTuple):
 
         Args:
             chosen: True (n,) for the ticks to keep.
-
-        Returns:
-            These ticks.
         """
         return Ticks(self.now_s[chosen], self.phase[chosen], self.mode[chosen], self.site[chosen], self.depth_m[chosen])
 

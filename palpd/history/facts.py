@@ -137,9 +137,6 @@ def _deviations(recording: Recording, measured: list[SiteResult]) -> list[str]:
 def load(path: Path) -> tuple[Recording, RunFacts]:
     """Read a recording and gather what it says.
 
-    Args:
-        path: The recording.
-
     Raises:
         RecordingError: It cannot be read, is no recording of palpd, or was removed meanwhile.
     """

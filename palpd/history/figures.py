@@ -113,7 +113,7 @@ def draw_forces(figure: Drawing, recording: Recording, sites: Sequence[SiteResul
     Args:
         figure: Where it is drawn.
         recording: Recording of a palpation.
-        beside: Another recording; its presses are drawn at the sites with the same names.
+        beside: Another recording; its presses are drawn at the sites with the same names. None: only the first.
     """
     curves, tip = press_curves(recording), recording.header["body"]
     others = {} if beside is None else dict(zip((site["name"] for site in beside.header["sites"]), press_curves(beside), strict=True))
@@ -151,7 +151,6 @@ def draw_map(figure: Drawing, places_m: Floats, sites: Sequence[SiteResult]) -> 
     """Where the sites lie and how stiff each is: a stiffness map.
 
     Args:
-        figure: Where it is drawn.
         places_m: Their places (n, 2) along the base's axes.
         sites: Their results (n).
     """

@@ -82,8 +82,6 @@ def remark(recording: Path, date: str, tags: Sequence[str] = (), untag: Sequence
     Args:
         recording: Its recording, which must exist.
         date: Date and time of now, ISO 8601.
-        tags: Tags to add.
-        untag: Tags to take away.
         note: A note to add; empty for none.
 
     Returns:

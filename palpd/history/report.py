@@ -80,8 +80,8 @@ def report_of(recording: Path, beside: Path | None = None, history: Mapping[str,
 
     Args:
         recording: The recording of the run.
-        beside: The recording of a run to compare it with.
-        history: Points of the catalogue by site, for the trend.
+        beside: The recording of a run to compare it with; None for none.
+        history: Points of the catalogue by site, for the trend; None: no trend.
 
     Returns:
         The parts of the report.
@@ -97,10 +97,6 @@ def report_of(recording: Path, beside: Path | None = None, history: Mapping[str,
 
 def site_history(recording: Path, folder: Path) -> dict[str, list[ModulusPoint]]:
     """Points for the trend: the sites of a run in the newest runs of a folder, as the catalogue knows them now.
-
-    Args:
-        recording: The recording of the run.
-        folder: The folder of the runs.
 
     Returns:
         Points by site, oldest first; none where the run or the catalogue has none.
@@ -119,7 +115,6 @@ def write_report(path: Path, report: RunReport) -> None:
 
     Args:
         path: The HTML file.
-        report: What it shows.
 
     Raises:
         RecordingError: The recording holds what no page can show.
@@ -130,9 +125,6 @@ def write_report(path: Path, report: RunReport) -> None:
 
 def page(report: RunReport) -> str:
     """The report as HTML.
-
-    Args:
-        report: What it shows.
 
     Raises:
         RecordingError: The recording holds what no page can show.
@@ -178,9 +170,6 @@ def page(report: RunReport) -> str:
 
 def sheet(report: RunReport) -> Figure:
     """The report on one printed page: what it was, the table of moduli, forces, course and timing.
-
-    Args:
-        report: What it shows.
 
     Raises:
         RecordingError: The recording holds what no page can show.
@@ -239,7 +228,6 @@ def save_sheet(path: Path, report: RunReport) -> None:
 
     Args:
         path: The file, .pdf or .png.
-        report: What it shows.
 
     Raises:
         BadInput: The file cannot be written.
@@ -329,7 +317,7 @@ def fault_sentences(facts: RunFacts) -> list[str]:
 
 
 def kilopascals(modulus_Pa: float | None) -> str:
-    """A modulus in kPa with three digits, or a dash."""
+    """A modulus in kPa with three digits; a dash for None."""
     return "–" if modulus_Pa is None else number(modulus_Pa / 1e3)
 
 
@@ -398,9 +386,6 @@ def _last_ticks(recording: Recording) -> list[tuple[str, str, str, str, str, str
 
 def report_conditions(recording: Recording, facts: RunFacts) -> list[tuple[str, str]]:
     """The conditions of a run in words, the most important first.
-
-    Args:
-        facts: What it says.
 
     Raises:
         RecordingError: The header lacks what a recording of palpd has.

@@ -158,10 +158,6 @@ def report_path(recording: Path) -> Path:
 def comparison_path(recording: Path, other: Path) -> Path:
     """Where the report of a run beside another one stands.
 
-    Args:
-        recording: The run.
-        other: The run beside.
-
     Returns:
         A path beside the recording of the first.
     """
@@ -200,7 +196,7 @@ def recording_meant(run: str, folder: Path) -> Path:
 
     Args:
         run: A path, a name, or `last`.
-        folder: The folder of the runs, for a name.
+        folder: Where a run with this name, or the `last` one, lies.
 
     Raises:
         RecordingError: There is none, or several are called so.

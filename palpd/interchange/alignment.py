@@ -66,7 +66,7 @@ def turned(vectors: Floats, axis: Axis) -> Floats:
         axis: Axis of the file that points away from the tissue.
 
     Returns:
-        The same vectors in palpd's axes.
+        The same vectors in palpd's axes, in their shape.
     """
     order, signs = TURNS[axis]
     triples = vectors.reshape(len(vectors), -1, 3)[:, :, order] * np.array(signs, dtype=float)
@@ -137,8 +137,6 @@ def overlap(path: TipPath, wrench: Wrench, names: str) -> NDArray[np.bool_]:
     """Which samples of the force lie within the times of the motion.
 
     Args:
-        path: The motion.
-        wrench: The force.
         names: What an error calls both.
 
     Returns:

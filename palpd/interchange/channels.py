@@ -106,9 +106,6 @@ def listing(channels: Sequence[Channel]) -> str:
 def refuse_many(path: Path, number: int) -> None:
     """Refuse a file with more channels than any instrument has.
 
-    Args:
-        number: Number of its channels.
-
     Raises:
         RecordingError: There are too many.
     """
@@ -120,7 +117,6 @@ def refuse_not_finite(path: Path, name: str, values: Floats) -> None:
     """Refuse a channel that holds what is no finite number.
 
     Args:
-        name: Name of the channel.
         values: Its numbers (n,).
 
     Raises:
@@ -169,10 +165,6 @@ def refuse_empty(path: Path) -> None:
 
 def without_package(path: Path, kind: str, package: str) -> RecordingError:
     """Say which package is missing.
-
-    Args:
-        kind: What the file is.
-        package: The package that reads it.
 
     Returns:
         The error to raise.

@@ -118,7 +118,6 @@ def import_files(paths: Sequence[Path], options: ImportOptions, csv_out: Path) -
     Args:
         paths: One file, or one with the motion and one with the force.
         options: What the user says of them.
-        csv_out: Recording to write.
 
     Returns:
         The recording and notes about it.

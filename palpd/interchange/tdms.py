@@ -38,9 +38,6 @@ class TdmsReader:
     def columns(self, path: Path, names: Sequence[str]) -> dict[str, ChannelData]:
         """Read channels by their names.
 
-        Args:
-            names: Names of channels.
-
         Raises:
             RecordingError: A channel is absent, damaged, or holds what is no number.
         """

@@ -71,7 +71,6 @@ def unit_named(name: str, unit: str = "") -> str | None:
 
     Args:
         name: Name of the column, such as "F (mN)" or "depth_um".
-        unit: What the file states.
 
     Returns:
         The unit as `FACTORS` and `VOLTS` spell it, or None.
@@ -94,7 +93,6 @@ def scale_of(
     """Find the unit of a column.
 
     Args:
-        quantity: What it holds.
         values: Its numbers (n,).
         stated: Unit that the file states beside the name.
         given: Unit that the user gave, or None.

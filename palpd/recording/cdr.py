@@ -241,9 +241,6 @@ def absent_fields(schema: str) -> tuple[str, ...] | None:
 def absent_in(tick: bytes) -> tuple[str, ...] | None:
     """Find which fields of LATER a Tick message does not have, where the message definition is lost.
 
-    Args:
-        tick: The message.
-
     Returns:
         The names, or None where it is no tick.
     """
@@ -259,7 +256,6 @@ def epoch_offset_s(tick: bytes, absent: tuple[str, ...]) -> float:
     """What turns monotonic seconds into Unix time, from the two times of a Tick message.
 
     Args:
-        tick: The message.
         absent: Fields of LATER that it does not have.
 
     Returns:

@@ -240,7 +240,6 @@ def export(recording: Recording, path: Path, site: str | None = None) -> Samples
 
     Args:
         recording: a closed recording.
-        path: file to write.
         site: name of the only site to use, which a column says. None uses all; where there are several, columns say site, phase, mode and
             place of each row.
 

@@ -236,7 +236,6 @@ def write_parquet(
     """Write a recording as Parquet with the columns of the CSV; reading it gives the same numbers to the last bit.
 
     Args:
-        path: File to write.
         samples: The recording, n samples.
         extra: Further columns (n,) by their names.
         metadata: Texts that the file holds besides, by their names.
@@ -265,7 +264,6 @@ def write_csv(path: Path, samples: Samples, *, extra: Mapping[str, Sequence[str 
     """Write a recording as CSV; reading it gives the same numbers to the last bit.
 
     Args:
-        path: file to write.
         samples: the recording, n samples.
         extra: further columns (n,) by their names.
 

@@ -51,9 +51,6 @@ def cells_of(line: str, delimiter: str) -> list[str]:
 def with_points(text: str, layout: Layout) -> str:
     """A cell or a line of a table with decimal points.
 
-    Args:
-        layout: Layout of the table.
-
     Returns:
         The text, changed where the table has decimal commas.
     """
@@ -87,8 +84,6 @@ def refuse_decimal_commas(name: str, header: Sequence[str], row: Sequence[str], 
 
     Args:
         name: What errors call the table.
-        header: Cells of the header.
-        row: Cells of a row.
         delimiter: What separates them.
 
     Raises:

@@ -47,11 +47,7 @@ class RowWriter:
 
 
 def decision(record: TickRecord) -> bytes:
-    """Pack what the daemon decided in a tick: the fields `DECISIONS` of ROW, as they stand in a row.
-
-    Returns:
-        The bytes of these fields.
-    """
+    """Pack what the daemon decided in a tick: the fields `DECISIONS` of ROW, as they stand in a row."""
     observation, proposal, verdict, _ = record
     contact, progress, proposed, command = observation.contact, proposal.progress, proposal.command, verdict.command
     return _DECISION.pack(

@@ -255,7 +255,6 @@ def on_a_day(cell: CellFile, bias_N: float, rng: np.random.Generator) -> CellFil
 
     Args:
         bias_N: Bias after the tare.
-        rng: Draws the warm-up.
     """
     day = {
         "sensor.bias": {"offset_N": bias_N},
@@ -296,8 +295,7 @@ def palpated(seed: int, enriched: dict[str, CellFile] | None = None, changed: Ca
     """One day of static and dynamic palpation on all setups.
 
     Args:
-        seed: Seed of the day.
-        enriched: Cells enriched by a diagnosis, by setup.
+        enriched: Cells enriched by a diagnosis, by setup; None: none is.
         changed: Changes each cell of that day.
 
     Returns:
@@ -332,10 +330,6 @@ def diagnosed(name: str, seed: int) -> CellFile:
 
     Args:
         name: Name of the setup.
-        seed: Seed of the day.
-
-    Returns:
-        The enriched cell.
     """
     moves = [Move(REST_M, 0.02, 1.0)]
     for depth_m, speed in ((0.003, 0.005), (0.005, 0.01), (0.007, 0.02), (0.004, 0.04), (0.008, 0.01), (0.010, 0.005)):
@@ -351,7 +345,6 @@ def study(seed: int = 0, days: int = 20) -> Study:
 
     Args:
         seed: Seed of everything.
-        days: Number of further days.
     """
     data = simulated(seed)
     methods = fitted(data.free)
@@ -379,9 +372,6 @@ def take_of(rows: np.ndarray[Any, np.dtype[np.void]], name: str, clear_z_m: floa
         rows: Ticks, with the fields of ROW of palpd.tick.
         name: Name of the recording, for errors.
         clear_z_m: Height above which nothing is touched.
-
-    Returns:
-        The recording.
 
     Raises:
         RecordingError: The recording is too short.
@@ -414,10 +404,10 @@ def recorded(
     """The same study of recordings: `palpd free-motion` without and with the probe, and `palpd run` in both modes.
 
     Args:
-        bare: Free motion without the probe.
-        free: Free motion with the probe.
+        bare: `palpd free-motion` without the probe.
+        free: `palpd free-motion` with the probe.
         palpation: A run of a plan with mode: both.
-        enriched: Cells enriched by a diagnosis, by site.
+        enriched: Cells enriched by a diagnosis, by site; None: none is.
 
     Returns:
         The recordings as the study takes them.

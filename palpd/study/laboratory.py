@@ -121,10 +121,6 @@ def take(cell: CellFile, z_cmd_m: Floats, seed: int) -> Take:
 def setup(name: str, cell: CellFile = PHANTOM) -> CellFile:
     """The cell of one site of a phantom, with the paper's sensor: counts of 131 mN and a filter of 15 Hz.
 
-    Args:
-        name: Name of the site.
-        cell: The phantom.
-
     Returns:
         A cell with the tissue and effects of that site only.
     """

@@ -90,7 +90,6 @@ def corrections(method: Method, run: Take) -> Floats:
 
     Args:
         method: The method, after it has learned.
-        run: The recording.
 
     Returns:
         Parts of fz (n,) that are no contact, in N.

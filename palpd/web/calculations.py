@@ -69,11 +69,7 @@ class Calculations:
 
 
 def routes(page: "Page") -> list[BaseRoute]:
-    """The routes of the calculations.
-
-    Args:
-        page: What all routes share.
-    """
+    """The routes of the calculations."""
     of = Calculations(page)
     return [
         Route("/calculations/{number}", answering(of.state)),
@@ -89,7 +85,6 @@ async def report_response(path: Path, request: Request, name: str) -> Response:
 
     Args:
         path: The HTML file.
-        name: Name of the download.
 
     Raises:
         BadInput: The file is absent or too large.

@@ -58,7 +58,7 @@ class Child:
         step: What it computes now.
         sentence: Why it is over, if not done.
         begun_s: Monotonic time of its begin, None while it waits.
-        ended_s: Monotonic time of its end.
+        ended_s: Monotonic time of its end, None before that.
         over: Is set when it is over.
     """
 
@@ -133,7 +133,7 @@ class Children:
             key: What it is about; whoever asks with the same key gets the same child.
             words: The command line behind `palpd`. It runs in its folder, so files that it writes are named without one.
             limit_s: Longest time that it may run.
-            files: Text files that it reads, by name.
+            files: Text files that it reads, by name; None for none.
 
         Raises:
             Refused: Too many wait already.

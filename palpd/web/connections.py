@@ -137,7 +137,7 @@ class OneRequest(H11Protocol):
         self.data_received(self._received)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait no more."""
+        """Wait no more; None: the connection ended without an error."""
         self._due.cancel()
         super().connection_lost(exc)
 
@@ -156,12 +156,12 @@ class EntranceServer(uvicorn.Server):
         self._beginning: set[asyncio.Task[Any]] = set()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start the application, then listen."""
+        """Start the application, then listen; None: at no further sockets."""
         await super().startup(sockets or [])
         self._entrance.open()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen no more, then end what is under way."""
+        """Listen no more, then end what is under way; None: there are no further sockets."""
         self._entrance.close()
         await super().shutdown(sockets)
 

@@ -102,11 +102,7 @@ class HistoryPages:
 
 
 def routes(page: "Page") -> list[BaseRoute]:
-    """The routes of the tab Runs.
-
-    Args:
-        page: What all routes share.
-    """
+    """The routes of the tab Runs."""
     of = HistoryPages(page)
     return [
         Route("/runs/view", _show_run),

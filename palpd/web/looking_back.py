@@ -51,7 +51,6 @@ def listed(folder: Path, query: Mapping[str, str]) -> dict[str, Any]:
     """The runs that fit, newest first, as `palpd runs` lists them.
 
     Args:
-        folder: The folder of the runs.
         query: What to look for: `since`, `until`, `site`, `verdict`, `kind`, `tag`, `text`, and `most`.
 
     Returns:
@@ -90,7 +89,6 @@ def trend(folder: Path, query: Mapping[str, str]) -> dict[str, Any]:
     """Moduli and named effects of a site over the days, as `palpd runs --trend` gives them.
 
     Args:
-        folder: The folder of the runs.
         query: `site`, and which runs count, as for `listed`.
 
     Returns:
@@ -152,8 +150,6 @@ def remarked(recording: Path, tags: list[str], untag: list[str], note: str) -> d
     """Add tags and a note to a run, or take tags away.
 
     Args:
-        tags: Tags to add.
-        untag: Tags to take away.
         note: A note to add; empty for none.
 
     Returns:

@@ -46,11 +46,7 @@ class PlanPages:
 
 
 def routes(page: "Page") -> list[BaseRoute]:
-    """The routes of the tab Plan.
-
-    Args:
-        page: What all routes share.
-    """
+    """The routes of the tab Plan."""
     of = PlanPages(page)
     return [
         Route("/plan/check", answering(of.check), methods=["POST"]),

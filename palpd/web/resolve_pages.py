@@ -57,11 +57,7 @@ class ResolvePages:
 
 
 def routes(page: "Page") -> list[BaseRoute]:
-    """The routes of the tab Resolve.
-
-    Args:
-        page: What all routes share.
-    """
+    """The routes of the tab Resolve."""
     of = ResolvePages(page)
     return [
         Route("/resolve/report", answering(of.report)),

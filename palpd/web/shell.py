@@ -51,7 +51,7 @@ def routes(camera_url: str | None) -> list[Route]:
     """One route a tab.
 
     Args:
-        camera_url: Address of a camera's picture, for the Run page.
+        camera_url: Address of a camera's picture, for the Run page; None: it shows none.
     """
     camera = Template(_read("camera")).substitute(url=escape(camera_url)) if camera_url is not None else ""
 

@@ -403,7 +403,6 @@ def healthy_mismatch(case: MujocoCase, scale: Yardstick) -> dict[str, Any]:
     """How far the cell without effects is from the contract's nominal physics, its in-tolerance deviations fitted.
 
     Args:
-        case: the cell.
         scale: its healthy directions.
 
     Returns:

@@ -133,7 +133,6 @@ def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     """A number whose logarithm is uniform.
 
     Args:
-        rng: source of chance.
         low: smallest value.
         high: largest value.
     """
@@ -501,7 +500,6 @@ def contract_parameters(effect: CellEffect, values: Values) -> Values:
     """The parameters under the contract's names, where this one's differ.
 
     Args:
-        effect: the cause.
         values: its own parameters.
 
     Returns:

@@ -35,7 +35,6 @@ def draw_path(rng: np.random.Generator, cell: StatedCell, duration_s: float, for
     """A motion of about that length: every cycle has its own speeds, depth and hold.
 
     Args:
-        rng: source of chance.
         cell: gives the surface, the tip and the press scatter.
         duration_s: length to reach, s; the last cycle may overrun it.
         force_N: force of the deepest press, N.
@@ -81,7 +80,6 @@ def calibration_path(rng: np.random.Generator, surface_z_m: float, speed_m_per_s
     """A free up-and-down motion of some six seconds, as a user records it to identify the servo.
 
     Args:
-        rng: source of chance.
         surface_z_m: the tip stays above this height, m.
         speed_m_per_s: usual speed of the strokes, m/s.
 

@@ -16,7 +16,6 @@ def normal_force(samples: Samples, cell: StatedCell, path: PressPath | None = No
 
     Args:
         samples: gives times, heights and speeds.
-        cell: the nominal cell.
         path: where given, its press scatter applies.
 
     Returns:
@@ -34,7 +33,6 @@ def force_residual(samples: Samples, cell: StatedCell, path: PressPath) -> Array
 
     Args:
         samples: the noise-free reading.
-        cell: the nominal cell.
         path: its press scatter.
 
     Returns:

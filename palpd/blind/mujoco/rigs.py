@@ -67,7 +67,6 @@ def build(plant: PlantSetup, z_cmd_m: Array) -> RigModel:
     """Compile the rig of a plant, with the tip at the first commanded height.
 
     Args:
-        plant: what to build.
         z_cmd_m: (n,) commanded height, m; its range is where the arm's inverse kinematics must hold.
     """
     return _slide(plant, float(z_cmd_m[0])) if plant.rig == "slide" else _arm(plant, z_cmd_m)

@@ -13,7 +13,6 @@ def low_pass(values: Array, cutoff_Hz: float | None, step_s: float) -> Array:
     Args:
         values: (n,) or (n, k) input on a uniform grid.
         cutoff_Hz: its cutoff, Hz; None leaves the input alone.
-        step_s: sampling step, s.
 
     Returns:
         The filtered values, same shape.
@@ -77,7 +76,6 @@ def record(reading: Reading, cell: StatedCell, path: PressPath, rng: np.random.G
         reading: noise-free.
         cell: gives noise and resolution.
         path: gives the robot's report times.
-        rng: source of chance.
         noise_ratio: true noise of the sensor relative to the stated; within 20 % it is healthy.
 
     Returns:

@@ -12,7 +12,6 @@ def linear_filter(numerator: list[float], denominator: list[float], step_s: floa
     Args:
         numerator: coefficients in s, highest power first.
         denominator: coefficients in s, highest power first.
-        step_s: sampling step, s.
         values: (n,) input.
 
     Returns:
@@ -27,7 +26,6 @@ def second_order(z_m: Array, step_s: float, natural_frequency_Hz: float, damping
 
     Args:
         z_m: (n,) commanded height, m.
-        step_s: sampling step, s.
 
     Returns:
         (n,) height, m.

@@ -62,7 +62,6 @@ def snr(change: Array, scale: Yardstick) -> tuple[float, float]:
 
     Args:
         change: (n, 7) noise-free change of height and wrench.
-        scale: noise and healthy directions.
 
     Returns:
         Both ratios.

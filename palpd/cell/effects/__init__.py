@@ -24,7 +24,7 @@ MOST_BYTES = 1_000_000
 def load_effects(path: str | Path | None = None) -> dict[str, Effect]:
     """The library, the effects of installed packages, and those that a user's file lists; one there with an id of these replaces it.
 
-    A Python file lists them as EFFECTS, a YAML file holds learned effects.
+    A Python file lists them as EFFECTS, a YAML file holds learned effects; None: no user's file.
 
     Raises:
         ConfigError: The file fails, or it lists no effects.

@@ -73,9 +73,6 @@ def to_adopt(file: Path, folder: Path, name: str | None = None) -> LearnedEffect
         folder: Folder of adopted effects.
         name: Its name; the one in the file where not given.
 
-    Returns:
-        The law.
-
     Raises:
         ConfigError: The file holds no law, or more than one.
         BadInput: The name is none, or it is taken.
@@ -110,9 +107,6 @@ def adopt(law: LearnedEffect, folder: Path) -> Path:
 
 def remove(name: str, folder: Path) -> Path:
     """Take an adopted effect out of a user's library.
-
-    Args:
-        folder: Folder of adopted effects.
 
     Returns:
         The file that is gone.

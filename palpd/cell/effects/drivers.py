@@ -74,8 +74,8 @@ class Driver(StrictBlock):
         quantity: The quantity, in SI units.
         memory: `relaxed`: low-pass from zero; `play`: follower with a dead band; `stop`: the quantity less that follower; `slew`: a
             follower of limited speed, less the quantity.
-        constant: Time constant in s, width of the dead band, or largest speed of the follower, in SI units.
-        period: Period, in the unit of the quantity, of a curve that repeats.
+        constant: Time constant in s, width of the dead band, or largest speed of the follower, in SI units; None without `memory`.
+        period: Period, in the unit of the quantity, of a curve that repeats; None: it does not.
         log_scale: The curve is straight between its knots over asinh(x / log_scale); over x where not given.
     """
 

@@ -173,12 +173,13 @@ class Effect:
         what: What it does, as a sentence for people without its first capital and its full stop. What stands before a colon is enough
             where causes are listed; behind it stands how it shows.
         parameters: Its numbers, with unit and bounds.
-        law: Changes a stretch of samples.
-        setting: Changes the numbers of the cell.
+        law: Changes a stretch of samples; None where `setting` is given.
+        setting: Changes the numbers of the cell; None where `law` is given.
         starts_at_tare: It counts from the first row of a recording and is absent before that, so the tare does not see it.
-        scatter: The kind of change, for an effect that changes scatter or lattice of the readings and leaves their mean nearly alone.
+        scatter: The kind of change, for an effect that changes scatter or lattice of the readings and leaves their mean nearly alone;
+            None for all others.
         motion: The robot reports it: it shows in the heights and not in a force that is predicted from the measured motion.
-        family: A plural noun for all laws, listed or not, that most motions can hardly distinguish from it.
+        family: A plural noun for all laws, listed or not, that most motions can hardly distinguish from it; None where it has no such name.
         tolerance: Key in the cell file's tolerances of the deviation that this effect is when it exceeds its tolerance.
         shows_at_rest: It changes the force while the height is held.
         gain_at_rest: Factor on a force that has been held for a time (values, time in s), where it settles that fast.

@@ -216,7 +216,7 @@ class LearnedEffect(StrictBlock):
         rest_speed_m_per_s: Speed v0 at which friction turns over; direction is tanh(v / v0).
         terms: One or two terms.
         alike: Drivers, in words, that the recording could not tell from the one that is used.
-        probability: Probability that a law like this is at work.
+        probability: Probability that a law like this is at work; None where the file does not say.
         confounds: Listed effects that imitate the law on the motion that it was learned from: the cosine of the angle between its change
             and what the effect can make, with everything within specification projected out. None where that was not measured.
     """
@@ -247,7 +247,6 @@ class LearnedEffect(StrictBlock):
         """Change a stretch of samples.
 
         Args:
-            s: The samples.
             values: `strength`, a factor on the whole law, and `phase_rad` of a law that repeats in time.
             memory: State that is carried from one stretch of samples to the next, and how many samples were outside the range.
         """
@@ -375,9 +374,6 @@ def load_learned(path: str | Path) -> tuple[LearnedEffect, ...]:
 
 def save_learned(path: str | Path, learned: Iterable[LearnedEffect]) -> None:
     """Write a file that `load_learned` reads back equal.
-
-    Args:
-        path: File to write.
 
     Raises:
         BadInput: The file cannot be written.

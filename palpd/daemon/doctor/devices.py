@@ -113,7 +113,7 @@ def judged(devices: OpenedDevices, config: Config, watch_s: float, known: ProbeR
         known: What is known of the probe from before; None judges nothing of it.
 
     Returns:
-        All findings, and whether the probe is free.
+        All findings, and whether the probe is free; None where there is nothing to judge it by.
     """
     sensor: SensorDriver = devices.sensor
     record = observed(sensor, devices.robot, watch_s)

@@ -80,10 +80,8 @@ def export_cell(
     """Write a folder with a cell for another simulator.
 
     Args:
-        target: The simulator.
         folder: Folder to write; it must not exist, or be empty.
         draws: Further cells, drawn from what a diagnosis left open.
-        library: Effects by id.
         site: Name of a site of the cell, or None for the cell's own tissue.
 
     Returns:
@@ -119,7 +117,6 @@ def check_target(target: Target, folder: Path) -> None:
 
     Args:
         target: The simulator.
-        folder: Folder to write.
 
     Raises:
         BadInput: A package is missing, or the folder holds something or cannot be written.
@@ -155,9 +152,6 @@ def _appearing(folder: Path) -> Iterator[Path]:
 
 def check_ranges(cell: CellFile, library: Mapping[str, Effect] = EFFECTS) -> None:
     """Refuse a parameter outside the range in which its law means something; a range that depends on a recording is not judged.
-
-    Args:
-        library: Effects by id.
 
     Raises:
         ConfigError: A parameter is outside.
@@ -195,9 +189,6 @@ def _numbers(cell: CellFile, library: Mapping[str, Effect], site: str | None) ->
 def step_of(rate_Hz: float, servo_natural_frequency_Hz: float) -> float:
     """The step of the simulators: the period of the sensor, or a whole part of it.
 
-    Args:
-        rate_Hz: Rate of the sensor.
-
     Returns:
         The step in s.
 
@@ -219,9 +210,6 @@ def start_height_m(c: Constants) -> float:
 
     Args:
         c: Numbers of the cell.
-
-    Returns:
-        Height in m.
     """
     touched = [c.surface_z_m] if c.surface_z_m > -1e3 else []
     return max([*touched, *([c.wall_z_m] if c.wall_stiffness_N_per_m else [])], default=0.0) + CLEARANCE_M
@@ -232,7 +220,6 @@ def example_motion(cell: CellFile, site: str | None = None, library: Mapping[str
 
     Args:
         site: Name of a site of the cell, or None for the cell's own tissue.
-        library: Effects by id.
 
     Returns:
         Times (n,) in s and commanded heights (n,) in m, in the steps of the simulators.
@@ -412,7 +399,7 @@ def agreement_of(cell: CellFile, rows: Floats, expected: Mapping[str, Floats]) -
 
     Args:
         rows: Values (n, 8) of COLUMNS.
-        expected: The columns of palpd's simulation.
+        expected: The columns (n,) of palpd's simulation.
     """
     sensor, robot = cell.sensor, cell.robot
     torque_Nm = sensor.noise_rms_Nm or sensor.noise_rms_N * cell.probe.tip_length_m

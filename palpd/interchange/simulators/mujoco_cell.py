@@ -139,13 +139,9 @@ def start(model: Any, data: Any, *, draw: int = 0, z_m: float | None = None, noi
 
     Args:
         model: A model of `cell.xml`.
-        data: A state of it.
         draw: 0 for the exported cell, k for the k-th drawn one.
         z_m: Height of the tip; that of the model's key frame where not given.
         noise_seed: Seed of noise and rounding; neither without one.
-
-    Returns:
-        The cell that acts.
     """
     cell = CellInMujoco(model, chosen(read_cells(HERE / "cells.json"), draw), noise_seed)
     mujoco.mj_setConst(model, data)

@@ -36,7 +36,6 @@ def readme(target: str, cell: CellFile, numbers: Mapping[str, Any], draws: int, 
 
     Args:
         target: `mujoco` or `fmu`.
-        cell: The exported cell.
         numbers: Its numbers, as `cells.json` holds them.
         draws: Number of drawn cells.
         agreement: How far the rollout is from palpd's simulation.
