@@ -88,7 +88,7 @@ def test_the_ratio_of_an_effect_is_the_same_in_mujocos_own_yardstick_and_in_the_
 
 
 def contract_prediction(samples: Samples, cell: StatedCell, d: Floats, case: MujocoCase) -> Floats:
-    """(n, 7) the contract's nominal physics with in-tolerance deviations d in standard deviations, written for this test alone."""
+    """(n, 7) the nominal physics of docs/reference/contract.md §3 with deviations d in standard deviations, for this test alone."""
     tolerance, step = cell.tolerances, 1 / cell.rate_Hz
 
     def filtered(b: list[float], a: list[float], values: Floats) -> Floats:

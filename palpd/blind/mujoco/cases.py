@@ -99,7 +99,7 @@ class MujocoCase:
             other: on the second motion.
 
         Returns:
-            The reading, for `closed` of the contract (§8).
+            The reading, for `closed` of docs/reference/contract.md (§8).
 
         Raises:
             KeyError: the case has no such effect.
