@@ -1,4 +1,4 @@
-"""Where documents and code point: relative links, their anchors, and the sections of the contract."""
+"""Where documents and code point: relative links, their anchors, sections of the contract, and the files of ARCHITECTURE.md."""
 
 import re
 from pathlib import Path
@@ -44,3 +44,13 @@ def test_code_that_refers_to_the_contract_or_the_glossary_names_the_page_and_a_s
         assert set(SECTION.findall(text)) <= sections, module
         for page, named in NAMED.items():
             assert page.removeprefix("docs/") in text or not named.search(text), f"{module} does not say that it means {page}"
+
+
+def test_every_definition_that_architecture_names_stands_in_its_file() -> None:
+    rows = re.findall(
+        r"^\| [^|]* \| `(\S+\.py)` \| `(\w+)` \| [^|]* \|$", (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"), flags=re.MULTILINE
+    )
+    assert len(rows) > 30
+    for name, definition in rows:
+        defined = re.compile(rf"^(?:(?:def|class) {definition}\b|{definition}\b[^=\n]*= )", flags=re.MULTILINE)
+        assert defined.search((ROOT / name).read_text(encoding="utf-8")), f"{definition} does not stand in {name}"
