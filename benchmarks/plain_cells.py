@@ -1,4 +1,4 @@
-"""Healthy cells simulated in a few lines from the contract, with controllers that the diagnosis does not assume.
+"""Healthy cells simulated in a few lines from docs/reference/contract.md, with controllers that the diagnosis does not assume.
 
 Nothing here comes from `palpd.cell`: the physics is written again, so that a test of the engine does not use the engine's own.
 """

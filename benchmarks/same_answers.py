@@ -33,8 +33,8 @@ ROOT = Path(__file__).parents[1]
 P_ALLOWED, INTERVAL_SHARE, NUMBER_SHARE = 0.01, 0.05, 0.01
 IDENTICAL = ("error", "verdict", "where", "notes", "decisive")
 WORDS = {"notes", "decisive", "what", "family", "alike"}
-REPEATED = {"sentence", "plain", "basis", "motion_csv"}
-"""Keys that say in words or rows what other keys say."""
+REPEATED = {"sentence", "plain", "basis", "motion_csv", "alike_laws"}
+"""Keys that say in words, names or rows what other keys say."""
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 Judged = dict[str, tuple[list[Any], float]]
 """Values by what they are of, and how far each of them may differ; words must be identical."""

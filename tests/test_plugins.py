@@ -67,7 +67,7 @@ def installs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callab
 
 def forget() -> None:
     installed_effects.cache_clear()
-    registry._readers.cache_clear()
+    registry.readers.cache_clear()
 
 
 def test_pyproject_registers_what_the_code_calls_ours() -> None:

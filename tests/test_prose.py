@@ -1,4 +1,7 @@
-"""Plain English: documents, comments, docstrings, help texts and messages are read for phrases that the glossary rules out."""
+"""Plain English: documents, comments, docstrings, help texts and messages are read for phrases that the glossary rules out.
+
+The glossary is docs/reference/glossary.md.
+"""
 
 import ast
 import io

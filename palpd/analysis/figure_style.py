@@ -20,7 +20,7 @@ from palpd.tick import Floats
 
 INK = "#1d2733"
 """Text, axes, and what was measured. In a page it is the page's own text colour, so that it reads in light and in dark."""
-ORANGE, BLUE, RED, GREEN, YELLOW, GREY = "#e07b00", "#0b82b5", "#d0453b", "#2e9e6b", "#c9a200", "#8a94a3"
+ORANGE, BLUE, RED, YELLOW, GREY = "#e07b00", "#0b82b5", "#d0453b", "#c9a200", "#8a94a3"
 """Colours of curves: mid tones, so that each reads on white and on the dark page."""
 NOMINAL, ENRICHED = ORANGE, BLUE
 """The cell as its file states it, and the cell with the named effects."""

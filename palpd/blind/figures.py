@@ -40,7 +40,7 @@ show."""
 """What the reader gets; stands at the head of the page."""
 
 PREAMBLE = """\
-No source shares physics or laws with the library.
+No source shares physics or laws with the library. The contract is [the contract of a diagnosis](reference/contract.md).
 
 | source | motion and force | laws |
 |---|---|---|

@@ -32,33 +32,6 @@ LEAST_WIDTH = 0.02
 UNITS = (1e-4, 1.0, 1.0, 1.0, 0.05, 0.05, 0.05)
 """Units in which the changes of channels compare, in the order of CHANNELS: a torque as the force that usually comes with it."""
 
-REPORTED: Mapping[str, str] = {
-    "time": "the time since the start",
-    "height": "the height of the probe",
-    "gap": "the distance from the surface",
-    "depth": "the depth of the press",
-    "force": "the contact force",
-    "force_rate": "the rate of the contact force",
-    "speed": "the speed",
-    "acceleration": "the acceleration",
-    "direction": "the direction of motion",
-    "time_in_contact": "the time since contact began or ended",
-    "time_in_motion": "the time since motion began or ended",
-    "deepest": "the deepest press until then",
-    "presses": "the number of presses",
-    "contact": "contact",
-    "air": "time in the air",
-    "absolute_speed": "the absolute speed",
-    "squared_speed": "the square of the speed",
-    "power": "contact force times absolute speed",
-    "command": "the commanded height",
-}
-"""The words of a report for every quantity that a law may be drawn over."""
-REPORTED_MEMORIES = {", low-passed": ("relaxed",), " with a dead band": ("play", "stop")}
-REPORTED_CHANNELS = {" to the side": "lateral"} | {
-    f" on {name.split('_')[0]}": name for name in ("z_m", "fx_N", "fy_N", "tx_Nm", "ty_Nm", "tz_Nm")
-}
-
 
 class LawOutcome(TypedDict):
     """What the search for laws said of one case, and whether it is right.
@@ -112,7 +85,9 @@ def law_outcome(truth: Truth, diagnosis: Mapping[str, Any], learned_file: Path, 
     if statement is None:
         return outcome
     outcome["right"] = _is_named(terms[0], statement)
-    outcome["right_alike"] = outcome["right"] or any(_is_alike(words, statement) for words in learned["alike"])
+    outcome["right_alike"] = outcome["right"] or any(
+        _is_alike(given, right) for given in learned["alike_laws"] for right in statement["names"]
+    )
     if outcome["right"] and change_file.exists():
         outcome["covered"] = coverage(read_true_change(change_file), terms, enriched)
     return outcome
@@ -134,36 +109,24 @@ def _is_named(term: Mapping[str, Any], statement: LawStatement) -> bool:
 
 
 def _same(given: LawName, right: LawName) -> bool:
-    if any(given[key] != right[key] for key in ("channel", "factor", "quantity", "memory")):
-        return False
-    if (given["period"] is None) != (right["period"] is None):
-        return False
-    return _near(given["period"], right["period"], PERIOD_RATIO) and _near(given["constant"], right["constant"], CONSTANT_RATIO)
+    same = given["memory"] == right["memory"] and _of_one_form(given, right)
+    return same and _near(given["period"], right["period"], PERIOD_RATIO) and _near(given["constant"], right["constant"], CONSTANT_RATIO)
+
+
+def _of_one_form(given: LawName, right: LawName) -> bool:
+    """Whether channel, factor and quantity are the same, and either both laws repeat or neither does."""
+    repeat = (given["period"] is None) == (right["period"] is None)
+    return repeat and all(given[key] == right[key] for key in ("channel", "factor", "quantity"))
 
 
 def _near(given: float | None, right: float | None, ratio: float) -> bool:
     return given is None or right is None or abs(log(given / right)) <= log(ratio) + 1e-9
 
 
-def _is_alike(words: str, statement: LawStatement) -> bool:
-    """Whether the words of a law that fits as well are those of a right name; constants and periods are not compared."""
-    return any(_in_words(words, name) for name in statement["names"])
-
-
-def _in_words(words: str, name: LawName) -> bool:
-    factor, _, driver = words.rpartition("curve of ")
-    channel = next((c for ending, c in REPORTED_CHANNELS.items() if driver.endswith(ending)), "fz_N")
-    quantity = REPORTED[name["quantity"]]
-    slews = name["memory"] == "slew"
-    if not (driver.startswith("how far a speed limit") if slews else driver.startswith(quantity)):
-        return False
-    rest = "" if slews else driver[len(quantity) :]
-    memory = next((kinds for begin, kinds in REPORTED_MEMORIES.items() if rest.startswith(begin)), None)
-    if rest and memory is None and not rest.startswith((", repeating", " to the side", " on ")):
-        return False  # another quantity that begins with the same words
-    same_factor = factor == ("" if name["factor"] == "one" else f"{name['factor'].replace('_', ' × ')} × ")
-    same_memory = slews or (name["memory"] in memory if memory else name["memory"] is None)
-    return same_factor and channel == name["channel"] and same_memory and ("repeating" in driver) == (name["period"] is not None)
+def _is_alike(given: LawName, right: LawName) -> bool:
+    """Whether a law that fits as well has a right name; constants and periods are not compared, nor the side of a dead band."""
+    same_memory = given["memory"] == right["memory"] or {given["memory"], right["memory"]} == {"play", "stop"}
+    return same_memory and _of_one_form(given, right)
 
 
 # the band

@@ -1,14 +1,15 @@
 """Test cells with independent physics: MuJoCo moves a rig, this code presses it into tissue, and the truth is sealed.
 
-One case is a recording and a cell.yaml as the contract asks, a second recording of the same cell on another motion, and the truth:
-which effects act, how large they are (§5), and where they show. The same seed and specification give the same case.
+One case is a recording and a cell.yaml as the contract (docs/reference/contract.md) asks, a second recording of the same cell on another
+motion, and the truth: which effects act, how large they are (§5), and where they show. The same seed and specification give the same
+case.
 
 Rigs: a vertical slide, and a six-axis arm with the UR5's lengths and link masses. Five controllers: second order; its targets held at
 125 or 500 Hz; a third pole; a jerk-limiting average. The stated servo is a second-order fit to a noisy free motion of the healthy cell.
 Contact: Hertz from the contract's formula, applied by `xfrc_applied` at the tip; on a part of the slides the engine's own soft contact,
 whose impedance is fitted so that it stays inside the tolerances of E and surface (the truth says which).
 
-SNR: the contract says that tolerances are projected out. Then the listed effects that are the tolerances themselves (bias, drift,
+SNR: the contract says (§5) that tolerances are projected out. Then the listed effects that are the tolerances themselves (bias, drift,
 gain, crosstalk, latency, filter, mass, modulus, surface) have none at any size. So `snr` takes every tolerance as normal with its
 declared standard deviation (generalised least squares), and `snr_projected` beside it is the strict reading. A sigma is that of a
 20 ms mean, from white noise and rounding.

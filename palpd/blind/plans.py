@@ -1,4 +1,7 @@
-"""What the cases of a check shall be: every kind has its share, every effect and stratum its turn."""
+"""What the cases of a check shall be: every kind has its share, every effect and stratum its turn.
+
+The contract is docs/reference/contract.md.
+"""
 
 from dataclasses import replace
 
@@ -84,7 +87,7 @@ def plan(source: Source, cases: int, seed: int, hosts: int = 0) -> list[CaseSpec
 
 
 def plan_large(cases: int, seed: int) -> list[CaseSpec]:
-    """Further drawn cells with one effect of SNR > 20, the law of the contract, and no indistinguishable effect.
+    """Further drawn cells with one effect of SNR > 20, a law of the contract, and no indistinguishable effect.
 
     Args:
         seed: Seed of the order of the effects.

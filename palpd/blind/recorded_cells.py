@@ -24,7 +24,7 @@ MIN_FREE_S = 0.2
 
 
 def cell_of(content: Mapping[str, Any], samples: Samples) -> CellRealisation:
-    """The numbers of a cell file, with the contract's defaults, and of the recording where the file states no noise.
+    """The numbers of a cell file, with the defaults of docs/reference/cell-file.md, and of the recording where the file states no noise.
 
     Args:
         content: The keys of cell.yaml.

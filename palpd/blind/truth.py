@@ -12,8 +12,8 @@ from palpd.recording.samples import Samples
 
 CaseKind = Literal["healthy", "library", "foreign", "two", "removed", "novel"]
 CASE_KINDS: tuple[CaseKind, ...] = ("healthy", "library", "foreign", "two", "removed", "novel")
-"""`library` and `foreign`: one listed effect, with the law of the contract or with another one. `removed`: a listed effect that the
-diagnosis is not given. `novel`: an effect outside the list."""
+"""`library` and `foreign`: one listed effect, with the law of docs/reference/contract.md §6 or with another one. `removed`: a listed effect
+that the diagnosis is not given. `novel`: an effect outside the list."""
 
 Source = Literal["drawn", "mujoco", "injected"]
 SOURCES: tuple[Source, ...] = ("drawn", "mujoco", "injected")

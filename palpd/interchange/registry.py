@@ -22,13 +22,9 @@ LAST = "table"
 """The reader that is asked last: any text could be a table."""
 
 
-def readers() -> dict[str, FileReader]:
-    """All readers by the names of their entry points, without those that cannot be used."""
-    return _readers()[0]
-
-
 @cache
-def _readers() -> tuple[dict[str, FileReader], tuple[str, ...]]:
+def readers() -> tuple[dict[str, FileReader], tuple[str, ...]]:
+    """All readers by the names of their entry points, and a sentence on each that cannot be used."""
     registered = plugins(GROUP, OURS)
     return loaded(sorted(registered.values(), key=lambda each: (each.name == LAST, each.name)), _checked)
 
@@ -57,7 +53,7 @@ def reader_of(path: Path) -> FileReader:
         what = getattr(failure, "strerror", None) or failure
         raise RecordingError(f"{path} cannot be read ({what}); give the path of a file that exists") from failure
     refuse_empty(path)
-    known, failures = _readers()
+    known, failures = readers()
     for reader in known.values():
         if reader.reads(path):
             return reader

@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 
 from palpd.cell.cell_file import nominal
 from palpd.cell.effects import load_effects
-from palpd.cell.effects.drivers import Driver
+from palpd.cell.effects.drivers import WORDS, Driver
 from palpd.cell.simulation import simulate
 from palpd.gap.commands import simulate_file, write_answer
 from palpd.gap.diagnosis import Diagnosis
@@ -64,6 +64,14 @@ def test_a_law_outside_the_list_is_named_by_its_driver_and_formula(rail: Diagnos
     assert learned["probability"] > 0.9
     assert learned["formula"] in rail.sentence
     assert content["events"] is None
+
+
+def test_the_laws_that_fit_as_well_are_named_for_readers_and_for_programs_in_one_order(rail: Diagnosis) -> None:
+    learned = rail.to_json()["learned"]
+    assert learned["alike"]
+    for words, law in zip(learned["alike"], learned["alike_laws"], strict=True):
+        assert WORDS[law["quantity"]] in words
+        assert law["factor"].replace("_", " × ") in words or law["factor"] == "one"
 
 
 def test_its_curve_covers_the_true_law_and_closes_the_gap_on_another_motion(rail: Diagnosis) -> None:

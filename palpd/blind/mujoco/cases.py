@@ -91,23 +91,6 @@ class MujocoCase:
             self._readings[key] = read(self.run(setup.plant, other=other), setup.sensor, self.stated, path)
         return self._readings[key]
 
-    def switched_off(self, effect_id: str, *, other: bool = False) -> Samples:
-        """The noise-free reading of the same cell without one of its effects.
-
-        Args:
-            effect_id: the effect to leave out.
-            other: on the second motion.
-
-        Returns:
-            The reading, for `closed` of the contract (§8).
-
-        Raises:
-            KeyError: the case has no such effect.
-        """
-        if effect_id not in {each.effect.id for each in self.planted}:
-            raise KeyError(f"the case has {[each.effect.id for each in self.planted]} and not {effect_id}; name one of them")
-        return self.reading([each for each in self.planted if each.effect.id != effect_id], other=other).samples
-
     def run(self, plant: PlantSetup, *, other: bool = False) -> PlantRun:
         """Simulate a plant on one of the motions; the run of the healthy plant is kept.
 
@@ -400,7 +383,7 @@ def sealed_truth(case: MujocoCase) -> dict[str, Any]:
 
 
 def healthy_mismatch(case: MujocoCase, scale: Yardstick) -> dict[str, Any]:
-    """How far the cell without effects is from the contract's nominal physics, its in-tolerance deviations fitted.
+    """How far the cell without effects is from the nominal physics of docs/reference/contract.md (§3), its in-tolerance deviations fitted.
 
     Args:
         scale: its healthy directions.

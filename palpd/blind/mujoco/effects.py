@@ -1,5 +1,6 @@
 """What can be wrong with a cell: causes of the contract's list, each as a change of the MuJoCo model or of the sensor.
 
+The list is that of docs/reference/contract.md §6.
 `law` says whether the change follows the contract's formula (`same`) or another real form of the same cause (`other`).
 """
 

@@ -1,4 +1,4 @@
-"""The contract's nominal physics (§3), to subtract a motion's own share from a reading and to name phases (§4)."""
+"""The nominal physics of docs/reference/contract.md (§3), to subtract a motion's own share from a reading and to name phases (§4)."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""One simulation: the engine steps the rig, the tissue's force is computed from the contract's formula and applied at the tip."""
+"""One simulation: the engine steps the rig, and the tissue's force acts at the tip (docs/reference/contract.md §3)."""
 
 from typing import Any
 

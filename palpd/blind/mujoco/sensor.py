@@ -1,4 +1,4 @@
-"""The force sensor and the robot's report, from the contract: transducer, low-pass, clock, zero, noise, rounding."""
+"""The force sensor and the robot's report, from docs/reference/contract.md: transducer, low-pass, clock, zero, noise, rounding."""
 
 import numpy as np
 

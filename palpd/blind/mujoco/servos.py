@@ -22,7 +22,7 @@ def linear_filter(numerator: list[float], denominator: list[float], step_s: floa
 
 
 def second_order(z_m: Array, step_s: float, natural_frequency_Hz: float, damping_ratio: float) -> Array:
-    """The contract's servo: the height that follows a commanded height as a second-order system, at rest at the beginning.
+    """The servo of docs/reference/contract.md §3: the height that follows a commanded height as a second-order system, at rest at first.
 
     Args:
         z_m: (n,) commanded height, m.

@@ -46,7 +46,7 @@ class PressPath:
 
 @dataclass(frozen=True)
 class StatedTolerances:
-    """One standard deviation of what is within specification, in the units of the contract (§3)."""
+    """One standard deviation of what is within specification, in the units of the contract (docs/reference/contract.md §3)."""
 
     bias_N: float
     drift_N_per_min: float

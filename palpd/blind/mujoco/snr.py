@@ -11,7 +11,7 @@ from palpd.blind.mujoco.setup import Array, StatedCell
 from palpd.recording.samples import Samples
 
 BIN_S = 0.02
-"""Length of the means that the contract compares (§5)."""
+"""Length of the means that docs/reference/contract.md compares (§5)."""
 MIN_ROWS_IN_PHASE = 20
 """A phase with fewer rows has no rms worth a place in the table."""
 

@@ -1,4 +1,4 @@
-"""Causes that are not in the contract's list: laws that a diagnosis may learn, and events that happen at some instants."""
+"""Causes that are not in the list (docs/reference/contract.md §6): laws that a diagnosis may learn, and events."""
 
 from collections.abc import Callable
 

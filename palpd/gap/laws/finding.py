@@ -141,7 +141,8 @@ class LawFinding:
         family = FAMILIES.get(self.learned.terms[0].driver.quantity)
         whole = {"id": self.learned.id, "what": self.learned.what, "site": self.learned.site, "family": family}
         rest = {"probability": self.learned.probability, "alike": list(self.learned.alike), "replaces_listed": self.replaces, "file": None}
-        return whole | terms[0] | rest | {"confounds": self.learned.confounds or {}, "further_terms": terms[1:]}
+        names = [_name(candidate) for candidate in _alike(self.law).values()]
+        return whole | terms[0] | rest | {"alike_laws": names, "confounds": self.learned.confounds or {}, "further_terms": terms[1:]}
 
     def _term(self, number: int) -> dict[str, Any]:
         assert self.learned is not None
@@ -379,7 +380,6 @@ def learned_effect(law: LearnedLaw, nats: float) -> LearnedEffect:
     """
     terms = tuple(_term(law, number) for number in range(len(law.terms)))
     first = law.terms[0].candidate
-    alike = dict.fromkeys(_words(one.candidate) for one in law.terms[0].alike)
     problem = law.scene.problem
     return LearnedEffect(
         id=free_name(
@@ -390,7 +390,7 @@ def learned_effect(law: LearnedLaw, nats: float) -> LearnedEffect:
         site="robot" if first.channel == "z_m" else "probe",
         rest_speed_m_per_s=law.scene.rest_speed_m_per_s,
         terms=terms,
-        alike=tuple(words for words in alike if words != _words(first)),
+        alike=tuple(_alike(law)),
         probability=_probability(nats),
     )
 
@@ -405,6 +405,21 @@ def free_name(name: str, taken: set[str]) -> str:
         The name, with a number where it is taken.
     """
     return next(one for one in (name, *(f"{name}_{k}" for k in range(2, len(taken) + 3))) if one not in taken)
+
+
+def _alike(law: LearnedLaw) -> dict[str, LawCandidate]:
+    """The laws that fit as well as the first term, by their words: the likeliest of those with the same words."""
+    alike: dict[str, LawCandidate] = {}
+    for one in law.terms[0].alike:
+        alike.setdefault(_words(one.candidate), one.candidate)
+    alike.pop(_words(law.terms[0].candidate), None)
+    return alike
+
+
+def _name(candidate: LawCandidate) -> dict[str, str | float | None]:
+    """Channel, factor and driver of a candidate for programs."""
+    driver = candidate.driver.model_dump(include={"quantity", "memory", "constant", "period"})
+    return {"channel": candidate.channel, "factor": candidate.factor} | driver
 
 
 def _words(candidate: LawCandidate) -> str:

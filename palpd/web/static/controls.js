@@ -25,10 +25,7 @@ let job = null;
 let lease = sessionStorage.getItem(LEASE);
 let sure_until_ms = 0;
 
-/** Whether this page holds the controls. */
-export const holding = () => lease !== null;
-
-/** What proves that; null where this page does not hold them. */
+/** What proves that this page holds the controls; null where it does not. */
 export const currentLease = () => lease;
 
 /** The plan to start: {name, text} as YAML; null where none is chosen. The plan editor sets it too. */

@@ -1,0 +1,56 @@
+"""Where documents and code point: relative links, their anchors, sections of the contract, and the files of ARCHITECTURE.md."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.pages import FENCE
+from tests.paths import ROOT
+
+PAGES = sorted(
+    path for folder in ("", "docs", "models", "palpd", "systemd", "tests") for path in (ROOT / folder).glob("**/*.md" if folder else "*.md")
+)
+MODULES = sorted(path for folder in ("palpd", "hw", "tests", "benchmarks") for path in (ROOT / folder).rglob("*.py"))
+CONTRACT, GLOSSARY = "docs/reference/contract.md", "docs/reference/glossary.md"
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+SECTION = re.compile(r"§\s?(\d+)")
+NAMED = {CONTRACT: re.compile(r"\bthe\s+contract\b|§", re.IGNORECASE), GLOSSARY: re.compile(r"\bthe\s+glossary\b", re.IGNORECASE)}
+
+
+def anchors_of(page: Path) -> set[str]:
+    """The anchors of the headings of a page, as GitHub and MkDocs name them."""
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    headings = re.findall(r"^#+ (.+)$", text, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", LINK.sub("]", heading)).strip().lower().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_relative_link_of_a_page_has_its_target(page: Path) -> None:
+    text = re.sub(r"`[^`\n]*`", "", FENCE.sub("", page.read_text(encoding="utf-8")))
+    for link in LINK.findall(text):
+        if re.match(r"[a-z]+:", link):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (page.parent / name).resolve() if name else page
+        assert target.exists(), link
+        assert not anchor or anchor in anchors_of(target), link
+
+
+def test_code_that_refers_to_the_contract_or_the_glossary_names_the_page_and_a_section_that_is_there() -> None:
+    sections = set(re.findall(r"^## (\d+)\. ", (ROOT / CONTRACT).read_text(encoding="utf-8"), flags=re.MULTILINE))
+    for module in MODULES:
+        text = module.read_text(encoding="utf-8")
+        assert set(SECTION.findall(text)) <= sections, module
+        for page, named in NAMED.items():
+            assert page.removeprefix("docs/") in text or not named.search(text), f"{module} does not say that it means {page}"
+
+
+def test_every_definition_that_architecture_names_stands_in_its_file() -> None:
+    rows = re.findall(
+        r"^\| [^|]* \| `(\S+\.py)` \| `(\w+)` \| [^|]* \|$", (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"), flags=re.MULTILINE
+    )
+    assert len(rows) > 30
+    for name, definition in rows:
+        defined = re.compile(rf"^(?:(?:def|class) {definition}\b|{definition}\b[^=\n]*= )", flags=re.MULTILINE)
+        assert defined.search((ROOT / name).read_text(encoding="utf-8")), f"{definition} does not stand in {name}"
