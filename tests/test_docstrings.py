@@ -183,17 +183,17 @@ def objections(function: Function) -> list[str]:
     if "command" in decorators(function) or "property" in decorators(function):
         return out
     alone = len(arguments(function)) < 2
-    documented = {entry.name: entry.text or (entry.above if alone or entry.name == function.name else "") for entry in entries(function)}
-    for entry in entries(function):
-        returned = entry.name == function.name
+    for number, entry in enumerate(entries(function)):
+        returned = number == 0  # an argument may have the name of the function
         if entry.name.startswith("_") or (
             returned and entry.annotation == "float"
         ):  # the sentence says what is returned, often with its unit
             continue
-        if missing := left_open(entry.name, entry.annotation, documented[entry.name]):
+        documented = entry.text or (entry.above if alone or returned else "")
+        if missing := left_open(entry.name, entry.annotation, documented):
             out.append(f"leaves open {missing} of {'what it returns' if returned else f'`{entry.name}`'}")
         values = compared_with(function, entry.name) if entry.annotation.removesuffix(" | None") == "str" else set()
-        if len(values) > 1 and not any(value in documented[entry.name] for value in values):
+        if len(values) > 1 and not any(value in documented for value in values):
             out.append(f"leaves open that `{entry.name}` is one of {sorted(values)}")
     if (
         (not alone or any(is_array(entry.annotation) for entry in entries(function) if entry.name != function.name))
