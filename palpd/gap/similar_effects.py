@@ -56,8 +56,8 @@ class Similarity:
 class Shape:
     """An effect with some parameters: its change, the slopes J of k parameters, and how far each coordinate may go (k,).
 
-    A logarithm may go to twice or half, an angle by a whole turn, and any other parameter by as much as it is; if an effect has several
-    amplitudes, each by ten times that.
+    A logarithmic parameter may double or halve, an angle may make half a turn to either side, and any other parameter may change by its own
+    size. If an effect has several amplitudes, each may change by ten times its size.
     """
 
     change: Projected

@@ -84,7 +84,7 @@ class _Profile:
         return _Profile(problem, one, k, covariance[:, k] / max(variance, 1e-300), sqrt(max(variance, 0.0)))
 
     def end(self, distance: float) -> float:
-        """The coordinate at which the squared residual has risen as much as its parabola rises over `distance` from û.
+        """The coordinate at which the squared residual has risen by the amount that its parabola predicts at `distance` from û.
 
         Where the residual does not rise, since the search ended next to its minimum, the end lies further away.
         """

@@ -56,7 +56,7 @@ class LawCandidate:
 
     @property
     def driver(self) -> Driver:
-        """The quantity of which the curve is a function."""
+        """The argument of the curve."""
         return self.basis.driver
 
     @property
@@ -143,7 +143,7 @@ class Scene:
     ) -> Floats:
         """Means over the bins (b, ...) of what is computed at the steps of every recording; zero where heights are not compared.
 
-        `behind` filters columns (n, k), of which few are passed at once so that memory suffices.
+        `behind` filters columns (n, k); only a few are passed at once, so that memory suffices.
         """
         out = []
         for one, contact, robot in zip(self.problem.recordings, self.contact, self.robot, strict=True):
