@@ -92,7 +92,7 @@ class SimulatedRun:
 
 @dataclass(frozen=True)
 class SensorRows:
-    """SensorRows row by row, on their way through what the electronics do last: `wrench` (m, 6) is changed in place."""
+    """Readings of the sensor, row by row, on which the laws of its electronics act last: they change `wrench` (m, 6) in place."""
 
     t_s: Floats
     wrench: Floats

@@ -1,1 +1,4 @@
-"""Where measurement and simulation part, which effect explains it, how far the gap closes."""
+"""Where measurement and simulation disagree, which effects or laws explain it, how far the gap closes.
+
+docs/explanation/inference.md states the model. The docstrings here use its symbols.
+"""

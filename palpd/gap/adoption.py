@@ -29,13 +29,13 @@ class AdoptedEffect:
 
     @property
     def sentence(self) -> str:
-        """What imitates it, in words."""
+        """The listed effects that imitate the law, in words."""
         motion = "the standard motion of the cell" if self.measured_here else "the motion that it was learned from"
         listed = ", ".join(f"{name} ({cosine:.2f})" for name, cosine in (self.law.confounds or {}).items())
         return f"On {motion} it is imitated by {f'{listed}; 1 is indistinguishable' if listed else 'no listed effect'}."
 
     def to_json(self) -> dict[str, Any]:
-        """For --json."""
+        """The answer of `palpd effects --adopt --json`."""
         return {"adopted": self.law.id, "file": str(self.path), "confounds": self.law.confounds or {}}
 
 
@@ -43,18 +43,16 @@ def adopt(file: Path, folder: Path, name: str | None, cell: CellFile, accept_imp
     """Adopt the law of a file.
 
     Args:
-        file: File of one learned effect, such as out.learned.yaml.
+        file: File of a single learned effect, such as out.learned.yaml.
         folder: The user's folder of adopted effects.
-        name: Its name there; the one in the file where not given.
+        name: Its name there; None: the name in the file.
         cell: The cell on whose standard motion its size is judged, and confounds are measured where the diagnosis has not written them.
         accept_implausible: Whether a law of implausible size is adopted.
 
-    Returns:
-        What was adopted.
-
     Raises:
         ConfigError: The file holds no law, or more than one.
-        BadInput: The name is none or taken, the file cannot be written, or the size is implausible and nobody accepts it.
+        BadInput: The name is no valid name or taken, the file cannot be written, or the size is implausible and `accept_implausible` is
+            false.
     """
     check_folder(folder)
     law = adopted.to_adopt(file, folder, name)
@@ -80,13 +78,11 @@ def _size_doubts(law: LearnedEffect, cell: CellFile) -> list[str]:
 
 
 def described(effect: Effect, laws: Mapping[str, LearnedEffect], folder: Path) -> dict[str, Any]:
-    """An effect of a library as data: its name, what it does, its formula and parameters, and where it is adopted.
+    """An effect of a library as data: its name, what it does, its formula and parameters, and its file if it is adopted.
 
     Args:
-        laws: The adopted effects of the user.
-
-    Returns:
-        The data.
+        laws: The adopted effects of the user, by id.
+        folder: Where their files stand.
     """
     file = str(folder / f"{effect.id}.yaml") if effect.id in laws else None
     names = [one.name for one in effect.named_parameters]

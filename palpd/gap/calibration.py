@@ -1,8 +1,9 @@
-"""Stated probabilities that hold: the engine's own, mapped by three numbers that were fitted on sealed cells.
+"""Scores: the stated probabilities. They are those of the posterior, mapped by three numbers that were fitted on sealed cells.
 
-Laws are never exact and the list is never complete, so an engine that trusts both is too sure of a cause. And every effect keeps a small
-share of a healthy cell, so it is not sure enough that there is no gap. The map changes no verdict and no name; it changes what is stated
-about them. `benchmarks/calibrate.py` fits it on cells of the blind check, and stores it beside this file.
+No real effect follows its listed law exactly, and the list is never complete. So a posterior that trusts both is too sure of a cause. And
+every effect has a small posterior probability in a healthy cell, so it is not sure enough that there is no gap. The map changes no verdict
+and no name; it changes the probabilities that are stated. `benchmarks/calibrate.py` fits it on cells of the blind check, and stores it in
+the folder of this file.
 """
 
 from collections.abc import Mapping
@@ -19,11 +20,11 @@ MAP_FILE = "calibration.json"
 
 @dataclass(frozen=True)
 class ProbabilityMap:
-    """How stated probabilities follow from the engine's.
+    """How stated probabilities follow from those of the posterior.
 
     Attributes:
         power: Exponent of the odds of a cause; below 1 they come nearer to even.
-        doubt: Share of the prior that is mixed in where there is a gap: what even the surest cause concedes.
+        doubt: Share of the prior that is mixed in where there is a gap: no cause is surer than it allows.
         power_none: Exponent of the odds of no gap, against the odds from which on no effect is named; above 1 they come nearer to certain.
         cells: Number of cells that it was fitted on; 0 for the map that changes nothing.
         how: On which cells, and when.
@@ -36,29 +37,14 @@ class ProbabilityMap:
     how: str = "not fitted"
 
     def of_classes(self, p_none: float, p_unknown: float) -> tuple[float, float]:
-        """The stated probabilities of no gap and of something outside the list.
-
-        Args:
-            p_none: The engine's probability of no gap.
-            p_unknown: The engine's probability of something outside the list.
-
-        Returns:
-            Both as stated; what remains to 1 is that of listed effects alone.
-        """
+        """The stated probabilities of no gap and of something outside the list; what they lack to 1 is that of listed effects alone."""
         none = _tempered(p_none, self.power_none, P_NONE_TO_ACQUIT)
         given_a_gap = min(max(p_unknown, 0.0) / max(1.0 - p_none, 1e-300), 1.0)
         unknown = (1.0 - self.doubt) * _tempered(given_a_gap, self.power) + self.doubt * P_UNKNOWN / (1.0 - P_NONE)
         return none, (1.0 - none) * unknown
 
     def of_effects(self, marginal: Mapping[str, float]) -> dict[str, float]:
-        """The stated probabilities of listed effects.
-
-        Args:
-            marginal: The engine's probability that each is present.
-
-        Returns:
-            Those as stated.
-        """
+        """The stated probabilities of listed effects by id; an effect whose probability is 0 keeps it."""
         prior = (1.0 - P_NONE - P_UNKNOWN) / max(len(marginal), 1)
         return {
             name: (1.0 - self.doubt) * _tempered(p, self.power) + self.doubt * prior if p > 0.0 else 0.0 for name, p in marginal.items()
@@ -79,14 +65,7 @@ def stored_map() -> ProbabilityMap:
 
 
 def as_stated(verdict: DiagnosisVerdict, by: ProbabilityMap) -> DiagnosisVerdict:
-    """A verdict with the probabilities that are stated.
-
-    Args:
-        verdict: The engine's verdict.
-
-    Returns:
-        The same verdict and names with other probabilities.
-    """
+    """The same verdict and names, with the probabilities that are stated."""
     if not by.cells:
         return verdict
     candidates = by.of_effects(verdict.candidates)

@@ -40,12 +40,9 @@ def library(effects: Path | None, without: Sequence[str] = (), adopted: Path | N
     """The effects that may be present.
 
     Args:
-        effects: A file with user effects (.py) or learned ones (.yaml).
+        effects: A file with user effects (.py) or learned effects (.yaml); None: listed effects only.
         without: Effects that are known to be absent.
-        adopted: The folder of a user's adopted effects; none where not given, so that nothing weighs them by accident.
-
-    Returns:
-        The library by id.
+        adopted: The folder of a user's adopted effects; None: without these, so that they take part only where somebody asks for them.
 
     Raises:
         BadInput: An effect to leave out does not exist.
@@ -59,17 +56,10 @@ def library(effects: Path | None, without: Sequence[str] = (), adopted: Path | N
 
 
 def effects_named(names: Sequence[str], known: Mapping[str, Effect]) -> list[Effect]:
-    """Effects of a library by their ids.
-
-    Args:
-        names: Ids.
-        known: The library.
-
-    Returns:
-        The effects in the order of their ids.
+    """The effects of a library with these ids, in the order of `names`.
 
     Raises:
-        BadInput: Where the library has no such effect.
+        BadInput: The library has no such effect.
     """
     if unknown := [name for name in names if name not in known]:
         raise BadInput(f"there is no effect {unknown[0]!r}; expected one of {', '.join(known)}")
@@ -77,12 +67,7 @@ def effects_named(names: Sequence[str], known: Mapping[str, Effect]) -> list[Eff
 
 
 def adopted_sentence(folder: Path, known: Mapping[str, Effect]) -> str:
-    """Which adopted effects were weighed, and where they stand; empty without any.
-
-    Args:
-        folder: The folder of adopted effects.
-        known: The library.
-    """
+    """Which adopted effects took part, and the folder in which they stand; empty if none did."""
     names = [name for name in load_adopted(folder) if name in known]
     return f"Adopted effects were weighed with the others: {', '.join(names)} ({folder})." if names else ""
 
@@ -91,11 +76,11 @@ def nominal_cell(cell: Path | None, recordings: Sequence[Path], known: Mapping[s
     """The cell to diagnose against.
 
     Args:
-        cell: The cell file; without one the cell that the configuration of the first recording states.
+        cell: The cell file; None: the cell that the configuration of the first recording states.
         known: The effects that it may have.
 
     Raises:
-        BadInput: No file is given, and a recording is none of the daemon.
+        BadInput: No file is given, and a recording is not one of the daemon.
     """
     if cell is not None:
         return load_cell(cell, known)
@@ -108,8 +93,7 @@ def read_recording(path: Path, site: str | None = None) -> Samples:
     """Read a recording of samples (.csv, .parquet), or one site of a recording of the daemon (.mcap).
 
     Args:
-        path: The recording.
-        site: Site of a recording of the daemon; None where it holds one only.
+        site: Site of a recording of the daemon; None where it holds a single site.
 
     Raises:
         RecordingError: The file is no recording, or holds several sites and none is named.
@@ -144,18 +128,18 @@ def diagnose_files(
     """Diagnose recordings of one cell jointly.
 
     Args:
-        cell: The cell file; without one the cell that recordings of the daemon state. That one knows the modulus of a site only where it
-            states it for that site.
-        json_out: Where to write out.json, and beside it the motion of the next experiment.
-        cell_out: Where to write the enriched cell.
-        effects: A file with user effects (.py) or learned ones (.yaml).
-        adopted: The folder of a user's adopted effects, which are weighed with the others.
+        cell: The cell file; None: the cell that recordings of the daemon state. Its modulus at a site counts as known only where it states
+            one for that site.
+        json_out: Where to write out.json, and next to it the motion of the next experiment and a learned law; None: nowhere.
+        cell_out: Where to write the enriched cell; None: nowhere.
+        effects: A file with user effects (.py) or learned effects (.yaml); None: listed effects only.
+        adopted: The folder of a user's adopted effects, which take part like the others; None: without these.
         without: Effects that are known to be absent.
         propose: Whether to look for the next experiment.
-        site: Site of recordings of the daemon; None where they hold one only.
-        calibrated: Whether probabilities are stated by the fitted map; the engine's own otherwise.
+        site: Site of recordings of the daemon; None where they hold a single site.
+        calibrated: Whether to state scores (`calibration`); otherwise the probabilities of the posterior.
         simulated: The output of a user's own simulator for each recording, which is then the nominal prediction.
-        show: Shows the step that begins.
+        show: Is called with the name of each step that begins.
 
     Raises:
         BadInput: There are not as many outputs as recordings.
@@ -183,11 +167,7 @@ def diagnose_files(
 
 
 def write_answer(path: Path, diagnosis: Diagnosis) -> None:
-    """Write out.json, and beside it the motion of the next experiment and the learned effect where there are any.
-
-    Args:
-        path: Where to write out.json.
-    """
+    """Write out.json to `path`, and next to it the motion of the next experiment and the learned effect where there are any."""
     content = diagnosis.to_json()
     if diagnosis.proposal is not None:
         motion = path.with_name(f"{path.stem}.next.csv")
@@ -218,21 +198,21 @@ def simulate_file(
     """Simulate the recording that a cell gives on the motion of a file.
 
     Args:
-        motion: The motion; its `z_m` drives the cell, or its `z_cmd_m` where that is absent.
-        csv_out: Where to write the recording.
+        motion: Its `z_m` drives the cell, or its `z_cmd_m` where that is absent.
         from_commanded: Drive it with `z_cmd_m` in any case.
-        noise_seed: Seed of noise and rounding; neither without one.
-        effects: A file with user effects (.py) or learned ones (.yaml).
-        adopted: The folder of a user's adopted effects, which the cell file may name.
-        say: Is called with a sentence for every learned effect that leaves what it knows.
-        simulated: The output of a user's own simulator for that motion, to which what the cell has beyond the nominal one is added.
-        nominal: The file of that nominal cell.
+        noise_seed: Seed of noise and rounding; None: neither.
+        effects: A file with user effects (.py) or learned effects (.yaml); None: listed effects only.
+        adopted: The folder of a user's adopted effects, which the cell file may name; None: without these.
+        say: Is called with a sentence for every learned effect that leaves its range, and for every doubt that was accepted.
+        simulated: The output of a user's own simulator for that motion, to which palpd(cell) - palpd(nominal cell) is added; None: palpd
+            alone simulates.
+        nominal: The file of the cell that this simulator simulates; None without `simulated`.
         accept_implausible: Whether an implausible cell or motion counts.
 
     Raises:
-        BadInput: Only one of `simulated` and `nominal` is given, noise is asked for besides, or something is implausible and nobody
-            accepts it.
-        RecordingError: The motion has not the columns that are needed.
+        BadInput: Only one of `simulated` and `nominal` is given, noise is asked for in addition, or something is implausible and
+            `accept_implausible` is false.
+        RecordingError: The motion lacks columns that are needed.
     """
     if (simulated is None) != (nominal is None):
         raise BadInput("--simulated and --nominal belong together: the output is that of your simulator for the nominal cell; give both")
@@ -267,15 +247,15 @@ def simulate_columns(
     """Simulate the recording that a cell gives on a motion.
 
     Args:
-        columns: `t_s`, and `z_m` (with `vz_m_per_s`, where there is one) or `z_cmd_m`, each (n,).
-        measured: Whether the reported heights drive the cell; else the commanded ones do.
-        noise_seed: Seed of noise and rounding; neither without one.
+        columns: `t_s`, and `z_m` (with `vz_m_per_s` where known) or `z_cmd_m`, each (n,).
+        measured: Whether the reported heights drive the cell; else the commanded heights do.
+        noise_seed: Seed of noise and rounding; None: neither.
         library: The effects that the cell may name.
-        own: A user's own simulator and the nominal cell that it simulates; palpd's own where not given.
+        own: A user's own simulator and the nominal cell that it simulates; None: palpd alone simulates.
 
     Raises:
         BadInput: Noise is asked for with a user's own simulator, or its seed is negative.
-        RecordingError: What comes out is not finite.
+        RecordingError: The simulated values are not finite.
     """
     if noise_seed is not None and not (noise_seed >= 0 and noise_seed == int(noise_seed)):
         raise BadInput(f"the seed of the noise is {noise_seed}, expected a whole number from 0 on; give another")
@@ -311,7 +291,7 @@ def _drive(columns: Mapping[str, Floats], measured: bool) -> _Drive:
 
 
 def read_motion(path: Path) -> dict[str, Floats]:
-    """The columns of a motion: `t_s` and at least one of `z_cmd_m`, `z_m`; `vz_m_per_s` where present.
+    """The columns (n,) of a motion: `t_s` and at least one of `z_cmd_m`, `z_m`; `vz_m_per_s` where present.
 
     Raises:
         RecordingError: The file is no such motion.
@@ -325,11 +305,11 @@ def check_motion(columns: Mapping[str, Floats], name: str) -> None:
     """Check the columns of a motion.
 
     Args:
-        columns: `t_s` and what else there is.
+        columns: `t_s` and further columns, each (n,).
         name: What errors call the motion.
 
     Raises:
-        RecordingError: There are less than two rows, or a value that no motion has.
+        RecordingError: There are fewer than two rows, or a value that no motion has.
     """
     refuse_values(columns, name)
     if len(columns["t_s"]) < 2:
@@ -346,11 +326,10 @@ def tolerances_of(recordings: Sequence[Path], cell: Path, accept_implausible: bo
     """Estimate tolerances from the files of a healthy cell.
 
     Args:
-        recordings: Recordings of a healthy cell.
         accept_implausible: Whether doubtful recordings and implausible tolerances count.
 
     Returns:
-        The blocks `tolerances` and `repeatability`.
+        The blocks `tolerances` and `repeatability`, in the units of the cell file.
     """
     samples = [read(path) for path in recordings]
     return estimate_tolerances(samples, load_cell(cell).at_site(common_site(samples)), accept_implausible)

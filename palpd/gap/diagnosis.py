@@ -1,6 +1,6 @@
 """The diagnosis of a cell from its recordings: where the gap lies, which effects explain it, how far it shrinks, what to record next.
 
-`_stages` reads from top to bottom: every stage is one module, and its result goes to the stages below it only.
+`_stages` reads from top to bottom: every stage has its modules, and its result goes to the stages below it only.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -46,7 +46,7 @@ LEAST_LISTED = 1e-3
 """Probability below which an effect is not listed among the candidates."""
 
 MOST_HELD_UNSAID = 0.01
-"""Share of the rows outside the range of a law up to which nothing is said: the range leaves out 0.4 % of what it was drawn from."""
+"""Share of the rows outside the range of a law up to which no note is made: the range itself leaves out 0.4 % of the data of the law."""
 
 CREEP_NOTE = (
     "Force that decays while the height is held comes from relaxing tissue or from a creeping machine (frame, grip, load cell). "
@@ -70,11 +70,11 @@ def diagnose(
     Args:
         cell: The cell as the simulator knows it; where it has the site that the recordings name, the cell at that site.
         effects: The effects that may be present.
-        max_bins: Largest number of bins of all recordings, about; fewer are faster.
+        max_bins: Largest number of bins of all recordings, approximately; fewer are faster.
         propose: Whether to look for the next experiment.
-        calibrated: Whether probabilities are stated by the fitted map; the engine's own otherwise.
-        simulators: A user's own simulator for each recording, as the nominal; palpd's own cell is the nominal without any.
-        show: Shows the step that begins.
+        calibrated: Whether to state scores (`calibration`); otherwise the probabilities of the posterior.
+        simulators: A user's own simulator for each recording, as the nominal; empty where palpd itself simulates the nominal cell.
+        show: Is called with the name of each step that begins.
 
     Raises:
         RecordingError: The recordings cannot be judged.
@@ -200,7 +200,7 @@ def _stages(
 
 
 def held_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
-    """One sentence for every learned law, of the library or of the cell, that these recordings drive outside its range."""
+    """A sentence for every learned law, of the library or of the cell, that these recordings drive outside its range."""
     cell = problem.cell_at(verdict.fit.values, verdict.fit.eta)
     samples = [one.samples for one in problem.recordings]
     shares: dict[str, list[float]] = {}
@@ -213,13 +213,10 @@ def held_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
 
 
 def with_laws_whole(cell: CellFile, library: Mapping[str, Effect]) -> CellFile:
-    """A cell with learned effects of a library as data of its own, in place of their names.
+    """A cell with learned effects of a library as data of its own, in place of their names: it needs that library no longer.
 
     Args:
         library: Effects by id.
-
-    Returns:
-        The cell, which needs that library no longer.
     """
     named = {name: learned_law_of(library[name]) for name in cell.effects}
     whole = {name: law.at(cell.effects[name]) for name, law in named.items() if law is not None}
@@ -229,24 +226,24 @@ def with_laws_whole(cell: CellFile, library: Mapping[str, Effect]) -> CellFile:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The answer.
+    """The answer of a diagnosis, and the data behind it.
 
     Attributes:
         decision: The verdict with its probabilities and named effects.
-        where: The place of the gap; None without one.
-        gap: The gap by channel and phase.
+        where: Channel and phase of the largest gap; None for the verdict `none`.
+        gap: By channel and phase.
         bands: The gap by frequency.
         trend: The gap by cycle.
-        shrink: How far the named effects close the gap.
-        unexplained: The largest residual of the best hypothesis; None where it is noise.
+        shrink: How far the named effects close the gap on cycles that the fit did not see.
+        unexplained: The largest residual of the best hypothesis; None where it is noise, or for the verdict `none`.
         decisive: Sentences that make the verdict doubtful, such as a dead sensor or a wrong unit; they stand above it.
-        notes: Sentences for the reader, the decisive ones first.
-        proposal: The next experiment, if one was asked for and is worth its time.
-        problem: The data behind the answer.
+        notes: Sentences for the reader, the decisive sentences first.
+        proposal: The next experiment; None where it was not asked for, or no motion decides.
+        problem: The data, their prediction and their noise.
         attribution: The posterior over hypotheses.
         finding: What is not in the list: a learned effect, events, or nothing.
-        modulus: The modulus of the cell file beside that of the recordings; None where the file states none, or nothing was touched.
-        source: The user's own simulator, where that is the nominal; None for palpd's own cell.
+        modulus: The modulus of the cell file and that of the recordings; None where the file states none, or nothing was touched.
+        source: The user's own simulator; None where palpd itself simulates the nominal cell.
     """
 
     decision: DiagnosisVerdict
@@ -277,7 +274,7 @@ class Diagnosis:
 
     @property
     def candidates(self) -> dict[str, float]:
-        """Probability of every effect."""
+        """Probability of every effect by id."""
         return self.decision.candidates
 
     @property
@@ -292,7 +289,7 @@ class Diagnosis:
 
     @property
     def resolved(self) -> bool:
-        """Whether effects are named, and none that another could stand in for."""
+        """Whether effects are named, and no other effect could stand in the place of any of them."""
         return self.verdict == "effects" and not any(e.indistinguishable_from for e in self.effects)
 
     @cached_property
@@ -308,9 +305,9 @@ class Diagnosis:
         return self.enriched_cell().model_copy(update={"uncertainty": self.uncertainty})
 
     def enriched_cell(self) -> CellFile:
-        """The cell with the named effects, a learned one, and the in-tolerance deviations that were fitted with them.
+        """The cell with the named effects, a learned effect, and the in-tolerance deviations that were fitted with them.
 
-        Listed effects that a learned one replaces are left out. Laws of the library that were named stand in it whole, so that the file
+        Listed effects that a learned effect replaces are left out. Laws of the library that were named stand in it whole, so that the file
         needs no library.
         """
         finding = self.finding
@@ -318,12 +315,12 @@ class Diagnosis:
             return with_laws_whole(enriched_cell(self.problem, self.decision), self.problem.library)
         scatter = [e for e in self.effects if self.problem.library[e.id].scatter]
         cell = enriched_cell(self.problem, replace(self.decision, effects=scatter, fit=finding.beside_law(self.decision.fit)))
-        cell = cell.with_effects(cell.effects | finding.beside.values)  # as fitted beside the law
+        cell = cell.with_effects(cell.effects | finding.beside.values)  # with the parameters that were fitted together with the law
         return with_laws_whole(cell.model_copy(update={"learned": (*cell.learned, finding.learned)}), self.problem.library)
 
     @property
     def sentence(self) -> str:
-        """The answer in words, with what it rests on."""
+        """The answer in words: the verdict, where it shows, how far the gap closes, and the modulus on which it rests."""
         content, library = self._content, self.problem.library
         plain = plain_answer(content, library)
         return " ".join(filter(None, (answer_sentence(content, library, with_ids=True), plain["where"], plain["closed"], content["basis"])))
@@ -361,7 +358,7 @@ class Diagnosis:
 
     @property
     def _content(self) -> dict[str, Any]:
-        """What out.json says without words, and without what takes long."""
+        """The content of out.json without the answer in words, and without the uncertainty, which takes long to compute."""
         candidates = sorted(self.candidates.items(), key=lambda item: (-item[1], item[0]))
         return {
             "verdict": self.verdict,

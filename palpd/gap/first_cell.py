@@ -1,4 +1,4 @@
-"""A first cell file from recordings, for a rig that has none: what they show is measured, the rest is a guess that says so."""
+"""A first cell file from recordings, for a rig that has none: some values are measured, the others are guesses and marked as such."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,19 +21,20 @@ from palpd.tick import Floats
 GUESSED_TIP_RADIUS_M = 0.005
 """Tip radius where none is given: the emulated cell's."""
 BIN_S = 0.05
-"""Length of the means over which inertia is sought: the speeds' noise gives little acceleration over it, and a robot's motion is seen."""
+"""Length of the stretches over whose means inertia is sought: the noise of speeds makes little acceleration over it, a robot's motion
+does."""
 FEWEST_BINS = 10
-"""Fewest means in free motion from which a mass is estimated."""
+"""Least number of means in free motion from which a mass is estimated."""
 LARGEST_MASS_KG = 1.0
 """Largest uncertainty of the mass that is written: a probe is lighter."""
 SERVO_HZ = np.geomspace(0.5, 60.0, 97)
 """Natural frequencies of the servo that are tried, 5 % apart."""
 SERVO_TOLERANCE = 0.05
-"""Tolerance of the servo's natural frequency where it was taken from the recording: the step between two tried ones."""
+"""Tolerance of the servo's natural frequency, as a ratio, where it was taken from the recording: the step between tried frequencies."""
 
 
 class CommentedValue(NamedTuple):
-    """A value of a cell file and where it comes from."""
+    """A value of a cell file and where it comes from. A value None is written as null."""
 
     value: float | None
     comment: str
@@ -51,13 +52,13 @@ def first_cell(recordings: Sequence[Samples], tip_radius_m: float | None = None,
     """Estimate a cell file from recordings.
 
     Args:
-        recordings: Recordings of one cell.
-        tip_radius_m: Radius of the spherical tip, or None where it is not known.
+        recordings: All of the same cell.
+        tip_radius_m: Radius of the spherical tip; None where it is not known.
         accept_implausible: Whether implausible values count.
 
     Raises:
         RecordingError: There is no recording, its fz never changes, or its forces or heights have the wrong sign.
-        BadInput: The radius is impossible, or a value is implausible and nobody accepts it.
+        BadInput: The radius is impossible, or a value is implausible and `accept_implausible` is false.
     """
     if not recordings:
         raise RecordingError("no recording was given; at least one is needed")

@@ -1,4 +1,4 @@
-"""Many recordings of many cells: one task a recording, over processes or a Dask cluster, and a table by cell."""
+"""Many recordings of many cells: a task for each recording, over processes or a Dask cluster, and a table by cell."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -15,12 +15,18 @@ from palpd.gap.commands import diagnose_files
 from palpd.workers import pool
 
 COMMON_CELL = "cell.yaml"
-"""In a folder of one cell's recordings this cell file stands for all that have none of their own."""
+"""In a folder of a cell's recordings this cell file counts for all recordings without a cell file of their own."""
 
 
 @dataclass(frozen=True)
 class FleetRow:
-    """One recording: the verdict and the named effects with parameters (value, low, high), or the sentence of what is wrong with it."""
+    """A recording: its verdict and the named effects with parameters (value, low, high), or a sentence on what is wrong with it.
+
+    Attributes:
+        verdict: None where the recording could not be diagnosed.
+        probability: Of the most probable named effect, of no gap where no effect is named; None where it could not be diagnosed.
+        closed: Share of the gap that the named effects close; None where no effect is named, or it could not be diagnosed.
+    """
 
     name: str
     cell: str
@@ -33,7 +39,14 @@ class FleetRow:
 
 @dataclass(frozen=True)
 class CellRow:
-    """One cell over its recordings in order: the last verdict, the recording since which it holds, and the trend."""
+    """A cell over its recordings in order: the last verdict, the recording since which it holds, and the trend.
+
+    Attributes:
+        failed: Number of recordings that could not be diagnosed.
+        verdict: None where none could be diagnosed.
+        since: Name of that recording; None where only one could be diagnosed, or none.
+        trend: In words; the sentence of the last recording where none could be diagnosed.
+    """
 
     cell: str
     recordings: int
@@ -77,14 +90,14 @@ def _cell_file(recording: Path) -> Path:
 
 
 def diagnose_one(recording: Path, cell: str, effects: Path | None = None, adopted: Path | None = None) -> FleetRow:
-    """Diagnose a recording by its cell file and write X.json beside it.
+    """Diagnose a recording X.csv by its cell file, and write X.json next to it.
 
     Args:
-        effects: A file with user effects.
-        adopted: The folder of a user's adopted effects.
+        effects: A file with user effects; None: listed effects only.
+        adopted: The folder of a user's adopted effects; None: without these.
 
     Returns:
-        The row; a recording that cannot be diagnosed is a row with the sentence of what is wrong.
+        The row; a recording that cannot be diagnosed is a row, too, with a sentence on what is wrong.
     """
     try:
         diagnosis = diagnose_files(
@@ -106,17 +119,17 @@ def _failed(recording: Path, cell: str, error: BaseException) -> FleetRow:
 def diagnose_folder(
     folder: Path, *, jobs: int = 1, scheduler: str | None = None, effects: Path | None = None, adopted: Path | None = None
 ) -> Iterator[FleetRow]:
-    """Diagnose every recording of a folder, one task each.
+    """Diagnose every recording of a folder, each as a task of its own.
 
     Args:
-        folder: The folder; on a cluster the workers must see it under the same path.
+        folder: The workers of a cluster must see it under the same path.
         jobs: Number of processes.
-        scheduler: Address of a Dask cluster, in place of processes.
-        effects: A file with user effects.
-        adopted: The folder of a user's adopted effects.
+        scheduler: Address of a Dask cluster; None: processes of this machine.
+        effects: A file with user effects; None: listed effects only.
+        adopted: The folder of a user's adopted effects; None: without these.
 
     Yields:
-        Rows in the order in which they end. A task that fails, or a worker that dies, is a row.
+        Rows in the order in which tasks end. A task that fails, or a worker that dies, is a row.
 
     Raises:
         BadInput: There is no recording or no cluster.

@@ -18,7 +18,7 @@ UNITS = {"fz_N": ("mN", "kN"), "z_m": ("mm", "km")}
 """Units that a column may have by mistake: of numbers that are too large, and too small."""
 
 NOISY_SHARE = 0.3
-"""White noise of an output over the stated noise of the sensor that is worth a note: it adds a twentieth to the noise of the gap."""
+"""White noise of an output over the stated noise of the sensor above which it gets a note: it adds a twentieth to the noise of the gap."""
 
 FIRST_SHARE = 0.01
 """Share of the rows at the beginning over which the zeros of both forces are compared."""
@@ -29,11 +29,11 @@ class NominalSource:
     """A user's simulator as the nominal of a diagnosis.
 
     Attributes:
-        names: Its name for each recording.
-        any_motion: Whether it can be asked for any motion.
-        channels: Channels that it predicts.
-        not_judged: Effects that a file cannot be asked about.
-        notes: What is odd about its output.
+        names: What sentences call it, for each recording.
+        any_motion: Whether it can be asked for any motion; a file holds the output for a single motion.
+        channels: Channels that it predicts for all recordings.
+        not_judged: Effects about which a file cannot be asked.
+        notes: A sentence for everything that is odd about its output.
     """
 
     names: tuple[str, ...]
@@ -44,7 +44,7 @@ class NominalSource:
 
     @property
     def unjudged(self) -> str:
-        """What could not be judged, as a sentence after another one; empty where everything could."""
+        """What could not be judged, as a sentence that follows another sentence; empty where everything could be judged."""
         if not self.not_judged:
             return ""
         return f" It was not judged whether {' or '.join(self.not_judged)} is there: {self.names[0]} holds no motion but the recorded one."
@@ -80,7 +80,7 @@ def nominal_source(problem: Problem, not_judged: Sequence[str]) -> NominalSource
         not_judged: Effects that were left out.
 
     Returns:
-        What to say of it; None where palpd's own cell is the nominal.
+        What to say of the simulator; None where palpd itself simulates the nominal cell.
 
     Raises:
         RecordingError: The output has another unit or sign, or is for another motion.

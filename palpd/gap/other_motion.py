@@ -17,7 +17,7 @@ from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
 MEAN_S = 0.02
-"""Length of the means that are compared; shorter than any phase of a motion."""
+"""Length of the stretches whose means are compared; shorter than any phase of a motion."""
 LEAST_GAP = 1.5
 """Least gap before, as a multiple of the noise of a mean, for a statement on the closed share."""
 
@@ -27,10 +27,10 @@ class MotionCheck:
     """Means over 20 ms of one channel on another motion.
 
     Attributes:
-        t_s: Times (n,) of the means.
-        measured: What was measured (n,).
-        plain: What the cell predicts without effects and laws, its fitted deviations within tolerance included (n,).
-        enriched: What the enriched cell predicts (n,).
+        t_s: Times (n,) of the means, from the first sample.
+        measured: Measured means (n,), in the unit of the channel.
+        plain: Prediction (n,) of the cell without the found effects and laws, with its fitted deviations within tolerance.
+        enriched: Prediction (n,) of the enriched cell.
         noise: Standard deviation of a mean by the stated noise and rounding.
     """
 
@@ -43,12 +43,12 @@ class MotionCheck:
 
     @property
     def before_rms(self) -> float:
-        """Rms of measured minus predicted without effects and laws."""
+        """Rms of measured minus predicted without the found effects and laws, in the unit of the channel."""
         return float(np.sqrt(np.mean((self.measured - self.plain) ** 2)))
 
     @property
     def after_rms(self) -> float:
-        """Rms of measured minus predicted by the enriched cell."""
+        """Rms of measured minus predicted by the enriched cell, in the unit of the channel."""
         return float(np.sqrt(np.mean((self.measured - self.enriched) ** 2)))
 
     @property
@@ -69,23 +69,24 @@ class MotionCheck:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """The figures."""
+        """The comparison for JSON: channel, sentence, duration and figures."""
         figures = {"before_rms": self.before_rms, "after_rms": self.after_rms, "noise": self.noise, "closed": self.closed}
         return {"channel": self.channel, "sentence": self.sentence, "duration_s": float(self.t_s[-1] - self.t_s[0])} | figures
 
 
 def check_on(diagnosis: Diagnosis, samples: Samples, simulator: UserSimulator | None = None) -> MotionCheck:
-    """Compare another recording of the same cell with what the diagnosed one lets expect.
+    """Compare another recording of the same cell with the prediction of its enriched cell.
 
     Args:
-        samples: A recording that it has not seen.
-        simulator: The output of the user's simulator for this recording, where the diagnosis had one that cannot be asked again.
+        samples: A recording that the diagnosis has not seen.
+        simulator: The output of the user's simulator for this recording; None where the diagnosis had no such simulator, or had a function
+            that can be asked again.
 
     Returns:
-        The comparison in the channel of the learned law, or in that of the largest gap without one.
+        The comparison in the channel of the learned law, or without a law in that of the largest gap.
 
     Raises:
-        BadInput: The user's simulator is the nominal, and nobody knows its output for this recording.
+        BadInput: The user's simulator is the nominal, and its output for this recording is not known.
     """
     enriched, nominal = diagnosis.enriched_cell(), diagnosis.problem.cell
     learned = diagnosis.finding.learned
@@ -108,7 +109,7 @@ def check_on(diagnosis: Diagnosis, samples: Samples, simulator: UserSimulator | 
 
 
 def _simulators_for(diagnosis: Diagnosis, simulator: UserSimulator | None) -> list[UserSimulator]:
-    """The nominal simulator for another recording; none where that is palpd's own cell."""
+    """The nominal simulator for another recording; empty where palpd itself simulates the nominal cell."""
     known = [one.beyond.simulator for one in diagnosis.problem.recordings if one.beyond is not None]
     if simulator is not None:
         return [simulator]
@@ -121,5 +122,5 @@ def _simulators_for(diagnosis: Diagnosis, simulator: UserSimulator | None) -> li
 
 
 def _means(values: Floats, rows: int) -> Floats:
-    """Means (n,) over stretches of rows."""
+    """Means (n,) over stretches of `rows` rows."""
     return np.asarray(values[: len(values) // rows * rows].reshape(-1, rows).mean(axis=1))

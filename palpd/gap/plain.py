@@ -22,17 +22,17 @@ EVENT_WORDS = {
 }
 DIAGNOSE = "palpd diagnose RECORDING --cell cell.yaml"
 MOST_SAID = 2
-"""Most effects that a sentence lists as standing for another one; the report lists all."""
+"""Largest number of indistinguishable effects that a sentence lists; the report lists all."""
 MOST_ALIKE = 4
-"""Most laws that are said to fit as well."""
+"""Largest number of laws that are listed as fitting as well."""
 WITHIN_NOISE = 1.1
 """Rms over that of the noise up to which a simulator agrees with a recording: noise itself scatters by less."""
 CLEAR = 1.2
-"""Rms of a gap over that of a healthy cell from which on both are said: below it, the excess lies in the course and not in the size."""
+"""Rms of a gap over that of a healthy cell above which both are stated: below it, the excess lies in the course and not in the size."""
 LEAST_CLOSED = 0.05
 """Share of a gap below which it is not closed."""
 SHOWN_WIDTH = 0.02
-"""Width of the interval of a closed share from which on it is worth showing."""
+"""Width of the interval of a closed share above which it is shown."""
 
 
 class PlainCause(TypedDict):
@@ -62,7 +62,7 @@ def plain_answer(content: Mapping[str, Any], library: Mapping[str, Effect]) -> P
 
     Args:
         content: The content of out.json.
-        library: Effects by id.
+        library: Effects by id, for their descriptions and units.
     """
     sure = {"none": content["p_none"], "unknown": content["p_unknown"]}.get(content["verdict"])
     return {
@@ -82,11 +82,11 @@ def channel_words(channel: str) -> str:
 
 
 def answer_sentence(content: Mapping[str, Any], library: Mapping[str, Effect], *, with_ids: bool = False) -> str:
-    """The answer in one sentence, or two where it stands beside the nearest listed cause.
+    """The answer in a sentence; a second sentence names the formula of a law, or the nearest listed cause of something unknown.
 
     Args:
         content: The content of out.json.
-        library: Effects by id.
+        library: Effects by id, for their descriptions.
         with_ids: Whether each cause is followed by its id and its probability.
     """
     verdict, named, learned, events = (content.get(key) for key in ("verdict", "effects", "learned", "events"))

@@ -21,7 +21,7 @@ ONE_DIRECTION = 0.98
 """Cosine above which a recording of that motion cannot distinguish two effects."""
 
 MOSTLY_ALIKE = 0.5
-"""Cosine below which two effects are not similar."""
+"""Cosine up to which two effects are not similar."""
 
 ROWS_HZ, MAX_BINS = 250.0, 2500
 """Rate of the simulated motion, and its number of bins: a comparison needs less detail than a diagnosis."""
@@ -35,9 +35,8 @@ class Similarity:
     """How much of an effect's change another effect can make.
 
     Attributes:
-        other: The other effect.
-        cosine: Cosine of the angle between the change and what the other can make, with everything within specification projected out.
-        told_at_snr: Size of the effect (SNR) from which on the two are distinguished at odds of 20.
+        cosine: Of the angle between the change by `effect` and the nearest change that `other` can make, the nuisances projected out.
+        told_at_snr: Size s of the effect in sigmas (SNR) from which on the two are distinguished at odds of 20.
     """
 
     effect: str
@@ -55,7 +54,11 @@ class Similarity:
 
 @dataclass(frozen=True)
 class Shape:
-    """An effect at some values: its change, the slopes with its parameters, and how far each may go (twice or half, or a whole turn)."""
+    """An effect with some parameters: its change, the slopes J of k parameters, and how far each coordinate may go (k,).
+
+    A logarithmic parameter may double or halve, an angle may make half a turn to either side, and any other parameter may change by its own
+    size. If an effect has several amplitudes, each may change by ten times its size.
+    """
 
     change: Projected
     slopes: list[Projected]
@@ -101,11 +104,11 @@ def similar_effects(effects: Sequence[Effect], cell: CellFile, library: Mapping[
     """The effects of a library that are most similar to some effects, on the standard motion of a cell.
 
     Args:
-        library: The effects to compare with.
-        most: Number of similar effects for each.
+        library: The effects to compare with, by id.
+        most: Largest number of similar effects for each.
 
     Returns:
-        The similarities, for each effect the most similar first.
+        The similarities, for each effect the most similar first; effects of the scatter have none.
     """
     t_s, z_cmd_m = standard_heights(cell)
     problem = make_problem([blank_recording(cell, t_s, z_cmd_m)], cell, library, MAX_BINS)
@@ -123,7 +126,7 @@ def similar_effects(effects: Sequence[Effect], cell: CellFile, library: Mapping[
 
 
 def _shapes(problem: Problem, effect: Effect, base: Linearisation) -> Iterator[Shape]:
-    """The changes that an effect can make around each of its starts."""
+    """The changes that an effect can make near each of its starting values."""
     eta = problem.nominal_eta
     for values in start_values(effect, problem.scale, ()):
         where = coordinates({effect.id: values}, problem.library, problem.scale)
@@ -153,7 +156,7 @@ def _similarity(name: str, change: Projected, other: str, shapes: Sequence[Shape
 
 
 def _factor(normal: Floats) -> Floats:
-    """A matrix F with F.T F = normal, of full rank.
+    """A matrix F of full rank with FᵀF = normal.
 
     What is projected out may be 1e5 times as large as what remains, so rounding can make an eigenvalue negative.
     """

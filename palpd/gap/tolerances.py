@@ -21,14 +21,12 @@ ITERATIONS = 4
 
 
 def estimate_tolerances(recordings: Sequence[Samples], cell: CellFile, accept_implausible: bool = False) -> dict[str, dict[str, float]]:
-    """Estimate one standard deviation of every deviation over recordings of a healthy cell.
+    """Estimate the standard deviation of every deviation over recordings of a healthy cell.
 
-    Variance components by expectation-maximisation from the stated values, which count as one more observation. So a deviation that the
-    recordings do not show (a gain apart from the modulus) stays near the stated one.
+    Variance components by expectation-maximisation from the stated values, which count as one more observation. So the tolerance of a
+    deviation that the recordings do not show (a gain apart from the modulus) stays near the stated tolerance.
 
     Args:
-        recordings: Recordings of a healthy cell.
-        cell: Its cell file with stated tolerances.
         accept_implausible: Whether doubtful recordings and implausible tolerances count.
 
     Returns:
@@ -36,7 +34,7 @@ def estimate_tolerances(recordings: Sequence[Samples], cell: CellFile, accept_im
 
     Raises:
         RecordingError: A recording cannot be judged.
-        BadInput: A recording is doubtful or a tolerance implausible, and nobody accepts it.
+        BadInput: A recording is doubtful or a tolerance implausible, and `accept_implausible` is false.
     """
     questions = check_recordings(recordings, cell)
     check = "give recordings of a healthy cell in SI units, or correct the cell file"
@@ -66,7 +64,7 @@ def estimate_tolerances(recordings: Sequence[Samples], cell: CellFile, accept_im
 
 
 def _expected_squares(samples: Samples, cell: CellFile) -> list[tuple[tuple[str, str], float]]:
-    """The expected square of every deviation of one recording, by block and key."""
+    """The expected square of every deviation of a recording, by block and key, in squared units of the cell file."""
     problem = make_problem([samples], cell)
     nominal = fit(problem, {}, linearise(problem, {}, problem.nominal_eta), rounds=2)
     around = nominal.linearisation
@@ -83,5 +81,5 @@ def _expected_squares(samples: Samples, cell: CellFile) -> list[tuple[tuple[str,
 
 
 def _spread(squares: list[float], stated: float) -> float:
-    """Root mean square, the stated value counting as one observation."""
+    """Root mean square, in which the stated value counts as one observation."""
     return float(np.sqrt((sum(squares) + stated**2) / (len(squares) + 1)))

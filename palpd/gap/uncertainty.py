@@ -17,7 +17,7 @@ from palpd.gap.verdict import ZEROS, DiagnosisVerdict, NamedEffect, by_named_par
 from palpd.tick import Floats
 
 LEAST_SHARE = 0.02
-"""Probability relative to the best hypothesis below which another one is left out: of a hundred drawn cells two would have it."""
+"""Probability relative to the best hypothesis up to which a hypothesis is left out: of a hundred drawn cells two would have it."""
 
 WIDTH_95 = 2.0 * 1.96
 """Width of a 95 % interval of a normal distribution, in standard deviations."""
@@ -38,12 +38,12 @@ def open_hypotheses(problem: Problem, verdict: DiagnosisVerdict, attribution: At
     """The hypotheses that remain, each with the joint uncertainty of its numbers.
 
     Args:
-        verdict: The verdict; its effects of the scatter belong to every hypothesis.
+        verdict: Its effects of the scatter belong to every hypothesis.
         attribution: The posterior over hypotheses.
         fit: The hypothesis of the answer, with what is outside the list taken from its residual.
 
     Returns:
-        The answer first, then what could stand in its place, by their probability. They add up to one.
+        The answer first, then the hypotheses that could stand in its place, by falling probability. Their probabilities add up to 1.
     """
     best = attribution.best
     fits, shares = [fit], [max(best.share, 1e-6)]
@@ -57,20 +57,16 @@ def open_hypotheses(problem: Problem, verdict: DiagnosisVerdict, attribution: At
 
 
 def _is_listed(fit: Fit) -> bool:
-    """Whether a file can name its effects: an adopted law stands in a file as a whole."""
+    """Whether a file can name the effects of a hypothesis: an adopted law stands in a file as a whole."""
     return not any(name.startswith("learned.") for name in fit.names)
 
 
 def open_hypothesis(problem: Problem, fit: Fit, share: float, scatter: Sequence[NamedEffect]) -> OpenHypothesis:
-    """A hypothesis with the joint uncertainty of its numbers.
+    """A hypothesis with the joint uncertainty of its numbers, as a cell file holds it.
 
     Args:
-        fit: The hypothesis at its best.
         share: Its probability.
-        scatter: Effects of the scatter, which act beside it.
-
-    Returns:
-        The hypothesis as a cell file holds it.
+        scatter: Effects of the scatter, which act in addition.
     """
     values: EffectValues = {**problem.cell.effects, **{name: fit.values[name] for name in fit.names if not name.startswith("learned.")}}
     values |= {one.id: {name: value for name, (value, _, _) in one.parameters.items()} for one in scatter}
@@ -95,8 +91,8 @@ def open_hypothesis(problem: Problem, fit: Fit, share: float, scatter: Sequence[
 def _of_fit(problem: Problem, fit: Fit) -> _Open:
     """Parameters of effects and in-tolerance deviations together.
 
-    Of the parameters the covariance is that of their intervals. The deviations follow the parameters as the residual says, and scatter
-    beside them.
+    The covariance of the parameters is that of their intervals. If the parameters move, the posterior mean ĉ of the deviations moves with
+    them, as the residual says. In addition the deviations have their own posterior covariance, a part of (I + AᵀA)⁻¹.
     """
     space, where = fit.linearisation.space, fit.where
     names, units, pick = _deviations(problem, fit)
@@ -117,9 +113,9 @@ def _of_fit(problem: Problem, fit: Fit) -> _Open:
 
 
 def _deviations(problem: Problem, fit: Fit) -> tuple[list[str], list[float], Floats]:
-    """The in-tolerance deviations of a cell file that are open, their units, and which coefficients (n, m) each of them is.
+    """Names of the n in-tolerance deviations that are open, their units, and the matrix (n, m) that gives them from m coefficients.
 
-    A deviation that one of the effects stands for is the effect's own.
+    A deviation for which an effect stands is not among them.
     """
     around, keys = fit.linearisation, {problem.library[name].tolerance for name in fit.names}
     names, units, rows = [], [], []
@@ -148,7 +144,7 @@ def _parameter(c: Coordinate) -> OpenParameter:
 
 
 def _of_scatter(problem: Problem, scatter: Sequence[NamedEffect]) -> _Open:
-    """Parameters of effects of the scatter: each alone, as wide as its interval."""
+    """Parameters of effects of the scatter: independent of each other, with the widths of their intervals."""
     numbers, variances = [], []
     for effect in scatter:
         for name, (value, low, high) in effect.parameters.items():

@@ -29,7 +29,7 @@ PREDICTED = ("z_m", *WRENCH_COLUMNS)
 """Columns that a simulator may predict."""
 
 RAISED = (-0.1, 0.0, 0.05, 0.15, 0.4, 1.0)
-"""Distances by which the tip is raised, as shares of the deepest press: close where play and compliance of working rigs are."""
+"""Distances by which the tip is raised, as shares of the deepest press: they lie densely where play and compliance of working rigs are."""
 
 DRIVE_NOISES = 0.5
 """Rms between heights of an output and reported ones, in the noise of these, below which the output repeats them: a prediction differs
@@ -50,7 +50,7 @@ class UserSimulator:
     Attributes:
         name: What sentences call it.
         run: Gives columns by name for a motion (n rows), each (n,): `fz_N`, and what else of PREDICTED it predicts.
-        any_motion: Whether it can be asked for any motion; a file knows one.
+        any_motion: Whether it can be asked for any motion; a file holds the output for a single motion.
     """
 
     name: str
@@ -62,7 +62,7 @@ class UserSimulator:
         """A simulator that can be asked for any motion.
 
         Args:
-            function: Takes a motion, gives columns.
+            function: Takes a motion (`MotionColumns`), gives columns as `run` does.
             name: What sentences call it.
 
         Raises:
@@ -85,7 +85,7 @@ class UserSimulator:
 
     @staticmethod
     def of_columns(columns: Mapping[str, Floats], t_s: Floats, name: str) -> "UserSimulator":
-        """The output of a simulator for one motion.
+        """The output of a simulator for a single motion.
 
         Args:
             columns: `t_s`, `fz_N`, and what else of PREDICTED it predicts, (m,).
@@ -100,7 +100,7 @@ class UserSimulator:
 
     @staticmethod
     def of_file(path: Path, t_s: Floats) -> "UserSimulator":
-        """The output of a simulator for one motion, from a CSV file.
+        """The output of a simulator for a single motion, from a CSV file.
 
         Args:
             t_s: Times (n,) of that motion.
@@ -162,10 +162,9 @@ class NominalDifference:
 
     Attributes:
         output: Its output for that motion by column, (n,) each.
-        cell: The nominal cell.
         t_s: Times (n,) from the first row.
-        heights_m: Of the reported heights (n,); None where palpd's own servo predicts them.
-        wrench: Of the wrench by axis, (k, n) with the tip raised by k distances; axes without a difference are missing.
+        heights_m: Difference of the reported heights (n,); None where palpd's own servo predicts them.
+        wrench: Difference of the wrench by axis, (k, n) with the tip raised by k distances; axes without a difference are missing.
         raised_m: These distances (k,), ascending.
     """
 
@@ -183,22 +182,19 @@ class NominalDifference:
         return tuple(name for name in self.output if name != "z_m" or self.heights_m is not None)
 
     def heights(self, t_s: Floats) -> Floats | float:
-        """What to add to the heights that palpd predicts.
+        """What to add to the heights that palpd predicts: (m,) in m, or 0 where palpd's own servo predicts them.
 
         Args:
             t_s: Times (m,) from the first row.
-
-        Returns:
-            Heights (m,) in m; 0 where palpd's own servo predicts them.
         """
         return 0.0 if self.heights_m is None else np.interp(t_s, self.t_s, self.heights_m)
 
     def reading(self, cell: CellFile, motion: TipMotion, library: Mapping[str, Effect]) -> MeanReading:
-        """Mean reading of a cell, with what the user's simulator says beyond palpd's.
+        """Mean reading of a cell: palpd's, plus what the user's simulator predicts beyond palpd's nominal cell.
 
         Args:
-            cell: The nominal cell in some state.
-            motion: The motion of the robot at some times.
+            cell: The nominal cell with the effects and deviations of a state.
+            motion: Motion of the tip as the robot reports it, at some times within that of the difference.
             library: Effects by id.
         """
         reading = mean_reading(cell, motion, library)
@@ -221,10 +217,9 @@ def difference(
     """Ask a user's simulator for a motion, and compare it with palpd's nominal cell.
 
     Args:
-        cell: The nominal cell.
-        library: Its effects by id.
+        library: Effects of the nominal cell by id.
         motion: The motion of the tip at n samples.
-        reported: Commanded heights (n,), or None, and heights (n,) as the robot reports them.
+        reported: Commanded heights (n,), None without a command, and heights (n,) as the robot reports them.
         deepest_m: Depth of the deepest press; 0 where nothing is touched, and the tip is then never raised.
     """
     z_cmd_m, z_m = reported
@@ -245,14 +240,11 @@ def difference(
 
 
 def asked(motion: TipMotion, z_cmd_m: Floats | None) -> MotionColumns:
-    """What a function is asked for.
+    """The motion for which a function is asked, as columns (n,) by name.
 
     Args:
         motion: The motion of the tip at n samples.
-        z_cmd_m: Commanded heights (n,), or None.
-
-    Returns:
-        Columns (n,) by name.
+        z_cmd_m: Commanded heights (n,); None without a command.
     """
     columns = {"t_s": motion.t_s, "z_m": motion.z_m, "vz_m_per_s": motion.vz_m_per_s, "az_m_per_s2": motion.az_m_per_s2}
     return columns if z_cmd_m is None else columns | {"z_cmd_m": z_cmd_m}
@@ -278,7 +270,7 @@ def _tip_m(cell: CellFile, motion: TipMotion, library: Mapping[str, Effect]) -> 
 
 
 def _between(levels: Floats, raised_m: Floats, at_m: Floats) -> Floats:
-    """Values (n,) on straight lines between levels (k, n) that are known for the distances `raised_m` (k,); held beyond the last ones."""
+    """Values (n,) on straight lines between levels (k, n) that are known for the distances `raised_m` (k,); constant beyond their ends."""
     at_m = np.clip(at_m, raised_m[0], raised_m[-1])
     above = np.clip(np.searchsorted(raised_m, at_m), 1, len(raised_m) - 1)
     share = (at_m - raised_m[above - 1]) / (raised_m[above] - raised_m[above - 1])
@@ -290,7 +282,7 @@ def left_out(simulators: Sequence[UserSimulator], cell: CellFile, library: Mappi
     """Effects that cannot be judged, since they change the motion of the tip and an output is a file.
 
     Args:
-        simulators: The user's simulator for each recording; none where palpd's own cell is the nominal.
+        simulators: The user's simulator for each recording; empty where palpd itself simulates the nominal cell.
         cell: The nominal cell; effects that it has are in every output.
         library: The effects that may be present.
 
@@ -314,18 +306,17 @@ def simulate_with(
     """The recording that a cell gives on a motion: the user's output + palpd(cell) - palpd(nominal cell).
 
     Args:
-        simulator: The user's simulator.
-        nominal: The cell that it is the simulator of.
+        nominal: The cell that the simulator simulates.
         cell: The same cell in another state, as a diagnosis has enriched it.
-        columns: `t_s`, and `z_m` (with `vz_m_per_s`, where there is one) or `z_cmd_m`, each (n,).
+        columns: `t_s`, and `z_m` (with `vz_m_per_s` where known) or `z_cmd_m`, each (n,).
         library: Effects by id.
-        measured: Whether the reported heights drive the cell; else the commanded ones do.
+        measured: Whether the reported heights drive the cell; else the commanded heights do.
 
     Returns:
         Heights and wrench (n,) by column.
 
     Raises:
-        BadInput: The cell moves otherwise than the nominal one, and the simulator is a file.
+        BadInput: The cell moves otherwise than the nominal cell, and the simulator is a file.
     """
     moved = [
         name

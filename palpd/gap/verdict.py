@@ -22,16 +22,16 @@ P_NONE_TO_ACQUIT = 0.25
 """Probability of no gap above which no effect is named: a false accusation costs more than a missed effect."""
 
 P_TO_NAME = 0.5
-"""Probability above which an effect, alone or with those that could stand in its place, or something unknown is named."""
+"""Probability from which on an effect, together with those that could stand in its place, or something unknown is named."""
 
 P_TO_NAME_WEAK, WEAK_SIGMAS = 0.8, 8.0
-"""The same for an effect below that size that stands beside a larger one: a false second name then costs more than a missed one."""
+"""The same for an effect below that size in a set with a larger effect: a false second name then costs more than a missed effect."""
 
 FAR_OUT_SD = 4.0
-"""Standard deviations beyond which a deviation is reported: one in 16 000 healthy cells has such a one."""
+"""Standard deviations beyond which a deviation is reported: one in 16 000 healthy cells has such a deviation."""
 
 ZEROS = ("bias_N", "drift_N_per_min")
-"""Deviations that each recording has of its own; a cell file holds their mean."""
+"""Deviations that each recording has for itself; a cell file holds their mean over the recordings."""
 
 LARGEST_GROUP = 2
 """Number of indistinguishable effects above which the verdict is ambiguous."""
@@ -41,7 +41,12 @@ Kind = Literal["effects", "none", "unknown", "ambiguous"]
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that the diagnosis names: parameters as (value, low, high), and the effects that it cannot be distinguished from."""
+    """An effect that the diagnosis names: parameters as (value, low, high), and the effects from which it cannot be distinguished.
+
+    Attributes:
+        family: As `Effect.family`: a noun for all laws that look the same; None where there is no such noun.
+        at_bound: Parameters at the end of their range, whose value is a bound.
+    """
 
     id: str
     probability: float
@@ -60,12 +65,11 @@ class DiagnosisVerdict:
     """What the recordings say.
 
     Attributes:
-        kind: One of the four verdicts.
         effects: The named effects, the most probable first, those of the scatter last; each is probable alone or with its group.
-        candidates: Probability of every effect.
+        candidates: Probability of every effect by id.
         p_none: Probability that there is no gap.
         p_unknown: Probability that something outside the list is at work.
-        fit: The hypothesis of the named effects.
+        fit: The best hypothesis if effects are named, also with members that are not named; else that without effects.
     """
 
     kind: Kind
@@ -82,7 +86,6 @@ def decide(problem: Problem, nominal: Fit, attribution: Attribution, scatter: Sc
     Args:
         nominal: The hypothesis without effects.
         attribution: The posterior over hypotheses.
-        scatter: The effects of the scatter.
     """
     p_unknown = 1.0 - (1.0 - attribution.p_unknown) * (1.0 - scatter.p_lone_axis)
     p_healthy_scatter = float(np.prod([1.0 - s.probability for s in scatter.effects]))
@@ -99,10 +102,9 @@ def decide(problem: Problem, nominal: Fit, attribution: Attribution, scatter: Sc
 
 
 def by_named_parameters(problem: Problem, one: Fit) -> Fit:
-    """The hypothesis by the laws that files can state: what says by which of several laws an effect acts is a nuisance.
+    """The hypothesis with the parameters that files can state, fitted again if it has others.
 
-    Returns:
-        The hypothesis, fitted again where it had such a nuisance.
+    A parameter without a name in files chooses among several forms of an effect's law, and counts as a nuisance.
     """
     values = {
         name: {parameter.name: mine[parameter.name] for parameter in problem.library[name].named_parameters if parameter.name in mine}
@@ -114,11 +116,8 @@ def by_named_parameters(problem: Problem, one: Fit) -> Fit:
 def with_finding(verdict: DiagnosisVerdict, finding: LawFinding) -> DiagnosisVerdict:
     """The verdict with a law or events that no listed effect explains.
 
-    Args:
-        finding: What the search for laws found.
-
     Returns:
-        The same verdict where that is nothing, else `unknown`; its probability takes from the others in proportion.
+        The same verdict if there are none; else `unknown`, with a larger p_unknown and a smaller p_none. Probabilities of effects stay.
     """
     if finding.p_outside == 0.0:
         return verdict
@@ -162,9 +161,9 @@ def _at_bound(c: Coordinate, value: float) -> bool:
 
 
 def _probable_groups(best: Fit, attribution: Attribution) -> dict[str, list[str]]:
-    """The effects of a hypothesis that are probable, alone or together with those that could stand in their place, and these.
+    """The effects of a hypothesis that are probable together with their groups, and the group of each: what could stand in its place.
 
-    Where none is, the likeliest one stands with the next likeliest effects until they are probable together.
+    If no effect is, the likeliest effect is returned with the next likeliest effects as its group, until they are probable together.
     """
     marginal = attribution.marginal
     groups = {name: attribution.groups[name] for name in best.names}
@@ -184,7 +183,7 @@ def _probable_groups(best: Fit, attribution: Attribution) -> dict[str, list[str]
 
 
 def unnatural_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
-    """One sentence for every parameter of a named effect that is larger than working parts have."""
+    """A sentence for every parameter of a named effect that is larger than working parts have (`Parameter.natural`)."""
     return [
         f"{effect.id} has {parameter.name} {quantity(effect.parameters[parameter.name][0], parameter.unit)}, expected at most "
         f"{quantity(parameter.natural, parameter.unit)} of parts that work; check the times in the recording, and whether rows are missing."
@@ -195,13 +194,10 @@ def unnatural_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
 
 
 def deviation_notes(problem: Problem, fit: Fit) -> list[str]:
-    """One sentence for every deviation that the answer leaves far out of tolerance.
+    """A sentence for every deviation that the answer leaves far out of tolerance.
 
     Args:
         fit: The hypothesis that is the answer, with what is outside the list taken from its residual.
-
-    Returns:
-        The sentences; none where all deviations are within specification.
     """
     around = fit.linearisation
     deviation_sd = around.space.coefficients(fit.residual)
@@ -227,10 +223,9 @@ def enriched_cell(problem: Problem, verdict: DiagnosisVerdict) -> CellFile:
 
 
 def estimated_with(problem: Problem, fit: Fit) -> Estimated:
-    """The in-tolerance deviations that were fitted with a hypothesis; bias and drift, which each recording has of its own, by their mean.
+    """The in-tolerance deviations that were fitted with a hypothesis, as the block `estimated` of a cell file.
 
-    Returns:
-        The block `estimated` of a cell file.
+    Bias and drift, which each recording has for itself, enter by their mean.
     """
     coefficients = fit.linearisation.space.coefficients(fit.residual)
     zeros = {name: _mean_zero(problem, fit, coefficients, name) for name in ZEROS}

@@ -1,1 +1,1 @@
-"""What to record next: the motions that can be made, what each would separate, the rivals of a law."""
+"""What to record next: the motions that a plan can describe, which hypotheses each would separate, and the rivals of a law."""

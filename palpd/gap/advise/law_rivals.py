@@ -18,23 +18,20 @@ from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
 
 MOST_ALIKE = 3
-"""Number of laws alike that a motion is sought against; the cost grows with its square."""
+"""Number of laws that fit as well, against which a motion is sought; the cost grows with its square."""
 
 
 @dataclass(frozen=True)
 class LawHypothesis(Hypothesis):
-    """A law as a hypothesis. Its curve is known no better than its band, so another motion may find it elsewhere within that."""
+    """A law as a hypothesis. Its curve is known no better than its band, so another motion may show it elsewhere in the band."""
 
     law: LearnedLaw
 
     def curve_columns(self, trial: Problem) -> list[Floats]:
-        """Changes of a prediction by one standard deviation of each independent combination of a curve's coefficients.
+        """Whitened changes (7, b) of a prediction by one standard deviation of each independent combination of a curve's coefficients w.
 
         Args:
-            trial: The problem that another recording would pose.
-
-        Returns:
-            Whitened changes (7, b).
+            trial: The problem that another recording would pose, b bins.
         """
         scene = Scene.of(trial, self.fit.values, self.fit.eta).with_rest_speed(self.law.scene.rest_speed_m_per_s)
         out = []
@@ -56,7 +53,7 @@ class LawRivals:
     """A law and its rivals.
 
     Attributes:
-        problem: The recordings, with these laws in the library.
+        problem: With these laws in its library.
         alike: The law, and the laws that fit as well.
         against_list: The law, and what the list says without it; empty where two recordings have shown the law already.
         words: Every law in words, by its name.
@@ -80,14 +77,13 @@ class LawRivals:
 
 
 def rivals_of_law(problem: Problem, attribution: Attribution, finding: LawFinding) -> LawRivals | None:
-    """A learned law, those that the recordings do not distinguish from it, and the answer of the list.
+    """A learned law, the laws that the recordings do not distinguish from it, and the answer of the list.
 
     Args:
         attribution: The posterior over listed hypotheses.
-        finding: What the search for laws found.
 
     Returns:
-        The rivals; None where there is no law, or a listed effect is the cause and the law only the rest.
+        The rivals; None where there is no law, or a listed effect is the cause and the law describes only what that leaves.
     """
     law = finding.law
     if law is None or finding.learned is None or finding.secondary:

@@ -13,7 +13,7 @@ from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
 FREE_HEIGHT_M = 0.02
-"""Free strokes are as long as those of `palpd free-motion`."""
+"""Largest length of free strokes, which is that of `palpd free-motion`."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +51,24 @@ class MotionLimits:
 
 
 def surface_of(problem: Problem) -> float:
-    """Height of the tissue in m; without one, the lowest height of the tip."""
+    """Height of the surface in m; without tissue, the lowest height of the tip."""
     lowest_m = min(float(one.samples.z_m.min()) for one in problem.recordings)
     return problem.cell.tissue.surface_z_m if problem.cell.tissue is not None else lowest_m
 
 
 @dataclass(frozen=True)
 class TestMotion:
-    """One kind of motion that a plan can describe: strokes in the air, then presses."""
+    """A motion that a plan can describe: strokes in the air, then presses.
+
+    Attributes:
+        what: What a person would do, as a sentence without a capital.
+        depths_m: Depths below the surface; none without presses.
+        hold_s: Rest in a static press, to which 1 s is added.
+        repeats: Number of dynamic presses to each depth.
+        height_m: Height above the surface to which the probe returns after each press.
+        mode: `static` (presses with a rest), `dynamic` (without one) or `both`.
+        strokes: Number of strokes up from home and down again.
+    """
 
     __test__: ClassVar[bool] = False  # pytest does not collect it
 
@@ -77,7 +87,6 @@ class TestMotion:
         """Strokes up from home, then presses.
 
         Args:
-            surface_m: Height of the surface.
             home_m: Height at which strokes begin.
 
         Returns:
@@ -97,14 +106,10 @@ class TestMotion:
         return legs
 
     def start_m(self, surface_m: float, home_m: float) -> float:
-        """Height at which the motion begins.
+        """Height in m at which the motion begins with a rest of one second.
 
         Args:
-            surface_m: Height of the surface.
             home_m: Height at which strokes begin.
-
-        Returns:
-            The height in m, where it rests for one second.
         """
         return home_m if self.strokes else surface_m + self.height_m
 
@@ -112,10 +117,8 @@ class TestMotion:
         """Commanded heights over time.
 
         Args:
-            step_s: Time from row to row.
-            surface_m: Height of the surface.
             home_m: Height at which strokes begin.
-            acceleration_m_per_s2: Acceleration of every leg.
+            acceleration_m_per_s2: At both ends of every leg, between which the speed is constant.
 
         Returns:
             Times (n,) in s and heights (n,) in m.
@@ -156,7 +159,7 @@ def _stroke(from_m: float, to_m: float, speed: float, acceleration: float, step_
 
 
 def motions(limits: MotionLimits) -> list[TestMotion]:
-    """The motions that are tried within the limits."""
+    """The motions that are tried, all within the limits; without a depth only strokes in the air."""
     depth, stroke = limits.depth_m, limits.stroke_m
     fast, air = limits.press_speed_m_per_s, limits.free_speed_m_per_s
     low = max(0.5 * depth, 0.2 * stroke)
@@ -191,14 +194,11 @@ DEPTH_STEP = 0.05
 """Share of the largest depth to which the depths of a plan are rounded, since no two presses are equally deep."""
 
 AGAIN = 6
-"""Times that a press or stroke is repeated that alone showed a law."""
+"""Number of repetitions of a press or stroke that alone showed a law."""
 
 
 def same_again(problem: Problem, limits: MotionLimits) -> tuple[TestMotion, Floats, Floats]:
     """The motion of the longest recording, once more.
-
-    Args:
-        limits: What a motion may ask of the cell.
 
     Returns:
         A motion for a plan with the same depths, speeds, holds and strokes; the recorded times (n,) from the first row and heights (n,).
@@ -231,14 +231,7 @@ def same_again(problem: Problem, limits: MotionLimits) -> tuple[TestMotion, Floa
 
 
 def cycle_again(problem: Problem, recording: int, cycle: int, limits: MotionLimits) -> TestMotion:
-    """One press or stroke of a recording, several times.
-
-    Args:
-        limits: What a motion may ask of the cell.
-
-    Returns:
-        The motion, as deep and as fast as that one was.
-    """
+    """The press or stroke of a cycle of a recording, AGAIN times, as deep and as fast as it was within the limits."""
     one = problem.recordings[recording]
     phases, samples = one.phases, one.samples
     mine = phases.cycle == cycle
@@ -260,7 +253,7 @@ def cycle_again(problem: Problem, recording: int, cycle: int, limits: MotionLimi
 
 
 def blank_recording(cell: CellFile, t_s: Floats, z_cmd_m: Floats) -> Samples:
-    """A recording of a motion whose wrench is only the stated noise; a channel without any is not judged.
+    """A recording of a motion whose wrench is only the stated noise; a channel without noise is not judged.
 
     Args:
         t_s: Times (n,).

@@ -25,25 +25,25 @@ from palpd.gap.model.problem import SHARED, Problem, make_problem
 from palpd.tick import Floats
 
 OPEN_ABOVE = 0.03
-"""Hypotheses with more than this share of the best one's probability are still open."""
+"""Hypotheses with more than this share of the probability of the best hypothesis are still open."""
 
 MOST_OPEN = 4
-"""Number of open hypotheses that a motion is sought for; the cost grows with its square."""
+"""Largest number of open hypotheses for which a motion is sought; the cost grows with its square."""
 
 WORTH_NATS = 1.0
-"""A motion that is not expected to change the odds of any two by e is not worth proposing."""
+"""Least log odds, in nats, that a motion must be expected to bring between two hypotheses to be proposed."""
 
 OVERHEAD_S = 20.0
-"""Time of a run besides its motion: opening, taring, the search of the surface."""
+"""Time of a run in addition to its motion: opening, taring, the search of the surface."""
 
 MOST_ROWS = 12_000
 """Number of rows in which a trial motion is simulated; each counts for the recorded rows that it stands for."""
 
 TRIAL_BINS = 1500
-"""Number of bins of a trial motion, about: a third of a diagnosis, since eleven motions are tried."""
+"""Approximate number of bins of a trial motion: a third of a diagnosis, since eleven motions are tried."""
 
 FOREVER = 100.0
-"""Repetitions of a motion that count as unlimited patience."""
+"""Number of repetitions of a motion that counts as unlimited patience."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,9 @@ class ExperimentProposal:
 
     sentence: str
     plan: dict[str, Any]
-    t_s: Floats
-    z_cmd_m: Floats
-    expected_gain: float
+    t_s: Floats  # (n,)
+    z_cmd_m: Floats  # (n,)
+    expected_gain: float  # nats
     motion: TestMotion
 
     def to_json(self) -> dict[str, Any]:
@@ -75,7 +75,10 @@ class ExperimentProposal:
 
 @dataclass(frozen=True)
 class ScoredMotion:
-    """A motion and the log odds (h, h) that it is expected to bring for the row's hypothesis, were it true, against the column's."""
+    """A motion (n,) and the log odds (h, h) in nats that it is expected to bring between h hypotheses.
+
+    Element (i, j) is for hypothesis i against hypothesis j, if i is true.
+    """
 
     motion: TestMotion
     t_s: Floats
@@ -83,25 +86,16 @@ class ScoredMotion:
     odds: Floats
 
     def apart(self, one: int, other: int) -> float:
-        """Expected log odds between two hypotheses, whichever of them is true.
-
-        Args:
-            one: Number of the first.
-            other: Number of the second.
-
-        Returns:
-            The smaller of both directions, in nats.
-        """
+        """Expected log odds in nats between two hypotheses, by their numbers: the smaller of those where either of them is true."""
         return float(min(self.odds[one, other], self.odds[other, one]))
 
     def resolved(self, shares: Floats) -> float:
-        """Doubt that the motion removes: 2 p_i p_j (1 - e^(-odds/4)) over all pairs, by Bhattacharyya's bound on mistaking them.
+        """Doubt that the motion removes, as a probability: Σ 2 p_i p_j (1 - e^(-odds/4)) over all pairs.
+
+        This follows Bhattacharyya's bound on the probability of mistaking two hypotheses.
 
         Args:
-            shares: Probabilities of the hypotheses (h,).
-
-        Returns:
-            The doubt, as a probability.
+            shares: Probabilities p of the hypotheses (h,).
         """
         return sum(2.0 * float(shares[i] * shares[j]) * (1.0 - exp(-0.25 * self.apart(i, j))) for i in range(len(shares)) for j in range(i))
 
@@ -112,12 +106,13 @@ class Advice:
 
     Attributes:
         names: The open hypotheses, the most probable first.
-        shares: Their probabilities (h,), which add up to one.
-        proposal: The best motion, if any is worth its time.
-        pair: The two hypotheses that it is to separate, or the two most probable ones.
-        most: Largest expected log odds for that pair.
+        shares: Their probabilities (h,), which add up to 1.
+        proposal: The best motion; None where no motion reaches WORTH_NATS.
+        pair: The two hypotheses that it separates, else the two most probable hypotheses; None where fewer are open, or a refused law is to
+            be shown again.
+        most: Largest expected log odds for that pair, in nats.
         forever: The same if the motion went on FOREVER times as long.
-        hidden_by: The tolerance without which that would be most.
+        hidden_by: The tolerance without which `forever` would be largest; None where no tolerance hides much.
     """
 
     names: tuple[str, ...]
@@ -130,7 +125,7 @@ class Advice:
 
     @property
     def sentence(self) -> str:
-        """In words."""
+        """The proposal in words, or why there is none."""
         if self.proposal is not None:
             return self.proposal.sentence
         if self.pair is None:
@@ -146,14 +141,14 @@ class Advice:
 def advise(problem: Problem, attribution: Attribution, limits: MotionLimits | None = None, finding: LawFinding | None = None) -> Advice:
     """The motion that removes most of the doubt per minute, or why there is none.
 
-    Where the verdict is a law outside the list, that is the motion that would refute it: it spreads the drivers of the law and of those
+    Where the verdict is a law outside the list, that is the motion that would refute it: it spreads the drivers of the law and of the laws
     that fit as well. Where a law was refused, it is the motion that would show it again.
 
     Args:
         problem: The recordings so far.
         attribution: The posterior over hypotheses.
-        limits: What the motion may ask of the cell; no more than the recordings where not given.
-        finding: What the search for laws found, where the verdict is `unknown`.
+        limits: What the motion may ask of the cell; None: no more than the recordings.
+        finding: What the search for laws found, if the verdict is `unknown`; None: listed hypotheses are separated.
     """
     if finding is not None and finding.refused is not None and _anything_moves(problem):
         return _again(problem, finding.refused, limits)
@@ -165,7 +160,7 @@ def advise(problem: Problem, attribution: Attribution, limits: MotionLimits | No
 
 
 def _between(problem: Problem, rivals: Sequence[Hypothesis], limits: MotionLimits | None, laws: LawRivals | None = None) -> Advice:
-    """The motion that decides between some hypotheses."""
+    """The motion that decides between some hypotheses. `laws` is given where these are rivals of a law, for its words and range."""
     names = tuple(one.name for one in rivals)
     shares = np.array([one.share for one in rivals])
     shares = shares / shares.sum()
@@ -190,7 +185,7 @@ def _between(problem: Problem, rivals: Sequence[Hypothesis], limits: MotionLimit
 
 
 def rivals_of(attribution: Attribution) -> list[Hypothesis]:
-    """The open hypotheses, the most probable first; none that only adds an effect to a more probable one."""
+    """The open hypotheses, the most probable first, without those that only add an effect to a more probable hypothesis."""
     top = attribution.best.share
     out: list[Hypothesis] = []
     for one in attribution.hypotheses:
@@ -202,13 +197,8 @@ def rivals_of(attribution: Attribution) -> list[Hypothesis]:
 def within_force(problem: Problem, rivals: Sequence[Hypothesis], limits: MotionLimits) -> MotionLimits:
     """Limit the depth so that no open hypothesis expects more than the allowed force after a long hold.
 
-    Args:
-        problem: The recordings so far.
-        rivals: The open hypotheses.
-        limits: The limits, with the force.
-
     Returns:
-        The limits with that depth; 0 where it is less than a tenth of the allowed one.
+        The limits with that depth; 0 where it is less than a tenth of the depth in `limits`.
     """
     if problem.cell.tissue is None:
         return limits
@@ -240,7 +230,7 @@ def _anything_moves(problem: Problem) -> bool:
 
 
 def _again(problem: Problem, refused: RefusedLaw, limits: MotionLimits | None) -> Advice:
-    """The motion that shows a refused law again: the whole one where it changes in time, else the press or stroke that showed it."""
+    """The motion that shows a refused law again: the whole motion where it changes in time, else the press or stroke that showed it."""
     known = limits or MotionLimits.of(problem)
     names, shares = ("a law that repeats", "a change in time that does not"), np.array([0.5, 0.5])
     gain = refused.law.nats
@@ -283,9 +273,6 @@ def score(problem: Problem, rivals: Sequence[Hypothesis], motion: TestMotion, li
         rivals: The h open hypotheses.
         limits: Where it starts, and its acceleration.
         patience: Number of times that it is recorded.
-
-    Returns:
-        The motion with its expected log odds.
     """
     surface_m = surface_of(problem)
     rows_s = max(problem.scale.step_s, 1e-4)
@@ -298,7 +285,7 @@ def score(problem: Problem, rivals: Sequence[Hypothesis], motion: TestMotion, li
 
 
 def _trial(problem: Problem, t_s: Floats, z_cmd_m: Floats, weight: float) -> Problem:
-    """The problem that a recording of that motion would pose, each row counting for `weight` rows."""
+    """The problem that a recording of that motion would pose, in which each bin counts for `weight` bins."""
     blank = blank_recording(problem.cell, t_s, z_cmd_m)
     measured = np.any([one.judged[FX:] for one in problem.recordings], axis=0)
     blank = replace(blank, wrench=blank.wrench * measured)
@@ -308,10 +295,10 @@ def _trial(problem: Problem, t_s: Floats, z_cmd_m: Floats, weight: float) -> Pro
 
 
 def _log_odds(trial: Problem, rivals: Sequence[Hypothesis]) -> Floats:
-    """Log odds (h, h) that the recording would bring for the row's hypothesis, were it true, against the column's.
+    """Log odds (h, h) that the recording would bring for hypothesis i (row) against hypothesis j (column), if i is true.
 
-    They are half the squared difference of the predictions in sigmas that nothing can make up for: neither in-tolerance deviations, nor
-    the other's parameters within their uncertainty, nor a discrepancy of the other's law.
+    They are half the squared difference of both predictions, in sigmas, that nothing in hypothesis j can make up for: neither in-tolerance
+    deviations, nor its parameters within their uncertainty, nor a discrepancy of its law.
     """
     base = linearise(trial, {}, trial.nominal_eta)
     gaps = [trial.predict(one.fit.values, one.fit.eta) - base.prediction for one in rivals]
@@ -336,7 +323,7 @@ def _log_odds(trial: Problem, rivals: Sequence[Hypothesis]) -> Floats:
 
 
 def _free_columns(trial: Problem, other: Hypothesis, there: Linearisation) -> list[Floats]:
-    """Changes by one standard deviation of each independent combination of the other's parameters."""
+    """Whitened changes (7, b) by one standard deviation of each independent combination of the parameters of a hypothesis."""
     fit = other.fit
     if not fit.names:
         return []
@@ -351,7 +338,7 @@ def _free_columns(trial: Problem, other: Hypothesis, there: Linearisation) -> li
 
 
 def _unexplained(difference: Floats, free: Sequence[Floats], space: Nuisances) -> float:
-    """Half the squared difference without what nuisances and free columns explain."""
+    """Half the squared difference (7, b) without what nuisances and free columns explain, in nats."""
     d = project(difference, space)
     columns = [project(c, space) for c in free]
     seen = np.array([c.dot(d) for c in columns])
@@ -360,7 +347,7 @@ def _unexplained(difference: Floats, free: Sequence[Floats], space: Nuisances) -
 
 
 def _hidden(problem: Problem, two: Sequence[Hypothesis], best: ScoredMotion, limits: MotionLimits) -> tuple[float, str | None]:
-    """Log odds that the motion would bring for ever, and the tolerance without which it would bring most, if that is worth it."""
+    """Log odds of the motion recorded FOREVER times, and the tolerance without which they are largest; None where none doubles them."""
     forever = score(problem, two, best.motion, limits, FOREVER).apart(0, 1)
     most, hidden_by = max(2.0 * forever, WORTH_NATS), None
     for k, name in enumerate(SHARED):
@@ -376,7 +363,7 @@ def _hidden(problem: Problem, two: Sequence[Hypothesis], best: ScoredMotion, lim
 
 
 def _without_deviation(one: Hypothesis, k: int) -> Hypothesis:
-    """The hypothesis with its k-th shared deviation at zero."""
+    """The hypothesis with its shared deviation η of number k at zero."""
     around = one.fit.linearisation
     eta = around.eta.copy()
     eta[k] = 0.0

@@ -21,11 +21,10 @@ class Bins:
 
     @staticmethod
     def of_equal_length(t_s: Floats, count: int) -> "Bins":
-        """Bins of samples, each of `count` or of what comes in the time that `count` usually take; the last may be shorter.
+        """Bins that last as long as `count` samples usually do; the last may be shorter.
 
         Args:
             t_s: Times of the samples (n,).
-            count: Samples in a bin.
         """
         n = len(t_s)
         step_s = np.diff(t_s)
@@ -44,7 +43,7 @@ class Bins:
         """Mean over every bin.
 
         Args:
-            values: One value or k values per sample, (n,) or (n, k).
+            values: A value or k values of every sample, (n,) or (n, k).
 
         Returns:
             Means (b,) or (b, k).
@@ -58,14 +57,7 @@ class Bins:
         return csr_array((np.repeat(1.0 / self.count, self.count), np.arange(n), np.append(self.begin, n)), shape=(len(self), n))
 
     def label(self, values: Ints) -> Ints:
-        """The label of every bin.
-
-        Args:
-            values: Labels (n,) of the samples.
-
-        Returns:
-            The label (b,) in the middle of each bin.
-        """
+        """Labels (b,) of the bins: each takes that of its middle sample, of labels (n,) of the samples."""
         return np.asarray(values[self.begin + self.count // 2])
 
 
@@ -76,7 +68,7 @@ def make_bins(t_s: Floats, phases: Phases, samples_per_step: Bins, max_bins: int
         t_s: Times of the steps (n,).
         phases: Phases of the samples.
         samples_per_step: The samples of every step.
-        max_bins: Largest number of bins, about; with fewer steps, every step is a bin.
+        max_bins: Largest number of bins, approximately; with fewer steps, every step is a bin.
     """
     n = len(t_s)
     step_s = np.diff(t_s, append=2 * t_s[-1] - t_s[-2])

@@ -43,7 +43,7 @@ def lattice_step(values: Floats) -> float:
         values: The readings (n,).
 
     Returns:
-        The step in their unit, the finer of two; 0 without one.
+        The step in the unit of the readings, the finer of two; 0 if they are not rounded.
     """
     unique = np.unique(values)
     if len(unique) < 3 or len(unique) > 0.2 * len(values):
@@ -67,14 +67,7 @@ SAME_READING = 1e-9
 
 
 def repeats(readings: Floats) -> NDArray[np.bool_]:
-    """Whether a reading repeats the one before.
-
-    Args:
-        readings: Readings (n, k) of k axes.
-
-    Returns:
-        Flags (n - 1, k).
-    """
+    """Whether a reading repeats the reading before it (n - 1, k), of readings (n, k) of k axes."""
     return np.asarray(np.abs(np.diff(readings, axis=0)) <= SAME_READING * np.ptp(readings, axis=0))
 
 
@@ -83,7 +76,7 @@ def held_runs(samples: Samples) -> tuple[int, float, float]:
 
     Returns:
         Their number, their mean length in samples beyond the first, and the number of repeats that chance alone gives: each live axis
-        repeats by itself as often as it does while another one changes.
+        repeats by itself as often as it does while another axis changes.
     """
     live = [k for k in range(6) if not dead(samples.wrench[:, k])]
     if not live:

@@ -35,12 +35,12 @@ class Phases:
     Attributes:
         phase: Index into PHASES (n,).
         moving: Whether it moves (n,).
-        velocity_m_per_s: Commanded speed (n,); the smoothed reported one without a command.
+        velocity_m_per_s: Commanded speed (n,); the smoothed reported speed without a command.
         depth_m: Depth below the nominal surface (n,), 0 in free space.
-        cycle: Number of the stretch (n,): a press with the free motion around it.
+        cycle: Number of the cycle (n,): a press, with half of the free motion before and after it.
         press: Number of the press (n,), -1 for none.
         since_s: Time since the motion last began or ended (n,).
-        until_s: Time until it next does (n,).
+        until_s: Time until the motion next begins or ends (n,).
     """
 
     phase: Ints
@@ -75,10 +75,10 @@ def find_phases(samples: Samples, surface_z_m: float, position_noise_rms_m: floa
     """Find the five phases of a recording.
 
     Contact is where the reported height is below the nominal surface. Moving is |v| > min(1 mm/s, 5 % of the 95th percentile
-    of |v|), v the derivative of the commanded height where there is one, else the reported speed low-passed at 5 Hz.
+    of |v|). v is the derivative of the commanded height where there is a command, else the reported speed low-passed at 5 Hz.
 
     Args:
-        surface_z_m: Height of the nominal surface.
+        surface_z_m: Of the nominal cell; -inf without tissue.
         position_noise_rms_m: Noise of the heights, which makes no press.
     """
     velocity = _velocity(samples)

@@ -33,7 +33,7 @@ LAST_DIGITS = 1e-9
 """Least noise of a channel without any, as a share of its span: readings have no more digits."""
 
 UNREPORTED_SHARE = 0.5
-"""Share of the servo's lag by acceleration, a/wn², by which the tip may differ from the height that a commanded robot reports, one
+"""Share of the servo's lag by acceleration, a/ω², by which the tip may differ from the height that a commanded robot reports, as a
 standard deviation: behind the encoders everything gives way to inertia, and reports are filtered. Only the contact force feels it."""
 
 MOST_AT_REST = 100
@@ -56,13 +56,13 @@ class PreparedRecording:
     step_means: csr_array  # (b, steps) takes means over the bins of what is known at the times of `motion`
     otherwise: tuple[TipMotion, TipMotion]  # `motion` with another path, and with its acceleration averaged once more
     reports: Reports  # of the robot
-    robot_t_s: Floats  # (k,) times from the first row: of the samples where the robot reports more slowly, else of the steps
+    robot_t_s: Floats  # (k,) times from the first row: of the samples where the robot reports less often, else of the steps
     z_cmd_m: Floats | None  # (k,) at those times
     z_means: csr_array  # (b, k) takes means over the bins of heights at those times
     inertial_noise_N: csr_array  # (b, r) effect on fz of one standard deviation of the error of each reported speed
     noise_rms: Floats  # (7,) of one sample, as measured
     rest: NDArray[np.bool_]  # (n,) samples at which the noise was measured
-    noise_measured: bool  # whether there were enough of them
+    noise_measured: bool  # whether enough samples at rest were there for it
     judged: tuple[bool, ...]  # which of the 7 channels are compared
     at_rest: Ints  # numbers of at most MOST_AT_REST steps at rest in the air, evenly spread
     rounding: Rounding | None = None  # of fz, where noise does not dither it
@@ -70,7 +70,7 @@ class PreparedRecording:
 
     @cached_property
     def samples_each(self) -> float:
-        """Number of samples per report of the robot."""
+        """Mean number of samples per report of the robot."""
         return self.reports.rows_each
 
     @cached_property
@@ -97,14 +97,17 @@ class PreparedRecording:
         """Predicted mean reading; with a user's simulator its output + palpd(cell) - palpd(nominal cell).
 
         Args:
-            cell: The cell in some state.
+            cell: With the effects and deviations of the state that is predicted.
             motion: Motion of the tip in this recording, at the samples or the steps.
             library: Effects by id.
         """
         return mean_reading(cell, motion, library) if self.beyond is None else self.beyond.reading(cell, motion, library)
 
     def rounded(self, rounding: Rounding) -> "PreparedRecording":
-        """The recording whose fz is rounded so: its noise is that of all forces, not of those that happened to rest between two levels."""
+        """The recording with the rounding of its fz, whose noise is then at least that of forces anywhere between two levels.
+
+        The measured noise is that of the few forces that occur at rest.
+        """
         noise_rms = self.noise_rms.copy()
         noise_rms[FZ] = max(noise_rms[FZ], np.hypot(rounding.noise_rms_N, rounding.step_N / 12.0**0.5))
         return replace(self, rounding=rounding, noise_rms=noise_rms)
@@ -114,10 +117,10 @@ class PreparedRecording:
 
         Args:
             palpd_m: What palpd predicts (m,).
-            t_s: At these times (m,) from the first row.
+            t_s: The times (m,) of these heights, from the first row.
 
         Returns:
-            The heights (m,).
+            The heights (m,) in m.
         """
         return palpd_m if self.beyond is None else palpd_m + self.beyond.heights(t_s)
 
@@ -125,8 +128,8 @@ class PreparedRecording:
         """Means over the bins of what was computed at the even times of a motion.
 
         Args:
-            motion: Motion at the steps of this recording.
-            values: One value per time of that motion.
+            motion: At the steps of this recording.
+            values: Values (steps,) at the times of that motion.
 
         Returns:
             Means (b,) in the unit of the values.
@@ -153,11 +156,7 @@ def without_rounding(samples: Samples) -> Samples:
 
 
 def moves(samples: Samples, cell: CellFile) -> bool:
-    """Whether the heights of a recording span more than their noise.
-
-    Returns:
-        True where something moves.
-    """
+    """Whether the heights of a recording span more than their noise."""
     low_m, high_m = np.quantile(samples.z_m, (0.01, 0.99))
     return bool(high_m - low_m > STILL_NOISES * cell.robot.position_noise_rms_m)
 
@@ -167,7 +166,7 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecordin
 
     Args:
         cell: Its nominal cell.
-        max_bins: Largest number of bins, about.
+        max_bins: Largest number of bins, approximately.
     """
     surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
     phases = find_phases(samples, surface_m, cell.robot.position_noise_rms_m)
@@ -213,19 +212,18 @@ def with_simulator(one: PreparedRecording, simulator: UserSimulator, cell: CellF
     """A recording whose nominal prediction is that of a user's simulator.
 
     Args:
-        simulator: The simulator; it is asked for the motion of the recording.
-        cell: The nominal cell.
-        library: Its effects by id.
+        simulator: It is asked for the motion of the recording.
+        library: Effects of the nominal cell by id.
 
     Returns:
-        The recording with the difference of the two nominal predictions.
+        The recording with the difference of both nominal predictions.
     """
     reported = one.samples.z_cmd_m, one.samples.z_m
     return replace(one, beyond=difference(simulator, cell, library, one.sampled, reported, float(one.phases.depth_m.max())))
 
 
 def _unreported_height(cell: CellFile, samples: Samples, motion: TipMotion) -> Floats:
-    """Heights (n,) by which the tip may differ from the reports in acceleration, one standard deviation; 0 without a command."""
+    """Heights (n,) by which the tip may differ from the reports in acceleration, as a standard deviation; 0 without a command."""
     if samples.z_cmd_m is None:
         return np.zeros(len(samples))
     return np.asarray(UNREPORTED_SHARE * motion.az_m_per_s2 / (2.0 * np.pi * cell.robot.servo_natural_frequency_Hz) ** 2)
@@ -300,7 +298,7 @@ def _means_of_sums(bins: Bins, weights: Floats, first: int, n: int) -> csr_array
 
 
 def _step_length(samples: Samples, cell: CellFile, samples_each: float) -> int:
-    """Number of samples in one step of the simulation.
+    """Number of samples in a step of the simulation.
 
     A step takes at most a fifth of the time over which heights are averaged, and at least 4500 steps remain. It takes up to a third where
     the robot reports no more often, since no faster motion is known there.
@@ -335,7 +333,7 @@ def _step_means(sampled: TipMotion, samples_per_step: Bins, steps: Bins) -> csr_
 
 
 def _even(t_s: Floats) -> Floats:
-    """Times of steps on an even grid, since a filter over even steps costs a tenth of one over uneven ones.
+    """Times of steps on an even grid, since a filter takes a tenth of the time over even steps.
 
     They move by up to half a step; the last step may be short and move further. Where that does not suffice they stay.
     """

@@ -16,7 +16,7 @@ from palpd.tick import Floats
 
 NOISE = {"noise_rms_N": (FX, FY, FZ), "noise_rms_Nm": (TX, TY, TZ)}
 RESOLUTION = {"resolution_fxy_N": (FX, FY), "resolution_fz_N": (FZ,), "resolution_Nm": (TX, TY, TZ)}
-"""Channels that a key of the cell file's sensor block is about."""
+"""Channels whose noise or step a key of the cell file's sensor block states."""
 
 HEALTHY_NOISE = 1.5
 """Ratio of shown and stated noise beyond which lateral axes say nothing of the noise of fz."""
@@ -28,11 +28,9 @@ FAR_FROM_STATED = 5.0
 def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[CellFile, list[str], list[str]]:
     """Take noise and resolution that a cell file does not state from the recordings.
 
-    Args:
-        recordings: The recordings of the cell.
-
     Returns:
-        The cell with every value stated, a sentence for each value that is far from the stated one, and one for those that were measured.
+        The cell with every value stated; a sentence for each value that is stated and far from the recorded one; a sentence with the
+        recorded values, if there are any.
     """
     resolution = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
     rests = [_rests(_phases(samples, cell).phase) for samples in recordings]
@@ -58,15 +56,11 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
 
 
 def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[float, list[float]]:
-    """What rests show of fz before it is rounded.
-
-    Args:
-        recordings: The recordings of the cell.
-        cell: The cell file, with its stated noise.
+    """Noise of a sample of fz before its rounding, and the mean of fz at rest in the air, both in N.
 
     Returns:
-        Noise of a sample in N: the stated one, as far as the lateral axes, whose steps are finer, allow it; and where these are noisier or
-        quieter than healthy ones. Then the mean of fz at rest in the air in N, of each recording.
+        The stated noise, brought into the range that the lateral axes show, whose steps are finer; as stated where these are noisier or
+        quieter than healthy axes. Then the mean of each recording.
     """
     phases = [_phases(samples, cell) for samples in recordings]
     stated_N = cell.sensor.noise_rms_N
@@ -115,6 +109,6 @@ def _quiet_rms(values: Floats) -> float:
 
 
 def _step(recordings: Sequence[Samples], channels: tuple[int, ...]) -> float:
-    """Finest step of the readings; 0 without one."""
+    """Finest step of the readings, in their unit; 0 if they are not rounded."""
     steps = [lattice_step(samples.wrench[:, channel - 1]) for samples in recordings for channel in channels]
     return min((step for step in steps if step > 0.0), default=0.0)

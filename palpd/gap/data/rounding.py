@@ -1,4 +1,4 @@
-"""Readings of fz that noise does not dither: rounded more coarsely than the cell file states, or than their noise is large."""
+"""Readings of fz that noise does not dither: their steps are coarser than the cell file states, or large against their noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ WAYS: tuple[Way, ...] = ("nearest", "down", "to zero")
 """How readings come to their levels: converters round to the nearest one or down, and integers in software cut towards zero."""
 
 DITHERED = 0.36
-"""Noise, in steps, from which on the mean reading follows the force within a sixth, and by less than 3 % of a step."""
+"""Noise, in steps, from which on the mean reading is less than 3 % of a step off the force, and its slope less than a sixth off 1."""
 
 REACH = 1.5
 """Steps from the force at rest up to which the force is that of the probe alone, in the air."""
@@ -39,10 +39,10 @@ POINTS_PER_STEP = 100
 
 
 NOISES = np.geomspace(0.02, 0.7, 42)
-"""Noise, in steps, among which that of rounded readings is sought."""
+"""Candidates for the noise of rounded readings before the rounding, in steps."""
 
 STRETCH = 100
-"""Readings of a rest that share a mean: of more, a force that creeps changes it."""
+"""Number of readings of a rest that share a mean: over a longer time a force that creeps changes it."""
 
 EVEN_RMS = 0.6
 """Rms of rounded readings, in steps, from which on their variance is the same wherever they rest: that of the noise and 1/12."""
@@ -60,7 +60,7 @@ def rounded_moments(force: Floats, noise_rms: float, way: Way = "nearest", first
     Args:
         force: Forces without noise (n,), in steps from a level.
         noise_rms: Noise before the rounding, in steps.
-        way: Kind of the rounding; towards the zero of `force` where it cuts.
+        way: `to zero` cuts towards the zero of `force`.
         first: Finer step, in steps, to which the reading was rounded before; 0 for none.
 
     Returns:
@@ -77,7 +77,7 @@ def rounded_moments(force: Floats, noise_rms: float, way: Way = "nearest", first
 
 
 def _edge(level: Floats, way: Way, first: float) -> Floats:
-    """Least force that is rounded to these levels or to higher ones."""
+    """Least force that is rounded to these levels or to higher levels, in steps."""
     # Where software cuts towards zero, a reading of -1 itself stays -1.
     below: dict[Way, Floats | float] = {"nearest": 0.5, "down": 0.0, "to zero": np.where(level > 0.0, 0.0, 1.0 - 1e-6)}
     edge = level - below[way]
@@ -91,14 +91,13 @@ class Rounding:
     The tare leaves the levels anywhere, and nobody knows the force behind a reading that rests between two of them. The readings at rest
     say it: their mean fixes how far the force at rest lies from its level. So what a cell predicts is laid between the levels by *its own*
     forces at rest, and its mean readings are given in the frame of its forces. A zero that has moved (bias, whether an effect or within
-    tolerance) then moves all forces and all predicted readings alike, and drift acts by what it changes beside the rests.
+    tolerance) then moves all forces and all predicted readings alike. Drift acts only by what it changes between the rests and the presses.
 
     Attributes:
         step_N: Distance of the levels.
         level_N: One of the levels, on the scale of the readings.
         rest_N: Mean reading at rest in the air, on that scale.
         noise_rms_N: Noise before the rounding.
-        way: Kind of the rounding.
         first_N: Finer step to which readings were rounded before, as software does that cuts what the sensor rounded; 0 for none.
         reach_N: Largest distance from the force at rest that is predicted to a fraction of a step. Beyond, tolerances decide on which side
             of a level a force lies.
@@ -117,10 +116,10 @@ class Rounding:
 
         Args:
             force_N: Forces without noise (n,), from any zero.
-            at_rest: Numbers of some of them at rest in the air.
+            at_rest: Numbers (m,) of forces at rest in the air.
 
         Returns:
-            Mean readings (n,) from the same zero in N.
+            Mean readings (n,) in N, from the same zero.
         """
         rest_N = force_N[at_rest]
         zero_N = self._zero(rest_N)
@@ -156,7 +155,7 @@ class Rounding:
 
 
 def noise_before_rounding(values: Floats, at_rest: NDArray[np.bool_], step: float) -> tuple[float, float]:
-    """The range of noise before the rounding that readings at rest allow.
+    """Find the range of noise before the rounding that readings at rest allow.
 
     A reading that rests in the middle of a level varies less than its noise, and one that rests between two levels varies more. So the
     variance is compared with that of a rounded normal number at the mean reading of each short stretch of rest. Where only two levels
@@ -168,7 +167,7 @@ def noise_before_rounding(values: Floats, at_rest: NDArray[np.bool_], step: floa
         step: Step to which they are rounded; 0 for none.
 
     Returns:
-        Least and largest noise (rms) that the readings allow, both 0 of too few.
+        Least and largest noise (rms) in the unit of the readings; both 0 where too few rest.
     """
     rms = measured_rms(values, at_rest)
     if rms >= EVEN_RMS * step:
@@ -216,14 +215,7 @@ def undithered_rms(step: float, noise_rms: float) -> float:
 
 
 def coarse_step_N(samples: Samples, cell: CellFile) -> float:
-    """The usual distance between neighbouring values of fz.
-
-    Args:
-        cell: Its cell file, with the stated step and noise.
-
-    Returns:
-        The step in N; 0 unless it is much coarser than stated.
-    """
+    """The usual distance in N between neighbouring values of fz; 0 unless it is much coarser than step and noise that the cell states."""
     values = np.unique(samples.wrench[:, 2])
     if len(values) < 3 or len(values) > 0.2 * len(samples):
         return 0.0
@@ -242,16 +234,16 @@ def coarse_step_N(samples: Samples, cell: CellFile) -> float:
 def roundings_of(
     recordings: Sequence[Samples], steps_N: Sequence[float], cell: CellFile, noise_rms_N: float, rests_N: Sequence[float]
 ) -> list[Rounding]:
-    """How fz is rounded; its levels follow from the mean of all values on the circle of one step.
+    """How fz is rounded; its levels follow from the mean of all values on a circle whose turn is a step.
 
     Args:
-        recordings: The recordings as they were read; each was tared by itself, so its levels are its own.
-        steps_N: Coarse step of each, 0 for none.
+        recordings: As they were read. Each was tared by itself, so each has levels of its own.
+        steps_N: Coarse step of each recording, 0 for none.
         noise_rms_N: Noise of a sample before rounding.
-        rests_N: Mean reading of fz at rest in the air in each.
+        rests_N: Mean reading of fz at rest in the air, of each recording.
 
     Returns:
-        The rounding of each to the coarsest of the steps; none where noise dithers the stated step.
+        The rounding of each recording: to the coarsest of the steps, or to the stated step where all are 0. Empty where noise dithers it.
     """
     coarse_N = max(steps_N)
     step_N = coarse_N or cell.sensor.resolution_fz_N

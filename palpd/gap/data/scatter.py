@@ -21,7 +21,7 @@ from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
 HEALTHY_RATIO = 1.2
-"""Noise up to this much above the stated is within specification."""
+"""Noise up to this many times the stated noise is within specification."""
 
 TAIL_SD, TAIL_WINDOW = 2.0, 5
 """A reading farther than this many sigmas from the median of this many neighbours lies in the tails."""
@@ -33,7 +33,7 @@ P_SEEN = 0.99
 """Probability of a coarse step or of held samples once they have been seen: chance alone makes neither."""
 
 LEAST_NOISE_RATIO = 0.01
-"""Least ratio of shown and stated noise: less is none."""
+"""Least ratio of shown and stated noise: a smaller ratio counts as this, since its logarithm is used."""
 
 LONE_RATIO = 1.45
 """Noise of one axis over that of the others above which something unknown acts on that axis."""
@@ -45,9 +45,9 @@ class Readings:
 
     Attributes:
         bridged: The recording with held samples interpolated.
-        cleaned: The same with heavy tails clipped, where the noise is not healthy.
+        cleaned: `bridged` with heavy tails clipped where the noise is not healthy; else the same object.
         held_stretches: Number of stretches of held samples.
-        held_s: Their mean length.
+        held_s: Mean length of these.
         coarse_step_N: Step of fz, 0 unless it is much coarser than stated.
     """
 
@@ -64,11 +64,7 @@ class Readings:
 
     @staticmethod
     def of(samples: Samples, cell: CellFile) -> "Readings":
-        """Clean a recording.
-
-        Returns:
-            The cleaned readings.
-        """
+        """Clean a recording."""
         bridged, stretches, held_s = without_held(samples)
         return Readings(bridged, without_tails(bridged, cell), stretches, held_s, coarse_step_N(samples, cell))
 
@@ -84,14 +80,14 @@ class ScatterEffect:
 
 @dataclass(frozen=True)
 class Scatter:
-    """The effects of the scatter that were seen, and the probability that one axis alone is noisy, which none of them makes."""
+    """The effects of the scatter that were seen, and the probability that one axis alone is noisy, which no listed effect makes."""
 
     effects: list[ScatterEffect]
     p_lone_axis: float
 
 
 def without_held(samples: Samples) -> tuple[Samples, int, float]:
-    """Bridge rows that only repeat the last one, unless they are no more than chance.
+    """Bridge rows that only repeat the row before, unless chance makes as many.
 
     Returns:
         The bridged recording, the number of stretches, and their mean length in s.
@@ -112,9 +108,6 @@ def without_tails(samples: Samples, cell: CellFile) -> Samples:
     Noise that is too large is seldom normal: its rare large values are the same noise and no pulses of something unknown. Where the
     noise is healthy, pulses are pulses.
 
-    Args:
-        cell: Its cell file, with the stated noise.
-
     Returns:
         The clipped recording; the same object where the noise is healthy.
     """
@@ -133,11 +126,8 @@ def scatter_effects(
     """Test the recordings for the library's effects of the scatter.
 
     Args:
-        readings: The same recordings as they were cleaned.
-        library: The effects that may be present.
-
-    Returns:
-        The effects that were seen.
+        readings: The same recordings, as `Readings.of` cleaned them.
+        library: The effects that may be present, by id.
     """
     noise, p_lone_axis = _noise(recordings, readings, cell)
     seen = {"coarse step": _coarse_step(readings), "held samples": _held_samples(readings), "noise": noise}
@@ -173,7 +163,7 @@ def _held_samples(readings: Sequence[Readings]) -> Seen | None:
 
 
 def _noise(recordings: Sequence[PreparedRecording], readings: Sequence[Readings], cell: CellFile) -> tuple[Seen | None, float]:
-    """More noise on all axes, and the probability that one axis alone is noisy."""
+    """More noise on all axes (None where it is not larger), and the probability that one axis alone is noisy."""
     coarse = any(one.coarse_step_N > 0 for one in readings)
     steps = resolutions(cell)
     stated = pure_rms(cell)

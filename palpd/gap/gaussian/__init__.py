@@ -1,1 +1,1 @@
-"""Linear Gaussian algebra: noise, nuisances, and evidence with both integrated out. It knows neither cells nor recordings."""
+"""Linear Gaussian algebra: noise Σ, nuisances A c, and evidence with both integrated out. It knows neither cells nor recordings."""

@@ -1,4 +1,7 @@
-"""Evidence of a group of columns: its coefficients are marginalised, and so are tolerances and the group's own size."""
+"""Evidence of a group of columns X: nuisances and the coefficients w ~ N(0, s² L Lᵀ) are integrated out, and s and L averaged over.
+
+docs/explanation/inference.md states the formula under "Laws and events". P, below, projects the nuisances out.
+"""
 
 from dataclasses import dataclass
 from math import log
@@ -9,11 +12,11 @@ from palpd.gap.gaussian.nuisance_space import Products
 from palpd.tick import Floats
 
 SIZES = (8.0, 20.0, 50.0, 150.0)
-"""Sizes, in sigmas beyond what tolerances hide, that a law may have before the data are seen."""
+"""Sizes √(s² Σλ) of a law, in sigmas beyond what tolerances hide; all are equally probable before the data are seen."""
 
 LEAST_SHARE, FULL_SHARE = 0.004, 0.1
-"""Share of a change that tolerances leave below which it is no law, and above which it pays nothing: a law that tolerances all but hide
-has a large coefficient, and opens the gap on another motion."""
+"""Share wᵀXᵀPXw / wᵀXᵀXw of a law's squared change that tolerances leave. Below the first it is no law, above the second it costs
+nothing: a law that tolerances nearly hide has a large coefficient, and makes a gap on another motion."""
 
 SHARE_PRICE = 1.5
 """Nats per factor e by which the share lies below FULL_SHARE."""
@@ -21,13 +24,13 @@ SHARE_PRICE = 1.5
 
 @dataclass(frozen=True)
 class GroupEvidence:
-    """How likely a group is.
+    """How likely a group of n columns is.
 
     Attributes:
-        nats: Log Bayes factor against nothing, less the price of a change that tolerances nearly hide.
-        root: Root (n, n) of the prior covariance of the coefficients at the likeliest length and size.
-        mean: Posterior mean of the coefficients (n,).
-        covariance: Posterior covariance (n, n).
+        nats: Log Bayes factor against w = 0, less the price of a change that tolerances nearly hide; -inf where they hide it.
+        root: Root s L (n, n) of the prior covariance of w, for the likeliest s and L.
+        mean: Posterior mean of w (n,).
+        covariance: Posterior covariance of w (n, n).
     """
 
     nats: float
@@ -37,14 +40,11 @@ class GroupEvidence:
 
 
 def group_evidence(products: Products, priors: tuple[Floats, ...]) -> GroupEvidence:
-    """Evidence of one group, averaged over lengths and sizes.
+    """Evidence of one group, averaged over its priors and sizes.
 
     Args:
-        products: Inner products of its columns.
-        priors: Roots (n, n) of the covariances that the coefficients may have.
-
-    Returns:
-        The evidence, -inf where tolerances hide the group.
+        products: Of the n columns of the group.
+        priors: The roots L (n, n), such as one for each length over which a curve is smooth.
     """
     n = len(products.slope)
     each = _log_factors(products.gram[None], products.slope[None], priors)[:, 0]
@@ -65,12 +65,12 @@ def batch_nats(grams: Floats, slopes: Floats, priors: tuple[Floats, ...]) -> Flo
     """Log Bayes factors of many groups, before any price.
 
     Args:
-        grams: Inner products of the columns of every group (k, n, n).
-        slopes: Their inner products with the residual (k, n).
-        priors: Roots (n, n) of the covariances that the coefficients may have.
+        grams: XᵀPX of every group (k, n, n).
+        slopes: XᵀPr of every group (k, n).
+        priors: The roots L (n, n).
 
     Returns:
-        The factors (k,).
+        The factors (k,) in nats, -inf where tolerances hide a group.
     """
     each = _log_factors(grams, slopes, priors)
     return np.asarray(np.logaddexp.reduce(each, axis=0) - log(len(each)))
@@ -93,14 +93,10 @@ def _log_factors(grams: Floats, slopes: Floats, priors: tuple[Floats, ...]) -> F
 
 
 def posterior_of(products: Products, root: Floats) -> tuple[Floats, Floats]:
-    """Mean (n,) and covariance (n, n) of coefficients.
+    """Posterior mean (n,) and covariance (n, n) of the coefficients w.
 
     Args:
-        products: Inner products of the columns.
-        root: Root (n, n) of their prior covariance.
-
-    Returns:
-        Both.
+        root: Root s L (n, n) of the prior covariance of w.
     """
     inner = np.linalg.inv(np.eye(len(root)) + root.T @ products.gram @ root)
     covariance = root @ inner @ root.T

@@ -1,4 +1,4 @@
-"""Inner products of whitened columns with everything within specification projected out, in all bins or without one fold of them."""
+"""Inner products of whitened columns, the nuisances A projected out: in all bins, or in the folds of a cross-validation."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,11 +20,10 @@ def whitened(noise: Whitening, columns: ColumnsByChannel) -> dict[int, Floats]:
     """Columns in units of the noise.
 
     Args:
-        noise: Noise of the bins.
-        columns: ColumnsByChannel (b, n) by channel, in the units of the channels.
+        columns: Columns (b, n) in the unit of each channel.
 
     Returns:
-        The columns in sigmas, without the channels that are not compared.
+        The columns (b, n) in sigmas, without the channels that are not compared.
     """
     return {
         channel: noise.whiten_channel(channel, values) for channel, values in columns.items() if np.isfinite(noise.sigma[channel]).any()
@@ -32,14 +31,11 @@ def whitened(noise: Whitening, columns: ColumnsByChannel) -> dict[int, Floats]:
 
 
 COARSENESS = 3
-"""Neighbouring rows that are joined where all candidates are scored: that is all that smooth laws need."""
+"""Number of neighbouring bins that are joined while all candidates are scored: smooth laws need no finer bins."""
 
 
 def coarse(columns: ColumnsByChannel) -> dict[int, Floats]:
-    """Whitened columns with neighbouring rows joined; noise of one row stays N(0, 1), so evidence stays evidence.
-
-    Args:
-        columns: ColumnsByChannel (b, n) by channel.
+    """Join neighbouring bins of whitened columns (b, n); the noise of a joined bin is N(0, 1) again, so evidence stays evidence.
 
     Returns:
         Columns (b / COARSENESS, n) by channel.
@@ -51,12 +47,12 @@ def coarse(columns: ColumnsByChannel) -> dict[int, Floats]:
 
 @dataclass(frozen=True)
 class Products:
-    """Inner products of n columns.
+    """Inner products of n columns X; P = (I + A Aᵀ)⁻¹ projects the nuisances out.
 
     Attributes:
-        gram: With each other (n, n), the nuisances projected out.
-        slope: With the residual (n,), the nuisances projected out.
-        raw: With each other (n, n), nothing projected out.
+        gram: XᵀPX (n, n).
+        slope: XᵀPr (n,), with the residual r.
+        raw: XᵀX (n, n), nothing projected out.
     """
 
     gram: Floats
@@ -68,27 +64,24 @@ class Products:
         return Products(self.gram[chosen, chosen], self.slope[chosen], self.raw[chosen, chosen])
 
     def combined(self, matrix: Floats) -> "Products":
-        """The products of combinations of the columns.
+        """The products of m linear combinations of the columns.
 
         Args:
             matrix: The combinations (n, m).
-
-        Returns:
-            The products of m columns.
         """
         return Products(matrix.T @ self.gram @ matrix, matrix.T @ self.slope, matrix.T @ self.raw @ matrix)
 
 
 @dataclass(frozen=True)
 class NuisanceSpace:
-    """Nuisances (k, 7, b) with coefficients N(0, 1), and a residual (7, b), whitened."""
+    """Nuisances A (k, 7, b) with coefficients c ~ N(0, I), and a residual r (7, b), whitened."""
 
     columns: Columns
     residual: Floats
 
     @cached_property
     def coarse(self) -> "NuisanceSpace":
-        """The space with neighbouring rows joined."""
+        """The space with COARSENESS neighbouring bins joined."""
         rows = np.arange(0, self.residual.shape[1], COARSENESS)
         return NuisanceSpace(self.columns.joined(COARSENESS), np.add.reduceat(self.residual, rows, axis=1) / COARSENESS**0.5)
 
@@ -102,7 +95,7 @@ class NuisanceSpace:
 
     @cached_property
     def remainder(self) -> Floats:
-        """The residual (7, b) without what the nuisances explain."""
+        """The residual (7, b) without what the nuisances explain, r - A ĉ."""
         return self.residual - self._nuisances.explained(self._nuisances.coefficients(self.residual))
 
     def products(self, columns: ColumnsByChannel) -> Products:
@@ -117,15 +110,15 @@ class NuisanceSpace:
         return Products(raw - seen.T @ seen, slope - seen.T @ self._seen, np.asarray(raw))
 
     def windows(self, channel: int, shape: Floats, begin: NDArray[np.intp], end: NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Inner products of one whitened shape cut to many windows, by running sums.
+        """Inner products of w columns in one channel: the same shape, each cut to a window of bins. Running sums give them at once.
 
         Args:
-            shape: The shape (b,).
+            shape: The whitened shape (b,).
             begin: First bin of every window (w,).
             end: End of every window (w,), not part of it.
 
         Returns:
-            Square of every window and its product with the residual (w,), the nuisances projected out.
+            Squared length of every column (w,) and its product with the residual (w,), the nuisances projected out.
         """
         numbers, rows = self.columns.of_channel(channel)
         rows *= shape  # in place: of hundreds of presses these are the largest arrays
@@ -141,28 +134,22 @@ class NuisanceSpace:
 
         Args:
             columns: Whitened columns (b, n) by channel, each times the standard deviation of its coefficient.
-
-        Returns:
-            The wider space.
         """
         count = next(iter(columns.values())).shape[1]
         more = [{channel: values[:, k] for channel, values in columns.items()} for k in range(count)]
         return NuisanceSpace(self.columns.beside(Columns.of(more, self.columns.shape)), self.residual)
 
     def restricted_to(self, bins: NDArray[np.bool_]) -> "NuisanceSpace":
-        """The space in which only some bins count.
-
-        Args:
-            bins: Which of them in each channel (7, b).
-        """
+        """The space in which only some bins (7, b) count."""
         return NuisanceSpace(self.columns.restricted_to(bins), np.where(bins, self.residual, 0.0))
 
     def folded(self, columns: ColumnsByChannel, fold: NDArray[np.intp], folds: int) -> tuple[list[Products], list[Products]]:
-        """Inner products of columns inside each fold and outside it; the nuisances are fitted there alone.
+        """Inner products of columns inside and outside each fold; each time the bins that count fit the nuisances alone.
 
         Args:
             columns: Whitened columns (b, n) by channel.
-            fold: The fold (b,) of every bin.
+            fold: Number of the fold (b,) of every bin, from 0 on.
+            folds: How many there are.
 
         Returns:
             Products inside every fold, and outside every fold.
@@ -186,14 +173,14 @@ class NuisanceSpace:
 
 
 def _running(values: Floats) -> Floats:
-    """Sums (b + 1, ...) of all rows before each."""
+    """Running sums (b + 1, ...): row k is the sum of the first k rows."""
     out = np.zeros((len(values) + 1, *values.shape[1:]))
     np.cumsum(values, axis=0, out=out[1:])
     return out
 
 
 def _schur(moments: Floats, k: int, n: int) -> Products:
-    """Products of the n columns after the first k nuisances have been projected out; the last row is the residual."""
+    """Products of n columns with k nuisances projected out, from the inner products of nuisances, columns and residual, in this order."""
     cross = moments[:k, k:]
     inner = moments[k:, k:] - cross.T @ cho_solve(cho_factor(moments[:k, :k] + np.eye(k)), cross)
     return Products(inner[:n, :n], inner[:n, n], moments[k : k + n, k : k + n])

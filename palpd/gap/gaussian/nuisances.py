@@ -1,4 +1,7 @@
-"""Linear Gaussian nuisances, marginalised exactly: data = signal + columns · coefficients + white noise, coefficients ~ N(0, 1)."""
+"""Linear Gaussian nuisances, integrated out exactly: y = signal + A c + white noise, c ~ N(0, I).
+
+P = (I + A Aᵀ)⁻¹, and F is the lower Cholesky factor of I + AᵀA. For vectors v and w of the data, vᵀPw = vᵀw - (F⁻¹Aᵀv)ᵀ(F⁻¹Aᵀw).
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,21 +19,21 @@ from palpd.tick import Floats
 Ints = NDArray[np.intp]
 
 SMALLEST_SQUARE = 1e-24
-"""Square of a row, as a share of the largest one's, below which the row is taken for zero: 16 digits hold no more."""
+"""Diagonal element of a symmetric matrix, as a share of the largest, below which its row counts as zero: 16 digits hold no more."""
 
 SHORT_SHARE = 0.25
-"""Share of all bins below which only the bins of a column are kept in which it is not zero: most columns of a press are so."""
+"""Largest share of all bins over which a column may reach for its values to be stored sparsely: most columns of a press are short."""
 
 PLAUSIBLE_SD = 2.0
 """Standard deviations that a deviation within specification may have: 95 % of all are smaller."""
 
 
 Rows = Floats | csr_array
-"""Columns of one channel as the rows (m, b) of a matrix: of a sparse one where each lives in few bins."""
+"""Columns of one channel as the rows (m, b) of a matrix, which is sparse where each column is zero in most bins."""
 
 
 class Stretch(NamedTuple):
-    """Values from a first bin on, zero in all others."""
+    """Values (n,) of a column from the bin `first` on; it is zero in all other bins."""
 
     first: int
     values: Floats
@@ -41,21 +44,14 @@ ColumnByChannel = Mapping[int, Floats | Stretch]
 
 
 class Block(NamedTuple):
-    """Columns that are zero but in one channel, as rows (m, b), and their numbers (m,)."""
+    """What m columns are in one channel, as rows (m, b), and the numbers (m,) of these columns among all."""
 
     channel: int
     numbers: Ints
     rows: Rows
 
     def chosen(self, which: NDArray[np.bool_]) -> "Block":
-        """Some of its columns.
-
-        Args:
-            which: Which of them (m,).
-
-        Returns:
-            A block with these alone.
-        """
+        """The block with some of its columns (m,) alone."""
         return self if which.all() else self._replace(numbers=self.numbers[which], rows=self.rows[which])
 
     def dense(self) -> Floats:
@@ -63,25 +59,14 @@ class Block(NamedTuple):
         return self.rows.toarray() if issparse(self.rows) else self.rows
 
     def where(self, bins: NDArray[np.bool_]) -> "Block":
-        """The columns where only some bins count; the others are zero.
-
-        Args:
-            bins: Which of them (b,).
-        """
+        """The columns where only some bins (b,) count; in the others they are zero."""
         if issparse(self.rows):
             kept = self.rows.data * bins[self.rows.indices]
             return self._replace(rows=csr_array((kept, self.rows.indices, self.rows.indptr), shape=self.rows.shape))
         return self._replace(rows=np.where(bins, self.rows, 0.0))
 
     def joined(self, count: int) -> "Block":
-        """The columns with neighbouring bins joined; noise of one bin stays N(0, 1).
-
-        Args:
-            count: Bins that are joined.
-
-        Returns:
-            Columns in a `count`-th of the bins.
-        """
+        """The columns with `count` neighbouring bins joined; the noise of a joined bin is N(0, 1) again."""
         m, b = self.rows.shape
         if not issparse(self.rows):
             return self._replace(rows=np.add.reduceat(self.rows, np.arange(0, b, count), axis=1) / count**0.5)
@@ -93,11 +78,11 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True)
 class Columns:
-    """Columns (k, c, b) over c channels and b bins in units of the noise, kept where they are not zero."""
+    """Columns A (k, c, b) over c channels and b bins in units of the noise, stored where they are not zero."""
 
     shape: tuple[int, int]  # (c, b)
-    blocks: tuple[Block, ...]  # at most two a channel
-    gram: Floats  # (k, k) their inner products
+    blocks: tuple[Block, ...]  # at most two a channel, a sparse and a dense one
+    gram: Floats  # (k, k) inner products AᵀA
 
     @property
     def size(self) -> int:
@@ -115,7 +100,7 @@ class Columns:
         return Columns(shape, blocks, _inner_products(blocks, blocks, (len(columns), len(columns))))
 
     def beside(self, others: "Columns") -> "Columns":
-        """These columns, and others after them."""
+        """These columns, followed by others."""
         n = self.size
         gram = np.zeros((n + others.size, n + others.size))
         gram[:n, :n], gram[n:, n:] = self.gram, others.gram
@@ -131,10 +116,10 @@ class Columns:
         """The columns with some of them set to zero.
 
         Args:
-            numbers: Which of them, in ascending order.
+            numbers: Numbers (m,) of these, in ascending order.
 
         Returns:
-            The columns, and those that were taken away, each (c, b).
+            The k columns, and the m that were set to zero, each (c, b).
         """
         if not len(numbers):
             return self, []
@@ -147,23 +132,16 @@ class Columns:
         return Columns(self.shape, tuple(blocks), gram), list(taken)
 
     def restricted_to(self, bins: NDArray[np.bool_]) -> "Columns":
-        """The columns where only some bins count; the others are zero.
+        """The columns where only some bins count; in the others they are zero.
 
         Args:
-            bins: Which of them (b,), or of each channel (c, b).
+            bins: Which bins count in all channels (b,), or in each (c, b).
         """
         by_channel = np.broadcast_to(bins, self.shape)
         return self._of_blocks(self.shape[1], [block.where(by_channel[block.channel]) for block in self.blocks])
 
     def joined(self, count: int) -> "Columns":
-        """The columns with neighbouring bins joined; noise of one bin stays N(0, 1).
-
-        Args:
-            count: Bins that are joined.
-
-        Returns:
-            Columns in a `count`-th of the bins.
-        """
+        """The columns with `count` neighbouring bins joined; the noise of a joined bin is N(0, 1) again."""
         return self._of_blocks(-(-self.shape[1] // count), [block.joined(count) for block in self.blocks])
 
     def _of_blocks(self, bins: int, blocks: Sequence[Block]) -> "Columns":
@@ -180,13 +158,13 @@ class Columns:
         return numbers, np.concatenate([np.zeros((0, self.shape[1])), *(block.dense() for block in mine)])
 
     def against(self, columns: Mapping[int, Floats]) -> Floats:
-        """Inner products with other columns.
+        """Inner products with other columns X, or with a vector v.
 
         Args:
-            columns: The others (b, n) by channel, or one of them (b,); zero in the channels that are not named.
+            columns: X (b, n) or v (b,) by channel, zero in the channels that are not named.
 
         Returns:
-            The products (k, n) or (k,).
+            AᵀX (k, n) or Aᵀv (k,).
         """
         out = np.zeros((self.size, *next(iter(columns.values())).shape[1:])) if columns else np.zeros(self.size)
         for channel, numbers, rows in self.blocks:
@@ -195,14 +173,7 @@ class Columns:
         return out
 
     def times(self, coefficients: Floats) -> Floats:
-        """Columns times coefficients.
-
-        Args:
-            coefficients: The coefficients (k,).
-
-        Returns:
-            Their sum (c, b).
-        """
+        """The sum A c (c, b) of the columns times coefficients (k,)."""
         out = np.zeros(self.shape)
         for channel, numbers, rows in self.blocks:
             out[channel] += coefficients[numbers] @ rows
@@ -217,7 +188,7 @@ class Columns:
 
 
 def _blocks(columns: Sequence[ColumnByChannel], b: int) -> tuple[Block, ...]:
-    """Columns of a channel that live in many bins, and those that live in few, together."""
+    """Columns gathered by channel: those that reach over many bins in a dense block, the short ones in a sparse block."""
     groups: dict[tuple[int, bool], list[tuple[int, Stretch]]] = {}
     for number, column in enumerate(columns):
         for channel, values in column.items():
@@ -249,7 +220,7 @@ def _sparse(stretches: Sequence[Stretch], b: int) -> csr_array:
 
 
 def _merged(blocks: Sequence[Block]) -> tuple[Block, ...]:
-    """Blocks of the same channel and kind as one."""
+    """The blocks, with those of the same channel and kind (dense or sparse) stacked."""
     groups: dict[tuple[int, bool], list[Block]] = {}
     for block in blocks:
         groups.setdefault((block.channel, issparse(block.rows)), []).append(block)
@@ -257,7 +228,7 @@ def _merged(blocks: Sequence[Block]) -> tuple[Block, ...]:
 
 
 def _stacked(those: Sequence[Block]) -> Block:
-    """Blocks of one channel and kind as one."""
+    """Blocks of one channel and kind stacked to a single block."""
     sparse = [block.rows for block in those if issparse(block.rows)]
     rows = csr_array(vstack(sparse)) if sparse else np.concatenate([block.dense() for block in those])
     return Block(those[0].channel, np.concatenate([block.numbers for block in those]), rows)
@@ -274,11 +245,11 @@ def _inner_products(ones: Sequence[Block], others: Sequence[Block], shape: tuple
 
 @dataclass(frozen=True)
 class Nuisances:
-    """Columns (k, c, b), each multiplied with the standard deviation of its coefficient, prepared to be projected out."""
+    """Columns A (k, c, b), each times the standard deviation of its coefficient, prepared to be projected out."""
 
     columns: Columns
-    factor: Floats  # lower Cholesky factor of I + AᵀA
-    log_determinant: float
+    factor: Floats  # F (k, k), the lower Cholesky factor of I + AᵀA
+    log_determinant: float  # log det(I + AᵀA)
 
     @property
     def size(self) -> int:
@@ -286,63 +257,35 @@ class Nuisances:
         return self.columns.size
 
     def against(self, values: Floats) -> Floats:
-        """Inner products of the columns with a vector, whitened.
-
-        Args:
-            values: The vector (c, b).
-
-        Returns:
-            The products (k,).
-        """
+        """Whitened inner products F⁻¹Aᵀv (k,) with a vector v (c, b); the sum of their squares is what the nuisances explain of vᵀv."""
         return self.whitened(self.columns.against({channel: row for channel, row in enumerate(values) if row.any()}))
 
     def whitened(self, products: Floats) -> Floats:
-        """Inner products with the columns, so that their own inner products are what the nuisances explain.
+        """Whiten inner products with the columns.
 
         Args:
-            products: The products (k,) or (k, n).
+            products: Aᵀv (k,) or AᵀX (k, n).
 
         Returns:
-            The same, whitened.
+            F⁻¹Aᵀv (k,) or F⁻¹AᵀX (k, n). The inner products of these are what the nuisances explain.
         """
         return _solved(self.factor, products)
 
     def coefficients(self, values: Floats) -> Floats:
-        """Posterior mean of the coefficients.
-
-        Args:
-            values: Residual (c, b).
-
-        Returns:
-            The coefficients (k,).
-        """
+        """Posterior mean ĉ = (I + AᵀA)⁻¹Aᵀr (k,) of the coefficients, for a residual r (c, b)."""
         return _solved(self.factor, self.against(values), transposed=True)
 
     def explained(self, coefficients: Floats) -> Floats:
-        """Columns times coefficients.
-
-        Args:
-            coefficients: The coefficients (k,).
-
-        Returns:
-            Their sum (c, b).
-        """
+        """The sum A c (c, b) of the columns times coefficients (k,)."""
         return self.columns.times(coefficients)
 
     def beyond(self, values: Floats) -> Floats:
-        """The part of a vector that plausible coefficients cannot hide.
-
-        Args:
-            values: The vector (c, b).
-
-        Returns:
-            The vector without what coefficients within PLAUSIBLE_SD explain (c, b).
-        """
+        """The part (c, b) of a vector (c, b) that plausible nuisances cannot hide: v - A ĉ, each ĉ clipped to ± PLAUSIBLE_SD."""
         return np.asarray(values - self.explained(np.clip(self.coefficients(values), -PLAUSIBLE_SD, PLAUSIBLE_SD)))
 
 
 def _solved(factor: Floats, right: Floats, *, transposed: bool = False) -> Floats:
-    """Solution of a system with a lower factor (k, k), or with its transpose."""
+    """Solution of a system with a lower triangular matrix (k, k), or with its transpose."""
     if not right.size:
         return right
     solution, failed = dtrtrs(factor, right, lower=1, trans=int(transposed))
@@ -354,7 +297,7 @@ def nuisances(columns: Columns) -> Nuisances:
     """Prepare columns to be projected out.
 
     Args:
-        columns: Columns (k, c, b), each multiplied with the standard deviation of its coefficient.
+        columns: Whitened columns (k, c, b), each times the standard deviation of its coefficient.
     """
     factor = cholesky(np.eye(columns.size) + columns.gram, lower=True, check_finite=False)
     return Nuisances(columns, factor, 2.0 * float(np.log(np.diag(factor)).sum()))
@@ -362,30 +305,27 @@ def nuisances(columns: Columns) -> Nuisances:
 
 @dataclass(frozen=True)
 class Projected:
-    """A vector (c, b) and its inner products with the nuisances, so that further inner products are cheap."""
+    """A vector v (c, b) and its whitened products F⁻¹Aᵀv (k,) with the nuisances, so that inner products are cheap."""
 
     values: Floats
     seen: Floats
 
     def dot(self, other: "Projected") -> float:
-        """Inner product with the nuisances projected out."""
+        """Inner product vᵀPw with another vector, the nuisances projected out."""
         return float(np.vdot(self.values, other.values) - self.seen @ other.seen)
 
 
 def project(values: Floats, space: Nuisances) -> Projected:
-    """Prepare a vector for inner products with the nuisances projected out.
+    """Prepare a vector (c, b) for inner products with the nuisances projected out.
 
     Args:
         values: The vector (c, b).
-
-    Returns:
-        The projected vector.
     """
     return Projected(values, space.against(values))
 
 
 def gram(vectors: list[Projected]) -> Floats:
-    """Inner products (n, n) of n vectors with each other."""
+    """Inner products (n, n) of n vectors with each other, the nuisances projected out."""
     out = np.zeros((len(vectors), len(vectors)))
     for i, one in enumerate(vectors):
         for j, other in enumerate(vectors[: i + 1]):
@@ -395,10 +335,10 @@ def gram(vectors: list[Projected]) -> Floats:
 
 @dataclass(frozen=True)
 class Vectors:
-    """Many vectors (c, b) that are zero in most channels, so that their inner products with another take one product a channel."""
+    """Many vectors (c, b) that are zero in most channels: their inner products take one matrix product a channel."""
 
     blocks: tuple[Block, ...]
-    squares: Floats  # (m,)
+    squares: Floats  # (m,) squared lengths, nothing projected out
 
     @staticmethod
     def of(vectors: Sequence[Mapping[int, Floats]], b: int) -> "Vectors":
@@ -414,25 +354,11 @@ class Vectors:
         return Vectors(blocks, squares)
 
     def against(self, space: Nuisances) -> Floats:
-        """Inner products of the columns of nuisances with the vectors, whitened.
-
-        Args:
-            space: The k nuisances.
-
-        Returns:
-            The products (k, m).
-        """
+        """Whitened products F⁻¹Aᵀv (k, m) of k nuisances with the m vectors."""
         return space.whitened(_inner_products(space.columns.blocks, self.blocks, (space.size, len(self.squares))))
 
     def dot(self, values: Floats) -> Floats:
-        """Inner products with another vector, nothing projected out.
-
-        Args:
-            values: The other vector (c, b).
-
-        Returns:
-            The products (m,).
-        """
+        """Inner products (m,) with another vector (c, b), nothing projected out."""
         out = np.zeros(len(self.squares))
         for channel, numbers, rows in self.blocks:
             out[numbers] += rows @ values[channel]
@@ -441,39 +367,25 @@ class Vectors:
 
 @dataclass(frozen=True)
 class Widened:
-    """Nuisances with m further columns whose size is left open: at every size of them inner products are cheap."""
+    """Nuisances A widened by m further columns d D. The size d is left open: inner products at any d are cheap."""
 
-    columns: Columns
-    crossed: Floats  # (k, m) columns of the space against the further ones, whitened
-    squares: Floats  # (m, m) inner products of the further ones, with the space projected out
+    columns: Columns  # D
+    crossed: Floats  # (k, m) F⁻¹AᵀD
+    squares: Floats  # (m, m) DᵀPD, with A projected out
 
     @staticmethod
     def by(space: Nuisances, columns: Columns) -> "Widened":
-        """Widen nuisances by further columns.
-
-        Args:
-            columns: The m further columns.
-
-        Returns:
-            Both together.
-        """
+        """Widen nuisances A (`space`) by further columns D (`columns`)."""
         crossed = space.whitened(_inner_products(space.columns.blocks, columns.blocks, (space.size, columns.size)))
         return Widened(columns, crossed, columns.gram - crossed.T @ crossed)
 
     def against(self, vector: Projected) -> Floats:
-        """Inner products (m,) of the further columns with a vector, the nuisances projected out."""
+        """Inner products DᵀPv (m,) of the further columns with a vector, A projected out."""
         return self.columns.against(dict(enumerate(vector.values))) - self.crossed.T @ vector.seen
 
 
 def stable_inverse(normal: Floats) -> Floats:
-    """Inverse of a symmetric matrix whose rows may differ by orders of magnitude.
-
-    Args:
-        normal: The matrix (k, k).
-
-    Returns:
-        Its pseudo-inverse (k, k).
-    """
+    """Pseudo-inverse (k, k) of a symmetric matrix (k, k) whose rows may differ by orders of magnitude."""
     diagonal = np.abs(np.diag(normal))
     scale = np.sqrt(np.maximum(diagonal, max(SMALLEST_SQUARE * float(diagonal.max(initial=0.0)), 1e-300)))
     scaled = normal / scale / scale[:, None]

@@ -1,4 +1,4 @@
-"""From binned channels to a vector of unit noise, and back."""
+"""The noise Σ of binned channels: dividing by it (whitening), and back."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -12,17 +12,17 @@ from scipy.sparse import csr_array
 from palpd.tick import Floats
 
 NEGLIGIBLE = 1e-3
-"""Share of a bin's own variance below which the noise that it shares with its neighbours is left out."""
+"""A channel's shared noise is left out if its variance is at most this share of a bin's own variance in every bin."""
 
 
 @dataclass(frozen=True)
 class Whitening:
-    """Gaussian noise of binned channels.
+    """Gaussian noise Σ of 7 channels in b bins; channels are independent of each other.
 
     Attributes:
-        sigma: Noise (7, b) that every bin has for itself, infinite where nothing is compared.
-        shared: In some channels the noise that neighbours share: a matrix (b, k) on k independent standard normal numbers.
-        factors: Lower Cholesky factors of the covariances of those channels, banded as LAPACK has them.
+        sigma: Standard deviation (7, b) of the noise that every bin has for itself, infinite where nothing is compared.
+        shared: Noise that neighbouring bins share, in some channels: a matrix S (b, k) times k independent standard normal numbers.
+        factors: Of those channels, the lower Cholesky factor of diag(sigma²) + S Sᵀ as a band matrix of LAPACK: (bandwidth, b).
     """
 
     sigma: Floats
@@ -34,45 +34,41 @@ class Whitening:
         """Prepare noise for whitening.
 
         Args:
-            sigma: Noise (7, b) that every bin has for itself.
-            shared: Noise that neighbours share, by channel (b, k).
+            sigma: As the attribute, (7, b).
+            shared: As the attribute; channels in which it is negligible stay without a factor.
         """
         factors = {channel: _factor(sigma[channel] ** 2, columns) for channel, columns in shared.items()}
         return Whitening(sigma, shared, {channel: factor for channel, factor in factors.items() if factor is not None})
 
     def widened(self, factor: Floats) -> "Whitening":
-        """The noise with a wider part that every bin has for itself.
+        """The noise with another `sigma`; the shared part stays.
 
         Args:
-            factor: Its widening (7, b).
+            factor: Ratio (7, b) of the new `sigma` to this one.
         """
         return Whitening.of(self.sigma * factor, self.shared)
 
     def with_row_weight(self, weight: float | Floats) -> "Whitening":
-        """The noise in which every row counts for `weight` rows.
+        """The noise in which every bin counts for `weight` bins: its variance is divided by it.
 
         Args:
-            weight: The number of rows: one for all channels, or one of each channel (7,).
+            weight: A number for all channels, or a number for each channel (7,); below 1 where neighbouring residuals are correlated.
         """
         factor = np.broadcast_to(np.asarray(weight) ** -0.5, len(self.sigma))
         return Whitening.of(self.sigma * factor[:, None], {channel: columns * factor[channel] for channel, columns in self.shared.items()})
 
     def restricted_to(self, bins: NDArray[np.bool_]) -> "Whitening":
-        """The noise where only some bins count.
-
-        Args:
-            bins: Which of them (b,).
-        """
+        """The noise where only some bins (b,) count; it is infinite in the others."""
         return replace(self, sigma=np.where(bins, self.sigma, np.inf))
 
     def whiten(self, values: Floats) -> Floats:
         """Values in units of their noise.
 
         Args:
-            values: Values (7, b) in their units.
+            values: Values (7, b) in the units of the channels.
 
         Returns:
-            Values (7, b) in sigmas.
+            Values (7, b) in sigmas, 0 where nothing is compared.
         """
         out = values / self.sigma
         for channel in self.factors:
@@ -83,10 +79,10 @@ class Whitening:
         """Values of one channel in units of their noise.
 
         Args:
-            values: Values (b,), or columns (b, n) of them, in its unit.
+            values: Values (b,) or columns (b, n), in the unit of the channel.
 
         Returns:
-            The same in sigmas.
+            Values (b,) or columns (b, n) in sigmas, 0 where nothing is compared.
         """
         sigma = self.sigma[channel].reshape(-1, *[1] * (values.ndim - 1))
         if channel not in self.factors:
@@ -102,7 +98,7 @@ class Whitening:
             values: Values (..., 7, b) in sigmas.
 
         Returns:
-            Values (..., 7, b) in their units; 0 where nothing is compared.
+            Values (..., 7, b) in the units of the channels; 0 where nothing is compared.
         """
         return np.stack([self.natural_channel(channel, values[..., channel, :]) for channel in range(len(self.sigma))], axis=-2)
 
@@ -135,7 +131,7 @@ class Whitening:
 
 
 def _factor(variance: Floats, columns: csr_array) -> Floats | None:
-    """Factor of a channel's covariance; None where the shared noise does not matter."""
+    """Cholesky factor of a channel's covariance as a band matrix; None where the shared noise is negligible."""
     if not (columns.power(2).sum(axis=1) > NEGLIGIBLE * variance).any():
         return None
     together = (columns @ columns.T).tocoo()

@@ -1,1 +1,1 @@
-"""Fits of hypotheses, their evidence, the search over sets, and what the best ones say of the gap."""
+"""Fits of hypotheses, their evidence, the search over sets of effects, and what the likeliest sets say of the gap."""

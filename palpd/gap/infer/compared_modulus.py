@@ -1,4 +1,4 @@
-"""The modulus that recordings were compared with, and the one that they measure."""
+"""The modulus that recordings were compared with, and the modulus that they measure."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -18,10 +18,10 @@ FAR_SIGMAS = 2.0
 
 @dataclass(frozen=True)
 class ComparedModulus:
-    """What a cell file says of the modulus, and what the recordings do.
+    """The modulus of a cell file, and the modulus that its recordings show.
 
     Attributes:
-        compared_Pa: The modulus of the cell file.
+        compared_Pa: As the cell file states it, times the ratio of a known effect `tissue.modulus` in that file.
         site: The site for which the file states it; None where it does so for no site.
         measured_Pa: The modulus of the same cell that fits the recordings best, all else within its tolerances.
         ci95_Pa: Its 95 % interval.
@@ -56,12 +56,11 @@ def compared_modulus(problem: Problem, stated: Linearisation, site: str | None) 
     The force is proportional to the modulus, so one linear step finds it.
 
     Args:
-        problem: The recordings and their cell.
-        stated: The nuisances around the cell as stated, without effects.
+        stated: Linearisation of the cell as stated, η₀ = 0, without effects.
         site: The site for which the file states the modulus; None where it does so for no site.
 
     Returns:
-        Both moduli; None where the file states none, or the recordings hold no contact.
+        Both moduli; None where the file states no modulus, or the recordings hold no contact.
     """
     number, columns, tissue = SHARED.index("youngs_modulus"), stated.space.columns, problem.cell.tissue
     if tissue is None or not problem.cell.tolerances.modulus_known or not columns.gram[number, number] > 0.0:

@@ -1,12 +1,12 @@
-"""Stage 4 of a diagnosis, continued: hypotheses compared with rows that count for less where the residual is smooth.
+"""Stage 4 of a diagnosis, continued: hypotheses compared with bins that count for less where the residual is smooth.
 
 Neighbours in a smooth residual are not independent, and a further effect of any kind then explains some of it. So the noise that
 listed effects are compared with is the residual's own (a model discrepancy in the sense of Kennedy and O'Hagan, 2001). Whether
 something outside the list is at work is still judged by the stated noise, hypothesis by hypothesis. Its total is not taken from the
 posterior with the stated noise: that sees fewer effects outside the list.
 
-Where even the best hypothesis needs a deviation far out of its tolerance, that tolerance is wrong. Hypotheses are then compared with one
-as wide as the deviation (empirical Bayes): else the far tail of a normal distribution decides, which nobody meant who stated it.
+Where even the best hypothesis needs a deviation far out of its tolerance, that tolerance is wrong. Hypotheses are then compared with a
+tolerance as wide as the deviation (empirical Bayes). Otherwise the far tail of a normal distribution decides, which no cell file means.
 """
 
 from collections.abc import Mapping
@@ -22,26 +22,25 @@ from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
 
 WHITE_ENOUGH = 1.5
-"""Variance times correlation time of a residual, in those of the stated noise, below which rows count fully: estimates of white noise
-stay below."""
+"""Variance of a whitened residual times its correlation time in bins below which bins count fully: estimates of white noise stay
+below."""
 
 COMPARED = 10
-"""Number of likeliest hypotheses that are compared again; less likely ones have never come first."""
+"""Number of likeliest hypotheses that are compared again; less likely hypotheses have never come first."""
 
 ROUNDS = 2
-"""Most comparisons: the second one follows where the first changes the best hypothesis, and so its residual."""
+"""Largest number of comparisons: the second follows where the first changes the best hypothesis, and so its residual."""
 
 
 def compare_again(problem: Problem, fits: Mapping[tuple[str, ...], Fit], first: Attribution) -> Attribution:
-    """Compare the likeliest hypotheses again, with the noise that the best one's residual shows.
+    """Compare the likeliest hypotheses again, with the noise that the residual of the best hypothesis shows.
 
     Args:
-        problem: The data and their prediction, with the stated noise.
-        fits: The fitted hypotheses.
-        first: Their posterior with the stated noise.
+        problem: With the stated noise.
+        first: The posterior with the stated noise.
 
     Returns:
-        The posterior; the first one where the best residual is white.
+        The posterior; `first` where the residual of its best hypothesis is white, or that is the empty set.
     """
     now, wider = first, wrong_tolerances(fits[first.best.fit.names])
     for _ in range(ROUNDS):
@@ -57,7 +56,7 @@ def compare_again(problem: Problem, fits: Mapping[tuple[str, ...], Fit], first: 
 
 
 def row_weights(remainder: Floats) -> Floats:
-    """How much a row counts in each channel: one over the variance of the residual times its correlation time, at most 1.
+    """For how many bins a bin of each channel counts: 1 / (variance of the residual × correlation time), at most 1.
 
     Args:
         remainder: Whitened residual without what the nuisances explain (7, b).
@@ -75,23 +74,15 @@ def row_weights(remainder: Floats) -> Floats:
 
 
 def wrong_tolerances(best: Fit) -> Floats:
-    """By how much the tolerances of shared deviations are too narrow for a hypothesis.
-
-    Returns:
-        Factors (11,); 1 where the deviation is credible.
-    """
+    """Factors (11,) by which the tolerances of shared deviations are too narrow for a hypothesis; 1 where a deviation is credible."""
     deviation_sd = np.abs(best.linearisation.space.coefficients(best.residual)[: len(best.eta)])
     return np.where(deviation_sd > CREDIBLE_SD, deviation_sd, 1.0)
 
 
 def correlation_time(values: Floats) -> float:
-    """Integrated autocorrelation time, in rows: 1 + 2 Σ ρ up to the first negative ρ (Geyer 1992).
+    """Integrated autocorrelation time of a residual (n,), in bins: 1 + 2 Σ ρ up to the first negative ρ (Geyer 1992).
 
-    Args:
-        values: A residual (n,).
-
-    Returns:
-        The time; 1 of white noise.
+    White noise has 1.
     """
     n = len(values)
     power = np.abs(np.fft.rfft(values, 2 * n)) ** 2
@@ -113,9 +104,9 @@ def _compared(problem: Problem, fits: Mapping[tuple[str, ...], Fit], first: Attr
 
 
 def _with_stated_noise(problem: Problem, fits: Mapping[tuple[str, ...], Fit], compared: Attribution, wider: Floats) -> Attribution:
-    """The hypotheses as compared, each with its fit and its odds for something unknown as noise and tolerances are stated.
+    """The hypotheses with their probabilities from the comparison; fits and odds for something unknown are those of the stated noise.
 
-    The best one keeps the parameters of the comparison and their intervals.
+    The best hypothesis keeps the parameters of the comparison and their intervals.
     """
     names = [one.fit.names for one in compared.hypotheses]
     stated = {one.fit.names: one for one in posterior(problem, {n: fits[n] for n in names}, len(names)).hypotheses}

@@ -1,4 +1,7 @@
-"""How the real law of an effect may differ from the library's: the model discrepancy of Kennedy and O'Hagan (2001)."""
+"""How the real law of an effect may differ from the formula of the library: the model discrepancy of Kennedy and O'Hagan (2001).
+
+docs/explanation/inference.md states D, d, v, R and L_j under "Model discrepancy".
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -17,38 +20,38 @@ from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
 
 P_EXACT_LAW = 0.3
-"""Prior probability that an effect follows its law exactly."""
+"""Prior probability that an effect follows its listed formula exactly."""
 
 DISCREPANCY_SIZES = ((0.02, 0.3), (0.06, 0.25), (0.12, 0.15))
-"""Sizes that a discrepancy may have in each direction, as shares of the effect, and their prior probabilities. With P_EXACT_LAW they
-add up to one."""
+"""Sizes d that a discrepancy may have in each direction, as shares of the effect, and their prior probabilities. With P_EXACT_LAW these
+add up to 1."""
 
 SPREAD = "spread"
-"""Kind of the directions in which a time constant or a width is several ones: with these an effect stays what it is."""
+"""Kind of the directions that mix in the same law at other time constants or widths: with several of them an effect stays what it is."""
 
 OTHER_SHAPES = (0.2, 0.45, 2.2, 5.0)
-"""Factors on a time constant or a width whose law is mixed in: real laws often have more than one."""
+"""Factors on the time constant or width at which the law is mixed in: real effects often have several."""
 
 SPREAD_SIZE = 4.0
-"""How much larger the direction of another time constant or width may be than an error of a law: real ones are spread over decades."""
+"""Ratio of the size of such a direction to that of other errors of a law: real time constants and widths are spread over decades."""
 
 SMALLEST_EFFECT = 1.0
-"""Energy, in sigmas, below which an effect is too small to show a discrepancy."""
+"""Norm of an effect, in sigmas beyond what tolerances hide, below which it is too small to show a discrepancy."""
 
 LARGEST_STRETCH = 6.0
-"""Most that a direction is scaled up to the size of the effect."""
+"""Largest factor by which a direction is scaled up to the size of the effect."""
 
 
 @dataclass(frozen=True)
 class ModelDiscrepancy:
-    """A discrepancy of one kind and size at its best.
+    """A discrepancy of one kind and size, integrated out, with the parameters that are best under it.
 
     Attributes:
-        log_prior: Log of its prior probability.
-        gain: Gain of log likelihood over the exact law.
-        covariance: Gives the covariance (k, k) of the coordinates under it.
-        move: Move (k,) of the coordinates with it, from the optimum of the exact law.
-        change: Gives the change (7, b) of the prediction that is not the effect's own: neither a spread of its shapes nor its parameters.
+        log_prior: log p_j.
+        gain: log L_j - log L.
+        covariance: Gives the covariance (k, k) of u under it.
+        move: Move v (k,) of the coordinates from the optimum û of the listed law.
+        change: Gives the change (7, b) of the whitened prediction by the likeliest coefficients of D, without those of the kind SPREAD.
     """
 
     log_prior: float
@@ -61,20 +64,18 @@ class ModelDiscrepancy:
 def model_discrepancies(
     problem: Problem, best: Optimum, residual: Projected, slopes: list[Projected], normal: Floats
 ) -> list[ModelDiscrepancy]:
-    """Discrepancies in one kind of direction or in all, of every size.
+    """Discrepancies of every size, in the directions of each kind alone and of all kinds together.
 
-    The parameters move with the discrepancy by one Gauss-Newton step. What such a step promises without any discrepancy does not
-    count, since the optimum has found that it is not there.
+    The parameters move with the discrepancy by one Gauss-Newton step v. What such a step would gain without a discrepancy is subtracted:
+    at the optimum nothing can be gained, and what the step seems to gain is an error of the linear model.
 
     Args:
-        problem: The data and their prediction.
-        best: The optimum under the exact laws.
-        residual: The residual of that optimum.
-        slopes: The k slopes of the prediction with the coordinates.
-        normal: Their inner products (k, k).
+        best: The optimum û under the listed laws.
+        slopes: The k slopes J.
+        normal: JᵀPJ (k, k).
 
     Returns:
-        One for every size and kind; none where the effects are too small to show any.
+        A discrepancy for every size and kind; empty where the effects are too small to show any.
     """
     columns, kind = discrepancy_columns(problem, best.values, best.prediction, best.around)
     if not columns.size:
@@ -108,26 +109,26 @@ def model_discrepancies(
 
 
 def _reach(c: Coordinate, u: float) -> float:
-    """How far a parameter may move with a discrepancy: by about half of itself."""
+    """R: how far a coordinate may move with a discrepancy, so that the parameter moves by about half of itself."""
     if c.parameter.log:
         return 0.5
     return 0.5 / c.scale if c.angle else 0.5 * max(abs(u), 1e-3)
 
 
 def discrepancy_columns(problem: Problem, values: EffectValues, at: Floats, around: Linearisation) -> tuple[Columns, NDArray[np.str_]]:
-    """Directions in which real laws may differ from the library's.
+    """D: directions in which real laws may differ from the formulas of the library.
 
-    A law may be stronger or weaker with depth, speed, direction, time and since the motion changed, in each channel, and it may be mixed
-    with the same law at other shapes. Each direction is as large as the part of the effect that tolerances do not hide, or smaller.
+    An effect may be stronger or weaker with depth, speed, direction of motion, time, and time since the motion changed, or in a channel
+    alone. It may be mixed with the same law at other time constants or widths. Each direction is as large as the part of the effect that
+    tolerances do not hide, or smaller; that of the kind SPREAD is SPREAD_SIZE times larger.
 
     Args:
-        problem: Gives the prediction.
-        values: Parameters by effect.
-        at: The prediction (7, b) there.
-        around: The nuisances.
+        values: Parameters θ by effect.
+        at: The whitened prediction f (7, b) there.
+        around: State η₀ and nuisances A.
 
     Returns:
-        The m directions, and the kind (m,) of each.
+        The m directions D, and the kind (m,) of each.
     """
     columns, kinds = [], []
     modulations = list(_modulations(problem)) if values else []
@@ -155,7 +156,7 @@ def _shapes(
     eta: Floats,
     modulations: Sequence[tuple[str, Floats]],
 ) -> Iterator[tuple[str, dict[int, Floats]]]:
-    """Directions (b,) by channel for one effect, whose part of the prediction `at` is `part`."""
+    """Kind and direction (b,) by channel, of all directions of an effect whose part of the prediction `at` is `part`."""
     effect = problem.library[name]
     live = np.flatnonzero(part.any(axis=1)).tolist()
     for parameter in effect.parameters:
@@ -173,7 +174,7 @@ def _shapes(
 
 
 def _modulations(problem: Problem) -> Iterator[tuple[str, Floats]]:
-    """Smooth functions (b,) of what the probe is doing, and the driver that each is a function of."""
+    """Drivers of a discrepancy and smooth functions (b,) of each, with mean 0 over all recordings."""
     pieces: list[list[tuple[str, Floats]]] = []
     for one in problem.recordings:
         mean = one.bins.mean

@@ -1,4 +1,4 @@
-"""Stage 4 of a diagnosis: how likely the data are under one hypothesis, a set of effects at its best."""
+"""Stage 4 of a diagnosis: how likely the data are under a hypothesis, a set of effects. Laplace's approximation at û."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,21 +17,21 @@ from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
 
 LOG_SIZE_RANGE = 7.0
-"""Width of the prior of an effect's size in sigmas, log-uniform: e^7 is a factor of a thousand."""
+"""Width in nats of the prior of an effect's size s in sigmas, which is log-uniform: e^7 is a factor of a thousand."""
 
 CONTRARY_NATS = 4.0
-"""Price of an amplitude with the sign that is possible but not typical of its effect (a reading that creeps down under load)."""
+"""Price in nats of an amplitude with a sign that is possible but not usual for its effect (a reading that creeps down under load)."""
 
 
 @dataclass(frozen=True)
 class PossibleLaw:
-    """A law that the effects of a hypothesis may follow: the listed one, or that with a discrepancy.
+    """A law that the effects of a hypothesis may follow: the listed formulas, or these with a discrepancy.
 
     Attributes:
-        probability: Its posterior probability.
-        move: Move (k,) of the coordinates from the optimum of the listed law.
-        of_fit: Gives the covariance (k, k) of the coordinates as the fit sees it.
-        owned: Products (k, m) of the slopes with the deviations within tolerance that the effects stand for.
+        probability: Posterior probability of this law, given the effects.
+        move: Move v (k,) of the coordinates from the optimum û of the listed law; 0 for the listed law itself.
+        of_fit: Gives the covariance (k, k) of u if the tolerances that the effects stand for were zero.
+        owned: JᵀPB (k, p), with the slopes J, and the changes B by the p tolerances that the effects stand for (`Linearisation.owned`).
     """
 
     probability: float
@@ -40,7 +40,7 @@ class PossibleLaw:
     owned: Floats
 
     def covariance(self) -> Floats:
-        """Covariance (k, k) of the coordinates under it: the fit sees the sum of an effect and of the deviation that it stands for."""
+        """Covariance (k, k) of u: the data show only the sum of an effect and of the in-tolerance deviation that it stands for."""
         of_fit = self.of_fit()
         shift = of_fit @ self.owned
         return np.asarray(of_fit + shift @ shift.T)
@@ -48,25 +48,24 @@ class PossibleLaw:
 
 @dataclass(frozen=True)
 class Fit:
-    """A hypothesis at its best, and how likely the data are under it.
+    """A hypothesis at its best parameters, and how likely the data are under it.
 
     Attributes:
-        names: Its effects.
-        values: Their parameters.
-        where: The k free parameters.
-        u: Their coordinates (k,).
-        covariance: Covariance (k, k) of the coordinates under the likeliest law.
-        laws: All laws that the effects may follow, the listed one first.
-        sizes: Size of each effect, in sigmas, that nothing within specification hides.
-        change: What the effects do to the whitened prediction (7, b).
-        residual: Data minus prediction (7, b), whitened.
-        remainder: The residual without what the nuisances explain (7, b).
-        misfit: Squared whitened residual of the exact laws.
-        log_exact: Log likelihood with exact laws at their best parameters.
-        log_likelihood: Log likelihood with laws of any discrepancy.
-        occam: Log of prior times posterior volume of the parameters.
-        discrepancy_energy: Squared sigmas by which the most likely laws differ from the exact ones, beyond what tolerances hide.
-        linearisation: The nuisances.
+        names: Ids of its effects.
+        where: The k parameters.
+        u: Their coordinates û (k,).
+        covariance: Covariance (k, k) of u under the likeliest law.
+        laws: All laws that the effects may follow, the listed law first; empty without effects.
+        sizes: Size s of each effect in sigmas: the norm of its change with the nuisances projected out.
+        change: Change (7, b) of the whitened prediction by the effects.
+        residual: Residual r = y - f + A (η₀, 0) (7, b), whitened.
+        remainder: r - A ĉ (7, b): the residual without what the nuisances explain.
+        misfit: rᵀPr in squared sigmas.
+        log_exact: log L, the log likelihood with the listed laws at û, without n/2 log 2π.
+        log_likelihood: log L*, averaged over model discrepancies.
+        occam: log E - log P(set) - log L*: log of prior density times posterior volume.
+        discrepancy_energy: Squared sigmas by which the likeliest law differs from the listed law, beyond what tolerances hide.
+        linearisation: State η₀ and nuisances A of the fit.
     """
 
     names: tuple[str, ...]
@@ -88,27 +87,23 @@ class Fit:
 
     @property
     def eta(self) -> Floats:
-        """Shared deviations (11,) around which it was fitted, in standard deviations."""
+        """Shared deviations η₀ (11,) of the linearisation, in standard deviations."""
         return self.linearisation.eta
 
     @property
     def log_evidence(self) -> float:
-        """Log evidence with laws of any discrepancy."""
+        """Log E without the prior of the set, log P(set)."""
         return self.occam + self.log_likelihood
 
 
 def fit(problem: Problem, start: EffectValues, around: Linearisation, *, iterations: int = 8, rounds: int = 0) -> Fit:
-    """Fit a set of effects and weigh it.
+    """Fit a set of effects (`fit_values`) and compute its evidence.
 
     Args:
-        problem: The data and their prediction.
         start: Parameters by effect at which the search starts; empty for a cell without effects.
-        around: Nuisances to begin with.
-        iterations: Most iterations of the first search.
-        rounds: Number of times that the nuisances are linearised again.
-
-    Returns:
-        The hypothesis at its best.
+        around: State and nuisances to begin with.
+        iterations: Largest number of iterations of the first search.
+        rounds: Largest number of times that the nuisances are linearised again.
     """
     return laplace_evidence(problem, fit_values(problem, start, around, iterations=iterations, rounds=rounds))
 
@@ -117,8 +112,7 @@ def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
     """Laplace's approximation of the evidence of a hypothesis, over parameters, nuisances and model discrepancies.
 
     Args:
-        problem: The data and their prediction.
-        best: The optimum under the exact laws.
+        best: The optimum û under the listed laws.
     """
     space, at, eta = best.around.space, best.prediction, best.around.eta
     residual = problem.data + best.around.offset() - at
@@ -166,14 +160,14 @@ def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
 
 
 def _unfittable_energy(change: Floats, jacobian: list[Floats], space: Nuisances) -> float:
-    """Energy of a change that neither the parameters nor tolerances could have made."""
+    """Energy, in squared sigmas, of the part of a change (7, b) that neither the parameters nor tolerances could have made."""
     slopes = np.array([j.ravel() for j in jacobian]).T
     rest = change.ravel() - slopes @ np.linalg.lstsq(slopes, change.ravel(), rcond=1e-9)[0]
     return float((space.beyond(rest.reshape(change.shape)) ** 2).sum())
 
 
 def _sizes(problem: Problem, best: Optimum) -> dict[str, float]:
-    """Norm of the change that each effect makes beside the others, with everything within specification projected out."""
+    """Norm of the change by each effect in a cell with the others, with everything within specification projected out."""
     out = {}
     for name in best.values:
         others = {other: v for other, v in best.values.items() if other != name}
@@ -183,10 +177,10 @@ def _sizes(problem: Problem, best: Optimum) -> dict[str, float]:
 
 
 def _occam(problem: Problem, best: Optimum, normal: Floats, sizes: dict[str, float]) -> tuple[float, Floats]:
-    """Log of prior times posterior volume, and the covariance of the coordinates.
+    """Log π(û) + k/2 log 2π - ½ log det(JᵀPJ + W⁻²), and the covariance (k, k) of u.
 
-    The prior is the same for every effect in what matters: its size in sigmas is log-uniform, its direction among several amplitudes
-    uniform, and its shapes are uniform over their range.
+    `normal` is JᵀPJ. All effects have the same kind of prior π: the size s in sigmas is log-uniform, the direction among several amplitudes
+    is uniform, and shapes are uniform in u over their range.
     """
     where, values = best.where, best.values
     # The prior range binds a coordinate that the data do not bind.
@@ -211,7 +205,7 @@ def _occam(problem: Problem, best: Optimum, normal: Floats, sizes: dict[str, flo
 
 
 def _unnatural(c: Coordinate, value: float) -> float:
-    """Nats by which a value is less probable for being larger than its natural size: normal beyond that, with half of it as its scale."""
+    """Nats that a value beyond its natural size costs: the prior is normal there, with half of the natural size as its scale."""
     if c.parameter.natural is None:
         return 0.0
     return 0.5 * (max(abs(value) / c.parameter.natural - 1.0, 0.0) / 0.5) ** 2

@@ -1,4 +1,4 @@
-"""The best parameters of a set of effects: Gauss-Newton, with everything within specification marginalised."""
+"""The best parameters û of a set of effects: Gauss-Newton, with everything within specification integrated out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,10 +23,10 @@ LARGEST_STEP_SD = 4.0
 """Largest move of a shared deviation in one linearisation: further away its column is no longer a guide."""
 
 LARGEST_DEVIATION_SD = 8.0
-"""Largest shared deviation around which the nuisances are linearised: beyond any tolerance, and near enough to stay a cell."""
+"""Largest shared deviation η₀ at which the nuisances are linearised: beyond any tolerance, and near enough to stay a cell."""
 
 LEAST_MODULUS_FACTOR = 0.01
-"""Least factor of a modulus in one linearisation."""
+"""Least factor of a modulus from one linearisation to the next: a linear step may lead below zero."""
 
 LARGEST_MOVE = 2.0
 """Largest move of a coordinate in one iteration: two units, or a factor of seven."""
@@ -37,12 +37,11 @@ class Optimum:
     """Parameters of a set of effects at which the squared residual is least.
 
     Attributes:
-        where: The k free parameters.
-        u: Their coordinates (k,).
-        misfit: Squared whitened residual with the nuisances projected out.
-        prediction: Whitened prediction (7, b) there.
-        around: The nuisances with which it was found.
-        problem: The data and their prediction.
+        where: The k parameters.
+        u: Their coordinates û (k,).
+        misfit: rᵀPr: the squared whitened residual with the nuisances projected out.
+        prediction: Whitened prediction f (7, b) there.
+        around: State η₀ and nuisances A that were held fixed meanwhile.
     """
 
     where: tuple[Coordinate, ...]
@@ -54,29 +53,28 @@ class Optimum:
 
     @cached_property
     def jacobian(self) -> list[Floats]:
-        """Slopes of the prediction with every coordinate there, k of (7, b)."""
+        """J at û: slopes ∂f/∂u of the whitened prediction, k of (7, b)."""
         return jacobian_at(self.problem, self.where, self.u, self.around.eta, self.prediction)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The effects."""
+        """Ids of the effects."""
         return tuple(dict.fromkeys(c.effect for c in self.where))
 
     @property
     def values(self) -> EffectValues:
-        """Parameters by effect."""
+        """Parameters θ by effect."""
         return values_at(self.where, self.u)
 
 
 def fit_values(problem: Problem, start: EffectValues, around: Linearisation, *, iterations: int = 8, rounds: int = 0) -> Optimum:
-    """The best parameters of a set of effects.
+    """The best parameters of a set of effects: û with A fixed, then η₀ and A at the optimum, and so on.
 
     Args:
-        problem: The data and their prediction.
         start: Parameters by effect at which the search starts; empty for a cell without effects.
-        around: Nuisances to begin with.
-        iterations: Most iterations of the first search.
-        rounds: Most times that the nuisances are linearised again at the optimum; it stops where they have converged.
+        around: State and nuisances to begin with.
+        iterations: Largest number of iterations of the first search; later searches have half as many.
+        rounds: Largest number of times that the nuisances are linearised again at the optimum. Fewer do where η has converged.
     """
     where = coordinates(start, problem.library, problem.scale)
     best = gauss_newton(problem, around, where, coordinates_of(where, start), iterations)
@@ -105,11 +103,10 @@ def gauss_newton(problem: Problem, around: Linearisation, where: tuple[Coordinat
     """Damped Gauss-Newton (Levenberg 1944, Marquardt 1963) with fixed nuisances.
 
     Args:
-        problem: The data and their prediction.
-        around: The nuisances.
-        where: The k free parameters.
+        around: State η₀ and nuisances A that stay fixed.
+        where: The k parameters.
         u: Coordinates (k,) at which the search starts.
-        iterations: Most iterations.
+        iterations: Largest number of steps.
     """
     target = problem.data + around.offset()
     u = inside(where, u)
@@ -143,14 +140,13 @@ def gauss_newton(problem: Problem, around: Linearisation, where: tuple[Coordinat
 
 
 def jacobian_at(problem: Problem, where: Sequence[Coordinate], u: Floats, eta: Floats, at: Floats) -> list[Floats]:
-    """Slopes of the prediction with every coordinate, by forward differences.
+    """J: slopes ∂f/∂u of the whitened prediction, by forward differences.
 
     Args:
-        problem: Gives the prediction.
-        where: The k free parameters.
+        where: The k parameters.
         u: Their coordinates (k,).
-        eta: Shared deviations (11,) in standard deviations.
-        at: The prediction (7, b) there.
+        eta: Shared deviations η₀ (11,) in standard deviations.
+        at: The whitened prediction f (7, b) there.
 
     Returns:
         k slopes (7, b).
@@ -167,7 +163,7 @@ def jacobian_at(problem: Problem, where: Sequence[Coordinate], u: Floats, eta: F
 
 
 def _difference(c: Coordinate, u: float, duration_s: float) -> float:
-    """Step of a forward difference."""
+    """Step of a forward difference, in u."""
     if c.parameter.unit == "Hz" and c.parameter.log:
         # One hundredth of a frequency may be many turns at the end of a recording.
         return 1e-2 / max(1.0, float(np.exp(min(u, 300.0))) * duration_s)

@@ -21,16 +21,16 @@ from palpd.gap.model.problem import MODULUS, SHARED, Problem
 from palpd.tick import Floats
 
 WAY_NATS = 5.0
-"""Evidence by which another way of rounding must beat the nearest level."""
+"""Nats by which another way of rounding must beat rounding to the nearest level."""
 
 LARGE_GAP = 2e4
 """Gap, in squared sigmas, that is large enough to change how in-tolerance deviations act."""
 
 CREDIBLE_SD = 4.0
-"""In-tolerance deviations below this many standard deviations may be the cell's own."""
+"""Shared deviations η below this many standard deviations are credible for a healthy cell."""
 
 FITTED_AFTER_SCAN = 14
-"""Number of effects that are fitted after the scan; further ones only if they reach half the gain of the best."""
+"""Number of effects that are fitted after the scan; further effects are fitted only if they reach half the gain of the best."""
 
 ROUNDS = 6
 """Most linearisations of a likely hypothesis; most converge in three."""
@@ -39,7 +39,7 @@ LARGEST_SET = 3
 """Largest number of effects that are sought together."""
 
 FURTHER_EFFECT_NATS = (2.0, 3.0)
-"""Evidence by which one effect must beat none, and a set the smaller ones, before larger sets are sought."""
+"""Nats of evidence by which a single effect must beat no effect, and a set the best smaller set, before larger sets are searched."""
 
 STIFFER = (1.0, 3.0, 10.0)
 """Factors on an unknown modulus at which a limit of the readings is sought."""
@@ -64,10 +64,10 @@ class NominalFit:
     """The cell without effects.
 
     Attributes:
-        problem: The problem with the floor that the model error sets.
+        problem: With the error of the simulator in its noise.
         fit: The hypothesis that there is no effect.
-        stated: Nuisances around the cell as stated; around its fitted modulus where that is not known.
-        around: Nuisances around which effects are sought.
+        stated: Linearisation of the cell as stated, η₀ = 0; where its modulus is not known, at the fitted deviations.
+        around: Linearisation from which effects are searched: that of `fit`, or `stated` where a deviation of `fit` is not credible.
     """
 
     problem: Problem
@@ -77,14 +77,7 @@ class NominalFit:
 
 
 def fit_nominal(problem: Problem) -> NominalFit:
-    """Fit the cell without effects, which also says how large the model error may be.
-
-    Args:
-        problem: The data and their prediction.
-
-    Returns:
-        The fit, and the problem with that model error.
-    """
+    """Fit the cell without effects, which also says how large the error of the simulator may be."""
     stated = linearise(problem, {}, problem.nominal_eta)
     if not problem.cell.tolerances.modulus_known:
         first = fit(problem, {}, stated, rounds=8)
@@ -103,14 +96,13 @@ def fit_nominal(problem: Problem) -> NominalFit:
 
 
 def fit_rounding(problem: Problem) -> NominalFit:
-    """Fit the cell without effects, with the way in which coarse readings are rounded, where they are.
+    """Fit the cell without effects, with the way in which coarse readings are rounded.
+
+    Another way than to the nearest level must win by WAY_NATS, since an effect may imitate it. Only a step that is coarser than the stated
+    step is tried in other ways; it may also round readings that were rounded to the stated step before.
 
     Args:
-        problem: The data and their prediction, as if they were rounded to the nearest level.
-
-    Returns:
-        The fit; another way needs evidence, since an effect may imitate it. The stated step is rounded to the nearest level, as stated.
-        A coarser one may round what was rounded to the stated one before.
+        problem: With readings rounded to the nearest level, if they are rounded coarsely.
     """
     nominal = fit_nominal(problem)
     rounding = problem.recordings[0].rounding
@@ -125,20 +117,13 @@ def fit_rounding(problem: Problem) -> NominalFit:
 
 
 def _surprise(nominal: NominalFit) -> float:
-    """Nats by which a cell without effects fails to explain the readings, up to a constant; a wide floor of model errors costs too."""
+    """Negative log likelihood of a cell without effects, up to a constant. It counts the width of the noise, which the floor changes."""
     sigma = nominal.problem.noise.sigma
     return -nominal.fit.log_exact + float(np.log(sigma[np.isfinite(sigma)]).sum())
 
 
 def search(nominal: NominalFit) -> Fits:
-    """Fit no effect, the likely single effects, and sets of two and three that extend them (a beam search).
-
-    Args:
-        nominal: The cell without effects.
-
-    Returns:
-        The fits by their effects.
-    """
+    """Fit no effect, the likely single effects, and sets of two and three that extend them (a beam search)."""
     tried = _Search(nominal.problem, nominal.around, {(): nominal.fit})
     tried.fit_singles()
     tried.refine(size=1, most=8)
@@ -157,19 +142,19 @@ def search(nominal: NominalFit) -> Fits:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect at some values before any fit."""
+    """An effect with parameters at which its fit may start."""
 
     effect: str
     values: dict[str, float]
 
 
 Start = tuple[Candidate, dict[int, Floats]]
-"""A candidate and its change (b,) by channel."""
+"""A candidate and its change (b,) of the whitened prediction by channel."""
 
 
 @dataclass(frozen=True)
 class Match:
-    """A candidate's gain in squared sigmas at its best factor."""
+    """Gain of a candidate in squared sigmas when its change is multiplied with the best factor."""
 
     gain: float
     factor: float
@@ -178,7 +163,7 @@ class Match:
 
 @dataclass
 class _Search:
-    """A search in progress: what is tried, around which nuisances, and the fits so far."""
+    """A search in progress: candidates, the linearisation from which they start, and the fits so far."""
 
     problem: Problem
     around: Linearisation
@@ -210,36 +195,18 @@ class _Search:
             self._start_afar(kept, all_near_the_tip=best_gain > LARGE_GAP)
 
     def leading(self, size: int, most: int) -> list[Fit]:
-        """The most probable fits of one size.
-
-        Args:
-            size: Number of effects.
-            most: Number of fits.
-
-        Returns:
-            The fits, best first.
-        """
+        """The fits of sets of `size` effects, by falling evidence, at most `most` of them."""
         return sorted((f for names, f in self.fits.items() if len(names) == size), key=lambda f: -f.log_evidence)[:most]
 
     def refine(self, size: int, most: int) -> None:
-        """Linearise the nuisances of the leading fits again at their optimum.
-
-        Args:
-            size: Number of effects.
-            most: Number of fits.
-        """
+        """Linearise the nuisances of the leading fits again at their optimum; a fit 40 nats below the first is left as it is."""
         leading = self.leading(size, most)
         for one in leading:
             if one.log_evidence >= leading[0].log_evidence - 40.0:
                 self.fits[one.names] = fit(self.problem, one.values, one.linearisation, iterations=2, rounds=ROUNDS)
 
     def extend(self, one: Fit, most: int) -> None:
-        """Fit a set together with each further effect that matches its residual best.
-
-        Args:
-            one: The set.
-            most: Number of further effects.
-        """
+        """Fit a set, together with each of the `most` further effects that match its residual best."""
         around = one.linearisation
         at = self.problem.predict(one.values, around.eta)
         taken = jacobian_at(self.problem, one.where, one.u, around.eta, at)
@@ -251,9 +218,10 @@ class _Search:
                 self.fits[names] = self._best_of_starts(around, name, matches[name], one.values, starts=1, iterations=5)
 
     def _seen_beside(self, one: Fit) -> tuple[list[Candidate], Vectors]:
-        """Candidates and their changes of further effects, as they change the cell beside a set.
+        """Candidates for a further effect, and how they change a cell that has the effects of a set already.
 
-        In tissue the set hardly alters what they do to the contact force. Where there is none, only friction feels a play.
+        In tissue the set hardly alters what they do to the contact force. Without tissue, effects at the tip are simulated again together
+        with the set: play there, for example, shows only if the set has friction.
         """
         library = self.problem.library
         if self.problem.cell.tissue is not None:
@@ -267,7 +235,7 @@ class _Search:
         return [candidate for candidate, _ in starts], Vectors.of([change for _, change in starts], self.problem.data.shape[1])
 
     def _changes_of(self, effects: Mapping[str, Effect], beside: EffectValues, eta: Floats) -> list[Start]:
-        """Every start of some effects that changes the mean of the readings beside a set, and its change by channel."""
+        """Every start of some effects that changes the mean of the readings of a cell with the effects `beside`, and its change."""
         at, out = self.problem.predict(beside, eta), []
         for effect in effects.values():
             for values in start_values(effect, self.problem.scale, self.peaks_Hz) if not effect.scatter else ():
@@ -280,9 +248,9 @@ class _Search:
     def _best_of_starts(
         self, around: Linearisation, name: str, matches: list[Match], beside: EffectValues, *, starts: int, iterations: int
     ) -> Fit:
-        """The best of several searches for one effect, beside others that are fitted with it.
+        """The fit of an effect with the most evidence, from several starts; the parameters of `beside` are fitted with it.
 
-        Each form is searched: with and without optional parameters, and with each choice of a parameter that has a few values only.
+        Each form is fitted: with and without optional parameters, and with each choice of a parameter that has a few values only.
         """
         effect, scale, library = self.problem.library[name], self.problem.scale, self.problem.library
         forms: dict[tuple[tuple[str, float | None], ...], list[Match]] = {}
@@ -302,7 +270,7 @@ class _Search:
         return max(best_of_forms, key=lambda one: one.log_evidence)
 
     def _start_afar(self, kept: Sequence[str], *, all_near_the_tip: bool) -> None:
-        """Search also with the nuisances of each start, since a large gap changes how in-tolerance deviations act.
+        """Fit also from nuisances that are linearised at each start, since a large gap changes how in-tolerance deviations act.
 
         This covers the effects that were kept and everything between tip and tissue. Where the modulus is not known, a limit of the
         readings is always sought so: it hides how stiff the tissue is, and the nominal modulus then lies below all that it could clip.
@@ -351,11 +319,11 @@ def scan(
 
     Args:
         problem: Gives the bounds of the factors.
-        around: Nuisances to project out.
-        residual: The residual (7, b).
-        taken: Directions (7, b) in which fitted parameters can already move.
+        around: Nuisances A to project out.
+        residual: The whitened residual (7, b).
+        taken: Slopes (7, b) of the parameters that are fitted already; these are projected out, too.
         candidates: The m candidates.
-        changes: The changes that they make.
+        changes: The changes that they make, in the same order.
 
     Returns:
         The matches of every effect that can change something there, best first.
@@ -407,12 +375,10 @@ def _different(matches: list[Match], most: int) -> list[Match]:
 
 
 def spectral_peaks(problem: Problem, predicted: Floats, most: int = 3) -> list[float]:
-    """Frequencies that stand out in the residual heights and in fz of the first recording.
+    """At most `most` frequencies that stand out in the residuals of height and of fz in the first recording.
 
     Args:
-        problem: The data.
         predicted: Prediction of the first recording at every sample (n, 7).
-        most: Number of frequencies.
 
     Returns:
         Frequencies in Hz, the strongest first.
@@ -444,11 +410,10 @@ def ringing_frequencies(problem: Problem, predicted: Floats) -> list[float]:
     its frequency, since a ringing that is off by more than its damping is soon out of phase.
 
     Args:
-        problem: The data.
         predicted: Prediction of the first recording at every sample (n, 7).
 
     Returns:
-        Frequencies in Hz, the most prominent first; none where fz is not compared or the recording is short.
+        Frequencies in Hz, the most prominent first; empty where fz is not compared or the recording is short.
     """
     recording = problem.recordings[0]
     n, dt_s = len(recording.samples), problem.scale.step_s
@@ -475,7 +440,7 @@ def ringing_frequencies(problem: Problem, predicted: Floats) -> list[float]:
 
 
 def _summit(spectrum: Floats, k: int) -> float:
-    """Distance in bins from the middle of three to the summit of the parabola through their logarithms."""
+    """Distance, in steps of frequency, from the middle of three values to the summit of the parabola through their logarithms."""
     low, middle, high = np.log(np.maximum(spectrum[k - 1 : k + 2], 1e-300)) if 0 < k < len(spectrum) - 1 else (0.0, 0.0, 0.0)
     curvature = low - 2.0 * middle + high
     return float(np.clip(0.5 * (low - high) / curvature, -0.5, 0.5)) if curvature < 0.0 else 0.0

@@ -19,27 +19,20 @@ COVERED = 0.95
 """Probability that an interval holds the parameter."""
 
 PARABOLIC = 0.03
-"""Relative error of the rise of the residual's norm at the end of an interval below which the end stays where it is."""
+"""Relative error of the rise of the residual's norm at the end of an interval below which the end is accepted."""
 
 MOST_STEPS = 4
 """Most steps to the end of an interval; most take one."""
 
 LARGEST_STRETCH = 5.0
-"""Largest factor between the distances of an end and of that of the parabola: further away the recording does not say."""
+"""Largest ratio, and inverse of the smallest, of the distance of an end to its distance on the parabola: the data reach no further."""
 
 
 def half_width(laws: Sequence[PossibleLaw], k: int) -> float:
-    """Distance from the reported coordinate within which the true one lies with the probability COVERED.
+    """Distance from coordinate `k` of û within which its true value lies with the probability COVERED.
 
-    The reported one is the best of the exact law. Where the law is off, the best with its discrepancy lies elsewhere, and that distance
-    belongs to the uncertainty.
-
-    Args:
-        laws: The laws that the effects may follow.
-        k: Number of the coordinate.
-
-    Returns:
-        The distance.
+    û is the optimum of the listed law. Where the law is off, the optimum with its discrepancy lies elsewhere, and that distance belongs to
+    the uncertainty. So this averages over the laws.
     """
     weight = np.array([law.probability for law in laws])
     move = np.array([law.move[k] for law in laws])
@@ -53,16 +46,7 @@ def half_width(laws: Sequence[PossibleLaw], k: int) -> float:
 
 
 def interval(problem: Problem, one: Fit, k: int) -> tuple[float, float]:
-    """Ends of the interval of one parameter.
-
-    Args:
-        problem: The data and their prediction.
-        one: The hypothesis at its best.
-        k: Number of the coordinate.
-
-    Returns:
-        Both ends, in the unit of the parameter; an angle may exceed its range.
-    """
+    """Ends of the interval of parameter `k` of a hypothesis, in its unit; of an angle they may exceed its range."""
     c = one.where[k]
     value = one.values[c.effect][c.parameter.name]
     if c.fixed:
@@ -77,14 +61,11 @@ def interval(problem: Problem, one: Fit, k: int) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class _Profile:
-    """The residual's norm over one coordinate, all others fitted again.
+    """The residual's norm along coordinate `k`, all other coordinates fitted again.
 
     Attributes:
-        problem: The data and their prediction.
-        one: The hypothesis at its best.
-        k: Number of the coordinate.
-        follow: Moves (k,) of all coordinates with it, to first order.
-        sd: Standard deviation of the coordinate under the exact law.
+        follow: Change (n,) of all n coordinates for a unit of this one, to first order.
+        sd: Standard deviation of the coordinate under the listed law.
     """
 
     problem: Problem
@@ -103,9 +84,9 @@ class _Profile:
         return _Profile(problem, one, k, covariance[:, k] / max(variance, 1e-300), sqrt(max(variance, 0.0)))
 
     def end(self, distance: float) -> float:
-        """The coordinate at which the residual has risen as a parabola would over a distance from the best one.
+        """The coordinate at which the squared residual has risen by the amount that its parabola predicts at `distance` from û.
 
-        Where the residual does not rise, since the search ended beside the best place, the end lies further away.
+        Where the residual does not rise, since the search ended next to its minimum, the end lies further away.
         """
         c, best = self.one.where[self.k], float(self.one.u[self.k])
         enough = abs(distance) / self.sd if self.sd > 0.0 else 0.0
@@ -129,7 +110,7 @@ class _Profile:
         return at(stretch)
 
     def _rise(self, x: float, iterations: int) -> float:
-        """Square root of the rise of the squared residual there, with that many iterations of the others; 0 where it does not rise."""
+        """Square root of the rise of the squared residual at x; the others take `iterations` steps. 0 where it does not rise."""
         one = self.one
         value = one.where[self.k].back(x)
         where: tuple[Coordinate, ...] = tuple(replace(c, lower=value, upper=value) if j == self.k else c for j, c in enumerate(one.where))

@@ -11,28 +11,33 @@ from palpd.gap.infer.residual import ResidualStructure, segments_of, test_residu
 from palpd.gap.model.problem import Problem
 
 P_NONE, P_ONE, P_TWO, P_THREE = 0.3, 0.6, 0.12, 0.02
-"""Prior probabilities of that many effects; every set of one size is as likely as the others."""
+"""Prior P(k) of k effects, k = 0 to 3; all sets of the same size are equally probable."""
 
 P_UNKNOWN = 0.15
 """Prior probability that something outside the list is at work."""
 
 DISCREPANCY_ENERGY = 0.04
-"""Mean share of the gap's energy by which the law of a known effect is off; for something unknown any share is as likely. With
-P_UNKNOWN this puts even odds at a fifth."""
+"""Mean of the share e of the gap's energy by which the formula of a known effect is off (an exponential distribution). For something
+unknown all shares are equally probable. With P_UNKNOWN the odds are even at e = 0.2."""
 
 FURTHER_EFFECT_COST = 3.0
-"""Least price of a further effect in nats, whatever its prior: it must explain data that the smaller set does not."""
+"""Least price of a further effect in nats, whatever its prior: it must explain data that the smaller set does not explain."""
 
 TESTED = 12
 """Number of likeliest hypotheses whose residual is tested."""
 
 INDISTINGUISHABLE = 0.04
-"""Odds against the named effect above which another one cannot be distinguished from it."""
+"""Odds against the best set from which on a set that replaces one of its effects counts: the two effects are indistinguishable."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A hypothesis with the structure of its residual, its probability, and the share of that without anything unknown beside it."""
+    """A hypothesis with the structure of its residual and its posterior probability.
+
+    Attributes:
+        share: Probability that these effects act, with or without something unknown.
+        share_known: Ratio of the probability without anything unknown to `share`.
+    """
 
     fit: Fit
     residual: ResidualStructure
@@ -41,17 +46,17 @@ class Hypothesis:
 
     @property
     def known(self) -> float:
-        """Probability of these effects alone."""
+        """Probability that these effects act and nothing unknown does."""
         return self.share * self.share_known
 
     @property
     def unknown(self) -> float:
-        """Probability of these effects beside something unknown."""
+        """Probability that these effects and something unknown act."""
         return self.share * (1.0 - self.share_known)
 
     @property
     def name(self) -> str:
-        """Its effects in words."""
+        """The ids of its effects in words."""
         return " with ".join(self.fit.names) or "no effect"
 
 
@@ -60,11 +65,11 @@ class Attribution:
     """The posterior over hypotheses.
 
     Attributes:
-        hypotheses: The tested ones, the most probable first.
+        hypotheses: Those whose residual was tested, the most probable first; their probabilities add up to 1.
         p_none: Probability that there is no effect and nothing unknown.
         p_unknown: Probability that something outside the list is at work.
-        marginal: Probability of every effect.
-        groups: For every effect of the best hypothesis the effects that could stand in its place.
+        marginal: Probability of every effect: the sum over the sets that hold it.
+        groups: For every effect of the best hypothesis the effects that could stand in its place, the most probable first.
     """
 
     hypotheses: list[Hypothesis]
@@ -80,15 +85,11 @@ class Attribution:
 
 
 def posterior(problem: Problem, fits: Mapping[tuple[str, ...], Fit], most_tested: int = TESTED) -> Attribution:
-    """Weigh the hypotheses against each other, each without and with something unknown beside it.
+    """The posterior over the hypotheses, each without and with something unknown in addition.
 
     Args:
-        problem: The data and their prediction.
-        fits: The fitted hypotheses by their effects; no effect is among them.
-        most_tested: Number of likeliest hypotheses whose residual is tested; less likely ones are left out.
-
-    Returns:
-        Their probabilities.
+        fits: The fitted hypotheses by their effects; the empty set is among them.
+        most_tested: Number of likeliest hypotheses whose residual is tested. All others but the empty set are left out.
     """
     worth = _worth(problem, fits)
     order = sorted(fits, key=lambda names: -(worth[names] + fits[names].log_likelihood))
@@ -116,7 +117,7 @@ def posterior(problem: Problem, fits: Mapping[tuple[str, ...], Fit], most_tested
 
 
 def attribution_of(hypotheses: list[Hypothesis]) -> Attribution:
-    """The posterior of hypotheses whose probabilities add up to one."""
+    """The posterior over hypotheses whose probabilities add up to 1."""
     hypotheses = sorted(hypotheses, key=lambda one: -one.share)
     marginal: dict[str, float] = {}
     for one in hypotheses:
@@ -128,7 +129,10 @@ def attribution_of(hypotheses: list[Hypothesis]) -> Attribution:
 
 
 def _worth(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> dict[tuple[str, ...], float]:
-    """Log prior and volume of every hypothesis: a set is worth FURTHER_EFFECT_COST less than its smaller ones at least."""
+    """Log P(set) plus log volume (`Fit.occam`) of every hypothesis.
+
+    The log volume of a set counts as FURTHER_EFFECT_COST below that of each fitted set with an effect less, if it is not lower already.
+    """
     listed = sum(not effect.scatter for effect in problem.library.values())
     by_set = {frozenset(names): one.occam for names, one in fits.items()}
     out = {}
@@ -142,10 +146,10 @@ def _worth(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> dict[tuple[
 def _most_of_any_shape(
     fits: Mapping[tuple[str, ...], Fit], tested: Mapping[tuple[str, ...], ResidualStructure], worth: Mapping[tuple[str, ...], float]
 ) -> float:
-    """Largest log probability that a residual of any shape may lend to a hypothesis.
+    """Logarithm of the cap: the largest prior times likelihood that a hypothesis may have with a residual of any shape; else inf.
 
-    Where one listed effect leaves only noise, no explanation can be better. Then no data support something of any shape, alone or
-    beside that effect.
+    Where a single listed effect leaves only noise, no explanation can be better. Then the data do not support something of any shape, alone
+    or in addition to that effect. Several hypotheses above the cap share it.
     """
     clean = [
         worth[names] + fits[names].log_exact for names, residual in tested.items() if len(names) == 1 and residual.log_bayes_factor < 0.0
@@ -156,17 +160,15 @@ def _most_of_any_shape(
 
 
 def known_and_unknown(one: Fit, residual: ResidualStructure, gap_energy: float, most: float) -> tuple[float, float]:
-    """Log likelihoods of a hypothesis without and with something unknown beside its effects.
+    """Logarithms of `known` and `unknown`, the likelihoods of a hypothesis without and with something unknown in addition.
 
-    Either a model discrepancy suffices, or exact laws leave a residual of any shape. Its share of the gap's energy then says which of
-    both it is: small for a discrepancy, any for something unknown.
+    Either a model discrepancy suffices (a = 0.85 L*), or the listed laws leave a residual of any shape (b = 0.15 L exp B, capped). The
+    share e of the gap's energy in the discrepancy or in the residual then says which of both it is: e is small for a discrepancy, and
+    anything for something unknown. Formulas: docs/explanation/inference.md, "Something outside the list".
 
     Args:
         gap_energy: Energy of the gap in squared sigmas.
-        most: Largest log likelihood that a residual of any shape may have.
-
-    Returns:
-        Both log likelihoods.
+        most: Largest log likelihood log(L exp B) that a residual of any shape may have.
     """
     any_shape = log(P_UNKNOWN) + min(one.log_exact + residual.log_bayes_factor, most)
     if not one.names:
@@ -184,7 +186,7 @@ def known_and_unknown(one: Fit, residual: ResidualStructure, gap_energy: float, 
 
 
 def _groups(hypotheses: list[Hypothesis]) -> dict[str, list[str]]:
-    """For every effect of the best hypothesis the ones that could stand in its place, the most probable first."""
+    """For every effect of the best hypothesis the effects that could stand in its place, the most probable first."""
     best = hypotheses[0]
     out: dict[str, list[str]] = {}
     for name in best.fit.names:

@@ -2,7 +2,7 @@
 
 The whitened remainder is written, rest by rest and stroke by stroke, in a few smooth shapes (mean, slope, curvature …; in log time at
 rest). Were it noise, every coefficient would be N(0, 1). For every channel, phase and shape a common mean or a larger variance of the
-coefficients is weighed against that. Single outliers, a single frequency and short pulses are tested besides.
+coefficients is compared with that. Single outliers, a single frequency and short pulses are tested, too.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ SHAPES = 5
 """Number of smooth shapes in a segment: mean, slope, curvature and two more."""
 
 PULSE_BINS = (1, 3, 9, 27)
-"""Lengths of pulses that are looked for, in bins."""
+"""Lengths of the pulses that are tested, in bins."""
 
 PULSE_SD, OUTLIER_SD = 8.0, 10.0
 """Prior standard deviation of a pulse and of an outlier, in sigmas."""
@@ -33,18 +33,19 @@ GROUP_SD = (2.0, 8.0, 30.0)
 """Prior standard deviations of coefficients that are not noise, in sigmas."""
 
 EXCESS_NOISE_RATIO = 1.15
-"""Noise that is not the stated one may be wider than measured by this factor."""
+"""Where the noise is larger than stated, a channel's residual may be this many times as wide as its noise and still count as noise."""
 
 P_STRUCTURE = 0.01
-"""Prior probability that one channel, phase and shape holds structure."""
+"""Prior probability of structure in a channel, a phase and a shape; also that a deviation is out of its tolerance."""
 
 LEAST_SPREAD = 0.5
-"""Posterior spread of a deviation, as a share of its tolerance's, below which the data do not say whether it is out of tolerance."""
+"""Standard deviation of ĉ over healthy cells, as a share of the tolerance, below which the data do not say whether a deviation is out of
+tolerance."""
 
 
 @dataclass(frozen=True)
 class ResidualStructure:
-    """Log Bayes factor for structure in a residual, its energy in squared sigmas, and the channel and phase with most of it."""
+    """B, the log Bayes factor for structure in a residual, its energy in squared sigmas, and the channel and phase with most of it."""
 
     log_bayes_factor: float
     energy: float
@@ -62,14 +63,10 @@ class Segment:
 
 
 def test_residual(problem: Problem, fit: Fit, segments: Sequence[Segment]) -> ResidualStructure:
-    """Test the residual of a hypothesis for structure, and its in-tolerance deviations for too large ones.
+    """Test the residual of a hypothesis for structure, and its deviations for sizes out of tolerance.
 
     Args:
-        problem: The data and their prediction.
-        segments: The rests and strokes of the problem.
-
-    Returns:
-        The evidence for structure.
+        segments: The rests and strokes of the problem, from `segments_of`.
     """
     remainder = fit.remainder
     if problem.excess_noise:
@@ -93,11 +90,7 @@ def test_residual(problem: Problem, fit: Fit, segments: Sequence[Segment]) -> Re
 
 
 def segments_of(problem: Problem) -> list[Segment]:
-    """The rests and strokes of all recordings that are long enough to have a shape.
-
-    Args:
-        problem: The data.
-    """
+    """The rests and strokes of all recordings that are long enough to have a shape."""
     out = []
     start = 0
     for one in problem.recordings:
@@ -154,7 +147,7 @@ def _sigmoid(log_odds: Floats | float) -> Floats:
 
 
 def _group(z: Floats) -> float:
-    """Log Bayes factor of coefficients with a common mean or a larger variance against N(0, 1)."""
+    """Log Bayes factor of coefficients (n,) with a common mean or a larger variance against N(0, 1)."""
     n, mean, square = len(z), float(z.mean()), float((z**2).sum())
     factors = []
     for spread in GROUP_SD:
@@ -165,19 +158,19 @@ def _group(z: Floats) -> float:
 
 
 def _wider(z: Floats, spread: float) -> Floats:
-    """Log Bayes factors of N(0, 1) numbers with a further part of that spread, against N(0, 1)."""
+    """Log Bayes factor of N(0, 1 + spread²) against N(0, 1) for each number (n,)."""
     return -0.5 * log(1.0 + spread**2) + 0.5 * z**2 * spread**2 / (1.0 + spread**2)
 
 
 def _outlier(z: Floats) -> tuple[float, float]:
-    """Log Bayes factor of one coefficient being large, and its energy."""
+    """Log Bayes factor for a single large coefficient among all (n,), and its energy."""
     if not len(z):
         return 0.0, 0.0
     return float(np.logaddexp.reduce(_wider(z, OUTLIER_SD)) - log(len(z))), float((z**2).max())
 
 
 def _pulses(values: Floats) -> tuple[float, float]:
-    """Log Bayes factor and energy of a few pulses of one length, each with an amount of its own."""
+    """Log Bayes factor and energy of a few pulses of the same length, each with an amount of its own."""
     live = values[values != 0.0]
     sums = np.concatenate([[0.0], np.cumsum(live)])
     factors, energies = [], []
@@ -195,10 +188,10 @@ def _pulses(values: Floats) -> tuple[float, float]:
 
 
 def _strain(problem: Problem, fit: Fit) -> tuple[float, float]:
-    """Log Bayes factor of deviations beyond their tolerances that no listed effect stands for, and the energy that all of them hide.
+    """Log Bayes factor of deviations beyond their tolerances for which no listed effect stands, and the energy that all of them hide.
 
-    Were the cell healthy, each deviation over its spread would be N(0, 1). A deviation that is a listed effect once it is out of
-    tolerance is no evidence of something outside the list.
+    Were the cell healthy, each ĉ over its standard deviation would be N(0, 1); its variance is 1 less the posterior variance of c. If a
+    listed effect stands for a deviation that is out of tolerance, this is no evidence of something outside the list.
     """
     around, space = fit.linearisation, fit.linearisation.space
     deviation = space.coefficients(fit.residual)
@@ -232,7 +225,7 @@ def _strain(problem: Problem, fit: Fit) -> tuple[float, float]:
 
 
 def _tone(problem: Problem, values: Floats) -> tuple[float, float]:
-    """Log Bayes factor and energy of one sinusoid through the whole of every recording."""
+    """Log Bayes factor and energy of a sinusoid that lasts through the whole of every recording, in a channel (b,)."""
     start, evidence, power = 0, 0.0, 0.0
     for one in problem.recordings:
         n = len(one.bins)

@@ -15,20 +15,27 @@ from palpd.gap.model.problem import MODULUS, Problem
 from palpd.tick import Floats
 
 FOLDS = 4
-"""Every fourth cycle is held out in turn: enough presses remain to fit, and each is judged once."""
+"""Every fourth cycle is held out in turn: enough presses remain to fit, and each press is judged once."""
 
 MODULUS_STEP, MODULUS_ROUNDS = 0.01, 3
-"""Step of the logarithm of a modulus for its slope, and number of its fits."""
+"""Step of the logarithm of a modulus for its slope, and number of linear fits of it."""
 
 RESAMPLES = 400
-"""Number of bootstrap samples of the cycles: the ends of a 95 % interval then rest on ten each."""
+"""Number of bootstrap samples of the cycles: ten of them then lie beyond each end of a 95 % interval."""
 
 
 @dataclass(frozen=True)
 class Shrink:
-    """Rms of the gap before and after in the channel that the effects change most, and the share that closed.
+    """Rms of the gap without and with the named effects, in the channel that they change most, and the share that closed.
 
-    The rms values have the unit of the channel; `closed` and its interval are None where no effect is named.
+    The rms values have the unit of the channel. `closed` and its interval are None where no effect is named.
+
+    Attributes:
+        after_rms: Equal to `before_rms` where no effect is named.
+        noise_floor: Rms of the noise of a sample.
+        closed: 1 - (after² - floor²) / (before² - floor²) over bins, in -1 to 1.
+        ci95: Interval of `closed` by a bootstrap over cycles.
+        on: The data that were judged, in words.
     """
 
     channel: str
@@ -49,10 +56,7 @@ def without_effects(table: list[Gap], channel: str) -> Shrink:
 
     Args:
         table: The gap by channel and phase.
-        channel: The channel; all where it is not in the table.
-
-    Returns:
-        The gap, unchanged.
+        channel: If it is not in the table, all channels count.
     """
     mine = [g for g in table if g.channel == channel] or table
     n = sum(g.samples for g in mine) or 1
@@ -62,10 +66,7 @@ def without_effects(table: list[Gap], channel: str) -> Shrink:
 
 
 def held_out(problem: Problem, best: Fit) -> Shrink:
-    """Fit on all but every fourth cycle and judge there, four times over (cross-validation).
-
-    Args:
-        best: The named effects at their best.
+    """Fit the named effects on all but every fourth cycle and judge them there, four times over (cross-validation).
 
     Returns:
         Gap before and after, with the same in-tolerance deviations in both, and a bootstrap interval over cycles. An unknown modulus is no
@@ -120,7 +121,7 @@ def _cross_validated(problem: Problem, best: Fit, cycle: Ints, folds: int) -> tu
 
 
 def _without_effects_at_its_modulus(problem: Problem, target: Floats, eta: Floats) -> Floats:
-    """Whitened prediction (7, b) without effects; where the modulus is not known, with the one that suits the target best."""
+    """Whitened prediction (7, b) without effects; a modulus that is not known takes the value that suits the target best."""
     at = problem.predict({}, eta)
     if problem.cell.tolerances.modulus_known:
         return at
@@ -135,6 +136,6 @@ def _without_effects_at_its_modulus(problem: Problem, target: Floats, eta: Float
 
 
 def _closed(sums: Floats) -> float:
-    """1 - (after² - floor²) / (before² - floor²)."""
+    """1 - (after² - floor²) / (before² - floor²) in -1 to 1, from the sums of squares (before, after, floor)."""
     before, after, floor = sums
     return float(np.clip(1.0 - (after - floor) / max(before - floor, 1e-12 * max(before, 1e-300)), -1.0, 1.0))

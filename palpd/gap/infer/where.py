@@ -15,13 +15,13 @@ from palpd.gap.model.problem import SHARED, Problem
 from palpd.tick import Floats
 
 FEWEST_SAMPLES = 4
-"""Samples of a phase in which a gap can lie; fewer are an accident of noise near a border between phases."""
+"""Least number of samples of a phase in which a gap can lie; fewer are an accident of noise near a border between phases."""
 
 FEWEST_BINS = 4
-"""Bins of a phase in which something unexplained can lie."""
+"""Least number of bins of a phase in which something unexplained can lie."""
 
 UNEXPLAINED_SD = 4.0
-"""Standard deviations of the energy of noise above which a residual is not explained."""
+"""Excess of a residual's energy over its mean n, in standard deviations √(2n) of white noise, above which it is unexplained."""
 
 
 class Place(TypedDict):
@@ -38,7 +38,7 @@ class Unexplained(Place):
 
 
 class Band(TypedDict):
-    """Gap of one channel between two frequencies, and the white noise of the stated rms there."""
+    """Rms of the gap of a channel between two frequencies, and of white noise of the stated rms there, in the unit of the channel."""
 
     channel: str
     low_Hz: float
@@ -48,7 +48,7 @@ class Band(TypedDict):
 
 
 class Trend(TypedDict):
-    """Gap of one channel in one cycle of a recording."""
+    """Mean and rms of the gap of a channel in a cycle of a recording, in the unit of the channel; numbers count from 0."""
 
     recording: int
     cycle: int
@@ -60,7 +60,13 @@ class Trend(TypedDict):
 
 @dataclass(frozen=True)
 class Gap:
-    """One channel in one phase: rms of measured minus predicted, what a healthy cell would leave, and the excess over that."""
+    """The gap of a channel in a phase.
+
+    Attributes:
+        rms: Of measured minus predicted, in the unit of the channel.
+        noise_floor: Rms that noise and tolerances leave in a healthy cell, in the same unit.
+        excess: √((rms² - floor²) / floor²), 0 below the floor.
+    """
 
     channel: str
     phase: str
@@ -74,7 +80,7 @@ def residuals(problem: Problem, around: Linearisation) -> list[Floats]:
     """Measured minus predicted of every recording.
 
     Args:
-        around: The state of the cell that predicts.
+        around: Its state (θ, η₀) predicts; its nuisances are not used.
 
     Returns:
         For each recording (n, 7), zero where a channel is not compared.
@@ -89,14 +95,11 @@ def residuals(problem: Problem, around: Linearisation) -> list[Floats]:
 
 
 def gap_table(problem: Problem, around: Linearisation, residual: Sequence[Floats]) -> list[Gap]:
-    """The gap of every compared channel in every phase that occurs.
+    """The gap of every compared channel in every phase that occurs, channel by channel.
 
     Args:
-        around: The nuisances, which set the floor.
+        around: Its nuisances set the floor.
         residual: Measured minus predicted of every recording (n, 7).
-
-    Returns:
-        The table, channel by channel.
     """
     noise = declared_rms(problem.cell)
     tolerated = _tolerance_rms(problem, around)
@@ -139,7 +142,7 @@ def largest_gap(problem: Problem, table: Sequence[Gap], change: Floats) -> Place
 
     Args:
         table: The gap by channel and phase.
-        change: What the effects do to the whitened prediction (7, b).
+        change: Change (7, b) of the whitened prediction by the named effects.
 
     Returns:
         The place, or None where nothing is compared.
@@ -191,7 +194,7 @@ def bands(problem: Problem, residual: Sequence[Floats]) -> list[Band]:
         residual: Measured minus predicted of every recording (n, 7).
 
     Returns:
-        The bands, channel by channel; none of a very short recording.
+        The bands, channel by channel; empty for a recording of fewer than 64 samples.
     """
     out: list[Band] = []
     recording, values = problem.recordings[0], residual[0]
@@ -222,13 +225,10 @@ def bands(problem: Problem, residual: Sequence[Floats]) -> list[Band]:
 
 
 def trend(problem: Problem, residual: Sequence[Floats]) -> list[Trend]:
-    """Mean and rms of the gap, cycle by cycle.
+    """Mean and rms of the gap, for each cycle and compared channel.
 
     Args:
         residual: Measured minus predicted of every recording (n, 7).
-
-    Returns:
-        One row for each cycle and compared channel.
     """
     out: list[Trend] = []
     for number, (one, values) in enumerate(zip(problem.recordings, residual, strict=True)):

@@ -1,1 +1,1 @@
-"""The search for a law that no listed effect is."""
+"""The search for laws and events that no listed effect explains."""

@@ -1,4 +1,4 @@
-"""Bases of curves: columns over the values of a driver, and priors of their coefficients."""
+"""Bases of curves: columns over the values of a driver, and the priors L Lᵀ of their coefficients w."""
 
 from dataclasses import dataclass
 
@@ -9,19 +9,20 @@ from palpd.cell.effects.drivers import Driver
 from palpd.tick import Floats
 
 KNOTS, FINE_KNOTS = 8, 24
-"""Knots of a usual curve, and of one that may have narrow features."""
+"""Number of knots of a usual curve, and of a curve that may have narrow features."""
 
 COVERED = (0.002, 0.998)
-"""Quantiles of a driver between which knots lie: single samples beyond them know nothing of a curve."""
+"""Quantiles of a driver between which knots lie: single samples beyond them say nothing of a curve."""
 
 LENGTHS = (1.2, 3.0, 8.0)
-"""Correlation lengths of a curve, in eighths of its range: from knots that hardly know each other to nearly straight lines."""
+"""Correlation lengths of a curve, in sevenths of its range (the distance of KNOTS even knots): from nearly independent knots to nearly
+straight lines."""
 
 HARMONIC_VARIANCES = (1.0, 0.15, 0.05)
-"""Prior variances of the harmonics of a curve that repeats, the basic one first."""
+"""Prior variances of the harmonics of a curve that repeats, that of the fundamental first."""
 
 SQUARE_VARIANCE = 0.3
-"""Prior variance of the square of a relaxed state, beside 1 of the state itself."""
+"""Prior variance of the square of a relaxed state; that of the state itself is 1."""
 
 
 ROUNDING = 1e-9
@@ -33,10 +34,10 @@ class Basis:
     """Columns of a curve over a driver.
 
     Attributes:
-        low: Smallest value of the driver that counts, in its unit.
-        high: Largest one.
+        low: Value of the driver, in its unit, below which a curve is constant; of no use where the driver repeats.
+        high: Value of the driver, in its unit, above which a curve is constant.
         knots: Coordinates of the knots (m,) of hats; empty for other bases.
-        priors: Roots L (m, m) of the covariances LLᵀ that the coefficients may have.
+        priors: Roots L (m, m) of the covariances L Lᵀ that the coefficients w may have.
     """
 
     driver: Driver
@@ -47,7 +48,7 @@ class Basis:
 
     @property
     def size(self) -> int:
-        """Number of coefficients."""
+        """Number m of coefficients."""
         return len(self.priors[0])
 
     def columns(self, x: Floats) -> Floats:
@@ -83,14 +84,10 @@ class Basis:
 
 
 def hats(driver: Driver, x: Floats, count: int = KNOTS) -> Basis | None:
-    """Hats at even knots with a Matérn prior of smoothness 3/2 and several lengths.
+    """Hats at `count` even knots with a Matérn prior of smoothness 3/2 and several lengths; None where the driver does not vary.
 
     Args:
-        x: Its values (n,) where the curve matters, in its unit.
-        count: Number of knots.
-
-    Returns:
-        The basis; None where the driver does not vary.
+        x: Values (n,) of the driver where the curve matters, in its unit.
     """
     low, high = _range(x)
     ends = driver.coordinate(np.array([low, high]))
@@ -103,13 +100,10 @@ def hats(driver: Driver, x: Floats, count: int = KNOTS) -> Basis | None:
 
 
 def powers(driver: Driver, x: Floats) -> Basis | None:
-    """X and x² for a relaxed state.
+    """Columns x and x² over a relaxed state x; None where the driver does not vary.
 
     Args:
-        x: Its values (n,).
-
-    Returns:
-        The basis; None where the driver does not vary.
+        x: Values (n,) of the driver, in its unit.
     """
     low, high = _range(x)
     return (
@@ -123,8 +117,8 @@ def harmonics(driver: Driver, x: Floats) -> Basis:
     """Three harmonics of a driver that repeats.
 
     Args:
-        driver: The driver, with its period.
-        x: Its values (n,).
+        driver: With a period.
+        x: Values (n,) of the driver, in its unit.
     """
     low, high = _range(x)
     return Basis(driver, low, high, np.zeros(0), (np.diag(np.repeat(HARMONIC_VARIANCES, 2) ** 0.5),))

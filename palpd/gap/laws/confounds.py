@@ -7,14 +7,14 @@ from palpd.gap.infer.evidence import Fit
 from palpd.gap.laws.finding import LawFinding
 
 MOST, LEAST_COSINE = 4, 0.5
-"""Number of imitations that are listed, and the cosine from which on one is any."""
+"""Largest number of imitations that are listed, and the cosine above which an effect is an imitation."""
 
 
 def confounds(finding: LawFinding, fits: Mapping[tuple[str, ...], Fit]) -> dict[str, float]:
     """The effects that imitate a law, each as it was fitted to the same recordings.
 
     Args:
-        fits: Every set of listed effects at its best.
+        fits: The fitted hypotheses by their effects. Those count that add one effect to the effects with which the law acts.
 
     Returns:
         Cosine of the angle between the change of the law and that of the effect, by effect, the most similar first; everything within

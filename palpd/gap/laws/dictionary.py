@@ -24,7 +24,8 @@ FINE_PRICE = 1.0
 RELAXED_PRICE = 1.5
 LOOP_PRICE = 2.0
 PERIODIC_PRICE = 1.0
-"""Nats that these kinds of driver cost; a loop is one with play, a periodic one pays the log of the tried frequencies besides."""
+"""Nats that a channel or a kind of driver costs. Loops are drivers with play, stop or a limit of speed. A periodic driver also pays the
+log of the number of tried frequencies."""
 
 RELAXED: tuple[Quantity, ...] = (
     "force", "absolute_speed", "squared_speed", "speed", "direction", "contact", "air", "depth", "power",
@@ -57,12 +58,12 @@ MOST_FREQUENCIES = 1500
 PEAKS, EXTENTS = 2, 10
 """Periodic laws are sought up to FASTEST_HZ, or RATE_SHARE of the samples' rate, and down to a pitch of SHORTEST_PITCH_M, of a share of
 short strokes, or of PITCH_NOISES standard deviations of the reported height, at most MOST_FREQUENCIES of them. The PEAKS highest peaks
-for each factor are weighed. Bins go in EXTENTS classes of like extent."""
+for each factor become candidates. Bins go in EXTENTS classes of similar extent."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """Candidates of one driver on one channel, with one basis and several factors."""
+    """Candidates with the same channel, driver and basis, and several factors; `price` is in nats, without that of the factor."""
 
     channel: str
     factors: tuple[FactorName, ...]
@@ -75,7 +76,7 @@ class Group:
 
 
 def plain_drivers(scene: Scene) -> list[tuple[Driver, float]]:
-    """Drivers without a memory constant, and their prices."""
+    """Drivers without a constant of memory, and their prices in nats."""
     rest, step_s = scene.rest_speed_m_per_s, 0.002 * scene.duration_s
     return [
         (Driver(quantity="height"), 0.0),
@@ -95,11 +96,7 @@ def plain_drivers(scene: Scene) -> list[tuple[Driver, float]]:
 
 
 def groups(scene: Scene) -> Iterator[Group]:
-    """Every group but the periodic ones.
-
-    Yields:
-        The groups, channel by channel.
-    """
+    """All groups without periodic drivers, channel by channel."""
     lateral = [channel for channel in ("fx_N", "fy_N", "tx_Nm", "ty_Nm", "tz_Nm") if scene.judged(_number(channel))]
     plain = plain_drivers(scene)
     if scene.judged(_number("fz_N")):
@@ -176,11 +173,7 @@ def _speed_limits(scene: Scene, price: float) -> Iterator[Group]:
 
 
 def refined(scene: Scene, candidate: LawCandidate) -> list[LawCandidate]:
-    """A candidate with other constants of its memory.
-
-    Returns:
-        Candidates that differ in the constant; none where the driver has no memory.
-    """
+    """A candidate with other periods, or with other constants of its memory; empty where its driver has neither, or it is a formula."""
     driver, basis = candidate.driver, candidate.basis
     if not isinstance(basis, Basis):
         return []
@@ -206,9 +199,6 @@ def periodic(scene: Scene, remainder: Floats) -> Iterator[LawCandidate]:
 
     Args:
         remainder: What the nuisances leave of the residual (7, b), whitened.
-
-    Yields:
-        The candidates at the highest peaks of the power.
     """
     noise_m = scene.problem.cell.robot.position_noise_rms_m
     for channel, factors in PERIODIC_FACTORS.items():
@@ -250,7 +240,7 @@ def _extent(scene: Scene, quantity: Quantity) -> Floats:
 def _power(x: Floats, extent: Floats, signal: Floats, energy: Floats, frequencies: Floats) -> Floats:
     """Power (k, f) of k signals (k, b) at even frequencies of x, over that of a wave: the sums of signal × e^(-2πifx), by FFT.
 
-    Bins that are long against the period average over it, so bins of like extent go together, each class with its sinc.
+    Bins that are long against the period average over it. So bins of similar extent go together, and each class has its sinc.
     """
     step = frequencies[1] - frequencies[0]
     size = 1 << int(np.ceil(np.log2(8.0 * frequencies[-1] / step)))
@@ -269,7 +259,7 @@ def _power(x: Floats, extent: Floats, signal: Floats, energy: Floats, frequencie
 
 
 def _peaks(power: Floats) -> list[int]:
-    """The highest local maxima."""
+    """Numbers of the PEAKS highest local maxima."""
     inner = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
     order = inner[np.argsort(-power[inner])]
     return [int(k) for k in order[:PEAKS]]

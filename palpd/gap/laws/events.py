@@ -1,4 +1,4 @@
-"""Events and noise in time: what happened at certain times, and would not happen again because of what the probe does."""
+"""Events and random walks in time: changes that come at certain times, and do not follow from what the probe does."""
 
 from dataclasses import dataclass
 from math import log
@@ -23,10 +23,10 @@ PULSES = (3, 9, 27, 81)
 """Lengths of pulses and bursts, in bins."""
 
 KIND_PRICE = log(12.0)
-"""Nats for the kind and the channel of an event, beside the log of the number of its times."""
+"""Price in nats of the kind and the channel of an event, in addition to the log of the number of its times."""
 
 EVENT_NATS, MOST_EVENTS = 6.0, 6
-"""Evidence of one event below which the search for them ends, and most events."""
+"""Nats of an event below which the search ends, and largest number of events."""
 
 BURST_SD = (2.0, 5.0)
 """Spreads that noise may have within a burst, in sigmas."""
@@ -38,7 +38,7 @@ WANDER_SIZES = (8.0, 20.0, 50.0, 150.0)
 
 
 class Event(TypedDict):
-    """Something that happened once: time from the first sample of its recording, channel, size in the unit of the channel, kind."""
+    """A change at an instant. `t_s` counts from the first sample of its recording, `size` has the unit of the channel."""
 
     recording: int
     t_s: float
@@ -49,33 +49,26 @@ class Event(TypedDict):
 
 @dataclass(frozen=True)
 class Events:
-    """The events of a residual, and their evidence together in nats."""
+    """The events of a residual, their evidence together in nats, and their change of the whitened prediction."""
 
     listed: list[Event]
     nats: float
-    change: Floats
+    change: Floats  # (7, b), without bursts, which change the noise only
 
 
 @dataclass(frozen=True)
 class _Atom:
-    """An event that may have happened: evidence, and its whitened column in one channel."""
+    """An event that may have happened: its evidence less its price, and its whitened column in a channel."""
 
     nats: float
     kind: str
     channel: int
     bin: int
-    column: Floats
+    column: Floats  # (b,)
 
 
 def find_events(scene: Scene, space: NuisanceSpace) -> Events:
-    """Pursue events greedily: each one that is found joins the nuisances.
-
-    Args:
-        space: Nuisances and residual.
-
-    Returns:
-        The events; none where nothing stands out.
-    """
+    """Pursue events greedily in the residual of `space`: each event that is found joins its nuisances."""
     problem, beside = scene.problem, space
     force = scene.factor("fz_N", "force")
     atoms: list[_Atom] = []
@@ -144,13 +137,13 @@ def _atoms(problem: Problem, space: NuisanceSpace, channel: int, force: Floats) 
 
 
 def _gain(norm: Floats, slope: Floats) -> Floats:
-    """Evidence of columns of unknown size, from their squares and their products with the residual."""
+    """Log Bayes factors of columns whose size has the prior N(0, EVENT_SIGMAS²), from squared lengths and products with the residual."""
     size = EVENT_SIGMAS**2
     return np.where(norm > 1e-9, -0.5 * log(1.0 + size) + 0.5 * slope**2 / np.maximum(norm, 1e-9) * size / (1.0 + size), -np.inf)
 
 
 def _sharpened(space: NuisanceSpace, channel: int, shape: Floats, begin: int, end: int, *, moves_end: bool) -> tuple[int, int, float]:
-    """Begin, end and evidence of an event whose begin and end are moved to where they fit best."""
+    """Begin, end and evidence of an event, moved to where they fit best."""
     near = max(EVERY, (end - begin) // 2) if moves_end else EVERY
     begins = np.unique(np.clip(np.linspace(begin - near, begin + near, 25).astype(np.intp), 0, len(shape) - 2))
     ends = np.unique(np.clip(np.linspace(end - near, end + near, 25).astype(np.intp), 1, len(shape))) if moves_end else np.array([end])
@@ -182,7 +175,7 @@ def _bursts(r: Floats, channel: int) -> list[_Atom]:
 
 
 def _end_of_contact(force: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """For every bin (b,) in contact the first one after it in the air; its own number in the air."""
+    """For every bin (b,) in contact the number of the first bin after it in the air; for a bin in the air its own number."""
     n = len(force)
     air = np.where(force > 0.0, n, np.arange(n))
     return np.asarray(np.minimum.accumulate(air[::-1])[::-1])
@@ -205,11 +198,8 @@ def _described(problem: Problem, space: NuisanceSpace, atom: _Atom, coefficient:
 def wander_nats(scene: Scene, space: NuisanceSpace) -> float:
     """Evidence of a random walk in time of the zero or of the scale of fz (an Ornstein-Uhlenbeck process).
 
-    Args:
-        space: Nuisances and residual.
-
     Returns:
-        The larger of both, in nats.
+        The larger of both, in nats; -inf where fz is not compared.
     """
     if not scene.judged(FZ):
         return -np.inf

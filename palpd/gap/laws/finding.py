@@ -24,25 +24,25 @@ from palpd.gap.model.problem import Problem, return_memory
 from palpd.tick import Floats
 
 DISCREPANCY_SIZE = 0.06
-"""Share of a listed effect by which its real law may differ, in each direction, before something else is sought beside it."""
+"""Share of a listed effect by which its real law may differ in each direction of D while a law is sought in its residual."""
 
 PARAMETER_REACH = 0.5
-"""Share of a listed effect by which its parameters may move when something is sought beside it."""
+"""Share of a listed effect by which its parameters may change it while a law is sought in its residual."""
 
 LEAST_SHARE_BESIDE = 0.2
-"""Share of the gap's energy from which something beside a listed effect is of its own, and no error of that effect's law."""
+"""Least share of the gap's energy of something that acts in addition to a listed effect: less is an error of that effect's law."""
 
 ALTERNATIONS = 3
-"""Times that listed parameters and the law beside them are fitted in turn, before the law is sought again."""
+"""Number of times that listed parameters and the added law are fitted in turn, before the law is sought again."""
 
 MANY_PARTS = 2
-"""Number of listed effects from which on a law alone is tried although they leave nothing: together they can imitate almost any shape."""
+"""Number of listed effects from which on a law alone is tried even if they leave nothing: together they can imitate almost any shape."""
 
 MOST_CERTAIN = 0.97
-"""Largest probability of a law: 38 of 38 accepted laws were right, and (38 + 1) / (38 + 2) is what that supports."""
+"""Largest probability of a law: 38 of 38 accepted laws were right, which supports (38 + 1) / (38 + 2)."""
 
 SHOWN_POINTS = 40
-"""Points in which the data behind a curve are shown."""
+"""Number of points in which the data behind a curve are shown."""
 
 
 ONE_CYCLE = 0.6
@@ -54,9 +54,9 @@ class RefusedLaw:
     """A law that the recordings support and that is not named.
 
     Attributes:
-        reason: It changes in time, or one press or stroke alone shows it.
-        recording: Number of the recording with that press.
-        cycle: Number of the cycle of that press there.
+        reason: It changes in time, or a single press or stroke alone shows it.
+        recording: Number of the recording with that press, from 0 on.
+        cycle: Number of the cycle of that press there, from 0 on.
     """
 
     law: LearnedLaw
@@ -70,16 +70,16 @@ class LawFinding:
     """What the search for laws found.
 
     Attributes:
-        learned: The learned effect; None where no law was accepted.
-        law: The law behind it.
-        beside: The listed effects that it stands beside; the fit without effects where it stands alone.
-        replaces: Whether it, or the events, replace the listed effects, which only imitated them.
+        learned: The law as an effect for the library; None where no law was accepted.
+        law: The same law with its evidence; None where `learned` is.
+        beside: Fit of the listed effects to which law or events are added; of the cell without effects where these stand alone.
+        replaces: Whether law or events replace the listed effects, which only imitated them.
         events: Events, which are no law.
-        note: A sentence for the reader, or None.
+        note: A sentence for the reader; None where nothing needs to be said.
         nats: Evidence of the law or of the events beyond the listed answer.
         secondary: Whether listed effects stand as the cause, and the law says what they leave: an error of their own laws, or something
-            besides. The verdict is then theirs.
-        refused: A law that another recording may show, or None.
+            in addition. The verdict is then theirs.
+        refused: A law that another recording may show; None where no law was refused.
     """
 
     learned: LearnedEffect | None
@@ -93,16 +93,14 @@ class LawFinding:
     refused: RefusedLaw | None = None
 
     def beside_named(self, leading_leaves: float) -> "LawFinding":
-        """The finding where the list names causes that leave little: it says what they leave, and takes nothing from them.
+        """The finding where the list names causes that leave little: does it describe the rest, replace them, or become a note?
 
-        A law that would replace a cause is then one sentence for the reader: a real cause never has quite its listed law. Where none of
-        several listed effects explains most of the gap, one law that is likelier than all of them replaces them: they imitated it.
+        An added law describes what the named effects leave, and takes nothing from them. A law that would replace a cause becomes a note: a
+        real cause never follows its listed formula exactly. But where none of several listed effects explains most of the gap, a law of a
+        single term that is likelier than all of them replaces them: they imitated it.
 
         Args:
-            leading_leaves: Share of what the named effects explain together that the best of them alone leaves; 0 of one effect.
-
-        Returns:
-            The finding beside the named causes, or in their place.
+            leading_leaves: Share of what the named effects explain together that the best of them alone leaves; 0 for a single effect.
         """
         if self.events:  # the named cause only imitated them, or they stand out of its residual
             return self if self.replaces else _nothing(self.beside, _EVENTS_BESIDE)
@@ -114,14 +112,7 @@ class LawFinding:
         return _nothing(self.beside, note)
 
     def beside_law(self, listed: Fit) -> Fit:
-        """The listed answer with the law taken from its residual.
-
-        Args:
-            listed: The listed answer.
-
-        Returns:
-            The fit beside the law; the listed answer itself where there is no law.
-        """
+        """The fit to which the law is added, with the law taken from its residual; the listed answer itself where there is no law."""
         if self.learned is None or self.law is None:
             return listed
         return replace(self.beside, residual=self.beside.residual - self.law.change)
@@ -201,7 +192,7 @@ def _probability(nats: float) -> float:
 
 
 def _nothing(beside: Fit, note: str | None = None, refused: RefusedLaw | None = None) -> LawFinding:
-    """No finding beside a fit, and why."""
+    """An empty finding for a fit, with the reason."""
     return LawFinding(None, None, beside, False, [], note, 0.0, refused=refused)
 
 
@@ -209,11 +200,10 @@ def leading_leaves(fits: Mapping[tuple[str, ...], Fit], listed: Fit) -> float:
     """How much of what listed effects explain together the best of them alone leaves.
 
     Args:
-        fits: The fitted hypotheses by their effects; no effect is among them.
-        listed: The fit of the listed effects.
+        fits: The fitted hypotheses by their effects; the empty set is among them.
 
     Returns:
-        The share of the misfit that they take away together; 0 for one effect, and where no single one was fitted.
+        A share of the misfit that they take away together; 0 for a single effect, and where none of them was fitted alone.
     """
     if len(listed.names) < MANY_PARTS:
         return 0.0
@@ -223,7 +213,7 @@ def leading_leaves(fits: Mapping[tuple[str, ...], Fit], listed: Fit) -> float:
 
 
 def _of_one_cycle(law: LearnedLaw) -> RefusedLaw | None:
-    """The refusal of a law that is likely enough but that one press or stroke alone shows; None for any other."""
+    """The refusal of a law that is likely enough but that a single press or stroke alone shows; None for any other law."""
     if not law.likely:
         return None
     seen = (NuisanceSpace(law.space.columns, law.change).remainder ** 2).sum(axis=0)
@@ -238,15 +228,15 @@ def _of_one_cycle(law: LearnedLaw) -> RefusedLaw | None:
 def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -> LawFinding:
     """Search for a law and for events beyond the listed answer, and decide.
 
-    On top of one listed effect nothing is found: it stands. Something is, or several effects were needed: if a law alone beats the listed
-    effects, and these with the law on top of them, they only imitated it and it replaces them. Of two explanations alike the one with
-    fewer parts counts. Else the law stands beside them.
+    If a single listed effect leaves no law and no events, it stands. Otherwise a law is also sought in the gap of the cell without effects.
+    If that law beats the listed effects, and these with an added law, then they only imitated it, and it replaces them. Of two explanations
+    that are alike the one with fewer parts counts. In all other cases the law is added to the listed effects.
 
     Args:
         nominal: The fit without effects.
-        listed: The fit of the listed answer; the same where nothing is named.
+        listed: The fit of the listed answer; the same as `nominal` where nothing is named.
         coarse: Whether readings are rounded far more coarsely than stated. They then follow the force in steps, and any law fits the steps:
-            nothing is sought.
+            no law is sought.
     """
     if coarse:
         return _nothing(listed)
@@ -271,7 +261,7 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
             repeats = sum(one.phases.presses for one in problem.recordings) not in (1, 2)
             imitated = repeats and alone_events.nats > gained
             events = alone_events if imitated else events
-        # A smooth curve of time is no answer where events are one.
+        # A smooth curve of time is no answer where events explain the gap.
         replaces = alone.carries and alone.nats >= rival and not (eventful and _plain_time(alone.terms[0].candidate))
         if replaces:
             law, judged_in, beside = alone, alone_space, nominal
@@ -290,13 +280,13 @@ def find(problem: Problem, nominal: Fit, listed: Fit, *, coarse: bool = False) -
 
 
 def _fitted_together(problem: Problem, listed: Fit, top: LearnedLaw, gained: float) -> tuple[LearnedLaw, NuisanceSpace, Fit]:
-    """The law on top of listed effects, the space in which it was judged, and these effects.
+    """A law in addition to listed effects, the nuisances with which it was found, and the fit of these effects.
 
     Without the law, the listed parameters imitate a part of it. So both are fitted in turn, and the law is sought again.
-    In the end the law is what the listed effects leave as they are, and not what they could leave.
+    In the end the law is what the listed effects leave with these parameters, and not what they could leave.
     """
     law = replace(top, space=_within_specification(problem, listed))
-    # A second term may be the error of the listed parameters, so the first one alone stays while these move.
+    # A second term may be the error of the listed parameters, so the first term alone stays while these move.
     moved = replace(law, terms=top.terms[:1])
     beside = listed
     for _ in range(ALTERNATIONS):
@@ -332,13 +322,13 @@ def _time_note(law: LearnedLaw) -> str | None:
 
 
 def _plain_time(candidate: LawCandidate) -> bool:
-    """Whether a candidate is an added smooth curve of time, which a random walk is as well."""
+    """Whether a candidate adds a smooth curve of time, which may be a random walk."""
     driver = candidate.driver
     return driver.quantity == "time" and driver.period is None and candidate.factor in ("one", "air")
 
 
 def _matters(listed: Fit, change: Floats) -> bool:
-    """Whether a change beside listed effects holds enough of the gap to be something of its own."""
+    """Whether a change in addition to listed effects holds enough of the gap's energy to be no error of their laws."""
     if not listed.names:
         return True
     own, whole = (project(one, listed.linearisation.space) for one in (change, change + listed.change))
@@ -346,20 +336,20 @@ def _matters(listed: Fit, change: Floats) -> bool:
 
 
 def _log_prior(problem: Problem, listed: Fit) -> float:
-    """Log prior odds of a set of listed effects against none."""
+    """Log prior odds of a set of listed effects against the empty set."""
     count, effects = len(listed.names), sum(not effect.scatter for effect in problem.library.values())
     return log((P_NONE, P_ONE, P_TWO, P_THREE)[count] / P_NONE) - log(comb(effects, count))
 
 
 def _within_specification(problem: Problem, listed: Fit) -> NuisanceSpace:
-    """Everything within specification around a fit, and rounding."""
+    """Residual of a fit, with its nuisances A and those of rounding."""
     space = NuisanceSpace(listed.linearisation.space.columns, listed.residual)
     rounding = rounding_columns(problem, problem.noise.natural(problem.data - listed.remainder))
     return space.with_columns(rounding) if rounding else space
 
 
 def _space_beside(problem: Problem, listed: Fit) -> NuisanceSpace:
-    """The same, with the reach of the listed parameters and the discrepancy of the listed laws."""
+    """The same, where the reach of the listed parameters and the discrepancy DISCREPANCY_SIZE × D of the listed laws are nuisances, too."""
     space, around = _within_specification(problem, listed), listed.linearisation
     if not listed.names:
         return space
@@ -373,10 +363,10 @@ def _space_beside(problem: Problem, listed: Fit) -> NuisanceSpace:
 
 
 def learned_effect(law: LearnedLaw, nats: float) -> LearnedEffect:
-    """A law as data.
+    """A law as an effect that a cell file can hold.
 
     Args:
-        nats: Its evidence beyond the listed answer.
+        nats: Evidence of the law beyond the listed answer.
     """
     terms = tuple(_term(law, number) for number in range(len(law.terms)))
     first = law.terms[0].candidate
@@ -396,14 +386,7 @@ def learned_effect(law: LearnedLaw, nats: float) -> LearnedEffect:
 
 
 def free_name(name: str, taken: set[str]) -> str:
-    """A name that is free.
-
-    Args:
-        taken: Names that there are already.
-
-    Returns:
-        The name, with a number where it is taken.
-    """
+    """The name, with a number behind it where it is taken."""
     return next(one for one in (name, *(f"{name}_{k}" for k in range(2, len(taken) + 3))) if one not in taken)
 
 
@@ -458,11 +441,11 @@ def _usual(law: LearnedLaw, candidate: LawCandidate) -> Floats:
 
 
 def _spread(columns: Floats, covariance: Floats) -> Floats:
-    """Standard deviation (k,) of a curve."""
+    """Standard deviation (k,) of a curve at k points, from its columns (k, m) there and the covariance (m, m) of w."""
     return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", columns, covariance, columns), 0.0))
 
 
 def _rounded(values: Floats) -> tuple[float, ...]:
-    """Numbers that a person can read: seven digits, and zero where they are nothing beside the largest."""
+    """Numbers that a person can read: seven digits, and zero where they are below 1e-9 of the largest."""
     values = np.where(np.abs(values) < 1e-9 * np.abs(values).max(), 0.0, values)
     return tuple(float(f"{value:.7g}") for value in values.tolist())

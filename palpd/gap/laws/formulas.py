@@ -12,22 +12,28 @@ from palpd.gap.laws.bases import KNOTS, Basis
 from palpd.tick import Floats
 
 PLACES = np.linspace(0.05, 0.95, 13)
-"""Places of hinges, bumps and turns, as shares of the range of the driver."""
+"""Places of hinges, bumps and turns (tanh), as shares of the range of the driver."""
 
 WIDTHS = (0.04, 0.1, 0.25)
 """Widths of bumps and turns, as shares of the range."""
 
 GRID_PRICE = 0.5
-"""Nats for places and widths that are tried again between those of the grid."""
+"""Price in nats of places and widths that are tried again between those of the grid."""
 
 POWERS = (0.5, 1.5, 2.0, 3.0)
 SHOWN = 3 * KNOTS
-"""Knots at which a formula is written down."""
+"""Number of stretches between the values at which a formula is written down."""
 
 
 @dataclass(frozen=True)
 class FormulaShape:
-    """One function of a driver: a text in x with the marks {less} for x - x0 and {w} for a width, in the unit of the driver."""
+    """A function of a driver x, without its coefficient.
+
+    Attributes:
+        pattern: A text in x, with the marks {less} for x - x0 and {w} for the width.
+        x0: Place in the unit of the driver; None where the function has no place.
+        w: Width in the unit of the driver; None where the function has no width.
+    """
 
     pattern: str
     x0: float | None = None
@@ -46,13 +52,13 @@ CONSTANT = FormulaShape("1")
 
 @dataclass(frozen=True)
 class Formula:
-    """One or two functions of a driver, each with a coefficient.
+    """A closed formula: a sum of one or two functions of a driver, each with a coefficient w.
 
     Attributes:
-        low: Smallest value of the driver that counts, in its unit.
-        high: Largest one.
-        sizes: Largest absolute value of each, by which the columns are divided.
-        price: Log of the number of formulas of its kind.
+        low: Value of the driver, in its unit, below which the formula is constant.
+        high: Value of the driver, in its unit, above which the formula is constant.
+        sizes: Largest absolute value of each function, by which its column is divided.
+        price: Nats: log of the number of formulas of its kind, plus GRID_PRICE where there are several.
     """
 
     driver: Driver
@@ -64,12 +70,12 @@ class Formula:
 
     @property
     def priors(self) -> tuple[Floats, ...]:
-        """Root of the prior covariance of the coefficients."""
+        """The root L (m, m) of the prior covariance of the coefficients w: they are independent."""
         return (np.eye(len(self.shapes)),)
 
     @property
     def size(self) -> int:
-        """Number of coefficients."""
+        """Number m of coefficients."""
         return len(self.shapes)
 
     def columns(self, x: Floats) -> Floats:
@@ -89,14 +95,7 @@ class Formula:
         return np.linspace(0.0, self.driver.period, SHOWN + 1) if self.driver.period else np.linspace(self.low, self.high, SHOWN + 1)
 
     def text(self, coefficients: Floats) -> str:
-        """The formula with its coefficients.
-
-        Args:
-            coefficients: Of the columns (m,).
-
-        Returns:
-            A text in x.
-        """
+        """The formula with its coefficients (m,), as a text in x."""
         terms = []
         for shape, size, value in zip(self.shapes, self.sizes, coefficients.tolist(), strict=True):
             terms.append(f"{value / size:.5g}" if shape == CONSTANT else f"{value / size:.5g} * {shape.text}")
@@ -107,12 +106,8 @@ def formulas_of(basis: Basis, x: Floats, *, with_constant: bool) -> Iterator[For
     """The formulas that may replace a curve.
 
     Args:
-        basis: The curve.
         x: Values (b,) of its driver in the bins.
-        with_constant: Whether a constant is not the same as nothing.
-
-    Yields:
-        The formulas, each with its price.
+        with_constant: Whether formulas have a constant, too. With the factor `one` a constant is the bias, which is a nuisance.
     """
     driver, low, high = basis.driver, basis.low, basis.high
     if driver.period is not None:
@@ -143,7 +138,7 @@ def neighbours(formula: Formula, x: Floats) -> list[Formula]:
         x: Values (b,) of its driver in the bins.
 
     Returns:
-        Formulas of the same kind; none where there is neither place nor width.
+        Formulas of the same kind; empty where there is neither place nor width.
     """
     *before, shape = formula.shapes
     step = 0.2 * (PLACES[1] - PLACES[0]) * (formula.high - formula.low)
@@ -159,7 +154,7 @@ def neighbours(formula: Formula, x: Floats) -> list[Formula]:
 
 
 def _kinds(low: float, high: float) -> Iterator[list[FormulaShape]]:
-    """Kinds of formulas of one coefficient, each with its grid."""
+    """Kinds of formulas of a single coefficient, each with its grid of places and widths."""
     span = high - low
     places, widths = [low + share * span for share in PLACES], [share * span for share in WIDTHS]
     yield [FormulaShape("x")]

@@ -1,4 +1,4 @@
-"""What a law says of strokes that it did not see."""
+"""How well a law predicts strokes that its fit did not see (cross-validation)."""
 
 from dataclasses import dataclass
 
@@ -14,12 +14,12 @@ LEAST_GAIN_SHARE = 0.4
 """Least gain on strokes that were not seen, as a share of the evidence."""
 
 FOLDS_THAT_GAIN, LEAST_FOLD_SHARE = 3, 0.02
-"""Number of folds that must gain, and how much of the evidence each: a law that one stroke alone shows carries to no other."""
+"""Number of folds that must gain, and which share of the evidence each: a law that one stroke alone shows does not hold in others."""
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Gains (folds,) in nats on strokes that were not seen: half the drop of squared residuals."""
+    """Gains (folds,) in nats on strokes that the fit did not see: half the drop of the squared residual."""
 
     gains: Floats
 
@@ -29,30 +29,23 @@ class HeldOut:
         return float(self.gains.sum())
 
     def carries(self, nats: float, *, folds_too: bool = True) -> bool:
-        """Whether the law holds on strokes that it did not see.
+        """Whether the law holds on strokes that its fit did not see.
 
         Args:
-            nats: Its evidence.
-            folds_too: Whether most folds must gain by themselves.
-
-        Returns:
-            True where it does.
+            nats: Evidence of the law.
+            folds_too: Whether FOLDS_THAT_GAIN of the folds must gain by themselves, too.
         """
         folds = int((self.gains > LEAST_FOLD_SHARE * nats).sum())
         return self.total >= LEAST_GAIN_SHARE * nats and (not folds_too or folds >= FOLDS_THAT_GAIN)
 
 
 def held_out(space: NuisanceSpace, columns: ColumnsByChannel, root: Floats, fold: Ints) -> HeldOut:
-    """Fit the coefficients without each fold, and judge them in it.
+    """Fit the coefficients w without each fold, and judge them in it.
 
     Args:
-        space: Nuisances and residual.
-        columns: Whitened columns (b, m) of the law by channel.
-        root: Root (m, m) of the prior covariance of its coefficients.
-        fold: Fold (b,) of every bin.
-
-    Returns:
-        The gains.
+        columns: Whitened columns X (b, m) of the law by channel.
+        root: Root s L (m, m) of the prior covariance of w.
+        fold: Number of the fold (b,) of every bin.
     """
     inside, outside = space.folded(columns, fold, FOLDS)
     gains = []

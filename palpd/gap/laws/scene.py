@@ -23,13 +23,13 @@ from palpd.tick import Floats
 
 LATERAL = "lateral"
 REST_SPEED_M_PER_S = 0.5e-3
-"""Speed at which friction turns over, at most; less on rigs that are slow."""
+"""Largest speed at which friction turns over; it is smaller on slow rigs."""
 
 REST_SHARE = 0.05
-"""The same as a share of the usual speed."""
+"""The speed at which friction turns over, as a share of the 95 % quantile of the speed of the probe."""
 
 HARMONICS, LEAST_HARMONIC = 4, 0.02
-"""Most harmonics of the error of rounded readings, and the least amplitude of a further one, in steps."""
+"""Largest number of harmonics of the error of rounded readings, and least amplitude of each after the first, in steps."""
 MOST_FILTERED = 600_000
 """Largest number of values that are filtered at once: a filter needs ten times their memory, and of a million rows there are 8 million."""
 
@@ -39,13 +39,13 @@ SHALLOW = 0.1
 
 @dataclass(frozen=True)
 class LawCandidate:
-    """A term that may be at work.
+    """A term that a law may have: factor × curve(driver) in a channel.
 
     Attributes:
         channel: A channel, or LATERAL for a force at the tip to the side.
         basis: Curve or formula over the driver.
-        price: Nats that it costs to name it.
-        azimuth_rad: Direction of a force to the side.
+        price: Nats that are subtracted from its evidence, more for a rarer kind.
+        azimuth_rad: Direction of a force to the side, from x to y.
     """
 
     channel: str
@@ -56,16 +56,16 @@ class LawCandidate:
 
     @property
     def driver(self) -> Driver:
-        """What the curve is drawn over."""
+        """The argument of the curve."""
         return self.basis.driver
 
     @property
     def name(self) -> tuple[str, str, Driver]:
-        """What it says: channel, factor, driver."""
+        """What the term says, whatever its curve: channel, factor, driver."""
         return self.channel, self.factor, self.driver
 
     def weights(self, tip_length_m: float) -> dict[ChannelName, float]:
-        """Weight of every channel that the term acts on.
+        """Weight of every channel on which the term acts.
 
         Args:
             tip_length_m: Arm of a force to the side.
@@ -82,7 +82,7 @@ class Scene:
 
     Attributes:
         contact: The moving probe at the steps of every recording.
-        robot: The nominal follower of the command, where heights are compared.
+        robot: The nominal follower of the command in every recording; None in a recording whose heights are not compared.
         rest_speed_m_per_s: Speed at which friction turns over.
     """
 
@@ -97,8 +97,8 @@ class Scene:
         """Simulate the recordings.
 
         Args:
-            effects: Parameters by effect.
-            eta: Shared deviations (11,) in standard deviations.
+            effects: Parameters θ by effect.
+            eta: Shared deviations η (11,) in standard deviations.
         """
         return_memory()
         cell, library = problem.cell_at(effects, eta), problem.library
@@ -143,7 +143,7 @@ class Scene:
     ) -> Floats:
         """Means over the bins (b, ...) of what is computed at the steps of every recording; zero where heights are not compared.
 
-        `behind` filters columns (n, k), as many at once as memory should hold.
+        `behind` filters columns (n, k); only a few are passed at once, so that memory suffices.
         """
         out = []
         for one, contact, robot in zip(self.problem.recordings, self.contact, self.robot, strict=True):
@@ -164,7 +164,7 @@ class Scene:
         """Values of a driver in the bins.
 
         Args:
-            channel: The channel; heights have drivers of the follower, all others those of the contact.
+            channel: `z_m` has the drivers of the follower, all other channels those of the contact.
 
         Returns:
             Values (b,) in SI units.
@@ -178,7 +178,7 @@ class Scene:
         """Values of a factor in the bins.
 
         Args:
-            channel: The channel, as above.
+            channel: As in `driver`.
 
         Returns:
             Values (b,) in SI units.
@@ -186,7 +186,7 @@ class Scene:
         return self._means(channel, lambda state: factor_values(name, state))
 
     def columns(self, candidate: LawCandidate) -> dict[int, Floats]:
-        """What each coefficient of a candidate changes, with all filters that lie behind it.
+        """Columns X: what each coefficient of a candidate changes, after all filters of sensor or servo.
 
         Returns:
             Columns (b, m) by channel, in the units of the channels.
@@ -209,13 +209,10 @@ class Scene:
         return {CHANNELS.index(name): weight * values for name, weight in weights.items() if self.judged(CHANNELS.index(name))}
 
     def unfiltered(self, candidate: LawCandidate, behind: Callable[[DriverState, Floats], Floats] = lambda _, values: values) -> Floats:
-        """Factor times basis in the bins.
+        """Factor times basis in the bins, columns (b, m).
 
         Args:
-            behind: Filters that lie behind it.
-
-        Returns:
-            Columns (b, m).
+            behind: Filters columns (n, k) at the steps of a recording, before the means over the bins.
         """
 
         def at_steps(state: DriverState) -> Floats:
@@ -230,7 +227,7 @@ class Scene:
         return any(one.judged[channel] for one in self.problem.recordings)
 
     def strokes(self, folds: int) -> Ints:
-        """Fold (b,) of every bin: strokes with the rest after them are dealt out at random, the same way each time."""
+        """Number of the fold (b,) of every bin: strokes, each with the rest after it, are dealt out at random, always in the same way."""
         stroke, first = [], 0
         for one in self.problem.recordings:
             begins = np.diff(one.phases.moving.astype(int), prepend=0) > 0
@@ -244,15 +241,15 @@ class Scene:
 
 
 def rounding_columns(problem: Problem, fitted: Floats) -> dict[int, Floats]:
-    """Nuisances (b, 2k) by channel for the mean error of rounded readings, Σ q/kπ e^(-2(πkσ/q)²) sin(2πkf/q) with any phases.
+    """Nuisances for the mean error of rounded readings, Σ q/kπ e^(-2(πkσ/q)²) sin(2πkf/q) with any phases; q is the step of fz.
 
     Otherwise the levels that a slow press crosses look like a law that repeats over the height.
 
     Args:
-        fitted: Readings (7, b) with all fitted deviations: the force between two levels must be known.
+        fitted: Fitted readings (7, b) in the units of the channels, with all deviations: the force between two levels must be known.
 
     Returns:
-        Whitened columns in units of their standard deviation.
+        Whitened columns (b, 2k) by channel, each times the standard deviation of its coefficient; empty if readings are not rounded.
     """
     rounding, step_N = problem.recordings[0].rounding, float(resolutions(problem.cell)[FZ])
     if step_N <= 0.0:

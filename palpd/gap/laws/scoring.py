@@ -1,4 +1,4 @@
-"""Scores of many candidates at once, in rows that join neighbouring bins; the likeliest are then weighed with all filters."""
+"""Evidence of many candidates at once, over joined bins; that of the likeliest is then computed with all filters."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -17,18 +17,18 @@ from palpd.tick import Floats
 
 AZIMUTHS_RAD = np.arange(6) * np.pi / 6.0
 AZIMUTH_PRICE = float(np.log(len(AZIMUTHS_RAD)))
-"""Directions of a force to the side that are tried, and what that costs in nats."""
+"""Directions of a force to the side that are tried, and the nats that this costs."""
 
 FORMULA_ROUNDS = 2
-"""Times that the places and widths in the likeliest formula are tried again nearby."""
+"""Number of times that the place and width in the likeliest formula are tried again nearby."""
 
 MOST_COLUMNS, MOST_WEIGHED = 96, 60
-"""Columns that are scored at once, and likeliest candidates that are weighed in full."""
+"""Number of columns that are scored at once, and number of likeliest candidates whose evidence is computed with all its prices."""
 
 
 @dataclass(frozen=True)
 class Scored:
-    """A candidate with its evidence, the price of naming it taken off."""
+    """A candidate with its evidence; `nats` is that less all prices."""
 
     candidate: LawCandidate
     nats: float
@@ -37,7 +37,7 @@ class Scored:
 
 @dataclass(frozen=True)
 class _Batch:
-    """Candidates of one channel with priors alike, and their whitened columns (b, k m) by row of the data."""
+    """k candidates of m coefficients with the same channel and priors, and their whitened columns (b, k m) by channel."""
 
     candidates: list[LawCandidate]
     values: dict[int, Floats]
@@ -45,7 +45,7 @@ class _Batch:
 
 @dataclass(frozen=True)
 class Scorer:
-    """Scores candidates against a residual."""
+    """Computes the evidence of candidates in a residual."""
 
     scene: Scene
     space: NuisanceSpace
@@ -54,27 +54,27 @@ class Scorer:
     _drivers: dict[tuple[str, Driver], Floats] = field(default_factory=dict)
 
     def scan(self) -> list[Scored]:
-        """The likeliest candidates of the dictionary, best first."""
+        """The likeliest candidates of the dictionary, the likeliest first."""
         if not self._listed:
             listed = (group.candidate(factor) for group in groups(self.scene) for factor in group.factors)
             self._listed.extend(_batches((one, self._joined(one)) for one in listed))
-        # A wave may be as short as two bins, so its rows are not joined.
+        # A wave may be as short as two bins, so bins are not joined for it.
         repeating = _batches((one, self._filtered(one)) for one in periodic(self.scene, self.space.remainder))
         out = [*_likeliest(self.space.coarse, self._listed), *_likeliest(self.space, repeating)]
         return sorted(out, key=lambda one: -one.nats)
 
     def beside(self, space: NuisanceSpace) -> "Scorer":
-        """A scorer of the same candidates with further nuisances."""
+        """A scorer of the same candidates with other nuisances and residual."""
         return replace(self, space=space)
 
     def refine(self, lead: Scored) -> list[Scored]:
-        """A candidate with other constants of its memory, best first."""
+        """A candidate with other constants of its memory, or other periods, the likeliest first."""
         joined = lead.candidate.driver.period is None
         columns = ((one, self._joined(one) if joined else self._filtered(one)) for one in refined(self.scene, lead.candidate))
         return _likeliest(self.space.coarse if joined else self.space, _batches(columns))
 
     def best_formula(self, lead: Scored) -> Scored | None:
-        """The likeliest closed formula in place of a candidate's curve."""
+        """The likeliest closed formula in place of a candidate's curve; None where it has no curve, or no formula is possible."""
         candidate = lead.candidate
         if not isinstance(candidate.basis, Basis):
             return None
@@ -93,10 +93,10 @@ class Scorer:
         return best
 
     def exact(self, candidate: LawCandidate) -> tuple[Scored, dict[int, Floats]]:
-        """A candidate weighed with all filters, in all bins.
+        """Evidence of a candidate with all filters, in all bins.
 
         Returns:
-            It with its evidence, and its whitened columns (b, m) by channel.
+            The candidate with its evidence, and its whitened columns X (b, m) by channel.
         """
         columns = whitened(self.scene.problem.noise, self.scene.columns(candidate))
         evidence = group_evidence(self.space.products(columns), candidate.basis.priors)
@@ -104,13 +104,13 @@ class Scorer:
         return Scored(candidate, evidence.nats - price, evidence), columns
 
     def _driver(self, channel: str, driver: Driver) -> Floats:
-        """Values of a driver in joined rows."""
+        """Values (b / COARSENESS,) of a driver in joined bins."""
         if (channel, driver) not in self._drivers:
             self._drivers[channel, driver] = _mean_of_rows(self.scene.driver(channel, driver))
         return self._drivers[channel, driver]
 
     def _factor(self, channel: str, factor: FactorName) -> dict[int, Floats]:
-        """Whitened factor (b / COARSENESS, 1) in the rows of the data that it acts on; a curve varies little over the noise's memory."""
+        """Whitened factor (b / COARSENESS, 1) in the channels on which it acts; a curve varies little over the memory of the noise."""
         if (channel, factor) not in self._factors:
             values, arm_m = self.scene.factor(channel, factor)[:, None], self.scene.problem.cell.probe.tip_length_m
             rows = {FX: 1.0, FY: 1.0, TX: arm_m, TY: -arm_m} if channel == LATERAL else {CHANNELS.index(channel): 1.0}
@@ -119,14 +119,14 @@ class Scorer:
         return self._factors[channel, factor]
 
     def _joined(self, candidate: LawCandidate) -> dict[int, Floats]:
-        """Columns in joined rows, without the filter of the sensor; heights with the servo, which is slow."""
+        """Whitened columns in joined bins, without the filter of the sensor; those of heights with the servo, which is slow."""
         if candidate.channel == "z_m":
             return coarse(self._filtered(candidate))
         curve = candidate.basis.columns(self._driver(candidate.channel, candidate.driver))
         return {row: factor * curve for row, factor in self._factor(candidate.channel, candidate.factor).items()}
 
     def _filtered(self, candidate: LawCandidate) -> dict[int, Floats]:
-        """Columns in all bins, with all filters; of a force to the side along both x and y."""
+        """Whitened columns in all bins, with all filters; those of a force to the side along both x and y."""
         if candidate.channel != LATERAL:
             return whitened(self.scene.problem.noise, self.scene.columns(candidate))
         x, y = (self.scene.columns(replace(candidate, azimuth_rad=angle)) for angle in (0.0, np.pi / 2.0))
@@ -134,25 +134,25 @@ class Scorer:
 
 
 def _likeliest(space: NuisanceSpace, batches: Iterable[_Batch]) -> list[Scored]:
-    """The likeliest candidates of some batches, weighed in full, best first."""
+    """The likeliest candidates of some batches with their evidence less all prices, the likeliest first."""
     quick = [one for batch in batches for one in _scored(space, batch)]
     quick.sort(key=lambda one: -one[0])
     return sorted((_weighed(candidate, products) for _, candidate, products in quick[:MOST_WEIGHED]), key=lambda one: -one.nats)
 
 
 def _mean_of_rows(values: Floats) -> Floats:
-    """Means (b / COARSENESS,) of joined rows."""
+    """Means (b / COARSENESS,) over joined bins."""
     rows = np.arange(0, len(values), COARSENESS)
     return np.asarray(np.add.reduceat(values, rows) / np.diff(rows, append=len(values)))
 
 
 def _kind(candidate: LawCandidate) -> tuple[str, bool, int, bool]:
-    """What may stand in one batch: the same channel and the same priors."""
+    """What candidates of a batch have in common: the channel and the priors."""
     return candidate.channel, candidate.driver.period is None, candidate.basis.size, isinstance(candidate.basis, Basis)
 
 
 def _batches(candidates: Iterable[tuple[LawCandidate, dict[int, Floats]]]) -> Iterator[_Batch]:
-    """Neighbours of one kind together."""
+    """Batches of neighbouring candidates of the same kind."""
     mine: list[tuple[LawCandidate, dict[int, Floats]]] = []
     for one in candidates:
         if mine and (_kind(one[0]) != _kind(mine[0][0]) or len(mine) * one[0].basis.size >= MOST_COLUMNS):
@@ -168,7 +168,7 @@ def _batch(mine: list[tuple[LawCandidate, dict[int, Floats]]]) -> _Batch:
 
 
 def _scored(space: NuisanceSpace, batch: _Batch) -> Iterator[tuple[float, LawCandidate, Products]]:
-    """Evidence less the price of every candidate, before it pays for what tolerances hide, and its products."""
+    """Nats of every candidate less its price, but before the price of what tolerances hide; the candidate; its products."""
     values, m = batch.values, batch.candidates[0].basis.size
     if not values:
         return
@@ -191,12 +191,12 @@ def _scored(space: NuisanceSpace, batch: _Batch) -> Iterator[tuple[float, LawCan
 
 
 def _azimuths(m: int) -> list[Floats]:
-    """Matrices (2 m, m) from columns along one azimuth to those along x and y."""
+    """Matrices (2 m, m) that combine columns along x, followed by those along y, to columns along each azimuth."""
     return [np.vstack([np.cos(azimuth_rad) * np.eye(m), np.sin(azimuth_rad) * np.eye(m)]) for azimuth_rad in AZIMUTHS_RAD]
 
 
 def _weighed(candidate: LawCandidate, products: Products) -> Scored:
-    """Evidence of a candidate; of a force to the side at its best azimuth, the columns along x standing before those along y."""
+    """Evidence of a candidate less all prices. That of a force to the side is at its best azimuth; its columns along x come before y."""
     priors = candidate.basis.priors
     if candidate.channel != LATERAL:
         evidence = group_evidence(products, priors)

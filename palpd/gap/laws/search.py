@@ -1,4 +1,4 @@
-"""The search for a law: score the dictionary, take the likeliest term, put it beside the nuisances, repeat."""
+"""The search for a law: score the dictionary, take the likeliest term, add it to the nuisances, repeat."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,37 +17,37 @@ from palpd.gap.model.problem import return_memory
 from palpd.tick import Floats
 
 WORTH_A_LOOK_NATS = 6.0
-"""Evidence of a first term below which nothing is looked at."""
+"""Nats that a candidate must reach in the scan of the dictionary: below that, no term is formed."""
 
 NAMED_NATS, NAMED_HEIGHT_NATS = 10.0, 40.0
-"""Evidence from which a law is named, and a law of the height: heights are known so well that any controller differs by something."""
+"""Nats from which on a law is named, and a law of the height: heights are known so well that every controller differs a little."""
 
 FURTHER_NATS, FURTHER_SHARE = 10.0, 0.06
-"""Evidence of a further term, in nats and as a share of what is gained so far: a false second term costs more than a missed one."""
+"""Least evidence of a further term, in nats and as a share of what is gained so far: a false second term costs more than a missed one."""
 
 MOST_TERMS = 2
 ALIKE_NATS = 3.0
-"""Evidence within which the recording does not distinguish two laws."""
+"""Difference in nats below which the recording does not distinguish two laws."""
 
 REST_SPEED_RATIOS = (0.25, 0.5, 2.0, 4.0)
 """Factors on the speed at which friction turns over that are tried for a law that depends on the direction."""
 
 PAIRS_WITH_FORMULAS = 5
-"""Likeliest pairs of factor and driver for which closed formulas are tried."""
+"""Number of likeliest pairs of factor and driver for which closed formulas are tried."""
 
 
 @dataclass(frozen=True)
 class LawTerm:
-    """A term that was found.
+    """A term of a learned law: factor × curve(driver), with m coefficients w.
 
     Attributes:
         candidate: Channel, factor, driver and curve.
-        nats: Its evidence beside the terms before it, the price taken off.
-        columns: Its whitened columns (b, m) by channel, with all filters.
-        root: Root (m, m) of the prior covariance of the coefficients.
-        held_out: What it says of strokes that it did not see.
-        alike: The candidates that fit as well, with other factors or drivers.
-        free_curve: The curve that its formula replaced; None where the term is a curve.
+        nats: Its evidence with the earlier terms among the nuisances, less its price.
+        columns: Whitened columns X (b, m) by channel, with all filters.
+        root: Root s L (m, m) of the prior covariance of w.
+        held_out: Gains on strokes that its fit did not see.
+        alike: Candidates with other factors or drivers that fit as well.
+        free_curve: The curve that its formula replaced; None where the term is a curve itself.
     """
 
     candidate: LawCandidate
@@ -61,11 +61,11 @@ class LawTerm:
 
 @dataclass(frozen=True)
 class LearnedLaw:
-    """One or two terms, in the scene in which they were found.
+    """A law of one or two terms, in the scene in which it was found.
 
     Attributes:
-        space: The nuisances without the terms.
-        terms: The terms in the order in which they were found; none where there is no law.
+        space: Nuisances and residual without the terms.
+        terms: In the order in which they were found; empty where there is no law.
     """
 
     scene: Scene
@@ -74,12 +74,12 @@ class LearnedLaw:
 
     @property
     def nats(self) -> float:
-        """Evidence of all terms."""
+        """Evidence of all terms, in nats."""
         return sum(term.nats for term in self.terms)
 
     @cached_property
     def _joint(self) -> tuple[Floats, Floats, list[slice]]:
-        """Posterior mean and covariance of the coefficients of all terms, and where each term's stand."""
+        """Posterior mean and covariance of the coefficients w of all terms, and which of them belong to each term."""
         sizes = [len(term.root) for term in self.terms]
         ends = np.cumsum(sizes).tolist()
         slices = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
@@ -95,25 +95,15 @@ class LearnedLaw:
         return covariance @ products.slope, covariance, slices
 
     def coefficients(self, number: int) -> tuple[Floats, Floats]:
-        """Coefficients of a term beside the others.
-
-        Args:
-            number: Which term.
-
-        Returns:
-            Posterior mean (m,) and covariance (m, m).
-        """
+        """Posterior mean (m,) and covariance (m, m) of the coefficients w of a term, fitted together with the other terms."""
         mean, covariance, slices = self._joint
         return mean[slices[number]], covariance[slices[number], slices[number]]
 
     def uncertain(self, number: int) -> tuple[LawCandidate, Floats]:
         """How well the curve of a term is known: as a free curve also where a formula holds, since another formula may be the true one.
 
-        Args:
-            number: Which term.
-
         Returns:
-            The candidate of a curve, and the covariance (m, m) of its coefficients.
+            The free curve, and the covariance (m, m) of its coefficients w.
         """
         free = self.terms[number].free_curve
         if free is None:
@@ -123,7 +113,7 @@ class LearnedLaw:
 
     @cached_property
     def change(self) -> Floats:
-        """What the law does to the whitened prediction (7, b)."""
+        """Change (7, b) of the whitened prediction by the law, X w."""
         out = np.zeros_like(self.space.residual)
         for number, term in enumerate(self.terms):
             mean, _ = self.coefficients(number)
@@ -138,18 +128,11 @@ class LearnedLaw:
 
     @property
     def carries(self) -> bool:
-        """Whether that is so, and it holds on strokes that it did not see."""
+        """Whether the first term is likely enough, and holds on strokes that its fit did not see."""
         return self.likely and self.terms[0].held_out.carries(self.terms[0].nats)
 
     def instead(self, candidate: LawCandidate) -> "LearnedLaw | None":
-        """The same law with another first term.
-
-        Args:
-            candidate: The other term.
-
-        Returns:
-            The law with that at its likeliest, or None where tolerances hide it.
-        """
+        """The same law with another first term; None where tolerances hide that term."""
         columns = whitened(self.scene.problem.noise, self.scene.columns(candidate))
         evidence = group_evidence(self.space.products(columns), candidate.basis.priors)
         if not np.isfinite(evidence.nats):
@@ -162,11 +145,10 @@ def search(scene: Scene, space: NuisanceSpace, gained: float = 0.0) -> LearnedLa
     """Search for a law in a residual.
 
     Args:
-        space: Nuisances and residual.
         gained: Nats that listed effects have gained before.
 
     Returns:
-        The law; without terms where nothing is worth a look.
+        The law; without terms where no candidate is likely enough.
     """
     fold = scene.strokes(FOLDS)
     terms: list[LawTerm] = []
@@ -223,7 +205,7 @@ def _next_term(scorer: Scorer, fold: Ints) -> LawTerm | None:
 
 
 def _with_best_rest_speed(scene: Scene, space: NuisanceSpace, term: LawTerm, fold: Ints) -> tuple[Scene, LawTerm]:
-    """The term with the speed at which its friction turns over, and the scene with that speed."""
+    """The term with the likeliest speed at which its friction turns over, and the scene with that speed."""
     best = scene, term
     for ratio in REST_SPEED_RATIOS:
         other = scene.with_rest_speed(ratio * scene.rest_speed_m_per_s)
@@ -236,7 +218,7 @@ def _with_best_rest_speed(scene: Scene, space: NuisanceSpace, term: LawTerm, fol
 
 
 def _free_curve(best: Scored, scored: list[Scored]) -> LawCandidate | None:
-    """The curve that a formula replaced."""
+    """The likeliest curve with the factor and driver of a formula; None where the candidate is a curve."""
     if isinstance(best.candidate.basis, Basis):
         return None
     same = (one.candidate for one in scored if one.candidate.name == best.candidate.name)
@@ -244,7 +226,7 @@ def _free_curve(best: Scored, scored: list[Scored]) -> LawCandidate | None:
 
 
 def _first_of_each(scored: list[Scored], most: int) -> list[Scored]:
-    """The first of each channel, factor, quantity and memory."""
+    """The first candidate of each channel, factor, quantity and memory, at most `most` in all."""
     out: dict[tuple[object, ...], Scored] = {}
     for one in scored:
         driver = one.candidate.driver
@@ -254,12 +236,12 @@ def _first_of_each(scored: list[Scored], most: int) -> list[Scored]:
 
 
 def _height_rms_m(scene: Scene, one: Scored, columns: dict[int, Floats]) -> float:
-    """Rms of the change of the height."""
+    """Rms of the change of the height by a candidate, over all bins."""
     white = np.zeros_like(scene.problem.data)
     white[Z] = columns[Z] @ one.evidence.mean
     return float(np.sqrt(np.mean(scene.problem.noise.natural(white)[Z] ** 2)))
 
 
 def _report_noise_m(scene: Scene) -> float:
-    """Noise of one report of the height."""
+    """Noise of a report of the height, the largest of all recordings."""
     return max(float(one.noise_rms[Z]) for one in scene.problem.recordings)

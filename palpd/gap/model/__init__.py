@@ -1,1 +1,1 @@
-"""Predictions of the simulated cell for the observations, their columns for tolerances, and the coordinates of effects."""
+"""Predictions f of the simulated cell for the bins y, the columns A of its tolerances, and the coordinates u of effects."""

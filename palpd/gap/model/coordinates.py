@@ -1,4 +1,4 @@
-"""The parameters of effects as coordinates in which steps of 1 % are sensible, and where a search in them starts."""
+"""Coordinates u of the parameters θ of effects, in which steps of 1 % are sensible, and where a search in them starts."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,15 @@ MOST_STARTS = 32
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One free parameter of a hypothesis: its range, the value that counts as 1, and the value at which the effect is absent."""
+    """How a free parameter of a hypothesis is scaled for fitting: its logarithm, or the parameter divided by `scale`.
+
+    Attributes:
+        effect: Id of the effect.
+        lower: Least value of the parameter, in its unit.
+        upper: Largest value, in its unit.
+        scale: Value whose linear coordinate is 1, in its unit.
+        nominal: Value of an amplitude at which the effect is absent, in its unit; None for a shape, such as a time constant.
+    """
 
     effect: str
     parameter: Parameter
@@ -28,44 +36,42 @@ class Coordinate:
 
     @property
     def fixed(self) -> bool:
-        """Whether it is one of few values, which are tried one by one and not fitted."""
+        """Whether the parameter has a few values only, which are tried in turn and not fitted."""
         return bool(self.parameter.choices)
 
     @property
     def amplitude(self) -> bool:
-        """Whether it switches the effect off at its nominal value."""
+        """Whether the parameter switches the effect off at its nominal value; otherwise it is a shape."""
         return self.nominal is not None
 
     def to(self, value: float) -> float:
-        """Coordinate of a value."""
+        """Coordinate u of a value of the parameter."""
         return log(max(value, 1e-300)) if self.parameter.log else value / self.scale
 
     def back(self, u: float) -> float:
-        """Value of a coordinate, inside the range."""
+        """Value of the parameter at a coordinate u, inside its range."""
         value = float(np.exp(min(u, 700.0))) if self.parameter.log else u * self.scale
         return min(max(value, self.lower), self.upper)
 
     @property
     def angle(self) -> bool:
-        """Whether it is an angle over a whole turn."""
+        """Whether the parameter is an angle over a whole turn."""
         return self.parameter.unit == "rad" and self.upper - self.lower > 6.28
 
     @property
     def range(self) -> float:
-        """Length of the range in the coordinate."""
+        """Length of the range in u."""
         return max(self.to(self.upper) - self.to(max(self.lower, 1e-300 if self.parameter.log else self.lower)), 1e-9)
 
 
 def coordinates(values: EffectValues, library: Mapping[str, Effect], scale: Scale) -> tuple[Coordinate, ...]:
-    """The free parameters of a set of effects.
+    """Coordinates of the parameters of a set of effects, effect by effect.
 
     Args:
-        values: Parameters by effect; an optional one that is absent is not free, nor one that has a few values only.
+        values: Parameters by effect. An optional parameter that is absent has no coordinate. A parameter that has a few values only keeps
+            its value: its range has no length.
         library: Effects by id.
         scale: Sizes that their bounds refer to.
-
-    Returns:
-        The coordinates, effect by effect.
     """
     out = []
     for name in values:
@@ -79,27 +85,21 @@ def coordinates(values: EffectValues, library: Mapping[str, Effect], scale: Scal
 
 
 def coordinates_of(where: Sequence[Coordinate], values: EffectValues) -> Floats:
-    """Coordinates of the values of effects.
+    """Coordinates u (k,) of the values of effects.
 
     Args:
-        where: The k free parameters.
-        values: Parameters by effect.
-
-    Returns:
-        The coordinates (k,).
+        where: The k parameters.
+        values: Parameters θ by effect.
     """
     return np.array([c.to(values[c.effect][c.parameter.name]) for c in where])
 
 
 def values_at(where: Sequence[Coordinate], u: Floats) -> EffectValues:
-    """Values of effects at some coordinates.
+    """Parameters θ by effect at coordinates u; all are brought into their ranges.
 
     Args:
-        where: The k free parameters.
+        where: The k parameters.
         u: Their coordinates (k,).
-
-    Returns:
-        Parameters by effect; angles are brought into their range.
     """
     out: EffectValues = {}
     for c, x in zip(where, u.tolist(), strict=True):
@@ -111,14 +111,10 @@ def values_at(where: Sequence[Coordinate], u: Floats) -> EffectValues:
 
 
 def inside(where: Sequence[Coordinate], u: Floats) -> Floats:
-    """Coordinates brought into the range of their parameters.
+    """The nearest coordinates (k,) inside the ranges of their parameters; angles stay, since they have no ends.
 
     Args:
-        where: The k free parameters.
-        u: Their coordinates (k,).
-
-    Returns:
-        The nearest coordinates (k,) inside the ranges.
+        u: The coordinates (k,).
     """
     return np.array([x if c.angle else c.to(c.back(x)) for c, x in zip(where, u.tolist(), strict=True)])
 
@@ -126,7 +122,8 @@ def inside(where: Sequence[Coordinate], u: Floats) -> Floats:
 def start_values(effect: Effect, scale: Scale, peaks_Hz: Sequence[float]) -> list[dict[str, float]]:
     """Starting points for one effect: every combination of its starting values; time constants are also spread over their range.
 
-    Several amplitudes of either sign start one at a time: a combination with a wrong sign would look like nothing at all.
+    Of several amplitudes that may have either sign, each starts alone, with the others at 0: a combination with a wrong sign would fit no
+    better than none.
 
     Args:
         scale: Sizes that its starting values refer to.
@@ -159,15 +156,12 @@ def start_values(effect: Effect, scale: Scale, peaks_Hz: Sequence[float]) -> lis
 
 
 def stretched(effect: Effect, values: dict[str, float], factor: float, scale: Scale) -> dict[str, float]:
-    """The parameters of an effect that is larger or smaller.
+    """Parameters of an effect that is larger or smaller by a factor: shapes stay, amplitudes change within their bounds.
 
     Args:
-        values: Its parameters.
-        factor: Change of its size.
+        factor: Multiplies an amplitude that is absent at 0. A limit that is absent at infinity is divided by its absolute value. Of a ratio
+            to any other nominal value it is the power.
         scale: Sizes that its bounds refer to.
-
-    Returns:
-        Parameters with changed amplitudes, inside their bounds.
     """
     out = dict(values)
     for parameter in effect.parameters:

@@ -1,4 +1,4 @@
-"""Nuisances that do not depend on the state of the cell: zeros, errors of the controller, rounding. They are computed once a problem."""
+"""Columns of A that do not depend on the state of the cell: zeros, errors of the controller, rounding. They are computed once a problem."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,12 @@ MOST_RESTS = 80
 
 
 class Column(NamedTuple):
-    """What a column stands for: a deviation of the cell, of one recording or of one press, or an error of the computation."""
+    """What a column of A stands for: a deviation of the cell, of a recording or of a press, or an error of the computation.
+
+    Attributes:
+        name: The key of its tolerance, such as `bias_N`, or what is uncertain, such as `hidden delay`.
+        channel: The only channel that it changes; -1 where it may change several.
+    """
 
     scope: Literal["cell", "recording", "press", "computation"]
     name: str
@@ -29,7 +34,7 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True)
 class FixedNuisances:
-    """Columns and what each of them stands for."""
+    """Whitened columns of A (m, 7, b), and what each stands for."""
 
     labels: tuple[Column, ...]
     columns: Columns
@@ -41,11 +46,9 @@ def fixed_nuisances(cell: CellFile, recordings: Sequence[PreparedRecording], ser
     Args:
         cell: The nominal cell.
         recordings: Its recordings, b bins in all.
-        servo_errors_m: Heights (2, b) by which a controller within specification may differ from the nominal servo.
+        servo_errors_m: Heights (2, b) by which a controller within specification may differ from the nominal servo, as `servo_errors` has
+            them.
         noise: Noise of the bins.
-
-    Returns:
-        Their columns, whitened.
     """
     labels, columns = [], []
     start, b = 0, servo_errors_m.shape[1]
@@ -76,7 +79,7 @@ def torque_arm_m(cell: CellFile) -> float:
 
 
 def _zero_columns(cell: CellFile, recording: PreparedRecording, channel: int) -> Iterator[tuple[Column, Floats]]:
-    """Bias and drift of one axis; a drift that goes through coarse rounding depends on the state and is none of them."""
+    """Bias and drift of an axis; the drift of a coarsely rounded fz depends on the state of the cell and is not among them."""
     arm = 1.0 if channel < TX else torque_arm_m(cell)
     yield Column("recording", "bias_N", channel), arm * cell.tolerances.bias_N * np.ones(len(recording.bins))
     if channel != FZ or recording.rounding is None:

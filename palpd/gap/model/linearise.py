@@ -1,4 +1,4 @@
-"""Everything within specification around one state of the cell, as columns of a linear model with coefficients N(0, 1)."""
+"""All that is within specification near a state of the cell, as a linear model: columns A with coefficients c ~ N(0, I)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,20 +18,21 @@ LEAKS_INTO = {"fx_per_fz": FX, "fy_per_fz": FY, "tx_per_fz": TX, "ty_per_fz": TY
 LEAKS = np.isin(SHARED, CROSSTALK)
 
 DRIFT_STEP_SD = 0.5
-"""Drift, in standard deviations, by which its column is taken where readings follow it in steps."""
+"""Step of the difference quotient of the drift, in standard deviations, where rounded readings follow it in steps."""
 
 
 @dataclass(frozen=True)
 class Linearisation:
-    """The nuisances around one state of the cell.
+    """Prediction and nuisances at one state (θ, η₀) of the cell, the point of linearisation.
 
     Attributes:
-        effects: The effects in that state.
-        eta: The shared deviations there (11,), in standard deviations.
-        labels: What each column stands for (k,). Effects change the list: a press that no longer touches has no columns.
-        space: The columns, prepared to be projected out; the first 11 are the shared deviations.
-        prediction: Whitened prediction (7, b) of the cell in that state.
-        owned: Changes (m, 7, b) by one standard deviation of what the effects stand for, which is no nuisance here.
+        effects: Parameters θ by effect.
+        eta: Shared deviations η₀ (11,), in standard deviations.
+        labels: What each of the m columns stands for. Effects change the list: a press that no longer touches has no columns.
+        space: The columns A (m, 7, b), prepared to be projected out. The first 11 are ∂f/∂η of the shared deviations.
+        prediction: Whitened prediction f (7, b) in that state.
+        owned: Whitened changes (p, 7, b) by one standard deviation of each tolerance that an effect stands for (`Effect.tolerance`). Their
+            columns in A are zero.
     """
 
     effects: EffectValues
@@ -42,15 +43,12 @@ class Linearisation:
     owned: Floats
 
     def numbers(self, scope: str, name: str | None = None, channel: int | None = None) -> list[int]:
-        """Numbers of the columns of one kind.
+        """Numbers of the columns of one kind, in ascending order.
 
         Args:
-            scope: What they belong to, as in Column.
-            name: Name of the deviation; any where not given.
-            channel: Channel; any where not given.
-
-        Returns:
-            The numbers in ascending order.
+            scope: `cell`, `recording`, `press` or `computation`, as in Column.
+            name: As in Column; None: any.
+            channel: As in Column; None: any.
         """
         return [
             k
@@ -59,33 +57,28 @@ class Linearisation:
         ]
 
     def offset(self) -> Floats:
-        """Prediction (7, b) to give back, since the coefficients count from zero and not from `eta`."""
+        """A (η₀, 0) (7, b), which is added to y - f: the coefficients c count from zero, and the prediction stands at η₀."""
         return self.space.explained(np.pad(self.eta, (0, len(self.labels) - len(self.eta))))
 
     def restricted_to(self, bins: NDArray[np.bool_]) -> "Linearisation":
-        """The nuisances of a problem in which only some bins count.
-
-        Args:
-            bins: Which of them (b,).
-        """
+        """The linearisation of a problem in which only some bins (b,) count."""
         prediction = np.where(bins[None, :], self.prediction, 0.0)
         owned = np.where(bins[None, None, :], self.owned, 0.0)
         return Linearisation(self.effects, self.eta, self.labels, nuisances(self.space.columns.restricted_to(bins)), prediction, owned)
 
 
 def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisation:
-    """Nuisance columns around a state of the cell.
+    """Columns A of the nuisances at a state of the cell, by forward differences.
 
-    A deviation that one of the effects stands for is the effect's own: it is fitted, not marginalised, and its column is zero. The press
-    scatter of that deviation stays, since an effect changes all presses alike.
+    An effect may stand for a tolerance. That deviation is then fitted and not integrated out: its column is zero, and its η is 0. Its
+    scatter from press to press stays, since an effect changes all presses alike.
 
     Args:
-        problem: The data and their prediction.
-        effects: Parameters by effect.
-        eta: Shared deviations (11,) in standard deviations.
+        effects: Parameters θ by effect.
+        eta: Shared deviations η₀ (11,) in standard deviations.
 
     Returns:
-        Shared deviations first, then those of every recording and its presses.
+        Columns in this order: shared deviations; what depends on the state, recording by recording; fixed nuisances.
     """
     eta = np.where(problem.own_tolerances(effects), 0.0, eta)
     prediction = problem.predict(effects, eta)
@@ -106,9 +99,9 @@ def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisa
 
 
 def _shared_columns(problem: Problem, effects: EffectValues, eta: Floats, prediction: Floats) -> list[Floats]:
-    """Forward differences of the prediction with every shared deviation, also with those that the effects stand for."""
+    """Forward differences ∂f/∂η (7, b) for every shared deviation, also for those that an effect stands for."""
     sd = problem.shared_sd
-    leaking = eta + np.where(LEAKS, 0.5, 0.0)  # each into an axis of its own, so all at once
+    leaking = eta + np.where(LEAKS, 0.5, 0.0)  # crosstalk leaks into four different axes, so one simulation gives all four
     leaks = (problem.predict(effects, leaking) - prediction) / 0.5 if sd[LEAKS].any() else np.zeros_like(prediction)
     columns = []
     for k, name in enumerate(SHARED):
@@ -161,7 +154,7 @@ def _rounded_drift(problem: Problem, recording: PreparedRecording, cell: CellFil
 def _computation_errors(
     problem: Problem, recording: PreparedRecording, cell: CellFile, predicted: Floats
 ) -> Iterator[tuple[Column, Floats]]:
-    """Errors of the times of commanded heights and of the motion that drives the force; `predicted` (7, b) are its own bins."""
+    """Errors of the times of commanded heights and of the motion that drives the force; `predicted` (7, b) is f in this recording."""
     z_m, fz_N = predicted[Z], predicted[FZ]
     if recording.judged[Z]:
         # A target that is held between controller cycles is known to about a tenth of a step.

@@ -34,14 +34,14 @@ LONGEST_STROKE_M = 5.0
 """No palpation moves this far: such heights are in mm."""
 
 DEEPEST_TIP_RADII, DEEPEST_M = 20.0, 0.2
-"""A press that is deeper than both has its height in another unit; one deeper than the first is at least worth a note."""
+"""A press that is deeper than both has its height in another unit; a press that is deeper than the first gets a note."""
 
 SATURATED_ROWS, SATURATED_STEPS, SATURATED_STROKE_SHARE = 4, 3.0, 0.02
 """Rows in succession at the very largest or smallest value from which a channel looks saturated, if the height changes meanwhile by
 this share of the stroke, and enough to change the force by this many of its steps."""
 
 SAME_SHARE = 1e-3
-"""Change of a reading, as a share of all that it does, that counts as none: a limit is read with its last digit to and fro."""
+"""Change of a reading, as a share of its range, that counts as none: at a limit the last digit still goes to and fro."""
 
 UNITS = {1e3: "z_m looks like mm", 1e-3: "vz_m_per_s looks like mm/s, or t_s like ms", -1.0: "their signs disagree"}
 
@@ -52,7 +52,7 @@ HOLE_STEPS = 50.0
 """Number of usual time steps above which a step is a hole: uneven recordings have steps of several times the usual one."""
 
 SHORT_HOLE_STEPS, SHORT_HOLE_S = 10.0, 0.2
-"""Hole in time that is worth a note: longer than both. A shorter one hides no motion of a robot."""
+"""A hole in time that is longer than both gets a note. A shorter hole hides no motion of a robot."""
 
 WRONG_UNIT_RATIO = 200.0
 """Measured over expected force above which the unit is wrong: no effect changes a force as much, and units differ by 1000."""
@@ -64,16 +64,16 @@ SHAPE_CORRELATION = 0.7
 """Least correlation of measured with expected force for a judgement of the unit: a healthy press has above 0.95."""
 
 FAR_TOUCH_TIP_RADII = 1.0
-"""Distance of the touch from the stated surface in tip radii that is worth a note: at this depth Hertz has long ended."""
+"""Distance of the touch from the stated surface, in tip radii, above which it gets a note: Hertz does not hold at such a depth."""
 
 SLOPE_S = 0.05
 """Time between two speeds that give an acceleration: the noise of speeds gives little over it, and a robot's motion is seen."""
 
 FROZEN_S = 1.0
-"""Shortest stretch of constant fz worth a note: dropouts of a live sensor are shorter."""
+"""Shortest stretch of constant fz that gets a note: dropouts of a live sensor are shorter."""
 
 ODD_NOISE_RATIO = 4.0
-"""Measured over stated noise, or its inverse, that is worth a note: the effect sensor.noise is at most about this large."""
+"""Measured over stated noise, or its inverse, above which it gets a note: the effect sensor.noise is at most about this large."""
 
 
 def check_recordings(recordings: Sequence[Samples], cell: CellFile) -> list[str]:
@@ -102,7 +102,7 @@ def check_recordings(recordings: Sequence[Samples], cell: CellFile) -> list[str]
 
 
 def recording_notes(recordings: Sequence[Samples], cell: CellFile) -> list[str]:
-    """What is worth knowing of recordings that `check_recordings` has let pass, and does not make the verdict doubtful."""
+    """Notes that do not make the verdict doubtful, on recordings that `check_recordings` has let pass."""
     notes = [
         label + note
         for samples, label in zip(recordings, _labels(recordings), strict=True)
@@ -244,7 +244,7 @@ def _dead_notes(samples: Samples, cell: CellFile, depth_m: Floats, peak_N: float
 
 
 def _acceleration_swing_m_per_s2(samples: Samples) -> float:
-    """Largest less smallest acceleration, by speeds 50 ms apart; 0 of a recording that is shorter than three of these."""
+    """Largest less smallest acceleration, from speeds SLOPE_S apart; 0 if the recording is shorter than three times that."""
     rows = max(1, round(SLOPE_S * samples.rate_Hz))
     if len(samples) < 3 * rows:
         return 0.0
@@ -269,7 +269,7 @@ def _shape_notes(fz_N: Floats, expected_N: Floats, peak_N: float, cell: CellFile
 
 
 def _frozen_notes(samples: Samples, expected_N: Floats, noise_N: float) -> list[str]:
-    """The longest stretch over which fz does not change at all while the expected force does."""
+    """The first long stretch over which fz does not change at all while the expected force does."""
     fz_N = samples.wrench[:, 2]
     begins, ends = runs_of_true(np.diff(fz_N) == 0.0)
     long = samples.t_s[ends] - samples.t_s[begins] > FROZEN_S

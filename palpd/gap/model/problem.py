@@ -1,4 +1,4 @@
-"""Recordings of one cell against its simulation: measured and predicted bins, in units of their noise."""
+"""Recordings of one cell against its simulation: measured bins y, their prediction f(θ, η) and their noise Σ."""
 
 import contextlib
 import ctypes
@@ -38,13 +38,13 @@ SHARED = (
     "servo_natural_frequency",
     *CROSSTALK,
 )
-"""In-tolerance deviations that all recordings of a cell share. Each recording has its own bias and drift, since each is tared."""
+"""The deviations η, which all recordings of a cell share. Each recording has its own bias and drift, since each is tared."""
 
 RELATIVE = {"youngs_modulus", "filter_cutoff", "servo_natural_frequency"}
 """Deviations that are fitted as logarithms, so that an unknown modulus stays positive."""
 
 MODEL_ERROR_SHARE = 0.02
-"""Least error of a simulator's laws, as a share of the gap: no real cell follows them better."""
+"""Least error of a simulator, as a share of the gap: no real cell follows its formulas better."""
 
 MOST_HELD = 0.2
 """Share of held samples above which a bin does not count."""
@@ -60,7 +60,7 @@ UNKNOWN_LOG_SD = 2.5
 """Standard deviation of the logarithm of an unknown modulus: a factor of twelve."""
 
 MAX_BINS = 4500
-"""Number of bins of a diagnosis, about; it bounds the time and memory of a diagnosis (benchmarks/diagnose.py)."""
+"""Approximate number of bins of a diagnosis; it bounds the time and memory of a diagnosis (benchmarks/diagnose.py)."""
 
 MODULUS = np.array(SHARED) == "youngs_modulus"
 SERVO = np.array(SHARED) == "servo_natural_frequency"
@@ -76,7 +76,7 @@ def tolerance_key(deviation: str) -> str:
 class _Predictions:
     """Binned predictions by what they depend on, the newest last, and the number of simulations that they took.
 
-    `followed` is what the servo last made of each recording's command.
+    `followed` holds, for each recording by its id(), how the servo last followed the command.
     """
 
     known: dict[tuple[str, str, bytes], Floats] = field(default_factory=dict)
@@ -90,15 +90,15 @@ class Problem:
 
     Attributes:
         cell: The nominal cell, with the effects that are known.
-        recordings: Its recordings, prepared; b bins in all.
+        recordings: Prepared, with b bins in all.
         library: The effects that may be present.
         scale: Sizes that bounds and starting values of effects refer to.
-        shared_sd: Standard deviations of SHARED (11,), in the units of the cell file, relative ones as logarithms.
+        shared_sd: Standard deviations of SHARED (11,) in the units of the cell file; those of RELATIVE are of the logarithm.
         servo_errors_m: Heights (2, b) by which a controller within specification may differ from the nominal servo.
         excess_noise: Whether the noise is larger than stated.
-        measured: Measured bins (7, b) in their units.
-        noise: Noise of the bins.
-        floor_rms: Rms (7, b) of the noise without any model error.
+        measured: Measured bins y (7, b) in the units of the channels.
+        noise: Σ of the bins, with the error of the simulator where `with_model_error_floor` has added it.
+        floor_rms: Rms (7, b) of the noise without any error of the simulator, in the units of the channels.
     """
 
     cell: CellFile
@@ -115,7 +115,7 @@ class Problem:
 
     @cached_property
     def data(self) -> Floats:
-        """Measured bins (7, b), whitened."""
+        """Measured bins y (7, b), whitened."""
         return self.noise.whiten(self.measured)
 
     @cached_property
@@ -125,7 +125,7 @@ class Problem:
 
     @property
     def nominal_eta(self) -> Floats:
-        """Shared deviations (11,) of the cell as stated."""
+        """Shared deviations η (11,) of the cell as its file states it, all 0."""
         return np.zeros(len(self.shared_sd))
 
     @property
@@ -134,53 +134,42 @@ class Problem:
         return self._predictions.simulations
 
     def per_bin(self, of: Callable[[PreparedRecording], NDArray[Scalar]]) -> NDArray[Scalar]:
-        """Values of every recording's bins, joined.
+        """Values (b,) of the bins of all recordings, joined.
 
         Args:
-            of: Gives one value per bin of a recording.
-
-        Returns:
-            The values (b,) over all recordings.
+            of: Gives a value for each bin of a recording.
         """
         return np.concatenate([of(recording) for recording in self.recordings])
 
     # other problems of the same data
 
     def with_model_error_floor(self, gap: Floats) -> "Problem":
-        """The problem in which no bin counts for more than the error of the simulator's laws allows.
+        """The problem in which no bin counts for more than the error of the simulator allows.
 
         Args:
-            gap: Whitened gap (7, b); a small share of its size in each channel is that error. It counts for no more than the readings
-                themselves, since a fit may run away.
-
-        Returns:
-            A new problem with wider noise.
+            gap: Whitened gap (7, b). In each channel that error is MODEL_ERROR_SHARE of its 95 % quantile. The gap counts for no more than
+                the readings themselves, since a fit may run away.
         """
         spread = np.abs(self.measured - np.median(self.measured, axis=1, keepdims=True))
         level = np.quantile(np.minimum(np.abs(self.noise.natural(gap)), spread.max(axis=1, keepdims=True)), 0.95, axis=1)[:, None]
         return replace(self, noise=self.noise.widened(np.hypot(1.0, MODEL_ERROR_SHARE * level / self.noise.sigma)))
 
     def with_row_weight(self, weight: float | Floats) -> "Problem":
-        """The problem in which every row counts for `weight` rows.
+        """The problem in which every bin counts for `weight` bins.
 
         Args:
-            weight: The number of rows: one for all channels, or one of each channel (7,).
+            weight: A number for all channels, or a number for each channel (7,); below 1 where neighbouring residuals are correlated.
         """
         return replace(self, noise=self.noise.with_row_weight(weight))
 
     def with_shared_sd(self, shared_sd: Floats) -> "Problem":
-        """The problem with other tolerances.
-
-        Args:
-            shared_sd: Standard deviations of SHARED (11,).
-        """
+        """The problem with other tolerances: standard deviations of SHARED (11,), as the attribute."""
         return replace(self, shared_sd=shared_sd, _predictions=_Predictions())
 
     def rounded(self, way: Way, first_N: float) -> "Problem":
-        """The problem in which fz is rounded in another way, where it is.
+        """The problem in which fz is rounded in another way, in the recordings where it is rounded.
 
         Args:
-            way: The kind of the rounding.
             first_N: Finer step to which it was rounded before; 0 for none.
         """
         recordings = tuple(
@@ -189,16 +178,12 @@ class Problem:
         return replace(self, recordings=recordings, _predictions=_Predictions())
 
     def own_tolerances(self, effects: Iterable[str]) -> NDArray[np.bool_]:
-        """Which of SHARED (11,) the effects themselves are, once they exceed their tolerance."""
+        """For which of SHARED (11,) an effect stands (`Effect.tolerance`); there the effect is fitted, and η is 0."""
         keys = {self.library[name].tolerance for name in effects}
         return np.array([tolerance_key(name) in keys for name in SHARED])
 
     def restricted_to(self, bins: NDArray[np.bool_]) -> "Problem":
-        """The problem in which only some bins count.
-
-        Args:
-            bins: Which of them (b,).
-        """
+        """The problem in which only some bins (b,) count."""
         return replace(self, noise=self.noise.restricted_to(bins))
 
     # predictions
@@ -207,8 +192,8 @@ class Problem:
         """The cell in a state.
 
         Args:
-            effects: Parameters by effect, beside the known ones of the cell or in place of the same.
-            eta: Shared deviations (11,) in standard deviations.
+            effects: Parameters θ by effect. Known effects of the cell are added; of an effect in both, these parameters count.
+            eta: Shared deviations η (11,) in standard deviations.
         """
         return self.cell.with_effects(self.cell.effects | effects).with_estimated(self.estimated(eta))
 
@@ -216,7 +201,7 @@ class Problem:
         """Shared deviations in the units of the cell file.
 
         Args:
-            eta: The deviations (11,) in standard deviations.
+            eta: The deviations η (11,) in standard deviations.
 
         Returns:
             The block `estimated` of a cell file, without bias and drift.
@@ -231,11 +216,11 @@ class Problem:
         """Prediction at every sample.
 
         Args:
-            recording: One of the recordings, n samples.
-            cell: The cell in some state.
+            recording: A recording of the problem, n samples.
+            cell: With effects and deviations, as `cell_at` gives it.
 
         Returns:
-            Heights and wrench (n, 7); zero where a channel is not compared.
+            Heights and wrench (n, 7) in the units of the channels; heights that are not compared are 0.
         """
         samples = recording.samples
         out = np.zeros((len(samples), 7))
@@ -247,29 +232,23 @@ class Problem:
         return out
 
     def predict(self, effects: EffectValues, eta: Floats) -> Floats:
-        """Whitened prediction of the cell in a state.
+        """Whitened prediction f(θ, η) (7, b) of the cell in a state.
 
         Args:
-            effects: Parameters by effect.
-            eta: Shared deviations (11,) in standard deviations.
-
-        Returns:
-            The prediction (7, b).
+            effects: Parameters θ by effect.
+            eta: Shared deviations η (11,) in standard deviations.
         """
         return self.noise.whiten(self.binned_prediction(effects, eta))
 
     def binned_prediction(self, effects: EffectValues, eta: Floats) -> Floats:
-        """Prediction of the cell in a state, in the units of the channels.
+        """Prediction f(θ, η) (7, b) of the cell in a state, in the units of the channels.
 
-        The robot alone decides on its heights, and a force that is driven by measured heights does not depend on the robot. So each of
-        both is simulated only where something of its own has changed.
+        The robot alone decides on its heights, and a force that is driven by measured heights does not depend on the robot. So heights and
+        forces are each simulated again only where something that they depend on has changed.
 
         Args:
-            effects: Parameters by effect.
-            eta: Shared deviations (11,) in standard deviations.
-
-        Returns:
-            The prediction (7, b).
+            effects: Parameters θ by effect.
+            eta: Shared deviations η (11,) in standard deviations.
         """
         servo = np.where(SERVO, eta, 0.0)
         every = self.cell.effects | effects
@@ -303,8 +282,8 @@ class Problem:
         """Predicted wrench in the bins of a recording.
 
         Args:
-            recording: One of the recordings, b bins.
-            cell: The cell in some state.
+            recording: A recording of the problem, b bins.
+            cell: With effects and deviations, as `cell_at` gives it.
             motion: Motion of the tip at the steps of that recording.
 
         Returns:
@@ -339,11 +318,11 @@ def make_problem(
     Args:
         cell: Its cell file; known effects in it are part of the nominal cell.
         library: The effects that may be present.
-        max_bins: Largest number of bins of all recordings, about.
-        roundings: Of fz in each recording, where noise does not dither it.
+        max_bins: Largest number of bins of all recordings together, approximately; at least 600 for each.
+        roundings: Of fz in each recording; empty where noise dithers it.
         excess_noise: Whether the noise is larger than stated.
-        scale: Sizes that effects refer to, of the longest recording where not given.
-        simulators: A user's own simulator for each recording; none where palpd's own cell is the nominal.
+        scale: Sizes that effects refer to; None: those of the longest recording.
+        simulators: A user's own simulator for each recording; empty where palpd itself simulates the nominal cell.
     """
     cell = cell.with_estimated(None).model_copy(update={"uncertainty": ()})
     prepared = tuple(prepare(samples, cell, max(600, max_bins // len(recordings))) for samples in recordings)
@@ -382,14 +361,14 @@ def _shared_sd(cell: CellFile) -> Floats:
 
 
 def _measured(recording: PreparedRecording) -> Floats:
-    """Measured bins (7, b); zero heights where these are not compared."""
+    """Measured bins y (7, b) of a recording, in the units of the channels; heights are 0 where these are not compared."""
     samples = recording.samples
     z = samples.z_m[:, None] if recording.judged[Z] else np.zeros((len(samples), 1))
     return np.ascontiguousarray(recording.bins.mean(np.hstack([z, samples.wrench])).T)
 
 
 def _whitening(cell: CellFile, recordings: Sequence[PreparedRecording], errors_m: Sequence[Floats]) -> Whitening:
-    """Noise of the bins: of readings, of heights that drive the force, of rounding, of the controller, and of reports that bins share."""
+    """Σ of the bins: noise of readings, of heights that drive the force, of rounding, of the controller, of reports that bins share."""
     sigmas = []
     for one, (_, acceleration_m) in zip(recordings, errors_m, strict=True):
         sigma = one.noise_rms[:, None] / np.sqrt(one.bins.count)[None, :]

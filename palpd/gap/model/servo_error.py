@@ -13,7 +13,7 @@ from palpd.gap.data.prepare import PreparedRecording
 from palpd.tick import Floats
 
 HIDDEN_DELAY_S = 0.004
-"""Delay inside a controller, one standard deviation: half a cycle of a target that is held at 125 Hz, the slowest usual rate."""
+"""Standard deviation of the delay inside a controller: half a cycle of a target that is held at 125 Hz, the slowest usual rate."""
 
 LARGEST_DELAY_SHARE = 0.25
 """Largest hidden delay as a share of the servo's own lag: the rest of the servo must stay a servo."""
@@ -22,14 +22,14 @@ LEAST_WIDTH_SHARE = 0.1
 """Least second moment that remains for the servo behind a hidden delay, as a share of the stated servo's."""
 
 ACCELERATION_SHARE = 0.05
-"""Share of the lag by acceleration, a/wn², by which the heights of a real controller differ: its order and its jerk limit."""
+"""Share of the lag by acceleration, a/ω², by which the heights of a real controller differ: its order and its jerk limit."""
 
 
 def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[str, Effect]) -> Floats:
-    """Differences in height that a controller within specification may show, one standard deviation each.
+    """Differences in height that a controller within specification may show, each as large as a standard deviation.
 
     Args:
-        recording: One prepared recording, b bins.
+        recording: A prepared recording, b bins.
         cell: Its nominal cell.
         library: Effects by id.
 

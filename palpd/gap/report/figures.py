@@ -32,11 +32,11 @@ PHASE_WORDS = {
 PHASE_TINT = {"loading": ORANGE, "holding": YELLOW, "unloading": BLUE}
 TINT_ALPHA = 0.13
 PHASE_STEPS = 25
-"""Points of the mean course of a phase; a stretch with fewer samples is left out."""
+"""Number of points of the mean course of a phase; a stretch with fewer samples is left out."""
 SMOOTH_S = 0.04
-"""Running mean of the residual curves: shorter than any phase, and long enough to see beneath the noise."""
+"""Length of the running mean of residual curves: shorter than any phase, and long enough to see beneath the noise."""
 SHOWN_S = 15.0
-"""Longest stretch of a cycle in the figure of curves; in a longer one a press is too narrow to see."""
+"""Longest stretch of a cycle in the figure of curves; in a longer stretch a press is too narrow to see."""
 
 
 @dataclass(frozen=True)
@@ -57,19 +57,19 @@ class Curves:
     recording: int = 0
 
     def gaps(self, channel: int) -> tuple[Floats, Floats]:
-        """Measured minus simulated (n,) of a channel: by the nominal cell, and by the enriched one."""
+        """Measured minus simulated (n,) of a channel: by the nominal cell, and by the enriched cell."""
         measured = self.measured[:, channel]
         return measured - self.nominal[:, channel], measured - self.enriched[:, channel]
 
 
 def figures_of(content: Mapping[str, Any], curves: Curves, channel: str, check: MotionCheck | None) -> dict[str, Markup]:
-    """Draw all figures of a page; one for which there is nothing to show is empty.
+    """Draw all figures of a page; a figure for which there is nothing to show is empty.
 
     Args:
         content: The content of out.json.
         curves: The recording that is drawn.
-        channel: The channel that is drawn.
-        check: How the enriched cell does on another motion.
+        channel: The channel in the figures of that recording.
+        check: The enriched cell on another motion; None where no other motion was recorded.
 
     Returns:
         SVG elements by name.
@@ -91,12 +91,12 @@ def _floors(content: Mapping[str, Any], channel: str) -> dict[str, float]:
 
 
 def _stretches(phase: NDArray[np.intp]) -> list[tuple[int, int]]:
-    """Begin and end of every stretch of samples in one phase."""
+    """Begin and end of every stretch of samples in the same phase."""
     return list(pairwise([0, *(np.flatnonzero(np.diff(phase)) + 1).tolist(), len(phase)]))
 
 
 def _shown_cycle(curves: Curves, channel: int, phase: int) -> NDArray[np.bool_]:
-    """The cycle with the largest gap in a phase, as a mask of samples (n,); at most SHOWN_S of it around that phase."""
+    """The cycle with the largest gap in a phase, as a mask of samples (n,); at most SHOWN_S of it, with that phase in the middle."""
     before, _ = curves.gaps(channel)
     there = curves.phase == phase
     energy = np.bincount(curves.cycle[there], before[there] ** 2) if there.any() else np.zeros(1)
@@ -154,7 +154,7 @@ def _press_figure(curves: Curves, channel: str, content: Mapping[str, Any]) -> M
 def _phase_means(curves: Curves, channel: int) -> dict[tuple[str, str], tuple[Floats, int]]:
     """The mean course of both gaps (2, PHASE_STEPS) over all stretches of a phase, and their number.
 
-    Free motion up and down stand apart: their gaps may cancel.
+    Free motion up and free motion down have separate means: their gaps may cancel.
     """
     gaps, height_m = np.stack(curves.gaps(channel)), curves.measured[:, CHANNELS.index("z_m")]
     courses: defaultdict[tuple[str, str], list[Floats]] = defaultdict(list)
@@ -287,9 +287,9 @@ def _shown_range(data: Mapping[str, Floats], curve: Floats) -> tuple[float, floa
 
 
 SHARP = 3.0
-"""Bars, as multiples of the usual one, up to which a point sets the range of the axis."""
+"""Longest error bar, as a multiple of the median one, with which a point sets the range of the axis."""
 LAW_POINTS = 400
-"""Points at which a formula is drawn."""
+"""Number of points at which a formula is drawn."""
 LAW_UNITS = {"force": "/N", "force_direction": "/N", "speed": " s/m", "acceleration": " s²/m"}
 """What a factor adds to the unit of the channel."""
 

@@ -1,4 +1,4 @@
-"""A diagnosis as one self-contained page: the answer in plain words first, then what it rests on, folded."""
+"""A diagnosis as one self-contained page: the answer in plain words first, then the evidence for it, folded."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -31,13 +31,11 @@ def write(path: Path, diagnosis: Diagnosis, title: str, check: MotionCheck | Non
     """Write the report of a diagnosis.
 
     Args:
-        path: the HTML file.
-        diagnosis: what to report.
-        title: names the recordings.
-        check: how the enriched cell does on another motion.
+        title: Names the recordings.
+        check: The enriched cell on another motion; None where no other motion was recorded.
 
     Raises:
-        BadInput: the file cannot be written.
+        BadInput: The file cannot be written.
     """
     write_text(path, page(diagnosis.to_json(), curves_of(diagnosis), diagnosis.problem.library, title, check))
 
@@ -68,11 +66,11 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
     """The report as HTML.
 
     Args:
-        content: the content of out.json.
-        curves: the recording that is drawn.
-        library: effects by id; their descriptions and units.
-        title: names the recordings.
-        check: how the enriched cell does on another motion.
+        content: The content of out.json.
+        curves: The recording that is drawn.
+        library: Effects by id, for their descriptions and units.
+        title: Names the recordings.
+        check: The enriched cell on another motion; None where no other motion was recorded.
     """
     channel = (content["where"] or content["shrink"])["channel"]
     proposed = content["next_experiment"]
@@ -98,7 +96,7 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
 
 
 def _sketch(named: Mapping[str, Any], library: Mapping[str, Effect]) -> Markup:
-    """The sketch of a named effect; none of one that cannot be drawn, since a user's effect may fail in any way on another motion."""
+    """The sketch of a named effect; empty where it cannot be drawn, since a user's effect may fail in any way on another motion."""
     with suppress(Exception):
         return sketch(library[named["id"]], {name: figure["value"] for name, figure in named["parameters"].items()})
     return Markup("")

@@ -19,14 +19,14 @@ from palpd.tick import Floats
 
 WIDTH, HEIGHT, MARGIN = 120, 80, 10
 SEEN = (0.12, 0.04)
-"""Rms of a change, and of scatter, as a share of the range of its channel, from which on it is seen; smaller ones are drawn larger."""
+"""Rms of a change, and of scatter, as a share of the range of its channel, from which on it is seen; smaller changes are drawn larger."""
 GROWTH = 2.0 ** np.arange(11)
 PRESS_HZ, AIR_HZ, POINTS = 100.0, 400.0, 160
 """Rates of the simulated presses and of the start in the air, and points of a curve: more than a picture of that width has dots."""
 CLOSE_S = 0.8
-"""Length of what a sketch of noise or steps, and one in the air, shows."""
+"""Length of the motion in a sketch of noise or steps, and in a sketch of motion in the air."""
 UPRIGHT = {"fz_N": "force", "z_m": "height", "fx_N": "side force", "fy_N": "side force", "tx_Nm": "torque", "ty_Nm": "torque"}
-"""The channels that a sketch may show, and what then stands at its upright axis."""
+"""The channels that a sketch may show, and the label of its upright axis for each."""
 NOISE = {"z_m": 2e-5, "tx_Nm": 0.01, "ty_Nm": 0.01}
 """Changes that count alike where the channel to draw is chosen; 0.1 N of a force."""
 
@@ -35,10 +35,11 @@ NOISE = {"z_m": 2e-5, "tx_Nm": 0.01, "ty_Nm": 0.01}
 def sketch(effect: Effect, fitted: Mapping[str, float]) -> Markup:
     """Draw what an effect does to two presses: grey and dashed the cell as stated, solid the cell with the effect.
 
-    An effect that is small beside a press is drawn in the air, where the arm starts.
+    An effect that is small compared with a press is drawn in the air, where the arm starts.
 
     Args:
-        fitted: Its parameters as a diagnosis found them: the sketch has them on the same side of none, such as softer and not stiffer.
+        fitted: Its parameters as a diagnosis found them. The sketch keeps their direction, such as softer and not stiffer, but not their
+            size.
 
     Returns:
         An SVG element; empty where the effect changes nothing there.
@@ -73,7 +74,7 @@ def sketch(effect: Effect, fitted: Mapping[str, float]) -> Markup:
 
 
 def _values(effect: Effect, fitted: Mapping[str, float], scale: Scale, growth: float) -> dict[str, float]:
-    """Typical values of the parameters; their distance from where the effect does nothing is multiplied by the growth."""
+    """Typical values of the parameters; their distance from the value at which the effect is absent is multiplied by the growth."""
     values = {}
     for one in effect.named_parameters:
         absent, value = one.nominal_value(scale), one.starts(scale)[-1 if effect.scatter else 0]
@@ -93,7 +94,7 @@ def _values(effect: Effect, fitted: Mapping[str, float], scale: Scale, growth: f
 
 
 def law_sketch(content: Mapping[str, Any]) -> dict[str, Markup]:
-    """Draw the curve of the learned law of an out.json over its driver: an SVG element by the law's name, nothing without one."""
+    """Draw the curve of the learned law of an out.json over its driver: an SVG element by the id of the law; empty without a law."""
     law = content.get("learned")
     if not law:
         return {}
