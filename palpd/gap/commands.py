@@ -40,7 +40,7 @@ def library(effects: Path | None, without: Sequence[str] = (), adopted: Path | N
     """The effects that may be present.
 
     Args:
-        effects: A file with user effects (.py) or learned effects (.yaml); None: listed effects only.
+        effects: A file with user effects (.py) or learned effects (.yaml); None: no such file.
         without: Effects that are known to be absent.
         adopted: The folder of a user's adopted effects; None: without these, so that they take part only where somebody asks for them.
 
@@ -132,7 +132,7 @@ def diagnose_files(
             one for that site.
         json_out: Where to write out.json, and next to it the motion of the next experiment and a learned law; None: nowhere.
         cell_out: Where to write the enriched cell; None: nowhere.
-        effects: A file with user effects (.py) or learned effects (.yaml); None: listed effects only.
+        effects: A file with user effects (.py) or learned effects (.yaml); None: no such file.
         adopted: The folder of a user's adopted effects, which take part like the others; None: without these.
         without: Effects that are known to be absent.
         propose: Whether to look for the next experiment.
@@ -201,7 +201,7 @@ def simulate_file(
         motion: Its `z_m` drives the cell, or its `z_cmd_m` where that is absent.
         from_commanded: Drive it with `z_cmd_m` in any case.
         noise_seed: Seed of noise and rounding; None: neither.
-        effects: A file with user effects (.py) or learned effects (.yaml); None: listed effects only.
+        effects: A file with user effects (.py) or learned effects (.yaml); None: no such file.
         adopted: The folder of a user's adopted effects, which the cell file may name; None: without these.
         say: Is called with a sentence for every learned effect that leaves its range, and for every doubt that was accepted.
         simulated: The output of a user's own simulator for that motion, to which palpd(cell) - palpd(nominal cell) is added; None: palpd

@@ -230,7 +230,7 @@ class Diagnosis:
 
     Attributes:
         decision: The verdict with its probabilities and named effects.
-        where: Channel and phase of the largest gap; None for the verdict `none`.
+        where: Channel and phase of the largest gap; None for the verdict `none`, or if nothing is compared.
         gap: By channel and phase.
         bands: The gap by frequency.
         trend: The gap by cycle.

@@ -93,7 +93,7 @@ def diagnose_one(recording: Path, cell: str, effects: Path | None = None, adopte
     """Diagnose a recording X.csv by its cell file, and write X.json next to it.
 
     Args:
-        effects: A file with user effects; None: listed effects only.
+        effects: A file with user effects; None: no such file.
         adopted: The folder of a user's adopted effects; None: without these.
 
     Returns:
@@ -125,7 +125,7 @@ def diagnose_folder(
         folder: The workers of a cluster must see it under the same path.
         jobs: Number of processes.
         scheduler: Address of a Dask cluster; None: processes of this machine.
-        effects: A file with user effects; None: listed effects only.
+        effects: A file with user effects; None: no such file.
         adopted: The folder of a user's adopted effects; None: without these.
 
     Yields:

@@ -62,11 +62,11 @@ class TestMotion:
 
     Attributes:
         what: What a person would do, as a sentence without a capital.
-        depths_m: Depths below the surface; none without presses.
+        depths_m: Depths below the surface; empty without presses.
         hold_s: Rest in a static press, to which 1 s is added.
         repeats: Number of dynamic presses to each depth.
         height_m: Height above the surface to which the probe returns after each press.
-        mode: `static` (presses with a rest), `dynamic` (without one) or `both`.
+        mode: `static` (presses with a rest), `dynamic` (presses without a rest) or `both`.
         strokes: Number of strokes up from home and down again.
     """
 

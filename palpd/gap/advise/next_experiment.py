@@ -111,7 +111,7 @@ class Advice:
         pair: The two hypotheses that it separates, else the two most probable hypotheses; None where fewer are open, or a refused law is to
             be shown again.
         most: Largest expected log odds for that pair, in nats.
-        forever: The same if the motion went on FOREVER times as long.
+        forever: The same if the motion went on FOREVER times as long; inf where there is a proposal, for which it is not computed.
         hidden_by: The tolerance without which `forever` would be largest; None where no tolerance hides much.
     """
 

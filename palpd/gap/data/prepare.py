@@ -60,7 +60,7 @@ class PreparedRecording:
     z_cmd_m: Floats | None  # (k,) at those times
     z_means: csr_array  # (b, k) takes means over the bins of heights at those times
     inertial_noise_N: csr_array  # (b, r) effect on fz of one standard deviation of the error of each reported speed
-    noise_rms: Floats  # (7,) of one sample, as measured
+    noise_rms: Floats  # (7,) of one sample: as measured, but at least half of the stated noise, and all of it without dither
     rest: NDArray[np.bool_]  # (n,) samples at which the noise was measured
     noise_measured: bool  # whether enough samples at rest were there for it
     judged: tuple[bool, ...]  # which of the 7 channels are compared
