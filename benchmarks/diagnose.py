@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 
 from palpd.cell.cell_file import Estimated, nominal, save_cell
-from palpd.cell.simulation import WRENCH, simulate
+from palpd.cell.simulation import simulate
+from palpd.cell.stages import WRENCH
 from palpd.gap.commands import diagnose_files
 from palpd.gap.fleet import diagnose_folder
 from palpd.recording.samples import Samples, write_csv

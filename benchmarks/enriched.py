@@ -18,7 +18,8 @@ from palpd.analysis.young import modulus_peak_Pa
 from palpd.cell.cell_file import CellFile, TissueBlock, Wall
 from palpd.cell.effects import EFFECTS
 from palpd.cell.motion_profile import Move, commanded_heights
-from palpd.cell.simulation import equilibrium_force_N, true_surface_m
+from palpd.cell.physics import true_surface_m
+from palpd.cell.simulation import equilibrium_force_N
 from palpd.config import Config, Plan
 from palpd.daemon.motion_process import Job
 from palpd.daemon.simulated_run import run

@@ -18,7 +18,8 @@ from hw.emulators.pose import Floats, rotation
 from hw.emulators.ur import UrWires, Values, outputs, status_bits
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import EFFECTS
-from palpd.cell.simulation import Library, SampleBlock, SteppedCell, true_surface_m
+from palpd.cell.physics import Library, true_surface_m
+from palpd.cell.stepped import SampleBlock, SteppedCell
 
 SAMPLE_S = 0.001
 START_HEIGHT_M = 0.03

@@ -6,7 +6,8 @@ import numpy as np
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import EFFECTS
-from palpd.cell.simulation import Library, SteppedCell
+from palpd.cell.physics import Library
+from palpd.cell.stepped import SteppedCell
 from palpd.tick import PROGRAM_PLAYING, Floats, RobotMode, RobotState, SafetyMode, SensorFrames
 
 FZ_OFFSET_N = -50.0

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import EFFECTS
-from palpd.cell.simulation import Library
+from palpd.cell.physics import Library
 from palpd.config import filter_delay_s
 from palpd.control.loop import Loop, Outcome
 from palpd.daemon.clock import SimClock

@@ -11,7 +11,7 @@ import numpy as np
 
 from palpd.cell.cell_file import PHANTOM, CellFile
 from palpd.cell.dynamics import lowpass, servo
-from palpd.cell.simulation import SteppedCell
+from palpd.cell.stepped import SteppedCell
 from palpd.control.sequence import CLEAR_SHARE
 from palpd.recording.samples import Samples
 from palpd.tick import Floats

@@ -12,7 +12,9 @@ from palpd.cell.dynamics import Span
 from palpd.cell.effects import EFFECTS, load_effects
 from palpd.cell.effects.drivers import UNITS, Driver, DriverState, driver_values
 from palpd.cell.effects.learned import LearnedEffect, formula_of, load_learned, save_learned
-from palpd.cell.simulation import SteppedCell, physics, share_outside, simulate
+from palpd.cell.physics import physics
+from palpd.cell.simulation import share_outside, simulate
+from palpd.cell.stepped import SteppedCell
 from palpd.errors import ConfigError
 from palpd.tick import Floats
 

@@ -12,7 +12,8 @@ from palpd.blind.adoption import adopt_and_name
 from palpd.cell.cell_file import nominal, save_cell
 from palpd.cell.effects import EFFECTS
 from palpd.cell.effects.learned import load_learned, save_learned
-from palpd.cell.simulation import WRENCH, simulate
+from palpd.cell.simulation import simulate
+from palpd.cell.stages import WRENCH
 from palpd.cli import app
 from palpd.config import Config, Plan, PlanSite
 from palpd.daemon.motion_process import Job

@@ -13,7 +13,8 @@ import pytest
 from palpd.cell.cell_file import CellFile, Estimated, cell_from, nominal
 from palpd.cell.effects import EFFECTS
 from palpd.cell.report_times import find_reports
-from palpd.cell.simulation import WRENCH, simulate
+from palpd.cell.simulation import simulate
+from palpd.cell.stages import WRENCH
 from palpd.errors import RecordingError
 from palpd.gap.advise.next_experiment import WORTH_NATS
 from palpd.gap.data.noise import CHANNELS, declared_rms

@@ -10,7 +10,8 @@ from scipy.sparse import csr_array
 from benchmarks.plain_cells import recording
 from palpd.cell.cell_file import CellFile, EffectValues, nominal
 from palpd.cell.effects import EFFECTS
-from palpd.cell.simulation import WRENCH, simulate
+from palpd.cell.simulation import simulate
+from palpd.cell.stages import WRENCH
 from palpd.gap.data.bins import Bins
 from palpd.gap.data.noise import FZ, lattice_step
 from palpd.gap.data.prepare import prepare

@@ -7,7 +7,8 @@ import pytest
 
 from benchmarks.plain_cells import recording
 from palpd.cell.cell_file import CellFile, nominal
-from palpd.cell.simulation import WRENCH, simulate
+from palpd.cell.simulation import simulate
+from palpd.cell.stages import WRENCH
 from palpd.gap.data.recorded_noise import readings_at_rest_N, with_recorded_noise
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.model.problem import make_problem

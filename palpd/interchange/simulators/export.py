@@ -24,7 +24,9 @@ from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.effects.effect import SITES, Site
 from palpd.cell.effects.learned import learned_law_of
 from palpd.cell.motion_profile import Move, commanded_heights
-from palpd.cell.simulation import physics, place_named, reporting_of, simulate
+from palpd.cell.physics import physics, place_named
+from palpd.cell.simulation import simulate
+from palpd.cell.stages import reporting_of
 from palpd.errors import BadInput, ConfigError
 from palpd.files import check_folder, copy_file, write_text
 from palpd.interchange.simulators.bundle import Definition, bundled

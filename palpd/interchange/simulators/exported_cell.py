@@ -10,7 +10,9 @@ import numpy as np
 
 from palpd.cell.dynamics import Constants, Memory, Span
 from palpd.cell.effects.effect import Site, Values
-from palpd.cell.simulation import ActingLaw, MovedCell, Physics, Reporting
+from palpd.cell.physics import ActingLaw, Physics
+from palpd.cell.stages import Reporting
+from palpd.cell.stepped import MovedCell
 
 COLUMNS = ("z_m", "vz_m_per_s", "fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 """What robot and sensor report, in the order of a recording of palpd."""

@@ -24,7 +24,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from palpd.cell.simulation import MovedCell
+from palpd.cell.stepped import MovedCell
 from palpd.interchange.simulators.exported_cell import (
     COLUMNS,
     at_rows,
