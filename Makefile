@@ -6,7 +6,7 @@ READY := .venv/.ready
 PARALLEL_TESTS := --numprocesses=2 --dist=loadscope
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo test test-wires test-rest test-service test-browser test-deb coverage lint bench bench-long minutes endurance faults arming signals aborts presses laws soak slopes cold deb docs mutation audit samples clean
+.PHONY: setup demo quick test test-wires test-rest test-service test-browser test-deb coverage lint bench bench-long minutes endurance faults arming signals aborts presses laws soak slopes cold deb docs mutation audit samples clean
 
 setup: $(READY)
 
@@ -25,6 +25,17 @@ lint: setup
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
+
+# while you work: lint, and what needs neither another process nor a whole diagnosis
+NOT_QUICK := browser service blind cli history study streams \
+	$(addprefix gap/test_,adoption.py commands.py diagnosis.py fleet.py law_experiment.py my_simulator_page.py odd_recordings.py \
+	report.py rigs.py user_simulator.py) \
+	$(addprefix daemon/test_,demo.py doctor.py job_worker.py run_reports.py) \
+	$(addprefix interchange/test_,export_page.py rosbag.py simulators.py) recording/test_flipped_bits.py \
+	$(addprefix web/test_,children.py connections.py history_pages.py) \
+	$(addprefix test_,api.py find_python.py notebooks.py pages.py readme.py reference.py site.py wheel.py)
+quick: lint
+	.venv/bin/pytest -m "not hil" $(PARALLEL_TESTS) $(addprefix --ignore=tests/,$(NOT_QUICK))
 
 # what runs over emulated wires or boots a service waits most of its time, so the rest goes beside it and gives way to it; then what needs
 # the machine to itself: a browser before an emulated cell, and the long measurements in short

@@ -1,6 +1,7 @@
-"""Where documents and code point: relative links, their anchors, sections of the contract, and the files of ARCHITECTURE.md."""
+"""Where documents, code and the Makefile point: links, anchors, sections of the contract, files of ARCHITECTURE.md, tests left out."""
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -54,3 +55,10 @@ def test_every_definition_that_architecture_names_stands_in_its_file() -> None:
     for name, definition in rows:
         defined = re.compile(rf"^(?:(?:def|class) {definition}\b|{definition}\b[^=\n]*= )", flags=re.MULTILINE)
         assert defined.search((ROOT / name).read_text(encoding="utf-8")), f"{definition} does not stand in {name}"
+
+
+def test_what_make_quick_leaves_out_is_there() -> None:
+    printed = subprocess.run(["make", "--dry-run", "quick"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    left_out = re.findall(r"--ignore=(\S+)", printed)
+    assert left_out
+    assert [path for path in left_out if not (ROOT / path).exists()] == []
