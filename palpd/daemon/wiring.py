@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from hw.muted import MutedRobot
 from palpd.config import Config
-from palpd.daemon.motion_process import Devices
+from palpd.daemon.devices import Devices
 from palpd.errors import ConfigError
 from palpd.files import nearest
 from palpd.plugins import Plugin, plugins
