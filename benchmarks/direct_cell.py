@@ -19,7 +19,9 @@ from palpd.config import Config, Plan, load_config
 from palpd.control.loop import Explainer, Loop, Outcome
 from palpd.control.sequence import ArmGeometry, Script, Sequence, Steps
 from palpd.daemon.clock import RealClock
-from palpd.daemon.motion_process import Devices, Job, RingWriter, arm_geometry_of, explainer_of, limits_of, take_reference
+from palpd.daemon.devices import Devices
+from palpd.daemon.motion_job import Job, arm_geometry_of, explainer_of, limits_of
+from palpd.daemon.motion_process import RingWriter, take_reference
 from palpd.daemon.realtime import DEVICE_PRIORITY, fifo, realtime
 from palpd.daemon.wiring import devices
 from palpd.errors import Stopped

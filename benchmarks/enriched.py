@@ -21,7 +21,7 @@ from palpd.cell.motion_profile import Move, commanded_heights
 from palpd.cell.physics import true_surface_m
 from palpd.cell.simulation import equilibrium_force_N
 from palpd.config import Config, Plan
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.daemon.simulated_run import run
 from palpd.gap.diagnosis import diagnose
 from palpd.recording.samples import Samples

@@ -14,7 +14,7 @@ import yaml
 from palpd.cell.cell_file import nominal
 from palpd.compensation.train import train
 from palpd.config import Config, Plan
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.daemon.simulated_run import run
 from palpd.recording.mcap_file import RecordingWriter
 from palpd.recording.reader import Recording, samples_of

@@ -17,7 +17,7 @@ from palpd.analysis import results
 from palpd.cell.cell_file import CellFile, TissueBlock
 from palpd.compensation.train import train
 from palpd.config import Config, Plan, filter_delay_s
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.daemon.simulated_run import SimulatedRecording, run
 from palpd.recording.reader import Recording, samples_of
 from palpd.study.laboratory import CUTOFF_Hz, free_cell, setup

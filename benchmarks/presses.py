@@ -29,7 +29,7 @@ from palpd.config import CONTACT_FORCE_N, Config, Plan, Search, filter_delay_s
 from palpd.control.loop import Loop
 from palpd.control.safety import DEPTH_MARGIN_M
 from palpd.daemon.clock import SimClock
-from palpd.daemon.motion_process import Job, explainer_of, limits_of, sequence_of
+from palpd.daemon.motion_job import Job, explainer_of, limits_of, sequence_of
 from palpd.daemon.overshoot import delays, overshoot_N
 from palpd.daemon.sim_cell import FZ_OFFSET_N, SimCell
 from palpd.daemon.simulated_run import RowList

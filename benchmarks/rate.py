@@ -28,7 +28,8 @@ from palpd.config import Config, Plan
 from palpd.control.loop import Loop, Record
 from palpd.control.sequence import Sequence, TimedRest
 from palpd.daemon.clock import RealClock
-from palpd.daemon.motion_process import Job, RingWriter, arm_geometry_of, explainer_of, limits_of
+from palpd.daemon.motion_job import Job, arm_geometry_of, explainer_of, limits_of
+from palpd.daemon.motion_process import RingWriter
 from palpd.daemon.realtime import CPU_LATENCY, realtime
 from palpd.recording.ring import Ring
 from palpd.tick import PROGRAM_PLAYING, Clock, Floats, RobotMode, RobotState, SafetyMode, SensorFrames, TickRecord, Timing

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CellFile
 from palpd.config import Config, Plan, filter_delay_s
-from palpd.daemon.motion_process import Job, trip_report
+from palpd.daemon.motion_job import Job
+from palpd.daemon.motion_process import trip_report
 from palpd.daemon.sim_cell import FZ_OFFSET_N
 from palpd.daemon.simulated_run import run
 from palpd.daemon.supervisor import header_of

@@ -24,7 +24,7 @@ from palpd.analysis import results
 from palpd.cell.cell_file import CellFile, SensorBlock, save_cell
 from palpd.config import Config, Plan
 from palpd.control.slopes import FZ, GRAVITY_N_PER_KG
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.daemon.sim_cell import FZ_OFFSET_N
 from palpd.daemon.simulated_run import SimulatedRecording, run
 from palpd.gap.diagnosis import Diagnosis, diagnose

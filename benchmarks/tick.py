@@ -44,7 +44,7 @@ def record(folder: Path, rate_Hz: int) -> Path:
     from palpd.cell.cell_file import CellFile
     from palpd.compensation.train import train
     from palpd.config import Config, Plan, filter_delay_s
-    from palpd.daemon.motion_process import Job
+    from palpd.daemon.motion_job import Job
     from palpd.daemon.simulated_run import FZ_OFFSET_N, run
     from palpd.recording.mcap_file import RecordingWriter
     from palpd.recording.reader import Recording, samples_of
@@ -181,7 +181,8 @@ def measure(recording: Any, cold: bool) -> Turns:
     from palpd.control.inertial import InertialModel
     from palpd.control.loop import Loop
     from palpd.control.sequence import Sequence
-    from palpd.daemon.motion_process import Job, RingWriter, explainer_with, job_limits, sequence_of
+    from palpd.daemon.motion_job import Job, explainer_with, job_limits, sequence_of
+    from palpd.daemon.motion_process import RingWriter
     from palpd.recording.reader import RecordedRobot, RecordedSensor
     from palpd.recording.ring import Ring
     from palpd.tick import Timing

@@ -1,4 +1,4 @@
-"""Plug-ins: objects that packages register as entry points, palpd's own among them. One that fails is a sentence with its name.
+"""Plug-ins: palpd's own, and objects that other packages register as entry points. One that fails is a sentence with its name.
 
 Groups: `palpd.readers`, `palpd.effects`, `palpd.sensors`, `palpd.robots` (docs/sensors.md, docs/import.md).
 """
@@ -42,7 +42,7 @@ def plugins(group: str, ours: Mapping[str, str]) -> dict[str, Plugin]:
 
     Args:
         group: Group of entry points.
-        ours: The places of palpd's own, as pyproject.toml registers them: a checkout need not be installed.
+        ours: The places of palpd's own: a checkout need not be installed.
 
     Returns:
         The plug-ins; nobody replaces one of ours.

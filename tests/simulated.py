@@ -4,7 +4,7 @@ from typing import Any
 
 from palpd.cell.cell_file import CellFile
 from palpd.config import Config, Plan
-from palpd.daemon.motion_process import Job, Kind
+from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.simulated_run import SimulatedRecording, run
 from palpd.tick import Request
 

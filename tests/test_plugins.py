@@ -74,8 +74,13 @@ def test_pyproject_registers_what_the_code_calls_ours() -> None:
     registered = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
     assert registered["palpd.readers"] == registry.OURS
     assert registered["palpd.effects"] == installed.OURS
-    assert registered["palpd.sensors"] == wiring.SENSORS
-    assert registered["palpd.robots"] == wiring.ROBOTS
+
+
+def test_our_own_drivers_stand_in_one_list_and_the_entry_points_are_left_to_other_packages() -> None:
+    registered = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
+    assert not {"palpd.sensors", "palpd.robots"} & registered.keys()
+    for group, ours in (("palpd.sensors", wiring.SENSORS), ("palpd.robots", wiring.ROBOTS)):
+        assert all(plugins(group, ours)[name].load() for name in ours)
 
 
 def test_the_library_is_found_as_others_are_and_nothing_is_added_to_it() -> None:

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from hw.emulators.controller import MODELS
+from hw.emulators.controller_state import MODELS
 from hw.emulators.process import emulate
 from palpd.errors import PalpdError
 

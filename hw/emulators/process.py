@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hw.emulators.controller import MODELS, TruthSample
+from hw.emulators.controller import TruthSample
+from hw.emulators.controller_state import MODELS
 from hw.emulators.hex_pty import PartsAt
 from hw.emulators.rig import SAMPLE_S, Rig
 from hw.emulators.verbs import VERBS, obey

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hw.emulators.controller import Controller, ControllerCycle, ControllerModel, TruthSample
+from hw.emulators.controller import Controller, TruthSample
+from hw.emulators.controller_state import ControllerCycle, ControllerModel
 from hw.emulators.hex_pty import Daq, PartsAt, TerminalLine
 from hw.emulators.net_ft import NetBox
 from hw.emulators.pose import Floats, rotation
@@ -152,7 +153,7 @@ class Rig:
 
     def _log(self, planned_s: float) -> None:
         """Keep the samples of the cycle that ends now."""
-        speed, runtime = np.linalg.norm(self._target_speed, axis=1).tolist(), int(self.controller.runtime)
+        speed, runtime = np.linalg.norm(self._target_speed, axis=1).tolist(), int(self.controller.state.runtime)
         vz, target, tip = self._target_speed[:, 2].tolist(), self._target[:, 2].tolist(), self._block.tip_m[:, 2].tolist()
         contact = self._block.contact_N.tolist()
         for k in range(self.steps):
@@ -168,7 +169,7 @@ class Rig:
         self._target = cycle.start[:3] + way + np.outer(share, cycle.shift[:3] - way[-1])
         self._target_speed = cycle.speed_before[:3] + np.outer(reached, change)
         self._block = self.cell.step(self._target)
-        pose = self.controller.pose
+        pose = self.controller.state.pose
         if not np.array_equal(pose[3:], self._orientation):
             self._turn(pose[3:])
         wrench = self._block.wrench.copy()
@@ -186,7 +187,7 @@ class Rig:
     # RTDE output -----------------------------------------------------------------------------------------------------
 
     def _publish(self, planned_s: float, now_s: float, block: SampleBlock, cycle: ControllerCycle, late: bool) -> None:
-        robot, values = self.controller, self._values
+        robot, values = self.controller.state, self._values
         if now_s < self._frozen_until_s:
             return
         actual = np.concatenate([block.position_m[-1], cycle.start[3:]])
@@ -257,7 +258,7 @@ class Rig:
         self._on_arming = (after_s, action)
 
     def _meet_arming(self, now_s: float) -> None:
-        program = self.controller.program
+        program = self.controller.state.program
         if self._on_arming is None or program is None or program.watchdog_set_s is None:
             return
         after_s, action = self._on_arming
@@ -279,9 +280,9 @@ class Rig:
         self._frozen_until_s = self._deaf_until_s = 0.0
         for server in self.wires.servers():
             server.close()
-        self.controller.stop_program(until_s, "restart")
-        fresh = Controller(self.model, self.controller.pose, self._tcp, self.cell.begin, self.cell.rest)
-        fresh.stops, fresh.armings = self.controller.stops, self.controller.armings
+        self.controller.state.stop_program(until_s, "restart")
+        fresh = Controller(self.model, self.controller.state.pose, self._tcp, self.cell.begin, self.cell.rest)
+        fresh.state.stops, fresh.state.armings = self.controller.state.stops, self.controller.state.armings
         self._on_arming = None
         self.controller = self.wires.controller = fresh
         self._values = _power_up_values(self.model)

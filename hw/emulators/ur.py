@@ -9,7 +9,8 @@ import socket
 import struct
 from collections.abc import Callable, Iterable
 
-from hw.emulators.controller import Controller, Power, Runtime, Safety
+from hw.emulators.controller import Controller
+from hw.emulators.controller_state import ControllerState, Power, Runtime, Safety
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
 SEND_BUFFER = 65536
@@ -268,7 +269,7 @@ class RtdeWire(Wire):
         self.reply("M", bytes([len(text)]) + text + bytes([len(source)]) + source + bytes([level]), now_s)
 
     def _message(self, kind: str, body: bytes, now_s: float) -> None:
-        model = self.robot.controller.model
+        model = self.robot.controller.state.model
         match kind:
             case "V":
                 (version,) = struct.unpack(">H", body)
@@ -305,7 +306,7 @@ class RtdeWire(Wire):
         number = 0
         if "NOT_FOUND" not in kinds:
             number = len(self.recipes) + 1
-            fastest_Hz = 1.0 / self.robot.controller.model.cycle_s
+            fastest_Hz = 1.0 / self.robot.controller.state.model.cycle_s
             every = max(1, round(fastest_Hz / rate_Hz)) if rate_Hz > 0 else 1
             self.recipes.append(Recipe(number, names, kinds, every))
         self.reply("O", bytes([number]) + ",".join(kinds).encode(), now_s)
@@ -340,18 +341,6 @@ class ScriptWire(Wire):
             self.robot.controller.upload(script.decode("utf-8", "replace"), now_s)
 
 
-_UNLOCK_TOO_EARLY = "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
-_FIXED_ANSWERS = {
-    "close safety popup": "closing safety popup",
-    "close popup": "closing popup",
-    "get loaded program": "Loaded program: /programs/rtde_control.urp",
-    "isprogramsaved": "true null",
-}
-"""Answers of the dashboard that do not depend on the controller's state."""
-_COMMANDS = {"play", "stop", "pause", "unlock protective stop", "power on", "power off", "brake release", "restart safety"}
-"""What the dashboard carries out in remote control only."""
-
-
 class DashboardWire(Wire):
     """One client of the dashboard server: a line in, a line out."""
 
@@ -369,70 +358,7 @@ class DashboardWire(Wire):
                 self.send(b"Disconnected\n", now_s)
                 self.close()
                 return
-            self.send(self._answer(asked, now_s).encode() + b"\n", now_s)
-
-    def _answer(self, asked: str, now_s: float) -> str:
-        """Answer a command or a question; exact texts as the real server sends them."""
-        line = asked.lower()
-        if not self.robot.controller.remote_control and line in _COMMANDS:
-            return "Command is not allowed due to safety reasons, please switch robot to Remote Control mode and reconnect to port 29999"
-        answer = self._obey(line, now_s) or self._report(line) or _FIXED_ANSWERS.get(line)
-        return answer or f'could not understand: "{asked}"'
-
-    def _obey(self, command: str, now_s: float) -> str | None:
-        """Carry out a command; None if it is none."""
-        robot = self.robot.controller
-        match command:
-            case "play":
-                return "Starting program" if robot.play() else "Failed to execute: play"
-            case "stop":
-                robot.stop_program(now_s, "stopped at the dashboard")
-                return "Stopped"
-            case "pause":
-                return "Pausing program" if robot.pause() else "Failed to execute: pause"
-            case "unlock protective stop":
-                return "Protective stop releasing" if robot.unlock(now_s) else _UNLOCK_TOO_EARLY
-            case "power on":
-                robot.power_on()
-                return "Powering on"
-            case "power off":
-                robot.power_off(now_s)
-                return "Powering off"
-            case "brake release":
-                robot.release_brakes()
-                return "Brake releasing"
-            case "restart safety":
-                robot.safety = Safety.NORMAL
-                return "Restarting safety"
-            case _:
-                return None
-
-    def _report(self, question: str) -> str | None:
-        """Report the controller's state; None if nothing of it is asked."""
-        robot = self.robot.controller
-        playing = robot.runtime is Runtime.PLAYING
-        match question:
-            case "running":
-                return f"Program running: {str(playing).lower()}"
-            case "robotmode":
-                return f"Robotmode: {robot.power.name}"
-            case "safetymode":
-                return f"Safetymode: {robot.safety.name}"
-            case "safetystatus":
-                return f"Safetystatus: {robot.safety.name}"
-            case "programstate":
-                state = "PLAYING" if playing else "PAUSED" if robot.runtime is Runtime.PAUSED else "STOPPED"
-                return f"{state} rtde_control.urp"
-            case "polyscopeversion":
-                return robot.model.polyscope
-            case "get serial number" if robot.model.e_series:
-                return robot.model.serial_number
-            case "get robot model" if robot.model.e_series:
-                return "UR5"
-            case "is in remote control" if robot.model.e_series:
-                return str(robot.remote_control).lower()
-            case _:
-                return None
+            self.send(self.robot.controller.dashboard.answer(asked, now_s).encode() + b"\n", now_s)
 
 
 class UrWires:
@@ -440,7 +366,7 @@ class UrWires:
 
     def __init__(self, controller: Controller, selector: selectors.BaseSelector, host: str) -> None:
         self.controller = controller
-        self.outputs = outputs(controller.model.e_series)
+        self.outputs = outputs(controller.state.model.e_series)
         self.refuse_version = False
         self.keep_every = 1
         self._index = 0
@@ -460,7 +386,7 @@ class UrWires:
             now_s: host time.
         """
         self._index += 1
-        messages, self.controller.messages = self.controller.messages, []
+        messages, self.controller.state.messages = self.controller.state.messages, []
         for wire in [wire for wire in self.clients() if wire.streaming]:
             for text, level in messages:  # only after a client has started: ur_rtde would take a message for the answer to its handshake
                 wire.text(text, level, now_s)
@@ -477,10 +403,10 @@ class UrWires:
         return self.rtde, self.script, self.dashboard
 
 
-def status_bits(controller: Controller) -> tuple[int, int]:
+def status_bits(state: ControllerState) -> tuple[int, int]:
     """Return `robot_status_bits` and `safety_status_bits`."""
-    robot = int(controller.power >= Power.POWER_ON) | int(controller.runtime is Runtime.PLAYING) << 1
-    match controller.safety:
+    robot = int(state.power >= Power.POWER_ON) | int(state.runtime is Runtime.PLAYING) << 1
+    match state.safety:
         case Safety.NORMAL:
             return robot, 0x001
         case Safety.PROTECTIVE_STOP:

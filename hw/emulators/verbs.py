@@ -136,19 +136,19 @@ def _slow_packets(rig: Rig, now_s: float, every: int, s: float) -> None:
 
 
 def _protective_stop(rig: Rig, now_s: float) -> None:
-    rig.controller.protective_stop(now_s)
+    rig.controller.state.protective_stop(now_s)
 
 
 def _emergency_stop(rig: Rig, now_s: float) -> None:
-    rig.controller.emergency_stop(now_s)
+    rig.controller.state.emergency_stop(now_s)
 
 
 def _power_off(rig: Rig, now_s: float) -> None:
-    rig.controller.power_off(now_s)
+    rig.controller.dashboard.power_off(now_s)
 
 
 def _program_stop(rig: Rig, now_s: float) -> None:
-    rig.controller.stop_program(now_s, "stopped at the pendant")
+    rig.controller.state.stop_program(now_s, "stopped at the pendant")
 
 
 def _other_program(rig: Rig, now_s: float, s: float) -> None:
@@ -156,7 +156,7 @@ def _other_program(rig: Rig, now_s: float, s: float) -> None:
 
 
 def _local_control(rig: Rig, _now_s: float, on: bool = True) -> None:
-    rig.controller.remote_control = not on
+    rig.controller.state.remote_control = not on
 
 
 def _on_arming(rig: Rig, _now_s: float, then: dict[str, Any], delay_s: float = 0.0) -> None:
@@ -179,7 +179,7 @@ def _wall(rig: Rig, _now_s: float, z_m: float, stiffness_N_per_m: float) -> None
 
 def _truth(rig: Rig, _now_s: float, reset: bool = False) -> VerbAnswer:
     tip_z_m, contact_N = rig.tip
-    x_m, y_m, target_z_m = (float(value) for value in rig.controller.pose[:3])
+    x_m, y_m, target_z_m = (float(value) for value in rig.controller.state.pose[:3])
     answer = {
         "tip_z_m": tip_z_m,
         "target_z_m": target_z_m,
@@ -195,8 +195,8 @@ def _truth(rig: Rig, _now_s: float, reset: bool = False) -> VerbAnswer:
 def _log(rig: Rig, _now_s: float, since_s: float) -> VerbAnswer:
     """Rows after a time; the deque is in order of time, so the search begins at its end."""
     fresh = list(itertools.takewhile(lambda sample: sample.t_s > since_s, reversed(rig.samples)))
-    stops = [stop for stop in rig.controller.stops if stop[0] > since_s]
-    armings = [at_s for at_s in rig.controller.armings if at_s > since_s]
+    stops = [stop for stop in rig.controller.state.stops if stop[0] > since_s]
+    armings = [at_s for at_s in rig.controller.state.armings if at_s > since_s]
     return {"samples": fresh[::-1][:MOST_ROWS], "more": len(fresh) > MOST_ROWS, "stops": stops, "armings": armings}
 
 

@@ -219,13 +219,18 @@ def analyse_curve(
         "samples": hertz.n,
         "effective_samples": hertz.n_effective,
         "rows_skipped": curve.skipped,
-        "warnings": [
-            *_odd_lengths(curve, hertz.depth_m, tip_radius_m),
-            *([] if hertz.misfit is None else [hertz.misfit["sentence"]]),
-            *hertz.warnings,
-            *([_baseline_warning(curve, other)] if held and baseline == "auto" else []),
-        ],
+        "warnings": _warnings(curve, hertz, tip_radius_m, other if held and baseline == "auto" else None),
     }
+
+
+def _warnings(curve: Curve, hertz: ContactFit, tip_radius_m: float, fitted_baseline: ContactFit | None) -> list[str]:
+    """What is odd about a curve and its fit; `fitted_baseline` is the other fit where the baseline was taken for zero unasked."""
+    return [
+        *_odd_lengths(curve, hertz.depth_m, tip_radius_m),
+        *([] if hertz.misfit is None else [hertz.misfit["sentence"]]),
+        *hertz.warnings,
+        *([] if fitted_baseline is None else [_baseline_warning(curve, fitted_baseline)]),
+    ]
 
 
 def _odd_lengths(curve: Curve, depth_m: float, tip_radius_m: float) -> list[str]:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -33,6 +33,10 @@ from palpd.cli.output_options import FOLDER, OWN_FOLDER, RESUMED, Output
 from palpd.errors import BadInput, RecordingError
 from palpd.file_kinds import CSV, HTML, JSON, YAML
 from palpd.files import check_writable, write_json
+
+if TYPE_CHECKING:
+    from palpd.blind.check import CheckResult
+    from palpd.config import Config
 
 FEW_CASES = 20
 """Number of cases below which a blind check shows the cases and no rates: of 19, a rate is known to a fifth at best."""
@@ -181,7 +185,6 @@ def resolve(
 ) -> None:
     """Diagnose a running cell, propose the motion that decides what is open, run it within the guard, until nothing more is gained."""
     from palpd.cell.cell_file import load_cell
-    from palpd.cli.jobs import carried_out, fetch
     from palpd.config import load_config, load_plan
     from palpd.daemon import resolve as loop
     from palpd.daemon.job_client import service_at
@@ -212,11 +215,7 @@ def resolve(
             "adopted": adopted,
             "here": here,
         }
-        end = carried_out("resolve", arguments, settings, settings.paths.runs, agree)
-        stands = fetch(end.figures.get("folder"), target) if target is not None else end.figures.get("folder")
-        terminal().print(f"Everything is kept in {stands}; the page is gap.html.")
-        write_json(json_file, end.figures)
-        finish(end.exit_code, end.reason)
+        _resolve_by_service(settings, arguments, target, agree, json_file)
         return
     check_kept(settings)
     clear_latch(settings)
@@ -234,6 +233,19 @@ def resolve(
     terminal().print(f"Everything is kept in {kept}; the page is gap.html.")
     write_json(json_file, result)
     finish(3 if result["verdict"] == "stopped" else 0, result["reason"])
+
+
+def _resolve_by_service(
+    settings: "Config", arguments: dict[str, object], target: Path | None, agree: Callable[[str], bool], json_file: Path | None
+) -> None:
+    """Let the service carry it out, and bring what it kept into a folder, if one is named."""
+    from palpd.cli.jobs import carried_out, fetch
+
+    end = carried_out("resolve", arguments, settings, settings.paths.runs, agree)
+    stands = fetch(end.figures.get("folder"), target) if target is not None else end.figures.get("folder")
+    terminal().print(f"Everything is kept in {stands}; the page is gap.html.")
+    write_json(json_file, end.figures)
+    finish(end.exit_code, end.reason)
 
 
 @app.command(examples=["palpd simulate recording.csv --cell enriched.yaml --csv predicted.csv"])
@@ -450,7 +462,6 @@ def blind(
     from palpd.blind.check import run
     from palpd.blind.comparison import ablation_named, load_ablations, load_other_sources
     from palpd.blind.figures import PAGE_FILES, write_page
-    from palpd.blind.score import cases_as_markdown, tables_as_markdown
     from palpd.blind.sources import Hosts, sources_named
 
     if docs is not None:
@@ -467,15 +478,22 @@ def blind(
             cases, seed, sources=sources, hosts=hosts, large=large, unlisted=unlisted, coarse=coarse, jobs=jobs, ablation=chosen,
             keep=keep, resume=resume, progress=advance,
         )  # fmt: skip
+    _print_blind(result)
+    write_json(json_file, result)
+    if docs is not None:
+        terminal().print(str(write_page(result, docs, beside, more)))
+
+
+def _print_blind(result: "CheckResult") -> None:
+    """Tables of rates, or the cases themselves where they are too few for rates."""
+    from palpd.blind.score import cases_as_markdown, tables_as_markdown
+
     if len(result["outcomes"]) < FEW_CASES:
         terminal().print(cases_as_markdown(result["outcomes"]), soft_wrap=True)
         n = len(result["outcomes"])
         terminal().print(f"{n} case{'s' * (n != 1)} cannot show rates: --cases 200 gives a table of them. --json holds all figures.")
     else:
         terminal().print(tables_as_markdown(result["tables"]), soft_wrap=True)
-    write_json(json_file, result)
-    if docs is not None:
-        terminal().print(str(write_page(result, docs, beside, more)))
 
 
 def _blind_advice(cases: int, seed: int, jobs: int, json_file: Path | None) -> None:

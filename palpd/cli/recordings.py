@@ -139,17 +139,13 @@ def import_(
 ) -> None:
     """Turn what another machine recorded into a recording that `palpd diagnose` and `palpd replay` read."""
     values = locals()
-    from palpd.interchange.import_files import ImportOptions, columns_given, import_files, source_of
+    from palpd.interchange.import_files import ImportOptions, columns_given, import_files
 
     show = terminal().print
     if csv is None:
         others = values.keys() - {"files", "csv"}
         refuse_left_out(import_, values, sorted(others), "without --csv files are only listed", "give --csv too, or leave them out")
-        for path in files:
-            source = source_of(path)
-            show(f"{path} is {source.reader.name}; it holds")
-            for channel in source.channels:
-                show(f"  {channel}")
+        _list_channels(files)
         return
     options = ImportOptions(
         force_column=force_column,
@@ -179,6 +175,16 @@ def import_(
     for note in imported.notes:
         show(note)
     show(f"{csv}: {len(imported.samples)} rows, {imported.samples.duration_s:.1f} s.")
+
+
+def _list_channels(files: list[Path]) -> None:
+    from palpd.interchange.import_files import source_of
+
+    for path in files:
+        source = source_of(path)
+        terminal().print(f"{path} is {source.reader.name}; it holds")
+        for channel in source.channels:
+            terminal().print(f"  {channel}")
 
 
 @app.command("cell-from", examples=["palpd cell-from recording.csv --tip-radius-m 0.004 --out cell.yaml"])

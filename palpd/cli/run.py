@@ -298,7 +298,7 @@ def sim(
     from palpd.cli.printing import print_run
     from palpd.config import load_config, load_plan, refuse_unsafe
     from palpd.daemon.kept_plans import rehearsed_config_sha256
-    from palpd.daemon.motion_process import Job
+    from palpd.daemon.motion_job import Job
     from palpd.daemon.run_result import simulated_result
     from palpd.daemon.simulated_run import run as simulate
 

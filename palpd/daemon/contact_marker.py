@@ -6,7 +6,7 @@ import numpy as np
 
 from palpd.control.probe_state import ContactMarker, LevelTested, ProbeAnswer, ProbeState, Reference, probe_state
 from palpd.control.sequence import CLEAR_SHARE
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.daemon.probe_record import evidence_of, identity_of, probe_record
 from palpd.daemon.stored_state import State, now
 from palpd.recording.mcap_file import RunAbout

@@ -19,7 +19,7 @@ from palpd.compensation.model_card import ModelCard
 from palpd.compensation.train import train
 from palpd.config import Config, ModelConfig, PathsConfig, Plan, PlanSite, RobotConfig, SafetyConfig, SensorConfig, Strokes
 from palpd.daemon.display import Display
-from palpd.daemon.motion_process import Job, Kind
+from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.run_result import RunResult, run_result, simulated_result
 from palpd.daemon.session import ForegroundHost, calibrate, carry_out, job, kept_in
 from palpd.daemon.simulated_run import run as simulate

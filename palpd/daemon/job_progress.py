@@ -7,7 +7,7 @@ import numpy as np
 
 from palpd.control.sequence import BASELINE_S, FREE_CYCLES, FREE_SPEED_M_PER_S, FREE_STROKE_M, SETTLE_WINDOW_S
 from palpd.daemon.display import JobProgress
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.recording.ring import Ring
 from palpd.tick import Mode, Phase
 

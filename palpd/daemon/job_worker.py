@@ -23,7 +23,7 @@ from palpd.config import Config, Plan, parse_plan
 from palpd.daemon.display import NoDisplay, ShowProgress
 from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import shielded
-from palpd.daemon.motion_process import Kind
+from palpd.daemon.motion_job import Kind
 from palpd.daemon.program_host import ProposedMotion
 from palpd.daemon.programs import PROGRAMS, ProgramEnd
 from palpd.daemon.supervisor import Report

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from palpd.config import Config, Plan
 from palpd.daemon.display import Display
 from palpd.daemon.finding import Finding
-from palpd.daemon.motion_process import Kind
+from palpd.daemon.motion_job import Kind
 from palpd.daemon.supervisor import Report
 
 

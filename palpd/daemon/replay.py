@@ -18,7 +18,7 @@ from palpd.control.loop import Loop, Outcome
 from palpd.control.safety import GuardState, Limits, sentence
 from palpd.control.sequence import Script, Sequence, Steps
 from palpd.control.tare import Tare
-from palpd.daemon.motion_process import Job, arm_geometry_of, explainer_with, job_limits, limits_of, sequence_of
+from palpd.daemon.motion_job import Job, arm_geometry_of, explainer_with, job_limits, limits_of, sequence_of
 from palpd.errors import RecordingError
 from palpd.recording.reader import PlainRows, RecordedRobot, RecordedSensor, Recording
 from palpd.recording.ring import Rows

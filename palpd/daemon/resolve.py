@@ -15,7 +15,7 @@ from palpd.cell.cell_file import CellFile, save_cell
 from palpd.cell.effects import Effect
 from palpd.config import Plan, PlanSite, parse_plan
 from palpd.daemon import simulated_run
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.daemon.program_host import ProgramHost, ProposedMotion
 from palpd.errors import BadInput
 from palpd.files import write_yaml

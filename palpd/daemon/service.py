@@ -20,12 +20,13 @@ from palpd.control.plan_place import ANSWERS, Choice, PlanPlace, question
 from palpd.control.probe_state import ProbeAnswer, ProbeState
 from palpd.daemon.control_socket import ControlSocket, Later, Watching
 from palpd.daemon.controls import LEASE_S, Controls
+from palpd.daemon.devices import Build
 from palpd.daemon.interrupts import held, received, shielded
 from palpd.daemon.job_progress import JobMeter
 from palpd.daemon.job_worker import RunRequest
 from palpd.daemon.jobs import Jobs
 from palpd.daemon.kept_plans import KeptPlans
-from palpd.daemon.motion_process import STILL_KINDS, Build, Job, Kind
+from palpd.daemon.motion_job import STILL_KINDS, Job, Kind
 from palpd.daemon.overshoot import refuse_overload
 from palpd.daemon.programs import program_named
 from palpd.daemon.run_reports import RunReports

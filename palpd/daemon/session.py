@@ -11,11 +11,12 @@ from pathlib import Path
 from palpd.config import Config, Plan, refuse_unsafe
 from palpd.control.plan_place import Choice
 from palpd.control.probe_state import MOST_MOVED_REFERENCE_N, ProbeAnswer, ProbeState, probe_state
+from palpd.daemon.devices import Build
 from palpd.daemon.display import Display, ShowProgress
 from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import Interrupted, held, leave_within, received, shielded, waited_s
 from palpd.daemon.job_progress import JobMeter
-from palpd.daemon.motion_process import Build, Job, Kind
+from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.overshoot import refuse_overload
 from palpd.daemon.probe_record import probe_record
 from palpd.daemon.program_host import ProgramHost, ProposedMotion

@@ -16,7 +16,7 @@ from palpd.cell.physics import Library
 from palpd.config import filter_delay_s
 from palpd.control.loop import Loop, Outcome
 from palpd.daemon.clock import SimClock
-from palpd.daemon.motion_process import Job, explainer_of, job_limits, sequence_of
+from palpd.daemon.motion_job import Job, explainer_of, job_limits, sequence_of
 from palpd.daemon.sim_cell import FZ_OFFSET_N, HOME_ABOVE_M, SimCell
 from palpd.recording.mcap_file import RecordingHeader, RunAbout
 from palpd.recording.tick_rows import RowWriter

@@ -15,7 +15,7 @@ from palpd.analysis.stiffness_map import Field, Map, Survey, search, write_press
 from palpd.cell.cell_file import CellFile
 from palpd.config import Config, Plan
 from palpd.daemon.display import Display
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.daemon.program_host import ProgramHost
 from palpd.daemon.run_result import run_result
 from palpd.daemon.session import ForegroundHost, calibrate, kept_in

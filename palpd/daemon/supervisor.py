@@ -21,23 +21,11 @@ from palpd.control.probe_state import ProbeAnswer, ProbeEvidence, ProbeState
 from palpd.control.sequence import LEVEL_M
 from palpd.daemon import motion_process as motion
 from palpd.daemon.contact_marker import END_S, MarkedRun
+from palpd.daemon.devices import Build
 from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import shielded
-from palpd.daemon.motion_process import (
-    BEGIN_LOADED,
-    CALLED_OFF,
-    GO,
-    Build,
-    Ended,
-    Failed,
-    Job,
-    Kind,
-    Message,
-    Observed,
-    Opened,
-    ReferenceTaken,
-    TripReport,
-)
+from palpd.daemon.motion_job import BEGIN_LOADED, Job, Kind, arm_geometry_of
+from palpd.daemon.motion_process import CALLED_OFF, GO, Ended, Failed, Message, Observed, Opened, ReferenceTaken, TripReport
 from palpd.daemon.realtime import DEVICE_PRIORITY
 from palpd.daemon.silence import explained
 from palpd.daemon.socket_client import LastTick
@@ -460,7 +448,7 @@ def header_of(job: Job, about: RunAbout, reference: tuple[float, ...], pose: tup
         reference: Reference tare (6,) in the sensor's axes, N and Nm.
         pose: Pose (6,) of the tip before it moves.
     """
-    arm = motion.arm_geometry_of(job, about["delay_s"])
+    arm = arm_geometry_of(job, about["delay_s"])
     return {
         "kind": job.kind,
         "dry": job.dry,

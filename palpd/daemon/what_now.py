@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 from palpd.control.probe_state import ProbeAnswer, ProbeState
-from palpd.daemon.motion_process import Kind
+from palpd.daemon.motion_job import Kind
 from palpd.daemon.socket_client import KnownNow, KnownObstacle
 from palpd.tick import Phase
 

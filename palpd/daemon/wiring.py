@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from hw.muted import MutedRobot
 from palpd.config import Config
-from palpd.daemon.motion_process import Devices
+from palpd.daemon.devices import Devices
 from palpd.errors import ConfigError
 from palpd.files import nearest
 from palpd.plugins import Plugin, plugins
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 SENSORS = {"hex-70": "hw.hex_sensor:open_hex_70", "ati-net-ft": "hw.ati_net_ft:open_ati_net_ft"}
 ROBOTS = {"ur-rtde": "hw.rtde:UR_RTDE"}
-"""Our own drivers, as pyproject.toml registers them."""
+"""Our own drivers. Those of other packages are entry points of `palpd.sensors` and `palpd.robots`."""
 ARRIVAL_MARGIN_S = 0.001
 """The grid of ticks begins this long after a robot state arrives, so that every tick finds a fresh one."""
 

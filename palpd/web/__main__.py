@@ -13,9 +13,10 @@ import uvicorn
 
 from palpd.errors import PalpdError
 from palpd.web.access import is_loopback
-from palpd.web.application import PageSettings, build
+from palpd.web.application import build
 from palpd.web.connections import EntranceServer
 from palpd.web.log import log
+from palpd.web.page import PageSettings
 from palpd.web.sessions import Sessions, read_token
 
 

@@ -13,8 +13,6 @@ of `aside.Aside`, never here: the server stays below 60 MB.
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass, field
-from pathlib import Path
 from urllib.parse import urlsplit
 
 from starlette.applications import Starlette
@@ -23,55 +21,8 @@ from starlette.staticfiles import StaticFiles
 
 from palpd.web import calculations, controls, history_pages, live, plan_pages, resolve_pages, shell
 from palpd.web.access import Access
-from palpd.web.aside import Aside
-from palpd.web.children import Children
-from palpd.web.live import Live
-from palpd.web.service_link import ServiceLink
+from palpd.web.page import Page, PageSettings
 from palpd.web.sessions import Sessions
-
-
-@dataclass(frozen=True, slots=True)
-class PageSettings:
-    """What `palpd web` passes on: plain values, so that the server need not import the configuration."""
-
-    socket: Path
-    """Control socket of the service."""
-    runs: Path
-    """Folder of the recordings, for reading."""
-    listen: str = "127.0.0.1"
-    """Address to listen at."""
-    port: int = 8700
-    names: tuple[str, ...] = ()
-    """Further host names under which browsers may open the page."""
-    plan: Path | None = None
-    """Plan that the page offers first."""
-    config: Path | None = None
-    """config.yaml of the cell, for the commands that judge and rehearse a plan."""
-    camera_url: str | None = None
-    """Address of a camera's picture, as the configuration allows it: no password, no blank, no quote."""
-
-    @property
-    def hosts(self) -> frozenset[str]:
-        """All hosts, with port, under which the page is served."""
-        listened = () if self.listen in ("0.0.0.0", "::") else (self.listen,)
-        names = ("127.0.0.1", "localhost", "[::1]", *(f"[{name}]" if ":" in name else name for name in (*listened, *self.names)))
-        return frozenset(f"{name}:{self.port}" for name in names)
-
-
-@dataclass(slots=True)
-class Page:
-    """What all routes share."""
-
-    settings: PageSettings
-    aside: Aside = field(default_factory=Aside)
-    children: Children = field(default_factory=Children)
-    link: ServiceLink = field(init=False)
-    live: Live = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.link = ServiceLink(self.settings.socket)
-        self.live = Live(self)
-
 
 Routes = Callable[[Page], list[BaseRoute]]
 Background = Callable[[Page], AbstractAsyncContextManager[None]]
@@ -81,11 +32,19 @@ def _frame_routes(page: Page) -> list[BaseRoute]:
     return [*shell.routes(page.settings.camera_url)]
 
 
+def _live_routes(page: Page) -> list[BaseRoute]:
+    return live.routes(page.live)
+
+
+def _live_background(page: Page) -> AbstractAsyncContextManager[None]:
+    return live.background(page.live)
+
+
 ROUTES: list[Routes] = [
-    _frame_routes, live.routes, controls.routes, calculations.routes, history_pages.routes, plan_pages.routes, resolve_pages.routes,
+    _frame_routes, _live_routes, controls.routes, calculations.routes, history_pages.routes, plan_pages.routes, resolve_pages.routes,
 ]  # fmt: skip
 """All routes of the application; a module of yours adds one function."""
-BACKGROUND: list[Background] = [live.background]
+BACKGROUND: list[Background] = [_live_background]
 """All that runs beside the requests, from the start of the server to its end."""
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -14,9 +14,7 @@ from palpd.files import opened, read_text
 from palpd.web import looking_back
 from palpd.web.answers import answering, number_in
 from palpd.web.children import Child
-
-if TYPE_CHECKING:
-    from palpd.web.application import Page
+from palpd.web.page import Page
 
 MOST_REPORT_BYTES = 50_000_000
 """Largest report; one of an hour has some 2 MB."""
@@ -32,7 +30,7 @@ FRAMED = {
 class Calculations:
     """The routes of the calculations, by their number."""
 
-    def __init__(self, page: "Page") -> None:
+    def __init__(self, page: Page) -> None:
         self._page = page
 
     def _asked(self, request: Request) -> Child:
@@ -68,7 +66,7 @@ class Calculations:
         return self._page.children.cancel(self._asked(request).number).as_json
 
 
-def routes(page: "Page") -> list[BaseRoute]:
+def routes(page: Page) -> list[BaseRoute]:
     """The routes of the calculations."""
     of = Calculations(page)
     return [

@@ -1,7 +1,7 @@
 """What an operator asks for: each request goes to the control socket as it is, and its answer comes back in the service's own words."""
 
 import asyncio
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse
@@ -11,9 +11,7 @@ from palpd.daemon.socket_client import ControlRequest
 from palpd.errors import PalpdError
 from palpd.web.access import ABORT, json_body
 from palpd.web.log import log
-
-if TYPE_CHECKING:
-    from palpd.web.application import Page
+from palpd.web.page import Page
 
 KEYS = {
     "status": (),
@@ -42,7 +40,7 @@ UNLOGGED = ("status", "jobs", "job", "plans", "renew")
 """Requests that change nothing, and come often."""
 
 
-def routes(page: "Page") -> list[BaseRoute]:
+def routes(page: Page) -> list[BaseRoute]:
     """The requests, the plan that the page offers first, and the abort."""
 
     async def abort(request: Request) -> JSONResponse:

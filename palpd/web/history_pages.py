@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
 
 from starlette.concurrency import run_in_threadpool
@@ -16,9 +16,7 @@ from palpd.history.stored import DIAGNOSIS, beside, report_path
 from palpd.web import looking_back, shell
 from palpd.web.answers import answering, body_of, number_in, text_in
 from palpd.web.calculations import download_response, report_response
-
-if TYPE_CHECKING:
-    from palpd.web.application import Page
+from palpd.web.page import Page
 
 INFO_LIMIT_S, REPORT_LIMIT_S, DIAGNOSIS_LIMIT_S = 300.0, 300.0, 1800.0
 """Longest times of the commands: a report of an hour takes some 20 s, a diagnosis some minutes."""
@@ -29,7 +27,7 @@ MOST_LETTERS = 200
 class HistoryPages:
     """The routes of the tab."""
 
-    def __init__(self, page: "Page") -> None:
+    def __init__(self, page: Page) -> None:
         self._runs, self._aside, self._children = page.settings.runs, page.aside, page.children
 
     async def _recording(self, key: str) -> Path:
@@ -101,7 +99,7 @@ class HistoryPages:
         return await self._aside.compute(looking_back.remarked, recording, tags, untag, text_in(body, "note"))
 
 
-def routes(page: "Page") -> list[BaseRoute]:
+def routes(page: Page) -> list[BaseRoute]:
     """The routes of the tab Runs."""
     of = HistoryPages(page)
     return [

@@ -7,18 +7,16 @@ import asyncio
 import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from starlette.routing import BaseRoute, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
+from palpd.web.aside import Aside
 from palpd.web.log import log
 from palpd.web.service_link import Event, ServiceLink
 from palpd.web.site_moduli import LiveModuli
 from palpd.web.ticks import TickStream, as_line
-
-if TYPE_CHECKING:
-    from palpd.web.application import Page
 
 FRAME_S = 1.0 / 32.0
 """Time between two frames of a run."""
@@ -36,10 +34,10 @@ FULL = f"{MOST_PAGES} pages are open already, expected fewer; close one of them"
 class Live:
     """The stream. `pages` are the queues of all open pages."""
 
-    def __init__(self, page: "Page") -> None:
-        self.link: ServiceLink = page.link
+    def __init__(self, link: ServiceLink, aside: Aside) -> None:
+        self.link = link
         self.ticks = TickStream()
-        self.moduli = LiveModuli(page.aside, self.publish)
+        self.moduli = LiveModuli(aside, self.publish)
         self.pages: dict[int, asyncio.Queue[str | None]] = {}
         self._sent_s = 0.0
 
@@ -84,11 +82,10 @@ class Live:
         return [service, backlog, self.moduli.event()]
 
 
-def routes(page: "Page") -> list[BaseRoute]:
+def routes(live: Live) -> list[BaseRoute]:
     """The stream."""
 
     async def stream(socket: WebSocket) -> None:
-        live: Live = page.live
         await socket.accept()
         if len(live.pages) >= MOST_PAGES:
             await socket.send_text(json.dumps({"event": "refused", "reason": FULL}))
@@ -122,12 +119,12 @@ async def _send(socket: WebSocket, queue: "asyncio.Queue[str | None]", greeting:
 
 
 @asynccontextmanager
-async def background(page: "Page") -> AsyncIterator[None]:
+async def background(live: Live) -> AsyncIterator[None]:
     """Follow the service and read the ring while the server runs."""
-    page.link.follow(page.live.hear)
-    task = asyncio.create_task(page.live.run())
+    live.link.follow(live.hear)
+    task = asyncio.create_task(live.run())
     try:
         yield
     finally:
         task.cancel()
-        page.link.close()
+        live.link.close()

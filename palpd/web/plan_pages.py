@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -12,9 +12,7 @@ from starlette.routing import BaseRoute, Route
 from palpd.errors import BadInput, Refused
 from palpd.files import MOST_YAML_BYTES
 from palpd.web.answers import answering, as_json, body_of, text_in
-
-if TYPE_CHECKING:
-    from palpd.web.application import Page, PageSettings
+from palpd.web.page import Page, PageSettings
 
 CHECK_LIMIT_S, REHEARSAL_LIMIT_S = 60.0, 900.0
 """Longest times of the commands. A rehearsal is some 30 times faster than the plan."""
@@ -25,7 +23,7 @@ PLAN = "plan.yaml"
 class PlanPages:
     """The routes of the tab."""
 
-    def __init__(self, page: "Page") -> None:
+    def __init__(self, page: Page) -> None:
         self._settings, self._children = page.settings, page.children
 
     async def check(self, request: Request) -> Mapping[str, Any] | Response:
@@ -45,7 +43,7 @@ class PlanPages:
         return self._children.begin("the rehearsal", about, words, limit_s=REHEARSAL_LIMIT_S, files={PLAN: text}).as_json
 
 
-def routes(page: "Page") -> list[BaseRoute]:
+def routes(page: Page) -> list[BaseRoute]:
     """The routes of the tab Plan."""
     of = PlanPages(page)
     return [
@@ -54,7 +52,7 @@ def routes(page: "Page") -> list[BaseRoute]:
     ]
 
 
-def config_of(settings: "PageSettings") -> Path:
+def config_of(settings: PageSettings) -> Path:
     """The configuration of the cell. Raises Refused where the page was started without one."""
     if settings.config is None:
         raise Refused("the page does not know the configuration of the cell; start it with palpd web --config config.yaml")

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -11,10 +11,8 @@ from starlette.routing import BaseRoute, Route
 from palpd.errors import BadInput, Refused
 from palpd.web.answers import answering, body_of, text_in
 from palpd.web.calculations import report_response
+from palpd.web.page import Page
 from palpd.web.plan_pages import REHEARSAL_LIMIT_S, config_of
-
-if TYPE_CHECKING:
-    from palpd.web.application import Page
 
 ENRICHED, REPORT = "enriched.yaml", "gap.html"
 """Files of a job's folder: the cell with what is named so far, and the page of the diagnosis."""
@@ -23,7 +21,7 @@ ENRICHED, REPORT = "enriched.yaml", "gap.html"
 class ResolvePages:
     """The routes of the tab."""
 
-    def __init__(self, page: "Page") -> None:
+    def __init__(self, page: Page) -> None:
         self._page = page
 
     async def _job(self, name: str) -> Mapping[str, Any]:
@@ -56,7 +54,7 @@ class ResolvePages:
         return self._page.children.begin("the rehearsal", about, words, limit_s=REHEARSAL_LIMIT_S).as_json
 
 
-def routes(page: "Page") -> list[BaseRoute]:
+def routes(page: Page) -> list[BaseRoute]:
     """The routes of the tab Resolve."""
     of = ResolvePages(page)
     return [

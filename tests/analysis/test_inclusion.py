@@ -12,7 +12,7 @@ from palpd.config import Config, Plan
 from palpd.daemon import stiffness_survey as mapping_robot
 from palpd.daemon.display import NoDisplay
 from palpd.daemon.finding import Finding
-from palpd.daemon.motion_process import Kind
+from palpd.daemon.motion_job import Kind
 from palpd.daemon.program_host import ProposedMotion
 from palpd.daemon.stiffness_survey import in_simulation, on_the_robot, surveyed
 from palpd.daemon.supervisor import Report

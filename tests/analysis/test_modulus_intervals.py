@@ -10,7 +10,7 @@ from palpd.analysis.modulus_intervals import NORMAL_95, KnownWeight, Measured, m
 from palpd.analysis.results import analysed, sites
 from palpd.config import Config, Plan
 from palpd.control.slopes import GRAVITY_N_PER_KG
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.daemon.simulated_run import SimulatedRecording
 from palpd.recording.mcap_file import RecordingHeader
 

@@ -9,7 +9,7 @@ import pytest
 from palpd.config import Config, Plan
 from palpd.control.loop import Loop
 from palpd.control.sequence import Sequence, TimedRest
-from palpd.daemon.motion_process import Job, arm_geometry_of, explainer_with, limits_of
+from palpd.daemon.motion_job import Job, arm_geometry_of, explainer_with, limits_of
 from palpd.recording.tick_rows import DECISIONS, RowWriter, decision
 from palpd.tick import MAX_FRAMES, ROW, RobotState, SensorFrames, TickRecord, Timing
 from tests import scenes

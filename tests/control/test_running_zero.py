@@ -13,7 +13,7 @@ from palpd.config import Config, Plan
 from palpd.control.inertial import InertialModel
 from palpd.control.loop import Explainer, Loop
 from palpd.control.running_zero import FREE_N, LEAST_S, ZERO_S, FreeAir, RunningZero
-from palpd.daemon.motion_process import Job, zero_of
+from palpd.daemon.motion_job import Job, zero_of
 from palpd.daemon.replay import replay
 from palpd.daemon.simulated_run import SimulatedRecording, run
 from palpd.recording.reader import Recording
@@ -200,7 +200,7 @@ def test_a_replay_builds_the_same_zero_bit_for_bit(palpated: dict[str, Simulated
 
 def test_a_rehearsal_leaves_the_zero_as_it_was(palpated: dict[str, SimulatedRecording], tmp_path: Path) -> None:
     from palpd.daemon.clock import SimClock
-    from palpd.daemon.motion_process import explainer_of, limits_of, sequence_of
+    from palpd.daemon.motion_job import explainer_of, limits_of, sequence_of
     from palpd.daemon.sim_cell import SimCell
     from palpd.daemon.simulated_run import RowList
 

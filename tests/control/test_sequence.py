@@ -10,7 +10,7 @@ from palpd.analysis import results
 from palpd.cell.cell_file import CellFile
 from palpd.config import Config, Plan
 from palpd.control.sequence import ArmGeometry, Palpation, Sequence
-from palpd.daemon.motion_process import Job, Kind
+from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.simulated_run import SimulatedRecording, run
 from palpd.tick import NO_FRAMES, ForceSensor, Mode, Phase, Request, SensorFrames, Trip
 from tests.scenes import contact, observation, robot

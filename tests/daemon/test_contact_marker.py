@@ -11,7 +11,7 @@ import pytest
 from palpd.config import Config, Plan, parse_config
 from palpd.control.probe_state import ContactMarker, ProbeIdentity, ProbeState
 from palpd.daemon.contact_marker import MarkedRun
-from palpd.daemon.motion_process import Kind
+from palpd.daemon.motion_job import Kind
 from palpd.daemon.session import calibrate, measured_job
 from palpd.daemon.stored_state import Calibration, State
 from palpd.daemon.supervisor import Report, header_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.law_demos import BEGIN, END, LawDemo, table, with_table
-from hw.emulators.controller import MODELS
+from hw.emulators.controller_state import MODELS
 from hw.emulators.rig import Rig
 from palpd.cell.cell_file import load_cell, nominal, save_cell
 from palpd.cell.effects import EFFECTS, load_effects

@@ -13,7 +13,7 @@ from palpd.cli.terminal import TerminalDisplay
 from palpd.config import Config, Plan
 from palpd.daemon.display import JobProgress, NoDisplay
 from palpd.daemon.job_progress import JobMeter
-from palpd.daemon.motion_process import Job, Kind
+from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.simulated_run import run as simulated
 from palpd.recording.ring import Ring
 from palpd.tick import ROW, Mode, Phase, Request

@@ -10,7 +10,8 @@ import pytest
 from palpd.config import Config, Plan
 from palpd.control.loop import Outcome
 from palpd.daemon import motion_process
-from palpd.daemon.motion_process import Devices, Job, explainer_of
+from palpd.daemon.devices import Devices
+from palpd.daemon.motion_job import Job, explainer_of
 from palpd.daemon.realtime import Granted
 from palpd.daemon.supervisor import JobRun
 from palpd.errors import Stopped

@@ -9,7 +9,8 @@ import pytest
 
 from palpd.config import Config, Plan
 from palpd.control.running_zero import RunningZero
-from palpd.daemon.motion_process import Job, Kind, RingWriter, explainer_of, rehearse_job
+from palpd.daemon.motion_job import Job, Kind, explainer_of
+from palpd.daemon.motion_process import RingWriter, rehearse_job
 from palpd.daemon.realtime import populate
 from palpd.recording.ring import Ring
 from palpd.tick import Request
@@ -18,7 +19,8 @@ IMPORTS = """
 import sys
 from palpd.config import Config, Plan
 from palpd.daemon import wiring
-from palpd.daemon.motion_process import Job, explainer_of, rehearse_job
+from palpd.daemon.motion_job import Job, explainer_of
+from palpd.daemon.motion_process import rehearse_job
 from palpd.daemon.simulated_run import RowList, run
 from palpd.cell.cell_file import nominal
 

@@ -9,7 +9,7 @@ import pytest
 
 from palpd.cell.cell_file import CellFile
 from palpd.config import Config, Plan
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.daemon.replay import replay, replay_samples
 from palpd.daemon.simulated_run import run
 from palpd.recording.reader import Recording

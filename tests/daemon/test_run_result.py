@@ -8,7 +8,7 @@ import pytest
 from palpd.analysis.results import dry_figures
 from palpd.cell.cell_file import PHANTOM, CellFile
 from palpd.config import Config, Plan, load_config, load_plan
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.daemon.run_result import simulated_result
 from palpd.daemon.simulated_run import run
 from palpd.history.course import SHOWN_POINTS

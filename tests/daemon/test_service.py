@@ -19,7 +19,7 @@ from palpd.config import Config, load_config, parse_config
 from palpd.control.probe_state import ProbeAnswer, ProbeState
 from palpd.daemon.control_socket import Later
 from palpd.daemon.install import UNITS, installed, unit_python
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.daemon.service import Service
 from palpd.daemon.socket_client import ask
 from palpd.daemon.stored_state import Calibration, Latch, State

@@ -8,7 +8,7 @@ from typing import get_args
 import pytest
 
 from palpd.control.probe_state import EVERYTHING, ProbeAnswer, ProbeState
-from palpd.daemon.motion_process import Kind
+from palpd.daemon.motion_job import Kind
 from palpd.daemon.what_now import ACTIONS, COMMANDS, GOES_UP, PAUSES, WORDS, Now, Standing, what_now
 from palpd.tick import Phase
 

@@ -16,7 +16,7 @@ from palpd.cell.simulation import simulate
 from palpd.cell.stages import WRENCH
 from palpd.cli import app
 from palpd.config import Config, Plan, PlanSite
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.daemon.simulated_run import run
 from palpd.errors import BadInput
 from palpd.gap import commands

@@ -134,7 +134,7 @@ def ambiguous(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of a cell whose gain or modulus is off: one standard plan does not tell which."""
     from palpd.cell.cell_file import nominal
     from palpd.config import Config
-    from palpd.daemon.motion_process import Job
+    from palpd.daemon.motion_job import Job
     from palpd.daemon.resolve import STANDARD
     from palpd.daemon.simulated_run import run
     from palpd.recording.reader import export

@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.simulated_recording import write_rows
 from palpd.config import Config, Plan
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.errors import BadInput, RecordingError
 from palpd.history import after_run
 from palpd.history.card import site_rows, tare_and_guard

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from palpd.web.application import PageSettings, build
+from palpd.web.application import build
+from palpd.web.page import PageSettings
 from palpd.web.sessions import Sessions
 from tests.web.fake_service import FakeService
 

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from palpd.web.application import PageSettings, build
+from palpd.web.application import build
+from palpd.web.page import PageSettings
 from palpd.web.sessions import Sessions
 from tests.history.conftest import simulated
 from tests.paths import ROOT

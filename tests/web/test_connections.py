@@ -17,8 +17,9 @@ import uvicorn
 from websockets.sync.client import connect
 
 from palpd.web import connections
-from palpd.web.application import PageSettings, build
+from palpd.web.application import build
 from palpd.web.connections import EntranceServer
+from palpd.web.page import PageSettings
 from palpd.web.sessions import Sessions
 from tests.web.conftest import TOKEN
 from tests.web.fake_service import FakeService

@@ -100,7 +100,8 @@ def test_requests_that_hang_do_not_hold_an_abort_back(browser: Browser, service:
 def test_the_plan_that_was_given_is_offered_as_text(browser: Browser, service: FakeService, tmp_path: Path) -> None:
     from starlette.testclient import TestClient
 
-    from palpd.web.application import PageSettings, build
+    from palpd.web.application import build
+    from palpd.web.page import PageSettings
     from palpd.web.sessions import Sessions
     from tests.web.conftest import TOKEN
 

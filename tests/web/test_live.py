@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from palpd.tick import Mode, Phase
-from palpd.web.application import Page, PageSettings
 from palpd.web.live import MOST_WAITING
+from palpd.web.page import Page, PageSettings
 from palpd.web.ticks import TickStream
 from tests.web.conftest import Browser
 from tests.web.fake_service import FakeService

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from palpd.web.application import PageSettings, build
+from palpd.web.application import build
+from palpd.web.page import PageSettings
 from palpd.web.sessions import Sessions
 from palpd.web.shell import PAGES, STATIC, TABS
 from tests.web.conftest import HERE, ORIGIN, TOKEN, Browser

@@ -7,7 +7,8 @@ import pytest
 import yaml
 from starlette.testclient import TestClient
 
-from palpd.web.application import PageSettings, build
+from palpd.web.application import build
+from palpd.web.page import PageSettings
 from palpd.web.sessions import Sessions
 from tests.paths import ROOT
 from tests.web.fake_resolve import ID, PLAN, PROPOSAL, FakeResolve

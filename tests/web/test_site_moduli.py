@@ -8,7 +8,7 @@ import pytest
 
 from palpd.cell.cell_file import PHANTOM
 from palpd.config import Config, Plan, PlanSite
-from palpd.daemon.motion_process import Job
+from palpd.daemon.motion_job import Job
 from palpd.daemon.run_result import simulated_result
 from palpd.daemon.simulated_run import SimulatedRecording, run
 from palpd.errors import RecordingError, Refused

@@ -5,7 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hw.emulators.controller import MODELS, UNLOCK_AFTER_S, Controller, Runtime, Safety
+from hw.emulators.controller import Controller
+from hw.emulators.controller_state import MODELS, Runtime, Safety
+from hw.emulators.dashboard import UNLOCK_AFTER_S
 from hw.emulators.pose import composed, inverse, rotation, rotation_vector
 
 START = np.array([0.0, 0.0, 0.03, np.pi, 0.0, 0.0])
@@ -45,25 +47,25 @@ class Bench:
     def do(self, *ints: int, doubles: tuple[float, ...] = ()) -> bool:
         """A regular command with its handshake, as the client does it; whether it was reported done."""
         self.write(*ints, doubles=doubles)
-        self.run(10.0, lambda: self.answer(0) != 2 and self.robot.runtime is Runtime.PLAYING)
+        self.run(10.0, lambda: self.answer(0) != 2 and self.robot.state.runtime is Runtime.PLAYING)
         done = self.answer(0) == 2
         self.write(0)
         self.cycle()
         return done
 
     def answer(self, register: int) -> int:
-        return int(self.robot.outputs[f"output_int_register_{self.offset + register}"][0])
+        return int(self.robot.state.outputs[f"output_int_register_{self.offset + register}"][0])
 
     def speed_l(self, speed: tuple[float, ...] = DOWN, acceleration: float = 0.5) -> None:
         self.write(10, doubles=(*speed, acceleration, 0.1))
 
     @property
     def vz(self) -> float:
-        return float(self.robot.speed[2])
+        return float(self.robot.state.speed[2])
 
     @property
     def z(self) -> float:
-        return float(self.robot.pose[2])
+        return float(self.robot.state.pose[2])
 
 
 @pytest.fixture(params=["ur5", "ur5e"])
@@ -96,11 +98,11 @@ def test_a_starved_watchdog_stops_the_program_and_the_motion_within_two_cycles_o
         bench.speed_l()
         bench.cycle()
     assert bench.vz == pytest.approx(-0.01)
-    took_s = bench.run(1.0, lambda: bool(bench.robot.speed.any()))
+    took_s = bench.run(1.0, lambda: bool(bench.robot.state.speed.any()))
     assert 1 / rate_Hz - bench.model.cycle_s <= took_s <= 1 / rate_Hz + 2 * bench.model.cycle_s + 0.002
     bench.cycle()
-    assert bench.robot.runtime is Runtime.STOPPED
-    assert bench.robot.stops[-1][1] == "watchdog"
+    assert bench.robot.state.runtime is Runtime.STOPPED
+    assert bench.robot.state.stops[-1][1] == "watchdog"
 
 
 def test_inputs_that_were_read_late_feed_the_watchdog_before_it_is_judged(bench: Bench) -> None:
@@ -110,7 +112,7 @@ def test_inputs_that_were_read_late_feed_the_watchdog_before_it_is_judged(bench:
     late_s = bench.t_s + 0.1  # the emulator's process stood still; now it reads what came, then makes up its cycles
     bench.robot.write({"input_int_register_0": (10,)}, late_s)
     bench.run(0.1)
-    assert bench.robot.runtime is Runtime.PLAYING
+    assert bench.robot.state.runtime is Runtime.PLAYING
 
 
 def test_a_package_without_the_command_register_does_not_feed_the_watchdog(bench: Bench) -> None:
@@ -118,7 +120,7 @@ def test_a_package_without_the_command_register_does_not_feed_the_watchdog(bench
     for _ in range(40):
         bench.robot.write({"input_double_register_0": (0.0,)}, bench.t_s)
         bench.cycle()
-        if bench.robot.runtime is not Runtime.PLAYING:
+        if bench.robot.state.runtime is not Runtime.PLAYING:
             break
     else:
         pytest.fail("the watchdog did not stop the program")
@@ -129,21 +131,21 @@ def test_a_new_program_has_no_watchdog(bench: Bench) -> None:
     bench.write(0)
     bench.upload()
     bench.run(1.0)
-    assert bench.robot.runtime is Runtime.PLAYING
+    assert bench.robot.state.runtime is Runtime.PLAYING
 
 
 def test_a_straight_move_ends_exactly_at_its_goal_after_the_time_of_its_trapezoid(bench: Bench) -> None:
     goal = (0.004, 0.0, 0.027, np.pi, 0.0, 0.0)
     begin_s = bench.t_s
     assert bench.do(3, 0, doubles=(*goal, 0.05, 1.25))
-    assert bench.robot.pose == pytest.approx(np.array(goal), abs=1e-12)
+    assert bench.robot.state.pose == pytest.approx(np.array(goal), abs=1e-12)
     assert bench.t_s - begin_s == pytest.approx(0.005 / 0.05 + 0.05 / 1.25, abs=5 * bench.model.cycle_s)
 
 
 def test_a_move_that_turns_ends_in_the_asked_orientation(bench: Bench) -> None:
     goal = composed(START, np.array([0.0, 0.0, 0.0, 0.02, -0.01, 0.03]))
     assert bench.do(3, 0, doubles=(*goal, 0.1, 0.5))
-    assert rotation(bench.robot.pose[3:]) == pytest.approx(rotation(goal[3:]), abs=1e-9)
+    assert rotation(bench.robot.state.pose[3:]) == pytest.approx(rotation(goal[3:]), abs=1e-9)
 
 
 def test_an_asynchronous_move_reports_progress_and_then_its_end(bench: Bench) -> None:
@@ -175,9 +177,9 @@ def test_an_asynchronous_stop_ends_an_asynchronous_move_and_the_program_stays(be
     bench.run(0.2)
     assert bench.do(33, 1, doubles=(2.0,))
     bench.run(0.1)
-    assert not bench.robot.speed.any()
+    assert not bench.robot.state.speed.any()
     assert bench.z < 0.05
-    assert bench.robot.runtime is Runtime.PLAYING
+    assert bench.robot.state.runtime is Runtime.PLAYING
 
 
 @pytest.mark.parametrize("command", [1, 3, 33, 34])
@@ -186,75 +188,75 @@ def test_a_move_or_stop_while_a_commanded_speed_lives_ends_the_program(bench: Be
     bench.run(0.1)
     assert not bench.do(command, 0, doubles=(*START, 0.05, 1.0))
     bench.run(0.1)
-    assert bench.robot.runtime is Runtime.STOPPED
-    assert not bench.robot.speed.any()
+    assert bench.robot.state.runtime is Runtime.STOPPED
+    assert not bench.robot.state.speed.any()
 
 
 def test_a_speed_stop_comes_to_rest_before_it_is_done_and_lets_moves_pass_again(bench: Bench) -> None:
     bench.speed_l()
     bench.run(0.1)
     assert bench.do(15, doubles=(0.5,))
-    assert not bench.robot.speed.any()
+    assert not bench.robot.state.speed.any()
     assert bench.do(3, 0, doubles=(*START, 0.05, 1.0))
 
 
 def test_a_move_that_is_not_emulated_ends_the_program_instead_of_pretending(bench: Bench) -> None:
     bench.write(45, 0)
     bench.run(0.1)
-    assert bench.robot.runtime is Runtime.STOPPED
-    assert "movePath" in bench.robot.stops[-1][1]
+    assert bench.robot.state.runtime is Runtime.STOPPED
+    assert "movePath" in bench.robot.state.stops[-1][1]
 
 
 def test_a_protective_stop_halts_pauses_and_is_not_unlocked_before_its_time(bench: Bench) -> None:
     bench.speed_l()
     bench.run(0.1)
-    bench.robot.protective_stop(bench.t_s)
+    bench.robot.state.protective_stop(bench.t_s)
     bench.run(0.05)
-    assert (bench.robot.safety, bench.robot.runtime) == (Safety.PROTECTIVE_STOP, Runtime.PAUSED)
-    assert not bench.robot.speed.any()
-    assert not bench.robot.unlock(bench.t_s)
-    assert not bench.robot.play()
+    assert (bench.robot.state.safety, bench.robot.state.runtime) == (Safety.PROTECTIVE_STOP, Runtime.PAUSED)
+    assert not bench.robot.state.speed.any()
+    assert not bench.robot.dashboard.unlock(bench.t_s)
+    assert not bench.robot.dashboard.play()
     bench.run(UNLOCK_AFTER_S)
-    assert bench.robot.unlock(bench.t_s)
+    assert bench.robot.dashboard.unlock(bench.t_s)
     bench.write(0)
     bench.upload()
     bench.run(0.2)
-    assert bench.robot.runtime is Runtime.PLAYING
+    assert bench.robot.state.runtime is Runtime.PLAYING
 
 
 def test_an_emergency_stop_ends_the_program_and_no_script_starts_until_the_brakes_are_released(bench: Bench) -> None:
-    bench.robot.emergency_stop(bench.t_s)
+    bench.robot.state.emergency_stop(bench.t_s)
     bench.upload()
     bench.run(0.3)
-    assert bench.robot.runtime is Runtime.STOPPED
-    bench.robot.release_brakes()
+    assert bench.robot.state.runtime is Runtime.STOPPED
+    bench.robot.dashboard.release_brakes()
     bench.upload()
     bench.run(0.3)
-    assert bench.robot.runtime is Runtime.PLAYING
+    assert bench.robot.state.runtime is Runtime.PLAYING
 
 
 def test_stop_script_ends_the_program_and_inputs_keep_their_values(bench: Bench) -> None:
     bench.write(255)
     bench.run(0.1)
-    assert bench.robot.runtime is Runtime.STOPPED
-    assert bench.robot.inputs["input_int_register_0"] == (255,)
+    assert bench.robot.state.runtime is Runtime.STOPPED
+    assert bench.robot.state.inputs["input_int_register_0"] == (255,)
 
 
 def test_a_script_for_the_upper_registers_uses_the_upper_registers() -> None:
     bench = Bench(offset=24)
     assert bench.do(40)
-    assert bench.robot.outputs["output_double_register_26"] == (pytest.approx(0.115),)
+    assert bench.robot.state.outputs["output_double_register_26"] == (pytest.approx(0.115),)
 
 
 def test_another_tcp_shows_the_same_tip_elsewhere_and_moves_take_it_into_account(bench: Bench) -> None:
     assert bench.do(29, doubles=(0.0, 0.0, 0.2, 0.0, 0.0, 0.0))
-    assert bench.robot.tcp_pose(bench.robot.pose)[2] == pytest.approx(0.03 - 0.085)
+    assert bench.robot.state.tcp_pose(bench.robot.state.pose)[2] == pytest.approx(0.03 - 0.085)
     assert bench.do(3, 0, doubles=(0.0, 0.0, -0.045, np.pi, 0.0, 0.0, 0.05, 1.0))
     assert bench.z == pytest.approx(0.04)
 
 
 def test_joints_follow_poses_there_and_back(bench: Bench) -> None:
-    arm, pose = bench.robot.arm, composed(START, np.array([0.01, -0.02, 0.005, 0.02, 0.0, -0.01]))
+    arm, pose = bench.robot.state.arm, composed(START, np.array([0.01, -0.02, 0.005, 0.02, 0.0, -0.01]))
     assert arm.pose(arm.joints(pose))[:3] == pytest.approx(pose[:3], abs=1e-12)
     assert rotation(arm.pose(arm.joints(pose))[3:]) == pytest.approx(rotation(pose[3:]), abs=1e-9)
     speed = np.array([0.01, 0.02, -0.03, 0.1, 0.0, 0.0])

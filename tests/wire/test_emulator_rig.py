@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import serial
 
-from hw.emulators.controller import MODELS, Runtime
+from hw.emulators.controller_state import MODELS, Runtime
 from hw.emulators.hex_pty import UNZEROED
 from hw.emulators.rig import Rig
 from hw.emulators.verbs import VERBS, obey
@@ -34,7 +34,7 @@ class Bench:
     def begin_program(self) -> None:
         self.rig.controller.upload(SCRIPT, self.t_s)
         self.run(0.3)
-        assert self.rig.controller.runtime is Runtime.PLAYING
+        assert self.rig.controller.state.runtime is Runtime.PLAYING
 
     def run(self, duration_s: float) -> None:
         for _ in range(round(duration_s * 1000)):
@@ -47,7 +47,7 @@ class Bench:
 
     def go(self, z_m: float, speed_m_per_s: float = 0.02) -> None:
         """To that height and to rest."""
-        way_m = z_m - float(self.rig.controller.pose[2])
+        way_m = z_m - float(self.rig.controller.state.pose[2])
         self.speed(np.copysign(speed_m_per_s, way_m))
         self.run(abs(way_m) / speed_m_per_s)
         self.speed(0.0)
@@ -95,7 +95,7 @@ def test_a_hanging_probe_pulls_and_a_pressed_one_pushes(link: Path, model: str) 
 def test_the_start_is_30_mm_above_the_true_surface_of_the_first_site(link: Path) -> None:
     sites = [{"name": "A", "x_m": 0.1, "y_m": -0.2, "tissue": {"surface_z_m": 0.05}, "effects": {"tissue.surface": {"offset_m": 0.001}}}]
     rig = Bench(link, sites=sites).rig
-    assert rig.controller.pose == pytest.approx([0.1, -0.2, 0.081, np.pi, 0.0, 0.0])
+    assert rig.controller.state.pose == pytest.approx([0.1, -0.2, 0.081, np.pi, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(("mount_rad", "expected"), [(0.0, (1, 0)), (np.pi / 2, (0, -1)), (np.pi, (-1, 0))])
@@ -166,7 +166,7 @@ def test_the_tip_follows_the_target_with_the_servos_lag(link: Path, model: str) 
     bench = Bench(link, model)
     bench.speed(-0.01)
     bench.run(0.6)
-    lag_m = bench.rig.tip[0] - float(bench.rig.controller.pose[2])
+    lag_m = bench.rig.tip[0] - float(bench.rig.controller.state.pose[2])
     assert lag_m == pytest.approx(0.01 * 2 / (2 * np.pi * 8.0), rel=0.01)
 
 
@@ -175,7 +175,7 @@ def test_the_log_tells_when_the_target_came_to_rest(link: Path) -> None:
     bench.speed(0.01)
     bench.run(0.2)
     stopped_s = bench.t_s
-    bench.rig.controller.stop_program(stopped_s, "test")
+    bench.rig.controller.state.stop_program(stopped_s, "test")
     bench.run(0.1)
     moving = [sample.t_s for sample in bench.rig.samples if sample.speed_m_per_s > 0.0]
     assert 0.0 <= moving[-1] - stopped_s <= 2 * 0.008
@@ -231,12 +231,15 @@ def test_every_verb_stands_in_the_document() -> None:
         ({"do": "drift", "N_per_s": 1.0}, lambda rig: rig.daq.faults.drift_N_per_s == 1.0),
         ({"do": "unplug"}, lambda rig: not rig.line.plugged),
         ({"do": "refuse_version"}, lambda rig: rig.wires.refuse_version),
-        ({"do": "emergency_stop"}, lambda rig: rig.controller.safety == 7),
-        ({"do": "protective_stop"}, lambda rig: rig.controller.safety == 3),
-        ({"do": "power_off"}, lambda rig: rig.controller.power == 3),
-        ({"do": "program_stop"}, lambda rig: rig.controller.program is None),
-        ({"do": "other_program", "s": 5.0}, lambda rig: rig.controller.program is not None and not rig.controller.program.commands),
-        ({"do": "local_control"}, lambda rig: not rig.controller.remote_control),
+        ({"do": "emergency_stop"}, lambda rig: rig.controller.state.safety == 7),
+        ({"do": "protective_stop"}, lambda rig: rig.controller.state.safety == 3),
+        ({"do": "power_off"}, lambda rig: rig.controller.state.power == 3),
+        ({"do": "program_stop"}, lambda rig: rig.controller.state.program is None),
+        (
+            {"do": "other_program", "s": 5.0},
+            lambda rig: rig.controller.state.program is not None and not rig.controller.state.program.commands,
+        ),
+        ({"do": "local_control"}, lambda rig: not rig.controller.state.remote_control),
         ({"do": "wall", "z_m": 0.01, "stiffness_N_per_m": 1e3}, lambda rig: rig.surface_m(0.0, 0.0) == 0.01),
     ],
 )
@@ -252,15 +255,15 @@ def test_a_fault_on_arming_comes_when_the_program_has_set_its_watchdog_and_once(
     rig, set_watchdog = bench.rig, {"input_int_register_0": (35,), "input_double_register_0": (10.0,)}
     obey(rig, {"do": "on_arming", "then": {"do": "local_control"}, "delay_s": 0.05}, bench.t_s, [0.0])
     bench.run(0.1)
-    assert rig.controller.remote_control
+    assert rig.controller.state.remote_control
     rig.controller.write(set_watchdog, bench.t_s)
     bench.run(0.03)
-    assert rig.controller.remote_control
+    assert rig.controller.state.remote_control
     bench.run(0.06)
-    assert not rig.controller.remote_control
-    rig.controller.remote_control = True
+    assert not rig.controller.state.remote_control
+    rig.controller.state.remote_control = True
     bench.run(0.2)
-    assert rig.controller.remote_control
+    assert rig.controller.state.remote_control
     with pytest.raises(ValueError, match="there is no verb 'nonsense'"):
         obey(rig, {"do": "on_arming", "then": {"do": "nonsense"}}, bench.t_s, [0.0])
 
@@ -277,7 +280,7 @@ def test_a_deaf_controller_still_sends_its_states_and_trips_the_watchdog(link: P
         client.setblocking(False)
         with pytest.raises(BlockingIOError):
             client.recv(100)
-        assert rig.controller.stops[-1][1] == "watchdog"
+        assert rig.controller.state.stops[-1][1] == "watchdog"
         bench.run(0.1)
         assert client.recv(100) == struct.pack(">HcB", 4, b"V", 1)
 
@@ -287,13 +290,13 @@ def test_another_clients_program_plays_for_its_time_and_answers_no_command(link:
     rig = bench.rig
     obey(rig, {"do": "other_program", "s": 1.0}, bench.t_s, [0.0])
     bench.run(0.5)
-    before = dict(rig.controller.outputs)
+    before = dict(rig.controller.state.outputs)
     rig.controller.write({"input_int_register_0": (35,)}, bench.t_s)
     bench.run(0.3)
-    assert rig.controller.runtime is Runtime.PLAYING
-    assert rig.controller.outputs == before
+    assert rig.controller.state.runtime is Runtime.PLAYING
+    assert rig.controller.state.outputs == before
     bench.run(0.5)
-    assert rig.controller.runtime is Runtime.STOPPED
+    assert rig.controller.state.runtime is Runtime.STOPPED
 
 
 def test_in_local_control_scripts_and_the_dashboards_commands_are_ignored(link: Path) -> None:
@@ -302,15 +305,15 @@ def test_in_local_control_scripts_and_the_dashboards_commands_are_ignored(link: 
     obey(rig, {"do": "local_control"}, bench.t_s, [0.0])
     rig.controller.upload("def other():\n  sleep(1)\nend\n", bench.t_s)
     bench.run(0.3)
-    assert rig.controller.program is not None
-    assert rig.controller.program.commands
+    assert rig.controller.state.program is not None
+    assert rig.controller.state.program.commands
     with socket.create_connection((bench.host, 29999)) as client:
         client.sendall(b"is in remote control\nstop\n")
         bench.run(0.05)
         _, remote, stop = client.recv(1000).decode().splitlines()
     assert remote == "false"
     assert stop.startswith("Command is not allowed")
-    assert rig.controller.runtime is Runtime.PLAYING
+    assert rig.controller.state.runtime is Runtime.PLAYING
 
 
 def test_the_counter_leaps_when_told_and_goes_on_where_the_process_did_not(link: Path) -> None:
@@ -329,6 +332,6 @@ def test_a_process_that_stood_still_right_after_it_had_read_counts_that_time_as_
     rig.skip(500)
     bench.t_s += 0.5
     bench.run(0.05)
-    assert rig.controller.runtime is Runtime.PLAYING
+    assert rig.controller.state.runtime is Runtime.PLAYING
     bench.run(0.1)
-    assert rig.controller.stops[-1][1] == "watchdog"
+    assert rig.controller.state.stops[-1][1] == "watchdog"

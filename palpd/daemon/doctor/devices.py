@@ -11,8 +11,8 @@ from palpd.config import Config
 from palpd.control.probe_state import ProbeAnswer, ProbeRecord, ProbeState, probe_state
 from palpd.control.safety import TILT_RAD
 from palpd.control.tare import DRIFT_N, STABLE_RMS_N, tilt_rad
+from palpd.daemon.devices import drain
 from palpd.daemon.finding import Finding
-from palpd.daemon.motion_process import drain
 from palpd.daemon.probe_record import evidence_of
 from palpd.daemon.realtime import LOOP_PRIORITY, fifo
 from palpd.tick import Floats, ForceSensor, Robot, RobotMode, RobotState, SafetyMode, SensorDriver, StateReader

@@ -1,0 +1,124 @@
+"""The dashboard of a UR controller: what it answers, and what an operator does there."""
+
+from hw.emulators.controller_state import PROGRAM_STOP_M_PER_S2, ControllerState, Power, Runtime, Safety
+
+UNLOCK_AFTER_S = 5.0
+"""Age of a protective stop before which it cannot be unlocked."""
+_UNLOCK_TOO_EARLY = "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
+_FIXED_ANSWERS = {
+    "close safety popup": "closing safety popup",
+    "close popup": "closing popup",
+    "get loaded program": "Loaded program: /programs/rtde_control.urp",
+    "isprogramsaved": "true null",
+}
+"""Answers of the dashboard that do not depend on the controller's state."""
+_COMMANDS = {"play", "stop", "pause", "unlock protective stop", "power on", "power off", "brake release", "restart safety"}
+"""What the dashboard carries out in remote control only."""
+
+
+class Dashboard:
+    """The dashboard server, without its socket."""
+
+    def __init__(self, state: ControllerState) -> None:
+        self._state = state
+
+    def answer(self, asked: str, now_s: float) -> str:
+        """Answer a command or a question; exact texts as the real server sends them."""
+        line = asked.lower()
+        if not self._state.remote_control and line in _COMMANDS:
+            return "Command is not allowed due to safety reasons, please switch robot to Remote Control mode and reconnect to port 29999"
+        answer = self._obey(line, now_s) or self._report(line) or _FIXED_ANSWERS.get(line)
+        return answer or f'could not understand: "{asked}"'
+
+    def _obey(self, command: str, now_s: float) -> str | None:
+        """Carry out a command; None if it is none."""
+        match command:
+            case "play":
+                return "Starting program" if self.play() else "Failed to execute: play"
+            case "stop":
+                self._state.stop_program(now_s, "stopped at the dashboard")
+                return "Stopped"
+            case "pause":
+                return "Pausing program" if self.pause() else "Failed to execute: pause"
+            case "unlock protective stop":
+                return "Protective stop releasing" if self.unlock(now_s) else _UNLOCK_TOO_EARLY
+            case "power on":
+                self.power_on()
+                return "Powering on"
+            case "power off":
+                self.power_off(now_s)
+                return "Powering off"
+            case "brake release":
+                self.release_brakes()
+                return "Brake releasing"
+            case "restart safety":
+                self._state.safety = Safety.NORMAL
+                return "Restarting safety"
+            case _:
+                return None
+
+    def _report(self, question: str) -> str | None:
+        """Report the controller's state; None if nothing of it is asked."""
+        state = self._state
+        playing = state.runtime is Runtime.PLAYING
+        match question:
+            case "running":
+                return f"Program running: {str(playing).lower()}"
+            case "robotmode":
+                return f"Robotmode: {state.power.name}"
+            case "safetymode":
+                return f"Safetymode: {state.safety.name}"
+            case "safetystatus":
+                return f"Safetystatus: {state.safety.name}"
+            case "programstate":
+                shown = "PLAYING" if playing else "PAUSED" if state.runtime is Runtime.PAUSED else "STOPPED"
+                return f"{shown} rtde_control.urp"
+            case "polyscopeversion":
+                return state.model.polyscope
+            case "get serial number" if state.model.e_series:
+                return state.model.serial_number
+            case "get robot model" if state.model.e_series:
+                return "UR5"
+            case "is in remote control" if state.model.e_series:
+                return str(state.remote_control).lower()
+            case _:
+                return None
+
+    def play(self) -> bool:
+        """Resume a paused program. Returns False where none is paused."""
+        if self._state.runtime is not Runtime.PAUSED or self._state.safety is not Safety.NORMAL or self._state.program is None:
+            return False
+        self._state.runtime = Runtime.PLAYING
+        return True
+
+    def pause(self) -> bool:
+        """Pause a running program. Returns False where none runs."""
+        if self._state.runtime is not Runtime.PLAYING:
+            return False
+        self._state.runtime = Runtime.PAUSED
+        self._state.halt(PROGRAM_STOP_M_PER_S2)
+        return True
+
+    def unlock(self, now_s: float) -> bool:
+        """Release a protective stop. Returns False while it is younger than `UNLOCK_AFTER_S`."""
+        if self._state.safety is Safety.PROTECTIVE_STOP:
+            if now_s - self._state.stopped_s < UNLOCK_AFTER_S:
+                return False
+            self._state.safety = Safety.NORMAL
+        return True
+
+    def power_off(self, now_s: float) -> None:
+        """End the program and cut the power."""
+        self._state.stop_program(now_s, "power off")
+        self._state.power = Power.POWER_OFF
+
+    def power_on(self) -> None:
+        """Switch the power on, brakes still on; this also releases an emergency stop."""
+        self._state.safety = Safety.NORMAL
+        if self._state.power is Power.POWER_OFF:
+            self._state.power = Power.IDLE
+
+    def release_brakes(self) -> None:
+        """Switch the power on and release the brakes."""
+        self.power_on()
+        self._state.power = Power.RUNNING
