@@ -205,8 +205,8 @@ def test_code_that_a_page_shows_is_the_example(page: Path) -> None:
 
 def test_the_readers_example_reads_lines_of_json_and_refuses_others_in_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     example = runpy.run_path(str(DOCS / "examples" / "my_reader.py"))["READER"]
-    ours, failures = registry._readers()
-    monkeypatch.setattr(registry, "_readers", lambda: ({"lines": example} | ours, failures))
+    ours, failures = registry.readers()
+    monkeypatch.setattr(registry, "readers", lambda: ({"lines": example} | ours, failures))
     file = tmp_path / "log.jsonl"
     file.write_text("\n".join(f'{{"t_s": {k / 100}, "force_N": {k % 50 / 10}, "height_m": {-k % 50 / 1e4}}}' for k in range(200)))
     options = ImportOptions(force_column="force_N", height_column="height_m", time_columns=("t_s",))

@@ -42,4 +42,5 @@ def test_a_computer_that_stands_still_is_told_from_its_devices(cell: Callable[..
     assert "; this computer stood still for 1" in daemon.report["reason"], daemon.report["reason"]
     stalls = daemon.report["loop"]["stalls"]
     assert stalls["computer"] >= 1
-    assert stalls["sensor"] == stalls["robot"] == 0
+    # on a busy computer the emulators, too, may be late by tens of milliseconds; the stop of the run's own processes is none of theirs
+    assert max(stalls["sensor_longest_s"], stalls["robot_longest_s"]) < 0.5 * STALL_S
