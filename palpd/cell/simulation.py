@@ -181,28 +181,6 @@ def _span(c: Constants, m: TipMotion) -> Span:
     return Span(c, m.t_s, dt_s, m.z_m, m.vz_m_per_s, m.az_m_per_s2, m.z_noise_m, m.az_noise_m_per_s2, even_s=m.even_s)
 
 
-def predict_wrench(
-    cell: CellFile,
-    t_s: Floats,
-    z_m: Floats,
-    vz_m_per_s: Floats | None = None,
-    library: Library = EFFECTS,
-    site: str | None = None,
-) -> Floats:
-    """Mean wrench during a motion that the robot reported.
-
-    Args:
-        t_s: Times (n,) in s.
-        z_m: Reported heights (n,) in m.
-        vz_m_per_s: Reported speeds (n,), or None to take them from the heights.
-        site: Name of a site of the cell, or None for the cell's own tissue.
-
-    Returns:
-        Wrenches (n, 6) in N and Nm.
-    """
-    return wrench_of(cell, estimate_tip_motion(cell, t_s, z_m, vz_m_per_s), library, site)
-
-
 def simulate(
     cell: CellFile,
     t_s: Floats,
