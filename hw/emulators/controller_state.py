@@ -195,9 +195,7 @@ class ControllerState:
         Returns:
             Pose (6,) of the true tip.
         """
-        if np.array_equal(self.tcp, self.tcp_true):
-            return np.array(tcp_pose)
-        return composed(composed(tcp_pose, inverse(self.tcp)), self.tcp_true)
+        return _of_other_point(tcp_pose, self.tcp, self.tcp_true)
 
     def tcp_pose(self, tip_pose: Floats) -> Floats:
         """Convert a pose of the true tip to one of the active TCP.
@@ -208,6 +206,9 @@ class ControllerState:
         Returns:
             Pose (6,) of the active TCP.
         """
-        if np.array_equal(self.tcp, self.tcp_true):
-            return tip_pose
-        return composed(composed(tip_pose, inverse(self.tcp_true)), self.tcp)
+        return _of_other_point(tip_pose, self.tcp_true, self.tcp)
+
+
+def _of_other_point(pose: Floats, point: Floats, other: Floats) -> Floats:
+    """From the pose (6,) of one point of the tool that of another; both points (6,) count from the flange."""
+    return pose if np.array_equal(point, other) else composed(composed(pose, inverse(point)), other)
