@@ -72,9 +72,8 @@ def compared_modulus(problem: Problem, stated: Linearisation, site: str | None) 
     deviation = float(covariance[number] @ columns.against(dict(enumerate(residual))))
     tolerance = float(problem.shared_sd[number])
     sigma = tolerance * float(np.sqrt(max(covariance[number, number], 0.0)))
-    known = problem.cell.estimated
     ratio = problem.cell.effects.get(MODULUS.id, {}).get("ratio", 1.0)
-    compared_Pa = tissue.youngs_modulus_Pa * ratio * (1.0 if known is None else 1.0 + known.youngs_modulus)
+    compared_Pa = tissue.youngs_modulus_Pa * ratio
     measured_Pa = compared_Pa * (1.0 + tolerance * deviation)
     half_Pa = NORMAL_95 * sigma * compared_Pa
     far = abs(tolerance * deviation) > FAR_SIGMAS * float(np.hypot(tolerance, sigma))
