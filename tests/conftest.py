@@ -1,7 +1,7 @@
 """A busy machine is no defect: examples may take as long as they take. Commands take signals also where the tests run in the background.
 
-No command that a test runs looks into the library of the user who runs the tests, nor is any as narrow as the terminal of the runner:
-readline states that terminal's size in COLUMNS, which the processes of pytest-xdist inherit and a cached console would keep.
+No command that a test runs reads the effects that the user has adopted. None takes its width from the terminal of the tests: readline
+writes that width into COLUMNS, the processes of pytest-xdist inherit it, and a cached console keeps it.
 """
 
 import os
