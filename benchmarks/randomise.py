@@ -26,7 +26,8 @@ from palpd.blind.score import wilson
 from palpd.blind.truth import CannotDraw, CaseSpec, Truth
 from palpd.cell.cell_file import CellFile, OpenHypothesis, load_cell
 from palpd.cell.draws import drawn_cells, spread
-from palpd.files import read_json, read_text, write_text
+from palpd.documents import read_json
+from palpd.files import read_text, write_text
 from palpd.gap.commands import diagnose_files, simulate_columns
 from palpd.recording.samples import Samples, read
 from palpd.tick import Floats

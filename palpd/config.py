@@ -12,9 +12,9 @@ from pydantic_settings import BaseSettings, EnvSettingsSource
 
 from palpd.cell.cell_file import HINTS, CellFile, Version, nominal
 from palpd.cell.effects.drivers import StrictBlock
+from palpd.documents import NAME_PATTERN, Document, faults, nearest, parse_yaml, read_yaml, refusal
 from palpd.errors import ConfigError
 from palpd.file_versions import Kind, refuse_renamed
-from palpd.files import NAME_PATTERN, Document, faults, nearest, parse_yaml, read_yaml, refusal
 from palpd.tick import Option
 
 Model = TypeVar("Model", bound=StrictBlock)

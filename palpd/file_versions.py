@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Literal
 
+from palpd.documents import Document, Location
 from palpd.errors import ConfigError
-from palpd.files import Document, Location
 
 Kind = Literal["config", "cell", "plan"]
 

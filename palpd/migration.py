@@ -11,9 +11,10 @@ from pydantic import TypeAdapter, ValidationError
 from palpd.cell.cell_file import HINTS, CellFile
 from palpd.cell.effects.drivers import StrictBlock
 from palpd.config import Config, Plan
+from palpd.documents import Document, Location, model_in, parse_yaml, refusal
 from palpd.errors import ConfigError
 from palpd.file_versions import NEWEST_FILE, Kind, renamed_keys
-from palpd.files import Document, Location, check_resumed, model_in, parse_yaml, read_text, refusal, write_text
+from palpd.files import check_resumed, read_text, write_text
 
 MODELS: dict[Kind, type[StrictBlock]] = {"config": Config, "cell": CellFile, "plan": Plan}
 

@@ -12,8 +12,8 @@ from palpd.analysis.results import analysed_sites, sites
 from palpd.cell.cell_file import load_cell, save_cell
 from palpd.cell.effects import EFFECTS
 from palpd.config import Config, load_config, load_plan, parse_config
+from palpd.documents import read_yaml
 from palpd.errors import BadInput, ConfigError, RecordingError
-from palpd.files import read_yaml
 from palpd.migration import MODELS, migration_of, write
 from palpd.recording import cdr, topics
 from palpd.recording.mcap_file import HEADER, Contents, RecordingWriter

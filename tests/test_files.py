@@ -12,22 +12,9 @@ from typing import IO, Any
 
 import pytest
 
+from palpd.documents import parse_json, parse_yaml, read_json, read_yaml  # fmt: skip
 from palpd.errors import BadInput, ConfigError, RecordingError
-from palpd.files import (
-    MOST_YAML_BYTES,
-    check_folder,
-    check_writable,
-    opened_text,
-    parse_json,
-    parse_yaml,
-    read_json,
-    read_text,
-    read_yaml,
-    write_json,
-    write_text,
-    writing,
-    writing_text,
-)  # fmt: skip
+from palpd.files import MOST_YAML_BYTES, check_folder, check_writable, opened_text, read_text, write_json, write_text, writing, writing_text
 
 MOTION = "t_s,z_cmd_m\n0,1\n"
 """A table that palpd knows as its own."""

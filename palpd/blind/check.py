@@ -24,8 +24,9 @@ from palpd.blind.score import CaseOutcome, ScoreRow, score_case, tables_by_sourc
 from palpd.blind.sources import Hosts, draw
 from palpd.blind.truth import CaseSpec, SealedCase, Source
 from palpd.cell.cell_file import cell_from
+from palpd.documents import parse_json
 from palpd.errors import BadInput
-from palpd.files import parse_json, read_text, write_text
+from palpd.files import read_text, write_text
 from palpd.gap.calibration import ProbabilityMap, stored_map
 from palpd.recording.samples import Samples, write_csv
 from palpd.workers import beside, pool

@@ -28,9 +28,10 @@ from palpd.blind.score import (
     wilson,
 )
 from palpd.blind.truth import SOURCES
+from palpd.documents import read_json
 from palpd.errors import BadInput
 from palpd.file_kinds import PAGE_MARK
-from palpd.files import read_json, write_text
+from palpd.files import write_text
 
 INTRODUCTION = """\
 How often the diagnosis is right on cells whose truth it cannot see. `palpd blind` makes the cells, seals their truth, diagnoses

@@ -29,8 +29,8 @@ from palpd.blind.laws import INDISTINGUISHABLE, LIBRARY_LAWS, Floats, Planted, S
 from palpd.blind.recorded_cells import RecordedMotion, cell_of
 from palpd.blind.simulated_run import rows
 from palpd.blind.truth import CannotDraw, CaseKind, CaseSpec, NearestLaw, SealedCase, TrueChange, Truth
+from palpd.documents import read_yaml
 from palpd.errors import BadInput
-from palpd.files import read_yaml
 from palpd.recording.samples import Samples, read_csv
 
 HOSTS_TRIED = 3

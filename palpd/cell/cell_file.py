@@ -12,9 +12,10 @@ from pydantic import AfterValidator, BeforeValidator, Field, StrictFloat, Strict
 from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.effects.drivers import StrictBlock
 from palpd.cell.effects.learned import LearnedEffect, in_yaml
+from palpd.documents import Document, nearest, read_yaml, refusal
 from palpd.errors import ConfigError
 from palpd.file_versions import NEWEST_FILE, newer, refuse_renamed
-from palpd.files import Document, nearest, read_yaml, refusal, write_yaml
+from palpd.files import write_yaml
 
 T = TypeVar("T", bound="StrictBlock")
 

@@ -303,7 +303,7 @@ def _answers(request: "ControlRequest", config: Path, socket: Path | None) -> "I
 
 def _stated_socket(config: Path) -> Path | None:
     """The control socket that config.yaml and the environment state; None where the paths are wrong. Raises ConfigError."""
-    from palpd.files import read_yaml
+    from palpd.documents import read_yaml
 
     paths = read_yaml(config).keys_and_values().get("paths", {})
     return _socket_in({**paths, **_paths_of_environment()}, config.resolve().parent) if isinstance(paths, dict) else None
@@ -322,7 +322,7 @@ def _paths_of_environment() -> dict[str, Any]:
     variables = {name.upper(): value for name, value in os.environ.items() if name.upper().startswith("PALPD_PATHS")}
     if not variables:
         return {}
-    from palpd.files import parse_yaml
+    from palpd.documents import parse_yaml
 
     block = parse_yaml(variables.get("PALPD_PATHS", "{}"), "environment variable PALPD_PATHS").keys_and_values()
     texts = {key: variables.get(f"PALPD_PATHS__{key.upper()}") for key in ("socket", "state")}

@@ -191,7 +191,7 @@ def resolve(
     from palpd.daemon.session import ForegroundHost, kept_in
     from palpd.daemon.stored_state import State
     from palpd.daemon.wiring import devices
-    from palpd.files import read_yaml
+    from palpd.documents import read_yaml
     from palpd.gap.commands import adopted_sentence, library
 
     say_broken_effects()

@@ -120,8 +120,8 @@ def start(
 ) -> None:
     """Start a plan on an armed daemon."""
     from palpd.config import load_plan, parse_plan
+    from palpd.documents import parse_yaml
     from palpd.errors import BadInput
-    from palpd.files import parse_yaml
 
     if (plan is None) == (kept is None):
         raise BadInput("a start needs one plan; give a plan.yaml, or --kept NAME")

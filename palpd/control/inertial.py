@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from palpd.documents import read_json
 from palpd.errors import ModelRefused
-from palpd.files import opened, read_json
+from palpd.files import opened
 from palpd.tick import Floats, RobotState
 
 SCHEMA = "palpd.inertial/1"

@@ -14,8 +14,8 @@ from palpd.cell.effects.drivers import StrictBlock
 from palpd.config import Plan, parse_plan
 from palpd.daemon.program_host import ProgramHost
 from palpd.daemon.stored_state import State
+from palpd.documents import Document, nearest, refusal
 from palpd.errors import BadInput, PalpdError
-from palpd.files import Document, nearest, refusal
 
 Length = Annotated[StrictFloat, Field(ge=0.005, le=0.5)]
 Depth = Annotated[StrictFloat, Field(ge=0.0002, le=0.02)]

@@ -11,9 +11,10 @@ from palpd.control.inertial import InertialModel
 from palpd.control.sequence import SOFT_END
 from palpd.daemon.overshoot import refuse_overload
 from palpd.daemon.wiring import robot_kind, sensor_kind
+from palpd.documents import parse_yaml
 from palpd.errors import BadInput, ConfigError
 from palpd.file_kinds import YAML
-from palpd.files import check_folder, check_writable, parse_yaml, shipped, write_yaml
+from palpd.files import check_folder, check_writable, shipped, write_yaml
 
 HARDEST_PA = 143_200.0
 """Modulus that depths and limit are fitted to: the hardest site of the paper's phantom."""

@@ -10,8 +10,9 @@ from pydantic import TypeAdapter, ValidationError
 
 from palpd.control.plan_place import PlanPlace
 from palpd.control.probe_state import ContactMarker, LevelTested, ProbeIdentity
+from palpd.documents import read_json
 from palpd.errors import BadInput, ConfigError, Refused
-from palpd.files import read_json, write_json
+from palpd.files import write_json
 
 MOST_BYTES = 100_000
 """Largest file of state; each holds a few numbers and a sentence."""

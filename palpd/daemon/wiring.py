@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 from hw.muted import MutedRobot
 from palpd.config import Config
 from palpd.daemon.devices import Devices
+from palpd.documents import nearest
 from palpd.errors import ConfigError
-from palpd.files import nearest
 from palpd.plugins import Plugin, plugins
 from palpd.recording.mcap_file import RunAbout
 from palpd.tick import Robot, RobotKind, SensorDriver, SensorKind, StateReader

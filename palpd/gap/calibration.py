@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 
-from palpd.files import parse_json
+from palpd.documents import parse_json
 from palpd.gap.infer.posterior import P_NONE, P_UNKNOWN
 from palpd.gap.verdict import P_NONE_TO_ACQUIT, DiagnosisVerdict
 

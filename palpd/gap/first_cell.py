@@ -11,8 +11,8 @@ from palpd.cell.cell_file import cell_from
 from palpd.cell.dynamics import servo_heights, steps
 from palpd.cell.plausible import ask, doubts
 from palpd.cell.report_times import find_reports
+from palpd.documents import parse_yaml
 from palpd.errors import BadInput, RecordingError
-from palpd.files import parse_yaml
 from palpd.gap.data.recorded_noise import with_recorded_noise
 from palpd.recording.oddities import CLEAR_NOISES, dead, measured_rms, questions_of, refuse_repeated, refuse_turned, swing_N
 from palpd.recording.samples import Samples

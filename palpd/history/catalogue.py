@@ -16,8 +16,8 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeVar
 
+from palpd.documents import read_json
 from palpd.errors import BadInput, PalpdError, Refused
-from palpd.files import read_json
 from palpd.history.facts import RunFacts, load
 from palpd.history.remarks import remarks_of
 from palpd.history.stored import DIAGNOSIS, StoredRecording, stored_recordings

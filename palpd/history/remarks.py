@@ -13,8 +13,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from palpd.documents import Document, read_json, refusal
 from palpd.errors import BadInput
-from palpd.files import Document, read_json, refusal, write_json
+from palpd.files import write_json
 from palpd.history.stored import RECORDING, REMARKS, beside
 
 TAG = re.compile(r"[^\W_][\w.+-]{0,39}")

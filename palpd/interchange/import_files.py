@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from palpd.cell.plausible import ask
+from palpd.documents import nearest
 from palpd.errors import BadInput, RecordingError
-from palpd.files import nearest
 from palpd.interchange.alignment import Axis, TipPath, Wrench, continuous, overlap, refuse_turn, rotated, tared, turned
 from palpd.interchange.channels import Channel, ChannelData, FileReader, Kind, listing
 from palpd.interchange.registry import reader_of

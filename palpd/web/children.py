@@ -18,8 +18,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
+from palpd.documents import read_json
 from palpd.errors import BadInput, PalpdError, Refused
-from palpd.files import read_json
 from palpd.workers import beside
 
 NICENESS = 15

@@ -74,7 +74,8 @@ def routes(page: Page) -> list[BaseRoute]:
         path = page.settings.plan
         if path is None:
             return JSONResponse({"ok": True, "name": None})
-        from palpd.files import parse_yaml, read_text
+        from palpd.documents import parse_yaml
+        from palpd.files import read_text
 
         try:
             text = read_text(path)
@@ -92,7 +93,7 @@ def routes(page: Page) -> list[BaseRoute]:
 
 async def _read_plan(what: str, content: dict[str, Any]) -> None:
     """Turn the text of a plan file into keys and values, as `palpd start` does. Raises ConfigError."""
-    from palpd.files import parse_yaml  # imported here: yaml takes 3 MB, and most requests are no plan
+    from palpd.documents import parse_yaml  # imported here: yaml takes 3 MB, and most requests are no plan
 
     text = content.pop("text", None)
     if what in ("start", "keep-plan") and isinstance(text, str):

@@ -10,8 +10,8 @@ import yaml
 from palpd.cell.cell_file import PHANTOM, CellFile, Estimated, cell_from, load_cell, nominal, save_cell
 from palpd.cell.effects import load_effects
 from palpd.cell.simulation import equilibrium_force_N
+from palpd.documents import parse_yaml
 from palpd.errors import ConfigError
-from palpd.files import parse_yaml
 from tests.paths import EXAMPLE
 from tests.paths import SHARED_DATA as DATA
 

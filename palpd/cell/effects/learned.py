@@ -18,8 +18,9 @@ from pydantic import Field, StrictFloat, ValidationError, model_validator
 from palpd.cell.dynamics import Floats, Memory, Span, servo
 from palpd.cell.effects.drivers import FACTOR_WORDS, Driver, DriverState, FactorName, StrictBlock, driver_values, factor_values
 from palpd.cell.effects.effect import Effect, Parameter, Values
+from palpd.documents import read_yaml, refusal
 from palpd.errors import ConfigError
-from palpd.files import read_yaml, refusal, write_yaml
+from palpd.files import write_yaml
 
 ChannelName = Literal["z_m", "fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm"]
 
