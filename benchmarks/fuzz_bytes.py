@@ -78,7 +78,8 @@ def recordings(folder: Path) -> Target:
 
     from palpd.errors import PalpdError
     from palpd.recording.mcap_file import RecordingWriter
-    from palpd.recording.reader import Recording, recover
+    from palpd.recording.reader import Recording
+    from palpd.recording.recovery import recover
     from palpd.tick import ROW
 
     part, whole = folder / "some.part", folder / "some.mcap"

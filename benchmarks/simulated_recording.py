@@ -12,7 +12,8 @@ from palpd.daemon.motion_process import trip_report
 from palpd.daemon.sim_cell import FZ_OFFSET_N
 from palpd.daemon.simulated_run import run
 from palpd.daemon.supervisor import header_of
-from palpd.recording.mcap_file import RecordingFooter, RecordingWriter, RunAbout
+from palpd.recording.header import RecordingFooter, RunAbout
+from palpd.recording.mcap_file import RecordingWriter
 from palpd.recording.recorder import CHUNK_S
 
 BEGAN_S = 1.79e9

@@ -17,7 +17,8 @@ from palpd.errors import BadInput, ConfigError, RecordingError
 from palpd.migration import MODELS, migration_of, write
 from palpd.recording import cdr, topics
 from palpd.recording.mcap_file import HEADER, Contents, RecordingWriter
-from palpd.recording.reader import Recording, export, recover
+from palpd.recording.reader import Recording, export
+from palpd.recording.recovery import recover
 from palpd.recording.samples import COLUMNS, read
 from tests.paths import ROOT
 

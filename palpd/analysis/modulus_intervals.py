@@ -15,7 +15,7 @@ from palpd.cell.cell_file import nominal
 from palpd.control.slopes import GRAVITY_N_PER_KG
 from palpd.control.surface import FEWEST_SAMPLES, correlation_time, surface_from_approach
 from palpd.errors import RecordingError
-from palpd.recording.mcap_file import RecordingHeader
+from palpd.recording.header import RecordingHeader
 from palpd.tick import Floats
 
 NORMAL_95 = 1.959964

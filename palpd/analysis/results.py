@@ -27,7 +27,7 @@ from palpd.analysis.stalls import StallFigures
 from palpd.analysis.young import ContactFit, fit_contact, modulus_peak_Pa, ymbt
 from palpd.control.sequence import SOFT_END
 from palpd.errors import RecordingError
-from palpd.recording.mcap_file import RecordedGeometry, RecordingHeader
+from palpd.recording.header import RecordedGeometry, RecordingHeader
 from palpd.recording.reader import Recording
 from palpd.tick import Floats, Mode, Phase
 

@@ -6,7 +6,7 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from palpd.recording.mcap_file import RecordedStall
+from palpd.recording.header import RecordedStall
 from palpd.tick import Floats
 
 SILENT_S = 0.02

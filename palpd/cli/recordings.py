@@ -80,7 +80,7 @@ def export(
 @app.command(examples=["palpd recover cut-off.part"])
 def recover(part: Annotated[Path, typer.Argument(help="FILE.part of a run that was cut off")]) -> None:
     """Make a readable recording of what a crash left behind."""
-    from palpd.recording.reader import recover as restore
+    from palpd.recording.recovery import recover as restore
 
     recovered = restore(part)
     terminal().print(f"{recovered.path}: {recovered.sentence}")

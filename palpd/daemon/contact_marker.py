@@ -9,7 +9,7 @@ from palpd.control.sequence import CLEAR_SHARE
 from palpd.daemon.motion_job import Job
 from palpd.daemon.probe_record import evidence_of, identity_of, probe_record
 from palpd.daemon.stored_state import State, now
-from palpd.recording.mcap_file import RunAbout
+from palpd.recording.header import RunAbout
 from palpd.recording.ring import Rows
 from palpd.tick import Floats, Phase
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from palpd.config import Config
-from palpd.recording.mcap_file import RunAbout
+from palpd.recording.header import RunAbout
 from palpd.tick import ForceSensor, Robot
 
 DRAIN_S = 0.1

@@ -17,7 +17,7 @@ from palpd.control.safety import Limits
 from palpd.control.sequence import ArmGeometry, FreeMotion, LevelTest, Palpation, Retract, RigidPress, Script, Sequence, TimedRest
 from palpd.control.slopes import GRAVITY_N_PER_KG, FzSlopes
 from palpd.errors import Refused
-from palpd.recording.mcap_file import RunAbout
+from palpd.recording.header import RunAbout
 
 DRY_S = 10.0
 """How long a dry run watches. The arm does not move, so no plan could come to its end."""

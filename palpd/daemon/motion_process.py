@@ -31,7 +31,7 @@ from palpd.daemon.probe_record import evidence_of
 from palpd.daemon.realtime import DEVICE_PRIORITY, fifo, populate, realtime
 from palpd.daemon.rehearsal import rehearse, short
 from palpd.errors import PalpdError, Refused, Stopped
-from palpd.recording.mcap_file import RunAbout
+from palpd.recording.header import RunAbout
 from palpd.recording.ring import LoopState, Ring
 from palpd.recording.tick_rows import RowWriter
 from palpd.tick import Floats, Observation, Request, Robot, TickRecord, Trip, Verdict

@@ -6,7 +6,7 @@ from palpd.config import Config
 from palpd.control.probe_state import ProbeEvidence, ProbeIdentity, ProbeRecord, Reference, expected_drift_N
 from palpd.control.tare import tilt_rad
 from palpd.daemon.stored_state import Calibration, State
-from palpd.recording.mcap_file import RunAbout
+from palpd.recording.header import RunAbout
 
 
 def identity_of(config: Config, about: RunAbout | None = None) -> ProbeIdentity:

@@ -203,7 +203,7 @@ def _doctor(host: ProgramHost, arguments: DoctorArguments, _: Path) -> ProgramEn
 
 def _recover(host: ProgramHost, arguments: RecoverArguments, _: Path) -> ProgramEnd:
     from palpd.history.stored import unfinished_recordings
-    from palpd.recording.mcap_file import recover
+    from palpd.recording.recovery import recover
 
     folder = host.config.paths.runs
     part = unfinished_recordings(folder).get(arguments.name)

@@ -18,7 +18,7 @@ from palpd.control.loop import Loop, Outcome
 from palpd.daemon.clock import SimClock
 from palpd.daemon.motion_job import Job, explainer_of, job_limits, sequence_of
 from palpd.daemon.sim_cell import FZ_OFFSET_N, HOME_ABOVE_M, SimCell
-from palpd.recording.mcap_file import RecordingHeader, RunAbout
+from palpd.recording.header import RecordingHeader, RunAbout
 from palpd.recording.tick_rows import RowWriter
 from palpd.tick import ROW, ForceSensor, Request, TickRecord
 

@@ -32,7 +32,8 @@ from palpd.daemon.socket_client import LastTick
 from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.witness import Witness
 from palpd.errors import PalpdError, RecordingError
-from palpd.recording.mcap_file import RecordedPlace, RecordedStall, RecordingHeader, RunAbout, part_of
+from palpd.recording.header import RecordedPlace, RecordedStall, RecordingHeader, RunAbout
+from palpd.recording.mcap_file import part_of
 from palpd.recording.recorder import Recorder
 from palpd.recording.ring import LoopState, RecorderState, Ring, Rows
 from palpd.tick import Phase, Request, Trip

@@ -12,7 +12,7 @@ from palpd.daemon.devices import Devices
 from palpd.documents import nearest
 from palpd.errors import ConfigError
 from palpd.plugins import Plugin, plugins
-from palpd.recording.mcap_file import RunAbout
+from palpd.recording.header import RunAbout
 from palpd.tick import Robot, RobotKind, SensorDriver, SensorKind, StateReader
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import Any
 
 from palpd.analysis.results import SiteResult
 from palpd.history.facts import RunFacts
-from palpd.recording.mcap_file import RecordingHeader
+from palpd.recording.header import RecordingHeader
 
 KINDS = (
     ("static", "static_youngs_modulus_Pa", "static", "depths"),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from palpd.analysis.results import SiteResult
 from palpd.config import Plan
 from palpd.control.plan_place import SAME_PLACE_M
-from palpd.recording.mcap_file import RecordedPlace
+from palpd.recording.header import RecordedPlace
 from palpd.tick import Floats, Mode, Phase
 
 DEPTH_TOLERANCE_M = 5e-5

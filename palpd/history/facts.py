@@ -14,7 +14,7 @@ from palpd.config import parse_plan
 from palpd.errors import ConfigError, RecordingError
 from palpd.history.deviations import deviations, place_sentences
 from palpd.history.stored import RECORDING
-from palpd.recording.mcap_file import RecordedTrip, RunAbout
+from palpd.recording.header import RecordedTrip, RunAbout
 from palpd.recording.reader import Recording
 
 

@@ -20,7 +20,7 @@ from palpd.history.catalogue import SiteModuli
 from palpd.history.stored import printable
 from palpd.history.trend import SECONDS_A_DAY, ModulusPoint
 from palpd.quantities import number
-from palpd.recording.mcap_file import RecordedTrip
+from palpd.recording.header import RecordedTrip
 from palpd.recording.reader import Recording
 from palpd.tick import Floats, Mode, Phase
 

@@ -7,9 +7,7 @@ recording is called FILE.part.
 import contextlib
 import fcntl
 import io
-import itertools
 import json
-import math
 import mmap
 import os
 import re
@@ -19,7 +17,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, Literal, TypedDict, cast
+from typing import IO, Any, cast
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -32,8 +30,9 @@ from zstandard import ZstdError
 
 from palpd.errors import RecordingError
 from palpd.file_versions import NEWEST_RECORDING, newer
-from palpd.files import is_growing, read_by_others
+from palpd.files import read_by_others
 from palpd.recording import cdr
+from palpd.recording.header import RecordingFooter, RecordingHeader
 from palpd.recording.topics import SCHEMAS, TICK_TOPIC, TOPICS, Rows, TopicMessages
 
 HEADER, FOOTER, MODEL = "palpd.header", "palpd.footer", "model.onnx"
@@ -42,123 +41,6 @@ _UNREADABLE = (McapError, ZstdError, struct.error, ValueError, KeyError, Runtime
 """What the MCAP reader raises on truncated or altered bytes."""
 LATEST_S = 1e11
 """Unix time beyond which no recording was made: the year 5138."""
-
-
-class RunAbout(TypedDict, total=False):
-    """The devices of a run, as they were opened; empty where they were not.
-
-    `delay_s` is the sensor filter's delay, `pulled_over_pressed` the ratio of the two slopes of Fz where the sensor gives both.
-    """
-
-    robot_host: str
-    robot_model: str
-    sensor_serial: str
-    sensor_port: str
-    counts_per_N: list[float]
-    counts_per_Nm: list[float]
-    calibration_source: str
-    pulled_over_pressed: float | None
-    delay_s: float
-    epoch_offset_s: float
-
-
-class RecordedSite(TypedDict):
-    """A place of the plan, as an offset along the base's axes from the plan's origin, or from the start pose where it gives none."""
-
-    name: str
-    x_m: float
-    y_m: float
-
-
-class RecordedPlace(TypedDict):
-    """Where the sites count from, in base axes.
-
-    `taken` says how: as the `plan` states, the `start` pose, `here` by the operator's word, or after a `return`. `unfinished` is the run
-    before, where it did not end at its start, and `moved_m` the way from its origin to this one. A run that went back first went to
-    `back_to_m`, not below `top_z_m` on its way.
-    """
-
-    x_m: float
-    y_m: float
-    taken: Literal["plan", "start", "here", "return"]
-    unfinished: str | None
-    moved_m: float | None
-    back_to_m: list[float] | None
-    top_z_m: float | None
-
-
-class RecordedGeometry(TypedDict):
-    """What the moduli of a run depend on. Without a measured machine stiffness the machine counts as rigid."""
-
-    tip_radius_m: float
-    poisson_ratio: float
-    delay_s: float
-    machine_stiffness_N_per_m: float | None
-
-
-class RecordingHeader(TypedDict, total=False):
-    """What a recording holds besides its ticks, so that every decision can be made again.
-
-    `config` and `plan` are config.yaml and plan.yaml as parsed, `model_card` is the inertial model's card, `reference` (6,) the tare of
-    the last calibration, taken on `reference_date` where that is known. `epoch_offset_s` turns monotonic seconds into Unix time. A
-    palpation without `returns_to_start` ended above its last site; with `pauses_in_place` a pause stood still where the arm was; without
-    `lifts_first` nothing showed that it was not tared in contact. A retract of an `unfinished` contact went up at any force, at least to
-    `clear_z_m`. A simulated run fills only what the analysis reads. `format_version` is that of the file, 1 where it is absent.
-    """
-
-    format_version: int
-    kind: Literal["palpation", "free_motion", "stiffness", "retract", "level_test", "calibrate", "check", "observe"]
-    dry: bool
-    config: dict[str, Any]
-    plan: dict[str, Any]
-    sites: list[RecordedSite]
-    place: RecordedPlace | None
-    returns_to_start: bool
-    pauses_in_place: bool
-    lifts_first: bool
-    unfinished: bool
-    clear_z_m: float | None
-    reference: list[float]
-    reference_date: str | None
-    machine_stiffness_N_per_m: float | None
-    body: RecordedGeometry
-    about: RunAbout
-    epoch_offset_s: float
-    model_card: dict[str, Any] | None
-    versions: dict[str, str]
-    started: str
-
-
-class RecordedTrip(TypedDict):
-    """A verdict of the guard, or a device that failed: measured value and limit, and both as a sentence."""
-
-    trip: str
-    measured: float
-    limit: float
-    reason: str
-
-
-class RecordedStall(TypedDict):
-    """A processor of this computer stood still, on the clock of the ticks."""
-
-    begin_s: float
-    end_s: float
-    processor: int
-
-
-class RecordingFooter(TypedDict, total=False):
-    """How a recorded run ended.
-
-    `stalls` is what the witness of this computer reported, `lost_rows` the number of ticks that were overwritten before the recorder read
-    them, `damaged_ticks` the number that `recover` could not restore.
-    """
-
-    verdict: str
-    reason: str
-    trips: list[RecordedTrip]
-    stalls: list[RecordedStall]
-    lost_rows: int
-    damaged_ticks: int
 
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -508,107 +390,3 @@ def _next_record(data: mmap.mmap, position: int) -> int:
 def _holds_record(stream: IO[bytes]) -> bool:
     with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         return _next_record(data, 0) >= 0
-
-
-@dataclass(frozen=True, slots=True)
-class LostTicks:
-    """Ticks that no whole chunk holds: their number, and the times since the first restored tick between which they are missing.
-
-    `begin_s` is NaN for those before it.
-    """
-
-    ticks: int
-    begin_s: float
-    end_s: float
-
-    @property
-    def place(self) -> str:
-        """Where they are missing, in words."""
-        return "at the begin" if math.isnan(self.begin_s) else f"from {self.begin_s:.2f} s to {self.end_s:.2f} s"
-
-
-@dataclass(frozen=True, slots=True)
-class Recovered:
-    """What `recover` restored, and what it could not. `torn` says where the file is damaged; it is empty for a whole one."""
-
-    path: Path
-    ticks: int
-    duration_s: float
-    lost: tuple[LostTicks, ...] = ()
-    torn: str = ""
-
-    @property
-    def sentence(self) -> str:
-        """What was restored, and which ticks are missing at what time."""
-        restored = f"{self.ticks} ticks, {self.duration_s:.1f} s restored."
-        if self.lost:
-            places = ", ".join(f"{one.ticks} {one.place}" for one in self.lost)
-            return f"{restored} {sum(one.ticks for one in self.lost)} ticks are missing ({places}): the file is damaged {self.torn}."
-        return f"{restored} The file is damaged {self.torn}; what stood there or after the last tick is lost." if self.torn else restored
-
-
-def recover(part: Path) -> Recovered:
-    """Write FILE.mcap with all whole chunks of FILE.part, and keep FILE.part. Raises RecordingError, also where FILE.mcap exists."""
-    path = part.parent / f"{part.name.removesuffix('.part').removesuffix('.mcap')}.mcap"
-    if part.suffix != ".part":
-        raise RecordingError(f"{part} is not called .part; give the unfinished file, or rename a damaged one to .part")
-    _refuse_growing(part)
-    contents = Contents()
-    batches = contents.batches(part, skip_damaged=True)
-    first = next((batch for batch in batches if batch), [])
-    if first and (contents.torn or contents.header is None):
-        contents.restore(part, first[0])
-    contents.refuse_foreign(part)
-    assert contents.header is not None
-    if not first:
-        raise RecordingError(f"{part} holds no whole tick ({contents.torn or 'it ends after the header'}); there is nothing to recover")
-    recovering = part.with_suffix(".recovering")
-    try:
-        writer = RecordingWriter(path, contents.header, contents.model_bytes, part=recovering)
-    except OSError as error:
-        recovering.unlink(missing_ok=True)
-        raise _no_room(path, error) from error
-    begin_s, end_s, ticks, last = float("nan"), float("nan"), 0, -1
-    lost: list[LostTicks] = []
-    try:
-        for batch in filter(None, itertools.chain([first], batches)):
-            rows = cdr.unpack_ticks(batch, contents.absent)
-            writer.write(rows)
-            writer.flush()
-            begin_s = float(rows["now_s"][0]) if ticks == 0 else begin_s
-            # A tick that was late counts those before it as missed: they never were.
-            absent = int(rows["index"][0]) - last - 1 - int(rows["missed"][0])
-            if contents.torn and absent > 0:
-                lost.append(LostTicks(absent, end_s - begin_s, float(rows["now_s"][0]) - begin_s))
-            end_s, ticks, last = float(rows["now_s"][-1]), ticks + len(rows), int(rows["index"][-1])
-        unclosed: RecordingFooter = {
-            "verdict": "unfinished",
-            "reason": "the recording was not closed, or its end is damaged; recovered from what was whole",
-        }
-        footer = contents.footer or unclosed
-        if lost:
-            footer["damaged_ticks"] = sum(one.ticks for one in lost)
-        if contents.header_lost:
-            footer["reason"] = f"{footer.get('reason', '')}; {HEADER_LOST}".removeprefix("; ")
-        writer.close(footer)
-    except BaseException as error:
-        writer.abandon()
-        recovering.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise _no_room(path, error) from error
-        raise
-    torn = f"{contents.torn}; {HEADER_LOST}" if contents.header_lost else contents.torn
-    return Recovered(path, ticks, end_s - begin_s, tuple(lost), torn)
-
-
-def _no_room(path: Path, error: OSError) -> RecordingError:
-    return RecordingError(f"{path} cannot be written ({error.strerror or error}); make room, or recover a copy on another disk")
-
-
-def _refuse_growing(part: Path) -> None:
-    with contextlib.suppress(OSError):  # the reader refuses a file that does not exist
-        if not part.is_file():
-            part.stat()
-            raise RecordingError(f"{part} is no regular file; give the unfinished recording of a run")
-        if is_growing(part):
-            raise RecordingError(f"{part} is still being written; wait for the run to end")

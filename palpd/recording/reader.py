@@ -11,23 +11,10 @@ from numpy.typing import NDArray
 from palpd.errors import RecordingError
 from palpd.files import opened
 from palpd.recording import cdr
-from palpd.recording.mcap_file import FOOTER, HEADER, Contents, RecordingFooter, RecordingHeader, Recovered, recover
+from palpd.recording.header import RecordingFooter, RecordingHeader
+from palpd.recording.mcap_file import FOOTER, HEADER, Contents
 from palpd.recording.samples import SITE_COLUMN, Samples, is_parquet, samples_from_columns, write_csv, write_parquet
 from palpd.tick import NO_FRAMES, ROW, Floats, Mode, Phase, RobotState, SensorFrames
-
-__all__ = [
-    "RecordedRobot",
-    "RecordedSensor",
-    "Recording",
-    "Recovered",
-    "export",
-    "read_header",
-    "recover",
-    "same_rows",
-    "samples_of",
-    "visited_sites",
-    "widened",
-]
 
 Rows = NDArray[np.void]
 

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Self
 
 from palpd.errors import RecordingError
-from palpd.recording.mcap_file import RecordingFooter, RecordingHeader, RecordingWriter, part_of
+from palpd.recording.header import RecordingFooter, RecordingHeader
+from palpd.recording.mcap_file import RecordingWriter, part_of
 from palpd.recording.ring import RecorderState, Ring
 
 CHUNK_S = 0.15

@@ -12,7 +12,7 @@ from palpd.config import Config, Plan
 from palpd.control.slopes import GRAVITY_N_PER_KG
 from palpd.daemon.motion_job import Job
 from palpd.daemon.simulated_run import SimulatedRecording
-from palpd.recording.mcap_file import RecordingHeader
+from palpd.recording.header import RecordingHeader
 
 SIGMA_KG = 0.02
 PLAN = Plan.model_validate({"sites": [{"name": "A"}], "depths_m": [0.006, 0.008], "hold_s": 0.5, "repeats": 1, "mode": "both"})

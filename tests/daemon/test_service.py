@@ -25,7 +25,8 @@ from palpd.daemon.socket_client import ask
 from palpd.daemon.stored_state import Calibration, Latch, State
 from palpd.daemon.supervisor import Report
 from palpd.errors import Refused
-from palpd.recording.reader import Recording, recover
+from palpd.recording.reader import Recording
+from palpd.recording.recovery import recover
 from palpd.tick import ROW, Phase, Request
 from tests.paths import ROOT
 from tests.robot_library import skip_without_ur_rtde

@@ -14,7 +14,7 @@ from palpd.analysis.stalls import stall_figures, stall_note
 from palpd.daemon.motion_process import TripReport
 from palpd.daemon.silence import explained
 from palpd.daemon.witness import Stall, Witness, stood_still
-from palpd.recording.mcap_file import RecordedStall
+from palpd.recording.header import RecordedStall
 from palpd.tick import ROW, Trip
 
 

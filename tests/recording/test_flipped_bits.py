@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from palpd.errors import RecordingError
-from palpd.recording import mcap_file
-from palpd.recording.mcap_file import HEADER_LOST, RecordingFooter, RecordingHeader, Recovered, recover
+from palpd.recording import recovery
+from palpd.recording.header import RecordingFooter, RecordingHeader
+from palpd.recording.mcap_file import HEADER_LOST
 from palpd.recording.reader import Recording, Rows, same_rows
+from palpd.recording.recovery import Recovered, recover
 from tests.recording.test_recording import FOOTER, HEADER, chunks_of, palpation, write
 from tests.test_file_versions import RECORDING
 
@@ -77,7 +79,7 @@ def assert_named_and_unaltered(recovered: Recovered, back: Any, rows: Rows, posi
 @pytest.mark.parametrize("first", range(4))
 def test_every_flipped_bit_of_the_data_loses_at_most_its_own_record(first: int, small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rows, chunks, whole = Recording.load(small).rows, chunks_of(small)[-3:], small.read_bytes()
-    monkeypatch.setattr(mcap_file, "RecordingWriter", Restored)
+    monkeypatch.setattr(recovery, "RecordingWriter", Restored)
     part = small.with_suffix(".part")
     for position, damaged in flipped(whole, range(first, 8 * whole.index(END_OF_DATA) + 8 * 13, 4)):
         part.write_bytes(damaged)

@@ -18,7 +18,8 @@ from palpd.config import load_config, load_plan, parse_plan
 from palpd.control.inertial import InertialModel
 from palpd.daemon.stored_state import State
 from palpd.errors import PalpdError
-from palpd.recording.reader import Recording, recover
+from palpd.recording.reader import Recording
+from palpd.recording.recovery import recover
 from palpd.recording.samples import read_csv
 from tests.recording.test_recording import random_rows, write
 

@@ -23,9 +23,10 @@ from rosbags.highlevel import AnyReader
 
 from palpd.errors import BadInput, RecordingError
 from palpd.recording import cdr
-from palpd.recording.mcap_file import RecordingWriter, part_of, recover
+from palpd.recording.mcap_file import RecordingWriter, part_of
 from palpd.recording.reader import RecordedRobot, RecordedSensor, Recording, Rows, export, same_rows, samples_of, widened
 from palpd.recording.recorder import Recorder
+from palpd.recording.recovery import recover
 from palpd.recording.ring import RecorderState, Ring
 from palpd.recording.samples import COLUMNS, read_csv
 from palpd.tick import MAX_FRAMES, ROW, Phase

@@ -12,7 +12,8 @@ import pytest
 
 from palpd.daemon.socket_client import ask
 from palpd.errors import Refused
-from palpd.recording.reader import Recording, recover
+from palpd.recording.reader import Recording
+from palpd.recording.recovery import recover
 from tests.robot_library import skip_without_ur_rtde
 from tests.service.container import INSIDE_CODE, INSIDE_PYTHON, Container, booted, missing, until
 
