@@ -18,7 +18,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from palpd.blind.check import CheckResult, run
-from palpd.blind.score import CaseOutcome, answered, calibration_error, error_of_a_calibrated_forecaster
+from palpd.blind.outcome import CaseOutcome
+from palpd.blind.score import answered, calibration_error, error_of_a_calibrated_forecaster
 from palpd.blind.truth import SOURCES
 from palpd.errors import BadInput
 from palpd.files import write_json

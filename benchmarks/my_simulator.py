@@ -25,8 +25,9 @@ from palpd.blind.diagnose_case import diagnose_case
 from palpd.blind.mujoco.plant import simulate
 from palpd.blind.mujoco.sensor import low_pass
 from palpd.blind.mujoco.setup import Array, PlantSetup, PressPath, ServoDesign
+from palpd.blind.outcome import CaseOutcome, score_case
 from palpd.blind.plans import plan
-from palpd.blind.score import CaseOutcome, alone, first_right, score_case, wilson
+from palpd.blind.score import alone, first_right, wilson
 from palpd.blind.truth import CaseSpec
 from palpd.cell.cell_file import load_cell, save_cell
 from palpd.cell.effects import EFFECTS

@@ -19,8 +19,9 @@ import yaml
 from palpd.blind.diagnose_case import ENGINE
 from palpd.blind.injected_cells import hosts_in
 from palpd.blind.law_answers import write_true_change
+from palpd.blind.outcome import CaseOutcome, score_case
 from palpd.blind.plans import plan, plan_coarse, plan_large, plan_unlisted
-from palpd.blind.score import CaseOutcome, ScoreRow, score_case, tables_by_source
+from palpd.blind.score import ScoreRow, tables_by_source
 from palpd.blind.sources import Hosts, draw
 from palpd.blind.truth import CaseSpec, SealedCase, Source
 from palpd.cell.cell_file import cell_from

@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from palpd.analysis.figure_style import BLUE, GREY, ORANGE, save_figure, styled_figure
 from palpd.blind.check import SCHEMA, CheckResult, together
 from palpd.blind.drawn_cases import STRATA
+from palpd.blind.outcome import CaseOutcome
 from palpd.blind.score import (
     LAWS,
     SOURCE_TITLES,
-    CaseOutcome,
     ScoreRow,
     alone,
     answer,

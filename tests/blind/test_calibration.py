@@ -5,7 +5,8 @@ import pytest
 
 from benchmarks.calibrate import CHECK_SEED, FIT_SEED, fit, log_loss, pairs_of, report
 from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
-from palpd.blind.score import CaseOutcome, calibration_error, error_of_a_calibrated_forecaster
+from palpd.blind.outcome import CaseOutcome
+from palpd.blind.score import calibration_error, error_of_a_calibrated_forecaster
 from palpd.errors import BadInput
 from palpd.gap import diagnosis
 from palpd.gap.calibration import ProbabilityMap, stored_map

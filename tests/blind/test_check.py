@@ -20,26 +20,16 @@ from palpd.blind.drawn_cells import CHANNELS, TOLERANCES, Deviations, draw_cell,
 from palpd.blind.figures import write_page
 from palpd.blind.law_answers import LawOutcome
 from palpd.blind.laws import FOREIGN_LAWS, LIBRARY_LAWS, NOVEL_LAWS, CellScales, Law
+from palpd.blind.outcome import CaseOutcome, score_case
 from palpd.blind.plans import plan, plan_large
-from palpd.blind.score import (
-    CaseOutcome,
-    Score,
-    answered,
-    as_markdown,
-    calibration_error,
-    score_case,
-    scores,
-    table,
-    tables_by_source,
-    wilson,
-)
+from palpd.blind.score import Score, answered, as_markdown, calibration_error, scores, table, tables_by_source, wilson
 from palpd.blind.simulated_run import rows
 from palpd.blind.truth import CASE_KINDS, CaseKind, CaseSpec, SealedCase
 from palpd.cell.cell_file import Estimated, cell_from
 from palpd.cell.effects import EFFECTS
 from palpd.cell.simulation import simulate as library_simulate
 from palpd.cli import app
-from palpd.cli.gap import FEW_CASES
+from palpd.cli.blind import FEW_CASES
 from palpd.errors import BadInput
 
 MODULES = ("drawn_cases.py", "drawn_cells.py", "detectability.py", "simulated_run.py", "laws.py")
