@@ -31,7 +31,7 @@ from palpd.errors import BadInput, ConfigError
 from palpd.files import check_folder, copy_file, write_text
 from palpd.interchange.simulators.bundle import Definition, bundled
 from palpd.interchange.simulators.exported_cell import COLUMNS, at_rows, row_times
-from palpd.interchange.simulators.readme import Agreement, readme
+from palpd.interchange.simulators.readme import TEMPLATES, Agreement, readme
 from palpd.tick import Floats
 
 Target = Literal["mujoco", "fmu"]
@@ -315,44 +315,9 @@ def model_xml(numbers: Sequence[Mapping[str, Any]], tip_length_m: float) -> str:
     radius_m, length_m = c["tip_radius_m"], max(tip_length_m, c["tip_radius_m"])
     tissue_z_m = c["wall_z_m"] if c["wall_stiffness_N_per_m"] else c["surface_z_m"]
     readings = ceil(max(0.0, *(one["constants"]["delay_s"] for one in numbers)) / first["step_s"]) + LATE_READINGS
-    not_touching = 'contype="0" conaffinity="0"'
-    reported = "\n".join(f'    <user name="{name}" dim="1" needstage="acc"/>' for name in COLUMNS[1:])
-    return f"""<!-- A probe on a vertical slide, its force sensor, and tissue. All numbers are SI; z is the height of the tip, up positive.
-     palpd_cell.py sets the gains of the servo, the mass of the probe, the delay and the limit of the sensor from cells.json,
-     and fills the user sensors. Without palpd_cell.py there is no tissue. -->
-<mujoco model="palpd_cell">
-  <option timestep="{first["step_s"]:.9g}" integrator="RK4" gravity="0 0 0"/>
-  <worldbody>
-    <light pos="0.2 -0.3 0.5" dir="-0.4 0.6 -1"/>
-    <camera name="side" pos="0 -0.35 {tissue_z_m + 0.06:.6g}" xyaxes="1 0 0 0 0.15 1"/>
-    <geom name="tissue" type="cylinder" size="0.06 0.02" pos="0 0 {tissue_z_m - 0.02:.9g}" rgba="0.9 0.6 0.55 0.6" {not_touching}/>
-    <body name="carriage">
-      <!-- The armature is the robot: so heavy that no contact moves it, as in palpd, where the tip is where the servo puts it. -->
-      <joint name="slide" type="slide" axis="0 0 1" armature="{ROBOT_KG:g}"/>
-      <inertial pos="0 0 0" mass="1e-6" diaginertia="1e-9 1e-9 1e-9"/>
-      <body name="probe">
-        <inertial pos="0 0 0" mass="{max(c["mass_kg"], 1e-6):.9g}" diaginertia="1e-5 1e-5 1e-5"/>
-        <geom name="tip" type="sphere" size="{radius_m:.9g}" pos="0 0 {radius_m:.9g}" rgba="0.3 0.3 0.35 1" {not_touching}/>
-        <geom name="shaft" type="capsule" size="{0.6 * radius_m:.9g}" fromto="0 0 {radius_m:.9g} 0 0 {length_m:.9g}" {not_touching}/>
-        <site name="tip" pos="0 0 0" size="0.001"/>
-        <site name="sensor" pos="0 0 {length_m:.9g}" size="0.002"/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator>
-    <position name="servo" joint="slide" kp="1"/>
-  </actuator>
-  <sensor>
-    <force name="force_on_sensor" site="sensor" delay="0" nsample="{readings}" interp="linear"/>
-    <!-- what robot and sensor report, as a recording of palpd has it -->
-    <user name="z_m" dim="1" needstage="vel"/>
-{reported}
-  </sensor>
-  <keyframe>
-    <key name="start" qpos="{first["start_z_m"]:.9g}" ctrl="{first["start_z_m"]:.9g}"/>
-  </keyframe>
-</mujoco>
-"""
+    return TEMPLATES.get_template("cell.xml.j2").render(
+        first=first, radius_m=radius_m, length_m=length_m, tissue_z_m=tissue_z_m, readings=readings, robot_kg=ROBOT_KG, columns=COLUMNS[1:]
+    )
 
 
 def _write_fmu(place: Path, content: _Content) -> Floats:
