@@ -20,26 +20,12 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="seed of every random number")
     parser.add_argument("--mount-rotation-rad", type=float, default=0.0, help="rotation of the sensor about the flange's z")
     parser.add_argument("--fz-parts-at", choices=("reading", "load"), default="reading", help="where Fz changes its slope")
-    parser.add_argument("--no-realtime", action="store_true", help="do not ask for SCHED_FIFO")
+    parser.add_argument("--no-realtime", dest="realtime", action="store_false", help="do not ask for SCHED_FIFO")
     parser.add_argument("--end-with-parent", action="store_true", help="end when the process that started this one is gone")
     parser.add_argument("--effects", type=Path, help="a Python file of a user's effects that the cell file may name")
     parser.add_argument("--net-ft-port", type=int, help="an ATI Net F/T in place of the HEX-70, with its page on this port")
-    options = parser.parse_args()
     try:
-        emulate(
-            options.model,
-            options.cell,
-            options.host,
-            options.sensor_link,
-            options.control,
-            seed=options.seed,
-            mount_rotation_rad=options.mount_rotation_rad,
-            realtime=not options.no_realtime,
-            end_with_parent=options.end_with_parent,
-            effects=options.effects,
-            fz_parts_at=options.fz_parts_at,
-            net_ft_port=options.net_ft_port,
-        )
+        emulate(**vars(parser.parse_args()))
     except PalpdError as error:
         print(error, file=sys.stderr)
         return error.exit_code

@@ -57,8 +57,7 @@ class ArmKinematics:
         Returns:
             Joint angles (6,) in rad.
         """
-        joints: Floats = BASE_JOINTS_RAD + self._inverse @ displacement(self._origin, tip_pose)
-        return joints
+        return BASE_JOINTS_RAD + self._inverse @ displacement(self._origin, tip_pose)
 
     def pose(self, joints_rad: Floats) -> Floats:
         """Compute the tip pose of joint angles.
@@ -82,8 +81,7 @@ class ArmKinematics:
         Returns:
             Joint speeds (6,) in rad/s.
         """
-        speed: Floats = self._inverse @ tip_speed
-        return speed
+        return self._inverse @ tip_speed
 
     def tip_speed(self, joint_speed_rad_per_s: Floats) -> Floats:
         """Compute the tip speed of joint speeds.
@@ -94,5 +92,4 @@ class ArmKinematics:
         Returns:
             Tip speed (6,) in m/s and rad/s.
         """
-        speed: Floats = self._jacobian @ joint_speed_rad_per_s
-        return speed
+        return self._jacobian @ joint_speed_rad_per_s

@@ -62,10 +62,6 @@ class Controller:
         if f"input_int_register_{offset}" in values:
             self.state.fed_s = max(self.state.fed_s, now_s)
 
-    def stand_still(self, duration_s: float) -> None:
-        """Count a time in which the whole controller stood still as none of the watchdog's."""
-        self.state.fed_s += duration_s
-
     def upload(self, script: str, now_s: float) -> None:
         """Take a script. It replaces the running program and starts `PROGRAM_START_S` later, if the arm may move.
 

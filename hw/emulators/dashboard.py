@@ -61,28 +61,18 @@ class Dashboard:
         """Report the controller's state; None if nothing of it is asked."""
         state = self._state
         playing = state.runtime is Runtime.PLAYING
-        match question:
-            case "running":
-                return f"Program running: {str(playing).lower()}"
-            case "robotmode":
-                return f"Robotmode: {state.power.name}"
-            case "safetymode":
-                return f"Safetymode: {state.safety.name}"
-            case "safetystatus":
-                return f"Safetystatus: {state.safety.name}"
-            case "programstate":
-                shown = "PLAYING" if playing else "PAUSED" if state.runtime is Runtime.PAUSED else "STOPPED"
-                return f"{shown} rtde_control.urp"
-            case "polyscopeversion":
-                return state.model.polyscope
-            case "get serial number" if state.model.e_series:
-                return state.model.serial_number
-            case "get robot model" if state.model.e_series:
-                return "UR5"
-            case "is in remote control" if state.model.e_series:
-                return str(state.remote_control).lower()
-            case _:
-                return None
+        answers = {
+            "running": f"Program running: {str(playing).lower()}",
+            "robotmode": f"Robotmode: {state.power.name}",
+            "safetymode": f"Safetymode: {state.safety.name}",
+            "safetystatus": f"Safetystatus: {state.safety.name}",
+            "programstate": f"{'PLAYING' if playing else 'PAUSED' if state.runtime is Runtime.PAUSED else 'STOPPED'} rtde_control.urp",
+            "polyscopeversion": state.model.polyscope,
+        }
+        if state.model.e_series:
+            answers |= {"get serial number": state.model.serial_number, "get robot model": "UR5"}
+            answers["is in remote control"] = str(state.remote_control).lower()
+        return answers.get(question)
 
     def play(self) -> bool:
         """Resume a paused program. Returns False where none is paused."""

@@ -157,8 +157,7 @@ class Daq:
         """
         unzeroed = np.array(UNZEROED) / _PRESSED
         parted = wrench if self.fz_parts_at == "load" else wrench + unzeroed
-        counts: Floats = parted * np.where(parted > 0.0, _PULLED, _PRESSED) + (wrench + unzeroed - parted) * _PRESSED
-        return counts
+        return parted * np.where(parted > 0.0, _PULLED, _PRESSED) + (wrench + unzeroed - parted) * _PRESSED
 
     def sample(self, counts: Floats, now_s: float) -> bytes:
         """Advance by one millisecond.

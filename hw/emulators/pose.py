@@ -47,8 +47,7 @@ def rotation_vector(matrix: Floats) -> Floats:
     # Half a turn: the axis is the column of R + 1 that is largest, its sign free.
     columns = matrix + np.eye(3)
     column: Floats = columns[:, int(np.argmax(np.diag(matrix)))]
-    half_turn: Floats = column / np.linalg.norm(column) * angle
-    return half_turn
+    return column / np.linalg.norm(column) * angle
 
 
 def composed(first: Sequence[float] | Floats, second: Sequence[float] | Floats) -> Floats:

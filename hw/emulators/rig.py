@@ -71,7 +71,10 @@ class Rig:
         self._ticks = 0
         self._booted_s: float | None = None
         self._published_s = 0.0
-        self._frozen_until_s = self._deaf_until_s = self._away_until_s = self._slow_until_s = 0.0
+        self._away_until_s = 0.0
+        self.frozen_until_s = 0.0  # until then nothing is read or sent, and connections stay open
+        self.deaf_until_s = 0.0  # until then nothing is read, and states are still sent
+        self.keep_every, self.slow_until_s = 1, 0.0  # until then only one package of this many is sent
         self._on_arming: tuple[float, Callable[[float], object]] | None = None
         self.samples: deque[TruthSample] = deque(maxlen=round(LOGGED_S / SAMPLE_S))
         self.sent: deque[tuple[float, int]] = deque(maxlen=round(LOGGED_S / SAMPLE_S))
@@ -114,7 +117,7 @@ class Rig:
             for server in self.wires.servers():
                 server.listen()
         self._meet_arming(now_s)
-        if now_s >= max(self._frozen_until_s, self._deaf_until_s):
+        if now_s >= max(self.frozen_until_s, self.deaf_until_s):
             for key, _ in self.network.select(0):
                 key.data(now_s)
         self._sense(planned_s, now_s)
@@ -124,7 +127,7 @@ class Rig:
 
     def skip(self, samples: int) -> None:
         """Advance the devices' clocks over milliseconds in which the process stood still."""
-        self.controller.stand_still(samples * SAMPLE_S)
+        self.controller.state.fed_s += samples * SAMPLE_S  # the whole controller stood still: none of it is the watchdog's
         self.daq.counter = (self.daq.counter + samples) % 65536
         if self.box is not None:
             self.box.skip(samples)
@@ -188,13 +191,14 @@ class Rig:
 
     def _publish(self, planned_s: float, now_s: float, block: SampleBlock, cycle: ControllerCycle, late: bool) -> None:
         robot, values = self.controller.state, self._values
-        if now_s < self._frozen_until_s:
+        if now_s < self.frozen_until_s:
             return
         actual = np.concatenate([block.position_m[-1], cycle.start[3:]])
         speed = np.concatenate([block.velocity_m_per_s[-1], cycle.speed_before[3:]])
+        noise_N = 0.2 if self.model.e_series else 1.0  # rms: of a wrist sensor, or of an estimate from joint currents (assumed)
         force = np.zeros(6)
         force[2] = block.contact_N[-1]
-        force += self._random.standard_normal(6) * self._force_noise
+        force += self._random.standard_normal(6) * noise_N
         acceleration = (speed[:3] - self._last_speed) / self.model.cycle_s
         self._last_speed = speed[:3]
         joint_speed = robot.arm.joint_speed(cycle.speed_before)
@@ -228,25 +232,10 @@ class Rig:
         values |= robot.outputs
         if not late or now_s - self._published_s >= self.model.cycle_s:
             self._published_s = now_s
-            self.wires.keep_every = self._keep_every if now_s < self._slow_until_s else 1
+            self.wires.keep_every = self.keep_every if now_s < self.slow_until_s else 1
             self.wires.publish(values, now_s)
 
-    @property
-    def _force_noise(self) -> float:
-        """Noise of `actual_TCP_force`, rms in N: of a wrist sensor, or of an estimate from joint currents (assumed)."""
-        return 0.2 if self.model.e_series else 1.0
-
-    _keep_every = 1
-
     # Faults and truth --------------------------------------------------------------------------------------------------------------
-
-    def freeze(self, until_s: float) -> None:
-        """Let the network hang: nothing is read or sent, and connections stay open."""
-        self._frozen_until_s = until_s
-
-    def deafen(self, until_s: float) -> None:
-        """Let the network hang towards the controller: nothing is read, and states are still sent."""
-        self._deaf_until_s = until_s
 
     def on_arming(self, after_s: float, action: Callable[[float], object]) -> None:
         """Do something once, when the control program has set its watchdog.
@@ -266,18 +255,9 @@ class Rig:
             self._on_arming = None
             action(now_s)
 
-    def slow_packets(self, every: int, until_s: float) -> None:
-        """Send only some of the packages.
-
-        Args:
-            every: one package of this many is sent.
-            until_s: host time at which this ends.
-        """
-        self._keep_every, self._slow_until_s = every, until_s
-
     def restart(self, until_s: float) -> None:
         """Restart the controller's computer: connections and faults of its network end, registers are empty, no port answers until then."""
-        self._frozen_until_s = self._deaf_until_s = 0.0
+        self.frozen_until_s = self.deaf_until_s = 0.0
         for server in self.wires.servers():
             server.close()
         self.controller.state.stop_program(until_s, "restart")

@@ -7,7 +7,8 @@ import contextlib
 import selectors
 import socket
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
+from itertools import chain, islice
 
 from hw.emulators.controller import Controller
 from hw.emulators.controller_state import ControllerState, Power, Runtime, Safety
@@ -98,27 +99,21 @@ class Recipe:
 
     def package(self, values: Values) -> bytes:
         """Pack one output data package."""
-        flat: list[float] = []
-        for name in self.names:
-            flat += values[name]
-        return self._package.pack(self._package.size, ord("U"), self.number, *flat)
+        numbers = chain.from_iterable(values[name] for name in self.names)
+        return self._package.pack(self._package.size, ord("U"), self.number, *numbers)
 
     def read(self, body: bytes) -> Values:
         """Unpack one input data package; struct.error where it has the wrong length."""
-        flat = self._body.unpack(body)[1:]
-        values: Values = {}
-        at = 0
-        for name, count in zip(self.names, self.counts, strict=True):
-            values[name] = flat[at : at + count]
-            at += count
-        return values
+        _, *numbers = self._body.unpack(body)
+        left = iter(numbers)
+        return {name: tuple(islice(left, count)) for name, count in zip(self.names, self.counts, strict=True)}
 
 
 class Wire:
     """One accepted connection: bytes in to `take`, bytes out as far as the other end reads."""
 
     def __init__(self, server: "Server", connection: socket.socket) -> None:
-        self.server, self.connection = server, connection
+        self.server, self.connection, self.robot = server, connection, server.robot
         self.inbox = b""
         self.outbox = b""
         self.unread_since_s: float | None = None
@@ -162,10 +157,9 @@ class Wire:
 class Server:
     """One listening port."""
 
-    def __init__(self, selector: selectors.BaseSelector, host: str, port: int, wire: Callable[["Server", socket.socket], Wire]) -> None:
-        self.selector, self.host, self.port = selector, host, port
+    def __init__(self, robot: "UrWires", selector: selectors.BaseSelector, host: str, port: int, wire: type[Wire]) -> None:
+        self.robot, self.selector, self.host, self.port, self._wire = robot, selector, host, port, wire
         self.wires: list[Wire] = []
-        self._wire = wire
         self._listener: socket.socket | None = None
         self.listen()
 
@@ -224,9 +218,8 @@ class Server:
 class RtdeWire(Wire):
     """One RTDE client."""
 
-    def __init__(self, server: Server, connection: socket.socket, robot: "UrWires") -> None:
+    def __init__(self, server: Server, connection: socket.socket) -> None:
         super().__init__(server, connection)
-        self.robot = robot
         self.recipes: list[Recipe] = []
         self.inputs: dict[int, Recipe] = {}
         self.owned: set[str] = set()
@@ -329,10 +322,6 @@ def _names(text: bytes) -> list[str]:
 class ScriptWire(Wire):
     """One client of the script port: text in, nothing out."""
 
-    def __init__(self, server: Server, connection: socket.socket, robot: "UrWires") -> None:
-        super().__init__(server, connection)
-        self.robot = robot
-
     def take(self, now_s: float) -> None:
         """A script ends with a line that is exactly `end`."""
         end = b"\nend\n"
@@ -344,9 +333,8 @@ class ScriptWire(Wire):
 class DashboardWire(Wire):
     """One client of the dashboard server: a line in, a line out."""
 
-    def __init__(self, server: Server, connection: socket.socket, robot: "UrWires") -> None:
+    def __init__(self, server: Server, connection: socket.socket) -> None:
         super().__init__(server, connection)
-        self.robot = robot
         self.send(b"Connected: Universal Robots Dashboard Server\n", 0.0)
 
     def take(self, now_s: float) -> None:
@@ -370,9 +358,9 @@ class UrWires:
         self.refuse_version = False
         self.keep_every = 1
         self._index = 0
-        self.rtde = Server(selector, host, RTDE_PORT, lambda server, connection: RtdeWire(server, connection, self))
-        self.script = Server(selector, host, SCRIPT_PORT, lambda server, connection: ScriptWire(server, connection, self))
-        self.dashboard = Server(selector, host, DASHBOARD_PORT, lambda server, connection: DashboardWire(server, connection, self))
+        self.rtde = Server(self, selector, host, RTDE_PORT, RtdeWire)
+        self.script = Server(self, selector, host, SCRIPT_PORT, ScriptWire)
+        self.dashboard = Server(self, selector, host, DASHBOARD_PORT, DashboardWire)
 
     def clients(self) -> Iterable[RtdeWire]:
         """Every connected RTDE client."""

@@ -6,6 +6,7 @@ A request is one JSON object on a line, `{"do": VERB, …}`; the answer is one t
 import itertools
 import time
 from collections.abc import Callable, Sequence
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -120,11 +121,11 @@ def _replug(rig: Rig, _now_s: float) -> None:
 
 
 def _freeze(rig: Rig, now_s: float, s: float) -> None:
-    rig.freeze(now_s + s)
+    rig.frozen_until_s = now_s + s
 
 
 def _deaf(rig: Rig, now_s: float, s: float) -> None:
-    rig.deafen(now_s + s)
+    rig.deaf_until_s = now_s + s
 
 
 def _drop(rig: Rig, _now_s: float) -> None:
@@ -132,7 +133,7 @@ def _drop(rig: Rig, _now_s: float) -> None:
 
 
 def _slow_packets(rig: Rig, now_s: float, every: int, s: float) -> None:
-    rig.slow_packets(int(every), now_s + s)
+    rig.keep_every, rig.slow_until_s = int(every), now_s + s
 
 
 def _protective_stop(rig: Rig, now_s: float) -> None:
@@ -214,37 +215,8 @@ def _heal(rig: Rig, _now_s: float) -> None:
 
 
 VERBS: dict[str, Callable[..., VerbAnswer | None]] = {
-    "silent": _silent,
-    "slow": _slow,
-    "stuck": _stuck,
-    "garbage": _garbage,
-    "lose": _lose,
-    "flip": _flip,
-    "swap": _swap,
-    "false_header": _false_header,
-    "counter_jump": _counter_jump,
-    "status": _status,
-    "records": _records,
-    "overload": _overload,
-    "drift": _drift,
-    "heal": _heal,
-    "unplug": _unplug,
-    "replug": _replug,
-    "freeze": _freeze,
-    "deaf": _deaf,
-    "drop": _drop,
-    "slow_packets": _slow_packets,
-    "protective_stop": _protective_stop,
-    "emergency_stop": _emergency_stop,
-    "power_off": _power_off,
-    "program_stop": _program_stop,
-    "other_program": _other_program,
-    "local_control": _local_control,
-    "on_arming": _on_arming,
-    "restart": _restart,
-    "refuse_version": _refuse_version,
-    "wall": _wall,
-    "truth": _truth,
-    "log": _log,
-    "wire": _wire,
+    name.removeprefix("_"): verb
+    for name, verb in dict(globals()).items()
+    if isinstance(verb, FunctionType) and name.startswith("_") and name != "_stats"
 }
+"""Every function of this module whose name begins with an underscore is the verb of that name."""
