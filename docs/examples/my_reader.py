@@ -10,7 +10,6 @@ from palpd.interchange.channels import Channel, ChannelData
 
 class LinesOfJson:
     name = "lines of JSON (.jsonl)"
-    package = ""
 
     def reads(self, path):
         return path.suffix == ".jsonl"

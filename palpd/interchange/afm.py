@@ -8,7 +8,7 @@ import numpy as np
 
 from palpd.errors import RecordingError
 from palpd.files import opened
-from palpd.interchange.channels import Channel, ChannelData, refuse_empty, refuse_not_finite, understanding, without_package
+from palpd.interchange.channels import Channel, ChannelData, library, refuse_empty, refuse_not_finite, understanding
 
 KIND = "a file of an AFM or a nanoindenter"
 ENDINGS = (".jpk-force", ".jpk-force-map", ".jpk-force-qi", ".jpk-qi-image", ".jpk-qi-series", ".ibw", ".tab", ".h5")
@@ -26,7 +26,6 @@ class AfmReader:
     """Reads force-distance, creep and relaxation curves; in a file of several, COLUMN#3 is a column of the third."""
 
     name = f"{KIND} ({', '.join(ENDINGS)}, Chiaro .txt)"
-    package = "afmformats"
 
     def reads(self, path: Path) -> bool:
         """Whether a file has the ending or the first words of an instrument."""
@@ -84,10 +83,7 @@ READER = AfmReader()
 
 def _curves(path: Path) -> list[Any]:
     refuse_empty(path)
-    try:
-        import afmformats
-    except ImportError:
-        raise without_package(path, KIND, "afmformats") from None
+    afmformats = library(path, KIND, "afmformats", "afmformats")
     with understanding(path, KIND):
         try:
             curves = list(afmformats.load_data(path))

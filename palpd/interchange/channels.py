@@ -8,8 +8,9 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -69,8 +70,6 @@ class FileReader(Protocol):
 
     name: str
     """What people call such files: "rosbag"."""
-    package: str
-    """The package that it needs, empty where it needs none but palpd's own."""
 
     def reads(self, path: Path) -> bool:
         """Whether a file, by its name and first bytes, is of this kind."""
@@ -163,10 +162,18 @@ def refuse_empty(path: Path) -> None:
         raise RecordingError(f"{path.name} is empty (0 bytes); copy or export it again")
 
 
-def without_package(path: Path, kind: str, package: str) -> RecordingError:
-    """Say which package is missing.
+def library(path: Path, kind: str, package: str, module: str) -> Any:
+    """Import the library that reads a file.
 
-    Returns:
-        The error to raise.
+    Args:
+        kind: What the file is, such as "a ROS bag".
+        package: Name of the package, as it is installed.
+        module: The module of it that is wanted.
+
+    Raises:
+        RecordingError: It is not installed.
     """
-    return RecordingError(f"{path.name} is {kind} and {package} is not installed: install palpd[readers]")
+    try:
+        return import_module(module)
+    except ImportError:
+        raise RecordingError(f"{path.name} is {kind} and {package} is not installed: install palpd[readers]") from None

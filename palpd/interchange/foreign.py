@@ -59,11 +59,8 @@ def _column_options(source: Source) -> list[str]:
     force, length, time = (_proposed(columns, quantity) for quantity in ("force", "length", "time"))
     depth = length is not None and any(word in length.lower() for word in DEPTHS)
     options = ["--force-column", force or "FORCE", "--depth-column" if depth else "--height-column", length or "HEIGHT"]
-    return options if _has_times(columns) else [*options, "--time-column", time or "TIME"]
-
-
-def _has_times(columns: list[Channel]) -> bool:
-    return bool(columns) and all(channel.rate_Hz is not None for channel in columns)
+    has_times = bool(columns) and all(channel.rate_Hz is not None for channel in columns)
+    return options if has_times else [*options, "--time-column", time or "TIME"]
 
 
 def _proposed(columns: list[Channel], quantity: str) -> str | None:

@@ -331,21 +331,15 @@ class _Reading:
         shift_ns = column.origin_ns - self._origin_ns
         return column.t_s + shift_ns * 1e-9 if shift_ns else column.t_s
 
-    def _motion_columns(self) -> dict[str, Quantity]:
-        """Columns of the motion and what they hold; none where a pose gives it."""
-        name = self.options.depth_column or self.options.height_column
-        further = {column: ROLES[role] for role, column in self.options.columns.items() if role in MOTION_ROLES}
-        return {name: "length", **further} if name is not None else {}
-
-    def _force_columns(self) -> dict[str, Quantity]:
-        """Columns of the force and what they hold; none where a wrench gives it."""
-        name = self.options.force_column
-        further = {column: ROLES[role] for role, column in self.options.columns.items() if role not in MOTION_ROLES}
-        return {name: "force", **further} if name is not None else {}
+    def _named_columns(self, *, motion: bool) -> dict[str, Quantity]:
+        """Quantity of each named column of the motion, or of the force; none where a pose or a wrench holds it."""
+        name = (self.options.depth_column or self.options.height_column) if motion else self.options.force_column
+        further = {column: ROLES[role] for role, column in self.options.columns.items() if (role in MOTION_ROLES) == motion}
+        return {name: "length" if motion else "force", **further} if name is not None else {}
 
     def _columns_by_file(self) -> list[tuple[Source, list[str]]]:
         """Which columns are read of each file: those of motion and force, and the time."""
-        named = [*self._motion_columns(), *self._force_columns()]
+        named = [*self._named_columns(motion=True), *self._named_columns(motion=False)]
         having = {name: self._source_with(name) for name in named}
         tables = []
         for source in self.sources:
@@ -413,7 +407,7 @@ class _Reading:
 
     def _path_of_columns(self) -> TipPath:
         options = self.options
-        t_s, scaled = self._table(self._motion_columns())
+        t_s, scaled = self._table(self._named_columns(motion=True))
         sign = -1.0 if options.depth_column is not None or options.height_down_positive else 1.0
         optional = {role: sign * scaled[column] for role, column in options.columns.items() if role in MOTION_ROLES}
         height = sign * scaled[options.depth_column or options.height_column or ""]
@@ -421,7 +415,7 @@ class _Reading:
 
     def _wrench_of_columns(self) -> Wrench:
         options = self.options
-        t_s, scaled = self._table(self._force_columns())
+        t_s, scaled = self._table(self._named_columns(motion=False))
         wrench = np.zeros((len(t_s), 6))
         wrench[:, WRENCH_COLUMNS.index("fz_N")] = scaled[options.force_column or ""]
         for role, column in options.columns.items():

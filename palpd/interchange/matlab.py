@@ -24,7 +24,6 @@ class MatlabReader:
     """Reads .mat files up to version 7: vectors by name, columns of a matrix as NAME(:,2), fields of a structure as NAME.FIELD."""
 
     name = "a MATLAB file (.mat)"
-    package = ""
 
     def reads(self, path: Path) -> bool:
         """Whether a file has MATLAB's ending."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from palpd.errors import RecordingError
 from palpd.files import opened
-from palpd.interchange.channels import Channel, ChannelData, Kind, listing, refuse_empty, refuse_many, understanding, without_package
+from palpd.interchange.channels import Channel, ChannelData, Kind, library, listing, refuse_empty, refuse_many, understanding
 from palpd.recording.mcap_file import HEADER
 from palpd.tick import Floats
 
@@ -60,7 +60,6 @@ class RosbagReader:
     """Reads bags: .bag, .db3, .mcap, and the folder of a ROS 2 bag."""
 
     name = "a ROS bag (.bag, .db3, .mcap, or the folder with metadata.yaml)"
-    package = "rosbags"
 
     def reads(self, path: Path) -> bool:
         """Whether a file has the ending of a bag and is no recording of palpd."""
@@ -114,14 +113,8 @@ def _is_ours(path: Path) -> bool:
 
 def _opened(stack: ExitStack, path: Path) -> "Bag1 | Bag2":
     refuse_empty(path)
-    try:
-        from rosbags.rosbag1 import Reader as Bag1
-        from rosbags.rosbag2 import Reader as Bag2
-    except ImportError:
-        raise without_package(path, KIND, "rosbags") from None
-    if _is_ros1(path):
-        return stack.enter_context(Bag1(path))
-    return stack.enter_context(Bag2(path))
+    bags = library(path, KIND, "rosbags", f"rosbags.rosbag{1 if _is_ros1(path) else 2}")
+    return stack.enter_context(bags.Reader(path))
 
 
 def _is_ros1(path: Path) -> bool:

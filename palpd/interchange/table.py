@@ -66,7 +66,6 @@ class TableReader:
     """Reads any table of text with a header row."""
 
     name = "a table of text (.csv, .txt, .tsv, .dat)"
-    package = ""
 
     def reads(self, path: Path) -> bool:
         """Whether a file begins like text."""

@@ -10,12 +10,12 @@ from palpd.errors import RecordingError
 from palpd.interchange.channels import (
     Channel,
     ChannelData,
+    library,
     listing,
     refuse_empty,
     refuse_many,
     refuse_not_finite,
     understanding,
-    without_package,
 )
 
 KIND = "a TDMS file of LabVIEW"
@@ -25,7 +25,6 @@ class TdmsReader:
     """Reads TDMS files; a channel is called GROUP/CHANNEL, and a waveform brings its own times."""
 
     name = "a TDMS file of LabVIEW (.tdms)"
-    package = "npTDMS"
 
     def reads(self, path: Path) -> bool:
         """Whether a file has LabVIEW's ending."""
@@ -61,12 +60,9 @@ READER = TdmsReader()
 
 def _numeric(path: Path) -> dict[str, Any]:
     refuse_empty(path)
-    try:
-        from nptdms import TdmsFile
-    except ImportError:
-        raise without_package(path, KIND, "npTDMS") from None
+    nptdms = library(path, KIND, "npTDMS", "nptdms")
     with understanding(path, KIND):
-        file = TdmsFile.read(path)
+        file = nptdms.TdmsFile.read(path)
         every = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
         refuse_many(path, len(every))
         numeric = {name: each for name, each in every.items() if each.dtype is not None and np.issubdtype(each.dtype, np.number)}
