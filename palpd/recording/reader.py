@@ -1,7 +1,7 @@
 """Reading recordings: the rows, samples for the diagnosis, and a robot and a sensor that repeat them."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -286,20 +286,7 @@ class PlainRows:
 class RecordedRobot:
     """The Robot of a recording: it repeats the state of the tick chosen by `advance`, and commands do nothing."""
 
-    FIELDS = (
-        "robot_t_s",
-        "robot_timestamp_s",
-        "tcp_pose",
-        "tcp_speed",
-        "target_pose",
-        "target_speed",
-        "tool_acceleration_m_per_s2",
-        "robot_mode",
-        "safety_mode",
-        "safety_status_bits",
-        "runtime_state",
-        "connected",
-    )
+    FIELDS = ("robot_t_s", "robot_timestamp_s", *(state.name for state in fields(RobotState)[2:]))
     """Those of RobotState, in its order."""
 
     def __init__(self, rows: Rows) -> None:
@@ -311,12 +298,8 @@ class RecordedRobot:
 
     def read(self) -> RobotState:
         """Return the state that the loop saw in this tick."""
-        (
-            t_s, timestamp_s, pose, speed, target_pose, target_speed, acceleration, robot_mode, safety_mode, bits, runtime, connected,
-        ) = self._states[self._at]  # fmt: skip
-        return RobotState(
-            t_s, timestamp_s, pose, speed, target_pose, target_speed, acceleration, robot_mode, safety_mode, bits, runtime, bool(connected),
-        )  # fmt: skip
+        *values, connected = self._states[self._at]
+        return RobotState(*(*values, bool(connected)))
 
     def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
         """Do nothing."""
