@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, ProgressOption, app, shown_steps, terminal
+from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, ProgressOption, app, settings_of, shown_steps, terminal
 from palpd.cli.output_options import Output
 from palpd.errors import BadInput
 from palpd.file_kinds import COURSE, HTML, PICTURE
@@ -58,21 +58,13 @@ def runs(
 ) -> None:
     """List the runs, newest first; tag them, note something of them, or show a trend. No recording is changed or deleted."""
     from palpd.history.catalogue import Catalogue, RunFilter
-    from palpd.history.dates import day_begin_s, day_end_s
+    from palpd.history.dates import days_s
 
     place = _folder(folder, config)
     if chosen or tag or untag or note:
         _remark(chosen or [], tag or [], untag or [], note, place)
         return
-    only = RunFilter(
-        since_s=day_begin_s(since) if since else None,
-        until_s=day_end_s(until) if until else None,
-        site=site,
-        verdict=verdict,
-        kind=kind,
-        tags=tuple(tagged or ()),
-        text=text,
-    )
+    only = RunFilter(*days_s(since, until), site=site, verdict=verdict, kind=kind, tags=tuple(tagged or ()), text=text)
     with Catalogue(place) as catalogue:
         _brought_up_to_date(catalogue, rebuild, progress)
         if trend is not None:
@@ -157,11 +149,7 @@ def report(
 
 def _folder(folder: Path | None, config: Path) -> Path:
     """The folder of the runs; without a config.yaml the one that a new one would name."""
-    if folder is not None:
-        return folder
-    from palpd.config import load_config
-
-    return load_config(config if config != DEFAULT_CONFIG or config.exists() else None).paths.runs
+    return folder if folder is not None else settings_of(config, optional=True).paths.runs
 
 
 def _say(line: str) -> None:

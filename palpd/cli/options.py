@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from palpd.cell.plausible import ACCEPT_OPTION
-from palpd.cli.at_once import DEFAULT_CONFIG
+from palpd.cli.at_once import DEFAULT_CONFIG as DEFAULT_CONFIG
 from palpd.cli.command_groups import GroupedCommands
 from palpd.cli.output_options import Application, Output
 from palpd.errors import BadInput
@@ -65,13 +65,6 @@ HereOption = Annotated[bool, typer.Option("--here", help="count sites from where
 ReturnOption = Annotated[bool, typer.Option("--return", help="go back first to where the last, unfinished run began")]
 AcceptImplausible = Annotated[bool, typer.Option(ACCEPT_OPTION, help="let values count that palpd questions, such as a mass of 100 kg")]
 DEFAULT_PLAN = Path("plan.yaml")
-
-__all__ = [
-    "DEFAULT_CONFIG", "DEFAULT_PLAN", "AcceptImplausible", "AdoptedOption", "CellOption", "ConfigOption", "EffectsOption", "HereOption",
-    "JsonOption", "PlanOption", "ProgressOption", "ReturnOption", "SiteOption", "SocketOption", "adopted_folder", "app", "check_kept",
-    "clear_latch", "display", "finish", "place_choice", "say_broken_effects", "shown_steps", "stated_address", "terminal",
-]  # fmt: skip
-
 
 PIPE_WIDTH = 200
 """Letters in a line where the output is no terminal: rich takes 80 there, and cut names of effects."""
@@ -147,6 +140,21 @@ def finish(exit_code: int, reason: str) -> None:
     if exit_code:
         print(f"palpd: {reason}", file=sys.stderr)
         raise typer.Exit(exit_code)
+
+
+def settings_of(config: Path, *, optional: bool = False) -> "Config":
+    """Read the configuration of the cell.
+
+    Args:
+        config: What --config states.
+        optional: Whether the command takes the default configuration where --config is not given and there is no config.yaml.
+
+    Raises:
+        ConfigError: The file cannot be read, or is wrong.
+    """
+    from palpd.config import load_config
+
+    return load_config(None if optional and config == DEFAULT_CONFIG and not config.exists() else config)
 
 
 def say_broken_effects() -> None:

@@ -24,32 +24,18 @@ from palpd.history.stored import DIAGNOSIS, StoredRecording, stored_recordings
 
 FILE = "catalogue.sqlite"
 SCHEMA_NUMBER = 2
-"""Raised whenever SCHEMA or the meaning of a column changes: a catalogue with another number is made anew."""
+"""Raised whenever catalogue.sql or the meaning of a column changes: a catalogue with another number is made anew."""
 BUSY_S = 10.0
 """Longest wait for another process that writes. A write takes milliseconds."""
 MOST_DIAGNOSIS_BYTES = 20_000_000
 UNREADABLE = "unreadable"
 """Verdict of a recording that cannot be read; its reason is the sentence of the refusal."""
 
-SCHEMA = """
-CREATE TABLE runs (
-    name BLOB PRIMARY KEY, recording TEXT NOT NULL, beside TEXT NOT NULL, started_s REAL NOT NULL, started TEXT NOT NULL,
-    kind TEXT NOT NULL, dry INTEGER NOT NULL, verdict TEXT NOT NULL, reason TEXT NOT NULL, duration_s REAL, ticks INTEGER, missed INTEGER,
-    peak_force_N REAL, cut_short INTEGER, robot_host TEXT, sensor_serial TEXT, config_sha256 TEXT, model_sha256 TEXT, facts TEXT NOT NULL,
-    tags TEXT NOT NULL DEFAULT '', note TEXT NOT NULL DEFAULT '', remarks TEXT NOT NULL DEFAULT ''
-);
-CREATE INDEX runs_by_time ON runs (started_s);
-CREATE TABLE moduli (
-    run BLOB NOT NULL, place INTEGER NOT NULL, site TEXT NOT NULL, static_Pa REAL, static_low_Pa REAL, static_high_Pa REAL,
-    dynamic_Pa REAL, corrected_Pa REAL, corrected_low_Pa REAL, corrected_high_Pa REAL, hertz_misfit INTEGER NOT NULL,
-    PRIMARY KEY (run, place)
-) WITHOUT ROWID;
-CREATE INDEX moduli_by_site ON moduli (site);
-CREATE TABLE effects (
-    run BLOB NOT NULL, site TEXT NOT NULL, effect TEXT NOT NULL, parameter TEXT NOT NULL, value REAL, low REAL, high REAL, probability REAL
-);
-CREATE INDEX effects_by_run ON effects (run);
-"""
+AS_IN_FACTS = (
+    "started_s", "started", "kind", "dry", "verdict", "reason", "duration_s", "peak_force_N", "config_sha256", "model_sha256",
+)  # fmt: skip
+"""Columns of a run that are facts of the same name."""
+SCHEMA = Path(__file__).with_suffix(".sql")
 
 Answer = TypeVar("Answer")
 ShowRead = Callable[[int, int, str], None]
@@ -301,7 +287,7 @@ def _prepare(connection: sqlite3.Connection, *, change: bool = True) -> None:
             if connection.execute("PRAGMA user_version").fetchone()[0] == 0:  # nobody else has made them meanwhile
                 if connection.execute("SELECT 1 FROM sqlite_master").fetchone():
                     raise _Damaged
-                for statement in filter(str.strip, SCHEMA.split(";")):
+                for statement in filter(str.strip, SCHEMA.read_text(encoding="utf-8").split(";")):
                     connection.execute(statement)
                 connection.execute(f"PRAGMA user_version = {SCHEMA_NUMBER}")
     elif number != SCHEMA_NUMBER:
@@ -408,21 +394,12 @@ def _row(facts: RunFacts) -> dict[str, Any]:
         about.get("sensor_serial", ""), *facts["cut_short"],
     )  # fmt: skip
     return {
-        "started_s": facts["started_s"],
-        "started": facts["started"],
-        "kind": facts["kind"],
-        "dry": facts["dry"],
-        "verdict": facts["verdict"],
-        "reason": facts["reason"],
-        "duration_s": facts["duration_s"],
+        **{name: value for name, value in facts.items() if name in AS_IN_FACTS},
         "ticks": facts["loop"]["ticks"],
         "missed": facts["loop"]["missed"],
-        "peak_force_N": facts["peak_force_N"],
         "cut_short": len(facts["cut_short"]),
         "robot_host": about.get("robot_host"),
         "sensor_serial": about.get("sensor_serial"),
-        "config_sha256": facts["config_sha256"],
-        "model_sha256": facts["model_sha256"],
         "facts": "\n".join(map(_text, searched)).lower(),
     }
 
@@ -511,38 +488,25 @@ def _runs(connection: sqlite3.Connection, only: RunFilter) -> list[RunEntry]:
         static, corrected = None if low_Pa is None else (low_Pa, high_Pa), None if below_Pa is None else (below_Pa, above_Pa)
         moduli[run].append(SiteModuli(site, static_Pa, static, dynamic_Pa, corrected_Pa, corrected, bool(misfit)))
     *names, _ = RunEntry._fields  # the last are the sites
-    rows = connection.execute(f"SELECT {', '.join(names)} FROM runs WHERE {where} {order}", values)
-    dry, tags = names.index("dry"), names.index("tags")
-    return [
-        RunEntry._make(
-            (
-                os.fsdecode(row[0]),
-                *row[1:dry],
-                bool(row[dry]),
-                *row[dry + 1 : tags],
-                tuple(row[tags].split()),
-                *row[tags + 1 :],
-                tuple(moduli.get(row[0], ())),
-            )
-        )
-        for row in rows
-    ]
+    entries = []
+    for values_of_run in connection.execute(f"SELECT {', '.join(names)} FROM runs WHERE {where} {order}", values):
+        run = dict(zip(names, values_of_run, strict=True))
+        run |= {"sites": tuple(moduli.get(run["name"], ())), "name": os.fsdecode(run["name"])}
+        entries.append(RunEntry(**run | {"dry": bool(run["dry"]), "tags": tuple(run["tags"].split())}))
+    return entries
 
 
 def _conditions(only: RunFilter) -> tuple[str, tuple[Any, ...]]:
-    conditions: list[tuple[str, Any]] = []
-    if only.since_s is not None:
-        conditions.append(("started_s >= ?", only.since_s))
-    if only.until_s is not None:
-        conditions.append(("started_s < ?", only.until_s))
-    if only.site:
-        conditions.append(("name IN (SELECT run FROM moduli WHERE site = ?)", _text(only.site)))
-    if only.verdict:
-        conditions.append(("verdict = ?", _text(only.verdict)))
-    if only.kind:
-        conditions.append(("kind = ?", _text(only.kind)))
-    conditions += [("instr(tags, ?) > 0", f" {_text(tag)} ") for tag in only.tags]
-    conditions += [("instr(facts || char(10) || remarks, ?) > 0", _text(word).lower()) for word in [only.text] if word]
+    possible: list[tuple[str, Any]] = [
+        ("started_s >= ?", only.since_s),
+        ("started_s < ?", only.until_s),
+        ("name IN (SELECT run FROM moduli WHERE site = ?)", _text(only.site)),
+        ("verdict = ?", _text(only.verdict)),
+        ("kind = ?", _text(only.kind)),
+        *(("instr(tags, ?) > 0", f" {_text(tag)} ") for tag in only.tags),
+        ("instr(facts || char(10) || remarks, ?) > 0", _text(only.text).lower()),
+    ]
+    conditions = [(condition, value) for condition, value in possible if value not in (None, "")]
     return " AND ".join(condition for condition, _ in conditions) or "1", tuple(value for _, value in conditions)
 
 

@@ -18,6 +18,11 @@ def day_end_s(day: str) -> float:
         raise BadInput(f"the day is {day!r}, beyond all days that can be computed; give such as 2026-11-22") from error
 
 
+def days_s(since: str, until: str) -> tuple[float | None, float | None]:
+    """Unix times from the begin of one day to the end of another; None for a day that is empty. Raises BadInput."""
+    return day_begin_s(since) if since else None, day_end_s(until) if until else None
+
+
 def now() -> str:
     """Date and time of now with time zone, ISO 8601."""
     return datetime.now().astimezone().isoformat(timespec="seconds")

@@ -82,46 +82,42 @@ def facts_of(recording: Recording) -> RunFacts:
         RecordingError: Header or footer lack what a recording of palpd has.
     """
     with reading(recording.path):
-        return _facts(recording)
-
-
-def _facts(recording: Recording) -> RunFacts:
-    header, footer, rows = recording.header, recording.footer, recording.rows
-    config, plan = header["config"], header["plan"]
-    started_s = float(header["epoch_offset_s"]) + float(rows["now_s"][0])
-    palpated = header["kind"] == "palpation" and not header["dry"]
-    measured = sites(rows, header) if palpated else []
-    loop = loop_figures(rows)
-    loop["stalls"] = stall_figures(rows, footer.get("stalls", []))
-    return RunFacts(
-        name=recording.path.name.removesuffix(RECORDING),
-        path=str(recording.path),
-        bytes=recording.path.stat().st_size,
-        recording_sha256=file_sha256(recording.path),
-        kind=str(header["kind"]),
-        dry=bool(header["dry"]),
-        started=str(header.get("started") or datetime.fromtimestamp(started_s).astimezone().isoformat(timespec="seconds")),
-        started_s=started_s,
-        duration_s=float(rows["now_s"][-1] - rows["now_s"][0]),
-        verdict=str(footer["verdict"]),
-        reason=str(footer["reason"]),
-        trips=list(footer.get("trips", [])),
-        lost_rows=int(footer.get("lost_rows", 0)),
-        damaged_ticks=int(footer.get("damaged_ticks", 0)),
-        about=header["about"],
-        versions={str(name): str(version) for name, version in header["versions"].items()},
-        config_sha256=content_sha256(config),
-        plan_sha256=content_sha256(plan),
-        model_sha256=None if recording.model_bytes is None else hashlib.sha256(recording.model_bytes).hexdigest(),
-        model_card=header["model_card"],
-        machine_stiffness_N_per_m=header["machine_stiffness_N_per_m"],
-        loop=loop,
-        peak_force_N=float(rows["force_N"].max()),
-        sites=measured,
-        dry_figures=dry_figures(rows) if header["dry"] else None,
-        cut_short=cut_short_notes(measured, config["safety"]["contact_limit_N"]) if palpated else [],
-        deviations=_deviations(recording, measured) if palpated else [],
-    )
+        header, footer, rows = recording.header, recording.footer, recording.rows
+        config, plan = header["config"], header["plan"]
+        started_s = float(header["epoch_offset_s"]) + float(rows["now_s"][0])
+        palpated = header["kind"] == "palpation" and not header["dry"]
+        measured = sites(rows, header) if palpated else []
+        loop = loop_figures(rows)
+        loop["stalls"] = stall_figures(rows, footer.get("stalls", []))
+        return RunFacts(
+            name=recording.path.name.removesuffix(RECORDING),
+            path=str(recording.path),
+            bytes=recording.path.stat().st_size,
+            recording_sha256=file_sha256(recording.path),
+            kind=str(header["kind"]),
+            dry=bool(header["dry"]),
+            started=str(header.get("started") or datetime.fromtimestamp(started_s).astimezone().isoformat(timespec="seconds")),
+            started_s=started_s,
+            duration_s=float(rows["now_s"][-1] - rows["now_s"][0]),
+            verdict=str(footer["verdict"]),
+            reason=str(footer["reason"]),
+            trips=list(footer.get("trips", [])),
+            lost_rows=int(footer.get("lost_rows", 0)),
+            damaged_ticks=int(footer.get("damaged_ticks", 0)),
+            about=header["about"],
+            versions={str(name): str(version) for name, version in header["versions"].items()},
+            config_sha256=content_sha256(config),
+            plan_sha256=content_sha256(plan),
+            model_sha256=None if recording.model_bytes is None else hashlib.sha256(recording.model_bytes).hexdigest(),
+            model_card=header["model_card"],
+            machine_stiffness_N_per_m=header["machine_stiffness_N_per_m"],
+            loop=loop,
+            peak_force_N=float(rows["force_N"].max()),
+            sites=measured,
+            dry_figures=dry_figures(rows) if header["dry"] else None,
+            cut_short=cut_short_notes(measured, config["safety"]["contact_limit_N"]) if palpated else [],
+            deviations=_deviations(recording, measured) if palpated else [],
+        )
 
 
 def _deviations(recording: Recording, measured: list[SiteResult]) -> list[str]:

@@ -118,11 +118,8 @@ def draw_forces(figure: Drawing, recording: Recording, sites: Sequence[SiteResul
     curves, tip = press_curves(recording), recording.header["body"]
     others = {} if beside is None else dict(zip((site["name"] for site in beside.header["sites"]), press_curves(beside), strict=True))
     shown = [each for each in zip(sites, curves, strict=True) if is_pressed(each[0])][:MOST_SITES]
-    rows = -(-len(shown) // SITES_A_ROW)
-    grid = figure.subplots(rows, min(SITES_A_ROW, len(shown)), sharex=True, sharey=True, squeeze=False)
-    for axes in grid.flat[len(shown) :]:
-        axes.set_visible(False)
-    for axes, (site, presses) in zip(grid.flat, shown, strict=False):
+    grid = _grid(figure, [site["name"] for site, _ in shown], "depth (mm)", "force (N)", sharey=True)
+    for axes, (site, presses) in zip(grid, shown, strict=True):
         for other in others.get(site["name"], []):
             axes.plot(other.depth_m * 1e3, other.force_N, color=OTHER, linewidth=1.0, alpha=0.8, label="run beside")
         for press in presses:
@@ -138,13 +135,7 @@ def draw_forces(figure: Drawing, recording: Recording, sites: Sequence[SiteResul
             depth_m = np.linspace(0.0, max(deepest_m, 1e-6), 40)[1:]
             per_N = np.array([modulus_peak_Pa(1.0, depth, tip["tip_radius_m"], tip["poisson_ratio"]) for depth in depth_m])
             axes.plot(depth_m * 1e3, static_Pa / per_N, "--", color=INK, linewidth=0.9, label="Hertz, static modulus")
-        axes.set_title(_label(site["name"]))
-    for axes in grid[:, 0]:
-        axes.set_ylabel("force (N)")
-    for axes in grid.flat[max(0, len(shown) - grid.shape[1]) : len(shown)]:
-        axes.set_xlabel("depth (mm)")
-        axes.xaxis.set_tick_params(labelbottom=True)
-    _legend(figure, grid.flat)
+    _legend(figure, grid)
 
 
 def draw_map(figure: Drawing, places_m: Floats, sites: Sequence[SiteResult]) -> None:
@@ -256,13 +247,10 @@ def draw_trend(figure: Drawing, points: Mapping[str, Sequence[ModulusPoint]], be
         points: The points of each site, oldest first.
         began_s: When the run that the page is about began: its points are circled.
     """
-    sites = list(points.items())[:MOST_SITES]
-    rows = -(-len(sites) // SITES_A_ROW)
-    grid = figure.subplots(rows, min(SITES_A_ROW, len(sites)), sharex=True, squeeze=False)
-    day_0_s = min(point.started_s for _, of_site in sites for point in of_site)
-    for axes in grid.flat[len(sites) :]:
-        axes.set_visible(False)
-    for axes, (site, of_site) in zip(grid.flat, sites, strict=False):
+    sites = dict(list(points.items())[:MOST_SITES])
+    grid = _grid(figure, list(sites), "days since the first", "E (kPa)", sharey=False)
+    day_0_s = min(point.started_s for of_site in sites.values() for point in of_site)
+    for axes, of_site in zip(grid, sites.values(), strict=True):
         for value, interval, colour, label in TRENDS:
             known = [(point, modulus_Pa) for point in of_site if (modulus_Pa := value(point.moduli)) is not None]
             days = np.array([(point.started_s - day_0_s) / SECONDS_A_DAY for point, _ in known])
@@ -271,13 +259,24 @@ def draw_trend(figure: Drawing, points: Mapping[str, Sequence[ModulusPoint]], be
             axes.errorbar(days, values, bars, fmt="o-", color=colour, markersize=3.5, linewidth=0.8, capsize=2, label=label)
             mine = np.array([point.started_s == began_s for point, _ in known], bool)
             axes.plot(days[mine], values[mine], "o", markerfacecolor="none", markeredgecolor=INK, markersize=9)
+    _legend(figure, grid)
+
+
+def _grid(figure: Drawing, sites: Sequence[str], xlabel: str, ylabel: str, *, sharey: bool) -> list[Axes]:
+    """Axes for each site, four in a row; the left ones are labelled, and the lowest of each column."""
+    rows = -(-len(sites) // SITES_A_ROW)
+    grid = figure.subplots(rows, min(SITES_A_ROW, len(sites)), sharex=True, sharey=sharey, squeeze=False)
+    shown: list[Axes] = list(grid.flat[: len(sites)])
+    for axes in grid.flat[len(sites) :]:
+        axes.set_visible(False)
+    for axes, site in zip(shown, sites, strict=True):
         axes.set_title(_label(site))
     for axes in grid[:, 0]:
-        axes.set_ylabel("E (kPa)")
-    for axes in grid.flat[max(0, len(sites) - grid.shape[1]) : len(sites)]:
-        axes.set_xlabel("days since the first")
+        axes.set_ylabel(ylabel)
+    for axes in shown[-grid.shape[1] :]:
+        axes.set_xlabel(xlabel)
         axes.xaxis.set_tick_params(labelbottom=True)
-    _legend(figure, grid.flat)
+    return shown
 
 
 def _legend(figure: Drawing, all_axes: Iterable[Axes]) -> None:

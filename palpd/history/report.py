@@ -155,7 +155,12 @@ def page(report: RunReport) -> str:
             timing=_timing_rows(facts),
             last_ticks=_last_ticks(report.recording) if facts["verdict"] != "done" else [],
             conditions=report_conditions(report.recording, facts),
-            hashes=_hashes(facts),
+            hashes=[
+                ("recording", facts["recording_sha256"]),
+                ("config.yaml as parsed", facts["config_sha256"]),
+                ("plan.yaml as parsed", facts["plan_sha256"]),
+                ("inertial model", facts["model_sha256"] or "no model"),
+            ],
             config=json.dumps(header["config"], indent=1, ensure_ascii=False),
             plan=json.dumps(header["plan"], indent=1, ensure_ascii=False),
             beside="" if report.beside_facts is None else printable(report.beside_facts["name"]),
@@ -391,37 +396,29 @@ def report_conditions(recording: Recording, facts: RunFacts) -> list[tuple[str, 
         RecordingError: The header lacks what a recording of palpd has.
     """
     with reading(recording.path):
-        return _conditions(recording, facts)
-
-
-def _conditions(recording: Recording, facts: RunFacts) -> list[tuple[str, str]]:
-    header = recording.header
-    config = header["config"]
-    about, card, safety, sensor = facts["about"], facts["model_card"], config["safety"], config["sensor"]
-    stiffness = facts["machine_stiffness_N_per_m"]
-    model = "none, nothing was corrected"
-    if card:
-        model = f"{card.get('method', '?')}, {card['rmse_N'] * 1e3:.0f} mN rmse, bias {card['bias_N']:+.3f} N"
-    counts = ", ".join(f"{each:g}" for each in about.get("counts_per_N", []))
-    return [
-        ("robot", f"{about.get('robot_model', '?')} at {about.get('robot_host', '?')}"),
-        ("sensor", f"{about.get('sensor_serial') or 'of unknown serial'} at {about.get('sensor_port', '?')}"),
-        ("tip radius", f"{header['body']['tip_radius_m'] * 1e3:g} mm, Poisson's ratio {header['body']['poisson_ratio']:g}"),
-        ("inertial model", model),
-        ("machine stiffness", "not measured, counts as rigid" if stiffness is None else f"{stiffness / 1e3:.4g} N/mm"),
-        (
-            "filter",
-            "none" if sensor["filter_cutoff_Hz"] is None else f"{sensor['filter_cutoff_Hz']:g} Hz, read at {sensor['rate_Hz']:g} Hz",
-        ),
-        ("calibration", f"{about.get('calibration_source', '?')}: {counts} counts per N (fx, fy, fz); Fz {sensor['fz_slopes']}"),
-        (
-            "limits",
-            f"contact {safety['contact_limit_N']:g} N, absolute {safety['absolute_limit_N']:g} N, lateral {safety['lateral_limit_N']:g} N",
-        ),
-        ("reference tare", ", ".join(f"{each:.3f}" for each in header["reference"][:3]) + " N (fx, fy, fz in the sensor's axes)"),
-        ("plan", _plan_words(header["plan"])),
-        ("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())),
-    ]
+        header = recording.header
+        config = header["config"]
+        about, card, safety, sensor = facts["about"], facts["model_card"], config["safety"], config["sensor"]
+        stiffness = facts["machine_stiffness_N_per_m"]
+        model = "none, nothing was corrected"
+        if card:
+            model = f"{card.get('method', '?')}, {card['rmse_N'] * 1e3:.0f} mN rmse, bias {card['bias_N']:+.3f} N"
+        counts = ", ".join(f"{each:g}" for each in about.get("counts_per_N", []))
+        cutoff_Hz = sensor["filter_cutoff_Hz"]
+        read = "none" if cutoff_Hz is None else f"{cutoff_Hz:g} Hz, read at {sensor['rate_Hz']:g} Hz"
+        return [
+            ("robot", f"{about.get('robot_model', '?')} at {about.get('robot_host', '?')}"),
+            ("sensor", f"{about.get('sensor_serial') or 'of unknown serial'} at {about.get('sensor_port', '?')}"),
+            ("tip radius", f"{header['body']['tip_radius_m'] * 1e3:g} mm, Poisson's ratio {header['body']['poisson_ratio']:g}"),
+            ("inertial model", model),
+            ("machine stiffness", "not measured, counts as rigid" if stiffness is None else f"{stiffness / 1e3:.4g} N/mm"),
+            ("filter", read),
+            ("calibration", f"{about.get('calibration_source', '?')}: {counts} counts per N (fx, fy, fz); Fz {sensor['fz_slopes']}"),
+            ("limits", ", ".join(f"{name} {safety[f'{name}_limit_N']:g} N" for name in ("contact", "absolute", "lateral"))),
+            ("reference tare", ", ".join(f"{each:.3f}" for each in header["reference"][:3]) + " N (fx, fy, fz in the sensor's axes)"),
+            ("plan", _plan_words(header["plan"])),
+            ("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())),
+        ]
 
 
 def _plan_words(plan: Mapping[str, Any]) -> str:
@@ -430,16 +427,6 @@ def _plan_words(plan: Mapping[str, Any]) -> str:
         f"{len(plan['sites'])} sites, {plan['mode']}, {depths} mm at {plan['press_speed_m_per_s'] * 1e3:g} mm/s, holds of "
         f"{plan['hold_s']:g} s, {plan['repeats']} dynamic presses a depth"
     )
-
-
-def _hashes(facts: RunFacts) -> list[tuple[str, str]]:
-    model = facts["model_sha256"] or "no model"
-    return [
-        ("recording", facts["recording_sha256"]),
-        ("config.yaml as parsed", facts["config_sha256"]),
-        ("plan.yaml as parsed", facts["plan_sha256"]),
-        ("inertial model", model),
-    ]
 
 
 def _difference_row(each: ModulusDifference) -> list[str]:

@@ -112,18 +112,11 @@ def trend(folder: Path, query: Mapping[str, str]) -> dict[str, Any]:
 
 def _filter(query: Mapping[str, str]) -> "RunFilter":
     from palpd.history.catalogue import RunFilter
-    from palpd.history.dates import day_begin_s, day_end_s
+    from palpd.history.dates import days_s
 
-    since, until, tag = query.get("since", ""), query.get("until", ""), query.get("tag", "")
-    return RunFilter(
-        since_s=day_begin_s(since) if since else None,
-        until_s=day_end_s(until) if until else None,
-        site=query.get("site", ""),
-        verdict=query.get("verdict", ""),
-        kind=query.get("kind", ""),
-        tags=(tag,) if tag else (),
-        text=query.get("text", ""),
-    )
+    texts: dict[str, Any] = {name: query.get(name, "") for name in ("site", "verdict", "kind", "text")}
+    tag = query.get("tag", "")
+    return RunFilter(*days_s(query.get("since", ""), query.get("until", "")), tags=(tag,) if tag else (), **texts)
 
 
 def course_window(file: Path, begin_s: float, end_s: float) -> dict[str, Any]:
