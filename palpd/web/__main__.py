@@ -82,15 +82,13 @@ def _settings(words: list[str]) -> tuple[PageSettings, Path]:
     parser.add_argument("--token-file", type=Path, required=True)
     parser.add_argument("--listen", default="127.0.0.1")
     parser.add_argument("--port", type=int, default=8700)
-    parser.add_argument("--name", action="append", default=[])
+    parser.add_argument("--name", dest="names", action="append", default=[])
     parser.add_argument("--plan", type=Path)
     parser.add_argument("--config", type=Path)
     parser.add_argument("--camera-url")
-    values = parser.parse_args(words)
-    settings = PageSettings(
-        values.socket, values.runs, values.listen, values.port, tuple(values.name), values.plan, values.config, values.camera_url
-    )
-    return settings, values.token_file
+    values = vars(parser.parse_args(words))
+    token_file, names = values.pop("token_file"), tuple(values.pop("names"))
+    return PageSettings(names=names, **values), token_file
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
 To add something:
 
-- a module with `routes(page: Page) -> list[BaseRoute]`, named in `ROUTES`;
-- what runs beside the requests, as an async context manager of `Page`, named in `BACKGROUND`;
+- a module with `routes(page: Page) -> list[BaseRoute]`, named in `build`;
+- what runs beside the requests, as an async context manager, entered in `lifespan`;
 - a page: `pages/NAME.html` and, as an ES module, `static/NAME.js`, shown with `shell.page(...)`; a further tab is a line of `shell.TABS`.
 
 Every route stands behind `access.Access`: it needs an open session, and POST requests need the mark of the page (`ask` of
@@ -11,8 +11,8 @@ Every route stands behind `access.Access`: it needs an open session, and POST re
 of `aside.Aside`, never here: the server stays below 60 MB.
 """
 
-from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from urllib.parse import urlsplit
 
 from starlette.applications import Starlette
@@ -23,29 +23,6 @@ from palpd.web import calculations, controls, history_pages, live, plan_pages, r
 from palpd.web.access import Access
 from palpd.web.page import Page, PageSettings
 from palpd.web.sessions import Sessions
-
-Routes = Callable[[Page], list[BaseRoute]]
-Background = Callable[[Page], AbstractAsyncContextManager[None]]
-
-
-def _frame_routes(page: Page) -> list[BaseRoute]:
-    return [*shell.routes(page.settings.camera_url)]
-
-
-def _live_routes(page: Page) -> list[BaseRoute]:
-    return live.routes(page.live)
-
-
-def _live_background(page: Page) -> AbstractAsyncContextManager[None]:
-    return live.background(page.live)
-
-
-ROUTES: list[Routes] = [
-    _frame_routes, _live_routes, controls.routes, calculations.routes, history_pages.routes, plan_pages.routes, resolve_pages.routes,
-]  # fmt: skip
-"""All routes of the application; a module of yours adds one function."""
-BACKGROUND: list[Background] = [_live_background]
-"""All that runs beside the requests, from the start of the server to its end."""
 
 
 def build(settings: PageSettings, sessions: Sessions) -> Starlette:
@@ -62,14 +39,14 @@ def build(settings: PageSettings, sessions: Sessions) -> Starlette:
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        async with AsyncExitStack() as stack:
-            for background in BACKGROUND:
-                await stack.enter_async_context(background(page))
+        async with live.background(page.live):
             yield
         page.aside.close()
         await page.children.close()
 
-    routes = [route for each in ROUTES for route in each(page)]
+    routes: list[BaseRoute] = [*shell.routes(settings.camera_url), *live.routes(page.live)]
+    for part in (controls, calculations, history_pages, plan_pages, resolve_pages):
+        routes += part.routes(page)
     application = Starlette(routes=[*routes, Mount("/static", StaticFiles(directory=shell.STATIC))], lifespan=lifespan)
     camera = urlsplit(settings.camera_url or "")
     application.add_middleware(
