@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
@@ -47,10 +47,6 @@ class Output(NamedTuple):
             check_writable(path.with_name(f"{path.stem}{ending}"))
 
 
-def _check_own_folder(path: Path) -> None:
-    check_folder(path, empty=True)
-
-
 def _check_recording(path: Path) -> None:
     target = with_ending(path, ".mcap")
     check_folder(target.parent)
@@ -61,7 +57,7 @@ def _check_recording(path: Path) -> None:
 
 _CHECKS: Mapping[str, Callable[[Path], None]] = {
     FOLDER: check_folder,
-    OWN_FOLDER: _check_own_folder,
+    OWN_FOLDER: partial(check_folder, empty=True),
     NEW_RECORDING: _check_recording,
     SOCKET: check_socket,
     LINK: check_link,

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from palpd.cli.last_ticks import print_last_ticks
 from palpd.cli.options import (
     DEFAULT_CONFIG,
     DEFAULT_PLAN,
@@ -21,6 +22,7 @@ from palpd.cli.options import (
     display,
     finish,
     place_choice,
+    settings_of,
     shown_steps,
     stated_address,
     terminal,
@@ -50,14 +52,14 @@ def run(
 ) -> None:
     """Carry out a plan in the foreground and end with it."""
     from palpd.cli.printing import print_run
-    from palpd.config import load_config, load_plan
+    from palpd.config import load_plan
     from palpd.daemon.run_reports import begin_report
     from palpd.daemon.run_result import run_result
     from palpd.daemon.session import carry_out, job
     from palpd.daemon.wiring import devices
     from palpd.history.stored import report_path
 
-    settings, steps = load_config(config), load_plan(plan)
+    settings, steps = settings_of(config), load_plan(plan)
     check_kept(settings)
     clear_latch(settings)
     report = carry_out(job("palpation", settings, steps, dry, take_reference, place_choice(here, go_back)), devices, display())
@@ -81,10 +83,9 @@ def calibrate(
     import sys
 
     from palpd.cli.jobs import carried_out
-    from palpd.config import load_config
     from palpd.errors import Refused
 
-    settings = load_config(config)
+    settings = settings_of(config)
 
     def taken(word: bool) -> "ProgramEnd":
         return carried_out("calibrate", {"temperature_C": temperature_C, "probe_free": word}, settings, settings.paths.state)
@@ -111,11 +112,9 @@ def free_motion(
 ) -> None:
     """Move 2 cm up and down ten times in free air and record it; `palpd train` learns from it."""
     from palpd.cli.jobs import carried_out, fetch
-    from palpd.cli.last_ticks import print_last_ticks
-    from palpd.config import load_config
 
     target = with_ending(out, ".mcap").absolute()
-    settings = load_config(config)
+    settings = settings_of(config)
     fresh = target.with_name(f"{target.stem}.new.mcap") if target.exists() else target
     end = carried_out("free-motion", {"take_reference": take_reference}, settings, fresh)
     recording = fetch(end.figures.get("recording"), target)
@@ -130,10 +129,8 @@ def free_motion(
 def stiffness(config: ConfigOption = DEFAULT_CONFIG, json_file: JsonOption = None) -> None:
     """Press a rigid plate and keep how far sensor and arm give way; every depth is corrected by it afterwards."""
     from palpd.cli.jobs import carried_out
-    from palpd.cli.last_ticks import print_last_ticks
-    from palpd.config import load_config
 
-    settings = load_config(config)
+    settings = settings_of(config)
     end = carried_out("stiffness", {}, settings, settings.paths.state)
     last_ticks = end.figures.pop("last_ticks", [])
     if end.exit_code:
@@ -162,7 +159,6 @@ def retract(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, 
 def _go_up(command: Literal["retract", "level-test"], config: Path, socket: Path | None, no_wait: bool) -> None:
     """Ask the service for that way up and wait for its end; go it in the foreground where none answers."""
     from palpd.cli.at_once import control_socket, probe_lines
-    from palpd.cli.last_ticks import print_last_ticks
     from palpd.daemon.job_client import awaited
     from palpd.daemon.socket_client import NoDaemon, ask
 
@@ -183,12 +179,12 @@ def _go_up(command: Literal["retract", "level-test"], config: Path, socket: Path
             show(line, soft_wrap=True)
         finish(job["exit_code"], job["reason"])
         return
-    from palpd.config import Plan, load_config
+    from palpd.config import Plan
     from palpd.daemon.session import carry_out
     from palpd.daemon.session import job as checked_job
     from palpd.daemon.wiring import devices
 
-    settings = load_config(config)
+    settings = settings_of(config)
     check_kept(settings)
     report = carry_out(checked_job("retract" if command == "retract" else "level_test", settings, Plan()), devices, display())
     print_last_ticks(report.last_ticks)
@@ -296,13 +292,13 @@ def sim(
     from palpd.cell.cell_file import PHANTOM, load_cell
     from palpd.cell.effects import load_effects
     from palpd.cli.printing import print_run
-    from palpd.config import load_config, load_plan, refuse_unsafe
+    from palpd.config import load_plan, refuse_unsafe
     from palpd.daemon.kept_plans import rehearsed_config_sha256
     from palpd.daemon.motion_job import Job
     from palpd.daemon.run_result import simulated_result
     from palpd.daemon.simulated_run import run as simulate
 
-    settings, steps = load_config(config), load_plan(plan)
+    settings, steps = settings_of(config), load_plan(plan)
     refuse_unsafe(settings, steps)
     library = load_effects()
     pressed = load_cell(cell, library) if cell else settings.cell if configured else PHANTOM

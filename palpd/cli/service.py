@@ -19,6 +19,7 @@ from palpd.cli.options import (
     check_kept,
     finish,
     place_choice,
+    settings_of,
     stated_address,
     terminal,
 )
@@ -36,12 +37,11 @@ PAGE_PORT = 8700
 @app.command(examples=["palpd serve --config cell/config.yaml"])
 def serve(config: ConfigOption = DEFAULT_CONFIG) -> None:
     """Run the daemon: connect, wait disarmed, obey the control socket."""
-    from palpd.config import load_config
     from palpd.daemon.logs import configure
     from palpd.daemon.service import Service
     from palpd.daemon.wiring import devices
 
-    settings = load_config(config)
+    settings = settings_of(config)
     check_kept(settings)
     check_socket(settings.paths.control_socket)
     configure()
@@ -68,9 +68,9 @@ def web(
     import os
     import sys
 
-    from palpd.config import load_config, load_plan
+    from palpd.config import load_plan
 
-    settings = load_config(config)
+    settings = settings_of(config)
     if plan:
         load_plan(plan)  # a plan that no run would take is refused here, not when someone opens the page
     kept = token_file or settings.paths.state / "page-token"
@@ -204,11 +204,10 @@ def job(
 @app.command(examples=["palpd plans --config cell/config.yaml"])
 def plans(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, json_file: JsonOption = None) -> None:
     """List the plans that the daemon keeps, with what their rehearsals gave. The tab Plan of the page keeps and forgets them."""
-    from palpd.config import load_config
     from palpd.daemon.kept_plans import rehearsed_config_sha256
 
     answer = at_once.speak({"do": "plans"}, config, socket)
-    current = rehearsed_config_sha256(load_config(config)) if answer["plans"] else ""
+    current = rehearsed_config_sha256(settings_of(config)) if answer["plans"] else ""
     for plan in answer["plans"]:
         figures, rehearsed = plan["rehearsal"], "not rehearsed"
         if figures is not None:
@@ -271,7 +270,6 @@ def stream(
     ] = None,
 ) -> None:
     """Show the daemon's live data to other tools until Ctrl-C: Foxglove, Prometheus, and readers of the force. Reads only."""
-    from palpd.config import load_config
     from palpd.files import write_bytes
     from palpd.streams import serving
 
@@ -279,7 +277,7 @@ def stream(
         write_bytes(layout, serving.LAYOUT.read_bytes())
         print(f"{layout} holds the layout; open it in Foxglove with Import from file.")
         return
-    settings = load_config(config)
+    settings = settings_of(config)
     outputs = serving.Outputs(listen, foxglove, metrics, force)
     serving.serve(settings, socket or settings.paths.control_socket, outputs, lambda sentence: print(sentence, flush=True))
 
@@ -328,13 +326,12 @@ def doctor(
     """Judge clock, privileges, disk and devices, and say what to do; reads, and moves nothing."""
     from palpd.cli.jobs import carried_out
     from palpd.cli.tables import finding_table
-    from palpd.config import load_config
     from palpd.daemon import doctor as examine
     from palpd.daemon.finding import Finding
     from palpd.daemon.job_client import service_at
     from palpd.daemon.wiring import open_reader, open_sensor
 
-    settings = load_config(config if config != DEFAULT_CONFIG or config.exists() else None)
+    settings = settings_of(config, optional=True)
 
     def ask(what: str) -> None:
         terminal().input(f"{what} Then press Enter. ")
