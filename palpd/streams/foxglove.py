@@ -9,6 +9,7 @@ import logging
 import re
 import time
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 from palpd.errors import BadInput, Refused
@@ -20,21 +21,7 @@ from palpd.streams.service_watch import Status
 PROTOCOL = "foxglove.sdk.v1"
 """What viewers must ask for. The library refuses the older foxglove.websocket.v1, with a sentence that does not say so."""
 STATUS_TOPIC, LOG_TOPIC = "/status", "/log"
-STATUS_SCHEMA: dict[str, Any] = {
-    "title": "palpd.Status",
-    "type": "object",
-    "properties": {
-        "state": {"type": "string", "description": "as palpd status says it; away where no service answers"},
-        "latched": {"type": "string", "description": "reason of the last stop; empty without one"},
-        "controls": {"type": "string", "description": "who holds the controls; empty where nobody does"},
-        "job": {"type": "string", "description": "kind of the run under way; empty without one"},
-        "activity": {"type": "string", "description": "what the run or its program does"},
-        "phase": {"type": "string", "description": "phase of the newest tick"},
-        "site": {"type": "integer", "description": "number of the site, -1 for none"},
-        "steps_done": {"type": "integer"},
-        "steps": {"type": "integer"},
-    },
-}
+STATUS_SCHEMA: dict[str, Any] = json.loads(Path(__file__).with_name("status.schema.json").read_text(encoding="utf-8"))
 """Form of /status. It has no nulls, which Foxglove's JSON schemas do not know."""
 
 
