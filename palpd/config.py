@@ -373,13 +373,8 @@ def load_config(path: Path | None) -> Config:
     if path is None:
         return config
     base = path.resolve().parent
-    paths = config.paths.model_copy(
-        update={
-            "runs": base / config.paths.runs,
-            "state": base / config.paths.state,
-            "socket": base / config.paths.socket if config.paths.socket else None,
-        }
-    )
+    stated = {name: path for name in ("runs", "state", "socket") if (path := getattr(config.paths, name)) is not None}
+    paths = config.paths.model_copy(update={name: base / path for name, path in stated.items()})
     model = config.model.model_copy(update={"path": base / config.model.path if config.model.path else None})
     return config.model_copy(update={"paths": paths, "model": model})
 

@@ -139,16 +139,15 @@ def _names(kind: Kind, document: Document, nodes: Nodes, _text: str) -> list[Cha
 
 def _numbers(kind: Kind, document: Document, nodes: Nodes, text: str) -> list[Change]:
     """Texts that stand for numbers. The first palpd took "20" for 20 and 0x14 for 20, as YAML 1.1 does."""
+    wrong = []
     try:
         MODELS[kind].model_validate(document.keys_and_values())
     except ValidationError as error:
-        wrong = [each for each in error.errors(include_url=False) if each["type"] in ("float_type", "int_type")]
-    else:
-        wrong = []
+        wrong = error.errors(include_url=False)
     changes = []
     for each in wrong:
         location = each["loc"]
-        if location not in nodes or not isinstance(each["input"], str | float):
+        if each["type"] not in ("float_type", "int_type") or location not in nodes or not isinstance(each["input"], str | float):
             continue
         _, node = nodes[location]
         begin, end = node.start_mark.index, node.end_mark.index
