@@ -5,7 +5,6 @@ named after RTDE's output variables; the six columns of a TCP pose, speed or for
 """
 
 import csv
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from palpd.files import opened
 from palpd.interchange.channels import Channel, ChannelData, Kind, refuse_empty, refuse_many
 from palpd.interchange.units import unit_named
 from palpd.recording.samples import LARGEST
-from palpd.recording.tables import refuse_decimal_commas
+from palpd.recording.tables import read_numbers, refuse_decimal_commas
 from palpd.tick import Floats
 
 SEPARATORS = (";", "\t", ",", "|", None)
@@ -268,9 +267,7 @@ def _numbers(path: Path, lines: list[str], layout: TableLayout, names: Sequence[
     if layout.decimal_comma:
         rows = (line.replace(",", ".") for line in rows)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            values = np.loadtxt(rows, delimiter=layout.separator, usecols=at, ndmin=2, comments="#", quotechar='"', dtype=float)
+        values = read_numbers(rows, layout.separator, at)
     except ValueError:
         raise RecordingError(_first_wrong_cell(path, lines, layout, names, at)) from None
     if not (np.abs(values) <= LARGEST).all() and not _only_stamps(values):

@@ -2,12 +2,11 @@
 
 import csv
 import itertools
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from palpd.errors import BadInput, RecordingError
 from palpd.file_kinds import MADE_BY
 from palpd.files import opened, opened_text, writing, writing_text
-from palpd.recording.tables import Layout, cells_of, is_comment, read_layout, with_points
+from palpd.recording.tables import Layout, cells_of, is_comment, read_layout, read_numbers, with_points
 from palpd.tick import Floats
 
 WRENCH_COLUMNS = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
@@ -121,9 +120,7 @@ def read_columns(path: Path, present: Callable[[Path, Sequence[str]], list[str]]
             at = [layout.header.index(name) for name in names]
             rows = (with_points(line, layout) for line in file) if layout.decimal_comma else file
             try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", UserWarning)  # a header alone is refused later, in our own words
-                    values = np.loadtxt(rows, delimiter=layout.delimiter, usecols=at, ndmin=2, comments="#", quotechar='"', dtype=float)
+                values = read_numbers(rows, layout.delimiter, at)
             except ValueError:
                 raise RecordingError(_first_wrong_cell(path, names, at, layout)) from None
     except csv.Error:
@@ -272,10 +269,14 @@ def write_csv(path: Path, samples: Samples, *, extra: Mapping[str, Sequence[str 
     """
     columns = _columns_of(samples)
     header = [*columns, *extra]
-    if len(samples) >= MANY_ROWS and (write_table := _fast_writer()) is not None:
+    if len(samples) >= MANY_ROWS and find_spec("pyarrow") is not None:  # to the last bit the same, and five times as fast
+        import pyarrow
+        from pyarrow import csv as arrow_csv
+
+        rows = pyarrow.table({str(k): pyarrow.array(column) for k, column in enumerate((*columns.values(), *extra.values()))})
         with writing(path) as stream:
             stream.write((",".join(header) + "\n").encode())
-            write_table([*columns.values(), *extra.values()], stream)
+            arrow_csv.write_csv(rows, stream, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
         return
     table: list[list[str | float]] = np.column_stack(list(columns.values())).tolist()
     for row, *values in zip(table, *extra.values(), strict=True):
@@ -283,21 +284,6 @@ def write_csv(path: Path, samples: Samples, *, extra: Mapping[str, Sequence[str 
     with writing_text(path) as file:
         file.write(",".join(header) + "\n")
         file.writelines(",".join(map(str, row)) + "\n" for row in table)
-
-
-def _fast_writer() -> Callable[[Sequence[Floats | Sequence[str | float]], IO[bytes]], None] | None:
-    """What writes columns (n,) as rows of text to the last bit five times as fast; None where pyarrow is not installed."""
-    try:
-        import pyarrow
-        from pyarrow import csv as arrow_csv
-    except ImportError:
-        return None
-
-    def write(columns: Sequence[Floats | Sequence[str | float]], stream: IO[bytes]) -> None:
-        table = pyarrow.table({str(k): pyarrow.array(column) for k, column in enumerate(columns)})
-        arrow_csv.write_csv(table, stream, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
-
-    return write
 
 
 def _present(path: Path, header: Sequence[str]) -> list[str]:

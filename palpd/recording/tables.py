@@ -5,10 +5,14 @@ comma. A decimal comma is understood where something else separates the cells.
 """
 
 import csv
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from typing import IO, NamedTuple
 
+import numpy as np
+
 from palpd.errors import RecordingError
+from palpd.tick import Floats
 
 DELIMITERS = (",", ";", "\t")
 LONGEST_LINE = 100_000
@@ -46,6 +50,13 @@ def cells_of(line: str, delimiter: str) -> list[str]:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
     except csv.Error as error:
         raise RecordingError(f"a line that begins with {line[:20]!r} is no row of a table ({error}); give a table of numbers") from None
+
+
+def read_numbers(rows: Iterable[str], delimiter: str | None, columns: Sequence[int]) -> Floats:
+    """The numbers of these columns, (n, columns); (0, 1) where there is no row. Raises ValueError where one is no number."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a table without rows is refused later, in our own words
+        return np.loadtxt(rows, delimiter=delimiter, usecols=columns, ndmin=2, comments="#", quotechar='"', dtype=float)
 
 
 def with_points(text: str, layout: Layout) -> str:
