@@ -319,24 +319,15 @@ def _kind(error: Exception) -> str:
 # --- from files into tables -------------------------------------------------------------------------------------------------------
 
 
-Known = dict[str, tuple[str, str]]
-"""What the catalogue has read: stamps of the recording and of what stands beside it, by name."""
-
-
-def _known(connection: sqlite3.Connection) -> Known:
-    rows = connection.execute("SELECT name, recording, beside FROM runs")
-    return {os.fsdecode(name): (recording, beside) for name, recording, beside in rows}
-
-
 def _refresh(connection: sqlite3.Connection, recordings: dict[str, StoredRecording], show: ShowRead) -> int:
     """Read what is not known, and what stands beside known recordings where that has changed; forget what is gone."""
-    known = _known(connection)
+    known = {os.fsdecode(name): stamps for name, *stamps in connection.execute("SELECT name, recording, beside FROM runs")}
     if gone := [os.fsencode(name) for name in known.keys() - recordings.keys()]:
         with _writing(connection):
             for table, column in (("runs", "name"), ("moduli", "run"), ("effects", "run")):
                 connection.executemany(f"DELETE FROM {table} WHERE {column} = ?", [(name,) for name in gone])
     stamps = {name: (_stamp(each.stamp), _stamp(each.beside)) for name, each in recordings.items()}
-    changed = {name for name in recordings if known.get(name, ("", ""))[0] != stamps[name][0]}
+    changed = {name for name in recordings if known.get(name, [""])[0] != stamps[name][0]}
     for number, name in enumerate(sorted(changed)):
         show(number, len(changed), name)
         _read(connection, recordings[name], stamps[name])

@@ -1,16 +1,16 @@
 """Where a run differs from its plan: sites that were not pressed, holds and presses that are missing, depths that were not met."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
 from palpd.analysis.results import SiteResult
 from palpd.config import Plan
 from palpd.control.plan_place import SAME_PLACE_M
 from palpd.recording.header import RecordedPlace
-from palpd.tick import Floats, Mode, Phase
+from palpd.tick import Mode, Phase
 
 DEPTH_TOLERANCE_M = 5e-5
 """Distance of a depth from the commanded one that is no deviation: the accuracy that the sequence is built for."""
@@ -18,22 +18,8 @@ HOLD_TOLERANCE_S = 0.05
 """The same for the duration of a hold: some ticks of a loop at 125 Hz."""
 
 
-class Ticks(NamedTuple):
-    """What of the ticks (n,) tells whether the plan was kept; whole rows are large, and copying them takes most of the time."""
-
-    now_s: Floats
-    phase: NDArray[np.uint8]
-    mode: NDArray[np.uint8]
-    site: NDArray[np.int16]
-    depth_m: Floats
-
-    def where(self, chosen: NDArray[np.bool_]) -> "Ticks":
-        """Some of the ticks.
-
-        Args:
-            chosen: True (n,) for the ticks to keep.
-        """
-        return Ticks(self.now_s[chosen], self.phase[chosen], self.mode[chosen], self.site[chosen], self.depth_m[chosen])
+FIELDS = ["now_s", "phase", "mode", "site", "depth_m"]
+"""What of a tick tells whether the plan was kept; whole rows are large, and copying them takes most of the time."""
 
 
 def deviations(rows: NDArray[np.void], plan: Plan, sites: list[SiteResult]) -> list[str]:
@@ -45,11 +31,11 @@ def deviations(rows: NDArray[np.void], plan: Plan, sites: list[SiteResult]) -> l
     Returns:
         One sentence a deviation, in the order of the plan.
     """
-    ticks = Ticks(rows["now_s"], rows["phase"], rows["mode"], rows["site"], rows["depth_m"])
-    sentences = [each for index, site in enumerate(sites) for each in _of_site(ticks.where(ticks.site == index), plan, site)]
-    paused = int((ticks.phase == Phase.PAUSED).sum())
+    ticks = repack_fields(rows[FIELDS])
+    sentences = [each for index, site in enumerate(sites) for each in _of_site(ticks[ticks["site"] == index], plan, site)]
+    paused = int((ticks["phase"] == Phase.PAUSED).sum())
     if paused:
-        step_s = float(np.median(np.diff(ticks.now_s))) if len(rows) > 1 else 0.0
+        step_s = float(np.median(np.diff(ticks["now_s"]))) if len(rows) > 1 else 0.0
         sentences.append(f"the run was paused for {paused * step_s:.1f} s")
     return sentences
 
@@ -75,9 +61,9 @@ def place_sentences(place: RecordedPlace | None) -> list[str]:
     ]
 
 
-def _of_site(ticks: Ticks, plan: Plan, site: SiteResult) -> Iterator[str]:
+def _of_site(ticks: NDArray[np.void], plan: Plan, site: SiteResult) -> Iterator[str]:
     name = f"site {site['name']}"
-    if not (ticks.phase == Phase.PRESS).any():
+    if not (ticks["phase"] == Phase.PRESS).any():
         if plan.depths_m:
             yield f"{name} was not pressed"
         return
@@ -87,7 +73,7 @@ def _of_site(ticks: Ticks, plan: Plan, site: SiteResult) -> Iterator[str]:
         yield from _dynamically(plan, site, name)
 
 
-def _statically(ticks: Ticks, plan: Plan, site: SiteResult, name: str) -> Iterator[str]:
+def _statically(ticks: NDArray[np.void], plan: Plan, site: SiteResult, name: str) -> Iterator[str]:
     held = {depth["commanded_m"]: depth for depth in site["depths"] if depth["E_Pa"] is not None or depth["cut_short"]}
     if missing := [depth_m for depth_m in plan.depths_m if depth_m not in held]:
         yield f"{name}, static {_millimetres(missing)}: not held"
@@ -95,7 +81,7 @@ def _statically(ticks: Ticks, plan: Plan, site: SiteResult, name: str) -> Iterat
         what = f"{name}, static {depth_m * 1e3:g} mm"
         if not depth["cut_short"] and depth["achieved_m"] is not None:
             yield from _depth(what, depth_m, depth["achieved_m"])
-            hold_s = ticks.now_s[(ticks.mode == Mode.STATIC) & (ticks.phase == Phase.HOLD) & (ticks.depth_m == depth_m)]
+            hold_s = ticks["now_s"][(ticks["mode"] == Mode.STATIC) & (ticks["phase"] == Phase.HOLD) & (ticks["depth_m"] == depth_m)]
             held_s = float(hold_s[-1] - hold_s[0]) if len(hold_s) else 0.0
             if held_s < plan.hold_s - HOLD_TOLERANCE_S:
                 yield f"{what}: held for {held_s:.2f} s, planned {plan.hold_s:g} s"

@@ -15,22 +15,11 @@ from palpd.analysis.figure_style import inline_svg, save_figure, styled_figure
 from palpd.analysis.page import rendered_page
 from palpd.errors import BadInput
 from palpd.files import write_text
+from palpd.history import figures
 from palpd.history.card import site_rows, tare_and_guard
 from palpd.history.catalogue import FILE, Catalogue, RunFilter
 from palpd.history.comparison import DifferentSetting, ModulusDifference, different_settings, modulus_differences
 from palpd.history.facts import RunFacts, load, reading
-from palpd.history.figures import (
-    MOST_SITES,
-    SITES_A_ROW,
-    Drawing,
-    any_text,
-    draw_course,
-    draw_forces,
-    draw_loop,
-    draw_map,
-    draw_trend,
-    is_pressed,
-)
 from palpd.history.remarks import Remarks, remarks_of
 from palpd.history.stored import name_in, printable
 from palpd.history.trend import ModulusPoint, modulus_points
@@ -167,7 +156,7 @@ def page(report: RunReport) -> str:
             differences=[_difference_row(each) for each in differences],
             settings=[_setting_row(each) for each in settings[:MOST_SETTINGS]],
             more_settings=max(0, len(settings) - MOST_SETTINGS),
-            left_out=max(0, sum(map(is_pressed, facts["sites"])) - MOST_SITES),
+            left_out=max(0, sum(map(figures.is_pressed, facts["sites"])) - figures.MOST_SITES),
             figures=dict.fromkeys(FIGURES, "")
             | {name: _svg(name, height_in, draw) for name, (height_in, draw) in _figures(report).items()},
         )
@@ -179,11 +168,11 @@ def sheet(report: RunReport) -> Figure:
     Raises:
         RecordingError: The recording holds what no page can show.
     """
-    facts, figures = report.facts, _figures(report)
-    drawn = {name: figures[name] for name in ("forces", "map", "course") if name in figures}
-    table = [[*row[:4], *row[5:]] for row in site_rows(facts)[:MOST_SITES]]
+    facts, drawings = report.facts, _figures(report)
+    drawn = {name: drawings[name] for name in ("forces", "map", "course") if name in drawings}
+    table = [[*row[:4], *row[5:]] for row in site_rows(facts)[: figures.MOST_SITES]]
     name, words = printable(facts["name"]), headline(facts)
-    with reading(report.recording.path), any_text(), styled_figure(*SHEET_IN) as figure:
+    with reading(report.recording.path), figures.any_text(), styled_figure(*SHEET_IN) as figure:
         conditions = ", ".join(f"{key} {value}" for key, value in report_conditions(report.recording, facts)[:3])
         lines = [
             f"{KIND_WORDS.get(facts['kind'], facts['kind'])}, {when(facts['started'])}, {_duration(facts['duration_s'])}. {words}",
@@ -238,35 +227,35 @@ def save_sheet(path: Path, report: RunReport) -> None:
         BadInput: The file cannot be written.
     """
     figure = sheet(report)
-    with any_text():
+    with figures.any_text():
         save_figure(figure, path)
 
 
 # --- figures ----------------------------------------------------------------------------------------------------------------------
 
 
-def _figures(report: RunReport) -> dict[str, tuple[float, Callable[[Drawing], None]]]:
+def _figures(report: RunReport) -> dict[str, tuple[float, Callable[[figures.Drawing], None]]]:
     """What is drawn: the height of each figure in inches, and what draws it."""
     facts, recording = report.facts, report.recording
-    figures: dict[str, tuple[float, Callable[[Drawing], None]]] = {}
-    if pressed := [site for site in facts["sites"] if is_pressed(site)]:
-        rows = -(-min(len(pressed), MOST_SITES) // SITES_A_ROW)
-        figures["forces"] = 0.6 + 2.4 * rows, lambda figure: draw_forces(figure, recording, facts["sites"], report.beside)
+    drawings: dict[str, tuple[float, Callable[[figures.Drawing], None]]] = {}
+    if pressed := [site for site in facts["sites"] if figures.is_pressed(site)]:
+        rows = -(-min(len(pressed), figures.MOST_SITES) // figures.SITES_A_ROW)
+        drawings["forces"] = 0.6 + 2.4 * rows, lambda figure: figures.draw_forces(figure, recording, facts["sites"], report.beside)
     measured = [each["static_youngs_modulus_Pa"] or each["dynamic_corrected_Pa"] for each in facts["sites"]]
     if len(measured) - measured.count(None) > 1:
         places_m = np.array([(each["x_m"], each["y_m"]) for each in recording.header["sites"]], float)
-        figures["map"] = 2.2, lambda figure: draw_map(figure, places_m, facts["sites"])
-    figures["course"] = 3.6, lambda figure: draw_course(figure, recording, facts["trips"])
-    figures["loop"] = 2.6, lambda figure: draw_loop(figure, recording)
+        drawings["map"] = 2.2, lambda figure: figures.draw_map(figure, places_m, facts["sites"])
+    drawings["course"] = 3.6, lambda figure: figures.draw_course(figure, recording, facts["trips"])
+    drawings["loop"] = 2.6, lambda figure: figures.draw_loop(figure, recording)
     history = {site: points for site, points in (report.history or {}).items() if len(points) >= FEWEST_RUNS}
     if history:
-        rows = -(-min(len(history), MOST_SITES) // SITES_A_ROW)
-        figures["trend"] = 0.6 + 2.0 * rows, lambda figure: draw_trend(figure, history, facts["started_s"])
-    return figures
+        rows = -(-min(len(history), figures.MOST_SITES) // figures.SITES_A_ROW)
+        drawings["trend"] = 0.6 + 2.0 * rows, lambda figure: figures.draw_trend(figure, history, facts["started_s"])
+    return drawings
 
 
-def _svg(name: str, height_in: float, draw: Callable[[Drawing], None]) -> Markup:
-    with any_text(), styled_figure(4.4 if name == "map" else 10.0, height_in) as figure:
+def _svg(name: str, height_in: float, draw: Callable[[figures.Drawing], None]) -> Markup:
+    with figures.any_text(), styled_figure(4.4 if name == "map" else 10.0, height_in) as figure:
         draw(figure)
         return inline_svg(figure, name)
 
@@ -294,7 +283,7 @@ def headline(facts: RunFacts) -> str:
     if not facts["sites"]:
         return "Done."
     presses = sum(len(site["presses"]) + sum(depth["E_Pa"] is not None for depth in site["depths"]) for site in facts["sites"])
-    pressed = sum(map(is_pressed, facts["sites"]))
+    pressed = sum(map(figures.is_pressed, facts["sites"]))
     count = len(facts["cut_short"])
     cut = f", {count} {'depth' if count == 1 else 'depths'} cut short" if count else ""
     return f"Done: {presses} presses at {pressed} {'site' if pressed == 1 else 'sites'}{cut}."

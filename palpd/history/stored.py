@@ -63,17 +63,12 @@ def stored_recordings(folder: Path) -> dict[str, StoredRecording]:
     """
     recordings: dict[str, StoredRecording] = {}
     beside: list[tuple[str, str, FileStamp]] = []
-    try:
-        for place, name, stamp in _files(os.fspath(folder), ""):
-            if name.endswith(RECORDING):
-                stem = place + name.removesuffix(RECORDING)
-                recordings[stem] = StoredRecording(stem, folder / (place + name), stamp)
-            else:
-                beside.append((place, name, stamp))
-    except FileNotFoundError:
-        return {}
-    except OSError as error:
-        raise BadInput(f"{folder} cannot be read ({error.strerror or error}); give the folder of the runs") from error
+    for place, name, stamp in _listed(folder, RECORDING, REMARKS, DIAGNOSIS):
+        if name.endswith(RECORDING):
+            stem = place + name.removesuffix(RECORDING)
+            recordings[stem] = StoredRecording(stem, folder / (place + name), stamp)
+        else:
+            beside.append((place, name, stamp))
     for place, name, stamp in beside:
         stem = name.removesuffix(REMARKS).removesuffix(DIAGNOSIS)
         owner = recordings.get(place + stem) or recordings.get(place + stem.rpartition(".")[0])
@@ -95,22 +90,25 @@ def unfinished_recordings(folder: Path) -> dict[str, Path]:
         BadInput: The folder cannot be read.
     """
     unfinished = {}
-    try:
-        for place, name, _ in _files(os.fspath(folder), "", endings=(PART,)):
-            part = folder / (place + name)
-            with contextlib.suppress(OSError):  # it may not be read, or was removed meanwhile
-                if not part.with_suffix(RECORDING).exists() and not is_growing(part):
-                    unfinished[place + name.removesuffix(PART)] = part
-    except FileNotFoundError:
-        return {}
-    except OSError as error:
-        raise BadInput(f"{folder} cannot be read ({error.strerror or error}); give the folder of the runs") from error
+    for place, name, _ in _listed(folder, PART):
+        part = folder / (place + name)
+        with contextlib.suppress(OSError):  # it may not be read, or was removed meanwhile
+            if not part.with_suffix(RECORDING).exists() and not is_growing(part):
+                unfinished[place + name.removesuffix(PART)] = part
     return unfinished
 
 
-def _files(
-    folder: str, place: str, levels: int = LEVELS, endings: tuple[str, ...] = (RECORDING, REMARKS, DIAGNOSIS)
-) -> Iterator[tuple[str, str, FileStamp]]:
+def _listed(folder: Path, *endings: str) -> list[tuple[str, str, FileStamp]]:
+    """The files with these endings, as `_files` gives them; none where there is no folder. Raises BadInput."""
+    try:
+        return list(_files(os.fspath(folder), "", LEVELS, endings))
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise BadInput(f"{folder} cannot be read ({error.strerror or error}); give the folder of the runs") from error
+
+
+def _files(folder: str, place: str, levels: int, endings: tuple[str, ...]) -> Iterator[tuple[str, str, FileStamp]]:
     """Place, name and stamp of each recording and of what may belong to one; links to folders are not followed."""
     with os.scandir(folder) as entries:
         for entry in entries:
