@@ -162,29 +162,6 @@ class Children:
         child._task = asyncio.create_task(self._carry_out(child))  # noqa: SLF001 - the keeper owns its children
         return child
 
-    async def answered(
-        self, name: str, key: tuple[Any, ...], words: Sequence[str], *, limit_s: float, files: Mapping[str, str] | None = None
-    ) -> Child:
-        """Carry out a command and wait for its end.
-
-        Args:
-            name: As for `begin`.
-            key: As for `begin`.
-            words: As for `begin`.
-            limit_s: As for `begin`.
-            files: As for `begin`.
-
-        Returns:
-            The child, which is over.
-
-        Raises:
-            Refused: Too many wait already.
-            BadInput: As for `begin`.
-        """
-        child = self.begin(name, key, words, limit_s=limit_s, files=files)
-        await child.over.wait()
-        return child
-
     def numbered(self, number: int) -> Child:
         """The child of that number. Raises BadInput where there is none any more."""
         if number not in self._children:

@@ -31,7 +31,8 @@ class PlanPages:
         text, config = await _plan_in(request), config_of(self._settings)
         words = ["check-config", str(config), "--plan", PLAN, "--json", "out.json", "--faults"]
         about = ("check", text, _written_ns(config))
-        child = await self._children.answered("the check of the plan", about, words, limit_s=CHECK_LIMIT_S, files={PLAN: text})
+        child = self._children.begin("the check of the plan", about, words, limit_s=CHECK_LIMIT_S, files={PLAN: text})
+        await child.over.wait()
         content: Mapping[str, Any] = await run_in_threadpool(child.result)
         return as_json({"ok": False, "error": content["refusal"], **content}, 400) if "refusal" in content else content
 

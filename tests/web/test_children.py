@@ -30,6 +30,13 @@ def carried_out(work: Callable[[Children], Awaitable[None]]) -> None:
     asyncio.run(whole())
 
 
+async def answered(children: Children, *what: Any, **limits: Any) -> Child:
+    """Begin a command and wait for its end."""
+    child = children.begin(*what, **limits)
+    await child.over.wait()
+    return child
+
+
 def is_alive(process: str) -> bool:
     """Whether a process still runs; one that has ended may wait for its parent."""
     try:
@@ -47,7 +54,7 @@ def test_a_command_that_is_done_has_its_figures_and_its_folder_is_gone_with_the_
     folders: list[Path] = []
 
     async def work(children: Children) -> None:
-        child = await children.answered("sum", ("a",), [f"print(open('in.txt').read()); {WRITES}"], limit_s=60, files={"in.txt": "x"})
+        child = await answered(children, "sum", ("a",), [f"print(open('in.txt').read()); {WRITES}"], limit_s=60, files={"in.txt": "x"})
         assert (child.state, child.result()) == ("done", {"answer": 42})
         assert child.folder.stat().st_mode & 0o077 == 0
         folders.append(child.folder)
@@ -61,7 +68,7 @@ def test_a_refusal_is_the_sentence_of_the_terminal(code: int, state: str) -> Non
     script = f"import sys; print('step', file=sys.stderr); print('palpd: the plan is wrong; correct it', file=sys.stderr); sys.exit({code})"
 
     async def work(children: Children) -> None:
-        child = await children.answered("check", ("a",), [script], limit_s=60)
+        child = await answered(children, "check", ("a",), [script], limit_s=60)
         assert (child.state, child.sentence, child.step) == (state, "the plan is wrong; correct it", "step")
         with pytest.raises(BadInput, match="the plan is wrong"):
             child.result()
@@ -71,9 +78,9 @@ def test_a_refusal_is_the_sentence_of_the_terminal(code: int, state: str) -> Non
 
 def test_a_command_that_dies_is_a_sentence_too() -> None:
     async def work(children: Children) -> None:
-        died = await children.answered("sum", ("a",), ["import os; os.kill(os.getpid(), 9)"], limit_s=60)
+        died = await answered(children, "sum", ("a",), ["import os; os.kill(os.getpid(), 9)"], limit_s=60)
         assert (died.state, died.sentence) == ("failed", "sum ended by signal 9 (without a word); try again")
-        broken = await children.answered("sum", ("b",), ["1 / 0"], limit_s=60)
+        broken = await answered(children, "sum", ("b",), ["1 / 0"], limit_s=60)
         assert "sum ended with code 1" in broken.sentence
         assert "ZeroDivisionError" in broken.sentence
 
@@ -122,7 +129,7 @@ def test_a_command_is_cancelled_with_all_that_it_has_started_while_it_still_begi
 
 def test_a_command_that_takes_too_long_is_ended() -> None:
     async def work(children: Children) -> None:
-        child = await children.answered("sum", ("a",), [SLEEPS], limit_s=0.3)
+        child = await answered(children, "sum", ("a",), [SLEEPS], limit_s=0.3)
         assert (child.state, child.sentence) == ("failed", "sum took more than 0.3 s, expected less; it was ended")
 
     carried_out(work)
@@ -169,7 +176,7 @@ def test_only_the_last_commands_are_kept(monkeypatch: pytest.MonkeyPatch) -> Non
 
     async def work(children: Children) -> None:
         for name in "abc":
-            await children.answered("sum", (name,), [WRITES], limit_s=60)
+            await answered(children, "sum", (name,), [WRITES], limit_s=60)
         with pytest.raises(PalpdError, match="begin it again"):
             children.numbered(1)
         assert children.numbered(3).state == "done"
