@@ -5,16 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from palpd.cli.curve_options import (
-    CompressionNegative,
-    DepthColumn,
-    ForceColumn,
-    ForceUnitOption,
-    HeightColumn,
-    HeightDownPositive,
-    LengthUnitOption,
-    TimeColumn,
-)
+from palpd.cli import curve_options
 from palpd.cli.options import DEFAULT_CONFIG, AcceptImplausible, ConfigOption, HereOption, JsonOption, app, display, finish, terminal
 from palpd.cli.output_options import Output, refuse_left_out
 from palpd.file_kinds import CSV, MODEL, PICTURE
@@ -39,14 +30,14 @@ CURVE = (
 def analyse(
     file: Annotated[Path, typer.Argument(help="a recording (.mcap), or a curve of another machine as CSV")],
     site: Annotated[str | None, typer.Option("--site", help="this site only (recordings)")] = None,
-    force_column: ForceColumn = None,
-    force_unit: ForceUnitOption = "N",
-    depth_column: DepthColumn = None,
-    height_column: HeightColumn = None,
-    height_down_positive: HeightDownPositive = False,
-    length_unit: LengthUnitOption = "m",
-    compression_negative: CompressionNegative = False,
-    time_column: TimeColumn = None,
+    force_column: curve_options.ForceColumn = None,
+    force_unit: curve_options.ForceUnitOption = "N",
+    depth_column: curve_options.DepthColumn = None,
+    height_column: curve_options.HeightColumn = None,
+    height_down_positive: curve_options.HeightDownPositive = False,
+    length_unit: curve_options.LengthUnitOption = "m",
+    compression_negative: curve_options.CompressionNegative = False,
+    time_column: curve_options.TimeColumn = None,
     tip_radius_m: Annotated[
         float | None, typer.Option("--tip-radius-m", help="radius of the spherical tip; needed for a foreign curve")
     ] = None,
