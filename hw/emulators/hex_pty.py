@@ -16,11 +16,10 @@ from random import Random
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hw.emulators.pose import Floats
 from palpd.files import check_link
 
-Floats = NDArray[np.float64]
 PartsAt = Literal["reading", "load"]
 """Where the slopes of Fz part: where the sensor reads zero before zeroing, or where it carries nothing."""
 

@@ -10,9 +10,8 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from hw.emulators.pose import Floats
 
 RDT_PORT = 49152
 COUNTS_PER_N = 1_000_000
