@@ -6,7 +6,8 @@ it is not there.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from math import inf, pi
 from typing import Any, Literal
 
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from palpd.blind.truth import DEEP, EVENT, HIGH, LawStatement, names
+from palpd.blind.truth import DEEP, EVENT, HIGH, LawStatement, is_law, names
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -99,19 +100,28 @@ class SensorRows:
     random: np.random.Generator
 
 
+def _times_first(p: Shape, s: float) -> Shape:
+    first = next(iter(p))
+    return p | {first: p[first] * s}
+
+
 @dataclass(frozen=True)
 class Law:
-    """One law of one effect. `at` gives its parameters at a strength; `variance` laws move scatter or lattice, not the mean.
+    """One law of one effect. `at` gives its parameters at a strength; by default that is a factor on the first number of its shape.
+
+    `variance` laws move scatter or lattice, not the mean.
+
+    The `name` of a law of docs/reference/contract.md is `library`, and that of an effect outside the list is `novel`.
 
     `states` says what a law outside the list is, from its parameters and the height of the surface.
     """
 
     effect: str
-    name: str
     stage: Stage
-    draw: Callable[[np.random.Generator, CellScales], Shape]
-    at: Callable[[Shape, float], Shape]
     apply: Callable[[Any, Shape], None]
+    draw: Callable[[np.random.Generator, CellScales], Shape]
+    at: Callable[[Shape, float], Shape] = _times_first
+    name: str = "library"
     strongest: float = inf
     variance: bool = False
     states: Callable[[Shape, float], LawStatement] = lambda _, __: EVENT
@@ -215,12 +225,12 @@ def _times(*names: str) -> Callable[[Shape, float], Shape]:
     return lambda p, s: {k: x * s if k in names else x for k, x in p.items()}
 
 
-def _over(*names: str) -> Callable[[Shape, float], Shape]:
-    return lambda p, s: {k: x / s if k in names else x for k, x in p.items()}
+def _over(name: str) -> Callable[[Shape, float], Shape]:
+    return lambda p, s: p | {name: p[name] / s}
 
 
-def _power(*names: str) -> Callable[[Shape, float], Shape]:
-    return lambda p, s: {k: x**s if k in names else x for k, x in p.items()}
+def _power(name: str) -> Callable[[Shape, float], Shape]:
+    return lambda p, s: p | {name: p[name] ** s}
 
 
 def _between(r: np.random.Generator, low: float, high: float) -> float:
@@ -315,13 +325,8 @@ def _thickness_exponential(w: SimulatedRun, p: Shape) -> None:
     w.contact_N = w.contact_N * np.exp(1.1 * x + 0.55 * x**2)
 
 
-def _inclusion(w: SimulatedRun, p: Shape) -> None:
-    x = (w.depth_m / p["depth_m"]) ** 2
-    w.contact_N = w.contact_N * (1.0 + p["contrast"] * x / (1.0 + x))
-
-
-def _inclusion_sharp(w: SimulatedRun, p: Shape) -> None:
-    x = (w.depth_m / p["depth_m"]) ** 3
+def _inclusion(w: SimulatedRun, p: Shape, power: int = 2) -> None:
+    x = (w.depth_m / p["depth_m"]) ** power
     w.contact_N = w.contact_N * (1.0 + p["contrast"] * x / (1.0 + x))
 
 
@@ -345,16 +350,17 @@ def _power_law_relaxation(w: SimulatedRun, p: Shape) -> None:
     _maxwell(w, [(p["ratio"] * float(g), float(tau)) for g, tau in zip(weights / weights.sum(), taus, strict=True)])
 
 
-def _preconditioning(w: SimulatedRun, p: Shape) -> None:
+def _share_of_deepest(w: SimulatedRun) -> Floats:
     deepest = np.maximum.accumulate(w.depth_m)
-    share = np.divide(w.depth_m, deepest, out=np.zeros_like(deepest), where=deepest > 0.0)
-    w.contact_N = w.contact_N * (1.0 - p["softening"] * (1.0 - share**2))
+    return np.divide(w.depth_m, deepest, out=np.zeros_like(deepest), where=deepest > 0.0)
+
+
+def _preconditioning(w: SimulatedRun, p: Shape) -> None:
+    w.contact_N = w.contact_N * (1.0 - p["softening"] * (1.0 - _share_of_deepest(w) ** 2))
 
 
 def _preconditioning_linear(w: SimulatedRun, p: Shape) -> None:
-    deepest = np.maximum.accumulate(w.depth_m)
-    share = np.divide(w.depth_m, deepest, out=np.zeros_like(deepest), where=deepest > 0.0)
-    w.contact_N = w.contact_N * (1.0 - p["softening"] * (1.0 - share) ** 0.8)
+    w.contact_N = w.contact_N * (1.0 - p["softening"] * (1.0 - _share_of_deepest(w)) ** 0.8)
 
 
 def _plasticity(w: SimulatedRun, p: Shape) -> None:
@@ -562,11 +568,7 @@ def _latency_wandering(w: SimulatedRun, p: Shape) -> None:
 
 
 def _hysteresis(w: SimulatedRun, p: Shape) -> None:
-    w.wrench[:, 2] += p["amplitude_N"] * _loop(w.wrench[:, 2], p["width_N"], 1.0)
-
-
-def _bouc_wen(w: SimulatedRun, p: Shape) -> None:
-    w.wrench[:, 2] += p["amplitude_N"] * _loop(w.wrench[:, 2], p["width_N"], p["exponent"])
+    w.wrench[:, 2] += p["amplitude_N"] * _loop(w.wrench[:, 2], p["width_N"], p.get("exponent", 1.0))
 
 
 def _loop(f: Floats, width_N: float, exponent: float) -> Floats:
@@ -805,225 +807,107 @@ def _noise_at(p: Shape, s: float) -> Shape:
 LIBRARY_LAWS: tuple[Law, ...] = (
     Law(
         "robot.lag",
-        "library",
         "command",
+        _lag,
         lambda r, m: {"bandwidth_ratio": 0.8 if r.random() < 0.7 else 1.25},
         _power("bandwidth_ratio"),
-        _lag,
         strongest=6.0,
     ),
     Law(
         "robot.lag",
-        "library",
         "command",
+        _lag_damped_otherwise,
         lambda r, m: {"bandwidth_ratio": 1.0, "damping_ratio": m.servo_damping},
         lambda p, s: {**p, "damping_ratio": p["damping_ratio"] * 0.8**s},
-        _lag_damped_otherwise,
         strongest=6.0,
     ),
-    Law("robot.vibration", "library", "motion", _vibration_shape, _times("amplitude_m"), _vibration),
-    Law("robot.backlash", "library", "tip", lambda r, m: {"width_m": 0.03 * m.depth_m}, _times("width_m"), _backlash, strongest=10.0),
+    Law("robot.vibration", "motion", _vibration, _vibration_shape),
+    Law("robot.backlash", "tip", _backlash, lambda r, m: {"width_m": 0.03 * m.depth_m}, strongest=10.0),
     Law(
         "robot.compliance",
-        "library",
         "tip",
+        _compliance,
         lambda r, m: {"stiffness_N_per_m": 20.0 * m.force_N / m.depth_m},
         _over("stiffness_N_per_m"),
-        _compliance,
         strongest=40.0,
     ),
-    Law(
-        "tissue.surface",
-        "library",
-        "surface",
-        lambda r, m: {"offset_m": _sign(r) * 0.05 * m.depth_m},
-        _times("offset_m"),
-        _surface,
-        strongest=8.0,
-    ),
-    Law("tissue.modulus", "library", "surface", lambda r, m: {"ratio": 1.1 ** _sign(r)}, _power("ratio"), _modulus, strongest=12.0),
-    Law(
-        "tissue.viscoelastic",
-        "library",
-        "history",
-        lambda r, m: {"ratio": 0.1, "tau_s": _between(r, 0.1, 6.0)},
-        _times("ratio"),
-        _viscoelastic,
-        strongest=30.0,
-    ),
-    Law(
-        "tissue.preconditioning",
-        "library",
-        "history",
-        lambda r, m: {"softening": 0.1},
-        _times("softening"),
-        _preconditioning,
-        strongest=7.0,
-    ),
+    Law("tissue.surface", "surface", _surface, lambda r, m: {"offset_m": _sign(r) * 0.05 * m.depth_m}, strongest=8.0),
+    Law("tissue.modulus", "surface", _modulus, lambda r, m: {"ratio": 1.1 ** _sign(r)}, _power("ratio"), strongest=12.0),
+    Law("tissue.viscoelastic", "history", _viscoelastic, lambda r, m: {"ratio": 0.1, "tau_s": _between(r, 0.1, 6.0)}, strongest=30.0),
+    Law("tissue.preconditioning", "history", _preconditioning, lambda r, m: {"softening": 0.1}, strongest=7.0),
     Law(
         "tissue.adhesion",
-        "library",
         "history",
-        lambda r, m: {"force_N": 0.03 * m.force_N, "range_m": m.depth_m * _between(r, 0.08, 0.5)},
-        _times("force_N"),
         _adhesion,
+        lambda r, m: {"force_N": 0.03 * m.force_N, "range_m": m.depth_m * _between(r, 0.08, 0.5)},
         strongest=20.0,
     ),
     Law(
         "tissue.thickness",
-        "library",
         "tissue",
+        _thickness,
         lambda r, m: {"thickness_m": 12.0 * (m.tip_radius_m * m.depth_m) ** 0.5},
         _over("thickness_m"),
-        _thickness,
         strongest=12.0,
     ),
     Law(
         "tissue.inclusion",
-        "library",
         "tissue",
-        lambda r, m: {"contrast": 0.3, "depth_m": m.depth_m * _between(r, 0.4, 2.5)},
-        _times("contrast"),
         _inclusion,
+        lambda r, m: {"contrast": 0.3, "depth_m": m.depth_m * _between(r, 0.4, 2.5)},
         strongest=30.0,
     ),
     Law(
         "tissue.plasticity",
-        "library",
         "surface",
-        lambda r, m: {"set_m": 0.02 * m.depth_m, "ratio": float(r.uniform(0.3, 0.8))},
-        _times("set_m"),
         _plasticity,
+        lambda r, m: {"set_m": 0.02 * m.depth_m, "ratio": float(r.uniform(0.3, 0.8))},
         strongest=10.0,
     ),
-    Law(
-        "probe.mass",
-        "library",
-        "command",
-        lambda r, m: {"delta_kg": (0.15 if r.random() < 0.7 else -0.15) * m.mass_kg},
-        _times("delta_kg"),
-        _mass,
-        strongest=6.0,
-    ),
-    Law("structure.resonance", "library", "probe", _resonance_shape, _times("participation"), _resonance, strongest=3.3),
-    Law(
-        "cable.spring",
-        "library",
-        "probe",
-        lambda r, m: {"stiffness_N_per_m": _sign(r) * 0.03 * m.force_N / m.stroke_m},
-        _times("stiffness_N_per_m"),
-        _spring,
-    ),
-    Law("cable.friction", "library", "probe", lambda r, m: {"force_N": 0.02 * m.force_N}, _times("force_N"), _friction),
+    Law("probe.mass", "command", _mass, lambda r, m: {"delta_kg": (0.15 if r.random() < 0.7 else -0.15) * m.mass_kg}, strongest=6.0),
+    Law("structure.resonance", "probe", _resonance, _resonance_shape, _times("participation"), strongest=3.3),
+    Law("cable.spring", "probe", _spring, lambda r, m: {"stiffness_N_per_m": _sign(r) * 0.03 * m.force_N / m.stroke_m}),
+    Law("cable.friction", "probe", _friction, lambda r, m: {"force_N": 0.02 * m.force_N}),
     Law(
         "cable.friction",
-        "library",
         "probe",
-        lambda r, m: {"force_N": 0.02 * m.force_N, "presliding_m": m.depth_m * _between(r, 0.02, 0.2)},
-        _times("force_N"),
         _friction_dahl,
+        lambda r, m: {"force_N": 0.02 * m.force_N, "presliding_m": m.depth_m * _between(r, 0.02, 0.2)},
     ),
-    Law(
-        "cable.viscous",
-        "library",
-        "probe",
-        lambda r, m: {"coefficient_N_s_per_m": 0.02 * m.force_N / m.speed_m_per_s},
-        _times("coefficient_N_s_per_m"),
-        _viscous,
-    ),
-    Law(
-        "contact.lateral",
-        "library",
-        "probe",
-        lambda r, m: {"ratio": 0.02, "azimuth_rad": _angle(r)},
-        _times("ratio"),
-        _lateral,
-        strongest=40.0,
-    ),
-    Law(
-        "probe.tilt",
-        "library",
-        "probe",
-        lambda r, m: {"angle_rad": 0.02, "azimuth_rad": _angle(r)},
-        _times("angle_rad"),
-        _tilt,
-        strongest=25.0,
-    ),
-    Law("clock.skew", "library", "sensor", lambda r, m: {"ratio": _sign(r) * 0.01 / m.duration_s}, _times("ratio"), _skew, strongest=100.0),
-    Law("sensor.latency", "library", "sensor", lambda r, m: {"delay_s": 0.003}, _times("delay_s"), _latency, strongest=60.0),
-    Law("sensor.gain", "library", "sensor", lambda r, m: {"error": _sign(r) * 0.03}, _times("error"), _gain, strongest=15.0),
-    Law("sensor.asymmetry", "library", "sensor", _asymmetry_shape, _asymmetry_at, _asymmetry, strongest=12.0),
+    Law("cable.viscous", "probe", _viscous, lambda r, m: {"coefficient_N_s_per_m": 0.02 * m.force_N / m.speed_m_per_s}),
+    Law("contact.lateral", "probe", _lateral, lambda r, m: {"ratio": 0.02, "azimuth_rad": _angle(r)}, strongest=40.0),
+    Law("probe.tilt", "probe", _tilt, lambda r, m: {"angle_rad": 0.02, "azimuth_rad": _angle(r)}, strongest=25.0),
+    Law("clock.skew", "sensor", _skew, lambda r, m: {"ratio": _sign(r) * 0.01 / m.duration_s}, strongest=100.0),
+    Law("sensor.latency", "sensor", _latency, lambda r, m: {"delay_s": 0.003}, strongest=60.0),
+    Law("sensor.gain", "sensor", _gain, lambda r, m: {"error": _sign(r) * 0.03}, strongest=15.0),
+    Law("sensor.asymmetry", "sensor", _asymmetry, _asymmetry_shape, _asymmetry_at, strongest=12.0),
     Law(
         "sensor.crosstalk",
-        "library",
         "sensor",
+        _crosstalk,
         _crosstalk_shape,
         _times("fx_per_fz", "fy_per_fz", "tx_per_fz_m", "ty_per_fz_m"),
-        _crosstalk,
         strongest=15.0,
     ),
-    Law("sensor.hysteresis", "library", "sensor", _hysteresis_shape, _times("amplitude_N"), _hysteresis, strongest=10.0),
-    Law(
-        "sensor.creep",
-        "library",
-        "sensor",
-        lambda r, m: {"ratio": 0.05, "tau_s": _between(r, 0.3, 20.0)},
-        _times("ratio"),
-        _creep,
-        strongest=20.0,
-    ),
-    Law(
-        "sensor.warmup",
-        "library",
-        "sensor",
-        lambda r, m: {"amplitude_N": _sign(r) * 2.0 * m.noise_N, "tau_s": _taut(r, m, 0.05, 0.4)},
-        _times("amplitude_N"),
-        _warmup,
-    ),
-    Law("sensor.filter", "library", "sensor", _filter_shape, _filter_at, _filter, strongest=50.0),
-    Law("sensor.bias", "library", "sensor", lambda r, m: {"offset_N": _sign(r) * m.noise_N}, _times("offset_N"), _bias),
-    Law(
-        "sensor.drift",
-        "library",
-        "sensor",
-        lambda r, m: {"rate_N_per_s": _sign(r) * m.noise_N / m.duration_s},
-        _times("rate_N_per_s"),
-        _drift,
-    ),
-    Law(
-        "sensor.saturation",
-        "library",
-        "row",
-        lambda r, m: {"limit_N": m.force_N, "peak_N": m.force_N},
-        _saturation_at,
-        _saturation,
-        strongest=8.0,
-    ),
-    Law("sensor.noise", "library", "sensor", lambda r, m: {"ratio": 1.4}, _noise_at, _noise, variance=True),
-    Law(
-        "sensor.quantization",
-        "library",
-        "row",
-        lambda r, m: {"step_N": 2.0 * max(m.noise_N, m.step_N)},
-        _times("step_N"),
-        _quantization,
-        variance=True,
-    ),
+    Law("sensor.hysteresis", "sensor", _hysteresis, _hysteresis_shape, _times("amplitude_N"), strongest=10.0),
+    Law("sensor.creep", "sensor", _creep, lambda r, m: {"ratio": 0.05, "tau_s": _between(r, 0.3, 20.0)}, strongest=20.0),
+    Law("sensor.warmup", "sensor", _warmup, lambda r, m: {"amplitude_N": _sign(r) * 2.0 * m.noise_N, "tau_s": _taut(r, m, 0.05, 0.4)}),
+    Law("sensor.filter", "sensor", _filter, _filter_shape, _filter_at, strongest=50.0),
+    Law("sensor.bias", "sensor", _bias, lambda r, m: {"offset_N": _sign(r) * m.noise_N}),
+    Law("sensor.drift", "sensor", _drift, lambda r, m: {"rate_N_per_s": _sign(r) * m.noise_N / m.duration_s}),
+    Law("sensor.saturation", "row", _saturation, lambda r, m: {"limit_N": m.force_N, "peak_N": m.force_N}, _saturation_at, strongest=8.0),
+    Law("sensor.noise", "sensor", _noise, lambda r, m: {"ratio": 1.4}, _noise_at, variance=True),
+    Law("sensor.quantization", "row", _quantization, lambda r, m: {"step_N": 2.0 * max(m.noise_N, m.step_N)}, variance=True),
     Law(
         "sensor.dropout",
-        "library",
         "row",
+        _dropout,
         lambda r, m: {"rate_Hz": _between(r, 0.4, 3.0), "length_s": 0.02},
         _times("length_s"),
-        _dropout,
         variance=True,
     ),
 )
 """The listed effects, each with the listed law."""
-
-
-def _own(effect: str) -> Law:
-    return next(law for law in LIBRARY_LAWS if law.effect == effect)
 
 
 def _with(
@@ -1034,9 +918,8 @@ def _with(
     **changes: Any,
 ) -> Law:
     """Another law for a listed effect: the same shape and strength, and what else the law asks for."""
-    own = _own(effect)
-    fields = {"stage": own.stage, "at": own.at, "strongest": own.strongest, "variance": own.variance} | changes
-    return Law(effect, name, draw=lambda r, m: own.draw(r, m) | more(r, m), apply=apply, **fields)
+    own = next(law for law in LIBRARY_LAWS if law.effect == effect)
+    return replace(own, name=name, draw=lambda r, m: own.draw(r, m) | more(r, m), apply=apply, **changes)
 
 
 def _lag_foreign_at(p: Shape, s: float) -> Shape:
@@ -1059,7 +942,7 @@ FOREIGN_LAWS: tuple[Law, ...] = (
     _with("tissue.preconditioning", "sharper", _preconditioning_linear),
     _with("tissue.adhesion", "exponential", _adhesion_stringy),
     _with("tissue.thickness", "exponential", _thickness_exponential),
-    _with("tissue.inclusion", "sharper", _inclusion_sharp),
+    _with("tissue.inclusion", "sharper", partial(_inclusion, power=3)),
     _with("tissue.plasticity", "hyperbolic", _plasticity_hyperbolic, lambda r, m: {"exponent": float(r.uniform(0.8, 2.0))}),
     _with("probe.mass", "part of it sloshes", _mass_sloshing, lambda r, m: {"tau_s": 0.15 / m.servo_Hz}, stage="probe"),
     _with("structure.resonance", "two modes", _resonance_two_modes, lambda r, m: {"second_Hz": min(7.5 * m.servo_Hz, 0.35 * m.rate_Hz)}),
@@ -1078,7 +961,7 @@ FOREIGN_LAWS: tuple[Law, ...] = (
     _with("sensor.gain", "slightly bent", _gain_nonlinear, lambda r, m: {"bend": 0.25 * _sign(r), "force_N": m.force_N}),
     _with("sensor.asymmetry", "rounded corner", _asymmetry_rounded, lambda r, m: {"width_N": float(r.uniform(0.03, 0.12)) * m.force_N}),
     _with("sensor.crosstalk", "slightly bent", _crosstalk_nonlinear, lambda r, m: {"force_N": m.force_N}),
-    _with("sensor.hysteresis", "Bouc-Wen", _bouc_wen, lambda r, m: {"exponent": float(r.uniform(1.3, 2.5))}),
+    _with("sensor.hysteresis", "Bouc-Wen", _hysteresis, lambda r, m: {"exponent": float(r.uniform(1.3, 2.5))}),
     _with("sensor.hysteresis", "Prandtl-Ishlinskii", _prandtl),
     _with("sensor.creep", "power law", _creep_power_law),
     _with("sensor.warmup", "stretched", _warmup_stretched, lambda r, m: {"exponent": float(r.uniform(0.6, 0.85))}),
@@ -1102,189 +985,106 @@ FOREIGN_LAWS: tuple[Law, ...] = (
 # what the effects outside the list are
 
 
-def _states_breathing(p: Shape, _: float) -> LawStatement:
-    return {"kind": "law", "names": names("fz_N", ("surface",), ("time",), period=1.0 / p["frequency_Hz"])}
-
-
-def _states_hum(p: Shape, _: float) -> LawStatement:
-    return {"kind": "law", "names": names("fz_N", ("one",), ("time",), period=1.0 / p["frequency_Hz"])}
-
-
-def _states_cogging(p: Shape, _: float) -> LawStatement:
-    return {"kind": "law", "names": names("fz_N", ("one",), HIGH, period=p["pitch_m"]) + names("fz_N", ("one",), HIGH)}
-
-
 def _states_sticking(_: Shape, __: float) -> LawStatement:
     """Contact force × depth × direction, which lags by 0.05 s; force and depth are functions of each other."""
     lagging = names("fz_N", ("force",), ("direction",), memory="relaxed", constant=0.05)
-    at_once = names("fz_N", ("force_direction", "direction"), DEEP) + names("fz_N", ("force",), ("direction",))
-    return {"kind": "law", "names": lagging + at_once}
-
-
-def _states_slow_servo(p: Shape, _: float) -> LawStatement:
-    return {"kind": "law", "names": names("z_m", ("one",), ("command",), memory="slew", constant=p["speed_m_per_s"])}
-
-
-def _states_stair_servo(p: Shape, _: float) -> LawStatement:
-    return {"kind": "law", "names": names("z_m", ("one",), ("command",), period=p["step_m"]) + names("z_m", ("one",), ("command",))}
-
-
-def _states_second_body(_: Shape, __: float) -> LawStatement:
-    return {"kind": "law", "names": [name for c in ("lateral", "fx_N", "fy_N") for name in names(c, ("direction",), HIGH)]}
-
-
-def _states_twist(_: Shape, __: float) -> LawStatement:
-    by_speed = names("tz_Nm", ("force",), ("speed", "direction"))
-    return {"kind": "law", "names": by_speed + names("tz_Nm", ("direction", "force_direction"), DEEP)}
+    return is_law(lagging, names("fz_N", ("force_direction", "direction"), DEEP), names("fz_N", ("force",), ("direction",)))
 
 
 def _states_hook(p: Shape, surface_z_m: float) -> LawStatement:
     """A cable that goes taut above the surface acts in the air alone."""
-    return {"kind": "law", "names": names("fz_N", ("one", "air") if p["height_m"] >= surface_z_m else ("one",), HIGH)}
+    return is_law(names("fz_N", ("one", "air") if p["height_m"] >= surface_z_m else ("one",), HIGH))
 
 
-def _states_heat(p: Shape, _: float) -> LawStatement:
-    return {"kind": "law", "names": names("fz_N", ("one",), ("squared_speed",), memory="relaxed", constant=p["tau_s"])}
-
-
-def _states_swelling(p: Shape, _: float) -> LawStatement:
-    return {"kind": "law", "names": names("fz_N", ("surface",), ("contact", "air"), memory="relaxed", constant=p["tau_s"])}
-
+_novel = partial(Law, name="novel")
 
 NOVEL_LAWS: tuple[Law, ...] = (
-    Law(
+    _novel(
         "breathing",
-        "novel",
         "surface",
-        lambda r, m: {"amplitude_m": 0.02 * m.depth_m, "frequency_Hz": _between(r, 0.15, 0.6), "phase_rad": _angle(r)},
-        _times("amplitude_m"),
         _breathing,
+        lambda r, m: {"amplitude_m": 0.02 * m.depth_m, "frequency_Hz": _between(r, 0.15, 0.6), "phase_rad": _angle(r)},
         strongest=10.0,
-        states=_states_breathing,
+        states=lambda p, _: is_law(names("fz_N", ("surface",), ("time",), period=1.0 / p["frequency_Hz"])),
     ),
-    Law(
+    _novel(
         "hum",
-        "novel",
         "probe",
-        lambda r, m: {"force_N": 0.5 * m.noise_N, "frequency_Hz": _between(r, 0.3, 8.0), "phase_rad": _angle(r)},
-        _times("force_N"),
         _hum,
-        states=_states_hum,
+        lambda r, m: {"force_N": 0.5 * m.noise_N, "frequency_Hz": _between(r, 0.3, 8.0), "phase_rad": _angle(r)},
+        states=lambda p, _: is_law(names("fz_N", ("one",), ("time",), period=1.0 / p["frequency_Hz"])),
     ),
-    Law(
-        "wander",
-        "novel",
-        "sensor",
-        lambda r, m: {"force_N": m.noise_N, "tau_s": _taut(r, m, 0.04, 0.15), "seed": _seed(r)},
-        _times("force_N"),
-        _wander,
-    ),
-    Law(
+    _novel("wander", "sensor", _wander, lambda r, m: {"force_N": m.noise_N, "tau_s": _taut(r, m, 0.04, 0.15), "seed": _seed(r)}),
+    _novel(
         "cogging",
-        "novel",
         "probe",
-        lambda r, m: {"force_N": m.noise_N, "pitch_m": m.stroke_m * _between(r, 0.05, 0.3), "phase_rad": _angle(r)},
-        _times("force_N"),
         _cogging,
-        states=_states_cogging,
+        lambda r, m: {"force_N": m.noise_N, "pitch_m": m.stroke_m * _between(r, 0.05, 0.3), "phase_rad": _angle(r)},
+        states=lambda p, _: is_law(names("fz_N", ("one",), HIGH, period=p["pitch_m"]), names("fz_N", ("one",), HIGH)),
     ),
-    Law("slip", "novel", "history", lambda r, m: {"share": 0.05, "seed": _seed(r)}, _times("share"), _slip, strongest=12.0),
-    Law(
-        "sticking",
-        "novel",
-        "history",
-        lambda r, m: {"share": 0.03, "depth_m": m.depth_m},
-        _times("share"),
-        _sticking,
-        strongest=12.0,
-        states=_states_sticking,
-    ),
-    Law(
-        "pulses",
-        "novel",
-        "probe",
-        lambda r, m: {"force_N": 2.0 * m.noise_N, "count": float(r.integers(2, 7)), "seed": _seed(r)},
-        _times("force_N"),
-        _pulse,
-    ),
-    Law(
+    _novel("slip", "history", _slip, lambda r, m: {"share": 0.05, "seed": _seed(r)}, strongest=12.0),
+    _novel("sticking", "history", _sticking, lambda r, m: {"share": 0.03, "depth_m": m.depth_m}, strongest=12.0, states=_states_sticking),
+    _novel("pulses", "probe", _pulse, lambda r, m: {"force_N": 2.0 * m.noise_N, "count": float(r.integers(2, 7)), "seed": _seed(r)}),
+    _novel(
         "drive with a speed limit",
-        "novel",
         "command",
+        _slow_servo,
         lambda r, m: {"speed_m_per_s": m.speed_m_per_s},
         lambda p, s: {"speed_m_per_s": p["speed_m_per_s"] / (1.0 + 0.1 * s)},
-        _slow_servo,
         strongest=40.0,
-        states=_states_slow_servo,
+        states=lambda p, _: is_law(names("z_m", ("one",), ("command",), memory="slew", constant=p["speed_m_per_s"])),
     ),
-    Law(
+    _novel(
         "drive in steps",
-        "novel",
         "command",
-        lambda r, m: {"step_m": 0.02 * m.depth_m},
-        _times("step_m"),
         _stair_servo,
+        lambda r, m: {"step_m": 0.02 * m.depth_m},
         strongest=10.0,
-        states=_states_stair_servo,
+        states=lambda p, _: is_law(names("z_m", ("one",), ("command",), period=p["step_m"]), names("z_m", ("one",), ("command",))),
     ),
-    Law(
+    _novel(
         "rubbing shaft",
-        "novel",
         "probe",
+        _second_body,
         lambda r, m: {
             "force_N": m.noise_N,
             "stroke_m": m.stroke_m,
             "azimuth_rad": _angle(r),
             "height_m": float(r.uniform(0.0, 0.4)) * m.stroke_m,
         },
-        _times("force_N"),
-        _second_body,
-        states=_states_second_body,
+        states=lambda _, __: is_law(*(names(channel, ("direction",), HIGH) for channel in ("lateral", "fx_N", "fy_N"))),
     ),
-    Law(
+    _novel(
         "twist",
-        "novel",
         "probe",
-        lambda r, m: {"torque_Nm": 0.02 * m.noise_N, "force_N": m.force_N},
-        _times("torque_Nm"),
         _twist,
-        states=_states_twist,
+        lambda r, m: {"torque_Nm": 0.02 * m.noise_N, "force_N": m.force_N},
+        states=lambda _, __: is_law(
+            names("tz_Nm", ("force",), ("speed", "direction")), names("tz_Nm", ("direction", "force_direction"), DEEP)
+        ),
     ),
-    Law(
+    _novel(
         "taut cable",
-        "novel",
         "probe",
-        lambda r, m: {"stiffness_N_per_m": 5.0 * m.noise_N / m.stroke_m, "height_m": float(r.uniform(0.3, 0.6)) * m.stroke_m},
-        _times("stiffness_N_per_m"),
         _hook,
+        lambda r, m: {"stiffness_N_per_m": 5.0 * m.noise_N / m.stroke_m, "height_m": float(r.uniform(0.3, 0.6)) * m.stroke_m},
         states=_states_hook,
     ),
-    Law(
-        "jumping zero",
-        "novel",
-        "sensor",
-        lambda r, m: {"force_N": m.noise_N, "count": float(r.integers(2, 6)), "seed": _seed(r)},
-        _times("force_N"),
-        _steps,
-    ),
-    Law(
+    _novel("jumping zero", "sensor", _steps, lambda r, m: {"force_N": m.noise_N, "count": float(r.integers(2, 6)), "seed": _seed(r)}),
+    _novel(
         "warming drive",
-        "novel",
         "sensor",
-        lambda r, m: {"force_N": 2.0 * m.noise_N, "speed_m_per_s": m.speed_m_per_s, "tau_s": _taut(r, m, 0.02, 0.1)},
-        _times("force_N"),
         _heat,
-        states=_states_heat,
+        lambda r, m: {"force_N": 2.0 * m.noise_N, "speed_m_per_s": m.speed_m_per_s, "tau_s": _taut(r, m, 0.02, 0.1)},
+        states=lambda p, _: is_law(names("fz_N", ("one",), ("squared_speed",), memory="relaxed", constant=p["tau_s"])),
     ),
-    Law(
+    _novel(
         "swelling tissue",
-        "novel",
         "surface",
-        lambda r, m: {"amplitude_m": 0.02 * m.depth_m, "tau_s": _taut(r, m, 0.02, 0.1)},
-        _times("amplitude_m"),
         _swelling,
+        lambda r, m: {"amplitude_m": 0.02 * m.depth_m, "tau_s": _taut(r, m, 0.02, 0.1)},
         strongest=10.0,
-        states=_states_swelling,
+        states=lambda p, _: is_law(names("fz_N", ("surface",), ("contact", "air"), memory="relaxed", constant=p["tau_s"])),
     ),
 )
 """What can go wrong in a cell and is not in the list."""

@@ -90,6 +90,16 @@ def pressing_names() -> list[LawName]:
     return names("fz_N", ("one", "force", "surface"), DEEP) + names("fz_N", ("force", "surface"), ("height",))
 
 
+def is_law(*each: list[LawName]) -> LawStatement:
+    """The statement of an effect that is a law, under each of these names."""
+    return {"kind": "law", "names": [name for some in each for name in some]}
+
+
+def is_near(*each: list[LawName]) -> LawStatement:
+    """The statement of an effect that is near laws of these names."""
+    return {"kind": "near", "names": [name for some in each for name in some]}
+
+
 class SealedEffect(TypedDict):
     """One planted effect. `snr` is None for effects that change scatter and not the mean.
 

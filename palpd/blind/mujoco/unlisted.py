@@ -29,7 +29,7 @@ from palpd.blind.mujoco.setup import (
     StatedCell,
     Table,
 )
-from palpd.blind.truth import DEEP, HIGH, LawName, LawStatement, names, pressing_names
+from palpd.blind.truth import DEEP, HIGH, LawStatement, is_law, is_near, names, pressing_names
 
 
 def _surface_motion(setup: CellSetup, motion: Callable[[PressPath, Array], Array]) -> CellSetup:
@@ -195,85 +195,62 @@ def _draw_table(rng: np.random.Generator, _cell: StatedCell, _path: PressPath) -
 # what they are, as factor × curve(driver)
 
 
-def _law(*each: list[LawName]) -> LawStatement:
-    return {"kind": "law", "names": [name for some in each for name in some]}
-
-
-def _near(*each: list[LawName]) -> LawStatement:
-    return {"kind": "near", "names": [name for some in each for name in some]}
-
-
-def _states_thermal(v: Values, _: StatedCell) -> LawStatement:
-    return _law(names("fz_N", ("surface",), ("absolute_speed",), memory="relaxed", constant=v["tau_s"]))
-
-
-def _states_ripple(v: Values, _: StatedCell) -> LawStatement:
-    return _law(names("fz_N", ("surface",), (*HIGH, "depth"), period=v["pitch_m"]), pressing_names())
-
-
-def _states_height_friction(_: Values, __: StatedCell) -> LawStatement:
-    return _law(names("fz_N", ("direction",), HIGH))
-
-
 def _states_stick_slip(_: Values, __: StatedCell) -> LawStatement:
     """A spring that slips keeps a part of its stretch, which no dead band does."""
-    return _near(*(names("fz_N", ("one",), ("height",), memory=memory) for memory in ("stop", "play")), names("fz_N", ("direction",), HIGH))
+    return is_near(
+        *(names("fz_N", ("one",), ("height",), memory=memory) for memory in ("stop", "play")), names("fz_N", ("direction",), HIGH)
+    )
 
 
 def _states_tip_slip(_: Values, __: StatedCell) -> LawStatement:
     """Whether it has slipped in this press is no function of one quantity."""
     loops = (names("lateral", ("one", "force"), ("force",), memory=memory) for memory in ("stop", "play"))
-    return _near(names("lateral", ("one", "force"), DEEP), *loops)
-
-
-def _states_loose_screw(_: Values, __: StatedCell) -> LawStatement:
-    return _law(pressing_names())
+    return is_near(names("lateral", ("one", "force"), DEEP), *loops)
 
 
 def _states_flex_gravity(_: Values, __: StatedCell) -> LawStatement:
     """The flange turns with the height; weight and contact force leak by that angle, and in contact the height says the force."""
     each = [names(c, ("one", "force"), HIGH) + names(c, ("force",), ("depth", "force")) for c in ("fx_N", "lateral", "ty_Nm")]
-    return _law(*each)
+    return is_law(*each)
 
 
 def _states_snag(v: Values, cell: StatedCell) -> LawStatement:
     """A cable that is taut below the surface acts in contact alone."""
-    return _law(names("fz_N", ("one",), HIGH), pressing_names() if v["height_m"] <= cell.surface_z_m else [])
+    return is_law(names("fz_N", ("one",), HIGH), pressing_names() if v["height_m"] <= cell.surface_z_m else [])
 
 
 def _states_poroelastic(_: Values, __: StatedCell) -> LawStatement:
     """The time constant follows the depth, which no relaxed quantity does."""
     relaxed = names("fz_N", ("one", "force", "surface"), ("force", "depth", "contact"), memory="relaxed")
-    return _near(relaxed, names("fz_N", ("one", "force", "surface"), ("force_rate", "time_in_contact")), names("fz_N", ("speed",), DEEP))
+    return is_near(relaxed, names("fz_N", ("one", "force", "surface"), ("force_rate", "time_in_contact")), names("fz_N", ("speed",), DEEP))
 
 
 def _states_wobble(_: Values, __: StatedCell) -> LawStatement:
     """A ringing table is an oscillator of its own."""
-    return _near(names("fz_N", ("one",), ("acceleration",)), names("fz_N", ("acceleration",), ("acceleration",)))
-
-
-def _states_breathing(v: Values, _: StatedCell) -> LawStatement:
-    return _law(names("fz_N", ("surface",), ("time",), period=1.0 / v["frequency_Hz"]))
+    return is_near(names("fz_N", ("one",), ("acceleration",)), names("fz_N", ("acceleration",), ("acceleration",)))
 
 
 def _states_tone(v: Values, _: StatedCell) -> LawStatement:
     """The absolute speed is no factor of a law."""
-    return _near(names("fz_N", ("one", "speed", "direction"), ("time",), period=1.0 / v["frequency_Hz"]))
+    return is_near(names("fz_N", ("one", "speed", "direction"), ("time",), period=1.0 / v["frequency_Hz"]))
 
 
 UNLISTED: tuple[CellEffect, ...] = (
     CellEffect(
         "mount.thermal_growth", False, "law", "other", "tip grows, as a moving surface", "the mount warms with the motion and grows",
-        lambda r, _c, _p: {"growth_m": 2e-4, "tau_s": log_uniform(r, 5, 25)}, _thermal, ("growth_m",), (5e-6, 2e-3), states=_states_thermal,
+        lambda r, _c, _p: {"growth_m": 2e-4, "tau_s": log_uniform(r, 5, 25)}, _thermal, ("growth_m",), (5e-6, 2e-3),
+        states=lambda v, _: is_law(names("fz_N", ("surface",), ("absolute_speed",), memory="relaxed", constant=v["tau_s"])),
     ),
     CellEffect(
         "drive.height_ripple", False, "law", "other", "tip height differs from the reported one", "gear ripple, periodic in height",
         lambda r, _c, p: {"amplitude_m": 5e-5, "pitch_m": r.uniform(0.2, 0.7) * p.deepest_m, "phase_rad": r.uniform(-np.pi, np.pi)},
-        _height_ripple, ("amplitude_m",), (2e-6, 8e-4), states=_states_ripple,
+        _height_ripple, ("amplitude_m",), (2e-6, 8e-4),
+        states=lambda v, _: is_law(names("fz_N", ("surface",), (*HIGH, "depth"), period=v["pitch_m"]), pressing_names()),
     ),
     CellEffect(
         "cable.height_friction", False, "law", "other", "xfrc_applied on the probe", "Coulomb friction that grows with depth squared",
-        lambda _r, _c, _p: {"force_N": 0.2}, _height_friction, ("force_N",), (2e-3, 4.0), states=_states_height_friction,
+        lambda _r, _c, _p: {"force_N": 0.2}, _height_friction, ("force_N",), (2e-3, 4.0),
+        states=lambda _, __: is_law(names("fz_N", ("direction",), HIGH)),
     ),
     CellEffect(
         "guide.stick_slip", False, "law", "other", "xfrc_applied on the probe", "a line sticks, stretches and slips: a sawtooth in height",
@@ -290,7 +267,7 @@ UNLISTED: tuple[CellEffect, ...] = (
         "the probe is held down by a force, and lifts to a stop when pushed",
         lambda r, c, p: {"gap_m": 1e-4, "hold_down_N": r.uniform(0.1, 0.4) * peak_force_N(c, p)},
         lambda s, v: change_plant(s, loose_gap_m=v["gap_m"], loose_weight_N=v["hold_down_N"]), ("gap_m",), (1e-7, 2e-3),
-        states=_states_loose_screw,
+        states=lambda _, __: is_law(pressing_names()),
     ),
     CellEffect(
         "arm.flex_gravity", False, "law", "other", "sensor model", "the flange turns with height, so that gravity and contact leak into fx",
@@ -314,7 +291,8 @@ UNLISTED: tuple[CellEffect, ...] = (
     CellEffect(
         "phantom.breathing", False, "law", "other", "tissue force", "the surface moves as a chest does",
         lambda r, _c, _p: {"amplitude_m": 1e-4, "frequency_Hz": r.uniform(0.15, 0.4), "phase_rad": r.uniform(-np.pi, np.pi)},
-        _breathing, ("amplitude_m",), (5e-6, 1.5e-3), states=_states_breathing,
+        _breathing, ("amplitude_m",), (5e-6, 1.5e-3),
+        states=lambda v, _: is_law(names("fz_N", ("surface",), ("time",), period=1.0 / v["frequency_Hz"])),
     ),
     CellEffect(
         "sensor.speed_tone", False, "law", "other", "sensor model", "interference whose amplitude follows the speed",
