@@ -6,6 +6,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from palpd.blind.stated_cell import rounded
 from palpd.cell.cell_file import CellFile
 from palpd.gap.adoption import adopt
 from palpd.gap.commands import library, write_answer
@@ -97,10 +98,9 @@ def recorded(noise_free: Samples, cell: CellFile, seed: int) -> Samples:
     sigma = np.array([sensor.noise_rms_N] * 3 + [sensor.noise_rms_Nm] * 3)
     wrench = noise_free.wrench + sigma * r.standard_normal((n, 6))
     steps = np.array([sensor.resolution_fxy_N, sensor.resolution_fxy_N, sensor.resolution_fz_N, *[sensor.resolution_Nm] * 3])
-    rounded = np.where(steps > 0.0, np.round(wrench / np.where(steps > 0.0, steps, 1.0)) * steps, wrench)
     return replace(
         noise_free,
         z_m=noise_free.z_m + robot.position_noise_rms_m * r.standard_normal(n),
         vz_m_per_s=noise_free.vz_m_per_s + robot.velocity_noise_rms_m_per_s * r.standard_normal(n),
-        wrench=rounded,
+        wrench=rounded(wrench, steps),
     )

@@ -7,9 +7,10 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 
-from palpd.blind.drawn_cells import CHANNELS, PHASES, TOLERANCES, CellRealisation, Deviations, PressedMotion
+from palpd.blind.drawn_cells import TOLERANCES, CellRealisation, Deviations, PressedMotion
 from palpd.blind.laws import LIBRARY_LAWS, CellScales, Floats, Ints, Law, Planted, Shape, SimulatedRun
 from palpd.blind.simulated_run import rows, simulate
+from palpd.blind.stated_cell import CHANNELS, PHASES
 from palpd.blind.truth import NearestLaw
 
 FINE_HZ = 2400.0
@@ -262,7 +263,7 @@ def scales_of(detectability: Detectability) -> CellScales:
     """Characteristic sizes of a cell on its motion."""
     cell, plain, z = detectability.cell, detectability.plain, detectability.plain.z_m
     stroke_m = float(np.ptp(z))
-    cutoff_Hz = cell.cutoff_Hz or 0.3 * cell.rate_Hz
+    cutoff_Hz = cell.filter_cutoff_Hz or 0.3 * cell.rate_Hz
     return CellScales(
         force_N=float(plain.contact_N.max()) or float(np.percentile(np.abs(plain.wrench[:, 2]), 99.0)),
         depth_m=max(float(plain.depth_m.max()), 1e-3 * stroke_m),  # without a tissue there is no depth to scale by
@@ -270,14 +271,14 @@ def scales_of(detectability: Detectability) -> CellScales:
         speed_m_per_s=float(np.abs(detectability.plain.vz_m_per_s).max()),
         acceleration_m_per_s2=float(np.abs(detectability.plain.az_m_per_s2).max()),
         duration_s=float(detectability.t_s[-1]),
-        noise_N=cell.noise_N,
-        step_N=cell.step_fz_N,
+        noise_N=cell.noise_rms_N,
+        step_N=cell.resolution_fz_N,
         rate_Hz=cell.rate_Hz,
         mass_kg=cell.mass_kg,
         tip_radius_m=cell.tip_radius_m,
         tip_length_m=cell.tip_length_m,
         cutoff_Hz=min(cutoff_Hz, 0.3 * cell.rate_Hz),
-        servo_Hz=cell.servo_Hz,
-        servo_damping=cell.servo_damping,
+        servo_Hz=cell.servo_natural_frequency_Hz,
+        servo_damping=cell.servo_damping_ratio,
         presses=detectability.motion.presses,
     )

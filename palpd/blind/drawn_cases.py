@@ -10,8 +10,6 @@ import numpy as np
 
 from palpd.blind.detectability import COARSE_HZ, Detectability, fit_strength, nearest_law, scales_of
 from palpd.blind.drawn_cells import (
-    CHANNELS,
-    PHASES,
     TOLERANCES,
     CellRealisation,
     Deviations,
@@ -19,11 +17,11 @@ from palpd.blind.drawn_cells import (
     draw_cell,
     draw_deviations,
     draw_motion,
-    log_uniform,
     with_coarse_steps,
 )
 from palpd.blind.laws import FOREIGN_LAWS, LIBRARY_LAWS, NOVEL_LAWS, Floats, Law, Planted, SensorRows, Shape, SimulatedRun
 from palpd.blind.simulated_run import rows
+from palpd.blind.stated_cell import CHANNELS, PHASES, log_uniform, rounded
 from palpd.blind.truth import CannotDraw, CaseKind, CaseSpec, NearestLaw, SealedCase, SealedEffect, SecondMotion, TrueChange, Truth
 from palpd.recording.samples import Samples
 
@@ -64,18 +62,17 @@ def measured(
     """
     scale = r.uniform(0.85, 1.18, 4)
     t_robot = np.arange(0.0, t_s[-1] + 2.0 / robot_rate_Hz, 1.0 / robot_rate_Hz) if robot_rate_Hz < cell.rate_Hz else t_s
-    z = np.interp(t_robot, run.t_s, run.z_m) + scale[0] * cell.position_noise_m * r.standard_normal(len(t_robot))
-    v = np.interp(t_robot, run.t_s, run.vz_m_per_s) + scale[1] * cell.velocity_noise_m_per_s * r.standard_normal(len(t_robot))
+    z = np.interp(t_robot, run.t_s, run.z_m) + scale[0] * cell.position_noise_rms_m * r.standard_normal(len(t_robot))
+    v = np.interp(t_robot, run.t_s, run.vz_m_per_s) + scale[1] * cell.velocity_noise_rms_m_per_s * r.standard_normal(len(t_robot))
     wrench = rows(run, t_s)[:, 1:]
     white = r.standard_t(4.0, wrench.shape) / 2.0**0.5 if run.heavy_tails else r.standard_normal(wrench.shape)
-    sigma = np.array([scale[2] * cell.noise_N] * 3 + [scale[3] * cell.noise_Nm] * 3)
+    sigma = np.repeat(scale[2:], 3) * cell.noises
     readings = SensorRows(t_s, wrench + run.noise_ratio * sigma * white, r)
     for law, shape in planted:
         if law.stage == "row":
             law.apply(readings, shape)
-    steps = np.array([cell.step_fxy_N, cell.step_fxy_N, cell.step_fz_N, *[cell.step_Nm] * 3])
-    wrench = np.round(readings.wrench / steps) * steps
-    return Samples(t_s, motion.at(t_s), np.interp(t_s, t_robot, z), np.interp(t_s, t_robot, v), np.asarray(wrench))
+    wrench = rounded(readings.wrench, cell.steps)
+    return Samples(t_s, motion.at(t_s), np.interp(t_s, t_robot, z), np.interp(t_s, t_robot, v), wrench)
 
 
 def laws_of(kind: CaseKind, effect: str) -> list[Law]:

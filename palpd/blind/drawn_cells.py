@@ -10,9 +10,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from palpd.blind.laws import Floats, Ints
+from palpd.blind.stated_cell import CellNumbers, log_uniform
 
-CHANNELS = ("z_m", "fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
-PHASES = ("free_still", "free_moving", "loading", "holding", "unloading")
 CROSSTALK_ARM_M = 0.05
 """Torque tolerance of the crosstalk per force tolerance, in Nm per N."""
 
@@ -48,80 +47,37 @@ EMULATED_TOLERANCES = {
 """Standard deviations of the emulated cell. Keys without a unit are relative."""
 
 
+def tolerances_of(noise_N: float, mass_kg: float, tip_radius_m: float) -> dict[str, float]:
+    """The tolerances of a cell of that noise, mass and size that states none."""
+    own = {"bias_N": 0.4 * noise_N, "drift_N_per_min": 0.2 * noise_N, "mass_kg": 0.015 * mass_kg, "surface_z_m": 0.006 * tip_radius_m}
+    return EMULATED_TOLERANCES | own
+
+
 @dataclass(frozen=True)
-class CellRealisation:
+class CellRealisation(CellNumbers):
     """The numbers of a cell.yaml, and the standard deviations that hold for it, stated or not.
 
     `silent` are the columns of CHANNELS that a recording does not hold; nothing can be seen there.
     """
 
-    mass_kg: float
-    tip_radius_m: float
-    tip_length_m: float
-    rate_Hz: float
-    cutoff_Hz: float | None
-    noise_N: float
-    noise_Nm: float
-    step_fxy_N: float
-    step_fz_N: float
-    step_Nm: float
-    servo_Hz: float
-    servo_damping: float
-    position_noise_m: float
-    velocity_noise_m_per_s: float
-    surface_z_m: float
-    youngs_modulus_Pa: float
-    poisson_ratio: float
     tolerances: dict[str, float]
-    scatter_surface_m: float
-    scatter_stiffness: float
     stated: bool = True
     silent: tuple[int, ...] = ()
-
-    @property
-    def hertz_N_per_m15(self) -> float:
-        """Force over depth^1.5 of the nominal tissue."""
-        return 4.0 / 3.0 * self.youngs_modulus_Pa / (1.0 - self.poisson_ratio**2) * self.tip_radius_m**0.5
 
     @cached_property
     def sigmas(self) -> Floats:
         """Noise and rounding of one row, channel by channel (7,)."""
-        steps = np.array([0.0, self.step_fxy_N, self.step_fxy_N, self.step_fz_N, *[self.step_Nm] * 3])
-        noises = np.array([self.position_noise_m, *[self.noise_N] * 3, *[self.noise_Nm] * 3])
-        sigmas = np.sqrt(noises**2 + steps**2 / 12.0)
+        sigmas = self.sigma.copy()
         sigmas[list(self.silent)] = np.inf
         return sigmas
 
     def as_yaml(self) -> dict[str, Any]:
         """The keys of cell.yaml."""
-        block: dict[str, Any] = {
-            "probe": {"mass_kg": self.mass_kg, "tip_radius_m": self.tip_radius_m, "tip_length_m": self.tip_length_m},
-            "sensor": {
-                "rate_Hz": self.rate_Hz,
-                "filter_cutoff_Hz": self.cutoff_Hz,
-                "noise_rms_N": self.noise_N,
-                "noise_rms_Nm": self.noise_Nm,
-                "resolution_fxy_N": self.step_fxy_N,
-                "resolution_fz_N": self.step_fz_N,
-                "resolution_Nm": self.step_Nm,
-            },
-            "robot": {
-                "servo_natural_frequency_Hz": self.servo_Hz,
-                "servo_damping_ratio": self.servo_damping,
-                "position_noise_rms_m": self.position_noise_m,
-                "velocity_noise_rms_m_per_s": self.velocity_noise_m_per_s,
-            },
-            "tissue": {
-                "surface_z_m": self.surface_z_m,
-                "youngs_modulus_Pa": self.youngs_modulus_Pa,
-                "poisson_ratio": self.poisson_ratio,
-            },
-            "effects": {},
-        }
+        block = self.blocks() | {"effects": {}}
         if self.stated:
             names = [name for name in TOLERANCES if not name.startswith("crosstalk_")]
             block["tolerances"] = {name: self.tolerances[name] for name in names} | {"crosstalk": self.tolerances["crosstalk_fx"]}
-            block["repeatability"] = {"surface_z_m": self.scatter_surface_m, "stiffness": self.scatter_stiffness}
+            block["repeatability"] = {"surface_z_m": self.scatter_surface_z_m, "stiffness": self.scatter_stiffness}
         return block
 
 
@@ -236,19 +192,6 @@ def no_deviations(presses: int) -> Deviations:
     return Deviations(dict.fromkeys(TOLERANCES, 0.0), np.zeros(presses), np.zeros(presses))
 
 
-def log_uniform(r: np.random.Generator, low: float, high: float) -> float:
-    """Draw from a distribution that is uniform in the logarithm.
-
-    Args:
-        low: Lower bound, above zero.
-        high: Upper bound.
-
-    Returns:
-        The drawn value, in the unit of the bounds.
-    """
-    return float(np.exp(r.uniform(np.log(low), np.log(high))))
-
-
 def _stated(x: float) -> float:
     return float(f"{x:.4g}")
 
@@ -264,21 +207,21 @@ def _draw_emulated(r: np.random.Generator) -> CellRealisation:
         tip_radius_m=0.005,
         tip_length_m=0.08,
         rate_Hz=float(r.choice([125.0, 250.0, 500.0, 500.0, 500.0, 1000.0])),
-        cutoff_Hz=150.0,
-        noise_N=0.05,
-        noise_Nm=0.001,
-        step_fxy_N=0.024,
-        step_fz_N=0.131,
-        step_Nm=0.001,
-        servo_Hz=8.0,
-        servo_damping=1.0,
-        position_noise_m=5.0e-6,
-        velocity_noise_m_per_s=2.0e-4,
+        filter_cutoff_Hz=150.0,
+        noise_rms_N=0.05,
+        noise_rms_Nm=0.001,
+        resolution_fxy_N=0.024,
+        resolution_fz_N=0.131,
+        resolution_Nm=0.001,
+        servo_natural_frequency_Hz=8.0,
+        servo_damping_ratio=1.0,
+        position_noise_rms_m=5.0e-6,
+        velocity_noise_rms_m_per_s=2.0e-4,
         surface_z_m=0.0,
         youngs_modulus_Pa=72000.0,
         poisson_ratio=0.5,
         tolerances=EMULATED_TOLERANCES,
-        scatter_surface_m=2.0e-5,
+        scatter_surface_z_m=2.0e-5,
         scatter_stiffness=0.01,
     )
 
@@ -290,12 +233,7 @@ def _draw_rig(r: np.random.Generator) -> CellRealisation:
     mass = _stated(log_uniform(r, 0.06, 0.6))
     radius = _stated(log_uniform(r, 0.0025, 0.008))
     stated = bool(r.random() < 0.6)
-    tolerances = EMULATED_TOLERANCES | {
-        "bias_N": 0.4 * noise,
-        "drift_N_per_min": 0.2 * noise,
-        "mass_kg": 0.015 * mass,
-        "surface_z_m": 0.006 * radius,
-    }
+    tolerances = tolerances_of(noise, mass, radius)
     if stated:
         tolerances = {name: _stated(x * log_uniform(r, 0.5, 2.0)) for name, x in tolerances.items()}
         tolerances |= dict.fromkeys(TOLERANCES[-4:], tolerances["crosstalk_fx"])
@@ -304,21 +242,21 @@ def _draw_rig(r: np.random.Generator) -> CellRealisation:
         tip_radius_m=radius,
         tip_length_m=_stated(log_uniform(r, 0.04, 0.12)),
         rate_Hz=rate,
-        cutoff_Hz=cutoff if r.random() < 0.85 else None,
-        noise_N=noise,
-        noise_Nm=_stated(0.02 * noise),
-        step_fxy_N=_stated(noise * log_uniform(r, 0.1, 1.0)),
-        step_fz_N=_stated(noise * log_uniform(r, 0.2, 2.7)),
-        step_Nm=_stated(0.02 * noise * log_uniform(r, 0.2, 1.0)),
-        servo_Hz=_stated(log_uniform(r, 4.0, min(16.0, 0.06 * rate))),
-        servo_damping=_stated(float(r.uniform(0.7, 1.0))),
-        position_noise_m=_stated(log_uniform(r, 2.0e-6, 8.0e-6)),
-        velocity_noise_m_per_s=_stated(log_uniform(r, 8.0e-5, 3.0e-4)),
+        filter_cutoff_Hz=cutoff if r.random() < 0.85 else None,
+        noise_rms_N=noise,
+        noise_rms_Nm=_stated(0.02 * noise),
+        resolution_fxy_N=_stated(noise * log_uniform(r, 0.1, 1.0)),
+        resolution_fz_N=_stated(noise * log_uniform(r, 0.2, 2.7)),
+        resolution_Nm=_stated(0.02 * noise * log_uniform(r, 0.2, 1.0)),
+        servo_natural_frequency_Hz=_stated(log_uniform(r, 4.0, min(16.0, 0.06 * rate))),
+        servo_damping_ratio=_stated(float(r.uniform(0.7, 1.0))),
+        position_noise_rms_m=_stated(log_uniform(r, 2.0e-6, 8.0e-6)),
+        velocity_noise_rms_m_per_s=_stated(log_uniform(r, 8.0e-5, 3.0e-4)),
         surface_z_m=_stated(float(r.uniform(-0.05, 0.2))),
         youngs_modulus_Pa=_stated(log_uniform(r, 2.0e4, 2.0e5)),
         poisson_ratio=0.5,
         tolerances=tolerances,
-        scatter_surface_m=0.004 * radius,
+        scatter_surface_z_m=0.004 * radius,
         scatter_stiffness=0.01,
         stated=stated,
     )
@@ -336,9 +274,9 @@ def with_coarse_steps(cell: CellRealisation, over_noise: tuple[float, float, flo
     lateral, vertical, torque = over_noise
     return replace(
         cell,
-        step_fxy_N=_stated(lateral * cell.noise_N),
-        step_fz_N=_stated(vertical * cell.noise_N),
-        step_Nm=_stated(torque * cell.noise_Nm),
+        resolution_fxy_N=_stated(lateral * cell.noise_rms_N),
+        resolution_fz_N=_stated(vertical * cell.noise_rms_N),
+        resolution_Nm=_stated(torque * cell.noise_rms_Nm),
     )
 
 
@@ -348,7 +286,7 @@ def draw_motion(r: np.random.Generator, cell: CellRealisation) -> DrawnMotion:
     Args:
         cell: The cell, whose noise, tip and tissue set the depths.
     """
-    deepest = (log_uniform(r, 60.0, 200.0) * cell.noise_N / cell.hertz_N_per_m15) ** (2.0 / 3.0)
+    deepest = (log_uniform(r, 60.0, 200.0) * cell.noise_rms_N / cell.hertz_N_per_m15) ** (2.0 / 3.0)
     deepest = float(np.clip(deepest, 0.25 * cell.tip_radius_m, 1.5 * cell.tip_radius_m))
     height = deepest * float(r.uniform(0.8, 2.5))
     cycles = list(r.permutation([True] * int(r.integers(4, 9)) + [False] * int(r.integers(2, 5))))

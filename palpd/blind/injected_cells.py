@@ -24,10 +24,11 @@ import numpy as np
 
 from palpd.blind.detectability import COARSE_HZ, FINE_HZ, Detectability, nearest_law, scales_of
 from palpd.blind.drawn_cases import STRATA, FittedLaw, by_place, describe, laws_of, plant, second_rms, true_change_of
-from palpd.blind.drawn_cells import CHANNELS, PHASES, CellRealisation, no_deviations
+from palpd.blind.drawn_cells import CellRealisation, no_deviations
 from palpd.blind.laws import INDISTINGUISHABLE, LIBRARY_LAWS, Floats, Planted, SensorRows
 from palpd.blind.recorded_cells import RecordedMotion, cell_of
 from palpd.blind.simulated_run import rows
+from palpd.blind.stated_cell import CHANNELS, PHASES, rounded
 from palpd.blind.truth import CannotDraw, CaseKind, CaseSpec, NearestLaw, SealedCase, TrueChange, Truth
 from palpd.documents import read_yaml
 from palpd.errors import BadInput
@@ -153,7 +154,7 @@ def coarsened(host: Host, over_noise: tuple[float, float, float]) -> Host:
     cell = cell_of(host.content, host.samples)
     keys = ("resolution_fxy_N", "resolution_fz_N", "resolution_Nm")
     columns = (slice(0, 2), slice(2, 3), slice(3, 6))
-    coarse = np.array(over_noise) * [cell.noise_N, cell.noise_N, cell.noise_Nm]
+    coarse = np.array(over_noise) * [cell.noise_rms_N, cell.noise_rms_N, cell.noise_rms_Nm]
     own = [max(map(own_step, host.samples.wrench[:, axes].T)) for axes in columns]
     steps = {key: max(round(x / step), 1) * step if step else float(x) for key, x, step in zip(keys, coarse, own, strict=True)}
     sensor = {**(host.content.get("sensor") or {}), **{key: step for key, step in steps.items() if step}}
@@ -248,7 +249,9 @@ def _inject(r: np.random.Generator, spec: CaseSpec, host: Host, fine: Detectabil
         "second": rms,
         "about": {"host": host.name, "stratum": spec.stratum},
     }
-    return SealedCase(host.content, rounded(changed(host.samples, fine, planted, r), fine.cell), (), second, truth, true_change)
+    samples = changed(host.samples, fine, planted, r)
+    samples = replace(samples, wrench=rounded(samples.wrench, fine.cell.steps))
+    return SealedCase(host.content, samples, (), second, truth, true_change)
 
 
 def _detectability(content: Mapping[str, Any], samples: Samples, fine_Hz: float = FINE_HZ, *, noise_free: bool = False) -> Detectability:
@@ -284,22 +287,9 @@ def changed(samples: Samples, detectability: Detectability, planted: Sequence[Pl
 
 
 def _added_noise(cell: CellRealisation) -> Floats:
-    sigma = np.array([cell.noise_N] * 3 + [cell.noise_Nm] * 3)
+    sigma = cell.noises
     sigma[[k - 1 for k in cell.silent if k]] = 0.0
     return sigma
-
-
-def rounded(samples: Samples, cell: CellRealisation) -> Samples:
-    """The recording in the steps of its cell.
-
-    Args:
-        cell: Gives the steps; 0 is no step.
-    """
-    wrench = samples.wrench.copy()
-    for column, step in enumerate([cell.step_fxy_N] * 2 + [cell.step_fz_N] + [cell.step_Nm] * 3):
-        if step > 0.0:
-            wrench[:, column] = np.round(wrench[:, column] / step) * step
-    return replace(samples, wrench=wrench)
 
 
 @cache

@@ -16,8 +16,8 @@ from typing import Any, TypedDict
 import numpy as np
 import yaml
 
-from palpd.blind.drawn_cells import CHANNELS
 from palpd.blind.laws import Floats
+from palpd.blind.stated_cell import CHANNELS
 from palpd.blind.truth import LawName, LawStatement, TrueChange, Truth
 from palpd.gap.commands import simulate_file
 from palpd.recording.samples import Samples, write_csv

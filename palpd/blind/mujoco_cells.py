@@ -36,12 +36,13 @@ import numpy as np
 
 from palpd.blind.detectability import COARSE_HZ, Detectability, nearest_law, scales_of
 from palpd.blind.drawn_cases import by_place, second_rms
-from palpd.blind.drawn_cells import CHANNELS, PHASES, no_deviations
+from palpd.blind.drawn_cells import no_deviations
 from palpd.blind.mujoco.cases import EFFECTS, MujocoCase, change_by, draw_case, healthy_mismatch, sealed_truth
 from palpd.blind.mujoco.nominal import force_residual, phase_of
 from palpd.blind.mujoco.snr import sizes
 from palpd.blind.plans import VARIANCE
 from palpd.blind.recorded_cells import RecordedMotion, cell_of
+from palpd.blind.stated_cell import CHANNELS, PHASES
 from palpd.blind.truth import CannotDraw, CaseSpec, NearestLaw, SealedCase, SealedEffect, SecondMotion, TrueChange, Truth
 from palpd.recording.samples import Samples
 

@@ -10,9 +10,9 @@ import numpy as np
 import yaml
 
 from palpd.blind.adoption import name_again, recorded
-from palpd.blind.drawn_cells import CHANNELS
 from palpd.blind.law_answers import LawOutcome, law_outcome, without_a_law
 from palpd.blind.laws import Floats
+from palpd.blind.stated_cell import CHANNELS
 from palpd.blind.truth import CaseKind, CaseSpec, NearestLaw, SealedEffect, SecondMotion, Source, Truth
 from palpd.cell.cell_file import load_cell
 from palpd.gap.commands import simulate_file

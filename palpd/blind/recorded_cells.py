@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from palpd.blind.drawn_cells import EMULATED_TOLERANCES, CellRealisation, Departure, no_deviations
+from palpd.blind.drawn_cells import CellRealisation, Departure, no_deviations, tolerances_of
 from palpd.blind.laws import Floats, Ints
 from palpd.blind.simulated_run import rows, simulate
 from palpd.recording.samples import Samples
@@ -42,12 +42,7 @@ def cell_of(content: Mapping[str, Any], samples: Samples) -> CellRealisation:
     noise_N = float(sensor.get("noise_rms_N") or row_noise(samples.wrench[:, 2]))
     noise_Nm = float(sensor.get("noise_rms_Nm") or row_noise(samples.wrench[:, 3]))
     mass_kg, radius_m = float(probe.get("mass_kg", 0.2)), float(probe.get("tip_radius_m", 0.005))
-    tolerances = EMULATED_TOLERANCES | {
-        "bias_N": 0.4 * noise_N,
-        "drift_N_per_min": 0.2 * noise_N,
-        "mass_kg": 0.015 * mass_kg,
-        "surface_z_m": 0.006 * radius_m,
-    }
+    tolerances = tolerances_of(noise_N, mass_kg, radius_m)
     stated = block("tolerances")
     crosstalk = stated.pop("crosstalk", 0.003)
     tolerances |= stated | {name: crosstalk for name in tolerances if name.startswith("crosstalk_")}
@@ -59,21 +54,21 @@ def cell_of(content: Mapping[str, Any], samples: Samples) -> CellRealisation:
         tip_radius_m=radius_m,
         tip_length_m=float(probe.get("tip_length_m", 0.08)),
         rate_Hz=samples.rate_Hz,
-        cutoff_Hz=sensor.get("filter_cutoff_Hz", 150.0),
-        noise_N=noise_N,
-        noise_Nm=noise_Nm,
-        step_fxy_N=float(sensor.get("resolution_fxy_N") or 0.0),
-        step_fz_N=float(sensor.get("resolution_fz_N") or 0.0),
-        step_Nm=float(sensor.get("resolution_Nm") or 0.0),
-        servo_Hz=float(robot.get("servo_natural_frequency_Hz", 8.0)),
-        servo_damping=float(robot.get("servo_damping_ratio", 1.0)),
-        position_noise_m=position_noise_m,
-        velocity_noise_m_per_s=float(robot.get("velocity_noise_rms_m_per_s", 2e-4)),
+        filter_cutoff_Hz=sensor.get("filter_cutoff_Hz", 150.0),
+        noise_rms_N=noise_N,
+        noise_rms_Nm=noise_Nm,
+        resolution_fxy_N=float(sensor.get("resolution_fxy_N") or 0.0),
+        resolution_fz_N=float(sensor.get("resolution_fz_N") or 0.0),
+        resolution_Nm=float(sensor.get("resolution_Nm") or 0.0),
+        servo_natural_frequency_Hz=float(robot.get("servo_natural_frequency_Hz", 8.0)),
+        servo_damping_ratio=float(robot.get("servo_damping_ratio", 1.0)),
+        position_noise_rms_m=position_noise_m,
+        velocity_noise_rms_m_per_s=float(robot.get("velocity_noise_rms_m_per_s", 2e-4)),
         surface_z_m=float(tissue.get("surface_z_m", 0.0)),
         youngs_modulus_Pa=float(tissue.get("youngs_modulus_Pa", 72000.0)),
         poisson_ratio=float(tissue.get("poisson_ratio", 0.5)),
         tolerances=tolerances,
-        scatter_surface_m=float(scatter["surface_z_m"]),
+        scatter_surface_z_m=float(scatter["surface_z_m"]),
         scatter_stiffness=float(scatter["stiffness"]),
         silent=(*([0] if samples.z_cmd_m is None else []), *still),
     )

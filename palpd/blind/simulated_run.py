@@ -35,21 +35,21 @@ def simulate(
     besides = motion.departure(dt_s)
     off = {name: value * cell.tolerances[name] for name, value in deviations.of.items()}
     inside = np.maximum(press, 0)
-    cutoff = cell.cutoff_Hz if cell.cutoff_Hz else np.inf
+    cutoff = cell.filter_cutoff_Hz if cell.filter_cutoff_Hz else np.inf
     w = SimulatedRun(
         t_s=t,
         dt_s=dt_s,
         press=press,
         command_m=command,
-        servo_Hz=cell.servo_Hz * (1.0 + off["servo_natural_frequency"]),
-        servo_damping=cell.servo_damping,
+        servo_Hz=cell.servo_natural_frequency_Hz * (1.0 + off["servo_natural_frequency"]),
+        servo_damping=cell.servo_damping_ratio,
         mass_kg=cell.mass_kg + off["mass_kg"],
         tip_radius_m=cell.tip_radius_m,
         tip_length_m=cell.tip_length_m,
         hertz_N_per_m15=cell.hertz_N_per_m15
         * (1.0 + off["youngs_modulus"])
         * (1.0 + cell.scatter_stiffness * deviations.stiffness[inside]),
-        surface_m=cell.surface_z_m + off["surface_z_m"] + cell.scatter_surface_m * deviations.surface[inside],
+        surface_m=cell.surface_z_m + off["surface_z_m"] + cell.scatter_surface_z_m * deviations.surface[inside],
         cutoff_Hz=cutoff * (1.0 + off["filter_cutoff"]),
         late_s=off["latency_s"],
     )

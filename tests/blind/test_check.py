@@ -16,7 +16,7 @@ from palpd.blind.check import make_case, run
 from palpd.blind.comparison import load_other_sources
 from palpd.blind.detectability import Detectability, fit_strength, nearest_law, scales_of
 from palpd.blind.drawn_cases import draw_case
-from palpd.blind.drawn_cells import CHANNELS, TOLERANCES, Deviations, draw_cell, draw_deviations, draw_motion, no_deviations
+from palpd.blind.drawn_cells import TOLERANCES, Deviations, draw_cell, draw_deviations, draw_motion, no_deviations
 from palpd.blind.figures import write_page
 from palpd.blind.law_answers import LawOutcome
 from palpd.blind.laws import FOREIGN_LAWS, LIBRARY_LAWS, NOVEL_LAWS, CellScales, Law
@@ -24,6 +24,7 @@ from palpd.blind.outcome import CaseOutcome, score_case
 from palpd.blind.plans import plan, plan_large
 from palpd.blind.score import Score, answered, as_markdown, calibration_error, scores, table, tables_by_source, wilson
 from palpd.blind.simulated_run import rows
+from palpd.blind.stated_cell import CHANNELS
 from palpd.blind.truth import CASE_KINDS, CaseKind, CaseSpec, SealedCase
 from palpd.cell.cell_file import Estimated, cell_from
 from palpd.cell.effects import EFFECTS

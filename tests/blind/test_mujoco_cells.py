@@ -10,7 +10,7 @@ pytest.importorskip("mujoco", reason="MuJoCo is not installed; install the dev g
 from palpd.blind.injected_cells import simulated_host
 from palpd.blind.mujoco.cases import PlantedEffect, change_by
 from palpd.blind.mujoco.effects import Values
-from palpd.blind.mujoco.nominal import CHANNELS, PHASES, phase_of
+from palpd.blind.mujoco.nominal import phase_of
 from palpd.blind.mujoco.setup import StatedCell
 from palpd.blind.mujoco_cells import (
     EFFECTS,
@@ -23,6 +23,7 @@ from palpd.blind.mujoco_cells import (
     healthy_mismatch,
     sealed_truth,
 )
+from palpd.blind.stated_cell import CHANNELS, PHASES
 from palpd.blind.truth import CaseSpec
 from palpd.cell.cell_file import cell_from
 from palpd.recording.samples import Samples

@@ -14,13 +14,14 @@ import yaml
 from palpd.blind import sources as sources_module
 from palpd.blind.check import run
 from palpd.blind.detectability import Detectability
-from palpd.blind.drawn_cells import CHANNELS, no_deviations
+from palpd.blind.drawn_cells import no_deviations
 from palpd.blind.injected_cells import Host, changed, coarsened, declared_recordings, draw_injected, load_causes, load_hosts
 from palpd.blind.laws import LIBRARY_LAWS, Planted
 from palpd.blind.outcome import score_case
 from palpd.blind.plans import COARSEST_OVER_NOISE, FIRST_COARSE, effects_of, plan, plan_coarse
 from palpd.blind.recorded_cells import RecordedMotion, cell_of
 from palpd.blind.sources import Hosts, draw, sources_named
+from palpd.blind.stated_cell import CHANNELS
 from palpd.blind.truth import SOURCES, CaseSpec, Source
 from palpd.errors import BadInput
 from palpd.recording.samples import Samples, write_csv

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from palpd.blind.mujoco.effects import LISTED, CellEffect, Values, contract_parameters, log_uniform
+from palpd.blind.mujoco.effects import LISTED, CellEffect, Values, contract_parameters
 from palpd.blind.mujoco.motions import calibration_path, draw_path
-from palpd.blind.mujoco.nominal import CHANNELS, force_residual, phase_of
+from palpd.blind.mujoco.nominal import force_residual, phase_of
 from palpd.blind.mujoco.plant import simulate
 from palpd.blind.mujoco.sensor import read, record
 from palpd.blind.mujoco.servos import identify_servo, second_order
@@ -28,6 +28,7 @@ from palpd.blind.mujoco.setup import (
 )
 from palpd.blind.mujoco.snr import Yardstick, sizes, snr, yardstick
 from palpd.blind.mujoco.unlisted import UNLISTED
+from palpd.blind.stated_cell import CHANNELS, log_uniform
 from palpd.recording.samples import Samples
 
 SNR_RANGE = (4.0, 60.0)
@@ -184,7 +185,7 @@ def _draw_stated(rng: np.random.Generator) -> StatedCell:
         mass, radius, rng.uniform(0.05, 0.12), rate, float(rng.choice([15.0, 50.0, 150.0])) if rng.random() < 0.85 else None,
         noise, 0.02 * noise, 0.024 if coarse else 0.002, 0.131 if coarse else 0.005, 0.001 if coarse else 1e-4,
         8.0, 1.0, rng.uniform(4e-6, 8e-6), rng.uniform(1e-4, 3e-4), rng.uniform(-0.02, 0.05), log_uniform(rng, 2e4, 2e5),
-        0.5 if rng.random() < 0.7 else float(np.round(rng.uniform(0.4, 0.5), 2)), tolerances, 0.004 * radius, 0.01,
+        0.5 if rng.random() < 0.7 else float(np.round(rng.uniform(0.4, 0.5), 2)), 0.004 * radius, 0.01, tolerances,
         float(rng.choice([125, 500])),
     )  # fmt: skip
 

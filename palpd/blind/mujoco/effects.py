@@ -24,6 +24,7 @@ from palpd.blind.mujoco.setup import (
     RingingMount,
     StatedCell,
 )
+from palpd.blind.stated_cell import log_uniform
 from palpd.blind.truth import EVENT, LawStatement
 
 Values = dict[str, float]
@@ -128,16 +129,6 @@ def fz_stage(law: Callable[[Array, float], Array]) -> Callable[[Array, PlantRun]
 def sign(rng: np.random.Generator) -> float:
     """Minus or plus one."""
     return 1.0 if rng.random() < 0.5 else -1.0
-
-
-def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """A number whose logarithm is uniform.
-
-    Args:
-        low: smallest value.
-        high: largest value.
-    """
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def peak_force_N(cell: StatedCell, path: PressPath) -> float:

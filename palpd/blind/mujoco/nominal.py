@@ -7,9 +7,6 @@ from palpd.blind.mujoco.sensor import low_pass
 from palpd.blind.mujoco.setup import Array, PressPath, StatedCell
 from palpd.recording.samples import Samples
 
-PHASES = ("free_still", "free_moving", "loading", "holding", "unloading")
-CHANNELS = ("z_m", "fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
-
 
 def normal_force(samples: Samples, cell: StatedCell, path: PressPath | None = None) -> Array:
     """The force along z that the nominal cell reads for a recorded motion.

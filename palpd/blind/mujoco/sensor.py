@@ -4,6 +4,7 @@ import numpy as np
 
 from palpd.blind.mujoco.servos import linear_filter
 from palpd.blind.mujoco.setup import Array, PlantRun, PressPath, Reading, SensorSetup, StatedCell
+from palpd.blind.stated_cell import rounded
 from palpd.recording.samples import Samples
 
 
@@ -82,13 +83,10 @@ def record(reading: Reading, cell: StatedCell, path: PressPath, rng: np.random.G
         The rows of the CSV.
     """
     samples, reports = reading.samples, report_times(path, cell)
-    rms = np.array([*[cell.noise_rms_N] * 3, *[cell.noise_rms_Nm] * 3]) * noise_ratio
+    rms = cell.noises * noise_ratio
     noise = rng.standard_normal(samples.wrench.shape) * rms
     wrench = samples.wrench + noise[reading.noise_row]
-    for column, step in enumerate([cell.resolution_fxy_N] * 2 + [cell.resolution_fz_N] + [cell.resolution_Nm] * 3):
-        if step > 0:
-            wrench[:, column] = step * np.round(wrench[:, column] / step)
     z_noise, vz_noise = rng.standard_normal((2, len(reports)))
     z = samples.z_m + np.interp(samples.t_s, reports, cell.position_noise_rms_m * z_noise)
     vz = samples.vz_m_per_s + np.interp(samples.t_s, reports, cell.velocity_noise_rms_m_per_s * vz_noise)
-    return Samples(samples.t_s, samples.z_cmd_m, z, vz, wrench)
+    return Samples(samples.t_s, samples.z_cmd_m, z, vz, rounded(wrench, cell.steps))

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from palpd.blind.stated_cell import CellNumbers
 from palpd.recording.samples import Samples
 
 Array = NDArray[np.float64]
@@ -61,58 +62,16 @@ class StatedTolerances:
 
 
 @dataclass(frozen=True)
-class StatedCell:
-    """The numbers of one cell.yaml, flat."""
+class StatedCell(CellNumbers):
+    """The numbers of one cell.yaml, and how often its robot reports."""
 
-    mass_kg: float
-    tip_radius_m: float
-    tip_length_m: float
-    rate_Hz: float
-    filter_cutoff_Hz: float | None
-    noise_rms_N: float
-    noise_rms_Nm: float
-    resolution_fxy_N: float
-    resolution_fz_N: float
-    resolution_Nm: float
-    servo_natural_frequency_Hz: float
-    servo_damping_ratio: float
-    position_noise_rms_m: float
-    velocity_noise_rms_m_per_s: float
-    surface_z_m: float
-    youngs_modulus_Pa: float
-    poisson_ratio: float
     tolerances: StatedTolerances
-    scatter_surface_z_m: float
-    scatter_stiffness: float
     report_rate_Hz: float
-
-    @property
-    def hertz_N_per_m15(self) -> float:
-        """Force per depth to the power of 1.5 of a sphere on an elastic half-space (contract §3)."""
-        return 4 / 3 * self.youngs_modulus_Pa / (1 - self.poisson_ratio**2) * self.tip_radius_m**0.5
-
-    @property
-    def sigma(self) -> Array:
-        """(7,) noise of one sample of z and of the six wrench axes: white noise and rounding together."""
-        step = np.array([self.resolution_fxy_N, self.resolution_fxy_N, self.resolution_fz_N, *[self.resolution_Nm] * 3])
-        rms = np.array([*[self.noise_rms_N] * 3, *[self.noise_rms_Nm] * 3])
-        return np.concatenate([[self.position_noise_rms_m], np.sqrt(rms**2 + step**2 / 12)])
 
     def as_yaml(self) -> dict[str, Any]:
         """The blocks of cell.yaml (contract §3)."""
-        names = {
-            "probe": ("mass_kg", "tip_radius_m", "tip_length_m"),
-            "sensor": (
-                "rate_Hz", "filter_cutoff_Hz", "noise_rms_N", "noise_rms_Nm", "resolution_fxy_N", "resolution_fz_N", "resolution_Nm",
-            ),
-            "robot": ("servo_natural_frequency_Hz", "servo_damping_ratio", "position_noise_rms_m", "velocity_noise_rms_m_per_s"),
-            "tissue": ("surface_z_m", "youngs_modulus_Pa", "poisson_ratio"),
-        }  # fmt: skip
-        blocks: dict[str, Any] = {block: {name: getattr(self, name) for name in keys} for block, keys in names.items()}
-        blocks["tolerances"] = dict(vars(self.tolerances))
-        blocks["repeatability"] = {"surface_z_m": self.scatter_surface_z_m, "stiffness": self.scatter_stiffness}
-        blocks["effects"] = {}
-        return blocks
+        repeatability = {"surface_z_m": self.scatter_surface_z_m, "stiffness": self.scatter_stiffness}
+        return self.blocks() | {"tolerances": dict(vars(self.tolerances)), "repeatability": repeatability, "effects": {}}
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpd.blind.mujoco.nominal import CHANNELS, PHASES
 from palpd.blind.mujoco.setup import Array, StatedCell
+from palpd.blind.stated_cell import CHANNELS, PHASES
 from palpd.recording.samples import Samples
 
 BIN_S = 0.02

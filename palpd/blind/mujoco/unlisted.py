@@ -11,7 +11,6 @@ from palpd.blind.mujoco.effects import (
     add_stage,
     add_zero,
     change_plant,
-    log_uniform,
     peak_force_N,
     sign,
 )
@@ -29,6 +28,7 @@ from palpd.blind.mujoco.setup import (
     StatedCell,
     Table,
 )
+from palpd.blind.stated_cell import log_uniform
 from palpd.blind.truth import DEEP, HIGH, LawStatement, is_law, is_near, names, pressing_names
 
 
