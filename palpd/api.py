@@ -57,11 +57,9 @@ class DataFrame(Protocol):
     @property
     def columns(self) -> Any:
         """Names of the columns."""
-        ...
 
     def __getitem__(self, name: str, /) -> Any:
         """One column."""
-        ...
 
 
 class _Shown(ABC):

@@ -314,11 +314,9 @@ class Clock(Protocol):
 
     def wait(self) -> Timing:
         """Block until the next tick and say which it is."""
-        ...
 
     def elapsed_us(self) -> float:
         """Microseconds since the tick began."""
-        ...
 
 
 class Robot(Protocol):
@@ -326,19 +324,15 @@ class Robot(Protocol):
 
     def read(self) -> RobotState:
         """Return the newest state without waiting."""
-        ...
 
     def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
         """Command a tip speed in base axes; this also feeds the controller's watchdog."""
-        ...
 
     def stop(self) -> None:
         """Bring the tip to rest. Never raises."""
-        ...
 
     def end(self) -> None:
         """Bring the tip to rest and end what runs on the controller. Never raises. The connections end with the process."""
-        ...
 
 
 class StateReader(Protocol):
@@ -346,11 +340,9 @@ class StateReader(Protocol):
 
     def read(self) -> RobotState:
         """Return the newest state without waiting."""
-        ...
 
     def close(self) -> None:
         """Release the connection. Never raises."""
-        ...
 
 
 class ForceSensor(Protocol):
@@ -358,11 +350,9 @@ class ForceSensor(Protocol):
 
     def read(self) -> SensorFrames:
         """Return every frame since the last call without waiting."""
-        ...
 
     def close(self) -> None:
         """Release the port. Never raises."""
-        ...
 
 
 class SensorDriver(ForceSensor, Protocol):
@@ -371,37 +361,30 @@ class SensorDriver(ForceSensor, Protocol):
     @property
     def serial_number(self) -> str:
         """Serial number, empty where the device tells none."""
-        ...
 
     @property
     def counts_per_N(self) -> Floats:
         """Counts per N (3,) that convert the readings."""
-        ...
 
     @property
     def counts_per_Nm(self) -> Floats:
         """Counts per Nm (3,) that convert the readings."""
-        ...
 
     @property
     def calibration_source(self) -> str:
         """Where these counts come from, such as "registers"."""
-        ...
 
     @property
     def pulled_over_pressed(self) -> float | None:
         """Ratio of the two slopes of Fz; None where the sensor has one."""
-        ...
 
     @property
     def delay_s(self) -> float:
         """How much later than a force the readings show it."""
-        ...
 
     @property
     def counter_step(self) -> int:
         """By how much `SensorFrames.counter` grows from one frame to the next."""
-        ...
 
 
 Option = str | int | float | bool
@@ -414,42 +397,34 @@ class SensorSettings(Protocol):
     @property
     def port(self) -> str:
         """Path or address of the device."""
-        ...
 
     @property
     def rate_Hz(self) -> float:
         """Frames a second."""
-        ...
 
     @property
     def filter_cutoff_Hz(self) -> float | None:
         """Cutoff of the device's low-pass, None for none."""
-        ...
 
     @property
     def counts_per_N(self) -> tuple[float, float, float] | None:
         """Of the calibration sheet; None: the device tells."""
-        ...
 
     @property
     def counts_per_Nm(self) -> tuple[float, float, float] | None:
         """Of the calibration sheet; None: the device tells."""
-        ...
 
     @property
     def fz_slopes(self) -> Literal["pressed", "pulled", "both"]:
         """Which slope of Fz counts, of a sensor with two."""
-        ...
 
     @property
     def fz_pulled_counts_per_N(self) -> float | None:
         """The second slope of the calibration sheet."""
-        ...
 
     @property
     def options(self) -> Mapping[str, Option]:
         """What only this driver knows."""
-        ...
 
 
 SensorKind = Callable[[SensorSettings], SensorDriver]
@@ -462,37 +437,30 @@ class RobotSettings(Protocol):
     @property
     def host(self) -> str:
         """Address of the controller."""
-        ...
 
     @property
     def model(self) -> Literal["ur5", "ur5e"]:
         """Model of a UR."""
-        ...
 
     @property
     def rate_Hz(self) -> float:
         """Rate of the loop and of the states."""
-        ...
 
     @property
     def watchdog_Hz(self) -> float:
         """The controller stops the arm where commands come more rarely than this."""
-        ...
 
     @property
     def acceleration_m_per_s2(self) -> float:
         """Acceleration of the tip."""
-        ...
 
     @property
     def tcp(self) -> tuple[float, ...] | None:
         """Pose (6,) of the tip on the flange, m and rad; None: as set on the robot."""
-        ...
 
     @property
     def options(self) -> Mapping[str, Option]:
         """What only this driver knows."""
-        ...
 
 
 class RobotKind(NamedTuple):

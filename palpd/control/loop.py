@@ -45,11 +45,9 @@ class Record(Protocol):
 
     def __call__(self, record: TickRecord) -> None:
         """Keep one tick."""
-        ...
 
     def rehearse(self, record: TickRecord) -> None:
         """Do the same work and keep nothing."""
-        ...
 
 
 @dataclass(slots=True)

@@ -48,15 +48,12 @@ class Method(Protocol):
 
     def fit(self, runs: Sequence[Take]) -> None:
         """Learn from tared free motion."""
-        ...
 
     def start(self) -> None:
         """A recording begins: after a tare, at rest, in free air."""
-        ...
 
     def step(self, sample: OnlineSample, /) -> float:
         """Part of this sample's fz that is no contact, in N."""
-        ...
 
 
 def features(robot_t_s: Floats, vz_m_per_s: Floats, t_s: Floats, delay_s: float = SENSOR_DELAY_S) -> Floats:
