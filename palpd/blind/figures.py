@@ -2,9 +2,11 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import cast
 
+import jinja2
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -33,74 +35,6 @@ from palpd.errors import BadInput
 from palpd.file_kinds import PAGE_MARK
 from palpd.files import write_text
 
-INTRODUCTION = """\
-How often the diagnosis is right on cells whose truth it cannot see. `palpd blind` makes the cells, seals their truth, diagnoses
-the recordings in another process, and then scores the answers. Each source of cells has its own table, the worst first.
-[diagnosis.md](diagnosis.md#how-far-to-trust-it) compares these figures with recordings of other rigs, and says what this check cannot
-show."""
-"""What the reader gets; stands at the head of the page."""
-
-PREAMBLE = """\
-No source shares physics or laws with the library. The contract is [the contract of a diagnosis](reference/contract.md).
-
-| source | motion and force | laws |
-|---|---|---|
-| `drawn` | own integrator at 2400 Hz or more, a second-order servo | written anew, with the contract's formula and with others |
-| `mujoco` | MuJoCo: a slide or a six-axis arm with one of five controllers | changes of its model, and an own sensor model |
-| `injected` | recorded: real cells (`--recordings`), or healthy cells of MuJoCo's | other laws than the contract's, planted |
-
-In every simulated cell all tolerances are off by a normal deviate, every press scatters, and the noise is 0.85 to 1.18 times the stated
-noise. No two cycles are alike. MuJoCo's controllers hold their targets (125 or 500 Hz), have a third order, or limit the jerk. In a fifth
-of the drawn cells above 190 Hz, and in most of MuJoCo's, the robot reports slower than the sensor.
-
-The SNR of an effect is the norm of its noise-free change over 20 ms means of all channels, in sensor sigmas of such a mean. Changes that
-tolerances and press scatter (as Gaussians) can hide do not count. It is 6 to 200 in drawn and injected cells, and 4 to 60 in MuJoCo's.
-
-`--coarse N` adds N cells of each source whose readings have coarse steps, two healthy ones for each one with a listed effect. The steps
-of fz, of the lateral forces and of the torques are drawn apart from each other and from what acts. Each is 1 to 8 times the stated noise,
-uniform in the logarithm; that of a HEX-70's fz is 4.4 times. The cell file states steps and noise. The SNR counts a step as white noise
-of its square over 12. This says too much where a force rests within one step: there the true SNR can be far smaller. A recording of
-`injected` is rounded once the effect is in it, to a whole multiple of its own step. It keeps its own step where that is the coarser."""
-"""How the cells are made; stands above the tables."""
-
-READING = """\
-A target is met if the estimate reaches it. With fewer cases than the line needs there is no verdict. The worst source is the one with the
-largest mean shortfall from its targets.
-
-An answer is right if it names the very effect that was planted, whatever the effect is indistinguishable from, unless the line says
-otherwise. Bias, drift, warm-up, gain, modulus, thickness, inclusion, tilt and crosstalk have an indistinguishable effect. The lines
-on the right cause and on nothing else named leave these out. The best mimic of an effect outside the list is the effect of the
-library that, fitted to its noise-free change, leaves the smallest SNR. Where another law was planted, an interval covers if it holds the
-parameter of the listed law that is nearest to the planted change. The declared causes of a real host count neither for nor against an
-answer.
-
-A law outside the list is right if the first term that the diagnosis learned has one of the true law's names: channel, factor and driver,
-a period within 10 %, a time constant within a factor of two. Several names can be right: while one tissue is pressed, depth and force say
-the same. A law that is no factor × curve(driver), such as stick-slip, counts in the line on wrong laws alone. `--unlisted N` adds N cells
-of each source for these lines. The band is judged on the rows of the recording: the enriched cell is simulated on the noise-free motion
-with the law, without it, and with its curve raised by 1.96 standard deviations, and a row is covered if the true change lies inside.
-The mean of an added force is free, since the tare decides it. A listed cause is sufficient if its own law was planted, or if it leaves
-an SNR below 10 of the planted one."""
-"""How the tables are read; stands below them."""
-
-OWN_RECORDINGS = """\
-## On your own recordings
-
-`palpd blind --source injected --recordings FOLDER` plants effects into recordings of your cells. It says how well the diagnosis does on
-your motions and your noise. FOLDER holds X.csv with X.yaml, and `causes.yaml` (or another file, with `--causes`). That file says what
-acts in each:
-
-```yaml
-X: {causes: []}                                    # healthy
-Y: {causes: [cable.friction, robot.backlash]}      # known causes: never planted again, and naming them is right
-Z: {causes: [sensor.saturation], unlisted: true}   # something outside the list acts too: this one is no host
-```
-
-The effect's change is computed on the recorded motion and added to the recorded channels. Sensor effects act on the recorded force.
-Effects of the robot change the reported height. A channel that a recording does not hold stays as it is. If the step of the readings is
-larger than their noise, they are rounded twice. The gap closed on another motion is judged on simulated hosts only."""
-"""How to plant effects into recordings; stands below the effects."""
-
 COMPARED = (
     "right cause first",
     "right and nothing",
@@ -119,6 +53,8 @@ ABLATED = {
     "fz only": "*fz only*: the diagnosis sees neither the commanded heights nor the other five channels",
 }
 """What each ablation takes away."""
+TEMPLATE = "page.md.j2"
+"""Text of the page, beside this file."""
 PAGE_FILES = ("blind.md", "blind-confusion.png", "blind-calibration.png")
 """What `write_page` writes into its folder."""
 
@@ -137,37 +73,25 @@ def write_page(check: CheckResult, folder: Path, ablations: Sequence[CheckResult
     page, confusion, calibration = (folder / name for name in PAGE_FILES)
     _confusion(outcomes, confusion)
     _calibration_and_size(outcomes, calibration)
-    lines = [
-        PAGE_MARK,
-        "# The blind check",
-        "",
-        INTRODUCTION,
-        "",
-        *(f"- {_numbers(one)}" for one in (check, *others)),
-        "",
-        f"A published table's seed is the first eight hex digits of the measured commit, here {result['seed']:08x}.",
-        "",
-        PREAMBLE,
-        "",
-        "## Results",
-        "",
-        tables_as_markdown(result["tables"]),
-        READING,
-        "",
-        "![what was planted and what was named](blind-confusion.png)",
-        "",
-        "![probability stated and share right; share right over SNR](blind-calibration.png)",
-        "",
-        "## By effect",
-        "",
-        "Numbers of cells: the planted effect was named first, named alone, or in the group named first, or the answer was unknown.",
-    ]
-    for source in (source for source in SOURCES if source in result["sources"]):
-        lines += ["", f"### {SOURCE_TITLES[source]}", "", *_effect_table([o for o in outcomes if o["source"] == source])]
-    lines += ["", OWN_RECORDINGS]
-    if ablations:
-        lines += ["", "## What each part of the method contributes", "", *_ablation_table(result, ablations)]
-    write_text(page, "\n".join(lines) + "\n")
+    environment = jinja2.Environment(trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined, keep_trailing_newline=True)
+    template = environment.from_string(files("palpd.blind").joinpath(TEMPLATE).read_text(encoding="utf-8"))
+    cases, compared = _compared([result, *ablations])
+    text = template.render(
+        mark=PAGE_MARK,
+        checks=[_numbers(one) for one in (check, *others)],
+        seed=result["seed"],
+        tables=tables_as_markdown(result["tables"]),
+        by_source={
+            SOURCE_TITLES[source]: list(by_effect([o for o in outcomes if o["source"] == source]))
+            for source in SOURCES
+            if source in result["sources"]
+        },
+        ablations=[one["ablation"] or "" for one in ablations],
+        ablated=ABLATED,
+        cases=cases,
+        compared=compared,
+    )
+    write_text(page, text)
     return page
 
 
@@ -189,38 +113,12 @@ def _command(result: CheckResult) -> str:
     return " ".join([*parts, "--json blind.json --docs docs"])
 
 
-def _effect_table(outcomes: Sequence[CaseOutcome]) -> list[str]:
-    lines = [
-        "| planted | n | first | alone | in the group | called unknown | named instead |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for row in by_effect(outcomes):
-        instead = ", ".join(f"{name} ({n})" for name, n in row["instead"].items())
-        counts = " | ".join(str(row[key]) for key in ("n", "first", "alone", "in_group", "unknown"))
-        lines.append(f"| {row['effect']} | {counts} | {instead} |")
-    return lines
-
-
-def _ablation_table(result: CheckResult, ablations: Sequence[CheckResult]) -> list[str]:
-    """The table of every ablation, over the cases that all checks have in common."""
-    cases = min(each["cases"] for each in [result, *ablations])
-    names = [{o["case"] for o in each["outcomes"]} for each in [result, *ablations]]
-    common = set.intersection(*names)
-    tables = [table([o for o in each["outcomes"] if o["case"] in common]) for each in [result, *ablations]]
-    heads = ["everything", *(a["ablation"] or "" for a in ablations)]
-    lines = [
-        f"The first {cases} cells of each source once more, without one part of the method: "
-        f"`palpd blind --cases {cases} --seed {result['seed']} --ablation …`.",
-        "",
-        *(f"- {ABLATED[a['ablation'] or '']}" for a in ablations),
-        "",
-        "| what | " + " | ".join(heads) + " |",
-        "|---|" + "---|" * len(heads),
-    ]
-    for k, row in enumerate(tables[0]):
-        if row["what"].startswith(COMPARED):
-            lines.append(f"| {row['what']} | " + " | ".join(_brief(each[k]) for each in tables) + " |")
-    return lines
+def _compared(checks: Sequence[CheckResult]) -> tuple[int, list[tuple[str, list[str]]]]:
+    """Least number of cells of each source, and the compared lines of every check over the cases that all have in common."""
+    common = set.intersection(*({o["case"] for o in each["outcomes"]} for each in checks))
+    tables = [table([o for o in each["outcomes"] if o["case"] in common]) for each in checks]
+    lines = [(rows[0]["what"], [_brief(row) for row in rows]) for rows in zip(*tables, strict=True) if rows[0]["what"].startswith(COMPARED)]
+    return min(each["cases"] for each in checks), lines
 
 
 def _brief(row: ScoreRow) -> str:
