@@ -186,9 +186,9 @@ def _draw_case(r: np.random.Generator, spec: CaseSpec) -> SealedCase:
         true_change = true_change_of(run, motion.at(t_s), t_s, changes[0]) if changes else None
     mimic: NearestLaw | None = None
     if kind in {"removed", "novel"} and changes and not spec.extra:
-        mimic = _nearest(detectability, planted, int(r.integers(2**31)), without=without)
+        mimic = nearest_listed(detectability, planted, int(r.integers(2**31)), without=without)
     elif kind == "foreign" and changes:
-        sealed[0]["nearest"] = _nearest(detectability, planted, spec.index, only=effects[0])
+        sealed[0]["nearest"] = nearest_listed(detectability, planted, spec.index, only=effects[0])
     samples = measured(r, cell, run, motion, t_s, planted, robot_rate_Hz)
     second, rms = _second(r, cell, detectability.deviations, planted)
     truth: Truth = {
@@ -247,9 +247,16 @@ def _beside(x: Floats, other: Floats) -> float:
     return float(np.linalg.norm(x - other * float(x @ other) / float(other @ other)))
 
 
-def _nearest(
+def nearest_listed(
     fine: Detectability, planted: Sequence[Planted], seed: int, *, without: Sequence[str] = (), only: str | None = None
 ) -> NearestLaw:
+    """The listed law nearest to what planted laws change, on a coarse grid.
+
+    Args:
+        seed: Seed of the shapes that are tried.
+        without: Effects that may not be used.
+        only: The one effect that may be used; None: all.
+    """
     coarse = Detectability(fine.cell, fine.deviations, fine.motion, fine.t_s, fine_Hz=COARSE_HZ)
     target, like = coarse.whitened(coarse.change(planted)), planted[0][1] if only else None
     return nearest_law(coarse, target, scales_of(fine), seed, without=without, only=only, like=like)

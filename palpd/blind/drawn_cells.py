@@ -47,6 +47,15 @@ EMULATED_TOLERANCES = {
 """Standard deviations of the emulated cell. Keys without a unit are relative."""
 
 
+NOMINAL: dict[str, Any] = {
+    "mass_kg": 0.2, "tip_radius_m": 0.005, "tip_length_m": 0.08, "filter_cutoff_Hz": 150.0, "noise_rms_N": 0.05, "noise_rms_Nm": 0.001,
+    "resolution_fxy_N": 0.024, "resolution_fz_N": 0.131, "resolution_Nm": 0.001, "servo_natural_frequency_Hz": 8.0,
+    "servo_damping_ratio": 1.0, "position_noise_rms_m": 5.0e-6, "velocity_noise_rms_m_per_s": 2.0e-4, "surface_z_m": 0.0,
+    "youngs_modulus_Pa": 72000.0, "poisson_ratio": 0.5,
+}  # fmt: skip
+"""The numbers of the emulated cell, but for its rate: the defaults of docs/reference/cell-file.md."""
+
+
 def tolerances_of(noise_N: float, mass_kg: float, tip_radius_m: float) -> dict[str, float]:
     """The tolerances of a cell of that noise, mass and size that states none."""
     own = {"bias_N": 0.4 * noise_N, "drift_N_per_min": 0.2 * noise_N, "mass_kg": 0.015 * mass_kg, "surface_z_m": 0.006 * tip_radius_m}
@@ -202,28 +211,8 @@ def draw_cell(r: np.random.Generator) -> CellRealisation:
 
 
 def _draw_emulated(r: np.random.Generator) -> CellRealisation:
-    return CellRealisation(
-        mass_kg=0.2,
-        tip_radius_m=0.005,
-        tip_length_m=0.08,
-        rate_Hz=float(r.choice([125.0, 250.0, 500.0, 500.0, 500.0, 1000.0])),
-        filter_cutoff_Hz=150.0,
-        noise_rms_N=0.05,
-        noise_rms_Nm=0.001,
-        resolution_fxy_N=0.024,
-        resolution_fz_N=0.131,
-        resolution_Nm=0.001,
-        servo_natural_frequency_Hz=8.0,
-        servo_damping_ratio=1.0,
-        position_noise_rms_m=5.0e-6,
-        velocity_noise_rms_m_per_s=2.0e-4,
-        surface_z_m=0.0,
-        youngs_modulus_Pa=72000.0,
-        poisson_ratio=0.5,
-        tolerances=EMULATED_TOLERANCES,
-        scatter_surface_z_m=2.0e-5,
-        scatter_stiffness=0.01,
-    )
+    rate = float(r.choice([125.0, 250.0, 500.0, 500.0, 500.0, 1000.0]))
+    return CellRealisation(**NOMINAL, rate_Hz=rate, tolerances=EMULATED_TOLERANCES, scatter_surface_z_m=2.0e-5, scatter_stiffness=0.01)
 
 
 def _draw_rig(r: np.random.Generator) -> CellRealisation:

@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 
-from palpd.blind.detectability import COARSE_HZ, FINE_HZ, Detectability, nearest_law, scales_of
-from palpd.blind.drawn_cases import STRATA, FittedLaw, by_place, describe, laws_of, plant, second_rms, true_change_of
-from palpd.blind.drawn_cells import CellRealisation, no_deviations
+from palpd.blind.detectability import Detectability
+from palpd.blind.drawn_cases import STRATA, FittedLaw, by_place, describe, laws_of, nearest_listed, plant, second_rms, true_change_of
+from palpd.blind.drawn_cells import CellRealisation
 from palpd.blind.laws import INDISTINGUISHABLE, LIBRARY_LAWS, Floats, Planted, SensorRows
-from palpd.blind.recorded_cells import RecordedMotion, cell_of
+from palpd.blind.recorded_cells import cell_of, detectability_of
 from palpd.blind.simulated_run import rows
 from palpd.blind.stated_cell import CHANNELS, PHASES, rounded
 from palpd.blind.truth import CannotDraw, CaseKind, CaseSpec, NearestLaw, SealedCase, TrueChange, Truth
@@ -193,7 +193,7 @@ def draw_injected(spec: CaseSpec, seed: int, hosts: Sequence[Host]) -> SealedCas
         host = hosts[(spec.index + attempt) % len(hosts)] if hosts else simulated_host(seed + 1, HOSTS_TRIED * spec.index + attempt)
         if spec.steps_over_noise:
             host = coarsened(host, spec.steps_over_noise)
-        fine = _detectability(host.content, host.samples)
+        fine = detectability_of(host.content, host.samples)
         taken = {*host.causes, *(other for cause in host.causes for other in INDISTINGUISHABLE.get(cause, ()))}
         if taken & set(spec.effects):
             continue
@@ -217,9 +217,7 @@ def _inject(r: np.random.Generator, spec: CaseSpec, host: Host, fine: Detectabil
     mimic: NearestLaw | None = None
     if changes and spec.kind in {"novel", "foreign"} and not spec.extra:
         only = spec.effects[0] if spec.kind == "foreign" else None
-        coarse = _detectability(host.content, host.samples, COARSE_HZ)
-        target, like = coarse.whitened(coarse.change(planted)), planted[0][1] if only else None
-        nearest = nearest_law(coarse, target, scales_of(fine), spec.index, only=only, like=like)
+        nearest = nearest_listed(fine, planted, spec.index, only=only)
         if only is None:
             mimic = nearest
         else:
@@ -230,7 +228,7 @@ def _inject(r: np.random.Generator, spec: CaseSpec, host: Host, fine: Detectabil
         true_change = true_change_of(fine.run(planted), fine.motion.at(fine.t_s), fine.t_s, changes[0]) if changes else None
     second, rms = None, None
     if host.second is not None:
-        there = _detectability(host.content, host.second, noise_free=True)
+        there = detectability_of(host.content, host.second, noise_free=True)
         second = changed(host.second, there, planted, None)
         rms = second_rms(there, there.change(planted) if planted else np.zeros((len(host.second), len(CHANNELS))))
     truth: Truth = {
@@ -252,12 +250,6 @@ def _inject(r: np.random.Generator, spec: CaseSpec, host: Host, fine: Detectabil
     samples = changed(host.samples, fine, planted, r)
     samples = replace(samples, wrench=rounded(samples.wrench, fine.cell.steps))
     return SealedCase(host.content, samples, (), second, truth, true_change)
-
-
-def _detectability(content: Mapping[str, Any], samples: Samples, fine_Hz: float = FINE_HZ, *, noise_free: bool = False) -> Detectability:
-    cell = cell_of(content, samples)
-    motion = RecordedMotion(cell, samples, noise_free)
-    return Detectability(cell, no_deviations(motion.presses), motion, motion.t_s, fine_Hz)
 
 
 def changed(samples: Samples, detectability: Detectability, planted: Sequence[Planted], random: np.random.Generator | None) -> Samples:

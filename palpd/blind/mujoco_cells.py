@@ -36,15 +36,13 @@ import numpy as np
 
 from palpd.blind.detectability import COARSE_HZ, Detectability, nearest_law, scales_of
 from palpd.blind.drawn_cases import by_place, second_rms
-from palpd.blind.drawn_cells import no_deviations
 from palpd.blind.mujoco.cases import EFFECTS, MujocoCase, change_by, draw_case, healthy_mismatch, sealed_truth
 from palpd.blind.mujoco.nominal import force_residual, phase_of
 from palpd.blind.mujoco.snr import sizes
 from palpd.blind.plans import VARIANCE
-from palpd.blind.recorded_cells import RecordedMotion, cell_of
+from palpd.blind.recorded_cells import detectability_of
 from palpd.blind.stated_cell import CHANNELS, PHASES
 from palpd.blind.truth import CannotDraw, CaseSpec, NearestLaw, SealedCase, SealedEffect, SecondMotion, TrueChange, Truth
-from palpd.recording.samples import Samples
 
 __all__ = ["EFFECTS", "MujocoCase", "change_by", "draw_case", "draw_mujoco", "healthy_mismatch", "sealed_truth"]
 
@@ -102,7 +100,7 @@ def _within_tolerance(case: MujocoCase) -> bool:
 def _sealed(spec: CaseSpec, case: MujocoCase) -> SealedCase:
     content, about = case.stated.as_yaml(), sealed_truth(case)
     healthy = case.reading([]).samples
-    here = _detectability(content, healthy)
+    here = detectability_of(content, healthy, COARSE_HZ, noise_free=True)
     change = change_by(case, case.planted)
     effects = [_sealed_effect(effect, here) for effect in about.pop("effects")]
     mimic: NearestLaw | None = None
@@ -150,12 +148,6 @@ def _sealed_effect(effect: dict[str, Any], here: Detectability) -> SealedEffect:
 def _second(case: MujocoCase) -> SecondMotion:
     path, stated = case.other_path, case.stated
     healthy = case.reading([], other=True).samples
-    there = _detectability(stated.as_yaml(), healthy)
+    there = detectability_of(stated.as_yaml(), healthy, COARSE_HZ, noise_free=True)
     change = force_residual(case.reading(other=True).samples, stated, path) - force_residual(healthy, stated, path)
     return second_rms(there, change)
-
-
-def _detectability(content: dict[str, Any], samples: Samples) -> Detectability:
-    cell = cell_of(content, samples)
-    motion = RecordedMotion(cell, samples, noise_free=True)
-    return Detectability(cell, no_deviations(motion.presses), motion, motion.t_s, fine_Hz=COARSE_HZ)

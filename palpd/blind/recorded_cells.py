@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from palpd.blind.drawn_cells import CellRealisation, Departure, no_deviations, tolerances_of
+from palpd.blind.detectability import FINE_HZ, Detectability
+from palpd.blind.drawn_cells import NOMINAL, CellRealisation, Departure, no_deviations, tolerances_of
 from palpd.blind.laws import Floats, Ints
 from palpd.blind.simulated_run import rows, simulate
+from palpd.blind.stated_cell import BLOCKS
 from palpd.recording.samples import Samples
 
 MOTION_HZ = 20.0
@@ -36,37 +38,26 @@ def cell_of(content: Mapping[str, Any], samples: Samples) -> CellRealisation:
     def block(name: str) -> dict[str, Any]:
         return dict(content.get(name) or {})
 
-    probe, sensor, robot, tissue = (block(name) for name in ("probe", "sensor", "robot", "tissue"))
+    given = {key: value for name, keys in BLOCKS.items() for key, value in block(name).items() if key in keys}
     if content.get("tissue", {}) is None:
-        tissue = {"surface_z_m": float(samples.z_m.min()) - 1.0, "youngs_modulus_Pa": 0.0}
-    noise_N = float(sensor.get("noise_rms_N") or row_noise(samples.wrench[:, 2]))
-    noise_Nm = float(sensor.get("noise_rms_Nm") or row_noise(samples.wrench[:, 3]))
-    mass_kg, radius_m = float(probe.get("mass_kg", 0.2)), float(probe.get("tip_radius_m", 0.005))
-    tolerances = tolerances_of(noise_N, mass_kg, radius_m)
+        given |= {"surface_z_m": float(samples.z_m.min()) - 1.0, "youngs_modulus_Pa": 0.0}
+    numbers = NOMINAL | {
+        **given,
+        "rate_Hz": samples.rate_Hz,
+        "noise_rms_N": given.get("noise_rms_N") or row_noise(samples.wrench[:, 2]),
+        "noise_rms_Nm": given.get("noise_rms_Nm") or row_noise(samples.wrench[:, 3]),
+        "position_noise_rms_m": given.get("position_noise_rms_m", NOMINAL["position_noise_rms_m"]) or row_noise(samples.z_m),
+        **{name: given.get(name) or 0.0 for name in BLOCKS["sensor"] if name.startswith("resolution_")},
+    }
+    numbers = {name: number if number is None else float(number) for name, number in numbers.items()}
     stated = block("tolerances")
     crosstalk = stated.pop("crosstalk", 0.003)
+    tolerances = tolerances_of(numbers["noise_rms_N"], numbers["mass_kg"], numbers["tip_radius_m"])
     tolerances |= stated | {name: crosstalk for name in tolerances if name.startswith("crosstalk_")}
-    scatter = {"surface_z_m": 0.004 * radius_m, "stiffness": 0.01} | block("repeatability")
+    scatter = {"surface_z_m": 0.004 * numbers["tip_radius_m"], "stiffness": 0.01} | block("repeatability")
     still = [k + 1 for k in range(6) if np.ptp(samples.wrench[:, k]) == 0.0]
-    position_noise_m = float(robot.get("position_noise_rms_m", 5e-6)) or row_noise(samples.z_m)
     return CellRealisation(
-        mass_kg=mass_kg,
-        tip_radius_m=radius_m,
-        tip_length_m=float(probe.get("tip_length_m", 0.08)),
-        rate_Hz=samples.rate_Hz,
-        filter_cutoff_Hz=sensor.get("filter_cutoff_Hz", 150.0),
-        noise_rms_N=noise_N,
-        noise_rms_Nm=noise_Nm,
-        resolution_fxy_N=float(sensor.get("resolution_fxy_N") or 0.0),
-        resolution_fz_N=float(sensor.get("resolution_fz_N") or 0.0),
-        resolution_Nm=float(sensor.get("resolution_Nm") or 0.0),
-        servo_natural_frequency_Hz=float(robot.get("servo_natural_frequency_Hz", 8.0)),
-        servo_damping_ratio=float(robot.get("servo_damping_ratio", 1.0)),
-        position_noise_rms_m=position_noise_m,
-        velocity_noise_rms_m_per_s=float(robot.get("velocity_noise_rms_m_per_s", 2e-4)),
-        surface_z_m=float(tissue.get("surface_z_m", 0.0)),
-        youngs_modulus_Pa=float(tissue.get("youngs_modulus_Pa", 72000.0)),
-        poisson_ratio=float(tissue.get("poisson_ratio", 0.5)),
+        **numbers,
         tolerances=tolerances,
         scatter_surface_z_m=float(scatter["surface_z_m"]),
         scatter_stiffness=float(scatter["stiffness"]),
@@ -165,3 +156,16 @@ class RecordedMotion:
 
 def _nothing(n: int) -> Departure:
     return Departure(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, 6)))
+
+
+def detectability_of(content: Mapping[str, Any], samples: Samples, fine_Hz: float = FINE_HZ, *, noise_free: bool = False) -> Detectability:
+    """What can be seen in a recorded cell on its motion.
+
+    Args:
+        content: The keys of cell.yaml.
+        fine_Hz: Least rate of the grid.
+        noise_free: Whether the recording holds no noise.
+    """
+    cell = cell_of(content, samples)
+    motion = RecordedMotion(cell, samples, noise_free)
+    return Detectability(cell, no_deviations(motion.presses), motion, motion.t_s, fine_Hz)

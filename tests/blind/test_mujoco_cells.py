@@ -7,6 +7,7 @@ from scipy import optimize, signal
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed; install the dev group to draw cells with its physics.")
 
+from palpd.blind.detectability import COARSE_HZ
 from palpd.blind.injected_cells import simulated_host
 from palpd.blind.mujoco.cases import PlantedEffect, change_by
 from palpd.blind.mujoco.effects import Values
@@ -16,13 +17,13 @@ from palpd.blind.mujoco_cells import (
     EFFECTS,
     LARGEST_FORCE_MISMATCH,
     MujocoCase,
-    _detectability,
     draw_case,
     draw_healthy,
     draw_mujoco,
     healthy_mismatch,
     sealed_truth,
 )
+from palpd.blind.recorded_cells import detectability_of
 from palpd.blind.stated_cell import CHANNELS, PHASES
 from palpd.blind.truth import CaseSpec
 from palpd.cell.cell_file import cell_from
@@ -83,7 +84,7 @@ def test_a_case_of_the_check_is_what_the_contract_asks_for_and_keeps_its_truth()
 def test_the_ratio_of_an_effect_is_the_same_in_mujocos_own_yardstick_and_in_the_drawn_cells() -> None:
     """Both count the same recording in noise beside tolerances and press scatter, by code of their own."""
     case = draw_case(SEED, 90, effects=["sensor.creep"])
-    here = _detectability(case.stated.as_yaml(), case.reading([]).samples)
+    here = detectability_of(case.stated.as_yaml(), case.reading([]).samples, COARSE_HZ, noise_free=True)
     own = sealed_truth(case)["effects"][0]["snr"]
     assert here.snr(change_by(case, case.planted)) == pytest.approx(own, rel=0.15)
 
