@@ -17,6 +17,7 @@ from palpd.cell.effects.learned import held_sentence, learned_law_of
 from palpd.cell.simulation import share_outside
 from palpd.gap.advise.next_experiment import ExperimentProposal, advise
 from palpd.gap.calibration import as_stated, stored_map
+from palpd.gap.data.plausibility import channel_notes, check_recordings, recording_notes
 from palpd.gap.data.prepare import without_rounding
 from palpd.gap.data.recorded_noise import readings_at_rest_N, with_recorded_noise
 from palpd.gap.data.rounding import roundings_of
@@ -30,7 +31,6 @@ from palpd.gap.infer.where import Band, Gap, Place, Trend, Unexplained, bands, g
 from palpd.gap.laws.confounds import confounds
 from palpd.gap.laws.finding import LawFinding, find, leading_leaves
 from palpd.gap.model.linearise import linearise
-from palpd.gap.model.plausibility import channel_notes, check_recordings, recording_notes
 from palpd.gap.model.problem import MAX_BINS, Problem, make_problem, return_memory
 from palpd.gap.nominal_source import NominalSource, nominal_source
 from palpd.gap.plain import answer_sentence, plain_answer
@@ -121,7 +121,7 @@ def _stages(
         excess_noise=any(one.excess_noise for one in readings),
         simulators=simulators,
     )
-    notes += channel_notes(problem)
+    notes += channel_notes(problem.recordings, problem.cell)
     source = nominal_source(problem, not_judged)
     notes += source.sentences if source is not None else []
 

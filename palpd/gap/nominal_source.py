@@ -8,7 +8,7 @@ import numpy as np
 
 from palpd.errors import RecordingError
 from palpd.gap.data.noise import CHANNELS, FZ, declared_rms
-from palpd.gap.model.plausibility import SHAPE_CORRELATION, WRONG_UNIT_RATIO
+from palpd.gap.data.plausibility import SHAPE_CORRELATION, WRONG_UNIT_RATIO
 from palpd.gap.model.problem import Problem
 from palpd.gap.user_simulator import NominalDifference
 from palpd.recording.oddities import CLEAR_NOISES, correlation, dead, measured_rms

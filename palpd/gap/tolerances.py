@@ -7,9 +7,9 @@ import numpy as np
 from palpd.cell.cell_file import CellFile
 from palpd.cell.plausible import ask
 from palpd.gap.data.noise import FZ
+from palpd.gap.data.plausibility import check_recordings
 from palpd.gap.infer.evidence import fit
 from palpd.gap.model.linearise import linearise
-from palpd.gap.model.plausibility import check_recordings
 from palpd.gap.model.problem import make_problem, tolerance_key
 from palpd.recording.samples import Samples
 

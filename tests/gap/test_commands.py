@@ -14,8 +14,8 @@ from palpd.cell.effects import EFFECTS
 from palpd.config import Config, Plan, PlanSite
 from palpd.errors import BadInput, RecordingError
 from palpd.gap.commands import diagnose_files, nominal_cell, read_recording, simulate_file, tolerances_of
+from palpd.gap.data.plausibility import check_recordings
 from palpd.gap.diagnosis import diagnose
-from palpd.gap.model.plausibility import check_recordings
 from palpd.recording.oddities import questions_of
 from palpd.recording.reader import Recording, export, samples_of
 from palpd.recording.samples import read_csv, write_csv

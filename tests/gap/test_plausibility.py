@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from palpd.cell.cell_file import CellFile, cell_from, nominal
-from palpd.cell.effects import EFFECTS
 from palpd.errors import RecordingError
 from palpd.gap.commands import simulate_columns
-from palpd.gap.model.plausibility import channel_notes, check_recordings, recording_notes
-from palpd.gap.model.problem import make_problem
+from palpd.gap.data.plausibility import channel_notes, check_recordings, recording_notes
+from palpd.gap.data.prepare import prepare
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 from tests.gap.test_diagnosis import quick, recording
@@ -182,7 +181,7 @@ def test_a_sensor_that_fails_in_mid_press_is_noted_with_its_time() -> None:
 def test_noise_far_from_the_stated_is_noted() -> None:
     quiet = cell_from({"sensor": {"noise_rms_N": 0.005, "resolution_fz_N": 0.01}}, "quiet sensor")
     for cell, expected in ((quiet, 1), (nominal(), 0)):
-        notes = channel_notes(make_problem([HEALTHY], cell, EFFECTS, 300))
+        notes = channel_notes([prepare(HEALTHY, cell, 300)], cell)
         assert len([note for note in notes if "noise of fz_N at rest" in note]) == expected
 
 

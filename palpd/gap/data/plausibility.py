@@ -12,8 +12,7 @@ from palpd.cell.cell_file import CellFile, TissueBlock
 from palpd.cell.plausible import doubts, doubts_of_cell
 from palpd.errors import RecordingError
 from palpd.gap.data.noise import CHANNELS, FZ, declared_rms, lattice_step
-from palpd.gap.data.prepare import moves
-from palpd.gap.model.problem import Problem
+from palpd.gap.data.prepare import PreparedRecording, moves
 from palpd.recording.oddities import (
     CLEAR_NOISES,
     HEIGHT_CORRELATION,
@@ -310,21 +309,20 @@ def _hertz_N(tissue: TissueBlock, tip_radius_m: float, depth_m: Floats) -> Float
     return np.asarray(4.0 / 3.0 * tissue.youngs_modulus_Pa / (1.0 - tissue.poisson_ratio**2) * np.sqrt(tip_radius_m) * depth_m**1.5)
 
 
-def channel_notes(problem: Problem) -> list[str]:
+def channel_notes(recordings: Sequence[PreparedRecording], cell: CellFile) -> list[str]:
     """One sentence for every channel that is not compared, looks saturated, or hides something."""
     notes = []
-    first = problem.recordings[0].samples
-    if all(one.samples.z_cmd_m is None for one in problem.recordings):
+    if all(recording.samples.z_cmd_m is None for recording in recordings):
         notes.append("z_cmd_m is absent: how the robot follows its command is not judged.")
-    dead = [channel for channel in range(1, 7) if not any(one.judged[channel] for one in problem.recordings)]
+    dead = [channel for channel in range(1, 7) if not any(recording.judged[channel] for recording in recordings)]
     if dead:
-        names = ", ".join(f"{CHANNELS[channel]} (always {first.wrench[0, channel - 1]:g})" for channel in dead)
+        first = recordings[0].samples.wrench[0]
+        names = ", ".join(f"{CHANNELS[channel]} (always {first[channel - 1]:g})" for channel in dead)
         notes.append(f"{names}: never changes, so it is dead or not measured, and is not judged.")
-    notes += _noise_notes(problem)
-    for one in problem.recordings:
-        if one.judged[FZ]:
-            notes += _saturation_notes(one.samples, problem.cell)
-    if not problem.cell.tolerances.modulus_known:
+    compared = [recording for recording in recordings if recording.judged[FZ]]
+    notes += [note for recording in compared if recording.noise_measured for note in _noise_notes(recording, cell)]
+    notes += [note for recording in compared for note in _saturation_notes(recording.samples, cell)]
+    if not cell.tolerances.modulus_known:
         notes.append(
             "The modulus is not known, so it was fitted. A wrong gain, or anything else in proportion to the contact force, cannot be "
             "distinguished from it. Surface height, thickness, inclusion and compliance of the machine differ from it only in the shape "
@@ -353,22 +351,12 @@ def _saturation_notes(samples: Samples, cell: CellFile) -> list[str]:
     return notes
 
 
-def _noise_notes(problem: Problem) -> list[str]:
+def _noise_notes(recording: PreparedRecording, cell: CellFile) -> list[str]:
     """Noise of fz at rest far from the stated."""
-    stated_N = float(declared_rms(problem.cell)[FZ])
-    notes = []
-    for one in problem.recordings:
-        if not one.judged[FZ] or not one.noise_measured:
-            continue
-        measured_N = measured_rms(one.samples.wrench[:, 2], one.rest)
-        if measured_N > ODD_NOISE_RATIO * stated_N:
-            notes.append(
-                f"the noise of fz_N at rest is {measured_N:.2g} N and the cell file states {stated_N:.2g} N with rounding; "
-                "correct sensor.noise_rms_N, or look for vibration and bad shielding."
-            )
-        elif 0.0 < measured_N < stated_N / ODD_NOISE_RATIO:
-            notes.append(
-                f"the noise of fz_N at rest is {measured_N:.2g} N and the cell file states {stated_N:.2g} N with rounding; "
-                "correct sensor.noise_rms_N, or record without the filter that smoothed it."
-            )
-    return notes
+    stated_N, measured_N = float(declared_rms(cell)[FZ]), measured_rms(recording.samples.wrench[:, 2], recording.rest)
+    sentence = f"the noise of fz_N at rest is {measured_N:.2g} N and the cell file states {stated_N:.2g} N with rounding; correct "
+    if measured_N > ODD_NOISE_RATIO * stated_N:
+        return [f"{sentence}sensor.noise_rms_N, or look for vibration and bad shielding."]
+    if 0.0 < measured_N < stated_N / ODD_NOISE_RATIO:
+        return [f"{sentence}sensor.noise_rms_N, or record without the filter that smoothed it."]
+    return []
