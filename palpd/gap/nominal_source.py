@@ -85,7 +85,7 @@ def nominal_source(problem: Problem, not_judged: Sequence[str]) -> NominalSource
     Raises:
         RecordingError: The output has another unit or sign, or is for another motion.
     """
-    given = [(one.samples, one.beyond) for one in problem.recordings if one.beyond is not None]
+    given = [(its.samples, its.nominal_difference) for its in problem.recordings if its.nominal_difference is not None]
     if not given:
         return None
     notes = []

@@ -54,8 +54,8 @@ def test_where_nothing_moves_there_is_an_answer_and_no_motion_to_advise(rounding
 
 
 def test_the_last_bit_of_a_constant_height_is_no_motion() -> None:
-    samples, _ = resting(rounding=True, commanded=True, surface_m=None)
-    assert not find_phases(samples, -np.inf, 0.0).moving.any()
+    samples, cell = resting(rounding=True, commanded=True, surface_m=None)
+    assert not find_phases(samples, cell).moving.any()
 
 
 def saturated(limit: float, modulus_Pa: float, known: bool = False) -> Diagnosis:

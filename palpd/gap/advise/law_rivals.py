@@ -96,7 +96,7 @@ def rivals_of_law(problem: Problem, attribution: Attribution, finding: LawFindin
             effect = effect.model_copy(update={"id": free_name(effect.id, taken)})
             taken.add(effect.id)
             listed.append((effect, other, min(scored.nats, law.terms[0].nats)))
-    problem = replace(problem, library={**problem.library, **{one.id: one.effect() for one, _, _ in listed}})
+    problem = problem.with_library({one.id: one.effect() for one, _, _ in listed})
     weights = np.array([exp(nats - listed[0][2]) for _, _, nats in listed])
     shares = finding.p_outside * weights / weights.sum()
     beside = finding.beside

@@ -289,8 +289,7 @@ def _trial(problem: Problem, t_s: Floats, z_cmd_m: Floats, weight: float) -> Pro
     blank = blank_recording(problem.cell, t_s, z_cmd_m)
     measured = np.any([one.judged[FX:] for one in problem.recordings], axis=0)
     blank = replace(blank, wrench=blank.wrench * measured)
-    roundings = [one.rounding for one in problem.recordings[:1] if one.rounding is not None]
-    trial = make_problem([blank], problem.cell, problem.library, TRIAL_BINS, roundings=roundings, scale=problem.scale)
+    trial = make_problem([blank], problem.cell, problem.library, TRIAL_BINS, roundings=problem.roundings[:1], scale=problem.scale)
     return trial.with_row_weight(weight)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
+from palpd.cell.cell_file import CellFile
 from palpd.recording.samples import Samples, runs_of_true
 from palpd.tick import Floats
 
@@ -71,33 +72,30 @@ class Phases:
         return int(self.press.max()) + 1
 
 
-def find_phases(samples: Samples, surface_z_m: float, position_noise_rms_m: float) -> Phases:
+def find_phases(samples: Samples, cell: CellFile) -> Phases:
     """Find the five phases of a recording.
 
     Contact is where the reported height is below the nominal surface. Moving is |v| > min(1 mm/s, 5 % of the 95th percentile
     of |v|). v is the derivative of the commanded height where there is a command, else the reported speed low-passed at 5 Hz.
-
-    Args:
-        surface_z_m: Of the nominal cell; -inf without tissue.
-        position_noise_rms_m: Noise of the heights, which makes no press.
     """
+    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
     velocity = _velocity(samples)
     speed = np.abs(velocity)
     rounding_m_per_s = ROUNDING * float(np.abs(samples.z_m).max()) * samples.rate_Hz
     moving = speed > max(min(1e-3, 0.05 * float(np.percentile(speed, 95))), rounding_m_per_s)
-    contact = samples.z_m < surface_z_m
+    contact = samples.z_m < surface_m
     phase = np.where(
         contact,
         np.where(moving, np.where(velocity < 0, LOADING, UNLOADING), HOLDING),
         np.where(moving, FREE_MOVING, FREE_STILL),
     )
-    cycle, press = _cycles(samples, surface_z_m, position_noise_rms_m, moving)
+    cycle, press = _cycles(samples, surface_m, cell.robot.position_noise_rms_m, moving)
     changes = np.flatnonzero(np.diff(moving.astype(np.int8))) + 1
     edges = np.concatenate([[0], changes, [len(moving)]])
     segment = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
     since_s = samples.t_s - samples.t_s[edges[segment]]
     until_s = samples.t_s[np.minimum(edges[segment + 1], len(moving) - 1)] - samples.t_s
-    return Phases(phase, moving, velocity, np.maximum(0.0, surface_z_m - samples.z_m), cycle, press, since_s, until_s)
+    return Phases(phase, moving, velocity, np.maximum(0.0, surface_m - samples.z_m), cycle, press, since_s, until_s)
 
 
 def _velocity(samples: Samples) -> Floats:
@@ -110,14 +108,14 @@ def _velocity(samples: Samples) -> Floats:
     return np.asarray(sosfiltfilt(sos, samples.vz_m_per_s))
 
 
-def _cycles(samples: Samples, surface_z_m: float, noise_m: float, moving: NDArray[np.bool_]) -> tuple[Ints, Ints]:
+def _cycles(samples: Samples, surface_m: float, noise_m: float, moving: NDArray[np.bool_]) -> tuple[Ints, Ints]:
     """Cycle and press of each sample.
 
     A press is a stay below the surface, deeper than noise; its cycle reaches half-way to the next. Without two presses, strokes take
     their place, and without strokes eight blocks of equal length.
     """
     n = len(samples)
-    depth = surface_z_m - samples.z_m
+    depth = surface_m - samples.z_m
     press = np.full(n, -1, dtype=np.intp)
     begins, ends = runs_of_true(depth > 0)
     real = [(a, b) for a, b in zip(begins, ends, strict=True) if depth[a:b].max() > 6 * noise_m + 0.02 * max(depth.max(), 0.0)]

@@ -1,6 +1,6 @@
 """Stage 1 of a diagnosis: a recording is cut into phases and bins; the motion of its tip and the noise of its channels are estimated."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,7 +10,7 @@ from scipy.sparse import csr_array, diags_array
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.dynamics import TipMotion, steps
-from palpd.cell.effects import Effect
+from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.report_times import Reports, find_reports, straight_between
 from palpd.cell.simulation import MeanReading, mean_reading
 from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
@@ -39,6 +39,9 @@ standard deviation: behind the encoders everything gives way to inertia, and rep
 MOST_AT_REST = 100
 """Steps at rest whose predicted forces say where the sensor's zero lies: at rest they change slowly."""
 
+LEAST_BINS = 600
+"""Number of bins that each recording may have, however many there are."""
+
 REST_SAMPLES = 60
 """Fewest samples at rest from which the noise is measured; with fewer, the whole recording is used."""
 
@@ -65,8 +68,7 @@ class PreparedRecording:
     noise_measured: bool  # whether enough samples at rest were there for it
     judged: tuple[bool, ...]  # which of the 7 channels are compared
     at_rest: Ints  # numbers of at most MOST_AT_REST steps at rest in the air, evenly spread
-    rounding: Rounding | None = None  # of fz, where noise does not dither it
-    beyond: NominalDifference | None = None  # what the user's simulator predicts beyond the nominal cell; None without one
+    nominal_difference: NominalDifference | None  # what the user's simulator predicts beyond the nominal cell; None without one
 
     @cached_property
     def samples_each(self) -> float:
@@ -77,6 +79,12 @@ class PreparedRecording:
     def t_s(self) -> Floats:
         """Mean time of every bin (b,), from the first sample."""
         return self.bins.mean(self.samples.t_s - self.samples.t_s[0])
+
+    @property
+    def measured(self) -> Floats:
+        """Measured bins y (7, b) in the units of the channels; heights are 0 where these are not compared."""
+        z_m = self.samples.z_m if self.judged[Z] else np.zeros(len(self.samples))
+        return np.ascontiguousarray(self.bins.mean(np.column_stack([z_m, self.samples.wrench])).T)
 
     @cached_property
     def bin_phase(self) -> Ints:
@@ -101,16 +109,8 @@ class PreparedRecording:
             motion: Motion of the tip in this recording, at the samples or the steps.
             library: Effects by id.
         """
-        return mean_reading(cell, motion, library) if self.beyond is None else self.beyond.reading(cell, motion, library)
-
-    def rounded(self, rounding: Rounding) -> "PreparedRecording":
-        """The recording with the rounding of its fz, whose noise is then at least that of forces anywhere between two levels.
-
-        The measured noise is that of the few forces that occur at rest.
-        """
-        noise_rms = self.noise_rms.copy()
-        noise_rms[FZ] = max(noise_rms[FZ], np.hypot(rounding.noise_rms_N, rounding.step_N / 12.0**0.5))
-        return replace(self, rounding=rounding, noise_rms=noise_rms)
+        predicted_by = mean_reading if self.nominal_difference is None else self.nominal_difference.reading
+        return predicted_by(cell, motion, library)
 
     def heights(self, palpd_m: Floats, t_s: Floats) -> Floats:
         """Predicted heights; with a user's simulator its output + palpd(cell) - palpd(nominal cell).
@@ -122,7 +122,7 @@ class PreparedRecording:
         Returns:
             The heights (m,) in m.
         """
-        return palpd_m if self.beyond is None else palpd_m + self.beyond.heights(t_s)
+        return palpd_m if self.nominal_difference is None else palpd_m + self.nominal_difference.heights(t_s)
 
     def binned_steps(self, motion: TipMotion, values: Floats) -> Floats:
         """Means over the bins of what was computed at the even times of a motion.
@@ -161,15 +161,46 @@ def moves(samples: Samples, cell: CellFile) -> bool:
     return bool(high_m - low_m > STILL_NOISES * cell.robot.position_noise_rms_m)
 
 
-def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecording:
+def prepare_all(
+    recordings: Sequence[Samples],
+    cell: CellFile,
+    library: Mapping[str, Effect],
+    max_bins: int,
+    roundings: Sequence[Rounding] = (),
+    simulators: Sequence[UserSimulator] = (),
+) -> tuple[PreparedRecording, ...]:
+    """Prepare the recordings of one cell.
+
+    Args:
+        cell: The nominal cell.
+        library: Effects of that cell by id.
+        max_bins: Largest number of bins of all recordings together, approximately; at least 600 for each.
+        roundings: Of fz in each recording; empty where noise dithers it.
+        simulators: A user's own simulator for each recording; empty where palpd itself simulates the nominal cell.
+    """
+    most, absent = max(LEAST_BINS, max_bins // len(recordings)), [None] * len(recordings)
+    of_each = zip(recordings, roundings or absent, simulators or absent, strict=True)
+    return tuple(prepare(samples, cell, most, rounding, simulator, library) for samples, rounding, simulator in of_each)
+
+
+def prepare(
+    samples: Samples,
+    cell: CellFile,
+    max_bins: int,
+    rounding: Rounding | None = None,
+    simulator: UserSimulator | None = None,
+    library: Mapping[str, Effect] = EFFECTS,
+) -> PreparedRecording:
     """Prepare a recording for comparison with the simulation of a cell.
 
     Args:
         cell: Its nominal cell.
         max_bins: Largest number of bins, approximately.
+        rounding: Of fz; None where noise dithers it.
+        simulator: Of the user, for the nominal cell; None where palpd itself simulates it.
+        library: Effects of the nominal cell by id.
     """
-    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
-    phases = find_phases(samples, surface_m, cell.robot.position_noise_rms_m)
+    phases = find_phases(samples, cell)
     reports = find_reports(samples.t_s, samples.z_m)
     sampled = estimate_tip_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m, reports)
     again = estimate_tip_motion(cell, samples.t_s, sampled.z_m, sampled.vz_m_per_s, samples.z_cmd_m)
@@ -181,6 +212,8 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecordin
     still = np.isin(phases.phase, (FREE_STILL, HOLDING)) & (phases.since_s > 0.1 * phases.since_s.max())
     rest = still if samples.held is None else still & ~samples.held
     judged, noise_rms = _noise(samples, cell, reports, still, rest)
+    if rounding is not None:  # the measured noise is that of the few forces that occur at rest
+        noise_rms[FZ] = max(noise_rms[FZ], np.hypot(rounding.noise_rms_N, rounding.step_N / 12.0**0.5))
     share_at_rest = samples_per_step.mean(phases.at_rest_in_air.astype(float))
     at_rest = np.flatnonzero(share_at_rest == share_at_rest.max())
     return PreparedRecording(
@@ -205,21 +238,10 @@ def prepare(samples: Samples, cell: CellFile, max_bins: int) -> PreparedRecordin
         noise_measured=bool(still.sum() >= REST_SAMPLES),
         judged=judged,
         at_rest=at_rest[:: 1 + len(at_rest) // MOST_AT_REST],
+        nominal_difference=None
+        if simulator is None
+        else difference(simulator, cell, library, sampled, (samples.z_cmd_m, samples.z_m), float(phases.depth_m.max())),
     )
-
-
-def with_simulator(one: PreparedRecording, simulator: UserSimulator, cell: CellFile, library: Mapping[str, Effect]) -> PreparedRecording:
-    """A recording whose nominal prediction is that of a user's simulator.
-
-    Args:
-        simulator: It is asked for the motion of the recording.
-        library: Effects of the nominal cell by id.
-
-    Returns:
-        The recording with the difference of both nominal predictions.
-    """
-    reported = one.samples.z_cmd_m, one.samples.z_m
-    return replace(one, beyond=difference(simulator, cell, library, one.sampled, reported, float(one.phases.depth_m.max())))
 
 
 def _unreported_height(cell: CellFile, samples: Samples, motion: TipMotion) -> Floats:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CellFile
 from palpd.gap.data.noise import FX, FY, FZ, TX, TY, TZ, lattice_step
-from palpd.gap.data.phases import FREE_STILL, HOLDING, Phases, find_phases
+from palpd.gap.data.phases import FREE_STILL, HOLDING, find_phases
 from palpd.gap.data.prepare import REST_SAMPLES
 from palpd.gap.data.rounding import noise_before_rounding
 from palpd.recording.oddities import dead, measured_rms
@@ -33,7 +33,7 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
         recorded values, if there are any.
     """
     resolution = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
-    rests = [_rests(_phases(samples, cell).phase) for samples in recordings]
+    rests = [_rests(find_phases(samples, cell).phase) for samples in recordings]
     resting = all(rest is not None for rest in rests)
     noise = {key: _noise_range(recordings, rests, channels) for key, channels in NOISE.items()}
     stated = cell.sensor.model_fields_set
@@ -62,17 +62,12 @@ def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[f
         The stated noise, brought into the range that the lateral axes show, whose steps are finer; as stated where these are noisier or
         quieter than healthy axes. Then the mean of each recording.
     """
-    phases = [_phases(samples, cell) for samples in recordings]
+    phases = [find_phases(samples, cell) for samples in recordings]
     stated_N = cell.sensor.noise_rms_N
     low_N, high_N = _noise_range(recordings, [_rests(its.phase) for its in phases], (FX, FY)) or (stated_N, stated_N)
     healthy = low_N / HEALTHY_NOISE <= stated_N <= high_N * HEALTHY_NOISE
     rests_N = [float(samples.wrench[its.at_rest_in_air, 2].mean()) for samples, its in zip(recordings, phases, strict=True)]
     return min(max(stated_N, low_N), high_N) if healthy else stated_N, rests_N
-
-
-def _phases(samples: Samples, cell: CellFile) -> Phases:
-    surface_m = cell.tissue.surface_z_m if cell.tissue is not None else -np.inf
-    return find_phases(samples, surface_m, cell.robot.position_noise_rms_m)
 
 
 def _rests(phase: NDArray[np.int_]) -> NDArray[np.bool_] | None:

@@ -1,7 +1,7 @@
 """Readings of fz that noise does not dither: their steps are coarser than the cell file states, or large against their noise."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Literal
@@ -125,6 +125,10 @@ class Rounding:
         zero_N = self._zero(rest_N)
         near = np.abs(force_N - rest_N.mean()) <= self.reach_N
         return np.where(near, force_N + self._moved(force_N + zero_N), force_N)
+
+    def by(self, way: Way, first_N: float) -> "Rounding":
+        """The same levels, reached in another way; `way` and `first_N` as the attributes."""
+        return replace(self, way=way, first_N=first_N)
 
     @property
     def undithered_rms_N(self) -> float:

@@ -105,14 +105,13 @@ def fit_rounding(problem: Problem) -> NominalFit:
         problem: With readings rounded to the nearest level, if they are rounded coarsely.
     """
     nominal = fit_nominal(problem)
-    rounding = problem.recordings[0].rounding
+    rounding = problem.roundings[0] if problem.roundings else None
     if rounding is None or rounding.step_N == problem.cell.sensor.resolution_fz_N:
         return nominal
-    others = [fit_nominal(problem.rounded(way, 0.0)) for way in WAYS if way != rounding.way]
+    others = [fit_nominal(problem.with_rounding(way, 0.0)) for way in WAYS if way != rounding.way]
     best = min(nominal, *others, key=_surprise)
     if first_N := problem.cell.sensor.resolution_fz_N:
-        likeliest = best.problem.recordings[0].rounding or rounding
-        best = min(best, fit_nominal(problem.rounded(likeliest.way, first_N)), key=_surprise)
+        best = min(best, fit_nominal(problem.with_rounding(best.problem.roundings[0].way, first_N)), key=_surprise)
     return best if _surprise(best) < _surprise(nominal) - WAY_NATS else nominal
 
 

@@ -290,8 +290,7 @@ def _fitted_together(problem: Problem, listed: Fit, top: LearnedLaw, gained: flo
     moved = replace(law, terms=top.terms[:1])
     beside = listed
     for _ in range(ALTERNATIONS):
-        without = replace(problem, measured=problem.measured - problem.noise.natural(moved.change))
-        again = fit(without, beside.values, beside.linearisation, iterations=3, rounds=1)
+        again = fit(problem.without(moved.change), beside.values, beside.linearisation, iterations=3, rounds=1)
         beside = replace(again, residual=again.residual + moved.change)
         moved = replace(moved, space=_within_specification(problem, beside))
     space = _space_beside(problem, beside)

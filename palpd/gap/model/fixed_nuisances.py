@@ -10,6 +10,7 @@ from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile
 from palpd.gap.data.noise import FX, FZ, TX, Z
 from palpd.gap.data.phases import FREE_STILL, HOLDING
 from palpd.gap.data.prepare import PreparedRecording
+from palpd.gap.data.rounding import Rounding
 from palpd.gap.gaussian.nuisances import Columns
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.recording.samples import runs_of_true
@@ -40,22 +41,25 @@ class FixedNuisances:
     columns: Columns
 
 
-def fixed_nuisances(cell: CellFile, recordings: Sequence[PreparedRecording], servo_errors_m: Floats, noise: Whitening) -> FixedNuisances:
+def fixed_nuisances(
+    cell: CellFile, recordings: Sequence[PreparedRecording], roundings: Sequence[Rounding], servo_errors_m: Floats, noise: Whitening
+) -> FixedNuisances:
     """The nuisances of all recordings that no state of the cell changes.
 
     Args:
         cell: The nominal cell.
         recordings: Its recordings, b bins in all.
+        roundings: Of fz in each recording; empty where noise dithers it.
         servo_errors_m: Heights (2, b) by which a controller within specification may differ from the nominal servo, as `servo_errors` has
             them.
         noise: Noise of the bins.
     """
     labels, columns = [], []
     start, b = 0, servo_errors_m.shape[1]
-    for recording in recordings:
+    for number, recording in enumerate(recordings):
         here = slice(start, start + len(recording.bins))
         start = here.stop
-        for label, values in _of_recording(cell, recording, servo_errors_m[:, here]):
+        for label, values in _of_recording(cell, recording, roundings[number] if roundings else None, servo_errors_m[:, here]):
             column = np.zeros(b)
             column[here] = values
             labels.append(label)
@@ -63,14 +67,17 @@ def fixed_nuisances(cell: CellFile, recordings: Sequence[PreparedRecording], ser
     return FixedNuisances(tuple(labels), Columns.of(columns, (7, b)))
 
 
-def _of_recording(cell: CellFile, recording: PreparedRecording, servo_errors_m: Floats) -> Iterator[tuple[Column, Floats]]:
+def _of_recording(
+    cell: CellFile, recording: PreparedRecording, rounding: Rounding | None, servo_errors_m: Floats
+) -> Iterator[tuple[Column, Floats]]:
     for channel in range(FX, 7):
         if recording.judged[channel]:
-            yield from _zero_columns(cell, recording, channel)
+            yield from _zero_columns(cell, recording, rounding, channel)
     if recording.judged[Z]:
         for name, values in zip(("hidden delay", "controller order"), servo_errors_m, strict=True):
             yield Column("computation", name, Z), values
-    yield from _rounding_offsets(recording)
+    if rounding is not None and recording.judged[FZ]:
+        yield from _rounding_offsets(recording, rounding.undithered_rms_N)
 
 
 def torque_arm_m(cell: CellFile) -> float:
@@ -78,17 +85,16 @@ def torque_arm_m(cell: CellFile) -> float:
     return max(CROSSTALK_ARM_M, CROSSTALK_ARM_M / 0.08 * cell.probe.tip_length_m)
 
 
-def _zero_columns(cell: CellFile, recording: PreparedRecording, channel: int) -> Iterator[tuple[Column, Floats]]:
+def _zero_columns(cell: CellFile, recording: PreparedRecording, rounding: Rounding | None, channel: int) -> Iterator[tuple[Column, Floats]]:
     """Bias and drift of an axis; the drift of a coarsely rounded fz depends on the state of the cell and is not among them."""
     arm = 1.0 if channel < TX else torque_arm_m(cell)
     yield Column("recording", "bias_N", channel), arm * cell.tolerances.bias_N * np.ones(len(recording.bins))
-    if channel != FZ or recording.rounding is None:
+    if channel != FZ or rounding is None:
         yield Column("recording", "drift_N_per_min", channel), arm * cell.tolerances.drift_N_per_min / 60.0 * recording.t_s
 
 
-def _rounding_offsets(recording: PreparedRecording) -> Iterator[tuple[Column, Floats]]:
+def _rounding_offsets(recording: PreparedRecording, offset_N: float) -> Iterator[tuple[Column, Floats]]:
     """Where noise does not dither the rounding of fz, every rest keeps an offset of up to half a step."""
-    offset_N = recording.rounding.undithered_rms_N if recording.rounding is not None and recording.judged[FZ] else 0.0
     if offset_N < 0.1 * recording.noise_rms[FZ]:
         return
     first, end = runs_of_true(np.isin(recording.bin_phase, (FREE_STILL, HOLDING)))

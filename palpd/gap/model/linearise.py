@@ -124,7 +124,7 @@ def _own_columns(problem: Problem, effects: EffectValues, eta: Floats, shared: l
     cell = problem.cell_at(effects, eta)
     predicted = problem.binned_prediction(effects, eta)
     start = 0
-    for recording in problem.recordings:
+    for number, recording in enumerate(problem.recordings):
         here = slice(start, start + len(recording.bins))
         start = here.stop
 
@@ -133,29 +133,27 @@ def _own_columns(problem: Problem, effects: EffectValues, eta: Floats, shared: l
             column[here] = values
             return label, {label.channel: problem.noise.whiten_channel(label.channel, column)}
 
-        for label, values in _rounded_drift(problem, recording, cell):
+        for label, values in _rounded_drift(problem, number, cell):
             yield whitened(label, values)
-        for label, values in _computation_errors(problem, recording, cell, predicted[:, here]):
+        for label, values in _computation_errors(problem, number, cell, predicted[:, here]):
             yield whitened(label, values)
         yield from _press_columns(problem, recording, here, shared)
 
 
-def _rounded_drift(problem: Problem, recording: PreparedRecording, cell: CellFile) -> Iterator[tuple[Column, Floats]]:
+def _rounded_drift(problem: Problem, number: int, cell: CellFile) -> Iterator[tuple[Column, Floats]]:
     """Drift of fz where noise does not dither its rounding, through the rounding, as the effect acts. A bias moves all readings alike."""
-    if recording.rounding is None or not recording.judged[FZ]:
+    if not problem.roundings or not problem.recordings[number].judged[FZ]:
         return
     drift_N_per_min = problem.cell.tolerances.drift_N_per_min
     estimated = cell.estimated or Estimated()
     drifted = cell.with_estimated(estimated.model_copy(update={"drift_N_per_min": DRIFT_STEP_SD * drift_N_per_min}))
-    change = problem.binned_wrench(recording, drifted, recording.motion) - problem.binned_wrench(recording, cell, recording.motion)
+    change = problem.binned_wrench(number, drifted) - problem.binned_wrench(number, cell)
     yield Column("recording", "drift_N_per_min", FZ), change[FZ - 1] / DRIFT_STEP_SD
 
 
-def _computation_errors(
-    problem: Problem, recording: PreparedRecording, cell: CellFile, predicted: Floats
-) -> Iterator[tuple[Column, Floats]]:
+def _computation_errors(problem: Problem, number: int, cell: CellFile, predicted: Floats) -> Iterator[tuple[Column, Floats]]:
     """Errors of the times of commanded heights and of the motion that drives the force; `predicted` (7, b) is f in this recording."""
-    z_m, fz_N = predicted[Z], predicted[FZ]
+    recording, z_m, fz_N = problem.recordings[number], predicted[Z], predicted[FZ]
     if recording.judged[Z]:
         # A target that is held between controller cycles is known to about a tenth of a step.
         slope = np.gradient(z_m, recording.t_s)
@@ -166,7 +164,7 @@ def _computation_errors(
     # Averaging removed a part of the motion; averaging once more removes about as much again, which is how uncertain the motion is. Of a
     # commanded path little is averaged, and what its reports leave out counts.
     for motion in recording.otherwise if recording.judged[FZ] else ():
-        yield Column("computation", "motion", FZ), problem.binned_wrench(recording, cell, motion)[FZ - 1] - fz_N
+        yield Column("computation", "motion", FZ), problem.binned_wrench(number, cell, motion)[FZ - 1] - fz_N
 
 
 def _press_columns(

@@ -14,14 +14,15 @@ from scipy.sparse import block_diag, csr_array
 from palpd.cell.cell_file import CROSSTALK, CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
 from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS, Effect, Scale
-from palpd.cell.simulation import Followed, predict_motion, scale_of
+from palpd.cell.simulation import predict_motion, scale_of
 from palpd.gap.data.noise import FX, FY, FZ, TX, Z, pure_rms, resolutions
 from palpd.gap.data.phases import PHASES
-from palpd.gap.data.prepare import PreparedRecording, prepare, with_simulator
+from palpd.gap.data.prepare import PreparedRecording, prepare_all
 from palpd.gap.data.rounding import Rounding, Way, undithered_rms
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.gap.model.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
 from palpd.gap.model.servo_error import servo_errors
+from palpd.gap.model.workspace import Workspace
 from palpd.gap.user_simulator import UserSimulator
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -53,9 +54,6 @@ OWN_HEIGHT_NOISE = 0.25
 """Share of the noise of reported heights that every bin has for itself. Bins shorter than the time between reports know no more than
 their neighbours."""
 
-MOST_CACHED = 3_000_000
-"""Numbers in the predictions that are kept, 24 MB: a search often returns to a recent state. They are 96 states of a long recording."""
-
 UNKNOWN_LOG_SD = 2.5
 """Standard deviation of the logarithm of an unknown modulus: a factor of twelve."""
 
@@ -72,26 +70,15 @@ def tolerance_key(deviation: str) -> str:
     return "crosstalk" if deviation in CROSSTALK else deviation
 
 
-@dataclass
-class _Predictions:
-    """Binned predictions by what they depend on, the newest last, and the number of simulations that they took.
-
-    `followed` holds, for each recording by its id(), how the servo last followed the command.
-    """
-
-    known: dict[tuple[str, str, bytes], Floats] = field(default_factory=dict)
-    simulations: int = 0
-    followed: dict[int, Followed] = field(default_factory=dict)
-
-
 @dataclass(frozen=True)
 class Problem:
-    """The data of a diagnosis and the prediction that they are compared with; nothing changes it in place.
+    """The data of a diagnosis and the prediction that they are compared with; nothing but its workspace changes in place.
 
     Attributes:
         cell: The nominal cell, with the effects that are known.
         recordings: Prepared, with b bins in all.
         library: The effects that may be present.
+        roundings: How fz is rounded in each recording; empty where noise dithers it.
         scale: Sizes that bounds and starting values of effects refer to.
         shared_sd: Standard deviations of SHARED (11,) in the units of the cell file; those of RELATIVE are of the logarithm.
         servo_errors_m: Heights (2, b) by which a controller within specification may differ from the nominal servo.
@@ -104,6 +91,7 @@ class Problem:
     cell: CellFile
     recordings: tuple[PreparedRecording, ...]
     library: Mapping[str, Effect]
+    roundings: tuple[Rounding, ...]
     scale: Scale
     shared_sd: Floats
     servo_errors_m: Floats
@@ -111,7 +99,7 @@ class Problem:
     measured: Floats
     noise: Whitening
     floor_rms: Floats
-    _predictions: _Predictions = field(default_factory=_Predictions, repr=False)
+    workspace: Workspace = field(default_factory=Workspace, repr=False, compare=False)
 
     @cached_property
     def data(self) -> Floats:
@@ -121,7 +109,7 @@ class Problem:
     @cached_property
     def fixed_nuisances(self) -> FixedNuisances:
         """Nuisances that do not depend on the state of the cell, whitened."""
-        return fixed_nuisances(self.cell, self.recordings, self.servo_errors_m, self.noise)
+        return fixed_nuisances(self.cell, self.recordings, self.roundings, self.servo_errors_m, self.noise)
 
     @property
     def nominal_eta(self) -> Floats:
@@ -131,7 +119,7 @@ class Problem:
     @property
     def simulations(self) -> int:
         """Number of force simulations so far."""
-        return self._predictions.simulations
+        return self.workspace.simulations
 
     def per_bin(self, of: Callable[[PreparedRecording], NDArray[Scalar]]) -> NDArray[Scalar]:
         """Values (b,) of the bins of all recordings, joined.
@@ -164,18 +152,23 @@ class Problem:
 
     def with_shared_sd(self, shared_sd: Floats) -> "Problem":
         """The problem with other tolerances: standard deviations of SHARED (11,), as the attribute."""
-        return replace(self, shared_sd=shared_sd, _predictions=_Predictions())
+        return replace(self, shared_sd=shared_sd, workspace=Workspace())
 
-    def rounded(self, way: Way, first_N: float) -> "Problem":
-        """The problem in which fz is rounded in another way, in the recordings where it is rounded.
+    def with_rounding(self, way: Way, first_N: float) -> "Problem":
+        """The problem in which fz is rounded in another way.
 
         Args:
             first_N: Finer step to which it was rounded before; 0 for none.
         """
-        recordings = tuple(
-            replace(one, rounding=one.rounding and replace(one.rounding, way=way, first_N=first_N)) for one in self.recordings
-        )
-        return replace(self, recordings=recordings, _predictions=_Predictions())
+        return replace(self, roundings=tuple(rounding.by(way, first_N) for rounding in self.roundings), workspace=Workspace())
+
+    def with_library(self, further: Mapping[str, Effect]) -> "Problem":
+        """The problem in which further effects may be present, by ids that are not in its library."""
+        return replace(self, library={**self.library, **further})
+
+    def without(self, change: Floats) -> "Problem":
+        """The problem of readings from which a whitened change (7, b) is taken away."""
+        return replace(self, measured=self.measured - self.noise.natural(change))
 
     def own_tolerances(self, effects: Iterable[str]) -> NDArray[np.bool_]:
         """For which of SHARED (11,) an effect stands (`Effect.tolerance`); there the effect is fitted, and η is 0."""
@@ -255,44 +248,43 @@ class Problem:
         moves = {name: values for name, values in every.items() if self.library[name].motion}
         pushes = {name: values for name, values in every.items() if name not in moves}
         heights = self._cached("heights", moves, servo, self._binned_heights)
-        wrench = self._cached("wrench", pushes, eta - servo, lambda one, cell: self.binned_wrench(one, cell, one.motion))
+        wrench = self._cached("wrench", pushes, eta - servo, self.binned_wrench)
         return np.vstack([heights, wrench])
 
-    def _cached(self, what: str, effects: EffectValues, eta: Floats, simulated: Callable[[PreparedRecording, CellFile], Floats]) -> Floats:
+    def _cached(self, what: str, effects: EffectValues, eta: Floats, binned: Callable[[int, CellFile], Floats]) -> Floats:
         """Binned heights (1, b) or wrenches (6, b) of all recordings."""
-        key = (what, repr(effects), eta.tobytes())
-        known = self._predictions.known
-        if key not in known:
-            if len(known) * self.measured.size >= MOST_CACHED:
-                del known[next(iter(known))]
-            cell = self.cell.with_effects(effects).with_estimated(self.estimated(eta))
-            bins = np.hstack([np.atleast_2d(simulated(one, cell)) for one in self.recordings])
-            # A trial far outside all reason may overflow; it only has to fit badly.
-            known[key] = bins if np.isfinite(bins.sum()) else np.nan_to_num(bins, nan=1e100, posinf=1e100, neginf=-1e100)
-        return known[key]
 
-    def _binned_heights(self, recording: PreparedRecording, cell: CellFile) -> Floats:
+        def simulated() -> Floats:
+            cell = self.cell.with_effects(effects).with_estimated(self.estimated(eta))
+            return np.hstack([np.atleast_2d(binned(number, cell)) for number in range(len(self.recordings))])
+
+        return self.workspace.prediction((what, repr(effects), eta.tobytes()), simulated, self.measured.size)
+
+    def _binned_heights(self, number: int, cell: CellFile) -> Floats:
+        recording = self.recordings[number]
         if not recording.judged[Z] or recording.z_cmd_m is None:
             return np.zeros(len(recording.bins))
-        followed = self._predictions.followed.setdefault(id(recording), {})
+        followed = self.workspace.followed.setdefault(number, {})
         heights_m = predict_motion(cell, recording.robot_t_s, recording.z_cmd_m, self.library, begin_s=0.0, followed=followed)
         return recording.z_means @ recording.heights(heights_m, recording.robot_t_s)
 
-    def binned_wrench(self, recording: PreparedRecording, cell: CellFile, motion: TipMotion) -> Floats:
+    def binned_wrench(self, number: int, cell: CellFile, motion: TipMotion | None = None) -> Floats:
         """Predicted wrench in the bins of a recording.
 
         Args:
-            recording: A recording of the problem, b bins.
+            number: Of the recording, which has b bins.
             cell: With effects and deviations, as `cell_at` gives it.
-            motion: Motion of the tip at the steps of that recording.
+            motion: Motion of the tip at the steps of that recording; None: the most probable one.
 
         Returns:
             Wrench (6, b) in N and Nm.
         """
-        self._predictions.simulations += 1
+        self.workspace.simulations += 1
+        recording = self.recordings[number]
+        motion = recording.motion if motion is None else motion
         reading = recording.reading(cell, motion, self.library)
-        if recording.rounding is not None and FZ - 1 in reading.own:
-            reading.own[FZ - 1] = recording.rounding.readings(reading.own[FZ - 1], recording.at_rest)
+        if self.roundings and FZ - 1 in reading.own:
+            reading.own[FZ - 1] = self.roundings[number].readings(reading.own[FZ - 1], recording.at_rest)
         return reading.averaged(lambda values: recording.binned_steps(motion, values), len(recording.bins))
 
 
@@ -325,23 +317,20 @@ def make_problem(
         simulators: A user's own simulator for each recording; empty where palpd itself simulates the nominal cell.
     """
     cell = cell.with_estimated(None).model_copy(update={"uncertainty": ()})
-    prepared = tuple(prepare(samples, cell, max(600, max_bins // len(recordings))) for samples in recordings)
-    if roundings:
-        prepared = tuple(one.rounded(rounding) for one, rounding in zip(prepared, roundings, strict=True))
-    if simulators:
-        prepared = tuple(with_simulator(one, its, cell, library) for one, its in zip(prepared, simulators, strict=True))
+    prepared = prepare_all(recordings, cell, library, max_bins, roundings, simulators)
     longest = max(recordings, key=lambda s: s.duration_s)
-    errors_m = [servo_errors(one, cell, library) for one in prepared]
-    noise = _whitening(cell, prepared, errors_m)
+    errors_m = [servo_errors(recording, cell, library) for recording in prepared]
+    noise = _whitening(cell, prepared, roundings, errors_m)
     return Problem(
         cell=cell,
         recordings=prepared,
         library=library,
+        roundings=tuple(roundings),
         scale=scale or scale_of(cell, longest.t_s, longest.z_m, longest.vz_m_per_s, longest.wrench[:, 2]),
         shared_sd=_shared_sd(cell),
         servo_errors_m=np.hstack(errors_m),
         excess_noise=excess_noise,
-        measured=np.hstack([_measured(one) for one in prepared]),
+        measured=np.hstack([recording.measured for recording in prepared]),
         noise=noise,
         floor_rms=noise.rms,
     )
@@ -360,32 +349,28 @@ def _shared_sd(cell: CellFile) -> Floats:
     return np.array([sd[name] for name in SHARED])
 
 
-def _measured(recording: PreparedRecording) -> Floats:
-    """Measured bins y (7, b) of a recording, in the units of the channels; heights are 0 where these are not compared."""
-    samples = recording.samples
-    z = samples.z_m[:, None] if recording.judged[Z] else np.zeros((len(samples), 1))
-    return np.ascontiguousarray(recording.bins.mean(np.hstack([z, samples.wrench])).T)
-
-
-def _whitening(cell: CellFile, recordings: Sequence[PreparedRecording], errors_m: Sequence[Floats]) -> Whitening:
+def _whitening(
+    cell: CellFile, recordings: Sequence[PreparedRecording], roundings: Sequence[Rounding], errors_m: Sequence[Floats]
+) -> Whitening:
     """Σ of the bins: noise of readings, of heights that drive the force, of rounding, of the controller, of reports that bins share."""
-    sigmas = []
-    for one, (_, acceleration_m) in zip(recordings, errors_m, strict=True):
-        sigma = one.noise_rms[:, None] / np.sqrt(one.bins.count)[None, :]
-        if one.samples.held is not None:  # values interpolated between two readings are no readings
-            sigma[FX:, one.bins.mean(one.samples.held.astype(float)) > MOST_HELD] = np.inf
-        if one.samples_each > 1.0:  # only reports are independent, and neighbours share them
-            sigma[Z] *= OWN_HEIGHT_NOISE * np.sqrt(one.samples_each)
+    sigmas, undithered_N = [], [rounding.undithered_rms_N for rounding in roundings] or [0.0] * len(recordings)
+    for recording, rounding_N, (_, acceleration_m) in zip(recordings, undithered_N, errors_m, strict=True):
+        sigma = recording.noise_rms[:, None] / np.sqrt(recording.bins.count)[None, :]
+        held = recording.samples.held
+        if held is not None:  # values interpolated between two readings are no readings
+            sigma[FX:, recording.bins.mean(held.astype(float)) > MOST_HELD] = np.inf
+        if recording.samples_each > 1.0:  # only reports are independent, and neighbours share them
+            sigma[Z] *= OWN_HEIGHT_NOISE * np.sqrt(recording.samples_each)
         sigma[Z] = np.hypot(sigma[Z], acceleration_m)
-        sigma[FZ] = np.hypot(sigma[FZ], one.motion.z_noise_m * _stiffness(cell, one))
-        sigma[FZ] = np.hypot(sigma[FZ], one.rounding.undithered_rms_N if one.rounding else 0.0)
+        sigma[FZ] = np.hypot(sigma[FZ], recording.motion.z_noise_m * _stiffness(cell, recording))
+        sigma[FZ] = np.hypot(sigma[FZ], rounding_N)
         _hide_rounding(sigma, cell)
-        sigma[~np.array(one.judged)] = np.inf
+        sigma[~np.array(recording.judged)] = np.inf
         sigmas.append(sigma)
-    heights_m = [one.bins.means() @ one.reports.joined * (one.noise_rms[Z] * (one.samples_each > 1.0)) for one in recordings]
-    for one in heights_m:
-        one.eliminate_zeros()  # all of them where every sample is a report
-    shared = {Z: csr_array(block_diag(heights_m)), FZ: csr_array(block_diag([one.inertial_noise_N for one in recordings]))}
+    heights_m = [its.bins.means() @ its.reports.joined * (its.noise_rms[Z] * (its.samples_each > 1.0)) for its in recordings]
+    for means_m in heights_m:
+        means_m.eliminate_zeros()  # all of them where every sample is a report
+    shared = {Z: csr_array(block_diag(heights_m)), FZ: csr_array(block_diag([its.inertial_noise_N for its in recordings]))}
     return Whitening.of(np.hstack(sigmas), shared)
 
 
