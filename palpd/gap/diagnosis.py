@@ -17,11 +17,7 @@ from palpd.cell.effects.learned import held_sentence, learned_law_of
 from palpd.cell.simulation import share_outside
 from palpd.gap.advise.next_experiment import ExperimentProposal, advise
 from palpd.gap.calibration import as_stated, stored_map
-from palpd.gap.data.plausibility import channel_notes, check_recordings, recording_notes
-from palpd.gap.data.prepare import without_rounding
-from palpd.gap.data.recorded_noise import readings_at_rest_N, with_recorded_noise
-from palpd.gap.data.rounding import roundings_of
-from palpd.gap.data.scatter import Readings, scatter_effects
+from palpd.gap.data.observations import observe
 from palpd.gap.infer.compared_modulus import ComparedModulus, compared_modulus
 from palpd.gap.infer.correlated_residual import compare_again
 from palpd.gap.infer.hypotheses import fit_rounding, search
@@ -31,14 +27,14 @@ from palpd.gap.infer.where import Band, Gap, Place, Trend, Unexplained, bands, g
 from palpd.gap.laws.confounds import confounds
 from palpd.gap.laws.finding import LawFinding, find, leading_leaves
 from palpd.gap.model.linearise import linearise
-from palpd.gap.model.problem import MAX_BINS, Problem, make_problem, return_memory
+from palpd.gap.model.problem import MAX_BINS, Problem, problem_of, return_memory
 from palpd.gap.nominal_source import NominalSource, nominal_source
 from palpd.gap.plain import answer_sentence, plain_answer
 from palpd.gap.uncertainty import open_hypotheses
 from palpd.gap.user_simulator import UserSimulator, left_out
 from palpd.gap.verdict import DiagnosisVerdict, NamedEffect, decide, deviation_notes, enriched_cell, unnatural_notes, with_finding
 from palpd.quantities import quantity
-from palpd.recording.samples import Samples, common_site
+from palpd.recording.samples import Samples
 
 SCHEMA = "palpd.diagnosis/1"
 
@@ -102,35 +98,19 @@ def _stages(
     # A law that the cell file holds is no gap, also where the library has one of that name.
     not_judged = left_out(simulators, cell, library)
     library = {name: effect for name, effect in library.items() if name not in {*not_judged, *(law.id for law in cell.learned)}}
-    site = common_site(recordings)
-    of_site = any(place.name == site for place in cell.sites)
-    cell = cell.at_site(site)
     # 1. Prepare: clean the readings, cut them into bins, estimate noise and tip motion.
     show("1 of 6: preparing the recording")
-    recordings = [without_rounding(samples) for samples in recordings]
-    decisive, notes = check_recordings(recordings, cell), recording_notes(recordings, cell)
-    cell, far_noise, noise_notes = with_recorded_noise(recordings, cell)
-    decisive, notes = [*decisive, *far_noise], [*notes, *noise_notes]
-    readings = [Readings.of(samples, cell) for samples in recordings]
-    problem = make_problem(
-        [one.cleaned for one in readings],
-        cell,
-        library,
-        max_bins,
-        roundings=roundings_of(recordings, [one.coarse_step_N for one in readings], cell, *readings_at_rest_N(recordings, cell)),
-        excess_noise=any(one.excess_noise for one in readings),
-        simulators=simulators,
-    )
-    notes += channel_notes(problem.recordings, problem.cell)
-    source = nominal_source(problem, not_judged)
-    notes += source.sentences if source is not None else []
+    observations = observe(recordings, cell, library, simulators, max_bins)
+    source = nominal_source(observations.recordings, not_judged)
+    decisive, notes = list(observations.decisive), [*observations.notes, *(source.sentences if source is not None else [])]
+    problem = problem_of(observations, library)
 
     # 2. Residual: what the cell without effects leaves, and where.
     nominal = fit_rounding(problem)
     problem = nominal.problem
     stated = nominal.stated
     table = gap_table(problem, stated, residuals(problem, stated))
-    modulus = compared_modulus(problem, stated, site if of_site else None)
+    modulus = compared_modulus(problem, stated, observations.site)
 
     # 3. Hypotheses: which sets of effects could have made it, each at its best.
     show("2 of 6: fitting which effects could have made the gap")
@@ -139,15 +119,14 @@ def _stages(
     # 4. Evidence: how probable each of them is, and something outside the list.
     show("3 of 6: weighing them")
     attribution = compare_again(problem, fits, posterior(problem, fits))
-    scatter = scatter_effects(problem.recordings, readings, cell, library)
 
     # 5. Verdict: which effects to name.
-    verdict = decide(problem, nominal.fit, attribution, scatter)
+    verdict = decide(problem, nominal.fit, attribution, observations.scatter)
     notes += unnatural_notes(problem, verdict)
 
     # 6. Law: what the list does not hold, as a function of what the cell does, or as events.
     show("4 of 6: looking for what the list does not hold")
-    finding = find(problem, nominal.fit, verdict.fit, coarse=any(one.coarse_step_N > 0.0 for one in readings))
+    finding = find(problem, nominal.fit, verdict.fit, coarse=observations.coarse)
     if verdict.kind in ("effects", "ambiguous"):
         finding = finding.beside_named(leading_leaves(fits, verdict.fit))
     if finding.learned is not None:

@@ -9,7 +9,7 @@ import numpy as np
 from palpd.errors import RecordingError
 from palpd.gap.data.noise import CHANNELS, FZ, declared_rms
 from palpd.gap.data.plausibility import SHAPE_CORRELATION, WRONG_UNIT_RATIO
-from palpd.gap.model.problem import Problem
+from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.user_simulator import NominalDifference
 from palpd.recording.oddities import CLEAR_NOISES, correlation, dead, measured_rms
 from palpd.recording.samples import Samples
@@ -73,7 +73,7 @@ class NominalSource:
         }
 
 
-def nominal_source(problem: Problem, not_judged: Sequence[str]) -> NominalSource | None:
+def nominal_source(recordings: Sequence[PreparedRecording], not_judged: Sequence[str]) -> NominalSource | None:
     """Check the output of a user's simulator against the recordings.
 
     Args:
@@ -85,7 +85,7 @@ def nominal_source(problem: Problem, not_judged: Sequence[str]) -> NominalSource
     Raises:
         RecordingError: The output has another unit or sign, or is for another motion.
     """
-    given = [(its.samples, its.nominal_difference) for its in problem.recordings if its.nominal_difference is not None]
+    given = [(its.samples, its.nominal_difference) for its in recordings if its.nominal_difference is not None]
     if not given:
         return None
     notes = []

@@ -13,11 +13,11 @@ from palpd.cell.effects import EFFECTS
 from palpd.cell.simulation import simulate
 from palpd.cell.stages import WRENCH
 from palpd.gap.data.bins import Bins
+from palpd.gap.data.cleaning import without_held, without_tails
 from palpd.gap.data.noise import FZ, lattice_step
-from palpd.gap.data.prepare import prepare
+from palpd.gap.data.observations import observe
 from palpd.gap.data.recorded_noise import readings_at_rest_N
 from palpd.gap.data.rounding import WAYS, Way, coarse_step_N, noise_before_rounding, rounded_moments, roundings_of
-from palpd.gap.data.scatter import Readings, scatter_effects, without_held, without_tails
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.gap.model.linearise import linearise
@@ -200,7 +200,7 @@ def test_an_axis_is_no_noisier_or_quieter_for_where_it_rests_between_its_levels(
     samples = free_strokes(cell, bias_N)
 
     def p_lone_axis(samples: Samples) -> float:
-        return scatter_effects([prepare(samples, cell, 600)], [Readings.of(samples, cell)], cell, EFFECTS).p_lone_axis
+        return observe([samples], cell, EFFECTS, (), 600).scatter.p_lone_axis
 
     assert p_lone_axis(samples) < 0.01
     louder = samples.wrench + 0.1 * np.random.default_rng(2).standard_normal((20_000, 1)) * (np.arange(6) == 2)

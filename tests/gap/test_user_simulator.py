@@ -377,7 +377,7 @@ def test_a_function_that_fails_is_one_sentence(healthy: Samples) -> None:
 
 def notes_on(samples: Samples, fz_N: Floats) -> str:
     simulator = UserSimulator.of_columns(smooth(samples) | {"fz_N": fz_N}, samples.t_s, "foam.csv")
-    source = nominal_source(make_problem([samples], stated(), simulators=[simulator]), ())
+    source = nominal_source(make_problem([samples], stated(), simulators=[simulator]).recordings, ())
     assert source is not None
     return " ".join(source.notes)
 

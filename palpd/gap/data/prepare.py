@@ -16,7 +16,7 @@ from palpd.cell.simulation import MeanReading, mean_reading
 from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
 from palpd.gap.data.bins import Bins, make_bins
 from palpd.gap.data.noise import FZ, Z, declared_rms
-from palpd.gap.data.phases import FREE_STILL, HOLDING, ROUNDING, Ints, Phases, find_phases
+from palpd.gap.data.phases import FREE_STILL, HOLDING, Ints, Phases, find_phases
 from palpd.gap.data.rounding import Rounding, undithered
 from palpd.gap.user_simulator import NominalDifference, UserSimulator, difference
 from palpd.recording.oddities import dead, measured_rms
@@ -138,27 +138,15 @@ class PreparedRecording:
         return np.asarray(self.step_means @ values)
 
 
-def without_rounding(samples: Samples) -> Samples:
-    """Take rounding out of heights that stand still, so that it is not taken for motion.
-
-    Returns:
-        The recording, its heights and speeds constant where only rounding changes them.
-    """
-    least_m = ROUNDING * float(np.abs(samples.z_m).max())
-    still_m, z_cmd_m = float(samples.z_m[0]), samples.z_cmd_m
-    if float(np.ptp(samples.z_m)) > least_m:
-        return samples
-    if z_cmd_m is not None and float(np.ptp(z_cmd_m)) <= least_m:
-        z_cmd_m = np.full_like(z_cmd_m, z_cmd_m[0])
-    resting = float(np.abs(samples.vz_m_per_s).max()) <= least_m * samples.rate_Hz
-    speeds = np.zeros_like(samples.vz_m_per_s) if resting else samples.vz_m_per_s
-    return replace(samples, z_m=np.full_like(samples.z_m, still_m), z_cmd_m=z_cmd_m, vz_m_per_s=speeds)
-
-
 def moves(samples: Samples, cell: CellFile) -> bool:
     """Whether the heights of a recording span more than their noise."""
     low_m, high_m = np.quantile(samples.z_m, (0.01, 0.99))
     return bool(high_m - low_m > STILL_NOISES * cell.robot.position_noise_rms_m)
+
+
+def stated_cell(cell: CellFile) -> CellFile:
+    """The nominal cell of a file: without the deviations and hypotheses that an earlier diagnosis wrote there."""
+    return cell.with_estimated(None).model_copy(update={"uncertainty": ()})
 
 
 def prepare_all(

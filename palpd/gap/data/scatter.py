@@ -1,30 +1,21 @@
 """Effects that change only the scatter of the readings: more noise, a coarse step, held samples.
 
-They do not take part in the search of hypotheses: their change has no mean to fit. They are tested on the readings themselves, before
-these are cleaned of held samples and tails for the search.
+They do not take part in the search of hypotheses: their change has no mean to fit. They are tested on the readings themselves.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
-from palpd.gap.data.noise import FZ, declared_rms, held_runs, pure_rms, repeats, resolutions
+from palpd.gap.data.cleaning import HEALTHY_RATIO, CleanedRecording
+from palpd.gap.data.noise import FZ, pure_rms, resolutions
 from palpd.gap.data.phases import FREE_STILL, HOLDING
 from palpd.gap.data.prepare import PreparedRecording
-from palpd.gap.data.rounding import coarse_step_N, noise_before_rounding
-from palpd.recording.oddities import dead, measured_rms
-from palpd.recording.samples import Samples
+from palpd.gap.data.rounding import noise_before_rounding
 from palpd.tick import Floats
-
-HEALTHY_RATIO = 1.2
-"""Noise up to this many times the stated noise is within specification."""
-
-TAIL_SD, TAIL_WINDOW = 2.0, 5
-"""A reading farther than this many sigmas from the median of this many neighbours lies in the tails."""
 
 UNEVEN = 0.02
 """Share by which healthy noise varies within a recording."""
@@ -37,36 +28,6 @@ LEAST_NOISE_RATIO = 0.01
 
 LONE_RATIO = 1.45
 """Noise of one axis over that of the others above which something unknown acts on that axis."""
-
-
-@dataclass(frozen=True)
-class Readings:
-    """One recording cleaned for the search of effects, and what the cleaning removed.
-
-    Attributes:
-        bridged: The recording with held samples interpolated.
-        cleaned: `bridged` with heavy tails clipped where the noise is not healthy; else the same object.
-        held_stretches: Number of stretches of held samples.
-        held_s: Mean length of these.
-        coarse_step_N: Step of fz, 0 unless it is much coarser than stated.
-    """
-
-    bridged: Samples
-    cleaned: Samples
-    held_stretches: int
-    held_s: float
-    coarse_step_N: float
-
-    @property
-    def excess_noise(self) -> bool:
-        """Whether the noise was not healthy."""
-        return self.cleaned is not self.bridged
-
-    @staticmethod
-    def of(samples: Samples, cell: CellFile) -> "Readings":
-        """Clean a recording."""
-        bridged, stretches, held_s = without_held(samples)
-        return Readings(bridged, without_tails(bridged, cell), stretches, held_s, coarse_step_N(samples, cell))
 
 
 @dataclass(frozen=True)
@@ -86,51 +47,17 @@ class Scatter:
     p_lone_axis: float
 
 
-def without_held(samples: Samples) -> tuple[Samples, int, float]:
-    """Bridge rows that only repeat the row before, unless chance makes as many.
-
-    Returns:
-        The bridged recording, the number of stretches, and their mean length in s.
-    """
-    runs, length, chance = held_runs(samples)
-    step_s = 1.0 / samples.rate_Hz
-    if runs < 3 or runs * length < 4.0 * chance + 10.0:
-        return samples, 0, 0.0
-    same = np.concatenate([[False], repeats(samples.wrench).all(axis=1)])
-    keep = ~same
-    wrench = np.column_stack([np.interp(samples.t_s, samples.t_s[keep], samples.wrench[keep, k]) for k in range(6)])
-    return replace(samples, wrench=wrench, held=same), runs, length * step_s
-
-
-def without_tails(samples: Samples, cell: CellFile) -> Samples:
-    """Clip readings that stand far out of their neighbours, where all axes are noisier than is healthy.
-
-    Noise that is too large is seldom normal: its rare large values are the same noise and no pulses of something unknown. Where the
-    noise is healthy, pulses are pulses.
-
-    Returns:
-        The clipped recording; the same object where the noise is healthy.
-    """
-    rms = np.array([0.0 if dead(axis) else measured_rms(axis) for axis in samples.wrench.T])
-    stated = declared_rms(cell)[1:]
-    live = (rms > 0.0) & (stated > 0.0)
-    if live.sum() < 2 or np.median(rms[live] / stated[live]) < HEALTHY_RATIO:
-        return samples
-    usual = median_filter(samples.wrench, size=(TAIL_WINDOW, 1), mode="nearest")
-    return replace(samples, wrench=usual + np.clip(samples.wrench - usual, -TAIL_SD * rms, TAIL_SD * rms))
-
-
 def scatter_effects(
-    recordings: Sequence[PreparedRecording], readings: Sequence[Readings], cell: CellFile, library: Mapping[str, Effect]
+    recordings: Sequence[PreparedRecording], cleaned: Sequence[CleanedRecording], cell: CellFile, library: Mapping[str, Effect]
 ) -> Scatter:
     """Test the recordings for the library's effects of the scatter.
 
     Args:
-        readings: The same recordings, as `Readings.of` cleaned them.
+        cleaned: The same recordings, and what cleaning removed from them.
         library: The effects that may be present, by id.
     """
-    noise, p_lone_axis = _noise(recordings, readings, cell)
-    seen = {"coarse step": _coarse_step(readings), "held samples": _held_samples(readings), "noise": noise}
+    noise, p_lone_axis = _noise(recordings, cleaned, cell)
+    seen = {"coarse step": _coarse_step(cleaned), "held samples": _held_samples(cleaned), "noise": noise}
     ids = {effect.scatter: effect.id for effect in library.values()}
     effects = [ScatterEffect(ids[kind], *evidence) for kind, evidence in seen.items() if evidence is not None and kind in ids]
     return Scatter(effects, p_lone_axis)
@@ -139,22 +66,21 @@ def scatter_effects(
 Seen = tuple[float, dict[str, tuple[float, float, float]]]
 
 
-def _coarse_step(readings: Sequence[Readings]) -> Seen | None:
-    coarse = [one.coarse_step_N for one in readings if one.coarse_step_N > 0]
-    if not coarse:
+def _coarse_step(cleaned: Sequence[CleanedRecording]) -> Seen | None:
+    coarse_N = [its.coarse_step_N for its in cleaned if its.coarse_step_N > 0]
+    if not coarse_N:
         return None
-    step = float(np.median(coarse))
-    return P_SEEN, {"step_N": (step, 0.98 * step, 1.02 * step)}
+    step_N = float(np.median(coarse_N))
+    return P_SEEN, {"step_N": (step_N, 0.98 * step_N, 1.02 * step_N)}
 
 
-def _held_samples(readings: Sequence[Readings]) -> Seen | None:
-    stretches = sum(one.held_stretches for one in readings)
+def _held_samples(cleaned: Sequence[CleanedRecording]) -> Seen | None:
+    stretches = sum(its.held_stretches for its in cleaned)
     if not stretches:
         return None
-    duration_s = sum(one.bridged.duration_s for one in readings)
-    length_s = sum(one.held_stretches * one.held_s for one in readings) / stretches
-    step_s = float(np.median([1.0 / one.bridged.rate_Hz for one in readings]))
-    rate_Hz = stretches / duration_s
+    length_s = sum(its.held_stretches * its.held_s for its in cleaned) / stretches
+    step_s = float(np.median([1.0 / its.samples.rate_Hz for its in cleaned]))
+    rate_Hz = stretches / sum(its.samples.duration_s for its in cleaned)
     spread = 1.96 / np.sqrt(stretches)
     return P_SEEN, {
         "rate_Hz": (rate_Hz, rate_Hz * (1.0 - spread), rate_Hz * (1.0 + spread)),
@@ -162,20 +88,19 @@ def _held_samples(readings: Sequence[Readings]) -> Seen | None:
     }
 
 
-def _noise(recordings: Sequence[PreparedRecording], readings: Sequence[Readings], cell: CellFile) -> tuple[Seen | None, float]:
+def _noise(recordings: Sequence[PreparedRecording], cleaned: Sequence[CleanedRecording], cell: CellFile) -> tuple[Seen | None, float]:
     """More noise on all axes (None where it is not larger), and the probability that one axis alone is noisy."""
-    coarse = any(one.coarse_step_N > 0 for one in readings)
-    steps = resolutions(cell)
-    stated = pure_rms(cell)
-    samples = sum(int(np.isin(one.phases.phase, (FREE_STILL, HOLDING)).sum()) for one in recordings)
+    coarse = any(its.coarse_step_N > 0 for its in cleaned)
+    steps, stated = resolutions(cell), pure_rms(cell)
+    samples = sum(int(np.isin(recording.phases.phase, (FREE_STILL, HOLDING)).sum()) for recording in recordings)
     ranges = []
     for channel in range(1, 7):
         if channel == FZ and coarse:
             continue
         noises = [
-            noise_before_rounding(reading.bridged.wrench[:, channel - 1], one.rest, float(steps[channel]))
-            for one, reading in zip(recordings, readings, strict=True)
-            if one.judged[channel] and one.noise_measured
+            noise_before_rounding(its.unclipped.wrench[:, channel - 1], recording.rest, float(steps[channel]))
+            for recording, its in zip(recordings, cleaned, strict=True)
+            if recording.judged[channel] and recording.noise_measured
         ]
         if noises and stated[channel] > 0:
             ranges.append(np.maximum(np.sqrt(np.mean(np.square(noises), axis=0)) / stated[channel], LEAST_NOISE_RATIO))

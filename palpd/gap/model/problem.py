@@ -16,8 +16,9 @@ from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS, Effect, Scale
 from palpd.cell.simulation import predict_motion, scale_of
 from palpd.gap.data.noise import FX, FY, FZ, TX, Z, pure_rms, resolutions
+from palpd.gap.data.observations import Observations
 from palpd.gap.data.phases import PHASES
-from palpd.gap.data.prepare import PreparedRecording, prepare_all
+from palpd.gap.data.prepare import PreparedRecording, prepare_all, stated_cell
 from palpd.gap.data.rounding import Rounding, Way, undithered_rms
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.gap.model.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
@@ -294,6 +295,16 @@ def return_memory() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
+def problem_of(observations: Observations, library: Mapping[str, Effect]) -> Problem:
+    """The problem that a diagnosis solves.
+
+    Args:
+        library: The effects that may be present.
+    """
+    its = observations
+    return _problem(its.cell, its.recordings, library, its.roundings, excess_noise=its.excess_noise)
+
+
 def make_problem(
     recordings: Sequence[Samples],
     cell: CellFile,
@@ -301,36 +312,44 @@ def make_problem(
     max_bins: int = MAX_BINS,
     *,
     roundings: Sequence[Rounding] = (),
-    excess_noise: bool = False,
     scale: Scale | None = None,
     simulators: Sequence[UserSimulator] = (),
 ) -> Problem:
-    """Prepare the recordings of one cell for comparison with its simulation without effects.
+    """Compare recordings with the simulation of a cell as they are: nothing is checked or cleaned.
 
     Args:
         cell: Its cell file; known effects in it are part of the nominal cell.
         library: The effects that may be present.
-        max_bins: Largest number of bins of all recordings together, approximately; at least 600 for each.
+        max_bins: Largest number of bins of all recordings together, approximately; at least LEAST_BINS for each.
         roundings: Of fz in each recording; empty where noise dithers it.
-        excess_noise: Whether the noise is larger than stated.
         scale: Sizes that effects refer to; None: those of the longest recording.
         simulators: A user's own simulator for each recording; empty where palpd itself simulates the nominal cell.
     """
-    cell = cell.with_estimated(None).model_copy(update={"uncertainty": ()})
-    prepared = prepare_all(recordings, cell, library, max_bins, roundings, simulators)
-    longest = max(recordings, key=lambda s: s.duration_s)
-    errors_m = [servo_errors(recording, cell, library) for recording in prepared]
-    noise = _whitening(cell, prepared, roundings, errors_m)
+    cell = stated_cell(cell)
+    return _problem(cell, prepare_all(recordings, cell, library, max_bins, roundings, simulators), library, roundings, scale)
+
+
+def _problem(
+    cell: CellFile,
+    recordings: tuple[PreparedRecording, ...],
+    library: Mapping[str, Effect],
+    roundings: Sequence[Rounding],
+    scale: Scale | None = None,
+    excess_noise: bool = False,
+) -> Problem:
+    longest = max((recording.samples for recording in recordings), key=lambda samples: samples.duration_s)
+    errors_m = [servo_errors(recording, cell, library) for recording in recordings]
+    noise = _whitening(cell, recordings, roundings, errors_m)
     return Problem(
         cell=cell,
-        recordings=prepared,
+        recordings=recordings,
         library=library,
         roundings=tuple(roundings),
         scale=scale or scale_of(cell, longest.t_s, longest.z_m, longest.vz_m_per_s, longest.wrench[:, 2]),
         shared_sd=_shared_sd(cell),
         servo_errors_m=np.hstack(errors_m),
         excess_noise=excess_noise,
-        measured=np.hstack([recording.measured for recording in prepared]),
+        measured=np.hstack([recording.measured for recording in recordings]),
         noise=noise,
         floor_rms=noise.rms,
     )

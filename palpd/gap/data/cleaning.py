@@ -1,0 +1,100 @@
+"""Readings as the search of effects sees them: without rounding of heights at rest, held samples, and the tails of excess noise."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from palpd.cell.cell_file import CellFile
+from palpd.gap.data.noise import declared_rms, held_runs, repeats
+from palpd.gap.data.phases import ROUNDING
+from palpd.gap.data.rounding import coarse_step_N
+from palpd.recording.oddities import dead, measured_rms
+from palpd.recording.samples import Samples
+
+HEALTHY_RATIO = 1.2
+"""Noise up to this many times the stated noise is within specification."""
+
+TAIL_SD, TAIL_WINDOW = 2.0, 5
+"""A reading farther than this many sigmas from the median of this many neighbours lies in the tails."""
+
+
+@dataclass(frozen=True)
+class CleanedRecording:
+    """A recording cleaned for the search of effects, and what the cleaning removed.
+
+    Attributes:
+        samples: Held samples are interpolated, and heavy tails are clipped where the noise is not healthy.
+        unclipped: The same before tails were clipped; the same object where the noise is healthy.
+        held_stretches: Number of stretches of held samples.
+        held_s: Mean length of these.
+        coarse_step_N: Step of fz, 0 unless it is much coarser than stated.
+    """
+
+    samples: Samples
+    unclipped: Samples
+    held_stretches: int
+    held_s: float
+    coarse_step_N: float
+
+    @property
+    def excess_noise(self) -> bool:
+        """Whether the noise was not healthy."""
+        return self.samples is not self.unclipped
+
+
+def clean(samples: Samples, cell: CellFile) -> CleanedRecording:
+    """Clean a recording."""
+    unclipped, stretches, held_s = without_held(samples)
+    return CleanedRecording(without_tails(unclipped, cell), unclipped, stretches, held_s, coarse_step_N(samples, cell))
+
+
+def without_rounding(samples: Samples) -> Samples:
+    """Take rounding out of heights that stand still, so that it is not taken for motion.
+
+    Returns:
+        The recording, its heights and speeds constant where only rounding changes them.
+    """
+    least_m = ROUNDING * float(np.abs(samples.z_m).max())
+    still_m, z_cmd_m = float(samples.z_m[0]), samples.z_cmd_m
+    if float(np.ptp(samples.z_m)) > least_m:
+        return samples
+    if z_cmd_m is not None and float(np.ptp(z_cmd_m)) <= least_m:
+        z_cmd_m = np.full_like(z_cmd_m, z_cmd_m[0])
+    resting = float(np.abs(samples.vz_m_per_s).max()) <= least_m * samples.rate_Hz
+    speeds = np.zeros_like(samples.vz_m_per_s) if resting else samples.vz_m_per_s
+    return replace(samples, z_m=np.full_like(samples.z_m, still_m), z_cmd_m=z_cmd_m, vz_m_per_s=speeds)
+
+
+def without_held(samples: Samples) -> tuple[Samples, int, float]:
+    """Bridge rows that only repeat the row before, unless chance makes as many.
+
+    Returns:
+        The bridged recording, the number of stretches, and their mean length in s.
+    """
+    runs, length, chance = held_runs(samples)
+    step_s = 1.0 / samples.rate_Hz
+    if runs < 3 or runs * length < 4.0 * chance + 10.0:
+        return samples, 0, 0.0
+    same = np.concatenate([[False], repeats(samples.wrench).all(axis=1)])
+    keep = ~same
+    wrench = np.column_stack([np.interp(samples.t_s, samples.t_s[keep], samples.wrench[keep, k]) for k in range(6)])
+    return replace(samples, wrench=wrench, held=same), runs, length * step_s
+
+
+def without_tails(samples: Samples, cell: CellFile) -> Samples:
+    """Clip readings that stand far out of their neighbours, where all axes are noisier than is healthy.
+
+    Noise that is too large is seldom normal: its rare large values are the same noise and no pulses of something unknown. Where the
+    noise is healthy, pulses are pulses.
+
+    Returns:
+        The clipped recording; the same object where the noise is healthy.
+    """
+    rms = np.array([0.0 if dead(axis) else measured_rms(axis) for axis in samples.wrench.T])
+    stated = declared_rms(cell)[1:]
+    live = (rms > 0.0) & (stated > 0.0)
+    if live.sum() < 2 or np.median(rms[live] / stated[live]) < HEALTHY_RATIO:
+        return samples
+    usual = median_filter(samples.wrench, size=(TAIL_WINDOW, 1), mode="nearest")
+    return replace(samples, wrench=usual + np.clip(samples.wrench - usual, -TAIL_SD * rms, TAIL_SD * rms))
