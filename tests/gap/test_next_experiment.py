@@ -9,7 +9,8 @@ from palpd.cell.cell_file import nominal
 from palpd.cell.simulation import equilibrium_force_N
 from palpd.config import parse_plan
 from palpd.gap.advise.motions import MotionLimits, TestMotion, motions
-from palpd.gap.advise.next_experiment import advise, rivals_of, score, within_force
+from palpd.gap.advise.next_experiment import advise, score, within_force
+from palpd.gap.advise.rivals import open_rivals
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.infer.posterior import Attribution
 from tests.gap.test_diagnosis import recording
@@ -49,7 +50,7 @@ def test_a_gain_that_pressing_cannot_tell_from_the_modulus_is_to_be_told_by_iner
     assert {"sensor.gain", "tissue.modulus"} <= set(advice.names)
     assert advice.proposal is not None
     assert advice.proposal.plan["free"]["strokes"] > 1
-    rivals = gain_and_modulus().hypotheses
+    rivals = open_rivals(gain_and_modulus())
     press = score(problem, rivals, TestMotion("press", (0.006,), 0.01, 0.2, 4, 0.004), LIMITS).apart(0, 1)
     air = score(problem, rivals, TestMotion("strokes", strokes=12, stroke_speed_m_per_s=0.05), LIMITS).apart(0, 1)
     assert air > 3.0 * press
@@ -66,7 +67,7 @@ def test_where_no_motion_within_the_limits_helps_that_is_said_with_the_figure() 
 
 
 def test_more_patience_never_makes_a_motion_say_less() -> None:
-    rivals = gain_and_modulus().hypotheses
+    rivals = open_rivals(gain_and_modulus())
     motion = TestMotion("strokes", strokes=6, stroke_speed_m_per_s=0.05)
     once, often = (score(wrong_gain().problem, rivals, motion, LIMITS, patience).apart(0, 1) for patience in (1.0, 10.0))
     assert often >= once
@@ -77,11 +78,11 @@ def test_nothing_is_advised_where_nothing_is_open() -> None:
     advice = advise(wrong_gain().problem, replace(whole, hypotheses=whole.hypotheses[:1]))
     assert advice.proposal is None
     assert "Nothing is open" in advice.sentence
-    assert rivals_of(whole)[0] is whole.best
+    assert open_rivals(whole)[0].fit is whole.best.fit
 
 
 def test_no_proposal_needs_more_force_than_allowed() -> None:
-    problem, rivals = wrong_gain().problem, rivals_of(wrong_gain().attribution)
+    problem, rivals = wrong_gain().problem, open_rivals(wrong_gain().attribution)
     whole = within_force(problem, rivals, LIMITS)
     assert whole.depth_m == LIMITS.depth_m
     weak = within_force(problem, rivals, replace(LIMITS, force_N=2.0))

@@ -8,44 +8,16 @@ import numpy as np
 
 from palpd.cell.effects.learned import LearnedEffect
 from palpd.cell.simulation import share_outside
-from palpd.gap.gaussian.nuisance_space import whitened
+from palpd.gap.advise.rivals import Rival
 from palpd.gap.infer.evidence import fit
-from palpd.gap.infer.posterior import Attribution, Hypothesis
+from palpd.gap.infer.posterior import Attribution
 from palpd.gap.laws.finding import LawFinding, free_name, learned_effect
-from palpd.gap.laws.scene import Scene
 from palpd.gap.laws.search import LearnedLaw
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
 
 MOST_ALIKE = 3
 """Number of laws that fit as well, against which a motion is sought; the cost grows with its square."""
-
-
-@dataclass(frozen=True)
-class LawHypothesis(Hypothesis):
-    """A law as a hypothesis. Its curve is known no better than its band, so another motion may show it elsewhere in the band."""
-
-    law: LearnedLaw
-
-    def curve_columns(self, trial: Problem) -> list[Floats]:
-        """Whitened changes (7, b) of a prediction by one standard deviation of each independent combination of a curve's coefficients w.
-
-        Args:
-            trial: The problem that another recording would pose, b bins.
-        """
-        scene = Scene.of(trial, self.fit.values, self.fit.eta).with_rest_speed(self.law.scene.rest_speed_m_per_s)
-        out = []
-        for number in range(len(self.law.terms)):
-            candidate, covariance = self.law.uncertain(number)
-            columns = whitened(trial.noise, scene.columns(candidate))
-            variances, vectors = np.linalg.eigh(covariance)
-            for step in (vectors * np.sqrt(np.maximum(variances, 0.0))).T:
-                change = np.zeros_like(trial.data)
-                for channel, values in columns.items():
-                    change[channel] = values @ step
-                if change.any():
-                    out.append(change)
-        return out
 
 
 @dataclass(frozen=True)
@@ -60,8 +32,8 @@ class LawRivals:
     """
 
     problem: Problem
-    alike: list[Hypothesis]
-    against_list: list[Hypothesis]
+    alike: list[Rival]
+    against_list: list[Rival]
     words: Mapping[str, str]
 
     def share_outside(self, t_s: Floats, z_cmd_m: Floats) -> float:
@@ -71,8 +43,8 @@ class LawRivals:
             t_s: Times (n,).
             z_cmd_m: Commanded heights (n,).
         """
-        law = self.alike[0].fit
-        cell = self.problem.cell_at(law.values, law.eta)
+        law = self.alike[0]
+        cell = self.problem.cell_at(law.fit.values, law.eta)
         return max(share_outside(cell, t_s, z_cmd_m=z_cmd_m, library=self.problem.library).values(), default=0.0)
 
 
@@ -89,22 +61,22 @@ def rivals_of_law(problem: Problem, attribution: Attribution, finding: LawFindin
     if law is None or finding.learned is None or finding.secondary:
         return None
     listed: list[tuple[LearnedEffect, LearnedLaw, float]] = [(finding.learned, law, law.terms[0].nats)]
-    taken = {*problem.library, *(one.id for one in problem.cell.learned), finding.learned.id}
+    taken = {*problem.library, *(known.id for known in problem.cell.learned), finding.learned.id}
     for scored in law.terms[0].alike[:MOST_ALIKE]:
         if (other := law.instead(scored.candidate)) is not None:
             effect = learned_effect(other, finding.nats)
             effect = effect.model_copy(update={"id": free_name(effect.id, taken)})
             taken.add(effect.id)
             listed.append((effect, other, min(scored.nats, law.terms[0].nats)))
-    problem = problem.with_library({one.id: one.effect() for one, _, _ in listed})
+    problem = problem.with_library({effect.id: effect.effect() for effect, _, _ in listed})
     weights = np.array([exp(nats - listed[0][2]) for _, _, nats in listed])
     shares = finding.p_outside * weights / weights.sum()
-    beside = finding.beside
-    alike: list[Hypothesis] = []
+    alike: list[Rival] = []
     for (effect, behind, _), share in zip(listed, shares.tolist(), strict=True):
-        start = beside.values | {effect.id: effect.as_learned}
-        one = fit(problem, start, beside.linearisation, iterations=3, rounds=1)
-        alike.append(LawHypothesis(one, attribution.best.residual, share, 1.0, behind))
+        start = finding.beside.values | {effect.id: effect.as_learned}
+        with_law = fit(problem, start, finding.beside.linearisation, iterations=3, rounds=1)
+        alike.append(Rival(with_law, share, with_law.eta, behind))
+    by_list = attribution.best.fit
+    against = [replace(alike[0], share=finding.p_outside), Rival(by_list, 1.0 - finding.p_outside, by_list.eta)]
     first_time = len(problem.recordings) == 1
-    against = [replace(alike[0], share=finding.p_outside), replace(attribution.best, share=1.0 - finding.p_outside)]
-    return LawRivals(problem, alike, against if first_time else [], {one.id: one.what for one, _, _ in listed})
+    return LawRivals(problem, alike, against if first_time else [], {effect.id: effect.what for effect, _, _ in listed})

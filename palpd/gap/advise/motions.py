@@ -1,5 +1,6 @@
 """Motions that a plan can describe, and what they may ask of a cell."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import Any, ClassVar
@@ -252,16 +253,17 @@ def cycle_again(problem: Problem, recording: int, cycle: int, limits: MotionLimi
     return TestMotion(what, depths * AGAIN, speed, held_s, 1, low, "static")
 
 
-def blank_recording(cell: CellFile, t_s: Floats, z_cmd_m: Floats) -> Samples:
+def blank_recording(cell: CellFile, t_s: Floats, z_cmd_m: Floats, live: Sequence[bool] = (True,) * 6) -> Samples:
     """A recording of a motion whose wrench is only the stated noise; a channel without noise is not judged.
 
     Args:
         t_s: Times (n,).
         z_cmd_m: Commanded heights (n,).
+        live: Which axes (6,) are measured; the others stay 0.
     """
     random = np.random.default_rng(0)
     z_m = predict_motion(cell, t_s, z_cmd_m)
     speed = np.gradient(z_m, t_s) + random.standard_normal(len(t_s)) * cell.robot.velocity_noise_rms_m_per_s
     z_m = z_m + random.standard_normal(len(t_s)) * cell.robot.position_noise_rms_m
-    noise = np.array([cell.sensor.noise_rms_N] * 3 + [cell.sensor.noise_rms_Nm] * 3)
+    noise = np.array([cell.sensor.noise_rms_N] * 3 + [cell.sensor.noise_rms_Nm] * 3) * live
     return Samples(t_s, z_cmd_m, z_m, speed, random.standard_normal((len(t_s), 6)) * noise)

@@ -11,24 +11,18 @@ import numpy as np
 from palpd.cell.cell_file import CROSSTALK
 from palpd.cell.simulation import equilibrium_force_N
 from palpd.files import writing
-from palpd.gap.advise.law_rivals import LawHypothesis, LawRivals, rivals_of_law
+from palpd.gap.advise.law_rivals import LawRivals, rivals_of_law
 from palpd.gap.advise.motions import MotionLimits, TestMotion, blank_recording, cycle_again, motions, same_again, surface_of
+from palpd.gap.advise.rivals import Rival, open_rivals
 from palpd.gap.data.noise import FX
 from palpd.gap.data.prepare import moves
 from palpd.gap.gaussian.nuisances import Nuisances, gram, nuisances, project
 from palpd.gap.infer.discrepancy import DISCREPANCY_SIZES, discrepancy_columns
-from palpd.gap.infer.posterior import Attribution, Hypothesis
+from palpd.gap.infer.posterior import Attribution
 from palpd.gap.laws.finding import LawFinding, RefusedLaw
-from palpd.gap.model.coordinates import values_at
-from palpd.gap.model.linearise import Linearisation, linearise
+from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import SHARED, Problem, make_problem
 from palpd.tick import Floats
-
-OPEN_ABOVE = 0.03
-"""Hypotheses with more than this share of the probability of the best hypothesis are still open."""
-
-MOST_OPEN = 4
-"""Largest number of open hypotheses for which a motion is sought; the cost grows with its square."""
 
 WORTH_NATS = 1.0
 """Least log odds, in nats, that a motion must be expected to bring between two hypotheses to be proposed."""
@@ -154,15 +148,15 @@ def advise(problem: Problem, attribution: Attribution, limits: MotionLimits | No
         return _again(problem, finding.refused, limits)
     laws = rivals_of_law(problem, attribution, finding) if finding is not None else None
     if laws is None:
-        return _between(problem, rivals_of(attribution), limits)
+        return _between(problem, open_rivals(attribution), limits)
     advice = _between(laws.problem, laws.alike, limits, laws)
     return advice if advice.proposal is not None or not laws.against_list else _between(laws.problem, laws.against_list, limits, laws)
 
 
-def _between(problem: Problem, rivals: Sequence[Hypothesis], limits: MotionLimits | None, laws: LawRivals | None = None) -> Advice:
+def _between(problem: Problem, rivals: Sequence[Rival], limits: MotionLimits | None, laws: LawRivals | None = None) -> Advice:
     """The motion that decides between some hypotheses. `laws` is given where these are rivals of a law, for its words and range."""
-    names = tuple(one.name for one in rivals)
-    shares = np.array([one.share for one in rivals])
+    names = tuple(rival.name for rival in rivals)
+    shares = np.array([rival.share for rival in rivals])
     shares = shares / shares.sum()
     if len(rivals) < 2:
         return Advice(names, shares, None, None, 0.0)
@@ -184,17 +178,7 @@ def _between(problem: Problem, rivals: Sequence[Hypothesis], limits: MotionLimit
     return Advice(names, shares, None, (names[0], names[1]), best.apart(0, 1), forever, hidden_by)
 
 
-def rivals_of(attribution: Attribution) -> list[Hypothesis]:
-    """The open hypotheses, the most probable first, without those that only add an effect to a more probable hypothesis."""
-    top = attribution.best.share
-    out: list[Hypothesis] = []
-    for one in attribution.hypotheses:
-        if one.share > OPEN_ABOVE * top and not any(set(o.fit.names) < set(one.fit.names) and o.fit.names for o in out):
-            out.append(one)
-    return out[:MOST_OPEN]
-
-
-def within_force(problem: Problem, rivals: Sequence[Hypothesis], limits: MotionLimits) -> MotionLimits:
+def within_force(problem: Problem, rivals: Sequence[Rival], limits: MotionLimits) -> MotionLimits:
     """Limit the depth so that no open hypothesis expects more than the allowed force after a long hold.
 
     Returns:
@@ -203,8 +187,8 @@ def within_force(problem: Problem, rivals: Sequence[Hypothesis], limits: MotionL
     if problem.cell.tissue is None:
         return limits
     depth_m = limits.depth_m
-    for one in rivals:
-        cell = problem.cell_at(one.fit.values, one.fit.eta)
+    for rival in rivals:
+        cell = problem.cell_at(rival.fit.values, rival.eta)
         while depth_m > 0.1 * limits.depth_m and equilibrium_force_N(cell, depth_m, None, problem.library) > limits.force_N:
             depth_m *= 0.95
     return replace(limits, depth_m=depth_m if depth_m > 0.1 * limits.depth_m else 0.0)
@@ -226,7 +210,7 @@ def _refutation(best: ScoredMotion, pair: tuple[str, str], gain: float, laws: La
 
 
 def _anything_moves(problem: Problem) -> bool:
-    return any(moves(one.samples, problem.cell) for one in problem.recordings)
+    return any(moves(recording.samples, problem.cell) for recording in problem.recordings)
 
 
 def _again(problem: Problem, refused: RefusedLaw, limits: MotionLimits | None) -> Advice:
@@ -265,7 +249,7 @@ def _proposal(best: ScoredMotion, pair: tuple[str, str], gain: float) -> Experim
     return ExperimentProposal(sentence, best.motion.plan(), best.t_s, best.z_cmd_m, gain, best.motion)
 
 
-def score(problem: Problem, rivals: Sequence[Hypothesis], motion: TestMotion, limits: MotionLimits, patience: float = 1.0) -> ScoredMotion:
+def score(problem: Problem, rivals: Sequence[Rival], motion: TestMotion, limits: MotionLimits, patience: float = 1.0) -> ScoredMotion:
     """What a recording of a motion is expected to say about the open hypotheses.
 
     Args:
@@ -286,28 +270,26 @@ def score(problem: Problem, rivals: Sequence[Hypothesis], motion: TestMotion, li
 
 def _trial(problem: Problem, t_s: Floats, z_cmd_m: Floats, weight: float) -> Problem:
     """The problem that a recording of that motion would pose, in which each bin counts for `weight` bins."""
-    blank = blank_recording(problem.cell, t_s, z_cmd_m)
-    measured = np.any([one.judged[FX:] for one in problem.recordings], axis=0)
-    blank = replace(blank, wrench=blank.wrench * measured)
+    live = np.any([recording.judged[FX:] for recording in problem.recordings], axis=0)
+    blank = blank_recording(problem.cell, t_s, z_cmd_m, live)
     trial = make_problem([blank], problem.cell, problem.library, TRIAL_BINS, roundings=problem.roundings[:1], scale=problem.scale)
     return trial.with_row_weight(weight)
 
 
-def _log_odds(trial: Problem, rivals: Sequence[Hypothesis]) -> Floats:
+def _log_odds(trial: Problem, rivals: Sequence[Rival]) -> Floats:
     """Log odds (h, h) that the recording would bring for hypothesis i (row) against hypothesis j (column), if i is true.
 
     They are half the squared difference of both predictions, in sigmas, that nothing in hypothesis j can make up for: neither in-tolerance
     deviations, nor its parameters within their uncertainty, nor a discrepancy of its law.
     """
     base = linearise(trial, {}, trial.nominal_eta)
-    gaps = [trial.predict(one.fit.values, one.fit.eta) - base.prediction for one in rivals]
+    gaps = [rival.prediction(trial) - base.prediction for rival in rivals]
     trial = trial.with_model_error_floor(max(gaps, key=lambda g: float(np.vdot(g, g))))
-    predictions = [trial.predict(one.fit.values, one.fit.eta) for one in rivals]
+    predictions = [rival.prediction(trial) for rival in rivals]
     odds = np.zeros((len(rivals), len(rivals)))
     for column, other in enumerate(rivals):
-        there = linearise(trial, other.fit.values, other.fit.eta)
-        free = _free_columns(trial, other, there)
-        free += other.curve_columns(trial) if isinstance(other, LawHypothesis) else []
+        there = linearise(trial, other.fit.values, other.eta)
+        free = other.free_columns(trial, there.prediction)
         laws, _ = discrepancy_columns(trial, other.fit.values, there.prediction, there)
         wider = laws.scaled(max(size for size, _ in DISCREPANCY_SIZES))
         wide = nuisances(there.space.columns.beside(wider)) if wider.size else None
@@ -321,21 +303,6 @@ def _log_odds(trial: Problem, rivals: Sequence[Hypothesis]) -> Floats:
     return odds
 
 
-def _free_columns(trial: Problem, other: Hypothesis, there: Linearisation) -> list[Floats]:
-    """Whitened changes (7, b) by one standard deviation of each independent combination of the parameters of a hypothesis."""
-    fit = other.fit
-    if not fit.names:
-        return []
-    values, vectors = np.linalg.eigh(fit.covariance)
-    out = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        spread = min(max(float(value), 0.0), 1e6) ** 0.5
-        step = min(1e-2, spread) if spread > 0.0 else 1e-2
-        moved = trial.predict(values_at(fit.where, fit.u + step * vector), fit.eta)
-        out.append((moved - there.prediction) * (spread / step))
-    return out
-
-
 def _unexplained(difference: Floats, free: Sequence[Floats], space: Nuisances) -> float:
     """Half the squared difference (7, b) without what nuisances and free columns explain, in nats."""
     d = project(difference, space)
@@ -345,7 +312,7 @@ def _unexplained(difference: Floats, free: Sequence[Floats], space: Nuisances) -
     return 0.5 * max(d.dot(d) - taken, 0.0)
 
 
-def _hidden(problem: Problem, two: Sequence[Hypothesis], best: ScoredMotion, limits: MotionLimits) -> tuple[float, str | None]:
+def _hidden(problem: Problem, two: Sequence[Rival], best: ScoredMotion, limits: MotionLimits) -> tuple[float, str | None]:
     """Log odds of the motion recorded FOREVER times, and the tolerance without which they are largest; None where none doubles them."""
     forever = score(problem, two, best.motion, limits, FOREVER).apart(0, 1)
     most, hidden_by = max(2.0 * forever, WORTH_NATS), None
@@ -354,16 +321,8 @@ def _hidden(problem: Problem, two: Sequence[Hypothesis], best: ScoredMotion, lim
             continue
         exact = np.where(np.arange(len(SHARED)) == k, 1e-6 * problem.shared_sd, problem.shared_sd)
         without = _trial(problem, best.t_s, best.z_cmd_m, FOREVER).with_shared_sd(exact)
-        odds = _log_odds(without, [_without_deviation(one, k) for one in two])
+        odds = _log_odds(without, [rival.without_deviation(k) for rival in two])
         gain = float(min(odds[0, 1], odds[1, 0]))
         if gain > most:
             most, hidden_by = gain, name
     return forever, hidden_by
-
-
-def _without_deviation(one: Hypothesis, k: int) -> Hypothesis:
-    """The hypothesis with its shared deviation η of number k at zero."""
-    around = one.fit.linearisation
-    eta = around.eta.copy()
-    eta[k] = 0.0
-    return replace(one, fit=replace(one.fit, linearisation=replace(around, eta=eta)))
