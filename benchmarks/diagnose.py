@@ -79,7 +79,7 @@ def measure(path: Path) -> None:
         "wall_s": time.perf_counter() - began,
         "cpu_s": after.user + after.system - before.user - before.system,
         "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
-        "simulations": diagnosis.problem.simulations,
+        "simulations": diagnosis.problem.workspace.simulations,
         "named": [effect.id for effect in diagnosis.effects],
     }
     print(json.dumps(cost))

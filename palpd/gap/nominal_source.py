@@ -1,6 +1,6 @@
 """A user's own simulator as the nominal of a diagnosis: whether its output fits the recordings, and what to say of it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -126,24 +126,22 @@ def _refuse_misfit(samples: Samples, beyond: NominalDifference) -> None:
             raise RecordingError(f"{column} of {name} is {ratio:.3g} times {column} of the recording, expected about 1; {unit}.")
 
 
-def _zero_notes(samples: Samples, beyond: NominalDifference) -> list[str]:
+def _zero_notes(samples: Samples, beyond: NominalDifference) -> Iterator[str]:
     """A force that does not begin where the recording begins: gravity, or another tare."""
     first = slice(0, max(1, int(FIRST_SHARE * len(samples))))
     apart_N = float(np.median(beyond.output["fz_N"][first] - samples.wrench[first, FZ - 1]))
-    if abs(apart_N) <= CLEAR_NOISES * float(declared_rms(beyond.cell)[FZ]):
-        return []
-    return [
-        f"fz_N of {beyond.simulator.name} begins {apart_N:+.3g} N beside the recording, which is tared with the probe free and still; "
-        "subtract gravity, or what your simulator reads there."
-    ]
+    if abs(apart_N) > CLEAR_NOISES * float(declared_rms(beyond.cell)[FZ]):
+        yield (
+            f"fz_N of {beyond.simulator.name} begins {apart_N:+.3g} N beside the recording, which is tared with the probe free and still; "
+            "subtract gravity, or what your simulator reads there."
+        )
 
 
-def _noise_notes(beyond: NominalDifference) -> list[str]:
+def _noise_notes(beyond: NominalDifference) -> Iterator[str]:
     """A force with noise of its own."""
     noise_N, stated_N = measured_rms(beyond.output["fz_N"]), float(declared_rms(beyond.cell)[FZ])
-    if noise_N <= NOISY_SHARE * stated_N:
-        return []
-    return [
-        f"fz_N of {beyond.simulator.name} has {noise_N:.2g} N of noise and the cell file states {stated_N:.2g} N, expected none in a "
-        "prediction; switch the noise of your simulator off, and drive it with a smooth motion."
-    ]
+    if noise_N > NOISY_SHARE * stated_N:
+        yield (
+            f"fz_N of {beyond.simulator.name} has {noise_N:.2g} N of noise and the cell file states {stated_N:.2g} N, expected none in a "
+            "prediction; switch the noise of your simulator off, and drive it with a smooth motion."
+        )

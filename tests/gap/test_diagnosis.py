@@ -145,7 +145,7 @@ def test_a_healthy_robot_that_reports_more_slowly_than_the_sensor_is_not_accused
     samples = slow_robot(recording(nominal(), {}, rate_Hz=1000.0))
     diagnosis = quick(samples, nominal())
     (prepared,) = diagnosis.problem.recordings
-    assert prepared.samples_each == pytest.approx(8.0, rel=0.02)
+    assert prepared.reports.rows_each == pytest.approx(8.0, rel=0.02)
     assert prepared.noise_rms[0] == pytest.approx(nominal().robot.position_noise_rms_m, rel=0.1)
     assert diagnosis.verdict == "none"
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from palpd.cell.cell_file import CellFile, cell_from, nominal
+from palpd.cell.effects import EFFECTS
 from palpd.errors import RecordingError
 from palpd.gap.commands import simulate_columns
 from palpd.gap.data.plausibility import channel_notes, check_recordings, recording_notes
@@ -181,7 +182,7 @@ def test_a_sensor_that_fails_in_mid_press_is_noted_with_its_time() -> None:
 def test_noise_far_from_the_stated_is_noted() -> None:
     quiet = cell_from({"sensor": {"noise_rms_N": 0.005, "resolution_fz_N": 0.01}}, "quiet sensor")
     for cell, expected in ((quiet, 1), (nominal(), 0)):
-        notes = channel_notes([prepare(HEALTHY, cell, 300)], cell)
+        notes = channel_notes(prepare([HEALTHY], cell, EFFECTS, 300), cell)
         assert len([note for note in notes if "noise of fz_N at rest" in note]) == expected
 
 

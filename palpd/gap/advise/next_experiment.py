@@ -171,8 +171,7 @@ def _between(problem: Problem, rivals: Sequence[Rival], limits: MotionLimits | N
         able = [p for p in pairs if best.apart(*p) >= WORTH_NATS]
         i, j = max(able, key=lambda p: shares[p[0]] * shares[p[1]] * (1.0 - exp(-0.25 * best.apart(*p))))
         pair, gain = (names[i], names[j]), best.apart(i, j)
-        proposal = _proposal(best, pair, gain) if laws is None else _refutation(best, pair, gain, laws)
-        return Advice(names, shares, proposal, pair, gain)
+        return Advice(names, shares, _decides(best, pair, gain, laws), pair, gain)
     best = max(scored, key=lambda s: s.apart(0, 1))
     forever, hidden_by = _hidden(problem, rivals[:2], best, limits)
     return Advice(names, shares, None, (names[0], names[1]), best.apart(0, 1), forever, hidden_by)
@@ -194,21 +193,6 @@ def within_force(problem: Problem, rivals: Sequence[Rival], limits: MotionLimits
     return replace(limits, depth_m=depth_m if depth_m > 0.1 * limits.depth_m else 0.0)
 
 
-def _refutation(best: ScoredMotion, pair: tuple[str, str], gain: float, laws: LawRivals) -> ExperimentProposal:
-    """The proposal of a motion on which a law may fail."""
-    usual = _proposal(best, pair, gain)
-    outside = laws.share_outside(best.t_s, best.z_cmd_m)
-    held = f"{outside:.0%} of it lies outside the range of the law, where its curve is held." if outside > 0.01 else ""
-    inside = "It stays within the range of the law, so the law must hold there."
-    first, second = (laws.words.get(name, name) for name in pair)
-    what = best.motion.what
-    sentence = (
-        f"{what[0].upper()}{what[1:]} ({best.t_s[-1]:.0f} s) and diagnose both recordings jointly. {held or inside} "
-        f"This is expected to change the odds between {first} and {second} by a factor of {_factor(gain)}."
-    )
-    return replace(usual, sentence=sentence)
-
-
 def _anything_moves(problem: Problem) -> bool:
     return any(moves(recording.samples, problem.cell) for recording in problem.recordings)
 
@@ -220,33 +204,34 @@ def _again(problem: Problem, refused: RefusedLaw, limits: MotionLimits | None) -
     gain = refused.law.nats
     if refused.reason == "time":
         motion, t_s, z_cmd_m = same_again(problem, known)
-        what = (
-            f"Record the same motion again ({t_s[-1]:.0f} s) and diagnose both recordings jointly. A law repeats, a random walk does not. "
-            "The plan has the same depths, speeds and holds; the motion file is the recorded one."
-        )
+        why = "A law repeats, a random walk does not. The plan has the same depths, speeds and holds; the motion file is the recorded one."
     else:
         motion = cycle_again(problem, refused.recording, refused.cycle, known)
         surface_m = surface_of(problem)
         t_s, z_cmd_m = motion.heights(problem.scale.step_s, surface_m, surface_m + known.home_m, known.acceleration_m_per_s2)
         driver = refused.law.terms[0].candidate.driver.words
-        what = (
-            f"{motion.what[0].upper()}{motion.what[1:]} ({t_s[-1]:.0f} s) and diagnose both recordings jointly. What remains follows "
-            f"{driver}, but one press or stroke alone shows it, and a law must repeat."
-        )
-    return Advice(names, shares, ExperimentProposal(what, motion.plan(), t_s, z_cmd_m, gain, motion), None, gain)
+        why = f"What remains follows {driver}, but one press or stroke alone shows it, and a law must repeat."
+    return Advice(names, shares, _proposal(motion, t_s, z_cmd_m, gain, why), None, gain)
 
 
 def _factor(gain: float) -> str:
     return "more than a thousand" if gain > log(1000.0) else f"{exp(gain):.0f}"
 
 
-def _proposal(best: ScoredMotion, pair: tuple[str, str], gain: float) -> ExperimentProposal:
-    what = best.motion.what
-    sentence = (
-        f"{what[0].upper()}{what[1:]} ({best.t_s[-1]:.0f} s) and diagnose both recordings jointly. "
-        f"This is expected to change the odds between {pair[0]} and {pair[1]} by a factor of {_factor(gain)}."
-    )
-    return ExperimentProposal(sentence, best.motion.plan(), best.t_s, best.z_cmd_m, gain, best.motion)
+def _decides(best: ScoredMotion, pair: tuple[str, str], gain: float, laws: LawRivals | None) -> ExperimentProposal:
+    """The proposal of a motion that decides between two hypotheses, or on which a law may fail."""
+    first, second = pair if laws is None else (laws.words.get(name, name) for name in pair)
+    why = f"This is expected to change the odds between {first} and {second} by a factor of {_factor(gain)}."
+    if laws is not None:
+        outside = laws.share_outside(best.t_s, best.z_cmd_m)
+        held = f"{outside:.0%} of it lies outside the range of the law, where its curve is held."
+        why = f"{held if outside > 0.01 else 'It stays within the range of the law, so the law must hold there.'} {why}"
+    return _proposal(best.motion, best.t_s, best.z_cmd_m, gain, why)
+
+
+def _proposal(motion: TestMotion, t_s: Floats, z_cmd_m: Floats, gain: float, why: str) -> ExperimentProposal:
+    sentence = f"{motion.what[0].upper()}{motion.what[1:]} ({t_s[-1]:.0f} s) and diagnose both recordings jointly. {why}"
+    return ExperimentProposal(sentence, motion.plan(), t_s, z_cmd_m, gain, motion)
 
 
 def score(problem: Problem, rivals: Sequence[Rival], motion: TestMotion, limits: MotionLimits, patience: float = 1.0) -> ScoredMotion:

@@ -7,7 +7,7 @@ from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
 from palpd.gap.data.cleaning import clean, without_rounding
 from palpd.gap.data.plausibility import channel_notes, check_recordings, recording_notes
-from palpd.gap.data.prepare import PreparedRecording, prepare_all, stated_cell
+from palpd.gap.data.prepare import PreparedRecording, prepare, stated_cell
 from palpd.gap.data.recorded_noise import readings_at_rest_N, with_recorded_noise
 from palpd.gap.data.rounding import Rounding, roundings_of
 from palpd.gap.data.scatter import Scatter, scatter_effects
@@ -68,7 +68,7 @@ def observe(
     cleaned = [clean(samples, cell) for samples in recordings]
     coarse_N = [its.coarse_step_N for its in cleaned]
     roundings = roundings_of(recordings, coarse_N, cell, *readings_at_rest_N(recordings, cell))
-    prepared = prepare_all([its.samples for its in cleaned], cell, library, max_bins, roundings, simulators)
+    prepared = prepare([its.samples for its in cleaned], cell, library, max_bins, roundings, simulators)
     return Observations(
         cell=cell,
         site=site if known else None,

@@ -4,7 +4,7 @@ A recording is refused where every later number would be wrong: a wrong unit or 
 hole in time that hides motion. Everything else becomes a note, and what can still be judged is judged.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -94,9 +94,9 @@ def check_recordings(recordings: Sequence[Samples], cell: CellFile) -> list[str]
     notes = [f"{doubt}; correct the cell file." for doubt in doubts_of_cell(cell)]
     for samples, label in zip(recordings, _labels(recordings), strict=True):
         _refuse_hole(samples, label)
-        odd = [*_motion_notes(samples, cell, label), *_depth_notes(samples, cell, label), *_force_notes(samples, cell, label)]
+        for check in (_motion_notes, _depth_notes, _force_notes):
+            notes += [label + note for note in check(samples, cell, label)]
         refuse_dead(samples, label)
-        notes += [label + note for note in odd]
     return notes
 
 
@@ -138,34 +138,33 @@ def _refuse_hole(samples: Samples, label: str) -> None:
         )
 
 
-def _hole_notes(samples: Samples) -> list[str]:
+def _hole_notes(samples: Samples) -> Iterator[str]:
     step_s = np.diff(samples.t_s)
     holes = int(np.sum(step_s > max(SHORT_HOLE_S, SHORT_HOLE_STEPS * float(np.median(step_s)))))
-    if not holes:
-        return []
-    return [
-        f"samples are missing at {holes} place{'s' if holes > 1 else ''}, the longest time {step_s.max():.3g} s from "
-        f"{samples.t_s[int(np.argmax(step_s))]:.6g} s on; nothing is judged there, and a sensor or recorder that pauses should be mended."
-    ]
+    if holes:
+        yield (
+            f"samples are missing at {holes} place{'s' if holes > 1 else ''}, the longest time {step_s.max():.3g} s from "
+            f"{samples.t_s[int(np.argmax(step_s))]:.6g} s on; nothing is judged there, and a sensor or recorder that pauses should be "
+            "mended."
+        )
 
 
-def _air_notes(samples: Samples, cell: CellFile) -> list[str]:
-    if cell.tissue is None or not bool((samples.z_m < cell.tissue.surface_z_m).all()):
-        return []
-    return ["there is no free motion: inertia, cable and bias can hardly be distinguished from the tissue."]
+def _air_notes(samples: Samples, cell: CellFile) -> Iterator[str]:
+    if cell.tissue is not None and bool((samples.z_m < cell.tissue.surface_z_m).all()):
+        yield "there is no free motion: inertia, cable and bias can hardly be distinguished from the tissue."
 
 
-def _motion_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
+def _motion_notes(samples: Samples, cell: CellFile, label: str) -> Iterator[str]:
     """Stroke, dead heights, and heights against speeds."""
     stroke_m = float(np.ptp(samples.z_m))
-    notes = [f"{doubt}; check the unit of z_m." for doubt in doubts("stroke", stroke_m, "the stroke of z_m")]
+    yield from (f"{doubt}; check the unit of z_m." for doubt in doubts("stroke", stroke_m, "the stroke of z_m"))
     path_m = float(np.sum(np.abs(samples.vz_m_per_s[1:]) * np.diff(samples.t_s)))
     if stroke_m > LONGEST_STROKE_M:
         raise RecordingError(
             f"{label}z_m spans {stroke_m:.3g} m, expected a stroke of millimetres to decimetres; it looks like mm, divide by 1000."
         )
     if not moves(samples, cell) and path_m < 3.0 * stroke_m + 1e-9:
-        notes.append(f"nothing moves (z_m spans {stroke_m:.2g} m): only bias, drift, warm-up and noise can be judged.")
+        yield f"nothing moves (z_m spans {stroke_m:.2g} m): only bias, drift, warm-up and noise can be judged."
     if stroke_m == 0.0 and samples.vz_m_per_s.any():
         raise RecordingError(f"{label}z_m is {samples.z_m[0]:g} m throughout and vz_m_per_s moves: z_m is dead; record it.")
     if not samples.vz_m_per_s.any() and moves(samples, cell):
@@ -177,15 +176,13 @@ def _motion_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
         sentence = f"z_m changes {slope:.3g} times as fast as vz_m_per_s says, expected 1; {unit}."
         if 0.5 < abs(slope) / abs(near) < 2.0:
             raise RecordingError(f"{label}{sentence} Correct the unit or sign and diagnose again.")
-        notes.append(sentence)
-    return notes
+        yield sentence
 
 
-def _depth_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
+def _depth_notes(samples: Samples, cell: CellFile, label: str) -> Iterator[str]:
     """Depth of the presses against tip and surface."""
     if cell.tissue is None:
-        return []
-    notes = []
+        return
     depth_m = cell.tissue.surface_z_m - float(samples.z_m.min())
     radii = depth_m / cell.probe.tip_radius_m
     if radii > DEEPEST_TIP_RADII and depth_m > DEEPEST_M:
@@ -194,13 +191,12 @@ def _depth_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
             "z_m looks like mm read as m, divide by 1000 or correct tissue.surface_z_m."
         )
     if radii > DEEPEST_TIP_RADII:
-        notes.append(f"the deepest press is {radii:.0f} tip radii below the stated surface; check the unit of z_m and tissue.surface_z_m.")
+        yield f"the deepest press is {radii:.0f} tip radii below the stated surface; check the unit of z_m and tissue.surface_z_m."
     if depth_m <= 0:
-        notes.append("the probe never comes below the stated surface: nothing of the tissue can be judged.")
-    return notes
+        yield "the probe never comes below the stated surface: nothing of the tissue can be judged."
 
 
-def _force_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
+def _force_notes(samples: Samples, cell: CellFile, label: str) -> Iterator[str]:
     """Liveness, sign and unit of fz against the force of the stated tissue, and the height of the touch."""
     fz_N, z_m = samples.wrench[:, 2], samples.z_m
     noise_N = max(float(declared_rms(cell)[FZ]), cell.sensor.resolution_fz_N)
@@ -208,24 +204,22 @@ def _force_notes(samples: Samples, cell: CellFile, label: str) -> list[str]:
     expected_N = _hertz_N(cell.tissue, cell.probe.tip_radius_m, depth_m) if cell.tissue is not None else depth_m
     peak_N = float(expected_N.max())
     if dead(fz_N):
-        return _dead_notes(samples, cell, depth_m, peak_N, noise_N, label)
-    if cell.tissue is None:
-        return []
-    if swing_N(fz_N) < CLEAR_NOISES * max(noise_N, measured_rms(fz_N)):
-        if cell.tolerances.modulus_known and peak_N > 2.0 * CLEAR_NOISES * noise_N and swing_N(fz_N) < 0.1 * peak_N:
-            return [
-                f"fz_N changes by {swing_N(fz_N):.2g} N only where the cell file expects {peak_N:.3g} N: the sensor does not feel the "
-                "press, or the probe does not touch; check its wiring, its mount and tissue.surface_z_m."
-            ]
-        return []
-    refuse_turned(samples, label)
-    notes = [f"{doubt}; check the signs of force and height." for doubt in turned_twice(samples)]
-    if depth_m.any():
-        notes += [*_shape_notes(fz_N, expected_N, peak_N, cell, label), *_frozen_notes(samples, expected_N, noise_N)]
-    return [*notes, *_touch_notes(samples, cell, noise_N)]
+        yield _dead_note(samples, cell, depth_m, peak_N, noise_N, label)
+    elif cell.tissue is not None and swing_N(fz_N) >= CLEAR_NOISES * max(noise_N, measured_rms(fz_N)):
+        refuse_turned(samples, label)
+        yield from (f"{doubt}; check the signs of force and height." for doubt in turned_twice(samples))
+        if depth_m.any():
+            yield from _shape_notes(fz_N, expected_N, peak_N, cell, label)
+            yield from _frozen_notes(samples, expected_N, noise_N)
+        yield from _touch_notes(samples, cell, noise_N)
+    elif cell.tolerances.modulus_known and peak_N > 2.0 * CLEAR_NOISES * noise_N and swing_N(fz_N) < 0.1 * peak_N:
+        yield (
+            f"fz_N changes by {swing_N(fz_N):.2g} N only where the cell file expects {peak_N:.3g} N: the sensor does not feel the "
+            "press, or the probe does not touch; check its wiring, its mount and tissue.surface_z_m."
+        )
 
 
-def _dead_notes(samples: Samples, cell: CellFile, depth_m: Floats, peak_N: float, noise_N: float, label: str) -> list[str]:
+def _dead_note(samples: Samples, cell: CellFile, depth_m: Floats, peak_N: float, noise_N: float, label: str) -> str:
     """A constant fz: refused where contact or inertia must have changed it, else noted."""
     fz_N = samples.wrench[0, 2]
     if peak_N > CLEAR_NOISES * noise_N or (peak_N > 0 and not cell.tolerances.modulus_known):
@@ -239,7 +233,7 @@ def _dead_notes(samples: Samples, cell: CellFile, depth_m: Floats, peak_N: float
             f"{label}fz_N is {fz_N:g} throughout while the inertia of {cell.probe.mass_kg:g} kg changes by {inertia_N:.2g} N, more than "
             f"the sensor's step of {cell.sensor.resolution_fz_N:g} N; the sensor is dead or the column is wrong: record fz_N again."
         )
-    return [f"fz_N is {fz_N:g} throughout, so nothing vertical is judged; check that the sensor is alive, and press the tissue."]
+    return f"fz_N is {fz_N:g} throughout, so nothing vertical is judged; check that the sensor is alive, and press the tissue."
 
 
 def _acceleration_swing_m_per_s2(samples: Samples) -> float:
@@ -267,7 +261,7 @@ def _shape_notes(fz_N: Floats, expected_N: Floats, peak_N: float, cell: CellFile
     raise RecordingError(f"{label}{size}, expected about 1; {unit}, or correct tissue.youngs_modulus_Pa ({tissue.youngs_modulus_Pa:g} Pa).")
 
 
-def _frozen_notes(samples: Samples, expected_N: Floats, noise_N: float) -> list[str]:
+def _frozen_notes(samples: Samples, expected_N: Floats, noise_N: float) -> Iterator[str]:
     """The first long stretch over which fz does not change at all while the expected force does."""
     fz_N = samples.wrench[:, 2]
     begins, ends = runs_of_true(np.diff(fz_N) == 0.0)
@@ -275,14 +269,14 @@ def _frozen_notes(samples: Samples, expected_N: Floats, noise_N: float) -> list[
     clipped = np.isin(fz_N[begins], (fz_N.max(), fz_N.min()))  # a saturated channel has its own note
     for begin, end in zip(begins[long & ~clipped], ends[long & ~clipped], strict=True):
         if np.ptp(expected_N[begin : end + 1]) > CLEAR_NOISES * noise_N:
-            return [
+            yield (
                 f"fz_N stays at {fz_N[begin]:.4g} N from {samples.t_s[begin]:.4g} s to {samples.t_s[end]:.4g} s while the probe moves in "
                 "the tissue: the sensor or its cable failed; leave that stretch out."
-            ]
-    return []
+            )
+            return
 
 
-def _touch_notes(samples: Samples, cell: CellFile, noise_N: float) -> list[str]:
+def _touch_notes(samples: Samples, cell: CellFile, noise_N: float) -> Iterator[str]:
     """A touch far from the stated surface: the height at which fz leaves its level in the air."""
     tissue = cell.tissue
     assert tissue is not None
@@ -292,71 +286,64 @@ def _touch_notes(samples: Samples, cell: CellFile, noise_N: float) -> list[str]:
     threshold_N = max(CLEAR_NOISES * max(noise_N, measured_rms(fz_N)), 0.02 * float(fz_N.max() - level_N))
     loaded = fz_N - level_N > threshold_N
     if correlation(fz_N, -z_m) < HEIGHT_CORRELATION or not loaded.any() or bool(loaded[high].any()):
-        return []
+        return
     # By Hertz the depth grows with the force to the power of 2/3, which leads from the threshold back to the touch.
     share = float((threshold_N / (fz_N.max() - level_N)) ** (2.0 / 3.0))
     touch_m = (float(np.quantile(z_m[loaded], 0.98)) - share * float(z_m.min())) / (1.0 - share)
-    distance_m = touch_m - tissue.surface_z_m
-    if abs(distance_m) <= FAR_TOUCH_TIP_RADII * cell.probe.tip_radius_m:
-        return []
-    return [
-        f"fz_N begins to rise at z = {touch_m:.4g} m and the cell file has the surface at {tissue.surface_z_m:.4g} m; "
-        "correct tissue.surface_z_m or the zero of z_m."
-    ]
+    if abs(touch_m - tissue.surface_z_m) > FAR_TOUCH_TIP_RADII * cell.probe.tip_radius_m:
+        yield (
+            f"fz_N begins to rise at z = {touch_m:.4g} m and the cell file has the surface at {tissue.surface_z_m:.4g} m; "
+            "correct tissue.surface_z_m or the zero of z_m."
+        )
 
 
 def _hertz_N(tissue: TissueBlock, tip_radius_m: float, depth_m: Floats) -> Floats:
     return np.asarray(4.0 / 3.0 * tissue.youngs_modulus_Pa / (1.0 - tissue.poisson_ratio**2) * np.sqrt(tip_radius_m) * depth_m**1.5)
 
 
-def channel_notes(recordings: Sequence[PreparedRecording], cell: CellFile) -> list[str]:
+def channel_notes(recordings: Sequence[PreparedRecording], cell: CellFile) -> Iterator[str]:
     """One sentence for every channel that is not compared, looks saturated, or hides something."""
-    notes = []
     if all(recording.samples.z_cmd_m is None for recording in recordings):
-        notes.append("z_cmd_m is absent: how the robot follows its command is not judged.")
+        yield "z_cmd_m is absent: how the robot follows its command is not judged."
     dead = [channel for channel in range(1, 7) if not any(recording.judged[channel] for recording in recordings)]
     if dead:
         first = recordings[0].samples.wrench[0]
         names = ", ".join(f"{CHANNELS[channel]} (always {first[channel - 1]:g})" for channel in dead)
-        notes.append(f"{names}: never changes, so it is dead or not measured, and is not judged.")
+        yield f"{names}: never changes, so it is dead or not measured, and is not judged."
     compared = [recording for recording in recordings if recording.judged[FZ]]
-    notes += [note for recording in compared if recording.noise_measured for note in _noise_notes(recording, cell)]
-    notes += [note for recording in compared for note in _saturation_notes(recording.samples, cell)]
+    yield from (note for recording in compared if recording.noise_measured for note in _noise_notes(recording, cell))
+    yield from (note for recording in compared for note in _saturation_notes(recording.samples, cell))
     if not cell.tolerances.modulus_known:
-        notes.append(
+        yield (
             "The modulus is not known, so it was fitted. A wrong gain, or anything else in proportion to the contact force, cannot be "
             "distinguished from it. Surface height, thickness, inclusion and compliance of the machine differ from it only in the shape "
             "of the force curve."
         )
-    return notes
 
 
-def _saturation_notes(samples: Samples, cell: CellFile) -> list[str]:
+def _saturation_notes(samples: Samples, cell: CellFile) -> Iterator[str]:
     """Plateaus of fz at its largest or smallest value while the probe moves."""
     fz_N, z_m = samples.wrench[:, 2], samples.z_m
     swing_N, stroke_m = float(np.ptp(fz_N)), float(np.ptp(z_m))
     step_N = max(cell.sensor.resolution_fz_N, lattice_step(fz_N), measured_rms(fz_N))
     least_m = max(SATURATED_STROKE_SHARE, SATURATED_STEPS * step_N / swing_N) * stroke_m
     least_m = max(least_m, CLEAR_NOISES * cell.robot.position_noise_rms_m)
-    notes = []
     for which, limit_N in (("largest", float(fz_N.max())), ("smallest", float(fz_N.min()))):
         begins, ends = runs_of_true(np.abs(fz_N - limit_N) <= SAME_SHARE * swing_N)
         flat = [(a, b) for a, b in zip(begins, ends, strict=True) if b - a >= SATURATED_ROWS and np.ptp(z_m[a:b]) > least_m]
         if flat and abs(limit_N) > CLEAR_NOISES * cell.sensor.noise_rms_N:
             rows = sum(b - a for a, b in flat)
-            notes.append(
+            yield (
                 f"fz_N stays at its {which} value {limit_N:.4g} N for {rows} rows while the probe moves, expected to follow it: it looks "
                 "saturated; press less deep, or use a sensor with a larger range."
             )
-    return notes
 
 
-def _noise_notes(recording: PreparedRecording, cell: CellFile) -> list[str]:
+def _noise_notes(recording: PreparedRecording, cell: CellFile) -> Iterator[str]:
     """Noise of fz at rest far from the stated."""
     stated_N, measured_N = float(declared_rms(cell)[FZ]), measured_rms(recording.samples.wrench[:, 2], recording.rest)
     sentence = f"the noise of fz_N at rest is {measured_N:.2g} N and the cell file states {stated_N:.2g} N with rounding; correct "
     if measured_N > ODD_NOISE_RATIO * stated_N:
-        return [f"{sentence}sensor.noise_rms_N, or look for vibration and bad shielding."]
-    if 0.0 < measured_N < stated_N / ODD_NOISE_RATIO:
-        return [f"{sentence}sensor.noise_rms_N, or record without the filter that smoothed it."]
-    return []
+        yield f"{sentence}sensor.noise_rms_N, or look for vibration and bad shielding."
+    elif 0.0 < measured_N < stated_N / ODD_NOISE_RATIO:
+        yield f"{sentence}sensor.noise_rms_N, or record without the filter that smoothed it."

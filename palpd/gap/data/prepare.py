@@ -10,7 +10,7 @@ from scipy.sparse import csr_array, diags_array
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.dynamics import TipMotion, steps
-from palpd.cell.effects import EFFECTS, Effect
+from palpd.cell.effects import Effect
 from palpd.cell.report_times import Reports, find_reports, straight_between
 from palpd.cell.simulation import MeanReading, mean_reading
 from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
@@ -53,9 +53,8 @@ class PreparedRecording:
     samples: Samples
     phases: Phases
     bins: Bins  # of samples
-    steps: Bins  # of the simulation's steps; a step is several samples long where the motion is smooth enough
     sampled: TipMotion  # at every sample
-    motion: TipMotion  # at the steps, moved to even times where these were nearly even
+    motion: TipMotion  # at the steps, several samples long where the motion is smooth; moved to even times where nearly even
     step_means: csr_array  # (b, steps) takes means over the bins of what is known at the times of `motion`
     otherwise: tuple[TipMotion, TipMotion]  # `motion` with another path, and with its acceleration averaged once more
     reports: Reports  # of the robot
@@ -69,11 +68,6 @@ class PreparedRecording:
     judged: tuple[bool, ...]  # which of the 7 channels are compared
     at_rest: Ints  # numbers of at most MOST_AT_REST steps at rest in the air, evenly spread
     nominal_difference: NominalDifference | None  # what the user's simulator predicts beyond the nominal cell; None without one
-
-    @cached_property
-    def samples_each(self) -> float:
-        """Mean number of samples per report of the robot."""
-        return self.reports.rows_each
 
     @cached_property
     def t_s(self) -> Floats:
@@ -124,19 +118,6 @@ class PreparedRecording:
         """
         return palpd_m if self.nominal_difference is None else palpd_m + self.nominal_difference.heights(t_s)
 
-    def binned_steps(self, motion: TipMotion, values: Floats) -> Floats:
-        """Means over the bins of what was computed at the even times of a motion.
-
-        Args:
-            motion: At the steps of this recording.
-            values: Values (steps,) at the times of that motion.
-
-        Returns:
-            Means (b,) in the unit of the values.
-        """
-        assert len(motion.t_s) == self.step_means.shape[1]
-        return np.asarray(self.step_means @ values)
-
 
 def moves(samples: Samples, cell: CellFile) -> bool:
     """Whether the heights of a recording span more than their noise."""
@@ -149,7 +130,7 @@ def stated_cell(cell: CellFile) -> CellFile:
     return cell.with_estimated(None).model_copy(update={"uncertainty": ()})
 
 
-def prepare_all(
+def prepare(
     recordings: Sequence[Samples],
     cell: CellFile,
     library: Mapping[str, Effect],
@@ -157,44 +138,30 @@ def prepare_all(
     roundings: Sequence[Rounding] = (),
     simulators: Sequence[UserSimulator] = (),
 ) -> tuple[PreparedRecording, ...]:
-    """Prepare the recordings of one cell.
+    """Prepare the recordings of a cell for comparison with its simulation.
 
     Args:
         cell: The nominal cell.
         library: Effects of that cell by id.
-        max_bins: Largest number of bins of all recordings together, approximately; at least 600 for each.
+        max_bins: Largest number of bins of all recordings together, approximately; at least LEAST_BINS for each.
         roundings: Of fz in each recording; empty where noise dithers it.
         simulators: A user's own simulator for each recording; empty where palpd itself simulates the nominal cell.
     """
     most, absent = max(LEAST_BINS, max_bins // len(recordings)), [None] * len(recordings)
     of_each = zip(recordings, roundings or absent, simulators or absent, strict=True)
-    return tuple(prepare(samples, cell, most, rounding, simulator, library) for samples, rounding, simulator in of_each)
+    return tuple(_prepared(samples, cell, library, most, rounding, simulator) for samples, rounding, simulator in of_each)
 
 
-def prepare(
-    samples: Samples,
-    cell: CellFile,
-    max_bins: int,
-    rounding: Rounding | None = None,
-    simulator: UserSimulator | None = None,
-    library: Mapping[str, Effect] = EFFECTS,
+def _prepared(
+    samples: Samples, cell: CellFile, library: Mapping[str, Effect], most: int, rounding: Rounding | None, simulator: UserSimulator | None
 ) -> PreparedRecording:
-    """Prepare a recording for comparison with the simulation of a cell.
-
-    Args:
-        cell: Its nominal cell.
-        max_bins: Largest number of bins, approximately.
-        rounding: Of fz; None where noise dithers it.
-        simulator: Of the user, for the nominal cell; None where palpd itself simulates it.
-        library: Effects of the nominal cell by id.
-    """
     phases = find_phases(samples, cell)
     reports = find_reports(samples.t_s, samples.z_m)
     sampled = estimate_tip_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m, reports)
     again = estimate_tip_motion(cell, samples.t_s, sampled.z_m, sampled.vz_m_per_s, samples.z_cmd_m)
     unreported_m = _unreported_height(cell, samples, sampled)
     samples_per_step = Bins.of_equal_length(samples.t_s, _step_length(samples, cell, reports.rows_each))
-    steps = make_bins(samples_per_step.mean(samples.t_s), phases, samples_per_step, max_bins)
+    steps = make_bins(samples_per_step.mean(samples.t_s), phases, samples_per_step, most)
     bins = samples_per_step.merged(steps)
     robot_t_s, z_cmd_m, z_means = _robot_grid(samples, reports, sampled, samples_per_step, steps, bins)
     still = np.isin(phases.phase, (FREE_STILL, HOLDING)) & (phases.since_s > 0.1 * phases.since_s.max())
@@ -208,7 +175,6 @@ def prepare(
         samples=samples,
         phases=phases,
         bins=bins,
-        steps=steps,
         sampled=sampled,
         motion=_at_steps(sampled, samples_per_step),
         step_means=_step_means(sampled, samples_per_step, steps),

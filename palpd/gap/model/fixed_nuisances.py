@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from palpd.gap.data.noise import FX, FZ, TX, Z
 from palpd.gap.data.phases import FREE_STILL, HOLDING
 from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.data.rounding import Rounding
-from palpd.gap.gaussian.nuisances import Columns
+from palpd.gap.gaussian.nuisances import ColumnByChannel, Columns
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.recording.samples import runs_of_true
 from palpd.tick import Floats
@@ -55,16 +56,24 @@ def fixed_nuisances(
         noise: Noise of the bins.
     """
     labels, columns = [], []
-    start, b = 0, servo_errors_m.shape[1]
-    for number, recording in enumerate(recordings):
-        here = slice(start, start + len(recording.bins))
-        start = here.stop
-        for label, values in _of_recording(cell, recording, roundings[number] if roundings else None, servo_errors_m[:, here]):
-            column = np.zeros(b)
-            column[here] = values
+    for number, (recording, bins) in enumerate(zip(recordings, bins_of(recordings), strict=True)):
+        for label, values in _of_recording(cell, recording, roundings[number] if roundings else None, servo_errors_m[:, bins]):
             labels.append(label)
-            columns.append({label.channel: noise.whiten_channel(label.channel, column)})
-    return FixedNuisances(tuple(labels), Columns.of(columns, (7, b)))
+            columns.append(whitened_column(noise, label.channel, bins, values))
+    return FixedNuisances(tuple(labels), Columns.of(columns, (7, servo_errors_m.shape[1])))
+
+
+def bins_of(recordings: Sequence[PreparedRecording]) -> list[slice]:
+    """The bins of each recording among those of all recordings."""
+    ends = np.cumsum([0, *(len(recording.bins) for recording in recordings)]).tolist()
+    return [slice(begin, end) for begin, end in pairwise(ends)]
+
+
+def whitened_column(noise: Whitening, channel: int, bins: slice, values: Floats) -> ColumnByChannel:
+    """A column (b,) of A that changes one channel in some bins: there by these values in the unit of the channel."""
+    column = np.zeros(noise.sigma.shape[1])
+    column[bins] = values
+    return {channel: noise.whiten_channel(channel, column)}
 
 
 def _of_recording(

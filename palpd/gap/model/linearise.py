@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from palpd.cell.cell_file import CROSSTALK, CellFile, EffectValues, Estimated
 from palpd.gap.data.noise import FX, FY, FZ, TX, TY, Z
 from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.gaussian.nuisances import ColumnByChannel, Columns, Nuisances, Stretch, nuisances
-from palpd.gap.model.fixed_nuisances import Column
+from palpd.gap.model.fixed_nuisances import Column, bins_of, whitened_column
 from palpd.gap.model.problem import RELATIVE, SHARED, Problem, tolerance_key
 from palpd.tick import Floats
 
@@ -123,21 +124,10 @@ def _own_columns(problem: Problem, effects: EffectValues, eta: Floats, shared: l
     """Labelled columns of every recording in turn, (b,) by channel, that depend on the state: errors of the computation and presses."""
     cell = problem.cell_at(effects, eta)
     predicted = problem.binned_prediction(effects, eta)
-    start = 0
-    for number, recording in enumerate(problem.recordings):
-        here = slice(start, start + len(recording.bins))
-        start = here.stop
-
-        def whitened(label: Column, values: Floats, here: slice = here) -> tuple[Column, ColumnByChannel]:
-            column = np.zeros(predicted.shape[1])
-            column[here] = values
-            return label, {label.channel: problem.noise.whiten_channel(label.channel, column)}
-
-        for label, values in _rounded_drift(problem, number, cell):
-            yield whitened(label, values)
-        for label, values in _computation_errors(problem, number, cell, predicted[:, here]):
-            yield whitened(label, values)
-        yield from _press_columns(problem, recording, here, shared)
+    for number, bins in enumerate(bins_of(problem.recordings)):
+        own = chain(_rounded_drift(problem, number, cell), _computation_errors(problem, number, cell, predicted[:, bins]))
+        yield from ((label, whitened_column(problem.noise, label.channel, bins, values)) for label, values in own)
+        yield from _press_columns(problem, problem.recordings[number], bins, shared)
 
 
 def _rounded_drift(problem: Problem, number: int, cell: CellFile) -> Iterator[tuple[Column, Floats]]:
@@ -157,7 +147,7 @@ def _computation_errors(problem: Problem, number: int, cell: CellFile, predicted
     if recording.judged[Z]:
         # A target that is held between controller cycles is known to about a tenth of a step.
         slope = np.gradient(z_m, recording.t_s)
-        yield Column("computation", "time", Z), 0.1 * recording.samples_each / recording.samples.rate_Hz * slope
+        yield Column("computation", "time", Z), 0.1 * recording.reports.rows_each / recording.samples.rate_Hz * slope
     if recording.judged[Z] and fz_N.any():
         # A position loop gives way under load. What one report of the height cannot resolve is within specification.
         yield Column("recording", "give under load", Z), recording.noise_rms[Z] * fz_N / np.abs(fz_N).max()
@@ -168,7 +158,7 @@ def _computation_errors(problem: Problem, number: int, cell: CellFile, predicted
 
 
 def _press_columns(
-    problem: Problem, recording: PreparedRecording, here: slice, shared: list[Floats]
+    problem: Problem, recording: PreparedRecording, mine: slice, shared: list[Floats]
 ) -> Iterator[tuple[Column, ColumnByChannel]]:
     """Scatter of stiffness and surface of every press, as the shared deviations act within it."""
     repeatability = problem.cell.repeatability
@@ -185,7 +175,7 @@ def _press_columns(
         if not len(bins):
             continue
         # The bins of a press follow each other; one bin at either side belongs to it in part.
-        first, end = here.start + max(int(bins[0]) - 1, 0), here.start + min(int(bins[-1]) + 2, len(recording.bins))
+        first, end = mine.start + max(int(bins[0]) - 1, 0), mine.start + min(int(bins[-1]) + 2, len(recording.bins))
         for name, changes in scatters:
             if FZ in changes and changes[FZ][first:end].any():
                 yield Column("press", name), {channel: Stretch(first, values[first:end]) for channel, values in changes.items()}

@@ -18,7 +18,7 @@ from palpd.cell.simulation import predict_motion, scale_of
 from palpd.gap.data.noise import FX, FY, FZ, TX, Z, pure_rms, resolutions
 from palpd.gap.data.observations import Observations
 from palpd.gap.data.phases import PHASES
-from palpd.gap.data.prepare import PreparedRecording, prepare_all, stated_cell
+from palpd.gap.data.prepare import PreparedRecording, prepare, stated_cell
 from palpd.gap.data.rounding import Rounding, Way, undithered_rms
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.gap.model.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
@@ -116,11 +116,6 @@ class Problem:
     def nominal_eta(self) -> Floats:
         """Shared deviations η (11,) of the cell as its file states it, all 0."""
         return np.zeros(len(self.shared_sd))
-
-    @property
-    def simulations(self) -> int:
-        """Number of force simulations so far."""
-        return self.workspace.simulations
 
     def per_bin(self, of: Callable[[PreparedRecording], NDArray[Scalar]]) -> NDArray[Scalar]:
         """Values (b,) of the bins of all recordings, joined.
@@ -286,7 +281,7 @@ class Problem:
         reading = recording.reading(cell, motion, self.library)
         if self.roundings and FZ - 1 in reading.own:
             reading.own[FZ - 1] = self.roundings[number].readings(reading.own[FZ - 1], recording.at_rest)
-        return reading.averaged(lambda values: recording.binned_steps(motion, values), len(recording.bins))
+        return reading.averaged(lambda values: recording.step_means @ values, len(recording.bins))
 
 
 def return_memory() -> None:
@@ -326,7 +321,7 @@ def make_problem(
         simulators: A user's own simulator for each recording; empty where palpd itself simulates the nominal cell.
     """
     cell = stated_cell(cell)
-    return _problem(cell, prepare_all(recordings, cell, library, max_bins, roundings, simulators), library, roundings, scale)
+    return _problem(cell, prepare(recordings, cell, library, max_bins, roundings, simulators), library, roundings, scale)
 
 
 def _problem(
@@ -378,15 +373,15 @@ def _whitening(
         held = recording.samples.held
         if held is not None:  # values interpolated between two readings are no readings
             sigma[FX:, recording.bins.mean(held.astype(float)) > MOST_HELD] = np.inf
-        if recording.samples_each > 1.0:  # only reports are independent, and neighbours share them
-            sigma[Z] *= OWN_HEIGHT_NOISE * np.sqrt(recording.samples_each)
+        if recording.reports.rows_each > 1.0:  # only reports are independent, and neighbours share them
+            sigma[Z] *= OWN_HEIGHT_NOISE * np.sqrt(recording.reports.rows_each)
         sigma[Z] = np.hypot(sigma[Z], acceleration_m)
         sigma[FZ] = np.hypot(sigma[FZ], recording.motion.z_noise_m * _stiffness(cell, recording))
         sigma[FZ] = np.hypot(sigma[FZ], rounding_N)
         _hide_rounding(sigma, cell)
         sigma[~np.array(recording.judged)] = np.inf
         sigmas.append(sigma)
-    heights_m = [its.bins.means() @ its.reports.joined * (its.noise_rms[Z] * (its.samples_each > 1.0)) for its in recordings]
+    heights_m = [its.bins.means() @ its.reports.joined * (its.noise_rms[Z] * (its.reports.rows_each > 1.0)) for its in recordings]
     for means_m in heights_m:
         means_m.eliminate_zeros()  # all of them where every sample is a report
     shared = {Z: csr_array(block_diag(heights_m)), FZ: csr_array(block_diag([its.inertial_noise_N for its in recordings]))}
