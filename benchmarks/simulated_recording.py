@@ -9,9 +9,9 @@ from palpd.cell.cell_file import CellFile
 from palpd.config import Config, Plan, filter_delay_s
 from palpd.daemon.motion_job import Job
 from palpd.daemon.motion_process import trip_report
+from palpd.daemon.run_header import header_of
 from palpd.daemon.sim_cell import FZ_OFFSET_N
 from palpd.daemon.simulated_run import run
-from palpd.daemon.supervisor import header_of
 from palpd.recording.header import RecordingFooter, RunAbout
 from palpd.recording.mcap_file import RecordingWriter
 from palpd.recording.recorder import CHUNK_S

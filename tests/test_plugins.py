@@ -11,7 +11,7 @@ from benchmarks.simulated_recording import write_simulated
 from palpd.cell.cell_file import load_cell
 from palpd.cell.effects import EFFECTS, installed, installed_effects, load_effects, user_effects
 from palpd.config import Config, Plan, PlanSite, SensorConfig
-from palpd.daemon import supervisor, wiring
+from palpd.daemon import run_header, wiring
 from palpd.errors import BadInput, ConfigError, RecordingError, RobotError, SensorError
 from palpd.interchange import registry
 from palpd.plugins import plugins
@@ -142,7 +142,7 @@ def test_a_run_with_another_robot_is_recorded_without_ur_rtde(monkeypatch: pytes
             raise PackageNotFoundError(name)
         return "1.2"
 
-    monkeypatch.setattr(supervisor, "version", version)
+    monkeypatch.setattr(run_header, "version", version)
     recording = Recording.load(write_simulated(tmp_path / "run.mcap", Plan(sites=(PlanSite(name="A"),), depths_m=(0.002,))))
     assert recording.header["versions"] == {"palpd": "1.2", "numpy": "1.2", "onnxruntime": "1.2"}
 

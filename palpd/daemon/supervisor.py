@@ -10,29 +10,26 @@ import multiprocessing
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import PackageNotFoundError, version
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
-from palpd.control.inertial import read_card
 from palpd.control.plan_place import ANSWERS, PlanPlace, question
 from palpd.control.probe_state import ProbeAnswer, ProbeEvidence, ProbeState
-from palpd.control.sequence import LEVEL_M
 from palpd.daemon import motion_process as motion
 from palpd.daemon.contact_marker import END_S, MarkedRun
 from palpd.daemon.devices import Build
 from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import shielded
-from palpd.daemon.motion_job import BEGIN_LOADED, Job, Kind, arm_geometry_of
+from palpd.daemon.motion_job import BEGIN_LOADED, Job, Kind
 from palpd.daemon.motion_process import CALLED_OFF, GO, Ended, Failed, Message, Observed, Opened, ReferenceTaken, TripReport
 from palpd.daemon.realtime import DEVICE_PRIORITY
+from palpd.daemon.run_header import header_of, place_of
 from palpd.daemon.silence import explained
 from palpd.daemon.socket_client import LastTick
 from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.witness import Witness
 from palpd.errors import PalpdError, RecordingError
-from palpd.recording.header import RecordedPlace, RecordedStall, RecordingHeader, RunAbout
+from palpd.recording.header import RecordedStall, RunAbout
 from palpd.recording.mcap_file import part_of
 from palpd.recording.recorder import Recorder
 from palpd.recording.ring import LoopState, RecorderState, Ring, Rows
@@ -404,93 +401,6 @@ def last_ticks_of(rows: Rows) -> tuple[LastTick, ...]:
         )
         for row in rows
     )
-
-
-def place_of(job: Job, pose: tuple[float, ...], name: str) -> PlanPlace:
-    """Where the sites of a palpation count from.
-
-    Args:
-        pose: Pose (6,) of the tip before it moves.
-        name: Name of the run.
-
-    Returns:
-        The place, not yet returned to.
-    """
-    start_m = job.back_to_m or (pose[0], pose[1], pose[2])
-    origin = job.plan.origin
-    origin_m = (start_m[0], start_m[1]) if origin is None else (origin.x_m, origin.y_m)
-    top_m = max(LEVEL_M, job.plan.free.height_m if job.plan.free is not None else 0.0)
-    sites = tuple((site.name, site.x_m, site.y_m) for site in job.plan.sites)
-    return PlanPlace(now(), name, origin_m, start_m, start_m[2] + top_m, sites)
-
-
-def _recorded_place(job: Job, pose: tuple[float, ...]) -> RecordedPlace:
-    """How the sites of a run count, and how far from those of the unfinished run before."""
-    place, last = place_of(job, pose, ""), job.last
-    moved_m = None if last is None or last.returned else math.dist(place.origin_m, last.origin_m)
-    taken = "plan" if job.plan.origin is not None else "start" if job.choice is None or moved_m is None else job.choice
-    return {
-        "x_m": place.origin_m[0],
-        "y_m": place.origin_m[1],
-        "taken": taken,
-        "unfinished": None if moved_m is None or last is None else last.run,
-        "moved_m": moved_m,
-        "back_to_m": list(job.back_to_m) if job.back_to_m is not None else None,
-        "top_z_m": job.top_z_m if job.back_to_m is not None else None,
-    }
-
-
-def header_of(job: Job, about: RunAbout, reference: tuple[float, ...], pose: tuple[float, ...]) -> RecordingHeader:
-    """Everything that a replay needs to make the decisions again, and where the recording came from.
-
-    Args:
-        job: What is carried out.
-        about: What the opened devices say of themselves.
-        reference: Reference tare (6,) in the sensor's axes, N and Nm.
-        pose: Pose (6,) of the tip before it moves.
-    """
-    arm = arm_geometry_of(job, about["delay_s"])
-    return {
-        "kind": job.kind,
-        "dry": job.dry,
-        "config": job.config.model_dump(mode="json"),
-        "plan": job.plan.model_dump(mode="json"),
-        "sites": [{"name": site.name, "x_m": site.x_m, "y_m": site.y_m} for site in job.plan.sites],
-        "place": _recorded_place(job, pose) if job.kind == "palpation" else None,
-        "returns_to_start": job.returns_to_start,
-        "pauses_in_place": job.pauses_in_place,
-        "lifts_first": job.lifts_first,
-        "unfinished": job.unfinished,
-        "clear_z_m": job.clear_z_m,
-        "reference": list(reference),
-        "reference_date": now() if job.reference is None else job.reference_date,
-        "machine_stiffness_N_per_m": job.machine_stiffness_N_per_m,
-        "body": {
-            "tip_radius_m": arm.tip_radius_m,
-            "poisson_ratio": job.config.cell.tissue.poisson_ratio if job.config.cell.tissue else 0.5,
-            "delay_s": arm.delay_s,
-            "machine_stiffness_N_per_m": job.machine_stiffness_N_per_m,
-        },
-        "about": about,
-        "epoch_offset_s": about["epoch_offset_s"],
-        "model_card": _card(job),
-        "versions": _versions(),
-        "started": now(),
-    }
-
-
-def _versions() -> dict[str, str]:
-    """Versions of what a recording rests on, as far as it is installed: another driver's robot needs no ur-rtde."""
-    versions = {}
-    for name in ("palpd", "numpy", "ur-rtde", "onnxruntime"):
-        with contextlib.suppress(PackageNotFoundError):
-            versions[name] = version(name)
-    return versions
-
-
-def _card(job: Job) -> dict[str, Any] | None:
-    path = job.config.model.path
-    return read_card(path) if path and job.kind == "palpation" else None
 
 
 def recording_name(kind: str) -> str:

@@ -12,9 +12,10 @@ from palpd.config import Config, Plan, parse_config
 from palpd.control.probe_state import ContactMarker, ProbeIdentity, ProbeState
 from palpd.daemon.contact_marker import MarkedRun
 from palpd.daemon.motion_job import Kind
+from palpd.daemon.run_header import header_of
 from palpd.daemon.session import calibrate, measured_job
 from palpd.daemon.stored_state import Calibration, State
-from palpd.daemon.supervisor import Report, header_of
+from palpd.daemon.supervisor import Report
 from palpd.errors import ConfigError, Refused
 from palpd.recording.ring import Rows
 from palpd.tick import ROW, Phase
