@@ -10,6 +10,7 @@ import multiprocessing
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from palpd.daemon.run_header import header_of, place_of
 from palpd.daemon.silence import explained
 from palpd.daemon.socket_client import LastTick
 from palpd.daemon.stored_state import Latch, State, now
+from palpd.daemon.tick_watch import TickWatch
 from palpd.daemon.witness import Witness
 from palpd.errors import PalpdError, RecordingError
 from palpd.recording.header import RecordedStall, RunAbout
@@ -37,8 +39,6 @@ from palpd.tick import Phase, Request, Trip
 
 STALLED_S = 2.0
 """A loop whose tick counter stands still for this long is killed. The controller's watchdog has stopped the arm long before."""
-LOOK_S = 0.25
-"""Longest time between two looks at the loop; a longer one shows that this process, and perhaps the whole computer, stood still."""
 OPENING_S = 40.0
 """Longest wait for the devices to open, including the start of the program on the controller."""
 CLOSING_S = 10.0
@@ -99,26 +99,117 @@ class MotionProcess:
             self.pipe.send(None)
 
 
-class TickWatch:
-    """Time for which ticks did not advance while this process itself ran: a computer that stood still is no loop that hangs."""
+# --- the states of a job, and what happens to it --------------------------------------------------------------------------------
 
-    def __init__(self, ticks: int, now_s: float) -> None:
-        self._ticks = ticks
-        self.begin(now_s)
 
-    def begin(self, now_s: float) -> None:
-        """Count from now on."""
-        self._since_s = self._looked_s = now_s
+class Underway:
+    """It is open how the job ends."""
 
-    def still_s(self, ticks: int, now_s: float) -> float:
-        """The time without a new tick, in s, given the ticks that were counted until now."""
-        stood_still_s = max(0.0, now_s - self._looked_s - LOOK_S)
-        self._looked_s = now_s
-        if ticks != self._ticks:
-            self._ticks, self._since_s = ticks, now_s
-        else:
-            self._since_s += stood_still_s
-        return now_s - self._since_s
+    __slots__ = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Opening(Underway):
+    """The motion process opens the devices. A check, a calibration and an observation are carried out whole here."""
+
+    since_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class OpeningRecorder(Underway):
+    """The devices are open, and the recorder opens its file."""
+
+    opened: Opened
+    recorder: Recorder
+    since_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class StartedLoop:
+    """What a job has once its loop may move the arm.
+
+    `marked` is None for a dry run, `place` for whatever is no palpation; `recorded` is false once the recorder has failed.
+    """
+
+    opened: Opened
+    recorder: Recorder
+    marked: MarkedRun | None
+    place: PlanPlace | None
+    recorded: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Starting(Underway):
+    """The loop was told to begin; no tick is due yet."""
+
+    loop: StartedLoop
+
+
+@dataclass(frozen=True, slots=True)
+class Running(Underway):
+    """Ticks are due, or the last one was sent and the devices close."""
+
+    loop: StartedLoop
+
+
+@dataclass(frozen=True, slots=True)
+class Closing:
+    """It is known how the job ends; motion process and recorder end. `loop` is None where it was never started.
+
+    `recorder` is None where no file is kept, `ended` where the loop sent no last word.
+    """
+
+    report: Report
+    since_s: float
+    recorder: Recorder | None = None
+    loop: StartedLoop | None = None
+    ended: Ended | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Closed:
+    """All is over. `loop` is None where it was never started."""
+
+    report: Report
+    loop: StartedLoop | None
+
+
+class Happened(Enum):
+    """What the supervisor sees by itself; the messages of the motion process are the other events."""
+
+    ABORTED = "abort"  # before the loop was started; later it is the loop that aborts
+    DIED = "motion process died"
+    RECORDER_ANSWERED = "recorder answered, or is late"
+    TICKING = "ticks are due"
+    RECORDING_LOST = "recording failed"
+    MOTION_LATE = "motion process is late"
+    ALL_ENDED = "motion process and recorder ended, or the recorder is late"
+
+
+@dataclass(frozen=True, slots=True)
+class Overdue:
+    """A time limit has passed, and the motion process is killed."""
+
+    reason: str
+
+
+Stage = Opening | OpeningRecorder | Starting | Running | Closing | Closed
+Event = Message | Happened | Overdue
+
+
+def _held(stage: Stage) -> tuple[RunAbout, Recorder | None, StartedLoop | None]:
+    """What is known of the devices, the recorder in use, and the loop that was started."""
+    match stage:
+        case OpeningRecorder(opened, recorder):
+            return opened.about, recorder, None
+        case Starting(loop) | Running(loop):
+            return loop.opened.about, loop.recorder, loop
+        case Closing(report, _, recorder, loop):
+            return report.about, recorder, loop
+        case Closed(report, loop):
+            return report.about, None, loop
+        case Opening():
+            return {}, None, None
 
 
 class JobRun:
@@ -126,19 +217,9 @@ class JobRun:
 
     def __init__(self, job: Job, build: Build, ring: Ring, state: State, name: str) -> None:
         self.job, self._ring, self._state, self._name = job, ring, state, name
-        self._recorder: Recorder | None = None
-        self._about: RunAbout = {}
-        self._reported = self._going = self._began_ticking = self._lost_recorder = self._interrupted = False
-        self._marked: MarkedRun | None = None
-        self._place: PlanPlace | None = None
-        self._opened: Opened | None = None
-        self._level = self._came_to_rest = False
-        self._abort_cause = ""
-        self._report: Report | None = None
-        self._ended_s = self._end_by_s = math.inf
-        self._began_s = self._closing_s = time.monotonic()
-        self._first_tick = ring.published
-        self._watch = TickWatch(ring.published, self._began_s)
+        self._abort_cause, self._kill_at_s, began_s = "", math.inf, time.monotonic()
+        self._stage: Stage = Opening(began_s)
+        self._first_tick, self._watch = ring.published, TickWatch(ring.published, began_s)
         ring.state = LoopState.STARTING
         ring.forget_requests()  # requests for an earlier run are void; from here on every abort counts
         with shielded():
@@ -154,168 +235,197 @@ class JobRun:
 
     def interrupt(self, name: str) -> None:
         """Abort because of that signal. What has not ended `SIGNAL_S` later is killed, and the controller's watchdog stops the arm."""
-        if not self._interrupted:
-            self._interrupted, self._end_by_s = True, time.monotonic() + SIGNAL_S
+        if math.isinf(self._kill_at_s):
+            self._kill_at_s = time.monotonic() + SIGNAL_S
             self._abort_cause = self._abort_cause or f"interrupted by {name}"
             self._ring.ask(Request.ABORT)
 
     @property
     def recording(self) -> Path | None:
         """The unfinished recording, where one is written."""
-        return part_of(self._recorder.path) if self._recorder is not None else None
+        _, recorder, _ = _held(self._stage)
+        return part_of(recorder.path) if recorder is not None else None
 
     @property
     def called_off(self) -> bool:
         """Whether the job was aborted before its loop was started."""
-        return bool(self._abort_cause) and not self._going
+        _, _, loop = _held(self._stage)
+        return bool(self._abort_cause) and loop is None
 
     def poll(self) -> Report | None:
         """A report when the job is over, else None."""
-        if self._report is None:
-            report = self._call_off() if self.called_off else self._advance()
-            if report is None:
-                return None
-            self._begin_closing(report)
-        return self._closed()
+        while (event := self._event(self._stage)) is not None:
+            self._stage = self._next(self._stage, event)
+        return self._stage.report if isinstance(self._stage, Closed) else None
 
-    def _advance(self) -> Report | None:
-        """Take what has come from the motion process and the recorder. A report when nothing more is to be expected of the loop."""
+    def _next(self, stage: Stage, event: Event) -> Stage:
+        """The state after an event. An event without a line here changes nothing. ARCHITECTURE.md shows the lines as a table."""
+        match stage, event:
+            case (Opening() | OpeningRecorder()) as early, Happened.ABORTED:
+                return self._call_off(early)
+            case Opening(), Opened() as opened:
+                return self._open_recorder(opened)
+            case OpeningRecorder() as ready, Happened.RECORDER_ANSWERED:
+                return self._start_loop(ready)
+            case Starting(loop), Happened.TICKING:
+                self._watch.begin(time.monotonic())
+                return Running(loop)
+            case (Starting(loop) | Running(loop)) as moving, Happened.RECORDING_LOST:
+                self._ring.ask(Request.ABORT)  # a palpation that is not recorded is worth nothing
+                return replace(moving, loop=replace(loop, recorded=False))
+            case Underway(), Happened.DIED:
+                return self._close(Report("stopped", self._death(), 3), stage)
+            case Underway(), Overdue(reason):
+                self._motion.process.kill()
+                return self._close(Report("stopped", reason, 3), stage)
+            case Underway(), (ReferenceTaken() | Observed() | Failed() | Ended()) as message:
+                return self._close(self._reported(message), stage, message if isinstance(message, Ended) else None)
+            case Closing(), Happened.MOTION_LATE:
+                self._motion.process.kill()
+                self._motion.process.join()
+            case Closing() as closing, Happened.ALL_ENDED:
+                return Closed(self._over(closing), closing.loop)
+        return stage
+
+    def _event(self, stage: Stage) -> Event | None:
+        """What has happened since the last look, the most urgent first; None where nothing has."""
+        if isinstance(stage, Closed):
+            return None
+        if isinstance(stage, Closing):
+            return self._closing_event(stage, time.monotonic())
+        if self.called_off:
+            return Happened.ABORTED
         pipe: Connection = self._motion.pipe
         try:
             if pipe.poll():
-                return self._received(pipe.recv())
+                message: Message = pipe.recv()
+                return message
         except (EOFError, OSError):
-            return Report("stopped", self._death(), 3)
+            return Happened.DIED
         if not self._motion.process.is_alive():
-            return Report("stopped", self._death(), 3)
-        if self._recorder is not None and not self._going:
-            return self._begin_loop(self._recorder)
-        return self._watched()
-
-    def _watched(self) -> Report | None:
-        """Judge how long everything takes, and whether the run is still recorded."""
+            return Happened.DIED
+        if isinstance(stage, OpeningRecorder):
+            late = time.monotonic() - stage.since_s >= RECORDER_S
+            return Happened.RECORDER_ANSWERED if stage.recorder.answered or late else None
         now_s = time.monotonic()
-        still_s = self._watch.still_s(self._ring.published, now_s)
-        failed = self._ring.recorder_state == RecorderState.FAILED
-        if self._recorder is not None and (failed or not self._recorder.alive) and not self._lost_recorder:
-            self._lost_recorder = True
-            self._ring.ask(Request.ABORT)  # a palpation that is not recorded is worth nothing
-        ticking = self._ring.state == LoopState.RUNNING
-        if ticking and self._marked is not None and self._ring.published > self._first_tick:
-            self._marked.follow(self._ring.read(self._ring.published - 1)[0])
-        if ticking and not self._began_ticking:
-            self._began_ticking, still_s = True, 0.0
-            self._watch.begin(now_s)
-        if self._going and self._ring.state == LoopState.STARTING and still_s > OPENING_S:
-            return self._kill(f"the loop did not begin within {OPENING_S:g} s{'; nothing was moved' * self.job.moves}")
-        if ticking and still_s > STALLED_S:
-            return self._kill(f"the loop stood still for {STALLED_S:g} s and was killed; the controller's watchdog stops the arm")
-        if self._ring.state != LoopState.ENDED:
-            self._ended_s = now_s
-        elif now_s - self._ended_s > CLOSING_S:
-            return self._kill(f"the devices were not closed within {CLOSING_S:g} s after the last tick; the motion process was killed")
-        if not self._reported and now_s - self._began_s > OPENING_S + self.job.watch_s:
-            return self._kill(f"the devices were not opened within {OPENING_S:g} s; is the controller's program able to start?")
-        if now_s > self._end_by_s:
-            return self._kill(
+        ended_s = self._watch.ended_s(self._ring.state, now_s)
+        event = self._loop_event(stage, now_s) if isinstance(stage, Starting | Running) else None
+        if event is not None:
+            return event
+        if ended_s > CLOSING_S:
+            return Overdue(f"the devices were not closed within {CLOSING_S:g} s after the last tick; the motion process was killed")
+        if isinstance(stage, Opening) and now_s - stage.since_s > OPENING_S + self.job.watch_s:
+            return Overdue(f"the devices were not opened within {OPENING_S:g} s; is the controller's program able to start?")
+        if now_s > self._kill_at_s:
+            return Overdue(
                 f"the operator aborted the run, its loop had not ended {SIGNAL_S:g} s later and was killed; "
                 "the controller's watchdog stops the arm"
             )
         return None
 
-    def _received(self, message: Message) -> Report | None:
+    def _loop_event(self, stage: Starting | Running, now_s: float) -> Event | None:
+        """Judge whether the run is recorded and its loop begins and ticks; keep its marker up."""
+        loop, ring = stage.loop, self._ring
+        still_s, ticking = self._watch.still_s(ring.published, now_s), ring.state == LoopState.RUNNING
+        if loop.recorded and (ring.recorder_state == RecorderState.FAILED or not loop.recorder.alive):
+            return Happened.RECORDING_LOST
+        if ticking and loop.marked is not None and ring.published > self._first_tick:
+            loop.marked.follow(ring.read(ring.published - 1)[0])
+        if ticking and isinstance(stage, Starting):
+            return Happened.TICKING
+        if ring.state == LoopState.STARTING and still_s > OPENING_S:
+            return Overdue(f"the loop did not begin within {OPENING_S:g} s{'; nothing was moved' * self.job.moves}")
+        if ticking and still_s > STALLED_S:
+            return Overdue(f"the loop stood still for {STALLED_S:g} s and was killed; the controller's watchdog stops the arm")
+        return None
+
+    def _closing_event(self, closing: Closing, now_s: float) -> Event | None:
+        if self._motion.process.is_alive():
+            late = now_s >= min(closing.since_s + CLOSING_S, self._kill_at_s)
+            return Happened.MOTION_LATE if late else None
+        recorder = closing.recorder
+        if recorder is not None and not recorder.answered and now_s < closing.since_s + FOOTER_S:
+            return None
+        return Happened.ALL_ENDED
+
+    # --- what a transition does -------------------------------------------------------------------------------------------------
+
+    def _open_recorder(self, opened: Opened) -> OpeningRecorder | Closing:
+        """Start the recorder, where the operator need not say first where the sites count from."""
+        job = self.job
+        if job.kind == "palpation" and not job.dry and job.plan.origin is None:
+            asked = question(job.last, opened.pose[0], opened.pose[1], job.choice)
+            if asked is not None:
+                return self._refuse(opened, f"{asked}; {ANSWERS}")
+        header = header_of(job, opened.about, opened.reference, opened.pose)
+        model = job.config.model.path if job.kind == "palpation" else None
+        folder = job.config.paths.runs
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with shielded():
+                recorder = Recorder.begin(self._ring, folder / f"{self._name}.mcap", header, model.read_bytes() if model else None)
+        except OSError as error:
+            return self._refuse(opened, error)
+        return OpeningRecorder(opened, recorder, time.monotonic())
+
+    def _start_loop(self, ready: OpeningRecorder) -> Starting | Closing:
+        """Write the marker of a contact, then let the loop begin; a run that is not recorded or not marked does not begin."""
+        job, opened, recorder = self.job, ready.opened, ready.recorder
+        marked = place = None
+        try:
+            recorder.confirm()
+        except RecordingError as error:
+            return self._refuse(opened, error)
+        try:
+            if job.kind == "palpation" and not job.dry:
+                place = place_of(job, opened.pose, self._name)
+                self._state.keep("place", place)
+            if not job.dry:
+                marked = MarkedRun(job, self._state, opened.about, opened.reference, opened.pose, self._name)
+        except PalpdError as error:
+            recorder.discard()
+            return self._refuse(opened, error)
+        self._motion.pipe.send(GO)
+        self._watch.begin(time.monotonic())
+        return Starting(StartedLoop(opened, recorder, marked, place))
+
+    def _refuse(self, opened: Opened, reason: object) -> Closing:
+        self._motion.pipe.send(CALLED_OFF)
+        return self._close(Report("refused", f"{'nothing was moved: ' * self.job.moves}{reason}", 2, about=opened.about))
+
+    def _call_off(self, stage: Opening | OpeningRecorder) -> Closing:
+        """End a job whose loop was not started: nothing has moved, so nothing needs to be stopped."""
+        moment = CALLED_OFF_WHILE.get(self.job.kind, "while the devices were being opened")
+        if isinstance(stage, OpeningRecorder):
+            moment = "while the recording was being opened"
+            with contextlib.suppress(OSError):
+                self._motion.pipe.send(CALLED_OFF)
+            stage.recorder.discard()
+        else:
+            self._motion.process.kill()  # it may be inside a call that takes seconds
+        about, _, _ = _held(stage)
+        return self._close(Report("refused", f"{self._abort_cause} {moment}{'; nothing was moved' * self.job.moves}", 2, about=about))
+
+    def _reported(self, message: ReferenceTaken | Observed | Failed | Ended) -> Report:
         match message:
-            case Opened():
-                return self._begin_recording(message)
             case ReferenceTaken(about, evidence):
                 return Report("done", about=about, evidence=evidence)
             case Observed(about, findings, probe):
                 return Report("done", about=about, findings=findings, probe=probe)
             case Failed(reason, exit_code):
                 return Report("refused" if exit_code == 2 else "stopped", reason, exit_code)
-            case Ended(outcome, trips, notes):
+            case Ended(outcome, trips, notes, probe):
                 exit_code = 0 if outcome.verdict == "done" else 2 if outcome.refused else 3
-                self._level, self._came_to_rest = outcome.level, True
-                by_signal = f" ({self._abort_cause})" if self._interrupted and exit_code else ""
+                by_signal = f" ({self._abort_cause})" if math.isfinite(self._kill_at_s) and exit_code else ""
                 reason = outcome.reason + self._silence(trips) + by_signal
-                return Report(outcome.verdict, reason, exit_code, trips, notes=notes, probe=message.probe)
+                return Report(outcome.verdict, reason, exit_code, trips, notes=notes, probe=probe)
 
     def _silence(self, trips: Sequence[TripReport]) -> str:
         """Whether a device was silent or this computer stood still, as far as that ended the run."""
         self._witness.hear()
-        rows, _, _ = self._ring.read(max(self._first_tick, self._ring.published - 1))
+        rows = self._rows(1)
         at_s = float(rows["now_s"][-1]) if len(rows) else time.monotonic()
         return explained(trips, at_s, 1.0 / self.job.config.robot.rate_Hz, self._witness)
-
-    def _begin_recording(self, opened: Opened) -> Report | None:
-        self._reported, self._about, self._opened = True, opened.about, opened
-        if (asked := self._place_question(opened.pose)) is not None:
-            return self._refuse(f"{asked}; {ANSWERS}")
-        header = header_of(self.job, opened.about, opened.reference, opened.pose)
-        model = self.job.config.model.path if self.job.kind == "palpation" else None
-        folder = self.job.config.paths.runs
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with shielded():
-                self._recorder = Recorder.begin(self._ring, folder / f"{self._name}.mcap", header, model.read_bytes() if model else None)
-        except OSError as error:
-            return self._refuse(error)
-        self._began_s = time.monotonic()
-        return None
-
-    def _begin_loop(self, recorder: Recorder) -> Report | None:
-        """Start the loop when the recording is open."""
-        if not recorder.answered and time.monotonic() - self._began_s < RECORDER_S:
-            return None
-        try:
-            recorder.confirm()
-        except RecordingError as error:
-            self._recorder = None
-            return self._refuse(error)
-        try:
-            self._mark()
-        except PalpdError as error:
-            recorder.discard()
-            self._recorder = None
-            return self._refuse(error)
-        self._motion.pipe.send(GO)
-        self._going = True
-        self._watch.begin(time.monotonic())
-        return None
-
-    def _mark(self) -> None:
-        """Write the marker of a contact before anything moves; a run that could not be marked does not begin."""
-        assert self._opened is not None
-        opened = self._opened
-        if self.job.kind == "palpation" and not self.job.dry:
-            self._place = place_of(self.job, opened.pose, self._name)
-            self._state.keep("place", self._place)
-        if not self.job.dry:
-            self._marked = MarkedRun(self.job, self._state, opened.about, opened.reference, opened.pose, self._name)
-
-    def _place_question(self, pose: tuple[float, ...]) -> str | None:
-        """Whether the operator must say first where the sites count from."""
-        if self.job.kind != "palpation" or self.job.dry or self.job.plan.origin is not None:
-            return None
-        return question(self.job.last, pose[0], pose[1], self.job.choice)
-
-    def _refuse(self, reason: object) -> Report:
-        self._motion.pipe.send(CALLED_OFF)
-        return Report("refused", f"{'nothing was moved: ' * self.job.moves}{reason}", 2)
-
-    def _call_off(self) -> Report:
-        """End a job whose loop was not started: nothing has moved, so nothing needs to be stopped."""
-        moment = CALLED_OFF_WHILE.get(self.job.kind, "while the devices were being opened")
-        if self._reported:
-            moment = "while the recording was being opened"
-            with contextlib.suppress(OSError):
-                self._motion.pipe.send(CALLED_OFF)
-        else:
-            self._motion.process.kill()  # it may be inside a call that takes seconds
-        if self._recorder is not None:
-            self._recorder.discard()
-            self._recorder = None
-        return Report("refused", f"{self._abort_cause} {moment}{'; nothing was moved' * self.job.moves}", 2)
 
     def _death(self) -> str:
         self._motion.process.join(0.5)
@@ -323,57 +433,53 @@ class JobRun:
         how = f"by signal {-code}" if code is not None and code < 0 else f"with code {code}"
         return f"the motion process ended {how}; the controller's watchdog stops the arm"
 
-    def _kill(self, reason: str) -> Report:
-        self._motion.process.kill()
-        return Report("stopped", reason, 3)
+    def _close(self, report: Report, kept: Stage | None = None, ended: Ended | None = None) -> Closing:
+        """Ask motion process, witness and recorder to end, without waiting for them.
 
-    def _begin_closing(self, report: Report) -> None:
-        self._report, self._closing_s = report, time.monotonic()
+        Args:
+            report: How the job ends.
+            kept: The state that it ends from, with recorder and loop; None where no file is kept and no loop was started.
+            ended: The last word of the loop; None where it sent none.
+        """
+        about, recorder, loop = _held(kept) if kept is not None else (report.about, None, None)
+        closing = Closing(replace(report, about=report.about or about), time.monotonic(), recorder, loop, ended)
         self._motion.end()
         self._witness.end()
-        if self._recorder is not None:
+        if recorder is not None:
             stalls = [RecordedStall(begin_s=begin_s, end_s=end_s, processor=number) for begin_s, end_s, number in self._witness.stalls]
-            self._recorder.finish({"verdict": report.verdict, "reason": report.reason, "trips": list(report.trips), "stalls": stalls})
+            recorder.finish({"verdict": report.verdict, "reason": report.reason, "trips": list(report.trips), "stalls": stalls})
+        return closing
 
-    def _closed(self) -> Report | None:
-        """The report when motion process and recorder have ended, else None."""
-        assert self._report is not None
-        now_s = time.monotonic()
-        if self._motion.process.is_alive():
-            if now_s < min(self._closing_s + CLOSING_S, self._end_by_s):
-                return None
-            self._motion.process.kill()
-            self._motion.process.join()
-        if self._recorder is not None and not self._recorder.answered and now_s < self._closing_s + FOOTER_S:
-            return None
-        return self._over(self._report)
-
-    def _over(self, report: Report) -> Report:
+    def _over(self, closing: Closing) -> Report:
+        """Close the recording, latch a fault, and judge how the run leaves the probe."""
+        report, loop = closing.report, closing.loop
         recording, notes = None, report.notes
-        if self._recorder is not None:
+        if closing.recorder is not None:
             try:
-                recording = self._recorder.close(timeout_s=0.0)
+                recording = closing.recorder.close(timeout_s=0.0)
             except RecordingError as error:
                 notes = (*notes, str(error))
-                if self._lost_recorder:  # the abort in the trips was ours
+                if loop is not None and not loop.recorded:  # the abort in the trips was ours
                     report = replace(report, reason=f"the run was stopped because it was no longer recorded: {error}")
-            answered = self.job.kind == "level_test" and self._came_to_rest  # what it found stands in the marker
+            answered = self.job.kind == "level_test" and closing.ended is not None  # what it found stands in the marker
             died = report.exit_code == 3 and not report.trips and not answered
             stands = self.job.kind in BEGIN_LOADED and self._state.latch() is not None  # the reason of the stop before stays
             if not stands and (died or any(Trip[trip["trip"]] not in UNLATCHED for trip in report.trips)):
                 self._state.keep("latch", Latch(report.reason, now()))
         last_ticks = last_ticks_of(self._rows(LAST_TICKS)) if report.exit_code == 3 else ()
-        if self._place is not None and report.verdict == "done":
-            self._state.keep("place", replace(self._place, returned=True))
-        if self._marked is not None and report.exit_code == 2:
-            self._marked.undo()
-        elif self._marked is not None:
+        if loop is not None and loop.place is not None and report.verdict == "done":
+            self._state.keep("place", replace(loop.place, returned=True))
+        marked = loop.marked if loop is not None else None
+        if marked is not None and report.exit_code == 2:
+            marked.undo()
+        elif marked is not None:
             rows = self._rows(math.ceil(END_S * self.job.config.robot.rate_Hz) + 1)
-            probe = self._marked.end(rows, self._level, self._came_to_rest)
+            level = closing.ended is not None and closing.ended.outcome.level
+            probe = marked.end(rows, level, closing.ended is not None)
             report = replace(report, probe=probe)
             if probe.state != ProbeState.FREE:
                 notes = (*notes, probe.sentence)
-        return replace(report, recording=recording, about=report.about or self._about, notes=notes, last_ticks=last_ticks)
+        return replace(report, recording=recording, notes=notes, last_ticks=last_ticks)
 
     def _rows(self, most: int) -> Rows:
         """The newest rows of this run. They come from the ring: it also holds them after a crash or without a recording."""

@@ -7,7 +7,7 @@ from palpd.cell.cell_file import PHANTOM
 from palpd.cli.last_ticks import last_ticks_lines
 from palpd.daemon.run_result import run_result, simulated_result
 from palpd.daemon.simulated_run import SimulatedRecording
-from palpd.daemon.supervisor import LAST_TICKS, JobRun, Report, last_ticks_of
+from palpd.daemon.supervisor import LAST_TICKS, Closing, JobRun, Report, last_ticks_of
 from palpd.recording.ring import Ring
 from palpd.tick import ROW, Phase
 from tests.simulated import ran
@@ -44,8 +44,8 @@ def test_each_tick_has_its_force_height_speed_and_command() -> None:
 def over(ring: Ring, first_tick: int, exit_code: int) -> Report:
     """The report of a run that published its first row at `first_tick`, and that nothing recorded."""
     run = object.__new__(JobRun)
-    run._ring, run._first_tick, run._recorder, run._about, run._marked, run._place = ring, first_tick, None, {}, None, None
-    return run._over(Report("stopped", "the motion process ended by signal 11", exit_code))
+    run._ring, run._first_tick = ring, first_tick
+    return run._over(Closing(Report("stopped", "the motion process ended by signal 11", exit_code), 0.0))
 
 
 def test_a_crash_without_a_recording_still_shows_the_last_ticks_of_this_run_only() -> None:

@@ -58,5 +58,5 @@ def test_a_loop_says_that_it_ended_before_its_thread_becomes_an_ordinary_one(
 )
 def test_only_what_would_have_moved_says_that_nothing_was_moved(job: Job, reason: str) -> None:
     run = JobRun.__new__(JobRun)
-    run.job, run._motion = job, MagicMock()
-    assert run._refuse("the sensor is silent").reason == reason
+    run.job, run._motion, run._witness = job, MagicMock(), MagicMock()
+    assert run._refuse(MagicMock(about={}), "the sensor is silent").report.reason == reason

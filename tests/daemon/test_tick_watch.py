@@ -2,7 +2,8 @@
 
 import pytest
 
-from palpd.daemon.supervisor import LOOK_S, STALLED_S, TickWatch
+from palpd.daemon.supervisor import STALLED_S
+from palpd.daemon.tick_watch import LOOK_S, TickWatch
 
 
 def test_ticks_that_do_not_advance_while_the_supervisor_looks_are_a_loop_that_hangs() -> None:
