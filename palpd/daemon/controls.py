@@ -1,11 +1,16 @@
 """Who holds the controls: one operator at a time may change what the service does, others watch, and everyone may abort.
 
-Nobody has to hold them. While nobody does, each request of the socket is carried out. The time is an argument.
+Nobody has to hold them. While nobody does, each request of the socket is carried out. The time is an argument, but for
+the requests of the socket.
 """
 
 import secrets
+import time
 from dataclasses import dataclass, replace
 
+import structlog
+
+from palpd.daemon.socket_client import ControlAnswer, ControlRequest
 from palpd.errors import BadInput, Refused
 
 LEASE_S = 10.0
@@ -36,6 +41,26 @@ class Controls:
         if lease is not None and now_s > lease.until_s:
             self._end(lease, f"were not renewed within {LEASE_S:g} s")
         return self._lease.name if self._lease is not None else None
+
+    def asking(self, now_s: float) -> str:
+        """Who asks for something that needs the controls, for people."""
+        return self.holder(now_s) or "a client without the controls"
+
+    def answer(self, request: ControlRequest) -> ControlAnswer:
+        """Carry out a request to take, renew or release the controls. Raises BadInput and Refused."""
+        now_s, log = time.monotonic(), structlog.get_logger("palpd.service")
+        match request["do"]:
+            case "take":
+                token, loser = self.take(request.get("name"), request.get("force") is True, now_s)
+                log.info("controls taken", by=self.asking(now_s), by_force_from=loser)
+                return {"lease": token, "lease_s": LEASE_S}
+            case "renew":
+                self.require(request.get("lease", ""), now_s)
+                return {"lease_s": LEASE_S}
+        holder = self.asking(now_s)
+        self.release(request.get("lease", ""), now_s)
+        log.info("controls released", by=holder)
+        return {"controls": None}
 
     def take(self, name: object, force: bool, now_s: float) -> tuple[str, str | None]:
         """Take the controls.

@@ -14,7 +14,7 @@ import structlog
 from palpd.config import Config
 from palpd.daemon.job_worker import ConsentRequest, Finished, RunRequest, Words, WorkerOrder, WorkerProcess
 from palpd.daemon.programs import JobProgram
-from palpd.daemon.socket_client import JobSummary, ProposedRun
+from palpd.daemon.socket_client import ControlAnswer, ControlRequest, JobSummary, ProposedRun
 from palpd.daemon.stored_state import now
 from palpd.daemon.supervisor import Report, recording_name
 from palpd.errors import BadInput, PalpdError, Refused
@@ -127,18 +127,15 @@ class Jobs:
         self._changed("begun")
         return record.id
 
-    def decide(self, job_id: object, number: object, agree: object) -> None:
-        """Pass on the operator's answer to a proposed motion.
-
-        Args:
-            number: Number of the proposal, so that no answer counts for a later motion.
-            agree: Whether it may be carried out.
+    def decide(self, request: ControlRequest) -> ControlAnswer:
+        """Pass on the operator's answer to a proposed motion. It names job and number of the proposal, so it counts for no later one.
 
         Raises:
             Refused: Another motion is proposed, or none.
             BadInput: The answer is neither yes nor no.
         """
-        record = self.running(job_id)
+        number, agree = request.get("number"), request.get("agree")
+        record = self.running(request.get("id"))
         if record.proposal is None or self._worker is None:
             raise Refused(f"the job {record.id} proposes no motion now; see palpd status")
         if number != record.proposal["number"]:
@@ -148,6 +145,7 @@ class Jobs:
         record.proposal, record.state = None, "running"
         self._worker.answer(agree)
         self._changed("the operator agreed to the motion" if agree else "the operator declined the motion")
+        return {"state": record.state}
 
     def running(self, job_id: object) -> JobRecord:
         """The job under way, if it has that id. Raises Refused."""

@@ -67,7 +67,7 @@ class Kept:
 @pytest.fixture
 def socket_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A service in a thread; its runs and workers are scripted."""
-    monkeypatch.setattr("palpd.daemon.service.JobRun", Checked)
+    monkeypatch.setattr("palpd.daemon.run_under_way.JobRun", Checked)
     monkeypatch.setattr("palpd.daemon.jobs.WorkerProcess", Proposing)
     config = parse_config({"paths": {"state": str(tmp_path / "state"), "runs": str(tmp_path / "runs")}}, "the test's configuration")
     State(config.paths.state).keep("calibration", Calibration((0.0,) * 6, "2026-01-01", None))

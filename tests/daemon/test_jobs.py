@@ -59,7 +59,7 @@ class ScriptedWorker:
 
 @pytest.fixture
 def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
-    monkeypatch.setattr("palpd.daemon.service.JobRun", ScriptedRun)
+    monkeypatch.setattr("palpd.daemon.run_under_way.JobRun", ScriptedRun)
     monkeypatch.setattr("palpd.daemon.jobs.WorkerProcess", ScriptedWorker)
     config: Config = parse_config({"paths": {"state": str(tmp_path / "state"), "runs": str(tmp_path / "runs")}}, "the test's configuration")
     State(config.paths.state).keep("calibration", Calibration((0.0,) * 6, "2026-01-01", None))
@@ -79,7 +79,7 @@ def do(service: Service, what: str, **more: Any) -> dict[str, Any]:
 
 def over(service: Service, report: Report) -> None:
     """The run under way ends so."""
-    service._run.ends_with = report  # type: ignore[union-attr]
+    service._run.current.ends_with = report  # type: ignore[union-attr]
     service._poll_run()
 
 
@@ -132,12 +132,12 @@ def test_a_job_says_how_many_runs_it_may_make_and_gets_no_more(service: Service)
     assert do(service, "job", id=job_id)["most_runs"] == 2
     for number in (1, 2):
         hears(service, worker, PRESS)
-        assert service._run is not None
+        assert service._run.current is not None
         assert do(service, "status")["active"]["runs"] == number
         over(service, Report("done"))
         assert worker.answers[-1] == Report("done")
     hears(service, worker, PRESS)
-    assert service._run is None
+    assert service._run.current is None
     assert "a run more than the 2 that it announced" in worker.answers[-1].reason
 
 
@@ -193,7 +193,7 @@ def test_a_stop_by_the_guard_ends_the_runs_of_the_job(service: Service) -> None:
     service._state.keep("latch", Latch("the lateral force was 9 N", "now"))
     over(service, Report("stopped", "the lateral force was 9 N", 3))
     hears(service, worker, PRESS)
-    assert service._run is None
+    assert service._run.current is None
     assert "lateral" in worker.answers[-1].reason
 
 
@@ -208,10 +208,10 @@ def test_a_run_that_is_refused_reaches_the_program_as_one(service: Service) -> N
 def test_a_run_of_a_job_is_judged_by_the_configuration_of_the_service(service: Service, tmp_path: Path) -> None:
     _, worker = begun(service)
     hears(service, worker, RunRequest("palpation", Plan(press_speed_m_per_s=0.05), tmp_path / "kept" / "round-1.mcap", False))
-    assert service._run is not None or "speed" in worker.answers[-1].reason
-    if service._run is not None:
-        assert service._run.job.config.safety == service._config.safety
-        assert service._run.job.config.paths.runs == tmp_path / "kept"
+    assert service._run.current is not None or "speed" in worker.answers[-1].reason
+    if service._run.current is not None:
+        assert service._run.current.job.config.safety == service._config.safety
+        assert service._run.current.job.config.paths.runs == tmp_path / "kept"
 
 
 def test_a_recording_that_was_cut_off_is_recovered_by_a_job_that_moves_nothing(service: Service, tmp_path: Path) -> None:
@@ -255,14 +255,14 @@ def test_a_proposed_motion_waits_for_an_answer_to_this_very_motion(service: Serv
 def test_an_abort_ends_the_motion_first_and_then_the_job(service: Service) -> None:
     job_id, worker = begun(service, "map")
     hears(service, worker, PRESS)
-    run = service._run
+    run = service._run.current
     assert do(service, "abort")["state"] == "aborting"
     assert run.asked == [Request.ABORT]  # type: ignore[union-attr]
     assert not worker.killed, "the arm has not stopped yet"
     over(service, Report("stopped", "the operator aborted the run", 3))
     assert worker.answers[-1].exit_code == 3
     hears(service, worker, PRESS)
-    assert service._run is None, "no run follows an abort"
+    assert service._run.current is None, "no run follows an abort"
     hears(service, worker, Finished("stopped", "the press was stopped", 3, '{"presses": 1}'))
     assert do(service, "job", id=job_id)["result"] == {"presses": 1}
 
@@ -285,7 +285,7 @@ def test_an_abort_while_it_computes_or_waits_kills_the_worker_at_once(service: S
     hears(service, worker, message)
     do(service, "abort")
     assert worker.killed
-    assert service._run is None
+    assert service._run.current is None
     assert do(service, "status")["state"] == "disarmed"
     assert do(service, "job", id=job_id)["verdict"] == "cancelled"
 
@@ -337,7 +337,7 @@ def test_without_a_holder_requests_without_a_lease_go_on_working(service: Servic
     lease = do(service, "take", name="Anna")["lease"]
     assert do(service, "renew", lease=lease)["lease_s"] == LEASE_S
     later_s = time.monotonic() + LEASE_S + 1.0
-    monkeypatch.setattr("palpd.daemon.service.time.monotonic", lambda: later_s)
+    monkeypatch.setattr("palpd.daemon.pausing.time.monotonic", lambda: later_s)
     assert do(service, "status")["controls"] is None
     assert do(service, "clear")["ok"]
     assert "not renewed" in do(service, "clear", lease=lease)["error"]
@@ -374,7 +374,7 @@ def test_watchers_see_each_change_of_a_job_its_log_and_the_status_once(service: 
         ("status", "disarmed", None),
     ]
     later_s = time.monotonic() + 1.0
-    monkeypatch.setattr("palpd.daemon.service.time.monotonic", lambda: later_s)
+    monkeypatch.setattr("palpd.daemon.pausing.time.monotonic", lambda: later_s)
     service._publish(page)  # type: ignore[arg-type]
     assert len(page.events) == len(kinds), "an unchanged status is not repeated"
     assert page.events[0]["id"] == job_id

@@ -38,7 +38,7 @@ def test_a_kept_plan_survives_the_service_and_is_a_plan_file(service: Service) -
     lease = ask(service, "take", name="anna")["lease"]
     kept = keep(service, plan={**PLAN, "press_speed_m_per_s": 0.0123456789}, lease=lease)
     assert (kept["name"], kept["by"], kept["rehearsal"]) == ("morning", "anna", None)
-    again = Service(service._config, service._build)
+    again = Service(service._config, service._run._build)
     try:
         assert ask(again, "plans")["plans"] == [kept]
         answer = ask(again, "plans", name="morning")
@@ -98,7 +98,7 @@ def test_a_plan_that_no_start_would_take_is_not_kept(service: Service, plan: obj
 
 
 def test_a_plan_above_the_speed_limit_of_the_cell_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("palpd.daemon.service.JobRun", ScriptedRun)
+    monkeypatch.setattr("palpd.daemon.run_under_way.JobRun", ScriptedRun)
     slow = Service(settings(tmp_path, safety={"max_speed_m_per_s": 0.005}), lambda *_: pytest.fail("nothing is opened here"))
     try:
         assert "above safety.max_speed_m_per_s of 0.005" in refusal(slow, do="keep-plan", name="fast", plan=PLAN)

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -57,7 +58,7 @@ class ScriptedRun:
 
 @pytest.fixture
 def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
-    monkeypatch.setattr("palpd.daemon.service.JobRun", ScriptedRun)
+    monkeypatch.setattr("palpd.daemon.run_under_way.JobRun", ScriptedRun)
     service = Service(settings(tmp_path), lambda *_: pytest.fail("nothing is opened here"))
     yield service
     service._free_ring()
@@ -68,7 +69,7 @@ def settings(folder: Path, **more: Any) -> Config:
 
 
 def end(service: Service, report: Report | Exception) -> None:
-    service._run.ends_with = report  # type: ignore[union-attr]
+    service._run.current.ends_with = report  # type: ignore[union-attr]
     service._poll_run()
 
 
@@ -119,9 +120,9 @@ def test_arming_waits_for_a_check_of_the_devices_that_commands_nothing(service: 
     assert isinstance(later, Later)
     assert later.answer is None
     assert status(service)["state"] == "checking"
-    assert service._run is not None
-    assert service._run.job.dry
-    assert service._run.job.reference == TARE.wrench
+    assert service._run.current is not None
+    assert service._run.current.job.dry
+    assert service._run.current.job.reference == TARE.wrench
     end(service, Report("done"))
     assert later.answer == {"ok": True, "state": "armed"}
     assert status(service)["state"] == "armed"
@@ -140,7 +141,7 @@ def test_a_check_that_finds_something_refuses_with_its_sentence(service: Service
 def test_an_abort_during_the_check_leaves_it_disarmed_whatever_the_check_says(service: Service) -> None:
     service._state.keep("calibration", TARE)
     later = service.answer({"do": "arm"})
-    run = service._run
+    run = service._run.current
     service.answer({"do": "abort"})
     assert isinstance(later, Later)
     assert later.answer is not None
@@ -188,7 +189,7 @@ def test_a_latch_is_cleared_by_an_operator_only(service: Service) -> None:
     service._state.keep("calibration", TARE)
     service._state.keep("latch", Latch("the lateral force was 9 N", "yesterday"))
     assert "lateral" in refusal(service, do="arm")
-    again = Service(service._config, service._build)  # a restart
+    again = Service(service._config, service._run._build)  # a restart
     try:
         assert "lateral" in refusal(again, do="arm")
     finally:
@@ -214,6 +215,26 @@ def test_a_latch_that_cannot_be_written_holds_all_the_same(service: Service) -> 
     assert isinstance(service.answer({"do": "arm"}), Later)
 
 
+def test_a_run_that_fails_is_held_by_nobody_so_that_its_motion_process_stops_the_arm(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The pipe between the two closes when the object is gone; the motion process then stops the arm by itself."""
+    armed(service)
+    service.answer({"do": "start", "plan": PLAN})
+    run = weakref.ref(service._run.current)  # type: ignore[arg-type]
+
+    def failing(_: ScriptedRun) -> Report:
+        raise Refused("state/contact.json cannot be written (no space left)")
+
+    monkeypatch.setattr(ScriptedRun, "poll", failing)
+    later = service.answer({"do": "pause"})
+    service._poll_run()
+    assert run() is None
+    service._pausing.poll(service._run)
+    assert isinstance(later, Later)
+    assert later.answer == {"ok": False, "error": "the run ended meanwhile; see palpd status"}
+
+
 @pytest.mark.parametrize("wrench", [[1, 2, 3], ["x"] * 6, None, [float("nan")] * 6])
 def test_a_damaged_reference_tare_is_refused(service: Service, wrench: Any) -> None:
     service._state.keep("calibration", TARE)
@@ -227,9 +248,9 @@ def test_a_retract_needs_neither_arming_nor_a_cleared_latch_and_leaves_the_latch
     service._state.keep("latch", Latch("the lateral force was 9 N", "yesterday"))
     answer = service.answer({"do": "retract"})
     assert answer == {"ok": True, "state": "running", "id": service._jobs.current.id}  # type: ignore[union-attr]
-    assert service._run is not None
-    assert service._run.job.kind == "retract"
-    assert service._run.job.reference == TARE.wrench
+    assert service._run.current is not None
+    assert service._run.current.job.kind == "retract"
+    assert service._run.current.job.reference == TARE.wrench
     assert "running" in refusal(service, do="retract")
     end(service, Report("done"))
     assert "lateral" in refusal(service, do="arm")
@@ -245,12 +266,12 @@ def test_a_pause_answers_where_the_arm_stopped_once_a_tick_shows_it(service: Ser
     later = service.answer({"do": "pause"})
     assert isinstance(later, Later)
     assert "another client" in refusal(service, do="resume")
-    service._answer_pause()
+    service._pausing.poll(service._run)
     assert later.answer is None
     row = np.zeros(1, ROW)
     row["phase"], row["site"], row["force_N"], row["surface_z_m"] = Phase.PAUSED, 0, 3.25, 0.004
     service._ring.write(row)
-    service._answer_pause()
+    service._pausing.poll(service._run)
     assert later.answer is not None
     assert (later.answer["state"], later.answer["force_N"], later.answer["depth_m"]) == ("paused", 3.25, 0.004)
     assert position(later.answer) == "paused: palpation, site A: paused, 0 of 2 steps done, force 3.25 N, 4.0 mm deep"
@@ -261,17 +282,17 @@ def test_a_pause_in_the_tissue_says_that_the_arm_leaves_first(service: Service, 
     service.answer({"do": "start", "plan": PLAN})
     now_s = time.monotonic()
     for wish, expected in (("pause", "pausing"), ("resume", "resuming")):
-        monkeypatch.setattr("palpd.daemon.service.time.monotonic", lambda at_s=now_s: at_s)
+        monkeypatch.setattr("palpd.daemon.pausing.time.monotonic", lambda at_s=now_s: at_s)
         later = service.answer({"do": wish})
         row = np.zeros(1, ROW)
         row["phase"], row["site"], row["force_N"], row["surface_z_m"] = Phase.PAUSE_RETRACT, 0, 3.25, 0.004
         service._ring.write(row)
-        service._answer_pause()
+        service._pausing.poll(service._run)
         assert isinstance(later, Later)
         assert later.answer is None
         now_s += 2.0
-        monkeypatch.setattr("palpd.daemon.service.time.monotonic", lambda at_s=now_s: at_s)
-        service._answer_pause()
+        monkeypatch.setattr("palpd.daemon.pausing.time.monotonic", lambda at_s=now_s: at_s)
+        service._pausing.poll(service._run)
         assert later.answer is not None
         assert later.answer["ok"]
         assert later.answer["state"] == expected
@@ -289,8 +310,8 @@ def test_a_pause_that_no_tick_shows_is_refused_after_a_second(service: Service, 
     service.answer({"do": "start", "plan": PLAN})
     later = service.answer({"do": "pause"})
     now_s = time.monotonic()
-    monkeypatch.setattr("palpd.daemon.service.time.monotonic", lambda: now_s + 2.0)
-    service._answer_pause()
+    monkeypatch.setattr("palpd.daemon.pausing.time.monotonic", lambda: now_s + 2.0)
+    service._pausing.poll(service._run)
     assert isinstance(later, Later)
     assert later.answer is not None
     assert "not paused within 1 s" in later.answer["error"]
@@ -316,7 +337,7 @@ def test_the_status_says_what_is_next_and_refusals_say_the_same(service: Service
 def test_an_arm_looks_again_before_it_believes_an_old_answer(service: Service) -> None:
     """Somebody may have freed the probe by hand since."""
     service._state.keep("calibration", TARE)
-    service._probe = ProbeAnswer(ProbeState.PRESSED, ("it was",), frozenset(("retract",))), "an hour ago"
+    service._known._probe = ProbeAnswer(ProbeState.PRESSED, ("it was",), frozenset(("retract",))), "an hour ago"
     assert "arm" in status(service)["now"]["obstacles"]
     later = service.answer({"do": "arm"})
     end(service, Report("done", probe=ProbeAnswer(ProbeState.FREE)))
@@ -344,8 +365,8 @@ def test_a_pause_can_be_resumed_before_a_tick_has_shown_it(service: Service, mon
     assert "is not paused" in refusal(service, do="resume")
     now_s = time.monotonic()
     service.answer({"do": "pause"})
-    monkeypatch.setattr("palpd.daemon.service.time.monotonic", lambda: now_s + 2.0)
-    service._answer_pause()
+    monkeypatch.setattr("palpd.daemon.pausing.time.monotonic", lambda: now_s + 2.0)
+    service._pausing.poll(service._run)
     assert status(service)["now"]["next"] == "resume"
     assert "is paused; palpd resume goes on" in refusal(service, do="pause")
     assert isinstance(service.answer({"do": "resume"}), Later)

@@ -1,0 +1,136 @@
+"""What the service knows of its cell between two runs."""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+
+from palpd.control.plan_place import PlanPlace, question
+from palpd.control.probe_state import ProbeAnswer, ProbeState
+from palpd.daemon.socket_client import KnownPlace, KnownProbe, LastRun
+from palpd.daemon.stored_state import Latch, State, now
+from palpd.daemon.supervisor import Report
+from palpd.errors import ConfigError
+
+Kept = TypeVar("Kept")
+
+
+class KnownCell:
+    """The stop that nobody has cleared, what was last seen of the probe and of the tip, and how the last run ended.
+
+    `pose` (6,) is that of the tip, empty until it was seen; `last` is None before the first run.
+    """
+
+    def __init__(self, state: State) -> None:
+        self._state = state
+        self.last: Report | None = None
+        self.pose: tuple[float, ...] = ()
+        self._probe: tuple[ProbeAnswer, str] | None = None
+        self._unkept: Latch | None = None
+
+    def note(self, report: Report, newest: np.void | None) -> None:
+        """Keep what a run or a check has seen.
+
+        Args:
+            report: How it ended.
+            newest: Its last tick; None where it sent none.
+        """
+        if newest is not None:
+            self.pose = tuple(map(float, newest["tcp_pose"]))
+        if report.probe is not None:
+            self._probe = report.probe, now()
+
+    def hold(self, reason: str) -> None:
+        """Latch a stop whose latch could not be written: it holds until it is cleared, or this process ends."""
+        self._unkept = Latch(reason, now())
+
+    @property
+    def latch(self) -> Latch | None:
+        """The stop that nobody has cleared."""
+        return self._unkept or self._state.latch()
+
+    def clear(self) -> None:
+        """Forget the stop, for an operator."""
+        self._unkept = None
+        self._state.clear_latch()
+
+    @property
+    def probe(self) -> tuple[ProbeAnswer, str] | None:
+        """The last answer about the probe with its date; what the state folder says, where this service has not looked yet."""
+        if self._probe is not None:
+            return self._probe
+        try:
+            marker = self._state.marker()
+        except ConfigError as error:
+            return ProbeAnswer(ProbeState.UNKNOWN, (str(error),), frozenset()), now()
+        if marker is None:
+            return None
+        return ProbeAnswer(ProbeState.UNKNOWN, (f"the {marker.run} of {marker.date} is unfinished",), frozenset(("retract",))), marker.date
+
+    @property
+    def tared(self) -> bool:
+        """Whether there is a reference tare."""
+        return _kept(self._state.calibration) is not None
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether a contact is unfinished."""
+        return self._state.holds("contact")
+
+    @property
+    def question(self) -> str | None:
+        """Why a start must say first where its sites count from; None where it need not, or the tip was not seen."""
+        return question(self._last_place, self.pose[0], self.pose[1], None) if self.pose else None
+
+    @property
+    def place(self) -> KnownPlace | None:
+        """Where the tip was last seen, over which site of the last plan, and where its sites count from."""
+        last = self._last_place
+        if not self.pose and last is None:
+            return None
+        x_m, y_m = self.pose[:2] if self.pose else (None, None)
+        return KnownPlace(
+            x_m=x_m,
+            y_m=y_m,
+            site=last.site_under(x_m, y_m) if last is not None and x_m is not None and y_m is not None else None,
+            origin_m=list(last.origin_m) if last is not None else None,
+            unfinished=last.run if last is not None and not last.returned else None,
+        )
+
+    @property
+    def last_run(self) -> LastRun | None:
+        """How the last run ended, as the status says it."""
+        if self.last is None:
+            return None
+        return LastRun(
+            verdict=self.last.verdict,
+            reason=self.last.reason,
+            recording=str(self.last.recording) if self.last.recording else None,
+            notes=list(self.last.notes),
+            last_ticks=list(self.last.last_ticks),
+        )
+
+    @property
+    def _last_place(self) -> PlanPlace | None:
+        return _kept(self._state.place)
+
+
+def known_probe(answer: ProbeAnswer, date: str) -> KnownProbe:
+    """Write an answer about the probe as the status holds it.
+
+    Args:
+        answer: What is known of the probe.
+        date: When it was given, ISO 8601.
+
+    Returns:
+        The entry `probe` of the status.
+    """
+    return KnownProbe(state=answer.state.value, reasons=list(answer.reasons), ways=sorted(answer.ways), date=date, advice=answer.advice)
+
+
+def _kept(read: Callable[[], Kept]) -> Kept | None:
+    """What a file of the state folder holds; None where it is damaged: whoever needs it then says so, and the status goes on."""
+    try:
+        return read()
+    except ConfigError:
+        return None
