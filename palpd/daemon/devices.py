@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from palpd.config import Config
 from palpd.recording.header import RunAbout
-from palpd.tick import ForceSensor, Robot
+from palpd.tick import ForceSensor, Robot, SensorDriver
 
 DRAIN_S = 0.1
 """How long queued frames are read and dropped. A terminal hands out 4 kB at a time, so several reads are needed."""
@@ -17,7 +17,7 @@ class Devices:
     """An opened robot and sensor. `first_tick_s` is just after the arrival of a robot state; `about` goes into the recording."""
 
     robot: Robot
-    sensor: ForceSensor
+    sensor: SensorDriver
     first_tick_s: float
     about: RunAbout
 

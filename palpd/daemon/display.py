@@ -53,8 +53,4 @@ class NoDisplay:
     def job(self, steps: int) -> AbstractContextManager[ShowProgress]:
         """Show nothing."""
         del steps
-        return nullcontext(_ignore)
-
-
-def _ignore(_: JobProgress) -> None:
-    """Take progress that nobody looks at."""
+        return nullcontext(lambda _: None)

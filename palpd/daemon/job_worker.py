@@ -14,13 +14,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
 from palpd.config import Config, Plan, parse_plan
-from palpd.daemon.display import NoDisplay, ShowProgress
+from palpd.daemon.display import NoDisplay
 from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import shielded
 from palpd.daemon.motion_job import Kind
@@ -198,7 +198,7 @@ class _Lines:
             line = line[os.write(self._output, line) :]
 
 
-class _WorkerDisplay:
+class _WorkerDisplay(NoDisplay):
     """Turns sentences and activities into messages. How far a run is, the service sees itself."""
 
     def __init__(self, lines: _Lines) -> None:
@@ -214,10 +214,6 @@ class _WorkerDisplay:
         self._lines.send("words", text=activity, activity=True)
         yield
         self._lines.send("words", text="", activity=True)
-
-    def job(self, steps: int) -> AbstractContextManager[ShowProgress]:
-        """Show nothing."""
-        return NoDisplay().job(steps)
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,21 +52,7 @@ class JobRecord:
     @property
     def summary(self) -> JobSummary:
         """All but log and result."""
-        return {
-            "id": self.id,
-            "program": self.program,
-            "by": self.by,
-            "begun": self.begun,
-            "state": self.state,
-            "activity": self.activity,
-            "runs": self.runs,
-            "most_runs": self.most_runs,
-            "proposal": self.proposal,
-            "ended": self.ended,
-            "verdict": self.verdict,
-            "reason": self.reason,
-            "exit_code": self.exit_code,
-        }
+        return cast(JobSummary, {name: getattr(self, name) for name in JobSummary.__annotations__})
 
     def answer(self) -> bytes:
         """The whole job as a finished answer of the socket; the result is JSON already."""
@@ -216,8 +202,7 @@ class Jobs:
         if record is None:
             return
         if self._worker is None:
-            recording = str(report.recording) if report.recording else None
-            record.result = json.dumps({"recording": recording, "notes": report.notes, "last_ticks": report.last_ticks})
+            record.result = json.dumps({name: report.summary[name] for name in ("recording", "notes", "last_ticks")})
             self._end(report.verdict, report.reason, report.exit_code)
             return
         if record.aborted:

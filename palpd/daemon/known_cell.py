@@ -7,7 +7,7 @@ import numpy as np
 
 from palpd.control.plan_place import PlanPlace, question
 from palpd.control.probe_state import ProbeAnswer, ProbeState
-from palpd.daemon.socket_client import KnownPlace, KnownProbe, LastRun
+from palpd.daemon.socket_client import KnownPlace, KnownProbe
 from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.supervisor import Report
 from palpd.errors import ConfigError
@@ -95,19 +95,6 @@ class KnownCell:
             site=last.site_under(x_m, y_m) if last is not None and x_m is not None and y_m is not None else None,
             origin_m=list(last.origin_m) if last is not None else None,
             unfinished=last.run if last is not None and not last.returned else None,
-        )
-
-    @property
-    def last_run(self) -> LastRun | None:
-        """How the last run ended, as the status says it."""
-        if self.last is None:
-            return None
-        return LastRun(
-            verdict=self.last.verdict,
-            reason=self.last.reason,
-            recording=str(self.last.recording) if self.last.recording else None,
-            notes=list(self.last.notes),
-            last_ticks=list(self.last.last_ticks),
         )
 
     @property

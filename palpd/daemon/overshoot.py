@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import TypedDict
 
-from palpd.config import Config, Plan, filter_delay_s
+from palpd.config import Config, Plan, filter_delay_s, refuse_unsafe
 from palpd.errors import ConfigError
 
 LINK_S = 0.001
@@ -102,6 +102,12 @@ def refuse_overload(config: Config, plan: Plan) -> None:
             f"beyond the sensor's {config.sensor.capacity_N:g} N; press slower or lower the limit"
         )
         raise ConfigError(sentence, {"press_speed_m_per_s" if speed == plan.press_speed_m_per_s else "search.speed_m_per_s": sentence})
+
+
+def refuse_together(config: Config, plan: Plan) -> None:
+    """Refuse limits and a plan that do not fit each other. Raises ConfigError."""
+    refuse_unsafe(config, plan)
+    refuse_overload(config, plan)
 
 
 def predicted(config: Config, plan: Plan) -> OvershootForecast:

@@ -44,9 +44,7 @@ class Unrecorded:
         """Do the work for one tick."""
         self._record.rehearse(record)
 
-    def rehearse(self, record: TickRecord) -> None:
-        """Do the work for one tick."""
-        self._record.rehearse(record)
+    rehearse = __call__
 
 
 def short(plan: Plan, config: Config) -> Plan:

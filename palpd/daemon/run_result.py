@@ -1,13 +1,13 @@
 """The JSON of a run, with and without wires."""
 
-from typing import Any, NotRequired, TypedDict
+from typing import Any, NotRequired
 
 from palpd.analysis import results
 from palpd.analysis.results import DryFigures, LoopFigures, SiteResult, cut_short_notes, dry_figures
 from palpd.analysis.stalls import stall_figures, stall_note
 from palpd.daemon.motion_process import TripReport, trip_report
 from palpd.daemon.simulated_run import SimulatedRecording
-from palpd.daemon.socket_client import LastTick
+from palpd.daemon.socket_client import LastRun
 from palpd.daemon.supervisor import LAST_TICKS, Report, last_ticks_of
 from palpd.errors import RecordingError
 from palpd.history.course import as_columns, points_of, window
@@ -16,20 +16,15 @@ from palpd.recording.reader import Recording
 NO_WIRES = "the cell was simulated without wires: bytes, timing and faults were not part of it"
 
 
-class RunResult(TypedDict):
+class RunResult(LastRun):
     """How a run ended and what it measured. `trips` and `last_ticks` are empty where nothing stopped it.
 
     A simulated run has its duration, its largest contact force and its `course` too, as `palpd.history.course` gives it.
     """
 
-    verdict: str
-    reason: str
     trips: list[TripReport]
-    recording: str | None
-    notes: list[str]
     sites: list[SiteResult]
     loop: LoopFigures
-    last_ticks: list[LastTick]
     model_card: NotRequired[dict[str, Any] | None]
     diagnosis: NotRequired[dict[str, Any]]
     dry: NotRequired[DryFigures | None]

@@ -11,7 +11,7 @@ from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.socket_client import ControlAnswer
 from palpd.daemon.stored_state import State
 from palpd.daemon.supervisor import JobRun
-from palpd.recording.ring import LoopState, Ring
+from palpd.recording.ring import Ring
 from palpd.tick import Phase
 
 
@@ -44,11 +44,6 @@ class RunUnderWay:
     def ticks(self) -> int:
         """Number of ticks since the service began."""
         return self._ring.published
-
-    @property
-    def ticking(self) -> bool:
-        """Whether the loop of the run owes a tick."""
-        return self.current is not None and self._ring.state == LoopState.RUNNING
 
     def newest(self) -> np.void | None:
         """The newest tick of this run; the ring also holds those of runs before. None before the first."""

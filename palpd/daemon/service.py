@@ -14,7 +14,7 @@ from typing import Literal, cast, get_args
 
 import structlog
 
-from palpd.config import Config, Plan, parse_plan, refuse_unsafe
+from palpd.config import Config, Plan, parse_plan
 from palpd.control.plan_place import ANSWERS, Choice, question
 from palpd.daemon.arming import Arming
 from palpd.daemon.control_socket import ControlSocket, Later, Watching
@@ -25,7 +25,7 @@ from palpd.daemon.jobs import Jobs
 from palpd.daemon.kept_plans import KeptPlans
 from palpd.daemon.known_cell import KnownCell, known_probe
 from palpd.daemon.motion_job import STILL_KINDS, Job
-from palpd.daemon.overshoot import refuse_overload
+from palpd.daemon.overshoot import refuse_together
 from palpd.daemon.pausing import Pausing
 from palpd.daemon.programs import program_named
 from palpd.daemon.run_reports import RunReports
@@ -37,7 +37,7 @@ from palpd.daemon.stored_state import State
 from palpd.daemon.supervisor import Report, recording_name
 from palpd.daemon.what_now import LOOKS, Action, Standing, what_now
 from palpd.errors import BadInput, PalpdError, Refused
-from palpd.recording.ring import Ring
+from palpd.recording.ring import LoopState, Ring
 from palpd.tick import Phase, Request
 
 POLL_S = 0.02
@@ -112,7 +112,8 @@ class Service:
                     self._reports.poll(busy=self._run.current is not None or self._arming.armed)
                     self._publish(control)
                     if time.monotonic() - fed_s > WATCHDOG_S:
-                        if not self._run.ticking or self._run.ticks != ticks:  # so that systemd notices a loop that hangs
+                        idle = self._run.current is None or self._ring.state != LoopState.RUNNING
+                        if idle or self._run.ticks != ticks:  # so that systemd notices a loop that hangs
                             _notify(f"WATCHDOG=1\nSTATUS={self._word}")
                         fed_s, ticks = time.monotonic(), self._run.ticks
             finally:
@@ -185,8 +186,8 @@ class Service:
         if run.current is not None and not run.checking:
             answer.update(run.answer())
             answer["recording"] = str(run.current.recording) if run.current.recording is not None else None
-        if (last := self._known.last_run) is not None:
-            answer["last"] = last
+        if self._known.last is not None:
+            answer["last"] = self._known.last.summary
         return answer
 
     @property
@@ -360,8 +361,7 @@ class Service:
 def _plan_of(request: ControlRequest, config: Config) -> Plan:
     """The plan of a request, within the limits of the cell. Raises ConfigError."""
     plan = parse_plan(request.get("plan"), "the plan")
-    refuse_unsafe(config, plan)
-    refuse_overload(config, plan)
+    refuse_together(config, plan)
     return plan
 
 

@@ -8,7 +8,7 @@ from datetime import datetime
 from getpass import getuser
 from pathlib import Path
 
-from palpd.config import Config, Plan, refuse_unsafe
+from palpd.config import Config, Plan
 from palpd.control.plan_place import Choice
 from palpd.control.probe_state import MOST_MOVED_REFERENCE_N, ProbeAnswer, ProbeState, probe_state
 from palpd.daemon.devices import Build
@@ -17,7 +17,7 @@ from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import Interrupted, held, leave_within, received, shielded, waited_s
 from palpd.daemon.job_progress import JobMeter
 from palpd.daemon.motion_job import Job, Kind
-from palpd.daemon.overshoot import refuse_overload
+from palpd.daemon.overshoot import refuse_together
 from palpd.daemon.probe_record import probe_record
 from palpd.daemon.program_host import ProgramHost, ProposedMotion
 from palpd.daemon.stored_state import Basis, Calibration, State, now
@@ -48,8 +48,7 @@ def job(kind: Kind, config: Config, plan: Plan, dry: bool = False, take_referenc
         ConfigError: The limits let the expected stiffness overload the sensor.
     """
     if kind == "palpation":
-        refuse_unsafe(config, plan)
-        refuse_overload(config, plan)
+        refuse_together(config, plan)
     state = State(config.paths.state)
     needs_reference = kind not in ("calibrate", "observe", "level_test", "retract") and not take_reference
     if needs_reference and state.calibration() is None:

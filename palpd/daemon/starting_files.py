@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from palpd.cell.plausible import ask, doubts, doubts_of_cell
-from palpd.config import Config, Plan, load_config, load_plan, parse_config, parse_plan, refuse_unsafe
+from palpd.config import Config, Plan, load_config, load_plan, parse_config, parse_plan
 from palpd.control.inertial import InertialModel
 from palpd.control.sequence import SOFT_END
-from palpd.daemon.overshoot import refuse_overload
+from palpd.daemon.overshoot import refuse_together
 from palpd.daemon.wiring import robot_kind, sensor_kind
 from palpd.documents import parse_yaml
 from palpd.errors import BadInput, ConfigError
@@ -41,7 +41,7 @@ def checked(config_file: Path, plan_file: Path | None, accept_implausible: bool 
     """
     config = load_config(config_file)
     plan = load_plan(plan_file) if plan_file else Plan()
-    _refuse_together(config, plan)
+    refuse_together(config, plan)
     sensor_kind(config)
     robot_kind(config)
     check_folder(config.paths.runs, config.paths.state)
@@ -94,7 +94,7 @@ def write_starting_files(folder: Path, model: str, limit_N: float, depths_m: Seq
     )
     config = parse_config(parse_yaml(config_text, str(files[0])).content, str(files[0]))
     plan = parse_plan(parse_yaml(plan_text, str(files[1])).content, str(files[1]))
-    _refuse_together(config, plan)
+    refuse_together(config, plan)
     force_N = _stiffness(tip_radius_m) * max(plan.depths_m) ** 1.5
     if force_N > SOFT_END * limit_N:
         raise ConfigError(
@@ -108,12 +108,6 @@ def write_starting_files(folder: Path, model: str, limit_N: float, depths_m: Seq
     for file, text in zip(files, (config_text, plan_text), strict=True):
         write_yaml(file, text)
     return files
-
-
-def _refuse_together(config: Config, plan: Plan) -> None:
-    """Refuse limits and a plan that do not fit each other. Raises ConfigError."""
-    refuse_unsafe(config, plan)
-    refuse_overload(config, plan)
 
 
 def _stiffness(tip_radius_m: float) -> float:

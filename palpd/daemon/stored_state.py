@@ -66,7 +66,7 @@ class Latch:
     date: str
 
 
-Kept = TypeVar("Kept", Calibration, ContactMarker, LevelTested, PlanPlace)
+Kept = TypeVar("Kept", Calibration, MachineStiffness, ContactMarker, LevelTested, PlanPlace)
 _ADAPTERS: dict[str, TypeAdapter[Any]] = {}
 """What reads each file: one takes 10 ms to make, and the service reads these files several times a second."""
 
@@ -101,16 +101,11 @@ class State:
 
     def machine_stiffness(self) -> MachineStiffness | None:
         """The last `palpd stiffness`, if any."""
-        values = self._read("stiffness")
-        if values is None:
-            return None
-        try:
-            numbers = (float(values["stiffness_N_per_m"]), *(float(number) for number in values["ci95_N_per_m"]))
-            stiffness = MachineStiffness(**{**values, "stiffness_N_per_m": numbers[0], "ci95_N_per_m": numbers[1:]})
-        except (TypeError, ValueError, KeyError):
-            stiffness, numbers = None, ()
-        if stiffness is None or len(numbers) != 3 or not all(map(math.isfinite, numbers)) or numbers[0] <= 0:
-            raise ConfigError(f"{self.folder / 'stiffness.json'} holds no stiffness of the machine; run palpd stiffness again")
+        damaged = "no stiffness of the machine; run palpd stiffness again"
+        stiffness = self._kept("stiffness", MachineStiffness, damaged)
+        numbers = (stiffness.stiffness_N_per_m, *stiffness.ci95_N_per_m) if stiffness is not None else (1.0,)
+        if numbers[0] <= 0.0 or not all(map(math.isfinite, numbers)):
+            raise ConfigError(f"{self.folder / 'stiffness.json'} holds {damaged}")
         return stiffness
 
     def latch(self) -> Latch | None:

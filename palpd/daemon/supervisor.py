@@ -26,7 +26,7 @@ from palpd.daemon.motion_process import CALLED_OFF, GO, Ended, Failed, Message, 
 from palpd.daemon.realtime import DEVICE_PRIORITY
 from palpd.daemon.run_header import header_of, place_of
 from palpd.daemon.silence import explained
-from palpd.daemon.socket_client import LastTick
+from palpd.daemon.socket_client import LastRun, LastTick
 from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.tick_watch import TickWatch
 from palpd.daemon.witness import Witness
@@ -79,6 +79,14 @@ class Report:
     findings: tuple[Finding, ...] = ()
     evidence: ProbeEvidence | None = None
     probe: ProbeAnswer | None = None
+
+    @property
+    def summary(self) -> LastRun:
+        """What the status, a job and a result say of it."""
+        recording = str(self.recording) if self.recording is not None else None
+        return LastRun(
+            verdict=self.verdict, reason=self.reason, recording=recording, notes=list(self.notes), last_ticks=list(self.last_ticks)
+        )
 
 
 class MotionProcess:

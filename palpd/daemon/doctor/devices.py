@@ -3,7 +3,7 @@
 import os
 import time
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from palpd.config import Config
 from palpd.control.probe_state import ProbeAnswer, ProbeRecord, ProbeState, probe_state
 from palpd.control.safety import TILT_RAD
 from palpd.control.tare import DRIFT_N, STABLE_RMS_N, tilt_rad
-from palpd.daemon.devices import drain
+from palpd.daemon.devices import Devices, drain
 from palpd.daemon.finding import Finding
 from palpd.daemon.probe_record import evidence_of
 from palpd.daemon.realtime import LOOP_PRIORITY, fifo
@@ -90,21 +90,7 @@ def observed(sensor: ForceSensor | None, robot: Robot | StateReader | None, dura
     )
 
 
-class OpenedDevices(Protocol):
-    """Both devices, opened; the robot is only read."""
-
-    @property
-    def robot(self) -> Robot:
-        """The robot."""
-        ...
-
-    @property
-    def sensor(self) -> Any:
-        """The force sensor, which is a SensorDriver."""
-        ...
-
-
-def judged(devices: OpenedDevices, config: Config, watch_s: float, known: ProbeRecord | None) -> tuple[list[Finding], ProbeAnswer | None]:
+def judged(devices: Devices, config: Config, watch_s: float, known: ProbeRecord | None) -> tuple[list[Finding], ProbeAnswer | None]:
     """Observe both devices, and judge them.
 
     Args:
@@ -115,7 +101,7 @@ def judged(devices: OpenedDevices, config: Config, watch_s: float, known: ProbeR
     Returns:
         All findings, and whether the probe is free; None where there is nothing to judge it by.
     """
-    sensor: SensorDriver = devices.sensor
+    sensor = devices.sensor
     record = observed(sensor, devices.robot, watch_s)
     probe, answer = judge_probe(record, config, sensor, known)
     findings = [identified(sensor, config), *judge_sensor(record, config, sensor), *probe, reached(config), *judge_robot(record, config)]
