@@ -1,17 +1,12 @@
 """Commands for recordings: replay, export, recover and import them, and make a first cell file of them."""
 
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from palpd.cli.curve_options import (
-    CompressionNegative,
-    DepthColumn,
-    ForceColumn,
-    HeightColumn,
-    HeightDownPositive,
-)
+from palpd.cli import curve_options
 from palpd.cli.options import AcceptImplausible, JsonOption, SiteOption, app, terminal
 from palpd.cli.output_options import Output, refuse_left_out
 from palpd.errors import BadInput
@@ -101,18 +96,18 @@ def import_(
     csv: Annotated[
         Path | None, typer.Option("--csv", help="recording to write; without it, what the files hold is listed"), Output(CSV)
     ] = None,
-    force_column: ForceColumn = None,
+    force_column: curve_options.ForceColumn = None,
     force_unit: Annotated[
         Literal["N", "mN", "uN", "nN", "pN", "kN", "kip", "lbf", "gf", "kgf", "V", "mV"] | None,
         typer.Option("--force-unit", help="unit of the force"),
     ] = None,
-    depth_column: DepthColumn = None,
-    height_column: HeightColumn = None,
-    height_down_positive: HeightDownPositive = False,
+    depth_column: curve_options.DepthColumn = None,
+    height_column: curve_options.HeightColumn = None,
+    height_down_positive: curve_options.HeightDownPositive = False,
     length_unit: Annotated[
         Literal["m", "cm", "mm", "um", "nm", "in", "V", "mV"] | None, typer.Option("--length-unit", help="unit of depth or height")
     ] = None,
-    compression_negative: CompressionNegative = False,
+    compression_negative: curve_options.CompressionNegative = False,
     time_column: Annotated[
         list[str] | None, typer.Option("--time-column", help="name of the column of the time, for all files or once for each")
     ] = None,
@@ -147,29 +142,9 @@ def import_(
         refuse_left_out(import_, values, sorted(others), "without --csv files are only listed", "give --csv too, or leave them out")
         _list_channels(files)
         return
+    same = {field.name: values[field.name] for field in fields(ImportOptions) if field.name in values}
     options = ImportOptions(
-        force_column=force_column,
-        depth_column=depth_column,
-        height_column=height_column,
-        time_columns=tuple(time_column or ()),
-        columns=columns_given(column or ()),
-        force_unit=force_unit,
-        length_unit=length_unit,
-        time_unit=time_unit,
-        force_N_per_V=force_N_per_V,
-        length_m_per_V=length_m_per_V,
-        units_confirmed=units == "confirmed",
-        height_down_positive=height_down_positive,
-        compression_negative=compression_negative,
-        wrench=wrench,
-        pose=pose,
-        twist=twist,
-        command=command,
-        wrench_in=wrench_in,
-        axis=axis,
-        offset_s=offset_s,
-        tare_s=tare_s,
-        accept_implausible=accept_implausible,
+        time_columns=tuple(time_column or ()), columns=columns_given(column or ()), units_confirmed=units == "confirmed", **same
     )
     imported = import_files(files, options, csv)
     for note in imported.notes:
