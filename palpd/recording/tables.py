@@ -53,7 +53,18 @@ def cells_of(line: str, delimiter: str) -> list[str]:
 
 
 def read_numbers(rows: Iterable[str], delimiter: str | None, columns: Sequence[int]) -> Floats:
-    """The numbers of these columns, (n, columns); (0, 1) where there is no row. Raises ValueError where one is no number."""
+    """Read the numbers of some columns; `#` begins a comment.
+
+    Args:
+        delimiter: None: white space.
+        columns: Their places in a row, from 0 on.
+
+    Returns:
+        The numbers (n, columns), where there is no row (0, 1).
+
+    Raises:
+        ValueError: A cell is no number, or a row is too short.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # a table without rows is refused later, in our own words
         return np.loadtxt(rows, delimiter=delimiter, usecols=columns, ndmin=2, comments="#", quotechar='"', dtype=float)
