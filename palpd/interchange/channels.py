@@ -73,11 +73,9 @@ class FileReader(Protocol):
 
     def reads(self, path: Path) -> bool:
         """Whether a file, by its name and first bytes, is of this kind."""
-        ...
 
     def channels(self, path: Path) -> Sequence[Channel]:
         """List what a file holds. Raises RecordingError where it cannot be read."""
-        ...
 
     def columns(self, path: Path, names: Sequence[str]) -> dict[str, ChannelData]:
         """Read channels by their names.
@@ -88,7 +86,6 @@ class FileReader(Protocol):
         Raises:
             RecordingError: A channel is absent or damaged; the sentence names column and row.
         """
-        ...
 
 
 def listing(channels: Sequence[Channel]) -> str:
