@@ -73,10 +73,10 @@ def rivals_of_law(problem: Problem, attribution: Attribution, finding: LawFindin
     shares = finding.p_outside * weights / weights.sum()
     alike: list[Rival] = []
     for (effect, behind, _), share in zip(listed, shares.tolist(), strict=True):
-        start = finding.beside.values | {effect.id: effect.as_learned}
-        with_law = fit(problem, start, finding.beside.linearisation, iterations=3, rounds=1)
+        values = finding.beside.values | {effect.id: effect.as_learned}
+        with_law = fit(problem, values, finding.beside.linearisation, iterations=3, rounds=1)
         alike.append(Rival(with_law, share, with_law.eta, behind))
     by_list = attribution.best.fit
     against = [replace(alike[0], share=finding.p_outside), Rival(by_list, 1.0 - finding.p_outside, by_list.eta)]
-    first_time = len(problem.recordings) == 1
-    return LawRivals(problem, alike, against if first_time else [], {effect.id: effect.what for effect, _, _ in listed})
+    words = {effect.id: effect.what for effect, _, _ in listed}
+    return LawRivals(problem, alike, against if len(problem.recordings) == 1 else [], words)

@@ -32,28 +32,27 @@ class MotionLimits:
     @staticmethod
     def of(problem: Problem) -> "MotionLimits":
         """The largest depth, force, height, speed and acceleration of the recordings: they were safe."""
-        surface_m = surface_of(problem)
-        speeds = [np.abs(one.phases.velocity_m_per_s) for one in problem.recordings]
-        pressing = [v[one.phases.depth_m > 0] for v, one in zip(speeds, problem.recordings, strict=True) if (one.phases.depth_m > 0).any()]
+        samples, phases = [its.samples for its in problem.recordings], [its.phases for its in problem.recordings]
+        speeds = [np.abs(its.velocity_m_per_s) for its in phases]
+        pressing = [v[its.depth_m > 0] for v, its in zip(speeds, phases, strict=True) if (its.depth_m > 0).any()]
         free_speed = max(float(np.quantile(v, 0.98)) for v in speeds)
-        height_m = max(float(one.samples.z_m.max()) for one in problem.recordings) - surface_m
-        depth_m = max(float(one.phases.depth_m.max()) for one in problem.recordings)
-        height_m = max(height_m, 0.2 * depth_m)
+        depth_m = max(float(its.depth_m.max()) for its in phases)
+        height_m = max(max(float(its.z_m.max()) for its in samples) - surface_of(problem), 0.2 * depth_m)
         stroke_m = min(FREE_HEIGHT_M, 0.8 * height_m)
         return MotionLimits(
             depth_m=depth_m,
-            force_N=max(float(np.quantile(one.samples.wrench[:, 2], 0.999)) for one in problem.recordings),
+            force_N=max(float(np.quantile(its.wrench[:, 2], 0.999)) for its in samples),
             home_m=height_m - stroke_m,
             stroke_m=stroke_m,
             press_speed_m_per_s=max((float(np.quantile(v, 0.9)) for v in pressing), default=free_speed),
             free_speed_m_per_s=free_speed,
-            acceleration_m_per_s2=max(float(np.quantile(np.abs(one.motion.az_m_per_s2), 0.99)) for one in problem.recordings),
+            acceleration_m_per_s2=max(float(np.quantile(np.abs(its.motion.az_m_per_s2), 0.99)) for its in problem.recordings),
         )
 
 
 def surface_of(problem: Problem) -> float:
     """Height of the surface in m; without tissue, the lowest height of the tip."""
-    lowest_m = min(float(one.samples.z_m.min()) for one in problem.recordings)
+    lowest_m = min(float(recording.samples.z_m.min()) for recording in problem.recordings)
     return problem.cell.tissue.surface_z_m if problem.cell.tissue is not None else lowest_m
 
 
@@ -204,8 +203,8 @@ def same_again(problem: Problem, limits: MotionLimits) -> tuple[TestMotion, Floa
     Returns:
         A motion for a plan with the same depths, speeds, holds and strokes; the recorded times (n,) from the first row and heights (n,).
     """
-    one = max(problem.recordings, key=lambda one: one.samples.duration_s)
-    samples, phases, surface_m = one.samples, one.phases, surface_of(problem)
+    longest = max(problem.recordings, key=lambda recording: recording.samples.duration_s)
+    samples, phases, surface_m = longest.samples, longest.phases, surface_of(problem)
     presses = [phases.press == k for k in range(phases.presses)]
     step_m = DEPTH_STEP * limits.depth_m
     depths = [min(max(round(float(phases.depth_m[press].max()) / step_m), 1) * step_m, limits.depth_m) for press in presses]
@@ -233,8 +232,7 @@ def same_again(problem: Problem, limits: MotionLimits) -> tuple[TestMotion, Floa
 
 def cycle_again(problem: Problem, recording: int, cycle: int, limits: MotionLimits) -> TestMotion:
     """The press or stroke of a cycle of a recording, AGAIN times, as deep and as fast as it was within the limits."""
-    one = problem.recordings[recording]
-    phases, samples = one.phases, one.samples
+    phases, samples = problem.recordings[recording].phases, problem.recordings[recording].samples
     mine = phases.cycle == cycle
     depth_m, fastest = float(phases.depth_m[mine].max()), float(np.quantile(np.abs(phases.velocity_m_per_s[mine]), 0.98))
     low = max(0.5 * limits.depth_m, 0.2 * limits.stroke_m)

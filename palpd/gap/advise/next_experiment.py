@@ -79,9 +79,9 @@ class ScoredMotion:
     z_cmd_m: Floats
     odds: Floats
 
-    def apart(self, one: int, other: int) -> float:
+    def apart(self, i: int, j: int) -> float:
         """Expected log odds in nats between two hypotheses, by their numbers: the smaller of those where either of them is true."""
-        return float(min(self.odds[one, other], self.odds[other, one]))
+        return float(min(self.odds[i, j], self.odds[j, i]))
 
     def resolved(self, shares: Floats) -> float:
         """Doubt that the motion removes, as a probability: Σ 2 p_i p_j (1 - e^(-odds/4)) over all pairs.
@@ -214,14 +214,11 @@ def _again(problem: Problem, refused: RefusedLaw, limits: MotionLimits | None) -
     return Advice(names, shares, _proposal(motion, t_s, z_cmd_m, gain, why), None, gain)
 
 
-def _factor(gain: float) -> str:
-    return "more than a thousand" if gain > log(1000.0) else f"{exp(gain):.0f}"
-
-
 def _decides(best: ScoredMotion, pair: tuple[str, str], gain: float, laws: LawRivals | None) -> ExperimentProposal:
     """The proposal of a motion that decides between two hypotheses, or on which a law may fail."""
     first, second = pair if laws is None else (laws.words.get(name, name) for name in pair)
-    why = f"This is expected to change the odds between {first} and {second} by a factor of {_factor(gain)}."
+    factor = "more than a thousand" if gain > log(1000.0) else f"{exp(gain):.0f}"
+    why = f"This is expected to change the odds between {first} and {second} by a factor of {factor}."
     if laws is not None:
         outside = laws.share_outside(best.t_s, best.z_cmd_m)
         held = f"{outside:.0%} of it lies outside the range of the law, where its curve is held."
@@ -274,7 +271,7 @@ def _log_odds(trial: Problem, rivals: Sequence[Rival]) -> Floats:
     odds = np.zeros((len(rivals), len(rivals)))
     for column, other in enumerate(rivals):
         there = linearise(trial, other.fit.values, other.eta)
-        free = other.free_columns(trial, there.prediction)
+        free = list(other.free_columns(trial, there.prediction))
         laws, _ = discrepancy_columns(trial, other.fit.values, there.prediction, there)
         wider = laws.scaled(max(size for size, _ in DISCREPANCY_SIZES))
         wide = nuisances(there.space.columns.beside(wider)) if wider.size else None

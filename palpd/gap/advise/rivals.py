@@ -50,25 +50,19 @@ class Rival:
         """Whitened prediction (7, b) of the problem that another recording would pose."""
         return trial.predict(self.fit.values, self.eta)
 
-    def free_columns(self, trial: Problem, prediction: Floats) -> list[Floats]:
+    def free_columns(self, trial: Problem, prediction: Floats) -> Iterator[Floats]:
         """Whitened changes (7, b) of the prediction by one standard deviation of each independent combination of what was fitted.
 
         Args:
             trial: The problem that another recording would pose, b bins.
             prediction: Whitened prediction (7, b) without these changes.
         """
-        return [*self._parameter_columns(trial, prediction), *self._curve_columns(trial)]
-
-    def _parameter_columns(self, trial: Problem, prediction: Floats) -> Iterator[Floats]:
         values, vectors = np.linalg.eigh(self.fit.covariance)
         for value, vector in zip(values, vectors.T, strict=True):
             spread = min(max(float(value), 0.0), 1e6) ** 0.5
             step = min(1e-2, spread) if spread > 0.0 else 1e-2
             moved = trial.predict(values_at(self.fit.where, self.fit.u + step * vector), self.eta)
             yield (moved - prediction) * (spread / step)
-
-    def _curve_columns(self, trial: Problem) -> Iterator[Floats]:
-        """By the coefficients w of the curves of the law."""
         if self.law is None:
             return
         scene = Scene.of(trial, self.fit.values, self.eta).with_rest_speed(self.law.scene.rest_speed_m_per_s)

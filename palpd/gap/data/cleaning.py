@@ -37,11 +37,6 @@ class CleanedRecording:
     held_s: float
     coarse_step_N: float
 
-    @property
-    def excess_noise(self) -> bool:
-        """Whether the noise was not healthy."""
-        return self.samples is not self.unclipped
-
 
 def clean(samples: Samples, cell: CellFile) -> CleanedRecording:
     """Clean a recording."""

@@ -56,8 +56,8 @@ def lattice_step(values: Floats) -> float:
     if other > MOST_APART * step:
         other = step
     on_lattice = np.zeros(len(gaps), bool)
-    for one in (step, other):
-        multiples = gaps / one
+    for candidate in (step, other):
+        multiples = gaps / candidate
         on_lattice |= np.abs(multiples - np.rint(multiples)) < 0.02 * np.maximum(multiples, 1.0)
     return step if on_lattice.mean() > 0.9 else 0.0
 

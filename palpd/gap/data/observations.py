@@ -43,11 +43,7 @@ class Observations:
 
 
 def observe(
-    recordings: Sequence[Samples],
-    cell: CellFile,
-    library: Mapping[str, Effect],
-    simulators: Sequence[UserSimulator],
-    max_bins: int,
+    recordings: Sequence[Samples], cell: CellFile, library: Mapping[str, Effect], simulators: Sequence[UserSimulator], max_bins: int
 ) -> Observations:
     """Check, clean and prepare the recordings of one cell.
 
@@ -75,7 +71,7 @@ def observe(
         recordings=prepared,
         roundings=tuple(roundings),
         coarse=max(coarse_N) > 0.0,
-        excess_noise=any(its.excess_noise for its in cleaned),
+        excess_noise=any(its.samples is not its.unclipped for its in cleaned),
         scatter=scatter_effects(prepared, cleaned, cell, library),
         decisive=(*decisive, *noise_far),
         notes=(*notes, *noise_notes, *channel_notes(prepared, cell)),

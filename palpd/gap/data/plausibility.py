@@ -307,8 +307,7 @@ def channel_notes(recordings: Sequence[PreparedRecording], cell: CellFile) -> It
         yield "z_cmd_m is absent: how the robot follows its command is not judged."
     dead = [channel for channel in range(1, 7) if not any(recording.judged[channel] for recording in recordings)]
     if dead:
-        first = recordings[0].samples.wrench[0]
-        names = ", ".join(f"{CHANNELS[channel]} (always {first[channel - 1]:g})" for channel in dead)
+        names = ", ".join(f"{CHANNELS[channel]} (always {recordings[0].samples.wrench[0, channel - 1]:g})" for channel in dead)
         yield f"{names}: never changes, so it is dead or not measured, and is not judged."
     compared = [recording for recording in recordings if recording.judged[FZ]]
     yield from (note for recording in compared if recording.noise_measured for note in _noise_notes(recording, cell))

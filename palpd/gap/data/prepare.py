@@ -90,11 +90,6 @@ class PreparedRecording:
         """Cycle of every bin (b,)."""
         return self.bins.label(self.phases.cycle)
 
-    @cached_property
-    def bin_press(self) -> Ints:
-        """Press of every bin (b,), -1 for none."""
-        return self.bins.label(self.phases.press)
-
     def reading(self, cell: CellFile, motion: TipMotion, library: Mapping[str, Effect]) -> MeanReading:
         """Predicted mean reading; with a user's simulator its output + palpd(cell) - palpd(nominal cell).
 
@@ -163,7 +158,9 @@ def _prepared(
     samples_per_step = Bins.of_equal_length(samples.t_s, _step_length(samples, cell, reports.rows_each))
     steps = make_bins(samples_per_step.mean(samples.t_s), phases, samples_per_step, most)
     bins = samples_per_step.merged(steps)
-    robot_t_s, z_cmd_m, z_means = _robot_grid(samples, reports, sampled, samples_per_step, steps, bins)
+    true_s = samples_per_step.mean(sampled.t_s)
+    even_s = _even(true_s)
+    robot_t_s, z_cmd_m, z_means = _robot_grid(samples, reports, samples_per_step, steps, bins, true_s, even_s)
     still = np.isin(phases.phase, (FREE_STILL, HOLDING)) & (phases.since_s > 0.1 * phases.since_s.max())
     rest = still if samples.held is None else still & ~samples.held
     judged, noise_rms = _noise(samples, cell, reports, still, rest)
@@ -176,11 +173,11 @@ def _prepared(
         phases=phases,
         bins=bins,
         sampled=sampled,
-        motion=_at_steps(sampled, samples_per_step),
-        step_means=_step_means(sampled, samples_per_step, steps),
+        motion=_at_steps(sampled, samples_per_step, true_s, even_s),
+        step_means=steps.means() @ straight_between(np.clip(true_s, even_s[0], even_s[-1]), even_s),
         otherwise=(
-            _at_steps(replace(sampled, z_m=again.z_m + unreported_m, vz_m_per_s=again.vz_m_per_s), samples_per_step),
-            _at_steps(replace(sampled, az_m_per_s2=again.az_m_per_s2), samples_per_step),
+            _at_steps(replace(sampled, z_m=again.z_m + unreported_m, vz_m_per_s=again.vz_m_per_s), samples_per_step, true_s, even_s),
+            _at_steps(replace(sampled, az_m_per_s2=again.az_m_per_s2), samples_per_step, true_s, even_s),
         ),
         reports=reports,
         robot_t_s=robot_t_s,
@@ -206,17 +203,15 @@ def _unreported_height(cell: CellFile, samples: Samples, motion: TipMotion) -> F
 
 
 def _robot_grid(
-    samples: Samples, reports: Reports, sampled: TipMotion, samples_per_step: Bins, steps: Bins, bins: Bins
+    samples: Samples, reports: Reports, samples_per_step: Bins, steps: Bins, bins: Bins, true_s: Floats, even_s: Floats
 ) -> tuple[Floats, Floats | None, csr_array]:
     """Times at which the robot is simulated (k,), its commanded heights there (k,), and the matrix of means over the bins (b, k)."""
     if reports.rows_each > 1.0:
         z_means = bins.means() @ reports.joined @ straight_between(reports.t_s, samples.t_s)
         return samples.t_s - samples.t_s[0], samples.z_cmd_m, z_means
     # A time that is off by a tenth of a step makes, by the robot's lag, a height that is off by more than its noise.
-    t_s = samples_per_step.mean(sampled.t_s)
-    robot_t_s = _even(t_s)
-    z_cmd_m = None if samples.z_cmd_m is None else np.interp(robot_t_s, t_s, samples_per_step.mean(samples.z_cmd_m))
-    return robot_t_s, z_cmd_m, steps.means() @ straight_between(t_s, robot_t_s)
+    z_cmd_m = None if samples.z_cmd_m is None else np.interp(even_s, true_s, samples_per_step.mean(samples.z_cmd_m))
+    return even_s, z_cmd_m, steps.means() @ straight_between(true_s, even_s)
 
 
 def _noise(
@@ -283,12 +278,9 @@ def _step_length(samples: Samples, cell: CellFile, samples_each: float) -> int:
     return max(1, min(int(averaged / 5.0), len(samples) // 4500), min(int(averaged / 3.0), int(samples_each)))
 
 
-def _at_steps(motion: TipMotion, samples_per_step: Bins) -> TipMotion:
-    t_s = samples_per_step.mean(motion.t_s)
-    even_s = _even(t_s)
-
+def _at_steps(motion: TipMotion, samples_per_step: Bins, true_s: Floats, even_s: Floats) -> TipMotion:
     def at(values: Floats) -> Floats:
-        return np.interp(even_s, t_s, samples_per_step.mean(values))
+        return np.interp(even_s, true_s, samples_per_step.mean(values))
 
     return replace(
         motion,
@@ -297,19 +289,12 @@ def _at_steps(motion: TipMotion, samples_per_step: Bins) -> TipMotion:
         vz_m_per_s=at(motion.vz_m_per_s),
         az_m_per_s2=at(motion.az_m_per_s2),
         dt_s=steps(even_s),
-        even_s=0.0 if even_s is t_s else float(even_s[1] - even_s[0]),
+        even_s=0.0 if even_s is true_s else float(even_s[1] - even_s[0]),
     )
 
 
-def _step_means(sampled: TipMotion, samples_per_step: Bins, steps: Bins) -> csr_array:
-    """The matrix (b, steps) from values at the even times of the steps to means over bins of their true times."""
-    t_s = samples_per_step.mean(sampled.t_s)
-    even_s = _even(t_s)
-    return steps.means() @ straight_between(np.clip(t_s, even_s[0], even_s[-1]), even_s)
-
-
 def _even(t_s: Floats) -> Floats:
-    """Times of steps on an even grid, since a filter takes a tenth of the time over even steps.
+    """Times (s,) of steps on an even grid, since a filter takes a tenth of the time over even steps.
 
     They move by up to half a step; the last step may be short and move further. Where that does not suffice they stay.
     """

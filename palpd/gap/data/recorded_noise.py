@@ -35,15 +35,12 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
     resolution = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
     rests = [_rests(find_phases(samples, cell).phase) for samples in recordings]
     resting = all(rest is not None for rest in rests)
-    noise = {key: _noise_range(recordings, rests, channels) for key, channels in NOISE.items()}
+    ranges = {key: _noise_range(recordings, rests, channels) for key, channels in NOISE.items()}
     stated = cell.sensor.model_fields_set
     measured: dict[str, float] = {key: step for key, step in resolution.items() if key not in stated}
     far = []
-    for key, shown in noise.items():
-        if shown is None:
-            continue
-        (low, high), before = shown, float(getattr(cell.sensor, key))
-        rms = (low * high) ** 0.5
+    for key, (low, high) in ((key, shown) for key, shown in ranges.items() if shown is not None):
+        rms, before = (low * high) ** 0.5, float(getattr(cell.sensor, key))
         if key not in stated:
             measured[key] = rms
         elif resting and not low / FAR_FROM_STATED <= before <= high * FAR_FROM_STATED and before > 0.0:

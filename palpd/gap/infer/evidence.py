@@ -31,7 +31,7 @@ class PossibleLaw:
         probability: Posterior probability of this law, given the effects.
         move: Move v (k,) of the coordinates from the optimum û of the listed law; 0 for the listed law itself.
         of_fit: Gives the covariance (k, k) of u if the tolerances that the effects stand for were zero.
-        owned: JᵀPB (k, p), with the slopes J, and the changes B by the p tolerances that the effects stand for (`Linearisation.owned`).
+        owned: JᵀPB (k, p), with the slopes J, and the changes B by the p replaced tolerances (`Linearisation.tolerance_columns`).
     """
 
     probability: float
@@ -133,7 +133,7 @@ def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
             log_likelihood = log_exact + total
             if likeliest := int(np.argmax(each)):
                 discrepancy_energy = _unfittable_energy(discrepancies[likeliest - 1].change(), best.jacobian, space)
-        projected = [project(change, space) for change in best.around.owned]
+        projected = [project(change, space) for change in best.around.tolerance_columns]
         owned = np.array([[slope.dot(one) for one in projected] for slope in slopes])
         listed = covariance
         fitted = [(np.zeros(len(best.u)), lambda: listed), *((one.move, one.covariance) for one in discrepancies)]

@@ -148,7 +148,7 @@ def start_values(effect: Effect, scale: Scale, peaks_Hz: Sequence[float]) -> lis
     free = [k for k, p in enumerate(effect.parameters) if p.nominal == 0.0 and p.bounds(scale)[0] < 0.0]
     choices = [lists]
     if len(free) > 1:
-        choices = [[values if k == one or k not in free else [0.0] for k, values in enumerate(lists)] for one in free]
+        choices = [[values if k == alone or k not in free else [0.0] for k, values in enumerate(lists)] for alone in free]
     combos = [{n: v for n, v in zip(names, combo, strict=True) if v is not None} for these in choices for combo in product(*these)]
     if len(combos) > MOST_STARTS:
         combos = [combos[k] for k in np.unique(np.linspace(0, len(combos) - 1, MOST_STARTS).astype(int))]

@@ -32,8 +32,8 @@ class Linearisation:
         labels: What each of the m columns stands for. Effects change the list: a press that no longer touches has no columns.
         space: The columns A (m, 7, b), prepared to be projected out. The first 11 are ∂f/∂η of the shared deviations.
         prediction: Whitened prediction f (7, b) in that state.
-        owned: Whitened changes (p, 7, b) by one standard deviation of each tolerance that an effect stands for (`Effect.tolerance`). Their
-            columns in A are zero.
+        tolerance_columns: Whitened changes (p, 7, b) by one standard deviation of each tolerance that an effect stands for
+            (`Effect.tolerance`). Their columns in A are zero.
     """
 
     effects: EffectValues
@@ -41,7 +41,7 @@ class Linearisation:
     labels: tuple[Column, ...]
     space: Nuisances
     prediction: Floats
-    owned: Floats
+    tolerance_columns: Floats
 
     def numbers(self, scope: str, name: str | None = None, channel: int | None = None) -> list[int]:
         """Numbers of the columns of one kind, in ascending order.
@@ -64,8 +64,8 @@ class Linearisation:
     def restricted_to(self, bins: NDArray[np.bool_]) -> "Linearisation":
         """The linearisation of a problem in which only some bins (b,) count."""
         prediction = np.where(bins[None, :], self.prediction, 0.0)
-        owned = np.where(bins[None, None, :], self.owned, 0.0)
-        return Linearisation(self.effects, self.eta, self.labels, nuisances(self.space.columns.restricted_to(bins)), prediction, owned)
+        replaced, space = np.where(bins[None, None, :], self.tolerance_columns, 0.0), nuisances(self.space.columns.restricted_to(bins))
+        return Linearisation(self.effects, self.eta, self.labels, space, prediction, replaced)
 
 
 def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisation:
@@ -94,9 +94,9 @@ def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisa
     replaced = [label.scope != "press" and label.channel in (-1, FZ) and tolerance_key(label.name) in keys for label in labels]
     changing = Columns.of([{} if gone else column for gone, (_, column) in zip(replaced, labelled, strict=False)], prediction.shape)
     remaining, taken = fixed.columns.without(np.flatnonzero(replaced[len(labelled) :]))
-    owned = [Columns.of([column], prediction.shape).dense()[0] for gone, (_, column) in zip(replaced, labelled, strict=False) if gone]
+    shared_gone = [Columns.of([column], prediction.shape).dense()[0] for gone, (_, column) in zip(replaced, labelled, strict=False) if gone]
     space = nuisances(changing.beside(remaining))
-    return Linearisation(effects, eta, labels, space, prediction, np.array([*owned, *taken]).reshape(-1, *prediction.shape))
+    return Linearisation(effects, eta, labels, space, prediction, np.array([*shared_gone, *taken]).reshape(-1, *prediction.shape))
 
 
 def _shared_columns(problem: Problem, effects: EffectValues, eta: Floats, prediction: Floats) -> list[Floats]:
@@ -108,8 +108,7 @@ def _shared_columns(problem: Problem, effects: EffectValues, eta: Floats, predic
     for k, name in enumerate(SHARED):
         column = np.zeros_like(prediction)
         if sd[k] > 0.0 and name in LEAKS_INTO:
-            channel = LEAKS_INTO[name]
-            column[channel] = leaks[channel]
+            column[LEAKS_INTO[name]] = leaks[LEAKS_INTO[name]]
         elif sd[k] > 0.0:
             step = 0.3 if name == "surface_z_m" else 0.5
             h = min(step, 0.05 / sd[k]) if name in RELATIVE else step
@@ -170,8 +169,9 @@ def _press_columns(
         source, sd = shared[SHARED.index(deviation)], problem.shared_sd[SHARED.index(deviation)]
         if sd > 0 and scatter > 0:
             scatters.append((name, {channel: source[channel] * (scatter / sd) for channel in np.flatnonzero(source.any(axis=1)).tolist()}))
+    press_of_bins = recording.bins.label(recording.phases.press)
     for press in range(recording.phases.presses):
-        bins = np.flatnonzero(recording.bin_press == press)
+        bins = np.flatnonzero(press_of_bins == press)
         if not len(bins):
             continue
         # The bins of a press follow each other; one bin at either side belongs to it in part.

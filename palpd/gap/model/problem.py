@@ -15,7 +15,7 @@ from palpd.cell.cell_file import CROSSTALK, CROSSTALK_ARM_M, CellFile, EffectVal
 from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS, Effect, Scale
 from palpd.cell.simulation import predict_motion, scale_of
-from palpd.gap.data.noise import FX, FY, FZ, TX, Z, pure_rms, resolutions
+from palpd.gap.data.noise import FX, FZ, Z, pure_rms, resolutions
 from palpd.gap.data.observations import Observations
 from palpd.gap.data.phases import PHASES
 from palpd.gap.data.prepare import PreparedRecording, prepare, stated_cell
@@ -296,8 +296,7 @@ def problem_of(observations: Observations, library: Mapping[str, Effect]) -> Pro
     Args:
         library: The effects that may be present.
     """
-    its = observations
-    return _problem(its.cell, its.recordings, library, its.roundings, excess_noise=its.excess_noise)
+    return _problem(observations.cell, observations.recordings, library, observations.roundings, excess_noise=observations.excess_noise)
 
 
 def make_problem(
@@ -378,7 +377,7 @@ def _whitening(
         sigma[Z] = np.hypot(sigma[Z], acceleration_m)
         sigma[FZ] = np.hypot(sigma[FZ], recording.motion.z_noise_m * _stiffness(cell, recording))
         sigma[FZ] = np.hypot(sigma[FZ], rounding_N)
-        _hide_rounding(sigma, cell)
+        sigma = np.hypot(sigma, _hidden_rms(cell, len(recording.bins)))
         sigma[~np.array(recording.judged)] = np.inf
         sigmas.append(sigma)
     heights_m = [its.bins.means() @ its.reports.joined * (its.noise_rms[Z] * (its.reports.rows_each > 1.0)) for its in recordings]
@@ -388,15 +387,13 @@ def _whitening(
     return Whitening.of(np.hstack(sigmas), shared)
 
 
-def _hide_rounding(sigma: Floats, cell: CellFile) -> None:
-    """Widen the noise (7, b) of lateral forces and torques by the error of rounding that noise does not dither.
+def _hidden_rms(cell: CellFile, bins: int) -> Floats:
+    """Rms (7, 1) of the error of rounding that noise does not dither, of lateral forces and torques; 0 of the other channels.
 
     Where the force is the same, so is that error: no number of bins averages it, and all of them count as one reading for each phase.
     """
-    alike = np.sqrt(sigma.shape[1] / len(PHASES))
-    for channel in (FX, FY, *range(TX, 7)):
-        step, noise = resolutions(cell)[channel], pure_rms(cell)[channel]
-        sigma[channel] = np.hypot(sigma[channel], alike * undithered_rms(step, noise))
+    rms = [undithered_rms(step, noise) for step, noise in zip(resolutions(cell), pure_rms(cell), strict=True)]
+    return np.sqrt(bins / len(PHASES)) * np.where(np.isin(range(7), (Z, FZ)), 0.0, rms)[:, None]
 
 
 def _stiffness(cell: CellFile, recording: PreparedRecording) -> Floats:
