@@ -70,7 +70,11 @@ def bins_of(recordings: Sequence[PreparedRecording]) -> list[slice]:
 
 
 def whitened_column(noise: Whitening, channel: int, bins: slice, values: Floats) -> ColumnByChannel:
-    """A column (b,) of A that changes one channel in some bins: there by these values in the unit of the channel."""
+    """A column (b,) of A that changes one channel in some bins.
+
+    Args:
+        values: The change in these bins (m,), in the unit of the channel.
+    """
     column = np.zeros(noise.sigma.shape[1])
     column[bins] = values
     return {channel: noise.whiten_channel(channel, column)}
