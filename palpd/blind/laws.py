@@ -207,20 +207,6 @@ def play(u: Floats, band: float) -> Floats:
     return np.array(out)
 
 
-def delayed(u: Floats, dt_s: float, late_s: float) -> Floats:
-    """Delay a signal; before it begins, it has its first value.
-
-    Args:
-        u: Signal (n,).
-        dt_s: Step in s.
-
-    Returns:
-        The delayed signal (n,).
-    """
-    t = np.arange(len(u)) * dt_s
-    return np.interp(t - late_s, t, u)
-
-
 def _times(*names: str) -> Callable[[Shape, float], Shape]:
     return lambda p, s: {k: x * s if k in names else x for k, x in p.items()}
 

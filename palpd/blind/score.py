@@ -78,13 +78,8 @@ class Score:
 
     def met(self) -> bool | None:
         """Whether the estimate reaches its target; None where there is no target, or where there are too few cases for a verdict."""
-        sign, _, bound = self.target.partition(" ")
-        if self.value is None or not bound or self.n < self.least_n:
-            return None
-        low, _, high = bound.partition(" to ")
-        if high:
-            return float(low) <= self.value <= float(high)
-        return self.value >= float(bound) if sign == "≥" else self.value <= float(bound)
+        shortfall = self.shortfall()
+        return None if shortfall is None or self.n < self.least_n else shortfall == 0.0
 
     def shortfall(self) -> float | None:
         """By how much the estimate misses its target, however few the cases; None where there is no target or no case."""

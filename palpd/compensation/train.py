@@ -225,7 +225,8 @@ def _model(method: Method, features: Floats, force_N: Floats, fitted: Floats, ha
     need not be the mass. It has a drag only where the drag is larger than its uncertainty.
     """
     if method == "network":
-        return _network(features, force_N)
+        network, predicted_N = _perceptron(features, force_N, HIDDEN)
+        return _onnx(_layers(OUTPUT_NAME), network), predicted_N
     dragged = abs(fitted[2]) > half[2]
     slopes = np.column_stack([features[:, 0] if dragged else np.zeros(len(features)), features[:, 1], np.ones(len(features))])
     *speeds, bias_N = np.linalg.lstsq(slopes, force_N, rcond=None)[0].tolist()
@@ -247,12 +248,6 @@ def _model(method: Method, features: Floats, force_N: Floats, fitted: Floats, ha
         helper.make_node("Add", ["line", "small"], [OUTPUT_NAME]),
     ]
     return _onnx(nodes, limited), line_N + PRIOR_LIMIT_N * np.tanh(predicted)
-
-
-def _network(features: Floats, force_N: Floats) -> tuple[bytes, Floats]:
-    """The paper's network 2-10-1 as ONNX, and its answers (n,) at its training points in N."""
-    weights, predicted_N = _perceptron(features, force_N, HIDDEN)
-    return _onnx(_layers(OUTPUT_NAME), weights), predicted_N
 
 
 def _perceptron(features: Floats, target: Floats, hidden: int) -> tuple[dict[str, Floats], Floats]:

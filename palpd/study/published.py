@@ -228,15 +228,14 @@ FORCE = ("sensor.bias", "sensor.warmup", "sensor.drift", "cable.friction")
 SHARE = ("sensor.gain", "tissue.modulus", "tissue.viscoelastic", "tissue.preconditioning", "tissue.surface", "robot.compliance")
 
 
-def explanations(corrected: bool = True) -> list[Explanation]:
+def explanations() -> list[Explanation]:
     """Explanations of a dynamic modulus of Table 2 that exceeds the static one at the same depth.
 
     They are nothing, one force in all setups, or one share of the contact force in all. Weighted least squares on the logarithms of the
     four ratios; the depth's error is common to all.
     """
     lines = {setup: _static_line(setup) for setup in SETUPS}
-    dynamic_Pa = {s: averages(s).corrected_Pa if corrected else averages(s).original_Pa for s in SETUPS}
-    ratio = np.array([dynamic_Pa[s] / lines[s].modulus_Pa for s in SETUPS])
+    ratio = np.array([averages(s).corrected_Pa / lines[s].modulus_Pa for s in SETUPS])
     force_N = np.array([lines[s].force_N for s in SETUPS])
     of_depth = np.array([lines[s].of_depth for s in SETUPS])
     factor = np.linalg.cholesky(np.diag([lines[s].sigma ** 2 for s in SETUPS]) + np.outer(of_depth, of_depth))
