@@ -281,7 +281,7 @@ class GapDiagnosis(_Shown):
     @property
     def probabilities(self) -> dict[str, float]:
         """Probability of every effect, of `none` and of `unknown`."""
-        return {**self.answer.candidates, "none": self.answer.p_none, "unknown": self.answer.p_unknown}
+        return {**self.answer.decision.candidates, "none": self.answer.decision.p_none, "unknown": self.answer.decision.p_unknown}
 
     @property
     def cell(self) -> Cell:

@@ -32,6 +32,7 @@ DIMENSIONLESS = {
     "power_none": "exponent of the odds of no gap",
     "doubt": "share of the prior that is mixed in",
     "energy": "share of a gap's energy",
+    "events_share": "share of a gap's energy",
     "excess": "in units of the noise",
     "expected_gain": "information, in nats",
     "factor": "ratio",
@@ -41,6 +42,7 @@ DIMENSIONLESS = {
     "fy_per_fz": "ratio of forces",
     "gain": "ratio",
     "gained": "log probability",
+    "leading_leaves": "share of a misfit",
     "log_bayes_factor": "log probability",
     "log_determinant": "log of a ratio of volumes",
     "log_exact": "log probability",
@@ -56,6 +58,7 @@ DIMENSIONLESS = {
     "p": "probability",
     "p_lone_axis": "probability",
     "p_none": "probability",
+    "p_outside": "probability",
     "p_unknown": "probability",
     "participation": "share of the mass",
     "poisson_ratio": "ratio",
@@ -80,6 +83,7 @@ DIMENSIONLESS = {
     "strongest": "strength, a multiple of the drawn shape",
     "told_at_snr": "signal-to-noise ratio",
     "youngs_modulus": "relative tolerance",
+    "wander_nats": "log probability",
 }
 """Names of quantities without a unit, and why they have none."""
 
@@ -91,7 +95,7 @@ ANY_UNIT = {
     "PlausibleRange": "a range of any unit, which stands beside",
     "OpenParameter": "a parameter or deviation of any unit, which its name says",
     "Coordinate": "a parameter of any effect, in the unit of its name",
-    "Gap": "a channel of any unit, which stands beside",
+    "PhaseGap": "a channel of any unit, which stands beside",
     "Shrink": "a channel of any unit, which stands beside",
     "MotionCheck": "a channel of any unit, which stands beside",
     "GuardState": "of whatever tripped, which stands beside with its unit",

@@ -51,11 +51,12 @@ def adopt_and_name(first: Samples, second: Samples, cell: CellFile, max_bins: in
         max_bins: Largest number of bins of each diagnosis, about.
     """
     learning = diagnose([first], cell, max_bins=max_bins, propose=False)
-    if learning.finding.learned is None:
+    law = learning.decision.law
+    if law is None:
         return AdoptionOutcome(None)
     with TemporaryDirectory() as folder:
         write_answer(Path(folder) / "first.json", learning)
-        return name_again(Path(folder) / "first.learned.yaml", second, cell, secondary=learning.finding.secondary, max_bins=max_bins)
+        return name_again(Path(folder) / "first.learned.yaml", second, cell, secondary=law.secondary, max_bins=max_bins)
 
 
 def name_again(learned: Path, second: Samples, cell: CellFile, *, secondary: bool = False, max_bins: int = MAX_BINS) -> AdoptionOutcome:
@@ -73,7 +74,7 @@ def name_again(learned: Path, second: Samples, cell: CellFile, *, secondary: boo
     answer = diagnose([second], cell, known, max_bins=max_bins, propose=False)
     mine = next((one for one in answer.effects if one.id == law.id), None)
     groups = {name for one in answer.effects for name in (one.id, *one.indistinguishable_from)}
-    again = answer.finding.learned
+    again = answer.decision.learned
     return AdoptionOutcome(
         law.id,
         law.what,

@@ -270,7 +270,7 @@ def _answer(diagnosis: Diagnosis, effect: str) -> Answer:
         "open": sorted(among),
         "resolved": diagnosis.resolved and named == [effect],
         "among": effect in among,
-        "p": float(min(diagnosis.candidates.get(effect, 0.0), 1.0)),
+        "p": float(min(diagnosis.decision.candidates.get(effect, 0.0), 1.0)),
     }
 
 

@@ -142,8 +142,9 @@ def _diagnose_fleet(
     from rich.progress import track
 
     from palpd.cli.tables import fleet_table, recordings_table
-    from palpd.gap.commands import adopted_sentence, library
+    from palpd.gap.commands import library
     from palpd.gap.fleet import by_cell, diagnose_folder, recordings_in
+    from palpd.gap.notes import adopted_sentence
 
     known = library(effects, adopted=adopted)
     diagnoses = diagnose_folder(folder, jobs=jobs, scheduler=scheduler, effects=effects, adopted=adopted)
@@ -188,7 +189,8 @@ def resolve(
     from palpd.daemon.stored_state import State
     from palpd.daemon.wiring import devices
     from palpd.documents import read_yaml
-    from palpd.gap.commands import adopted_sentence, library
+    from palpd.gap.commands import library
+    from palpd.gap.notes import adopted_sentence
 
     say_broken_effects()
     settings = load_config(config)

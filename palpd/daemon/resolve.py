@@ -22,9 +22,9 @@ from palpd.files import write_yaml
 from palpd.gap.advise.motions import MotionLimits
 from palpd.gap.advise.next_experiment import Advice, advise
 from palpd.gap.commands import write_answer
+from palpd.gap.decide import BeyondList
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.infer.posterior import Attribution
-from palpd.gap.laws.finding import LawFinding
 from palpd.gap.report.page import write as write_report
 from palpd.recording.reader import Recording, export
 from palpd.recording.samples import Samples, common_site, read
@@ -158,20 +158,20 @@ def resolve(setting: Setting, plan: Plan = STANDARD, recordings: Sequence[Path] 
 def _end(diagnosis: Diagnosis, advice: Advice, recorded: int, rounds: int) -> str:
     """Why the loop is over; empty while it is not."""
     if diagnosis.verdict == "none":
-        return f"Resolved: no gap beyond the cell's own tolerances (probability {diagnosis.p_none:.2f})."
+        return f"Resolved: no gap beyond the cell's own tolerances (probability {diagnosis.decision.p_none:.2f})."
     if diagnosis.resolved:
         return f"Resolved: {' and '.join(effect.id for effect in diagnosis.effects)}."
     beyond = _beyond_list(diagnosis)
-    if advice.proposal is None and advice.pair is None and beyond is not None and beyond.learned is not None:
-        return f"Resolved: {beyond.learned.id}, a law outside the list, which holds in all recordings."
+    if advice.proposal is None and advice.pair is None and beyond is not None and beyond.law is not None:
+        return f"Resolved: {beyond.law.learned.id}, a law outside the list, which holds in all recordings."
     if advice.proposal is None:
         return advice.sentence
     return f"All {rounds} allowed recordings were made; still open: {_odds_text(advice)}." if recorded >= rounds else ""
 
 
-def _beyond_list(diagnosis: Diagnosis) -> LawFinding | None:
+def _beyond_list(diagnosis: Diagnosis) -> BeyondList | None:
     """What the search for laws found, where that is the verdict."""
-    return diagnosis.finding if diagnosis.verdict == "unknown" else None
+    return diagnosis.decision.beyond if diagnosis.verdict == "unknown" else None
 
 
 def _limits(setting: Setting, diagnosis: Diagnosis) -> MotionLimits:

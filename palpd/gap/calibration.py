@@ -7,15 +7,17 @@ the folder of this file.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
 from palpd.documents import parse_json
 from palpd.gap.infer.posterior import P_NONE, P_UNKNOWN
-from palpd.gap.verdict import P_NONE_TO_ACQUIT, DiagnosisVerdict
 
 MAP_FILE = "calibration.json"
+
+P_NONE_TO_ACQUIT = 0.25
+"""Probability of no gap above which no effect is named: a false accusation costs more than a missed effect. The map leaves it as it is."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +64,3 @@ def stored_map() -> ProbabilityMap:
     """The map of this version."""
     content = parse_json(files("palpd.gap").joinpath(MAP_FILE).read_text(encoding="utf-8"), MAP_FILE)
     return ProbabilityMap(**content)
-
-
-def as_stated(verdict: DiagnosisVerdict, by: ProbabilityMap) -> DiagnosisVerdict:
-    """The same verdict and names, with the probabilities that are stated."""
-    if not by.cells:
-        return verdict
-    candidates = by.of_effects(verdict.candidates)
-    p_none, p_unknown = by.of_classes(verdict.p_none, verdict.p_unknown)
-    effects = [replace(effect, probability=candidates[effect.id]) for effect in verdict.effects]
-    return replace(verdict, effects=effects, candidates=candidates, p_none=p_none, p_unknown=p_unknown)

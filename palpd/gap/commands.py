@@ -1,7 +1,6 @@
 """What the command line does with recordings of cells: diagnose one or several jointly, simulate, estimate tolerances."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict
 
@@ -64,12 +63,6 @@ def effects_named(names: Sequence[str], known: Mapping[str, Effect]) -> list[Eff
     if unknown := [name for name in names if name not in known]:
         raise BadInput(f"there is no effect {unknown[0]!r}; expected one of {', '.join(known)}")
     return [known[name] for name in names]
-
-
-def adopted_sentence(folder: Path, known: Mapping[str, Effect]) -> str:
-    """Which adopted effects took part, and the folder in which they stand; empty if none did."""
-    names = [name for name in load_adopted(folder) if name in known]
-    return f"Adopted effects were weighed with the others: {', '.join(names)} ({folder})." if names else ""
 
 
 def nominal_cell(cell: Path | None, recordings: Sequence[Path], known: Mapping[str, Effect]) -> CellFile:
@@ -156,9 +149,7 @@ def diagnose_files(
     if cell is None:
         nominal = nominal.assumed_at_site(common_site(samples))
     simulators = [UserSimulator.of_file(path, one.t_s) for path, one in zip(simulated, samples, strict=False)]
-    diagnosis = diagnose(samples, nominal, known, propose=propose, calibrated=calibrated, simulators=simulators, show=show)
-    if adopted is not None and (weighed := adopted_sentence(adopted, diagnosis.problem.library)):
-        diagnosis = replace(diagnosis, notes=[*diagnosis.notes, weighed])
+    diagnosis = diagnose(samples, nominal, known, propose=propose, calibrated=calibrated, simulators=simulators, adopted=adopted, show=show)
     if json_out is not None:
         write_answer(json_out, diagnosis)
     if cell_out is not None:
@@ -173,9 +164,9 @@ def write_answer(path: Path, diagnosis: Diagnosis) -> None:
         motion = path.with_name(f"{path.stem}.next.csv")
         diagnosis.proposal.write_motion(motion)
         content["next_experiment"]["motion_csv"] = motion.name
-    if diagnosis.finding.learned is not None:
+    if diagnosis.decision.learned is not None:
         learned = path.with_name(f"{path.stem}.learned.yaml")
-        save_learned(learned, [diagnosis.finding.learned])
+        save_learned(learned, [diagnosis.decision.learned])
         content["learned"]["file"] = learned.name
         content["plain"] = plain_answer(content, diagnosis.problem.library)
     write_json(path, content)

@@ -106,8 +106,8 @@ def diagnose_one(recording: Path, cell: str, effects: Path | None = None, adopte
     except Exception as error:  # the end of this recording, whatever it is, and not of the others
         return _failed(recording, cell, error)
     named = {e.id: e.parameters for e in diagnosis.effects}
-    probability = max((e.probability for e in diagnosis.effects), default=diagnosis.p_none)
-    closed, sentence = diagnosis.shrink.closed, diagnosis.sentence
+    probability = max((e.probability for e in diagnosis.effects), default=diagnosis.decision.p_none)
+    closed, sentence = diagnosis.gap.shrink.closed, diagnosis.sentence
     return FleetRow(recording.stem, cell, diagnosis.verdict, named, probability=probability, closed=closed, sentence=sentence)
 
 

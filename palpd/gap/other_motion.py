@@ -89,11 +89,11 @@ def check_on(diagnosis: Diagnosis, samples: Samples, simulator: UserSimulator | 
         BadInput: The user's simulator is the nominal, and its output for this recording is not known.
     """
     enriched, nominal = diagnosis.enriched_cell(), diagnosis.problem.cell
-    learned = diagnosis.finding.learned
+    learned = diagnosis.decision.learned
     if learned is not None:
         channel: str = max(learned.terms[0].channels.items(), key=lambda item: abs(item[1]) * (item[0] not in ("tx_Nm", "ty_Nm")))[0]
     else:
-        channel = diagnosis.where["channel"] if diagnosis.where is not None else "fz_N"
+        channel = diagnosis.gap.where["channel"] if diagnosis.gap.where is not None else "fz_N"
     plain = enriched.model_copy(update={"effects": nominal.effects, "learned": nominal.learned})
     simulators = _simulators_for(diagnosis, simulator)
     problem = make_problem([samples], nominal, diagnosis.problem.library, simulators=simulators)

@@ -8,12 +8,15 @@ import numpy as np
 
 from palpd.cell.cell_file import EffectValues, Estimated, OpenHypothesis, OpenParameter
 from palpd.gap.data.noise import FZ
+from palpd.gap.decide import DiagnosisVerdict, NamedEffect
+from palpd.gap.enriched import ZEROS, estimated_with
 from palpd.gap.infer.evidence import Fit
 from palpd.gap.infer.fit import jacobian_at
-from palpd.gap.infer.posterior import Attribution
+from palpd.gap.infer.inference import Inference
+from palpd.gap.infer.intervals import by_named_parameters
+from palpd.gap.laws.evidence import FitBeside
 from palpd.gap.model.coordinates import Coordinate
 from palpd.gap.model.problem import RELATIVE, SHARED, Problem
-from palpd.gap.verdict import ZEROS, DiagnosisVerdict, NamedEffect, by_named_parameters, estimated_with
 from palpd.tick import Floats
 
 LEAST_SHARE = 0.02
@@ -34,23 +37,21 @@ class _Open:
     covariance: Floats
 
 
-def open_hypotheses(problem: Problem, verdict: DiagnosisVerdict, attribution: Attribution, fit: Fit) -> tuple[OpenHypothesis, ...]:
+def open_hypotheses(inference: Inference, verdict: DiagnosisVerdict) -> tuple[OpenHypothesis, ...]:
     """The hypotheses that remain, each with the joint uncertainty of its numbers.
 
     Args:
         verdict: Its effects of the scatter belong to every hypothesis.
-        attribution: The posterior over hypotheses.
-        fit: The hypothesis of the answer, with what is outside the list taken from its residual.
 
     Returns:
         The answer first, then the hypotheses that could stand in its place, by falling probability. Their probabilities add up to 1.
     """
-    best = attribution.best
-    fits, shares = [fit], [max(best.share, 1e-6)]
-    if verdict.fit is fit and fit.names:  # nothing outside the list was taken away, so the others explain the same residual
-        for one in attribution.hypotheses[1:]:
+    problem, best = inference.problem, inference.attribution.best
+    fits, shares = [verdict.answer], [max(best.share, 1e-6)]
+    if verdict.law is None and verdict.fit.names:  # nothing outside the list was taken away, so the others explain the same residual
+        for one in inference.attribution.hypotheses[1:]:
             if one.fit.names and one.share > LEAST_SHARE * best.share and _is_listed(one.fit):
-                fits.append(by_named_parameters(problem, one.fit))
+                fits.append(FitBeside.nothing(by_named_parameters(problem, one.fit)))
                 shares.append(one.share)
     scatter = [effect for effect in verdict.effects if problem.library[effect.id].scatter]
     return tuple(open_hypothesis(problem, one, share / sum(shares), scatter) for one, share in zip(fits, shares, strict=True))
@@ -61,13 +62,14 @@ def _is_listed(fit: Fit) -> bool:
     return not any(name.startswith("learned.") for name in fit.names)
 
 
-def open_hypothesis(problem: Problem, fit: Fit, share: float, scatter: Sequence[NamedEffect]) -> OpenHypothesis:
+def open_hypothesis(problem: Problem, answer: FitBeside, share: float, scatter: Sequence[NamedEffect]) -> OpenHypothesis:
     """A hypothesis with the joint uncertainty of its numbers, as a cell file holds it.
 
     Args:
         share: Its probability.
         scatter: Effects of the scatter, which act in addition.
     """
+    fit = answer.fit
     values: EffectValues = {**problem.cell.effects, **{name: fit.values[name] for name in fit.names if not name.startswith("learned.")}}
     values |= {one.id: {name: value for name, (value, _, _) in one.parameters.items()} for one in scatter}
     together, alone = _of_fit(problem, fit), _of_scatter(problem, scatter)
@@ -82,7 +84,7 @@ def open_hypothesis(problem: Problem, fit: Fit, share: float, scatter: Sequence[
     return OpenHypothesis(
         probability=min(share, 1.0),
         effects=values,
-        estimated=Estimated.model_validate(estimated_with(problem, fit).model_dump()),
+        estimated=Estimated.model_validate(estimated_with(problem, answer).model_dump()),
         open=tuple(one.model_copy(update={"sd": float(x)}) for one, x in zip(numbers, sd.tolist(), strict=True)),
         correlation=tuple(tuple(row) for row in correlation.tolist()),
     )

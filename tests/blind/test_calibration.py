@@ -9,8 +9,8 @@ from palpd.blind.outcome import CaseOutcome
 from palpd.blind.score import calibration_error, error_of_a_calibrated_forecaster
 from palpd.errors import BadInput
 from palpd.gap import diagnosis
-from palpd.gap.calibration import ProbabilityMap, stored_map
-from palpd.gap.verdict import P_NONE_TO_ACQUIT, P_TO_NAME
+from palpd.gap.calibration import P_NONE_TO_ACQUIT, ProbabilityMap, stored_map
+from palpd.gap.decide import P_TO_NAME
 
 DOUBTING = ProbabilityMap(power=0.4, doubt=0.1, power_none=3.0, cells=500, how="a test")
 
@@ -105,7 +105,8 @@ def test_a_diagnosis_states_what_the_map_makes_of_the_engines_probabilities(monk
     own = diagnosis.diagnose([samples], cell, max_bins=600, propose=False, calibrated=False)
     monkeypatch.setattr(diagnosis, "stored_map", lambda: DOUBTING)
     stated = diagnosis.diagnose([samples], cell, max_bins=600, propose=False)
-    assert stated.candidates == pytest.approx(DOUBTING.of_effects(own.candidates))
-    assert (stated.p_none, stated.p_unknown) == pytest.approx(DOUBTING.of_classes(own.p_none, own.p_unknown))
+    raw, mapped = own.decision, stated.decision
+    assert mapped.candidates == pytest.approx(DOUBTING.of_effects(raw.candidates))
+    assert (mapped.p_none, mapped.p_unknown) == pytest.approx(DOUBTING.of_classes(raw.p_none, raw.p_unknown))
     assert (stated.verdict, [e.id for e in stated.effects]) == (own.verdict, [e.id for e in own.effects]) == ("effects", ["tissue.surface"])
-    assert [e.probability for e in stated.effects] == [stated.candidates[e.id] for e in stated.effects]
+    assert [e.probability for e in stated.effects] == [mapped.candidates[e.id] for e in stated.effects]

@@ -111,7 +111,7 @@ def test_it_asks_records_and_ends_when_resolved(monkeypatch: pytest.MonkeyPatch,
 
 def test_a_healthy_cell_needs_no_second_recording(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     healthy = answer({"no effect": 0.9, "sensor.bias": 0.05}, "none")
-    healthy[0].p_none = 0.9
+    healthy[0].decision = SimpleNamespace(p_none=0.9)
     resolution, plans, asked = carried_out(monkeypatch, tmp_path, [healthy])
     assert resolution["resolved"]
     assert "0.90" in resolution["reason"]
@@ -123,7 +123,8 @@ def test_a_law_outside_the_list_is_resolved_when_nothing_is_alike_and_its_odds_a
 ) -> None:
     first, second = answer({"no effect": 0.9, PAIR[0]: 0.05}, "unknown"), answer({"no effect": 0.9}, "unknown")
     for diagnosis, _ in (first, second):
-        diagnosis.finding = SimpleNamespace(learned=SimpleNamespace(id="learned.air_of_height"))
+        law = SimpleNamespace(learned=SimpleNamespace(id="learned.air_of_height"))
+        diagnosis.decision = SimpleNamespace(beyond=SimpleNamespace(law=law))
     alike = ("learned.air_of_height", "learned.air_of_gap")
     open_ = Advice(alike, np.array([0.6, 0.4]), proposal(), alike, 3.0)
     settled = Advice(alike[:1], np.array([1.0]), None, None, 0.0)

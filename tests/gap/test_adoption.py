@@ -22,7 +22,8 @@ from palpd.errors import BadInput
 from palpd.gap import commands
 from palpd.gap.adoption import adopt
 from palpd.gap.commands import library, simulate_file
-from palpd.gap.diagnosis import diagnose, with_laws_whole
+from palpd.gap.diagnosis import diagnose
+from palpd.gap.enriched import with_laws_whole
 from palpd.gap.fleet import by_cell, diagnose_folder
 from palpd.recording.reader import Recording, export
 from palpd.recording.samples import Samples, write_csv

@@ -124,8 +124,8 @@ def test_an_effect_is_named_alone_with_its_size_and_closes_the_gap(name: str, va
     (effect,) = diagnosis.effects
     assert name in {effect.id, *effect.indistinguishable_from}
     assert effect.id != name or all(effect.parameters[p][0] == pytest.approx(v, rel=0.25) for p, v in values.items())
-    assert diagnosis.shrink.closed is not None
-    assert diagnosis.shrink.closed > 0.9
+    assert diagnosis.gap.shrink.closed is not None
+    assert diagnosis.gap.shrink.closed > 0.9
 
 
 def test_a_force_that_noise_does_not_lift_off_its_level_is_no_smaller_mass() -> None:
@@ -291,8 +291,8 @@ def test_a_healthy_recording_that_shows_little_is_judged_for_what_it_shows_and_n
 ) -> None:
     diagnosis = quick(*poor(case))
     assert diagnosis.verdict == "none", diagnosis.sentence
-    assert {gap.channel for gap in diagnosis.gap} == set(CHANNELS) - not_judged
-    assert {gap.phase for gap in diagnosis.gap} == phases
+    assert {gap.channel for gap in diagnosis.gap.table} == set(CHANNELS) - not_judged
+    assert {gap.phase for gap in diagnosis.gap.table} == phases
     assert any(note in each for each in diagnosis.notes) if note else not diagnosis.notes
 
 

@@ -15,6 +15,7 @@ from scipy.stats import multivariate_normal
 from palpd.cell.cell_file import EffectValues
 from palpd.cell.effects.effect import Parameter
 from palpd.gap.calibration import ProbabilityMap
+from palpd.gap.decide import decide
 from palpd.gap.gaussian.nuisances import Columns, gram, nuisances, project
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.gap.infer import discrepancy, evidence
@@ -24,11 +25,11 @@ from palpd.gap.infer.evidence import LOG_SIZE_RANGE, Fit, laplace_evidence
 from palpd.gap.infer.fit import Optimum, gauss_newton
 from palpd.gap.infer.posterior import P_NONE, P_UNKNOWN, Attribution, known_and_unknown
 from palpd.gap.infer.residual import ResidualStructure
-from palpd.gap.laws.finding import LawFinding
+from palpd.gap.laws.evidence import LawEvidence
+from palpd.gap.laws.learned import p_outside
 from palpd.gap.model.coordinates import Coordinate, values_at
 from palpd.gap.model.fixed_nuisances import Column
 from palpd.gap.model.linearise import Linearisation
-from palpd.gap.verdict import decide
 from palpd.tick import Floats
 
 CHANNELS, BINS = 2, 9
@@ -258,11 +259,10 @@ def test_a_set_is_worth_no_more_than_a_smaller_one_less_the_price_of_a_further_e
 )
 def test_where_nothing_is_named_the_verdict_follows_the_table(p_none: float, p_unknown: float, lone_axis: float, kind: str) -> None:
     nobody = hypothesis((), exact=0.0, likelihood=0.0)
-    nobody.values = {}
-    best = SimpleNamespace(fit=nobody)
-    attribution: Any = SimpleNamespace(p_none=p_none, p_unknown=p_unknown, best=best, marginal={}, groups={})
+    attribution = SimpleNamespace(p_none=p_none, p_unknown=p_unknown, marginal={}, groups={})
+    inference: Any = SimpleNamespace(nominal=nobody, best=None, attribution=attribution)
     scatter: Any = SimpleNamespace(p_lone_axis=lone_axis, effects=())
-    verdict = decide(CELL, nobody, attribution, scatter)
+    verdict = decide(inference, scatter, LawEvidence(nobody), ProbabilityMap())
     assert verdict.kind == kind
     assert verdict.effects == []
     assert verdict.p_none == pytest.approx(p_none * (1.0 - lone_axis))
@@ -270,11 +270,9 @@ def test_where_nothing_is_named_the_verdict_follows_the_table(p_none: float, p_u
 
 
 def test_the_probability_of_a_law_follows_its_nats() -> None:
-    law: Any = SimpleNamespace()
     for nats in (0.0, 3.0):
-        finding = LawFinding(law, law, law, False, [], None, nats)
-        assert finding.p_outside == pytest.approx(1.0 / (1.0 + 0.85 / 0.15 * np.exp(-nats)))
-    assert LawFinding(law, law, law, False, [], None, 100.0).p_outside == 0.97
+        assert p_outside(nats) == pytest.approx(1.0 / (1.0 + 0.85 / 0.15 * np.exp(-nats)))
+    assert p_outside(100.0) == 0.97
 
 
 def test_the_score_tempers_the_odds_and_mixes_in_the_prior() -> None:

@@ -10,8 +10,11 @@ from palpd.config import parse_plan
 from palpd.gap.advise.law_rivals import rivals_of_law
 from palpd.gap.advise.motions import MotionLimits, same_again
 from palpd.gap.advise.next_experiment import Advice, advise
+from palpd.gap.advise.rivals import open_rivals
+from palpd.gap.decide import BeyondList, RefusedLaw
 from palpd.gap.diagnosis import Diagnosis
-from palpd.gap.laws.finding import LawFinding, RefusedLaw, _of_one_cycle
+from palpd.gap.laws.evidence import _judged, _one_cycle
+from palpd.gap.laws.held_out import HeldOut
 from tests.gap.test_diagnosis import recording
 from tests.gap.test_law_search import rail_N, with_force
 
@@ -23,20 +26,18 @@ def rail() -> Diagnosis:
 
 def refused(rail: Diagnosis, reason: str, cycle: int = 0) -> Advice:
     """Advice where the law of the rail was refused for that reason."""
-    assert rail.finding.law is not None
-    law = RefusedLaw(rail.finding.law, reason, 0, cycle)  # type: ignore[arg-type]
-    finding = LawFinding(None, None, rail.finding.beside, False, [], None, 0.0, refused=law)
-    return advise(rail.problem, rail.attribution, finding=finding)
+    assert rail.decision.law is not None
+    law = RefusedLaw(rail.decision.law.sought.law, reason, 0, cycle)  # type: ignore[arg-type]
+    return advise(rail.problem, rail.attribution, beyond=BeyondList(refused=law))
 
 
 def test_a_law_is_to_be_refuted_by_what_spreads_it_and_those_alike(rail: Diagnosis) -> None:
-    laws = rivals_of_law(rail.problem, rail.attribution, rail.finding)
-    assert laws is not None
-    advice = advise(rail.problem, rail.attribution, finding=rail.finding)
+    assert rail.decision.law is not None
+    laws = rivals_of_law(rail.problem, rail.attribution, rail.decision.law)
+    advice = advise(rail.problem, rail.attribution, beyond=rail.decision.beyond)
     assert advice.proposal is not None
     assert advice.pair is not None
-    assert rail.finding.learned is not None
-    assert rail.finding.learned.id in (one.name for one in laws.alike)
+    assert rail.decision.law.learned.id in (one.name for one in laws.alike)
     content = advice.proposal.to_json()
     assert set(content) == {"sentence", "plan", "motion_csv", "expected_gain"}
     assert content["expected_gain"] >= 1.0
@@ -47,15 +48,16 @@ def test_a_law_is_to_be_refuted_by_what_spreads_it_and_those_alike(rail: Diagnos
 
 
 def test_a_law_that_two_recordings_have_shown_leaves_nothing_open_but_those_alike(rail: Diagnosis) -> None:
-    law = rail.finding.law
+    law = rail.decision.law
     assert law is not None
-    alone = replace(rail.finding, law=replace(law, terms=(replace(law.terms[0], alike=()),)))
+    whole = law.sought.law
+    alone = replace(law, sought=replace(law.sought, law=replace(whole, terms=(replace(whole.terms[0], alike=()),))))
     one = rivals_of_law(rail.problem, rail.attribution, alone)
-    assert one is not None
     assert [len(one.alike), len(one.against_list)] == [1, 2], "the list is its rival as long as one recording alone shows it"
-    two = replace(rail.problem, recordings=(*rail.problem.recordings, *rail.problem.recordings))
-    again = rivals_of_law(two, rail.attribution, replace(alone, secondary=True))
-    assert again is None, "a listed cause stands: the list decides what to record"
+    again = advise(rail.problem, rail.attribution, beyond=replace(rail.decision.beyond, law=replace(alone, secondary=True)))
+    assert list(again.names) == [one.name for one in open_rivals(rail.attribution)], (
+        "a listed cause stands: the list decides what to record"
+    )
 
 
 def test_a_change_in_time_is_to_be_recorded_again(rail: Diagnosis) -> None:
@@ -83,15 +85,15 @@ def test_a_law_of_one_press_asks_for_that_press_again(rail: Diagnosis, cycle: in
 
 
 def test_a_law_that_one_press_alone_shows_is_told_from_one_that_several_show(rail: Diagnosis) -> None:
-    law = rail.finding.law
-    assert law is not None
-    assert _of_one_cycle(law) is None
+    assert rail.decision.law is not None
+    law = rail.decision.law.sought.law
+    assert _one_cycle(law) is None
     mine = rail.problem.recordings[0].bin_cycle == 1
     term = replace(
         law.terms[0], columns={channel: np.where(mine[:, None], values, 0.0) for channel, values in law.terms[0].columns.items()}
     )
-    alone = _of_one_cycle(replace(law, terms=(term,)))
-    assert alone is not None
-    assert (alone.reason, alone.recording, alone.cycle) == ("one cycle", 0, 1)
-    unlikely = replace(law, terms=(replace(term, nats=5.0),))
-    assert _of_one_cycle(unlikely) is None
+    assert _one_cycle(replace(law, terms=(term,))) == (0, 1)
+    fails = replace(term, held_out=HeldOut(np.zeros(4)))
+    assert _judged(rail.inference, replace(law, terms=(fails,)), law.space, rail.inference.nominal).one_cycle == (0, 1)
+    unlikely = replace(law, terms=(replace(fails, nats=5.0),))
+    assert _judged(rail.inference, unlikely, law.space, rail.inference.nominal).one_cycle is None

@@ -18,13 +18,14 @@ from palpd.cell.effects import load_effects
 from palpd.cell.effects.drivers import WORDS, Driver
 from palpd.cell.simulation import simulate
 from palpd.gap.commands import simulate_file, write_answer
+from palpd.gap.decide import BeyondList, _beyond_list
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.gaussian.evidence import SIZES, group_evidence
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace
 from palpd.gap.gaussian.nuisances import Columns
-from palpd.gap.laws import finding
+from palpd.gap.laws import learned
 from palpd.gap.laws.bases import hats, powers
-from palpd.gap.laws.finding import leading_leaves
+from palpd.gap.laws.evidence import LawEvidence, SoughtLaw, leading_leaves
 from palpd.gap.laws.formulas import formulas_of
 from palpd.gap.laws.held_out import FOLDS, held_out
 from palpd.gap.report.page import curves_of, page
@@ -75,8 +76,8 @@ def test_the_laws_that_fit_as_well_are_named_for_readers_and_for_programs_in_one
 
 
 def test_its_curve_covers_the_true_law_and_closes_the_gap_on_another_motion(rail: Diagnosis) -> None:
-    assert rail.finding.learned is not None
-    (term,) = rail.finding.learned.terms
+    assert rail.decision.learned is not None
+    (term,) = rail.decision.learned.terms
     z_m = np.array(term.knots)
     band = 3.0 * np.array(term.sd) + 0.1 * RAIL_N
     # A constant is a bias of the sensor, so only the shape counts.
@@ -103,7 +104,7 @@ def test_out_json_the_file_and_the_report_hold_the_law(rail: Diagnosis, tmp_path
 
 def test_a_law_over_few_bins_shows_its_data_in_the_report(rail: Diagnosis, monkeypatch: pytest.MonkeyPatch) -> None:
     """A recording of 49 rows has no stretch of the driver with three bins."""
-    monkeypatch.setattr(finding, "SHOWN_POINTS", 100_000)
+    monkeypatch.setattr(learned, "SHOWN_POINTS", 100_000)
     content = rail.to_json()
     assert content["learned"]["data"]["x"]
     assert "What it does" in page(content, curves_of(rail), rail.problem.library, "x")
@@ -134,24 +135,32 @@ def test_a_healthy_cell_and_a_listed_effect_have_neither_law_nor_events() -> Non
 
 
 def test_one_law_replaces_several_listed_effects_that_imitate_it_together_and_no_single_cause(rail: Diagnosis) -> None:
-    assert rail.finding.learned is not None
-    replacing = replace(rail.finding, replaces=True)
-    assert replacing.beside_named(leading_leaves=0.5) is replacing
+    law = rail.decision.law
+    assert law is not None
+    several: Any = SimpleNamespace(names=("a", "b"))
+    nothing = SoughtLaw(replace(law.sought.law, terms=()), several)
+
+    def beyond(leading_leaves: float, sought: SoughtLaw = law.sought) -> BeyondList:
+        return _beyond_list(LawEvidence(several, on_top=nothing, alone=sought, leading_leaves=leading_leaves), is_cause=True)
+
+    replacing = beyond(0.5).law
+    assert replacing is not None
+    assert replacing.replaces
     for leading in (0.0, 0.1):  # one effect, or one that explains most of the gap: a real cause never has quite its listed law
-        kept = replacing.beside_named(leading)
-        assert kept.learned is None
+        kept = beyond(leading)
+        assert kept.law is None
         assert kept.p_outside == 0.0
         assert kept.note is not None
-        assert rail.finding.learned.what in kept.note
-    two_terms = replacing.learned.model_copy(update={"terms": replacing.learned.terms * 2})
-    assert replace(replacing, learned=two_terms).beside_named(0.5).learned is None, "as many parts as the listed effects"
+        assert law.learned.what in kept.note
+    two_terms = replace(law.sought, law=replace(law.sought.law, terms=law.sought.law.terms * 2))
+    assert beyond(0.5, two_terms).law is None, "as many parts as the listed effects"
 
 
 def test_columns_that_are_filtered_one_by_one_are_those_that_are_filtered_together(
     rail: Diagnosis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    law = rail.finding.law
-    assert law is not None
+    assert rail.decision.law is not None
+    law = rail.decision.law.sought.law
     for channel in ("fz_N", "z_m"):
         candidate = replace(law.terms[0].candidate, channel=channel)
         together = law.scene.columns(candidate)

@@ -7,9 +7,9 @@ import pytest
 
 from benchmarks.plain_cells import cell_of, recording
 from palpd.cell.cell_file import CellFile
+from palpd.gap.decide import _probable_groups
 from palpd.gap.infer.shrink import _without_effects_at_its_modulus
 from palpd.gap.model.problem import SHARED, Problem, make_problem
-from palpd.gap.verdict import _probable_groups
 
 
 def groups(

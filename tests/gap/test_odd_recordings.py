@@ -48,8 +48,8 @@ def test_where_nothing_moves_there_is_an_answer_and_no_motion_to_advise(rounding
     samples, cell = resting(rounding, commanded, surface_m)
     diagnosis = diagnose([samples], cell, max_bins=600)
     assert any("nothing moves" in note for note in diagnosis.notes)
-    assert diagnosis.where is not None
-    assert diagnosis.where["phase"] in ("free_still", "holding")
+    assert diagnosis.gap.where is not None
+    assert diagnosis.gap.where["phase"] in ("free_still", "holding")
     assert diagnosis.proposal is None
 
 
@@ -85,7 +85,7 @@ def test_a_lateral_channel_that_no_noise_is_stated_for_needs_none() -> None:
     wrench = samples.wrench.copy()
     wrench[:, 4] = 1e-4 * wrench[:, 2]
     diagnosis = quick(replace(samples, wrench=wrench), cell)  # a warning is an error
-    assert np.isfinite(diagnosis.p_unknown)
+    assert np.isfinite(diagnosis.decision.p_unknown)
 
 
 def test_one_largest_reading_is_not_called_saturated() -> None:
@@ -185,7 +185,7 @@ def test_the_place_of_a_gap_does_not_depend_on_a_modulus_that_nobody_knows(modul
     known = changed(unknown, tolerances={"youngs_modulus": 0.02}, tissue={"youngs_modulus_Pa": 5e4})
     free, stated = quick(samples, unknown), quick(samples, known)
     assert "tissue.viscoelastic" in names(free), free.sentence
-    assert free.where == stated.where
+    assert free.gap.where == stated.gap.where
 
 
 def test_a_slow_vibration_is_found_below_what_the_servo_explains() -> None:

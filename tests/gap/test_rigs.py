@@ -149,8 +149,8 @@ def test_silicone_that_relaxes_is_viscoelastic_against_an_elastic_cell(name: str
     diagnosis = quick(held, foreign_cell(5e-3, 8e3, 0.0, 10.0, 0.002, youngs_modulus=1.0, surface_z_m=5e-4))
     assert diagnosis.effects[0].id == "tissue.viscoelastic", diagnosis.sentence
     assert len(diagnosis.effects) <= 2  # the tip is not a known sphere, so what bends the force curve may stand beside it
-    assert diagnosis.where is not None
-    assert diagnosis.where["phase"] in {"loading", "holding"}
+    assert diagnosis.gap.where is not None
+    assert diagnosis.gap.where["phase"] in {"loading", "holding"}
     assert any("creep" in note for note in diagnosis.notes)
 
 

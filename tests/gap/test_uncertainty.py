@@ -11,6 +11,7 @@ from palpd.cell.cell_file import CROSSTALK, OpenHypothesis, load_cell, save_cell
 from palpd.cell.draws import spread
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.infer.evidence import fit
+from palpd.gap.laws.evidence import FitBeside
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import Problem, make_problem
 from palpd.gap.uncertainty import open_hypothesis
@@ -53,7 +54,7 @@ def test_parameters_and_deviations_lie_together_where_the_uncertainty_says(probl
             eta = random.standard_normal(len(problem.nominal_eta))
             start = {name: {parameter: 1.2 * value for parameter, value in values.items()}}
             one = fit(data, start, linearise(data, start, data.nominal_eta), rounds=3)
-            hypothesis = open_hypothesis(data, one, 1.0, [])
+            hypothesis = open_hypothesis(data, FitBeside.nothing(one), 1.0, [])
             estimated = problem.estimated(eta)
             truth = {f"estimated.{key}": value for key, value in estimated.model_dump().items() if key != "crosstalk"}
             truth |= {f"estimated.{key}": value for key, value in zip(CROSSTALK, estimated.crosstalk, strict=True)}

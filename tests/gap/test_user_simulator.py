@@ -130,8 +130,8 @@ def test_an_effect_is_found_beside_the_users_law(drift_by_file: Diagnosis, drift
         assert [effect.id for effect in answer.effects] == ["sensor.drift"]
         value, low, high = answer.effects[0].parameters["rate_N_per_s"]
         assert low <= 0.01 <= high, (value, low, high)
-        assert answer.shrink.closed is not None
-        assert answer.shrink.closed > 0.95
+        assert answer.gap.shrink.closed is not None
+        assert answer.gap.shrink.closed > 0.95
 
 
 def test_what_a_file_cannot_judge_stands_in_sentence_and_json(drift_by_file: Diagnosis, drift_by_function: Diagnosis) -> None:

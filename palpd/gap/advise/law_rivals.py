@@ -9,9 +9,10 @@ import numpy as np
 from palpd.cell.effects.learned import LearnedEffect
 from palpd.cell.simulation import share_outside
 from palpd.gap.advise.rivals import Rival
+from palpd.gap.decide import NamedLaw
 from palpd.gap.infer.evidence import fit
 from palpd.gap.infer.posterior import Attribution
-from palpd.gap.laws.finding import LawFinding, free_name, learned_effect
+from palpd.gap.laws.learned import free_name, learned_effect
 from palpd.gap.laws.search import LearnedLaw
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
@@ -48,35 +49,32 @@ class LawRivals:
         return max(share_outside(cell, t_s, z_cmd_m=z_cmd_m, library=self.problem.library).values(), default=0.0)
 
 
-def rivals_of_law(problem: Problem, attribution: Attribution, finding: LawFinding) -> LawRivals | None:
+def rivals_of_law(problem: Problem, attribution: Attribution, named: NamedLaw) -> LawRivals:
     """A learned law, the laws that the recordings do not distinguish from it, and the answer of the list.
 
     Args:
         attribution: The posterior over listed hypotheses.
-
-    Returns:
-        The rivals; None where there is no law, or a listed effect is the cause and the law describes only what that leaves.
+        named: No secondary law.
     """
-    law = finding.law
-    if law is None or finding.learned is None or finding.secondary:
-        return None
-    listed: list[tuple[LearnedEffect, LearnedLaw, float]] = [(finding.learned, law, law.terms[0].nats)]
-    taken = {*problem.library, *(known.id for known in problem.cell.learned), finding.learned.id}
+    law = named.sought.law
+    listed: list[tuple[LearnedEffect, LearnedLaw, float]] = [(named.learned, law, law.terms[0].nats)]
+    taken = {*problem.library, *(known.id for known in problem.cell.learned), named.learned.id}
     for scored in law.terms[0].alike[:MOST_ALIKE]:
         if (other := law.instead(scored.candidate)) is not None:
-            effect = learned_effect(other, finding.nats)
+            effect = learned_effect(other, named.nats)
             effect = effect.model_copy(update={"id": free_name(effect.id, taken)})
             taken.add(effect.id)
             listed.append((effect, other, min(scored.nats, law.terms[0].nats)))
     problem = problem.with_library({effect.id: effect.effect() for effect, _, _ in listed})
     weights = np.array([exp(nats - listed[0][2]) for _, _, nats in listed])
-    shares = finding.p_outside * weights / weights.sum()
+    shares = named.p_outside * weights / weights.sum()
+    beside = named.sought.beside
     alike: list[Rival] = []
     for (effect, behind, _), share in zip(listed, shares.tolist(), strict=True):
-        values = finding.beside.values | {effect.id: effect.as_learned}
-        with_law = fit(problem, values, finding.beside.linearisation, iterations=3, rounds=1)
+        start = beside.values | {effect.id: effect.as_learned}
+        with_law = fit(problem, start, beside.linearisation, iterations=3, rounds=1)
         alike.append(Rival(with_law, share, with_law.eta, behind))
     by_list = attribution.best.fit
-    against = [replace(alike[0], share=finding.p_outside), Rival(by_list, 1.0 - finding.p_outside, by_list.eta)]
-    words = {effect.id: effect.what for effect, _, _ in listed}
-    return LawRivals(problem, alike, against if len(problem.recordings) == 1 else [], words)
+    against = [replace(alike[0], share=named.p_outside), Rival(by_list, 1.0 - named.p_outside, by_list.eta)]
+    first_time = len(problem.recordings) == 1
+    return LawRivals(problem, alike, against if first_time else [], {effect.id: effect.what for effect, _, _ in listed})

@@ -16,10 +16,10 @@ from palpd.gap.advise.motions import MotionLimits, TestMotion, blank_recording, 
 from palpd.gap.advise.rivals import Rival, open_rivals
 from palpd.gap.data.noise import FX
 from palpd.gap.data.prepare import moves
+from palpd.gap.decide import BeyondList, RefusedLaw
 from palpd.gap.gaussian.nuisances import Nuisances, gram, nuisances, project
 from palpd.gap.infer.discrepancy import DISCREPANCY_SIZES, discrepancy_columns
 from palpd.gap.infer.posterior import Attribution
-from palpd.gap.laws.finding import LawFinding, RefusedLaw
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import SHARED, Problem, make_problem
 from palpd.tick import Floats
@@ -132,7 +132,7 @@ class Advice:
         )
 
 
-def advise(problem: Problem, attribution: Attribution, limits: MotionLimits | None = None, finding: LawFinding | None = None) -> Advice:
+def advise(problem: Problem, attribution: Attribution, limits: MotionLimits | None = None, beyond: BeyondList | None = None) -> Advice:
     """The motion that removes most of the doubt per minute, or why there is none.
 
     Where the verdict is a law outside the list, that is the motion that would refute it: it spreads the drivers of the law and of the laws
@@ -142,13 +142,13 @@ def advise(problem: Problem, attribution: Attribution, limits: MotionLimits | No
         problem: The recordings so far.
         attribution: The posterior over hypotheses.
         limits: What the motion may ask of the cell; None: no more than the recordings.
-        finding: What the search for laws found, if the verdict is `unknown`; None: listed hypotheses are separated.
+        beyond: What is outside the list, if the verdict is `unknown`; None: listed hypotheses are separated.
     """
-    if finding is not None and finding.refused is not None and _anything_moves(problem):
-        return _again(problem, finding.refused, limits)
-    laws = rivals_of_law(problem, attribution, finding) if finding is not None else None
-    if laws is None:
+    if beyond is not None and beyond.refused is not None and _anything_moves(problem):
+        return _again(problem, beyond.refused, limits)
+    if beyond is None or beyond.law is None or beyond.law.secondary:  # a secondary law describes what a listed cause leaves
         return _between(problem, open_rivals(attribution), limits)
+    laws = rivals_of_law(problem, attribution, beyond.law)
     advice = _between(laws.problem, laws.alike, limits, laws)
     return advice if advice.proposal is not None or not laws.against_list else _between(laws.problem, laws.against_list, limits, laws)
 

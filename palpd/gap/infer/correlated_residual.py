@@ -1,4 +1,4 @@
-"""Stage 4 of a diagnosis, continued: hypotheses compared with bins that count for less where the residual is smooth.
+"""Hypotheses compared with bins that count for less where the residual is smooth: the noise is estimated again from it.
 
 Neighbours in a smooth residual are not independent, and a further effect of any kind then explains some of it. So the noise that
 listed effects are compared with is the residual's own (a model discrepancy in the sense of Kennedy and O'Hagan, 2001). Whether
@@ -10,7 +10,6 @@ tolerance as wide as the deviation (empirical Bayes). Otherwise the far tail of 
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -27,32 +26,6 @@ below."""
 
 COMPARED = 10
 """Number of likeliest hypotheses that are compared again; less likely hypotheses have never come first."""
-
-ROUNDS = 2
-"""Largest number of comparisons: the second follows where the first changes the best hypothesis, and so its residual."""
-
-
-def compare_again(problem: Problem, fits: Mapping[tuple[str, ...], Fit], first: Attribution) -> Attribution:
-    """Compare the likeliest hypotheses again, with the noise that the residual of the best hypothesis shows.
-
-    Args:
-        problem: With the stated noise.
-        first: The posterior with the stated noise.
-
-    Returns:
-        The posterior; `first` where the residual of its best hypothesis is white, or that is the empty set.
-    """
-    now, wider = first, wrong_tolerances(fits[first.best.fit.names])
-    for _ in range(ROUNDS):
-        best = fits[now.best.fit.names]
-        weight = row_weights(best.remainder)
-        if not best.names or weight.min() == 1.0:
-            break
-        comparable = problem.with_row_weight(weight).with_shared_sd(wider * problem.shared_sd)
-        now = _with_stated_noise(problem, fits, _compared(comparable, fits, first, wider), wider)
-        if now.best.fit.names == best.names:
-            break
-    return now
 
 
 def row_weights(remainder: Floats) -> Floats:
@@ -92,30 +65,32 @@ def correlation_time(values: Floats) -> float:
     return float(1.0 + 2.0 * rho[1 : negative[0] if len(negative) else n].sum())
 
 
-def _compared(problem: Problem, fits: Mapping[tuple[str, ...], Fit], first: Attribution, wider: Floats) -> Attribution:
-    """The posterior of the likeliest hypotheses, of their subsets and of no effect, fitted again with other weights and tolerances."""
+def compared_again(problem: Problem, fits: Mapping[tuple[str, ...], Fit], first: Attribution, weight: Floats, wider: Floats) -> Attribution:
+    """Compare the likeliest hypotheses, their subsets and no effect, fitted again with other weights and tolerances.
+
+    Fits and odds for something unknown are those of the stated noise. The best hypothesis has the parameters of the comparison and their
+    intervals.
+
+    Args:
+        first: The posterior with the stated noise.
+        weight: For how many bins a bin of each channel counts (7,).
+        wider: Factors (11,) on the tolerances of shared deviations.
+    """
     likeliest = [one.fit.names for one in first.hypotheses[:COMPARED]]
     single = [(name,) for names in likeliest[:3] for name in names if (name,) in fits]
+    comparable = problem.with_row_weight(weight).with_shared_sd(wider * problem.shared_sd)
     again: dict[tuple[str, ...], Fit] = {}
     for names in dict.fromkeys([(), *likeliest, *single]):
         one = fits[names]
-        again[names] = fit(problem, one.values, linearise(problem, one.values, one.eta / wider), iterations=3, rounds=1)
-    return posterior(problem, again, len(again))
-
-
-def _with_stated_noise(problem: Problem, fits: Mapping[tuple[str, ...], Fit], compared: Attribution, wider: Floats) -> Attribution:
-    """The hypotheses with their probabilities from the comparison; fits and odds for something unknown are those of the stated noise.
-
-    The best hypothesis keeps the parameters of the comparison and their intervals.
-    """
-    names = [one.fit.names for one in compared.hypotheses]
-    stated = {one.fit.names: one for one in posterior(problem, {n: fits[n] for n in names}, len(names)).hypotheses}
+        again[names] = fit(comparable, one.values, linearise(comparable, one.values, one.eta / wider), iterations=3, rounds=1)
+    compared = posterior(comparable, again, len(again))
+    stated = {one.fit.names: one for one in posterior(problem, {n: fits[n] for n in again}, len(again)).hypotheses}
 
     def judged(one: Hypothesis) -> Hypothesis:
-        now = fits[one.fit.names]
+        of_stated_noise, now = stated[one.fit.names], fits[one.fit.names]
         if one is compared.best:
             there = linearise(problem, one.fit.values, one.fit.eta * wider)
-            now = replace(fit(problem, one.fit.values, there, iterations=0), covariance=one.fit.covariance, laws=one.fit.laws)
-        return replace(one, fit=now, residual=stated[one.fit.names].residual, share_known=stated[one.fit.names].share_known)
+            now = fit(problem, one.fit.values, there, iterations=0, laws=one.fit.laws)
+        return Hypothesis(now, of_stated_noise.residual, one.share, of_stated_noise.share_known)
 
     return attribution_of([judged(one) for one in compared.hypotheses])

@@ -1,6 +1,6 @@
 """Stage 4 of a diagnosis: how likely the data are under a hypothesis, a set of effects. Laplace's approximation at û."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import lgamma, log, pi
 
@@ -96,7 +96,9 @@ class Fit:
         return self.occam + self.log_likelihood
 
 
-def fit(problem: Problem, start: EffectValues, around: Linearisation, *, iterations: int = 8, rounds: int = 0) -> Fit:
+def fit(
+    problem: Problem, start: EffectValues, around: Linearisation, *, iterations: int = 8, rounds: int = 0, laws: Sequence[PossibleLaw] = ()
+) -> Fit:
     """Fit a set of effects (`fit_values`) and compute its evidence.
 
     Args:
@@ -104,15 +106,17 @@ def fit(problem: Problem, start: EffectValues, around: Linearisation, *, iterati
         around: State and nuisances to begin with.
         iterations: Largest number of iterations of the first search.
         rounds: Largest number of times that the nuisances are linearised again.
+        laws: As in `laplace_evidence`.
     """
-    return laplace_evidence(problem, fit_values(problem, start, around, iterations=iterations, rounds=rounds))
+    return laplace_evidence(problem, fit_values(problem, start, around, iterations=iterations, rounds=rounds), laws)
 
 
-def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
+def laplace_evidence(problem: Problem, best: Optimum, laws: Sequence[PossibleLaw] = ()) -> Fit:
     """Laplace's approximation of the evidence of a hypothesis, over parameters, nuisances and model discrepancies.
 
     Args:
         best: The optimum û under the listed laws.
+        laws: The laws that its effects may follow, where another noise says how well u is known; empty: as `problem` says.
     """
     space, at, eta = best.around.space, best.prediction, best.around.eta
     residual = problem.data + best.around.offset() - at
@@ -122,7 +126,6 @@ def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
     occam, covariance, change = 0.0, np.zeros((0, 0)), np.zeros_like(at)
     sizes = _sizes(problem, best)
     log_likelihood, discrepancy_energy = log_exact, 0.0
-    laws: list[PossibleLaw] = []
     if best.names:
         occam, covariance = _occam(problem, best, normal, sizes)
         change = at - problem.predict({}, eta)
@@ -137,7 +140,7 @@ def laplace_evidence(problem: Problem, best: Optimum) -> Fit:
         owned = np.array([[slope.dot(one) for one in projected] for slope in slopes])
         listed = covariance
         fitted = [(np.zeros(len(best.u)), lambda: listed), *((one.move, one.covariance) for one in discrepancies)]
-        laws = [PossibleLaw(p, *of_law, owned) for p, of_law in zip(np.exp(each - total).tolist(), fitted, strict=True)]
+        laws = laws or [PossibleLaw(p, *of_law, owned) for p, of_law in zip(np.exp(each - total).tolist(), fitted, strict=True)]
         covariance = max(laws, key=lambda law: law.probability).covariance()
     return Fit(
         names=best.names,

@@ -1,7 +1,7 @@
 """Intervals of the parameters of a hypothesis, over all laws that its effects may follow, and as far as the residual says."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
@@ -9,9 +9,10 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from palpd.gap.gaussian.nuisances import gram, project, stable_inverse
-from palpd.gap.infer.evidence import Fit, PossibleLaw
+from palpd.gap.infer.evidence import Fit, PossibleLaw, fit
 from palpd.gap.infer.fit import gauss_newton, jacobian_at
 from palpd.gap.model.coordinates import Coordinate
+from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
 
@@ -26,6 +27,53 @@ MOST_STEPS = 4
 
 LARGEST_STRETCH = 5.0
 """Largest ratio, and inverse of the smallest, of the distance of an end to its distance on the parabola: the data reach no further."""
+
+
+@dataclass(frozen=True)
+class NamedFit:
+    """A hypothesis by the parameters that files can state.
+
+    Attributes:
+        parameters: Every parameter by effect: its value and the ends of its 95 % interval, in its unit.
+        at_bound: By effect the parameters at the end of their range, or beyond their natural size.
+    """
+
+    fit: Fit
+    parameters: Mapping[str, dict[str, tuple[float, float, float]]]
+    at_bound: Mapping[str, list[str]]
+
+
+def named_fit(problem: Problem, one: Fit) -> NamedFit:
+    """A hypothesis by the parameters that files can state, with their intervals."""
+    best = by_named_parameters(problem, one)
+    parameters: dict[str, dict[str, tuple[float, float, float]]] = {name: {} for name in best.names}
+    at_bound: dict[str, list[str]] = {name: [] for name in best.names}
+    for k, c in enumerate(best.where):
+        value = best.values[c.effect][c.parameter.name]
+        parameters[c.effect][c.parameter.name] = (value, *interval(problem, best, k))
+        if not (c.angle or c.fixed) and _at_bound(c, value):
+            at_bound[c.effect].append(c.parameter.name)
+    return NamedFit(best, parameters, at_bound)
+
+
+def by_named_parameters(problem: Problem, one: Fit) -> Fit:
+    """The hypothesis with the parameters that files can state, fitted again if it has others.
+
+    A parameter without a name in files chooses among several forms of an effect's law, and counts as a nuisance.
+    """
+    values = {
+        name: {parameter.name: mine[parameter.name] for parameter in problem.library[name].named_parameters if parameter.name in mine}
+        for name, mine in one.values.items()
+    }
+    return one if values == one.values else fit(problem, values, linearise(problem, values, one.eta), rounds=1)
+
+
+def _at_bound(c: Coordinate, value: float) -> bool:
+    """Whether a value is at the end of its range, other than zero, or beyond its natural size."""
+    margin = 1e-9 * max(abs(c.lower), abs(c.upper))
+    if (value <= c.lower + margin and c.lower != 0) or value >= c.upper - margin:
+        return True
+    return c.parameter.natural is not None and abs(value) >= c.parameter.natural
 
 
 def half_width(laws: Sequence[PossibleLaw], k: int) -> float:
@@ -113,7 +161,7 @@ class _Profile:
         """Square root of the rise of the squared residual at x; the others take `iterations` steps. 0 where it does not rise."""
         one = self.one
         value = one.where[self.k].back(x)
-        where: tuple[Coordinate, ...] = tuple(replace(c, lower=value, upper=value) if j == self.k else c for j, c in enumerate(one.where))
+        where = tuple(c.held_at(value) if j == self.k else c for j, c in enumerate(one.where))
         start = one.u + self.follow * (x - float(one.u[self.k]))
         there = gauss_newton(self.problem, one.linearisation, where, start, iterations if len(where) > 1 else 0)
         return sqrt(max(there.misfit - one.misfit, 0.0))

@@ -1,4 +1,4 @@
-"""Stage 4 of a diagnosis, continued: the probability of every hypothesis, of no effect, and of something outside the list."""
+"""The probability of every hypothesis, of no effect, and of something outside the list."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Stage 2 and 4 of a diagnosis: is a residual noise, or does it hold structure that no listed effect explains?
+"""Is a residual noise, or does it hold structure that no listed effect explains?
 
 The whitened remainder is written, rest by rest and stroke by stroke, in a few smooth shapes (mean, slope, curvature …; in log time at
 rest). Were it noise, every coefficient would be N(0, 1). For every channel, phase and shape a common mean or a larger variance of the

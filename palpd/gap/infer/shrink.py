@@ -1,4 +1,4 @@
-"""Stage 6 of a diagnosis: how far the gap closes with the named effects in the simulator, on cycles that the fit did not see."""
+"""How far the gap closes with the named effects in the simulator, on cycles that the fit did not see."""
 
 from dataclasses import dataclass
 from math import log
@@ -10,7 +10,7 @@ from palpd.gap.data.noise import CHANNELS
 from palpd.gap.data.phases import Ints
 from palpd.gap.infer.evidence import Fit
 from palpd.gap.infer.fit import LEAST_MODULUS_FACTOR, gauss_newton
-from palpd.gap.infer.where import Gap
+from palpd.gap.infer.where import PhaseGap
 from palpd.gap.model.problem import MODULUS, Problem
 from palpd.tick import Floats
 
@@ -51,11 +51,10 @@ class Shrink:
         return vars(self) | {"ci95": None if self.ci95 is None else list(self.ci95)}
 
 
-def without_effects(table: list[Gap], channel: str) -> Shrink:
+def without_effects(table: list[PhaseGap], channel: str) -> Shrink:
     """The gap of one channel where no effect is named.
 
     Args:
-        table: The gap by channel and phase.
         channel: If it is not in the table, all channels count.
     """
     mine = [g for g in table if g.channel == channel] or table

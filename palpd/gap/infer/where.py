@@ -59,7 +59,7 @@ class Trend(TypedDict):
 
 
 @dataclass(frozen=True)
-class Gap:
+class PhaseGap:
     """The gap of a channel in a phase.
 
     Attributes:
@@ -94,7 +94,7 @@ def residuals(problem: Problem, around: Linearisation) -> list[Floats]:
     return out
 
 
-def gap_table(problem: Problem, around: Linearisation, residual: Sequence[Floats]) -> list[Gap]:
+def gap_table(problem: Problem, around: Linearisation, residual: Sequence[Floats]) -> list[PhaseGap]:
     """The gap of every compared channel in every phase that occurs, channel by channel.
 
     Args:
@@ -114,7 +114,7 @@ def gap_table(problem: Problem, around: Linearisation, residual: Sequence[Floats
             square = sum(float(s.sum()) for s in squares) / n
             floor_square = float(noise[channel] ** 2 + tolerated[channel, p] ** 2)
             excess = float(np.sqrt(max(0.0, square - floor_square) / max(floor_square, 1e-300)))
-            rows.append(Gap(name, phase, float(np.sqrt(square)), float(np.sqrt(floor_square)), excess, n))
+            rows.append(PhaseGap(name, phase, float(np.sqrt(square)), float(np.sqrt(floor_square)), excess, n))
     return rows
 
 
@@ -135,7 +135,7 @@ def _tolerance_rms(problem: Problem, around: Linearisation) -> Floats:
     return out
 
 
-def largest_gap(problem: Problem, table: Sequence[Gap], change: Floats) -> Place | None:
+def largest_gap(problem: Problem, table: Sequence[PhaseGap], change: Floats) -> Place | None:
     """The place of the largest excess among those where the named effects show with at least half their largest size.
 
     In-tolerance deviations, too, exceed their floor in some places.

@@ -4,27 +4,26 @@ from collections.abc import Mapping
 
 from palpd.gap.gaussian.nuisances import project
 from palpd.gap.infer.evidence import Fit
-from palpd.gap.laws.finding import LawFinding
+from palpd.tick import Floats
 
 MOST, LEAST_COSINE = 4, 0.5
 """Largest number of imitations that are listed, and the cosine above which an effect is an imitation."""
 
 
-def confounds(finding: LawFinding, fits: Mapping[tuple[str, ...], Fit]) -> dict[str, float]:
+def confounds(change: Floats, beside: Fit, fits: Mapping[tuple[str, ...], Fit]) -> dict[str, float]:
     """The effects that imitate a law, each as it was fitted to the same recordings.
 
     Args:
-        fits: The fitted hypotheses by their effects. Those count that add one effect to the effects with which the law acts.
+        change: Change (7, b) of the whitened prediction by the law.
+        beside: The listed effects with which the law acts.
+        fits: The fitted hypotheses by their effects. Those count that add one effect to `beside`.
 
     Returns:
         Cosine of the angle between the change of the law and that of the effect, by effect, the most similar first; everything within
         specification is projected out.
     """
-    if finding.law is None:
-        return {}
-    beside = finding.beside
     space = beside.linearisation.space
-    law = project(finding.law.change, space)
+    law = project(change, space)
     out = {}
     for names, one in fits.items():
         further = set(names) - set(beside.names)

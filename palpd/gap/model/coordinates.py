@@ -1,7 +1,7 @@
 """Coordinates u of the parameters θ of effects, in which steps of 1 % are sensible, and where a search in them starts."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from math import inf, log, pi
 
@@ -43,6 +43,10 @@ class Coordinate:
     def amplitude(self) -> bool:
         """Whether the parameter switches the effect off at its nominal value; otherwise it is a shape."""
         return self.nominal is not None
+
+    def held_at(self, value: float) -> "Coordinate":
+        """The same coordinate, with this value as its whole range."""
+        return replace(self, lower=value, upper=value)
 
     def to(self, value: float) -> float:
         """Coordinate u of a value of the parameter."""

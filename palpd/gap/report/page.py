@@ -43,9 +43,9 @@ def write(path: Path, diagnosis: Diagnosis, title: str, check: MotionCheck | Non
 def curves_of(diagnosis: Diagnosis) -> Curves:
     """The recording with the largest gap, and what the nominal and the enriched cell predict for its motion."""
     problem = diagnosis.problem
-    channel = diagnosis.where["channel"] if diagnosis.where is not None else ""
+    channel = diagnosis.gap.where["channel"] if diagnosis.gap.where is not None else ""
     gaps = np.zeros(len(problem.recordings))
-    for t in diagnosis.trend:
+    for t in diagnosis.gap.trend:
         gaps[int(t["recording"])] += float(t["rms"]) ** 2 if t["channel"] == channel else 0.0
     shown = int(np.argmax(gaps))
     run = problem.recordings[shown]

@@ -1,0 +1,84 @@
+"""Sentences for the reader about a verdict: what is larger than working parts have, far out of tolerance, or outside a law's range."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from palpd.cell.effects import Effect
+from palpd.cell.effects.adopted import load_adopted
+from palpd.cell.effects.learned import held_sentence
+from palpd.cell.simulation import share_outside
+from palpd.gap.data.noise import FZ
+from palpd.gap.decide import DiagnosisVerdict
+from palpd.gap.laws.evidence import FitBeside
+from palpd.gap.model.problem import Problem, tolerance_key
+from palpd.quantities import quantity
+
+MOST_HELD_UNSAID = 0.01
+"""Share of the rows outside the range of a law up to which no note is made: the range itself leaves out 0.4 % of the data of the law."""
+
+FAR_OUT_SD = 4.0
+"""Standard deviations beyond which a deviation is reported: one in 16 000 healthy cells has such a deviation."""
+
+CREEP_NOTE = (
+    "Force that decays while the height is held comes from relaxing tissue or from a creeping machine (frame, grip, load cell). "
+    "This recording alone cannot distinguish them. Press something rigid and hold: the decay is then the machine's creep."
+)
+
+
+def verdict_notes(problem: Problem, verdict: DiagnosisVerdict) -> Iterator[str]:
+    """All sentences about a verdict."""
+    yield from unnatural_notes(problem, verdict)
+    yield from deviation_notes(problem, verdict.answer)
+    if verdict.beyond.note:
+        yield verdict.beyond.note
+    yield from held_notes(problem, verdict)
+    involved = {name for e in verdict.effects for name in (e.id, *e.indistinguishable_from)}
+    if any(problem.library[name].shows_at_rest for name in involved):
+        yield CREEP_NOTE
+
+
+def unnatural_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
+    """A sentence for every parameter of a named effect that is larger than working parts have (`Parameter.natural`)."""
+    return [
+        f"{effect.id} has {parameter.name} {quantity(effect.parameters[parameter.name][0], parameter.unit)}, expected at most "
+        f"{quantity(parameter.natural, parameter.unit)} of parts that work; check the times in the recording, and whether rows are missing."
+        for effect in verdict.effects
+        for parameter in problem.library[effect.id].parameters
+        if parameter.natural is not None and abs(effect.parameters[parameter.name][0]) >= parameter.natural
+    ]
+
+
+def deviation_notes(problem: Problem, answer: FitBeside) -> list[str]:
+    """A sentence for every deviation that the answer leaves far out of tolerance."""
+    deviation_sd, notes = answer.deviation_sd, []
+    for k, label in enumerate(answer.fit.linearisation.labels):
+        judged = label.scope == "cell" or (label.scope == "recording" and label.channel == FZ and label.name != "rounding")
+        unknown = label.name == "youngs_modulus" and not problem.cell.tolerances.modulus_known
+        if judged and not unknown and abs(deviation_sd[k]) > FAR_OUT_SD:
+            key = tolerance_key(label.name)
+            notes.append(
+                f"{label.name} is {deviation_sd[k]:+.1f} standard deviations off, expected at most {FAR_OUT_SD:g}; "
+                f"check tolerances.{key} ({getattr(problem.cell.tolerances, key):.3g}) and the cell itself."
+            )
+    return notes
+
+
+def held_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
+    """A sentence for every learned law, of the library or of the cell, that these recordings drive outside its range."""
+    cell = problem.cell_at(verdict.fit.values, verdict.fit.eta)
+    samples = [one.samples for one in problem.recordings]
+    shares: dict[str, list[float]] = {}
+    for one in samples:
+        for name, share in share_outside(cell, one.t_s, z_cmd_m=one.z_cmd_m, z_m=one.z_m, library=problem.library).items():
+            shares.setdefault(name, []).append(share)
+    rows = [len(one.t_s) for one in samples]
+    means = {name: float(np.average(each, weights=rows)) for name, each in shares.items() if len(each) == len(rows)}
+    return [held_sentence(name, share) for name, share in means.items() if share > MOST_HELD_UNSAID]
+
+
+def adopted_sentence(folder: Path, known: Mapping[str, Effect]) -> str:
+    """Which adopted effects took part, and the folder in which they stand; empty if none did."""
+    names = [name for name in load_adopted(folder) if name in known]
+    return f"Adopted effects were weighed with the others: {', '.join(names)} ({folder})." if names else ""
