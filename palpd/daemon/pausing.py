@@ -35,15 +35,7 @@ class Pausing:
         return self._pending is not None
 
     def begin(self, wish: Literal[Request.PAUSE, Request.RESUME], ticks: int) -> Later:
-        """Note a request that was passed to the loop.
-
-        Args:
-            wish: The request.
-            ticks: Number of ticks until now.
-
-        Returns:
-            Its answer to come.
-        """
+        """Note a request that was passed to the loop after that number of ticks. Returns its answer to come."""
         self.asked = wish == Request.PAUSE
         self._pending = PendingPause(Later(), wish, ticks, time.monotonic() + PATIENCE_S)
         return self._pending.later
