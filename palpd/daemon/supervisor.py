@@ -148,7 +148,7 @@ class StartedLoop:
 
 @dataclass(frozen=True, slots=True)
 class Starting(Underway):
-    """The loop was told to begin; no tick is due yet."""
+    """The loop may begin; no tick is due yet."""
 
     loop: StartedLoop
 
