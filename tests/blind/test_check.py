@@ -33,7 +33,7 @@ from palpd.cli import app
 from palpd.cli.blind import FEW_CASES
 from palpd.errors import BadInput
 
-MODULES = ("drawn_cases.py", "drawn_cells.py", "detectability.py", "simulated_run.py", "laws.py")
+MODULES = ("drawn_cases.py", "drawn_cells.py", "stated_cell.py", "detectability.py", "simulated_run.py", "laws.py")
 MEANS = [law for law in LIBRARY_LAWS if not law.variance]
 
 
