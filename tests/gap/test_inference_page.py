@@ -22,7 +22,7 @@ from palpd.gap.infer import discrepancy, evidence
 from palpd.gap.infer import posterior as hypotheses
 from palpd.gap.infer.discrepancy import DISCREPANCY_SIZES, P_EXACT_LAW, ModelDiscrepancy, model_discrepancies
 from palpd.gap.infer.evidence import LOG_SIZE_RANGE, Fit, laplace_evidence
-from palpd.gap.infer.fit import Optimum, gauss_newton
+from palpd.gap.infer.fit import Optimum, gauss_newton, jacobian_at
 from palpd.gap.infer.posterior import P_NONE, P_UNKNOWN, Attribution, known_and_unknown
 from palpd.gap.infer.residual import ResidualStructure
 from palpd.gap.laws.evidence import LawEvidence
@@ -140,8 +140,9 @@ def test_the_laplace_step_is_the_integral_over_the_parameters(monkeypatch: pytes
 
 def discrepancies(monkeypatch: pytest.MonkeyPatch, kinds: list[str], best: Optimum) -> list[ModelDiscrepancy]:
     monkeypatch.setattr(discrepancy, "discrepancy_columns", lambda *_: (columns_of(D), np.array(kinds)))
-    slopes = [project(j, best.around.space) for j in best.jacobian]
-    return model_discrepancies(CELL, best, project(Y - best.prediction, best.around.space), slopes, gram(slopes))
+    space = best.linearisation.space
+    slopes = [project(j, space) for j in jacobian_at(CELL, best.where, best.u, best.linearisation.eta, best.prediction)]
+    return model_discrepancies(CELL, best, project(Y - best.prediction, space), slopes, gram(slopes))
 
 
 def test_a_law_that_is_off_gains_what_the_page_says(monkeypatch: pytest.MonkeyPatch) -> None:

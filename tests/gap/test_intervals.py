@@ -61,7 +61,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(problem: Problem) -> None
 
 
 def law(probability: float, move: float, sd: float) -> PossibleLaw:
-    return PossibleLaw(probability, np.array([move]), lambda: np.array([[sd**2]]), np.zeros((1, 0)))
+    return PossibleLaw(probability, np.array([move]), np.array([[sd**-2]]), np.zeros((1, 0)))
 
 
 def test_one_exact_law_gives_the_normal_interval() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpd.gap.gaussian.nuisances import Columns, Vectors, nuisances
+from palpd.gap.gaussian.nuisances import Columns, ProjectedColumns, Vectors, nuisances
 from palpd.tick import Floats
 
 SHAPE = (3, 90)
@@ -72,6 +72,6 @@ def test_nuisances_project_out_sparse_columns_too() -> None:
     flat = dense.reshape(7, -1)
     expected = np.linalg.solve(np.eye(7) + flat @ flat.T, flat @ signal.ravel())
     np.testing.assert_allclose(space.coefficients(signal), expected, atol=1e-12)
-    others = Vectors.of([dict(enumerate(signal)), dict(enumerate(dense[2]))], SHAPE[1])
-    np.testing.assert_allclose(others.against(space)[:, 0], space.against(signal), atol=1e-12)
+    others = Vectors.of([dict(enumerate(signal)), dict(enumerate(dense[2]))], SHAPE)
+    np.testing.assert_allclose(ProjectedColumns.of(others, space).seen[:, 0], space.against(signal), atol=1e-12)
     np.testing.assert_allclose(others.squares, [(signal**2).sum(), (dense[2] ** 2).sum()])

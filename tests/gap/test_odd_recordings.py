@@ -13,7 +13,8 @@ from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
 from palpd.gap.data.phases import find_phases
 from palpd.gap.diagnosis import Diagnosis, diagnose
-from palpd.gap.infer.hypotheses import fit_nominal, ringing_frequencies, spectral_peaks
+from palpd.gap.infer.candidates import ringing_frequencies, spectral_peaks
+from palpd.gap.infer.settle import fit_nominal
 from palpd.gap.model.problem import make_problem
 from palpd.recording.samples import Samples
 from palpd.tick import Floats

@@ -12,14 +12,14 @@ from palpd.gap.gaussian.nuisance_space import Products
 from palpd.tick import Floats
 
 SIZES = (8.0, 20.0, 50.0, 150.0)
-"""Sizes √(s² Σλ) of a law, in sigmas beyond what tolerances hide; all are equally probable before the data are seen."""
+"""Sizes √(s² Σλ) of a group, in sigmas beyond what nuisances hide; all are equally probable before the data are seen."""
 
 LEAST_SHARE, FULL_SHARE = 0.004, 0.1
-"""Share wᵀXᵀPXw / wᵀXᵀXw of a law's squared change that tolerances leave. Below the first it is no law, above the second it costs
-nothing: a law that tolerances nearly hide has a large coefficient, and makes a gap on another motion."""
+"""Share wᵀXᵀPXw / wᵀXᵀXw of a group's squared change that nuisances leave. Below the first the group is refused, above the second it
+costs nothing: a group that nuisances nearly hide has large coefficients, and would show where the nuisances are others."""
 
 SHARE_PRICE = 1.5
-"""Nats per factor e by which the share lies below FULL_SHARE."""
+"""Nats for each factor e by which the share lies below FULL_SHARE."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class GroupEvidence:
     """How likely a group of n columns is.
 
     Attributes:
-        nats: Log Bayes factor against w = 0, less the price of a change that tolerances nearly hide; -inf where they hide it.
+        nats: Log Bayes factor against w = 0, less the price of a change that nuisances nearly hide; -inf where they hide it.
         root: Root s L (n, n) of the prior covariance of w, for the likeliest s and L.
         mean: Posterior mean of w (n,).
         covariance: Posterior covariance of w (n, n).
@@ -47,13 +47,13 @@ def group_evidence(products: Products, priors: tuple[Floats, ...]) -> GroupEvide
         priors: The roots L (n, n), such as one for each length over which a curve is smooth.
     """
     n = len(products.slope)
-    each = _log_factors(products.gram[None], products.slope[None], priors)[:, 0]
-    likeliest = int(np.argmax(each))
-    if not np.isfinite(each[likeliest]):
+    log_factors = _log_factors(products.gram[None], products.slope[None], priors)[:, 0]
+    likeliest = int(np.argmax(log_factors))
+    if not np.isfinite(log_factors[likeliest]):
         return GroupEvidence(-np.inf, np.zeros((n, n)), np.zeros(n), np.zeros((n, n)))
     prior, size = priors[likeliest // len(SIZES)], SIZES[likeliest % len(SIZES)]
     root = size / float(np.einsum("ij,ji->", products.gram, prior @ prior.T)) ** 0.5 * prior
-    nats = float(np.logaddexp.reduce(each) - log(len(each)))
+    nats = float(np.logaddexp.reduce(log_factors) - log(len(log_factors)))
     mean, covariance = posterior_of(products, root)
     whole = float(mean @ products.raw @ mean)
     share = float(mean @ products.gram @ mean) / whole if whole > 0.0 else 0.0
@@ -70,14 +70,14 @@ def batch_nats(grams: Floats, slopes: Floats, priors: tuple[Floats, ...]) -> Flo
         priors: The roots L (n, n).
 
     Returns:
-        The factors (k,) in nats, -inf where tolerances hide a group.
+        The factors (k,) in nats, -inf where nuisances hide a group.
     """
-    each = _log_factors(grams, slopes, priors)
-    return np.asarray(np.logaddexp.reduce(each, axis=0) - log(len(each)))
+    log_factors = _log_factors(grams, slopes, priors)
+    return np.asarray(np.logaddexp.reduce(log_factors, axis=0) - log(len(log_factors)))
 
 
 def _log_factors(grams: Floats, slopes: Floats, priors: tuple[Floats, ...]) -> Floats:
-    """Log Bayes factors (priors times sizes, k), -inf where tolerances hide a group altogether."""
+    """Log Bayes factors (priors times sizes, k), -inf where nuisances hide a group altogether."""
     out = []
     for prior in priors:
         values, vectors = np.linalg.eigh(prior.T @ grams @ prior)

@@ -31,7 +31,7 @@ def whitened(noise: Whitening, columns: ColumnsByChannel) -> dict[int, Floats]:
 
 
 COARSENESS = 3
-"""Number of neighbouring bins that are joined while all candidates are scored: smooth laws need no finer bins."""
+"""Number of neighbouring bins that are joined while all candidates are scored: smooth columns need no finer bins."""
 
 
 def coarse(columns: ColumnsByChannel) -> dict[int, Floats]:
@@ -58,10 +58,6 @@ class Products:
     gram: Floats
     slope: Floats
     raw: Floats
-
-    def of(self, chosen: slice) -> "Products":
-        """The products of some of the columns."""
-        return Products(self.gram[chosen, chosen], self.slope[chosen], self.raw[chosen, chosen])
 
     def combined(self, matrix: Floats) -> "Products":
         """The products of m linear combinations of the columns.
@@ -96,7 +92,7 @@ class NuisanceSpace:
     @cached_property
     def remainder(self) -> Floats:
         """The residual (7, b) without what the nuisances explain, r - A ĉ."""
-        return self.residual - self._nuisances.explained(self._nuisances.coefficients(self.residual))
+        return self._nuisances.remainder(self.residual)
 
     def products(self, columns: ColumnsByChannel) -> Products:
         """Inner products of columns.
@@ -121,7 +117,7 @@ class NuisanceSpace:
             Squared length of every column (w,) and its product with the residual (w,), the nuisances projected out.
         """
         numbers, rows = self.columns.of_channel(channel)
-        rows *= shape  # in place: of hundreds of presses these are the largest arrays
+        rows *= shape  # in place: of hundreds of nuisances these are the largest arrays
         running = _running(rows.T)
         products = np.zeros((self.columns.size, len(begin)))
         products[numbers] = (running[end] - running[begin]).T
@@ -157,19 +153,16 @@ class NuisanceSpace:
         k, n = self.columns.size, next(iter(columns.values())).shape[1]
         total = np.zeros((folds, k + n + 1, k + n + 1))
         for channel, residual in enumerate(self.residual):
-            index, part = self.columns.of_channel(channel)
-            mine = [part.T, residual[:, None]]
-            at = np.concatenate([index, [k + n]])
-            if channel in columns:
-                mine.insert(1, columns[channel])
-                at = np.concatenate([index, np.arange(k, k + n + 1)])
-            together = np.hstack(mine)
-            del mine, part  # as large
+            numbers, rows = self.columns.of_channel(channel)
+            own = columns.get(channel, np.zeros((len(fold), 0)))
+            at = np.concatenate([numbers, np.arange(k, k + own.shape[1]), [k + n]])
+            together = np.hstack([rows.T, own, residual[:, None]])
+            del rows  # as large
             for number in range(folds):
-                rows = together[fold == number]
-                total[number][np.ix_(at, at)] += rows.T @ rows
+                bins = together[fold == number]
+                total[number][np.ix_(at, at)] += bins.T @ bins
         everything = total.sum(axis=0)
-        return [_schur(one, k, n) for one in total], [_schur(everything - one, k, n) for one in total]
+        return [_schur(inside, k, n) for inside in total], [_schur(everything - inside, k, n) for inside in total]
 
 
 def _running(values: Floats) -> Floats:

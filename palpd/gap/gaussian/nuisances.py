@@ -4,7 +4,7 @@ P = (I + A Aᵀ)⁻¹, and F is the lower Cholesky factor of I + AᵀA. For vect
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky
 from scipy.linalg.lapack import dtrtrs
-from scipy.sparse import csr_array, issparse, vstack
+from scipy.sparse import csr_array, diags_array, issparse
 
 from palpd.tick import Floats
 
@@ -22,10 +22,10 @@ SMALLEST_SQUARE = 1e-24
 """Diagonal element of a symmetric matrix, as a share of the largest, below which its row counts as zero: 16 digits hold no more."""
 
 SHORT_SHARE = 0.25
-"""Largest share of all bins over which a column may reach for its values to be stored sparsely: most columns of a press are short."""
+"""Largest share of all bins over which a column may reach for its values to be stored sparsely."""
 
 PLAUSIBLE_SD = 2.0
-"""Standard deviations that a deviation within specification may have: 95 % of all are smaller."""
+"""Largest plausible size of a coefficient, in standard deviations: 95 % of all are smaller."""
 
 
 Rows = Floats | csr_array
@@ -58,59 +58,95 @@ class Block(NamedTuple):
         """The rows (m, b) with their zeros."""
         return self.rows.toarray() if issparse(self.rows) else self.rows
 
-    def where(self, bins: NDArray[np.bool_]) -> "Block":
-        """The columns where only some bins (b,) count; in the others they are zero."""
-        if issparse(self.rows):
-            kept = self.rows.data * bins[self.rows.indices]
-            return self._replace(rows=csr_array((kept, self.rows.indices, self.rows.indptr), shape=self.rows.shape))
-        return self._replace(rows=np.where(bins, self.rows, 0.0))
-
-    def joined(self, count: int) -> "Block":
-        """The columns with `count` neighbouring bins joined; the noise of a joined bin is N(0, 1) again."""
-        m, b = self.rows.shape
-        if not issparse(self.rows):
-            return self._replace(rows=np.add.reduceat(self.rows, np.arange(0, b, count), axis=1) / count**0.5)
-        shares, places = self.rows.data / count**0.5, self.rows.indices // count
-        rows = csr_array((shares, places, self.rows.indptr.copy()), shape=(m, -(-b // count)))
-        rows.sum_duplicates()
-        return self._replace(rows=rows)
-
 
 @dataclass(frozen=True)
-class Columns:
-    """Columns A (k, c, b) over c channels and b bins in units of the noise, stored where they are not zero."""
+class Vectors:
+    """Vectors (k, c, b) over c channels and b bins in units of the noise, stored where they are not zero."""
 
     shape: tuple[int, int]  # (c, b)
-    blocks: tuple[Block, ...]  # at most two a channel, a sparse and a dense one
-    gram: Floats  # (k, k) inner products AᵀA
-
-    @property
-    def size(self) -> int:
-        """Number of columns."""
-        return len(self.gram)
+    size: int  # k
+    blocks: tuple[Block, ...]
 
     @staticmethod
-    def of(columns: Sequence[ColumnByChannel], shape: tuple[int, int]) -> "Columns":
-        """Gather columns.
+    def of(vectors: Sequence[ColumnByChannel], shape: tuple[int, int]) -> "Vectors":
+        """Gather vectors.
 
         Args:
             shape: Numbers of channels and bins (c, b).
         """
-        blocks = _blocks(columns, shape[1])
-        return Columns(shape, blocks, _inner_products(blocks, blocks, (len(columns), len(columns))))
+        return Vectors(shape, len(vectors), _blocks(vectors, shape[1]))
+
+    @property
+    def squares(self) -> Floats:
+        """Squared lengths (k,)."""
+        out = np.zeros(self.size)
+        for _, numbers, rows in self.blocks:
+            out[numbers] += (rows * rows).sum(axis=1)
+        return out
+
+    def of_channel(self, channel: int) -> tuple[Ints, Floats]:
+        """Vectors of one channel.
+
+        Returns:
+            The numbers (m,) of those that are not zero there, and these as rows (m, b).
+        """
+        mine = [block for block in self.blocks if block.channel == channel]
+        numbers = np.concatenate([np.zeros(0, dtype=np.intp), *(block.numbers for block in mine)])
+        return numbers, np.concatenate([np.zeros((0, self.shape[1])), *(block.dense() for block in mine)])
+
+    def against(self, columns: Mapping[int, Floats]) -> Floats:
+        """Inner products with columns X, or with a vector v.
+
+        Args:
+            columns: X (b, n) or v (b,) by channel, zero in the channels that are not named.
+
+        Returns:
+            AᵀX (k, n) or Aᵀv (k,).
+        """
+        out = np.zeros((self.size, *next(iter(columns.values())).shape[1:])) if columns else np.zeros(self.size)
+        for channel, numbers, rows in self.blocks:
+            if channel in columns:
+                out[numbers] += rows @ columns[channel]
+        return out
+
+    def times(self, coefficients: Floats) -> Floats:
+        """The sum A c (c, b) of the vectors times coefficients (k,)."""
+        out = np.zeros(self.shape)
+        for channel, numbers, rows in self.blocks:
+            out[channel] += coefficients[numbers] @ rows
+        return out
+
+    def dense(self) -> Floats:
+        """The vectors (k, c, b) with their zeros."""
+        out = np.zeros((self.size, *self.shape))
+        for block in self.blocks:
+            out[block.numbers, block.channel] = block.dense()
+        return out
+
+
+@dataclass(frozen=True)
+class Columns(Vectors):
+    """Vectors with their inner products AᵀA."""
+
+    gram: Floats  # (k, k)
+
+    @staticmethod
+    def of(vectors: Sequence[ColumnByChannel], shape: tuple[int, int]) -> "Columns":
+        """Gather columns, as Vectors are gathered."""
+        blocks = _blocks(vectors, shape[1])
+        return Columns(shape, len(vectors), blocks, _inner_products(blocks, blocks, (len(vectors), len(vectors))))
 
     def beside(self, others: "Columns") -> "Columns":
         """These columns, followed by others."""
-        n = self.size
-        gram = np.zeros((n + others.size, n + others.size))
-        gram[:n, :n], gram[n:, n:] = self.gram, others.gram
-        gram[:n, n:] = _inner_products(self.blocks, others.blocks, (n, others.size))
-        gram[n:, :n] = gram[:n, n:].T
-        return Columns(self.shape, _merged([*self.blocks, *(other._replace(numbers=n + other.numbers) for other in others.blocks)]), gram)
+        crossed = _inner_products(self.blocks, others.blocks, (self.size, others.size))
+        gram = np.block([[self.gram, crossed], [crossed.T, others.gram]])
+        blocks = (*self.blocks, *(block._replace(numbers=self.size + block.numbers) for block in others.blocks))
+        return Columns(self.shape, len(gram), blocks, gram)
 
     def scaled(self, factor: float) -> "Columns":
         """The columns times a factor."""
-        return Columns(self.shape, tuple(block._replace(rows=block.rows * factor) for block in self.blocks), factor**2 * self.gram)
+        blocks = tuple(block._replace(rows=block.rows * factor) for block in self.blocks)
+        return replace(self, blocks=blocks, gram=factor**2 * self.gram)
 
     def without(self, numbers: Ints) -> tuple["Columns", list[Floats]]:
         """The columns with some of them set to zero.
@@ -129,7 +165,7 @@ class Columns:
             gone = np.isin(block.numbers, numbers)
             taken[np.searchsorted(numbers, block.numbers[gone]), block.channel] = block.chosen(gone).dense()
             blocks.append(block.chosen(~gone))
-        return Columns(self.shape, tuple(blocks), gram), list(taken)
+        return replace(self, blocks=tuple(blocks), gram=gram), list(taken)
 
     def restricted_to(self, bins: NDArray[np.bool_]) -> "Columns":
         """The columns where only some bins count; in the others they are zero.
@@ -137,54 +173,19 @@ class Columns:
         Args:
             bins: Which bins count in all channels (b,), or in each (c, b).
         """
-        by_channel = np.broadcast_to(bins, self.shape)
-        return self._of_blocks(self.shape[1], [block.where(by_channel[block.channel]) for block in self.blocks])
+        kept = [csr_array(diags_array(of_channel.astype(float))) for of_channel in np.broadcast_to(bins, self.shape)]
+        return self._mapped(self.shape[1], kept)
 
     def joined(self, count: int) -> "Columns":
         """The columns with `count` neighbouring bins joined; the noise of a joined bin is N(0, 1) again."""
-        return self._of_blocks(-(-self.shape[1] // count), [block.joined(count) for block in self.blocks])
+        bins = np.arange(self.shape[1])
+        join = csr_array((np.full(len(bins), count**-0.5), (bins, bins // count)))
+        return self._mapped(join.shape[1], [join] * self.shape[0])
 
-    def _of_blocks(self, bins: int, blocks: Sequence[Block]) -> "Columns":
-        return Columns((self.shape[0], bins), tuple(blocks), _inner_products(blocks, blocks, self.gram.shape))
-
-    def of_channel(self, channel: int) -> tuple[Ints, Floats]:
-        """Columns of one channel.
-
-        Returns:
-            The numbers (m,) of those that are not zero there, and these as rows (m, b).
-        """
-        mine = [block for block in self.blocks if block.channel == channel]
-        numbers = np.concatenate([np.zeros(0, dtype=np.intp), *(block.numbers for block in mine)])
-        return numbers, np.concatenate([np.zeros((0, self.shape[1])), *(block.dense() for block in mine)])
-
-    def against(self, columns: Mapping[int, Floats]) -> Floats:
-        """Inner products with other columns X, or with a vector v.
-
-        Args:
-            columns: X (b, n) or v (b,) by channel, zero in the channels that are not named.
-
-        Returns:
-            AᵀX (k, n) or Aᵀv (k,).
-        """
-        out = np.zeros((self.size, *next(iter(columns.values())).shape[1:])) if columns else np.zeros(self.size)
-        for channel, numbers, rows in self.blocks:
-            if channel in columns:
-                out[numbers] += rows @ columns[channel]
-        return out
-
-    def times(self, coefficients: Floats) -> Floats:
-        """The sum A c (c, b) of the columns times coefficients (k,)."""
-        out = np.zeros(self.shape)
-        for channel, numbers, rows in self.blocks:
-            out[channel] += coefficients[numbers] @ rows
-        return out
-
-    def dense(self) -> Floats:
-        """The columns (k, c, b) with their zeros."""
-        out = np.zeros((self.size, *self.shape))
-        for block in self.blocks:
-            out[block.numbers, block.channel] = block.dense()
-        return out
+    def _mapped(self, bins: int, matrices: Sequence[csr_array]) -> "Columns":
+        """The columns with a matrix (b, bins) applied to each channel."""
+        blocks = tuple(block._replace(rows=block.rows @ matrices[block.channel]) for block in self.blocks)
+        return Columns((self.shape[0], bins), self.size, blocks, _inner_products(blocks, blocks, self.gram.shape))
 
 
 def _blocks(columns: Sequence[ColumnByChannel], b: int) -> tuple[Block, ...]:
@@ -196,9 +197,9 @@ def _blocks(columns: Sequence[ColumnByChannel], b: int) -> tuple[Block, ...]:
             if len(stretch.values):
                 groups.setdefault((channel, len(stretch.values) <= SHORT_SHARE * b), []).append((number, stretch))
     out = []
-    for (channel, short), those in groups.items():
-        stretches = [stretch for _, stretch in those]
-        numbers = np.array([number for number, _ in those], dtype=np.intp)
+    for (channel, short), numbered in groups.items():
+        stretches = [stretch for _, stretch in numbered]
+        numbers = np.array([number for number, _ in numbered], dtype=np.intp)
         out.append(Block(channel, numbers, _sparse(stretches, b) if short else _sparse(stretches, b).toarray()))
     return tuple(out)
 
@@ -219,27 +220,12 @@ def _sparse(stretches: Sequence[Stretch], b: int) -> csr_array:
     return csr_array((np.concatenate([values for _, values in stretches]), indices, starts), shape=(len(stretches), b))
 
 
-def _merged(blocks: Sequence[Block]) -> tuple[Block, ...]:
-    """The blocks, with those of the same channel and kind (dense or sparse) stacked."""
-    groups: dict[tuple[int, bool], list[Block]] = {}
-    for block in blocks:
-        groups.setdefault((block.channel, issparse(block.rows)), []).append(block)
-    return tuple(those[0] if len(those) == 1 else _stacked(those) for those in groups.values())
-
-
-def _stacked(those: Sequence[Block]) -> Block:
-    """Blocks of one channel and kind stacked to a single block."""
-    sparse = [block.rows for block in those if issparse(block.rows)]
-    rows = csr_array(vstack(sparse)) if sparse else np.concatenate([block.dense() for block in those])
-    return Block(those[0].channel, np.concatenate([block.numbers for block in those]), rows)
-
-
-def _inner_products(ones: Sequence[Block], others: Sequence[Block], shape: tuple[int, ...]) -> Floats:
+def _inner_products(left: Sequence[Block], right: Sequence[Block], shape: tuple[int, ...]) -> Floats:
     out = np.zeros(shape)
-    for one, other in product(ones, others):
-        if one.channel == other.channel:
-            products = one.rows @ other.rows.T
-            out[np.ix_(one.numbers, other.numbers)] += products.toarray() if issparse(products) else products
+    for a, b in product(left, right):
+        if a.channel == b.channel:
+            products = a.rows @ b.rows.T
+            out[np.ix_(a.numbers, b.numbers)] += products.toarray() if issparse(products) else products
     return out
 
 
@@ -278,6 +264,10 @@ class Nuisances:
     def explained(self, coefficients: Floats) -> Floats:
         """The sum A c (c, b) of the columns times coefficients (k,)."""
         return self.columns.times(coefficients)
+
+    def remainder(self, values: Floats) -> Floats:
+        """The part (c, b) of a vector (c, b) that the nuisances do not explain, v - A ĉ."""
+        return np.asarray(values - self.explained(self.coefficients(values)))
 
     def beyond(self, values: Floats) -> Floats:
         """The part (c, b) of a vector (c, b) that plausible nuisances cannot hide: v - A ĉ, each ĉ clipped to ± PLAUSIBLE_SD."""
@@ -327,61 +317,33 @@ def project(values: Floats, space: Nuisances) -> Projected:
 def gram(vectors: list[Projected]) -> Floats:
     """Inner products (n, n) of n vectors with each other, the nuisances projected out."""
     out = np.zeros((len(vectors), len(vectors)))
-    for i, one in enumerate(vectors):
+    for i, vector in enumerate(vectors):
         for j, other in enumerate(vectors[: i + 1]):
-            out[i, j] = out[j, i] = one.dot(other)
+            out[i, j] = out[j, i] = vector.dot(other)
     return out
 
 
 @dataclass(frozen=True)
-class Vectors:
-    """Many vectors (c, b) that are zero in most channels: their inner products take one matrix product a channel."""
+class ProjectedColumns:
+    """Many vectors X with their whitened products F⁻¹AᵀX (k, m) with the nuisances."""
 
-    blocks: tuple[Block, ...]
-    squares: Floats  # (m,) squared lengths, nothing projected out
-
-    @staticmethod
-    def of(vectors: Sequence[Mapping[int, Floats]], b: int) -> "Vectors":
-        """Gather vectors.
-
-        Args:
-            vectors: Values (b,) of each vector by channel, in the channels where they are not zero.
-            b: Number of bins.
-        """
-        blocks, squares = _blocks(vectors, b), np.zeros(len(vectors))
-        for block in blocks:
-            squares[block.numbers] += (block.rows * block.rows).sum(axis=1)
-        return Vectors(blocks, squares)
-
-    def against(self, space: Nuisances) -> Floats:
-        """Whitened products F⁻¹Aᵀv (k, m) of k nuisances with the m vectors."""
-        return space.whitened(_inner_products(space.columns.blocks, self.blocks, (space.size, len(self.squares))))
-
-    def dot(self, values: Floats) -> Floats:
-        """Inner products (m,) with another vector (c, b), nothing projected out."""
-        out = np.zeros(len(self.squares))
-        for channel, numbers, rows in self.blocks:
-            out[numbers] += rows @ values[channel]
-        return out
-
-
-@dataclass(frozen=True)
-class Widened:
-    """Nuisances A widened by m further columns d D. The size d is left open: inner products at any d are cheap."""
-
-    columns: Columns  # D
-    crossed: Floats  # (k, m) F⁻¹AᵀD
-    squares: Floats  # (m, m) DᵀPD, with A projected out
+    columns: Vectors
+    seen: Floats
 
     @staticmethod
-    def by(space: Nuisances, columns: Columns) -> "Widened":
-        """Widen nuisances A (`space`) by further columns D (`columns`)."""
-        crossed = space.whitened(_inner_products(space.columns.blocks, columns.blocks, (space.size, columns.size)))
-        return Widened(columns, crossed, columns.gram - crossed.T @ crossed)
+    def of(columns: Vectors, space: Nuisances) -> "ProjectedColumns":
+        """Prepare vectors for inner products with the nuisances projected out."""
+        products = _inner_products(space.columns.blocks, columns.blocks, (space.size, columns.size))
+        return ProjectedColumns(columns, space.whitened(products))
 
-    def against(self, vector: Projected) -> Floats:
-        """Inner products DᵀPv (m,) of the further columns with a vector, A projected out."""
-        return self.columns.against(dict(enumerate(vector.values))) - self.crossed.T @ vector.seen
+    def dot(self, vector: Projected) -> Floats:
+        """Inner products XᵀPv (m,) with another vector."""
+        return self.columns.against(dict(enumerate(vector.values))) - self.seen.T @ vector.seen
+
+    @property
+    def squares(self) -> Floats:
+        """Inner products xᵀPx (m,) of each vector with itself."""
+        return np.asarray(self.columns.squares - (self.seen**2).sum(axis=0))
 
 
 def stable_inverse(normal: Floats) -> Floats:

@@ -70,10 +70,7 @@ class Whitening:
         Returns:
             Values (7, b) in sigmas, 0 where nothing is compared.
         """
-        out = values / self.sigma
-        for channel in self.factors:
-            out[channel] = self.whiten_channel(channel, values[channel])
-        return np.asarray(out)
+        return np.stack([self.whiten_channel(channel, row) for channel, row in enumerate(values)])
 
     def whiten_channel(self, channel: int, values: Floats) -> Floats:
         """Values of one channel in units of their noise.

@@ -14,8 +14,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from palpd.gap.infer.evidence import Fit, fit
-from palpd.gap.infer.hypotheses import CREDIBLE_SD
 from palpd.gap.infer.posterior import Attribution, Hypothesis, attribution_of, posterior
+from palpd.gap.infer.settle import CREDIBLE_SD
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats

@@ -3,7 +3,7 @@
 docs/explanation/inference.md states D, d, v, R and L_j under "Model discrepancy".
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import log
 
@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from palpd.cell.cell_file import EffectValues
-from palpd.gap.gaussian.nuisances import Columns, Projected, Widened, stable_inverse
+from palpd.cell.effects import Scale
+from palpd.gap.data.prepare import PreparedRecording
+from palpd.gap.gaussian.nuisances import Columns, Projected, ProjectedColumns
 from palpd.gap.infer.fit import Optimum
 from palpd.gap.model.coordinates import Coordinate
 from palpd.gap.model.linearise import Linearisation
@@ -49,16 +51,23 @@ class ModelDiscrepancy:
     Attributes:
         log_prior: log p_j.
         gain: log L_j - log L.
-        covariance: Gives the covariance (k, k) of u under it.
+        normal: Inverse (k, k) of the covariance of u under it.
         move: Move v (k,) of the coordinates from the optimum û of the listed law.
-        change: Gives the change (7, b) of the whitened prediction by the likeliest coefficients of D, without those of the kind SPREAD.
+        directions: The m directions D.
+        coefficients: The likeliest coefficients (m,) of D; 0 for the directions of other kinds and of the kind SPREAD.
     """
 
     log_prior: float
     gain: float
-    covariance: Callable[[], Floats]
+    normal: Floats
     move: Floats
-    change: Callable[[], Floats]
+    directions: Columns
+    coefficients: Floats
+
+    @property
+    def change(self) -> Floats:
+        """Change (7, b) of the whitened prediction by the likeliest coefficients."""
+        return self.directions.times(self.coefficients)
 
 
 def model_discrepancies(
@@ -77,12 +86,12 @@ def model_discrepancies(
     Returns:
         A discrepancy for every size and kind; empty where the effects are too small to show any.
     """
-    columns, kind = discrepancy_columns(problem, best.values, best.prediction, best.around)
+    columns, kind = discrepancy_columns(problem, best.values, best.prediction, best.linearisation)
     if not columns.size:
         return []
-    wide = Widened.by(best.around.space, columns)
-    against_residual = wide.against(residual)
-    against_slopes = np.array([wide.against(j) for j in slopes]).T
+    directions = ProjectedColumns.of(columns, best.linearisation.space)
+    against_residual, squares = directions.dot(residual), columns.gram - directions.seen.T @ directions.seen
+    against_slopes = np.array([directions.dot(j) for j in slopes]).T
     slope = np.array([j.dot(residual) for j in slopes])
     reach = np.diag([_reach(c, x) ** -2 for c, x in zip(best.where, best.u.tolist(), strict=True)])
     promised = 0.5 * float(slope @ np.linalg.solve(normal + reach, slope))
@@ -91,19 +100,15 @@ def model_discrepancies(
         ways.append(np.ones(len(kind), dtype=bool))
 
     def discrepancy(way: NDArray[np.bool_], size: float, prior: float) -> ModelDiscrepancy:
-        factor = cholesky(np.eye(int(way.sum())) + size**2 * wide.squares[np.ix_(way, way)], lower=True)
+        factor = cholesky(np.eye(int(way.sum())) + size**2 * squares[np.ix_(way, way)], lower=True)
         of_residual, of_slopes = (size * solve_triangular(factor, x[way], lower=True) for x in (against_residual, against_slopes))
         inner = normal - of_slopes.T @ of_slopes
         pull = slope - of_slopes.T @ of_residual
         move = np.asarray(np.linalg.solve(inner + reach, pull))
         gain = 0.5 * (float(of_residual @ of_residual) + float(pull @ move)) - promised - float(np.log(np.diag(factor)).sum())
-
-        def change() -> Floats:
-            coefficients = np.zeros(columns.size)
-            coefficients[way] = size * solve_triangular(factor, of_residual - of_slopes @ move, lower=True, trans="T")
-            return columns.times(np.where(kind == SPREAD, 0.0, coefficients))
-
-        return ModelDiscrepancy(log(prior / len(ways)), gain, lambda: stable_inverse(inner), move, change)
+        coefficients = np.zeros(columns.size)
+        coefficients[way] = size * solve_triangular(factor, of_residual - of_slopes @ move, lower=True, trans="T")
+        return ModelDiscrepancy(log(prior / len(ways)), gain, inner, move, columns, np.where(kind == SPREAD, 0.0, coefficients))
 
     return [discrepancy(way, size, prior) for size, prior in DISCREPANCY_SIZES for way in ways]
 
@@ -115,7 +120,9 @@ def _reach(c: Coordinate, u: float) -> float:
     return 0.5 / c.scale if c.angle else 0.5 * max(abs(u), 1e-3)
 
 
-def discrepancy_columns(problem: Problem, values: EffectValues, at: Floats, around: Linearisation) -> tuple[Columns, NDArray[np.str_]]:
+def discrepancy_columns(
+    problem: Problem, values: EffectValues, at: Floats, linearisation: Linearisation
+) -> tuple[Columns, NDArray[np.str_]]:
     """D: directions in which real laws may differ from the formulas of the library.
 
     An effect may be stronger or weaker with depth, speed, direction of motion, time, and time since the motion changed, or in a channel
@@ -125,7 +132,7 @@ def discrepancy_columns(problem: Problem, values: EffectValues, at: Floats, arou
     Args:
         values: Parameters θ by effect.
         at: The whitened prediction f (7, b) there.
-        around: State η₀ and nuisances A.
+        linearisation: State η₀ and nuisances A.
 
     Returns:
         The m directions D, and the kind (m,) of each.
@@ -134,11 +141,11 @@ def discrepancy_columns(problem: Problem, values: EffectValues, at: Floats, arou
     modulations = list(_modulations(problem)) if values else []
     for name in values:
         others = {other: v for other, v in values.items() if other != name}
-        part = at - problem.predict(others, around.eta)
-        energy = float(np.linalg.norm(around.space.beyond(part)))
+        part = at - problem.predict(others, linearisation.eta)
+        energy = float(np.linalg.norm(linearisation.space.beyond(part)))
         if energy < SMALLEST_EFFECT:
             continue
-        for kind, shape in _shapes(problem, values, name, at, part, around.eta, modulations):
+        for kind, shape in _shapes(problem, values, name, at, part, linearisation.eta, modulations):
             norm = sum(float(there @ there) for there in shape.values()) ** 0.5
             if norm > 1e-6 * energy:
                 factor = min(energy / norm, LARGEST_STRETCH) * (SPREAD_SIZE if kind == SPREAD else 1.0)
@@ -175,29 +182,29 @@ def _shapes(
 
 def _modulations(problem: Problem) -> Iterator[tuple[str, Floats]]:
     """Drivers of a discrepancy and smooth functions (b,) of each, with mean 0 over all recordings."""
-    pieces: list[list[tuple[str, Floats]]] = []
-    for one in problem.recordings:
-        mean = one.bins.mean
-        depth = mean(one.phases.depth_m) / problem.scale.depth_m
-        speed = mean(one.phases.velocity_m_per_s) / problem.scale.speed_m_per_s
-        rest = np.log1p(mean(one.phases.since_s) / (3.0 * problem.scale.step_s))
-        rest = rest / max(rest.max(), 1e-9)
-        moving = mean(one.phases.moving.astype(float))
-        late = one.t_s / max(problem.scale.duration_s, 1e-9)
-        pieces.append(
-            [
-                ("depth", depth),
-                ("depth", depth**2),
-                ("speed", np.abs(speed)),
-                ("speed", np.clip(speed, -1.0, 1.0)),
-                ("speed", moving),
-                ("rest", rest),
-                ("rest", rest * moving),
-                ("time", late),
-                ("time", np.exp(-10.0 * late)),
-                ("time", (one.bin_cycle == 0).astype(float)),
-            ]
-        )
-    for same in zip(*pieces, strict=True):
-        row = np.concatenate([values for _, values in same])
-        yield same[0][0], row - row.mean()
+    depth, speed, moving, rest, late, first = np.hstack([_drivers(problem.scale, recording) for recording in problem.recordings])
+    functions = {
+        "depth": (depth, depth**2),
+        "speed": (np.abs(speed), np.clip(speed, -1.0, 1.0), moving),
+        "rest": (rest, rest * moving),
+        "time": (late, np.exp(-10.0 * late), first),
+    }
+    for driver, rows in functions.items():
+        for row in rows:
+            yield driver, row - row.mean()
+
+
+def _drivers(scale: Scale, recording: PreparedRecording) -> Floats:
+    """Depth, speed, whether it moves, time since the motion changed, time, and whether it is the first cycle (6, b)."""
+    mean, phases = recording.bins.mean, recording.phases
+    rest = np.log1p(mean(phases.since_s) / (3.0 * scale.step_s))
+    return np.array(
+        [
+            mean(phases.depth_m) / scale.depth_m,
+            mean(phases.velocity_m_per_s) / scale.speed_m_per_s,
+            mean(phases.moving.astype(float)),
+            rest / max(rest.max(), 1e-9),
+            recording.t_s / max(scale.duration_s, 1e-9),
+            recording.bin_cycle == 0,
+        ]
+    )

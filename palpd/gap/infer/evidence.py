@@ -1,6 +1,6 @@
 """Stage 4 of a diagnosis: how likely the data are under a hypothesis, a set of effects. Laplace's approximation at û."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import lgamma, log, pi
 
@@ -10,7 +10,7 @@ from palpd.cell.cell_file import EffectValues
 from palpd.cell.effects import Scale
 from palpd.gap.gaussian.nuisances import Nuisances, gram, project, stable_inverse
 from palpd.gap.infer.discrepancy import P_EXACT_LAW, model_discrepancies
-from palpd.gap.infer.fit import Optimum, fit_values
+from palpd.gap.infer.fit import Optimum, fit_values, jacobian_at
 from palpd.gap.model.coordinates import Coordinate
 from palpd.gap.model.linearise import Linearisation
 from palpd.gap.model.problem import Problem
@@ -30,20 +30,21 @@ class PossibleLaw:
     Attributes:
         probability: Posterior probability of this law, given the effects.
         move: Move v (k,) of the coordinates from the optimum û of the listed law; 0 for the listed law itself.
-        of_fit: Gives the covariance (k, k) of u if the tolerances that the effects stand for were zero.
-        owned: JᵀPB (k, p), with the slopes J, and the changes B by the p replaced tolerances (`Linearisation.tolerance_columns`).
+        normal: Inverse (k, k) of the covariance of u if the tolerances that the effects stand for were zero.
+        of_tolerances: JᵀPB (k, p), with the slopes J, and the changes B by the p replaced tolerances
+            (`Linearisation.tolerance_columns`).
     """
 
     probability: float
     move: Floats
-    of_fit: Callable[[], Floats]
-    owned: Floats
+    normal: Floats
+    of_tolerances: Floats
 
     def covariance(self) -> Floats:
         """Covariance (k, k) of u: the data show only the sum of an effect and of the in-tolerance deviation that it stands for."""
-        of_fit = self.of_fit()
-        shift = of_fit @ self.owned
-        return np.asarray(of_fit + shift @ shift.T)
+        covariance = stable_inverse(self.normal)
+        shift = covariance @ self.of_tolerances
+        return covariance + shift @ shift.T
 
 
 @dataclass(frozen=True)
@@ -97,18 +98,24 @@ class Fit:
 
 
 def fit(
-    problem: Problem, start: EffectValues, around: Linearisation, *, iterations: int = 8, rounds: int = 0, laws: Sequence[PossibleLaw] = ()
+    problem: Problem,
+    start: EffectValues,
+    linearisation: Linearisation,
+    *,
+    iterations: int = 8,
+    rounds: int = 0,
+    laws: Sequence[PossibleLaw] = (),
 ) -> Fit:
     """Fit a set of effects (`fit_values`) and compute its evidence.
 
     Args:
         start: Parameters by effect at which the search starts; empty for a cell without effects.
-        around: State and nuisances to begin with.
+        linearisation: State and nuisances to begin with.
         iterations: Largest number of iterations of the first search.
         rounds: Largest number of times that the nuisances are linearised again.
         laws: As in `laplace_evidence`.
     """
-    return laplace_evidence(problem, fit_values(problem, start, around, iterations=iterations, rounds=rounds), laws)
+    return laplace_evidence(problem, fit_values(problem, start, linearisation, iterations=iterations, rounds=rounds), laws)
 
 
 def laplace_evidence(problem: Problem, best: Optimum, laws: Sequence[PossibleLaw] = ()) -> Fit:
@@ -118,29 +125,30 @@ def laplace_evidence(problem: Problem, best: Optimum, laws: Sequence[PossibleLaw
         best: The optimum û under the listed laws.
         laws: The laws that its effects may follow, where another noise says how well u is known; empty: as `problem` says.
     """
-    space, at, eta = best.around.space, best.prediction, best.around.eta
-    residual = problem.data + best.around.offset() - at
+    linearisation, at = best.linearisation, best.prediction
+    space, eta = linearisation.space, linearisation.eta
+    residual = problem.data + linearisation.offset() - at
     log_exact = -0.5 * best.misfit - 0.5 * space.log_determinant
-    slopes = [project(j, space) for j in best.jacobian]
-    normal = gram(slopes)
+    jacobian = jacobian_at(problem, best.where, best.u, eta, at)
+    slopes = [project(j, space) for j in jacobian]
     occam, covariance, change = 0.0, np.zeros((0, 0)), np.zeros_like(at)
     sizes = _sizes(problem, best)
     log_likelihood, discrepancy_energy = log_exact, 0.0
     if best.names:
-        occam, covariance = _occam(problem, best, normal, sizes)
+        slopes_gram = gram(slopes)
+        occam, normal = _occam(problem, best, slopes_gram, sizes)
         change = at - problem.predict({}, eta)
-        discrepancies = model_discrepancies(problem, best, project(residual, space), slopes, normal)
-        each = np.array([log(P_EXACT_LAW), *(one.log_prior + one.gain for one in discrepancies)])
-        total = float(np.logaddexp.reduce(each))
+        discrepancies = model_discrepancies(problem, best, project(residual, space), slopes, slopes_gram)
+        log_each = np.array([log(P_EXACT_LAW), *(d.log_prior + d.gain for d in discrepancies)])
+        total = float(np.logaddexp.reduce(log_each))
         if discrepancies:
             log_likelihood = log_exact + total
-            if likeliest := int(np.argmax(each)):
-                discrepancy_energy = _unfittable_energy(discrepancies[likeliest - 1].change(), best.jacobian, space)
-        projected = [project(change, space) for change in best.around.tolerance_columns]
-        owned = np.array([[slope.dot(one) for one in projected] for slope in slopes])
-        listed = covariance
-        fitted = [(np.zeros(len(best.u)), lambda: listed), *((one.move, one.covariance) for one in discrepancies)]
-        laws = laws or [PossibleLaw(p, *of_law, owned) for p, of_law in zip(np.exp(each - total).tolist(), fitted, strict=True)]
+            if likeliest := int(np.argmax(log_each)):
+                discrepancy_energy = _unfittable_energy(discrepancies[likeliest - 1].change, jacobian, space)
+        replaced = [project(tolerance, space) for tolerance in linearisation.tolerance_columns]
+        of_tolerances = np.array([[slope.dot(tolerance) for tolerance in replaced] for slope in slopes])
+        fitted = [(np.zeros(len(best.u)), normal), *((d.move, d.normal) for d in discrepancies)]
+        laws = laws or [PossibleLaw(p, *of_law, of_tolerances) for p, of_law in zip(np.exp(log_each - total).tolist(), fitted, strict=True)]
         covariance = max(laws, key=lambda law: law.probability).covariance()
     return Fit(
         names=best.names,
@@ -152,13 +160,13 @@ def laplace_evidence(problem: Problem, best: Optimum, laws: Sequence[PossibleLaw
         sizes=sizes,
         change=change,
         residual=residual,
-        remainder=residual - space.explained(space.coefficients(residual)),
+        remainder=space.remainder(residual),
         misfit=best.misfit,
         log_exact=log_exact,
         log_likelihood=log_likelihood,
         occam=occam,
         discrepancy_energy=discrepancy_energy,
-        linearisation=best.around,
+        linearisation=linearisation,
     )
 
 
@@ -174,13 +182,13 @@ def _sizes(problem: Problem, best: Optimum) -> dict[str, float]:
     out = {}
     for name in best.values:
         others = {other: v for other, v in best.values.items() if other != name}
-        change = project(best.prediction - problem.predict(others, best.around.eta), best.around.space)
+        change = project(best.prediction - problem.predict(others, best.linearisation.eta), best.linearisation.space)
         out[name] = max(change.dot(change), 0.0) ** 0.5
     return out
 
 
 def _occam(problem: Problem, best: Optimum, normal: Floats, sizes: dict[str, float]) -> tuple[float, Floats]:
-    """Log π(û) + k/2 log 2π - ½ log det(JᵀPJ + W⁻²), and the covariance (k, k) of u.
+    """Log π(û) + k/2 log 2π - ½ log det(JᵀPJ + W⁻²), and JᵀPJ + W⁻² (k, k).
 
     `normal` is JᵀPJ. All effects have the same kind of prior π: the size s in sigmas is log-uniform, the direction among several amplitudes
     is uniform, and shapes are uniform in u over their range.
@@ -204,7 +212,7 @@ def _occam(problem: Problem, best: Optimum, normal: Floats, sizes: dict[str, flo
         prior -= sum(log(where[k].range) for k in index if not (where[k].amplitude or where[k].fixed))
         prior -= sum(_unnatural(where[k], values[name][where[k].parameter.name]) for k in index)
         prior -= CONTRARY_NATS * sum(_contrary(where[k], values[name][where[k].parameter.name], problem.scale) for k in amplitudes)
-    return prior + volume, stable_inverse(full)
+    return prior + volume, full
 
 
 def _unnatural(c: Coordinate, value: float) -> float:

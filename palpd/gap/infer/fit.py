@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from palpd.cell.cell_file import EffectValues
-from palpd.gap.gaussian.nuisances import gram, project
+from palpd.gap.gaussian.nuisances import Projected, gram, project
 from palpd.gap.model.coordinates import Coordinate, coordinates, coordinates_of, inside, values_at
 from palpd.gap.model.linearise import Linearisation, linearise
 from palpd.gap.model.problem import MODULUS, Problem
@@ -41,20 +40,14 @@ class Optimum:
         u: Their coordinates û (k,).
         misfit: rᵀPr: the squared whitened residual with the nuisances projected out.
         prediction: Whitened prediction f (7, b) there.
-        around: State η₀ and nuisances A that were held fixed meanwhile.
+        linearisation: State η₀ and nuisances A that were held fixed meanwhile.
     """
 
     where: tuple[Coordinate, ...]
     u: Floats
     misfit: float
     prediction: Floats
-    around: Linearisation
-    problem: Problem
-
-    @cached_property
-    def jacobian(self) -> list[Floats]:
-        """J at û: slopes ∂f/∂u of the whitened prediction, k of (7, b)."""
-        return jacobian_at(self.problem, self.where, self.u, self.around.eta, self.prediction)
+    linearisation: Linearisation
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -67,26 +60,26 @@ class Optimum:
         return values_at(self.where, self.u)
 
 
-def fit_values(problem: Problem, start: EffectValues, around: Linearisation, *, iterations: int = 8, rounds: int = 0) -> Optimum:
+def fit_values(problem: Problem, start: EffectValues, linearisation: Linearisation, *, iterations: int = 8, rounds: int = 0) -> Optimum:
     """The best parameters of a set of effects: û with A fixed, then η₀ and A at the optimum, and so on.
 
     Args:
         start: Parameters by effect at which the search starts; empty for a cell without effects.
-        around: State and nuisances to begin with.
+        linearisation: State and nuisances to begin with.
         iterations: Largest number of iterations of the first search; later searches have half as many.
         rounds: Largest number of times that the nuisances are linearised again at the optimum. Fewer do where η has converged.
     """
     where = coordinates(start, problem.library, problem.scale)
-    best = gauss_newton(problem, around, where, coordinates_of(where, start), iterations)
+    best = gauss_newton(problem, linearisation, where, coordinates_of(where, start), iterations)
     for _ in range(rounds):
-        residual = problem.data + around.offset() - best.prediction
-        eta = around.space.coefficients(residual)[: len(around.eta)]
-        eta = _with_modulus_by_its_factor(problem, around.eta, eta)
-        eta = np.clip(eta, around.eta - LARGEST_STEP_SD, around.eta + LARGEST_STEP_SD)
+        residual = problem.data + linearisation.offset() - best.prediction
+        eta = linearisation.space.coefficients(residual)[: len(linearisation.eta)]
+        eta = _with_modulus_by_its_factor(problem, linearisation.eta, eta)
+        eta = np.clip(eta, linearisation.eta - LARGEST_STEP_SD, linearisation.eta + LARGEST_STEP_SD)
         eta = np.clip(eta, -LARGEST_DEVIATION_SD, LARGEST_DEVIATION_SD)
-        move = np.abs(eta - around.eta).max()
-        around = linearise(problem, best.values, eta)
-        best = gauss_newton(problem, around, where, best.u, max(2, iterations // 2))
+        move = np.abs(eta - linearisation.eta).max()
+        linearisation = linearise(problem, best.values, eta)
+        best = gauss_newton(problem, linearisation, where, best.u, max(2, iterations // 2))
         if move < CONVERGED_SD:
             break
     return best
@@ -99,23 +92,27 @@ def _with_modulus_by_its_factor(problem: Problem, before: Floats, linear: Floats
     return np.where(MODULUS, before + step, linear)
 
 
-def gauss_newton(problem: Problem, around: Linearisation, where: tuple[Coordinate, ...], u: Floats, iterations: int) -> Optimum:
+def gauss_newton(problem: Problem, linearisation: Linearisation, where: tuple[Coordinate, ...], u: Floats, iterations: int) -> Optimum:
     """Damped Gauss-Newton (Levenberg 1944, Marquardt 1963) with fixed nuisances.
 
     Args:
-        around: State η₀ and nuisances A that stay fixed.
+        linearisation: State η₀ and nuisances A that stay fixed.
         where: The k parameters.
         u: Coordinates (k,) at which the search starts.
         iterations: Largest number of steps.
     """
-    target = problem.data + around.offset()
+    target = problem.data + linearisation.offset()
+
+    def residual_at(u: Floats) -> tuple[Floats, Projected, float]:
+        at = problem.predict(values_at(where, u), linearisation.eta)
+        r = project(target - at, linearisation.space)
+        return at, r, r.dot(r)
+
     u = inside(where, u)
-    at = problem.predict(values_at(where, u), around.eta)
-    r = project(target - at, around.space)
-    misfit = r.dot(r)
+    at, r, misfit = residual_at(u)
     damping = 1e-3
     for _ in range(iterations):
-        columns = [project(j, around.space) for j in jacobian_at(problem, where, u, around.eta, at)]
+        columns = [project(j, linearisation.space) for j in jacobian_at(problem, where, u, linearisation.eta, at)]
         normal = gram(columns)
         slope = np.array([j.dot(r) for j in columns])
         for _ in range(5):
@@ -123,20 +120,18 @@ def gauss_newton(problem: Problem, around: Linearisation, where: tuple[Coordinat
             lhs = normal + np.diag(damping * diagonal + 1e-12 * max(diagonal.max(initial=0.0), 1e-300))
             move = np.linalg.lstsq(lhs, slope, rcond=None)[0]
             trial = inside(where, u + np.clip(move, -LARGEST_MOVE, LARGEST_MOVE))
-            there = problem.predict(values_at(where, trial), around.eta)
-            r_there = project(target - there, around.space)
-            misfit_there = r_there.dot(r_there)
-            if misfit_there < misfit:
+            at_trial, r_trial, misfit_trial = residual_at(trial)
+            if misfit_trial < misfit:
                 break
             damping = max(damping, 1e-4) * 10.0
         else:
             break
-        gained = misfit - misfit_there
-        u, at, r, misfit = trial, there, r_there, misfit_there
+        gained = misfit - misfit_trial
+        u, at, r, misfit = trial, at_trial, r_trial, misfit_trial
         damping = max(damping * 0.1, 1e-6)
         if gained < GAIN_TO_STOP:
             break
-    return Optimum(where, u, misfit, at, around, problem)
+    return Optimum(where, u, misfit, at, linearisation)
 
 
 def jacobian_at(problem: Problem, where: Sequence[Coordinate], u: Floats, eta: Floats, at: Floats) -> list[Floats]:

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 from palpd.gap.infer.correlated_residual import compared_again, row_weights, wrong_tolerances
 from palpd.gap.infer.evidence import Fit
-from palpd.gap.infer.hypotheses import Fits, fit_rounding, search
 from palpd.gap.infer.intervals import NamedFit, named_fit
 from palpd.gap.infer.posterior import Attribution, posterior
+from palpd.gap.infer.search import Fits, search
+from palpd.gap.infer.settle import settle
 from palpd.gap.model.linearise import Linearisation
 from palpd.gap.model.problem import Problem
 
@@ -46,10 +47,10 @@ def infer(problem: Problem, show: Callable[[str], None] = lambda _: None) -> Inf
         problem: As prepared, with readings that are rounded to the nearest level if they are rounded coarsely.
         show: Is called with the name of each step that begins.
     """
-    nominal = fit_rounding(problem)
+    nominal = settle(problem)
     problem = nominal.problem
     show("2 of 6: fitting which effects could have made the gap")
-    fits = search(nominal)
+    fits = search(nominal).fits
     show("3 of 6: weighing them")
     first = attribution = posterior(problem, fits)
     wider = wrong_tolerances(fits[first.best.fit.names])

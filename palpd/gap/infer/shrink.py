@@ -112,8 +112,7 @@ def _cross_validated(problem: Problem, best: Fit, cycle: Ints, folds: int) -> tu
         fitted = gauss_newton(problem.restricted_to(~judged), best.linearisation.restricted_to(~judged), best.where, best.u, 3)
         there, around = problem.restricted_to(judged), best.linearisation.restricted_to(judged)
         at = there.predict(fitted.values, around.eta)
-        residual = there.data + around.offset() - at
-        residual = residual - around.space.explained(around.space.coefficients(residual))
+        residual = around.space.remainder(there.data + around.offset() - at)
         after += residual
         before += residual + at - _without_effects_at_its_modulus(there, residual + at, around.eta)
     return before, after
