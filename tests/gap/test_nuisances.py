@@ -30,7 +30,7 @@ def products(dense: Floats) -> Floats:
 def test_sparse_columns_give_the_same_products() -> None:
     one, other = values(1, 7), values(2, 5)
     both = np.concatenate([one, other])
-    columns = gathered(one).beside(gathered(other))
+    columns = gathered(one).followed_by(gathered(other))
     np.testing.assert_array_equal(columns.dense(), both)
     np.testing.assert_allclose(columns.gram, products(both), atol=1e-12)
     signal = np.random.default_rng(3).standard_normal(SHAPE)

@@ -274,7 +274,7 @@ def _log_odds(trial: Problem, rivals: Sequence[Rival]) -> Floats:
         free = list(other.free_columns(trial, there.prediction))
         laws, _ = discrepancy_columns(trial, other.fit.values, there.prediction, there)
         wider = laws.scaled(max(size for size, _ in DISCREPANCY_SIZES))
-        wide = nuisances(there.space.columns.beside(wider)) if wider.size else None
+        wide = nuisances(there.space.columns.followed_by(wider)) if wider.size else None
         for row, prediction in enumerate(predictions):
             if row != column:
                 difference = prediction - there.prediction

@@ -133,7 +133,7 @@ class NuisanceSpace:
         """
         count = next(iter(columns.values())).shape[1]
         more = [{channel: values[:, k] for channel, values in columns.items()} for k in range(count)]
-        return NuisanceSpace(self.columns.beside(Columns.of(more, self.columns.shape)), self.residual)
+        return NuisanceSpace(self.columns.followed_by(Columns.of(more, self.columns.shape)), self.residual)
 
     def restricted_to(self, bins: NDArray[np.bool_]) -> "NuisanceSpace":
         """The space in which only some bins (7, b) count."""

@@ -136,7 +136,7 @@ class Columns(Vectors):
         blocks = _blocks(vectors, shape[1])
         return Columns(shape, len(vectors), blocks, _inner_products(blocks, blocks, (len(vectors), len(vectors))))
 
-    def beside(self, others: "Columns") -> "Columns":
+    def followed_by(self, others: "Columns") -> "Columns":
         """These columns, followed by others."""
         crossed = _inner_products(self.blocks, others.blocks, (self.size, others.size))
         gram = np.block([[self.gram, crossed], [crossed.T, others.gram]])

@@ -301,4 +301,4 @@ def _space_beside(problem: Problem, listed: Fit, residual: Floats | None = None)
     moves = [j * (reach / max(float(np.linalg.norm(j)), 1e-300)) for j in jacobian]
     parameters = Columns.of([dict(enumerate(one)) for one in moves], space.columns.shape)
     discrepancies, _ = discrepancy_columns(problem, listed.values, prediction, around)
-    return NuisanceSpace(space.columns.beside(parameters).beside(discrepancies.scaled(DISCREPANCY_SIZE)), residual)
+    return NuisanceSpace(space.columns.followed_by(parameters).followed_by(discrepancies.scaled(DISCREPANCY_SIZE)), residual)

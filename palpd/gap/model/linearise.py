@@ -95,7 +95,7 @@ def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisa
     changing = Columns.of([{} if gone else column for gone, (_, column) in zip(replaced, labelled, strict=False)], prediction.shape)
     remaining, taken = fixed.columns.without(np.flatnonzero(replaced[len(labelled) :]))
     shared_gone = [Columns.of([column], prediction.shape).dense()[0] for gone, (_, column) in zip(replaced, labelled, strict=False) if gone]
-    space = nuisances(changing.beside(remaining))
+    space = nuisances(changing.followed_by(remaining))
     return Linearisation(effects, eta, labels, space, prediction, np.array([*shared_gone, *taken]).reshape(-1, *prediction.shape))
 
 
