@@ -48,8 +48,7 @@ def fit_nominal(problem: Problem) -> NominalFit:
     if not problem.cell.tolerances.modulus_known:
         first = fit(problem, {}, stated, rounds=8)
         # The force in proportion to the modulus has been fitted: it is the gap's size.
-        by_modulus = np.zeros(first.linearisation.space.size)
-        by_modulus[SHARED.index("youngs_modulus")] = 1.0
+        by_modulus = (np.arange(first.linearisation.space.size) == SHARED.index("youngs_modulus")).astype(float)
         problem = problem.with_model_error_floor(first.linearisation.space.explained(by_modulus) / problem.shared_sd[0])
         nominal = fit(problem, {}, linearise(problem, {}, first.eta), rounds=ROUNDS)
         return NominalFit(problem, nominal, nominal.linearisation, nominal.linearisation)
@@ -71,11 +70,10 @@ def settle(problem: Problem) -> NominalFit:
         problem: With readings rounded to the nearest level, if they are rounded coarsely.
     """
     nearest = fit_nominal(problem)
-    rounding = problem.roundings[0] if problem.roundings else None
     stated_N = problem.cell.sensor.resolution_fz_N
-    if rounding is None or rounding.step_N == stated_N:
+    if not problem.roundings or problem.roundings[0].step_N == stated_N:
         return nearest
-    tried = [nearest, *(fit_nominal(problem.with_rounding(way, 0.0)) for way in WAYS if way != rounding.way)]
+    tried = [nearest, *(fit_nominal(problem.with_rounding(way, 0.0)) for way in WAYS if way != problem.roundings[0].way)]
     if stated_N:
         likeliest = min(tried, key=lambda nominal: nominal.surprise).problem.roundings[0]
         tried.append(fit_nominal(problem.with_rounding(likeliest.way, stated_N)))
