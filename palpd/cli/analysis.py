@@ -1,5 +1,6 @@
 """Commands that turn recordings into moduli, inertial models and maps."""
 
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -45,9 +46,7 @@ def analyse(
     machine_stiffness_N_per_m: Annotated[float | None, typer.Option("--machine-stiffness-N-per-m", help="taken out of the depth")] = None,
     fit: Annotated[Literal["loading", "peak"], typer.Option("--fit", help="the whole loading curve, or its peak")] = "loading",
     contact: Annotated[Literal["free", "zero"], typer.Option("--contact", help="find the point of contact, or take depth 0")] = "free",
-    baseline: Annotated[
-        Literal["auto", "free", "zero"], typer.Option("--baseline", help="force before contact; auto: zero for a corrected column")
-    ] = "auto",
+    baseline: curve_options.BaselineOption = "auto",
     cell: Annotated[
         Path | None, typer.Option("--cell", help="cell file, as palpd diagnose enriched it: what it knows no longer passes for stiffness")
     ] = None,
@@ -78,11 +77,8 @@ def analyse(
         from palpd.analysis.curves import Mapping, analyse_curve, read_curve, refuse_unknown_tip
 
         refuse_site(file, site)
-        mapping = Mapping(
-            force_column, force_unit, depth_column, height_column, height_down_positive, length_unit, compression_negative, time_column
-        )
         curve = analyse_curve(
-            read_curve(file, mapping),
+            read_curve(file, Mapping(**{field.name: values[field.name] for field in fields(Mapping)})),
             tip_radius_m=refuse_unknown_tip(tip_radius_m),
             poisson_ratio=poisson_ratio,
             machine_stiffness_N_per_m=machine_stiffness_N_per_m,

@@ -1,4 +1,4 @@
-"""Options that name the columns of another machine's curve, for `palpd analyse` and `palpd import`."""
+"""Options for the columns of another machine's curve, for `palpd analyse` and `palpd import`."""
 
 from typing import Annotated, Literal
 
@@ -12,3 +12,6 @@ HeightDownPositive = Annotated[bool, typer.Option("--height-down-positive", help
 LengthUnitOption = Annotated[Literal["m", "mm", "um", "nm"], typer.Option("--length-unit", help="unit of depth or height")]
 CompressionNegative = Annotated[bool, typer.Option("--compression-negative", help="pressed is a negative force")]
 TimeColumn = Annotated[str | None, typer.Option("--time-column", help="name of the column of the time")]
+BaselineOption = Annotated[
+    Literal["auto", "free", "zero"], typer.Option("--baseline", help="force before contact; auto: zero for a corrected column")
+]

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -34,7 +34,7 @@ from palpd.file_kinds import CSV, HTML, JSON, YAML
 from palpd.files import write_json
 
 if TYPE_CHECKING:
-    from palpd.config import Config
+    from palpd.config import Config, Plan
 
 DiagnosisOption = Annotated[
     Path | None, typer.Option("--json", help="write the figures to this file too"), Output(JSON, beside=(".next.csv", ".learned.yaml"))
@@ -181,6 +181,7 @@ def resolve(
     json_file: JsonOption = None,
 ) -> None:
     """Diagnose a running cell, propose the motion that decides what is open, run it within the guard, until nothing more is gained."""
+    values = locals()
     from palpd.cell.cell_file import load_cell
     from palpd.config import load_config, load_plan
     from palpd.daemon import resolve as loop
@@ -188,7 +189,6 @@ def resolve(
     from palpd.daemon.session import ForegroundHost, kept_in
     from palpd.daemon.stored_state import State
     from palpd.daemon.wiring import devices
-    from palpd.documents import read_yaml
     from palpd.gap.commands import library
     from palpd.gap.notes import adopted_sentence
 
@@ -200,20 +200,7 @@ def resolve(
         return yes or typer.confirm(question)
 
     if service_at(settings.paths.control_socket):
-        if effects is not None:
-            raise BadInput("--effects may be code, and the service runs none of yours; leave it out, or stop the service first")
-        target = kept_in(folder) if folder is not None else None
-        arguments: dict[str, object] = {
-            "plan": first_plan.model_dump(mode="json"),
-            "cell": read_yaml(cell).keys_and_values() if cell else None,
-            "recordings": [str(path.absolute()) for path in recordings or ()],
-            "rounds": rounds,
-            "max_depth_m": max_depth_m,
-            "take_reference": take_reference,
-            "adopted": adopted,
-            "here": here,
-        }
-        _resolve_by_service(settings, arguments, target, agree, json_file)
+        _resolve_by_service(settings, values, first_plan, agree)
         return
     check_kept(settings)
     clear_latch(settings)
@@ -233,16 +220,33 @@ def resolve(
     finish(3 if result["verdict"] == "stopped" else 0, result["reason"])
 
 
-def _resolve_by_service(
-    settings: "Config", arguments: dict[str, object], target: Path | None, agree: Callable[[str], bool], json_file: Path | None
-) -> None:
-    """Let the service carry it out, and bring what it kept into a folder, if one is named."""
-    from palpd.cli.jobs import carried_out, fetch
+def _resolve_by_service(settings: "Config", values: Mapping[str, Any], plan: "Plan", agree: Callable[[str], bool]) -> None:
+    """Let the service carry it out, and bring what it kept into a folder, if one is named.
 
+    Args:
+        values: Values of the parameters of `resolve`.
+        plan: Plan of the first recording.
+
+    Raises:
+        BadInput: Effects of one's own are given.
+    """
+    from palpd.cli.jobs import carried_out, fetch
+    from palpd.daemon.session import kept_in
+    from palpd.documents import read_yaml
+
+    if values["effects"] is not None:
+        raise BadInput("--effects may be code, and the service runs none of yours; leave it out, or stop the service first")
+    target = kept_in(values["folder"]) if values["folder"] is not None else None
+    arguments = {
+        "plan": plan.model_dump(mode="json"),
+        "cell": read_yaml(values["cell"]).keys_and_values() if values["cell"] else None,
+        "recordings": [str(path.absolute()) for path in values["recordings"] or ()],
+        **{name: values[name] for name in ("rounds", "max_depth_m", "take_reference", "adopted", "here")},
+    }
     end = carried_out("resolve", arguments, settings, settings.paths.runs, agree)
     stands = fetch(end.figures.get("folder"), target) if target is not None else end.figures.get("folder")
     terminal().print(f"Everything is kept in {stands}; the page is gap.html.")
-    write_json(json_file, end.figures)
+    write_json(values["json_file"], end.figures)
     finish(end.exit_code, end.reason)
 
 
