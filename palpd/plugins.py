@@ -42,13 +42,15 @@ def plugins(group: str, ours: Mapping[str, str]) -> dict[str, Plugin]:
 
     Args:
         group: Group of entry points.
-        ours: The places of palpd's own: a checkout need not be installed.
+        ours: The places of palpd's own.
 
     Returns:
         The plug-ins; nobody replaces one of ours.
     """
-    others = {point.name: Plugin(group, point.name, point.value, _package(point)) for point in entry_points(group=group)}
-    return others | {name: Plugin(group, name, place) for name, place in ours.items()}
+    others = (Plugin(group, point.name, point.value, point.dist.name if point.dist else "unknown") for point in entry_points(group=group))
+    # versions of palpd before this one registered their own, and an installation may still say so
+    found = {plugin.name: plugin for plugin in others if plugin.package != "palpd"}
+    return found | {name: Plugin(group, name, place) for name, place in ours.items()}
 
 
 def loaded(registered: Iterable[Plugin], check: Callable[[Plugin, Any], Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
@@ -68,7 +70,3 @@ def loaded(registered: Iterable[Plugin], check: Callable[[Plugin, Any], Any]) ->
         except BadInput as error:
             failures.append(str(error))
     return kept, tuple(failures)
-
-
-def _package(point: Any) -> str:
-    return point.dist.name if point.dist is not None else "unknown"

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.simulated_recording import write_simulated
 from palpd.cell.cell_file import load_cell
-from palpd.cell.effects import EFFECTS, installed, installed_effects, load_effects, user_effects
+from palpd.cell.effects import EFFECTS, installed_effects, load_effects, user_effects
 from palpd.config import Config, Plan, PlanSite, SensorConfig
 from palpd.daemon import run_header, wiring
 from palpd.errors import BadInput, ConfigError, RecordingError, RobotError, SensorError
@@ -70,17 +70,19 @@ def forget() -> None:
     registry.readers.cache_clear()
 
 
-def test_pyproject_registers_what_the_code_calls_ours() -> None:
-    registered = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
-    assert registered["palpd.readers"] == registry.OURS
-    assert registered["palpd.effects"] == installed.OURS
-
-
-def test_our_own_drivers_stand_in_one_list_and_the_entry_points_are_left_to_other_packages() -> None:
-    registered = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
-    assert not {"palpd.sensors", "palpd.robots"} & registered.keys()
-    for group, ours in (("palpd.sensors", wiring.SENSORS), ("palpd.robots", wiring.ROBOTS)):
+def test_what_is_ours_stands_in_one_list_and_the_entry_points_are_left_to_other_packages() -> None:
+    assert "entry-points" not in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    for group, ours in (("palpd.sensors", wiring.SENSORS), ("palpd.robots", wiring.ROBOTS), ("palpd.readers", registry.OURS)):
         assert all(plugins(group, ours)[name].load() for name in ours)
+
+
+def test_entry_points_that_an_older_palpd_left_behind_change_nothing(installs: Callable[[str], None], tmp_path: Path) -> None:
+    installs("[palpd.effects]\nsensor = palpd.cell.effects.sensor:EFFECTS\n[palpd.readers]\ncsv = palpd.interchange.table:READER\n")
+    info = tmp_path / "palpd_extra-1.0.dist-info" / "METADATA"
+    info.write_text(info.read_text().replace("palpd-extra", "palpd"))
+    assert installed_effects() == (EFFECTS, ())
+    assert not registry.readers()[1]
+    assert registry.readers()[0].keys() == registry.OURS.keys()
 
 
 def test_the_library_is_found_as_others_are_and_nothing_is_added_to_it() -> None:

@@ -1,7 +1,6 @@
 """What a foreign file holds, and what a reader of such files is.
 
-A reader is one object that fits the protocol `FileReader`. Readers are found by the entry points `palpd.readers`, so that another
-package can bring its own.
+A reader is one object that fits the protocol `FileReader`. Those of other packages are entry points of `palpd.readers`.
 """
 
 import logging

@@ -17,14 +17,14 @@ OURS = {
     "afm": "palpd.interchange.afm:READER",
     "table": "palpd.interchange.table:READER",
 }
-"""The readers that pyproject.toml registers, for a checkout that is not installed."""
+"""Our own readers. Those of other packages are entry points of `palpd.readers`."""
 LAST = "table"
 """The reader that is asked last: any text could be a table."""
 
 
 @cache
 def readers() -> tuple[dict[str, FileReader], tuple[str, ...]]:
-    """All readers by the names of their entry points, and a sentence on each that cannot be used."""
+    """All readers by their names, and a sentence on each that cannot be used."""
     registered = plugins(GROUP, OURS)
     return loaded(sorted(registered.values(), key=lambda each: (each.name == LAST, each.name)), _checked)
 

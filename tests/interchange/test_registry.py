@@ -1,7 +1,6 @@
 """How readers are found, what a diagnosis says of foreign files, and a first cell file."""
 
 import sys
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -16,18 +15,16 @@ from palpd.gap.commands import read_recording
 from palpd.gap.first_cell import first_cell, written_out
 from palpd.interchange.foreign import import_command, is_foreign
 from palpd.interchange.import_files import ImportOptions, read_files, source_of
-from palpd.interchange.registry import GROUP, OURS, reader_of, readers
+from palpd.interchange.registry import OURS, reader_of, readers
 from palpd.recording import samples as samples_file
 from palpd.recording.mcap_file import RecordingWriter
 from palpd.recording.reader import Recording, export
 from palpd.recording.samples import Samples, read_csv, write_csv
 from tests.interchange.bags import STRAIGHT_DOWN, Truth, bag, truth
-from tests.paths import ROOT
 from tests.simulated import ran
 
 
-def test_pyproject_registers_the_readers_that_a_checkout_has() -> None:
-    assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"][GROUP] == OURS
+def test_a_table_is_the_last_kind_of_file_that_is_tried() -> None:
     assert list(readers()[0]) == [*sorted(set(OURS) - {"table"}), "table"]
 
 

@@ -8,15 +8,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from palpd.cell.effects import motion, probe, sensor, tissue
 from palpd.cell.effects.effect import SITES, DiscrepancyDriver, Effect, Parameter, Scale, Site, Values, of
-from palpd.cell.effects.installed import installed_effects
+from palpd.cell.effects.installed import EFFECTS, installed_effects
 from palpd.cell.effects.learned import load_learned, save_learned
 from palpd.errors import ConfigError
 from palpd.files import opened
 
-EFFECTS: dict[str, Effect] = {effect.id: effect for effect in (*motion.EFFECTS, *tissue.EFFECTS, *probe.EFFECTS, *sensor.EFFECTS)}
-"""The effects of this library by id."""
 MOST_BYTES = 1_000_000
 """Largest file of effects; one effect takes some 2 kB of Python."""
 
@@ -29,7 +26,7 @@ def load_effects(path: str | Path | None = None) -> dict[str, Effect]:
     Raises:
         ConfigError: The file fails, or it lists no effects.
     """
-    known = EFFECTS | installed_effects()[0]
+    known = dict(installed_effects()[0])
     if path is None:
         return known
     with opened(Path(path), most_bytes=MOST_BYTES, error=ConfigError):

@@ -1,16 +1,17 @@
-"""Effects that packages register as entry points `palpd.effects`: an Effect, or several of them."""
+"""The effects of this library, and those that packages register as entry points `palpd.effects`: an Effect, or several of them."""
 
 from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any
 
+from palpd.cell.effects import motion, probe, sensor, tissue
 from palpd.cell.effects.effect import Effect
 from palpd.errors import BadInput
 from palpd.plugins import Plugin, loaded, plugins
 
 GROUP = "palpd.effects"
-OURS = {site: f"palpd.cell.effects.{site}:EFFECTS" for site in ("motion", "tissue", "probe", "sensor")}
-"""The library's modules, as pyproject.toml registers them."""
+EFFECTS: dict[str, Effect] = {effect.id: effect for effect in (*motion.EFFECTS, *tissue.EFFECTS, *probe.EFFECTS, *sensor.EFFECTS)}
+"""The effects of this library by id."""
 
 
 @cache
@@ -18,9 +19,10 @@ def installed_effects() -> tuple[dict[str, Effect], tuple[str, ...]]:
     """Find the effects of all packages.
 
     Returns:
-        The effects by id, and a sentence on each plug-in that is left out: it fails, gives no effects, or an id that another has.
+        This library and the effects of other packages, and a sentence on each plug-in that is left out: it fails, gives no effects, or an
+        id that another has.
     """
-    effects: dict[str, Effect] = {}
+    effects = dict(EFFECTS)
 
     def check(plugin: Plugin, given: Any) -> None:
         several = given.values() if isinstance(given, Mapping) else given if isinstance(given, Iterable) else ()
@@ -31,6 +33,4 @@ def installed_effects() -> tuple[dict[str, Effect], tuple[str, ...]]:
             raise BadInput(plugin.failure(f"there is an effect {taken[0]} already, expected an id of its own"))
         effects.update({each.id: each for each in listed})
 
-    registered = plugins(GROUP, OURS)
-    _, failures = loaded(sorted(registered.values(), key=lambda each: each.name not in OURS), check)  # ours first: their ids are taken
-    return effects, failures
+    return effects, loaded(plugins(GROUP, {}).values(), check)[1]
