@@ -33,13 +33,13 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from benchmarks.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell, emulated_cell, until
 from benchmarks.measured_column import FAULTS, condition, fill, results_in, spread
-from benchmarks.terminal import take_signals
 from palpd.daemon.control_socket import ControlSocket
 from palpd.daemon.socket_client import ask
 from palpd.errors import PalpdError
 from palpd.recording.reader import Recording
+from palpd.testing.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell, emulated_cell
+from palpd.testing.processes import take_signals, until
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

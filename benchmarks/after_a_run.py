@@ -17,9 +17,10 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, command_of, emulated_cell, family, retry_if_machine_stalled, until
 from palpd.daemon.socket_client import NoDaemon, ask
 from palpd.errors import Refused
+from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell, retry_if_machine_stalled
+from palpd.testing.processes import command_of, family, until
 
 PRESSED_N = 4.0
 """Force at which a run is ended in the tissue: well above a contact, far below the limits."""

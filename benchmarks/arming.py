@@ -14,9 +14,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.emulated_cell import PRESS, Daemon, EmulatedCell, emulated_cell, until
 from benchmarks.measured_column import FAULTS, condition, fill, results_in, spread
-from benchmarks.terminal import take_signals
+from palpd.testing.emulated_cell import PRESS, Daemon, EmulatedCell, emulated_cell
+from palpd.testing.processes import take_signals, until
 from palpd.tick import PROGRAM_PLAYING
 
 HANGS_S = 6.0

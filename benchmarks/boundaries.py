@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.cell.effects import EFFECTS
 from palpd.gap.data.noise import FZ
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.gaussian.nuisances import nuisances
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import Problem, tolerance_key
+from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
 
 KEYS = {effect.tolerance: effect.id for effect in EFFECTS.values() if effect.tolerance is not None}
 """Effect of every tolerance that has one."""

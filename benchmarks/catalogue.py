@@ -15,13 +15,13 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.simulated_recording import BEGAN_S, write_simulated
 from palpd.cell.cell_file import PHANTOM
 from palpd.config import Config, Plan
 from palpd.history.catalogue import Catalogue, RunFilter
 from palpd.history.facts import RunFacts, load
 from palpd.history.stored import stored_recordings
 from palpd.history.trend import modulus_trend
+from palpd.testing.simulated_recording import BEGAN_S, write_simulated
 
 REPORT_TARGET_S, QUESTION_TARGET_S = 3.0, 0.2
 SITES = ("A", "B", "C", "D")

@@ -15,9 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.emulated_cell import PRESS, Daemon, EmulatedCell, emulated_cell, until
 from palpd.errors import PalpdError
 from palpd.recording.reader import Recording
+from palpd.testing.emulated_cell import PRESS, Daemon, EmulatedCell, emulated_cell
+from palpd.testing.processes import until
 
 DROP = Path("/proc/sys/vm/drop_caches")
 FIRST_S = 5.0

@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.emulated_cell import PRESS, Daemon, EmulatedCell, command_of, emulated_cell, family
 from palpd.daemon.replay import replay
 from palpd.recording.reader import Recording, Rows
+from palpd.testing.emulated_cell import PRESS, Daemon, EmulatedCell, emulated_cell
+from palpd.testing.processes import command_of, family
 
 LATE_US = 1000.0
 CYCLE_US = {"ur5": 8000, "ur5e": 2000}

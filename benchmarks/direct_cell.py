@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.emulated_cell import EmulatedCell
 from hw.rtde import UrRobot
 from palpd.config import Config, Plan, load_config
 from palpd.control.loop import Explainer, Loop, Outcome
@@ -26,6 +25,7 @@ from palpd.daemon.realtime import DEVICE_PRIORITY, fifo, realtime
 from palpd.daemon.wiring import devices
 from palpd.errors import Stopped
 from palpd.recording.ring import Ring
+from palpd.testing.emulated_cell import EmulatedCell
 from palpd.tick import PROGRAM_PLAYING, Phase
 
 UP_M_PER_S = 0.02

@@ -20,9 +20,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.daemon import CYCLE_US, Cyclictest, late_share, learn
-from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell, side_by_side
 from palpd.analysis.stalls import stall_figures
 from palpd.recording.reader import Recording
+from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell
+from palpd.testing.processes import side_by_side
 
 MODEL = "ur5e"
 STIFFNESS_N_PER_M = 1000.0

@@ -20,9 +20,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.emulated_cell import PRESS, Daemon, EmulatedCell, kill, until
 from hw.rtde import RTDE_PORT, SCRIPT_PORT
 from palpd.errors import PalpdError
+from palpd.testing.emulated_cell import PRESS, Daemon, EmulatedCell
+from palpd.testing.processes import kill, until
 from palpd.tick import Phase
 
 TABLE = Path(__file__).parents[1] / "docs" / "faults.md"

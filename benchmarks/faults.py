@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.emulated_cell import EmulatedCell, emulated_cell, side_by_side
 from benchmarks.fault_injection import (
     FAULTS,
     TABLE,
@@ -37,8 +36,9 @@ from benchmarks.fault_injection import (
     wall_clock,
 )
 from benchmarks.measured_column import condition, fill, results_in
-from benchmarks.terminal import take_signals
 from palpd.daemon.realtime import fifo
+from palpd.testing.emulated_cell import EmulatedCell, emulated_cell
+from palpd.testing.processes import side_by_side, take_signals
 
 CONTACT_LIMIT_N = 16.0
 INJECTED_AT_ONCE = 10

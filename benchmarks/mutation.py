@@ -27,7 +27,7 @@ import pytest
 from scipy.stats import binom
 
 import palpd.tick  # noqa: F401
-from benchmarks.terminal import take_signals
+from palpd.testing.processes import take_signals
 
 ROOT = Path(__file__).parents[1]
 TARGETS = {  # name: (module, file, what of it; everything if empty, the tests)

@@ -18,8 +18,9 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from benchmarks.after_a_run import ENDS, SOFT_N_PER_M, ServedCell, served
-from benchmarks.emulated_cell import PATIENT, EmulatedCell, emulated_cell, until
 from benchmarks.operator_page import page_server
+from palpd.testing.emulated_cell import PATIENT, EmulatedCell, emulated_cell
+from palpd.testing.processes import until
 
 SIZES = ((1400, 900), (768, 1024), (390, 844))
 SCHEMES = ("light", "dark")

@@ -121,7 +121,7 @@ def waits(kind: str, rate_Hz: float, folder: Path) -> Iterator[tuple[Any, Abstra
     elif kind == "waitPeriod":
         from rtde_receive import RTDEReceiveInterface
 
-        from benchmarks.emulated_cell import emulated_cell
+        from palpd.testing.emulated_cell import emulated_cell
 
         with emulated_cell(folder, "ur5e") as cell:
             receive = RTDEReceiveInterface(cell.wires.host, 125.0, ["timestamp"])

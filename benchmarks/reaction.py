@@ -22,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.direct_cell import DirectCell, PushOutcome, opened
-from benchmarks.emulated_cell import emulated_cell
 from palpd.daemon.overshoot import overshoot_N
+from palpd.testing.emulated_cell import emulated_cell
 
 CONTACT_LIMIT_N = 12.0
 ABSOLUTE_LIMIT_N = 60.0

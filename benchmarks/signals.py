@@ -29,14 +29,14 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell, emulated_cell, family, side_by_side
 from benchmarks.measured_column import FAULTS, condition, fill, results_in, spread
-from benchmarks.terminal import take_signals
 from hw.emulators.controller import TruthSample
 from hw.emulators.process import Emulated
 from palpd.daemon.socket_client import ask
 from palpd.errors import PalpdError
 from palpd.recording.reader import Recording
+from palpd.testing.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell, emulated_cell
+from palpd.testing.processes import family, side_by_side, take_signals
 
 REST_TARGET_S = 0.150
 GONE_TARGET_S = 1.0

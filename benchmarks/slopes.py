@@ -18,7 +18,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from benchmarks.emulated_cell import ATTEMPTS, PATIENT, emulated_cell
 from hw.emulators.hex_pty import CAPACITY, COUNTS_AT_CAPACITY, Daq
 from palpd.analysis import results
 from palpd.cell.cell_file import CellFile, SensorBlock, save_cell
@@ -30,6 +29,7 @@ from palpd.daemon.simulated_run import SimulatedRecording, run
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.recording.reader import Recording, export
 from palpd.recording.samples import read_csv
+from palpd.testing.emulated_cell import ATTEMPTS, PATIENT, emulated_cell
 from palpd.tick import Floats, ForceSensor, SensorFrames
 
 PartsAt = Literal["load", "reading"]

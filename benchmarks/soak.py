@@ -21,11 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, command_of, emulated_cell, family, until
-from benchmarks.terminal import take_signals
 from palpd.daemon.socket_client import ARM_PATIENCE_S, ask
 from palpd.errors import PalpdError
 from palpd.recording.ring import Ring
+from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell
+from palpd.testing.processes import command_of, family, take_signals, until
 
 PLAN = PRESS | {"depths_m": [0.004, 0.006, 0.008], "repeats": 100}
 """Some quarter of an hour."""

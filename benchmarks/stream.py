@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks.emulated_cell import until
 from palpd.daemon.control_socket import ControlSocket, Watching
 from palpd.recording.ring import Ring
 from palpd.streams.force_socket import RECORD, ForceRecord
+from palpd.testing.processes import until
 from palpd.tick import Floats, TickRecord
 
 OUTPUTS = {"nothing": (), "force": ("force",), "all, viewed and scraped": ("force", "foxglove", "metrics")}

@@ -10,7 +10,7 @@ from functools import partial
 from itertools import product
 
 from benchmarks.boundaries import KEYS, Boundary, answer_to
-from benchmarks.plain_cells import CONTROLLERS
+from palpd.testing.plain_cells import CONTROLLERS
 from palpd.workers import pool
 
 DEVIATIONS_SD = (0.0, 1.0, 2.0, 3.0, 5.0)

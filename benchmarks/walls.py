@@ -7,7 +7,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from benchmarks.emulated_cell import EmulatedCell, WallOutcome, emulated_cell, press_into_wall
+from palpd.testing.emulated_cell import EmulatedCell, WallOutcome, emulated_cell, press_into_wall
 
 LIMIT_N = 12.0
 ATTEMPTS = 5

@@ -27,10 +27,11 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from benchmarks.abort import served
-from benchmarks.emulated_cell import ABOVE_M, PRESS, EmulatedCell, until
 from benchmarks.operator_page import COUNT_FRAMES, PageServer, frame_counts, free_port, opened_pages, page_server
 from palpd.daemon.socket_client import ask
 from palpd.recording.reader import Recording
+from palpd.testing.emulated_cell import ABOVE_M, PRESS, EmulatedCell
+from palpd.testing.processes import until
 from palpd.tick import Phase
 
 ALONE, OTHER, FLOODED = "no page", "another server flooded, no page", "server flooded"

@@ -49,8 +49,8 @@ def plugins(group: str, ours: Mapping[str, str]) -> dict[str, Plugin]:
     """
     others = (Plugin(group, point.name, point.value, point.dist.name if point.dist else "unknown") for point in entry_points(group=group))
     # versions of palpd before this one registered their own, and an installation may still say so
-    found = {plugin.name: plugin for plugin in others if plugin.package != "palpd"}
-    return found | {name: Plugin(group, name, place) for name, place in ours.items()}
+    foreign = {plugin.name: plugin for plugin in others if plugin.package != "palpd"}
+    return foreign | {name: Plugin(group, name, place) for name, place in ours.items()}
 
 
 def loaded(registered: Iterable[Plugin], check: Callable[[Plugin, Any], Any]) -> tuple[dict[str, Any], tuple[str, ...]]:

@@ -8,7 +8,7 @@ import os
 
 from hypothesis import HealthCheck, settings
 
-from benchmarks.terminal import take_signals
+from palpd.testing.processes import take_signals
 
 for size in ("COLUMNS", "LINES"):
     os.environ.pop(size, None)

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.emulated_cell import EmulatedCell, emulated_cell, retry_if_machine_stalled
 from benchmarks.fuzz_inputs import sound_files
 from palpd.cli import application
 from palpd.cli.application import carry_out
@@ -26,9 +25,10 @@ from palpd.cli.output_options import examples_of
 from palpd.errors import RecordingError
 from palpd.interchange import registry
 from palpd.interchange.import_files import ImportOptions, read_files
+from palpd.testing.emulated_cell import EmulatedCell, emulated_cell, retry_if_machine_stalled
+from palpd.testing.fixtures import skip_without_ur_rtde
 from tests.pages import FENCE, commands_of, quoted_in, words
 from tests.paths import ROOT
-from tests.robot_library import skip_without_ur_rtde
 
 DOCS = ROOT / "docs"
 START, ON_WIRES = DOCS / "start.md", DOCS / "tutorials" / "emulated-cell.md"

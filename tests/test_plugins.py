@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.simulated_recording import write_simulated
 from palpd.cell.cell_file import load_cell
 from palpd.cell.effects import EFFECTS, installed_effects, load_effects, user_effects
 from palpd.config import Config, Plan, PlanSite, SensorConfig
@@ -16,6 +15,7 @@ from palpd.errors import BadInput, ConfigError, RecordingError, RobotError, Sens
 from palpd.interchange import registry
 from palpd.plugins import plugins
 from palpd.recording.reader import Recording
+from palpd.testing.simulated_recording import write_simulated
 from tests.paths import ROOT
 
 PACKAGE = """

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from benchmarks.calibrate import CHECK_SEED, FIT_SEED, fit, log_loss, pairs_of, report
-from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.blind.outcome import CaseOutcome
 from palpd.blind.score import calibration_error, error_of_a_calibrated_forecaster
 from palpd.errors import BadInput
 from palpd.gap import diagnosis
 from palpd.gap.calibration import P_NONE_TO_ACQUIT, ProbabilityMap, stored_map
 from palpd.gap.decide import P_TO_NAME
+from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
 
 DOUBTING = ProbabilityMap(power=0.4, doubt=0.1, power_none=3.0, cells=500, how="a test")
 

@@ -14,11 +14,12 @@ from urllib.request import urlopen
 
 import pytest
 
-from benchmarks.emulated_cell import PATIENT, emulated_cell, until
+from palpd.testing.emulated_cell import PATIENT, emulated_cell
+from palpd.testing.fixtures import skip_without_ur_rtde
+from palpd.testing.processes import until
 from palpd.web.sessions import SESSION_S, Sessions
 from tests.browser.waiting import PATIENCE_S, free_port, until_text
 from tests.hil.serving import Served, served
-from tests.robot_library import skip_without_ur_rtde
 
 playwright_api: Any = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; pip install playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

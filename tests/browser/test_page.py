@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.emulated_cell import until
+from palpd.testing.processes import until
 from tests.browser.conftest import PORT, Pages
 from tests.browser.waiting import PATIENCE_S, above, until_text
 

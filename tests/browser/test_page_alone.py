@@ -18,9 +18,9 @@ from urllib.request import urlopen
 
 import pytest
 
-from benchmarks.emulated_cell import until
 from palpd.control.probe_state import ProbeAnswer, ProbeState
 from palpd.daemon.what_now import Standing
+from palpd.testing.processes import until
 from palpd.tick import Mode, Phase
 from palpd.web.sessions import SESSION_S, Sessions
 from tests.browser.waiting import PATIENCE_S, above, free_port, until_text

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import closing
 from typing import Any
 
-from benchmarks.emulated_cell import until
+from palpd.testing.processes import until
 
 PATIENCE_S = 300.0
 """For a machine that does other things besides: the tests look at order and content, not at time."""

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.emulated_cell import family, until
 from palpd.cell.cell_file import nominal, save_cell
 from palpd.recording.samples import write_csv
+from palpd.testing.processes import family, until
 from tests.gap.test_diagnosis import recording
 from tests.paths import ROOT
 

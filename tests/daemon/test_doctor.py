@@ -15,9 +15,9 @@ from palpd.daemon.finding import Finding
 from palpd.daemon.probe_record import probe_record
 from palpd.daemon.stored_state import Calibration, Latch, State
 from palpd.errors import SensorError
+from palpd.testing.fixtures import skip_without_ur_rtde
 from palpd.tick import NO_FRAMES, RobotMode, SafetyMode, SensorFrames
 from tests.paths import ROOT
-from tests.robot_library import skip_without_ur_rtde
 from tests.scenes import robot
 
 HOST = "127.0.9.73"

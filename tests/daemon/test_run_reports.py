@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from benchmarks.simulated_recording import write_simulated
 from palpd.config import Plan
 from palpd.daemon import run_reports
 from palpd.daemon.run_reports import RunReports, begin_report
+from palpd.testing.simulated_recording import write_simulated
 
 PLAN = Plan.model_validate(
     {"sites": [{"name": "A"}], "depths_m": [0.003], "mode": "static", "hold_s": 0.2, "search": {"speed_m_per_s": 0.02}}

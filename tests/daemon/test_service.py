@@ -28,9 +28,9 @@ from palpd.daemon.supervisor import Report
 from palpd.errors import Refused
 from palpd.recording.reader import Recording
 from palpd.recording.recovery import recover
+from palpd.testing.fixtures import skip_without_ur_rtde
 from palpd.tick import ROW, Phase, Request
 from tests.paths import ROOT
-from tests.robot_library import skip_without_ur_rtde
 
 HOST = "127.0.9.72"
 PHANTOM = ROOT / "palpd" / "cell" / "phantom.yaml"

@@ -9,12 +9,12 @@ from typing import cast
 import numpy as np
 import pytest
 
-from benchmarks.emulated_cell import until
 from palpd.analysis.stalls import stall_figures, stall_note
 from palpd.daemon.motion_process import TripReport
 from palpd.daemon.silence import explained
 from palpd.daemon.witness import Stall, Witness, stood_still
 from palpd.recording.header import RecordedStall
+from palpd.testing.processes import until
 from palpd.tick import ROW, Trip
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.simulated_recording import write_simulated
 from palpd.analysis.enriched import analysed
 from palpd.cell.cell_file import PHANTOM, CellFile, cell_from, load_cell, nominal, save_cell
 from palpd.cell.effects import EFFECTS
@@ -19,6 +18,7 @@ from palpd.gap.diagnosis import diagnose
 from palpd.recording.oddities import questions_of
 from palpd.recording.reader import Recording, export, samples_of
 from palpd.recording.samples import read_csv, write_csv
+from palpd.testing.simulated_recording import write_simulated
 from tests.gap.test_diagnosis import recording
 from tests.paths import SHARED_DATA
 from tests.simulated import cell_file, ran

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.plain_cells import CONTROLLERS, PlantedDeviations, cell_of, recording
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import SHARED, make_problem
 from palpd.recording.samples import Samples
+from palpd.testing.plain_cells import CONTROLLERS, PlantedDeviations, cell_of, recording
 
 IN_TOLERANCE = PlantedDeviations(youngs_modulus=0.03, mass_kg=-0.004, latency_s=0.001, servo_natural_frequency=-0.03, surface_z_m=3e-5)
 

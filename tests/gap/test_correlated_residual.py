@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.gap.infer.correlated_residual import correlation_time, row_weights, wrong_tolerances
 from palpd.gap.infer.evidence import fit
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import SHARED, make_problem
+from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
 
 
 def test_a_tolerance_is_compared_as_wide_as_the_best_hypothesis_needs_it() -> None:

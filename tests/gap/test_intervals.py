@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from benchmarks.plain_cells import cell_of, recording
 from palpd.cell.cell_file import EffectValues
 from palpd.gap.infer.evidence import PossibleLaw, fit, laplace_evidence
 from palpd.gap.infer.fit import gauss_newton
 from palpd.gap.infer.intervals import COVERED, half_width, interval
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import Problem, make_problem
+from palpd.testing.plain_cells import cell_of, recording
 
 SIZES: dict[str, dict[str, tuple[float, float]]] = {
     "cable.friction": {"force_N": (0.02, 0.1)},

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.cell.cell_file import CellFile, EffectValues
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import SHARED, Problem, make_problem
 from palpd.recording.samples import Samples
+from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.plain_cells import cell_of, recording
 from palpd.cell.cell_file import CellFile
 from palpd.gap.decide import _probable_groups
 from palpd.gap.infer.shrink import _without_effects_at_its_modulus
 from palpd.gap.model.problem import SHARED, Problem, make_problem
+from palpd.testing.plain_cells import cell_of, recording
 
 
 def groups(

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from benchmarks.plain_cells import recording
 from palpd.cell.cell_file import CellFile, EffectValues, nominal
 from palpd.cell.effects import EFFECTS
 from palpd.cell.simulation import simulate
@@ -24,6 +23,7 @@ from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import make_problem
 from palpd.recording.oddities import measured_rms
 from palpd.recording.samples import Samples
+from palpd.testing.plain_cells import recording
 from palpd.tick import Floats
 
 

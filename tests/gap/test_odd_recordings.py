@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.signal import bilinear, lfilter
 
-from benchmarks.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.cell.cell_file import CellFile
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
@@ -17,6 +16,7 @@ from palpd.gap.infer.candidates import ringing_frequencies, spectral_peaks
 from palpd.gap.infer.settle import fit_nominal
 from palpd.gap.model.problem import make_problem
 from palpd.recording.samples import Samples
+from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.tick import Floats
 from tests.gap.test_rigs import names, quick, rig
 

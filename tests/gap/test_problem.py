@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.plain_cells import cell_of, recording
 from palpd.gap.data.rounding import roundings_of
 from palpd.gap.model.problem import SHARED, make_problem
 from palpd.gap.model.workspace import Workspace
+from palpd.testing.plain_cells import cell_of, recording
 
 
 def test_a_fresh_workspace_gives_the_same_predictions() -> None:

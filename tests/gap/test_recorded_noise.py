@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.plain_cells import recording
 from palpd.cell.cell_file import CellFile, nominal
 from palpd.cell.simulation import simulate
 from palpd.cell.stages import WRENCH
@@ -13,6 +12,7 @@ from palpd.gap.data.recorded_noise import readings_at_rest_N, with_recorded_nois
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.model.problem import make_problem
 from palpd.recording.samples import Samples
+from palpd.testing.plain_cells import recording
 
 
 def in_nanonewtons(samples: Samples) -> Samples:

@@ -5,7 +5,7 @@ from dataclasses import fields
 import pytest
 
 from benchmarks.boundaries import KEYS, Boundary, answer_to
-from benchmarks.plain_cells import PlantedDeviations
+from palpd.testing.plain_cells import PlantedDeviations
 
 INSIDE = [("held at 125 Hz", "servo_natural_frequency"), ("third order", "mass_kg"), ("jerk limit", "youngs_modulus")]
 OUTSIDE = [

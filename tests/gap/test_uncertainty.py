@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from benchmarks.plain_cells import cell_of, recording
 from palpd.cell.cell_file import CROSSTALK, OpenHypothesis, load_cell, save_cell
 from palpd.cell.draws import spread
 from palpd.gap.diagnosis import diagnose
@@ -15,6 +14,7 @@ from palpd.gap.laws.evidence import FitBeside
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import Problem, make_problem
 from palpd.gap.uncertainty import open_hypothesis
+from palpd.testing.plain_cells import cell_of, recording
 from tests.gap.test_intervals import DRAWS, SIZES, drawn
 
 INSIDE = 0.95

@@ -1,26 +1,5 @@
 """One emulated cell for all tests of this folder: each begins at rest above a wall of its own."""
 
-from collections.abc import Callable, Iterator
+from palpd.testing.fixtures import cb3, cell
 
-import pytest
-
-from benchmarks.emulated_cell import EmulatedCell, emulated_cell
-from tests.robot_library import skip_without_ur_rtde
-
-
-@pytest.fixture(scope="package")
-def cb3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedCell]:
-    """A UR5 at 125 Hz and a HEX-70 at 1 kHz."""
-    skip_without_ur_rtde()
-    with emulated_cell(tmp_path_factory.mktemp("cell"), "ur5") as cell:
-        yield cell
-
-
-@pytest.fixture
-def cell(cb3: EmulatedCell, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., EmulatedCell]:
-    """Makes the cell ready for this test; arguments as of `EmulatedCell.anew`."""
-
-    def ready(stiffness_N_per_m: float = 1000.0, **blocks: dict[str, object]) -> EmulatedCell:
-        return cb3.anew(tmp_path_factory.mktemp("run"), stiffness_N_per_m, **blocks)
-
-    return ready
+__all__ = ["cb3", "cell"]

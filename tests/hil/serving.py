@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.emulated_cell import PRESS, EmulatedCell, until
 from palpd.daemon.socket_client import NoDaemon, ask
+from palpd.testing.emulated_cell import PRESS, EmulatedCell
+from palpd.testing.processes import until
 
 PRESSED_N = 4.0
 """A force that an operator sees after an abort: well above that of a contact, far below the limits."""

@@ -7,10 +7,11 @@ from tempfile import TemporaryDirectory
 import pytest
 
 from benchmarks.after_a_run import COMMANDS, ENDS, PAGE, ServedCell, filled, rows_of, served
-from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, until
 from palpd.errors import Refused
+from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell
+from palpd.testing.fixtures import skip_without_ur_rtde
+from palpd.testing.processes import until
 from tests.paths import ROOT
-from tests.robot_library import skip_without_ur_rtde
 
 pytestmark = pytest.mark.hil
 TABLE = rows_of((ROOT / "docs" / PAGE).read_text())

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.arming import ARMING_FAULTS, failed_arming, fresh, objection, prepared, required
-from benchmarks.emulated_cell import EmulatedCell, emulated_cell, retry_if_machine_stalled
-from tests.robot_library import skip_without_ur_rtde
+from palpd.testing.emulated_cell import EmulatedCell, emulated_cell, retry_if_machine_stalled
+from palpd.testing.fixtures import skip_without_ur_rtde
 
 pytestmark = pytest.mark.hil
 

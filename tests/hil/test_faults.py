@@ -4,12 +4,12 @@ from collections.abc import Callable
 
 import pytest
 
-from benchmarks.emulated_cell import PRESS, EmulatedCell, retry_if_machine_stalled
 from benchmarks.fault_injection import CYCLE_S, FAULTS, inject, objection, required
 from hw.emulators.controller_state import PROGRAM_STOP_M_PER_S2
 from hw.rtde import STOP_M_PER_S2
 from palpd.config import Config
 from palpd.daemon.overshoot import CONTROLLER_CYCLES
+from palpd.testing.emulated_cell import PRESS, EmulatedCell, retry_if_machine_stalled
 
 pytestmark = pytest.mark.hil
 

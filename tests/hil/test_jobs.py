@@ -11,9 +11,10 @@ from typing import Any
 
 import pytest
 
-from benchmarks.emulated_cell import PATIENT, EmulatedCell, command_of, until
 from palpd.errors import Refused
 from palpd.recording.reader import Recording
+from palpd.testing.emulated_cell import PATIENT, EmulatedCell
+from palpd.testing.processes import command_of, until
 from palpd.tick import Phase
 from tests.hil.serving import Served, served
 

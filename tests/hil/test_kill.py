@@ -7,8 +7,9 @@ import mcap.reader
 import pytest
 from rosbags.highlevel import AnyReader
 
-from benchmarks.emulated_cell import ATTEMPTS, PRESS, STALLED_S, Daemon, EmulatedCell, family, kill, until
 from palpd.recording.reader import Recording
+from palpd.testing.emulated_cell import ATTEMPTS, PRESS, STALLED_S, Daemon, EmulatedCell
+from palpd.testing.processes import family, kill, until
 
 pytestmark = pytest.mark.hil
 

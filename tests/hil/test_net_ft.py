@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell
 from palpd.recording.reader import Recording
+from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell
+from palpd.testing.fixtures import skip_without_ur_rtde
 from palpd.tick import Trip
-from tests.robot_library import skip_without_ur_rtde
 
 pytestmark = pytest.mark.hil
 

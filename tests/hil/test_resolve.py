@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 import yaml
 
-from benchmarks.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell
+from palpd.testing.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell
 
 pytestmark = pytest.mark.hil
 

@@ -4,9 +4,10 @@ from collections.abc import Callable
 
 import pytest
 
-from benchmarks.emulated_cell import PATIENT, EmulatedCell, until
 from palpd.control.sequence import RETRACT_M_PER_S
 from palpd.errors import Refused
+from palpd.testing.emulated_cell import PATIENT, EmulatedCell
+from palpd.testing.processes import until
 from tests.hil.serving import served
 
 pytestmark = pytest.mark.hil

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.emulated_cell import PATIENT, PRESS, Daemon, EmulatedCell, command_of, family, until
 from benchmarks.signals import CALIBRATION, COMMANDS, RIGID_N_PER_M, interrupted
 from palpd.recording.reader import Recording
+from palpd.testing.emulated_cell import PATIENT, PRESS, Daemon, EmulatedCell
+from palpd.testing.processes import command_of, family, until
 
 pytestmark = pytest.mark.hil
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell
 from palpd.recording.reader import Recording
-from tests.robot_library import skip_without_ur_rtde
+from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell
+from palpd.testing.fixtures import skip_without_ur_rtde
 
 pytestmark = pytest.mark.hil
 

@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
-from benchmarks.emulated_cell import PATIENT, PATIENT_S, PRESS, Daemon, EmulatedCell, command_of, family
+from palpd.testing.emulated_cell import PATIENT, PATIENT_S, PRESS, Daemon, EmulatedCell
+from palpd.testing.processes import command_of, family
 
 pytestmark = pytest.mark.hil
 

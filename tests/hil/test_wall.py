@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.emulated_cell import EmulatedCell, WallOutcome, press_into_wall, retry_if_machine_stalled
+from palpd.testing.emulated_cell import EmulatedCell, WallOutcome, press_into_wall, retry_if_machine_stalled
 
 pytestmark = pytest.mark.hil
 

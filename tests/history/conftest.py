@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.simulated_recording import BEGAN_S, write_simulated
 from palpd.config import Config, Plan
+from palpd.testing.simulated_recording import BEGAN_S, write_simulated
 
 PLAN = Plan.model_validate(
     {

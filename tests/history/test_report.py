@@ -11,7 +11,6 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from benchmarks.simulated_recording import write_rows
 from palpd.config import Config, Plan
 from palpd.daemon.motion_job import Job
 from palpd.errors import BadInput, RecordingError
@@ -24,6 +23,7 @@ from palpd.history.remarks import Remarks, remark
 from palpd.history.report import RunReport, mood, page, report_of, save_sheet, site_history, write_report
 from palpd.quantities import quantity
 from palpd.recording.reader import Recording
+from palpd.testing.simulated_recording import write_rows
 from tests.history.conftest import PLAN
 
 NOW = "2026-11-22T10:15:00+00:00"

@@ -23,13 +23,13 @@ from typing import Any
 
 import pytest
 
-from benchmarks.emulated_cell import EmulatedCell, emulated_cell
 from hw.muted import MutedRobot
 from hw.rtde import STOP_TIMEOUT_S, VARIABLES, UrReader, UrRobot
 from palpd.errors import RobotError
+from palpd.testing.emulated_cell import EmulatedCell, emulated_cell
+from palpd.testing.fixtures import skip_without_ur_rtde
 from palpd.tick import RobotState
 from tests.paths import ROOT
-from tests.robot_library import skip_without_ur_rtde
 
 WATCHDOG_HZ = 10
 REST_WITHIN_S = 0.110

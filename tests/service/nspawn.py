@@ -14,7 +14,7 @@ from palpd.daemon.socket_client import ask
 from palpd.errors import Refused
 from palpd.recording.reader import Recording
 from palpd.recording.recovery import recover
-from tests.robot_library import skip_without_ur_rtde
+from palpd.testing.fixtures import skip_without_ur_rtde
 from tests.service.container import INSIDE_CODE, INSIDE_PYTHON, Container, booted, missing, until
 
 pytestmark = [pytest.mark.hil, pytest.mark.skipif(missing() is not None, reason=f"booting systemd in a container {missing()}")]

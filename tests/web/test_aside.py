@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.emulated_cell import until
+from palpd.testing.processes import until
 
 SERVER = """
 import asyncio, os

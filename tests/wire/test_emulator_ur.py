@@ -22,7 +22,7 @@ import serial
 
 from hw.emulators.__main__ import main
 from hw.emulators.process import Emulated, started
-from tests.robot_library import skip_without_ur_rtde
+from palpd.testing.fixtures import skip_without_ur_rtde
 
 pytestmark = pytest.mark.hil
 

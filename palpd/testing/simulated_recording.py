@@ -1,4 +1,4 @@
-"""A recording of a simulated run: a whole palpation in seconds, with the file that the daemon would have written. Tests use it too."""
+"""A recording of a simulated run: a whole palpation in seconds, with the file that the daemon would have written."""
 
 from pathlib import Path
 
@@ -26,18 +26,14 @@ def write_simulated(
     """Carry out a plan without wires and write its recording.
 
     Args:
-        path: The file.
         plan: What is pressed.
         cell: The cell; by default an elastic one.
         config: The configuration; by default the shipped one.
         began_s: Unix time at which it begins.
         seed: Of the noise.
-
-    Returns:
-        The path.
     """
     job = Job("palpation", config or Config(), plan, reference=(0.0, 0.0, FZ_OFFSET_N, 0.0, 0.0, 0.0))
-    simulated = run(job, cell or CellFile(), seed=seed)
+    simulated = run(job, cell or CellFile.model_validate({}), seed=seed)
     about: RunAbout = {
         "robot_host": "simulated", "robot_model": job.config.robot.model, "sensor_serial": "SIM00001", "sensor_port": "none",
         "counts_per_N": [41.3, 41.1, 7.6], "counts_per_Nm": [1126.0, 1082.0, 1433.0], "calibration_source": "simulated",
@@ -56,14 +52,10 @@ def write_rows(path: Path, rows: NDArray[np.void], job: Job, about: RunAbout, fo
     """Write rows as the recorder does.
 
     Args:
-        path: The file.
         rows: Ticks (n,).
         job: What was carried out.
         about: The devices.
         footer: How it ended.
-
-    Returns:
-        The path.
     """
     header = {**header_of(job, about, job.reference or (0.0,) * 6, tuple(rows[0]["tcp_pose"].tolist()))}
     header["started"] = str(np.datetime64(round(about["epoch_offset_s"] + float(rows["now_s"][0])), "s")) + "+00:00"

@@ -64,15 +64,24 @@ def commanded(seed: int) -> Floats:
     return np.concatenate(pieces)
 
 
-def second_order(z_m: Floats, natural_frequency_Hz: float, damping_ratio: float) -> Floats:
-    """The answer (n,) of a second-order servo to commanded heights (n,) at FINE_HZ, at rest before."""
+def second_order(z_cmd_m: Floats, natural_frequency_Hz: float, damping_ratio: float) -> Floats:
+    """The answer (n,) of a second-order servo at rest to commanded heights.
+
+    Args:
+        z_cmd_m: Commanded heights (n,) at FINE_HZ.
+    """
     w = 2.0 * np.pi * natural_frequency_Hz
-    b, a, _ = cont2discrete(([w * w], [1.0, 2.0 * damping_ratio * w, w * w]), 1.0 / FINE_HZ, "zoh")
-    return np.asarray(lfilter(b.ravel(), a, z_m - z_m[0]) + z_m[0])
+    b, a, _ = cont2discrete((np.array([w * w]), np.array([1.0, 2.0 * damping_ratio * w, w * w])), 1.0 / FINE_HZ, "zoh")
+    return np.asarray(lfilter(b.ravel(), a, z_cmd_m - z_cmd_m[0]) + z_cmd_m[0])
 
 
 def follow(controller: str, z_cmd_m: Floats, natural_frequency_Hz: float) -> Floats:
-    """Heights (n,) of the tip behind one of the CONTROLLERS."""
+    """Heights (n,) of the tip.
+
+    Args:
+        controller: One of CONTROLLERS: "second order", "held at 125 Hz", "held at 500 Hz", "third order", "jerk limit".
+        z_cmd_m: Commanded heights (n,) at FINE_HZ.
+    """
     if controller.startswith("held"):
         hold = FINE_HZ // (125 if "125" in controller else 500)
         z_cmd_m = np.repeat(z_cmd_m[::hold], hold)[: len(z_cmd_m)]
@@ -90,7 +99,11 @@ def identified(controller: str) -> tuple[float, float]:
     """Natural frequency (Hz) and damping ratio of the second-order servo nearest to a controller, as a user would fit them in free air."""
     z_cmd_m = commanded(99)[: 12 * FINE_HZ]
     z_m = follow(controller, z_cmd_m, SERVO_HZ)
-    nearest = least_squares(lambda x: (second_order(z_cmd_m, *x) - z_m)[::16] * 1e5, [SERVO_HZ, SERVO_DAMPING])
+
+    def misfit(x: Floats) -> Floats:
+        return np.asarray((second_order(z_cmd_m, float(x[0]), float(x[1])) - z_m)[::16] * 1e5)
+
+    nearest = least_squares(misfit, [SERVO_HZ, SERVO_DAMPING])
     return float(nearest.x[0]), float(nearest.x[1])
 
 

@@ -1,12 +1,10 @@
-"""A daemon and an emulated cell as real processes on real wires; the cell logs what happens. Benchmarks and tests/hil use it."""
+"""A daemon and an emulated cell as real processes on real wires; the cell logs what happens."""
 
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,9 +22,9 @@ from hw.emulators.process import Emulated, started
 from palpd.cli import app
 from palpd.recording.reader import Recording
 from palpd.recording.ring import Ring
+from palpd.testing.processes import PATIENCE_S, command_of, family, until
 from palpd.tick import Phase
 
-PATIENCE_S = 60.0
 ATTEMPTS = 3
 STALLED_S = 0.002
 """An emulator, on a real-time thread where that is permitted, that was later than this measures the machine."""
@@ -119,38 +117,6 @@ class Daemon:
     def recorder_pid(self) -> int:
         """The process that writes the file."""
         return next(pid for pid in family(self.process.pid) if "palpd.recording.recorder" in command_of(pid))
-
-
-def family(session: int) -> list[int]:
-    """Every living process of a session, zombies left out."""
-    members = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                fields = (entry / "stat").read_text().rpartition(")")[2].split()
-            except OSError:
-                continue
-            if int(fields[3]) == session and fields[0] != "Z":
-                members.append(int(entry.name))
-    return members
-
-
-def command_of(pid: int) -> str:
-    """Its command line."""
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
-    except OSError:
-        return ""
-
-
-def until(true: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S, every_s: float = 0.01) -> Any:
-    """Ask again until it is true, and return what it is."""
-    end_s = time.monotonic() + timeout_s
-    while time.monotonic() < end_s:
-        if answer := true():
-            return answer
-        time.sleep(every_s)
-    raise AssertionError(f"not within {timeout_s:g} s: {what}")
 
 
 @dataclass(frozen=True)
@@ -320,25 +286,14 @@ def press_into_wall(cell: EmulatedCell, stiffness_N_per_m: float, speed_m_per_s:
 
 @contextmanager
 def emulated_cell(folder: Path, model: str = "ur5", cell: Path | None = None, *options: str) -> Iterator[EmulatedCell]:
-    """An emulated cell in a process of its own on an address of its own; `options` are more options of the emulators."""
+    """An emulated cell in a process of its own on an address of its own.
+
+    Args:
+        folder: Where its device and its control socket stand.
+        model: "ur5" at 125 Hz, or "ur5e" at 500 Hz.
+        cell: Cell file; None: the phantom of the paper.
+        options: More options of `python -m hw.emulators`.
+    """
     host = f"127.{os.getpid() % 250 + 2}.{os.getpid() // 250 % 250}.{next(_hosts) % 250 + 2}"  # no other test process has it
     with started(folder, model, cell, host, *options) as wires:
         yield EmulatedCell(wires, model, folder)
-
-
-def side_by_side(work: Callable[[Path], None], folder: Path, number: int) -> None:
-    """Do the same work in that many threads, each in a folder of its own for an emulated cell of its own, until all are done."""
-    threads = []
-    for k in range(number):
-        own = folder / f"cell-{k}"
-        own.mkdir()
-        threads.append(threading.Thread(target=work, args=(own,)))
-        threads[-1].start()
-    for thread in threads:
-        thread.join()
-
-
-def kill(pid: int, number: int = signal.SIGKILL) -> float:
-    """Send a signal, to a whole group if negative, and return when."""
-    os.kill(pid, number)
-    return time.monotonic()
