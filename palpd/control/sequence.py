@@ -356,11 +356,6 @@ class Script(ABC):
                 return
             yield from self.move()
 
-    def mean_force(self, duration_s: float) -> Generator[Proposal, Observation, float]:
-        """Stand still and return the mean of fz, tared and not compensated."""
-        wrench = yield from self.mean_wrench(duration_s)
-        return wrench[2]
-
     def mean_wrench(self, duration_s: float) -> Generator[Proposal, Observation, tuple[float, ...]]:
         """Stand still and return the mean wrench (6,), tared and not compensated."""
         until_s = self.observation.now_s + duration_s
@@ -474,7 +469,7 @@ class Palpation(Script):
         search = self.plan.search
         lowest_m = self.observation.robot.target_pose[2] - search.max_travel_m
         self.note(phase=Phase.BASELINE, mode=Mode.SEARCH)
-        baseline_N = yield from self.mean_force(BASELINE_S)
+        baseline_N = (yield from self.mean_wrench(BASELINE_S))[2]
         kept = round(APPROACH_KEPT_S / 0.002)
         robot_track: deque[tuple[float, float]] = deque(maxlen=kept)
         force_track: deque[tuple[float, float]] = deque(maxlen=kept)
@@ -660,7 +655,7 @@ class Retract(Script):
     def run(self) -> Steps:
         """Refuse where nothing presses; else go up until the force is level."""
         self.note(phase=Phase.BASELINE, safe_z_m=self.home[2] + RETRACT_LIMIT_M)
-        loaded_N = yield from self.mean_force(BASELINE_S)
+        loaded_N = (yield from self.mean_wrench(BASELINE_S))[2]
         if abs(loaded_N) < CONTACT_FORCE_N and not self.unfinished:
             raise NotBegun(
                 f"the force is {loaded_N:.2f} N against the reference tare, below the {CONTACT_FORCE_N:g} N of a contact: "
