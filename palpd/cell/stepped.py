@@ -117,9 +117,7 @@ class SteppedCell:
         what.apply("robot", s, self._common)
         motion = np.concatenate((position, velocity), axis=1)
         motion[:, 2], motion[:, 5] = s.z_m, s.vz_m_per_s
-        if c.delay_s < 0.0 or c.skew > 0.0:  # a wrench that comes early is a robot that reports late
-            s.lead_s = np.maximum(c.skew * t_s - c.delay_s, 0.0)
-            motion = delayed(motion, t_s, t_s - s.lead_s, self._common.setdefault("reported", {}))
+        motion = _reported_late(s, motion, self._common)
         load_sensor(s, what, self._common, self._local[place])
         read_mean(s, what, self._common)
         tip_m = position.copy()
@@ -132,6 +130,14 @@ class SteppedCell:
         if len(self._places) == 1:
             return 0
         return int(np.argmin(((self._where_m - at_m[:2]) ** 2).sum(axis=1)))
+
+
+def _reported_late(s: Span, motion: Floats, memory: Memory) -> Floats:
+    """The motion (n, columns) as the robot reports it: a wrench that comes early is a robot that reports late."""
+    if s.constants.delay_s >= 0.0 and s.constants.skew <= 0.0:
+        return motion
+    s.lead_s = np.maximum(s.constants.skew * s.t_s - s.constants.delay_s, 0.0)
+    return delayed(motion, s.t_s, s.t_s - s.lead_s, memory.setdefault("reported", {}))
 
 
 class MovedCell:
@@ -175,10 +181,7 @@ class MovedCell:
         z, v, a = (np.array([x]) for x in motion)
         s = Span(c, np.array([t_s]), dt_s, z, v, a)
         self.what.apply("robot", s, common)
-        self._reported = np.array([s.z_m[0], s.vz_m_per_s[0]])
-        if c.delay_s < 0.0 or c.skew > 0.0:  # a wrench that comes early is a robot that reports late
-            s.lead_s = np.maximum(c.skew * s.t_s - c.delay_s, 0.0)
-            self._reported = delayed(self._reported[None], s.t_s, s.t_s - s.lead_s, common.setdefault("reported", {}))[0]
+        self._reported = _reported_late(s, np.stack((s.z_m, s.vz_m_per_s), axis=1), common)[0]
         self._span = s
         self._inertial_N = -c.mass_kg * float(s.az_m_per_s2[0])
         self._beyond_servo_N = self._inertial_N + c.mass_kg * motion[2]
