@@ -16,23 +16,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
-from hw.emulators.hex_pty import CAPACITY, COUNTS_AT_CAPACITY, Daq
+from hw.emulators.hex_pty import PartsAt
 from palpd.analysis import results
 from palpd.cell.cell_file import CellFile, SensorBlock, save_cell
 from palpd.config import Config, Plan
-from palpd.control.slopes import FZ, GRAVITY_N_PER_KG
 from palpd.daemon.motion_job import Job
-from palpd.daemon.sim_cell import FZ_OFFSET_N
-from palpd.daemon.simulated_run import SimulatedRecording, run
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.recording.reader import Recording, export
 from palpd.recording.samples import read_csv
 from palpd.testing.emulated_cell import ATTEMPTS, PATIENT, emulated_cell
-from palpd.tick import Floats, ForceSensor, SensorFrames
+from palpd.testing.parted_sensor import pressed
 
-PartsAt = Literal["load", "reading"]
 Setting = Literal["both", "pressed"]
 RIGHT: dict[PartsAt, Setting] = {"load": "both", "reading": "pressed"}
 MODULI_PA = {"A": 60e3, "B": 100e3, "C": 140e3}
@@ -52,8 +46,6 @@ WITHIN = 0.01
 LARGEST_GROUP = 3
 """Largest group of effects that a diagnosis may not tell apart and still counts as an answer."""
 NAME = "sensor.asymmetry"
-COUNTS_PER_UNIT = np.array(COUNTS_AT_CAPACITY[:6]) / (np.array(CAPACITY[:6]) * [1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
-RATIO = COUNTS_AT_CAPACITY[6] / CAPACITY[6] / COUNTS_PER_UNIT[FZ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,31 +102,6 @@ def over_wires(folder: Path, law: PartsAt, settings: Sequence[Setting], kept: Pa
             raise RuntimeError(f"{ATTEMPTS} runs on the law {law} with {setting} were ended")
 
 
-class PartedSensor:
-    """A simulated sensor seen through the emulated DAQ: counts by its law, converted with the slope for pressing."""
-
-    def __init__(self, sensor: ForceSensor, law: PartsAt, weight_N: float) -> None:
-        self._sensor, self._daq, self._weight_N = sensor, Daq(fz_parts_at=law), weight_N
-        self._rest = self._counts(np.zeros((1, 6)))[0]
-
-    def read(self) -> SensorFrames:
-        """The frames of this tick."""
-        frames = self._sensor.read()
-        wrench = frames.wrench.copy()
-        wrench[:, FZ] -= FZ_OFFSET_N
-        converted = (np.round(self._counts(wrench)) - self._rest) / COUNTS_PER_UNIT
-        converted[:, FZ] += FZ_OFFSET_N
-        return replace(frames, wrench=converted)
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-    def _counts(self, wrench: Floats) -> Floats:
-        loaded = wrench.copy()
-        loaded[:, FZ] += self._weight_N  # it pulls, and a press is negative
-        return self._daq.measure(loaded)
-
-
 def without_wires(folder: Path, law: PartsAt, setting: Setting, seed: int, plan: dict[str, Any] = PLAN) -> list[SlopesRun]:
     """Palpate by the daemon's loop on the cell's physics, each site in a run of its own.
 
@@ -155,33 +122,6 @@ def without_wires(folder: Path, law: PartsAt, setting: Setting, seed: int, plan:
         done = pressed(job, cell_of(modulus_Pa), law, config.cell.probe.mass_kg, seed + index)
         palpated.append(SlopesRun(law, setting, Recording(folder / f"{law}-{setting}-{name}", done.rows, done.header, {}, None)))
     return palpated
-
-
-def pressed(job: Job, cell: CellFile, law: PartsAt, mass_kg: float, seed: int) -> SimulatedRecording:
-    """Carry out a job without wires on a sensor of that law.
-
-    Args:
-        job: The job, with the setting of `sensor.fz_slopes`.
-        cell: The cell.
-        law: Where the slopes of the sensor part.
-        mass_kg: True mass of the probe.
-        seed: Of the noise.
-
-    Returns:
-        The run.
-    """
-    exact = cell.sensor.model_copy(update=dict.fromkeys(("resolution_fxy_N", "resolution_fz_N", "resolution_Nm"), 0.0))
-    done = run(
-        job,
-        cell.model_copy(update={"sensor": exact}),
-        seed=seed,
-        home_above_m=0.012,
-        behind=lambda sensor: PartedSensor(sensor, law, mass_kg * GRAVITY_N_PER_KG),
-        about={"pulled_over_pressed": RATIO},
-    )
-    if done.outcome.verdict != "done":
-        raise RuntimeError(f"the run on the law {law} was stopped: {done.outcome.reason}")
-    return done
 
 
 def diagnosed(palpated: SlopesRun, site: str, folder: Path) -> Diagnosis:

@@ -7,6 +7,23 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 
+OF_BENCHMARKS = {
+    "blind/test_calibration.py": {"calibrate"},
+    "blind/test_my_simulator.py": {"my_simulator"},
+    "blind/test_real_recordings.py": {"real_recordings"},
+    "cli/test_fuzz_lines.py": {"fuzz_commands"},
+    "cli/test_output_options.py": {"fuzz_commands"},
+    "daemon/test_demo.py": {"law_demos"},
+    "gap/test_tolerance_boundaries.py": {"boundaries"},
+    "hil/test_after_a_run.py": {"after_a_run"},
+    "hil/test_arming.py": {"arming"},
+    "hil/test_faults.py": {"fault_injection"},
+    "hil/test_signals.py": {"signals"},
+    "study/test_methods.py": {"compensation_methods", "recurrent_method"},
+    "test_pages.py": {"fuzz_inputs"},
+}
+"""Tests of a benchmark, or of a short sample of what it measures; what tests and benchmarks share otherwise is in palpd.testing."""
+
 
 def imported_modules(path: Path) -> set[str]:
     """Full names of all modules that a file imports, at any level."""
@@ -18,6 +35,19 @@ def imported_modules(path: Path) -> set[str]:
 @pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").rglob("*.py")), ids=lambda path: path.stem)
 def test_benchmarks_import_no_tests(path: Path) -> None:
     assert not {module for module in imported_modules(path) if module.partition(".")[0] == "tests"}
+
+
+def test_only_the_tests_of_a_benchmark_import_it() -> None:
+    imported = {}
+    for path in (ROOT / "tests").rglob("*.py"):
+        modules = {module.partition(".")[2] for module in imported_modules(path) if module.startswith("benchmarks.")}
+        imported[path.relative_to(ROOT / "tests").as_posix()] = modules
+    assert {name: modules for name, modules in imported.items() if modules} == OF_BENCHMARKS
+
+
+def test_only_the_module_of_fixtures_imports_pytest() -> None:
+    importers = {path.name for path in (ROOT / "palpd").rglob("*.py") if "pytest" in imported_modules(path)}
+    assert importers == {"fixtures.py"}
 
 
 @pytest.mark.parametrize("path", sorted([*(ROOT / "palpd").rglob("*.py"), *(ROOT / "hw").rglob("*.py")]), ids=lambda path: path.stem)

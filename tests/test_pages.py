@@ -197,10 +197,15 @@ def test_the_commands_for_a_real_cell_are_those_of_the_tutorial() -> None:
             assert (name, "palpd") in tried
 
 
-@pytest.mark.parametrize("page", [*sorted((DOCS / "how-to").glob("add-*.md")), DOCS / "streams.md"], ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page",
+    [*sorted((DOCS / "how-to").glob("add-*.md")), DOCS / "how-to" / "test-a-plugin.md", DOCS / "streams.md"],
+    ids=lambda page: page.stem,
+)
 def test_code_that_a_page_shows_is_the_example(page: Path) -> None:
     shown = [text for kind, text in FENCE.findall(page.read_text()) if kind == "python"]
-    assert [text in {file.read_text() for file in (DOCS / "examples").glob("*.py")} for text in shown] == [True]
+    assert shown
+    assert not set(shown) - {file.read_text() for file in (DOCS / "examples").glob("*.py")}
 
 
 def test_the_readers_example_reads_lines_of_json_and_refuses_others_in_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

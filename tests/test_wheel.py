@@ -44,6 +44,9 @@ def test_the_wheel_holds_what_install_and_init_copy_and_says_that_it_is_typed(un
         assert (unpacked / "palpd" / "shipped" / name).read_text() == (ROOT / name).read_text()
     assert (unpacked / "palpd" / "py.typed").exists()
     assert (unpacked / "hw" / "py.typed").exists()
+    assert {path.name for path in (unpacked / "palpd" / "testing").glob("*.py")} == {
+        path.name for path in (ROOT / "palpd" / "testing").glob("*.py")
+    }
 
 
 def test_an_installed_wheel_writes_the_starting_files_and_those_of_the_service(unpacked: Path, tmp_path: Path) -> None:

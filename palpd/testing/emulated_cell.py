@@ -92,6 +92,11 @@ class Daemon:
         report: dict[str, Any] = json.loads(self.json_file.read_text())
         return report
 
+    @property
+    def recording(self) -> Path:
+        """The finished recording that its report names."""
+        return Path(self.report["recording"])
+
     @cached_property
     def motion_pid(self) -> int:
         """The process that holds the robot: the child whose spawned main is none of multiprocessing's own."""
@@ -277,7 +282,7 @@ def press_into_wall(cell: EmulatedCell, stiffness_N_per_m: float, speed_m_per_s:
     code = daemon.wait()
     peak_N = cell.truth()["peak_contact_N"]
     time.sleep(0.5)
-    rows = Recording.load(Path(daemon.report["recording"])).rows
+    rows = Recording.load(daemon.recording).rows
     overshoots = json.loads(printed.read_text())["overshoot"]
     of = {(entry["stiffness_N_per_m"], entry["speed_m_per_s"]): entry["overshoot_N"] for entry in overshoots}
     predicted_N = of[stiffness_N_per_m, speed_m_per_s]

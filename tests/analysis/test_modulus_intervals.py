@@ -5,17 +5,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.slopes import RATIO, cell_of, pressed
 from palpd.analysis.modulus_intervals import NORMAL_95, KnownWeight, Measured, mean_ci95_Pa
 from palpd.analysis.results import analysed, sites
+from palpd.cell.cell_file import CellFile, SensorBlock
 from palpd.config import Config, Plan
 from palpd.control.slopes import GRAVITY_N_PER_KG
 from palpd.daemon.motion_job import Job
 from palpd.daemon.simulated_run import SimulatedRecording
 from palpd.recording.header import RecordingHeader
+from palpd.testing.parted_sensor import RATIO, pressed
 
 SIGMA_KG = 0.02
 PLAN = Plan.model_validate({"sites": [{"name": "A"}], "depths_m": [0.006, 0.008], "hold_s": 0.5, "repeats": 1, "mode": "both"})
+
+CELL = CellFile.model_validate({"sensor": SensorBlock(rate_Hz=1000.0).model_dump(), "tissue": {"youngs_modulus_Pa": 72e3}})
 
 
 def config(setting: str = "both", sigma_kg: float = SIGMA_KG) -> Config:
@@ -35,7 +38,7 @@ def half(interval: list[float] | None) -> float:
 def heavier() -> SimulatedRecording:
     """A run whose probe weighs two standard deviations more than the configuration says."""
     mass_kg = config().cell.probe.mass_kg + 2.0 * SIGMA_KG
-    return pressed(Job("palpation", config(), PLAN), cell_of(72e3), "load", mass_kg, seed=3)
+    return pressed(Job("palpation", config(), PLAN), CELL, "load", mass_kg, seed=3)
 
 
 def with_tolerance(run: SimulatedRecording, **about: Any) -> RecordingHeader:

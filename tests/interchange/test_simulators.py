@@ -16,7 +16,6 @@ pytest.importorskip("pythonfmu3", reason="pythonfmu3 is not installed; install t
 
 import mujoco
 
-from benchmarks.export_sim import rows_of
 from palpd.cell.cell_file import CellFile, Estimated, cell_from, load_cell, nominal, save_cell
 from palpd.cell.effects import EFFECTS, Effect, Parameter
 from palpd.cell.effects.learned import LearnedEffect
@@ -26,6 +25,7 @@ from palpd.errors import BadInput, ConfigError
 from palpd.interchange.simulators import export
 from palpd.interchange.simulators.bundle import bundled
 from palpd.interchange.simulators.export import MOST_OFF, agreement_of, export_cell
+from palpd.interchange.simulators.exported_cell import COLUMNS
 
 CAUSES: dict[str, dict[str, float]] = {
     "robot.lag": {"bandwidth_ratio": 0.7},
@@ -112,7 +112,8 @@ def test_noise_comes_with_a_seed_and_is_that_of_palpd(tmp_path: Path) -> None:
     cell = nominal().with_effects({"sensor.noise": {"ratio": 3.0}, "sensor.dropout": {"rate_Hz": 60.0, "length_s": 0.004}})
     folder = exported(cell, tmp_path / "out")
     t_s, z_cmd_m = motion()
-    own = rows_of(simulate(cell, t_s, z_cmd_m=z_cmd_m, noise_seed=5))
+    columns = simulate(cell, t_s, z_cmd_m=z_cmd_m, noise_seed=5)
+    own = np.column_stack([columns[name] for name in COLUMNS])
     clean, noisy = rolled_out(folder), rolled_out(folder, noise_seed=4)
     np.testing.assert_array_equal(rolled_out(folder, noise_seed=4), noisy)
     assert np.std(noisy - clean, axis=0) == pytest.approx(np.std(own - clean, axis=0), rel=0.1)
