@@ -75,7 +75,7 @@ def write_page(check: CheckResult, folder: Path, ablations: Sequence[CheckResult
     _calibration_and_size(outcomes, calibration)
     environment = jinja2.Environment(trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined, keep_trailing_newline=True)
     template = environment.from_string(files("palpd.blind").joinpath(TEMPLATE).read_text(encoding="utf-8"))
-    cases, compared = _compared([result, *ablations])
+    cases, compared = _compared([result, *ablations]) if ablations else (0, [])
     text = template.render(
         mark=PAGE_MARK,
         checks=[_numbers(one) for one in (check, *others)],

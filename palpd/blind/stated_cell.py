@@ -70,10 +70,23 @@ class CellNumbers:
 
 
 def rounded(wrench: Floats, steps: Floats) -> Floats:
-    """Readings (n, 6) in steps (6,); 0 is no step."""
+    """Round readings to the steps of their axes.
+
+    Args:
+        wrench: Readings (n, 6) in N and Nm.
+        steps: Steps (6,); 0 is no step.
+
+    Returns:
+        The readings (n, 6).
+    """
     return np.where(steps > 0.0, np.round(wrench / np.where(steps > 0.0, steps, 1.0)) * steps, wrench)
 
 
 def log_uniform(r: np.random.Generator, low: float, high: float) -> float:
-    """Draw from a distribution that is uniform in the logarithm, between two bounds above zero."""
+    """Draw from a distribution that is uniform in the logarithm.
+
+    Args:
+        low: Lower bound, above zero, in the unit of what is drawn.
+        high: Upper bound, in the same unit.
+    """
     return float(np.exp(r.uniform(np.log(low), np.log(high))))
