@@ -46,13 +46,13 @@ class Tried:
 
     Attributes:
         gain: Gain in squared sigmas that the scan promised; None where the fit began elsewhere.
-        log_evidence: log E of the fit, without the prior of the set.
+        evidence_nats: log E of the fit, without the prior of the set.
     """
 
     step: str
     names: tuple[str, ...]
     gain: float | None
-    log_evidence: float
+    evidence_nats: float
 
 
 @dataclass(frozen=True)
