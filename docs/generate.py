@@ -30,7 +30,8 @@ from palpd.cli.command_groups import GROUPS
 from palpd.cli.output_options import examples_of
 from palpd.config import Config, Plan
 from palpd.files import file_use
-from palpd.gap.similar_effects import MOSTLY_ALIKE, ONE_DIRECTION, Similarity, similar_effects, standard_motion
+from palpd.gap.assumptions import ASSUMED
+from palpd.gap.similar_effects import Similarity, similar_effects, standard_motion
 from palpd.recording.samples import COLUMNS, Samples
 from palpd.tick import Floats
 
@@ -291,8 +292,9 @@ def effects_page() -> str:
         "motion. Orange is the cell as stated, blue the cell with the effect at a typical size. Below is the difference of both.\n\n"
         "*Confused with* compares effects on the standard motion of `palpd effects`: strokes, holds and presses of three depths. The "
         "cosine is that of the angle between both changes, with everything within specification projected out. Above "
-        f"{ONE_DIRECTION:g} the motion cannot distinguish two effects, below {MOSTLY_ALIKE:g} they are not listed. The SNR is the size of "
-        "the effect from which on both are distinguished at odds of 20. `palpd effects ID --cell cell.yaml` compares on your cell. "
+        f"{ASSUMED.advice.one_direction:g} the motion cannot distinguish two effects, below {ASSUMED.advice.mostly_alike:g} "
+        f"they are not listed. The SNR is the size of the effect from which on both are distinguished at odds of {ASSUMED.advice.odds:g}. "
+        "`palpd effects ID --cell cell.yaml` compares on your cell. "
         "[The blind check](../blind.md) counts which effects were in fact taken for each other.\n"
     )
     site = ""
@@ -332,7 +334,7 @@ def effect_section(effect: Effect, similar: Sequence[Similarity]) -> str:
         notes.append("It changes the scatter of the readings, not their mean, so a separate test finds it.")
     if effect.family:
         notes.append(f"Other {effect.family} would look the same.")
-    alike = [one for one in similar if one.cosine > MOSTLY_ALIKE]
+    alike = [one for one in similar if one.cosine > ASSUMED.advice.mostly_alike]
     confused = "Confused with: nothing on the standard motion.\n" if not effect.scatter else ""
     if alike:
         lines = [(f"[`{one.other}`](#{slug(one.other)})", f"{one.cosine:.2f}", f"{one.told_at_snr:.0f}") for one in alike]

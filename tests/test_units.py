@@ -127,11 +127,12 @@ def public_classes() -> Iterator[type]:
 
 
 def float_fields(item: type) -> list[str]:
-    """Public fields that hold one float."""
+    """Public fields that hold one float and do not state a unit of their own, as those of `palpd.gap.assumptions` do."""
     if not (issubclass(item, BaseModel) or dataclasses.is_dataclass(item) or hasattr(item, "_fields")):
         return []
     hints = typing.get_type_hints(item)
-    return [name for name, hint in hints.items() if hint in (float, float | None) and not name.startswith("_")]
+    stated = {field.name for field in dataclasses.fields(item) if "unit" in field.metadata} if dataclasses.is_dataclass(item) else set()
+    return [name for name, hint in hints.items() if hint in (float, float | None) and not name.startswith("_") and name not in stated]
 
 
 def float_options() -> Iterator[tuple[str, str]]:

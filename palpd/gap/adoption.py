@@ -14,7 +14,8 @@ from palpd.cell.effects.learned import LearnedEffect
 from palpd.cell.plausible import ask, doubts
 from palpd.cell.simulation import simulate
 from palpd.files import check_folder
-from palpd.gap.similar_effects import MOSTLY_ALIKE, similar_effects, standard_heights
+from palpd.gap.assumptions import ASSUMED
+from palpd.gap.similar_effects import similar_effects, standard_heights
 
 __all__ = ["AdoptedEffect", "adopt", "described", "load_adopted", "remove"]
 
@@ -60,7 +61,9 @@ def adopt(file: Path, folder: Path, name: str | None, cell: CellFile, accept_imp
     unknown = law.confounds is None
     if unknown:
         similar = similar_effects([effect := law.effect()], cell, EFFECTS | {law.id: effect})
-        law = law.model_copy(update={"confounds": {one.other: round(one.cosine, 3) for one in similar if one.cosine > MOSTLY_ALIKE}})
+        law = law.model_copy(
+            update={"confounds": {one.other: round(one.cosine, 3) for one in similar if one.cosine > ASSUMED.advice.mostly_alike}}
+        )
     return AdoptedEffect(law, adopted.adopt(law, folder), unknown)
 
 

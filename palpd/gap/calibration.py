@@ -12,12 +12,9 @@ from functools import cache
 from importlib.resources import files
 
 from palpd.documents import parse_json
-from palpd.gap.infer.posterior import P_NONE, P_UNKNOWN
+from palpd.gap.assumptions import ASSUMED
 
 MAP_FILE = "calibration.json"
-
-P_NONE_TO_ACQUIT = 0.25
-"""Probability of no gap above which no effect is named: a false accusation costs more than a missed effect. The map leaves it as it is."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +37,14 @@ class ProbabilityMap:
 
     def of_classes(self, p_none: float, p_unknown: float) -> tuple[float, float]:
         """The stated probabilities of no gap and of something outside the list; what they lack to 1 is that of listed effects alone."""
-        none = _tempered(p_none, self.power_none, P_NONE_TO_ACQUIT)
+        none = _tempered(p_none, self.power_none, ASSUMED.naming.p_none_to_acquit)
         given_a_gap = min(max(p_unknown, 0.0) / max(1.0 - p_none, 1e-300), 1.0)
-        unknown = (1.0 - self.doubt) * _tempered(given_a_gap, self.power) + self.doubt * P_UNKNOWN / (1.0 - P_NONE)
+        unknown = (1.0 - self.doubt) * _tempered(given_a_gap, self.power) + self.doubt * ASSUMED.prior.unknown / (1.0 - ASSUMED.prior.none)
         return none, (1.0 - none) * unknown
 
     def of_effects(self, marginal: Mapping[str, float]) -> dict[str, float]:
         """The stated probabilities of listed effects by id; an effect whose probability is 0 keeps it."""
-        prior = (1.0 - P_NONE - P_UNKNOWN) / max(len(marginal), 1)
+        prior = (1.0 - ASSUMED.prior.none - ASSUMED.prior.unknown) / max(len(marginal), 1)
         return {
             name: (1.0 - self.doubt) * _tempered(p, self.power) + self.doubt * prior if p > 0.0 else 0.0 for name, p in marginal.items()
         }

@@ -4,9 +4,9 @@ It fits nothing and simulates nothing. `decide` is made of two tables.
 
 | what the list says, in this order (`_kind`) | kind |
 |---|---|
-| p_none > P_NONE_TO_ACQUIT | `none`, without names |
-| p_unknown > P_TO_NAME, or no name | `unknown` if p_unknown > p_none, else `none` |
-| an effect has more than LARGEST_GROUP others in its group | `ambiguous` |
+| p_none > `naming.p_none_to_acquit` | `none`, without names |
+| p_unknown > `naming.p_to_name`, or no name | `unknown` if p_unknown > p_none, else `none` |
+| an effect has more than `naming.largest_group` others in its group | `ambiguous` |
 | else | `effects` |
 
 | what was sought beyond the list, in this order (`_beyond_list`) | what is decided |
@@ -17,7 +17,7 @@ It fits nothing and simulates nothing. `decide` is made of two tables.
 | neither law nor events remain (`leaves_nothing`) | the list stands; a likely law that one press alone shows is refused |
 | a law acts beside the listed effects, or in a cell without effects | that law: the last three rows judge it |
 | that law follows time, or a random walk explains as much (`wanders`) | the list stands, with a note; the law is refused |
-| it replaces effects that are the named cause | a note; it stands if it has one term and the best effect leaves LEAST_SHARE_BESIDE |
+| it replaces effects that are the named cause | a note; it stands if it has one term and the best effect leaves `laws.least_share_added` |
 | else | `unknown` with the law; where listed effects stand beside it, the kind stays theirs and the law is `secondary` |
 """
 
@@ -28,24 +28,16 @@ from typing import Any, Literal
 import numpy as np
 
 from palpd.cell.effects.learned import LearnedEffect
-from palpd.gap.calibration import P_NONE_TO_ACQUIT, ProbabilityMap
+from palpd.gap.assumptions import ASSUMED
+from palpd.gap.calibration import ProbabilityMap
 from palpd.gap.data.scatter import Scatter
 from palpd.gap.infer.evidence import Fit
 from palpd.gap.infer.inference import Inference
 from palpd.gap.infer.posterior import Attribution
 from palpd.gap.laws.events import Event
-from palpd.gap.laws.evidence import LEAST_SHARE_BESIDE, FitBeside, LawEvidence, SoughtLaw
+from palpd.gap.laws.evidence import FitBeside, LawEvidence, SoughtLaw
 from palpd.gap.laws.learned import law_to_json, learned_effect, p_outside
-from palpd.gap.laws.search import NAMED_NATS, LearnedLaw
-
-P_TO_NAME = 0.5
-"""Probability from which on an effect, together with those that could stand in its place, or something unknown is named."""
-
-P_TO_NAME_WEAK, WEAK_SIGMAS = 0.8, 8.0
-"""The same for an effect below that size in a set with a larger effect: a false second name then costs more than a missed effect."""
-
-LARGEST_GROUP = 2
-"""Number of indistinguishable effects above which the verdict is ambiguous."""
+from palpd.gap.laws.search import LearnedLaw
 
 Kind = Literal["effects", "none", "unknown", "ambiguous"]
 
@@ -187,7 +179,7 @@ class DiagnosisVerdict:
 def listed_answer(inference: Inference, scatter: Scatter) -> Fit:
     """The hypothesis that the list answers with: the best one where its effects may be named, else that without effects."""
     best = inference.best.fit
-    return best if best.names and _p_none(inference.attribution, scatter) <= P_NONE_TO_ACQUIT else inference.nominal
+    return best if best.names and _p_none(inference.attribution, scatter) <= ASSUMED.naming.p_none_to_acquit else inference.nominal
 
 
 def decide(inference: Inference, scatter: Scatter, laws: LawEvidence, score_map: ProbabilityMap) -> DiagnosisVerdict:
@@ -202,7 +194,7 @@ def decide(inference: Inference, scatter: Scatter, laws: LawEvidence, score_map:
     p_none = _p_none(attribution, scatter)
     groups = _probable_groups(listed, attribution) if listed.names else {}
     order = sorted(groups, key=lambda name: (-attribution.marginal[name], name))
-    of_scatter = [one for one in scatter.effects if one.probability > P_TO_NAME]
+    of_scatter = [one for one in scatter.effects if one.probability > ASSUMED.naming.p_to_name]
     kind = _kind(p_none, p_unknown, groups, named=bool(groups or of_scatter))
     candidates = attribution.marginal | {one.id: one.probability for one in scatter.effects}
     beyond = _beyond_list(laws, is_cause=kind in ("effects", "ambiguous"))
@@ -225,11 +217,11 @@ def _p_none(attribution: Attribution, scatter: Scatter) -> float:
 
 
 def _kind(p_none: float, p_unknown: float, groups: Mapping[str, list[str]], *, named: bool) -> Kind:
-    if p_none > P_NONE_TO_ACQUIT:
+    if p_none > ASSUMED.naming.p_none_to_acquit:
         return "none"
-    if p_unknown > P_TO_NAME or not named:
+    if p_unknown > ASSUMED.naming.p_to_name or not named:
         return "unknown" if p_unknown > p_none else "none"
-    if any(len(others) > LARGEST_GROUP for others in groups.values()):
+    if any(len(others) > ASSUMED.naming.largest_group for others in groups.values()):
         return "ambiguous"
     return "effects"
 
@@ -242,14 +234,17 @@ def _probable_groups(best: Fit, attribution: Attribution) -> dict[str, list[str]
     marginal = attribution.marginal
     groups = {name: attribution.groups[name] for name in best.names}
     largest = max(best.names, key=lambda name: best.sizes[name])
-    needed = {name: P_TO_NAME_WEAK if best.sizes[name] < WEAK_SIGMAS and name != largest else P_TO_NAME for name in best.names}
+    needed = {
+        name: ASSUMED.naming.p_to_name_weak if best.sizes[name] < ASSUMED.naming.weak_sd and name != largest else ASSUMED.naming.p_to_name
+        for name in best.names
+    }
     probable = {name: others for name, others in groups.items() if sum(marginal.get(one, 0.0) for one in (name, *others)) >= needed[name]}
     if probable:
         return probable
     first = max(best.names, key=lambda name: marginal[name])
     others = list(groups[first])
     for name in sorted(marginal, key=lambda name: -marginal[name]):
-        if marginal[first] + sum(marginal.get(one, 0.0) for one in others) >= P_TO_NAME:
+        if marginal[first] + sum(marginal.get(one, 0.0) for one in others) >= ASSUMED.naming.p_to_name:
             break
         if name not in (first, *others):
             others.append(name)
@@ -270,7 +265,9 @@ def _beyond_list(laws: LawEvidence, *, is_cause: bool) -> BeyondList:
         if is_cause and not laws.events_beat_list:
             return BeyondList(note=EVENTS_BESIDE)
         events = laws.events_alone if laws.events_beat_list and laws.events_alone is not None else laws.events
-        return BeyondList(events=tuple(events.listed), note=EVENTS, p_outside=p_outside(max(events.nats - laws.gained, NAMED_NATS)))
+        return BeyondList(
+            events=tuple(events.listed), note=EVENTS, p_outside=p_outside(max(events.nats - laws.gained, ASSUMED.laws.named_nats))
+        )
     if laws.leaves_nothing:
         once = laws.on_top.one_cycle
         return BeyondList(refused=None if once is None else RefusedLaw(laws.on_top.law, "one cycle", *once))
@@ -287,7 +284,7 @@ def _of_law(laws: LawEvidence, sought: SoughtLaw, nats: float, *, replaces: bool
     if sought.wanders:
         return BeyondList(note=IN_TIME, refused=RefusedLaw(law, "time"))
     learned = learned_effect(law, nats, sought.confounds)
-    if is_cause and replaces and not (len(law.terms) == 1 and laws.leading_leaves >= LEAST_SHARE_BESIDE):
+    if is_cause and replaces and not (len(law.terms) == 1 and laws.leading_leaves >= ASSUMED.laws.least_share_added):
         # a real cause never follows its listed formula exactly
         return BeyondList(note=NOT_REPLACED.format(what=learned.what))
     named = NamedLaw(learned, sought, nats, replaces, secondary=not replaces and (is_cause or bool(laws.listed.names)))

@@ -9,6 +9,7 @@ from palpd.cell.effects import Effect
 from palpd.cell.effects.adopted import load_adopted
 from palpd.cell.effects.learned import held_sentence
 from palpd.cell.simulation import share_outside
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FZ
 from palpd.gap.decide import DiagnosisVerdict
 from palpd.gap.laws.evidence import FitBeside
@@ -18,8 +19,6 @@ from palpd.quantities import quantity
 MOST_HELD_UNSAID = 0.01
 """Share of the rows outside the range of a law up to which no note is made: the range itself leaves out 0.4 % of the data of the law."""
 
-FAR_OUT_SD = 4.0
-"""Standard deviations beyond which a deviation is reported: one in 16 000 healthy cells has such a deviation."""
 
 CREEP_NOTE = (
     "Force that decays while the height is held comes from relaxing tissue or from a creeping machine (frame, grip, load cell). "
@@ -56,10 +55,10 @@ def deviation_notes(problem: Problem, answer: FitBeside) -> list[str]:
     for k, label in enumerate(answer.fit.linearisation.labels):
         judged = label.scope == "cell" or (label.scope == "recording" and label.channel == FZ and label.name != "rounding")
         unknown = label.name == "youngs_modulus" and not problem.cell.tolerances.modulus_known
-        if judged and not unknown and abs(deviation_sd[k]) > FAR_OUT_SD:
+        if judged and not unknown and abs(deviation_sd[k]) > ASSUMED.noise.credible_sd:
             key = tolerance_key(label.name)
             notes.append(
-                f"{label.name} is {deviation_sd[k]:+.1f} standard deviations off, expected at most {FAR_OUT_SD:g}; "
+                f"{label.name} is {deviation_sd[k]:+.1f} standard deviations off, expected at most {ASSUMED.noise.credible_sd:g}; "
                 f"check tolerances.{key} ({getattr(problem.cell.tolerances, key):.3g}) and the cell itself."
             )
     return notes

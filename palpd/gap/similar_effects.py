@@ -10,6 +10,7 @@ from scipy.optimize import lsq_linear
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
 from palpd.gap.advise.motions import MotionLimits, TestMotion, blank_recording
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.gaussian.nuisances import Projected, gram, project
 from palpd.gap.infer.fit import jacobian_at
 from palpd.gap.model.coordinates import coordinates, coordinates_of, start_values
@@ -17,17 +18,8 @@ from palpd.gap.model.linearise import Linearisation, linearise
 from palpd.gap.model.problem import Problem, make_problem
 from palpd.tick import Floats
 
-ONE_DIRECTION = 0.98
-"""Cosine above which a recording of that motion cannot distinguish two effects."""
-
-MOSTLY_ALIKE = 0.5
-"""Cosine up to which two effects are not similar."""
-
 ROWS_HZ, MAX_BINS = 250.0, 2500
 """Rate of the simulated motion, and its number of bins: a comparison needs less detail than a diagnosis."""
-
-ODDS = 20.0
-"""Odds at which two effects count as distinguished."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +39,9 @@ class Similarity:
     @property
     def words(self) -> str:
         """In words."""
-        if self.cosine > ONE_DIRECTION:
+        if self.cosine > ASSUMED.advice.one_direction:
             return f"indistinguishable by such a motion (distinguished from SNR {self.told_at_snr:.0f} on)"
-        return f"distinguished from SNR {self.told_at_snr:.0f} on" if self.cosine > MOSTLY_ALIKE else "not similar"
+        return f"distinguished from SNR {self.told_at_snr:.0f} on" if self.cosine > ASSUMED.advice.mostly_alike else "not similar"
 
 
 @dataclass(frozen=True)
@@ -152,7 +144,7 @@ def _similarity(name: str, change: Projected, other: str, shapes: Sequence[Shape
         best = max(best, 1.0 - 2.0 * float(fit.cost) / size2)
     cosine = min(best, 1.0) ** 0.5
     sine = max(1.0 - cosine**2, 1e-4) ** 0.5
-    return Similarity(name, other, cosine, float((2.0 * log(ODDS)) ** 0.5 / sine))
+    return Similarity(name, other, cosine, float((2.0 * log(ASSUMED.advice.odds)) ** 0.5 / sine))
 
 
 def _factor(normal: Floats) -> Floats:

@@ -7,6 +7,7 @@ from math import log
 import numpy as np
 
 from palpd.cell.cell_file import EffectValues, Estimated, OpenHypothesis, OpenParameter
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FZ
 from palpd.gap.decide import DiagnosisVerdict, NamedEffect
 from palpd.gap.enriched import ZEROS, estimated_with
@@ -18,9 +19,6 @@ from palpd.gap.laws.evidence import FitBeside
 from palpd.gap.model.coordinates import Coordinate
 from palpd.gap.model.problem import RELATIVE, SHARED, Problem
 from palpd.tick import Floats
-
-LEAST_SHARE = 0.02
-"""Probability relative to the best hypothesis up to which a hypothesis is left out: of a hundred drawn cells two would have it."""
 
 WIDTH_95 = 2.0 * 1.96
 """Width of a 95 % interval of a normal distribution, in standard deviations."""
@@ -50,7 +48,7 @@ def open_hypotheses(inference: Inference, verdict: DiagnosisVerdict) -> tuple[Op
     fits, shares = [verdict.answer], [max(best.share, 1e-6)]
     if verdict.law is None and verdict.fit.names:  # nothing outside the list was taken away, so the others explain the same residual
         for one in inference.attribution.hypotheses[1:]:
-            if one.fit.names and one.share > LEAST_SHARE * best.share and _is_listed(one.fit):
+            if one.fit.names and one.share > ASSUMED.naming.least_open_share * best.share and _is_listed(one.fit):
                 fits.append(FitBeside.nothing(by_named_parameters(problem, one.fit)))
                 shares.append(one.share)
     scatter = [effect for effect in verdict.effects if problem.library[effect.id].scatter]

@@ -8,8 +8,8 @@ from palpd.blind.outcome import CaseOutcome
 from palpd.blind.score import calibration_error, error_of_a_calibrated_forecaster
 from palpd.errors import BadInput
 from palpd.gap import diagnosis
-from palpd.gap.calibration import P_NONE_TO_ACQUIT, ProbabilityMap, stored_map
-from palpd.gap.decide import P_TO_NAME
+from palpd.gap.assumptions import ASSUMED
+from palpd.gap.calibration import ProbabilityMap, stored_map
 from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
 
 DOUBTING = ProbabilityMap(power=0.4, doubt=0.1, power_none=3.0, cells=500, how="a test")
@@ -39,10 +39,10 @@ def test_no_gap_is_stated_with_more_certainty_than_any_cause() -> None:
 
 
 def test_what_decides_stays_where_it_is() -> None:
-    assert DOUBTING.of_classes(P_NONE_TO_ACQUIT, 0.0)[0] == pytest.approx(P_NONE_TO_ACQUIT)
+    assert DOUBTING.of_classes(ASSUMED.naming.p_none_to_acquit, 0.0)[0] == pytest.approx(ASSUMED.naming.p_none_to_acquit)
     tempering = ProbabilityMap(power=0.4, doubt=0.0, power_none=3.0, cells=500, how="a test")
-    assert tempering.of_effects({"cable.friction": P_TO_NAME})["cable.friction"] == pytest.approx(P_TO_NAME)
-    assert tempering.of_classes(0.0, P_TO_NAME)[1] == pytest.approx(P_TO_NAME)
+    assert tempering.of_effects({"cable.friction": ASSUMED.naming.p_to_name})["cable.friction"] == pytest.approx(ASSUMED.naming.p_to_name)
+    assert tempering.of_classes(0.0, ASSUMED.naming.p_to_name)[1] == pytest.approx(ASSUMED.naming.p_to_name)
 
 
 def test_a_map_keeps_the_order_of_the_effects_and_leaves_room_for_doubt() -> None:

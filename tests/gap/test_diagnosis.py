@@ -16,10 +16,10 @@ from palpd.cell.report_times import find_reports
 from palpd.cell.simulation import simulate
 from palpd.cell.stages import WRENCH
 from palpd.errors import RecordingError
-from palpd.gap.advise.next_experiment import WORTH_NATS
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import CHANNELS, declared_rms
 from palpd.gap.diagnosis import Diagnosis, diagnose
-from palpd.gap.infer.posterior import P_UNKNOWN, known_and_unknown
+from palpd.gap.infer.posterior import known_and_unknown
 from palpd.gap.infer.residual import ResidualStructure
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import make_problem
@@ -338,7 +338,7 @@ def test_what_is_ambiguous_gets_a_motion_that_separates_it() -> None:
     assert diagnosis.proposal is not None
     assert "sensor.gain" in diagnosis.proposal.sentence
     assert "tissue.modulus" in diagnosis.proposal.sentence
-    assert diagnosis.proposal.expected_gain >= WORTH_NATS
+    assert diagnosis.proposal.expected_gain >= ASSUMED.advice.worth_nats
     assert diagnosis.proposal.z_cmd_m.min() >= samples.z_m.min() - 1e-4
 
 
@@ -357,5 +357,5 @@ def test_what_has_any_shape_is_worth_no_more_than_the_listed_effect_that_leaves_
     surface: Any = SimpleNamespace(names=("tissue.surface",), log_exact=-400.0, log_likelihood=-80.0, discrepancy_energy=50.0)
     left = ResidualStructure(390.0, 1000.0, "fz_N", "loading")
     alone, beside_plasticity = (np.logaddexp(*known_and_unknown(surface, left, 2000.0, most)) for most in (np.inf, -30.0))
-    assert alone == pytest.approx(log(P_UNKNOWN) - 10.0, abs=0.01)
-    assert beside_plasticity == pytest.approx(log(P_UNKNOWN) - 30.0, abs=0.01)
+    assert alone == pytest.approx(log(ASSUMED.prior.unknown) - 10.0, abs=0.01)
+    assert beside_plasticity == pytest.approx(log(ASSUMED.prior.unknown) - 30.0, abs=0.01)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from palpd.gap.gaussian.evidence import SIZES, group_evidence, posterior_of
+from palpd.gap.assumptions import ASSUMED
+from palpd.gap.gaussian.evidence import group_evidence, posterior_of
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace, Products
 from palpd.gap.gaussian.nuisances import Columns, Nuisances, ProjectedColumns, Vectors, gram, nuisances, project
 from palpd.tick import Floats
@@ -93,10 +94,10 @@ def test_the_evidence_of_one_column_by_hand() -> None:
     """X = 2 in one bin and r = 6: w ~ N(0, s²/4) makes r a normal number of variance 1 + s²."""
     space = NuisanceSpace(Columns.of([], (7, 1)), np.full((7, 1), 6.0))
     products = space.products({3: np.array([[2.0]])})
-    ratios = [norm.pdf(6.0, scale=(1.0 + size**2) ** 0.5) / norm.pdf(6.0) for size in SIZES]
+    ratios = [norm.pdf(6.0, scale=(1.0 + size**2) ** 0.5) / norm.pdf(6.0) for size in ASSUMED.laws.sizes_sd]
     evidence = group_evidence(products, (np.eye(1),))
     assert evidence.nats == pytest.approx(np.log(np.mean(ratios)))
-    assert SIZES[int(np.argmax(ratios))] == 8.0
+    assert ASSUMED.laws.sizes_sd[int(np.argmax(ratios))] == 8.0
     assert evidence.mean == pytest.approx([6.0 / 2.0 * 64.0 / 65.0])
     assert evidence.covariance == pytest.approx(np.array([[1.0 / 4.0 * 64.0 / 65.0]]))
 

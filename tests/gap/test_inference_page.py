@@ -14,16 +14,17 @@ from scipy.stats import multivariate_normal
 
 from palpd.cell.cell_file import EffectValues
 from palpd.cell.effects.effect import Parameter
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.calibration import ProbabilityMap
 from palpd.gap.decide import decide
 from palpd.gap.gaussian.nuisances import Columns, gram, nuisances, project
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.gap.infer import discrepancy, evidence
 from palpd.gap.infer import posterior as hypotheses
-from palpd.gap.infer.discrepancy import DISCREPANCY_SIZES, P_EXACT_LAW, ModelDiscrepancy, model_discrepancies
-from palpd.gap.infer.evidence import LOG_SIZE_RANGE, Fit, laplace_evidence
+from palpd.gap.infer.discrepancy import DISCREPANCY_SIZES, ModelDiscrepancy, model_discrepancies
+from palpd.gap.infer.evidence import Fit, laplace_evidence
 from palpd.gap.infer.fit import Optimum, gauss_newton, jacobian_at
-from palpd.gap.infer.posterior import P_NONE, P_UNKNOWN, Attribution, known_and_unknown
+from palpd.gap.infer.posterior import Attribution, known_and_unknown
 from palpd.gap.infer.residual import ResidualStructure
 from palpd.gap.laws.evidence import LawEvidence
 from palpd.gap.laws.learned import p_outside
@@ -116,7 +117,7 @@ def test_the_laplace_step_is_prior_times_volume_as_the_page_says(monkeypatch: py
     width_range = 6.0
     size = one.sizes["spring"]
     sphere = 2.0 * np.pi**0.5 / np.exp(gammaln(0.5))
-    prior = 1.0 / (LOG_SIZE_RANGE * size) / sphere * np.sqrt(normal[0, 0]) / width_range
+    prior = 1.0 / (ASSUMED.prior.log_size_range * size) / sphere * np.sqrt(normal[0, 0]) / width_range
     curvature = normal + np.diag([1e3**-2, (width_range / np.sqrt(12.0)) ** -2])
     volume = 2.0 * np.pi / np.sqrt(np.linalg.det(curvature))
     assert one.occam == pytest.approx(np.log(prior * volume), abs=2e-3)
@@ -170,13 +171,13 @@ def test_a_law_that_is_off_gains_what_the_page_says(monkeypatch: pytest.MonkeyPa
     assert [one.log_prior for one in deviations] == pytest.approx([np.log(prior) for prior, _ in expected])
     promised = gained(COVARIANCE)
     assert [one.gain for one in deviations] == pytest.approx([gain - promised for _, gain in expected], abs=1e-3)
-    assert pytest.approx(1.0) == P_EXACT_LAW + sum(prior for _, prior in DISCREPANCY_SIZES)
+    assert pytest.approx(1.0) == ASSUMED.law_error.p_exact + sum(prior for _, prior in DISCREPANCY_SIZES)
 
 
 def test_the_likelihood_of_an_effect_averages_over_the_laws_that_it_may_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     laws = discrepancies(monkeypatch, ["depth", "depth", "rest", "rest"], optimum())
     one = fitted(monkeypatch, laws)
-    expected = P_EXACT_LAW * np.exp(one.log_exact) + sum(np.exp(law.log_prior + one.log_exact + law.gain) for law in laws)
+    expected = ASSUMED.law_error.p_exact * np.exp(one.log_exact) + sum(np.exp(law.log_prior + one.log_exact + law.gain) for law in laws)
     assert one.log_likelihood == pytest.approx(np.log(expected))
     assert sum(law.probability for law in one.laws) == pytest.approx(1.0)
 
@@ -279,8 +280,8 @@ def test_the_probability_of_a_law_follows_its_nats() -> None:
 def test_the_score_tempers_the_odds_and_mixes_in_the_prior() -> None:
     by = ProbabilityMap(power=0.5, doubt=0.1, power_none=2.0, cells=1)
     odds = (0.9 / 0.1) ** 0.5
-    prior = (1.0 - P_NONE - P_UNKNOWN) / 2.0
+    prior = (1.0 - ASSUMED.prior.none - ASSUMED.prior.unknown) / 2.0
     assert by.of_effects({"spring": 0.9, "mass": 0.0}) == pytest.approx({"spring": 0.9 * odds / (1.0 + odds) + 0.1 * prior, "mass": 0.0})
     none, unknown = by.of_classes(0.25, 0.0)
     assert none == pytest.approx(0.25)
-    assert unknown == pytest.approx(0.75 * 0.1 * P_UNKNOWN / (1.0 - P_NONE))
+    assert unknown == pytest.approx(0.75 * 0.1 * ASSUMED.prior.unknown / (1.0 - ASSUMED.prior.none))

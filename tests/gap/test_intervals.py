@@ -8,9 +8,10 @@ import pytest
 from scipy.stats import binom
 
 from palpd.cell.cell_file import EffectValues
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.infer.evidence import PossibleLaw, fit, laplace_evidence
 from palpd.gap.infer.fit import gauss_newton
-from palpd.gap.infer.intervals import COVERED, half_width, interval
+from palpd.gap.infer.intervals import half_width, interval
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import Problem, make_problem
 from palpd.testing.plain_cells import cell_of, recording
@@ -57,7 +58,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(problem: Problem) -> None
     n, missed = len(held), held.count(False)
     assert n == 9 * DRAWS
     # Laws of any discrepancy are allowed for, so exact ones may be held more often.
-    assert missed <= binom.ppf(0.999, n, 1.0 - COVERED)
+    assert missed <= binom.ppf(0.999, n, 1.0 - ASSUMED.naming.covered)
 
 
 def law(probability: float, move: float, sd: float) -> PossibleLaw:
@@ -73,7 +74,7 @@ def test_where_the_law_is_off_the_distance_to_its_better_parameters_belongs_to_t
     half = half_width([law(0.5, 0.0, 1.0), law(0.5, 3.0, 2.0)], 0)
     random = np.random.default_rng(1)
     errors = np.where(random.random(200_000) < 0.5, random.normal(0.0, 1.0, 200_000), random.normal(3.0, 2.0, 200_000))
-    assert np.mean(np.abs(errors) <= half) == pytest.approx(COVERED, abs=2e-3)
+    assert np.mean(np.abs(errors) <= half) == pytest.approx(ASSUMED.naming.covered, abs=2e-3)
 
 
 def test_a_law_that_hardly_any_data_support_does_not_widen_the_interval() -> None:

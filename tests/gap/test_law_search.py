@@ -17,17 +17,18 @@ from palpd.cell.cell_file import nominal
 from palpd.cell.effects import load_effects
 from palpd.cell.effects.drivers import WORDS, Driver
 from palpd.cell.simulation import simulate
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.commands import simulate_file, write_answer
 from palpd.gap.decide import BeyondList, _beyond_list
 from palpd.gap.diagnosis import Diagnosis
-from palpd.gap.gaussian.evidence import SIZES, group_evidence
+from palpd.gap.gaussian.evidence import group_evidence
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace
 from palpd.gap.gaussian.nuisances import Columns
 from palpd.gap.laws import learned
 from palpd.gap.laws.bases import hats, powers
 from palpd.gap.laws.evidence import LawEvidence, SoughtLaw, leading_leaves
 from palpd.gap.laws.formulas import formulas_of
-from palpd.gap.laws.held_out import FOLDS, held_out
+from palpd.gap.laws.held_out import held_out
 from palpd.gap.report.page import curves_of, page
 from palpd.tick import Floats
 from tests.gap.test_diagnosis import heights, quick, recording
@@ -197,11 +198,11 @@ def test_the_evidence_of_a_group_is_the_ratio_of_two_gaussians() -> None:
     (_, nuisances), residual = space.columns.of_channel(3), space.residual[3]
     without = np.eye(60) + nuisances.T @ nuisances
     logs = []
-    for size in SIZES:
+    for size in ASSUMED.laws.sizes_sd:
         square = size**2 / np.trace(products.gram)
         joint = multivariate_normal(cov=without + square * columns @ columns.T).logpdf(residual)
         logs.append(joint - multivariate_normal(cov=without).logpdf(residual))
-    expected = np.logaddexp.reduce(logs) - np.log(len(SIZES))
+    expected = np.logaddexp.reduce(logs) - np.log(len(ASSUMED.laws.sizes_sd))
     assert group_evidence(products, (prior,)).nats == pytest.approx(expected, rel=1e-9)
 
 
@@ -215,7 +216,7 @@ def test_a_group_that_tolerances_hide_is_no_law() -> None:
 
 def test_a_law_of_one_fold_alone_does_not_carry() -> None:
     space, columns = space_and_columns()
-    fold = np.arange(60) % FOLDS
+    fold = np.arange(60) % ASSUMED.laws.folds
     assert held_out(space, {3: columns}, np.eye(3), fold).carries(20.0)
     lonely = replace(space, residual=np.where(fold == 0, 5.0 * space.residual, 0.0))
     assert not held_out(lonely, {3: np.where(fold[:, None] == 0, columns, 0.0)}, np.eye(3), fold).carries(20.0)

@@ -5,7 +5,8 @@ from functools import cache
 import pytest
 
 from palpd.cell.effects import EFFECTS
-from palpd.gap.infer.search import FURTHER_EFFECT_NATS, SearchState, refine, search
+from palpd.gap.assumptions import ASSUMED
+from palpd.gap.infer.search import SearchState, refine, search
 from palpd.gap.infer.settle import NominalFit, settle
 from palpd.gap.model.problem import make_problem
 from tests.gap.test_rigs import rig
@@ -27,7 +28,7 @@ def searched(friction_N: float) -> SearchState:
 def test_the_record_holds_each_fit_and_each_set_has_the_evidence_of_its_last() -> None:
     state = searched(0.2)
     assert {tried.names for tried in state.tried} == state.fits.keys() - {()}
-    last = {tried.names: tried.log_evidence for tried in state.tried if tried.step != "from afar"}
+    last = {tried.names: tried.evidence_nats for tried in state.tried if tried.step != "from afar"}
     assert {names: state.fits[names].log_evidence for names in last} == pytest.approx(last)
     steps = list(dict.fromkeys((tried.step, len(tried.names)) for tried in state.tried))
     assert steps[:4] == [("single effects", 1), ("refine", 1), ("extend", 2), ("refine", 2)]
@@ -36,7 +37,10 @@ def test_the_record_holds_each_fit_and_each_set_has_the_evidence_of_its_last() -
 def test_pairs_are_fitted_only_where_a_single_effect_beats_none() -> None:
     assert max(len(names) for names in searched(0.2).fits) >= 2
     healthy = searched(0.0)
-    assert max(fit.log_evidence for names, fit in healthy.fits.items() if names) < healthy.fits[()].log_evidence + FURTHER_EFFECT_NATS[0]
+    assert (
+        max(fit.log_evidence for names, fit in healthy.fits.items() if names)
+        < healthy.fits[()].log_evidence + ASSUMED.search.further_effect_nats[0]
+    )
     assert {len(names) for names in healthy.fits} == {0, 1}
 
 

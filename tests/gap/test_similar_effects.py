@@ -2,7 +2,8 @@
 
 from palpd.cell.cell_file import cell_from, nominal
 from palpd.cell.effects import EFFECTS, load_effects, user_effects
-from palpd.gap.similar_effects import ONE_DIRECTION, similar_effects
+from palpd.gap.assumptions import ASSUMED
+from palpd.gap.similar_effects import similar_effects
 from tests.paths import EXAMPLE
 
 FEW = ("sensor.gain", "tissue.modulus", "robot.lag", "cable.friction", "contact.lateral", "probe.tilt")
@@ -13,11 +14,11 @@ def test_a_tilt_is_like_a_lateral_force_and_a_gain_like_a_modulus() -> None:
     similar = similar_effects([EFFECTS["sensor.gain"], EFFECTS["contact.lateral"]], nominal(), library)
     of = {effect: [one for one in similar if one.effect == effect] for effect in ("sensor.gain", "contact.lateral")}
     assert of["contact.lateral"][0].other == "probe.tilt"
-    assert of["contact.lateral"][0].cosine > ONE_DIRECTION
+    assert of["contact.lateral"][0].cosine > ASSUMED.advice.one_direction
     assert "indistinguishable" in of["contact.lateral"][0].words
     assert of["contact.lateral"][1].cosine < 0.2, "nothing else here pushes sideways"
     assert of["sensor.gain"][0].other == "tissue.modulus"
-    assert 0.8 < of["sensor.gain"][0].cosine < ONE_DIRECTION, "the inertia of the strokes tells them"
+    assert 0.8 < of["sensor.gain"][0].cosine < ASSUMED.advice.one_direction, "the inertia of the strokes tells them"
     assert of["sensor.gain"][0].told_at_snr > of["sensor.gain"][1].told_at_snr
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from palpd.cell.effects.learned import LearnedEffect
 from palpd.cell.simulation import share_outside
 from palpd.gap.advise.rivals import Rival
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.decide import NamedLaw
 from palpd.gap.infer.evidence import fit
 from palpd.gap.infer.posterior import Attribution
@@ -16,9 +17,6 @@ from palpd.gap.laws.learned import free_name, learned_effect
 from palpd.gap.laws.search import LearnedLaw
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
-
-MOST_ALIKE = 3
-"""Number of laws that fit as well, against which a motion is sought; the cost grows with its square."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ def rivals_of_law(problem: Problem, attribution: Attribution, named: NamedLaw) -
     law = named.sought.law
     listed: list[tuple[LearnedEffect, LearnedLaw, float]] = [(named.learned, law, law.terms[0].nats)]
     taken = {*problem.library, *(known.id for known in problem.cell.learned), named.learned.id}
-    for scored in law.terms[0].alike[:MOST_ALIKE]:
+    for scored in law.terms[0].alike[: ASSUMED.advice.most_alike]:
         if (other := law.instead(scored.candidate)) is not None:
             effect = learned_effect(other, named.nats)
             effect = effect.model_copy(update={"id": free_name(effect.id, taken)})

@@ -9,6 +9,7 @@ import numpy as np
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.simulation import predict_motion
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.model.problem import Problem
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -193,9 +194,6 @@ LONG_HOLD_S = 1.0
 DEPTH_STEP = 0.05
 """Share of the largest depth to which the depths of a plan are rounded, since no two presses are equally deep."""
 
-AGAIN = 6
-"""Number of repetitions of a press or stroke that alone showed a law."""
-
 
 def same_again(problem: Problem, limits: MotionLimits) -> tuple[TestMotion, Floats, Floats]:
     """The motion of the longest recording, once more.
@@ -231,7 +229,7 @@ def same_again(problem: Problem, limits: MotionLimits) -> tuple[TestMotion, Floa
 
 
 def cycle_again(problem: Problem, recording: int, cycle: int, limits: MotionLimits) -> TestMotion:
-    """The press or stroke of a cycle of a recording, AGAIN times, as deep and as fast as it was within the limits."""
+    """The press or stroke of a cycle of a recording, `advice.again` times, as deep and as fast as it was within the limits."""
     phases, samples = problem.recordings[recording].phases, problem.recordings[recording].samples
     mine = phases.cycle == cycle
     depth_m, fastest = float(phases.depth_m[mine].max()), float(np.quantile(np.abs(phases.velocity_m_per_s[mine]), 0.98))
@@ -239,16 +237,16 @@ def cycle_again(problem: Problem, recording: int, cycle: int, limits: MotionLimi
     if not (phases.press[mine] >= 0).any():
         stroke_m = min(float(np.ptp(samples.z_m[mine])), limits.stroke_m)
         speed = min(fastest, limits.free_speed_m_per_s)
-        what = f"repeat the stroke at {samples.t_s[mine][0] - samples.t_s[0]:.0f} s {AGAIN} times"
-        return TestMotion(what, height_m=low, strokes=AGAIN, stroke_m=stroke_m, stroke_speed_m_per_s=speed)
+        what = f"repeat the stroke at {samples.t_s[mine][0] - samples.t_s[0]:.0f} s {ASSUMED.advice.again} times"
+        return TestMotion(what, height_m=low, strokes=ASSUMED.advice.again, stroke_m=stroke_m, stroke_speed_m_per_s=speed)
     press = mine & (phases.press >= 0)
     speed = min(float(np.quantile(np.abs(phases.velocity_m_per_s[press]), 0.9)), limits.press_speed_m_per_s)
     held_s = float((press & ~phases.moving).sum()) / samples.rate_Hz
-    what = f"repeat the press at {samples.t_s[press][0] - samples.t_s[0]:.0f} s {AGAIN} times"
+    what = f"repeat the press at {samples.t_s[press][0] - samples.t_s[0]:.0f} s {ASSUMED.advice.again} times"
     depths = (min(depth_m, limits.depth_m),)
     if held_s < LONG_HOLD_S:
-        return TestMotion(what, depths, speed, max(held_s, 0.1), AGAIN, low, "dynamic")
-    return TestMotion(what, depths * AGAIN, speed, held_s, 1, low, "static")
+        return TestMotion(what, depths, speed, max(held_s, 0.1), ASSUMED.advice.again, low, "dynamic")
+    return TestMotion(what, depths * ASSUMED.advice.again, speed, held_s, 1, low, "static")
 
 
 def blank_recording(cell: CellFile, t_s: Floats, z_cmd_m: Floats, live: Sequence[bool] = (True,) * 6) -> Samples:

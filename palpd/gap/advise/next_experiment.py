@@ -14,6 +14,7 @@ from palpd.files import writing
 from palpd.gap.advise.law_rivals import LawRivals, rivals_of_law
 from palpd.gap.advise.motions import MotionLimits, TestMotion, blank_recording, cycle_again, motions, same_again, surface_of
 from palpd.gap.advise.rivals import Rival, open_rivals
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FX
 from palpd.gap.data.prepare import moves
 from palpd.gap.decide import BeyondList, RefusedLaw
@@ -24,20 +25,11 @@ from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import SHARED, Problem, make_problem
 from palpd.tick import Floats
 
-WORTH_NATS = 1.0
-"""Least log odds, in nats, that a motion must be expected to bring between two hypotheses to be proposed."""
-
-OVERHEAD_S = 20.0
-"""Time of a run in addition to its motion: opening, taring, the search of the surface."""
-
 MOST_ROWS = 12_000
 """Number of rows in which a trial motion is simulated; each counts for the recorded rows that it stands for."""
 
 TRIAL_BINS = 1500
 """Approximate number of bins of a trial motion: a third of a diagnosis, since eleven motions are tried."""
-
-FOREVER = 100.0
-"""Number of repetitions of a motion that counts as unlimited patience."""
 
 
 @dataclass(frozen=True)
@@ -101,11 +93,11 @@ class Advice:
     Attributes:
         names: The open hypotheses, the most probable first.
         shares: Their probabilities (h,), which add up to 1.
-        proposal: The best motion; None where no motion reaches WORTH_NATS.
+        proposal: The best motion; None where no motion reaches `advice.worth_nats`.
         pair: The two hypotheses that it separates, else the two most probable hypotheses; None where fewer are open, or a refused law is to
             be shown again.
         most: Largest expected log odds for that pair, in nats.
-        forever: The same if the motion went on FOREVER times as long; inf where there is a proposal, for which it is not computed.
+        forever: The same if the motion went on `advice.patience` times as long; inf where there is a proposal.
         hidden_by: The tolerance without which `forever` would be largest; None where no tolerance hides much.
     """
 
@@ -127,7 +119,8 @@ class Advice:
         hidden = f" The tolerance of {self.hidden_by} hides the rest." if self.hidden_by else ""
         return (
             f"No motion within the limits distinguishes {self.pair[0]} from {self.pair[1]}. The best is expected to bring "
-            f"{self.most:.2g} nats, and {self.forever:.2g} when it goes on {FOREVER:.0f} times as long; a proposal needs {WORTH_NATS:g}."
+            f"{self.most:.2g} nats, and {self.forever:.2g} when it goes on {ASSUMED.advice.patience:.0f} times as "
+            f"long; a proposal needs {ASSUMED.advice.worth_nats:g}."
             f"{hidden}"
         )
 
@@ -165,10 +158,10 @@ def _between(problem: Problem, rivals: Sequence[Rival], limits: MotionLimits | N
     limits = within_force(problem, rivals, limits or MotionLimits.of(problem))
     scored = [score(problem, rivals, motion, limits) for motion in motions(limits)]
     pairs = [(i, j) for i in range(len(rivals)) for j in range(i + 1, len(rivals))]
-    worth = [s for s in scored if any(s.apart(*p) >= WORTH_NATS for p in pairs)]
+    worth = [s for s in scored if any(s.apart(*p) >= ASSUMED.advice.worth_nats for p in pairs)]
     if worth:
-        best = max(worth, key=lambda s: s.resolved(shares) / (float(s.t_s[-1]) + OVERHEAD_S))
-        able = [p for p in pairs if best.apart(*p) >= WORTH_NATS]
+        best = max(worth, key=lambda s: s.resolved(shares) / (float(s.t_s[-1]) + ASSUMED.advice.overhead_s))
+        able = [p for p in pairs if best.apart(*p) >= ASSUMED.advice.worth_nats]
         i, j = max(able, key=lambda p: shares[p[0]] * shares[p[1]] * (1.0 - exp(-0.25 * best.apart(*p))))
         pair, gain = (names[i], names[j]), best.apart(i, j)
         return Advice(names, shares, _decides(best, pair, gain, laws), pair, gain)
@@ -295,14 +288,14 @@ def _unexplained(difference: Floats, free: Sequence[Floats], space: Nuisances) -
 
 
 def _hidden(problem: Problem, two: Sequence[Rival], best: ScoredMotion, limits: MotionLimits) -> tuple[float, str | None]:
-    """Log odds of the motion recorded FOREVER times, and the tolerance without which they are largest; None where none doubles them."""
-    forever = score(problem, two, best.motion, limits, FOREVER).apart(0, 1)
-    most, hidden_by = max(2.0 * forever, WORTH_NATS), None
+    """Log odds of the motion repeated `advice.patience` times, and the tolerance that hides most; None where none halves them."""
+    forever = score(problem, two, best.motion, limits, ASSUMED.advice.patience).apart(0, 1)
+    most, hidden_by = max(2.0 * forever, ASSUMED.advice.worth_nats), None
     for k, name in enumerate(SHARED):
         if problem.shared_sd[k] == 0.0 or name in CROSSTALK:
             continue
         exact = np.where(np.arange(len(SHARED)) == k, 1e-6 * problem.shared_sd, problem.shared_sd)
-        without = _trial(problem, best.t_s, best.z_cmd_m, FOREVER).with_shared_sd(exact)
+        without = _trial(problem, best.t_s, best.z_cmd_m, ASSUMED.advice.patience).with_shared_sd(exact)
         odds = _log_odds(without, [rival.without_deviation(k) for rival in two])
         gain = float(min(odds[0, 1], odds[1, 0]))
         if gain > most:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.gaussian.nuisance_space import whitened
 from palpd.gap.infer.evidence import Fit
 from palpd.gap.infer.posterior import Attribution
@@ -13,12 +14,6 @@ from palpd.gap.laws.search import LearnedLaw
 from palpd.gap.model.coordinates import values_at
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
-
-OPEN_ABOVE = 0.03
-"""Hypotheses with more than this share of the probability of the best hypothesis are still open."""
-
-MOST_OPEN = 4
-"""Largest number of open hypotheses for which a motion is sought; the cost grows with its square."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +75,10 @@ class Rival:
 
 def open_rivals(attribution: Attribution) -> list[Rival]:
     """The open hypotheses, the most probable first, without those that only add an effect to a more probable hypothesis."""
-    least = OPEN_ABOVE * attribution.best.share
+    least = ASSUMED.advice.open_above * attribution.best.share
     rivals: list[Rival] = []
     for hypothesis in attribution.hypotheses:
         fit = hypothesis.fit
         if hypothesis.share > least and not any(rival.fit.names and set(rival.fit.names) < set(fit.names) for rival in rivals):
             rivals.append(Rival(fit, hypothesis.share, fit.eta))
-    return rivals[:MOST_OPEN]
+    return rivals[: ASSUMED.advice.most_open]

@@ -6,17 +6,12 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from palpd.cell.cell_file import CellFile
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import declared_rms, held_runs, repeats
 from palpd.gap.data.phases import ROUNDING
 from palpd.gap.data.rounding import coarse_step_N
 from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
-
-HEALTHY_RATIO = 1.2
-"""Noise up to this many times the stated noise is within specification."""
-
-TAIL_SD, TAIL_WINDOW = 2.0, 5
-"""A reading farther than this many sigmas from the median of this many neighbours lies in the tails."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +64,8 @@ def without_held(samples: Samples) -> tuple[Samples, int, float]:
     """
     runs, length, chance = held_runs(samples)
     step_s = 1.0 / samples.rate_Hz
-    if runs < 3 or runs * length < 4.0 * chance + 10.0:
+    a = ASSUMED.scatter
+    if runs < a.fewest_held_runs or runs * length < a.held_chance_ratio * chance + a.fewest_held_rows:
         return samples, 0, 0.0
     same = np.concatenate([[False], repeats(samples.wrench).all(axis=1)])
     keep = ~same
@@ -89,7 +85,7 @@ def without_tails(samples: Samples, cell: CellFile) -> Samples:
     rms = np.array([0.0 if dead(axis) else measured_rms(axis) for axis in samples.wrench.T])
     stated = declared_rms(cell)[1:]
     live = (rms > 0.0) & (stated > 0.0)
-    if live.sum() < 2 or np.median(rms[live] / stated[live]) < HEALTHY_RATIO:
+    if live.sum() < 2 or np.median(rms[live] / stated[live]) < ASSUMED.scatter.healthy_ratio:
         return samples
-    usual = median_filter(samples.wrench, size=(TAIL_WINDOW, 1), mode="nearest")
-    return replace(samples, wrench=usual + np.clip(samples.wrench - usual, -TAIL_SD * rms, TAIL_SD * rms))
+    usual = median_filter(samples.wrench, size=(ASSUMED.scatter.tail_window, 1), mode="nearest")
+    return replace(samples, wrench=usual + np.clip(samples.wrench - usual, -ASSUMED.scatter.tail_sd * rms, ASSUMED.scatter.tail_sd * rms))

@@ -14,6 +14,7 @@ from palpd.cell.effects import Effect
 from palpd.cell.report_times import Reports, find_reports, straight_between
 from palpd.cell.simulation import MeanReading, mean_reading
 from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.bins import Bins, make_bins
 from palpd.gap.data.noise import FZ, Z, declared_rms
 from palpd.gap.data.phases import FREE_STILL, HOLDING, Ints, Phases, find_phases
@@ -26,24 +27,16 @@ from palpd.tick import Floats
 FILTER_MEMORY = 4.6
 """Time constants after which a filter has forgotten all but one hundredth of its input."""
 
-STILL_NOISES = 6.0
-"""Span of 98 % of the heights, in standard deviations of their noise, below which nothing moves: noise alone spans five."""
 
 LAST_DIGITS = 1e-9
 """Least noise of a channel without any, as a share of its span: readings have no more digits."""
 
-UNREPORTED_SHARE = 0.5
-"""Share of the servo's lag by acceleration, a/ω², by which the tip may differ from the height that a commanded robot reports, as a
-standard deviation: behind the encoders everything gives way to inertia, and reports are filtered. Only the contact force feels it."""
 
 MOST_AT_REST = 100
 """Steps at rest whose predicted forces say where the sensor's zero lies: at rest they change slowly."""
 
 LEAST_BINS = 600
 """Number of bins that each recording may have, however many there are."""
-
-REST_SAMPLES = 60
-"""Fewest samples at rest from which the noise is measured; with fewer, the whole recording is used."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +110,7 @@ class PreparedRecording:
 def moves(samples: Samples, cell: CellFile) -> bool:
     """Whether the heights of a recording span more than their noise."""
     low_m, high_m = np.quantile(samples.z_m, (0.01, 0.99))
-    return bool(high_m - low_m > STILL_NOISES * cell.robot.position_noise_rms_m)
+    return bool(high_m - low_m > ASSUMED.noise.still_span_sd * cell.robot.position_noise_rms_m)
 
 
 def stated_cell(cell: CellFile) -> CellFile:
@@ -186,7 +179,7 @@ def _prepared(
         inertial_noise_N=_inertial_noise(samples, cell, sampled, reports, bins) if judged[FZ] else csr_array((len(bins), 1)),
         noise_rms=noise_rms,
         rest=rest,
-        noise_measured=bool(still.sum() >= REST_SAMPLES),
+        noise_measured=bool(still.sum() >= ASSUMED.noise.fewest_at_rest),
         judged=judged,
         at_rest=at_rest[:: 1 + len(at_rest) // MOST_AT_REST],
         nominal_difference=None
@@ -199,7 +192,7 @@ def _unreported_height(cell: CellFile, samples: Samples, motion: TipMotion) -> F
     """Heights (n,) by which the tip may differ from the reports in acceleration, as a standard deviation; 0 without a command."""
     if samples.z_cmd_m is None:
         return np.zeros(len(samples))
-    return np.asarray(UNREPORTED_SHARE * motion.az_m_per_s2 / (2.0 * np.pi * cell.robot.servo_natural_frequency_Hz) ** 2)
+    return np.asarray(ASSUMED.noise.unreported_share * motion.az_m_per_s2 / (2.0 * np.pi * cell.robot.servo_natural_frequency_Hz) ** 2)
 
 
 def _robot_grid(
@@ -229,13 +222,13 @@ def _noise(
             usable = not dead(signal)
         judged.append(usable)
         if usable:
-            enough = where.sum() >= REST_SAMPLES
+            enough = where.sum() >= ASSUMED.noise.fewest_at_rest
             rms = measured_rms(signal, where) if enough else measured_rms(signal)
             measured[channel] = rms if enough or declared[channel] == 0.0 else min(rms, declared[channel])
             digits[channel] = max(LAST_DIGITS * float(np.ptp(signal)), 1e-300)
     floor = np.where(declared > 0, declared, np.maximum(measured, digits))
     # Of readings that noise does not dither, those that happen to rest within a level show too little of it.
-    least = np.where(undithered(cell), 1.0, 0.5) * floor
+    least = np.where(undithered(cell), 1.0, ASSUMED.noise.least_share_of_stated) * floor
     return tuple(judged), np.where(measured > 0, np.maximum(measured, least), floor)
 
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CellFile
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FX, FY, FZ, TX, TY, TZ, lattice_step
 from palpd.gap.data.phases import FREE_STILL, HOLDING, find_phases
-from palpd.gap.data.prepare import REST_SAMPLES
 from palpd.gap.data.rounding import noise_before_rounding
 from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
@@ -17,12 +17,6 @@ from palpd.tick import Floats
 NOISE = {"noise_rms_N": (FX, FY, FZ), "noise_rms_Nm": (TX, TY, TZ)}
 RESOLUTION = {"resolution_fxy_N": (FX, FY), "resolution_fz_N": (FZ,), "resolution_Nm": (TX, TY, TZ)}
 """Channels whose noise or step a key of the cell file's sensor block states."""
-
-HEALTHY_NOISE = 1.5
-"""Ratio of shown and stated noise beyond which lateral axes say nothing of the noise of fz."""
-
-FAR_FROM_STATED = 5.0
-"""Ratio of measured and stated noise from which on a note says so: no surroundings change a healthy sensor this far."""
 
 
 def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[CellFile, list[str], list[str]]:
@@ -43,7 +37,7 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
         rms, before = (low * high) ** 0.5, float(getattr(cell.sensor, key))
         if key not in stated:
             measured[key] = rms
-        elif resting and not low / FAR_FROM_STATED <= before <= high * FAR_FROM_STATED and before > 0.0:
+        elif resting and not low / ASSUMED.noise.far_from_stated <= before <= high * ASSUMED.noise.far_from_stated and before > 0.0:
             far.append(f"sensor.{key} is {before:.3g} and the recording shows {rms:.3g}, expected within a factor of 5; correct it.")
     if not measured:
         return cell, far, []
@@ -62,7 +56,7 @@ def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[f
     phases = [find_phases(samples, cell) for samples in recordings]
     stated_N = cell.sensor.noise_rms_N
     low_N, high_N = _noise_range(recordings, [_rests(its.phase) for its in phases], (FX, FY)) or (stated_N, stated_N)
-    healthy = low_N / HEALTHY_NOISE <= stated_N <= high_N * HEALTHY_NOISE
+    healthy = low_N / ASSUMED.noise.healthy_lateral_ratio <= stated_N <= high_N * ASSUMED.noise.healthy_lateral_ratio
     rests_N = [float(samples.wrench[its.at_rest_in_air, 2].mean()) for samples, its in zip(recordings, phases, strict=True)]
     return min(max(stated_N, low_N), high_N) if healthy else stated_N, rests_N
 
@@ -70,7 +64,7 @@ def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[f
 def _rests(phase: NDArray[np.int_]) -> NDArray[np.bool_] | None:
     """Samples at rest (n,) by their phases; None where there are too few to measure noise."""
     still = np.isin(phase, (FREE_STILL, HOLDING))
-    return still if still.sum() >= REST_SAMPLES else None
+    return still if still.sum() >= ASSUMED.noise.fewest_at_rest else None
 
 
 def _noise_range(

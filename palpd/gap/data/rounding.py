@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from palpd.cell.cell_file import CellFile
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import pure_rms, resolutions
 from palpd.gap.data.phases import Ints
 from palpd.recording.oddities import measured_rms
@@ -22,14 +23,6 @@ Way = Literal["nearest", "down", "to zero"]
 WAYS: tuple[Way, ...] = ("nearest", "down", "to zero")
 """How readings come to their levels: converters round to the nearest one or down, and integers in software cut towards zero."""
 
-DITHERED = 0.36
-"""Noise, in steps, from which on the mean reading is less than 3 % of a step off the force, and its slope less than a sixth off 1."""
-
-REACH = 1.5
-"""Steps from the force at rest up to which the force is that of the probe alone, in the air."""
-
-LEAST_DITHER = 0.1
-"""Least noise, in steps, with which a reading is predicted: less would make corners of the edges, and no force is known that well."""
 
 FARTHEST = 7.0
 """Standard deviations of the noise beyond which no reading comes to a level."""
@@ -43,12 +36,6 @@ NOISES = np.geomspace(0.02, 0.7, 42)
 
 STRETCH = 100
 """Number of readings of a rest that share a mean: over a longer time a force that creeps changes it."""
-
-EVEN_RMS = 0.6
-"""Rms of rounded readings, in steps, from which on their variance is the same wherever they rest: that of the noise and 1/12."""
-
-LARGEST_JUMP = 6.0
-"""Second difference of rounded readings, in steps, that counts at most: noise below a step makes no larger ones."""
 
 
 def rounded_moments(force: Floats, noise_rms: float, way: Way = "nearest", first: float = 0.0) -> tuple[Floats, Floats]:
@@ -154,7 +141,9 @@ class Rounding:
         steps = int(self.reach_N / self.step_N) + 4
         force_N = self.rest_N + self.step_N * np.linspace(-steps, steps, 2 * steps * POINTS_PER_STEP + 1)
         force = (force_N - self.level_N) / self.step_N
-        mean, _ = rounded_moments(force, max(self.noise_rms_N / self.step_N, LEAST_DITHER), self.way, self.first_N / self.step_N)
+        mean, _ = rounded_moments(
+            force, max(self.noise_rms_N / self.step_N, ASSUMED.rounding.least_dither_steps), self.way, self.first_N / self.step_N
+        )
         return force_N, self.step_N * (mean - force)
 
 
@@ -174,14 +163,22 @@ def noise_before_rounding(values: Floats, at_rest: NDArray[np.bool_], step: floa
         Least and largest noise (rms) in the unit of the readings; both 0 where too few rest.
     """
     rms = measured_rms(values, at_rest)
-    if rms >= EVEN_RMS * step:
+    if rms >= ASSUMED.rounding.even_rms_steps * step:
         pure = max(rms**2 - step**2 / 12.0, 0.0) ** 0.5
         return pure, pure
     inner = np.flatnonzero(at_rest[2:] & at_rest[1:-1] & at_rest[:-2]) + 1
     if len(inner) < STRETCH:
         return 0.0, 0.0
     readings = values / step
-    squares = np.clip(readings[inner + 1] - 2.0 * readings[inner] + readings[inner - 1], -LARGEST_JUMP, LARGEST_JUMP) ** 2 / 6.0
+    squares = (
+        np.clip(
+            readings[inner + 1] - 2.0 * readings[inner] + readings[inner - 1],
+            -ASSUMED.rounding.largest_jump_steps,
+            ASSUMED.rounding.largest_jump_steps,
+        )
+        ** 2
+        / 6.0
+    )
     # Neighbours share two of three readings; noise may reach a level twice that was never seen; the mean of a stretch is noisy.
     square = float(squares.mean())
     error = float(np.linalg.norm([2.0 * squares.std() * (3.0 / len(inner)) ** 0.5, 2.0 / len(inner), square / STRETCH]))
@@ -202,7 +199,7 @@ def noise_before_rounding(values: Floats, at_rest: NDArray[np.bool_], step: floa
 
 def undithered(cell: CellFile) -> NDArray[np.bool_]:
     """Channels (7,) whose stated noise does not dither their stated step."""
-    return np.asarray(pure_rms(cell) < DITHERED * resolutions(cell))
+    return np.asarray(pure_rms(cell) < ASSUMED.rounding.dithered_steps * resolutions(cell))
 
 
 def undithered_rms(step: float, noise_rms: float) -> float:
@@ -228,7 +225,7 @@ def coarse_step_N(samples: Samples, cell: CellFile) -> float:
     gap = float(np.median(gaps))
     gap = float(np.mean(gaps[gaps < 1.75 * gap]))  # readings that are also rounded to the stated step have gaps of two sizes
     stated = cell.sensor.resolution_fz_N
-    if gap <= 1.4 * stated or gap <= 0.5 * cell.sensor.noise_rms_N:
+    if gap <= ASSUMED.scatter.coarse_step_ratio * stated or gap <= ASSUMED.scatter.coarse_noise_ratio * cell.sensor.noise_rms_N:
         return 0.0
     # Over many levels a small error of the step shifts the last level by a whole step: take the step at which all values agree best.
     steps, values = gap * np.linspace(0.95, 1.05, 2001), values[:: 1 + len(values) // 500]
@@ -251,12 +248,12 @@ def roundings_of(
     """
     coarse_N = max(steps_N)
     step_N = coarse_N or cell.sensor.resolution_fz_N
-    if noise_rms_N >= DITHERED * step_N:
+    if noise_rms_N >= ASSUMED.rounding.dithered_steps * step_N:
         return []
     roundings = []
     for samples, rest_N in zip(recordings, rests_N, strict=True):
         readings_N = samples.wrench[:, 2]
         turn = np.exp(2j * np.pi * readings_N / step_N).mean()
-        reach_N = float(np.abs(readings_N - rest_N).max()) + step_N if coarse_N else REACH * step_N
+        reach_N = float(np.abs(readings_N - rest_N).max()) + step_N if coarse_N else ASSUMED.rounding.air_reach_steps * step_N
         roundings.append(Rounding(step_N, float(np.angle(turn) / (2.0 * np.pi) * step_N), rest_N, noise_rms_N, "nearest", reach_N))
     return roundings

@@ -10,24 +10,16 @@ import numpy as np
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
-from palpd.gap.data.cleaning import HEALTHY_RATIO, CleanedRecording
+from palpd.gap.assumptions import ASSUMED
+from palpd.gap.data.cleaning import CleanedRecording
 from palpd.gap.data.noise import FZ, pure_rms, resolutions
 from palpd.gap.data.phases import FREE_STILL, HOLDING
 from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.data.rounding import noise_before_rounding
 from palpd.tick import Floats
 
-UNEVEN = 0.02
-"""Share by which healthy noise varies within a recording."""
-
-P_SEEN = 0.99
-"""Probability of a coarse step or of held samples once they have been seen: chance alone makes neither."""
-
 LEAST_NOISE_RATIO = 0.01
 """Least ratio of shown and stated noise: a smaller ratio counts as this, since its logarithm is used."""
-
-LONE_RATIO = 1.45
-"""Noise of one axis over that of the others above which something unknown acts on that axis."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +63,7 @@ def _coarse_step(cleaned: Sequence[CleanedRecording]) -> Seen | None:
     if not coarse_N:
         return None
     step_N = float(np.median(coarse_N))
-    return P_SEEN, {"step_N": (step_N, 0.98 * step_N, 1.02 * step_N)}
+    return ASSUMED.scatter.p_seen, {"step_N": (step_N, 0.98 * step_N, 1.02 * step_N)}
 
 
 def _held_samples(cleaned: Sequence[CleanedRecording]) -> Seen | None:
@@ -82,7 +74,7 @@ def _held_samples(cleaned: Sequence[CleanedRecording]) -> Seen | None:
     step_s = float(np.median([1.0 / its.samples.rate_Hz for its in cleaned]))
     rate_Hz = stretches / sum(its.samples.duration_s for its in cleaned)
     spread = 1.96 / np.sqrt(stretches)
-    return P_SEEN, {
+    return ASSUMED.scatter.p_seen, {
         "rate_Hz": (rate_Hz, rate_Hz * (1.0 - spread), rate_Hz * (1.0 + spread)),
         "length_s": (length_s, max(length_s * (1.0 - spread), 0.0), length_s * (1.0 + spread) + step_s),
     }
@@ -107,19 +99,19 @@ def _noise(recordings: Sequence[PreparedRecording], cleaned: Sequence[CleanedRec
     if len(ranges) < 2:
         return None, 0.0
     low, high = np.array(ranges).T
-    axis_error = 1.3 / np.sqrt(max(samples, 30))
+    axis_error = ASSUMED.scatter.axis_error / np.sqrt(max(samples, 30))
     weight = 1.0 / (np.log(high / low) + axis_error)  # an axis whose rounding hides its noise says little of that of the others
     ratio = _weighted_median(np.sqrt(low * high), weight)
     error = axis_error / np.sqrt(weight.sum() / weight.max())
-    width = np.hypot(error, 0.02)
-    probability = _sigmoid((np.log(ratio) - np.log(HEALTHY_RATIO + 0.06)) / width)
+    width = np.hypot(error, ASSUMED.scatter.ratio_error)
+    probability = _sigmoid((np.log(ratio) - np.log(ASSUMED.scatter.healthy_ratio + ASSUMED.scatter.healthy_margin)) / width)
     # Rounding may hide how noisy an axis is: it differs from the others by no less than its readings say.
     spread = float(np.max(np.abs(np.log(np.clip(ratio, low, high) / ratio))))
-    p_lone_axis = _sigmoid((spread - np.log(LONE_RATIO)) / float(np.hypot(axis_error, 0.04)))
+    p_lone_axis = _sigmoid((spread - np.log(ASSUMED.scatter.lone_ratio)) / float(np.hypot(axis_error, ASSUMED.scatter.lone_error)))
     if probability < 1e-3:
         return None, p_lone_axis
     # The cell's own noise, without the effect, may be anything within specification.
-    off = HEALTHY_RATIO * (1.0 + 2.5 * float(np.hypot(error, UNEVEN)))
+    off = ASSUMED.scatter.healthy_ratio * (1.0 + 2.5 * float(np.hypot(error, ASSUMED.scatter.uneven)))
     return (probability, {"ratio": (ratio, ratio / off, ratio * off)}), p_lone_axis
 
 

@@ -8,18 +8,9 @@ from math import log
 
 import numpy as np
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.gaussian.nuisance_space import Products
 from palpd.tick import Floats
-
-SIZES = (8.0, 20.0, 50.0, 150.0)
-"""Sizes √(s² Σλ) of a group, in sigmas beyond what nuisances hide; all are equally probable before the data are seen."""
-
-LEAST_SHARE, FULL_SHARE = 0.004, 0.1
-"""Share wᵀXᵀPXw / wᵀXᵀXw of a group's squared change that nuisances leave. Below the first the group is refused, above the second it
-costs nothing: a group that nuisances nearly hide has large coefficients, and would show where the nuisances are others."""
-
-SHARE_PRICE = 1.5
-"""Nats for each factor e by which the share lies below FULL_SHARE."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +42,13 @@ def group_evidence(products: Products, priors: tuple[Floats, ...]) -> GroupEvide
     likeliest = int(np.argmax(log_factors))
     if not np.isfinite(log_factors[likeliest]):
         return GroupEvidence(-np.inf, np.zeros((n, n)), np.zeros(n), np.zeros((n, n)))
-    prior, size = priors[likeliest // len(SIZES)], SIZES[likeliest % len(SIZES)]
+    prior, size = priors[likeliest // len(ASSUMED.laws.sizes_sd)], ASSUMED.laws.sizes_sd[likeliest % len(ASSUMED.laws.sizes_sd)]
     root = size / float(np.einsum("ij,ji->", products.gram, prior @ prior.T)) ** 0.5 * prior
     nats = float(np.logaddexp.reduce(log_factors) - log(len(log_factors)))
     mean, covariance = posterior_of(products, root)
     whole = float(mean @ products.raw @ mean)
     share = float(mean @ products.gram @ mean) / whole if whole > 0.0 else 0.0
-    price = np.inf if share < LEAST_SHARE else SHARE_PRICE * max(log(FULL_SHARE / share), 0.0)
+    price = np.inf if share < ASSUMED.laws.least_share else ASSUMED.laws.share_price_nats * max(log(ASSUMED.laws.full_share / share), 0.0)
     return GroupEvidence(nats - price, root, mean, covariance)
 
 
@@ -85,7 +76,7 @@ def _log_factors(grams: Floats, slopes: Floats, priors: tuple[Floats, ...]) -> F
         total = values.sum(axis=-1)
         live = total > 1e-12
         q = np.einsum("kij,ki->kj", vectors, slopes @ prior)
-        for size in SIZES:
+        for size in ASSUMED.laws.sizes_sd:
             square = (size**2 / np.where(live, total, 1.0))[:, None]
             weight = 1.0 + square * values
             out.append(np.where(live, 0.5 * (square * q**2 / weight - np.log(weight)).sum(axis=-1), -np.inf))

@@ -14,6 +14,7 @@ from scipy.linalg import cholesky
 from scipy.linalg.lapack import dtrtrs
 from scipy.sparse import csr_array, diags_array, issparse
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.tick import Floats
 
 Ints = NDArray[np.intp]
@@ -23,9 +24,6 @@ SMALLEST_SQUARE = 1e-24
 
 SHORT_SHARE = 0.25
 """Largest share of all bins over which a column may reach for its values to be stored sparsely."""
-
-PLAUSIBLE_SD = 2.0
-"""Largest plausible size of a coefficient, in standard deviations: 95 % of all are smaller."""
 
 
 Rows = Floats | csr_array
@@ -270,8 +268,10 @@ class Nuisances:
         return np.asarray(values - self.explained(self.coefficients(values)))
 
     def beyond(self, values: Floats) -> Floats:
-        """The part (c, b) of a vector (c, b) that plausible nuisances cannot hide: v - A ĉ, each ĉ clipped to ± PLAUSIBLE_SD."""
-        return np.asarray(values - self.explained(np.clip(self.coefficients(values), -PLAUSIBLE_SD, PLAUSIBLE_SD)))
+        """The part (c, b) of a vector (c, b) that plausible nuisances cannot hide: v - A ĉ, each ĉ clipped to ± `noise.plausible_sd`."""
+        return np.asarray(
+            values - self.explained(np.clip(self.coefficients(values), -ASSUMED.noise.plausible_sd, ASSUMED.noise.plausible_sd))
+        )
 
 
 def _solved(factor: Floats, right: Floats, *, transposed: bool = False) -> Floats:

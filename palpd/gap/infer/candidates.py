@@ -10,6 +10,7 @@ from scipy.ndimage import median_filter
 
 from palpd.cell.cell_file import EffectValues
 from palpd.cell.effects import Effect
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FZ, Z
 from palpd.gap.gaussian.nuisances import ProjectedColumns, Vectors, gram, project
 from palpd.gap.infer.evidence import Fit
@@ -17,15 +18,6 @@ from palpd.gap.model.coordinates import start_values
 from palpd.gap.model.linearise import Linearisation
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
-
-PEAK_RATIO = 25.0
-"""Power of a line in the residual spectrum over its neighbourhood from which on it stands out."""
-
-HUMP_WIDTH, NEIGHBOURHOOD = 0.04, 1.5
-"""Half the width of a hump over its frequency, as damping ratios of 0.02 to 0.1 make it, and factor to the ends of its neighbourhood."""
-
-HUMPS, LEAST_HUMP_DISTANCE = 3, 0.15
-"""Number of humps at which a resonance is sought, and least distance of their logarithms. A search finds it from a tenth away."""
 
 
 class Candidate(NamedTuple):
@@ -151,7 +143,7 @@ def spectral_peaks(problem: Problem, predicted: Floats, most: int = 3) -> list[f
         ratio = np.where(frequency > 3.0 / (n * dt_s), spectrum / np.maximum(local, 1e-300), 0.0)
         for _ in range(2):
             k = int(np.argmax(ratio))
-            if ratio[k] < PEAK_RATIO:
+            if ratio[k] < ASSUMED.search.peak_ratio:
                 break
             peaks.append((float(ratio[k]), float(frequency[k] + _summit(spectrum, k) * frequency[1])))
             ratio[max(0, k - 30) : k + 30] = 0.0
@@ -176,8 +168,8 @@ def ringing_frequencies(problem: Problem, predicted: Floats) -> list[float]:
         return []
     residual = (recording.samples.wrench[:, FZ - 1] - predicted[:, FZ]) * np.hanning(n)
     power = np.concatenate([[0.0], np.cumsum(np.abs(np.fft.rfft(residual - residual.mean())) ** 2)])
-    lowest_Hz = max(0.5 * problem.scale.servo_natural_frequency_Hz, 1.0 / (HUMP_WIDTH * n * dt_s))
-    frequency_Hz = np.exp(np.arange(np.log(lowest_Hz), np.log(0.45 / dt_s), 0.5 * HUMP_WIDTH))
+    lowest_Hz = max(0.5 * problem.scale.servo_natural_frequency_Hz, 1.0 / (ASSUMED.search.hump_width * n * dt_s))
+    frequency_Hz = np.exp(np.arange(np.log(lowest_Hz), np.log(0.45 / dt_s), 0.5 * ASSUMED.search.hump_width))
 
     def mean(factor: float) -> tuple[Floats, Floats]:
         """Mean power between f / factor and f · factor, and the number of values there."""
@@ -185,11 +177,13 @@ def ringing_frequencies(problem: Problem, predicted: Floats) -> list[float]:
         end = np.minimum(np.rint(frequency_Hz * factor * n * dt_s).astype(int) + 1, len(power) - 1)
         return (power[end] - power[first]) / (end - first), end - first
 
-    power_there, values = mean(1.0 + HUMP_WIDTH)
-    prominence = (power_there / np.maximum(mean(NEIGHBOURHOOD)[0], 1e-300) - 1.0) * np.sqrt(values)
+    power_there, values = mean(1.0 + ASSUMED.search.hump_width)
+    prominence = (power_there / np.maximum(mean(ASSUMED.search.neighbourhood)[0], 1e-300) - 1.0) * np.sqrt(values)
     out: list[float] = []
     for k in np.argsort(-prominence):
-        if len(out) < HUMPS and all(abs(np.log(frequency_Hz[k] / other)) > LEAST_HUMP_DISTANCE for other in out):
+        if len(out) < ASSUMED.search.humps and all(
+            abs(np.log(frequency_Hz[k] / other)) > ASSUMED.search.least_hump_distance for other in out
+        ):
             out.append(float(frequency_Hz[k]))
     return out
 

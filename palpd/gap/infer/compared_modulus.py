@@ -7,13 +7,11 @@ import numpy as np
 
 from palpd.analysis.modulus_intervals import NORMAL_95
 from palpd.cell.effects.tissue import MODULUS
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.gaussian.nuisances import stable_inverse
 from palpd.gap.model.linearise import Linearisation
 from palpd.gap.model.problem import SHARED, Problem
 from palpd.quantities import quantity
-
-FAR_SIGMAS = 2.0
-"""Distance of the measured modulus from the compared one, in standard deviations of both, above which the file is questioned."""
 
 
 @dataclass(frozen=True)
@@ -76,5 +74,5 @@ def compared_modulus(problem: Problem, stated: Linearisation, site: str | None) 
     compared_Pa = tissue.youngs_modulus_Pa * ratio
     measured_Pa = compared_Pa * (1.0 + tolerance * deviation)
     half_Pa = NORMAL_95 * sigma * compared_Pa
-    far = abs(tolerance * deviation) > FAR_SIGMAS * float(np.hypot(tolerance, sigma))
+    far = abs(tolerance * deviation) > ASSUMED.naming.modulus_apart_sd * float(np.hypot(tolerance, sigma))
     return ComparedModulus(compared_Pa, site, measured_Pa, (measured_Pa - half_Pa, measured_Pa + half_Pa), far)

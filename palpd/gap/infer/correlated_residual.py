@@ -13,19 +13,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.infer.evidence import Fit, fit
 from palpd.gap.infer.posterior import Attribution, Hypothesis, attribution_of, posterior
-from palpd.gap.infer.settle import CREDIBLE_SD
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
-
-WHITE_ENOUGH = 1.5
-"""Variance of a whitened residual times its correlation time in bins below which bins count fully: estimates of white noise stay
-below."""
-
-COMPARED = 10
-"""Number of likeliest hypotheses that are compared again; less likely hypotheses have never come first."""
 
 
 def row_weights(remainder: Floats) -> Floats:
@@ -42,14 +35,14 @@ def row_weights(remainder: Floats) -> Floats:
         live = values[values != 0.0]
         if len(live) > 1:
             size = float(np.mean(live**2)) * correlation_time(live)
-            weights[channel] = 1.0 / size if size > WHITE_ENOUGH else 1.0
+            weights[channel] = 1.0 / size if size > ASSUMED.noise.white_enough else 1.0
     return weights
 
 
 def wrong_tolerances(best: Fit) -> Floats:
     """Factors (11,) by which the tolerances of shared deviations are too narrow for a hypothesis; 1 where a deviation is credible."""
     deviation_sd = np.abs(best.linearisation.space.coefficients(best.residual)[: len(best.eta)])
-    return np.where(deviation_sd > CREDIBLE_SD, deviation_sd, 1.0)
+    return np.where(deviation_sd > ASSUMED.noise.credible_sd, deviation_sd, 1.0)
 
 
 def correlation_time(values: Floats) -> float:
@@ -76,7 +69,7 @@ def compared_again(problem: Problem, fits: Mapping[tuple[str, ...], Fit], first:
         weight: For how many bins a bin of each channel counts (7,).
         wider: Factors (11,) on the tolerances of shared deviations.
     """
-    likeliest = [one.fit.names for one in first.hypotheses[:COMPARED]]
+    likeliest = [one.fit.names for one in first.hypotheses[: ASSUMED.noise.compared]]
     single = [(name,) for names in likeliest[:3] for name in names if (name,) in fits]
     comparable = problem.with_row_weight(weight).with_shared_sd(wider * problem.shared_sd)
     again: dict[tuple[str, ...], Fit] = {}

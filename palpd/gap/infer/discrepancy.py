@@ -13,6 +13,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from palpd.cell.cell_file import EffectValues
 from palpd.cell.effects import Scale
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.gaussian.nuisances import Columns, Projected, ProjectedColumns
 from palpd.gap.infer.fit import Optimum
@@ -21,27 +22,11 @@ from palpd.gap.model.linearise import Linearisation
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
 
-P_EXACT_LAW = 0.3
-"""Prior probability that an effect follows its listed formula exactly."""
-
-DISCREPANCY_SIZES = ((0.02, 0.3), (0.06, 0.25), (0.12, 0.15))
-"""Sizes d that a discrepancy may have in each direction, as shares of the effect, and their prior probabilities. With P_EXACT_LAW these
-add up to 1."""
+DISCREPANCY_SIZES = tuple(zip(ASSUMED.law_error.sizes, ASSUMED.law_error.p_sizes, strict=True))
+"""Sizes d that a discrepancy may have in each direction, as shares of the effect, and their prior probabilities."""
 
 SPREAD = "spread"
 """Kind of the directions that mix in the same law at other time constants or widths: with several of them an effect stays what it is."""
-
-OTHER_SHAPES = (0.2, 0.45, 2.2, 5.0)
-"""Factors on the time constant or width at which the law is mixed in: real effects often have several."""
-
-SPREAD_SIZE = 4.0
-"""Ratio of the size of such a direction to that of other errors of a law: real time constants and widths are spread over decades."""
-
-SMALLEST_EFFECT = 1.0
-"""Norm of an effect, in sigmas beyond what tolerances hide, below which it is too small to show a discrepancy."""
-
-LARGEST_STRETCH = 6.0
-"""Largest factor by which a direction is scaled up to the size of the effect."""
 
 
 @dataclass(frozen=True)
@@ -115,9 +100,10 @@ def model_discrepancies(
 
 def _reach(c: Coordinate, u: float) -> float:
     """R: how far a coordinate may move with a discrepancy, so that the parameter moves by about half of itself."""
+    reach = ASSUMED.law_error.reach
     if c.parameter.log:
-        return 0.5
-    return 0.5 / c.scale if c.angle else 0.5 * max(abs(u), 1e-3)
+        return reach
+    return reach / c.scale if c.angle else reach * max(abs(u), 1e-3)
 
 
 def discrepancy_columns(
@@ -127,7 +113,7 @@ def discrepancy_columns(
 
     An effect may be stronger or weaker with depth, speed, direction of motion, time, and time since the motion changed, or in a channel
     alone. It may be mixed with the same law at other time constants or widths. Each direction is as large as the part of the effect that
-    tolerances do not hide, or smaller; that of the kind SPREAD is SPREAD_SIZE times larger.
+    tolerances do not hide, or smaller; that of the kind SPREAD is `law_error.spread_size` times larger.
 
     Args:
         values: Parameters θ by effect.
@@ -143,12 +129,12 @@ def discrepancy_columns(
         others = {other: v for other, v in values.items() if other != name}
         part = at - problem.predict(others, linearisation.eta)
         energy = float(np.linalg.norm(linearisation.space.beyond(part)))
-        if energy < SMALLEST_EFFECT:
+        if energy < ASSUMED.law_error.smallest_effect_sd:
             continue
         for kind, shape in _shapes(problem, values, name, at, part, linearisation.eta, modulations):
             norm = sum(float(there @ there) for there in shape.values()) ** 0.5
             if norm > 1e-6 * energy:
-                factor = min(energy / norm, LARGEST_STRETCH) * (SPREAD_SIZE if kind == SPREAD else 1.0)
+                factor = min(energy / norm, ASSUMED.law_error.largest_stretch) * (ASSUMED.law_error.spread_size if kind == SPREAD else 1.0)
                 columns.append({channel: there * factor for channel, there in shape.items()})
                 kinds.append(kind)
     return Columns.of(columns, (at.shape[0], at.shape[1])), np.array(kinds)
@@ -169,7 +155,7 @@ def _shapes(
     for parameter in effect.parameters:
         if parameter.nominal is None and parameter.log and parameter.name in values[name]:
             lower, upper = parameter.bounds(problem.scale)
-            for factor in OTHER_SHAPES:
+            for factor in ASSUMED.law_error.other_shapes:
                 other = min(max(values[name][parameter.name] * factor, lower), upper)
                 yield SPREAD, dict(enumerate(problem.predict(values | {name: values[name] | {parameter.name: other}}, eta) - at))
     for driver, modulation in modulations:

@@ -8,19 +8,14 @@ import numpy as np
 
 from palpd.cell.cell_file import EffectValues
 from palpd.cell.effects import Scale
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.gaussian.nuisances import Nuisances, gram, project, stable_inverse
-from palpd.gap.infer.discrepancy import P_EXACT_LAW, model_discrepancies
+from palpd.gap.infer.discrepancy import model_discrepancies
 from palpd.gap.infer.fit import Optimum, fit_values, jacobian_at
 from palpd.gap.model.coordinates import Coordinate
 from palpd.gap.model.linearise import Linearisation
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
-
-LOG_SIZE_RANGE = 7.0
-"""Width in nats of the prior of an effect's size s in sigmas, which is log-uniform: e^7 is a factor of a thousand."""
-
-CONTRARY_NATS = 4.0
-"""Price in nats of an amplitude with a sign that is possible but not usual for its effect (a reading that creeps down under load)."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +134,7 @@ def laplace_evidence(problem: Problem, best: Optimum, laws: Sequence[PossibleLaw
         occam, normal = _occam(problem, best, slopes_gram, sizes)
         change = at - problem.predict({}, eta)
         discrepancies = model_discrepancies(problem, best, project(residual, space), slopes, slopes_gram)
-        log_each = np.array([log(P_EXACT_LAW), *(d.log_prior + d.gain for d in discrepancies)])
+        log_each = np.array([log(ASSUMED.law_error.p_exact), *(d.log_prior + d.gain for d in discrepancies)])
         total = float(np.logaddexp.reduce(log_each))
         if discrepancies:
             log_likelihood = log_exact + total
@@ -204,14 +199,16 @@ def _occam(problem: Problem, best: Optimum, normal: Floats, sizes: dict[str, flo
         index = [k for k, c in enumerate(where) if c.effect == name]
         amplitudes = [k for k in index if where[k].amplitude]
         m = len(amplitudes)
-        size = max(sizes[name], 1.0)
+        size = max(sizes[name], ASSUMED.prior.least_size_sd)
         if m:
             _, log_density = np.linalg.slogdet(normal[np.ix_(amplitudes, amplitudes)] + 1e-12 * np.eye(m))
             sphere = log(2.0) + 0.5 * m * log(pi) - lgamma(0.5 * m)
-            prior += -log(LOG_SIZE_RANGE) - m * log(size) - sphere + 0.5 * log_density
+            prior += -log(ASSUMED.prior.log_size_range) - m * log(size) - sphere + 0.5 * log_density
         prior -= sum(log(where[k].range) for k in index if not (where[k].amplitude or where[k].fixed))
         prior -= sum(_unnatural(where[k], values[name][where[k].parameter.name]) for k in index)
-        prior -= CONTRARY_NATS * sum(_contrary(where[k], values[name][where[k].parameter.name], problem.scale) for k in amplitudes)
+        prior -= ASSUMED.prior.contrary_nats * sum(
+            _contrary(where[k], values[name][where[k].parameter.name], problem.scale) for k in amplitudes
+        )
     return prior + volume, full
 
 
@@ -219,7 +216,7 @@ def _unnatural(c: Coordinate, value: float) -> float:
     """Nats that a value beyond its natural size costs: the prior is normal there, with half of the natural size as its scale."""
     if c.parameter.natural is None:
         return 0.0
-    return 0.5 * (max(abs(value) / c.parameter.natural - 1.0, 0.0) / 0.5) ** 2
+    return 0.5 * (max(abs(value) / c.parameter.natural - 1.0, 0.0) / ASSUMED.prior.natural_spread) ** 2
 
 
 def _contrary(c: Coordinate, value: float, scale: Scale) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpd.cell.cell_file import EffectValues
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.gaussian.nuisances import Projected, gram, project
 from palpd.gap.model.coordinates import Coordinate, coordinates, coordinates_of, inside, values_at
 from palpd.gap.model.linearise import Linearisation, linearise
@@ -18,11 +19,6 @@ GAIN_TO_STOP = 0.02
 CONVERGED_SD = 0.1
 """Move of the shared deviations between two linearisations below which the nuisances have converged, in standard deviations."""
 
-LARGEST_STEP_SD = 4.0
-"""Largest move of a shared deviation in one linearisation: further away its column is no longer a guide."""
-
-LARGEST_DEVIATION_SD = 8.0
-"""Largest shared deviation η₀ at which the nuisances are linearised: beyond any tolerance, and near enough to stay a cell."""
 
 LEAST_MODULUS_FACTOR = 0.01
 """Least factor of a modulus from one linearisation to the next: a linear step may lead below zero."""
@@ -75,8 +71,8 @@ def fit_values(problem: Problem, start: EffectValues, linearisation: Linearisati
         residual = problem.data + linearisation.offset() - best.prediction
         eta = linearisation.space.coefficients(residual)[: len(linearisation.eta)]
         eta = _with_modulus_by_its_factor(problem, linearisation.eta, eta)
-        eta = np.clip(eta, linearisation.eta - LARGEST_STEP_SD, linearisation.eta + LARGEST_STEP_SD)
-        eta = np.clip(eta, -LARGEST_DEVIATION_SD, LARGEST_DEVIATION_SD)
+        eta = np.clip(eta, linearisation.eta - ASSUMED.search.largest_step_sd, linearisation.eta + ASSUMED.search.largest_step_sd)
+        eta = np.clip(eta, -ASSUMED.search.largest_deviation_sd, ASSUMED.search.largest_deviation_sd)
         move = np.abs(eta - linearisation.eta).max()
         linearisation = linearise(problem, best.values, eta)
         best = gauss_newton(problem, linearisation, where, best.u, max(2, iterations // 2))

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.gaussian.nuisances import gram, project, stable_inverse
 from palpd.gap.infer.evidence import Fit, PossibleLaw, fit
 from palpd.gap.infer.fit import gauss_newton, jacobian_at
@@ -16,17 +17,11 @@ from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import Problem
 from palpd.tick import Floats
 
-COVERED = 0.95
-"""Probability that an interval holds the parameter."""
-
 PARABOLIC = 0.03
 """Relative error of the rise of the residual's norm at the end of an interval below which the end is accepted."""
 
 MOST_STEPS = 4
 """Most steps to the end of an interval; most take one."""
-
-LARGEST_STRETCH = 5.0
-"""Largest ratio, and inverse of the smallest, of the distance of an end to its distance on the parabola: the data reach no further."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +72,7 @@ def _at_bound(c: Coordinate, value: float) -> bool:
 
 
 def half_width(laws: Sequence[PossibleLaw], k: int) -> float:
-    """Distance from coordinate `k` of û within which its true value lies with the probability COVERED.
+    """Distance from coordinate `k` of û within which its true value lies with the probability `naming.covered`.
 
     û is the optimum of the listed law. Where the law is off, the optimum with its discrepancy lies elsewhere, and that distance belongs to
     the uncertainty. So this averages over the laws.
@@ -87,7 +82,7 @@ def half_width(laws: Sequence[PossibleLaw], k: int) -> float:
     sd = np.sqrt(np.maximum([law.covariance()[k, k] for law in laws], 1e-300))
 
     def missed(half: float) -> float:
-        return float(weight @ (ndtr((half - move) / sd) - ndtr((-half - move) / sd))) - COVERED
+        return float(weight @ (ndtr((half - move) / sd) - ndtr((-half - move) / sd))) - ASSUMED.naming.covered
 
     most = float((np.abs(move) + 6.0 * sd).max())
     return float(brentq(missed, 0.0, most, rtol=1e-3)) if missed(most) > 0.0 else most
@@ -152,7 +147,13 @@ class _Profile:
             slope = (rise - rise_before) / (stretch - before)
             further = stretch + (enough - rise) / slope if slope > 0.0 else 2.0 * stretch
             before, rise_before = stretch, rise
-            stretch = float(np.clip(further, max(0.5 * stretch, 1.0 / LARGEST_STRETCH), min(2.0 * stretch, LARGEST_STRETCH)))
+            stretch = float(
+                np.clip(
+                    further,
+                    max(0.5 * stretch, 1.0 / ASSUMED.naming.largest_interval_stretch),
+                    min(2.0 * stretch, ASSUMED.naming.largest_interval_stretch),
+                )
+            )
             if at(stretch) == at(before):
                 break
         return at(stretch)

@@ -6,28 +6,10 @@ from math import comb, log
 
 import numpy as np
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.infer.evidence import Fit
 from palpd.gap.infer.residual import ResidualStructure, segments_of, test_residual
 from palpd.gap.model.problem import Problem
-
-P_NONE, P_ONE, P_TWO, P_THREE = 0.3, 0.6, 0.12, 0.02
-"""Prior P(k) of k effects, k = 0 to 3; all sets of the same size are equally probable."""
-
-P_UNKNOWN = 0.15
-"""Prior probability that something outside the list is at work."""
-
-DISCREPANCY_ENERGY = 0.04
-"""Mean of the share e of the gap's energy by which the formula of a known effect is off (an exponential distribution). For something
-unknown all shares are equally probable. With P_UNKNOWN the odds are even at e = 0.2."""
-
-FURTHER_EFFECT_COST = 3.0
-"""Least price of a further effect in nats, whatever its prior: it must explain data that the smaller set does not explain."""
-
-TESTED = 12
-"""Number of likeliest hypotheses whose residual is tested."""
-
-INDISTINGUISHABLE = 0.04
-"""Odds against the best set from which on a set that replaces one of its effects counts: the two effects are indistinguishable."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +66,7 @@ class Attribution:
         return self.hypotheses[0]
 
 
-def posterior(problem: Problem, fits: Mapping[tuple[str, ...], Fit], most_tested: int = TESTED) -> Attribution:
+def posterior(problem: Problem, fits: Mapping[tuple[str, ...], Fit], most_tested: int = ASSUMED.search.tested) -> Attribution:
     """The posterior over the hypotheses, each without and with something unknown in addition.
 
     Args:
@@ -131,15 +113,18 @@ def attribution_of(hypotheses: list[Hypothesis]) -> Attribution:
 def _worth(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> dict[tuple[str, ...], float]:
     """Log P(set) plus log volume (`Fit.occam`) of every hypothesis.
 
-    The log volume of a set counts as FURTHER_EFFECT_COST below that of each fitted set with an effect less, if it is not lower already.
+    The log volume of a set counts as `prior.further_effect_nats` below that of each fitted set with an effect less, or as it is where
+    it is lower.
     """
     listed = sum(not effect.scatter for effect in problem.library.values())
     by_set = {frozenset(names): one.occam for names, one in fits.items()}
     out = {}
     for names, one in fits.items():
-        prior = log((P_NONE, P_ONE, P_TWO, P_THREE)[len(names)]) - log(comb(listed, len(names)))
+        prior = log((ASSUMED.prior.none, ASSUMED.prior.one, ASSUMED.prior.two, ASSUMED.prior.three)[len(names)]) - log(
+            comb(listed, len(names))
+        )
         smaller = [by_set[rest] for name in names if len(names) > 1 and (rest := frozenset(names) - {name}) in by_set]
-        out[names] = prior + min([one.occam, *(occam - FURTHER_EFFECT_COST for occam in smaller)])
+        out[names] = prior + min([one.occam, *(occam - ASSUMED.prior.further_effect_nats for occam in smaller)])
     return out
 
 
@@ -170,16 +155,21 @@ def known_and_unknown(one: Fit, residual: ResidualStructure, gap_energy: float, 
         gap_energy: Energy of the gap in squared sigmas.
         most: Largest log likelihood log(L exp B) that a residual of any shape may have.
     """
-    any_shape = log(P_UNKNOWN) + min(one.log_exact + residual.log_bayes_factor, most)
+    any_shape = log(ASSUMED.prior.unknown) + min(one.log_exact + residual.log_bayes_factor, most)
     if not one.names:
-        return log(1.0 - P_UNKNOWN) + one.log_exact, any_shape
+        return log(1.0 - ASSUMED.prior.unknown) + one.log_exact, any_shape
     sums = []
     for evidence, energy in (
-        (log(1.0 - P_UNKNOWN) + one.log_likelihood, one.discrepancy_energy),
+        (log(1.0 - ASSUMED.prior.unknown) + one.log_likelihood, one.discrepancy_energy),
         (any_shape, residual.energy),
     ):
         share = min(energy / max(gap_energy, 1.0), 1.0)
-        log_odds = log(1.0 - P_UNKNOWN) - log(P_UNKNOWN) - share / DISCREPANCY_ENERGY - log(DISCREPANCY_ENERGY)
+        log_odds = (
+            log(1.0 - ASSUMED.prior.unknown)
+            - log(ASSUMED.prior.unknown)
+            - share / ASSUMED.law_error.mean_energy
+            - log(ASSUMED.law_error.mean_energy)
+        )
         sums.append((evidence - float(np.logaddexp(0.0, -log_odds)), evidence - float(np.logaddexp(0.0, log_odds))))
     known, unknown = np.logaddexp(*np.array(sums))
     return float(known), float(unknown)
@@ -194,7 +184,7 @@ def _groups(hypotheses: list[Hypothesis]) -> dict[str, list[str]]:
         rivals: list[tuple[float, str]] = []
         for one in hypotheses[1:]:
             others = set(one.fit.names) - rest
-            if rest <= set(one.fit.names) and len(others) == 1 and one.share > INDISTINGUISHABLE * best.share:
+            if rest <= set(one.fit.names) and len(others) == 1 and one.share > ASSUMED.naming.indistinguishable * best.share:
                 rivals.append((one.share, others.pop()))
         out[name] = [other for _, other in sorted(rivals, reverse=True)]
     return out

@@ -13,34 +13,12 @@ from math import log
 import numpy as np
 from scipy.ndimage import median_filter
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import CHANNELS, FZ
 from palpd.gap.data.phases import FREE_MOVING, LOADING, PHASES, UNLOADING, Ints
-from palpd.gap.gaussian.nuisances import PLAUSIBLE_SD
 from palpd.gap.infer.evidence import Fit
 from palpd.gap.model.problem import Problem, tolerance_key
 from palpd.tick import Floats
-
-SHAPES = 5
-"""Number of smooth shapes in a segment: mean, slope, curvature and two more."""
-
-PULSE_BINS = (1, 3, 9, 27)
-"""Lengths of the pulses that are tested, in bins."""
-
-PULSE_SD, OUTLIER_SD = 8.0, 10.0
-"""Prior standard deviation of a pulse and of an outlier, in sigmas."""
-
-GROUP_SD = (2.0, 8.0, 30.0)
-"""Prior standard deviations of coefficients that are not noise, in sigmas."""
-
-EXCESS_NOISE_RATIO = 1.15
-"""Where the noise is larger than stated, a channel's residual may be this many times as wide as its noise and still count as noise."""
-
-P_STRUCTURE = 0.01
-"""Prior probability of structure in a channel, a phase and a shape; also that a deviation is out of its tolerance."""
-
-LEAST_SPREAD = 0.5
-"""Standard deviation of ĉ over healthy cells, as a share of the tolerance, below which the data do not say whether a deviation is out of
-tolerance."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +48,7 @@ def test_residual(problem: Problem, fit: Fit, segments: Sequence[Segment]) -> Re
     """
     remainder = fit.remainder
     if problem.excess_noise:
-        remainder = remainder / np.clip(remainder.std(axis=1, keepdims=True), 1.0, EXCESS_NOISE_RATIO)
+        remainder = remainder / np.clip(remainder.std(axis=1, keepdims=True), 1.0, ASSUMED.noise.excess_ratio)
     coefficients, phase = _coefficients(segments, remainder)
     smooth, smooth_energy, channel, place = _smooth(coefficients, phase, remainder)
     tones = [(-np.inf, 0.0), *(_tone(problem, values) for values in remainder if values.any())]
@@ -100,7 +78,7 @@ def segments_of(problem: Problem) -> list[Segment]:
         for a, b in pairwise(edges):
             if b - a < 3:
                 continue
-            shapes = min(SHAPES, (b - a) // 2)
+            shapes = min(ASSUMED.residual.shapes, (b - a) // 2)
             p = int(one.bin_phase[a])
             t = one.t_s[a:b] - one.t_s[a]
             x = t if p in (FREE_MOVING, LOADING, UNLOADING) else np.log1p(t / max(float(t[-1]) / 50.0, 1e-12))
@@ -112,8 +90,8 @@ def segments_of(problem: Problem) -> list[Segment]:
 
 
 def _coefficients(segments: Sequence[Segment], remainder: Floats) -> tuple[Floats, Ints]:
-    """Coefficients (7, segments, SHAPES), NaN where a segment is too short; and the phase of every segment."""
-    out = np.full((len(remainder), len(segments), SHAPES), np.nan)
+    """Coefficients (7, segments, `residual.shapes`), NaN where a segment is too short; and the phase of every segment."""
+    out = np.full((len(remainder), len(segments), ASSUMED.residual.shapes), np.nan)
     for k, segment in enumerate(segments):
         out[:, k, : segment.shapes.shape[1]] = remainder[:, segment.bins] @ segment.shapes
     return out, np.array([segment.phase for segment in segments])
@@ -133,8 +111,8 @@ def _smooth(coefficients: Floats, phase: Ints, remainder: Floats) -> tuple[float
                 if not len(z):
                     continue
                 factor = _group(z)
-                total += float(np.logaddexp(log(1.0 - P_STRUCTURE), log(P_STRUCTURE) + factor))
-                here += float(_sigmoid(factor + log(P_STRUCTURE))) * max(float((z**2).sum()) - len(z), 0.0)
+                total += float(np.logaddexp(log(1.0 - ASSUMED.residual.p_structure), log(ASSUMED.residual.p_structure) + factor))
+                here += float(_sigmoid(factor + log(ASSUMED.residual.p_structure))) * max(float((z**2).sum()) - len(z), 0.0)
             energy += here
             if here > best[0]:
                 best = (here, CHANNELS[channel], PHASES[p])
@@ -150,7 +128,7 @@ def _group(z: Floats) -> float:
     """Log Bayes factor of coefficients (n,) with a common mean or a larger variance against N(0, 1)."""
     n, mean, square = len(z), float(z.mean()), float((z**2).sum())
     factors = []
-    for spread in GROUP_SD:
+    for spread in ASSUMED.residual.group_sd:
         v = 1.0 + n * spread**2
         factors.append(-0.5 * log(v) + 0.5 * (n * mean) ** 2 * spread**2 / v)
         factors.append(-0.5 * n * log(1.0 + spread**2) + 0.5 * square * spread**2 / (1.0 + spread**2))
@@ -166,7 +144,7 @@ def _outlier(z: Floats) -> tuple[float, float]:
     """Log Bayes factor for a single large coefficient among all (n,), and its energy."""
     if not len(z):
         return 0.0, 0.0
-    return float(np.logaddexp.reduce(_wider(z, OUTLIER_SD)) - log(len(z))), float((z**2).max())
+    return float(np.logaddexp.reduce(_wider(z, ASSUMED.residual.outlier_sd)) - log(len(z))), float((z**2).max())
 
 
 def _pulses(values: Floats) -> tuple[float, float]:
@@ -174,12 +152,12 @@ def _pulses(values: Floats) -> tuple[float, float]:
     live = values[values != 0.0]
     sums = np.concatenate([[0.0], np.cumsum(live)])
     factors, energies = [], []
-    for length in PULSE_BINS:
+    for length in ASSUMED.residual.pulse_bins:
         if len(live) < 8 * length:
             continue
         z = (sums[length::length] - sums[:-length:length]) / length**0.5
-        each = _wider(z, PULSE_SD)
-        rare = log(3.0 / len(z))
+        each = _wider(z, ASSUMED.residual.pulse_sd)
+        rare = log(ASSUMED.residual.pulses / len(z))
         factors.append(float(np.logaddexp(np.log1p(-np.exp(rare)), rare + each).sum()))
         energies.append(float((_sigmoid(each + rare) * np.maximum(z**2 - 1.0, 0.0)).sum()))
     if not factors:
@@ -197,7 +175,7 @@ def _strain(problem: Problem, fit: Fit) -> tuple[float, float]:
     deviation = space.coefficients(fit.residual)
     inverse = np.linalg.inv(space.factor)
     spread = np.sqrt(np.maximum(1.0 - (inverse**2).sum(axis=0), 0.0))
-    z = np.where(spread > LEAST_SPREAD, deviation / np.maximum(spread, LEAST_SPREAD), np.nan)
+    z = np.where(spread > ASSUMED.residual.least_spread, deviation / np.maximum(spread, ASSUMED.residual.least_spread), np.nan)
     if not problem.cell.tolerances.modulus_known:
         z[0] = np.nan
     z[[*around.numbers("computation")]] = np.nan
@@ -212,14 +190,14 @@ def _strain(problem: Problem, fit: Fit) -> tuple[float, float]:
             factor = _group(mine)
             if len(mine) > 3:
                 factor = float(np.logaddexp(factor, _outlier(mine)[0]) - log(2.0))
-            every.append(log(P_STRUCTURE) + factor)
+            every.append(log(ASSUMED.residual.p_structure) + factor)
             label = around.labels[group[0]]
             is_effect = tolerance_key(label.name) in beyond
             if not (is_effect and (label.scope == "cell" or (label.scope == "recording" and label.channel == FZ))):
                 outside.append(every[-1])
     # Deviations stand in for each other, so together they say no more than the worst of them.
-    excess = deviation - np.clip(deviation, -PLAUSIBLE_SD, PLAUSIBLE_SD)
-    hidden = space.explained(np.where(np.isnan(z) & (spread > LEAST_SPREAD), 0.0, excess))
+    excess = deviation - np.clip(deviation, -ASSUMED.noise.plausible_sd, ASSUMED.noise.plausible_sd)
+    hidden = space.explained(np.where(np.isnan(z) & (spread > ASSUMED.residual.least_spread), 0.0, excess))
     certain = -float(np.expm1(-np.logaddexp.reduce(every)))
     return float(np.logaddexp.reduce(outside)), certain * float((hidden**2).sum())
 
@@ -244,6 +222,6 @@ def _tone(problem: Problem, values: Floats) -> tuple[float, float]:
         local = median_filter(spectrum, size=101, mode="reflect")
         ratio = spectrum[8:-8] / np.maximum(local[8:-8] / 0.693, len(grid_s))
         peak = float(ratio.max())
-        evidence += peak - log(len(ratio)) - 0.5 * log(max(peak, 1.0)) - 5.0
+        evidence += peak - log(len(ratio)) - 0.5 * log(max(peak, 1.0)) - ASSUMED.residual.tone_nats
         power += peak
     return evidence, 2.0 * power

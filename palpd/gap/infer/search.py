@@ -10,31 +10,16 @@ import numpy as np
 
 from palpd.cell.cell_file import EffectValues
 from palpd.cell.effects import Effect, Scale
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.gaussian.nuisances import project
 from palpd.gap.infer.candidates import Candidate, Match, candidates_of, further_candidates, ringing_frequencies, scan, spectral_peaks
 from palpd.gap.infer.evidence import Fit, fit, laplace_evidence
 from palpd.gap.infer.fit import gauss_newton, jacobian_at
-from palpd.gap.infer.settle import ROUNDS, NominalFit
+from palpd.gap.infer.settle import NominalFit
 from palpd.gap.model.coordinates import coordinates, coordinates_of, start_values, stretched
 from palpd.gap.model.linearise import Linearisation, linearise
 from palpd.gap.model.problem import MODULUS, Problem
 from palpd.tick import Floats
-
-LARGE_GAP = 2e4
-"""Gap, in squared sigmas, that is large enough to change how in-tolerance deviations act."""
-
-FITTED_AFTER_SCAN = 14
-"""Number of effects that are fitted after the scan; further effects are fitted only if they reach half the gain of the best."""
-
-FURTHER_EFFECT_NATS = (2.0, 3.0)
-"""Nats of evidence by which the best single effect must beat no effect, and the best pair the best single effect, before larger sets are
-searched."""
-
-STIFFER = (1.0, 3.0, 10.0)
-"""Factors on an unknown modulus at which a limit of the readings is sought."""
-
-LEAST_GAIN = 4.0
-"""Gain, in squared sigmas, below which a further effect is not fitted: noise gives as much."""
 
 Fits = Mapping[tuple[str, ...], Fit]
 """Fits of sets by their effects."""
@@ -100,7 +85,7 @@ def single_effects(state: SearchState) -> SearchState:
     order = sorted(matches, key=lambda name: -matches[name][0].gain)
     for number, name in enumerate(order):
         gain = matches[name][0].gain
-        if number < FITTED_AFTER_SCAN or gain > 0.5 * matches[order[0]][0].gain:
+        if number < ASSUMED.search.fitted_after_scan or gain > ASSUMED.search.also_fitted_gain * matches[order[0]][0].gain:
             fitted = _fit_from(problem, linearisation, name, matches[name], {}, starts=3, iterations=8)
             state = state.with_fit("single effects", fitted, gain=gain)
     return state
@@ -113,7 +98,7 @@ def from_afar(state: SearchState) -> SearchState:
     readings is always sought so: it hides how stiff the tissue is, and the nominal modulus then lies below all that it could clip.
     """
     problem = state.problem
-    large_gap = any(tried.gain is not None and tried.gain > LARGE_GAP for tried in state.tried)
+    large_gap = any(tried.gain is not None and tried.gain > ASSUMED.search.large_gap for tried in state.tried)
     for effect in problem.library.values():
         single = state.fits.get((effect.id,))
         limited = _limits_readings(effect, problem.scale) and not problem.cell.tolerances.modulus_known
@@ -126,14 +111,14 @@ def from_afar(state: SearchState) -> SearchState:
             starts.append(single.values[effect.id])
         if limited:
             starts = start_values(effect, problem.scale, [])
-        etas = [state.linearisation.eta, *(_stiffer(state, factor) for factor in STIFFER if limited)]
+        etas = [state.linearisation.eta, *(_stiffer(state, factor) for factor in ASSUMED.search.stiffer if limited)]
         misfits = []
         for values, eta in product(starts, etas):
             there = linearise(problem, {effect.id: values}, eta)
             residual = project(problem.data + there.offset() - there.prediction, there.space)
             misfits.append((residual.dot(residual), values, there))
         for _, values, there in sorted(misfits, key=lambda item: item[0])[:2]:
-            fitted = fit(problem, {effect.id: values}, there, iterations=6, rounds=ROUNDS)
+            fitted = fit(problem, {effect.id: values}, there, iterations=6, rounds=ASSUMED.search.rounds)
             single = fitted if single is None or fitted.log_evidence > single.log_evidence else single
             state = state.with_fit("from afar", fitted, best=single)
     return state
@@ -143,8 +128,8 @@ def refine(state: SearchState, size: int, most: int) -> SearchState:
     """Linearise the nuisances of the leading fits again at their optimum; a fit 40 nats below the first is left as it is."""
     leading = state.leading(size, most)
     for before in leading:
-        if before.log_evidence >= leading[0].log_evidence - 40.0:
-            fitted = fit(state.problem, before.values, before.linearisation, iterations=2, rounds=ROUNDS)
+        if before.log_evidence >= leading[0].log_evidence - ASSUMED.search.hopeless_nats:
+            fitted = fit(state.problem, before.values, before.linearisation, iterations=2, rounds=ASSUMED.search.rounds)
             state = state.with_fit("refine", fitted)
     return state
 
@@ -160,16 +145,22 @@ def extend(state: SearchState, size: int, sets: int, further: int) -> SearchStat
         matches = scan(problem, linearisation, problem.data + linearisation.offset() - at, taken, candidates)
         for name in sorted(matches.keys() - set(smaller.names), key=lambda name: (-matches[name][0].gain, name))[:further]:
             gain, names = matches[name][0].gain, {*smaller.names, name}
-            if gain >= LEAST_GAIN and not any(names == set(known) for known in state.fits):
+            if gain >= ASSUMED.search.least_gain and not any(names == set(known) for known in state.fits):
                 fitted = _fit_from(problem, linearisation, name, matches[name], smaller.values, starts=1, iterations=5)
                 state = state.with_fit("extend", fitted, gain=gain)
     return state
 
 
 STEPS: tuple[tuple[Step, ...], ...] = (
-    (single_effects, from_afar, partial(refine, size=1, most=8)),
-    (partial(extend, size=1, sets=4, further=5), partial(refine, size=2, most=4)),
-    (partial(extend, size=2, sets=2, further=3), partial(refine, size=3, most=4)),
+    (single_effects, from_afar, partial(refine, size=1, most=ASSUMED.search.refined[0])),
+    (
+        partial(extend, size=1, sets=ASSUMED.search.extended[0], further=ASSUMED.search.added[0]),
+        partial(refine, size=2, most=ASSUMED.search.refined[1]),
+    ),
+    (
+        partial(extend, size=2, sets=ASSUMED.search.extended[1], further=ASSUMED.search.added[1]),
+        partial(refine, size=3, most=ASSUMED.search.refined[1]),
+    ),
 )
 """The steps in their order, by the size of the sets that they fit: a beam search."""
 
@@ -191,9 +182,9 @@ def search(nominal: NominalFit) -> SearchState:
 
 
 def _larger_sets_are_unlikely(state: SearchState, size: int) -> bool:
-    """Whether no set of `size` effects beats the best smaller set by FURTHER_EFFECT_NATS."""
+    """Whether no set of `size` effects beats the best smaller set by `search.further_effect_nats`."""
     best, smaller = state.leading(size, most=1), state.leading(size - 1, most=1)
-    return not best or best[0].log_evidence < smaller[0].log_evidence + FURTHER_EFFECT_NATS[size - 1]
+    return not best or best[0].log_evidence < smaller[0].log_evidence + ASSUMED.search.further_effect_nats[size - 1]
 
 
 def _fit_from(

@@ -4,19 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.rounding import WAYS
 from palpd.gap.infer.evidence import Fit, fit
 from palpd.gap.model.linearise import Linearisation, linearise
 from palpd.gap.model.problem import SHARED, Problem
-
-WAY_NATS = 5.0
-"""Nats by which another way of rounding must beat rounding to the nearest level."""
-
-CREDIBLE_SD = 4.0
-"""Shared deviations η below this many standard deviations are credible for a healthy cell."""
-
-ROUNDS = 6
-"""Most linearisations of a likely hypothesis; most converge in three."""
 
 
 @dataclass(frozen=True)
@@ -50,21 +42,21 @@ def fit_nominal(problem: Problem) -> NominalFit:
         # The force in proportion to the modulus has been fitted: it is the gap's size.
         by_modulus = (np.arange(first.linearisation.space.size) == SHARED.index("youngs_modulus")).astype(float)
         problem = problem.with_model_error_floor(first.linearisation.space.explained(by_modulus) / problem.shared_sd[0])
-        nominal = fit(problem, {}, linearise(problem, {}, first.eta), rounds=ROUNDS)
+        nominal = fit(problem, {}, linearise(problem, {}, first.eta), rounds=ASSUMED.search.rounds)
         return NominalFit(problem, nominal, nominal.linearisation, nominal.linearisation)
     problem = problem.with_model_error_floor(problem.data - stated.prediction)
     stated = linearise(problem, {}, problem.nominal_eta)
-    nominal = fit(problem, {}, stated, rounds=ROUNDS)
+    nominal = fit(problem, {}, stated, rounds=ASSUMED.search.rounds)
     # Beyond that, hypotheses that are linearised elsewhere would be judged by other tolerances.
-    credible = np.abs(nominal.eta).max() < CREDIBLE_SD
+    credible = np.abs(nominal.eta).max() < ASSUMED.noise.credible_sd
     return NominalFit(problem, nominal, stated, nominal.linearisation if credible else stated)
 
 
 def settle(problem: Problem) -> NominalFit:
     """Settle the way in which coarse readings are rounded, and the error floor.
 
-    Another way than to the nearest level must win by WAY_NATS, since an effect may imitate it. Only a step that is coarser than the stated
-    step is tried in other ways; it may also round readings that were rounded to the stated step before.
+    Another way than to the nearest level must win by `rounding.other_way_nats`, since an effect may imitate it. Only a step that is
+    coarser than the stated step is tried in other ways; it may also round readings that were rounded to the stated step before.
 
     Args:
         problem: With readings rounded to the nearest level, if they are rounded coarsely.
@@ -78,4 +70,4 @@ def settle(problem: Problem) -> NominalFit:
         likeliest = min(tried, key=lambda nominal: nominal.surprise).problem.roundings[0]
         tried.append(fit_nominal(problem.with_rounding(likeliest.way, stated_N)))
     best = min(tried, key=lambda nominal: nominal.surprise)
-    return best if best.surprise < nearest.surprise - WAY_NATS else nearest
+    return best if best.surprise < nearest.surprise - ASSUMED.rounding.other_way_nats else nearest

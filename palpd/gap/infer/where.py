@@ -7,6 +7,7 @@ from typing import TypedDict
 
 import numpy as np
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import CHANNELS, declared_rms
 from palpd.gap.data.phases import PHASES
 from palpd.gap.infer.evidence import Fit
@@ -19,9 +20,6 @@ FEWEST_SAMPLES = 4
 
 FEWEST_BINS = 4
 """Least number of bins of a phase in which something unexplained can lie."""
-
-UNEXPLAINED_SD = 4.0
-"""Excess of a residual's energy over its mean n, in standard deviations √(2n) of white noise, above which it is unexplained."""
 
 
 class Place(TypedDict):
@@ -179,7 +177,7 @@ def unexplained(problem: Problem, fit: Fit) -> Unexplained | None:
                 continue
             squares = fit.remainder[channel, mine] ** 2
             energy = float(squares.sum()) - n
-            if energy < UNEXPLAINED_SD * np.sqrt(2.0 * n):
+            if energy < ASSUMED.naming.unexplained_sd * np.sqrt(2.0 * n):
                 continue
             excess = ((squares - 1.0) * rms[channel, mine] ** 2 * count[mine]).sum() / count[mine].sum()
             if energy > most and excess > 0:

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.linalg import cholesky
 
 from palpd.cell.effects.drivers import Driver
+from palpd.gap.assumptions import ASSUMED
 from palpd.tick import Floats
 
 KNOTS, FINE_KNOTS = 8, 24
@@ -13,16 +14,6 @@ KNOTS, FINE_KNOTS = 8, 24
 
 COVERED = (0.002, 0.998)
 """Quantiles of a driver between which knots lie: single samples beyond them say nothing of a curve."""
-
-LENGTHS = (1.2, 3.0, 8.0)
-"""Correlation lengths of a curve, in sevenths of its range (the distance of KNOTS even knots): from nearly independent knots to nearly
-straight lines."""
-
-HARMONIC_VARIANCES = (1.0, 0.15, 0.05)
-"""Prior variances of the harmonics of a curve that repeats, that of the fundamental first."""
-
-SQUARE_VARIANCE = 0.3
-"""Prior variance of the square of a relaxed state; that of the state itself is 1."""
 
 
 ROUNDING = 1e-9
@@ -62,7 +53,9 @@ class Basis:
         """
         if self.driver.period is not None:
             angle = 2.0 * np.pi / self.driver.period * x
-            return np.stack([wave(k * angle) for k in range(1, len(HARMONIC_VARIANCES) + 1) for wave in (np.cos, np.sin)], axis=-1)
+            return np.stack(
+                [wave(k * angle) for k in range(1, len(ASSUMED.laws.harmonic_variances) + 1) for wave in (np.cos, np.sin)], axis=-1
+            )
         x = np.clip(x, self.low, self.high)
         if not len(self.knots):
             unit = x / max(abs(self.low), abs(self.high))
@@ -94,7 +87,7 @@ def hats(driver: Driver, x: Floats, count: int = KNOTS) -> Basis | None:
     if not high > low or not ends[1] - ends[0] > ROUNDING * np.abs(ends).max():
         return None
     distance = np.abs(np.subtract.outer(np.arange(count), np.arange(count))) / (count - 1) * (KNOTS - 1)
-    scaled = [np.sqrt(3.0) * distance / length for length in LENGTHS]
+    scaled = [np.sqrt(3.0) * distance / length for length in ASSUMED.laws.curve_lengths]
     priors = tuple(cholesky((1.0 + s) * np.exp(-s) + 1e-9 * np.eye(count), lower=True) for s in scaled)
     return Basis(driver, low, high, np.linspace(ends[0], ends[1], count), priors)
 
@@ -107,7 +100,7 @@ def powers(driver: Driver, x: Floats) -> Basis | None:
     """
     low, high = _range(x)
     return (
-        Basis(driver, low, high, np.zeros(0), (np.diag([1.0, SQUARE_VARIANCE**0.5]),))
+        Basis(driver, low, high, np.zeros(0), (np.diag([1.0, ASSUMED.laws.square_variance**0.5]),))
         if high - low > ROUNDING * max(abs(low), abs(high))
         else None
     )
@@ -121,7 +114,7 @@ def harmonics(driver: Driver, x: Floats) -> Basis:
         x: Values (n,) of the driver, in its unit.
     """
     low, high = _range(x)
-    return Basis(driver, low, high, np.zeros(0), (np.diag(np.repeat(HARMONIC_VARIANCES, 2) ** 0.5),))
+    return Basis(driver, low, high, np.zeros(0), (np.diag(np.repeat(ASSUMED.laws.harmonic_variances, 2) ** 0.5),))
 
 
 def _range(x: Floats) -> tuple[float, float]:

@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.gaussian.nuisances import project
 from palpd.gap.infer.evidence import Fit
 from palpd.tick import Floats
 
-MOST, LEAST_COSINE = 4, 0.5
-"""Largest number of imitations that are listed, and the cosine above which an effect is an imitation."""
+MOST = 4
+"""Largest number of imitations that are listed."""
 
 
 def confounds(change: Floats, beside: Fit, fits: Mapping[tuple[str, ...], Fit]) -> dict[str, float]:
@@ -32,5 +33,5 @@ def confounds(change: Floats, beside: Fit, fits: Mapping[tuple[str, ...], Fit]) 
         imitated = project(one.change - beside.change, space)
         size = (law.dot(law) * imitated.dot(imitated)) ** 0.5
         out[further.pop()] = round(float(law.dot(imitated)) / size, 3) if size > 0.0 else 0.0
-    similar = sorted((item for item in out.items() if item[1] > LEAST_COSINE), key=lambda item: -item[1])
+    similar = sorted((item for item in out.items() if item[1] > ASSUMED.laws.imitation_cosine), key=lambda item: -item[1])
     return {name: min(cosine, 1.0) for name, cosine in similar[:MOST]}

@@ -7,34 +7,23 @@ from math import log
 import numpy as np
 
 from palpd.cell.effects.drivers import Driver, FactorName, Quantity
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import CHANNELS
 from palpd.gap.laws.bases import FINE_KNOTS, Basis, harmonics, hats, powers
 from palpd.gap.laws.scene import LATERAL, LawCandidate, Scene
 from palpd.tick import Floats
 
-FACTOR_PRICE: dict[FactorName, float] = {
-    "one": 0.0, "force": 0.0, "surface": 0.5, "speed": 1.0, "direction": 0.5, "force_direction": 1.0, "air": 1.0, "pushing": 1.5,
-    "acceleration": 1.5,
-}  # fmt: skip
+FACTOR_PRICE = dict(ASSUMED.laws.factor_nats)
 """Nats that a factor costs: the rarer kinds of law cost more."""
 
-CHANNEL_PRICE = {"fz_N": 0.0, LATERAL: 1.5, "z_m": 8.0}
-SINGLE_PRICE = 3.0
-FINE_PRICE = 1.0
-RELAXED_PRICE = 1.5
-LOOP_PRICE = 2.0
-PERIODIC_PRICE = 1.0
-"""Nats that a channel or a kind of driver costs. Loops are drivers with play, stop or a limit of speed. A periodic driver also pays the
-log of the number of tried frequencies."""
+CHANNEL_PRICE = {"fz_N": 0.0, LATERAL: ASSUMED.laws.lateral_nats, "z_m": ASSUMED.laws.height_nats}
 
 RELAXED: tuple[Quantity, ...] = (
     "force", "absolute_speed", "squared_speed", "speed", "direction", "contact", "air", "depth", "power",
 )  # fmt: skip
-TIME_CONSTANTS = np.geomspace(0.001, 0.3, 6)
+TIME_CONSTANTS = np.geomspace(*ASSUMED.laws.time_constants, 6)
 """Time constants of relaxed states, as shares of the longest recording."""
 
-DEAD_BANDS = (0.01, 0.04, 0.15)
-"""Dead bands of loops, as shares of the range of height or force."""
 
 REFINED = (0.5, 0.63, 0.8, 1.0, 1.25, 1.6, 2.0)
 """Factors at which the constant of the likeliest memory is tried again."""
@@ -51,14 +40,10 @@ PERIODIC_FACTORS: dict[str, tuple[FactorName, ...]] = {
     LATERAL: ("one", "force"),
 }
 
-FASTEST_HZ = 12.0
-RATE_SHARE = 0.4
-SHORTEST_PITCH_M, STROKES_PER_PITCH, PITCH_NOISES = 2e-4, 100.0, 20.0
 MOST_FREQUENCIES = 1500
 PEAKS, EXTENTS = 2, 10
-"""Periodic laws are sought up to FASTEST_HZ, or RATE_SHARE of the samples' rate, and down to a pitch of SHORTEST_PITCH_M, of a share of
-short strokes, or of PITCH_NOISES standard deviations of the reported height, at most MOST_FREQUENCIES of them. The PEAKS highest peaks
-for each factor become candidates. Bins go in EXTENTS classes of similar extent."""
+"""Largest number of frequencies of a periodic law that are tried, number of highest peaks for each factor that become candidates, and
+classes of similar extent into which bins go."""
 
 
 @dataclass(frozen=True)
@@ -78,20 +63,21 @@ class Group:
 def plain_drivers(scene: Scene) -> list[tuple[Driver, float]]:
     """Drivers without a constant of memory, and their prices in nats."""
     rest, step_s = scene.rest_speed_m_per_s, 0.002 * scene.duration_s
+    other, rare = ASSUMED.laws.driver_nats, ASSUMED.laws.rare_driver_nats
     return [
         (Driver(quantity="height"), 0.0),
         (Driver(quantity="depth"), 0.0),
         (Driver(quantity="force"), 0.0),
-        (Driver(quantity="gap", log_scale=scene.shallow_m), 0.5),
+        (Driver(quantity="gap", log_scale=scene.shallow_m), other),
         (Driver(quantity="speed"), 0.0),
-        (Driver(quantity="speed", log_scale=rest), 0.5),
-        (Driver(quantity="time"), 0.5),
-        (Driver(quantity="acceleration"), 1.0),
-        (Driver(quantity="force_rate"), 1.0),
-        (Driver(quantity="time_in_contact", log_scale=step_s), 1.0),
-        (Driver(quantity="time_in_motion", log_scale=step_s), 1.0),
-        (Driver(quantity="deepest"), 1.0),
-        (Driver(quantity="presses"), 1.0),
+        (Driver(quantity="speed", log_scale=rest), other),
+        (Driver(quantity="time"), other),
+        (Driver(quantity="acceleration"), rare),
+        (Driver(quantity="force_rate"), rare),
+        (Driver(quantity="time_in_contact", log_scale=step_s), rare),
+        (Driver(quantity="time_in_motion", log_scale=step_s), rare),
+        (Driver(quantity="deepest"), rare),
+        (Driver(quantity="presses"), rare),
     ]
 
 
@@ -102,7 +88,7 @@ def groups(scene: Scene) -> Iterator[Group]:
     if scene.judged(_number("fz_N")):
         yield from _of_drivers(scene, "fz_N", WRENCH_FACTORS, plain, 0.0)
         fine = [
-            (d, p + FINE_PRICE)
+            (d, p + ASSUMED.laws.fine_nats)
             for d, p in plain
             if d.quantity in ("height", "gap", "speed", "time") and not (d.quantity == "speed" and d.log_scale)
         ]
@@ -115,12 +101,12 @@ def groups(scene: Scene) -> Iterator[Group]:
         yield from _relaxed(scene, LATERAL, ("one", "force"), CHANNEL_PRICE[LATERAL], every=2)
     few = [one for one in usual if one[0].quantity in ("height", "force", "time", "speed") and one[0].log_scale is None]
     for channel in lateral:
-        yield from _of_drivers(scene, channel, SINGLE_FACTORS, few, SINGLE_PRICE)
+        yield from _of_drivers(scene, channel, SINGLE_FACTORS, few, ASSUMED.laws.single_axis_nats)
     if scene.judged(_number("z_m")):
         price = CHANNEL_PRICE["z_m"]
         still = [one for one in plain if one[0].quantity in ("height", "speed", "time", "acceleration", "time_in_motion")]
         yield from _of_drivers(scene, "z_m", HEIGHT_FACTORS, still, price)
-        yield from _of_drivers(scene, "z_m", ("one",), [(Driver(quantity="command"), 0.5)], price, FINE_KNOTS)
+        yield from _of_drivers(scene, "z_m", ("one",), [(Driver(quantity="command"), ASSUMED.laws.driver_nats)], price, FINE_KNOTS)
         yield from _loops(scene, "z_m", ("height", "command"), ("one",), price)
         yield from _speed_limits(scene, price)
 
@@ -150,17 +136,17 @@ def _relaxed(scene: Scene, channel: str, factors: tuple[FactorName, ...], price:
         for share in TIME_CONSTANTS:
             driver = Driver(quantity=quantity, memory="relaxed", constant=float(share * scene.duration_s))
             if basis := powers(driver, scene.driver(channel, driver)):
-                yield Group(channel, factors, basis, price + RELAXED_PRICE)
+                yield Group(channel, factors, basis, price + ASSUMED.laws.relaxed_nats)
 
 
 def _loops(scene: Scene, channel: str, quantities: tuple[Quantity, ...], factors: tuple[FactorName, ...], price: float) -> Iterator[Group]:
     for quantity in quantities:
         range_ = float(np.ptp(scene.driver(channel, Driver(quantity=quantity))))
-        for share in DEAD_BANDS if range_ > 0.0 else ():
+        for share in ASSUMED.laws.dead_bands if range_ > 0.0 else ():
             for memory in ("play", "stop"):
                 driver = Driver(quantity=quantity, memory=memory, constant=share * range_)
                 if basis := hats(driver, scene.driver(channel, driver)):
-                    yield Group(channel, factors, basis, price + LOOP_PRICE)
+                    yield Group(channel, factors, basis, price + ASSUMED.laws.loop_nats)
 
 
 def _speed_limits(scene: Scene, price: float) -> Iterator[Group]:
@@ -169,7 +155,7 @@ def _speed_limits(scene: Scene, price: float) -> Iterator[Group]:
     for share in (0.35, 0.5, 0.65, 0.8, 0.92) if fastest > 0.0 else ():
         driver = Driver(quantity="command", memory="slew", constant=share * fastest)
         if basis := powers(driver, scene.driver("z_m", driver)):
-            yield Group("z_m", ("one",), basis, price + LOOP_PRICE)
+            yield Group("z_m", ("one",), basis, price + ASSUMED.laws.loop_nats)
 
 
 def refined(scene: Scene, candidate: LawCandidate) -> list[LawCandidate]:
@@ -210,9 +196,13 @@ def periodic(scene: Scene, remainder: Floats) -> Iterator[LawCandidate]:
             x = scene.driver(channel, Driver(quantity=quantity))
             span = float(np.ptp(x))
             if quantity == "time":
-                finest = min(FASTEST_HZ, RATE_SHARE * min(one.samples.rate_Hz for one in scene.problem.recordings))
+                finest = min(
+                    ASSUMED.laws.fastest_Hz, ASSUMED.laws.fastest_rate_share * min(one.samples.rate_Hz for one in scene.problem.recordings)
+                )
             else:
-                finest = 1.0 / max(min(SHORTEST_PITCH_M, span / STROKES_PER_PITCH), PITCH_NOISES * noise_m, 1e-12)
+                finest = 1.0 / max(
+                    min(ASSUMED.laws.shortest_pitch_m, span / ASSUMED.laws.strokes_per_pitch), ASSUMED.laws.pitch_noises * noise_m, 1e-12
+                )
             count = min(int(2.0 * span * finest), MOST_FREQUENCIES)
             if count < 4:
                 continue
@@ -223,7 +213,7 @@ def periodic(scene: Scene, remainder: Floats) -> Iterator[LawCandidate]:
             power = power.reshape(len(rows), len(factors), -1).sum(axis=0)
             for factor, mine in zip(factors, power, strict=True):
                 for k in _peaks(mine):
-                    price = CHANNEL_PRICE[channel] + FACTOR_PRICE[factor] + PERIODIC_PRICE + log(count)
+                    price = CHANNEL_PRICE[channel] + FACTOR_PRICE[factor] + ASSUMED.laws.periodic_nats + log(count)
                     for shift in (-0.35, 0.0, 0.35):
                         period = float(1.0 / (frequencies[k] + shift * (frequencies[1] - frequencies[0])))
                         yield LawCandidate(channel, factor, harmonics(Driver(quantity=quantity, period=period), x), price)

@@ -6,6 +6,7 @@ from typing import TypedDict
 
 import numpy as np
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import CHANNELS, FX, FZ
 from palpd.gap.gaussian.evidence import posterior_of
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace
@@ -16,25 +17,9 @@ from palpd.tick import Floats
 EVERY = 4
 """Every fourth bin is tried as the time of an event; the nearest bin is found afterwards."""
 
-EVENT_SIGMAS = 20.0
-"""Prior size of an event, in sigmas beyond what tolerances hide."""
 
-PULSES = (3, 9, 27, 81)
-"""Lengths of pulses and bursts, in bins."""
-
-KIND_PRICE = log(12.0)
+KIND_PRICE = log(ASSUMED.events.kinds)
 """Price in nats of the kind and the channel of an event, in addition to the log of the number of its times."""
-
-EVENT_NATS, MOST_EVENTS = 6.0, 6
-"""Nats of an event below which the search ends, and largest number of events."""
-
-BURST_SD = (2.0, 5.0)
-"""Spreads that noise may have within a burst, in sigmas."""
-
-WANDER_KNOTS = 160
-WANDER_LENGTHS = (2.0, 8.0, 40.0)
-WANDER_SIZES = (8.0, 20.0, 50.0, 150.0)
-"""A random walk of the zero or of the scale of fz: knots in time, correlation lengths in knots, sizes in sigmas."""
 
 
 class Event(TypedDict):
@@ -72,10 +57,10 @@ def find_events(scene: Scene, space: NuisanceSpace) -> Events:
     problem, beside = scene.problem, space
     force = scene.factor("fz_N", "force")
     atoms: list[_Atom] = []
-    while len(atoms) < MOST_EVENTS:
+    while len(atoms) < ASSUMED.events.most:
         each = [atom for channel in range(FX, 7) if scene.judged(channel) for atom in _atoms(problem, beside, channel, force)]
         best = max(each, key=lambda atom: atom.nats, default=None)
-        if best is None or best.nats < EVENT_NATS:
+        if best is None or best.nats < ASSUMED.events.least_nats:
             break
         atoms.append(best)
         if best.kind == "burst":  # noise has no column: its bins no longer count
@@ -87,8 +72,8 @@ def find_events(scene: Scene, space: NuisanceSpace) -> Events:
 
 
 def _unit(atom: _Atom) -> float:
-    """Factor on the column of an event that was found: ten times EVENT_SIGMAS, so that its size is free."""
-    return 10.0 * EVENT_SIGMAS / max(float(np.linalg.norm(atom.column)), 1e-300)
+    """Factor on the column of an event that was found: ten times `events.size_sd`, so that its size is free."""
+    return 10.0 * ASSUMED.events.size_sd / max(float(np.linalg.norm(atom.column)), 1e-300)
 
 
 def _sizes(space: NuisanceSpace, atoms: list[_Atom]) -> tuple[dict[int, float], Floats]:
@@ -121,7 +106,7 @@ def _atoms(problem: Problem, space: NuisanceSpace, channel: int, force: Floats) 
         press_end = _end_of_contact(force)
         falls = times[press_end[times] > times]
         trials.append(("fall of the contact force", white * force, falls, press_end[falls]))
-    trials += [("pulse", white, times, np.minimum(times + length, last[times])) for length in PULSES]
+    trials += [("pulse", white, times, np.minimum(times + length, last[times])) for length in ASSUMED.events.pulse_bins]
     out = []
     for kind, shape, begin, end in trials:
         if not len(begin):
@@ -138,7 +123,7 @@ def _atoms(problem: Problem, space: NuisanceSpace, channel: int, force: Floats) 
 
 def _gain(norm: Floats, slope: Floats) -> Floats:
     """Log Bayes factors of columns whose size has the prior N(0, EVENT_SIGMAS²), from squared lengths and products with the residual."""
-    size = EVENT_SIGMAS**2
+    size = ASSUMED.events.size_sd**2
     return np.where(norm > 1e-9, -0.5 * log(1.0 + size) + 0.5 * slope**2 / np.maximum(norm, 1e-9) * size / (1.0 + size), -np.inf)
 
 
@@ -159,13 +144,13 @@ def _bursts(r: Floats, channel: int) -> list[_Atom]:
     d2 = 0.5 * np.diff(r, append=r[-1]) ** 2
     sums = np.concatenate([[0.0], np.cumsum(d2)])
     out = []
-    for length in PULSES[1:]:
+    for length in ASSUMED.events.pulse_bins[1:]:
         begin = np.arange(0, len(r) - length, EVERY)
         if not len(begin):
             continue
         energy = sums[begin + length] - sums[begin]
         count = 0.5 * length  # neighbouring differences share a reading
-        each = [-0.5 * count * log(1.0 + sd**2) + 0.25 * energy * sd**2 / (1.0 + sd**2) for sd in BURST_SD]
+        each = [-0.5 * count * log(1.0 + sd**2) + 0.25 * energy * sd**2 / (1.0 + sd**2) for sd in ASSUMED.events.burst_sd]
         gain = np.logaddexp(*each) - log(2.0)
         k = int(np.argmax(gain))
         column = np.zeros(len(r))
@@ -206,9 +191,9 @@ def wander_nats(scene: Scene, space: NuisanceSpace) -> float:
     problem = scene.problem
     hats, start = [], 0
     for one in problem.recordings:
-        t = one.t_s / max(float(one.t_s[-1]), 1e-12) * (WANDER_KNOTS - 1)
-        mine = np.zeros((problem.data.shape[1], WANDER_KNOTS))
-        mine[start : start + len(t)] = np.maximum(1.0 - np.abs(t[:, None] - np.arange(WANDER_KNOTS)), 0.0)
+        t = one.t_s / max(float(one.t_s[-1]), 1e-12) * (ASSUMED.events.wander_knots - 1)
+        mine = np.zeros((problem.data.shape[1], ASSUMED.events.wander_knots))
+        mine[start : start + len(t)] = np.maximum(1.0 - np.abs(t[:, None] - np.arange(ASSUMED.events.wander_knots)), 0.0)
         start += len(t)
         hats.append(mine)
     white = np.where(np.isfinite(problem.noise.sigma[FZ]), 1.0 / problem.noise.sigma[FZ], 0.0)[:, None]
@@ -221,14 +206,14 @@ def wander_nats(scene: Scene, space: NuisanceSpace) -> float:
 
 
 def _wander(gram: Floats, slope: Floats) -> float:
-    distance = np.abs(np.subtract.outer(np.arange(WANDER_KNOTS), np.arange(WANDER_KNOTS)))
+    distance = np.abs(np.subtract.outer(np.arange(ASSUMED.events.wander_knots), np.arange(ASSUMED.events.wander_knots)))
     each = []
-    for length in WANDER_LENGTHS:
+    for length in ASSUMED.events.wander_lengths:
         root = np.linalg.cholesky(np.exp(-distance / length))
         values, vectors = np.linalg.eigh(root.T @ gram @ root)
         values = np.maximum(values, 0.0)
         q = vectors.T @ (root.T @ slope)
-        for size in WANDER_SIZES:
+        for size in ASSUMED.laws.sizes_sd:
             square = size**2 / max(float(values.sum()), 1e-300)
             weight = 1.0 + square * values
             each.append(float(0.5 * (square * q**2 / weight - np.log(weight)).sum()))

@@ -6,37 +6,19 @@ from math import comb, log
 
 import numpy as np
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace
 from palpd.gap.gaussian.nuisances import Columns, project
 from palpd.gap.infer.discrepancy import discrepancy_columns
 from palpd.gap.infer.evidence import Fit, fit
 from palpd.gap.infer.fit import jacobian_at
 from palpd.gap.infer.inference import Inference
-from palpd.gap.infer.posterior import P_NONE, P_ONE, P_THREE, P_TWO
 from palpd.gap.laws.confounds import confounds
 from palpd.gap.laws.events import Events, find_events, wander_nats
 from palpd.gap.laws.scene import Scene, rounding_columns
-from palpd.gap.laws.search import ALIKE_NATS, NAMED_NATS, LearnedLaw, search
+from palpd.gap.laws.search import LearnedLaw, search
 from palpd.gap.model.problem import Problem, return_memory
 from palpd.tick import Floats
-
-DISCREPANCY_SIZE = 0.06
-"""Share of a listed effect by which its real law may differ in each direction of D while a law is sought in its residual."""
-
-PARAMETER_REACH = 0.5
-"""Share of a listed effect by which its parameters may change it while a law is sought in its residual."""
-
-LEAST_SHARE_BESIDE = 0.2
-"""Least share of the gap's energy of something that acts in addition to a listed effect: less is an error of that effect's law."""
-
-ALTERNATIONS = 3
-"""Number of times that listed parameters and the added law are fitted in turn, before the law is sought again."""
-
-MANY_PARTS = 2
-"""Number of listed effects from which on a law alone is tried even if they leave nothing: together they can imitate almost any shape."""
-
-ONE_CYCLE = 0.6
-"""Share of a law's change, beyond tolerances, from which on one press or stroke alone shows it."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +80,7 @@ class SoughtLaw:
     @property
     def wanders(self) -> bool:
         """Whether a random walk in time explains as much."""
-        return self.plain_time or self.wander_nats > self.law.nats - ALIKE_NATS
+        return self.plain_time or self.wander_nats > self.law.nats - ASSUMED.laws.alike_nats
 
 
 @dataclass(frozen=True)
@@ -134,7 +116,10 @@ class LawEvidence:
         """Whether events explain what the listed answer leaves as well as a law, and are no error of listed laws."""
         if self.on_top is None or self.events is None:
             return False
-        return self.events.nats >= max(NAMED_NATS, self.on_top.nats - ALIKE_NATS) and self.events_share >= LEAST_SHARE_BESIDE
+        return (
+            self.events.nats >= max(ASSUMED.laws.named_nats, self.on_top.nats - ASSUMED.laws.alike_nats)
+            and self.events_share >= ASSUMED.laws.least_share_added
+        )
 
     @property
     def leaves_nothing(self) -> bool:
@@ -149,9 +134,9 @@ class LawEvidence:
         """
         if self.alone is None or self.on_top is None or not self.alone.law.carries or (self.eventful and self.alone.plain_time):
             return False
-        rivals = [NAMED_NATS, self.on_top.nats - ALIKE_NATS]
+        rivals = [ASSUMED.laws.named_nats, self.on_top.nats - ASSUMED.laws.alike_nats]
         if self.events_alone is not None and self.events is not None:
-            rivals += [self.events.nats - ALIKE_NATS, self.events_alone.nats - ALIKE_NATS - self.gained]
+            rivals += [self.events.nats - ASSUMED.laws.alike_nats, self.events_alone.nats - ASSUMED.laws.alike_nats - self.gained]
         return self.alone.nats >= self.gained + max(rivals)
 
     @property
@@ -191,7 +176,7 @@ def look_for_laws(inference: Inference, listed: Fit, *, coarse: bool = False) ->
         presses=sum(one.phases.presses for one in problem.recordings),
         leading_leaves=leading_leaves(inference.fits, listed),
     )
-    if not listed.names or (evidence.leaves_nothing and len(listed.names) < MANY_PARTS):
+    if not listed.names or (evidence.leaves_nothing and len(listed.names) < ASSUMED.laws.many_parts):
         return evidence
     alone_scene, alone_space = Scene.of(problem, {}, nominal.eta), _space_beside(problem, nominal)
     evidence = replace(evidence, alone=_judged(inference, search(alone_scene, alone_space), alone_space, nominal))
@@ -223,7 +208,7 @@ def leading_leaves(fits: Mapping[tuple[str, ...], Fit], listed: Fit) -> float:
     Returns:
         A share of the misfit that they take away together; 0 for a single effect, and where none of them was fitted alone.
     """
-    if len(listed.names) < MANY_PARTS:
+    if len(listed.names) < ASSUMED.laws.many_parts:
         return 0.0
     nominal = fits[()].misfit
     alone = [nominal - fits[(name,)].misfit for name in listed.names if (name,) in fits]
@@ -238,7 +223,7 @@ def _one_cycle(law: LearnedLaw) -> tuple[int, int] | None:
         energy = np.bincount(one.bin_cycle, seen[first : first + len(one.bin_cycle)])
         first += len(one.bin_cycle)
         best = max(best, (float(energy.max()), number, int(np.argmax(energy))))
-    return best[1:] if best[0] >= ONE_CYCLE * float(seen.sum()) else None
+    return best[1:] if best[0] >= ASSUMED.laws.one_cycle * float(seen.sum()) else None
 
 
 def _fitted_together(problem: Problem, listed: Fit, top: LearnedLaw, gained: float) -> tuple[LearnedLaw, NuisanceSpace, Fit]:
@@ -251,7 +236,7 @@ def _fitted_together(problem: Problem, listed: Fit, top: LearnedLaw, gained: flo
     # A second term may be the error of the listed parameters, so the first term alone stays while these move.
     moved = replace(law, terms=top.terms[:1])
     beside, residual = listed, listed.residual
-    for _ in range(ALTERNATIONS):
+    for _ in range(ASSUMED.laws.alternations):
         without = problem.without(moved.change)
         beside = fit(without, beside.values, beside.linearisation, iterations=3, rounds=1)
         residual = beside.residual + moved.change
@@ -274,7 +259,9 @@ def _share(listed: Fit, change: Floats) -> float:
 def _log_prior(problem: Problem, listed: Fit) -> float:
     """Log prior odds of a set of listed effects against the empty set."""
     count, effects = len(listed.names), sum(not effect.scatter for effect in problem.library.values())
-    return log((P_NONE, P_ONE, P_TWO, P_THREE)[count] / P_NONE) - log(comb(effects, count))
+    return log((ASSUMED.prior.none, ASSUMED.prior.one, ASSUMED.prior.two, ASSUMED.prior.three)[count] / ASSUMED.prior.none) - log(
+        comb(effects, count)
+    )
 
 
 def _within_specification(problem: Problem, listed: Fit, residual: Floats) -> NuisanceSpace:
@@ -290,15 +277,15 @@ def _within_specification(problem: Problem, listed: Fit, residual: Floats) -> Nu
 
 
 def _space_beside(problem: Problem, listed: Fit, residual: Floats | None = None) -> NuisanceSpace:
-    """The same, where the reach of the listed parameters and the discrepancy DISCREPANCY_SIZE × D of the listed laws are nuisances, too."""
+    """The same, where the reach of the listed parameters and the discrepancy `law_error.sizes[1]` × D of their laws are nuisances."""
     residual = listed.residual if residual is None else residual
     space, around = _within_specification(problem, listed, residual), listed.linearisation
     if not listed.names:
         return space
     prediction = problem.predict(listed.values, around.eta)
-    reach = PARAMETER_REACH * float(np.linalg.norm(listed.change))
+    reach = ASSUMED.law_error.reach * float(np.linalg.norm(listed.change))
     jacobian = jacobian_at(problem, listed.where, listed.u, around.eta, prediction)
     moves = [j * (reach / max(float(np.linalg.norm(j)), 1e-300)) for j in jacobian]
     parameters = Columns.of([dict(enumerate(one)) for one in moves], space.columns.shape)
     discrepancies, _ = discrepancy_columns(problem, listed.values, prediction, around)
-    return NuisanceSpace(space.columns.followed_by(parameters).followed_by(discrepancies.scaled(DISCREPANCY_SIZE)), residual)
+    return NuisanceSpace(space.columns.followed_by(parameters).followed_by(discrepancies.scaled(ASSUMED.law_error.sizes[1])), residual)

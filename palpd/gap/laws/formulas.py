@@ -8,6 +8,7 @@ import numpy as np
 
 from palpd.cell.effects.drivers import Driver
 from palpd.cell.effects.learned import formula_of
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.laws.bases import KNOTS, Basis
 from palpd.tick import Floats
 
@@ -17,8 +18,6 @@ PLACES = np.linspace(0.05, 0.95, 13)
 WIDTHS = (0.04, 0.1, 0.25)
 """Widths of bumps and turns, as shares of the range."""
 
-GRID_PRICE = 0.5
-"""Price in nats of places and widths that are tried again between those of the grid."""
 
 POWERS = (0.5, 1.5, 2.0, 3.0)
 SHOWN = 3 * KNOTS
@@ -58,7 +57,7 @@ class Formula:
         low: Value of the driver, in its unit, below which the formula is constant.
         high: Value of the driver, in its unit, above which the formula is constant.
         sizes: Largest absolute value of each function, by which its column is divided.
-        price: Nats: log of the number of formulas of its kind, plus GRID_PRICE where there are several.
+        price: Nats: log of the number of formulas of its kind, plus `laws.grid_nats` where there are several.
     """
 
     driver: Driver
@@ -120,7 +119,7 @@ def formulas_of(basis: Basis, x: Floats, *, with_constant: bool) -> Iterator[For
             kinds = [[(CONSTANT,)], *kinds, *shifted]
     for kind in kinds:
         for shapes in kind:
-            price = log(len(kind)) + (GRID_PRICE if len(kind) > 1 else 0.0)
+            price = log(len(kind)) + (ASSUMED.laws.grid_nats if len(kind) > 1 else 0.0)
             if (formula := _formula(driver, low, high, shapes, x, price)) is not None:
                 yield formula
 

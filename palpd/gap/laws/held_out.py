@@ -4,17 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.phases import Ints
 from palpd.gap.gaussian.evidence import posterior_of
 from palpd.gap.gaussian.nuisance_space import ColumnsByChannel, NuisanceSpace
 from palpd.tick import Floats
-
-FOLDS = 4
-LEAST_GAIN_SHARE = 0.4
-"""Least gain on strokes that were not seen, as a share of the evidence."""
-
-FOLDS_THAT_GAIN, LEAST_FOLD_SHARE = 3, 0.02
-"""Number of folds that must gain, and which share of the evidence each: a law that one stroke alone shows does not hold in others."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +27,10 @@ class HeldOut:
 
         Args:
             nats: Evidence of the law.
-            folds_too: Whether FOLDS_THAT_GAIN of the folds must gain by themselves, too.
+            folds_too: Whether `laws.folds_that_gain` of the folds must gain by themselves, too.
         """
-        folds = int((self.gains > LEAST_FOLD_SHARE * nats).sum())
-        return self.total >= LEAST_GAIN_SHARE * nats and (not folds_too or folds >= FOLDS_THAT_GAIN)
+        folds = int((self.gains > ASSUMED.laws.least_fold_share * nats).sum())
+        return self.total >= ASSUMED.laws.least_gain_share * nats and (not folds_too or folds >= ASSUMED.laws.folds_that_gain)
 
 
 def held_out(space: NuisanceSpace, columns: ColumnsByChannel, root: Floats, fold: Ints) -> HeldOut:
@@ -47,7 +41,7 @@ def held_out(space: NuisanceSpace, columns: ColumnsByChannel, root: Floats, fold
         root: Root s L (m, m) of the prior covariance of w.
         fold: Number of the fold (b,) of every bin.
     """
-    inside, outside = space.folded(columns, fold, FOLDS)
+    inside, outside = space.folded(columns, fold, ASSUMED.laws.folds)
     gains = []
     for mine, others in zip(inside, outside, strict=True):
         mean, _ = posterior_of(others, root)

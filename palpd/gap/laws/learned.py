@@ -7,16 +7,13 @@ import numpy as np
 
 from palpd.cell.effects.drivers import FAMILIES, UNITS
 from palpd.cell.effects.learned import LearnedEffect, Term
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import CHANNELS
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace, whitened
-from palpd.gap.infer.posterior import P_UNKNOWN
 from palpd.gap.laws.formulas import Formula
 from palpd.gap.laws.scene import LATERAL, LawCandidate
 from palpd.gap.laws.search import LearnedLaw
 from palpd.tick import Floats
-
-MOST_CERTAIN = 0.97
-"""Largest probability of a law: 38 of 38 accepted laws were right, which supports (38 + 1) / (38 + 2)."""
 
 SHOWN_POINTS = 40
 """Number of points in which the data behind a curve are shown."""
@@ -24,7 +21,7 @@ SHOWN_POINTS = 40
 
 def p_outside(nats: float) -> float:
     """Probability of something outside the list by its evidence beyond the listed answer."""
-    return min(MOST_CERTAIN, 1.0 / (1.0 + exp(-min(nats + log(P_UNKNOWN / (1.0 - P_UNKNOWN)), 50.0))))
+    return min(ASSUMED.laws.most_certain, 1.0 / (1.0 + exp(-min(nats + log(ASSUMED.prior.unknown / (1.0 - ASSUMED.prior.unknown)), 50.0))))
 
 
 def learned_effect(law: LearnedLaw, nats: float, confounds: dict[str, float] | None = None) -> LearnedEffect:

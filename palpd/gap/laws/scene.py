@@ -12,6 +12,7 @@ from palpd.cell.dynamics import lowpass, servo_heights
 from palpd.cell.effects.drivers import Driver, DriverState, FactorName, driver_values, factor_values
 from palpd.cell.effects.learned import ChannelName
 from palpd.cell.simulation import capture, commanded_motion, wrench_of
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import CHANNELS, FZ, Z, resolutions
 from palpd.gap.data.phases import Ints
 from palpd.gap.data.prepare import PreparedRecording
@@ -22,19 +23,12 @@ from palpd.gap.model.problem import Problem, return_memory
 from palpd.tick import Floats
 
 LATERAL = "lateral"
-REST_SPEED_M_PER_S = 0.5e-3
-"""Largest speed at which friction turns over; it is smaller on slow rigs."""
 
-REST_SHARE = 0.05
-"""The speed at which friction turns over, as a share of the 95 % quantile of the speed of the probe."""
 
 HARMONICS, LEAST_HARMONIC = 4, 0.02
 """Largest number of harmonics of the error of rounded readings, and least amplitude of each after the first, in steps."""
 MOST_FILTERED = 600_000
 """Largest number of values that are filtered at once: a filter needs ten times their memory, and of a million rows there are 8 million."""
-
-SHALLOW = 0.1
-"""Scale of the distance from the surface as a share of the deepest press, so that the last millimetre is resolved."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +97,7 @@ class Scene:
         return_memory()
         cell, library = problem.cell_at(effects, eta), problem.library
         speeds = np.concatenate([np.abs(one.motion.vz_m_per_s) for one in problem.recordings])
-        rest = min(REST_SPEED_M_PER_S, max(REST_SHARE * float(np.quantile(speeds, 0.95)), 1e-12))
+        rest = min(ASSUMED.laws.rest_speed_m_per_s, max(ASSUMED.laws.rest_speed_share * float(np.quantile(speeds, 0.95)), 1e-12))
 
         def contact(one: PreparedRecording) -> DriverState:
             span = capture(cell, library, "probe", lambda c, known: wrench_of(c, one.motion, known))
@@ -128,7 +122,7 @@ class Scene:
     @cached_property
     def shallow_m(self) -> float:
         """Distance from the surface below which it counts in proportion, and above which by its logarithm."""
-        return max(SHALLOW * max(float(state.depth_m.max()) for state in self.contact), 1e-9)
+        return max(ASSUMED.laws.shallow_share * max(float(state.depth_m.max()) for state in self.contact), 1e-9)
 
     @cached_property
     def duration_s(self) -> float:

@@ -5,35 +5,17 @@ from functools import cached_property
 
 import numpy as np
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import Z
 from palpd.gap.data.phases import Ints
 from palpd.gap.gaussian.evidence import group_evidence
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace, whitened
 from palpd.gap.laws.bases import Basis
-from palpd.gap.laws.held_out import FOLDS, LEAST_GAIN_SHARE, HeldOut, held_out
+from palpd.gap.laws.held_out import HeldOut, held_out
 from palpd.gap.laws.scene import LawCandidate, Scene
 from palpd.gap.laws.scoring import Scored, Scorer
 from palpd.gap.model.problem import return_memory
 from palpd.tick import Floats
-
-WORTH_A_LOOK_NATS = 6.0
-"""Nats that a candidate must reach in the scan of the dictionary: below that, no term is formed."""
-
-NAMED_NATS, NAMED_HEIGHT_NATS = 10.0, 40.0
-"""Nats from which on a law is named, and a law of the height: heights are known so well that every controller differs a little."""
-
-FURTHER_NATS, FURTHER_SHARE = 10.0, 0.06
-"""Least evidence of a further term, in nats and as a share of what is gained so far: a false second term costs more than a missed one."""
-
-MOST_TERMS = 2
-ALIKE_NATS = 3.0
-"""Difference in nats below which the recording does not distinguish two laws."""
-
-REST_SPEED_RATIOS = (0.25, 0.5, 2.0, 4.0)
-"""Factors on the speed at which friction turns over that are tried for a law that depends on the direction."""
-
-PAIRS_WITH_FORMULAS = 5
-"""Number of likeliest pairs of factor and driver for which closed formulas are tried."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +106,9 @@ class LearnedLaw:
     @property
     def likely(self) -> bool:
         """Whether the first term is likely enough to be named."""
-        return bool(self.terms) and self.terms[0].nats >= (NAMED_HEIGHT_NATS if self.terms[0].candidate.channel == "z_m" else NAMED_NATS)
+        return bool(self.terms) and self.terms[0].nats >= (
+            ASSUMED.laws.named_height_nats if self.terms[0].candidate.channel == "z_m" else ASSUMED.laws.named_nats
+        )
 
     @property
     def carries(self) -> bool:
@@ -150,10 +134,10 @@ def search(scene: Scene, space: NuisanceSpace, gained: float = 0.0) -> LearnedLa
     Returns:
         The law; without terms where no candidate is likely enough.
     """
-    fold = scene.strokes(FOLDS)
+    fold = scene.strokes(ASSUMED.laws.folds)
     terms: list[LawTerm] = []
     scorer = Scorer(scene, space)
-    while len(terms) < MOST_TERMS:
+    while len(terms) < ASSUMED.laws.most_terms:
         term = _next_term(scorer, fold)
         if term is None:
             break
@@ -161,7 +145,10 @@ def search(scene: Scene, space: NuisanceSpace, gained: float = 0.0) -> LearnedLa
             scene, term = _with_best_rest_speed(scene, space, term, fold)
             scorer = Scorer(scene, space)
         so_far = max(gained, 0.0) + sum(one.nats for one in terms)
-        if terms and (term.nats < max(FURTHER_NATS, FURTHER_SHARE * so_far) or term.held_out.total < LEAST_GAIN_SHARE * term.nats):
+        if terms and (
+            term.nats < max(ASSUMED.laws.further_nats, ASSUMED.laws.further_share * so_far)
+            or term.held_out.total < ASSUMED.laws.least_gain_share * term.nats
+        ):
             break
         terms.append(term)
         if not LearnedLaw(scene, space, (term,)).carries and len(terms) == 1:
@@ -176,11 +163,11 @@ def _next_term(scorer: Scorer, fold: Ints) -> LawTerm | None:
     scene, space = scorer.scene, scorer.space
     scored = scorer.scan()
     return_memory()
-    if not scored or scored[0].nats < WORTH_A_LOOK_NATS:
+    if not scored or scored[0].nats < ASSUMED.laws.look_nats:
         return None
     scored += [better for one in _first_of_each(scored, 3) for better in scorer.refine(one)]
     scored.sort(key=lambda one: -one.nats)
-    leading = _first_of_each(scored, PAIRS_WITH_FORMULAS)
+    leading = _first_of_each(scored, ASSUMED.laws.pairs_with_formulas)
     leading += [one for lead in leading if (one := scorer.best_formula(lead)) is not None]
     return_memory()
     exact = sorted((scorer.exact(lead.candidate) for lead in leading), key=lambda one: -one[0].nats)
@@ -189,9 +176,11 @@ def _next_term(scorer: Scorer, fold: Ints) -> LawTerm | None:
     if not exact:
         return None
     (best, columns), *others = exact
-    close = [one for one, _ in others if one.nats > best.nats - ALIKE_NATS and one.candidate.name != best.candidate.name]
+    close = [one for one, _ in others if one.nats > best.nats - ASSUMED.laws.alike_nats and one.candidate.name != best.candidate.name]
     close += [
-        one for one in scored if one.nats > best.nats - ALIKE_NATS and one.candidate.name not in {o.candidate.name for o in [best, *close]}
+        one
+        for one in scored
+        if one.nats > best.nats - ASSUMED.laws.alike_nats and one.candidate.name not in {o.candidate.name for o in [best, *close]}
     ]
     return LawTerm(
         best.candidate,
@@ -207,10 +196,10 @@ def _next_term(scorer: Scorer, fold: Ints) -> LawTerm | None:
 def _with_best_rest_speed(scene: Scene, space: NuisanceSpace, term: LawTerm, fold: Ints) -> tuple[Scene, LawTerm]:
     """The term with the likeliest speed at which its friction turns over, and the scene with that speed."""
     best = scene, term
-    for ratio in REST_SPEED_RATIOS:
+    for ratio in ASSUMED.laws.rest_speed_ratios:
         other = scene.with_rest_speed(ratio * scene.rest_speed_m_per_s)
         one, columns = Scorer(other, space).exact(term.candidate)
-        nats = one.nats - float(np.log(1 + len(REST_SPEED_RATIOS)))
+        nats = one.nats - float(np.log(1 + len(ASSUMED.laws.rest_speed_ratios)))
         if nats > best[1].nats:
             gains = held_out(space, columns, one.evidence.root, fold)
             best = other, replace(term, nats=nats, columns=columns, root=one.evidence.root, held_out=gains)

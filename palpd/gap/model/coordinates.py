@@ -9,10 +9,8 @@ import numpy as np
 
 from palpd.cell.cell_file import EffectValues
 from palpd.cell.effects import Effect, Parameter, Scale
+from palpd.gap.assumptions import ASSUMED
 from palpd.tick import Floats
-
-MOST_STARTS = 32
-"""Number of starting points of one effect: enough for three parameters at three values each."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +132,7 @@ def start_values(effect: Effect, scale: Scale, peaks_Hz: Sequence[float]) -> lis
         peaks_Hz: Frequencies that stand out in the residual.
 
     Returns:
-        At most MOST_STARTS sets of parameters, the most typical first.
+        At most `search.most_starts` sets of parameters, the most typical first.
     """
     lists: list[list[float | None]] = []
     for parameter in effect.parameters:
@@ -154,8 +152,8 @@ def start_values(effect: Effect, scale: Scale, peaks_Hz: Sequence[float]) -> lis
     if len(free) > 1:
         choices = [[values if k == alone or k not in free else [0.0] for k, values in enumerate(lists)] for alone in free]
     combos = [{n: v for n, v in zip(names, combo, strict=True) if v is not None} for these in choices for combo in product(*these)]
-    if len(combos) > MOST_STARTS:
-        combos = [combos[k] for k in np.unique(np.linspace(0, len(combos) - 1, MOST_STARTS).astype(int))]
+    if len(combos) > ASSUMED.search.most_starts:
+        combos = [combos[k] for k in np.unique(np.linspace(0, len(combos) - 1, ASSUMED.search.most_starts).astype(int))]
     return combos
 
 

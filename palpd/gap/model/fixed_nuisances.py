@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FX, FZ, TX, Z
 from palpd.gap.data.phases import FREE_STILL, HOLDING
 from palpd.gap.data.prepare import PreparedRecording
@@ -108,7 +109,7 @@ def _zero_columns(cell: CellFile, recording: PreparedRecording, rounding: Roundi
 
 def _rounding_offsets(recording: PreparedRecording, offset_N: float) -> Iterator[tuple[Column, Floats]]:
     """Where noise does not dither the rounding of fz, every rest keeps an offset of up to half a step."""
-    if offset_N < 0.1 * recording.noise_rms[FZ]:
+    if offset_N < ASSUMED.rounding.offset_share * recording.noise_rms[FZ]:
         return
     first, end = runs_of_true(np.isin(recording.bin_phase, (FREE_STILL, HOLDING)))
     for a, b in zip(first[:MOST_RESTS], end[:MOST_RESTS], strict=True):

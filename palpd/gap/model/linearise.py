@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CROSSTALK, CellFile, EffectValues, Estimated
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FX, FY, FZ, TX, TY, Z
 from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.gaussian.nuisances import ColumnByChannel, Columns, Nuisances, Stretch, nuisances
@@ -146,7 +147,10 @@ def _computation_errors(problem: Problem, number: int, cell: CellFile, predicted
     if recording.judged[Z]:
         # A target that is held between controller cycles is known to about a tenth of a step.
         slope = np.gradient(z_m, recording.t_s)
-        yield Column("computation", "time", Z), 0.1 * recording.reports.rows_each / recording.samples.rate_Hz * slope
+        yield (
+            Column("computation", "time", Z),
+            ASSUMED.noise.command_time_share * recording.reports.rows_each / recording.samples.rate_Hz * slope,
+        )
     if recording.judged[Z] and fz_N.any():
         # A position loop gives way under load. What one report of the height cannot resolve is within specification.
         yield Column("recording", "give under load", Z), recording.noise_rms[Z] * fz_N / np.abs(fz_N).max()

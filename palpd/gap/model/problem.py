@@ -15,6 +15,7 @@ from palpd.cell.cell_file import CROSSTALK, CROSSTALK_ARM_M, CellFile, EffectVal
 from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS, Effect, Scale
 from palpd.cell.simulation import predict_motion, scale_of
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FX, FZ, Z, pure_rms, resolutions
 from palpd.gap.data.observations import Observations
 from palpd.gap.data.phases import PHASES
@@ -45,18 +46,6 @@ SHARED = (
 RELATIVE = {"youngs_modulus", "filter_cutoff", "servo_natural_frequency"}
 """Deviations that are fitted as logarithms, so that an unknown modulus stays positive."""
 
-MODEL_ERROR_SHARE = 0.02
-"""Least error of a simulator, as a share of the gap: no real cell follows its formulas better."""
-
-MOST_HELD = 0.2
-"""Share of held samples above which a bin does not count."""
-
-OWN_HEIGHT_NOISE = 0.25
-"""Share of the noise of reported heights that every bin has for itself. Bins shorter than the time between reports know no more than
-their neighbours."""
-
-UNKNOWN_LOG_SD = 2.5
-"""Standard deviation of the logarithm of an unknown modulus: a factor of twelve."""
 
 MAX_BINS = 4500
 """Approximate number of bins of a diagnosis; it bounds the time and memory of a diagnosis (benchmarks/diagnose.py)."""
@@ -131,12 +120,14 @@ class Problem:
         """The problem in which no bin counts for more than the error of the simulator allows.
 
         Args:
-            gap: Whitened gap (7, b). In each channel that error is MODEL_ERROR_SHARE of its 95 % quantile. The gap counts for no more than
-                the readings themselves, since a fit may run away.
+            gap: Whitened gap (7, b). In each channel that error is `noise.model_error_share` of its quantile. The gap counts for no
+                more than the readings themselves, since a fit may run away.
         """
         spread = np.abs(self.measured - np.median(self.measured, axis=1, keepdims=True))
-        level = np.quantile(np.minimum(np.abs(self.noise.natural(gap)), spread.max(axis=1, keepdims=True)), 0.95, axis=1)[:, None]
-        return replace(self, noise=self.noise.widened(np.hypot(1.0, MODEL_ERROR_SHARE * level / self.noise.sigma)))
+        level = np.quantile(
+            np.minimum(np.abs(self.noise.natural(gap)), spread.max(axis=1, keepdims=True)), ASSUMED.noise.model_error_quantile, axis=1
+        )[:, None]
+        return replace(self, noise=self.noise.widened(np.hypot(1.0, ASSUMED.noise.model_error_share * level / self.noise.sigma)))
 
     def with_row_weight(self, weight: float | Floats) -> "Problem":
         """The problem in which every bin counts for `weight` bins.
@@ -352,7 +343,7 @@ def _problem(
 def _shared_sd(cell: CellFile) -> Floats:
     sd = {name: float(getattr(cell.tolerances, tolerance_key(name))) for name in SHARED}
     if not cell.tolerances.modulus_known:
-        sd["youngs_modulus"] = UNKNOWN_LOG_SD
+        sd["youngs_modulus"] = ASSUMED.prior.unknown_modulus_log_sd
     if not cell.sensor.filter_cutoff_Hz:
         sd["filter_cutoff"] = 0.0
     if cell.tissue is None:
@@ -371,9 +362,9 @@ def _whitening(
         sigma = recording.noise_rms[:, None] / np.sqrt(recording.bins.count)[None, :]
         held = recording.samples.held
         if held is not None:  # values interpolated between two readings are no readings
-            sigma[FX:, recording.bins.mean(held.astype(float)) > MOST_HELD] = np.inf
+            sigma[FX:, recording.bins.mean(held.astype(float)) > ASSUMED.noise.most_held] = np.inf
         if recording.reports.rows_each > 1.0:  # only reports are independent, and neighbours share them
-            sigma[Z] *= OWN_HEIGHT_NOISE * np.sqrt(recording.reports.rows_each)
+            sigma[Z] *= ASSUMED.noise.own_height_share * np.sqrt(recording.reports.rows_each)
         sigma[Z] = np.hypot(sigma[Z], acceleration_m)
         sigma[FZ] = np.hypot(sigma[FZ], recording.motion.z_noise_m * _stiffness(cell, recording))
         sigma[FZ] = np.hypot(sigma[FZ], rounding_N)

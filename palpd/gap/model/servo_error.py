@@ -8,21 +8,10 @@ import numpy as np
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
 from palpd.cell.simulation import predict_motion
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import Z
 from palpd.gap.data.prepare import PreparedRecording
 from palpd.tick import Floats
-
-HIDDEN_DELAY_S = 0.004
-"""Standard deviation of the delay inside a controller: half a cycle of a target that is held at 125 Hz, the slowest usual rate."""
-
-LARGEST_DELAY_SHARE = 0.25
-"""Largest hidden delay as a share of the servo's own lag: the rest of the servo must stay a servo."""
-
-LEAST_WIDTH_SHARE = 0.1
-"""Least second moment that remains for the servo behind a hidden delay, as a share of the stated servo's."""
-
-ACCELERATION_SHARE = 0.05
-"""Share of the lag by acceleration, a/ω², by which the heights of a real controller differ: its order and its jerk limit."""
 
 
 def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[str, Effect]) -> Floats:
@@ -43,7 +32,10 @@ def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[
     nominal_m = predict_motion(cell, t_s, recording.z_cmd_m, library)
     natural_frequency_rad_per_s = 2.0 * pi * cell.robot.servo_natural_frequency_Hz
     acceleration_m = np.gradient(np.gradient(nominal_m, t_s), t_s) / natural_frequency_rad_per_s**2
-    changes_m = _with_hidden_delay(recording, recording.z_cmd_m, cell, library) - nominal_m, ACCELERATION_SHARE * acceleration_m
+    changes_m = (
+        _with_hidden_delay(recording, recording.z_cmd_m, cell, library) - nominal_m,
+        ASSUMED.noise.acceleration_share * acceleration_m,
+    )
     return np.array([recording.z_means @ change_m for change_m in changes_m])
 
 
@@ -56,9 +48,9 @@ def _with_hidden_delay(recording: PreparedRecording, z_cmd_m: Floats, cell: Cell
     robot, t_s = cell.robot, recording.robot_t_s
     natural_frequency_rad_per_s = 2.0 * pi * robot.servo_natural_frequency_Hz
     b1, b2 = 2.0 * robot.servo_damping_ratio / natural_frequency_rad_per_s, natural_frequency_rad_per_s**-2
-    delay_s = min(HIDDEN_DELAY_S, LARGEST_DELAY_SHARE * b1)
+    delay_s = min(ASSUMED.noise.hidden_delay_s, ASSUMED.noise.largest_delay_share * b1)
     b1_rest = b1 - delay_s
-    b2_rest = max(b2 - b1_rest * delay_s - 0.5 * delay_s**2, LEAST_WIDTH_SHARE * b2)
+    b2_rest = max(b2 - b1_rest * delay_s - 0.5 * delay_s**2, ASSUMED.noise.least_width_share * b2)
     inner = robot.model_copy(
         update={
             "servo_natural_frequency_Hz": b2_rest**-0.5 / (2.0 * pi),
