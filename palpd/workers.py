@@ -74,7 +74,7 @@ def beside(module: str, *arguments: str) -> list[str]:
 
 
 def _begin(parent: int, niceness: int) -> None:
-    _end_with(parent)
+    end_with(parent)
     for number in (signal.SIGINT, signal.SIGHUP):  # these reach all of palpd; the command ends its workers
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a pool that is broken ends its processes so; a fork has the command's own handler
@@ -82,13 +82,18 @@ def _begin(parent: int, niceness: int) -> None:
     os.nice(niceness)
 
 
-def _end_with(parent: int) -> None:
+def end_with(parent: int) -> None:
+    """Let the kernel kill this process when its parent is gone.
+
+    Args:
+        parent: Process id of the parent when this process began.
+    """
     ctypes.CDLL(None).prctl(KILL_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:  # it died before
         os._exit(1)
 
 
 if __name__ == "__main__":
-    _end_with(int(sys.argv[1]))
+    end_with(int(sys.argv[1]))
     del sys.argv[:2]
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
