@@ -29,7 +29,7 @@ lint: setup
 # while you work: lint, and what needs neither another process nor a whole diagnosis
 NOT_QUICK := browser service blind cli history study streams \
 	$(addprefix gap/test_,adoption.py commands.py diagnosis.py fleet.py law_experiment.py my_simulator_page.py odd_recordings.py \
-	report.py rigs.py user_simulator.py) \
+	report.py rigs.py sensitivity.py user_simulator.py) \
 	$(addprefix daemon/test_,demo.py doctor.py job_worker.py run_reports.py) \
 	$(addprefix interchange/test_,export_page.py rosbag.py simulators.py) recording/test_flipped_bits.py \
 	$(addprefix web/test_,children.py connections.py history_pages.py) \

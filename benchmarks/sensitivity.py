@@ -197,9 +197,11 @@ def measure(spec: CaseSpec, kept: Path, only: str, max_bins: int) -> str:
         return spec.name
     case = draw(spec, SEED, Hosts())
     usual = {path for path in targets if not path.startswith(ADVICE)}
-    _in_child(partial(_varying, case, spec.name, kept, usual, "", max_bins))
-    if targets - usual:
-        _in_child(partial(_varying, case, spec.name, kept, targets - usual, ADVICE, max_bins))
+    for base, numbers in (("", usual), (ADVICE, targets - usual)):
+        if base not in known.get(spec.name, {}) and (numbers or not base):
+            _in_child(partial(_varying, case, spec.name, kept, set(), base, max_bins))
+        if numbers:
+            _in_child(partial(_varying, case, spec.name, kept, numbers, base, max_bins))
     return spec.name
 
 

@@ -1,26 +1,14 @@
 """What a diagnosis assumes stands in one place, and `benchmarks.sensitivity` says what a number moves."""
 
-import json
-import subprocess
-import sys
-from collections.abc import Callable
 from dataclasses import FrozenInstanceError, fields
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from benchmarks import sensitivity
 from palpd.gap.assumptions import ASSUMED, Assumptions
-from tests.paths import ROOT
 
 STAGES = [field.name for field in fields(Assumptions)]
-FROM_THE_START = """
-import json, palpd.gap.assumptions as assumptions
-from benchmarks.sensitivity import SEED, Hosts, answer_of, cells, draw, varied
-assumptions.ASSUMED = varied("prior.unknown")
-print(json.dumps(answer_of(draw(cells(1)[0], SEED, Hosts()), False, 600)))
-"""
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -60,30 +48,6 @@ def test_a_measurement_of_another_value_does_not_stay_on_the_page() -> None:
     assert row[0].endswith("| nothing, 9 cells |")
     row = [line for line in sensitivity.page({}, other).splitlines() if line.startswith("| `prior.unknown`")]
     assert row[0].endswith(f"| {sensitivity.NOT_MEASURED} |")
-
-
-def test_a_varied_number_gives_the_answer_that_it_would_give_from_the_start(tmp_path: Path, run: Callable[..., str]) -> None:
-    for path in ("prior.unknown", "events.wander_knots"):
-        run("-m", "benchmarks.sensitivity", "--cells", "1", "--only", path, "--kept", str(tmp_path), "--jobs", "1", "--bins", "600")
-    (answers,) = sensitivity.answers(tmp_path).values()
-    assert answers["prior.unknown"]["p_unknown"] > answers[""]["p_unknown"] > 0.0
-    assert answers["prior.unknown"] == json.loads(run("-c", FROM_THE_START))
-    assert answers["events.wander_knots"] == answers[""] | {"unread": True}
-    result = sensitivity.moved("prior.unknown", sensitivity.answers(tmp_path))
-    assert (result.cells, result.read) == (1, 1)
-    assert result.score < 0.0
-
-
-@pytest.fixture
-def run() -> Callable[..., str]:
-    """Run Python in a process of its own, and return what it prints."""
-
-    def call(*arguments: str) -> str:
-        done = subprocess.run([sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    return call
 
 
 def test_a_change_of_the_verdict_and_of_names_is_said_in_words() -> None:
