@@ -25,6 +25,11 @@ def test_every_assumption_has_a_unit_a_meaning_and_a_source(path: str) -> None:
     assert all(sensitivity.described(path)[key].strip() for key in ("unit", "what", "source"))
 
 
+@pytest.mark.parametrize("probabilities", sensitivity.SUMS_OF_ONE)
+def test_prior_probabilities_of_cases_that_exclude_each_other_add_up_to_one(probabilities: tuple[str, ...]) -> None:
+    assert sum(sensitivity.total(sensitivity.value_of(path)) for path in probabilities) == pytest.approx(1.0, abs=1e-12)
+
+
 @pytest.mark.parametrize("path", sensitivity.paths())
 def test_a_larger_assumption_is_larger_and_what_adds_up_to_one_still_does(path: str) -> None:
     larger = sensitivity.varied(path)
