@@ -315,8 +315,8 @@ Every prior, threshold, cap and floor of a diagnosis stands in `palpd/gap/assump
 
 The last column says what changed on sealed cells where that number alone was 30 % larger: the odds of a probability, the other numbers
 themselves, a count by at least 1. The score is the sum over these cells of the logarithm of the probability that is stated of the truth.
-*Not read* means that no diagnosis of these cells used the number. Few cells show which numbers matter much. They do not show that a
-number does not matter.
+*Not read* means that no diagnosis of these cells used the number. A number that changes nothing on a few cells may
+still matter on others.
 
 `python -m benchmarks.sensitivity --kept FOLDER --docs` writes this page; it measures on {bins} bins for each recording.
 """
@@ -359,12 +359,13 @@ def shown_value(value: Any) -> str:
 
 def in_words(result: Moved) -> str:
     """What a number moves, as a cell of the table."""
+    cells_measured = f"{result.cells} cell" + ("s" if result.cells > 1 else "")
     if not result.read:
-        return f"not read, {result.cells} cells"
+        return f"not read, {cells_measured}"
     score = f", score {result.score:+.2f}" if abs(result.score) >= 0.005 else ""
     if not result.changes:
-        return f"nothing, {result.cells} cells{score}"
-    return f"{len(result.changes)} of {result.cells} cells{score}: " + "; ".join(line.split(": ", 1)[1] for line in result.changes)
+        return f"nothing, {cells_measured}{score}"
+    return f"{len(result.changes)} of {cells_measured}{score}: " + "; ".join(line.split(": ", 1)[1] for line in result.changes)
 
 
 def main() -> None:
