@@ -28,7 +28,7 @@ def searched(friction_N: float) -> SearchState:
 def test_the_record_holds_each_fit_and_each_set_has_the_evidence_of_its_last() -> None:
     state = searched(0.2)
     assert {tried.names for tried in state.tried} == state.fits.keys() - {()}
-    last = {tried.names: tried.evidence_nats for tried in state.tried if tried.step != "from afar"}
+    last = {tried.names: tried.nats for tried in state.tried if tried.step != "from afar"}
     assert {names: state.fits[names].log_evidence for names in last} == pytest.approx(last)
     steps = list(dict.fromkeys((tried.step, len(tried.names)) for tried in state.tried))
     assert steps[:4] == [("single effects", 1), ("refine", 1), ("extend", 2), ("refine", 2)]

@@ -31,13 +31,13 @@ class Tried:
 
     Attributes:
         gain: Gain in squared sigmas that the scan promised; None where the fit began elsewhere.
-        evidence_nats: log E of the fit, without the prior of the set.
+        nats: log E of the fit, without the prior of the set.
     """
 
     step: str
     names: tuple[str, ...]
     gain: float | None
-    evidence_nats: float
+    nats: float
 
 
 @dataclass(frozen=True)
