@@ -160,12 +160,12 @@ def answer_of(case: SealedCase, propose: bool, max_bins: int) -> Answer:
 
     known = {name: effect for name, effect in EFFECTS.items() if name not in case.without}
     diagnosis = diagnose([case.samples], cell_from(case.cell, "cell"), known, propose=propose, max_bins=max_bins)
-    verdict, learned = diagnosis.decision, diagnosis.finding.learned
+    verdict = diagnosis.decision
     return {
         "verdict": verdict.kind,
         "names": sorted(effect.id for effect in verdict.effects),
         "groups": sorted([effect.id, *sorted(effect.indistinguishable_from)] for effect in verdict.effects),
-        "law": bool(learned),
+        "law": verdict.law is not None,
         "next": diagnosis.proposal.motion.what if diagnosis.proposal is not None and diagnosis.proposal.motion is not None else None,
         "p_none": verdict.p_none,
         "p_unknown": verdict.p_unknown,
@@ -228,7 +228,10 @@ def _varying(case: SealedCase, name: str, kept: Path, targets: set[str], base: s
     assumptions.ASSUMED = watched  # type: ignore[assignment]
     try:
         answer = answer_of(case, propose, max_bins)
-    except Exception as error:  # a number without which there is no answer is a finding, too
+    except Exception as error:
+        if became[0] == base:
+            raise
+        # a number without which there is no answer is a finding, too
         answer = {"verdict": f"{type(error).__name__}: {error}"[:200], "names": [], "score": log(LEAST_P)}
     keep(became[0], answer)
     if became[0] == base:
