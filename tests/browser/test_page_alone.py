@@ -434,7 +434,8 @@ def test_a_service_that_dies_leaves_no_refusal_behind_and_comes_back_in_contact(
     assert page.locator(".controls [data-next]").all_inner_texts() == ["Retract"]
     assert page.text_content("#force-name") == "Force against reference"
     assert page.text_content("#now-head") == "Last read at 10:15:02"
-    shown, absolute = (float(str(page.text_content(name)).split()[0].replace("−", "-")) for name in ("#force", "#absolute"))
+    texts = page.evaluate("['#force', '#absolute'].map((name) => document.querySelector(name).textContent)")  # of one and the same tick
+    shown, absolute = (float(text.split()[0].replace("−", "-")) for text in texts)
     assert shown == pytest.approx(absolute, abs=0.06), "the force against the reference, not that of a tare taken in the tissue"
     page.screenshot(path=str(scene.shots / "service-back.png"))
 
