@@ -1,5 +1,6 @@
 """What a diagnosis assumes stands in one place, and `benchmarks.sensitivity` says what a number moves."""
 
+import re
 from dataclasses import FrozenInstanceError, fields
 from typing import Any
 
@@ -7,8 +8,10 @@ import pytest
 
 from benchmarks import sensitivity
 from palpd.gap.assumptions import ASSUMED, Assumptions
+from tests.paths import ROOT
 
 STAGES = [field.name for field in fields(Assumptions)]
+MODULES = [path.read_text(encoding="utf-8") for path in (ROOT / "palpd" / "gap").rglob("*.py")]
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -23,6 +26,14 @@ def test_nobody_changes_an_assumption_of_a_running_program(stage: str) -> None:
 @pytest.mark.parametrize("path", sensitivity.paths())
 def test_every_assumption_has_a_unit_a_meaning_and_a_source(path: str) -> None:
     assert all(sensitivity.described(path)[key].strip() for key in ("unit", "what", "source"))
+
+
+@pytest.mark.parametrize("path", sensitivity.paths())
+def test_every_assumption_is_read_by_the_diagnosis(path: str) -> None:
+    """A number that stands here while another one is used would look as if it changed nothing."""
+    stage, name = path.split(".")
+    read = re.compile(rf"\b(ASSUMED\.{stage}|a)\.{name}\b")
+    assert any(read.search(text) for text in MODULES if f"ASSUMED.{stage}" in text)
 
 
 @pytest.mark.parametrize("probabilities", sensitivity.SUMS_OF_ONE)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.infer.correlated_residual import compared_again, row_weights, wrong_tolerances
 from palpd.gap.infer.evidence import Fit
 from palpd.gap.infer.intervals import NamedFit, named_fit
@@ -11,9 +12,6 @@ from palpd.gap.infer.search import Fits, search
 from palpd.gap.infer.settle import settle
 from palpd.gap.model.linearise import Linearisation
 from palpd.gap.model.problem import Problem
-
-NOISE_ROUNDS = 2
-"""Largest number of comparisons: the second follows where the first changes the best hypothesis, and so its residual."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ def infer(problem: Problem, show: Callable[[str], None] = lambda _: None) -> Inf
     show("3 of 6: weighing them")
     first = attribution = posterior(problem, fits)
     wider = wrong_tolerances(fits[first.best.fit.names])
-    for _ in range(NOISE_ROUNDS):
+    for _ in range(ASSUMED.noise.rounds):
         best = fits[attribution.best.fit.names]
         weight = row_weights(best.remainder)
         if not best.names or weight.min() == 1.0:
