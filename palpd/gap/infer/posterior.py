@@ -110,21 +110,24 @@ def attribution_of(hypotheses: list[Hypothesis]) -> Attribution:
     return Attribution(hypotheses, p_none, p_unknown, marginal, _groups(hypotheses))
 
 
+def log_prior(problem: Problem, size: int) -> float:
+    """Log P(set) of one set of that many effects: all sets of a size are equally probable."""
+    listed = sum(not effect.scatter for effect in problem.library.values())
+    of_size = (ASSUMED.prior.none, ASSUMED.prior.one, ASSUMED.prior.two, ASSUMED.prior.three)[size]
+    return log(of_size) - log(comb(listed, size))
+
+
 def _worth(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> dict[tuple[str, ...], float]:
     """Log P(set) plus log volume (`Fit.occam`) of every hypothesis.
 
     The log volume of a set counts as `prior.further_effect_nats` below that of each fitted set with an effect less, or as it is where
     it is lower.
     """
-    listed = sum(not effect.scatter for effect in problem.library.values())
     by_set = {frozenset(names): one.occam for names, one in fits.items()}
     out = {}
     for names, one in fits.items():
-        prior = log((ASSUMED.prior.none, ASSUMED.prior.one, ASSUMED.prior.two, ASSUMED.prior.three)[len(names)]) - log(
-            comb(listed, len(names))
-        )
         smaller = [by_set[rest] for name in names if len(names) > 1 and (rest := frozenset(names) - {name}) in by_set]
-        out[names] = prior + min([one.occam, *(occam - ASSUMED.prior.further_effect_nats for occam in smaller)])
+        out[names] = log_prior(problem, len(names)) + min([one.occam, *(occam - ASSUMED.prior.further_effect_nats for occam in smaller)])
     return out
 
 

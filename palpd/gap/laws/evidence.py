@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import comb, log
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from palpd.gap.infer.discrepancy import discrepancy_columns
 from palpd.gap.infer.evidence import Fit, fit
 from palpd.gap.infer.fit import jacobian_at
 from palpd.gap.infer.inference import Inference
+from palpd.gap.infer.posterior import log_prior
 from palpd.gap.laws.confounds import confounds
 from palpd.gap.laws.events import Events, find_events, wander_nats
 from palpd.gap.laws.scene import Scene, rounding_columns
@@ -163,7 +163,7 @@ def look_for_laws(inference: Inference, listed: Fit, *, coarse: bool = False) ->
         return LawEvidence(listed)
     problem, nominal = inference.problem, inference.nominal
     scene, space = Scene.of(problem, listed.values, listed.eta), _space_beside(problem, listed)
-    gained = listed.log_evidence - nominal.log_evidence + _log_prior(problem, listed)
+    gained = listed.log_evidence - nominal.log_evidence + log_prior(problem, len(listed.names)) - log_prior(problem, 0)
     top = search(scene, space, gained)
     return_memory()
     events = find_events(scene, space)
@@ -254,14 +254,6 @@ def _share(listed: Fit, change: Floats) -> float:
         return 1.0
     own, whole = (project(one, listed.linearisation.space) for one in (change, change + listed.change))
     return own.dot(own) / max(whole.dot(whole), 1e-300)
-
-
-def _log_prior(problem: Problem, listed: Fit) -> float:
-    """Log prior odds of a set of listed effects against the empty set."""
-    count, effects = len(listed.names), sum(not effect.scatter for effect in problem.library.values())
-    return log((ASSUMED.prior.none, ASSUMED.prior.one, ASSUMED.prior.two, ASSUMED.prior.three)[count] / ASSUMED.prior.none) - log(
-        comb(effects, count)
-    )
 
 
 def _within_specification(problem: Problem, listed: Fit, residual: Floats) -> NuisanceSpace:
