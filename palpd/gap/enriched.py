@@ -50,8 +50,9 @@ def estimated_with(problem: Problem, answer: FitBeside) -> Estimated:
 
     Bias and drift, which each recording has for itself, enter by their mean.
     """
-    zeros = {name: _mean_zero(problem, answer, answer.deviation_sd, name) for name in ZEROS}
-    return problem.estimated(answer.deviation_sd[: len(answer.fit.eta)]).model_copy(update=zeros)
+    deviation_sd = answer.deviation_sd
+    zeros = {name: _mean_zero(problem, answer, deviation_sd, name) for name in ZEROS}
+    return problem.estimated(deviation_sd[: len(answer.fit.eta)]).model_copy(update=zeros)
 
 
 def _mean_zero(problem: Problem, answer: FitBeside, deviation_sd: Floats, name: str) -> float:

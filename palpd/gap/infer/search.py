@@ -125,7 +125,7 @@ def from_afar(state: SearchState) -> SearchState:
 
 
 def refine(state: SearchState, size: int, most: int) -> SearchState:
-    """Linearise the nuisances of the leading fits again at their optimum; a fit 40 nats below the first is left as it is."""
+    """Linearise the nuisances of the leading fits again at their optimum; one by `search.hopeless_nats` below the first is left."""
     leading = state.leading(size, most)
     for before in leading:
         if before.log_evidence >= leading[0].log_evidence - ASSUMED.search.hopeless_nats:
