@@ -2,11 +2,13 @@
 PYTHON ?=
 UV := .venv/bin/uv
 READY := .venv/.ready
-# two processes, each with emulated cells on addresses of its own; a module stays in one, so that its cells and diagnoses are made once
+# a module stays in one process, so that its diagnoses are made once
 PARALLEL_TESTS := --numprocesses=2 --dist=loadscope
+# each process has emulated cells on addresses of its own; a third process takes the time that the rest beside them needs
+WIRES := --numprocesses=2 --dist=worksteal
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo quick test test-wires test-rest test-service test-browser test-deb coverage lint bench bench-long minutes endurance faults arming signals aborts presses laws soak slopes cold deb docs mutation audit samples clean
+.PHONY: setup demo quick test test-waiting test-wires test-rest test-service test-browser test-deb coverage lint bench bench-long minutes endurance faults arming signals aborts presses laws soak slopes cold deb docs mutation audit samples clean
 
 setup: $(READY)
 
@@ -37,14 +39,18 @@ NOT_QUICK := browser service blind cli history study streams \
 quick: lint
 	.venv/bin/pytest -m "not hil" $(PARALLEL_TESTS) $(addprefix --ignore=tests/,$(NOT_QUICK))
 
-# what runs over emulated wires or boots a service waits most of its time, so the rest goes beside it and gives way to it; then what needs
-# the machine to itself: a browser before an emulated cell, and the long measurements in short
+# what runs over emulated wires, a browser before them among it, or boots a service waits most of its time, so the rest goes beside it and
+# gives way to it; then what needs the machine to itself: the long measurements in short
 test: lint
-	$(MAKE) --jobs=3 --output-sync test-wires test-rest test-service
-	$(MAKE) test-browser coverage samples
+	$(MAKE) --jobs=3 --output-sync test-waiting test-rest test-service
+	$(MAKE) coverage samples
+
+test-waiting:
+	$(MAKE) test-wires
+	$(MAKE) test-browser
 
 test-wires: setup
-	.venv/bin/pytest -m hil --ignore=tests/browser $(PARALLEL_TESTS)
+	.venv/bin/pytest -m hil --ignore=tests/browser $(WIRES)
 
 test-rest: setup
 	nice .venv/bin/pytest -m "not hil" --ignore=tests/browser $(PARALLEL_TESTS)
