@@ -83,6 +83,12 @@ class PreparedRecording:
         """Cycle of every bin (b,)."""
         return self.bins.label(self.phases.cycle)
 
+    @property
+    def removed_m_per_s2(self) -> Floats:
+        """Rms of what averaging has removed from the acceleration in every bin (b,), as far as averaging it once more shows."""
+        removed_m_per_s2 = self.otherwise[1].az_m_per_s2 - self.motion.az_m_per_s2
+        return np.asarray(np.sqrt(self.step_means @ removed_m_per_s2**2))
+
     def reading(self, cell: CellFile, motion: TipMotion, library: Mapping[str, Effect]) -> MeanReading:
         """Predicted mean reading; with a user's simulator its output + palpd(cell) - palpd(nominal cell).
 

@@ -15,6 +15,7 @@ from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.data.rounding import Rounding
 from palpd.gap.gaussian.nuisances import ColumnByChannel, Columns
 from palpd.gap.gaussian.whitening import Whitening
+from palpd.gap.model.servo_error import ServoErrors
 from palpd.recording.samples import runs_of_true
 from palpd.tick import Floats
 
@@ -44,7 +45,7 @@ class FixedNuisances:
 
 
 def fixed_nuisances(
-    cell: CellFile, recordings: Sequence[PreparedRecording], roundings: Sequence[Rounding], servo_errors_m: Floats, noise: Whitening
+    cell: CellFile, recordings: Sequence[PreparedRecording], roundings: Sequence[Rounding], errors: Sequence[ServoErrors], noise: Whitening
 ) -> FixedNuisances:
     """The nuisances of all recordings that no state of the cell changes.
 
@@ -52,16 +53,15 @@ def fixed_nuisances(
         cell: The nominal cell.
         recordings: Its recordings, b bins in all.
         roundings: Of fz in each recording; empty where noise dithers it.
-        servo_errors_m: Heights (2, b) by which a controller within specification may differ from the nominal servo, as `servo_errors` has
-            them.
+        errors: What the controller of each recording may change within specification.
         noise: Noise of the bins.
     """
     labels, columns = [], []
     for number, (recording, bins) in enumerate(zip(recordings, bins_of(recordings), strict=True)):
-        for label, values in _of_recording(cell, recording, roundings[number] if roundings else None, servo_errors_m[:, bins]):
+        for label, values in _of_recording(cell, recording, roundings[number] if roundings else None, errors[number]):
             labels.append(label)
             columns.append(whitened_column(noise, label.channel, bins, values))
-    return FixedNuisances(tuple(labels), Columns.of(columns, (7, servo_errors_m.shape[1])))
+    return FixedNuisances(tuple(labels), Columns.of(columns, noise.sigma.shape))
 
 
 def bins_of(recordings: Sequence[PreparedRecording]) -> list[slice]:
@@ -82,14 +82,16 @@ def whitened_column(noise: Whitening, channel: int, bins: slice, values: Floats)
 
 
 def _of_recording(
-    cell: CellFile, recording: PreparedRecording, rounding: Rounding | None, servo_errors_m: Floats
+    cell: CellFile, recording: PreparedRecording, rounding: Rounding | None, errors: ServoErrors
 ) -> Iterator[tuple[Column, Floats]]:
     for channel in range(FX, 7):
         if recording.judged[channel]:
             yield from _zero_columns(cell, recording, rounding, channel)
     if recording.judged[Z]:
-        for name, values in zip(("hidden delay", "controller order"), servo_errors_m, strict=True):
-            yield Column("computation", name, Z), values
+        yield Column("computation", "hidden delay", Z), errors.delay_m
+        yield Column("computation", "controller order", Z), errors.order_m
+        if recording.judged[FZ]:
+            yield Column("computation", "hidden delay", FZ), errors.delay_N
     if rounding is not None and recording.judged[FZ]:
         yield from _rounding_offsets(recording, rounding.undithered_rms_N)
 

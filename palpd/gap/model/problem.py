@@ -23,7 +23,7 @@ from palpd.gap.data.prepare import PreparedRecording, prepare, stated_cell
 from palpd.gap.data.rounding import Rounding, Way, undithered_rms
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.gap.model.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
-from palpd.gap.model.servo_error import servo_errors
+from palpd.gap.model.servo_error import ServoErrors, servo_errors
 from palpd.gap.model.workspace import Workspace
 from palpd.gap.user_simulator import UserSimulator
 from palpd.recording.samples import Samples
@@ -71,7 +71,7 @@ class Problem:
         roundings: How fz is rounded in each recording; empty where noise dithers it.
         scale: Sizes that bounds and starting values of effects refer to.
         shared_sd: Standard deviations of SHARED (11,) in the units of the cell file; those of RELATIVE are of the logarithm.
-        servo_errors_m: Heights (2, b) by which a controller within specification may differ from the nominal servo.
+        servo_errors: What the controller of each recording may change within specification.
         excess_noise: Whether the noise is larger than stated.
         measured: Measured bins y (7, b) in the units of the channels.
         noise: Σ of the bins, with the error of the simulator where `with_model_error_floor` has added it.
@@ -84,7 +84,7 @@ class Problem:
     roundings: tuple[Rounding, ...]
     scale: Scale
     shared_sd: Floats
-    servo_errors_m: Floats
+    servo_errors: tuple[ServoErrors, ...]
     excess_noise: bool
     measured: Floats
     noise: Whitening
@@ -99,7 +99,7 @@ class Problem:
     @cached_property
     def fixed_nuisances(self) -> FixedNuisances:
         """Nuisances that do not depend on the state of the cell, whitened."""
-        return fixed_nuisances(self.cell, self.recordings, self.roundings, self.servo_errors_m, self.noise)
+        return fixed_nuisances(self.cell, self.recordings, self.roundings, self.servo_errors, self.noise)
 
     @property
     def nominal_eta(self) -> Floats:
@@ -323,8 +323,8 @@ def _problem(
     excess_noise: bool = False,
 ) -> Problem:
     longest = max((recording.samples for recording in recordings), key=lambda samples: samples.duration_s)
-    errors_m = [servo_errors(recording, cell, library) for recording in recordings]
-    noise = _whitening(cell, recordings, roundings, errors_m)
+    errors = tuple(servo_errors(recording, cell, library) for recording in recordings)
+    noise = _whitening(cell, recordings, roundings, errors)
     return Problem(
         cell=cell,
         recordings=recordings,
@@ -332,7 +332,7 @@ def _problem(
         roundings=tuple(roundings),
         scale=scale or scale_of(cell, longest.t_s, longest.z_m, longest.vz_m_per_s, longest.wrench[:, 2]),
         shared_sd=_shared_sd(cell),
-        servo_errors_m=np.hstack(errors_m),
+        servo_errors=errors,
         excess_noise=excess_noise,
         measured=np.hstack([recording.measured for recording in recordings]),
         noise=noise,
@@ -354,19 +354,20 @@ def _shared_sd(cell: CellFile) -> Floats:
 
 
 def _whitening(
-    cell: CellFile, recordings: Sequence[PreparedRecording], roundings: Sequence[Rounding], errors_m: Sequence[Floats]
+    cell: CellFile, recordings: Sequence[PreparedRecording], roundings: Sequence[Rounding], errors: Sequence[ServoErrors]
 ) -> Whitening:
-    """Σ of the bins: noise of readings, of heights that drive the force, of rounding, of the controller, of reports that bins share."""
+    """Σ of the bins: noise of readings, of motion that drives the force, of rounding, of the controller, of reports that bins share."""
     sigmas, undithered_N = [], [rounding.undithered_rms_N for rounding in roundings] or [0.0] * len(recordings)
-    for recording, rounding_N, (_, acceleration_m) in zip(recordings, undithered_N, errors_m, strict=True):
+    for recording, rounding_N, error in zip(recordings, undithered_N, errors, strict=True):
         sigma = recording.noise_rms[:, None] / np.sqrt(recording.bins.count)[None, :]
         held = recording.samples.held
         if held is not None:  # values interpolated between two readings are no readings
             sigma[FX:, recording.bins.mean(held.astype(float)) > ASSUMED.noise.most_held] = np.inf
         if recording.reports.rows_each > 1.0:  # only reports are independent, and neighbours share them
             sigma[Z] *= ASSUMED.noise.own_height_share * np.sqrt(recording.reports.rows_each)
-        sigma[Z] = np.hypot(sigma[Z], acceleration_m)
+        sigma[Z] = np.hypot(sigma[Z], error.order_m)
         sigma[FZ] = np.hypot(sigma[FZ], recording.motion.z_noise_m * _stiffness(cell, recording))
+        sigma[FZ] = np.hypot(sigma[FZ], cell.probe.mass_kg * recording.removed_m_per_s2)
         sigma[FZ] = np.hypot(sigma[FZ], rounding_N)
         sigma = np.hypot(sigma, _hidden_rms(cell, len(recording.bins)))
         sigma[~np.array(recording.judged)] = np.inf

@@ -1,6 +1,7 @@
 """How real controllers differ from the nominal second-order servo without being slower: part of every healthy cell."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
@@ -9,34 +10,49 @@ from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
 from palpd.cell.simulation import predict_motion
 from palpd.gap.assumptions import ASSUMED
-from palpd.gap.data.noise import Z
+from palpd.gap.data.noise import FZ, Z
 from palpd.gap.data.prepare import PreparedRecording
 from palpd.tick import Floats
 
 
-def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[str, Effect]) -> Floats:
-    """Differences in height that a controller within specification may show, each as large as a standard deviation.
+@dataclass(frozen=True)
+class ServoErrors:
+    """What a controller within specification may change in one recording, each as large as a standard deviation; 0 without a command.
+
+    Attributes:
+        delay_m: Heights (b,) by a delay inside the controller.
+        order_m: Heights (b,) by its order and jerk limit.
+        delay_N: Force of inertia (b,) by that delay. Speeds are too noisy to show its acceleration, which is taken from the stated servo.
+    """
+
+    delay_m: Floats
+    order_m: Floats
+    delay_N: Floats
+
+
+def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[str, Effect]) -> ServoErrors:
+    """What a controller within specification may change.
 
     Args:
         recording: A prepared recording, b bins.
         cell: Its nominal cell.
         library: Effects by id.
-
-    Returns:
-        What a delay inside the controller changes, and what its order and jerk limit change, (2, b) in m; zero where heights are not
-        compared.
     """
     if not recording.judged[Z] or recording.z_cmd_m is None:
-        return np.zeros((2, len(recording.bins)))
+        return ServoErrors(*np.zeros((3, len(recording.bins))))
     t_s = recording.robot_t_s
     nominal_m = predict_motion(cell, t_s, recording.z_cmd_m, library)
     natural_frequency_rad_per_s = 2.0 * pi * cell.robot.servo_natural_frequency_Hz
-    acceleration_m = np.gradient(np.gradient(nominal_m, t_s), t_s) / natural_frequency_rad_per_s**2
-    changes_m = (
-        _with_hidden_delay(recording, recording.z_cmd_m, cell, library) - nominal_m,
-        ASSUMED.noise.acceleration_share * acceleration_m,
-    )
-    return np.array([recording.z_means @ change_m for change_m in changes_m])
+    delay_m = _with_hidden_delay(recording, recording.z_cmd_m, cell, library) - nominal_m
+    order_m = ASSUMED.noise.acceleration_share * _second_derivative(nominal_m, t_s) / natural_frequency_rad_per_s**2
+    delay_m_per_s2 = np.interp(recording.motion.t_s, t_s, _second_derivative(delay_m, t_s))
+    late = replace(recording.motion, az_m_per_s2=recording.motion.az_m_per_s2 + delay_m_per_s2)
+    change_N = recording.reading(cell, late, library).own[FZ - 1] - recording.reading(cell, recording.motion, library).own[FZ - 1]
+    return ServoErrors(recording.z_means @ delay_m, recording.z_means @ order_m, recording.step_means @ change_N)
+
+
+def _second_derivative(x: Floats, t_s: Floats) -> Floats:
+    return np.asarray(np.gradient(np.gradient(x, t_s), t_s))
 
 
 def _with_hidden_delay(recording: PreparedRecording, z_cmd_m: Floats, cell: CellFile, library: Mapping[str, Effect]) -> Floats:
