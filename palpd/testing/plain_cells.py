@@ -3,6 +3,7 @@
 Nothing here comes from `palpd.cell`: the physics is written again, so that a test of the engine does not use the engine's own.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -119,10 +120,23 @@ def cell_of(controller: str) -> CellFile:
     )
 
 
-def recording(controller: str, seed: int, deviations: PlantedDeviations = PlantedDeviations()) -> Samples:
-    """One recording of a healthy cell with these deviations, and press-to-press scatter as declared."""
-    rng = np.random.default_rng([seed, 12])
+def heavy_cell_of(controller: str) -> CellFile:
+    """The same with a probe of 0.5 kg before a quiet sensor, so that errors of the acceleration show."""
     cell = cell_of(controller)
+    sensor = cell.sensor.model_copy(update={"noise_rms_N": 0.01, "resolution_fz_N": 0.002})
+    return cell.model_copy(update={"probe": cell.probe.model_copy(update={"mass_kg": 0.5}), "sensor": sensor})
+
+
+def recording(
+    controller: str, seed: int, deviations: PlantedDeviations = PlantedDeviations(), of_cell: Callable[[str], CellFile] = cell_of
+) -> Samples:
+    """One recording of a healthy cell with these deviations, and press-to-press scatter as declared.
+
+    Args:
+        of_cell: Makes the cell file for a controller.
+    """
+    rng = np.random.default_rng([seed, 12])
+    cell = of_cell(controller)
     z_cmd_m = commanded(seed)
     z_m = follow(controller, z_cmd_m, SERVO_HZ * (1.0 + deviations.servo_natural_frequency))
     every = FINE_HZ // RATE_HZ

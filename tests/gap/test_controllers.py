@@ -9,7 +9,7 @@ from palpd.gap.diagnosis import diagnose
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import SHARED, make_problem
 from palpd.recording.samples import Samples
-from palpd.testing.plain_cells import CONTROLLERS, PlantedDeviations, cell_of, recording
+from palpd.testing.plain_cells import CONTROLLERS, PlantedDeviations, cell_of, heavy_cell_of, recording
 
 IN_TOLERANCE = PlantedDeviations(youngs_modulus=0.03, mass_kg=-0.004, latency_s=0.001, servo_natural_frequency=-0.03, surface_z_m=3e-5)
 
@@ -17,6 +17,13 @@ IN_TOLERANCE = PlantedDeviations(youngs_modulus=0.03, mass_kg=-0.004, latency_s=
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_a_controller_that_is_not_of_second_order_is_not_accused(controller: str) -> None:
     diagnosis = diagnose([recording(controller, 101, IN_TOLERANCE)], cell_of(controller), max_bins=900, propose=False)
+    assert diagnosis.verdict == "none", diagnosis.sentence
+
+
+@pytest.mark.parametrize("controller", ["second order", "third order"])
+def test_a_controller_of_another_order_that_moves_a_heavy_probe_is_no_resonance(controller: str) -> None:
+    heavy = recording(controller, 101, replace(IN_TOLERANCE, mass_kg=0.004), heavy_cell_of)
+    diagnosis = diagnose([heavy], heavy_cell_of(controller), max_bins=3000, propose=False)
     assert diagnosis.verdict == "none", diagnosis.sentence
 
 

@@ -91,7 +91,10 @@ def _of_recording(
         yield Column("computation", "hidden delay", Z), errors.delay_m
         yield Column("computation", "controller order", Z), errors.order_m
         if recording.judged[FZ]:
-            yield Column("computation", "hidden delay", FZ), errors.delay_N
+            for name, values in zip(
+                ("hidden delay", "controller order", "servo", "controller order", "controller order"), errors.inertial_N, strict=True
+            ):
+                yield Column("computation", name, FZ), values
     if rounding is not None and recording.judged[FZ]:
         yield from _rounding_offsets(recording, rounding.undithered_rms_N)
 

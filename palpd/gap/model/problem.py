@@ -368,6 +368,7 @@ def _whitening(
         sigma[Z] = np.hypot(sigma[Z], error.order_m)
         sigma[FZ] = np.hypot(sigma[FZ], recording.motion.z_noise_m * _stiffness(cell, recording))
         sigma[FZ] = np.hypot(sigma[FZ], cell.probe.mass_kg * recording.removed_m_per_s2)
+        sigma[FZ] = np.hypot(sigma[FZ], error.inertial_N[0])
         sigma[FZ] = np.hypot(sigma[FZ], rounding_N)
         sigma = np.hypot(sigma, _hidden_rms(cell, len(recording.bins)))
         sigma[~np.array(recording.judged)] = np.inf

@@ -6,7 +6,7 @@ from math import pi
 
 import numpy as np
 
-from palpd.cell.cell_file import CellFile
+from palpd.cell.cell_file import CellFile, Estimated
 from palpd.cell.effects import Effect
 from palpd.cell.simulation import predict_motion
 from palpd.gap.assumptions import ASSUMED
@@ -22,12 +22,13 @@ class ServoErrors:
     Attributes:
         delay_m: Heights (b,) by a delay inside the controller.
         order_m: Heights (b,) by its order and jerk limit.
-        delay_N: Force of inertia (b,) by that delay. Speeds are too noisy to show its acceleration, which is taken from the stated servo.
+        inertial_N: Force of inertia (5, b) by that order and by two terms of its series in the servo's time constant, by that delay, and by
+            the tolerance of the natural frequency. Where a command is known, the acceleration is mostly that of the stated servo.
     """
 
     delay_m: Floats
     order_m: Floats
-    delay_N: Floats
+    inertial_N: Floats
 
 
 def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[str, Effect]) -> ServoErrors:
@@ -39,16 +40,29 @@ def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[
         library: Effects by id.
     """
     if not recording.judged[Z] or recording.z_cmd_m is None:
-        return ServoErrors(*np.zeros((3, len(recording.bins))))
+        nothing = np.zeros(len(recording.bins))
+        return ServoErrors(nothing, nothing, np.zeros((5, len(recording.bins))))
     t_s = recording.robot_t_s
     nominal_m = predict_motion(cell, t_s, recording.z_cmd_m, library)
-    natural_frequency_rad_per_s = 2.0 * pi * cell.robot.servo_natural_frequency_Hz
+    time_constant_s = 1.0 / (2.0 * pi * cell.robot.servo_natural_frequency_Hz)
     delay_m = _with_hidden_delay(recording, recording.z_cmd_m, cell, library) - nominal_m
-    order_m = ASSUMED.noise.acceleration_share * _second_derivative(nominal_m, t_s) / natural_frequency_rad_per_s**2
-    delay_m_per_s2 = np.interp(recording.motion.t_s, t_s, _second_derivative(delay_m, t_s))
-    late = replace(recording.motion, az_m_per_s2=recording.motion.az_m_per_s2 + delay_m_per_s2)
-    change_N = recording.reading(cell, late, library).own[FZ - 1] - recording.reading(cell, recording.motion, library).own[FZ - 1]
-    return ServoErrors(recording.z_means @ delay_m, recording.z_means @ order_m, recording.step_means @ change_N)
+    order_m = ASSUMED.noise.acceleration_share * time_constant_s**2 * _second_derivative(nominal_m, t_s)
+    tolerated = Estimated(servo_natural_frequency=cell.tolerances.servo_natural_frequency)
+    frequency_m = predict_motion(cell.with_estimated(tolerated), t_s, recording.z_cmd_m, library) - nominal_m
+    series_m = (order_m, time_constant_s * np.gradient(order_m, t_s), time_constant_s**2 * _second_derivative(order_m, t_s))
+    inertial_N = [_inertial_force(recording, cell, library, change_m) for change_m in (*series_m, delay_m, frequency_m)]
+    return ServoErrors(recording.z_means @ delay_m, recording.z_means @ order_m, np.array(inertial_N))
+
+
+def _inertial_force(recording: PreparedRecording, cell: CellFile, library: Mapping[str, Effect], change_m: Floats) -> Floats:
+    """Change (b,) of fz in N if the acceleration alone follows a change (k,) of the heights."""
+    change_m_per_s2 = np.interp(recording.motion.t_s, recording.robot_t_s, _second_derivative(change_m, recording.robot_t_s))
+    changed = replace(recording.motion, az_m_per_s2=recording.motion.az_m_per_s2 + change_m_per_s2)
+    before, after = (
+        recording.reading(cell, motion, library).averaged(lambda values: recording.step_means @ values, len(recording.bins))
+        for motion in (recording.motion, changed)
+    )
+    return np.asarray(after[FZ - 1] - before[FZ - 1])
 
 
 def _second_derivative(x: Floats, t_s: Floats) -> Floats:
