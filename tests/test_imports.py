@@ -20,6 +20,7 @@ OF_BENCHMARKS = {
     "hil/test_faults.py": {"fault_injection"},
     "hil/test_signals.py": {"signals"},
     "study/test_methods.py": {"compensation_methods", "recurrent_method"},
+    "test_foreign_cells.py": {"foreign", "foreign_cells"},
     "test_pages.py": {"fuzz_inputs"},
 }
 """Tests of a benchmark, or of a short sample of what it measures; what tests and benchmarks share otherwise is in palpd.testing."""
