@@ -8,11 +8,12 @@ import numpy as np
 from palpd.cell.cell_file import nominal
 from palpd.cell.simulation import equilibrium_force_N
 from palpd.config import parse_plan
-from palpd.gap.advise.motions import MotionLimits, TestMotion, motions
+from palpd.gap.advise.motions import MotionLimits, TestMotion, blank_recording, motions
 from palpd.gap.advise.next_experiment import advise, score, within_force
 from palpd.gap.advise.rivals import open_rivals
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.infer.posterior import Attribution
+from palpd.gap.model.problem import make_problem
 from tests.gap.test_diagnosis import recording
 
 LIMITS = MotionLimits(0.006, 9.0, 0.01, 0.02, 0.01, 0.05, 0.5)
@@ -91,3 +92,13 @@ def test_no_proposal_needs_more_force_than_allowed() -> None:
     none = within_force(problem, rivals, replace(LIMITS, force_N=-1.0))
     assert none.depth_m == 0.0
     assert not any(motion.depths_m for motion in motions(none))
+
+
+def test_a_press_that_is_nearly_all_hold_still_has_a_speed() -> None:
+    rate_Hz = 100
+    way_m = np.concatenate([np.full(100, 0.01), np.linspace(0.01, -0.003, 130), np.full(6000, -0.003), np.linspace(-0.003, 0.01, 130)])
+    cell = nominal()
+    samples = blank_recording(cell, np.arange(len(way_m)) / rate_Hz, way_m)
+    limits = MotionLimits.of(make_problem([samples], cell))
+    assert 0.005 < limits.press_speed_m_per_s < 0.02
+    assert 0.005 < limits.free_speed_m_per_s < 0.02

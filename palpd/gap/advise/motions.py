@@ -6,10 +6,12 @@ from math import ceil
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.simulation import predict_motion
 from palpd.gap.assumptions import ASSUMED
+from palpd.gap.data.phases import Phases
 from palpd.gap.model.problem import Problem
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -34,9 +36,8 @@ class MotionLimits:
     def of(problem: Problem) -> "MotionLimits":
         """The largest depth, force, height, speed and acceleration of the recordings: they were safe."""
         samples, phases = [its.samples for its in problem.recordings], [its.phases for its in problem.recordings]
-        speeds = [np.abs(its.velocity_m_per_s) for its in phases]
-        pressing = [v[its.depth_m > 0] for v, its in zip(speeds, phases, strict=True) if (its.depth_m > 0).any()]
-        free_speed = max(float(np.quantile(v, 0.98)) for v in speeds)
+        pressing = [_speed(its, 0.9, its.depth_m > 0.0) for its in phases if (its.depth_m > 0.0).any()]
+        free_speed = max(_speed(its, 0.98, np.ones(len(its.depth_m), bool)) for its in phases)
         depth_m = max(float(its.depth_m.max()) for its in phases)
         height_m = max(max(float(its.z_m.max()) for its in samples) - surface_of(problem), 0.2 * depth_m)
         stroke_m = min(FREE_HEIGHT_M, 0.8 * height_m)
@@ -45,10 +46,17 @@ class MotionLimits:
             force_N=max(float(np.quantile(its.wrench[:, 2], 0.999)) for its in samples),
             home_m=height_m - stroke_m,
             stroke_m=stroke_m,
-            press_speed_m_per_s=max((float(np.quantile(v, 0.9)) for v in pressing), default=free_speed),
+            press_speed_m_per_s=max(pressing, default=free_speed),
             free_speed_m_per_s=free_speed,
             acceleration_m_per_s2=max(float(np.quantile(np.abs(its.motion.az_m_per_s2), 0.99)) for its in problem.recordings),
         )
+
+
+def _speed(phases: Phases, share: float, where: NDArray[np.bool_]) -> float:
+    """Quantile of the speed in m/s at some samples (n,); where so many of them rest that it is no speed, the median of the others."""
+    speed, moving = np.abs(phases.velocity_m_per_s), where & phases.moving
+    quantile = float(np.quantile(speed[where], share))
+    return max(quantile, float(np.median(speed[moving]))) if moving.any() and quantile < speed[moving].min() else quantile
 
 
 def surface_of(problem: Problem) -> float:
