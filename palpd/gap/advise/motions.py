@@ -53,7 +53,7 @@ class MotionLimits:
 
 
 def _speed(phases: Phases, share: float, where: NDArray[np.bool_]) -> float:
-    """Quantile of the speed in m/s at some samples (n,); where so many of them rest that it is no speed, the median of the others."""
+    """Quantile of the speed in m/s at some samples (n,); where that is a speed at rest, the median of the samples that move."""
     speed, moving = np.abs(phases.velocity_m_per_s), where & phases.moving
     quantile = float(np.quantile(speed[where], share))
     return max(quantile, float(np.median(speed[moving]))) if moving.any() and quantile < speed[moving].min() else quantile
