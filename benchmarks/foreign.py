@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.foreign_cells import ForeignCase, plan_cases, write_case
+from palpd.blind.score import wilson
 from palpd.files import write_text
 
 TIMEOUT_S = 1800
@@ -118,12 +119,8 @@ def diagnose(palpd: Path, folder: Path, name: str) -> str:
 
 def share(k: int, n: int) -> str:
     """Share of k in n in per cent with Wilson's 95 % interval."""
-    if not n:
-        return "– |"
-    z, p = 1.959964, k / n
-    centre, half = p + z * z / 2 / n, z * ((p * (1 - p) + z * z / 4 / n) / n) ** 0.5
-    low, high = ((centre + side * half) / (1 + z * z / n) for side in (-1, 1))
-    return f"{p:.0%} | {max(0, low):.0%} to {min(1, high):.0%}"
+    low, high = wilson(k, n)
+    return f"{k / n:.0%} | {low:.0%} to {high:.0%}" if n else "– |"
 
 
 def main_table(answers: list[ForeignAnswer]) -> list[str]:
@@ -190,10 +187,8 @@ def table_of_wrong_answers(answers: list[ForeignAnswer]) -> list[str]:
             f"`{e['id']}` ({e['probability']:.2f}{'; or ' if e['indistinguishable_from'] else ''}{', '.join(e['indistinguishable_from'])})"
             for e in a.answer["effects"]
         )
-        step, misfit = (
-            "coarse" if truth["coarse"] else "fine",
-            f"{truth['controller_misfit']['snr']:.0f}" if truth["z_cmd"] else "no `z_cmd_m`",
-        )
+        step = "coarse" if truth["coarse"] else "fine"
+        misfit = f"{truth['controller_misfit']['snr']:.0f}" if truth["z_cmd"] else "no `z_cmd_m`"
         rows.append(f"| {a.name} | {acting} | {step} | {misfit} | {a.answer['verdict']} | {named or 'nothing'} | {truth['note']} |")
     return rows
 

@@ -19,6 +19,7 @@ from palpd.cell.effects.drivers import WORDS, Driver
 from palpd.cell.simulation import simulate
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.commands import simulate_file, write_answer
+from palpd.gap.data.rounding import Rounding
 from palpd.gap.decide import BeyondList, _beyond_list
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.gaussian.evidence import group_evidence
@@ -29,6 +30,7 @@ from palpd.gap.laws.bases import hats, powers
 from palpd.gap.laws.evidence import LawEvidence, SoughtLaw, leading_leaves
 from palpd.gap.laws.formulas import formulas_of
 from palpd.gap.laws.held_out import held_out
+from palpd.gap.laws.search import search
 from palpd.gap.report.page import curves_of, page
 from palpd.tick import Floats
 from tests.gap.test_diagnosis import heights, quick, recording
@@ -277,3 +279,16 @@ def test_readings_in_coarse_steps_have_no_law() -> None:
     diagnosis = quick(replace(samples, wrench=wrench), nominal())
     assert "sensor.quantization" in [effect.id for effect in diagnosis.effects]
     assert diagnosis.to_json()["learned"] is None
+
+
+def test_a_law_smaller_than_the_rounding_of_its_channel_is_none(rail: Diagnosis) -> None:
+    law = rail.decision.law
+    assert law is not None
+    scene, space = law.sought.law.scene, law.sought.law.space
+
+    def found_beside(step_N: float) -> int:
+        rounding = Rounding(step_N, 0.0, 0.0, 0.01 * step_N, "nearest", step_N)
+        return len(search(replace(scene, problem=replace(scene.problem, roundings=(rounding,))), space).terms)
+
+    assert found_beside(0.01) == len(law.sought.law.terms)
+    assert found_beside(5.0) == 0

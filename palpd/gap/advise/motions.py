@@ -56,7 +56,7 @@ def _speed(phases: Phases, share: float, where: NDArray[np.bool_]) -> float:
     """Quantile of the speed in m/s at some samples (n,); where that is a speed at rest, the median of the samples that move."""
     speed, moving = np.abs(phases.velocity_m_per_s), where & phases.moving
     quantile = float(np.quantile(speed[where], share))
-    return max(quantile, float(np.median(speed[moving]))) if moving.any() and quantile < speed[moving].min() else quantile
+    return float(np.median(speed[moving])) if moving.any() and quantile < speed[moving].min() else quantile
 
 
 def surface_of(problem: Problem) -> float:

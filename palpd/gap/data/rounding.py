@@ -215,6 +215,11 @@ def undithered_rms(step: float, noise_rms: float) -> float:
     return float(step / np.sqrt(12.0) * np.exp(-2.0 * (np.pi * noise_rms / step) ** 2)) if step > 0.0 else 0.0
 
 
+def undithered_rms_of(cell: CellFile) -> Floats:
+    """The same of every channel (7,) by its stated step and noise, in the units of the channels; heights are not rounded."""
+    return np.array([undithered_rms(step, rms) for step, rms in zip(resolutions(cell), pure_rms(cell), strict=True)])
+
+
 def coarse_step_N(samples: Samples, cell: CellFile) -> float:
     """The usual distance in N between neighbouring values of fz; 0 unless it is much coarser than step and noise that the cell states."""
     values = np.unique(samples.wrench[:, 2])

@@ -6,9 +6,9 @@ from functools import cached_property
 import numpy as np
 
 from palpd.gap.assumptions import ASSUMED
-from palpd.gap.data.noise import FZ, Z, pure_rms, resolutions
+from palpd.gap.data.noise import FZ, Z
 from palpd.gap.data.phases import Ints
-from palpd.gap.data.rounding import undithered_rms
+from palpd.gap.data.rounding import undithered_rms_of
 from palpd.gap.gaussian.evidence import group_evidence
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace, whitened
 from palpd.gap.laws.bases import Basis
@@ -172,7 +172,8 @@ def _next_term(scorer: Scorer, fold: Ints) -> LawTerm | None:
     leading += [one for lead in leading if (one := scorer.best_formula(lead)) is not None]
     return_memory()
     exact = sorted((scorer.exact(lead.candidate) for lead in leading), key=lambda one: -one[0].nats)
-    exact = [(one, columns) for one, columns in exact if _shows(scene, one, columns)]
+    hidden = _hidden(scene)
+    exact = [(one, columns) for one, columns in exact if _shows(scene, one, columns, hidden)]
     if not exact:
         return None
     (best, columns), *others = exact
@@ -224,8 +225,8 @@ def _first_of_each(scored: list[Scored], most: int) -> list[Scored]:
     return list(out.values())[:most]
 
 
-def _shows(scene: Scene, one: Scored, columns: dict[int, Floats]) -> bool:
-    """Whether the change by a candidate is larger, in a channel, than what the simulation of that channel may lack.
+def _shows(scene: Scene, one: Scored, columns: dict[int, Floats], hidden: Floats) -> bool:
+    """Whether the change by a candidate is larger, in a channel, than what the simulation of that channel may lack: `hidden` (7,).
 
     A change of the reported height below the noise of one report is an error of the model of the follower. A change of a force below the
     error of its rounding that noise does not dither is that error: a few hundred readings of one force keep it.
@@ -235,13 +236,13 @@ def _shows(scene: Scene, one: Scored, columns: dict[int, Floats]) -> bool:
         white[channel] = values @ one.evidence.mean
     change = scene.problem.noise.natural(white)
     rms = np.sqrt((change**2).mean(axis=1) / np.maximum((change != 0.0).mean(axis=1), 1e-300))
-    return bool((rms > _hidden(scene))[list(columns)].any())
+    return bool((rms > hidden)[list(columns)].any())
 
 
 def _hidden(scene: Scene) -> Floats:
     """Noise of a report of the height, the largest of all recordings, and errors of rounding (7,) in the units of the channels."""
     problem = scene.problem
-    hidden = [undithered_rms(step, rms) for step, rms in zip(resolutions(problem.cell), pure_rms(problem.cell), strict=True)]
+    hidden = undithered_rms_of(problem.cell)
     hidden[Z] = max(float(one.noise_rms[Z]) for one in problem.recordings)
     hidden[FZ] = max((one.undithered_rms_N for one in problem.roundings), default=0.0)
-    return np.array(hidden)
+    return hidden

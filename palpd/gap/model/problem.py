@@ -16,11 +16,11 @@ from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS, Effect, Scale
 from palpd.cell.simulation import predict_motion, scale_of
 from palpd.gap.assumptions import ASSUMED
-from palpd.gap.data.noise import FX, FZ, Z, pure_rms, resolutions
+from palpd.gap.data.noise import FX, FZ, Z
 from palpd.gap.data.observations import Observations
 from palpd.gap.data.phases import PHASES
 from palpd.gap.data.prepare import PreparedRecording, prepare, stated_cell
-from palpd.gap.data.rounding import Rounding, Way, undithered_rms
+from palpd.gap.data.rounding import Rounding, Way, undithered_rms_of
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.gap.model.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
 from palpd.gap.model.servo_error import ServoErrors, servo_errors
@@ -385,8 +385,7 @@ def _hidden_rms(cell: CellFile, bins: int) -> Floats:
 
     Where the force is the same, so is that error: no number of bins averages it, and all of them count as one reading for each phase.
     """
-    rms = [undithered_rms(step, noise) for step, noise in zip(resolutions(cell), pure_rms(cell), strict=True)]
-    return np.sqrt(bins / len(PHASES)) * np.where(np.isin(range(7), (Z, FZ)), 0.0, rms)[:, None]
+    return np.sqrt(bins / len(PHASES)) * np.where(np.isin(range(7), (Z, FZ)), 0.0, undithered_rms_of(cell))[:, None]
 
 
 def _stiffness(cell: CellFile, recording: PreparedRecording) -> Floats:

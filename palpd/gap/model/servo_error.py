@@ -1,6 +1,6 @@
 """How real controllers differ from the nominal second-order servo without being slower: part of every healthy cell."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import pi
 
@@ -50,19 +50,21 @@ def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[
     tolerated = Estimated(servo_natural_frequency=cell.tolerances.servo_natural_frequency)
     frequency_m = predict_motion(cell.with_estimated(tolerated), t_s, recording.z_cmd_m, library) - nominal_m
     series_m = (order_m, time_constant_s * np.gradient(order_m, t_s), time_constant_s**2 * _second_derivative(order_m, t_s))
-    inertial_N = [_inertial_force(recording, cell, library, change_m) for change_m in (*series_m, delay_m, frequency_m)]
-    return ServoErrors(recording.z_means @ delay_m, recording.z_means @ order_m, np.array(inertial_N))
+    inertial_N = _inertial_forces(recording, cell, library, (*series_m, delay_m, frequency_m))
+    return ServoErrors(recording.z_means @ delay_m, recording.z_means @ order_m, inertial_N)
 
 
-def _inertial_force(recording: PreparedRecording, cell: CellFile, library: Mapping[str, Effect], change_m: Floats) -> Floats:
-    """Change (b,) of fz in N if the acceleration alone follows a change (k,) of the heights."""
-    change_m_per_s2 = np.interp(recording.motion.t_s, recording.robot_t_s, _second_derivative(change_m, recording.robot_t_s))
-    changed = replace(recording.motion, az_m_per_s2=recording.motion.az_m_per_s2 + change_m_per_s2)
-    before, after = (
-        recording.reading(cell, motion, library).averaged(lambda values: recording.step_means @ values, len(recording.bins))
-        for motion in (recording.motion, changed)
-    )
-    return np.asarray(after[FZ - 1] - before[FZ - 1])
+def _inertial_forces(recording: PreparedRecording, cell: CellFile, library: Mapping[str, Effect], changes_m: Sequence[Floats]) -> Floats:
+    """Changes (c, b) of fz in N if the acceleration alone follows each of c changes (k,) of the heights."""
+    t_s, motion = recording.robot_t_s, recording.motion
+
+    def fz_N(az_m_per_s2: Floats) -> Floats:
+        reading = recording.reading(cell, replace(motion, az_m_per_s2=az_m_per_s2), library)
+        return reading.averaged(lambda values: recording.step_means @ values, len(recording.bins))[FZ - 1]
+
+    unchanged_N = fz_N(motion.az_m_per_s2)
+    changes_m_per_s2 = [np.interp(motion.t_s, t_s, _second_derivative(change_m, t_s)) for change_m in changes_m]
+    return np.array([fz_N(motion.az_m_per_s2 + change_m_per_s2) - unchanged_N for change_m_per_s2 in changes_m_per_s2])
 
 
 def _second_derivative(x: Floats, t_s: Floats) -> Floats:
