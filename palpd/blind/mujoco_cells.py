@@ -51,7 +51,7 @@ LEAST_SNR = 3.6
 LARGEST_FORCE_MISMATCH = 3.0
 """Largest signal-to-noise ratio of what a healthy cell's forces leave with its tolerances fitted: a cell with more is not within
 tolerance of its cell file, as the contract asks. The heights have no such bound: no real controller is the stated second order."""
-CELLS_TRIED = 12
+CELLS_TRIED = 40
 """Number of cells that are tried for one specification."""
 NEXT_CELL = 1_000_003
 """Step in the number of the cell from one trial to the next, so that no two specifications share a cell."""
