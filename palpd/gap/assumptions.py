@@ -99,6 +99,12 @@ class NoiseAssumptions:
         0.02, "ratio", "least error of a simulator, as a share of the gap: no real cell follows its formulas better"
     )
     model_error_quantile: float = assume(0.95, "probability", "quantile of the gap that this share refers to")
+    model_error_elsewhere: float = assume(
+        0.3,
+        "ratio",
+        "least error of a simulator in the air over that within presses, and within presses over that in the air",
+        "rests of public recordings",
+    )
     own_height_share: float = assume(0.25, "ratio", "share of the noise of reported heights that each bin has for itself")
     most_held: float = assume(0.2, "ratio", "share of held samples above which a bin does not count")
     unreported_share: float = assume(
@@ -137,16 +143,15 @@ class RoundingAssumptions:
     dithered_steps: float = assume(
         0.36, "steps", "noise from which on rounding averages out", "the mean reading is then less than 3 % of a step off the force"
     )
-    air_reach_steps: float = assume(1.5, "steps", "distance from the force at rest up to which the force is that of the probe in the air")
-    least_dither_steps: float = assume(
-        0.1,
-        "steps",
-        "least noise with which a reading is predicted: no force is known better",
+    coherent_steps: float = assume(2.5, "steps", "motion of the force over which tolerances leave the phase of a rounding error known")
+    own_phase: float = assume(
+        0.5, "ratio", "rounding error in the air that every stroke and rest has for itself, over all of it: zeros drift"
     )
-    offset_share: float = assume(0.1, "ratio", "offset of rounding at a rest, over the noise of fz, below which rests have none")
+    most_harmonics: int = assume(4, "count", "harmonics of the rounding error that have columns at most")
+    least_harmonic: float = assume(0.15, "ratio", "size of a harmonic, over that of the first, below which it has no column")
+    unphased_share: float = assume(0.4, "ratio", "rounding error that no column holds, over all of it", "five harmonics and more have 0.37")
     even_rms_steps: float = assume(0.6, "steps", "rms of rounded readings from which on their variance is the same wherever they rest")
     largest_jump_steps: float = assume(6.0, "steps", "second difference of rounded readings that counts at most")
-    other_way_nats: float = assume(5.0, "nats", "by which another way of rounding must beat rounding to the nearest level")
 
 
 @dataclass(frozen=True)
@@ -188,6 +193,7 @@ class ScatterAssumptions:
     coarse_noise_ratio: float = assume(0.5, "ratio", "step of the readings over the stated noise above which it is coarse")
     fewest_held_runs: int = assume(3, "count", "stretches of repeated rows from which on samples count as held")
     held_chance_ratio: float = assume(4.0, "ratio", "repeated rows over those of chance from which on samples count as held")
+    p_long_run: float = assume(0.01, "probability", "that chance makes a stretch as long, below which it counts as held")
     fewest_held_rows: float = assume(10.0, "rows", "repeated rows beyond those of chance from which on samples count as held")
 
 

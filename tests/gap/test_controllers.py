@@ -27,6 +27,13 @@ def test_a_controller_of_another_order_that_moves_a_heavy_probe_is_no_resonance(
     assert diagnosis.verdict == "none", diagnosis.sentence
 
 
+def test_targets_that_are_held_and_sampled_with_a_heavy_probe_are_no_drag() -> None:
+    """Each target steps the acceleration, and samples at one phase of the cycle miss its mean in proportion to the speed."""
+    heavy = recording("held at 500 Hz", 101, IN_TOLERANCE, heavy_cell_of)
+    diagnosis = diagnose([heavy], heavy_cell_of("held at 500 Hz"), max_bins=3000, propose=False)
+    assert diagnosis.verdict == "none", diagnosis.sentence
+
+
 def giving_way(share: float) -> Samples:
     """A recording of a robot that gives way under load, by that share of the noise of one height at the largest force."""
     samples, cell = recording("second order", 101), cell_of("second order")

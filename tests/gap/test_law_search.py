@@ -287,8 +287,8 @@ def test_a_law_smaller_than_the_rounding_of_its_channel_is_none(rail: Diagnosis)
     scene, space = law.sought.law.scene, law.sought.law.space
 
     def found_beside(step_N: float) -> int:
-        rounding = Rounding(step_N, 0.0, 0.0, 0.01 * step_N, "nearest", step_N)
-        return len(search(replace(scene, problem=replace(scene.problem, roundings=(rounding,))), space).terms)
+        rounding = Rounding(step_N, 0.01 * step_N, coarse=False)
+        return len(search(replace(scene, problem=replace(scene.problem, rounding=rounding)), space).terms)
 
     assert found_beside(0.01) == len(law.sought.law.terms)
     assert found_beside(5.0) == 0

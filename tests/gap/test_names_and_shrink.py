@@ -1,5 +1,6 @@
 """What is named is probable, and the gap before is that of the best cell without the effects."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ from palpd.cell.cell_file import CellFile
 from palpd.gap.decide import _probable_groups
 from palpd.gap.infer.shrink import _without_effects_at_its_modulus
 from palpd.gap.model.problem import SHARED, Problem, make_problem
+from palpd.gap.model.workspace import Workspace
 from palpd.testing.plain_cells import cell_of, recording
 
 
@@ -61,3 +63,25 @@ def test_a_fit_that_runs_away_does_not_raise_the_floor_above_the_readings() -> N
     calm = problem.with_model_error_floor(problem.data)
     wild = problem.with_model_error_floor(1e6 * problem.data)
     assert wild.noise.sigma[3].max() < 10.0 * calm.noise.sigma[3].max()
+
+
+def test_the_error_of_the_simulator_counts_in_the_air_and_within_presses_apart() -> None:
+    """Where nobody knows the modulus, the gap is the whole contact force: it hides less of a small effect in the air."""
+    problem = of_unknown_modulus()
+    in_air = problem.per_bin(lambda recording: recording.bins.label(recording.phases.press)) < 0
+    floored = problem.with_model_error_floor(np.where(in_air, 0.0, problem.data)).noise.sigma[3]
+    added = np.sqrt(floored**2 - problem.noise.sigma[3] ** 2)
+    assert 0 < in_air.sum() < len(in_air)
+    np.testing.assert_allclose(added[in_air], 0.3 * added[~in_air][0], rtol=1e-6)
+    np.testing.assert_allclose(added[~in_air], added[~in_air][0], rtol=1e-6)
+
+
+def test_the_laws_of_known_effects_are_no_better_known_than_those_of_fitted_ones() -> None:
+    problem = of_unknown_modulus()
+    known = replace(problem, cell=problem.cell.with_effects({"cable.spring": {"stiffness_N_per_m": 200.0}}), workspace=Workspace())
+    nothing = np.zeros_like(problem.data)
+    np.testing.assert_array_equal(problem.with_model_error_floor(nothing).noise.sigma, problem.noise.sigma)
+    change = known.predict({}, known.nominal_eta) - problem.predict({}, problem.nominal_eta)
+    first, second = problem.with_model_error_floor(change), known.with_model_error_floor(nothing)
+    np.testing.assert_allclose(second.noise.sigma, first.noise.sigma, rtol=1e-9)
+    assert second.noise.sigma[3].max() > 1.1 * problem.noise.sigma[3].max()

@@ -1,6 +1,6 @@
 """What the diagnosis takes for noise, and where samples stand in time."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,11 +15,9 @@ from palpd.gap.data.bins import Bins
 from palpd.gap.data.cleaning import without_held, without_tails
 from palpd.gap.data.noise import FZ, lattice_step
 from palpd.gap.data.observations import observe
-from palpd.gap.data.recorded_noise import readings_at_rest_N
-from palpd.gap.data.rounding import WAYS, Way, coarse_step_N, noise_before_rounding, rounded_moments, roundings_of
+from palpd.gap.data.rounding import coarse_step_N, noise_before_rounding, rounded_moments, rounding_of
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.gaussian.whitening import Whitening
-from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import make_problem
 from palpd.recording.oddities import measured_rms
 from palpd.recording.samples import Samples
@@ -78,6 +76,20 @@ def test_repeats_that_rounding_makes_by_chance_are_no_held_samples() -> None:
     assert without_held(at_rest(wrench))[1] >= 20
 
 
+def test_two_long_stretches_are_held_samples_also_where_steps_make_short_ones() -> None:
+    rng = np.random.default_rng(8)
+    wrench = np.round(rng.normal(0.0, 0.6, (30_000, 6)))
+    assert (np.diff(wrench, axis=0) == 0.0).all(axis=1).sum() > 10
+    assert without_held(at_rest(wrench))[1] == 0
+    for row in (5_000, 20_000):
+        wrench[row : row + 40] = wrench[row]
+    samples, stretches, held_s = without_held(at_rest(wrench))
+    assert samples.held is not None
+    assert stretches == 2
+    assert samples.held.sum() < 90
+    assert held_s == pytest.approx(39 / 500.0, abs=2 / 500.0)
+
+
 def test_repeats_by_chance_are_counted_whatever_their_last_bits() -> None:
     """A rotation into base axes leaves other last bits in row after row."""
     rng = np.random.default_rng(7)
@@ -87,20 +99,13 @@ def test_repeats_by_chance_are_counted_whatever_their_last_bits() -> None:
     assert without_held(at_rest(wrench))[1] == without_held(at_rest(turned))[1] == 0
 
 
-def rounded(force: Floats, way: Way) -> Floats:
-    return {"nearest": np.rint, "down": np.floor, "to zero": np.trunc}[way](force)
-
-
-@pytest.mark.parametrize("first", [0.0, 0.262])
-@pytest.mark.parametrize("way", WAYS)
-def test_mean_and_variance_of_rounded_readings_are_those_of_simulated_ones(way: Way, first: float) -> None:
+def test_mean_and_variance_of_rounded_readings_are_those_of_simulated_ones() -> None:
     """Noise of 0.02 to 2 steps, forces anywhere between the levels: errors of a simulation of that length, and no larger ones."""
     rng, n = np.random.default_rng(12), 20_000
     for noise in np.exp(rng.uniform(np.log(0.02), np.log(2.0), 40)):
         force = rng.uniform(-3.0, 3.0, 5)
-        before = force[:, None] + noise * rng.standard_normal((5, n))
-        readings = rounded(np.rint(before / first) * first if first else before, way)
-        mean, variance = rounded_moments(force, noise, way, first)
+        readings = np.rint(force[:, None] + noise * rng.standard_normal((5, n)))
+        mean, variance = rounded_moments(force, noise)
         fourth = ((readings - mean[:, None]) ** 4).mean(axis=1)
         assert (np.abs(readings.mean(axis=1) - mean) < 5.0 * np.sqrt(np.maximum(variance, 1e-4) / n)).all()
         assert (np.abs(readings.var(axis=1) - variance) < 5.0 * np.sqrt(np.maximum(fourth, 1e-4) / n)).all()
@@ -120,62 +125,17 @@ def test_noise_before_rounding_is_that_of_the_readings_wherever_they_rest() -> N
     assert not all(seen), "noise far below a step hides in it"
 
 
-def at_rest_in_turn(rng: np.random.Generator, forces_N: Sequence[float], noise_N: float, zero_N: float, n: int = 50_000) -> Floats:
-    """Readings (n of each force, to whole steps of 0.131 N) of a sensor whose zero is off."""
-    return 0.131 * np.rint((np.repeat(forces_N, n) + zero_N + noise_N * rng.standard_normal(n * len(forces_N))) / 0.131)
-
-
-@pytest.mark.parametrize("noise", [0.15, 0.25, 0.3])
-@pytest.mark.parametrize("zero_N", [-0.171, 0.0, 0.03])
-def test_a_zero_that_is_off_moves_all_readings_alike_and_is_counted_once(noise: float, zero_N: float) -> None:
-    """Readings minus those predicted without any bias are the bias, at rest and beside it: so tolerance and effect act in one frame."""
-    noise_N, forces_N = noise * 0.131, np.array([0.0, 0.05, -0.08, 0.11])
-    readings_N = at_rest_in_turn(np.random.default_rng(9), forces_N, noise_N, zero_N)
-    wrench = np.zeros((len(readings_N), 6))
-    wrench[:, 2] = readings_N
-    means_N = readings_N.reshape(4, -1).mean(axis=1)
-    (rounding,) = roundings_of([at_rest(wrench)], [0.0], nominal(), noise_N, [float(means_N[0])])
-    predicted_N = rounding.readings(forces_N, np.array([0]))
-    np.testing.assert_allclose(means_N - predicted_N, zero_N, atol=0.03 * 0.131)
-    # A hypothesis with that bias predicts the same readings, moved by it.
-    np.testing.assert_allclose(rounding.readings(forces_N + zero_N, np.array([0])), predicted_N + zero_N, atol=1e-9)
-    far_N = np.array([0.0, 5.3 * 0.131])
-    assert rounding.readings(far_N, np.array([0]))[1] == far_N[1], "far from the rests tolerances hide the levels"
-
-
-def test_each_recording_has_the_levels_of_its_own_tare() -> None:
-    rng, noise_N = np.random.default_rng(14), 0.02
-    recordings, rests_N = [], []
-    for tare_N in (0.02, -0.05):
-        wrench = np.zeros((100_000, 6))
-        wrench[:, 2] = at_rest_in_turn(rng, (0.0, 0.08), noise_N, 0.01) - tare_N
-        recordings.append(at_rest(wrench))
-        rests_N.append(float(wrench[:50_000, 2].mean()))
-    for samples, rounding in zip(recordings, roundings_of(recordings, [0.0, 0.0], nominal(), noise_N, rests_N), strict=True):
-        first_N, then_N = samples.wrench[:, 2].reshape(2, -1).mean(axis=1)
-        at_first_N, there_N = rounding.readings(np.array([0.0, 0.08]), np.array([0]))
-        assert there_N - at_first_N == pytest.approx(then_N - first_N, abs=0.03 * 0.131)
-
-
-@pytest.mark.parametrize(("way", "level"), [("nearest", 0.0), ("nearest", 0.5), ("down", 0.0), ("down", 0.5), ("to zero", 0.0)])
-def test_coarse_rounding_is_found_and_followed_on_average(way: Way, level: float) -> None:
-    rng = np.random.default_rng(5)
-    wrench = rng.normal(0.0, 0.1, (20_000, 6)) + np.repeat(np.linspace(0.0, 8.0, 200), 100)[:, None]
-    wrench[:, 2] = (rounded(wrench[:, 2] / 0.37 - level, way) + level) * 0.37
-    rest_N = float(0.37 * (rounded(rng.normal(0.0, 0.1, 200_000) / 0.37 - level, way) + level).mean())
-    (coarse,) = roundings_of([at_rest(wrench)], [coarse_step_N(at_rest(wrench), nominal())], nominal(), 0.1, [rest_N])
-    assert coarse.step_N == pytest.approx(0.37, rel=2e-3)
-    assert abs((coarse.level_N / 0.37 - level + 0.5) % 1.0 - 0.5) < 0.1
-    forces_N = np.array([0.0, 0.2, 1.23, -0.3])
-    readings_N = 0.37 * (rounded((forces_N[:, None] + rng.normal(0.0, 0.1, (4, 200_000))) / 0.37 - level, way) + level)
-    predicted_N = replace(coarse, way=way).readings(forces_N, np.array([0]))
-    np.testing.assert_allclose(predicted_N - predicted_N[0], readings_N.mean(axis=1) - rest_N, atol=0.02 * 0.37)
+@pytest.mark.parametrize("cut", [np.rint, np.floor, np.trunc])
+def test_the_step_of_coarse_readings_is_found(cut: Callable[[Floats], Floats]) -> None:
+    wrench = np.random.default_rng(5).normal(0.0, 0.1, (20_000, 6)) + np.repeat(np.linspace(0.0, 8.0, 200), 100)[:, None]
+    wrench[:, 2] = 0.37 * cut(wrench[:, 2] / 0.37)
+    assert coarse_step_N(at_rest(wrench), nominal()) == pytest.approx(0.37, rel=2e-3)
 
 
 def test_rounding_to_the_stated_step_counts_where_noise_does_not_dither_it() -> None:
     step_N = nominal().sensor.resolution_fz_N
     for noise, counts in ((0.3, True), (0.6, False)):
-        assert bool(roundings_of([at_rest(np.zeros((100, 6)))], [0.0], nominal(), noise * step_N, [0.0])) == counts
+        assert (rounding_of(0.0, nominal(), noise * step_N) is not None) == counts
 
 
 def free_strokes(cell: CellFile, bias_N: float = 0.0) -> Samples:
@@ -237,27 +197,6 @@ def test_no_number_of_bins_averages_an_error_of_rounding_that_noise_does_not_dit
     information = [np.sum(sigma**-2.0) * cell.sensor.resolution_fxy_N**2 / 12.0 for sigma in (fine, coarse)]
     assert information[0] == pytest.approx(information[1], rel=0.1)
     assert information[0] < 10.0
-
-
-def test_drift_acts_through_the_rounding_as_the_effect_does() -> None:
-    """Its column is what a cell with that drift predicts more, and a bias column is the same for all readings."""
-    cell = undithered()
-    samples = free_strokes(cell)
-    roundings = roundings_of([samples], [0.0], cell, *readings_at_rest_N([samples], cell))
-    problem = make_problem([samples], cell, roundings=roundings)
-    around = linearise(problem, {}, problem.nominal_eta)
-    per_min = cell.tolerances.drift_N_per_min
-
-    def column(name: str) -> Floats:
-        (number,) = around.numbers("recording", name, FZ)
-        return around.space.explained(np.eye(around.space.size)[number])[FZ]
-
-    effect = {"sensor.drift": {"rate_N_per_s": 0.5 * per_min / 60.0}}
-    change = 2.0 * (problem.predict(effect, problem.nominal_eta) - around.prediction)[FZ]
-    np.testing.assert_allclose(column("drift_N_per_min"), change, atol=1e-6 * np.abs(change).max())
-    effect = {"sensor.bias": {"offset_N": cell.tolerances.bias_N}}
-    change = (problem.predict(effect, problem.nominal_eta) - around.prediction)[FZ]
-    np.testing.assert_allclose(column("bias_N"), change, atol=1e-6 * np.abs(change).max())
 
 
 def test_tails_are_taken_out_of_noise_that_is_too_large_only() -> None:

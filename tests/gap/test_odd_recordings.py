@@ -13,7 +13,7 @@ from palpd.errors import RecordingError
 from palpd.gap.data.phases import find_phases
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.infer.candidates import ringing_frequencies, spectral_peaks
-from palpd.gap.infer.settle import fit_nominal
+from palpd.gap.infer.settle import settle
 from palpd.gap.model.problem import make_problem
 from palpd.recording.samples import Samples
 from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
@@ -192,7 +192,7 @@ def test_the_place_of_a_gap_does_not_depend_on_a_modulus_that_nobody_knows(modul
 def test_a_slow_vibration_is_found_below_what_the_servo_explains() -> None:
     samples, cell = recording("second order", 101, PlantedDeviations(servo_natural_frequency=-0.04)), cell_of("second order")
     swinging = replace(samples, z_m=samples.z_m + 8e-7 * np.sin(2.0 * np.pi * 2.0 * samples.t_s))
-    nominal = fit_nominal(make_problem([swinging], cell, max_bins=900))
+    nominal = settle(make_problem([swinging], cell, max_bins=900))
     predicted = nominal.problem.raw_prediction(nominal.problem.recordings[0], nominal.problem.cell_at({}, nominal.fit.eta))
     assert any(abs(peak_Hz - 2.0) < 0.02 for peak_Hz in spectral_peaks(nominal.problem, predicted))
 
@@ -206,7 +206,7 @@ def test_a_search_for_a_resonance_starts_near_its_frequency(over_servo: float) -
     push_m_per_s2 = np.gradient(samples.vz_m_per_s, samples.t_s)
     wrench = samples.wrench.copy()
     wrench[:, 2] -= 0.5 * cell.probe.mass_kg * (lfilter(b, a, push_m_per_s2) - push_m_per_s2)
-    nominal = fit_nominal(make_problem([replace(samples, wrench=wrench)], cell, max_bins=900))
+    nominal = settle(make_problem([replace(samples, wrench=wrench)], cell, max_bins=900))
     predicted = nominal.problem.raw_prediction(nominal.problem.recordings[0], nominal.problem.cell_at({}, nominal.fit.eta))
     starts_Hz = ringing_frequencies(nominal.problem, predicted)
     assert any(abs(start_Hz / frequency_Hz - 1.0) < 0.05 for start_Hz in starts_Hz), starts_Hz

@@ -8,7 +8,7 @@ import pytest
 from palpd.cell.cell_file import CellFile, nominal
 from palpd.cell.simulation import simulate
 from palpd.cell.stages import WRENCH
-from palpd.gap.data.recorded_noise import readings_at_rest_N, with_recorded_noise
+from palpd.gap.data.recorded_noise import noise_of_fz_N, with_recorded_noise
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.model.problem import make_problem
 from palpd.recording.samples import Samples
@@ -28,11 +28,11 @@ def test_noise_and_resolution_that_are_not_stated_are_those_of_the_recording() -
 
 def test_noise_before_rounding_is_that_of_lateral_axes_where_these_are_healthy() -> None:
     samples = recording("second order", 101)
-    assert readings_at_rest_N([samples], nominal())[0] == pytest.approx(0.05, rel=0.05)
+    assert noise_of_fz_N([samples], nominal()) == pytest.approx(0.05, rel=0.05)
     quieter = replace(samples, wrench=0.8 * samples.wrench)
-    assert readings_at_rest_N([quieter], nominal())[0] == pytest.approx(0.04, rel=0.05)
+    assert noise_of_fz_N([quieter], nominal()) == pytest.approx(0.04, rel=0.05)
     silent = replace(samples, wrench=np.where(np.arange(6) == 2, samples.wrench, 0.0))
-    assert readings_at_rest_N([silent], nominal())[0] == readings_at_rest_N([in_nanonewtons(samples)], nominal())[0] == 0.05
+    assert noise_of_fz_N([silent], nominal()) == noise_of_fz_N([in_nanonewtons(samples)], nominal()) == 0.05
 
 
 def test_stated_noise_stays_and_is_questioned_where_the_recording_shows_another() -> None:
@@ -63,4 +63,4 @@ def test_readings_that_rest_within_a_level_say_little_of_the_noise_and_question_
     coarse = replace(samples, wrench=np.column_stack([within, samples.wrench[:, 2:]]))
     cell = nominal().model_copy(update={"sensor": nominal().sensor.model_copy(update={"resolution_fxy_N": step_N})})
     assert with_recorded_noise([coarse], cell) == (cell, [], [])
-    assert readings_at_rest_N([coarse], cell)[0] == 0.05
+    assert noise_of_fz_N([coarse], cell) == 0.05

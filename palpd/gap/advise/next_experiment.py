@@ -247,7 +247,7 @@ def _trial(problem: Problem, t_s: Floats, z_cmd_m: Floats, weight: float) -> Pro
     """The problem that a recording of that motion would pose, in which each bin counts for `weight` bins."""
     live = np.any([recording.judged[FX:] for recording in problem.recordings], axis=0)
     blank = blank_recording(problem.cell, t_s, z_cmd_m, live)
-    trial = make_problem([blank], problem.cell, problem.library, TRIAL_BINS, roundings=problem.roundings[:1], scale=problem.scale)
+    trial = make_problem([blank], problem.cell, problem.library, TRIAL_BINS, rounding=problem.rounding, scale=problem.scale)
     return trial.with_row_weight(weight)
 
 

@@ -7,7 +7,7 @@ from scipy.ndimage import median_filter
 
 from palpd.cell.cell_file import CellFile
 from palpd.gap.assumptions import ASSUMED
-from palpd.gap.data.noise import declared_rms, held_runs, repeats
+from palpd.gap.data.noise import declared_rms, held_runs
 from palpd.gap.data.phases import ROUNDING
 from palpd.gap.data.rounding import coarse_step_N
 from palpd.recording.oddities import dead, measured_rms
@@ -62,15 +62,22 @@ def without_held(samples: Samples) -> tuple[Samples, int, float]:
     Returns:
         The bridged recording, the number of stretches, and their mean length in s.
     """
-    runs, length, chance = held_runs(samples)
-    step_s = 1.0 / samples.rate_Hz
-    a = ASSUMED.scatter
-    if runs < a.fewest_held_runs or runs * length < a.held_chance_ratio * chance + a.fewest_held_rows:
-        return samples, 0, 0.0
-    same = np.concatenate([[False], repeats(samples.wrench).all(axis=1)])
+    first, end, p_chance = held_runs(samples)
+    a, rows, lengths = ASSUMED.scatter, len(samples) - 1, end - first
+    if len(first) < a.fewest_held_runs or lengths.sum() < a.held_chance_ratio * p_chance * rows + a.fewest_held_rows:
+        # Chance makes many short stretches where steps are coarse, and hardly a long one. One alone may be the end of a file, and one axis
+        # alone may be at its limit.
+        long = rows * min(a.held_chance_ratio * p_chance, 1.0) ** lengths < a.p_long_run
+        first, end, lengths = first[long], end[long], lengths[long]
+        one_axis = sum(not dead(axis) for axis in samples.wrench.T) < 2
+        if len(first) < 2 or lengths.sum() < a.fewest_held_rows or one_axis:
+            return samples, 0, 0.0
+    same = np.zeros(len(samples), dtype=bool)
+    for a_run, b_run in zip(first, end, strict=True):
+        same[a_run + 1 : b_run + 1] = True
     keep = ~same
     wrench = np.column_stack([np.interp(samples.t_s, samples.t_s[keep], samples.wrench[keep, k]) for k in range(6)])
-    return replace(samples, wrench=wrench, held=same), runs, length * step_s
+    return replace(samples, wrench=wrench, held=same), len(first), float(lengths.mean()) / samples.rate_Hz
 
 
 def without_tails(samples: Samples, cell: CellFile) -> Samples:

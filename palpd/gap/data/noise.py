@@ -9,6 +9,8 @@ from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples, runs_of_true
 from palpd.tick import Floats
 
+Ints = NDArray[np.intp]
+
 CHANNELS = ("z_m", "fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 Z, FX, FY, FZ, TX, TY, TZ = range(7)
 
@@ -71,26 +73,25 @@ def repeats(readings: Floats) -> NDArray[np.bool_]:
     return np.asarray(np.abs(np.diff(readings, axis=0)) <= SAME_READING * np.ptp(readings, axis=0))
 
 
-def held_runs(samples: Samples) -> tuple[int, float, float]:
+def held_runs(samples: Samples) -> tuple[Ints, Ints, float]:
     """Stretches of rows whose six readings all repeat.
 
     Returns:
-        Their number, their mean length in samples beyond the first, and the number of repeats that chance alone gives: each live axis
-        repeats by itself as often as it does while another axis changes.
+        First repeat and end (r,) of each, counted from the second row, and the probability that chance alone makes a row repeat: each live
+        axis repeats by itself as often as it does while another axis changes.
     """
     live = [k for k in range(6) if not dead(samples.wrench[:, k])]
+    none = np.zeros(0, dtype=np.intp)
     if not live:
-        return 0, 0.0, 0.0
+        return none, none, 0.0
     same = repeats(samples.wrench[:, live])
     together = np.asarray(same.all(axis=1))
     alone = [same[~np.delete(same, k, axis=1).all(axis=1), k] for k in range(len(live))] if len(live) > 1 else []
     shares = [max(float(axis.mean()), 1e-6) for axis in alone if len(axis)] or [_repeat_chance(samples.wrench[:, k]) for k in live]
-    chance = float(np.prod(shares)) * len(same)
     first, end = runs_of_true(together)
-    lengths = end - first
-    if len(live) == 1 and len(lengths) and lengths.mean() < 3.0:
-        return 0, 0.0, 0.0  # one axis alone repeats itself for many reasons
-    return len(lengths), float(lengths.mean()) if len(lengths) else 0.0, chance
+    if len(live) == 1 and len(first) and (end - first).mean() < 3.0:
+        return none, none, 0.0  # one axis alone repeats itself for many reasons
+    return first, end, float(np.prod(shares))
 
 
 def _repeat_chance(values: Floats) -> float:

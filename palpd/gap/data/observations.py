@@ -8,8 +8,8 @@ from palpd.cell.effects import Effect
 from palpd.gap.data.cleaning import clean, without_rounding
 from palpd.gap.data.plausibility import channel_notes, check_recordings, recording_notes
 from palpd.gap.data.prepare import PreparedRecording, prepare, stated_cell
-from palpd.gap.data.recorded_noise import readings_at_rest_N, with_recorded_noise
-from palpd.gap.data.rounding import Rounding, roundings_of
+from palpd.gap.data.recorded_noise import noise_of_fz_N, with_recorded_noise
+from palpd.gap.data.rounding import Rounding, rounding_of
 from palpd.gap.data.scatter import Scatter, scatter_effects
 from palpd.gap.user_simulator import UserSimulator
 from palpd.recording.samples import Samples, common_site
@@ -23,7 +23,7 @@ class Observations:
         cell: The nominal cell at the site of the recordings, with all noise and resolution stated.
         site: That site; None where the cell file has none of its name.
         recordings: Each as it was read, cleaned and prepared.
-        roundings: How fz is rounded in each recording, if to the nearest level; empty where noise dithers it.
+        rounding: How fz is rounded; None where noise dithers it.
         coarse: Whether fz has steps that are much coarser than stated.
         excess_noise: Whether the noise is larger than stated.
         scatter: Effects that show in the scatter of the readings alone.
@@ -34,7 +34,7 @@ class Observations:
     cell: CellFile
     site: str | None
     recordings: tuple[PreparedRecording, ...]
-    roundings: tuple[Rounding, ...]
+    rounding: Rounding | None
     coarse: bool
     excess_noise: bool
     scatter: Scatter
@@ -63,13 +63,13 @@ def observe(
     cell, noise_far, noise_notes = with_recorded_noise(recordings, cell)
     cleaned = [clean(samples, cell) for samples in recordings]
     coarse_N = [its.coarse_step_N for its in cleaned]
-    roundings = roundings_of(recordings, coarse_N, cell, *readings_at_rest_N(recordings, cell))
-    prepared = prepare([its.samples for its in cleaned], cell, library, max_bins, roundings, simulators)
+    rounding = rounding_of(max(coarse_N), cell, noise_of_fz_N(recordings, cell))
+    prepared = prepare([its.samples for its in cleaned], cell, library, max_bins, rounding, simulators)
     return Observations(
         cell=cell,
         site=site if known else None,
         recordings=prepared,
-        roundings=tuple(roundings),
+        rounding=rounding,
         coarse=max(coarse_N) > 0.0,
         excess_noise=any(its.samples is not its.unclipped for its in cleaned),
         scatter=scatter_effects(prepared, cleaned, cell, library),

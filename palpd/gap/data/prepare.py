@@ -32,9 +32,6 @@ LAST_DIGITS = 1e-9
 """Least noise of a channel without any, as a share of its span: readings have no more digits."""
 
 
-MOST_AT_REST = 100
-"""Steps at rest whose predicted forces say where the sensor's zero lies: at rest they change slowly."""
-
 LEAST_BINS = 600
 """Number of bins that each recording may have, however many there are."""
 
@@ -59,7 +56,6 @@ class PreparedRecording:
     rest: NDArray[np.bool_]  # (n,) samples at which the noise was measured
     noise_measured: bool  # whether enough samples at rest were there for it
     judged: tuple[bool, ...]  # which of the 7 channels are compared
-    at_rest: Ints  # numbers of at most MOST_AT_REST steps at rest in the air, evenly spread
     nominal_difference: NominalDifference | None  # what the user's simulator predicts beyond the nominal cell; None without one
 
     @cached_property
@@ -129,7 +125,7 @@ def prepare(
     cell: CellFile,
     library: Mapping[str, Effect],
     max_bins: int,
-    roundings: Sequence[Rounding] = (),
+    rounding: Rounding | None = None,
     simulators: Sequence[UserSimulator] = (),
 ) -> tuple[PreparedRecording, ...]:
     """Prepare the recordings of a cell for comparison with its simulation.
@@ -138,12 +134,13 @@ def prepare(
         cell: The nominal cell.
         library: Effects of that cell by id.
         max_bins: Largest number of bins of all recordings together, approximately; at least LEAST_BINS for each.
-        roundings: Of fz in each recording; empty where noise dithers it.
+        rounding: Of fz; None where noise dithers it.
         simulators: A user's own simulator for each recording; empty where palpd itself simulates the nominal cell.
     """
-    most, absent = max(LEAST_BINS, max_bins // len(recordings)), [None] * len(recordings)
-    of_each = zip(recordings, roundings or absent, simulators or absent, strict=True)
-    return tuple(_prepared(samples, cell, library, most, rounding, simulator) for samples, rounding, simulator in of_each)
+    most = max(LEAST_BINS, max_bins // len(recordings))
+    absent: list[UserSimulator | None] = [None] * len(recordings)
+    of_each = zip(recordings, simulators or absent, strict=True)
+    return tuple(_prepared(samples, cell, library, most, rounding, simulator) for samples, simulator in of_each)
 
 
 def _prepared(
@@ -165,8 +162,6 @@ def _prepared(
     judged, noise_rms = _noise(samples, cell, reports, still, rest)
     if rounding is not None:  # the measured noise is that of the few forces that occur at rest
         noise_rms[FZ] = max(noise_rms[FZ], np.hypot(rounding.noise_rms_N, rounding.step_N / 12.0**0.5))
-    share_at_rest = samples_per_step.mean(phases.at_rest_in_air.astype(float))
-    at_rest = np.flatnonzero(share_at_rest == share_at_rest.max())
     return PreparedRecording(
         samples=samples,
         phases=phases,
@@ -187,7 +182,6 @@ def _prepared(
         rest=rest,
         noise_measured=bool(still.sum() >= ASSUMED.noise.fewest_at_rest),
         judged=judged,
-        at_rest=at_rest[:: 1 + len(at_rest) // MOST_AT_REST],
         nominal_difference=None
         if simulator is None
         else difference(simulator, cell, library, sampled, (samples.z_cmd_m, samples.z_m), float(phases.depth_m.max())),

@@ -46,19 +46,17 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
     return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=measured)}), far, [note]
 
 
-def readings_at_rest_N(recordings: Sequence[Samples], cell: CellFile) -> tuple[float, list[float]]:
-    """Noise of a sample of fz before its rounding, and the mean of fz at rest in the air, both in N.
+def noise_of_fz_N(recordings: Sequence[Samples], cell: CellFile) -> float:
+    """Noise of a sample of fz before its rounding, in N.
 
-    Returns:
-        The stated noise, brought into the range that the lateral axes show, whose steps are finer; as stated where these are noisier or
-        quieter than healthy axes. Then the mean of each recording.
+    The stated noise, brought into the range that the lateral axes show, whose steps are finer; as stated where these are noisier or quieter
+    than healthy axes.
     """
-    phases = [find_phases(samples, cell) for samples in recordings]
     stated_N = cell.sensor.noise_rms_N
-    low_N, high_N = _noise_range(recordings, [_rests(its.phase) for its in phases], (FX, FY)) or (stated_N, stated_N)
+    rests = [_rests(find_phases(samples, cell).phase) for samples in recordings]
+    low_N, high_N = _noise_range(recordings, rests, (FX, FY)) or (stated_N, stated_N)
     healthy = low_N / ASSUMED.noise.healthy_lateral_ratio <= stated_N <= high_N * ASSUMED.noise.healthy_lateral_ratio
-    rests_N = [float(samples.wrench[its.at_rest_in_air, 2].mean()) for samples, its in zip(recordings, phases, strict=True)]
-    return min(max(stated_N, low_N), high_N) if healthy else stated_N, rests_N
+    return min(max(stated_N, low_N), high_N) if healthy else stated_N
 
 
 def _rests(phase: NDArray[np.int_]) -> NDArray[np.bool_] | None:

@@ -1,35 +1,21 @@
 """Readings of fz that noise does not dither: their steps are coarser than the cell file states, or large against their noise."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from palpd.cell.cell_file import CellFile
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import pure_rms, resolutions
-from palpd.gap.data.phases import Ints
 from palpd.recording.oddities import measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
-Way = Literal["nearest", "down", "to zero"]
-WAYS: tuple[Way, ...] = ("nearest", "down", "to zero")
-"""How readings come to their levels: converters round to the nearest one or down, and integers in software cut towards zero."""
-
-
 FARTHEST = 7.0
 """Standard deviations of the noise beyond which no reading comes to a level."""
-
-POINTS_PER_STEP = 100
-"""Points of the table of mean readings: straight lines between them are exact to a thousandth of a step."""
-
 
 NOISES = np.geomspace(0.02, 0.7, 42)
 """Candidates for the noise of rounded readings before the rounding, in steps."""
@@ -38,7 +24,7 @@ STRETCH = 100
 """Number of readings of a rest that share a mean: over a longer time a force that creeps changes it."""
 
 
-def rounded_moments(force: Floats, noise_rms: float, way: Way = "nearest", first: float = 0.0) -> tuple[Floats, Floats]:
+def rounded_moments(force: Floats, noise_rms: float) -> tuple[Floats, Floats]:
     """Mean and variance of a force with normal noise after it was rounded to whole numbers.
 
     A reading is level `k` or a higher one where force and noise reach the edge of that level, so both moments are short sums over the
@@ -47,8 +33,6 @@ def rounded_moments(force: Floats, noise_rms: float, way: Way = "nearest", first
     Args:
         force: Forces without noise (n,), in steps from a level.
         noise_rms: Noise before the rounding, in steps.
-        way: `to zero` cuts towards the zero of `force`.
-        first: Finer step, in steps, to which the reading was rounded before; 0 for none.
 
     Returns:
         Means (n,) in steps, and variances (n,) in squared steps.
@@ -56,95 +40,38 @@ def rounded_moments(force: Floats, noise_rms: float, way: Way = "nearest", first
     nearest, sigma = np.rint(force), max(noise_rms, 1e-9)
     mean, square = np.zeros_like(nearest), np.zeros_like(nearest)
     for k in range(1, int(FARTHEST * sigma + 1.5) + 1):
-        above = ndtr((force - _edge(nearest + k, way, first)) / sigma)
-        below = ndtr((_edge(nearest + (1 - k), way, first) - force) / sigma)
+        above = ndtr((force - (nearest + k - 0.5)) / sigma)
+        below = ndtr(((nearest + 0.5 - k) - force) / sigma)
         mean += above - below
         square += (2 * k - 1) * (above + below)
     return nearest + mean, square - mean**2
 
 
-def _edge(level: Floats, way: Way, first: float) -> Floats:
-    """Least force that is rounded to these levels or to higher levels, in steps."""
-    # Where software cuts towards zero, a reading of -1 itself stays -1.
-    below: dict[Way, Floats | float] = {"nearest": 0.5, "down": 0.0, "to zero": np.where(level > 0.0, 0.0, 1.0 - 1e-6)}
-    edge = level - below[way]
-    return edge if first == 0.0 else first * (np.ceil(edge / first - 1e-9) - 0.5)
-
-
 @dataclass(frozen=True)
 class Rounding:
-    """How fz is rounded in one recording, and where the cell's forces lie between its levels.
-
-    The tare leaves the levels anywhere, and nobody knows the force behind a reading that rests between two of them. The readings at rest
-    say it: their mean fixes how far the force at rest lies from its level. So what a cell predicts is laid between the levels by *its own*
-    forces at rest, and its mean readings are given in the frame of its forces. A zero that has moved (bias, whether an effect or within
-    tolerance) then moves all forces and all predicted readings alike. Drift acts only by what it changes between the rests and the presses.
+    """How fz is rounded.
 
     Attributes:
         step_N: Distance of the levels.
-        level_N: One of the levels, on the scale of the readings.
-        rest_N: Mean reading at rest in the air, on that scale.
         noise_rms_N: Noise before the rounding.
-        first_N: Finer step to which readings were rounded before, as software does that cuts what the sensor rounded; 0 for none.
-        reach_N: Largest distance from the force at rest that is predicted to a fraction of a step. Beyond, tolerances decide on which side
-            of a level a force lies.
+        coarse: The step is much coarser than the cell file states, so nobody knows how readings come to their levels either.
     """
 
     step_N: float
-    level_N: float
-    rest_N: float
     noise_rms_N: float
-    way: Way
-    reach_N: float
-    first_N: float = 0.0
-
-    def readings(self, force_N: Floats, at_rest: Ints) -> Floats:
-        """Mean readings of a cell's forces with normal noise, in the frame of these forces.
-
-        Args:
-            force_N: Forces without noise (n,), from any zero.
-            at_rest: Numbers (m,) of forces at rest in the air.
-
-        Returns:
-            Mean readings (n,) in N, from the same zero.
-        """
-        rest_N = force_N[at_rest]
-        zero_N = self._zero(rest_N)
-        near = np.abs(force_N - rest_N.mean()) <= self.reach_N
-        return np.where(near, force_N + self._moved(force_N + zero_N), force_N)
-
-    def by(self, way: Way, first_N: float) -> "Rounding":
-        """The same levels, reached in another way; `way` and `first_N` as the attributes."""
-        return replace(self, way=way, first_N=first_N)
+    coarse: bool
 
     @property
     def undithered_rms_N(self) -> float:
         """Rms of the rounding error that averaging does not remove, over all forces."""
         return undithered_rms(self.step_N, self.noise_rms_N)
 
-    def _zero(self, rest_N: Floats) -> float:
-        """What a cell's forces at rest (m,) lack on the scale of the readings, for their mean reading to be the measured one."""
-
-        def excess_N(zero_N: float) -> float:
-            return float((rest_N + zero_N + self._moved(rest_N + zero_N)).mean()) - self.rest_N
-
-        start_N = self.rest_N - float(rest_N.mean())
-        return float(brentq(excess_N, start_N - 1.01 * self.step_N, start_N + 1.01 * self.step_N, xtol=1e-9 * self.step_N))
-
-    def _moved(self, force_N: Floats) -> Floats:
-        """What the rounding adds on average to forces (n,) on the scale of the readings."""
-        return np.interp(force_N, *self._table)
-
-    @cached_property
-    def _table(self) -> tuple[Floats, Floats]:
-        """Forces on the scale of the readings, as far as the reach, and what the rounding adds to them."""
-        steps = int(self.reach_N / self.step_N) + 4
-        force_N = self.rest_N + self.step_N * np.linspace(-steps, steps, 2 * steps * POINTS_PER_STEP + 1)
-        force = (force_N - self.level_N) / self.step_N
-        mean, _ = rounded_moments(
-            force, max(self.noise_rms_N / self.step_N, ASSUMED.rounding.least_dither_steps), self.way, self.first_N / self.step_N
-        )
-        return force_N, self.step_N * (mean - force)
+    @property
+    def harmonics_N(self) -> Floats:
+        """Standard deviations (h,) of the sine and the cosine of each harmonic of the error, over all forces; small ones are left out."""
+        k = np.arange(1, ASSUMED.rounding.most_harmonics + 1)
+        sizes_N = self.step_N / (np.sqrt(2.0) * np.pi * k) * np.exp(-2.0 * (np.pi * k * self.noise_rms_N / self.step_N) ** 2)
+        return np.asarray(sizes_N[sizes_N > ASSUMED.rounding.least_harmonic * sizes_N[0]])
 
 
 def noise_before_rounding(values: Floats, at_rest: NDArray[np.bool_], step: float) -> tuple[float, float]:
@@ -237,28 +164,13 @@ def coarse_step_N(samples: Samples, cell: CellFile) -> float:
     return float(steps[np.argmax(np.abs(np.exp(2j * np.pi * values / steps[:, None]).sum(axis=1)))])
 
 
-def roundings_of(
-    recordings: Sequence[Samples], steps_N: Sequence[float], cell: CellFile, noise_rms_N: float, rests_N: Sequence[float]
-) -> list[Rounding]:
-    """How fz is rounded; its levels follow from the mean of all values on a circle whose turn is a step.
+def rounding_of(coarse_step_N: float, cell: CellFile, noise_rms_N: float) -> Rounding | None:
+    """How fz is rounded; None where noise dithers it.
 
     Args:
-        recordings: As they were read. Each was tared by itself, so each has levels of its own.
-        steps_N: Coarse step of each recording, 0 for none.
+        coarse_step_N: Step that is much coarser than stated, of all recordings; 0 for none.
         noise_rms_N: Noise of a sample before rounding.
-        rests_N: Mean reading of fz at rest in the air, of each recording.
-
-    Returns:
-        The rounding of each recording: to the coarsest of the steps, or to the stated step where all are 0. Empty where noise dithers it.
     """
-    coarse_N = max(steps_N)
-    step_N = coarse_N or cell.sensor.resolution_fz_N
-    if noise_rms_N >= ASSUMED.rounding.dithered_steps * step_N:
-        return []
-    roundings = []
-    for samples, rest_N in zip(recordings, rests_N, strict=True):
-        readings_N = samples.wrench[:, 2]
-        turn = np.exp(2j * np.pi * readings_N / step_N).mean()
-        reach_N = float(np.abs(readings_N - rest_N).max()) + step_N if coarse_N else ASSUMED.rounding.air_reach_steps * step_N
-        roundings.append(Rounding(step_N, float(np.angle(turn) / (2.0 * np.pi) * step_N), rest_N, noise_rms_N, "nearest", reach_N))
-    return roundings
+    step_N = coarse_step_N or cell.sensor.resolution_fz_N
+    dithered = noise_rms_N >= ASSUMED.rounding.dithered_steps * step_N
+    return None if dithered else Rounding(step_N, noise_rms_N, coarse=coarse_step_N > 0.0)

@@ -50,7 +50,7 @@ def scatter_effects(
     """
     noise, p_lone_axis = _noise(recordings, cleaned, cell)
     seen = {"coarse step": _coarse_step(cleaned), "held samples": _held_samples(cleaned), "noise": noise}
-    ids = {effect.scatter: effect.id for effect in library.values()}
+    ids = {effect.scatter: effect.id for effect in library.values() if effect.id not in cell.effects}  # a known one is no gap
     effects = [ScatterEffect(ids[kind], *evidence) for kind, evidence in seen.items() if evidence is not None and kind in ids]
     return Scatter(effects, p_lone_axis)
 

@@ -19,7 +19,7 @@ class Inference:
     """What the list of effects says about the recordings.
 
     Attributes:
-        problem: The data, with the error of the simulator in their noise and the way in which readings are rounded.
+        problem: The data, with the error of the simulator in their noise.
         nominal: The hypothesis that there is no effect.
         stated: Linearisation of the cell as stated, η₀ = 0; where its modulus is not known, at the fitted deviations.
         fits: Every set that was fitted, by its effects; with the stated noise.
@@ -42,7 +42,7 @@ def infer(problem: Problem, show: Callable[[str], None] = lambda _: None) -> Inf
     with that noise.
 
     Args:
-        problem: As prepared, with readings that are rounded to the nearest level if they are rounded coarsely.
+        problem: As prepared.
         show: Is called with the name of each step that begins.
     """
     nominal = settle(problem)

@@ -1,14 +1,15 @@
-"""Stage 2 of a diagnosis: the cell without effects, which settles how readings are rounded and how large the simulator's error may be."""
+"""Stage 2 of a diagnosis: the cell without effects, which settles how large the simulator's error may be."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from palpd.gap.assumptions import ASSUMED
-from palpd.gap.data.rounding import WAYS
+from palpd.gap.infer.discrepancy import discrepancy_columns
 from palpd.gap.infer.evidence import Fit, fit
 from palpd.gap.model.linearise import Linearisation, linearise
 from palpd.gap.model.problem import SHARED, Problem
+from palpd.tick import Floats
 
 
 @dataclass(frozen=True)
@@ -27,16 +28,13 @@ class NominalFit:
     stated: Linearisation
     linearisation: Linearisation
 
-    @property
-    def surprise(self) -> float:
-        """Negative log likelihood, up to a constant. It counts the width of the noise, which the error floor changes."""
-        sigma = self.problem.noise.sigma
-        return -self.fit.log_exact + float(np.log(sigma[np.isfinite(sigma)]).sum())
 
-
-def fit_nominal(problem: Problem) -> NominalFit:
+def settle(problem: Problem) -> NominalFit:
     """Fit the cell without effects, which also says how large the error of the simulator may be."""
     stated = linearise(problem, {}, problem.nominal_eta)
+    if problem.cell.effects:
+        problem = problem.with_law_errors(_law_errors(problem, stated))
+        stated = linearise(problem, {}, problem.nominal_eta)
     if not problem.cell.tolerances.modulus_known:
         first = fit(problem, {}, stated, rounds=8)
         # The force in proportion to the modulus has been fitted: it is the gap's size.
@@ -52,22 +50,10 @@ def fit_nominal(problem: Problem) -> NominalFit:
     return NominalFit(problem, nominal, stated, nominal.linearisation if credible else stated)
 
 
-def settle(problem: Problem) -> NominalFit:
-    """Settle the way in which coarse readings are rounded, and the error floor.
+def _law_errors(problem: Problem, stated: Linearisation) -> Floats:
+    """What the laws of known effects may be wrong by (m, 7, b), in the units of the channels: `law_error.sizes[1]` × D.
 
-    Another way than to the nearest level must win by `rounding.other_way_nats`, since an effect may imitate it. Only a step that is
-    coarser than the stated step is tried in other ways; it may also round readings that were rounded to the stated step before.
-
-    Args:
-        problem: With readings rounded to the nearest level, if they are rounded coarsely.
+    The diagnosis that found them allowed as much. Without it, the next one would take the error of a law for a further effect.
     """
-    nearest = fit_nominal(problem)
-    stated_N = problem.cell.sensor.resolution_fz_N
-    if not problem.roundings or problem.roundings[0].step_N == stated_N:
-        return nearest
-    tried = [nearest, *(fit_nominal(problem.with_rounding(way, 0.0)) for way in WAYS if way != problem.roundings[0].way)]
-    if stated_N:
-        likeliest = min(tried, key=lambda nominal: nominal.surprise).problem.roundings[0]
-        tried.append(fit_nominal(problem.with_rounding(likeliest.way, stated_N)))
-    best = min(tried, key=lambda nominal: nominal.surprise)
-    return best if best.surprise < nearest.surprise - ASSUMED.rounding.other_way_nats else nearest
+    directions, _ = discrepancy_columns(problem.without_known_effects(), problem.cell.effects, stated.prediction, stated)
+    return problem.noise.natural(directions.scaled(ASSUMED.law_error.sizes[1]).dense())

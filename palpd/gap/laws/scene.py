@@ -245,7 +245,7 @@ def rounding_columns(problem: Problem, fitted: Floats) -> dict[int, Floats]:
     Returns:
         Whitened columns (b, 2k) by channel, each times the standard deviation of its coefficient; empty if readings are not rounded.
     """
-    rounding, step_N = next(iter(problem.roundings), None), float(resolutions(problem.cell)[FZ])
+    rounding, step_N = problem.rounding, float(resolutions(problem.cell)[FZ])
     if step_N <= 0.0:
         return {}
     square = float(max(one.noise_rms[FZ] for one in problem.recordings)) ** 2

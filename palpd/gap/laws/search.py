@@ -244,5 +244,5 @@ def _hidden(scene: Scene) -> Floats:
     problem = scene.problem
     hidden = undithered_rms_of(problem.cell)
     hidden[Z] = max(float(one.noise_rms[Z]) for one in problem.recordings)
-    hidden[FZ] = max((one.undithered_rms_N for one in problem.roundings), default=0.0)
+    hidden[FZ] = 0.0 if problem.rounding is None else problem.rounding.undithered_rms_N
     return hidden

@@ -8,19 +8,14 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile
-from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FX, FZ, TX, Z
-from palpd.gap.data.phases import FREE_STILL, HOLDING
 from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.data.rounding import Rounding
 from palpd.gap.gaussian.nuisances import ColumnByChannel, Columns
 from palpd.gap.gaussian.whitening import Whitening
-from palpd.gap.model.servo_error import ServoErrors
-from palpd.recording.samples import runs_of_true
+from palpd.gap.model.rounding_error import rounding_error
+from palpd.gap.model.servo_error import ServoErrors, held_target_N
 from palpd.tick import Floats
-
-MOST_RESTS = 80
-"""Rests of a recording that keep a rounding offset of their own; more would cost time and say little."""
 
 
 class Column(NamedTuple):
@@ -45,20 +40,26 @@ class FixedNuisances:
 
 
 def fixed_nuisances(
-    cell: CellFile, recordings: Sequence[PreparedRecording], roundings: Sequence[Rounding], errors: Sequence[ServoErrors], noise: Whitening
+    cell: CellFile,
+    recordings: Sequence[PreparedRecording],
+    rounding: Rounding | None,
+    errors: Sequence[ServoErrors],
+    noise: Whitening,
+    force_N: Floats,
 ) -> FixedNuisances:
     """The nuisances of all recordings that no state of the cell changes.
 
     Args:
         cell: The nominal cell.
         recordings: Its recordings, b bins in all.
-        roundings: Of fz in each recording; empty where noise dithers it.
+        rounding: Of fz; None where noise dithers it.
         errors: What the controller of each recording may change within specification.
         noise: Noise of the bins.
+        force_N: Predicted fz (b,) of the nominal cell.
     """
     labels, columns = [], []
     for number, (recording, bins) in enumerate(zip(recordings, bins_of(recordings), strict=True)):
-        for label, values in _of_recording(cell, recording, roundings[number] if roundings else None, errors[number]):
+        for label, values in _of_recording(cell, recording, rounding, errors[number], force_N[bins], noise.sigma[FZ, bins]):
             labels.append(label)
             columns.append(whitened_column(noise, label.channel, bins, values))
     return FixedNuisances(tuple(labels), Columns.of(columns, noise.sigma.shape))
@@ -82,11 +83,13 @@ def whitened_column(noise: Whitening, channel: int, bins: slice, values: Floats)
 
 
 def _of_recording(
-    cell: CellFile, recording: PreparedRecording, rounding: Rounding | None, errors: ServoErrors
+    cell: CellFile, recording: PreparedRecording, rounding: Rounding | None, errors: ServoErrors, force_N: Floats, sigma_N: Floats
 ) -> Iterator[tuple[Column, Floats]]:
     for channel in range(FX, 7):
         if recording.judged[channel]:
-            yield from _zero_columns(cell, recording, rounding, channel)
+            yield from _zero_columns(cell, recording, channel)
+    if recording.judged[FZ]:
+        yield Column("computation", "held targets", FZ), held_target_N(recording, cell)
     if recording.judged[Z]:
         yield Column("computation", "hidden delay", Z), errors.delay_m
         yield Column("computation", "controller order", Z), errors.order_m
@@ -96,7 +99,8 @@ def _of_recording(
             ):
                 yield Column("computation", name, FZ), values
     if rounding is not None and recording.judged[FZ]:
-        yield from _rounding_offsets(recording, rounding.undithered_rms_N)
+        for values in rounding_error(recording, rounding, force_N, sigma_N):
+            yield Column("recording", "rounding", FZ), values
 
 
 def torque_arm_m(cell: CellFile) -> float:
@@ -104,21 +108,8 @@ def torque_arm_m(cell: CellFile) -> float:
     return max(CROSSTALK_ARM_M, CROSSTALK_ARM_M / 0.08 * cell.probe.tip_length_m)
 
 
-def _zero_columns(cell: CellFile, recording: PreparedRecording, rounding: Rounding | None, channel: int) -> Iterator[tuple[Column, Floats]]:
-    """Bias and drift of an axis; the drift of a coarsely rounded fz depends on the state of the cell and is not among them."""
+def _zero_columns(cell: CellFile, recording: PreparedRecording, channel: int) -> Iterator[tuple[Column, Floats]]:
+    """Bias and drift of an axis."""
     arm = 1.0 if channel < TX else torque_arm_m(cell)
     yield Column("recording", "bias_N", channel), arm * cell.tolerances.bias_N * np.ones(len(recording.bins))
-    if channel != FZ or rounding is None:
-        yield Column("recording", "drift_N_per_min", channel), arm * cell.tolerances.drift_N_per_min / 60.0 * recording.t_s
-
-
-def _rounding_offsets(recording: PreparedRecording, offset_N: float) -> Iterator[tuple[Column, Floats]]:
-    """Where noise does not dither the rounding of fz, every rest keeps an offset of up to half a step."""
-    if offset_N < ASSUMED.rounding.offset_share * recording.noise_rms[FZ]:
-        return
-    first, end = runs_of_true(np.isin(recording.bin_phase, (FREE_STILL, HOLDING)))
-    for a, b in zip(first[:MOST_RESTS], end[:MOST_RESTS], strict=True):
-        if b - a >= 3:
-            rest = np.zeros(len(recording.bins))
-            rest[a:b] = offset_N
-            yield Column("recording", "rounding", FZ), rest
+    yield Column("recording", "drift_N_per_min", channel), arm * cell.tolerances.drift_N_per_min / 60.0 * recording.t_s

@@ -2,12 +2,11 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpd.cell.cell_file import CROSSTALK, CellFile, EffectValues, Estimated
+from palpd.cell.cell_file import CROSSTALK, CellFile, EffectValues
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FX, FY, FZ, TX, TY, Z
 from palpd.gap.data.prepare import PreparedRecording
@@ -18,9 +17,6 @@ from palpd.tick import Floats
 
 LEAKS_INTO = {"fx_per_fz": FX, "fy_per_fz": FY, "tx_per_fz": TX, "ty_per_fz": TY}
 LEAKS = np.isin(SHARED, CROSSTALK)
-
-DRIFT_STEP_SD = 0.5
-"""Step of the difference quotient of the drift, in standard deviations, where rounded readings follow it in steps."""
 
 
 @dataclass(frozen=True)
@@ -125,20 +121,9 @@ def _own_columns(problem: Problem, effects: EffectValues, eta: Floats, shared: l
     cell = problem.cell_at(effects, eta)
     predicted = problem.binned_prediction(effects, eta)
     for number, bins in enumerate(bins_of(problem.recordings)):
-        own = chain(_rounded_drift(problem, number, cell), _computation_errors(problem, number, cell, predicted[:, bins]))
+        own = _computation_errors(problem, number, cell, predicted[:, bins])
         yield from ((label, whitened_column(problem.noise, label.channel, bins, values)) for label, values in own)
         yield from _press_columns(problem, problem.recordings[number], bins, shared)
-
-
-def _rounded_drift(problem: Problem, number: int, cell: CellFile) -> Iterator[tuple[Column, Floats]]:
-    """Drift of fz where noise does not dither its rounding, through the rounding, as the effect acts. A bias moves all readings alike."""
-    if not problem.roundings or not problem.recordings[number].judged[FZ]:
-        return
-    drift_N_per_min = problem.cell.tolerances.drift_N_per_min
-    estimated = cell.estimated or Estimated()
-    drifted = cell.with_estimated(estimated.model_copy(update={"drift_N_per_min": DRIFT_STEP_SD * drift_N_per_min}))
-    change = problem.binned_wrench(number, drifted) - problem.binned_wrench(number, cell)
-    yield Column("recording", "drift_N_per_min", FZ), change[FZ - 1] / DRIFT_STEP_SD
 
 
 def _computation_errors(problem: Problem, number: int, cell: CellFile, predicted: Floats) -> Iterator[tuple[Column, Floats]]:

@@ -20,9 +20,10 @@ from palpd.gap.data.noise import FX, FZ, Z
 from palpd.gap.data.observations import Observations
 from palpd.gap.data.phases import PHASES
 from palpd.gap.data.prepare import PreparedRecording, prepare, stated_cell
-from palpd.gap.data.rounding import Rounding, Way, undithered_rms_of
+from palpd.gap.data.rounding import Rounding, undithered_rms_of
+from palpd.gap.gaussian.nuisances import Columns
 from palpd.gap.gaussian.whitening import Whitening
-from palpd.gap.model.fixed_nuisances import FixedNuisances, fixed_nuisances, torque_arm_m
+from palpd.gap.model.fixed_nuisances import Column, FixedNuisances, fixed_nuisances, torque_arm_m
 from palpd.gap.model.servo_error import ServoErrors, servo_errors
 from palpd.gap.model.workspace import Workspace
 from palpd.gap.user_simulator import UserSimulator
@@ -68,7 +69,7 @@ class Problem:
         cell: The nominal cell, with the effects that are known.
         recordings: Prepared, with b bins in all.
         library: The effects that may be present.
-        roundings: How fz is rounded in each recording; empty where noise dithers it.
+        rounding: How fz is rounded; None where noise dithers it.
         scale: Sizes that bounds and starting values of effects refer to.
         shared_sd: Standard deviations of SHARED (11,) in the units of the cell file; those of RELATIVE are of the logarithm.
         servo_errors: What the controller of each recording may change within specification.
@@ -76,12 +77,13 @@ class Problem:
         measured: Measured bins y (7, b) in the units of the channels.
         noise: Σ of the bins, with the error of the simulator where `with_model_error_floor` has added it.
         floor_rms: Rms (7, b) of the noise without any error of the simulator, in the units of the channels.
+        law_errors: What the laws of known effects may be wrong by, m nuisances (m, 7, b) in the units of the channels.
     """
 
     cell: CellFile
     recordings: tuple[PreparedRecording, ...]
     library: Mapping[str, Effect]
-    roundings: tuple[Rounding, ...]
+    rounding: Rounding | None
     scale: Scale
     shared_sd: Floats
     servo_errors: tuple[ServoErrors, ...]
@@ -89,6 +91,7 @@ class Problem:
     measured: Floats
     noise: Whitening
     floor_rms: Floats
+    law_errors: Floats
     workspace: Workspace = field(default_factory=Workspace, repr=False, compare=False)
 
     @cached_property
@@ -99,7 +102,11 @@ class Problem:
     @cached_property
     def fixed_nuisances(self) -> FixedNuisances:
         """Nuisances that do not depend on the state of the cell, whitened."""
-        return fixed_nuisances(self.cell, self.recordings, self.roundings, self.servo_errors, self.noise)
+        force_N = self.binned_prediction({}, self.nominal_eta)[FZ]
+        fixed = fixed_nuisances(self.cell, self.recordings, self.rounding, self.servo_errors, self.noise, force_N)
+        of_laws = Columns.of([dict(enumerate(self.noise.whiten(one))) for one in self.law_errors], self.measured.shape)
+        labels = (Column("computation", "law of a known effect"),) * of_laws.size
+        return FixedNuisances((*fixed.labels, *labels), fixed.columns.followed_by(of_laws))
 
     @property
     def nominal_eta(self) -> Floats:
@@ -120,14 +127,34 @@ class Problem:
         """The problem in which no bin counts for more than the error of the simulator allows.
 
         Args:
-            gap: Whitened gap (7, b). In each channel that error is `noise.model_error_share` of its quantile. The gap counts for no
-                more than the readings themselves, since a fit may run away.
+            gap: Whitened gap (7, b). In each channel that error is `noise.model_error_share` of its quantile in the air and of that within
+                presses, at least `noise.model_error_elsewhere` of that of the other. Where the cell has known effects, what they change
+                counts as the gap: a second diagnosis knows their laws no better than the first. The gap counts for no more than the
+                readings themselves, since a fit may run away.
         """
         spread = np.abs(self.measured - np.median(self.measured, axis=1, keepdims=True))
-        level = np.quantile(
-            np.minimum(np.abs(self.noise.natural(gap)), spread.max(axis=1, keepdims=True)), ASSUMED.noise.model_error_quantile, axis=1
-        )[:, None]
+        size, level = np.minimum(np.abs(self.noise.natural(gap)), spread.max(axis=1, keepdims=True)), np.zeros(gap.shape)
+        if self.cell.effects:
+            without = self.without_known_effects()
+            size = np.maximum(size, np.abs(self.binned_prediction({}, self.nominal_eta) - without.binned_prediction({}, self.nominal_eta)))
+        in_air = self.per_bin(lambda recording: recording.bins.label(recording.phases.press)) < 0
+        for bins in (in_air, ~in_air):
+            if bins.any():
+                level[:, bins] = np.quantile(size[:, bins], ASSUMED.noise.model_error_quantile, axis=1)[:, None]
+        level = np.maximum(level, ASSUMED.noise.model_error_elsewhere * level.max(axis=1, keepdims=True))
         return replace(self, noise=self.noise.widened(np.hypot(1.0, ASSUMED.noise.model_error_share * level / self.noise.sigma)))
+
+    def without_known_effects(self) -> "Problem":
+        """The problem of the cell without the effects that are known of it."""
+        return replace(self, cell=self.cell.with_effects({}), workspace=Workspace())
+
+    def with_law_errors(self, law_errors: Floats) -> "Problem":
+        """The problem in which the laws of known effects may be wrong.
+
+        Args:
+            law_errors: As the attribute (m, 7, b).
+        """
+        return replace(self, law_errors=law_errors)
 
     def with_row_weight(self, weight: float | Floats) -> "Problem":
         """The problem in which every bin counts for `weight` bins.
@@ -140,14 +167,6 @@ class Problem:
     def with_shared_sd(self, shared_sd: Floats) -> "Problem":
         """The problem with other tolerances: standard deviations of SHARED (11,), as the attribute."""
         return replace(self, shared_sd=shared_sd, workspace=Workspace())
-
-    def with_rounding(self, way: Way, first_N: float) -> "Problem":
-        """The problem in which fz is rounded in another way.
-
-        Args:
-            first_N: Finer step to which it was rounded before; 0 for none.
-        """
-        return replace(self, roundings=tuple(rounding.by(way, first_N) for rounding in self.roundings), workspace=Workspace())
 
     def with_library(self, further: Mapping[str, Effect]) -> "Problem":
         """The problem in which further effects may be present, by ids that are not in its library."""
@@ -175,7 +194,11 @@ class Problem:
             effects: Parameters θ by effect. Known effects of the cell are added; of an effect in both, these parameters count.
             eta: Shared deviations η (11,) in standard deviations.
         """
-        return self.cell.with_effects(self.cell.effects | effects).with_estimated(self.estimated(eta))
+        return self.cell.with_effects(self._acting(effects)).with_estimated(self.estimated(eta))
+
+    def _acting(self, effects: EffectValues) -> EffectValues:
+        """Effects and known effects that change the mean of the readings; the error of a coarse step is a nuisance (`rounding_error`)."""
+        return {name: values for name, values in (self.cell.effects | effects).items() if not self.library[name].scatter}
 
     def estimated(self, eta: Floats) -> Estimated:
         """Shared deviations in the units of the cell file.
@@ -231,7 +254,7 @@ class Problem:
             eta: Shared deviations η (11,) in standard deviations.
         """
         servo = np.where(SERVO, eta, 0.0)
-        every = self.cell.effects | effects
+        every = self._acting(effects)
         moves = {name: values for name, values in every.items() if self.library[name].motion}
         pushes = {name: values for name, values in every.items() if name not in moves}
         heights = self._cached("heights", moves, servo, self._binned_heights)
@@ -270,8 +293,6 @@ class Problem:
         recording = self.recordings[number]
         motion = recording.motion if motion is None else motion
         reading = recording.reading(cell, motion, self.library)
-        if self.roundings and FZ - 1 in reading.own:
-            reading.own[FZ - 1] = self.roundings[number].readings(reading.own[FZ - 1], recording.at_rest)
         return reading.averaged(lambda values: recording.step_means @ values, len(recording.bins))
 
 
@@ -287,7 +308,7 @@ def problem_of(observations: Observations, library: Mapping[str, Effect]) -> Pro
     Args:
         library: The effects that may be present.
     """
-    return _problem(observations.cell, observations.recordings, library, observations.roundings, excess_noise=observations.excess_noise)
+    return _problem(observations.cell, observations.recordings, library, observations.rounding, excess_noise=observations.excess_noise)
 
 
 def make_problem(
@@ -296,7 +317,7 @@ def make_problem(
     library: Mapping[str, Effect] = EFFECTS,
     max_bins: int = MAX_BINS,
     *,
-    roundings: Sequence[Rounding] = (),
+    rounding: Rounding | None = None,
     scale: Scale | None = None,
     simulators: Sequence[UserSimulator] = (),
 ) -> Problem:
@@ -306,30 +327,30 @@ def make_problem(
         cell: Its cell file; known effects in it are part of the nominal cell.
         library: The effects that may be present.
         max_bins: Largest number of bins of all recordings together, approximately; at least LEAST_BINS for each.
-        roundings: Of fz in each recording; empty where noise dithers it.
+        rounding: Of fz; None where noise dithers it.
         scale: Sizes that effects refer to; None: those of the longest recording.
         simulators: A user's own simulator for each recording; empty where palpd itself simulates the nominal cell.
     """
     cell = stated_cell(cell)
-    return _problem(cell, prepare(recordings, cell, library, max_bins, roundings, simulators), library, roundings, scale)
+    return _problem(cell, prepare(recordings, cell, library, max_bins, rounding, simulators), library, rounding, scale)
 
 
 def _problem(
     cell: CellFile,
     recordings: tuple[PreparedRecording, ...],
     library: Mapping[str, Effect],
-    roundings: Sequence[Rounding],
+    rounding: Rounding | None,
     scale: Scale | None = None,
     excess_noise: bool = False,
 ) -> Problem:
     longest = max((recording.samples for recording in recordings), key=lambda samples: samples.duration_s)
     errors = tuple(servo_errors(recording, cell, library) for recording in recordings)
-    noise = _whitening(cell, recordings, roundings, errors)
+    noise = _whitening(cell, recordings, rounding, errors)
     return Problem(
         cell=cell,
         recordings=recordings,
         library=library,
-        roundings=tuple(roundings),
+        rounding=rounding,
         scale=scale or scale_of(cell, longest.t_s, longest.z_m, longest.vz_m_per_s, longest.wrench[:, 2]),
         shared_sd=_shared_sd(cell),
         servo_errors=errors,
@@ -337,6 +358,7 @@ def _problem(
         measured=np.hstack([recording.measured for recording in recordings]),
         noise=noise,
         floor_rms=noise.rms,
+        law_errors=np.zeros((0, *noise.sigma.shape)),
     )
 
 
@@ -354,11 +376,11 @@ def _shared_sd(cell: CellFile) -> Floats:
 
 
 def _whitening(
-    cell: CellFile, recordings: Sequence[PreparedRecording], roundings: Sequence[Rounding], errors: Sequence[ServoErrors]
+    cell: CellFile, recordings: Sequence[PreparedRecording], rounding: Rounding | None, errors: Sequence[ServoErrors]
 ) -> Whitening:
     """Σ of the bins: noise of readings, of motion that drives the force, of rounding, of the controller, of reports that bins share."""
-    sigmas, undithered_N = [], [rounding.undithered_rms_N for rounding in roundings] or [0.0] * len(recordings)
-    for recording, rounding_N, error in zip(recordings, undithered_N, errors, strict=True):
+    sigmas, rounding_N = [], 0.0 if rounding is None else ASSUMED.rounding.unphased_share * rounding.undithered_rms_N
+    for recording, error in zip(recordings, errors, strict=True):
         sigma = recording.noise_rms[:, None] / np.sqrt(recording.bins.count)[None, :]
         held = recording.samples.held
         if held is not None:  # values interpolated between two readings are no readings

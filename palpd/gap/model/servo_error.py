@@ -67,6 +67,25 @@ def _inertial_forces(recording: PreparedRecording, cell: CellFile, library: Mapp
     return np.array([fz_N(motion.az_m_per_s2 + change_m_per_s2) - unchanged_N for change_m_per_s2 in changes_m_per_s2])
 
 
+def held_target_N(recording: PreparedRecording, cell: CellFile) -> Floats:
+    """Force (b,) that samples miss on average where the servo holds its targets between the cycles of its controller.
+
+    The acceleration then steps by ω² v T at each target, v the commanded speed, and falls until the next one. Samples at one phase of
+    the cycle see the mean up to ω² v Δt / 2 too high or too low: the harmonics of these steps at multiples of the rate of the samples
+    look like a constant. A filter of the sensor takes away what it takes away there.
+    """
+    natural_frequency_rad_per_s = 2.0 * pi * cell.robot.servo_natural_frequency_Hz
+    largest_N_s_per_m = 0.5 * cell.probe.mass_kg * natural_frequency_rad_per_s**2 / recording.samples.rate_Hz
+    cutoff_Hz = cell.sensor.filter_cutoff_Hz
+    passed = (1.0 + (recording.samples.rate_Hz / cutoff_Hz) ** 2) ** -0.5 if cutoff_Hz else 1.0
+    if recording.judged[Z] and recording.z_cmd_m is not None:
+        commanded_m_per_s = recording.z_means @ np.gradient(recording.z_cmd_m, recording.robot_t_s)
+    else:
+        ahead_s, motion = 2.0 * cell.robot.servo_damping_ratio / natural_frequency_rad_per_s, recording.motion
+        commanded_m_per_s = recording.step_means @ (motion.vz_m_per_s + ahead_s * motion.az_m_per_s2)
+    return np.asarray(largest_N_s_per_m / 3.0**0.5 * passed * commanded_m_per_s)
+
+
 def _second_derivative(x: Floats, t_s: Floats) -> Floats:
     return np.asarray(np.gradient(np.gradient(x, t_s), t_s))
 
