@@ -1,12 +1,16 @@
 """A recording that is diagnosed again with what the first diagnosis found has no gap, and a further effect is still found."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.fixed_point import asked_twice
+from palpd.cell.cell_file import save_cell
 from palpd.gap.diagnosis import Diagnosis, diagnose
-from palpd.recording.samples import Samples
+from palpd.recording.samples import Samples, write_csv
 from palpd.testing.plain_cells import cell_of, recording
 
 PLAIN = cell_of("second order")
@@ -51,7 +55,7 @@ def with_held_rows(samples: Samples) -> Samples:
 
 
 @pytest.mark.parametrize("changed", [with_lateral, with_drag, with_coarse_step, with_more_noise, with_held_rows])
-def test_what_a_diagnosis_has_found_is_no_gap_of_the_cell_that_it_writes(changed) -> None:  # type: ignore[no-untyped-def]
+def test_what_a_diagnosis_has_found_is_no_gap_of_the_cell_that_it_writes(changed: Callable[[Samples], Samples]) -> None:
     samples = changed(recording("second order", 101))
     first = quick(samples)
     assert first.verdict == "effects", first.sentence
@@ -64,3 +68,11 @@ def test_a_known_effect_does_not_hide_a_further_one() -> None:
     first = quick(lateral)
     second = quick(with_drag(lateral), first)
     assert [effect.id for effect in second.effects] == ["cable.viscous"], second.sentence
+
+
+def test_the_benchmark_asks_each_recording_twice(tmp_path: Path) -> None:
+    write_csv(tmp_path / "drag.csv", with_drag(recording("second order", 101)))
+    save_cell(tmp_path / "drag.yaml", CELL)
+    answers = asked_twice(tmp_path / "drag.csv", 1500)
+    assert (answers.first, answers.second, answers.named) == ("effects", "none", ("cable.viscous",))
+    assert answers.line == "drag: cable.viscous; then none: nothing"
