@@ -1,6 +1,8 @@
 """The error of rounding that noise does not dither: as large as the columns say, and accused of nothing."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,9 +11,10 @@ from scipy.special import ndtri
 from palpd.cell.cell_file import CellFile, EffectValues
 from palpd.cell.simulation import simulate
 from palpd.cell.stages import WRENCH
+from palpd.gap.data.bins import Bins
 from palpd.gap.data.rounding import Rounding
 from palpd.gap.diagnosis import diagnose
-from palpd.gap.model.rounding_error import phase_columns
+from palpd.gap.model.rounding_error import MOST_COLUMNS, phase_columns, rounding_error
 from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.tick import Floats
 
@@ -51,6 +54,20 @@ def test_a_force_that_moves_by_many_steps_has_its_phase_in_short_stretches_alone
     assert sorted(first for first, _ in stretches) == [0, *sorted(end for _, end in stretches)[:-1]]
     assert all(np.ptp(turns[first:end]) <= 2.5 and np.ptp(motion[first:end]) == 0 for first, end in stretches)
     assert len(stretches) == 7
+
+
+def test_a_recording_of_hundreds_of_presses_has_columns_for_the_largest_errors_alone() -> None:
+    cycle = np.concatenate([np.zeros(4), np.linspace(0.3, 3.0, 6), np.linspace(2.8, 0.2, 5)])
+    force_N, press = np.tile(cycle, 300), np.repeat(np.arange(300), 15)
+    press[np.tile(cycle, 300) == 0.0] = -1
+    many: Any = SimpleNamespace(
+        bins=Bins(np.arange(len(force_N)), np.ones(len(force_N), np.intp)),
+        phases=SimpleNamespace(press=press, presses=300),
+        bin_phase=np.tile(np.repeat([0, 1, 2], [4, 6, 5]), 300),
+        measured=np.tile(force_N, (7, 1)),
+    )
+    columns = list(rounding_error(many, Rounding(0.4, 0.02, coarse=False), force_N, np.full(len(force_N), 0.01)))
+    assert MOST_COLUMNS // 2 < len(columns) <= MOST_COLUMNS + 8
 
 
 def coarse(step_noises: float) -> CellFile:

@@ -54,14 +54,6 @@ class Phases:
     until_s: Floats
 
     @property
-    def at_rest_in_air(self) -> NDArray[np.bool_]:
-        """Samples (n,) whose force is the sensor's zero: at rest in the air, else all in the air, else all."""
-        for phases in ((FREE_STILL,), (FREE_STILL, FREE_MOVING)):
-            if np.isin(self.phase, phases).any():
-                return np.isin(self.phase, phases)
-        return np.ones(len(self.phase), bool)
-
-    @property
     def cycles(self) -> int:
         """Number of cycles."""
         return int(self.cycle.max()) + 1

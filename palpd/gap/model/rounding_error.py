@@ -24,6 +24,9 @@ from palpd.tick import Floats
 LEAST_ENERGY = 0.1
 """Squared length of a whitened column below which it is left out: its coefficient would not be seen."""
 
+MOST_COLUMNS = 800
+"""Number of columns of stretches, those with the most energy: more would cost time and memory. 90 s have 700 at most."""
+
 LARGEST_FACTOR = 10.0
 """Largest factor, either way, between the forces of a press that are measured and predicted; beyond, the prediction is taken."""
 
@@ -45,12 +48,16 @@ def rounding_error(recording: PreparedRecording, rounding: Rounding, force_N: Fl
     in_air = recording.bins.label(recording.phases.press) < 0
     for values in _waves(turns, rounding.harmonics_N):
         yield np.where(in_air, values, 0.0)
+    own = []
     for first, values in phase_columns(turns, rounding.harmonics_N, recording.bin_phase):
         mine = slice(first, first + len(values))
-        values = np.where(in_air[mine], ASSUMED.rounding.own_phase * values, values)
-        if float(np.sum((values / sigma_N[mine]) ** 2)) > LEAST_ENERGY:
+        sized = np.where(in_air[mine], ASSUMED.rounding.own_phase * values, values)
+        own.append((float(np.sum((sized / sigma_N[mine]) ** 2)), mine, sized))
+    least = max([LEAST_ENERGY, *sorted((energy for energy, _, _ in own), reverse=True)[MOST_COLUMNS : MOST_COLUMNS + 1]])
+    for energy, mine, sized in own:
+        if energy > least:
             column = np.zeros(len(force_N))
-            column[mine] = values
+            column[mine] = sized
             yield column
 
 
