@@ -68,7 +68,7 @@ def test_a_fit_that_runs_away_does_not_raise_the_floor_above_the_readings() -> N
 def test_the_error_of_the_simulator_counts_in_the_air_and_within_presses_apart() -> None:
     """Where nobody knows the modulus, the gap is the whole contact force: it hides less of a small effect in the air."""
     problem = of_unknown_modulus()
-    in_air = problem.per_bin(lambda recording: recording.bins.label(recording.phases.press)) < 0
+    in_air = problem.per_bin(lambda recording: recording.bin_press) < 0
     floored = problem.with_model_error_floor(np.where(in_air, 0.0, problem.data)).noise.sigma[3]
     added = np.sqrt(floored**2 - problem.noise.sigma[3] ** 2)
     assert 0 < in_air.sum() < len(in_air)

@@ -11,10 +11,9 @@ from scipy.special import ndtri
 from palpd.cell.cell_file import CellFile, EffectValues
 from palpd.cell.simulation import simulate
 from palpd.cell.stages import WRENCH
-from palpd.gap.data.bins import Bins
 from palpd.gap.data.rounding import Rounding
 from palpd.gap.diagnosis import diagnose
-from palpd.gap.model.rounding_error import MOST_COLUMNS, phase_columns, rounding_error
+from palpd.gap.model.rounding_error import MOST_COLUMNS, phase_columns, rounding_error, waves
 from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.tick import Floats
 
@@ -37,7 +36,7 @@ def test_the_columns_have_the_covariance_of_simulated_rounding_errors(noise: flo
     errors_N = mean_errors_N(force_N, noise * STEP_N)
     rounding = Rounding(STEP_N, noise * STEP_N, coarse=False)
     turns = force_N.reshape(-1, EACH).mean(axis=1) / STEP_N
-    columns = [values for first, values in phase_columns(turns, rounding.harmonics_N, np.zeros(len(turns), np.intp))]
+    columns = [values for first, values in phase_columns(list(waves(turns, rounding.harmonics_N)), turns, np.zeros(len(turns), np.intp))]
     assert all(len(values) == len(turns) for values in columns), "all of it is one stretch"
     stated, seen = np.array(columns).T @ np.array(columns), errors_N.T @ errors_N / len(errors_N)
     largest = seen.diagonal().max()
@@ -50,7 +49,7 @@ def test_the_columns_have_the_covariance_of_simulated_rounding_errors(noise: flo
 def test_a_force_that_moves_by_many_steps_has_its_phase_in_short_stretches_alone() -> None:
     turns = np.concatenate([np.zeros(10), np.linspace(0.0, 12.0, 60), np.full(10, 12.0)])
     motion = np.repeat([1, 2, 1], [10, 60, 10])
-    stretches = {(first, first + len(values)) for first, values in phase_columns(turns, np.array([0.02]), motion)}
+    stretches = {(first, first + len(values)) for first, values in phase_columns(list(waves(turns, np.array([0.02]))), turns, motion)}
     assert sorted(first for first, _ in stretches) == [0, *sorted(end for _, end in stretches)[:-1]]
     assert all(np.ptp(turns[first:end]) <= 2.5 and np.ptp(motion[first:end]) == 0 for first, end in stretches)
     assert len(stretches) == 7
@@ -61,8 +60,8 @@ def test_a_recording_of_hundreds_of_presses_has_columns_for_the_largest_errors_a
     force_N, press = np.tile(cycle, 300), np.repeat(np.arange(300), 15)
     press[np.tile(cycle, 300) == 0.0] = -1
     many: Any = SimpleNamespace(
-        bins=Bins(np.arange(len(force_N)), np.ones(len(force_N), np.intp)),
-        phases=SimpleNamespace(press=press, presses=300),
+        bin_press=press,
+        phases=SimpleNamespace(presses=300),
         bin_phase=np.tile(np.repeat([0, 1, 2], [4, 6, 5]), 300),
         measured=np.tile(force_N, (7, 1)),
     )

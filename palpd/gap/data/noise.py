@@ -5,11 +5,10 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from palpd.cell.cell_file import CellFile
+from palpd.gap.data.phases import Ints
 from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples, runs_of_true
 from palpd.tick import Floats
-
-Ints = NDArray[np.intp]
 
 CHANNELS = ("z_m", "fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 Z, FX, FY, FZ, TX, TY, TZ = range(7)
@@ -68,7 +67,7 @@ SAME_READING = 1e-9
 """Change of a reading, as a share of its range, that is none: readings that were rotated into base axes repeat but for the last bits."""
 
 
-def repeats(readings: Floats) -> NDArray[np.bool_]:
+def _repeats(readings: Floats) -> NDArray[np.bool_]:
     """Whether a reading repeats the reading before it (n - 1, k), of readings (n, k) of k axes."""
     return np.asarray(np.abs(np.diff(readings, axis=0)) <= SAME_READING * np.ptp(readings, axis=0))
 
@@ -84,7 +83,7 @@ def held_runs(samples: Samples) -> tuple[Ints, Ints, float]:
     none = np.zeros(0, dtype=np.intp)
     if not live:
         return none, none, 0.0
-    same = repeats(samples.wrench[:, live])
+    same = _repeats(samples.wrench[:, live])
     together = np.asarray(same.all(axis=1))
     alone = [same[~np.delete(same, k, axis=1).all(axis=1), k] for k in range(len(live))] if len(live) > 1 else []
     shares = [max(float(axis.mean()), 1e-6) for axis in alone if len(axis)] or [_repeat_chance(samples.wrench[:, k]) for k in live]

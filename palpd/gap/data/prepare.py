@@ -79,6 +79,11 @@ class PreparedRecording:
         """Cycle of every bin (b,)."""
         return self.bins.label(self.phases.cycle)
 
+    @cached_property
+    def bin_press(self) -> Ints:
+        """Press of every bin (b,), -1 in the air."""
+        return self.bins.label(self.phases.press)
+
     @property
     def removed_m_per_s2(self) -> Floats:
         """Rms of what averaging has removed from the acceleration in every bin (b,), as far as averaging it once more shows."""

@@ -47,6 +47,17 @@ def rounded_moments(force: Floats, noise_rms: float) -> tuple[Floats, Floats]:
     return nearest + mean, square - mean**2
 
 
+def sawtooth(step: float, noise_rms: float) -> Floats:
+    """Amplitudes (h,) of the harmonics of the mean error of rounding over the force, q/(πk) e^(-2(πkσ/q)²) for k from 1.
+
+    Args:
+        step: Rounding step q, in the unit of the channel.
+        noise_rms: Noise σ before the rounding, in the same unit.
+    """
+    k = np.arange(1, ASSUMED.rounding.most_harmonics + 1)
+    return np.asarray(step / (np.pi * k) * np.exp(-2.0 * (np.pi * k * noise_rms / step) ** 2))
+
+
 @dataclass(frozen=True)
 class Rounding:
     """How fz is rounded.
@@ -69,8 +80,7 @@ class Rounding:
     @property
     def harmonics_N(self) -> Floats:
         """Standard deviations (h,) of the sine and the cosine of each harmonic of the error, over all forces; small ones are left out."""
-        k = np.arange(1, ASSUMED.rounding.most_harmonics + 1)
-        sizes_N = self.step_N / (np.sqrt(2.0) * np.pi * k) * np.exp(-2.0 * (np.pi * k * self.noise_rms_N / self.step_N) ** 2)
+        sizes_N = sawtooth(self.step_N, self.noise_rms_N) / 2.0**0.5
         return np.asarray(sizes_N[sizes_N > ASSUMED.rounding.least_harmonic * sizes_N[0]])
 
 
@@ -164,13 +174,13 @@ def coarse_step_N(samples: Samples, cell: CellFile) -> float:
     return float(steps[np.argmax(np.abs(np.exp(2j * np.pi * values / steps[:, None]).sum(axis=1)))])
 
 
-def rounding_of(coarse_step_N: float, cell: CellFile, noise_rms_N: float) -> Rounding | None:
+def rounding_of(coarse_N: float, cell: CellFile, noise_rms_N: float) -> Rounding | None:
     """How fz is rounded; None where noise dithers it.
 
     Args:
-        coarse_step_N: Step that is much coarser than stated, of all recordings; 0 for none.
+        coarse_N: Step that is much coarser than stated, of all recordings; 0 for none.
         noise_rms_N: Noise of a sample before rounding.
     """
-    step_N = coarse_step_N or cell.sensor.resolution_fz_N
+    step_N = coarse_N or cell.sensor.resolution_fz_N
     dithered = noise_rms_N >= ASSUMED.rounding.dithered_steps * step_N
-    return None if dithered else Rounding(step_N, noise_rms_N, coarse=coarse_step_N > 0.0)
+    return None if dithered else Rounding(step_N, noise_rms_N, coarse=coarse_N > 0.0)

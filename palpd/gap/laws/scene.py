@@ -16,6 +16,7 @@ from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import CHANNELS, FZ, Z, resolutions
 from palpd.gap.data.phases import Ints
 from palpd.gap.data.prepare import PreparedRecording
+from palpd.gap.data.rounding import sawtooth
 from palpd.gap.gaussian.nuisance_space import whitened
 from palpd.gap.laws.bases import Basis
 from palpd.gap.laws.formulas import Formula
@@ -25,8 +26,8 @@ from palpd.tick import Floats
 LATERAL = "lateral"
 
 
-HARMONICS, LEAST_HARMONIC = 4, 0.02
-"""Largest number of harmonics of the error of rounded readings, and least amplitude of each after the first, in steps."""
+LEAST_HARMONIC = 0.02
+"""Least amplitude of each harmonic of the error of rounded readings after the first, in steps."""
 MOST_FILTERED = 600_000
 """Largest number of values that are filtered at once: a filter needs ten times their memory, and of a million rows there are 8 million."""
 
@@ -249,11 +250,10 @@ def rounding_columns(problem: Problem, fitted: Floats) -> dict[int, Floats]:
     if step_N <= 0.0:
         return {}
     square = float(max(one.noise_rms[FZ] for one in problem.recordings)) ** 2
-    noise = (rounding.noise_rms_N if rounding is not None else max(square - step_N**2 / 12.0, 0.0) ** 0.5) / step_N
+    noise_rms_N = rounding.noise_rms_N if rounding is not None else max(square - step_N**2 / 12.0, 0.0) ** 0.5
     turn = 2.0 * np.pi * fitted[FZ] / step_N
     columns = []
-    for k in range(1, HARMONICS + 1):
-        size_N = step_N / (np.pi * k) * np.exp(-2.0 * (np.pi * k * noise) ** 2)
+    for k, size_N in enumerate(sawtooth(step_N, noise_rms_N).tolist(), start=1):
         if k == 1 or size_N > LEAST_HARMONIC * step_N:
             columns += [size_N * np.sin(k * turn), size_N * np.cos(k * turn)]
     return whitened(problem.noise, {FZ: np.array(columns).T})

@@ -158,9 +158,8 @@ def _press_columns(
         source, sd = shared[SHARED.index(deviation)], problem.shared_sd[SHARED.index(deviation)]
         if sd > 0 and scatter > 0:
             scatters.append((name, {channel: source[channel] * (scatter / sd) for channel in np.flatnonzero(source.any(axis=1)).tolist()}))
-    press_of_bins = recording.bins.label(recording.phases.press)
     for press in range(recording.phases.presses):
-        bins = np.flatnonzero(press_of_bins == press)
+        bins = np.flatnonzero(recording.bin_press == press)
         if not len(bins):
             continue
         # The bins of a press follow each other; one bin at either side belongs to it in part.

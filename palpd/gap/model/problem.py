@@ -137,7 +137,7 @@ class Problem:
         if self.cell.effects:
             without = self.without_known_effects()
             size = np.maximum(size, np.abs(self.binned_prediction({}, self.nominal_eta) - without.binned_prediction({}, self.nominal_eta)))
-        in_air = self.per_bin(lambda recording: recording.bins.label(recording.phases.press)) < 0
+        in_air = self.per_bin(lambda recording: recording.bin_press) < 0
         for bins in (in_air, ~in_air):
             if bins.any():
                 level[:, bins] = np.quantile(size[:, bins], ASSUMED.noise.model_error_quantile, axis=1)[:, None]

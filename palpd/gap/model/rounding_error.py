@@ -10,7 +10,7 @@ few steps. Over more, tolerances hide the phase, and so does an effect where the
 comes back where the force comes back, and averages out in a bin that crosses levels.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -45,11 +45,12 @@ def rounding_error(recording: PreparedRecording, rounding: Rounding, force_N: Fl
     if rounding.coarse:
         yield from _ways_of_rounding(turns - turns[0], rounding.step_N)
     # The zero of the sensor is the same wherever the probe is in the air, as far as it does not drift.
-    in_air = recording.bins.label(recording.phases.press) < 0
-    for values in _waves(turns, rounding.harmonics_N):
+    in_air = recording.bin_press < 0
+    of_harmonics = list(waves(turns, rounding.harmonics_N))
+    for values in of_harmonics:
         yield np.where(in_air, values, 0.0)
     own = []
-    for first, values in phase_columns(turns, rounding.harmonics_N, recording.bin_phase):
+    for first, values in phase_columns(of_harmonics, turns, recording.bin_phase):
         mine = slice(first, first + len(values))
         sized = np.where(in_air[mine], ASSUMED.rounding.own_phase * values, values)
         own.append((float(np.sum((sized / sigma_N[mine]) ** 2)), mine, sized))
@@ -61,24 +62,28 @@ def rounding_error(recording: PreparedRecording, rounding: Rounding, force_N: Fl
             yield column
 
 
-def phase_columns(turns: Floats, harmonics_N: Floats, motion: Ints) -> Iterator[tuple[int, Floats]]:
+def phase_columns(of_harmonics: Sequence[Floats], turns: Floats, motion: Ints) -> Iterator[tuple[int, Floats]]:
     """Cosine and sine of every harmonic over every stretch.
 
     Args:
+        of_harmonics: Both (b,) of every harmonic, as `waves` gives them.
         turns: Force of the bins (b,), in steps.
-        harmonics_N: Standard deviations (h,) of the harmonics.
         motion: Phase of the motion (b,).
 
     Yields:
         First bin of a stretch, and the mean values (m,) in its bins, in N.
     """
-    waves = list(_waves(turns, harmonics_N))
     for first, end in _stretches(turns, motion):
-        yield from ((first, values[first:end]) for values in waves)
+        yield from ((first, values[first:end]) for values in of_harmonics)
 
 
-def _waves(turns: Floats, harmonics_N: Floats) -> Iterator[Floats]:
-    """Cosine and sine (b,) of every harmonic, averaged over the force that a bin sweeps, in N."""
+def waves(turns: Floats, harmonics_N: Floats) -> Iterator[Floats]:
+    """Cosine and sine (b,) of every harmonic, averaged over the force that a bin sweeps, in N.
+
+    Args:
+        turns: Force of the bins (b,), in steps.
+        harmonics_N: Standard deviations (h,) of the harmonics.
+    """
     swept = np.abs(np.gradient(turns))
     for k, size_N in enumerate(harmonics_N, start=1):
         mean_N, angle = size_N * np.sinc(k * swept), 2.0 * np.pi * k * turns
@@ -98,7 +103,7 @@ def _ways_of_rounding(moved: Floats, step_N: float) -> Iterator[Floats]:
 
 def _as_measured(recording: PreparedRecording, force_N: Floats) -> Floats:
     """The predicted force (b,), in every press times the factor to the measured force: the phase needs the force, not the modulus."""
-    measured_N, press, out = recording.measured[FZ], recording.bins.label(recording.phases.press), force_N.copy()
+    measured_N, press, out = recording.measured[FZ], recording.bin_press, force_N.copy()
     free = press < 0
     if not free.any():
         return out
