@@ -78,7 +78,6 @@ def diagnose(
     """Show where measurement and simulation disagree, which effect causes it, and how far the gap closes."""
     from palpd.cli.tables import diagnosis_lines
     from palpd.gap.commands import diagnose_files
-    from palpd.gap.report.page import write as write_report
 
     _refuse_foreign(recordings)
     say_broken_effects()
@@ -105,6 +104,8 @@ def diagnose(
         except RecordingError as error:
             raise _with_import_command(error, recordings) from error
     if report is not None:
+        from palpd.gap.report.page import write as write_report
+
         write_report(report, diagnosis, ", ".join(path.name for path in recordings))
     for line in diagnosis_lines(diagnosis.to_json()):
         terminal().print(line)
