@@ -56,7 +56,6 @@ DIMENSIONLESS = {
     "noise_ratio": "ratio",
     "occam": "log probability",
     "p": "probability",
-    "p_lone_axis": "probability",
     "p_none": "probability",
     "p_outside": "probability",
     "p_unknown": "probability",

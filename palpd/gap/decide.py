@@ -30,7 +30,7 @@ import numpy as np
 from palpd.cell.effects.learned import LearnedEffect
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.calibration import ProbabilityMap
-from palpd.gap.data.scatter import Scatter
+from palpd.gap.data.scatter import LoneAxis, Scatter
 from palpd.gap.infer.evidence import Fit
 from palpd.gap.infer.inference import Inference
 from palpd.gap.infer.posterior import Attribution
@@ -150,6 +150,7 @@ class DiagnosisVerdict:
         p_unknown: Probability that something outside the list is at work.
         fit: The best hypothesis if effects are named, also with members that are not named; else that without effects.
         beyond: What is outside the list.
+        lone_axis: The axis that alone is noisy; None where none is.
     """
 
     kind: Kind
@@ -159,6 +160,7 @@ class DiagnosisVerdict:
     p_unknown: float
     fit: Fit
     beyond: BeyondList
+    lone_axis: LoneAxis | None
 
     @property
     def law(self) -> NamedLaw | None:
@@ -207,7 +209,8 @@ def decide(inference: Inference, scatter: Scatter, laws: LawEvidence, score_map:
     effects = [NamedEffect(n, candidates[n], best.parameters[n], groups[n], family[n], best.at_bound[n]) for n in order]
     effects += [NamedEffect(one.id, candidates[one.id], one.parameters, [], None, []) for one in of_scatter]
     stands = "unknown" if beyond.p_outside > 0.0 else kind
-    return DiagnosisVerdict(stands, [] if kind == "none" else effects, candidates, p_none, p_unknown, listed, beyond)
+    lone_axis = scatter.lone_axis if scatter.p_lone_axis > ASSUMED.naming.p_to_name else None
+    return DiagnosisVerdict(stands, [] if kind == "none" else effects, candidates, p_none, p_unknown, listed, beyond, lone_axis)
 
 
 def _p_none(attribution: Attribution, scatter: Scatter) -> float:

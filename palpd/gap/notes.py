@@ -10,7 +10,7 @@ from palpd.cell.effects.adopted import load_adopted
 from palpd.cell.effects.learned import held_sentence
 from palpd.cell.simulation import share_outside
 from palpd.gap.assumptions import ASSUMED
-from palpd.gap.data.noise import FZ
+from palpd.gap.data.noise import CHANNELS, FZ
 from palpd.gap.decide import DiagnosisVerdict
 from palpd.gap.laws.evidence import FitBeside
 from palpd.gap.model.problem import Problem, tolerance_key
@@ -32,6 +32,12 @@ def verdict_notes(problem: Problem, verdict: DiagnosisVerdict) -> Iterator[str]:
     yield from deviation_notes(problem, verdict.answer)
     if verdict.beyond.note:
         yield verdict.beyond.note
+    if (axis := verdict.lone_axis) is not None:
+        shown, expected = (quantity(rms, "N" if axis.channel <= FZ else "N m") for rms in axis.noise)
+        yield (
+            f"{CHANNELS[axis.channel]} alone has a noise of {shown} rms at rest, expected at most {expected} as of the other axes; "
+            "check its gauge and its cable."
+        )
     yield from held_notes(problem, verdict)
     involved = {name for e in verdict.effects for name in (e.id, *e.indistinguishable_from)}
     if any(problem.library[name].shows_at_rest for name in involved):

@@ -263,7 +263,7 @@ def test_where_nothing_is_named_the_verdict_follows_the_table(p_none: float, p_u
     nobody = hypothesis((), exact=0.0, likelihood=0.0)
     attribution = SimpleNamespace(p_none=p_none, p_unknown=p_unknown, marginal={}, groups={})
     inference: Any = SimpleNamespace(nominal=nobody, best=None, attribution=attribution)
-    scatter: Any = SimpleNamespace(p_lone_axis=lone_axis, effects=())
+    scatter: Any = SimpleNamespace(p_lone_axis=lone_axis, lone_axis=None, effects=())
     verdict = decide(inference, scatter, LawEvidence(nobody), ProbabilityMap())
     assert verdict.kind == kind
     assert verdict.effects == []

@@ -251,6 +251,25 @@ def test_a_sketch_of_every_effect_shows_its_own_simulation_and_on_the_side_that_
     assert last_height(sketch(gain, {"offset_N": 0.01})) < last_height(sketch(gain, {"offset_N": -0.01}))
 
 
+def test_an_axis_that_alone_is_noisy_is_unknown_and_said_where_and_a_quiet_one_is_no_gap() -> None:
+    samples = recording(nominal(), {})
+    wrench = samples.wrench.copy()
+    wrench[:, 3:5] *= 0.25
+    wrench[:, 4] = np.rint(wrench[:, 4] / 1e-3) * 1e-3
+    quiet = quick(replace(samples, wrench=wrench), nominal())
+    assert quiet.verdict == "none", quiet.sentence
+    wrench = samples.wrench.copy()
+    wrench[:, 1] += 0.1 * np.random.default_rng(4).standard_normal(len(samples))
+    noisy = quick(replace(samples, wrench=wrench), nominal())
+    content = noisy.to_json()
+    assert noisy.verdict == "unknown"
+    assert (content["unexplained"]["channel"], content["where"]["channel"]) == ("fy_N", "fy_N")
+    assert content["unexplained"]["rms"] == pytest.approx(0.1, rel=0.2)
+    assert "force along y" in content["plain"]["where"]
+    assert any("fy_N alone" in note for note in content["notes"])
+    assert "force along y (fy)</h2>" in page(content, curves_of(noisy), EFFECTS, "x")
+
+
 def test_a_user_effect_is_described_by_its_own_words_and_one_that_fails_costs_its_sketch_only(rubbing: Diagnosis) -> None:
     def fails(*_: object) -> None:
         raise RuntimeError
@@ -332,6 +351,7 @@ def test_whatever_an_answer_holds_it_has_a_report_and_lines_for_the_terminal(
             "learned": data.draw(st.sampled_from(LAWS)),
             "events": data.draw(st.sampled_from(EVENTS)),
             "where": data.draw(st.sampled_from([None, {"channel": channel, "phase": phase}])),
+            "unexplained": data.draw(st.sampled_from([None, {"channel": "ty_Nm", "phase": "loading", "rms": 0.001}])),
             "shrink": shrink | {"ci95": data.draw(st.sampled_from([None, [0.0, 1.0]]))},
             "modulus": data.draw(st.sampled_from([None, content["modulus"], content["modulus"] | {"far": True}])),
             "next_experiment": data.draw(st.sampled_from([None, PROPOSED])),

@@ -128,7 +128,8 @@ def noise_before_rounding(values: Floats, at_rest: NDArray[np.bool_], step: floa
     expected = []
     for noise in NOISES:
         mean_there, variance = rounded_moments(force, noise)
-        expected.append(float(np.average(np.interp(apart, mean_there, variance), weights=count)))
+        # as of any sample, the variance at the mean of a stretch is too small by one part in its number of readings
+        expected.append(float(count @ np.interp(apart, mean_there, variance) / max(float((count - 1).sum()), 1.0)))
     expected_there = np.maximum.accumulate(expected) + 1e-9 * np.arange(len(NOISES))
     low, high = np.interp([square - error, square + error], expected_there, NOISES).tolist()
     return low * step, high * step

@@ -32,11 +32,30 @@ class ScatterEffect:
 
 
 @dataclass(frozen=True)
+class LoneAxis:
+    """An axis that is noisier than the others and than its cell file says, which no listed effect makes.
+
+    Attributes:
+        channel: Its number, from 1 on.
+        noise: Least noise of one of its readings before rounding, and the same as the cell file and the other axes say; in its unit.
+    """
+
+    channel: int
+    probability: float
+    noise: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Scatter:
-    """The effects of the scatter that were seen, and the probability that one axis alone is noisy, which no listed effect makes."""
+    """The effects of the scatter that were seen, and the axis that is noisier than the others; None without two axes to compare."""
 
     effects: list[ScatterEffect]
-    p_lone_axis: float
+    lone_axis: LoneAxis | None
+
+    @property
+    def p_lone_axis(self) -> float:
+        """Probability that one axis alone is noisy."""
+        return 0.0 if self.lone_axis is None else self.lone_axis.probability
 
 
 def scatter_effects(
@@ -48,11 +67,11 @@ def scatter_effects(
         cleaned: The same recordings, and what cleaning removed from them.
         library: The effects that may be present, by id.
     """
-    noise, p_lone_axis = _noise(recordings, cleaned, cell)
+    noise, lone_axis = _noise(recordings, cleaned, cell)
     seen = {"coarse step": _coarse_step(cleaned), "held samples": _held_samples(cleaned), "noise": noise}
     ids = {effect.scatter: effect.id for effect in library.values() if effect.id not in cell.effects}  # a known one is no gap
     effects = [ScatterEffect(ids[kind], *evidence) for kind, evidence in seen.items() if evidence is not None and kind in ids]
-    return Scatter(effects, p_lone_axis)
+    return Scatter(effects, lone_axis)
 
 
 Seen = tuple[float, dict[str, tuple[float, float, float]]]
@@ -80,12 +99,14 @@ def _held_samples(cleaned: Sequence[CleanedRecording]) -> Seen | None:
     }
 
 
-def _noise(recordings: Sequence[PreparedRecording], cleaned: Sequence[CleanedRecording], cell: CellFile) -> tuple[Seen | None, float]:
-    """More noise on all axes (None where it is not larger), and the probability that one axis alone is noisy."""
+def _noise(
+    recordings: Sequence[PreparedRecording], cleaned: Sequence[CleanedRecording], cell: CellFile
+) -> tuple[Seen | None, LoneAxis | None]:
+    """More noise on all axes (None where it is not larger), and the axis that is noisier than the others."""
     coarse = any(its.coarse_step_N > 0 for its in cleaned)
     steps, stated = resolutions(cell), pure_rms(cell)
     samples = sum(int(np.isin(recording.phases.phase, (FREE_STILL, HOLDING)).sum()) for recording in recordings)
-    ranges = []
+    ranges, channels = [], []
     for channel in range(1, 7):
         if channel == FZ and coarse:
             continue
@@ -96,8 +117,9 @@ def _noise(recordings: Sequence[PreparedRecording], cleaned: Sequence[CleanedRec
         ]
         if noises and stated[channel] > 0:
             ranges.append(np.maximum(np.sqrt(np.mean(np.square(noises), axis=0)) / stated[channel], LEAST_NOISE_RATIO))
+            channels.append(channel)
     if len(ranges) < 2:
-        return None, 0.0
+        return None, None
     low, high = np.array(ranges).T
     axis_error = ASSUMED.scatter.axis_error / np.sqrt(max(samples, 30))
     weight = 1.0 / (np.log(high / low) + axis_error)  # an axis whose rounding hides its noise says little of that of the others
@@ -105,14 +127,17 @@ def _noise(recordings: Sequence[PreparedRecording], cleaned: Sequence[CleanedRec
     error = axis_error / np.sqrt(weight.sum() / weight.max())
     width = np.hypot(error, ASSUMED.scatter.ratio_error)
     probability = _sigmoid((np.log(ratio) - np.log(ASSUMED.scatter.healthy_ratio + ASSUMED.scatter.healthy_margin)) / width)
-    # Rounding may hide how noisy an axis is: it differs from the others by no less than its readings say.
-    spread = float(np.max(np.abs(np.log(np.clip(ratio, low, high) / ratio))))
-    p_lone_axis = _sigmoid((spread - np.log(ASSUMED.scatter.lone_ratio)) / float(np.hypot(axis_error, ASSUMED.scatter.lone_error)))
+    # Rounding may hide how noisy an axis is: it is noisier than the others by no less than its readings say. A quiet axis is no gap.
+    noisiest, expected = int(np.argmax(low)), max(ratio, 1.0)
+    apart = float(np.log(low[noisiest] / expected))
+    p_lone_axis = _sigmoid((apart - np.log(ASSUMED.scatter.lone_ratio)) / float(np.hypot(axis_error, ASSUMED.scatter.lone_error)))
+    its_stated = float(stated[channels[noisiest]])
+    lone_axis = LoneAxis(channels[noisiest], p_lone_axis, (float(low[noisiest]) * its_stated, expected * its_stated))
     if probability < 1e-3:
-        return None, p_lone_axis
+        return None, lone_axis
     # The cell's own noise, without the effect, may be anything within specification.
     off = ASSUMED.scatter.healthy_ratio * (1.0 + 2.5 * float(np.hypot(error, ASSUMED.scatter.uneven)))
-    return (probability, {"ratio": (ratio, ratio / off, ratio * off)}), p_lone_axis
+    return (probability, {"ratio": (ratio, ratio / off, ratio * off)}), lone_axis
 
 
 def _weighted_median(values: Floats, weight: Floats) -> float:

@@ -11,6 +11,7 @@ from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import CHANNELS, declared_rms
 from palpd.gap.data.phases import PHASES
 from palpd.gap.infer.evidence import Fit
+from palpd.gap.infer.posterior import Hypothesis
 from palpd.gap.model.linearise import Linearisation
 from palpd.gap.model.problem import SHARED, Problem
 from palpd.tick import Floats
@@ -183,6 +184,14 @@ def unexplained(problem: Problem, fit: Fit) -> Unexplained | None:
             if energy > most and excess > 0:
                 most, worst = energy, Unexplained(channel=name, phase=label, rms=float(np.sqrt(excess)))
     return worst
+
+
+def most_structure(problem: Problem, hypothesis: Hypothesis) -> Unexplained:
+    """The channel and phase with most structure in the residual of a hypothesis, also where its size is that of noise."""
+    residual, phase = hypothesis.residual, problem.per_bin(lambda one: one.bin_phase)
+    channel, mine = CHANNELS.index(residual.channel), phase == PHASES.index(residual.phase)
+    rms = float(np.sqrt(np.mean(problem.noise.natural(hypothesis.fit.remainder)[channel, mine] ** 2))) if mine.any() else 0.0
+    return Unexplained(channel=residual.channel, phase=residual.phase, rms=rms)
 
 
 def bands(problem: Problem, residual: Sequence[Floats]) -> list[Band]:

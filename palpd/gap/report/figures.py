@@ -17,7 +17,7 @@ from palpd.cell.effects.learned import formula_of
 from palpd.gap.data.noise import CHANNELS
 from palpd.gap.data.phases import PHASES
 from palpd.gap.other_motion import MotionCheck
-from palpd.gap.plain import CHANNEL_WORDS, unit_of
+from palpd.gap.plain import CHANNEL_WORDS, shown_place, unit_of
 from palpd.quantities import scaled
 from palpd.tick import Floats
 
@@ -126,7 +126,8 @@ def _tint(axes: Axes, t_s: Floats, phase: NDArray[np.intp], *, named: bool) -> N
 def _press_figure(curves: Curves, channel: str, content: Mapping[str, Any]) -> Markup:
     """One cycle: measured and simulated above, measured minus simulated below."""
     c = CHANNELS.index(channel)
-    mine = _shown_cycle(curves, c, PHASES.index(content["where"]["phase"] if content["where"] else "holding"))
+    place = shown_place(content)
+    mine = _shown_cycle(curves, c, PHASES.index(place["phase"] if place is not None else "holding"))
     t_s, phase = curves.t_s[mine], curves.phase[mine]
     samples = max(1, round(SMOOTH_S * len(t_s) / max(t_s[-1] - t_s[0], 1e-9)))
     before, after = (_smoothed(gap[mine], samples) for gap in curves.gaps(c))

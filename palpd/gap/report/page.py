@@ -18,7 +18,7 @@ from palpd.gap.data.noise import CHANNELS
 from palpd.gap.data.phases import PHASES
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.other_motion import MotionCheck
-from palpd.gap.plain import channel_words, plain_answer, unit_of
+from palpd.gap.plain import channel_words, plain_answer, shown_place, unit_of
 from palpd.gap.report.figures import PHASE_WORDS, Curves, figures_of
 from palpd.gap.report.sketch import law_sketch, sketch
 from palpd.quantities import quantity
@@ -72,7 +72,7 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
         title: Names the recordings.
         check: The enriched cell on another motion; None where no other motion was recorded.
     """
-    channel = (content["where"] or content["shrink"])["channel"]
+    channel = (shown_place(content) or content["shrink"])["channel"]
     proposed = content["next_experiment"]
     return rendered_page(
         "palpd.gap.report",
