@@ -118,6 +118,18 @@ class NoiseAssumptions:
     acceleration_share: float = assume(
         0.05, "ratio", "share of the lag by acceleration by which the heights of a real controller differ: its order and its jerk limit"
     )
+    held_line_ratio: float = assume(
+        30.0,
+        "ratio",
+        "least power of a line in the force, over its neighbours and over the same line at rest, that a held target may have made",
+        "twice the largest of 10^5 frequencies of pure noise",
+    )
+    second_line_ratio: float = assume(
+        10.0,
+        "ratio",
+        "least power over its neighbours of the same line in the speed, or of the second one in the force",
+        "one frequency of pure noise in a thousand",
+    )
     command_time_share: float = assume(0.1, "ratio", "error of the times of commanded heights, in time steps of the samples")
     excess_ratio: float = assume(1.15, "ratio", "width of a residual over its noise that still is noise, where noise is larger than stated")
     healthy_lateral_ratio: float = assume(1.5, "ratio", "shown over stated noise beyond which lateral axes say nothing of the noise of fz")

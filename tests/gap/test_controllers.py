@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from palpd.gap.data.controller_cycle import comb_period_s, held_command_s
+from palpd.gap.data.phases import find_phases
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import SHARED, make_problem
@@ -32,6 +34,45 @@ def test_targets_that_are_held_and_sampled_with_a_heavy_probe_are_no_drag() -> N
     heavy = recording("held at 500 Hz", 101, IN_TOLERANCE, heavy_cell_of)
     diagnosis = diagnose([heavy], heavy_cell_of("held at 500 Hz"), max_bins=3000, propose=False)
     assert diagnosis.verdict == "none", diagnosis.sentence
+
+
+def test_targets_that_are_held_for_several_samples_of_a_heavy_probe_are_no_resonance() -> None:
+    """Bins that hold no whole cycles see an alias of it, and a ringing mount fits that."""
+    held = recording("held at 125 Hz", 101, IN_TOLERANCE, heavy_cell_of)
+    diagnosis = diagnose([held], heavy_cell_of("held at 125 Hz"), max_bins=3000, propose=False)
+    assert diagnosis.verdict == "none", diagnosis.sentence
+
+
+def with_held_command(samples: Samples, rows: int) -> Samples:
+    """The recording of a robot whose command was recorded as the controller held it."""
+    assert samples.z_cmd_m is not None
+    return replace(samples, z_cmd_m=np.repeat(samples.z_cmd_m[::rows], rows)[: len(samples)])
+
+
+def test_a_servo_identified_with_smooth_commands_is_not_fast_where_held_commands_were_recorded() -> None:
+    held = with_held_command(recording("held at 125 Hz", 101, IN_TOLERANCE), 4)
+    diagnosis = diagnose([held], cell_of("held at 125 Hz"), max_bins=900, propose=False)
+    assert diagnosis.verdict == "none", diagnosis.sentence
+
+
+def test_the_cycle_of_a_controller_is_found_in_its_command_or_else_in_the_force() -> None:
+    cell = heavy_cell_of("held at 125 Hz")
+    samples = recording("held at 125 Hz", 101, IN_TOLERANCE, heavy_cell_of)
+    assert held_command_s(samples) is None
+    assert comb_period_s(samples, find_phases(samples, cell)) == pytest.approx(0.008, abs=2e-5)
+    assert held_command_s(with_held_command(samples, 4)) == pytest.approx(0.008)
+
+
+@pytest.mark.parametrize("frequency_Hz", [30.0, 60.0, 125.0])
+def test_a_vibration_and_a_ringing_mount_are_no_cycle_of_a_controller(frequency_Hz: float) -> None:
+    samples, cell = recording("second order", 101, IN_TOLERANCE, heavy_cell_of), heavy_cell_of("second order")
+    phases = find_phases(samples, cell)
+    assert comb_period_s(samples, phases) is None
+    turns = 2.0 * np.pi * frequency_Hz * samples.t_s
+    for added_N in (0.05 * np.sin(turns) + 0.03 * np.sin(2.0 * turns), 0.05 * phases.moving * np.sin(turns)):
+        wrench = samples.wrench.copy()
+        wrench[:, 2] += added_N
+        assert comb_period_s(replace(samples, wrench=wrench), phases) is None
 
 
 def giving_way(share: float) -> Samples:

@@ -39,6 +39,11 @@ class Bins:
         begin = self.begin[outer.begin]
         return Bins(begin, np.diff(begin, append=int(self.begin[-1] + self.count[-1])))
 
+    def joined_at(self, outer: "Bins") -> "Bins":
+        """Bins of these bins that begin where bins of samples begin, or with the next of these bins."""
+        begin = np.unique(np.minimum(np.searchsorted(self.begin, outer.begin), len(self) - 1))
+        return Bins(begin, np.diff(begin, append=len(self)))
+
     def mean(self, values: Floats) -> Floats:
         """Mean over every bin.
 

@@ -15,6 +15,7 @@ from palpd.cell.report_times import Reports, find_reports, straight_between
 from palpd.cell.simulation import MeanReading, mean_reading
 from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
 from palpd.gap.assumptions import ASSUMED
+from palpd.gap.data import controller_cycle
 from palpd.gap.data.bins import Bins, make_bins
 from palpd.gap.data.noise import FZ, Z, declared_rms
 from palpd.gap.data.phases import FREE_STILL, HOLDING, Ints, Phases, find_phases
@@ -56,6 +57,7 @@ class PreparedRecording:
     rest: NDArray[np.bool_]  # (n,) samples at which the noise was measured
     noise_measured: bool  # whether enough samples at rest were there for it
     judged: tuple[bool, ...]  # which of the 7 channels are compared
+    held_command_s: float | None  # for which each commanded height stays the same; None where it changes with each sample
     nominal_difference: NominalDifference | None  # what the user's simulator predicts beyond the nominal cell; None without one
 
     @cached_property
@@ -156,8 +158,13 @@ def _prepared(
     sampled = estimate_tip_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m, reports)
     again = estimate_tip_motion(cell, samples.t_s, sampled.z_m, sampled.vz_m_per_s, samples.z_cmd_m)
     unreported_m = _unreported_height(cell, samples, sampled)
-    samples_per_step = Bins.of_equal_length(samples.t_s, _step_length(samples, cell, reports.rows_each))
-    steps = make_bins(samples_per_step.mean(samples.t_s), phases, samples_per_step, most)
+    held_command_s = controller_cycle.held_command_s(samples)
+    step, cycle = _whole_cycles(
+        _step_length(samples, cell, reports.rows_each), held_command_s or controller_cycle.comb_period_s(samples, phases), samples.rate_Hz
+    )
+    samples_per_step, samples_per_cycle = (Bins.of_equal_length(samples.t_s, length) for length in (step, cycle))
+    cycles = make_bins(samples_per_cycle.mean(samples.t_s), phases, samples_per_cycle, most)
+    steps = samples_per_step.joined_at(samples_per_cycle.merged(cycles))
     bins = samples_per_step.merged(steps)
     true_s = samples_per_step.mean(sampled.t_s)
     even_s = _even(true_s)
@@ -187,6 +194,7 @@ def _prepared(
         rest=rest,
         noise_measured=bool(still.sum() >= ASSUMED.noise.fewest_at_rest),
         judged=judged,
+        held_command_s=held_command_s,
         nominal_difference=None
         if simulator is None
         else difference(simulator, cell, library, sampled, (samples.z_cmd_m, samples.z_m), float(phases.depth_m.max())),
@@ -274,6 +282,17 @@ def _step_length(samples: Samples, cell: CellFile, samples_each: float) -> int:
     """
     averaged = 0.25 / cell.robot.servo_natural_frequency_Hz * samples.rate_Hz
     return max(1, min(int(averaged / 5.0), len(samples) // 4500), min(int(averaged / 3.0), int(samples_each)))
+
+
+def _whole_cycles(step: int, cycle_s: float | None, rate_Hz: float) -> tuple[int, int]:
+    """Samples in a step of the simulation and in the shortest bin: bins hold whole cycles of the controller where one was found.
+
+    A part of a sample too few or too many changes the mean over a cycle little. Steps divide a cycle, and may be longer for it.
+    """
+    cycle = 1 if cycle_s is None else round(cycle_s * rate_Hz)
+    if step >= cycle:
+        return (step // cycle * cycle,) * 2
+    return max(part for part in range(1, cycle + 1) if cycle % part == 0 and 3 * part <= 5 * step), cycle
 
 
 def _at_steps(motion: TipMotion, samples_per_step: Bins, true_s: Floats, even_s: Floats) -> TipMotion:

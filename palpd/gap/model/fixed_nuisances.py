@@ -91,13 +91,11 @@ def _of_recording(
     if recording.judged[FZ]:
         yield Column("computation", "held targets", FZ), held_target_N(recording, cell)
     if recording.judged[Z]:
-        yield Column("computation", "hidden delay", Z), errors.delay_m
-        yield Column("computation", "controller order", Z), errors.order_m
+        for name, change_m in errors.heights_m.items():
+            yield Column("computation", name, Z), change_m
         if recording.judged[FZ]:
-            for name, values in zip(
-                ("hidden delay", "controller order", "servo", "controller order", "controller order"), errors.inertial_N, strict=True
-            ):
-                yield Column("computation", name, FZ), values
+            for name, change_N in errors.inertial_N.items():
+                yield Column("computation", name, FZ), change_N
     if rounding is not None and recording.judged[FZ]:
         for values in rounding_error(recording, rounding, force_N, sigma_N):
             yield Column("recording", "rounding", FZ), values

@@ -24,7 +24,7 @@ from palpd.gap.data.rounding import Rounding, undithered_rms_of
 from palpd.gap.gaussian.nuisances import Columns
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.gap.model.fixed_nuisances import Column, FixedNuisances, fixed_nuisances, torque_arm_m
-from palpd.gap.model.servo_error import ServoErrors, servo_errors
+from palpd.gap.model.servo_error import ORDER, ServoErrors, servo_errors
 from palpd.gap.model.workspace import Workspace
 from palpd.gap.user_simulator import UserSimulator
 from palpd.recording.samples import Samples
@@ -387,10 +387,10 @@ def _whitening(
             sigma[FX:, recording.bins.mean(held.astype(float)) > ASSUMED.noise.most_held] = np.inf
         if recording.reports.rows_each > 1.0:  # only reports are independent, and neighbours share them
             sigma[Z] *= ASSUMED.noise.own_height_share * np.sqrt(recording.reports.rows_each)
-        sigma[Z] = np.hypot(sigma[Z], error.order_m)
+        sigma[Z] = np.hypot(sigma[Z], error.heights_m.get(ORDER, 0.0))
         sigma[FZ] = np.hypot(sigma[FZ], recording.motion.z_noise_m * _stiffness(cell, recording))
         sigma[FZ] = np.hypot(sigma[FZ], cell.probe.mass_kg * recording.removed_m_per_s2)
-        sigma[FZ] = np.hypot(sigma[FZ], error.inertial_N[0])
+        sigma[FZ] = np.hypot(sigma[FZ], error.inertial_N.get(ORDER, 0.0))
         sigma[FZ] = np.hypot(sigma[FZ], rounding_N)
         sigma = np.hypot(sigma, _hidden_rms(cell, len(recording.bins)))
         sigma[~np.array(recording.judged)] = np.inf

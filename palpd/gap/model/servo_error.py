@@ -14,21 +14,23 @@ from palpd.gap.data.noise import FZ, Z
 from palpd.gap.data.prepare import PreparedRecording
 from palpd.tick import Floats
 
+ORDER = "controller order"
+"""Name of the column for the order of a controller and its jerk limit."""
+
 
 @dataclass(frozen=True)
 class ServoErrors:
     """What a controller within specification may change in one recording, each as large as a standard deviation; 0 without a command.
 
     Attributes:
-        delay_m: Heights (b,) by a delay inside the controller.
-        order_m: Heights (b,) by its order and jerk limit.
-        inertial_N: Force of inertia (5, b) by that order and by two terms of its series in the servo's time constant, by that delay, and by
-            the tolerance of the natural frequency. Where a command is known, the acceleration is mostly that of the stated servo.
+        heights_m: Heights (b,) by a delay inside the controller, by its order and jerk limit, by the tolerance of its damping, and where
+            the recorded command is held, by half of that time: the servo may have been identified with a smooth command.
+        inertial_N: Force of inertia (b,) by these, by two further terms of the order's series in the servo's time constant, and by the
+            tolerance of the natural frequency. Where a command is known, the acceleration is mostly that of the stated servo.
     """
 
-    delay_m: Floats
-    order_m: Floats
-    inertial_N: Floats
+    heights_m: Mapping[str, Floats]
+    inertial_N: Mapping[str, Floats]
 
 
 def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[str, Effect]) -> ServoErrors:
@@ -40,18 +42,30 @@ def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[
         library: Effects by id.
     """
     if not recording.judged[Z] or recording.z_cmd_m is None:
-        nothing = np.zeros(len(recording.bins))
-        return ServoErrors(nothing, nothing, np.zeros((5, len(recording.bins))))
+        return ServoErrors({}, {})
     t_s = recording.robot_t_s
     nominal_m = predict_motion(cell, t_s, recording.z_cmd_m, library)
     time_constant_s = 1.0 / (2.0 * pi * cell.robot.servo_natural_frequency_Hz)
-    delay_m = _with_hidden_delay(recording, recording.z_cmd_m, cell, library) - nominal_m
     order_m = ASSUMED.noise.acceleration_share * time_constant_s**2 * _second_derivative(nominal_m, t_s)
-    tolerated = Estimated(servo_natural_frequency=cell.tolerances.servo_natural_frequency)
-    frequency_m = predict_motion(cell.with_estimated(tolerated), t_s, recording.z_cmd_m, library) - nominal_m
-    series_m = (order_m, time_constant_s * np.gradient(order_m, t_s), time_constant_s**2 * _second_derivative(order_m, t_s))
-    inertial_N = _inertial_forces(recording, cell, library, (*series_m, delay_m, frequency_m))
-    return ServoErrors(recording.z_means @ delay_m, recording.z_means @ order_m, inertial_N)
+    tolerance = cell.tolerances.servo_natural_frequency
+    damped = cell.robot.model_copy(update={"servo_damping_ratio": cell.robot.servo_damping_ratio * (1.0 + tolerance)})
+    heights_m = {
+        "hidden delay": _with_hidden_delay(recording, recording.z_cmd_m, cell, library) - nominal_m,
+        ORDER: order_m,
+        "damping": predict_motion(cell.model_copy(update={"robot": damped}), t_s, recording.z_cmd_m, library) - nominal_m,
+    }
+    if recording.held_command_s is not None:
+        heights_m["held command"] = np.interp(t_s - 0.5 * recording.held_command_s, t_s, nominal_m) - nominal_m
+    faster = cell.with_estimated(Estimated(servo_natural_frequency=tolerance))
+    accelerated_m = heights_m | {
+        f"{ORDER}, 2nd term": time_constant_s * np.gradient(order_m, t_s),
+        f"{ORDER}, 3rd term": time_constant_s**2 * _second_derivative(order_m, t_s),
+        "natural frequency": predict_motion(faster, t_s, recording.z_cmd_m, library) - nominal_m,
+    }
+    inertial_N = _inertial_forces(recording, cell, library, list(accelerated_m.values()))
+    return ServoErrors(
+        {name: recording.z_means @ change_m for name, change_m in heights_m.items()}, dict(zip(accelerated_m, inertial_N, strict=True))
+    )
 
 
 def _inertial_forces(recording: PreparedRecording, cell: CellFile, library: Mapping[str, Effect], changes_m: Sequence[Floats]) -> Floats:
