@@ -113,6 +113,9 @@ class NoiseAssumptions:
     hidden_delay_s: float = assume(
         0.004, "s", "standard deviation of the delay inside a controller", "half a cycle of a target held at 125 Hz, the slowest usual rate"
     )
+    jerk_limit_s: float = assume(
+        0.02, "s", "time over which a controller that limits the jerk averages its command, as a standard deviation"
+    )
     largest_delay_share: float = assume(0.25, "ratio", "largest hidden delay as a share of the servo's own lag")
     least_width_share: float = assume(0.1, "ratio", "least second moment of a servo behind a hidden delay, as a share of the stated one")
     acceleration_share: float = assume(

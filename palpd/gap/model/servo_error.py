@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from palpd.cell.cell_file import CellFile, Estimated
 from palpd.cell.effects import Effect
@@ -15,7 +16,7 @@ from palpd.gap.data.prepare import PreparedRecording
 from palpd.tick import Floats
 
 ORDER = "controller order"
-"""Name of the column for the order of a controller and its jerk limit."""
+"""Name of the column for the order of a controller."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,8 @@ class ServoErrors:
     """What a controller within specification may change in one recording, each as large as a standard deviation; 0 without a command.
 
     Attributes:
-        heights_m: Heights (b,) by a delay inside the controller, by its order and jerk limit, by the tolerance of its damping, and where
-            the recorded command is held, by half of that time: the servo may have been identified with a smooth command.
+        heights_m: Heights (b,) by a delay inside the controller, by its order, by a limit of the jerk, and by the tolerance of its damping.
+            Where the recorded command is held, also by half of that time: the servo may have been identified with a smooth command.
         inertial_N: Force of inertia (b,) by these, by two further terms of the order's series in the servo's time constant, and by the
             tolerance of the natural frequency. Where a command is known, the acceleration is mostly that of the stated servo.
     """
@@ -43,16 +44,19 @@ def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[
     """
     if not recording.judged[Z] or recording.z_cmd_m is None:
         return ServoErrors({}, {})
-    t_s = recording.robot_t_s
-    nominal_m = predict_motion(cell, t_s, recording.z_cmd_m, library)
+    t_s, z_cmd_m = recording.robot_t_s, recording.z_cmd_m
+    nominal_m = predict_motion(cell, t_s, z_cmd_m, library)
     time_constant_s = 1.0 / (2.0 * pi * cell.robot.servo_natural_frequency_Hz)
     order_m = ASSUMED.noise.acceleration_share * time_constant_s**2 * _second_derivative(nominal_m, t_s)
+    largest_delay_s = ASSUMED.noise.largest_delay_share * _lag_s(cell)
+    delay_s, width_s = min(ASSUMED.noise.hidden_delay_s, largest_delay_s), min(ASSUMED.noise.jerk_limit_s, 2.0 * largest_delay_s)
     tolerance = cell.tolerances.servo_natural_frequency
     damped = cell.robot.model_copy(update={"servo_damping_ratio": cell.robot.servo_damping_ratio * (1.0 + tolerance)})
     heights_m = {
-        "hidden delay": _with_hidden_delay(recording, recording.z_cmd_m, cell, library) - nominal_m,
+        "hidden delay": _behind(cell, library, t_s, np.interp(t_s - delay_s, t_s, z_cmd_m), delay_s, 0.0) - nominal_m,
+        "jerk limit": _behind(cell, library, t_s, _averaged(t_s, z_cmd_m, width_s), 0.5 * width_s, width_s**2 / 12.0) - nominal_m,
         ORDER: order_m,
-        "damping": predict_motion(cell.model_copy(update={"robot": damped}), t_s, recording.z_cmd_m, library) - nominal_m,
+        "damping": predict_motion(cell.model_copy(update={"robot": damped}), t_s, z_cmd_m, library) - nominal_m,
     }
     if recording.held_command_s is not None:
         heights_m["held command"] = np.interp(t_s - 0.5 * recording.held_command_s, t_s, nominal_m) - nominal_m
@@ -60,7 +64,7 @@ def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[
     accelerated_m = heights_m | {
         f"{ORDER}, 2nd term": time_constant_s * np.gradient(order_m, t_s),
         f"{ORDER}, 3rd term": time_constant_s**2 * _second_derivative(order_m, t_s),
-        "natural frequency": predict_motion(faster, t_s, recording.z_cmd_m, library) - nominal_m,
+        "natural frequency": predict_motion(faster, t_s, z_cmd_m, library) - nominal_m,
     }
     inertial_N = _inertial_forces(recording, cell, library, list(accelerated_m.values()))
     return ServoErrors(
@@ -95,7 +99,7 @@ def held_target_N(recording: PreparedRecording, cell: CellFile) -> Floats:
     if recording.judged[Z] and recording.z_cmd_m is not None:
         commanded_m_per_s = recording.z_means @ np.gradient(recording.z_cmd_m, recording.robot_t_s)
     else:
-        ahead_s, motion = 2.0 * cell.robot.servo_damping_ratio / natural_frequency_rad_per_s, recording.motion
+        ahead_s, motion = _lag_s(cell), recording.motion
         commanded_m_per_s = recording.step_means @ (motion.vz_m_per_s + ahead_s * motion.az_m_per_s2)
     return np.asarray(largest_N_s_per_m / 3.0**0.5 * passed * commanded_m_per_s)
 
@@ -104,23 +108,34 @@ def _second_derivative(x: Floats, t_s: Floats) -> Floats:
     return np.asarray(np.gradient(np.gradient(x, t_s), t_s))
 
 
-def _with_hidden_delay(recording: PreparedRecording, z_cmd_m: Floats, cell: CellFile, library: Mapping[str, Effect]) -> Floats:
-    """Heights (k,) of a delay and a second-order servo that together have the lag and the second moment of the stated servo.
+def _behind(cell: CellFile, library: Mapping[str, Effect], t_s: Floats, late_m: Floats, delay_s: float, variance_s2: float) -> Floats:
+    """Heights (k,) of a servo that follows a late command, where both together have the lag and the second moment of the stated servo.
 
-    1 / (1 + b1 s + b2 s²) and exp(-τ s) / (1 + b1' s + b2' s²) agree to second order in s with b1' = b1 - τ and
-    b2' = b2 - b1' τ - τ²/2. A target that is held and a servo of higher order are such a delay to third order.
+    1 / (1 + b1 s + b2 s²) agrees to second order in s with exp(-τ s) (1 + v s²/2) / (1 + b1' s + b2' s²), where b1' = b1 - τ and
+    b2' = b2 - b1 τ + (τ² + v)/2. A target that is held, and a servo of higher order, are a delay to third order.
+
+    Args:
+        late_m: Commanded heights (k,) that are late by τ, and spread in time by the variance v.
     """
-    robot, t_s = cell.robot, recording.robot_t_s
-    natural_frequency_rad_per_s = 2.0 * pi * robot.servo_natural_frequency_Hz
-    b1, b2 = 2.0 * robot.servo_damping_ratio / natural_frequency_rad_per_s, natural_frequency_rad_per_s**-2
-    delay_s = min(ASSUMED.noise.hidden_delay_s, ASSUMED.noise.largest_delay_share * b1)
-    b1_rest = b1 - delay_s
-    b2_rest = max(b2 - b1_rest * delay_s - 0.5 * delay_s**2, ASSUMED.noise.least_width_share * b2)
-    inner = robot.model_copy(
+    lag_s, natural_frequency_rad_per_s = _lag_s(cell), 2.0 * pi * cell.robot.servo_natural_frequency_Hz
+    b2 = natural_frequency_rad_per_s**-2
+    b2_rest = max(b2 - lag_s * delay_s + 0.5 * (delay_s**2 + variance_s2), ASSUMED.noise.least_width_share * b2)
+    inner = cell.robot.model_copy(
         update={
             "servo_natural_frequency_Hz": b2_rest**-0.5 / (2.0 * pi),
-            "servo_damping_ratio": 0.5 * b1_rest * b2_rest**-0.5,
+            "servo_damping_ratio": 0.5 * (lag_s - delay_s) * b2_rest**-0.5,
         }
     )
-    late_m = np.interp(t_s - delay_s, t_s, z_cmd_m)
     return predict_motion(cell.model_copy(update={"robot": inner}), t_s, late_m, library)
+
+
+def _lag_s(cell: CellFile) -> float:
+    """Lag of the stated servo behind a command of constant speed: b1 of its 1 / (1 + b1 s + b2 s²)."""
+    return cell.robot.servo_damping_ratio / (pi * cell.robot.servo_natural_frequency_Hz)
+
+
+def _averaged(t_s: Floats, values: Floats, width_s: float) -> Floats:
+    """Means (k,) of values at the times t_s (k,) over the time before each."""
+    sums = cumulative_trapezoid(values, t_s, initial=0)
+    before = np.interp(t_s - width_s, t_s, sums) + np.minimum(t_s - width_s - t_s[0], 0.0) * values[0]
+    return np.asarray((sums - before) / width_s)
