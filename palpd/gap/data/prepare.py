@@ -47,7 +47,9 @@ class PreparedRecording:
     sampled: TipMotion  # at every sample
     motion: TipMotion  # at the steps, several samples long where the motion is smooth; moved to even times where nearly even
     step_means: csr_array  # (b, steps) takes means over the bins of what is known at the times of `motion`
-    otherwise: tuple[TipMotion, TipMotion]  # `motion` with another path, and with its acceleration averaged once more
+    otherwise: tuple[
+        TipMotion, ...
+    ]  # `motion` with another path, and with its acceleration averaged once more, without a command also twice
     reports: Reports  # of the robot
     robot_t_s: Floats  # (k,) times from the first row: of the samples where the robot reports less often, else of the steps
     z_cmd_m: Floats | None  # (k,) at those times
@@ -157,6 +159,9 @@ def _prepared(
     reports = find_reports(samples.t_s, samples.z_m)
     sampled = estimate_tip_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m, reports)
     again = estimate_tip_motion(cell, samples.t_s, sampled.z_m, sampled.vz_m_per_s, samples.z_cmd_m)
+    averaged = [again]
+    if samples.z_cmd_m is None:  # a pulse of acceleration that no command says loses more than one average shows
+        averaged.append(estimate_tip_motion(cell, samples.t_s, again.z_m, again.vz_m_per_s))
     unreported_m = _unreported_height(cell, samples, sampled)
     held_command_s = controller_cycle.held_command_s(samples)
     step, cycle = _whole_cycles(
@@ -183,7 +188,7 @@ def _prepared(
         step_means=steps.means() @ straight_between(np.clip(true_s, even_s[0], even_s[-1]), even_s),
         otherwise=(
             _at_steps(replace(sampled, z_m=again.z_m + unreported_m, vz_m_per_s=again.vz_m_per_s), samples_per_step, true_s, even_s),
-            _at_steps(replace(sampled, az_m_per_s2=again.az_m_per_s2), samples_per_step, true_s, even_s),
+            *(_at_steps(replace(sampled, az_m_per_s2=each.az_m_per_s2), samples_per_step, true_s, even_s) for each in averaged),
         ),
         reports=reports,
         robot_t_s=robot_t_s,
