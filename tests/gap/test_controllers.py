@@ -5,13 +5,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from palpd.cell.simulation import predict_motion
 from palpd.gap.data.controller_cycle import comb_period_s, held_command_s
 from palpd.gap.data.phases import find_phases
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import SHARED, make_problem
 from palpd.recording.samples import Samples
-from palpd.testing.plain_cells import CONTROLLERS, PlantedDeviations, cell_of, heavy_cell_of, recording
+from palpd.testing.plain_cells import (
+    CONTROLLERS,
+    FINE_HZ,
+    RATE_HZ,
+    SERVO_HZ,
+    PlantedDeviations,
+    cell_of,
+    commanded,
+    follow,
+    heavy_cell_of,
+    recording,
+)
 
 IN_TOLERANCE = PlantedDeviations(youngs_modulus=0.03, mass_kg=-0.004, latency_s=0.001, servo_natural_frequency=-0.03, surface_z_m=3e-5)
 
@@ -53,6 +65,25 @@ def test_a_servo_identified_with_smooth_commands_is_not_fast_where_held_commands
     held = with_held_command(recording("held at 125 Hz", 101, IN_TOLERANCE), 4)
     diagnosis = diagnose([held], cell_of("held at 125 Hz"), max_bins=900, propose=False)
     assert diagnosis.verdict == "none", diagnosis.sentence
+
+
+def test_what_a_limit_of_the_jerk_changes_is_tolerated_to_a_few_parts_in_a_hundred() -> None:
+    cell, samples = cell_of("jerk limit"), recording("jerk limit", 101)
+    problem = make_problem([samples], cell, max_bins=900)
+    prepared, heights_m = problem.recordings[0], problem.servo_errors[0].heights_m
+    jerky_m = np.interp(prepared.robot_t_s, samples.t_s, follow("jerk limit", commanded(101), SERVO_HZ)[:: FINE_HZ // RATE_HZ])
+    assert prepared.z_cmd_m is not None
+    change_m = prepared.z_means @ (jerky_m - predict_motion(cell, prepared.robot_t_s, prepared.z_cmd_m))
+
+    def left(columns_m: np.ndarray) -> float:
+        rest_m = change_m - columns_m.T @ np.linalg.lstsq(columns_m.T, change_m, rcond=None)[0]
+        return float(np.linalg.norm(rest_m) / np.linalg.norm(change_m))
+
+    every = np.array(list(heights_m.values()))
+    sizes = np.linalg.lstsq(every.T, change_m, rcond=None)[0]
+    assert left(every) < 0.05
+    assert np.abs(sizes).max() < 4.0, dict(zip(heights_m, sizes, strict=True))
+    assert left(np.array([column_m for name, column_m in heights_m.items() if name != "jerk limit"])) > 2.0 * left(every)
 
 
 def test_the_cycle_of_a_controller_is_found_in_its_command_or_else_in_the_force() -> None:
