@@ -47,9 +47,7 @@ class PreparedRecording:
     sampled: TipMotion  # at every sample
     motion: TipMotion  # at the steps, several samples long where the motion is smooth; moved to even times where nearly even
     step_means: csr_array  # (b, steps) takes means over the bins of what is known at the times of `motion`
-    otherwise: tuple[
-        TipMotion, ...
-    ]  # `motion` with another path, and with its acceleration averaged once more, without a command also twice
+    otherwise: tuple[TipMotion, ...]  # `motion` with another path, and with its acceleration averaged once or twice more
     reports: Reports  # of the robot
     robot_t_s: Floats  # (k,) times from the first row: of the samples where the robot reports less often, else of the steps
     z_cmd_m: Floats | None  # (k,) at those times
