@@ -47,12 +47,13 @@ def environment(clone: Path, **variables: str) -> dict[str, str]:
 def run(line: str, clone: Path, **variables: str) -> str:
     done = subprocess.run(
         ["bash", "-euc", line], cwd=clone, env=environment(clone, **variables), capture_output=True, text=True, check=False,
-        stdin=subprocess.DEVNULL, timeout=220,
+        stdin=subprocess.DEVNULL, timeout=500,
     )  # fmt: skip
     assert done.returncode == 0, f"{line}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
     return done.stdout
 
 
+@pytest.mark.timeout(900)  # on a busy computer
 def test_the_blocks_of_the_readme_run_in_order(clone: Path) -> None:
     lines = commands_of(ROOT / "README.md")
     left_out = [line for line in lines if line.partition("#")[0].strip() in TOO_LONG]

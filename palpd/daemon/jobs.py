@@ -23,8 +23,9 @@ KEPT_JOBS = 20
 """Number of jobs that are over and still known, with log and result; their files stay on disk."""
 KEPT_LINES = 1000
 """Number of lines of a job's log that are kept: the last ones."""
-END_S = 5.0
-"""Longest time that a program may take to end after its last run was aborted; then its worker is killed."""
+END_S = 20.0
+"""Longest time that a program may take to end after its last run was aborted; then its worker is killed, and its result is lost. On a
+busy computer a map takes more than 5 s to analyse and draw."""
 
 
 @dataclass(slots=True)
