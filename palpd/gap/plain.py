@@ -132,9 +132,14 @@ def _sure(probability: float) -> str:
     return f"{min(max(100.0 * probability, 1.0), 99.0):.0f} of 100 such answers are right."
 
 
+def _unexplained(content: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Where what nothing in the list explains is largest; None unless the answer is unknown."""
+    return content["unexplained"] if content["verdict"] == "unknown" else None
+
+
 def shown_place(content: Mapping[str, Any]) -> Mapping[str, Any] | None:
     """The channel and phase to look at: of what no cause explains where the answer is unknown, else of the largest gap."""
-    return (content["unexplained"] if content["verdict"] == "unknown" else None) or content["where"]
+    return _unexplained(content) or content["where"]
 
 
 def _where(content: Mapping[str, Any]) -> str:
@@ -147,9 +152,11 @@ def _where(content: Mapping[str, Any]) -> str:
         rms, floor = _sizes(place["channel"], gap["rms"], gap["noise_floor"])
         size = f": {rms} rms, where a healthy cell shows {floor}"
     shows = f"It shows most in the {channel_words(place['channel'])} {PHASE_PHRASES[place['phase']]}{size}."
-    rest = shown_place(content)
-    there = rest is not None and (rest["channel"], rest["phase"]) == (place["channel"], place["phase"])
-    if rest is None or rest is place or (there and size and not content["effects"]):
+    rest = _unexplained(content)
+    if rest is None:
+        return shows
+    there = (rest["channel"], rest["phase"]) == (place["channel"], place["phase"])
+    if there and size and not content["effects"]:
         return shows
     at = "there" if there else f"in the {channel_words(rest['channel'])} {PHASE_PHRASES[rest['phase']]}"
     return f"{shows} What nothing in the list explains is largest {at}: {quantity(rest['rms'], unit_of(rest['channel']))} rms."
