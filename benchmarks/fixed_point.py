@@ -2,14 +2,12 @@
 
 `python -m benchmarks.fixed_point FOLDER [--most N] [--jobs 2]` takes each X.csv with X.yaml in the folder, such as one of
 `benchmarks.foreign`. Nobody needs to know what acts: a cell that holds all that was found has no gap. It prints the share of the answers
-with named effects whose second diagnosis says "none", and the second answer of the others. It ends with 1 where a diagnosis fails.
+with named effects whose second diagnosis says "none", and the second answer of the others.
 """
 
 import argparse
-import sys
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import Pool
 from pathlib import Path
 
 from palpd.blind.score import wilson
@@ -17,6 +15,7 @@ from palpd.cell.cell_file import CellFile, load_cell
 from palpd.gap.commands import read_recording
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.model.problem import MAX_BINS
+from palpd.workers import pool
 
 
 @dataclass(frozen=True)
@@ -54,8 +53,8 @@ def asked_twice(recording: Path, bins: int) -> TwoAnswers:
     return TwoAnswers(recording.stem, first.verdict, second.verdict, named, again)
 
 
-def main() -> int:
-    """Ask about all recordings of a folder; 0 if every diagnosis ended."""
+def main() -> None:
+    """Ask about all recordings of a folder, and print the share of stable answers."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--most", type=int, default=10**6, help="number of recordings, at most")
@@ -64,15 +63,14 @@ def main() -> int:
     options = parser.parse_args()
     recordings = [path for path in sorted(options.folder.glob("*.csv")) if path.with_suffix(".yaml").exists()][: options.most]
     named = stable = 0
-    with Pool(options.jobs) as pool:
-        for one in pool.imap(partial(asked_twice, bins=options.bins), recordings):
+    with pool(options.jobs) as workers:
+        for one in workers.map(partial(asked_twice, bins=options.bins), recordings):
             named, stable = named + (one.second is not None), stable + (one.second == "none")
             if one.second not in (None, "none"):
                 print(one.line, flush=True)
     low, high = wilson(stable, named)
     print(f"stable: {stable} of {named} answers with named effects ({low:.0%} to {high:.0%}), of {len(recordings)} recordings")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
