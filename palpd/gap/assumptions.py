@@ -119,7 +119,7 @@ class NoiseAssumptions:
     largest_delay_share: float = assume(0.25, "ratio", "largest hidden delay as a share of the servo's own lag")
     least_width_share: float = assume(0.1, "ratio", "least second moment of a servo behind a hidden delay, as a share of the stated one")
     acceleration_share: float = assume(
-        0.05, "ratio", "share of the lag by acceleration by which the heights of a real controller differ: its order and its jerk limit"
+        0.05, "ratio", "share of the lag by acceleration by which the heights of a real controller differ by its order"
     )
     held_line_ratio: float = assume(
         30.0,

@@ -220,6 +220,7 @@ ADHESION = Effect(
     (
         # where the range is long, the pull is a quarter of it at most: it still grows when it begins to fade
         Parameter("force_N", "N", 0.0, lambda s: 4.0 * s.range_N, of("force_N", 0.05, 0.2)),
+        # over a shorter one, a tip that rises a little as the tissue relaxes would explain the relaxation
         Parameter("range_m", "m", lambda s: 0.03 * s.depth_m, lambda s: s.stroke_m, of("depth_m", 0.2, 0.05), nominal=None, log=True),
         Parameter("fading", "1", 0.5, 8.0, (3.0,), nominal=None, log=True, optional=True, nuisance=True),
     ),
