@@ -81,6 +81,7 @@ class Constants:
     bias_N: float = 0.0
     drift_N_per_s: float = 0.0
     limit_N: float = float("inf")
+    knee_N: float = 0.0
     step_N: float = 0.0
     dropout_rate_Hz: float = 0.0
     dropout_length_s: float = 0.0
@@ -344,6 +345,26 @@ def mounted(a: Floats, dt_s: Column, frequency_Hz: float, damping_ratio: float, 
     p, q = poles(frequency_Hz, damping_ratio)
     one, two = _pair(a, dt_s, p, q, memory)
     return np.real((p * one - q * two) / (p - q))
+
+
+def excess_N(x_N: Floats, knee_N: float) -> Floats:
+    """What a force exceeds zero by, max(0, x), with the corner rounded over `knee_N`: knee · ln(1 + exp(x / knee)), a softplus.
+
+    Args:
+        x_N: Forces (n,) in N.
+        knee_N: Width of the rounding in N; 0: a corner.
+
+    Returns:
+        The excess (n,) in N.
+    """
+    return knee_N * np.logaddexp(0.0, x_N / knee_N) if knee_N > 0.0 else np.maximum(x_N, 0.0)
+
+
+def limited_N(x_N: Floats, limit_N: float, knee_N: float) -> Floats:
+    """Forces (n,) in N between -limit and limit; with `knee_N` they approach a limit gradually, as `excess_N`."""
+    if knee_N <= 0.0:
+        return np.clip(x_N, -limit_N, limit_N)
+    return x_N - excess_N(x_N - limit_N, knee_N) + excess_N(-x_N - limit_N, knee_N)
 
 
 def play(u: Floats, width: float, memory: Memory) -> Floats:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.dynamics import Constants, Floats, Memory, Span, delayed, lowpass, shifted
+from palpd.cell.dynamics import Constants, Floats, Memory, Span, delayed, limited_N, lowpass, shifted
 from palpd.cell.physics import Physics
 
 WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
@@ -160,7 +160,7 @@ def clip_and_round_mean(s: Span) -> None:
     """Clip and round the mean as it is on average: noise dithers the rounding, which leaves Σ (-1)^k q/πk sin(2πkf/q) e^(-2(πkσ/q)²)."""
     c = s.constants
     if c.limit_N < np.inf:
-        s.fz_N = np.clip(s.fz_N, -c.limit_N, c.limit_N)
+        s.fz_N = limited_N(s.fz_N, c.limit_N, c.knee_N)
     if c.step_N <= 0.0:
         return
     dither = c.noise_rms_N / c.step_N
@@ -192,7 +192,7 @@ def scattered_wrench(wrench: Floats, s: Span, rng: np.random.Generator, memory: 
     c = s.constants
     wrench = wrench + rng.standard_normal(wrench.shape) * _noise_rms(c.noise_rms_N, c.noise_rms_Nm)
     if c.limit_N < np.inf:
-        wrench[:, 2] = np.clip(wrench[:, 2], -c.limit_N, c.limit_N)
+        wrench[:, 2] = limited_N(wrench[:, 2], c.limit_N, c.knee_N)
     wrench[:, 2] = _rounded(wrench[:, 2], c.step_N)
     if c.dropout_rate_Hz > 0.0:
         _hold_dropouts(wrench, s, rng, memory.setdefault("dropout", {}))

@@ -377,6 +377,20 @@ def test_a_pull_that_holds_until_it_snaps_is_a_nuisance_that_no_file_names() -> 
         cell_from({"effects": {"tissue.adhesion": {"force_N": 0.3, "range_m": 5e-4, "fading": 4.0}}}, "cell")
 
 
+@pytest.mark.parametrize(("name", "sharp"), [("sensor.saturation", {"limit_N": 0.5}), ("sensor.asymmetry", {"ratio": 0.3, "at_N": 0.5})])
+def test_a_slope_may_change_gradually_which_is_a_nuisance_that_no_file_names(name: str, sharp: dict[str, float]) -> None:
+    motion = ramp((0, 2.0), (1, -2.0), (2, 2.0))
+    nominal_N, corner_N = felt(still_cell(), motion), felt(with_(name, **sharp), motion)
+    knee_N = felt(with_(name, **sharp, knee_N=0.03), motion)
+    assert nominal_N.max() > 0.8
+    away = np.abs(nominal_N - 0.5) > 0.3
+    np.testing.assert_allclose(knee_N[away], corner_N[away], atol=1e-4)
+    at = np.argmin(np.abs(nominal_N - 0.5))
+    change_of_slope = sharp.get("ratio", -1.0)
+    assert knee_N[at] - corner_N[at] == pytest.approx(change_of_slope * 0.03 * np.log(2.0), rel=0.05)
+    assert "knee_N" not in [parameter.name for parameter in EFFECTS[name].named_parameters]
+
+
 def test_a_loop_begins_where_earlier_loads_have_left_it() -> None:
     motion = ramp((0, 0.0), (1, -2.0), (2, 2.0))
     loop = {"width_N": 0.5, "amplitude_N": 0.1}

@@ -54,13 +54,26 @@ def with_held_rows(samples: Samples) -> Samples:
     return replace(samples, wrench=wrench)
 
 
-@pytest.mark.parametrize("changed", [with_lateral, with_drag, with_coarse_step, with_more_noise, with_held_rows])
+def with_gradual_limit(samples: Samples) -> Samples:
+    """An amplifier that runs into its limit gradually (Rapp 1991): no cell file holds how gradually."""
+    wrench = samples.wrench.copy()
+    limit_N = 0.93 * np.quantile(wrench[:, 2], 0.995)
+    wrench[:, 2] /= (1.0 + np.abs(wrench[:, 2] / limit_N) ** 14) ** (1.0 / 14)
+    return replace(samples, wrench=wrench)
+
+
+@pytest.mark.parametrize("changed", [with_lateral, with_drag, with_coarse_step, with_more_noise, with_held_rows, with_gradual_limit])
 def test_what_a_diagnosis_has_found_is_no_gap_of_the_cell_that_it_writes(changed: Callable[[Samples], Samples]) -> None:
     samples = changed(recording("second order", 101))
     first = quick(samples)
     assert first.verdict == "effects", first.sentence
     second = quick(samples, first)
     assert second.verdict == "none", second.sentence
+
+
+def test_a_limit_that_is_reached_gradually_is_a_limit_and_no_change_of_the_slope() -> None:
+    answer = quick(with_gradual_limit(recording("second order", 101)))
+    assert [effect.id for effect in answer.effects] == ["sensor.saturation"], answer.sentence
 
 
 def test_a_known_effect_does_not_hide_a_further_one() -> None:

@@ -105,7 +105,7 @@ class Installed:
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installed]:
+def service(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installed]:
     """Installed as systemd/README.md says, before emulated wires."""
     skip_without_ur_rtde()
     with booted(tmp_path_factory.mktemp("nspawn")) as inside:
@@ -128,6 +128,8 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installed]:
         until(lambda: inside.path(f"{EMULATORS}/control").exists(), 30.0, "the emulators are ready")
         yield installed
         print("\nmeasured:", json.dumps(installed.figures, indent=1))
+        if request.session.testsfailed:
+            print(inside.run("journalctl", "--unit=palpd", "--output=short-precise", check=False))
 
 
 def test_the_unit_is_clean_where_it_is_installed(service: Installed) -> None:

@@ -4,7 +4,7 @@ from math import inf
 
 import numpy as np
 
-from palpd.cell.dynamics import Constants, Memory, Span, lowpass, play, recurrence
+from palpd.cell.dynamics import Constants, Memory, Span, excess_N, lowpass, play, recurrence
 from palpd.cell.effects.effect import (
     DEAD_BAND,
     LOAD,
@@ -245,9 +245,23 @@ DRIFT = Effect(
 )
 
 
+KNEE = Parameter(
+    "knee_N",
+    "N",
+    lambda s: 0.01 * s.force_N,
+    lambda s: 0.3 * s.force_N,
+    of("force_N", 0.05),
+    nominal=None,
+    log=True,
+    optional=True,
+    nuisance=True,
+)
+"""Over which force a slope changes to another one: at a corner in the formula, gradually in a real sensor."""
+
+
 def _asymmetry(s: Span, p: Values, _memory: Memory) -> None:
-    above = p.get("side", PUSHED) > 0.0
-    s.fz_N = s.fz_N + p["ratio"] * (np.maximum(s.fz_N - p["at_N"], 0.0) if above else np.minimum(s.fz_N, p["at_N"]))
+    excess = excess_N(s.fz_N - p["at_N"], p.get("knee_N", 0.0))
+    s.fz_N = s.fz_N + p["ratio"] * (excess if p.get("side", PUSHED) > 0.0 else s.fz_N - excess)
 
 
 PUSHED, PULLED = 1.0, -1.0
@@ -273,6 +287,7 @@ ASYMMETRY = Effect(
             choices=(PUSHED, PULLED),
             words="side (1: above that force, -1: below)",
         ),
+        KNEE,
     ),
     law=_asymmetry,
     family=SCALE_OF_FORCE,
@@ -298,7 +313,8 @@ NOISE = Effect(
 
 
 def _saturation(c: Constants, p: Values) -> None:
-    c.limit_N = min(c.limit_N, p["limit_N"])
+    if p["limit_N"] < c.limit_N:
+        c.limit_N, c.knee_N = p["limit_N"], p.get("knee_N", 0.0)
 
 
 def _least_limit(s: Scale) -> float:
@@ -310,7 +326,7 @@ SATURATION = Effect(
     "sensor.saturation",
     "sensor",
     "the sensor is at its limit: the reading stays flat above some force",
-    (Parameter("limit_N", "N", _least_limit, lambda s: 2.0 * s.range_N, of("force_N", 0.8), nominal=inf, log=True),),
+    (Parameter("limit_N", "N", _least_limit, lambda s: 2.0 * s.range_N, of("force_N", 0.8), nominal=inf, log=True), KNEE),
     setting=_saturation,
     discrepancy_drivers=LOAD,
     formula="fz clipped to ±limit",

@@ -16,7 +16,7 @@ from palpd.gap.infer.candidates import Candidate, Match, candidates_of, further_
 from palpd.gap.infer.evidence import Fit, fit, laplace_evidence
 from palpd.gap.infer.fit import gauss_newton, jacobian_at
 from palpd.gap.infer.settle import NominalFit
-from palpd.gap.model.coordinates import coordinates, coordinates_of, start_values, stretched
+from palpd.gap.model.coordinates import coordinates, coordinates_of, other_laws, start_values, stretched
 from palpd.gap.model.linearise import Linearisation, linearise
 from palpd.gap.model.problem import MODULUS, Problem
 from palpd.tick import Floats
@@ -125,12 +125,17 @@ def from_afar(state: SearchState) -> SearchState:
 
 
 def refine(state: SearchState, size: int, most: int) -> SearchState:
-    """Linearise the nuisances of the leading fits again at their optimum; one by `search.hopeless_nats` below the first is left."""
-    leading = state.leading(size, most)
+    """Linearise the nuisances of the leading fits again at their optimum; one by `search.hopeless_nats` below the first is left.
+
+    There the other laws by which real cells show an effect are tried once more: far from the optimum the usual one may look better.
+    """
+    problem, leading = state.problem, state.leading(size, most)
     for before in leading:
         if before.log_evidence >= leading[0].log_evidence - ASSUMED.search.hopeless_nats:
-            fitted = fit(state.problem, before.values, before.linearisation, iterations=2, rounds=ASSUMED.search.rounds)
-            state = state.with_fit("refine", fitted)
+            fits = [fit(problem, before.values, before.linearisation, iterations=2, rounds=ASSUMED.search.rounds)]
+            for values in other_laws(fits[0].values, problem.library, problem.scale):
+                fits.append(fit(problem, values, fits[0].linearisation, iterations=6, rounds=1))
+            state = state.with_fit("refine", max(fits, key=lambda fitted: fitted.log_evidence))
     return state
 
 

@@ -7,6 +7,8 @@ import numpy as np
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.infer.discrepancy import discrepancy_columns
 from palpd.gap.infer.evidence import Fit, fit
+from palpd.gap.infer.fit import jacobian_at
+from palpd.gap.model.coordinates import coordinates, coordinates_of, other_laws
 from palpd.gap.model.linearise import Linearisation, linearise
 from palpd.gap.model.problem import SHARED, Problem
 from palpd.tick import Floats
@@ -51,9 +53,21 @@ def settle(problem: Problem) -> NominalFit:
 
 
 def _law_errors(problem: Problem, stated: Linearisation) -> Floats:
-    """What the laws of known effects may be wrong by (m, 7, b), in the units of the channels: `law_error.sizes[1]` × D.
+    """What the laws of known effects may be wrong by (m, 7, b), in the units of the channels.
 
-    The diagnosis that found them allowed as much. Without it, the next one would take the error of a law for a further effect.
+    `law_error.sizes[1]` × D. The diagnosis that found the effects allowed as much. Without it, the next one would take the error of a law
+    for a further effect. Where real cells show an effect by another law, too, whose nuisance no cell file holds, that law may act, with
+    parameters that change the effect by as much.
     """
-    directions, _ = discrepancy_columns(problem.without_known_effects(), problem.cell.effects, stated.prediction, stated)
-    return problem.noise.natural(directions.scaled(ASSUMED.law_error.sizes[1]).dense())
+    without, known, at = problem.without_known_effects(), problem.cell.effects, stated.prediction
+    size, eta = ASSUMED.law_error.sizes[1], stated.eta
+    directions, _ = discrepancy_columns(without, known, at, stated)
+    errors = [*directions.scaled(size).dense()]
+    where = [c for c in coordinates(known, problem.library, problem.scale) if not c.fixed]
+    slopes = jacobian_at(without, where, coordinates_of(where, known), eta, at)
+    for values in other_laws(known, problem.library, problem.scale):
+        name = next(name for name in known if values[name] != known[name])
+        part = at - without.predict({one: mine for one, mine in known.items() if one != name}, eta)
+        moves = [slope / max(float(np.linalg.norm(slope)), 1e-300) for c, slope in zip(where, slopes, strict=True) if c.effect == name]
+        errors += [without.predict(values, eta) - at, *(size * float(np.linalg.norm(part)) * move for move in moves)]
+    return problem.noise.natural(np.array(errors).reshape(-1, *at.shape))

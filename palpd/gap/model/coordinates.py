@@ -1,6 +1,6 @@
 """Coordinates u of the parameters θ of effects, in which steps of 1 % are sensible, and where a search in them starts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import inf, log, pi
@@ -119,6 +119,14 @@ def inside(where: Sequence[Coordinate], u: Floats) -> Floats:
         u: The coordinates (k,).
     """
     return np.array([x if c.angle else c.to(c.back(x)) for c, x in zip(where, u.tolist(), strict=True)])
+
+
+def other_laws(values: EffectValues, library: Mapping[str, Effect], scale: Scale) -> Iterator[EffectValues]:
+    """Parameters of effects, once with each nuisance that the law of one of them may have besides."""
+    for name, mine in values.items():
+        for parameter in library[name].parameters:
+            if parameter.nuisance and parameter.name not in mine:
+                yield {**values, name: {**mine, parameter.name: parameter.starts(scale)[0]}}
 
 
 def start_values(effect: Effect, scale: Scale, peaks_Hz: Sequence[float]) -> list[dict[str, float]]:
