@@ -47,3 +47,17 @@ def held_out(space: NuisanceSpace, columns: ColumnsByChannel, root: Floats, fold
         mean, _ = posterior_of(others, root)
         gains.append(float(mine.slope @ mean - 0.5 * mean @ mine.gram @ mean))
     return HeldOut(np.array(gains))
+
+
+def spread_over_folds(space: NuisanceSpace, columns: ColumnsByChannel, root: Floats, fold: Ints) -> Floats:
+    """Covariance (m, m) of w as the fits without each fold differ, by the jackknife (Efron 1982, eq. 3.2). It holds of a wrong law, too.
+
+    Args:
+        columns: Whitened columns X (b, m) of the law by channel.
+        root: Root s L (m, m) of the prior covariance of w.
+        fold: Number of the fold (b,) of every bin.
+    """
+    _, outside = space.folded(columns, fold, ASSUMED.laws.folds)
+    means = np.array([posterior_of(others, root)[0] for others in outside])
+    apart = means - means.mean(axis=0)
+    return (ASSUMED.laws.folds - 1) / ASSUMED.laws.folds * apart.T @ apart

@@ -12,7 +12,7 @@ from palpd.gap.data.rounding import undithered_rms_of
 from palpd.gap.gaussian.evidence import group_evidence
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace, whitened
 from palpd.gap.laws.bases import Basis
-from palpd.gap.laws.held_out import HeldOut, held_out
+from palpd.gap.laws.held_out import HeldOut, held_out, spread_over_folds
 from palpd.gap.laws.scene import LawCandidate, Scene
 from palpd.gap.laws.scoring import Scored, Scorer
 from palpd.gap.model.problem import return_memory
@@ -86,22 +86,30 @@ class LearnedLaw:
         """How well the curve of a term is known: as a free curve also where a formula holds, since another formula may be the true one.
 
         Returns:
-            The free curve, and the covariance (m, m) of its coefficients w.
+            The free curve, and the covariance (m, m) of its coefficients w, more where strokes disagree on it than noise says.
         """
-        free = self.terms[number].free_curve
-        if free is None:
-            return self.terms[number].candidate, self.coefficients(number)[1]
-        columns = whitened(self.scene.problem.noise, self.scene.columns(free))
-        return free, group_evidence(self.space.products(columns), free.basis.priors).covariance
+        term = self.terms[number]
+        if term.free_curve is None:
+            candidate, columns, root, covariance = term.candidate, term.columns, term.root, self.coefficients(number)[1]
+        else:
+            candidate, columns = term.free_curve, whitened(self.scene.problem.noise, self.scene.columns(term.free_curve))
+            evidence = group_evidence(self.space.products(columns), candidate.basis.priors)
+            root, covariance = evidence.root, evidence.covariance
+        without_others = NuisanceSpace(self.space.columns, self.space.residual - self.change + self._change_by(number))
+        spread = spread_over_folds(without_others, columns, root, self.scene.strokes(ASSUMED.laws.folds))
+        gram = self.space.products(columns).gram
+        return candidate, covariance * max(1.0, float(np.sum(gram * spread) / max(np.sum(gram * covariance), 1e-300)))
 
     @cached_property
     def change(self) -> Floats:
         """Change (7, b) of the whitened prediction by the law, X w."""
-        out = np.zeros_like(self.space.residual)
-        for number, term in enumerate(self.terms):
-            mean, _ = self.coefficients(number)
-            for channel, values in term.columns.items():
-                out[channel] += values @ mean
+        return sum((self._change_by(number) for number in range(len(self.terms))), np.zeros_like(self.space.residual))
+
+    def _change_by(self, number: int) -> Floats:
+        """Change (7, b) by one term."""
+        out, (mean, _) = np.zeros_like(self.space.residual), self.coefficients(number)
+        for channel, values in self.terms[number].columns.items():
+            out[channel] += values @ mean
         return out
 
     @property
