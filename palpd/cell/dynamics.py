@@ -361,7 +361,16 @@ def excess_N(x_N: Floats, knee_N: float) -> Floats:
 
 
 def limited_N(x_N: Floats, limit_N: float, knee_N: float) -> Floats:
-    """Forces (n,) in N between -limit and limit; with `knee_N` they approach a limit gradually, as `excess_N`."""
+    """Forces between -limit and limit.
+
+    Args:
+        x_N: Forces (n,) in N.
+        limit_N: 0 or more, in N.
+        knee_N: Width in N over which they approach it, as `excess_N`; 0: they are cut off.
+
+    Returns:
+        The limited forces (n,) in N.
+    """
     if knee_N <= 0.0:
         return np.clip(x_N, -limit_N, limit_N)
     return x_N - excess_N(x_N - limit_N, knee_N) + excess_N(-x_N - limit_N, knee_N)
