@@ -14,6 +14,7 @@ from palpd.gap.data.noise import CHANNELS, FZ
 from palpd.gap.decide import DiagnosisVerdict
 from palpd.gap.laws.evidence import FitBeside
 from palpd.gap.model.problem import Problem, tolerance_key
+from palpd.gap.model.servo_error import largest_miss_N_s_per_m
 from palpd.quantities import quantity
 
 MOST_HELD_UNSAID = 0.01
@@ -40,6 +41,7 @@ def verdict_notes(problem: Problem, verdict: DiagnosisVerdict) -> Iterator[str]:
         )
     yield from held_notes(problem, verdict)
     involved = {name for e in verdict.effects for name in (e.id, *e.indistinguishable_from)}
+    yield from cycle_notes(problem, verdict)
     if any(problem.library[name].shows_at_rest for name in involved):
         yield CREEP_NOTE
 
@@ -81,6 +83,19 @@ def held_notes(problem: Problem, verdict: DiagnosisVerdict) -> list[str]:
     rows = [len(one.t_s) for one in samples]
     means = {name: float(np.average(each, weights=rows)) for name, each in shares.items() if len(each) == len(rows)}
     return [held_sentence(name, share) for name, share in means.items() if share > MOST_HELD_UNSAID]
+
+
+def cycle_notes(problem: Problem, verdict: DiagnosisVerdict) -> Iterator[str]:
+    """A sentence for a drag that samples between held targets may feign, where no recording shows a cycle of the controller."""
+    drag = next((effect for effect in verdict.effects if effect.id == "cable.viscous"), None)
+    if drag is None or any(recording.cycle_s is not None for recording in problem.recordings):
+        return
+    largest = max(largest_miss_N_s_per_m(recording, problem.cell) for recording in problem.recordings)
+    if drag.parameters["coefficient_N_s_per_m"][0] < largest:
+        yield (
+            f"A controller that holds each target for one sample, and smooths nothing, can look like up to {quantity(largest, 'N s/m')} of "
+            "cable.viscous in samples at one phase of its cycle; record at twice the rate to exclude it."
+        )
 
 
 def adopted_sentence(folder: Path, known: Mapping[str, Effect]) -> str:

@@ -41,11 +41,12 @@ def test_a_controller_of_another_order_that_moves_a_heavy_probe_is_no_resonance(
     assert diagnosis.verdict == "none", diagnosis.sentence
 
 
-def test_targets_that_are_held_and_sampled_with_a_heavy_probe_are_no_drag() -> None:
+def test_a_drag_that_held_targets_may_feign_is_named_with_a_note() -> None:
     """Each target steps the acceleration, and samples at one phase of the cycle miss its mean in proportion to the speed."""
     heavy = recording("held at 500 Hz", 101, IN_TOLERANCE, heavy_cell_of)
     diagnosis = diagnose([heavy], heavy_cell_of("held at 500 Hz"), max_bins=3000, propose=False)
-    assert diagnosis.verdict == "none", diagnosis.sentence
+    assert [effect.id for effect in diagnosis.effects] == ["cable.viscous"], diagnosis.sentence
+    assert "A controller that holds each target for one sample" in " ".join(diagnosis.notes)
 
 
 def test_targets_that_are_held_for_several_samples_of_a_heavy_probe_are_no_resonance() -> None:
@@ -53,6 +54,22 @@ def test_targets_that_are_held_for_several_samples_of_a_heavy_probe_are_no_reson
     held = recording("held at 125 Hz", 101, IN_TOLERANCE, heavy_cell_of)
     diagnosis = diagnose([held], heavy_cell_of("held at 125 Hz"), max_bins=3000, propose=False)
     assert diagnosis.verdict == "none", diagnosis.sentence
+
+
+def with_drag(samples: Samples, coefficient_N_s_per_m: float) -> Samples:
+    wrench = samples.wrench.copy()
+    wrench[:, 2] -= coefficient_N_s_per_m * samples.vz_m_per_s
+    return replace(samples, wrench=wrench)
+
+
+def test_a_drag_is_not_hidden_by_targets_that_might_be_held_and_the_reader_is_told_of_these() -> None:
+    """Nothing in the samples shows whether targets are held for each of them: a push has no other cause, a drag has."""
+    heavy, cell = recording("second order", 101, IN_TOLERANCE, heavy_cell_of), heavy_cell_of("second order")
+    dragged = diagnose([with_drag(heavy, 0.3)], cell, max_bins=1500, propose=False)
+    assert [effect.id for effect in dragged.effects] == ["cable.viscous"], dragged.sentence
+    assert "record at twice the rate" in " ".join(dragged.notes)
+    pushed = diagnose([with_drag(heavy, -0.3)], cell, max_bins=1500, propose=False)
+    assert pushed.verdict == "none", pushed.sentence
 
 
 def with_held_command(samples: Samples, rows: int) -> Samples:

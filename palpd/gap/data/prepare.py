@@ -58,6 +58,7 @@ class PreparedRecording:
     noise_measured: bool  # whether enough samples at rest were there for it
     judged: tuple[bool, ...]  # which of the 7 channels are compared
     held_command_s: float | None  # for which each commanded height stays the same; None where it changes with each sample
+    cycle_s: float | None  # of a controller that holds its targets, as the command or the force shows it; None where neither does
     nominal_difference: NominalDifference | None  # what the user's simulator predicts beyond the nominal cell; None without one
 
     @cached_property
@@ -162,9 +163,8 @@ def _prepared(
         averaged.append(estimate_tip_motion(cell, samples.t_s, again.z_m, again.vz_m_per_s))
     unreported_m = _unreported_height(cell, samples, sampled)
     held_command_s = controller_cycle.held_command_s(samples)
-    step, cycle = _whole_cycles(
-        _step_length(samples, cell, reports.rows_each), held_command_s or controller_cycle.comb_period_s(samples, phases), samples.rate_Hz
-    )
+    cycle_s = held_command_s or controller_cycle.comb_period_s(samples, phases)
+    step, cycle = _whole_cycles(_step_length(samples, cell, reports.rows_each), cycle_s, samples.rate_Hz)
     samples_per_step, samples_per_cycle = (Bins.of_equal_length(samples.t_s, length) for length in (step, cycle))
     cycles = make_bins(samples_per_cycle.mean(samples.t_s), phases, samples_per_cycle, most)
     steps = samples_per_step.joined_at(samples_per_cycle.merged(cycles))
@@ -198,6 +198,7 @@ def _prepared(
         noise_measured=bool(still.sum() >= ASSUMED.noise.fewest_at_rest),
         judged=judged,
         held_command_s=held_command_s,
+        cycle_s=cycle_s,
         nominal_difference=None
         if simulator is None
         else difference(simulator, cell, library, sampled, (samples.z_cmd_m, samples.z_m), float(phases.depth_m.max())),

@@ -5,12 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpd.gap.assumptions import ASSUMED
+from palpd.gap.data.noise import FZ
 from palpd.gap.infer.discrepancy import discrepancy_columns
 from palpd.gap.infer.evidence import Fit, fit
 from palpd.gap.infer.fit import jacobian_at
 from palpd.gap.model.coordinates import coordinates, coordinates_of, other_laws
 from palpd.gap.model.linearise import Linearisation, linearise
 from palpd.gap.model.problem import SHARED, Problem
+from palpd.gap.model.servo_error import HELD_TARGETS
 from palpd.tick import Floats
 
 
@@ -33,6 +35,7 @@ class NominalFit:
 
 def settle(problem: Problem) -> NominalFit:
     """Fit the cell without effects, which also says how large the error of the simulator may be."""
+    problem = _without_dragging_cycles(problem)
     stated = linearise(problem, {}, problem.nominal_eta)
     if problem.cell.effects:
         problem = problem.with_law_errors(_law_errors(problem, stated))
@@ -50,6 +53,20 @@ def settle(problem: Problem) -> NominalFit:
     # Beyond that, hypotheses that are linearised elsewhere would be judged by other tolerances.
     credible = np.abs(nominal.eta).max() < ASSUMED.noise.credible_sd
     return NominalFit(problem, nominal, stated, nominal.linearisation if credible else stated)
+
+
+def _without_dragging_cycles(problem: Problem) -> Problem:
+    """The problem without what samples miss between held targets, in each recording where that would drag and no cycle shows.
+
+    Nothing shows a cycle as long as a sample. What samples miss then pushes or drags, by chance. A push has no other cause; a drag is more
+    often that of a cable.
+    """
+    stated = linearise(problem, {}, problem.nominal_eta)
+    sizes_sd = stated.space.coefficients(problem.data + stated.offset() - stated.prediction)
+    found = iter(size_sd for size_sd, label in zip(sizes_sd.tolist(), stated.labels, strict=True) if label.name == HELD_TARGETS)
+    drags = [recording.judged[FZ] and next(found) < 0.0 and recording.cycle_s is None for recording in problem.recordings]
+    pairs = zip(problem.servo_errors, drags, strict=True)
+    return problem.with_servo_errors(tuple(errors.without(HELD_TARGETS) if drag else errors for errors, drag in pairs))
 
 
 def _law_errors(problem: Problem, stated: Linearisation) -> Floats:

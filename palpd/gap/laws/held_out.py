@@ -50,7 +50,7 @@ def held_out(space: NuisanceSpace, columns: ColumnsByChannel, root: Floats, fold
 
 
 def spread_over_folds(space: NuisanceSpace, columns: ColumnsByChannel, root: Floats, fold: Ints) -> Floats:
-    """Covariance (m, m) of w as the fits without each fold differ, by the jackknife (Efron 1982, eq. 3.2). It holds of a wrong law, too.
+    """Covariance (m, m) of w as the fits without each fold differ, a jackknife (Efron 1982). It holds of a wrong law, too.
 
     Args:
         columns: Whitened columns X (b, m) of the law by channel.

@@ -14,7 +14,7 @@ from palpd.gap.data.rounding import Rounding
 from palpd.gap.gaussian.nuisances import ColumnByChannel, Columns
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.gap.model.rounding_error import rounding_error
-from palpd.gap.model.servo_error import ServoErrors, held_target_N
+from palpd.gap.model.servo_error import ServoErrors
 from palpd.tick import Floats
 
 
@@ -88,14 +88,10 @@ def _of_recording(
     for channel in range(FX, 7):
         if recording.judged[channel]:
             yield from _zero_columns(cell, recording, channel)
-    if recording.judged[FZ]:
-        yield Column("computation", "held targets", FZ), held_target_N(recording, cell)
-    if recording.judged[Z]:
-        for name, change_m in errors.heights_m.items():
-            yield Column("computation", name, Z), change_m
-        if recording.judged[FZ]:
-            for name, change_N in errors.inertial_N.items():
-                yield Column("computation", name, FZ), change_N
+    for name, change_m in errors.heights_m.items():
+        yield Column("computation", name, Z), change_m
+    for name, change_N in errors.inertial_N.items() if recording.judged[FZ] else ():
+        yield Column("computation", name, FZ), change_N
     if rounding is not None and recording.judged[FZ]:
         for values in rounding_error(recording, rounding, force_N, sigma_N):
             yield Column("recording", "rounding", FZ), values

@@ -148,6 +148,14 @@ class Problem:
         """The problem of the cell without the effects that are known of it."""
         return replace(self, cell=self.cell.with_effects({}), workspace=Workspace())
 
+    def with_servo_errors(self, servo_errors: tuple[ServoErrors, ...]) -> "Problem":
+        """The problem in which controllers may change other things.
+
+        Args:
+            servo_errors: As the attribute, one for each recording.
+        """
+        return replace(self, servo_errors=servo_errors)
+
     def with_law_errors(self, law_errors: Floats) -> "Problem":
         """The problem in which the laws of known effects may be wrong.
 

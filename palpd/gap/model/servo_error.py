@@ -17,6 +17,8 @@ from palpd.tick import Floats
 
 ORDER = "controller order"
 """Name of the column for the order of a controller."""
+HELD_TARGETS = "held targets"
+"""Name of the column for the mean that samples miss between held targets."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +29,16 @@ class ServoErrors:
         heights_m: Heights (b,) by a delay inside the controller, by its order, by a limit of the jerk, and by the tolerance of its damping.
             Where the recorded command is held, also by half of that time: the servo may have been identified with a smooth command.
         inertial_N: Force of inertia (b,) by these, by two further terms of the order's series in the servo's time constant, and by the
-            tolerance of the natural frequency. Where a command is known, the acceleration is mostly that of the stated servo.
+            tolerance of the natural frequency. Where a command is known, the acceleration is mostly that of the stated servo. And, with
+            no command too, what samples miss between held targets.
     """
 
     heights_m: Mapping[str, Floats]
     inertial_N: Mapping[str, Floats]
+
+    def without(self, name: str) -> "ServoErrors":
+        """The same without a change of the force of inertia."""
+        return replace(self, inertial_N={one: change_N for one, change_N in self.inertial_N.items() if one != name})
 
 
 def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[str, Effect]) -> ServoErrors:
@@ -43,7 +50,7 @@ def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[
         library: Effects by id.
     """
     if not recording.judged[Z] or recording.z_cmd_m is None:
-        return ServoErrors({}, {})
+        return ServoErrors({}, {HELD_TARGETS: _held_targets_N(recording, cell)})
     t_s, z_cmd_m = recording.robot_t_s, recording.z_cmd_m
     nominal_m = predict_motion(cell, t_s, z_cmd_m, library)
     time_constant_s = 1.0 / (2.0 * pi * cell.robot.servo_natural_frequency_Hz)
@@ -68,7 +75,8 @@ def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[
     }
     inertial_N = _inertial_forces(recording, cell, library, list(accelerated_m.values()))
     return ServoErrors(
-        {name: recording.z_means @ change_m for name, change_m in heights_m.items()}, dict(zip(accelerated_m, inertial_N, strict=True))
+        {name: recording.z_means @ change_m for name, change_m in heights_m.items()},
+        {HELD_TARGETS: _held_targets_N(recording, cell), **dict(zip(accelerated_m, inertial_N, strict=True))},
     )
 
 
@@ -85,23 +93,28 @@ def _inertial_forces(recording: PreparedRecording, cell: CellFile, library: Mapp
     return np.array([fz_N(motion.az_m_per_s2 + change_m_per_s2) - unchanged_N for change_m_per_s2 in changes_m_per_s2])
 
 
-def held_target_N(recording: PreparedRecording, cell: CellFile) -> Floats:
-    """Force (b,) that samples miss on average where the servo holds its targets between the cycles of its controller.
+def largest_miss_N_s_per_m(recording: PreparedRecording, cell: CellFile) -> float:
+    """Largest force that samples can miss between held targets, over the commanded speed.
 
-    The acceleration then steps by ω² v T at each target, v the commanded speed, and falls until the next one. Samples at one phase of
-    the cycle see the mean up to ω² v Δt / 2 too high or too low: the harmonics of these steps at multiples of the rate of the samples
-    look like a constant. A filter of the sensor takes away what it takes away there.
+    The servo holds its targets between the cycles of its controller. The acceleration then steps by ω² v T at each target, v the commanded
+    speed, and falls until the next one. Samples at one phase of the cycle see the mean up to ω² v Δt / 2 too high or too low: the
+    harmonics of these steps at multiples of the rate of the samples look like a constant. A filter of the sensor takes away what it takes
+    away there.
     """
-    natural_frequency_rad_per_s = 2.0 * pi * cell.robot.servo_natural_frequency_Hz
-    largest_N_s_per_m = 0.5 * cell.probe.mass_kg * natural_frequency_rad_per_s**2 / recording.samples.rate_Hz
+    natural_frequency_rad_per_s, rate_Hz = 2.0 * pi * cell.robot.servo_natural_frequency_Hz, recording.samples.rate_Hz
     cutoff_Hz = cell.sensor.filter_cutoff_Hz
-    passed = (1.0 + (recording.samples.rate_Hz / cutoff_Hz) ** 2) ** -0.5 if cutoff_Hz else 1.0
+    passed = (1.0 + (rate_Hz / cutoff_Hz) ** 2) ** -0.5 if cutoff_Hz else 1.0
+    return float(0.5 * cell.probe.mass_kg * natural_frequency_rad_per_s**2 / rate_Hz * passed)
+
+
+def _held_targets_N(recording: PreparedRecording, cell: CellFile) -> Floats:
+    """Standard deviation (b,) of the force that samples miss on average between held targets, with its sign."""
     if recording.judged[Z] and recording.z_cmd_m is not None:
         commanded_m_per_s = recording.z_means @ np.gradient(recording.z_cmd_m, recording.robot_t_s)
     else:
         ahead_s, motion = _lag_s(cell), recording.motion
         commanded_m_per_s = recording.step_means @ (motion.vz_m_per_s + ahead_s * motion.az_m_per_s2)
-    return np.asarray(largest_N_s_per_m / 3.0**0.5 * passed * commanded_m_per_s)
+    return np.asarray(largest_miss_N_s_per_m(recording, cell) / 3.0**0.5 * commanded_m_per_s)
 
 
 def _second_derivative(x: Floats, t_s: Floats) -> Floats:
