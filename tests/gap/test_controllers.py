@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
 from palpd.cell.simulation import predict_motion
 from palpd.gap.data.controller_cycle import comb_period_s, held_command_s
@@ -47,6 +48,29 @@ def test_a_drag_that_held_targets_may_feign_is_named_with_a_note() -> None:
     diagnosis = diagnose([heavy], heavy_cell_of("held at 500 Hz"), max_bins=3000, propose=False)
     assert [effect.id for effect in diagnosis.effects] == ["cable.viscous"], diagnosis.sentence
     assert "A controller that holds each target for one sample" in " ".join(diagnosis.notes)
+
+
+def uncommanded(controller: str) -> Samples:
+    """A heavy probe before a quiet sensor, whose recording has no command: the force of inertia is that of the reported motion."""
+    return replace(recording(controller, 101, replace(IN_TOLERANCE, mass_kg=0.004), heavy_cell_of), z_cmd_m=None)
+
+
+@pytest.mark.parametrize("controller", ["second order", "third order", "jerk limit", "held at 125 Hz"])
+def test_a_motion_that_no_command_says_is_no_damped_resonance(controller: str) -> None:
+    """Its acceleration is averaged, and noisy: a heavily damped mount would undo the one and average the other."""
+    diagnosis = diagnose([uncommanded(controller)], heavy_cell_of(controller), max_bins=3000, propose=False)
+    assert diagnosis.verdict == "none", diagnosis.sentence
+
+
+def test_a_mount_that_rings_is_still_named_without_a_command() -> None:
+    still = uncommanded("second order")
+    acceleration_m_per_s2 = np.gradient(still.vz_m_per_s, still.t_s)
+    w, zeta = 2.0 * np.pi * 14.0, 0.05
+    _, ringing_m_per_s2, _ = lsim(([2.0 * zeta * w, w**2], [1.0, 2.0 * zeta * w, w**2]), acceleration_m_per_s2, still.t_s)
+    wrench = still.wrench.copy()
+    wrench[:, 2] -= 0.3 * 0.5 * (ringing_m_per_s2 - acceleration_m_per_s2)
+    diagnosis = diagnose([replace(still, wrench=wrench)], heavy_cell_of("second order"), max_bins=3000, propose=False)
+    assert [effect.id for effect in diagnosis.effects] == ["structure.resonance"], diagnosis.sentence
 
 
 def test_targets_that_are_held_for_several_samples_of_a_heavy_probe_are_no_resonance() -> None:

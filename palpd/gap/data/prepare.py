@@ -1,6 +1,6 @@
 """Stage 1 of a diagnosis: a recording is cut into phases and bins; the motion of its tip and the noise of its channels are estimated."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.dynamics import TipMotion, steps
+from palpd.cell.dynamics import TipMotion, mounted, steps
 from palpd.cell.effects import Effect
 from palpd.cell.report_times import Reports, find_reports, straight_between
 from palpd.cell.simulation import MeanReading, mean_reading
@@ -47,7 +47,7 @@ class PreparedRecording:
     sampled: TipMotion  # at every sample
     motion: TipMotion  # at the steps, several samples long where the motion is smooth; moved to even times where nearly even
     step_means: csr_array  # (b, steps) takes means over the bins of what is known at the times of `motion`
-    otherwise: tuple[TipMotion, ...]  # `motion` with another path, and with its acceleration averaged once or twice more
+    otherwise: tuple[TipMotion, ...]  # `motion` with another path, with its acceleration averaged more, and behind damped mounts
     reports: Reports  # of the robot
     robot_t_s: Floats  # (k,) times from the first row: of the samples where the robot reports less often, else of the steps
     z_cmd_m: Floats | None  # (k,) at those times
@@ -160,7 +160,7 @@ def _prepared(
     again = estimate_tip_motion(cell, samples.t_s, sampled.z_m, sampled.vz_m_per_s, samples.z_cmd_m)
     averaged = [again]
     if samples.z_cmd_m is None:  # a pulse of acceleration that no command says loses more than one average shows
-        averaged.append(estimate_tip_motion(cell, samples.t_s, again.z_m, again.vz_m_per_s))
+        averaged += [estimate_tip_motion(cell, samples.t_s, again.z_m, again.vz_m_per_s), *_on_damped_mounts(samples, sampled)]
     unreported_m = _unreported_height(cell, samples, sampled)
     held_command_s = controller_cycle.held_command_s(samples)
     cycle_s = held_command_s or controller_cycle.comb_period_s(samples, phases)
@@ -203,6 +203,19 @@ def _prepared(
         if simulator is None
         else difference(simulator, cell, library, sampled, (samples.z_cmd_m, samples.z_m), float(phases.depth_m.max())),
     )
+
+
+def _on_damped_mounts(samples: Samples, motion: TipMotion) -> Iterator[TipMotion]:
+    """The motion with a share of its acceleration behind a heavily damped mount, once for each natural frequency.
+
+    Averaging takes away pulses of acceleration that no command says, and noise that remains drives the prediction. Such a mount undoes the
+    one and averages the other. A mount that rings does neither.
+    """
+    for frequency_Hz in ASSUMED.noise.damped_mounts_Hz:
+        if 4.0 * frequency_Hz < samples.rate_Hz:  # a faster one moves with its base
+            behind = mounted(motion.az_m_per_s2, steps(samples.t_s), frequency_Hz, ASSUMED.noise.mount_damping_ratio, {})
+            share = ASSUMED.noise.mount_share
+            yield replace(motion, az_m_per_s2=(1.0 - share) * motion.az_m_per_s2 + share * behind)
 
 
 def _unreported_height(cell: CellFile, samples: Samples, motion: TipMotion) -> Floats:
