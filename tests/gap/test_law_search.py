@@ -29,7 +29,7 @@ from palpd.gap.laws import learned
 from palpd.gap.laws.bases import hats, powers
 from palpd.gap.laws.evidence import LawEvidence, SoughtLaw, leading_leaves
 from palpd.gap.laws.formulas import formulas_of
-from palpd.gap.laws.held_out import held_out
+from palpd.gap.laws.held_out import held_out, spread_over_folds
 from palpd.gap.laws.search import search
 from palpd.gap.report.page import curves_of, page
 from palpd.tick import Floats
@@ -222,6 +222,21 @@ def test_a_law_of_one_fold_alone_does_not_carry() -> None:
     assert held_out(space, {3: columns}, np.eye(3), fold).carries(20.0)
     lonely = replace(space, residual=np.where(fold == 0, 5.0 * space.residual, 0.0))
     assert not held_out(lonely, {3: np.where(fold[:, None] == 0, columns, 0.0)}, np.eye(3), fold).carries(20.0)
+
+
+def test_the_spread_of_a_law_is_that_of_noise_where_strokes_agree_and_larger_where_they_do_not() -> None:
+    r, bins, folds = np.random.default_rng(4), 8000, ASSUMED.laws.folds
+    fold, x, root = np.arange(bins) * folds // bins, r.standard_normal((bins, 2)), np.eye(2)
+    ratios = []
+    for strength in (np.ones(folds), 1.0 + 0.5 * (-1.0) ** np.arange(folds)):
+        spreads = []
+        for _ in range(40):
+            residual = np.zeros((7, bins))
+            residual[3] = strength[fold] * (x @ np.array([0.4, -0.2])) + r.standard_normal(bins)
+            spreads.append(spread_over_folds(NuisanceSpace(Columns.of([], (7, bins)), residual), {3: x}, root, fold))
+        ratios.append(float(np.trace(np.mean(spreads, axis=0)) * bins / 2.0))
+    assert ratios[0] == pytest.approx(1.0, rel=0.35)
+    assert ratios[1] > 20.0
 
 
 def test_joining_rows_keeps_noise_white() -> None:
