@@ -63,8 +63,8 @@ def _without_dragging_cycles(problem: Problem) -> Problem:
     """
     stated = linearise(problem, {}, problem.nominal_eta)
     sizes_sd = stated.space.coefficients(problem.data + stated.offset() - stated.prediction)
-    found = iter(size_sd for size_sd, label in zip(sizes_sd.tolist(), stated.labels, strict=True) if label.name == HELD_TARGETS)
-    drags = [recording.judged[FZ] and next(found) < 0.0 and recording.cycle_s is None for recording in problem.recordings]
+    misses_sd = iter(size_sd for size_sd, label in zip(sizes_sd.tolist(), stated.labels, strict=True) if label.name == HELD_TARGETS)
+    drags = [recording.judged[FZ] and next(misses_sd) < 0.0 and recording.cycle_s is None for recording in problem.recordings]
     pairs = zip(problem.servo_errors, drags, strict=True)
     return problem.with_servo_errors(tuple(errors.without(HELD_TARGETS) if drag else errors for errors, drag in pairs))
 
