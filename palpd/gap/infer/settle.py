@@ -35,8 +35,11 @@ class NominalFit:
 
 def settle(problem: Problem) -> NominalFit:
     """Fit the cell without effects, which also says how large the error of the simulator may be."""
-    problem = _without_dragging_cycles(problem)
     stated = linearise(problem, {}, problem.nominal_eta)
+    if any(drags := _cycles_that_drag(problem, stated)):
+        pairs = zip(problem.servo_errors, drags, strict=True)
+        problem = problem.with_servo_errors(tuple(errors.without(HELD_TARGETS) if drag else errors for errors, drag in pairs))
+        stated = linearise(problem, {}, problem.nominal_eta)
     if problem.cell.effects:
         problem = problem.with_law_errors(_law_errors(problem, stated))
         stated = linearise(problem, {}, problem.nominal_eta)
@@ -55,18 +58,15 @@ def settle(problem: Problem) -> NominalFit:
     return NominalFit(problem, nominal, stated, nominal.linearisation if credible else stated)
 
 
-def _without_dragging_cycles(problem: Problem) -> Problem:
-    """The problem without what samples miss between held targets, in each recording where that would drag and no cycle shows.
+def _cycles_that_drag(problem: Problem, stated: Linearisation) -> list[bool]:
+    """In which recordings what samples miss between held targets would drag, and no cycle of a controller shows.
 
     Nothing shows a cycle as long as a sample. What samples miss then pushes or drags, by chance. A push has no other cause; a drag is more
-    often that of a cable.
+    often that of a cable, so it is tolerated no more.
     """
-    stated = linearise(problem, {}, problem.nominal_eta)
     sizes_sd = stated.space.coefficients(problem.data + stated.offset() - stated.prediction)
     misses_sd = iter(size_sd for size_sd, label in zip(sizes_sd.tolist(), stated.labels, strict=True) if label.name == HELD_TARGETS)
-    drags = [recording.judged[FZ] and next(misses_sd) < 0.0 and recording.cycle_s is None for recording in problem.recordings]
-    pairs = zip(problem.servo_errors, drags, strict=True)
-    return problem.with_servo_errors(tuple(errors.without(HELD_TARGETS) if drag else errors for errors, drag in pairs))
+    return [recording.judged[FZ] and next(misses_sd) < 0.0 and recording.cycle_s is None for recording in problem.recordings]
 
 
 def _law_errors(problem: Problem, stated: Linearisation) -> Floats:
@@ -80,9 +80,10 @@ def _law_errors(problem: Problem, stated: Linearisation) -> Floats:
     size, eta = ASSUMED.law_error.sizes[1], stated.eta
     directions, _ = discrepancy_columns(without, known, at, stated)
     errors = [*directions.scaled(size).dense()]
-    where = [c for c in coordinates(known, problem.library, problem.scale) if not c.fixed]
+    others = list(other_laws(known, problem.library, problem.scale))
+    where = [c for c in coordinates(known, problem.library, problem.scale) if others and not c.fixed]
     slopes = jacobian_at(without, where, coordinates_of(where, known), eta, at)
-    for values in other_laws(known, problem.library, problem.scale):
+    for values in others:
         name = next(name for name in known if values[name] != known[name])
         part = at - without.predict({one: mine for one, mine in known.items() if one != name}, eta)
         moves = [slope / max(float(np.linalg.norm(slope)), 1e-300) for c, slope in zip(where, slopes, strict=True) if c.effect == name]

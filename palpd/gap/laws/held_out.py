@@ -1,5 +1,6 @@
 """How well a law predicts strokes that its fit did not see (cross-validation)."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.phases import Ints
 from palpd.gap.gaussian.evidence import posterior_of
-from palpd.gap.gaussian.nuisance_space import ColumnsByChannel, NuisanceSpace
+from palpd.gap.gaussian.nuisance_space import ColumnsByChannel, NuisanceSpace, Products
 from palpd.tick import Floats
 
 
@@ -41,12 +42,8 @@ def held_out(space: NuisanceSpace, columns: ColumnsByChannel, root: Floats, fold
         root: Root s L (m, m) of the prior covariance of w.
         fold: Number of the fold (b,) of every bin.
     """
-    inside, outside = space.folded(columns, fold, ASSUMED.laws.folds)
-    gains = []
-    for mine, others in zip(inside, outside, strict=True):
-        mean, _ = posterior_of(others, root)
-        gains.append(float(mine.slope @ mean - 0.5 * mean @ mine.gram @ mean))
-    return HeldOut(np.array(gains))
+    fits = _fits_without(space, columns, root, fold)
+    return HeldOut(np.array([float(mine.slope @ mean - 0.5 * mean @ mine.gram @ mean) for mine, mean in fits]))
 
 
 def spread_over_folds(space: NuisanceSpace, columns: ColumnsByChannel, root: Floats, fold: Ints) -> Floats:
@@ -57,7 +54,13 @@ def spread_over_folds(space: NuisanceSpace, columns: ColumnsByChannel, root: Flo
         root: Root s L (m, m) of the prior covariance of w.
         fold: Number of the fold (b,) of every bin.
     """
-    _, outside = space.folded(columns, fold, ASSUMED.laws.folds)
-    means = np.array([posterior_of(others, root)[0] for others in outside])
+    means = np.array([mean for _, mean in _fits_without(space, columns, root, fold)])
     apart = means - means.mean(axis=0)
     return (ASSUMED.laws.folds - 1) / ASSUMED.laws.folds * apart.T @ apart
+
+
+def _fits_without(space: NuisanceSpace, columns: ColumnsByChannel, root: Floats, fold: Ints) -> Iterator[tuple[Products, Floats]]:
+    """For each fold the products inside it, and the mean (m,) of w that is fitted outside it."""
+    inside, outside = space.folded(columns, fold, ASSUMED.laws.folds)
+    for mine, others in zip(inside, outside, strict=True):
+        yield mine, posterior_of(others, root)[0]

@@ -91,14 +91,15 @@ class LearnedLaw:
         term = self.terms[number]
         if term.free_curve is None:
             candidate, columns, root, covariance = term.candidate, term.columns, term.root, self.coefficients(number)[1]
+            products = self.space.products(columns)
         else:
             candidate, columns = term.free_curve, whitened(self.scene.problem.noise, self.scene.columns(term.free_curve))
-            evidence = group_evidence(self.space.products(columns), candidate.basis.priors)
+            products = self.space.products(columns)
+            evidence = group_evidence(products, candidate.basis.priors)
             root, covariance = evidence.root, evidence.covariance
         without_others = NuisanceSpace(self.space.columns, self.space.residual - self.change + self._change_by(number))
         spread = spread_over_folds(without_others, columns, root, self.scene.strokes(ASSUMED.laws.folds))
-        gram = self.space.products(columns).gram
-        return candidate, covariance * max(1.0, float(np.sum(gram * spread) / max(np.sum(gram * covariance), 1e-300)))
+        return candidate, covariance * max(1.0, float(np.sum(products.gram * spread) / max(np.sum(products.gram * covariance), 1e-300)))
 
     @cached_property
     def change(self) -> Floats:
