@@ -9,7 +9,7 @@ from palpd.gap.data.noise import FZ
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.gaussian.nuisances import nuisances
 from palpd.gap.model.linearise import linearise
-from palpd.gap.model.problem import Problem, tolerance_key
+from palpd.gap.model.problem import NOMINAL_ETA, Problem, tolerance_key
 from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
 
 KEYS = {effect.tolerance: effect.id for effect in EFFECTS.values() if effect.tolerance is not None}
@@ -81,7 +81,7 @@ def signal_to_noise(problem: Problem, key: str) -> float:
     Returns:
         The size.
     """
-    around = linearise(problem, {}, problem.nominal_eta)
+    around = linearise(problem, {}, NOMINAL_ETA)
     own = [
         k
         for k, label in enumerate(around.labels)

@@ -15,7 +15,7 @@ from palpd.gap.gaussian.nuisances import Projected, gram, project
 from palpd.gap.infer.fit import jacobian_at
 from palpd.gap.model.coordinates import coordinates, coordinates_of, start_values
 from palpd.gap.model.linearise import Linearisation, linearise
-from palpd.gap.model.problem import Problem, make_problem
+from palpd.gap.model.problem import NOMINAL_ETA, Problem, make_problem
 from palpd.tick import Floats
 
 ROWS_HZ, MAX_BINS = 250.0, 2500
@@ -104,14 +104,14 @@ def similar_effects(effects: Sequence[Effect], cell: CellFile, library: Mapping[
     """
     t_s, z_cmd_m = standard_heights(cell)
     problem = make_problem([blank_recording(cell, t_s, z_cmd_m)], cell, library, MAX_BINS)
-    base = linearise(problem, {}, problem.nominal_eta)
+    base = linearise(problem, {}, NOMINAL_ETA)
     shapes = {name: list(_shapes(problem, other, base)) for name, other in library.items() if not other.scatter}
     out = []
     for effect in effects:
         if effect.scatter:
             continue
         values = start_values(effect, problem.scale, ())[0]
-        change = project(problem.predict({effect.id: values}, problem.nominal_eta) - base.prediction, base.space)
+        change = project(problem.predict({effect.id: values}, NOMINAL_ETA) - base.prediction, base.space)
         similar = [_similarity(effect.id, change, other, those) for other, those in shapes.items() if other != effect.id and those]
         out += sorted(similar, key=lambda one: -one.cosine)[:most]
     return out
@@ -119,7 +119,7 @@ def similar_effects(effects: Sequence[Effect], cell: CellFile, library: Mapping[
 
 def _shapes(problem: Problem, effect: Effect, base: Linearisation) -> Iterator[Shape]:
     """The changes that an effect can make near each of its starting values."""
-    eta = problem.nominal_eta
+    eta = NOMINAL_ETA
     for values in start_values(effect, problem.scale, ()):
         where = coordinates({effect.id: values}, problem.library, problem.scale)
         at = problem.predict({effect.id: values}, eta)

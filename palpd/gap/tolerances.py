@@ -10,7 +10,7 @@ from palpd.gap.data.noise import FZ
 from palpd.gap.data.plausibility import check_recordings
 from palpd.gap.infer.evidence import fit
 from palpd.gap.model.linearise import linearise
-from palpd.gap.model.problem import make_problem, tolerance_key
+from palpd.gap.model.problem import NOMINAL_ETA, make_problem, tolerance_key
 from palpd.recording.samples import Samples
 
 MOST_TIMES_STATED = 10.0
@@ -66,7 +66,7 @@ def estimate_tolerances(recordings: Sequence[Samples], cell: CellFile, accept_im
 def _expected_squares(samples: Samples, cell: CellFile) -> list[tuple[tuple[str, str], float]]:
     """The expected square of every deviation of a recording, by block and key, in squared units of the cell file."""
     problem = make_problem([samples], cell)
-    nominal = fit(problem, {}, linearise(problem, {}, problem.nominal_eta), rounds=2)
+    nominal = fit(problem, {}, linearise(problem, {}, NOMINAL_ETA), rounds=2)
     around = nominal.linearisation
     inverse = np.linalg.inv(around.space.factor)
     squares = around.space.coefficients(nominal.residual) ** 2 + (inverse**2).sum(axis=0)  # mean² + variance, prior 1

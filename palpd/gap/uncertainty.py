@@ -17,7 +17,7 @@ from palpd.gap.infer.inference import Inference
 from palpd.gap.infer.intervals import by_named_parameters
 from palpd.gap.laws.evidence import FitBeside
 from palpd.gap.model.coordinates import Coordinate
-from palpd.gap.model.problem import RELATIVE, SHARED, Problem
+from palpd.gap.model.problem import RELATIVE, SHARED, Problem, own_tolerances
 from palpd.tick import Floats
 
 WIDTH_95 = 2.0 * 1.96
@@ -119,7 +119,7 @@ def _deviations(problem: Problem, fit: Fit) -> tuple[list[str], list[float], Flo
     """
     around, keys = fit.linearisation, {problem.library[name].tolerance for name in fit.names}
     names, units, rows = [], [], []
-    owned = problem.own_tolerances(fit.names)
+    owned = own_tolerances(problem.library[name] for name in fit.names)
     for k, name in enumerate(SHARED):
         if problem.shared_sd[k] > 0.0 and not owned[k]:
             names.append(name)

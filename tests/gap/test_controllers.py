@@ -11,7 +11,7 @@ from palpd.gap.data.controller_cycle import comb_period_s, held_command_s
 from palpd.gap.data.phases import find_phases
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.model.linearise import linearise
-from palpd.gap.model.problem import SHARED, make_problem
+from palpd.gap.model.problem import NOMINAL_ETA, SHARED, make_problem
 from palpd.recording.samples import Samples
 from palpd.testing.plain_cells import (
     CONTROLLERS,
@@ -166,7 +166,7 @@ def test_a_position_loop_that_gives_way_visibly_is_outside_the_list() -> None:
 
 def test_an_effect_replaces_the_tolerance_of_its_own_deviation() -> None:
     problem = make_problem([recording("second order", 101)], cell_of("second order"), max_bins=600)
-    around = linearise(problem, {"sensor.gain": {"error": 0.05}}, problem.nominal_eta + 1.0)
+    around = linearise(problem, {"sensor.gain": {"error": 0.05}}, NOMINAL_ETA + 1.0)
     gain = SHARED.index("gain")
     assert not around.space.columns.dense()[gain].any()
     assert around.eta[gain] == 0.0

@@ -6,7 +6,7 @@ import pytest
 from palpd.gap.infer.correlated_residual import correlation_time, row_weights, wrong_tolerances
 from palpd.gap.infer.evidence import fit
 from palpd.gap.model.linearise import linearise
-from palpd.gap.model.problem import SHARED, make_problem
+from palpd.gap.model.problem import NOMINAL_ETA, SHARED, make_problem
 from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
 
 
@@ -14,7 +14,7 @@ def test_a_tolerance_is_compared_as_wide_as_the_best_hypothesis_needs_it() -> No
     cell = cell_of("second order")
     far = PlantedDeviations(surface_z_m=9.0 * cell.tolerances.surface_z_m)
     problem = make_problem([recording("second order", 5, far)], cell, max_bins=400)
-    factors = wrong_tolerances(fit(problem, {}, linearise(problem, {}, problem.nominal_eta), rounds=3))
+    factors = wrong_tolerances(fit(problem, {}, linearise(problem, {}, NOMINAL_ETA), rounds=3))
     surface = SHARED.index("surface_z_m")
     assert factors[surface] == pytest.approx(9.0, rel=0.2)
     assert (np.delete(factors, surface) == 1.0).all()

@@ -22,7 +22,7 @@ from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.infer.posterior import known_and_unknown
 from palpd.gap.infer.residual import ResidualStructure
 from palpd.gap.model.linearise import linearise
-from palpd.gap.model.problem import make_problem
+from palpd.gap.model.problem import NOMINAL_ETA, make_problem
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
@@ -345,8 +345,8 @@ def test_what_is_ambiguous_gets_a_motion_that_separates_it() -> None:
 def test_a_press_that_an_effect_takes_away_takes_its_columns_along() -> None:
     cell = nominal()
     problem = make_problem([recording(cell, {})], cell, EFFECTS, 900)
-    plain = linearise(problem, {}, problem.nominal_eta)
-    sunk = linearise(problem, {"tissue.surface": {"offset_m": -0.05}}, problem.nominal_eta)
+    plain = linearise(problem, {}, NOMINAL_ETA)
+    sunk = linearise(problem, {"tissue.surface": {"offset_m": -0.05}}, NOMINAL_ETA)
     for there in (plain, sunk):
         assert len(there.labels) == len(there.space.columns.dense()) == there.space.size
     assert len(sunk.numbers("press")) < len(plain.numbers("press"))

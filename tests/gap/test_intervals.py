@@ -13,7 +13,7 @@ from palpd.gap.infer.evidence import PossibleLaw, fit, laplace_evidence
 from palpd.gap.infer.fit import gauss_newton
 from palpd.gap.infer.intervals import half_width, interval
 from palpd.gap.model.linearise import linearise
-from palpd.gap.model.problem import Problem, make_problem
+from palpd.gap.model.problem import NOMINAL_ETA, Problem, make_problem
 from palpd.testing.plain_cells import cell_of, recording
 
 SIZES: dict[str, dict[str, tuple[float, float]]] = {
@@ -35,7 +35,7 @@ def problem() -> Problem:
 
 def drawn(problem: Problem, effects: EffectValues, random: np.random.Generator) -> Problem:
     """The problem with data of a cell that has these effects by the listed laws, deviations within tolerance, and the stated noise."""
-    eta = random.standard_normal(len(problem.nominal_eta))
+    eta = random.standard_normal(len(NOMINAL_ETA))
     there = linearise(problem, effects, eta)
     own = np.array([label.scope != "cell" for label in there.labels])
     others = there.space.explained(np.where(own, random.standard_normal(there.space.size), 0.0))
@@ -51,7 +51,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(problem: Problem) -> None
             true = {parameter: float(random.uniform(*bounds)) for parameter, bounds in ranges.items()}
             data = drawn(problem, {name: true}, random)
             start = {name: {parameter: 1.2 * value for parameter, value in true.items()}}
-            one = fit(data, start, linearise(data, start, data.nominal_eta), rounds=3)
+            one = fit(data, start, linearise(data, start, NOMINAL_ETA), rounds=3)
             for k, c in enumerate(one.where):
                 low, high = interval(data, one, k)
                 held.append(low <= true[c.parameter.name] <= high)
@@ -85,7 +85,7 @@ def test_an_end_lies_where_the_residual_has_risen_enough(problem: Problem) -> No
     # A deep inclusion fixes contrast / depth² only, so the parameters run along a curve.
     true: EffectValues = {"tissue.inclusion": {"contrast": 0.8, "depth_m": 0.012}}
     data = drawn(problem, true, np.random.default_rng(3))
-    one = fit(data, true, linearise(data, true, data.nominal_eta), rounds=3)
+    one = fit(data, true, linearise(data, true, NOMINAL_ETA), rounds=3)
     k = [c.parameter.name for c in one.where].index("contrast")
     low, high = interval(data, one, k)
     value = one.values["tissue.inclusion"]["contrast"]
@@ -97,7 +97,7 @@ def test_an_end_lies_where_the_residual_has_risen_enough(problem: Problem) -> No
 def test_a_search_that_ended_beside_the_best_place_has_its_interval_there(problem: Problem) -> None:
     true: EffectValues = {"cable.friction": {"force_N": 0.06}}
     data = drawn(problem, true, np.random.default_rng(5))
-    best = fit(data, true, linearise(data, true, data.nominal_eta), rounds=3)
+    best = fit(data, true, linearise(data, true, NOMINAL_ETA), rounds=3)
     sd = float(best.laws[0].covariance()[0, 0]) ** 0.5
     beside = gauss_newton(data, best.linearisation, best.where, best.u + 2.0 * sd, iterations=0)
     low_N, high_N = interval(data, laplace_evidence(data, beside), 0)
@@ -112,7 +112,7 @@ def test_an_angle_and_a_choice_keep_theirs(problem: Problem) -> None:
         "sensor.asymmetry": {"ratio": 0.1, "at_N": 1.0, "side": -1.0},
     }
     data = drawn(problem, true, np.random.default_rng(4))
-    one = fit(data, true, linearise(data, true, data.nominal_eta), rounds=2)
+    one = fit(data, true, linearise(data, true, NOMINAL_ETA), rounds=2)
     ends = {c.parameter.name: interval(data, one, k) for k, c in enumerate(one.where) if c.parameter.name != "ratio"}
     assert ends["side"] == (-1.0, -1.0)
     low_rad, high_rad = ends["azimuth_rad"]

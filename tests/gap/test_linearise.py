@@ -6,7 +6,7 @@ import pytest
 from palpd.cell.cell_file import CellFile, EffectValues
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.model.linearise import linearise
-from palpd.gap.model.problem import SHARED, Problem, make_problem
+from palpd.gap.model.problem import NOMINAL_ETA, SHARED, Problem, make_problem
 from palpd.recording.samples import Samples
 from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
 
@@ -21,7 +21,7 @@ def problem() -> Problem:
     [({"tissue.modulus": {"ratio": 1.15}}, "youngs_modulus"), ({"tissue.surface": {"offset_m": 1e-4}}, "surface_z_m")],
 )
 def test_an_effect_on_all_presses_keeps_their_scatter(problem: Problem, effects: EffectValues, deviation: str) -> None:
-    nominal, there = linearise(problem, {}, problem.nominal_eta), linearise(problem, effects, problem.nominal_eta)
+    nominal, there = linearise(problem, {}, NOMINAL_ETA), linearise(problem, effects, NOMINAL_ETA)
     assert not there.space.columns.dense()[SHARED.index(deviation)].any()
     assert [label for label in there.labels if label.scope == "press"] == [label for label in nominal.labels if label.scope == "press"]
     scatter, stated = (np.abs(one.space.columns.dense()[one.numbers("press")]).max(axis=(1, 2)) for one in (there, nominal))

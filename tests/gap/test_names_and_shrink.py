@@ -9,7 +9,7 @@ import pytest
 from palpd.cell.cell_file import CellFile
 from palpd.gap.decide import _probable_groups
 from palpd.gap.infer.shrink import _without_effects_at_its_modulus
-from palpd.gap.model.problem import SHARED, Problem, make_problem
+from palpd.gap.model.problem import NOMINAL_ETA, SHARED, Problem, make_problem
 from palpd.gap.model.workspace import Workspace
 from palpd.testing.plain_cells import cell_of, recording
 
@@ -52,7 +52,7 @@ def of_unknown_modulus() -> Problem:
 
 def test_an_unknown_modulus_is_fitted_anew_for_the_gap_before() -> None:
     problem = of_unknown_modulus()
-    eta = problem.nominal_eta
+    eta = NOMINAL_ETA
     twice = eta + np.where(np.array(SHARED) == "youngs_modulus", np.log(2.0) / problem.shared_sd, 0.0)
     again = _without_effects_at_its_modulus(problem, problem.predict({}, twice), eta)
     assert again == pytest.approx(problem.predict({}, twice), abs=1e-3 * np.abs(again).max())
@@ -81,7 +81,7 @@ def test_the_laws_of_known_effects_are_no_better_known_than_those_of_fitted_ones
     known = replace(problem, cell=problem.cell.with_effects({"cable.spring": {"stiffness_N_per_m": 200.0}}), workspace=Workspace())
     nothing = np.zeros_like(problem.data)
     np.testing.assert_array_equal(problem.with_model_error_floor(nothing).noise.sigma, problem.noise.sigma)
-    change = known.predict({}, known.nominal_eta) - problem.predict({}, problem.nominal_eta)
+    change = known.predict({}, NOMINAL_ETA) - problem.predict({}, NOMINAL_ETA)
     first, second = problem.with_model_error_floor(change), known.with_model_error_floor(nothing)
     np.testing.assert_allclose(second.noise.sigma, first.noise.sigma, rtol=1e-9)
     assert second.noise.sigma[3].max() > 1.1 * problem.noise.sigma[3].max()

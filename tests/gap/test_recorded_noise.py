@@ -10,7 +10,7 @@ from palpd.cell.simulation import simulate
 from palpd.cell.stages import WRENCH
 from palpd.gap.data.recorded_noise import noise_of_fz_N, with_recorded_noise
 from palpd.gap.diagnosis import diagnose
-from palpd.gap.model.problem import make_problem
+from palpd.gap.model.problem import NOMINAL_ETA, make_problem
 from palpd.recording.samples import Samples
 from palpd.testing.plain_cells import recording
 
@@ -53,7 +53,7 @@ def test_known_effects_of_the_cell_file_are_no_gap() -> None:
     assert diagnosis.verdict == "none", diagnosis.sentence
     assert diagnosis.enriched_cell().effects == known.effects
     problem = make_problem([same], nominal(), max_bins=600)
-    assert np.abs(problem.data - problem.predict({}, problem.nominal_eta)).max() > 20.0
+    assert np.abs(problem.data - problem.predict({}, NOMINAL_ETA)).max() > 20.0
 
 
 def test_readings_that_rest_within_a_level_say_little_of_the_noise_and_question_no_stated_one() -> None:

@@ -12,7 +12,7 @@ from palpd.gap.diagnosis import diagnose
 from palpd.gap.infer.evidence import fit
 from palpd.gap.laws.evidence import FitBeside
 from palpd.gap.model.linearise import linearise
-from palpd.gap.model.problem import Problem, make_problem
+from palpd.gap.model.problem import NOMINAL_ETA, Problem, make_problem
 from palpd.gap.uncertainty import open_hypothesis
 from palpd.testing.plain_cells import cell_of, recording
 from tests.gap.test_intervals import DRAWS, SIZES, drawn
@@ -51,9 +51,9 @@ def test_parameters_and_deviations_lie_together_where_the_uncertainty_says(probl
             state = random.bit_generator.state
             data = drawn(problem, {name: values}, random)
             random.bit_generator.state = state
-            eta = random.standard_normal(len(problem.nominal_eta))
+            eta = random.standard_normal(len(NOMINAL_ETA))
             start = {name: {parameter: 1.2 * value for parameter, value in values.items()}}
-            one = fit(data, start, linearise(data, start, data.nominal_eta), rounds=3)
+            one = fit(data, start, linearise(data, start, NOMINAL_ETA), rounds=3)
             hypothesis = open_hypothesis(data, FitBeside.nothing(one), 1.0, [])
             estimated = problem.estimated(eta)
             truth = {f"estimated.{key}": value for key, value in estimated.model_dump().items() if key != "crosstalk"}

@@ -22,7 +22,7 @@ from palpd.gap.gaussian.nuisances import Nuisances, gram, nuisances, project
 from palpd.gap.infer.discrepancy import DISCREPANCY_SIZES, discrepancy_columns
 from palpd.gap.infer.posterior import Attribution
 from palpd.gap.model.linearise import linearise
-from palpd.gap.model.problem import SHARED, Problem, make_problem
+from palpd.gap.model.problem import NOMINAL_ETA, SHARED, Problem, make_problem
 from palpd.tick import Floats
 
 MOST_ROWS = 12_000
@@ -257,7 +257,7 @@ def _log_odds(trial: Problem, rivals: Sequence[Rival]) -> Floats:
     They are half the squared difference of both predictions, in sigmas, that nothing in hypothesis j can make up for: neither in-tolerance
     deviations, nor its parameters within their uncertainty, nor a discrepancy of its law.
     """
-    base = linearise(trial, {}, trial.nominal_eta)
+    base = linearise(trial, {}, NOMINAL_ETA)
     gaps = [rival.prediction(trial) - base.prediction for rival in rivals]
     trial = trial.with_model_error_floor(max(gaps, key=lambda g: float(np.vdot(g, g))))
     predictions = [rival.prediction(trial) for rival in rivals]

@@ -18,7 +18,7 @@ from palpd.gap.infer.fit import gauss_newton, jacobian_at
 from palpd.gap.infer.settle import NominalFit
 from palpd.gap.model.coordinates import coordinates, coordinates_of, other_laws, start_values, stretched
 from palpd.gap.model.linearise import Linearisation, linearise
-from palpd.gap.model.problem import MODULUS, Problem
+from palpd.gap.model.problem import MODULUS, NOMINAL_ETA, Problem
 from palpd.tick import Floats
 
 Fits = Mapping[tuple[str, ...], Fit]
@@ -218,7 +218,7 @@ def _fit_from(
 def _stiffer(state: SearchState, factor: float) -> Floats:
     """Shared deviations (11,) of the cell as stated, with the nominal fit's modulus times a factor."""
     modulus = state.linearisation.eta + np.log(factor) / np.maximum(state.problem.shared_sd, 1e-300)
-    return np.where(MODULUS, modulus, state.problem.nominal_eta)
+    return np.where(MODULUS, modulus, NOMINAL_ETA)
 
 
 def _limits_readings(effect: Effect, scale: Scale) -> bool:

@@ -11,7 +11,7 @@ from palpd.gap.infer.evidence import Fit, fit
 from palpd.gap.infer.fit import jacobian_at
 from palpd.gap.model.coordinates import coordinates, coordinates_of, other_laws
 from palpd.gap.model.linearise import Linearisation, linearise
-from palpd.gap.model.problem import SHARED, Problem
+from palpd.gap.model.problem import NOMINAL_ETA, SHARED, Problem
 from palpd.gap.model.servo_error import HELD_TARGETS
 from palpd.tick import Floats
 
@@ -35,14 +35,14 @@ class NominalFit:
 
 def settle(problem: Problem) -> NominalFit:
     """Fit the cell without effects, which also says how large the error of the simulator may be."""
-    stated = linearise(problem, {}, problem.nominal_eta)
+    stated = linearise(problem, {}, NOMINAL_ETA)
     if any(drags := _cycles_that_drag(problem, stated)):
         pairs = zip(problem.servo_errors, drags, strict=True)
-        problem = problem.with_servo_errors(tuple(errors.without(HELD_TARGETS) if drag else errors for errors, drag in pairs))
-        stated = linearise(problem, {}, problem.nominal_eta)
+        problem = problem.tolerating(tuple(errors.without(HELD_TARGETS) if drag else errors for errors, drag in pairs))
+        stated = linearise(problem, {}, NOMINAL_ETA)
     if problem.cell.effects:
-        problem = problem.with_law_errors(_law_errors(problem, stated))
-        stated = linearise(problem, {}, problem.nominal_eta)
+        problem = problem.tolerating(law_errors=_law_errors(problem, stated))
+        stated = linearise(problem, {}, NOMINAL_ETA)
     if not problem.cell.tolerances.modulus_known:
         first = fit(problem, {}, stated, rounds=8)
         # The force in proportion to the modulus has been fitted: it is the gap's size.
@@ -51,7 +51,7 @@ def settle(problem: Problem) -> NominalFit:
         nominal = fit(problem, {}, linearise(problem, {}, first.eta), rounds=ASSUMED.search.rounds)
         return NominalFit(problem, nominal, nominal.linearisation, nominal.linearisation)
     problem = problem.with_model_error_floor(problem.data - stated.prediction)
-    stated = linearise(problem, {}, problem.nominal_eta)
+    stated = linearise(problem, {}, NOMINAL_ETA)
     nominal = fit(problem, {}, stated, rounds=ASSUMED.search.rounds)
     # Beyond that, hypotheses that are linearised elsewhere would be judged by other tolerances.
     credible = np.abs(nominal.eta).max() < ASSUMED.noise.credible_sd

@@ -12,7 +12,7 @@ from palpd.gap.data.noise import FX, FY, FZ, TX, TY, Z
 from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.gaussian.nuisances import ColumnByChannel, Columns, Nuisances, Stretch, nuisances
 from palpd.gap.model.fixed_nuisances import Column, bins_of, whitened_column
-from palpd.gap.model.problem import RELATIVE, SHARED, Problem, tolerance_key
+from palpd.gap.model.problem import RELATIVE, SHARED, Problem, own_tolerances, tolerance_key
 from palpd.tick import Floats
 
 LEAKS_INTO = {"fx_per_fz": FX, "fy_per_fz": FY, "tx_per_fz": TX, "ty_per_fz": TY}
@@ -78,7 +78,7 @@ def linearise(problem: Problem, effects: EffectValues, eta: Floats) -> Linearisa
     Returns:
         Columns in this order: shared deviations; what depends on the state, recording by recording; fixed nuisances.
     """
-    eta = np.where(problem.own_tolerances(effects), 0.0, eta)
+    eta = np.where(own_tolerances(problem.library[name] for name in effects), 0.0, eta)
     prediction = problem.predict(effects, eta)
     shared = _shared_columns(problem, effects, eta, prediction)
     labelled: list[tuple[Column, ColumnByChannel]] = [

@@ -54,11 +54,19 @@ MAX_BINS = 4500
 MODULUS = np.array(SHARED) == "youngs_modulus"
 SERVO = np.array(SHARED) == "servo_natural_frequency"
 LOGARITHMIC = np.isin(SHARED, list(RELATIVE))
+NOMINAL_ETA = np.zeros(len(SHARED))
+"""Shared deviations η (11,) of a cell as its file states it."""
 
 
 def tolerance_key(deviation: str) -> str:
     """Key in the cell file's tolerances of a shared deviation."""
     return "crosstalk" if deviation in CROSSTALK else deviation
+
+
+def own_tolerances(effects: Iterable[Effect]) -> NDArray[np.bool_]:
+    """For which of SHARED (11,) an effect stands (`Effect.tolerance`); there the effect is fitted, and η is 0."""
+    keys = {effect.tolerance for effect in effects}
+    return np.array([tolerance_key(name) in keys for name in SHARED])
 
 
 @dataclass(frozen=True)
@@ -102,16 +110,11 @@ class Problem:
     @cached_property
     def fixed_nuisances(self) -> FixedNuisances:
         """Nuisances that do not depend on the state of the cell, whitened."""
-        force_N = self.binned_prediction({}, self.nominal_eta)[FZ]
+        force_N = self.binned_prediction({}, NOMINAL_ETA)[FZ]
         fixed = fixed_nuisances(self.cell, self.recordings, self.rounding, self.servo_errors, self.noise, force_N)
         of_laws = Columns.of([dict(enumerate(self.noise.whiten(one))) for one in self.law_errors], self.measured.shape)
         labels = (Column("computation", "law of a known effect"),) * of_laws.size
         return FixedNuisances((*fixed.labels, *labels), fixed.columns.followed_by(of_laws))
-
-    @property
-    def nominal_eta(self) -> Floats:
-        """Shared deviations η (11,) of the cell as its file states it, all 0."""
-        return np.zeros(len(self.shared_sd))
 
     def per_bin(self, of: Callable[[PreparedRecording], NDArray[Scalar]]) -> NDArray[Scalar]:
         """Values (b,) of the bins of all recordings, joined.
@@ -136,7 +139,7 @@ class Problem:
         size, level = np.minimum(np.abs(self.noise.natural(gap)), spread.max(axis=1, keepdims=True)), np.zeros(gap.shape)
         if self.cell.effects:
             without = self.without_known_effects()
-            size = np.maximum(size, np.abs(self.binned_prediction({}, self.nominal_eta) - without.binned_prediction({}, self.nominal_eta)))
+            size = np.maximum(size, np.abs(self.binned_prediction({}, NOMINAL_ETA) - without.binned_prediction({}, NOMINAL_ETA)))
         in_air = self.per_bin(lambda recording: recording.bin_press) < 0
         for bins in (in_air, ~in_air):
             if bins.any():
@@ -148,21 +151,18 @@ class Problem:
         """The problem of the cell without the effects that are known of it."""
         return replace(self, cell=self.cell.with_effects({}), workspace=Workspace())
 
-    def with_servo_errors(self, servo_errors: tuple[ServoErrors, ...]) -> "Problem":
-        """The problem in which controllers may change other things.
+    def tolerating(self, servo_errors: tuple[ServoErrors, ...] | None = None, law_errors: Floats | None = None) -> "Problem":
+        """The problem in which controllers, or the laws of known effects, may be wrong by something else.
 
         Args:
-            servo_errors: As the attribute, one for each recording.
+            servo_errors: As the attribute, one for each recording; None: as before.
+            law_errors: As the attribute (m, 7, b); None: as before.
         """
-        return replace(self, servo_errors=servo_errors)
-
-    def with_law_errors(self, law_errors: Floats) -> "Problem":
-        """The problem in which the laws of known effects may be wrong.
-
-        Args:
-            law_errors: As the attribute (m, 7, b).
-        """
-        return replace(self, law_errors=law_errors)
+        return replace(
+            self,
+            servo_errors=self.servo_errors if servo_errors is None else servo_errors,
+            law_errors=self.law_errors if law_errors is None else law_errors,
+        )
 
     def with_row_weight(self, weight: float | Floats) -> "Problem":
         """The problem in which every bin counts for `weight` bins.
@@ -183,11 +183,6 @@ class Problem:
     def without(self, change: Floats) -> "Problem":
         """The problem of readings from which a whitened change (7, b) is taken away."""
         return replace(self, measured=self.measured - self.noise.natural(change))
-
-    def own_tolerances(self, effects: Iterable[str]) -> NDArray[np.bool_]:
-        """For which of SHARED (11,) an effect stands (`Effect.tolerance`); there the effect is fitted, and η is 0."""
-        keys = {self.library[name].tolerance for name in effects}
-        return np.array([tolerance_key(name) in keys for name in SHARED])
 
     def restricted_to(self, bins: NDArray[np.bool_]) -> "Problem":
         """The problem in which only some bins (b,) count."""
