@@ -4,7 +4,8 @@
 law, a healthy cell, something outside the list, two effects, coarse steps, a listed effect with another law, and so on in this order. It
 diagnoses each once as it is, and once for each number of `palpd.gap.assumptions`. FOLDER keeps the answers, so an interrupted command
 goes on where it was; keep one folder for one state of the code. Cells come one after the other, so every number has been measured on
-all cells that are finished. `--docs` writes the table into docs/assumptions.md, from the kept answers alone.
+all cells that are finished. `--docs` writes the table into docs/assumptions.md, from the kept answers alone. With several folders it
+takes what each number changed on a cell from the first folder that holds it; a change is always between two answers of one state.
 
 | unit | 30 % larger |
 |---|---|
@@ -22,7 +23,7 @@ The score of a cell is the logarithm of the probability that the answer states o
 import argparse
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from math import log
@@ -276,6 +277,16 @@ def answers(kept: Path) -> dict[str, dict[str, Answer]]:
     return out
 
 
+def pooled(folders: Sequence[Path]) -> dict[str, dict[str, Answer]]:
+    """The kept answers of several states of the code, as `answers`; each number of a cell from the first folder that holds it."""
+    out: dict[str, dict[str, Answer]] = {}
+    for number, folder in enumerate(folders):
+        for cell, mine in answers(folder).items():
+            taken = {path for before in range(number) for path in out.get(f"{cell}, state {before}", {})} - {"", ADVICE}
+            out[f"{cell}, state {number}"] = {path: answer for path, answer in mine.items() if path not in taken}
+    return out
+
+
 @dataclass(frozen=True)
 class Moved:
     """What a number moves: cells measured, cells that read it, changes in words, and the sum of the scores after less before."""
@@ -376,21 +387,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cells", type=int, default=60)
     parser.add_argument("--only", default="", metavar="PREFIX", help="numbers whose path begins so, such as prior.")
-    parser.add_argument("--kept", type=Path, default=Path("sensitivity"), help="folder of the answers")
+    parser.add_argument("--kept", type=Path, nargs="+", default=[Path("sensitivity")], help="folder of the answers; with --docs, several")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--bins", type=int, default=BINS, help="largest number of bins of a diagnosis; palpd diagnose has 4500")
     parser.add_argument("--docs", action="store_true", help="write docs/assumptions.md from the kept answers, and measure nothing")
     options = parser.parse_args()
     if options.docs:
         written = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
-        PAGE.write_text(page(answers(options.kept), written, options.bins), encoding="utf-8")
+        PAGE.write_text(page(pooled(options.kept), written, options.bins), encoding="utf-8")
         return
-    options.kept.mkdir(parents=True, exist_ok=True)
+    if len(options.kept) > 1:
+        parser.error("several folders are for --docs: measure into the folder of this state of the code")
+    kept = options.kept[0]
+    kept.mkdir(parents=True, exist_ok=True)
     todo = cells(options.cells)
     with pool(options.jobs) as workers:
-        for number, name in enumerate(workers.map(partial(measure, kept=options.kept, only=options.only, max_bins=options.bins), todo), 1):
+        for number, name in enumerate(workers.map(partial(measure, kept=kept, only=options.only, max_bins=options.bins), todo), 1):
             print(f"{number} of {len(todo)}: {name}", flush=True)
-    known = answers(options.kept)
+    known = answers(kept)
     for path in (path for path in paths() if path.startswith(options.only)):
         result = moved(path, known)
         print(f"{path}: {len(result.changes)} of {result.cells} answers change, {result.read} read it, score {result.score:+.2f}")

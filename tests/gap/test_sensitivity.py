@@ -42,3 +42,20 @@ def test_a_varied_number_gives_the_answer_that_it_would_give_from_the_start(tmp_
     assert (result.cells, result.read) == (1, 1)
     assert result.score == pytest.approx(answers["prior.unknown"]["score"] - answers[""]["score"])
     assert result.score != 0.0
+
+
+def test_answers_of_two_states_of_the_code_are_pooled_and_no_number_of_a_cell_counts_twice(tmp_path: Path) -> None:
+    def keep(folder: str, **by_path: str) -> Path:
+        (tmp_path / folder).mkdir()
+        lines = [
+            {"cell": "one", "path": path, "answer": {"verdict": verdict, "names": [], "score": 0.0}} for path, verdict in by_path.items()
+        ]
+        (tmp_path / folder / "answers.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+        return tmp_path / folder
+
+    older = keep("older", **{"": "none", "prior.one": "none"})
+    newer = keep("newer", **{"": "unknown", "prior.one": "none", "prior.two": "unknown"})
+    known = sensitivity.pooled([older, newer])
+    assert sensitivity.moved("prior.one", known) == sensitivity.Moved(1, 1, [], 0.0)
+    assert sensitivity.moved("prior.two", known) == sensitivity.Moved(1, 1, [], 0.0)
+    assert sensitivity.moved("prior.one", sensitivity.pooled([newer, older])).changes == ["one, state 0: verdict unknown → none"]
