@@ -34,8 +34,8 @@ MOST_WATCHERS = 16
 """Largest number of watchers, besides these: an event costs 10 µs for each."""
 BACKLOG = 1024
 """Connections that the kernel lets wait. They are accepted in their order; 1024 take about 30 ms."""
-LINE_S = 1.0
-"""Longest wait for a complete line. A client of palpd sends it in one piece."""
+LINE_S = 5.0
+"""Longest wait for a complete line. A client of palpd sends it in one piece, but this computer may stand still for a second."""
 SEND_S = 5.0
 """Longest time that a client may take to receive its answer."""
 PIECE_BYTES = 65_536
@@ -123,8 +123,10 @@ class ControlSocket:
                 self._reply(client, client.awaits.answer)
             elif client.unsent is not None and client.since_s > now_s - SEND_S:
                 self._send(client, client.unsent)
-            elif client.unsent is not None or (client.idle and client.since_s < now_s - LINE_S):
+            elif client.unsent is not None:
                 self._drop(client)
+            elif client.idle and client.since_s < now_s - LINE_S:
+                self._reply(client, {"ok": False, "error": f"no complete request came within {LINE_S:g} s; send it again"})
 
     @property
     def watched(self) -> bool:

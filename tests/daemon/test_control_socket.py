@@ -81,7 +81,7 @@ def test_an_endless_request_is_dropped(listening: Listening) -> None:
     assert len(listening.heard) == before
 
 
-def test_a_slow_client_is_dropped_and_others_are_served_meanwhile(listening: Listening, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_client_is_told_so_and_others_are_served_meanwhile(listening: Listening, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(control, "LINE_S", 0.5)
     with socket.socket(socket.AF_UNIX) as slow:
         slow.settimeout(3.0)
@@ -90,6 +90,7 @@ def test_a_slow_client_is_dropped_and_others_are_served_meanwhile(listening: Lis
         began_s = time.monotonic()
         assert ask(listening.path, {"do": "status"})["ok"]
         assert time.monotonic() - began_s < 0.8
+        assert "no complete request came within 0.5 s" in json.loads(slow.recv(65536))["error"]
         assert slow.recv(1) == b""
 
 

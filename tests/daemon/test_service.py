@@ -29,6 +29,7 @@ from palpd.errors import Refused
 from palpd.recording.reader import Recording
 from palpd.recording.recovery import recover
 from palpd.testing.fixtures import skip_without_ur_rtde
+from palpd.testing.operator import Operator
 from palpd.tick import ROW, Phase, Request
 from tests.paths import ROOT
 
@@ -471,38 +472,14 @@ class Daemon:
         return [event for event in map(json.loads, lines) if event["event"] == name]
 
     def run(self, plan: dict[str, Any], phase: str) -> None:
-        """Armed, started, and as far as that phase; again, where the machine had stood still and the guard rightly ended the run."""
-        for _ in range(4):
-            self.arm()
-            self.do("start", plan=plan)
-            until(lambda: self.do("status").get("phase") == phase or self.state() == "disarmed", 40.0)
-            status = self.do("status")
-            if status["state"] != "disarmed":
-                return
-            assert "this computer" in status["last"]["reason"], status["last"]
-            if status["probe"]["state"] != "free":
-                self.retract()
-        raise AssertionError(status["last"])
+        """Armed, started, and as far as that phase."""
+        Operator(self.do).start(plan, lambda now: now.get("phase") == phase, phase)
 
     def retract(self) -> None:
         """Out of what a run left behind: until then nothing else may move."""
         with pytest.raises(Refused, match="is unfinished"):
-            self.arm()
-        self.do("retract")
-        until(lambda: self.state() == "disarmed", 30.0)
-        assert self.do("status")["probe"]["state"] == "free"
-
-    def arm(self) -> None:
-        """As an operator does: again, where the machine had stood still and what the devices said was rightly found too old."""
-        for _ in range(4):
-            try:
-                self.do("arm")
-                return
-            except Refused as refused:
-                if " s old, expected at most" not in str(refused):
-                    raise
-                time.sleep(1.0)
-        self.do("arm")
+            Operator(self.do).arm()
+        Operator(self.do).retract()
 
     def children(self) -> list[int]:
         """Every process of its session but itself."""

@@ -11,6 +11,7 @@ from typing import Any
 
 from palpd.daemon.socket_client import NoDaemon, ask
 from palpd.testing.emulated_cell import PRESS, EmulatedCell
+from palpd.testing.operator import Operator
 from palpd.testing.processes import until
 
 PRESSED_N = 4.0
@@ -54,9 +55,7 @@ class Served:
 
     def press(self) -> None:
         """Press until the probe is loaded."""
-        self.do("arm")
-        self.do("start", plan=PRESS)
-        until(lambda: self.cell.truth()["contact_N"] >= PRESSED_N, "the probe presses")
+        Operator(self.do).start(PRESS, lambda _: bool(self.cell.truth()["contact_N"] >= PRESSED_N), "the probe presses")
 
     def abort_in_the_tissue(self) -> None:
         """Press, and abort with a probe that is loaded."""

@@ -15,6 +15,7 @@ from palpd.errors import Refused
 from palpd.recording.reader import Recording
 from palpd.recording.recovery import recover
 from palpd.testing.fixtures import skip_without_ur_rtde
+from palpd.testing.operator import Operator
 from tests.service.container import INSIDE_CODE, INSIDE_PYTHON, Container, booted, missing, until
 
 pytestmark = [pytest.mark.hil, pytest.mark.skipif(missing() is not None, reason=f"booting systemd in a container {missing()}")]
@@ -91,12 +92,10 @@ class Installed:
 
     def begin(self) -> None:
         """A run that is well under way: the probe moves. What an earlier one left in the tissue is retracted first."""
+        operator = Operator(self.do)
         if (probe := self.do("status")["probe"]) is not None and probe["state"] != "free":
-            self.do("retract")
-            self.until_state("disarmed")
-        self.do("arm")
-        self.do("start", plan=PLAN)
-        until(lambda: self.do("status").get("phase") in ("search", "press", "hold"), 30.0, "the search begins")
+            operator.retract()
+        operator.start(PLAN, lambda now: now.get("phase") in ("search", "press", "hold"), "the search begins")
 
     def processes(self) -> list[str]:
         """Of the user palpd, other than the emulators."""
