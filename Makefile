@@ -6,7 +6,8 @@ READY := .venv/.ready
 PARALLEL_TESTS := --numprocesses=2 --dist=loadscope
 # each process has emulated cells on addresses of its own; a third process takes the time that the rest beside them needs
 WIRES := --numprocesses=2 --dist=worksteal
-# what has an emulated cell goes before other work of a busy machine, as the unit lets the daemon; empty where the user may not ask for that
+# what has an emulated cell goes before the rest, and before other work of a busy machine, as the unit lets the daemon; where the user may
+# not ask for that, the rest gives way
 URGENT := $(shell nice -n -10 true 2>&1 | grep -q . || echo nice -n -10)
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
@@ -55,7 +56,7 @@ test-wires: setup
 	$(URGENT) .venv/bin/pytest -m hil --ignore=tests/browser $(WIRES)
 
 test-rest: setup
-	nice .venv/bin/pytest -m "not hil" --ignore=tests/browser $(PARALLEL_TESTS)
+	$(if $(URGENT),,nice) .venv/bin/pytest -m "not hil" --ignore=tests/browser $(PARALLEL_TESTS)
 
 test-browser: setup
 	$(URGENT) .venv/bin/pytest tests/browser
