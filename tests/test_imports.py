@@ -20,6 +20,7 @@ OF_BENCHMARKS = {
     "hil/test_faults.py": {"fault_injection"},
     "hil/test_signals.py": {"signals"},
     "study/test_methods.py": {"compensation_methods", "recurrent_method"},
+    "gap/test_evidence_audit.py": {"evidence_audit"},
     "gap/test_fixed_point.py": {"fixed_point"},
     "test_foreign_cells.py": {"foreign", "foreign_cells"},
     "test_pages.py": {"fuzz_inputs"},

@@ -27,7 +27,6 @@ class Operator:
         """Arm, start, and wait until the run is as far; where this computer stood still meanwhile, begin again.
 
         Args:
-            plan: The plan to run.
             reached: Whether the run is as far, by the status.
             what: That moment in words, for who waits in vain.
 
