@@ -255,26 +255,29 @@ sets of a recording share changes no answer.
 def page(results: Sequence[Audited], recordings: int) -> str:
     """The page: how large the differences are, each one above a nat with its cause, and nested sampling beside importance sampling."""
     counted = [one for one in results if one.samples >= LEAST_SAMPLES]
-    size = np.abs([one.difference for one in counted])
+    size, others = np.abs([one.difference for one in counted]), 0
+    for cell in dict.fromkeys(one.cell for one in results):
+        mine = [one for one in results if one.cell == cell]
+        others += max(mine, key=lambda one: one.share) is not max(mine, key=lambda one: log(max(one.share, 1e-300)) + one.difference)
     lines = [
         HEAD.format(draws=DRAWS, sets=SETS, recordings=recordings),
-        f"\n{len(results)} sets; {len(counted)} keep {LEAST_SAMPLES:g} effective draws or more. In these the difference is "
-        f"at most {np.median(size):.2f} nats for half, {np.quantile(size, 0.9):.2f} for nine of ten, and {size.max():.1f} for the worst; "
-        f"{int((size > NOTABLE_NATS).sum())} differ by more than {NOTABLE_NATS:g} nat.\n",
-        "\n| recording | effects | share in the answer | integral less Laplace, nats | of it: ends, likelihood, prior | cause |",
-        "|---|---|---|---|---|---|",
+        f"{len(results)} sets; {len(counted)} keep {LEAST_SAMPLES:g} effective draws or more. In these the difference is at most "
+        f"{np.median(size):.2f} nats for half, {np.quantile(size, 0.9):.2f} for nine of ten, and {size.max():.1f} for the worst. "
+        f"All sets that differ by more than {NOTABLE_NATS:g} nat follow; a part of -0.7 at an end is a parameter at the end of its "
+        "range, where half of Laplace's parabola lies outside. With the integrals, the likeliest of the sets is another one in "
+        f"{others} of {recordings} recordings.\n",
+        "| recording | effects | share in the answer | effective draws | integral less Laplace, nats | ends | likelihood | prior | cause |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
-    for one in sorted(counted, key=lambda one: -abs(one.difference)):
+    for one in sorted(results, key=lambda one: -abs(one.difference)):
         if abs(one.difference) > NOTABLE_NATS:
-            difference, parts = (
-                f"{one.difference:+.1f} ± {one.error:.1f}",
-                f"{one.of_ends:+.1f}, {one.of_likelihood:+.1f}, {one.of_prior:+.1f}",
-            )
-            lines.append(f"| {one.cell} | {', '.join(one.names)} | {one.share:.2g} | {difference} | {parts} | {one.cause} |")
+            parts = " | ".join(f"{part:+.1f}" for part in (one.of_ends, one.of_likelihood, one.of_prior))
+            about = f"{one.cell} | {', '.join(one.names)} | {one.share:.2g} | {one.samples:.0f}"
+            lines.append(f"| {about} | {one.difference:+.1f} ± {one.error:.1f} | {parts} | {one.cause} |")
     lines += [
         "\n## Nested sampling where importance sampling does not suffice\n",
-        f"dynesty with {LIVE_POINTS} live points, within {REACH_SD:g} of Laplace's standard deviations of the optimum, for {NESTED} sets "
-        "that kept fewer draws.\n",
+        f"dynesty with {LIVE_POINTS} live points, within {REACH_SD:g} of Laplace's standard deviations of the optimum, for the {NESTED} "
+        "likeliest sets that kept fewer draws.\n",
         "| recording | effects | effective draws | importance sampling, nats | nested sampling, nats |",
         "|---|---|---|---|---|",
     ]
