@@ -198,7 +198,7 @@ def _blocks(columns: Sequence[ColumnByChannel], b: int) -> tuple[Block, ...]:
     for (channel, short), numbered in groups.items():
         stretches = [stretch for _, stretch in numbered]
         numbers = np.array([number for number, _ in numbered], dtype=np.intp)
-        out.append(Block(channel, numbers, _sparse(stretches, b) if short else _sparse(stretches, b).toarray()))
+        out.append(Block(channel, numbers, _sparse(stretches, b) if short else _dense(stretches, b)))
     return tuple(out)
 
 
@@ -216,6 +216,14 @@ def _sparse(stretches: Sequence[Stretch], b: int) -> csr_array:
     indices = np.concatenate([np.arange(first, first + len(values)) for first, values in stretches])
     starts = np.cumsum([0, *(len(values) for _, values in stretches)])
     return csr_array((np.concatenate([values for _, values in stretches]), indices, starts), shape=(len(stretches), b))
+
+
+def _dense(stretches: Sequence[Stretch], b: int) -> Floats:
+    """Stretches as the rows (m, b) of an array."""
+    out = np.zeros((len(stretches), b))
+    for row, (first, values) in zip(out, stretches, strict=True):
+        row[first : first + len(values)] = values
+    return out
 
 
 def _inner_products(left: Sequence[Block], right: Sequence[Block], shape: tuple[int, ...]) -> Floats:

@@ -70,7 +70,10 @@ class Whitening:
         Returns:
             Values (7, b) in sigmas, 0 where nothing is compared.
         """
-        return np.stack([self.whiten_channel(channel, row) for channel, row in enumerate(values)])
+        white = values / self.sigma
+        for channel in self.factors:
+            white[channel] = self.whiten_channel(channel, values[channel])
+        return white
 
     def whiten_channel(self, channel: int, values: Floats) -> Floats:
         """Values of one channel in units of their noise.

@@ -269,7 +269,8 @@ class Problem:
 
         def simulated() -> Floats:
             cell = self.cell.with_effects(effects).with_estimated(self.estimated(eta))
-            return np.hstack([np.atleast_2d(binned(number, cell)) for number in range(len(self.recordings))])
+            each = [np.atleast_2d(binned(number, cell)) for number in range(len(self.recordings))]
+            return each[0] if len(each) == 1 else np.hstack(each)
 
         return self.workspace.prediction((what, repr(effects), eta.tobytes()), simulated, self.measured.size)
 
