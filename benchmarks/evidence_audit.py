@@ -12,7 +12,7 @@ The prior is written here from docs/explanation/inference.md, and shares no code
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from math import lgamma, log, pi
@@ -94,8 +94,8 @@ class Integrand:
         self.target = problem.data + fitted.linearisation.offset()
         eta, at = fitted.eta, problem.predict(fitted.values, fitted.eta)
         self.normal = gram([project(j, self.space) for j in jacobian_at(problem, fitted.where, fitted.u, eta, at)])
-        widths = [1e3 if c.amplitude else c.range / 12.0**0.5 for c in self.coordinates]
-        self.posterior = self.normal[np.ix_(self.free, self.free)] + np.diag(np.array(widths) ** -2.0)
+        prior_sd = np.array([1e3 if c.amplitude else c.range / 12.0**0.5 for c in self.coordinates])
+        self.posterior = self.normal[np.ix_(self.free, self.free)] + np.diag(prior_sd**-2.0)
 
     @property
     def coordinates(self) -> list[Coordinate]:
@@ -212,16 +212,16 @@ def nested(integrand: Integrand, rng: np.random.Generator) -> tuple[float, float
     return float(sampler.results.logz[-1] + np.log(span).sum() - laplace), float(sampler.results.logzerr[-1])
 
 
-def of_recording(spec: CaseSpec, kept: Path, ask: Callable[[Audited], bool] = lambda _: False) -> list[Audited]:
+def of_recording(spec: CaseSpec, kept: Path, to_nest: frozenset[tuple[str, tuple[str, ...]]] = frozenset()) -> list[Audited]:
     """Audit the likeliest sets of one recording, or read what is kept of it.
 
     Args:
         kept: Folder of what was computed.
-        ask: Which kept sets nested sampling integrates.
+        to_nest: Cell and effects of the sets that nested sampling integrates, as far as it has not yet.
     """
     file, out = kept / f"{spec.name}.json", []
     known = [Audited(**(one | {"names": tuple(one["names"])})) for one in json.loads(file.read_text())] if file.exists() else None
-    if known is not None and not any(ask(one) for one in known):
+    if known is not None and not any((one.cell, one.names) in to_nest for one in known if one.nested is None):
         return known
     case = draw(spec, SEED, Hosts())
     library = {name: effect for name, effect in EFFECTS.items() if name not in case.without}
@@ -231,7 +231,7 @@ def of_recording(spec: CaseSpec, kept: Path, ask: Callable[[Audited], bool] = la
         integrand = Integrand(inference.problem, inference.fits[one.fit.names])
         before = next((each for each in known or () if each.names == one.fit.names), None)
         result = before or audited(spec.name, one.share, integrand, rng)
-        if ask(result):
+        if (result.cell, result.names) in to_nest and result.nested is None:
             difference, error = nested(integrand, rng)
             result = Audited(**(asdict(result) | {"nested": difference, "nested_error": error}))
         out.append(result)
@@ -243,10 +243,10 @@ HEAD = """<!-- written by python -m benchmarks.evidence_audit --docs -->
 # The evidence, audited
 
 A diagnosis compares sets of effects by Laplace's approximation ([the model](explanation/inference.md)). Here prior times likelihood is
-integrated over the parameters instead: by importance sampling about the optimum ({draws} draws of two Student distributions), the linear
-nuisances integrated out exactly; model discrepancies are left out on both sides. Audited are the {sets} likeliest sets of {recordings}
-sealed recordings of `benchmarks.sensitivity`. A positive difference says that Laplace's evidence is too small. A difference that all
-sets of a recording share changes no answer.
+integrated over the parameters instead, by importance sampling about the optimum ({draws} draws of two Student distributions). Nuisances
+are integrated out exactly, as linearised at the optimum. Model discrepancies are left out on both sides.
+Audited are the {sets} likeliest sets of {recordings} sealed recordings of `benchmarks.sensitivity`.
+A positive difference says that Laplace's evidence is too small. A difference that all sets of a recording share changes no answer.
 
 `python -m benchmarks.evidence_audit --kept FOLDER --docs` writes this page.
 """
@@ -263,7 +263,7 @@ def page(results: Sequence[Audited], recordings: int) -> str:
         HEAD.format(draws=DRAWS, sets=SETS, recordings=recordings),
         f"{len(results)} sets; {len(counted)} keep {LEAST_SAMPLES:g} effective draws or more. In these the difference is at most "
         f"{np.median(size):.2f} nats for half, {np.quantile(size, 0.9):.2f} for nine of ten, and {size.max():.1f} for the worst. "
-        f"All sets that differ by more than {NOTABLE_NATS:g} nat follow; a part of -0.7 at an end is a parameter at the end of its "
+        f"All sets that differ by more than {NOTABLE_NATS:g} nat follow. A part of -0.7 at an end is a parameter at the end of its "
         "range, where half of Laplace's parabola lies outside. With the integrals, the likeliest of the sets is another one in "
         f"{others} of {recordings} recordings.\n",
         "| recording | effects | share in the answer | effective draws | integral less Laplace, nats | ends | likelihood | prior | cause |",
@@ -302,23 +302,13 @@ def main() -> None:
     with pool(options.jobs) as workers:
         each = list(workers.map(partial(of_recording, kept=options.kept), todo))
         poor = sorted((one for some in each for one in some if one.samples < LEAST_SAMPLES), key=lambda one: (-one.share, one.cell))
-        chosen = _Chosen(frozenset((one.cell, one.names) for one in poor[:NESTED]))
-        each = list(workers.map(partial(of_recording, kept=options.kept, ask=chosen), todo))
+        chosen = frozenset((one.cell, one.names) for one in poor[:NESTED])
+        each = list(workers.map(partial(of_recording, kept=options.kept, to_nest=chosen), todo))
     text = page([one for some in each for one in some], len(todo))
     if options.docs:
         PAGE.write_text(text, encoding="utf-8")
     else:
         print(text)
-
-
-@dataclass(frozen=True)
-class _Chosen:
-    """Which sets nested sampling integrates: those that it has not integrated yet."""
-
-    sets: frozenset[tuple[str, tuple[str, ...]]]
-
-    def __call__(self, one: Audited) -> bool:
-        return (one.cell, one.names) in self.sets and one.nested is None
 
 
 if __name__ == "__main__":
