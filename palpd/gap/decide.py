@@ -12,6 +12,7 @@ It fits nothing and simulates nothing. `decide` is made of two tables.
 | what was sought beyond the list, in this order (`_beyond_list`) | what is decided |
 |---|---|
 | nothing was sought, since readings are coarse | the list stands |
+| events alone, no more than the listed effects, explain more (`events_replace_list`) | `unknown` with these events |
 | a law alone beats the listed effects (`law_beats_list`) | that law: the last three rows judge it |
 | events explain what remains (`eventful`) | `unknown` with events; a note where the list names the cause, and that did not imitate them |
 | neither law nor events remain (`leaves_nothing`) | the list stands; a likely law that one press alone shows is refused |
@@ -34,7 +35,7 @@ from palpd.gap.data.scatter import LoneAxis, Scatter
 from palpd.gap.infer.evidence import Fit
 from palpd.gap.infer.inference import Inference
 from palpd.gap.infer.posterior import Attribution
-from palpd.gap.laws.events import Event
+from palpd.gap.laws.events import Event, Events
 from palpd.gap.laws.evidence import FitBeside, LawEvidence, SoughtLaw
 from palpd.gap.laws.learned import law_to_json, learned_effect, p_outside
 from palpd.gap.laws.search import LearnedLaw
@@ -42,7 +43,9 @@ from palpd.gap.laws.search import LearnedLaw
 Kind = Literal["effects", "none", "unknown", "ambiguous"]
 
 EVENTS = "What remains looks like single events (see `events`), and not like a law. Another recording will not show them at the same times."
-EVENTS_BESIDE = "What the named effects leave looks like single events in time: steps, pulses or falls of the contact force."
+EVENTS_BESIDE = (
+    "What the named effects leave looks like single events in time: steps, pulses, falls of the contact force or changes of drift."
+)
 IN_TIME = (
     "Something changes smoothly or randomly in time, and not by what the cell does. One recording cannot distinguish a slow state from a "
     "random walk. Record the same motion again: a law repeats, a random walk does not."
@@ -262,19 +265,28 @@ def _beyond_list(laws: LawEvidence, *, is_cause: bool) -> BeyondList:
     """
     if laws.on_top is None:
         return BeyondList()
+    if laws.events_replace_list and laws.events_alone is not None:
+        return _of_events(laws.events_alone, laws.events_alone.nats - laws.gained)
     if laws.law_beats_list and laws.alone is not None:
         return _of_law(laws, laws.alone, laws.alone.nats - laws.gained, replaces=True, is_cause=is_cause)
     if laws.eventful and laws.events is not None:
         if is_cause and not laws.events_beat_list:
             return BeyondList(note=EVENTS_BESIDE)
         events = laws.events_alone if laws.events_beat_list and laws.events_alone is not None else laws.events
-        return BeyondList(
-            events=tuple(events.listed), note=EVENTS, p_outside=p_outside(max(events.nats - laws.gained, ASSUMED.laws.named_nats))
-        )
+        return _of_events(events, max(events.nats - laws.gained, ASSUMED.laws.named_nats))
     if laws.leaves_nothing:
         once = laws.on_top.one_cycle
         return BeyondList(refused=None if once is None else RefusedLaw(laws.on_top.law, "one cycle", *once))
     return _of_law(laws, laws.together or laws.on_top, laws.on_top.nats, replaces=False, is_cause=is_cause)
+
+
+def _of_events(events: Events, nats: float) -> BeyondList:
+    """Events that nothing listed explains.
+
+    Args:
+        nats: Their evidence beyond the listed answer.
+    """
+    return BeyondList(events=tuple(events.listed), note=EVENTS, p_outside=p_outside(nats))
 
 
 def _of_law(laws: LawEvidence, sought: SoughtLaw, nats: float, *, replaces: bool, is_cause: bool) -> BeyondList:

@@ -19,6 +19,7 @@ EVENT_WORDS = {
     "pulse": "{channel} is {size} off for a moment",
     "burst": "{channel} scatters by {size} for a moment",
     "fall of the contact force": "the contact force falls during a press ({size})",
+    "change of drift": "{channel} drifts from there on, by {size} until the end",
 }
 DIAGNOSE = "palpd diagnose RECORDING --cell cell.yaml"
 MOST_SAID = 2

@@ -36,7 +36,7 @@ class Case(NamedTuple):
         list: What the list says, as above.
         gained: Nats by which the listed effects beat the cell without effects.
         events: Nats of the events beside the listed effects, and whether they hold enough of the gap's energy.
-        alone_events: Nats of the events in the cell without effects.
+        alone_events: Nats of the events in the cell without effects, and how many they are.
         leading: Share of what the effects explain that the best of them alone leaves.
         wander: Nats of a random walk in time.
         scatter: Whether the scatter of the readings names an effect.
@@ -47,7 +47,7 @@ class Case(NamedTuple):
     top: Law = Law()
     events: tuple[float, bool] = (0.0, True)
     alone: Law = Law()
-    alone_events: float = 0.0
+    alone_events: tuple[float, int] = (0.0, 1)
     together: Law | None = None
     gained: float = 100.0
     presses: int = 6
@@ -177,6 +177,24 @@ TABLE: dict[str, tuple[Case, Decision]] = {
         Case(2, AMBIGUOUS, alone=Law(110), leading=0.1),
         Decision("ambiguous", 0.1, note="A law outside"),
     ),
+    "one event alone is more probable than two effects": (
+        Case(2, EFFECTS, alone_events=(104, 1)),
+        Decision("unknown", 0.915, events="alone", note="What remains looks"),
+    ),
+    "one event alone is as probable as two effects": (Case(2, EFFECTS, alone_events=(102, 1)), Decision("effects", 0.1)),
+    "two effects are fewer than three events": (Case(2, EFFECTS, alone_events=(150, 3)), Decision("effects", 0.1)),
+    "one event alone is more probable than two effects in two presses": (
+        Case(2, EFFECTS, alone_events=(104, 1), presses=2),
+        Decision("effects", 0.1),
+    ),
+    "two effects leave nothing, and a law beats them and one event": (
+        Case(2, EFFECTS, alone=Law(110), alone_events=(104, 1), leading=0.2),
+        Decision("unknown", 0.973, law="alone 10", role="replaces"),
+    ),
+    "one event beats two effects, and a law of time beats them all": (
+        Case(2, EFFECTS, alone=Law(200, driver=TIME), alone_events=(110, 1)),
+        Decision("unknown", 0.973, events="alone", note="What remains looks"),
+    ),
     "two effects leave what one press alone shows": (
         Case(2, EFFECTS, Law(50, holds=False, one_cycle=True), alone=Law(50)),
         Decision("effects", 0.1, refused="top: one cycle"),
@@ -200,19 +218,19 @@ TABLE: dict[str, tuple[Case, Decision]] = {
         Decision("effects", 0.1, law="top 20", role="secondary"),
     ),
     "an effect imitated events": (
-        Case(1, EFFECTS, events=(30, True), alone_events=101),
+        Case(1, EFFECTS, events=(30, True), alone_events=(101, 1)),
         Decision("unknown", 0.973, events="alone", note="What remains looks"),
     ),
     "an effect imitated events in an unknown cell": (
-        Case(1, UNKNOWN, events=(30, True), alone_events=140),
+        Case(1, UNKNOWN, events=(30, True), alone_events=(140, 1)),
         Decision("unknown", 0.988, events="alone", note="What remains looks"),
     ),
     "an effect that may have imitated events in two presses": (
-        Case(1, EFFECTS, events=(30, True), alone_events=101, presses=2),
+        Case(1, EFFECTS, events=(30, True), alone_events=(101, 1), presses=2),
         Decision("effects", 0.1, note="What the named"),
     ),
     "an effect that imitated events where nothing presses": (
-        Case(1, EFFECTS, events=(30, True), alone_events=101, presses=0),
+        Case(1, EFFECTS, events=(30, True), alone_events=(101, 1), presses=0),
         Decision("unknown", 0.973, events="alone", note="What remains looks"),
     ),
     "a law beats an effect and the events that it leaves": (
@@ -224,7 +242,7 @@ TABLE: dict[str, tuple[Case, Decision]] = {
         Decision("unknown", 0.988, events="top", note="What remains looks"),
     ),
     "a law does not beat events alone": (
-        Case(1, UNKNOWN, events=(30, True), alone=Law(127), alone_events=131),
+        Case(1, UNKNOWN, events=(30, True), alone=Law(127), alone_events=(131, 1)),
         Decision("unknown", 0.988, events="alone", note="What remains looks"),
     ),
     "a law of time is no answer where events explain the gap": (
@@ -286,7 +304,9 @@ def stubs(case: Case, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Any, Any]:
         )  # fmt: skip
 
     nominal, best = hypothesis((), 0.0), hypothesis(names, case.gained)
-    returned = {names: (case.top, case.events[0]), (): (case.alone, case.alone_events)} if names else {(): (case.top, case.events[0])}
+    returned = {names: (case.top, case.events[0], 1), (): (case.alone, *case.alone_events)}
+    if not names:
+        returned = {(): (case.top, case.events[0], 1)}
 
     def scene_of(_: Any, values: dict[str, Any], eta: Any) -> Any:
         return SimpleNamespace(names=tuple(values), problem=problem)
@@ -297,7 +317,8 @@ def stubs(case: Case, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Any, Any]:
 
     def events(scene: Any, space: Any) -> Any:
         what = "alone" if names and not scene.names else "top"
-        return SimpleNamespace(nats=returned[scene.names][1], listed=[what], change=np.zeros((7, 3)))
+        _, nats, count = returned[scene.names]
+        return SimpleNamespace(nats=nats, listed=[what] * count, change=np.zeros((7, 3)))
 
     def together(_: Any, listed: Any, top: LearnedLaw, gained: float) -> Any:
         law = top if case.together is None else law_of(case.together, "together", top.scene)

@@ -127,6 +127,19 @@ def test_a_single_step_is_an_event_with_its_time_and_size() -> None:
     assert "single events" in page(content, curves_of(diagnosis), diagnosis.problem.library, "x")
 
 
+def test_a_drift_that_begins_late_is_one_event_and_not_two_effects() -> None:
+    """Creep and hysteresis together imitate it."""
+    t_s, _ = heights()
+    content = with_force(0.015 * np.clip(t_s - 11.0, 0.0, None)).to_json()
+    jsonschema.validate(json.loads(json.dumps(content)), SCHEMA)
+    assert content["verdict"] == "unknown"
+    (event,) = content["events"]
+    assert (event["kind"], event["channel"]) == ("change of drift", "fz_N")
+    assert event["t_s"] == pytest.approx(11.0, abs=1.0)
+    assert event["size"] == pytest.approx(0.015 * (t_s[-1] - 11.0), rel=0.2)
+    assert "drifts from there on" in content["plain"]["events"][0]
+
+
 def test_a_healthy_cell_and_a_listed_effect_have_neither_law_nor_events() -> None:
     for effects in ({}, {"tissue.viscoelastic": {"ratio": 0.2, "tau_s": 0.8}}):
         content = quick(recording(nominal(), effects), nominal()).to_json()

@@ -8,6 +8,7 @@ import numpy as np
 
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import CHANNELS, FX, FZ
+from palpd.gap.data.phases import Ints
 from palpd.gap.gaussian.evidence import posterior_of
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace
 from palpd.gap.laws.scene import Scene
@@ -17,6 +18,8 @@ from palpd.tick import Floats
 EVERY = 4
 """Every fourth bin is tried as the time of an event; the nearest bin is found afterwards."""
 
+
+BEND = "change of drift"
 
 KIND_PRICE = log(ASSUMED.events.kinds)
 """Price in nats of the kind and the channel of an event, in addition to the log of the number of its times."""
@@ -91,7 +94,7 @@ def _sizes(space: NuisanceSpace, atoms: list[_Atom]) -> tuple[dict[int, float], 
 
 
 def _atoms(problem: Problem, space: NuisanceSpace, channel: int, force: Floats) -> list[_Atom]:
-    """The likeliest step, fall of the contact force, pulse and burst in one channel."""
+    """The likeliest step, fall of the contact force, pulse, change of drift and burst in one channel."""
     r = space.remainder[channel]
     white = 1.0 / problem.noise.sigma[channel]
     white = np.where(np.isfinite(problem.noise.sigma[channel]), white, 0.0)
@@ -118,7 +121,24 @@ def _atoms(problem: Problem, space: NuisanceSpace, channel: int, force: Floats) 
         column = np.zeros(first)
         column[a:b] = shape[a:b]
         out.append(_Atom(nats - log(len(times)) - KIND_PRICE, kind, channel, a, column))
-    return out + _bursts(r, channel)
+    return [*out, _bend(problem, space, channel, white, last), *_bursts(r, channel)]
+
+
+def _bend(problem: Problem, space: NuisanceSpace, channel: int, white: Floats, last: Ints) -> _Atom:
+    """The likeliest time from which on a channel drifts at another rate, until its recording ends.
+
+    Args:
+        white: One in units of the noise (b,).
+        last: Number of the first bin after the recording of each bin (b,).
+    """
+    bins, t_s = np.arange(len(white)), np.concatenate([one.t_s for one in problem.recordings])
+    begin = np.unique(np.linspace(0, len(white) - 2, ASSUMED.events.bends).astype(np.intp))
+    after = (bins[:, None] >= begin) & (bins[:, None] < last[begin])
+    ramps = white[:, None] * np.where(after, t_s[:, None] - t_s[begin], 0.0)
+    products = space.products({channel: ramps})
+    gain = _gain(np.diag(products.gram), products.slope)
+    k = int(np.argmax(gain))
+    return _Atom(float(gain[k]) - log(len(begin)) - KIND_PRICE, BEND, channel, int(begin[k]), ramps[:, k])
 
 
 def _gain(norm: Floats, slope: Floats) -> Floats:

@@ -94,7 +94,7 @@ class LawEvidence:
         events: Events there; None where `on_top` is.
         events_share: Share of the gap's energy beyond the listed answer's laws that these events hold.
         alone: The law in the gap of the cell without effects, where listed effects could have imitated one; else None.
-        events_alone: Events there, where the listed answer leaves events; else None.
+        events_alone: Events there, where the listed answer leaves events or several effects are named; else None.
         together: The law that was fitted in turn with the listed effects; None where it is not needed.
         presses: Number of presses in all recordings.
         leading_leaves: Share of what the listed effects explain together that the best of them alone leaves; 0 for a single effect.
@@ -147,6 +147,20 @@ class LawEvidence:
         """
         return self.events_alone is not None and self.presses not in (1, 2) and self.events_alone.nats > self.gained
 
+    @property
+    def events_replace_list(self) -> bool:
+        """Whether events alone explain more than the listed effects, which imitated them, with no more parts than these.
+
+        A drift that bends looks like a drift and a warm-up together. Neither does a law alone explain more, but for a curve of time: that
+        is no answer where events explain the gap.
+        """
+        if self.alone is None or self.events_alone is None or not self.events_beat_list:
+            return False
+        law_nats = 0.0 if self.alone.law.carries and self.alone.plain_time else self.alone.nats
+        return len(self.events_alone.listed) <= len(self.listed.names) and self.events_alone.nats >= max(
+            self.gained + ASSUMED.laws.alike_nats, law_nats - ASSUMED.laws.alike_nats
+        )
+
 
 def look_for_laws(inference: Inference, listed: Fit, *, coarse: bool = False) -> LawEvidence:
     """Search for a law and for events beyond the listed answer.
@@ -179,10 +193,9 @@ def look_for_laws(inference: Inference, listed: Fit, *, coarse: bool = False) ->
     if not listed.names or (evidence.leaves_nothing and len(listed.names) < ASSUMED.laws.many_parts):
         return evidence
     alone_scene, alone_space = Scene.of(problem, {}, nominal.eta), _space_beside(problem, nominal)
-    evidence = replace(evidence, alone=_judged(inference, search(alone_scene, alone_space), alone_space, nominal))
-    if evidence.eventful:
-        return replace(evidence, events_alone=find_events(alone_scene, alone_space))
-    if not evidence.leaves_nothing and not evidence.law_beats_list:
+    alone = _judged(inference, search(alone_scene, alone_space), alone_space, nominal)
+    evidence = replace(evidence, alone=alone, events_alone=find_events(alone_scene, alone_space))
+    if not evidence.eventful and not evidence.leaves_nothing and not evidence.law_beats_list:
         evidence = replace(evidence, together=_judged(inference, *_fitted_together(problem, listed, top, gained)))
     return evidence
 
