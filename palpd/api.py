@@ -14,16 +14,18 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeAlias
 
 import numpy as np
 
-from palpd.cell.cell_file import CellFile, cell_from, load_cell, nominal, save_cell
+from palpd.cell.cell_file import CellFile, load_cell, nominal, save_cell
+from palpd.cell.cell_file import cell_from as cell_of
 from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.tip_motion import estimate_tip_motion
+from palpd.documents import nearest
 from palpd.errors import BadInput, RecordingError
 from palpd.gap.commands import check_motion, read_motion, read_recording, simulate_columns
 from palpd.gap.diagnosis import Diagnosis
@@ -46,7 +48,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-__all__ = ["Analysis", "Cell", "Effect", "GapDiagnosis", "LoadedRecording", "analyse", "diagnose", "load", "simulate", "tip_motion"]
+__all__ = [
+    "Analysis", "Cell", "Effect", "GapDiagnosis", "LoadedRecording", "analyse", "cell_from", "diagnose", "export_sim", "import_file",
+    "load", "simulate", "tip_motion", "tolerances",
+]  # fmt: skip
 
 TableRow: TypeAlias = dict[str, Any]
 
@@ -86,9 +91,14 @@ class _Shown(ABC):
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell as a simulator knows it: robot, sensor, probe, tissue, tolerances, and known effects."""
+    """A cell as a simulator knows it: robot, sensor, probe, tissue, tolerances, and known effects.
+
+    Attributes:
+        notes: Sentences of `cell_from` on what it found, and what it guessed.
+    """
 
     file: CellFile
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -105,7 +115,7 @@ class Cell:
         Raises:
             ConfigError: A value is not possible.
         """
-        return cls(cell_from(blocks, "Cell.of"))
+        return cls(cell_of(blocks, "Cell.of"))
 
     @classmethod
     def nominal(cls) -> Self:
@@ -121,7 +131,7 @@ class Cell:
         Raises:
             ConfigError: There is no such effect or parameter.
         """
-        checked = cell_from({"effects": {name: dict(values) for name, values in effects.items()}}, "with_effects")
+        checked = cell_of({"effects": {name: dict(values) for name, values in effects.items()}}, "with_effects")
         return Cell(self.file.with_effects(checked.effects))
 
     def save(self, path: str | Path) -> None:
@@ -131,10 +141,15 @@ class Cell:
 
 @dataclass(frozen=True)
 class LoadedRecording(_Shown):
-    """A recording of one cell, row by row in time. `recording["fz_N"]` is a column (n,); the names carry their units."""
+    """A recording of one cell, row by row in time. `recording["fz_N"]` is a column (n,); the names carry their units.
+
+    Attributes:
+        notes: Sentences of `import_file` on units, axes, and what was left out.
+    """
 
     samples: Samples
     name: str = "recording"
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.samples)
@@ -356,6 +371,96 @@ def load(path: str | Path, site: str | None = None) -> LoadedRecording:
     return LoadedRecording(read_recording(Path(path), site), Path(path).name)
 
 
+def import_file(files: str | Path | Sequence[str | Path], **options: Any) -> LoadedRecording:
+    """Read what another machine recorded, as `palpd import` does.
+
+    Args:
+        files: A table, bag, TDMS, MATLAB or AFM file; or two, one with the motion and one with the force.
+        options: Options of that command, as the fields of `palpd.interchange.import_files.ImportOptions`, such as `force_column="Fz (N)"`.
+
+    Raises:
+        BadInput: There is no such option, the options do not fit the files, or a unit is not confirmed.
+        RecordingError: A file cannot be read or is no recording.
+    """
+    from palpd.interchange.import_files import ImportOptions, read_files
+
+    known = [field.name for field in fields(ImportOptions)]
+    for name in options:
+        if name not in known:
+            raise BadInput(f"import_file has no option {name}{nearest(name, known)}; it has {', '.join(known)}")
+    paths = [Path(file) for file in ([files] if isinstance(files, str | Path) else files)]
+    imported = read_files(paths, ImportOptions(**options))
+    return LoadedRecording(imported.samples, " and ".join(path.name for path in paths), imported.notes)
+
+
+def cell_from(
+    recordings: Source | Sequence[Source],
+    *,
+    tip_radius_m: float | None = None,
+    contact: bool = True,
+    accept_implausible: bool = False,
+) -> Cell:
+    """Write a first cell from recordings, as `palpd cell-from` does: rates, noise, resolution, the touch and a stiffness that is not known.
+
+    Args:
+        recordings: One recording or several of the same cell.
+        tip_radius_m: Radius of the spherical tip; None where it is not known.
+        contact: Whether the probe touches something in them.
+        accept_implausible: Whether implausible values count.
+
+    Raises:
+        RecordingError: fz never changes, or forces or heights have the wrong sign.
+        BadInput: The radius is impossible, or a value is implausible.
+    """
+    from palpd.gap.first_cell import first_cell
+
+    first = first_cell([_samples(each) for each in _several(recordings)], tip_radius_m, accept_implausible, contact=contact)
+    return Cell(cell_of(first.content, "cell_from"), first.sentences)
+
+
+def tolerances(recordings: Source | Sequence[Source], cell: CellSource, *, accept_implausible: bool = False) -> dict[str, dict[str, float]]:
+    """Estimate tolerances from recordings of a healthy cell, as `palpd tolerances` does.
+
+    Args:
+        accept_implausible: Whether doubtful recordings and implausible tolerances count.
+
+    Returns:
+        The blocks `tolerances` and `repeatability` of a cell file, in its units.
+
+    Raises:
+        RecordingError: A recording cannot be judged.
+        BadInput: A recording is doubtful or a tolerance implausible.
+    """
+    from palpd.gap.tolerances import estimate_tolerances
+
+    samples = [_samples(each) for each in _several(recordings)]
+    return estimate_tolerances(samples, _cell(cell).at_site(common_site(samples)), accept_implausible)
+
+
+def export_sim(
+    cell: CellSource, folder: str | Path, to: Literal["mujoco", "fmu"], *, draws: int = 0, seed: int = 0, site: str | None = None
+) -> Path:
+    """Write a cell for another simulator, as `palpd export-sim` does, and check it against palpd's own simulation.
+
+    Args:
+        folder: Folder to write; it must not exist, or be empty.
+        draws: Number of further cells, drawn from what a diagnosis left open.
+        seed: Seed of the draws.
+        site: Site of a cell with several.
+
+    Returns:
+        The folder.
+
+    Raises:
+        BadInput: The folder holds something, a package is missing, or an effect cannot be exported.
+    """
+    from palpd.cell.draws import drawn_cells
+    from palpd.interchange.simulators.export import export_cell
+
+    file = _cell(cell)
+    return export_cell(file, to, Path(folder), draws=drawn_cells(file, draws, seed) if draws else (), site=site).folder
+
+
 def tip_motion(recording: Source, cell: CellSource) -> dict[str, Floats]:
     """The motion of the tip behind the noisy reports of a recording: what to drive your own simulator with.
 
@@ -492,7 +597,7 @@ def _cell(source: CellSource) -> CellFile:
         return source.file
     if isinstance(source, CellFile):
         return source
-    return load_cell(source) if isinstance(source, str | Path) else cell_from(source, "cell")
+    return load_cell(source) if isinstance(source, str | Path) else cell_of(source, "cell")
 
 
 def _samples(source: Source, site: str | None = None) -> Samples:

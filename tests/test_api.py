@@ -3,13 +3,15 @@
 import re
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import palpd
-from palpd.errors import BadInput, ConfigError, RecordingError
+from palpd.cell.cell_file import nominal
+from palpd.errors import BadInput, ConfigError, PalpdError, RecordingError
 from tests.paths import ROOT
 
 
@@ -153,8 +155,8 @@ def test_what_is_no_recording_is_refused_in_a_sentence(thing: object) -> None:
         ("z_m", np.zeros(5), "z_m holds 5 values and t_s 200"),
         ("z_m", np.full(200, np.nan), "z_m is nan in row 1"),
         ("z_m", np.ma.masked_less(np.arange(200.0), 3.0), "z_m has 3 masked values"),
-        ("t_s", np.datetime64("2026-01-01") + np.arange(200).astype("timedelta64[ms]"), "t_s holds dates or durations"),
-        ("t_s", np.arange(200).astype("timedelta64[ms]"), "t_s holds dates or durations"),
+        ("z_m", np.datetime64("2026-01-01") + np.arange(200).astype("timedelta64[ms]"), "z_m holds dates or durations"),
+        ("t_s", np.zeros(200, "timedelta64[ms]"), "t_s stands still"),
         ("t_s", np.zeros(200), "t_s stands still"),
     ],
 )
@@ -168,3 +170,46 @@ def test_a_motion_that_cannot_be_is_refused(column: str, values: np.ndarray, wor
 def test_a_seed_is_a_whole_number(motion: dict[str, np.ndarray], seed: int) -> None:
     with pytest.raises(BadInput, match="expected a whole number from 0 on"):
         palpd.simulate(motion, {}, noise_seed=seed)
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    assert palpd.__version__ == version("palpd")
+
+
+def test_a_foreign_table_becomes_a_recording_a_cell_and_tolerances(motion: dict[str, np.ndarray], tmp_path: Path) -> None:
+    recording = palpd.simulate(motion, palpd.Cell.nominal(), noise_seed=1)
+    table = np.column_stack([recording["t_s"], 1e3 * recording["z_m"], recording["fz_N"]])
+    path = tmp_path / "rig.csv"
+    np.savetxt(path, table, delimiter=",", header="t (s),z (mm),Fz (N)", comments="")
+    columns = {"force_column": "Fz (N)", "height_column": "z (mm)", "time_columns": ["t (s)"], "units_confirmed": True}
+    imported = palpd.import_file(path, **columns)
+    np.testing.assert_allclose(imported["fz_N"], recording["fz_N"])
+    assert any("No speed was recorded" in note for note in imported.notes)
+    with pytest.raises(BadInput, match="import_file has no option force_colum \\(did you mean"):
+        palpd.import_file(path, force_colum="Fz (N)")
+    cell = palpd.cell_from(imported, tip_radius_m=nominal().probe.tip_radius_m)
+    assert cell.file.tissue.surface_z_m == pytest.approx(nominal().tissue.surface_z_m, abs=5e-4)
+    assert cell.notes[0].startswith("Sensor: 250 Hz")
+    assert palpd.cell_from(imported, contact=False).file.tissue is None
+    blocks = palpd.tolerances([recording], palpd.Cell.nominal())
+    assert set(blocks) == {"tolerances", "repeatability"}
+
+
+def test_a_data_frame_without_lateral_forces_and_torques_is_judged(motion: dict[str, np.ndarray]) -> None:
+    whole = palpd.simulate(motion, palpd.Cell.nominal().with_effects({"tissue.modulus": {"ratio": 0.6}}), noise_seed=1)
+    answer = palpd.diagnose({name: whole[name] for name in ("t_s", "z_m", "vz_m_per_s", "fz_N")}, palpd.Cell.nominal())
+    assert [row["effect"] for row in answer.table()] == ["tissue.modulus"]
+
+
+def test_a_cell_is_exported(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    assert (palpd.export_sim(palpd.Cell.nominal(), tmp_path / "cell", "mujoco") / "cell.xml").is_file()
+
+
+@pytest.mark.parametrize("array", [np.zeros((40, 3)), np.zeros(40)])
+def test_an_array_as_a_simulator_or_a_cell_is_refused_in_a_sentence(motion: dict[str, np.ndarray], array: np.ndarray) -> None:
+    recording = palpd.simulate(motion, palpd.Cell.nominal(), noise_seed=1)
+    with pytest.raises(PalpdError, match="a ndarray is no recording; give"):
+        palpd.diagnose(recording, {}, simulated=array)
+    with pytest.raises(PalpdError, match="cell"):
+        palpd.diagnose(recording, array)

@@ -111,6 +111,7 @@ def import_(
     time_column: Annotated[
         list[str] | None, typer.Option("--time-column", help="name of the column of the time, for all files or once for each")
     ] = None,
+    rate_Hz: Annotated[float | None, typer.Option("--rate-Hz", help="rows per second, for a table without times")] = None,
     time_unit: Annotated[Literal["s", "ms", "us", "ns", "min"] | None, typer.Option("--time-unit", help="unit of the time")] = None,
     column: Annotated[
         list[str] | None, typer.Option("--column", help="a further column of the recording, such as fx_N=Fx or vz_m_per_s=Speed")
@@ -167,6 +168,7 @@ def cell_from(
     recordings: Annotated[list[Path], typer.Argument(help="recordings of one cell (.csv, .parquet, .mcap)")],
     out: Annotated[Path, typer.Option("--out", help="cell.yaml to write; every value says where it comes from"), Output(YAML)],
     tip_radius_m: Annotated[float | None, typer.Option("--tip-radius-m", help="radius of the tip (default: 5 mm, a guess)")] = None,
+    contact: Annotated[bool, typer.Option("--contact/--no-contact", help="whether the probe touches something in them")] = True,
     site: SiteOption = None,
     accept_implausible: AcceptImplausible = False,
 ) -> None:
@@ -175,7 +177,7 @@ def cell_from(
     from palpd.gap.first_cell import first_cell, written_out
 
     names = ", ".join(path.name for path in recordings)
-    first = first_cell([read_recording(path, site) for path in recordings], tip_radius_m, accept_implausible)
+    first = first_cell([read_recording(path, site) for path in recordings], tip_radius_m, accept_implausible, contact=contact)
     write_yaml(out, written_out(first, names))
     for sentence in first.sentences:
         terminal().print(sentence)

@@ -47,14 +47,22 @@ class FirstCell:
     blocks: dict[str, dict[str, CommentedValue] | None]
     sentences: tuple[str, ...]
 
+    @property
+    def content(self) -> dict[str, dict[str, float | None] | None]:
+        """The blocks without their comments."""
+        return {name: None if block is None else {k: each.value for k, each in block.items()} for name, block in self.blocks.items()}
 
-def first_cell(recordings: Sequence[Samples], tip_radius_m: float | None = None, accept_implausible: bool = False) -> FirstCell:
+
+def first_cell(
+    recordings: Sequence[Samples], tip_radius_m: float | None = None, accept_implausible: bool = False, *, contact: bool = True
+) -> FirstCell:
     """Estimate a cell file from recordings.
 
     Args:
         recordings: All of the same cell.
         tip_radius_m: Radius of the spherical tip; None where it is not known.
         accept_implausible: Whether implausible values count.
+        contact: Whether the probe touches something in them.
 
     Raises:
         RecordingError: There is no recording, its fz never changes, or its forces or heights have the wrong sign.
@@ -69,7 +77,7 @@ def first_cell(recordings: Sequence[Samples], tip_radius_m: float | None = None,
         _refuse_constant(samples)
         refuse_turned(samples)
     radius_m = tip_radius_m or GUESSED_TIP_RADIUS_M
-    touches = [touch for samples in recordings if (touch := _touch(samples, radius_m)) is not None]
+    touches = [touch for samples in recordings if contact and (touch := _touch(samples, radius_m)) is not None]
     surface_m = float(np.median([touch.height_m for touch in touches])) if touches else -9.0
     robot = _robot(recordings)
     sensor = _sensor(recordings, surface_m, robot)

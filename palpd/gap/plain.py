@@ -28,6 +28,8 @@ MOST_ALIKE = 4
 """Largest number of laws that are listed as fitting as well."""
 WITHIN_NOISE = 1.1
 """Rms over that of the noise up to which a simulator agrees with a recording: noise itself scatters by less."""
+FAR_FROM_NOISE = 5.0
+"""Rms of what remains over that of the noise from which on a share that closes is not enough to say."""
 CLEAR = 1.2
 """Rms of a gap over that of a healthy cell above which both are stated: below it, the excess lies in the course and not in the size."""
 LEAST_CLOSED = 0.05
@@ -235,7 +237,9 @@ def _closed(content: Mapping[str, Any]) -> str:
     low, high = shrink["ci95"] or (shrink["closed"], shrink["closed"])
     interval = f" ({100 * low:.0f} to {100 * high:.0f} %)" if high - low > SHOWN_WIDTH else ""
     share = f"{min(100.0 * shrink['closed'], 99.0):.0f} %{interval}"
-    return f"With {causes} {share} of the gap closes on {shrink['on']}: from {before} to {after} rms, with noise of {noise}.{rest}"
+    ratio = shrink["after_rms"] / max(shrink["noise_floor"], 1e-300)
+    far = f" What remains is {ratio:.0f} times the noise: this is not the whole answer." if ratio >= FAR_FROM_NOISE else ""
+    return f"With {causes} {share} of the gap closes on {shrink['on']}: from {before} to {after} rms, with noise of {noise}.{far}{rest}"
 
 
 def _steps(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

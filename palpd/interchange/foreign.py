@@ -7,7 +7,6 @@ from palpd.errors import PalpdError
 from palpd.interchange.channels import Channel
 from palpd.interchange.import_files import KNOWN_COLUMNS, OWN, Source, source_of
 from palpd.interchange.units import FACTORS, VOLTS, unit_named
-from palpd.recording.samples import COLUMNS, OPTIONAL_COLUMN
 
 RECORDING_ENDINGS = (".parquet", ".pq", ".part")
 WORDS = {
@@ -36,7 +35,7 @@ def import_command(path: Path) -> str | None:
     except PalpdError:
         return None
     names = [channel.name for channel in source.channels]
-    if set(COLUMNS) - {OPTIONAL_COLUMN} <= set(names):
+    if {"t_s", "z_m", "vz_m_per_s", "fz_N"} <= set(names):
         return None
     words = ["palpd", "import", str(path), *_column_options(source), "--csv", f"{path.stem}.recording.csv" if path.suffix == ".csv" else
              f"{path.stem}.csv"]  # fmt: skip

@@ -11,7 +11,19 @@ import numpy as np
 from palpd.cell.plausible import ask
 from palpd.documents import nearest
 from palpd.errors import BadInput, RecordingError
-from palpd.interchange.alignment import Axis, TipPath, Wrench, continuous, overlap, refuse_turn, rotated, tared, turned
+from palpd.interchange.alignment import (
+    Axis,
+    TipPath,
+    Wrench,
+    continuous,
+    orientations_in,
+    overlap,
+    quaternions_of,
+    refuse_turn,
+    rotated,
+    tared,
+    turned,
+)
 from palpd.interchange.channels import Channel, ChannelData, FileReader, Kind, listing
 from palpd.interchange.registry import reader_of
 from palpd.interchange.units import Quantity, UnitScale, refuse_unconfirmed, scale_of, unit_named
@@ -33,6 +45,8 @@ CLEAR_SHARE = 0.05
 """Share of the swing of the force that it may have at the start before a note asks for a tare."""
 FALLING_SHARE = 0.3
 """Share of the swing of the force by which it may be lower where the tip is lowest: adhesion and friction stay below."""
+LARGEST_RATE_HZ = 1e6
+"""Largest rate that the user may state."""
 SLOPE_ERROR = 0.2
 """Largest error of the integral of speeds, as a share of the heights' own deviation, with which the speeds belong to the heights."""
 
@@ -41,14 +55,16 @@ SLOPE_ERROR = 0.2
 class ImportOptions:
     """What the user says of foreign files; what is absent is found where there is one choice only.
 
-    `time_columns` is one name for all files, or one for each. `columns` names further columns of the recording (ROLES). `offset_s` is added
-    to the times of the force, `tare_s` is the length of the still start, `accept_implausible` lets implausible values count.
+    `time_columns` is one name for all files, or one for each. `rate_Hz` stands for times that no column holds. `columns` names further
+    columns of the recording (ROLES). `offset_s` is added to the times of the force, `tare_s` is the length of the still start,
+    `accept_implausible` lets implausible values count.
     """
 
     force_column: str | None = None
     depth_column: str | None = None
     height_column: str | None = None
     time_columns: Sequence[str] = ()
+    rate_Hz: float | None = None
     columns: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     force_unit: str | None = None
     length_unit: str | None = None
@@ -377,10 +393,10 @@ class _Reading:
                 raise BadInput(f"{source.path.name} has no column {name}; it holds {listing(source.channels)}")
             return name
         rates = {channel.name: channel.rate_Hz for channel in source.channels}
-        if any(rates.get(name) is None for name in columns):
+        if self.options.rate_Hz is None and any(rates.get(name) is None for name in columns):
             raise BadInput(
-                f"a recording needs time and no column of {source.path.name} is named for it; give --time-column "
-                f"({listing(source.channels)})"
+                f"a recording needs time and no column of {source.path.name} is named for it; give --time-column, or --rate-Hz where it "
+                f"holds none ({listing(source.channels)})"
             )
         return None
 
@@ -399,19 +415,33 @@ class _Reading:
         if 0 in lengths.values():
             raise RecordingError(f"{source.path.name}: {next(iter(lengths))} holds no number; name another column, or record it")
         scaled = {name: self._scaled(source, name, quantity) for name, quantity in named.items()}
+        if self.options.rate_Hz is not None:
+            return np.arange(next(iter(lengths.values()))) / self.options.rate_Hz, scaled
         t_s = self._scaled(source, time, "time") if time else self._columns[source.path, next(iter(named))].t_s
-        if t_s is None:
-            raise BadInput(f"a recording needs time and no column of {source.path.name} is named for it; give --time-column")
+        assert t_s is not None  # else a column is named for it
         _refuse_disorder(t_s, time or "time", source.path.name)
         return t_s, scaled
 
     def _path_of_columns(self) -> TipPath:
         options = self.options
         t_s, scaled = self._table(self._named_columns(motion=True))
+        self._refuse_turning_tool(self._source_with(options.depth_column or options.height_column or ""))
         sign = -1.0 if options.depth_column is not None or options.height_down_positive else 1.0
         optional = {role: sign * scaled[column] for role, column in options.columns.items() if role in MOTION_ROLES}
         height = sign * scaled[options.depth_column or options.height_column or ""]
         return TipPath(t_s, height, optional.get("vz_m_per_s"), optional.get("z_cmd_m"))
+
+    def _refuse_turning_tool(self, source: Source) -> None:
+        """Refuse a table whose columns of orientation say that the tool turns, as a pose that turns is. Raises RecordingError."""
+        for names, turn in orientations_in([channel.name for channel in source.of_kind("column")]):
+            try:
+                read = source.reader.columns(source.path, names)
+            except RecordingError:
+                continue  # what cannot be read says nothing of a turn
+            quaternions = quaternions_of(np.column_stack([read[name].values for name in names]), turn, names)
+            if float(np.linalg.norm(quaternions, axis=1).min()) > 0.0:  # else no orientation was recorded
+                what = f"{source.path.name} ({', '.join(names)} as {turn})"
+                refuse_turn(continuous(quaternions, what), what)
 
     def _wrench_of_columns(self) -> Wrench:
         options = self.options
@@ -490,6 +520,10 @@ def _refuse_contradictions(options: ImportOptions) -> None:
         raise BadInput("--force-column and --wrench were both given; give the one that holds the force")
     if options.pose and (options.depth_column or options.height_column):
         raise BadInput("--pose and a column of height or depth were both given; give the one that holds the height")
+    if options.rate_Hz is not None and not 0.0 < options.rate_Hz <= LARGEST_RATE_HZ:
+        raise BadInput(f"--rate-Hz is {options.rate_Hz:g}, expected above 0 and at most {LARGEST_RATE_HZ:g}; give the rows per second")
+    if options.rate_Hz is not None and (options.time_columns or options.wrench or options.pose):
+        raise BadInput("--rate-Hz stands for times that no column holds; leave it out where a time column or topics give them")
     if options.axis and (options.depth_column or options.height_column):
         raise BadInput("--axis belongs to --pose; of single columns, name the one along the axis")
     for role in options.columns:

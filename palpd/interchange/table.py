@@ -5,6 +5,7 @@ named after RTDE's output variables; the six columns of a TCP pose, speed or for
 """
 
 import csv
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,10 @@ LONGEST_LINE = 1_000_000
 HEAD_BYTES = 4096
 ENCODINGS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 """Encodings by the first bytes; spreadsheets save "Unicode text" so."""
+LEAST_ZEROS = 0.4
+"""Share of every second byte that is zero in UTF-16 of a table, whose digits and separators are ASCII."""
+COMMON_CHINESE = b"\xd7"
+"""Last first byte of the common characters of GBK. The umlauts of cp1252 come after it."""
 
 UR_TIME = "timestamp"
 UR_VECTORS: dict[str, Kind] = {
@@ -72,7 +77,7 @@ class TableReader:
             return False
         with opened(path, error=RecordingError) as stream:
             head = stream.read(HEAD_BYTES)
-        return b"\0" not in head or head[:2] in ENCODINGS
+        return b"\0" not in head or encoding_of(head).startswith("utf-16")
 
     def channels(self, path: Path) -> Sequence[Channel]:
         """List the columns of a table, and the vectors of a controller's log."""
@@ -112,7 +117,7 @@ READER = TableReader()
 
 
 def lines_of(path: Path, most_bytes: int | None = None) -> list[str]:
-    """Read the lines of a text in UTF-8, UTF-16 or Latin-1.
+    """Read the lines of a text in UTF-8, UTF-16, GBK or cp1252.
 
     Args:
         most_bytes: Number of bytes after which only whole lines count, or None for the whole file.
@@ -127,17 +132,18 @@ def lines_of(path: Path, most_bytes: int | None = None) -> list[str]:
     with opened(path, error=RecordingError) as stream:
         content = stream.read(-1 if most_bytes is None else most_bytes)
     cut = most_bytes is not None and len(content) == most_bytes
-    encoding = ENCODINGS.get(content[:2], "utf-8-sig")
-    if cut and encoding == "utf-8-sig":
+    encoding = encoding_of(content[:HEAD_BYTES])
+    wide = encoding.startswith("utf-16")
+    if cut and not wide:
         content = content[: content.rfind(b"\n") + 1] or content
-    if encoding == "utf-8-sig" and (at := content.find(b"\0")) >= 0:
+    if not wide and (at := content.find(b"\0")) >= 0:
         raise RecordingError(f"{path.name} is not text (byte {at} is 0); export it as CSV")
     try:
-        text = content.decode(encoding)
+        text = content.decode(encoding, "replace" if wide else "strict")
     except UnicodeDecodeError:
-        text = content.decode("latin-1")  # µ and ° in a header of an older instrument
+        text = content.decode(_of_one_byte(content), "replace")
     lines = text.splitlines()
-    lines = lines[:-1] if cut and encoding != "utf-8-sig" else lines
+    lines = lines[:-1] if cut and wide else lines
     if not any(line.strip() for line in lines):
         raise RecordingError(f"{path.name} holds no text; copy or export it again")
     longest = max(range(len(lines)), key=lambda number: len(lines[number]))
@@ -147,6 +153,25 @@ def lines_of(path: Path, most_bytes: int | None = None) -> list[str]:
             "a table has one row a sample"
         )
     return lines
+
+
+def encoding_of(head: bytes) -> str:
+    """The encoding of a text by its first bytes: UTF-16 where a mark or the zeros between ASCII say so, else UTF-8."""
+    if head[:2] in ENCODINGS:
+        return ENCODINGS[head[:2]]
+    pairs = len(head) // 2
+    for first, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
+        if pairs and head[first : 2 * pairs : 2].count(0) >= LEAST_ZEROS * pairs and 0 not in head[1 - first : 2 * pairs : 2]:
+            return encoding
+    return "utf-8-sig"
+
+
+def _of_one_byte(content: bytes) -> str:
+    """GBK where all bytes beyond ASCII make pairs, most of common characters; else cp1252, with the µ and ° of western instruments."""
+    runs = re.findall(rb"[\x80-\xff]+", content)
+    pairs = [run[k : k + 2] for run in runs for k in range(0, len(run), 2)]
+    common = sum(1 for pair in pairs if b"\xa1" <= pair[:1] <= COMMON_CHINESE)
+    return "gbk" if all(len(run) % 2 == 0 for run in runs) and 2 * common > len(pairs) else "cp1252"
 
 
 def layout_of(path: Path, lines: list[str]) -> TableLayout:

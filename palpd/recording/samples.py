@@ -20,6 +20,8 @@ from palpd.tick import Floats
 WRENCH_COLUMNS = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 COLUMNS = ("t_s", "z_cmd_m", "z_m", "vz_m_per_s", *WRENCH_COLUMNS)
 OPTIONAL_COLUMN = "z_cmd_m"
+SIDE_COLUMNS = (("fx_N", "fy_N"), ("tx_Nm", "ty_Nm", "tz_Nm"))
+"""Columns that a sensor of one axis, or of forces alone, does not have: absent together, they are zero and not compared."""
 SITE_COLUMN = "site"
 """Column with the name of the site of every row, in a table of several sites; empty between sites."""
 MIN_SAMPLES = 30
@@ -145,11 +147,11 @@ def read_parquet(path: Path) -> Samples:
     return replace(samples_from_columns(columns, path.name), sites=_distinct(map(str, names)))
 
 
-def samples_from_columns(columns: dict[str, Floats], name: str) -> Samples:
+def samples_from_columns(columns: Mapping[str, Floats], name: str) -> Samples:
     """Check named columns and make samples of them.
 
     Args:
-        columns: arrays (n,) by the names of COLUMNS.
+        columns: arrays (n,) by the names of COLUMNS; a group of SIDE_COLUMNS may be absent.
         name: what errors call the recording.
 
     Raises:
@@ -157,6 +159,7 @@ def samples_from_columns(columns: dict[str, Floats], name: str) -> Samples:
     """
     _present(Path(name), list(columns))
     rows = np.size(columns["t_s"])
+    columns = {side: np.zeros(rows) for side in WRENCH_COLUMNS} | dict(columns)
     if rows < MIN_SAMPLES:
         raise RecordingError(f"{name} has {rows} rows and at least {MIN_SAMPLES} are needed to judge a cell; record for longer.")
     refuse_values(columns, name)
@@ -170,20 +173,25 @@ def numbers_of(values: object, name: str, column: str) -> Floats:
     """A column of a table or a data frame as numbers.
 
     Args:
-        values: What stands in the column.
+        values: What stands in the column; dates or durations for `t_s` only.
         name: What errors call the recording.
 
     Returns:
-        The numbers (n,).
+        The numbers (n,); of dates the seconds since the first.
 
     Raises:
-        RecordingError: The column holds dates, or values that are masked.
+        RecordingError: Another column holds dates, a date is missing, or values are masked.
         TypeError: It holds something that is no number.
         ValueError: It holds something that is no number.
     """
     array = np.asanyarray(values)
     if array.dtype.kind in "mM":
-        raise RecordingError(f"{name}: {column} holds dates or durations ({array.dtype}), expected numbers; give seconds, as numbers.")
+        if column != "t_s":
+            raise RecordingError(f"{name}: {column} holds dates or durations ({array.dtype}), expected numbers; name another column.")
+        if np.isnat(array).any():
+            row = int(np.flatnonzero(np.isnat(array))[0])
+            raise RecordingError(f"{name}: t_s holds no time in {_row(row)}; leave that row out.")
+        return np.asarray((array - array[:1]) / np.timedelta64(1, "s"), dtype=float)  # in the column's own unit, whichever it is
     if np.ma.is_masked(array):
         raise RecordingError(
             f"{name}: {column} has {int(np.sum(np.ma.getmaskarray(array)))} masked values, expected none; leave these rows out."
@@ -287,11 +295,12 @@ def write_csv(path: Path, samples: Samples, *, extra: Mapping[str, Sequence[str 
 
 
 def _present(path: Path, header: Sequence[str]) -> list[str]:
-    missing = [name for name in COLUMNS if name not in header and name != OPTIONAL_COLUMN]
+    without = [name for group in SIDE_COLUMNS if not set(group) & set(header) for name in group]
+    missing = [name for name in COLUMNS if name not in header and name not in (OPTIONAL_COLUMN, *without)]
     if missing:
         raise RecordingError(
             f"{path.name}: column {', '.join(missing)} is missing in row 0 (the header); expected {','.join(COLUMNS)} "
-            f"({OPTIONAL_COLUMN} may be absent)."
+            f"({OPTIONAL_COLUMN}, both lateral forces and all three torques may be absent)."
         )
     return named_once(path, header, COLUMNS)
 

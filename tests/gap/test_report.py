@@ -200,8 +200,10 @@ def test_a_gap_near_the_noise_floor_is_said_with_both_sizes_and_no_percentage(ru
             0.56,
             [0.0, 0.67],
             0.7,
-            "With this cause 56 % (0 to 67 %) of the gap closes on cycles: from 1 N to 0.7 N rms, with noise of 0.05 N.",
+            "With this cause 56 % (0 to 67 %) of the gap closes on cycles: from 1 N to 0.7 N rms, with noise of 0.05 N. What remains is 14 "
+            "times the noise: this is not the whole answer.",
         ),
+        (0.9, None, 0.2, "With this cause 90 % of the gap closes on cycles: from 1 N to 0.2 N rms, with noise of 0.05 N."),
         (0.998, None, 0.07, "With this cause 99 % of the gap closes on cycles: from 1 N to 0.07 N rms, with noise of 0.05 N."),
         (-0.59, [-1.0, 0.1], 1.3, "With this cause the simulator comes no nearer to cycles."),
         (None, None, 1.0, ""),

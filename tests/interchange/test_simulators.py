@@ -178,6 +178,19 @@ def test_the_folder_runs_elsewhere_without_palpd(tmp_path: Path) -> None:
     assert sorted(path.name for path in elsewhere.iterdir()) == ["rollout.csv"]
 
 
+def test_a_model_that_is_loaded_alone_says_so_and_shows_no_tissue(tmp_path: Path) -> None:
+    """Without the callback all sensors read zero, which looks like a cell that never touches."""
+    folder = exported(nominal(), tmp_path / "out")
+    text = (folder / "cell.xml").read_text()
+    assert 'model="palpd_cell, dead without palpd_cell.py"' in text
+    assert "every user sensor reads zero" in text
+    model = mujoco.MjModel.from_xml_path(str(folder / "cell.xml"))
+    assert model.geom("tissue").rgba[3] == 0.0
+    runpy.run_path(str(folder / "palpd_cell.py"))["start"](model, mujoco.MjData(model))
+    mujoco.set_mjcb_sensor(None)
+    assert model.geom("tissue").rgba[3] > 0.5
+
+
 def test_a_reset_begins_a_new_recording_and_looking_twice_changes_nothing(tmp_path: Path) -> None:
     folder = exported(nominal().with_effects({"tissue.viscoelastic": {"ratio": 2.0, "tau_s": 0.5}}), tmp_path / "out")
     start = runpy.run_path(str(folder / "palpd_cell.py"))["start"]

@@ -1,6 +1,9 @@
 """Tables of text and files of instruments: layouts, units that are shown and confirmed, two clocks, a tare, and bad input."""
 
 import math
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -154,13 +157,52 @@ def test_a_further_column_keeps_the_unit_that_it_states(tmp_path: Path) -> None:
         np.testing.assert_allclose(read_files([path], options).samples.vz_m_per_s, speed_m_per_s, rtol=1e-12)
 
 
-def test_latin_1_and_utf_16_are_read(tmp_path: Path) -> None:
-    text = table("t (s),F (µN),z (m)", T_S, FORCE_N * 1e6, -DEPTH_M)
-    for encoding in ("latin-1", "utf-16", "utf-8-sig"):
-        path = tmp_path / f"{encoding}.csv"
-        path.write_bytes(text.encode(encoding))
-        imported = read_files([path], ImportOptions("F (µN)", height_column="z (m)", time_columns=("t (s)",), force_unit="uN"))
-        np.testing.assert_allclose(imported.samples.wrench[:, 2], FORCE_N, rtol=0, atol=1e-12)
+@pytest.mark.parametrize(
+    ("encoding", "force"),
+    [
+        ("latin-1", "F (µN)"), ("cp1252", "Größe (µN)"), ("cp1252", "Größe – uN"), ("utf-16", "F (µN)"), ("utf-16-le", "F (µN)"),
+        ("utf-16-be", "力 (µN)"), ("utf-8-sig", "F (µN)"), ("gbk", "压力 (uN)"), ("gb2312", "下降力"),
+    ],
+)  # fmt: skip
+def test_encodings_are_found(tmp_path: Path, encoding: str, force: str) -> None:
+    text = table(f"t (s),{force},z (m)", T_S, FORCE_N * 1e6, -DEPTH_M)
+    path = tmp_path / "curve.csv"
+    path.write_bytes(text.encode(encoding))
+    imported = read_files([path], ImportOptions(force, height_column="z (m)", time_columns=("t (s)",), force_unit="uN"))
+    np.testing.assert_allclose(imported.samples.wrench[:, 2], FORCE_N, rtol=0, atol=1e-12)
+
+
+def test_a_rate_stands_for_times_that_a_table_does_not_hold(tmp_path: Path) -> None:
+    path = written(tmp_path, table("F (N),z (m)", FORCE_N, -DEPTH_M))
+    options = ImportOptions("F (N)", height_column="z (m)")
+    with pytest.raises(BadInput, match="give --time-column, or --rate-Hz"):
+        read_files([path], options)
+    np.testing.assert_allclose(read_files([path], replace(options, rate_Hz=500.0)).samples.t_s, T_S, rtol=0, atol=1e-12)
+    with pytest.raises(BadInput, match="--rate-Hz is 0, expected above 0"):
+        read_files([path], replace(options, rate_Hz=0.0))
+    with pytest.raises(BadInput, match="--rate-Hz stands for times that no column holds"):
+        read_files([path], replace(options, rate_Hz=500.0, time_columns=("z (m)",)))
+
+
+@pytest.mark.parametrize(
+    ("names", "of"),
+    [
+        (("tool qx", "tool qy", "tool qz", "tool qw"), Rotation.as_quat),
+        (("RX", "RY", "RZ"), Rotation.as_rotvec),
+        (("TCP_pose_3", "TCP_pose_4", "TCP_pose_5"), Rotation.as_rotvec),
+        (("roll (deg)", "pitch (deg)", "yaw (deg)"), lambda turn: turn.as_euler("xyz", degrees=True)),
+    ],
+)
+def test_a_tool_that_turns_is_refused_from_a_table_too(
+    tmp_path: Path, names: tuple[str, ...], of: Callable[[Rotation], np.ndarray]
+) -> None:
+    for most_deg, refused in ((1.0, False), (10.0, True)):
+        angles = np.column_stack([np.radians(most_deg) * T_S / T_S[-1], np.zeros((N, 2))])
+        turn = Rotation.from_rotvec(angles) * Rotation.from_rotvec([math.pi, 0.0, 0.0])
+        path = written(tmp_path, table(",".join(("t (s)", "F (N)", "z (m)", *names)), T_S, FORCE_N, -DEPTH_M, *of(turn).T))
+        options = ImportOptions("F (N)", height_column="z (m)", time_columns=("t (s)",))
+        with pytest.raises(RecordingError, match=r"the tool turns by 10\.0°") if refused else nullcontext():
+            read_files([path], options)
 
 
 def test_an_imported_curve_is_a_recording_that_is_not_overwritten(tmp_path: Path) -> None:

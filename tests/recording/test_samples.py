@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpd.errors import BadInput, RecordingError
-from palpd.recording.samples import COLUMNS, Samples, read, read_csv, runs_of_true, write_csv
+from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, Samples, numbers_of, read, read_csv, runs_of_true, write_csv
 
 
 def recording(n: int = 40) -> Samples:
@@ -61,6 +61,38 @@ def test_a_missing_column_is_named(tmp_path: Path) -> None:
     rows = [[*row[:6], *row[7:]] for row in table(recording())]
     with pytest.raises(RecordingError, match="fz_N is missing"):
         read_csv(save(tmp_path / "a.csv", rows))
+
+
+@pytest.mark.parametrize("absent", [("fx_N", "fy_N"), ("tx_Nm", "ty_Nm", "tz_Nm"), ("fx_N", "fy_N", "tx_Nm", "ty_Nm", "tz_Nm")])
+def test_lateral_forces_and_torques_may_be_absent_together_and_are_zero(tmp_path: Path, absent: tuple[str, ...]) -> None:
+    header, *rows = table(recording())
+    kept = [k for k, name in enumerate(header) if name not in absent]
+    read_back = read_csv(save(tmp_path / "a.csv", [[row[k] for k in kept] for row in (header, *rows)]))
+    gone = [WRENCH_COLUMNS.index(name) for name in absent]
+    assert not read_back.wrench[:, gone].any()
+    others = [k for k in range(6) if k not in gone]
+    np.testing.assert_array_equal(read_back.wrench[:, others], recording().wrench[:, others])
+
+
+def test_a_single_lateral_force_or_torque_that_is_missing_is_named_since_its_name_may_be_misspelled(tmp_path: Path) -> None:
+    for name in ("fx_N", "ty_Nm"):
+        header, *rows = table(recording())
+        header[header.index(name)] = name.lower()
+        with pytest.raises(RecordingError, match=f"column {name} is missing"):
+            read_csv(save(tmp_path / "a.csv", [header, *rows]))
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_dates_as_times_count_in_their_own_unit(unit: str) -> None:
+    start, each = np.datetime64("2026-05-01T12:00:00", unit), np.timedelta64(2, "s")
+    times = start + np.arange(40) * each
+    np.testing.assert_array_equal(numbers_of(times, "a", "t_s"), 2.0 * np.arange(40))
+    np.testing.assert_array_equal(numbers_of(times - start, "a", "t_s"), 2.0 * np.arange(40))
+    with pytest.raises(RecordingError, match="z_m holds dates"):
+        numbers_of(times, "a", "z_m")
+    times[3] = np.datetime64("NaT")
+    with pytest.raises(RecordingError, match="no time in row 4"):
+        numbers_of(times, "a", "t_s")
 
 
 @pytest.mark.parametrize("text", ["nan", "inf", "", "1,2"[:1] + "x"])

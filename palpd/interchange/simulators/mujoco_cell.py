@@ -37,6 +37,8 @@ from palpd.interchange.simulators.exported_cell import (
 )
 
 HERE = Path(__file__).resolve().parent
+SEEN = 0.6
+"""Opacity of the tissue once it is there."""
 
 
 class CellInMujoco:
@@ -79,6 +81,7 @@ class CellInMujoco:
         samples = int(model.sensor_history[self._force.id, 0])
         if engine_delays and c.delay_s / model.opt.timestep + 2.0 > samples:
             raise ValueError(f"the time step is {model.opt.timestep} s, so {samples} readings do not hold a delay of {c.delay_s:.3g} s")
+        model.geom("tissue").rgba[3] = SEEN
         model.sensor_delay[self._force.id] = c.delay_s if engine_delays else 0.0
         model.sensor_cutoff[model.sensor("fz_N").id] = c.limit_N if engine_limits else 0.0
         self._last_s = np.inf
