@@ -124,8 +124,8 @@ class NoiseAssumptions:
     damped_mounts_Hz: tuple[float, ...] = assume(
         (12.0, 20.0, 33.0, 55.0),
         "Hz",
-        "natural frequencies of heavily damped mounts behind a motion without a command",
-        "12 of 13 false `structure.resonance` in 146 cells without a command had 12 to 52 Hz",
+        "natural frequencies of heavily damped mounts behind the motion of the tip",
+        "12 of 13 false `structure.resonance` in 146 cells without a command had 12 to 52 Hz, 3 with a command 21 to 37 Hz",
     )
     mount_damping_ratio: float = assume(0.4, "1", "damping ratio of these mounts", "those 12 had 0.19 to 1, planted ones 0.02 to 0.08")
     mount_share: float = assume(

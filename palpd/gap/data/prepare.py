@@ -158,9 +158,9 @@ def _prepared(
     reports = find_reports(samples.t_s, samples.z_m)
     sampled = estimate_tip_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m, reports)
     again = estimate_tip_motion(cell, samples.t_s, sampled.z_m, sampled.vz_m_per_s, samples.z_cmd_m)
-    averaged = [again]
-    if samples.z_cmd_m is None:  # a pulse of acceleration that no command says loses more than one average shows
-        averaged += [estimate_tip_motion(cell, samples.t_s, again.z_m, again.vz_m_per_s), *_on_damped_mounts(samples, sampled)]
+    # A pulse of acceleration loses more than one average shows.
+    twice = estimate_tip_motion(cell, samples.t_s, again.z_m, again.vz_m_per_s, samples.z_cmd_m)
+    averaged = [again, twice, *_on_damped_mounts(samples, sampled)]
     unreported_m = _unreported_height(cell, samples, sampled)
     held_command_s = controller_cycle.held_command_s(samples)
     cycle_s = held_command_s or controller_cycle.comb_period_s(samples, phases)
@@ -208,8 +208,8 @@ def _prepared(
 def _on_damped_mounts(samples: Samples, motion: TipMotion) -> Iterator[TipMotion]:
     """The motion with a share of its acceleration behind a heavily damped mount, once for each natural frequency.
 
-    Averaging takes away pulses of acceleration that no command says, and noise that remains drives the prediction. Such a mount undoes the
-    one and averages the other. A mount that rings does neither.
+    Averaging takes away pulses of acceleration, such as those of a controller that limits its jerk, and noise that remains drives the
+    prediction. Such a mount undoes the one and averages the other. A mount that rings does neither.
     """
     for frequency_Hz in ASSUMED.noise.damped_mounts_Hz:
         if 4.0 * frequency_Hz < samples.rate_Hz:  # a faster one moves with its base
