@@ -73,11 +73,14 @@ def diagnose(
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", help="for a folder: tcp://… of a Dask cluster (palpd[cluster]), in place of processes")
     ] = None,
+    limits: Annotated[
+        bool, typer.Option("--limits", help="instead: the smallest size of each effect that the recordings would show")
+    ] = False,
     progress: ProgressOption = False,
 ) -> None:
     """Show where measurement and simulation disagree, which effect causes it, and how far the gap closes."""
-    from palpd.cli.tables import diagnosis_lines
-    from palpd.gap.commands import diagnose_files
+    from palpd.cli.tables import diagnosis_lines, limits_table
+    from palpd.gap.commands import diagnose_files, limits_of_files
 
     _refuse_foreign(recordings)
     say_broken_effects()
@@ -85,6 +88,12 @@ def diagnose(
         beside = {"--cell": cell, "--site": site, "--cell-out": cell_out, "--report": report, "--simulated": simulated or None}
         _refuse_for_a_folder(recordings[0], beside)
         _diagnose_fleet(recordings[0], jobs or 1, scheduler, effects, adopted_folder(adopted), json_file)
+        return
+    if limits:
+        _refuse_with_limits({"--cell-out": cell_out, "--report": report, "--json": json_file, "--simulated": simulated or None})
+        with shown_steps("diagnosing", progress):
+            sizes = limits_of_files(recordings, cell, effects=effects, adopted=adopted_folder(adopted), site=site)
+        terminal().print(limits_table(sizes))
         return
     if jobs is not None or scheduler is not None:
         raise BadInput(f"{'--jobs' if jobs is not None else '--scheduler'} is for a folder of recordings; give the folder, or leave it out")
@@ -116,6 +125,15 @@ def _refuse_for_a_folder(folder: Path, options: Mapping[str, object]) -> None:
     given = [name for name, value in options.items() if value is not None]
     if given:
         raise BadInput(f"{folder} is a folder, and {' and '.join(given)} is for one recording; name the recording, or leave it out")
+
+
+def _refuse_with_limits(options: Mapping[str, object]) -> None:
+    """Refuse the options that belong to an answer: limits are only printed, and a diagnosis states them in its outputs."""
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise BadInput(
+            f"--limits prints a table, and {' and '.join(given)} belongs to a diagnosis, which states the limits too; leave one out"
+        )
 
 
 def _refuse_foreign(recordings: Sequence[Path]) -> None:

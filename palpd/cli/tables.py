@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 from rich.text import Text
 
-from palpd.quantities import number
+from palpd.quantities import number, quantity
 
 if TYPE_CHECKING:
     from palpd.analysis.results import SiteResult
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from palpd.daemon.finding import Finding
     from palpd.daemon.overshoot import OvershootForecast
     from palpd.gap.fleet import CellRow, FleetRow
+    from palpd.gap.infer.detectable import DetectableSize
     from palpd.gap.similar_effects import Similarity
 
 
@@ -192,7 +193,20 @@ def _percent(share: float | None) -> str:
     return f"{share * 100:.1f} %" if share is not None else "–"
 
 
-LEFT = {"learned in", "imitated by", "from", "parameters", "what it does", "what", "effects", "since", "trend", "similar"}
+LEFT = {
+    "learned in", "imitated by", "from", "parameter", "parameters", "what it does", "what", "effects", "since", "trend", "similar",
+    "or what is needed",
+}  # fmt: skip
+
+
+def limits_table(sizes: "Sequence[DetectableSize]") -> Table:
+    """Draw the smallest size of each effect that recordings would show, or what they need to show it."""
+    table = _table("What these recordings would show", "effect", "parameter", "from", "or what is needed")
+    for one in sizes:
+        others = ", ".join(f"{name} {number(value)}" for name, value in one.others.items())
+        smallest = "not at all" if one.smallest is None else quantity(one.smallest, one.parameter.unit)
+        table.add_row(one.effect, one.parameter.label, smallest, one.needs or (others and f"with {others}"))
+    return table
 
 
 def _table(title: str, first: str, *columns: str) -> Table:

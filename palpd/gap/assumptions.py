@@ -389,6 +389,14 @@ class AdviceAssumptions:
 
 
 @dataclass(frozen=True)
+class LimitsAssumptions:
+    """The smallest size of an effect that a recording shows."""
+
+    odds: float = assume(20.0, "odds", "of an effect against no gap at which it counts as shown")
+    shape_nats: float = assume(2.0, "nats", "cost of a shape that the data determine, such as a time constant")
+
+
+@dataclass(frozen=True)
 class Assumptions:
     """The assumptions of a diagnosis by stage."""
 
@@ -400,6 +408,7 @@ class Assumptions:
     scatter: ScatterAssumptions = ScatterAssumptions()
     search: SearchAssumptions = SearchAssumptions()
     naming: NamingAssumptions = NamingAssumptions()
+    limits: LimitsAssumptions = LimitsAssumptions()
     laws: LawsAssumptions = LawsAssumptions()
     events: EventsAssumptions = EventsAssumptions()
     advice: AdviceAssumptions = AdviceAssumptions()

@@ -14,7 +14,8 @@ from palpd.cell.plausible import ask, doubts_of_cell
 from palpd.cell.simulation import share_outside, simulate
 from palpd.errors import BadInput, RecordingError
 from palpd.files import write_json
-from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.gap.diagnosis import Diagnosis, diagnose, limits
+from palpd.gap.infer.detectable import DetectableSize
 from palpd.gap.plain import plain_answer
 from palpd.gap.tolerances import estimate_tolerances
 from palpd.gap.user_simulator import UserSimulator, simulate_with
@@ -143,11 +144,8 @@ def diagnose_files(
             f"--simulated gives {len(simulated)} file(s) for {len(recordings)} recording(s); give one for each recording, in their order"
         )
     known = library(effects, without, adopted)
-    nominal = nominal_cell(cell, recordings, known)
     show("reading the recording")
-    samples = [read_recording(path, site) for path in recordings]
-    if cell is None:
-        nominal = nominal.assumed_at_site(common_site(samples))
+    samples, nominal = _read(recordings, cell, known, site)
     simulators = [UserSimulator.of_file(path, one.t_s) for path, one in zip(simulated, samples, strict=False)]
     diagnosis = diagnose(samples, nominal, known, propose=propose, calibrated=calibrated, simulators=simulators, adopted=adopted, show=show)
     if json_out is not None:
@@ -155,6 +153,37 @@ def diagnose_files(
     if cell_out is not None:
         save_cell(cell_out, diagnosis.cell_with_uncertainty())
     return diagnosis
+
+
+def limits_of_files(
+    recordings: Sequence[Path],
+    cell: Path | None,
+    *,
+    effects: Path | None = None,
+    adopted: Path | None = None,
+    site: str | None = None,
+) -> tuple[DetectableSize, ...]:
+    """The smallest size of each effect that recordings of one cell would show, without a diagnosis.
+
+    Args:
+        cell: As in `diagnose_files`.
+        effects: A file with user effects (.py) or learned effects (.yaml); None: no such file.
+        adopted: The folder of a user's adopted effects; None: without these.
+        site: Site of recordings of the daemon; None where they hold a single site.
+
+    Raises:
+        RecordingError: A recording cannot be judged.
+    """
+    known = library(effects, adopted=adopted)
+    samples, nominal = _read(recordings, cell, known, site)
+    return limits(samples, nominal, known)
+
+
+def _read(recordings: Sequence[Path], cell: Path | None, known: Mapping[str, Effect], site: str | None) -> tuple[list[Samples], CellFile]:
+    """Recordings, and the cell to diagnose them against."""
+    nominal = nominal_cell(cell, recordings, known)
+    samples = [read_recording(path, site) for path in recordings]
+    return samples, nominal if cell is not None else nominal.assumed_at_site(common_site(samples))
 
 
 def write_answer(path: Path, diagnosis: Diagnosis) -> None:

@@ -19,8 +19,10 @@ from palpd.gap.data.observations import observe
 from palpd.gap.decide import DiagnosisVerdict, NamedEffect, decide, listed_answer
 from palpd.gap.enriched import enriched_cell
 from palpd.gap.infer.compared_modulus import ComparedModulus, compared_modulus
+from palpd.gap.infer.detectable import DetectableSize, detectable_sizes
 from palpd.gap.infer.inference import Inference, infer
 from palpd.gap.infer.posterior import Attribution
+from palpd.gap.infer.settle import settle
 from palpd.gap.laws.evidence import look_for_laws
 from palpd.gap.located import Gap, locate
 from palpd.gap.model.problem import MAX_BINS, Problem, problem_of, return_memory
@@ -73,6 +75,25 @@ def diagnose(
     # The matrices are small: threads cost more than they bring, and add up in another order each time.
     with threadpool_limits(1):
         return _stages(recordings, cell, effects, max_bins, propose, calibrated, simulators, adopted, begin)
+
+
+def limits(
+    recordings: Sequence[Samples], cell: CellFile, effects: Mapping[str, Effect] = EFFECTS, *, max_bins: int = MAX_BINS
+) -> tuple[DetectableSize, ...]:
+    """The smallest size of each effect that recordings of one cell would show, without a diagnosis.
+
+    Args:
+        cell: The cell as the simulator knows it.
+        effects: The effects that may be present.
+        max_bins: Largest number of bins of all recordings, approximately.
+
+    Raises:
+        RecordingError: The recordings cannot be judged.
+    """
+    with threadpool_limits(1):
+        library = {name: effect for name, effect in effects.items() if name not in {law.id for law in cell.learned}}
+        nominal = settle(problem_of(observe(recordings, cell, library, (), max_bins), library))
+        return detectable_sizes(nominal.problem, nominal.fit.linearisation)
 
 
 def _stages(
@@ -223,7 +244,14 @@ class Diagnosis:
             "plain": plain_answer(content, self.problem.library),
             **content,
             "uncertainty": [one.model_dump(mode="json", exclude_none=True) for one in self.uncertainty],
+            "detectable": [one.to_json() for one in self.detectable],
         }
+
+    @cached_property
+    def detectable(self) -> tuple[DetectableSize, ...]:
+        """The smallest size of each effect that these recordings would have shown."""
+        with threadpool_limits(1):
+            return detectable_sizes(self.inference.problem, self.inference.nominal.linearisation)
 
     @property
     def _content(self) -> dict[str, Any]:

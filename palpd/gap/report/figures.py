@@ -18,7 +18,7 @@ from palpd.gap.data.noise import CHANNELS
 from palpd.gap.data.phases import PHASES
 from palpd.gap.other_motion import MotionCheck
 from palpd.gap.plain import CHANNEL_WORDS, shown_place, unit_of
-from palpd.quantities import scaled
+from palpd.quantities import quantity, scaled
 from palpd.tick import Floats
 
 PHASE_WORDS = {
@@ -82,6 +82,7 @@ def figures_of(content: Mapping[str, Any], curves: Curves, channel: str, check: 
         "motion": _motion_figure(content),
         "law": _law_figure(content),
         "check": _check_figure(check),
+        "detectable": _detectable_figure(content),
     }
 
 
@@ -275,6 +276,33 @@ def _law_figure(content: Mapping[str, Any]) -> Markup:
                 axes.set(xlabel=_driver_words(term, f"{x_unit}"))
                 axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
     return inline_svg(figure, "law")
+
+
+def _detectable_figure(content: Mapping[str, Any]) -> Markup:
+    """A bar an effect: from the smallest size that the recordings would have shown on, beside its tolerance."""
+    rows = sorted(content.get("detectable", ()), key=lambda one: (one["of_typical"] is None, one["of_typical"] or 0.0, one["id"]))
+    if not rows:
+        return Markup("")
+    sizes = [one[key] for one in rows for key in ("of_typical", "specification") if one[key]]
+    low, high = 0.4 * min(sizes, default=0.1), 4.0 * max([*sizes, 1.0])
+    with styled_figure(10.0, 0.6 + 0.21 * len(rows)) as figure:
+        axes = figure.subplots()
+        for place, one in enumerate(rows):
+            if one["of_typical"] is None:
+                axes.text(low * 1.2, place, f"not at all: {one['needs']}", va="center", fontsize="small", color=GREY)
+                continue
+            axes.barh(place, high - one["of_typical"], left=one["of_typical"], height=0.62, color=ENRICHED, alpha=0.35)
+            words = f"{one['parameter'].removesuffix('_' + one['unit'].replace('/', '_per_').replace(' ', '_')).replace('_', ' ')} "
+            axes.text(one["of_typical"] * 1.08, place, words + quantity(one["smallest"], one["unit"]), va="center", fontsize="small")
+        marked = [(one["specification"], place) for place, one in enumerate(rows) if one["specification"]]
+        if marked:
+            axes.plot(
+                *zip(*marked, strict=True), "|", color=INK, markersize=9, markeredgewidth=1.6, label="its tolerance, one standard deviation"
+            )
+            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
+        axes.set(xscale="log", xlim=(low, high), ylim=(len(rows) - 0.4, -0.6), xlabel="size, as a multiple of a typical one")
+        axes.set_yticks(range(len(rows)), [one["id"] for one in rows], fontsize="small")
+    return inline_svg(figure, "detectable")
 
 
 def _shown_range(data: Mapping[str, Floats], curve: Floats) -> tuple[float, float]:

@@ -1,0 +1,73 @@
+"""The smallest size of an effect that a recording would have shown: what is stated is what a diagnosis then finds."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from palpd.cell.cell_file import CellFile, nominal, save_cell
+from palpd.cli import app
+from palpd.gap.diagnosis import limits
+from palpd.gap.infer.detectable import DetectableSize
+from palpd.recording.samples import Samples, write_csv
+from tests.gap.test_diagnosis import quick, recording
+
+
+def shown(samples: Samples, cell: CellFile) -> dict[str, DetectableSize]:
+    return {one.effect: one for one in limits([samples], cell)}
+
+
+@pytest.fixture(scope="module")
+def of_a_healthy_cell() -> dict[str, DetectableSize]:
+    return shown(recording(nominal(), {}), nominal())
+
+
+@pytest.mark.parametrize("effect", ["probe.mass", "cable.friction", "sensor.gain", "tissue.preconditioning"])
+def test_three_times_the_stated_size_is_named_and_a_third_of_it_is_not(of_a_healthy_cell: dict[str, DetectableSize], effect: str) -> None:
+    stated = of_a_healthy_cell[effect]
+    assert stated.smallest is not None
+    for factor, named in ((3.0, True), (1.0 / 3.0, False)):
+        values = {stated.parameter.name: factor * stated.smallest, **stated.others}
+        answer = quick(recording(nominal(), {effect: values}, seed=8), nominal())
+        assert (effect in [one.id for one in answer.effects]) is named
+
+
+def test_an_effect_of_a_tolerance_must_exceed_it(of_a_healthy_cell: dict[str, DetectableSize]) -> None:
+    of_a_tolerance = {name: one for name, one in of_a_healthy_cell.items() if one.specification is not None}
+    assert {"sensor.gain", "sensor.bias", "probe.mass", "tissue.modulus"} <= set(of_a_tolerance)
+    for one in of_a_tolerance.values():
+        assert one.specification is not None
+        assert one.of_typical is None or one.of_typical > one.specification
+
+
+def test_what_a_recording_cannot_show_says_what_would() -> None:
+    whole = recording(nominal(), {})
+    still = whole.z_m.max()
+    resting = replace(whole, z_m=np.full_like(whole.z_m, still), vz_m_per_s=np.zeros_like(whole.z_m), z_cmd_m=None)
+    resting = replace(resting, wrench=np.random.default_rng(1).normal(0.0, 0.01, whole.wrench.shape))
+    sizes = shown(resting, nominal())
+    assert sizes["robot.lag"].needs == "record the commanded height z_cmd_m"
+    assert sizes["tissue.modulus"].needs == "press the tissue"
+    assert sizes["probe.mass"].needs == "move freely in the air: nothing moves there"
+    assert sizes["sensor.drift"].smallest is not None
+
+
+def test_every_answer_holds_the_limits_and_the_command_prints_them_alone(
+    of_a_healthy_cell: dict[str, DetectableSize], tmp_path: Path
+) -> None:
+    samples = recording(nominal(), {})
+    listed = {one["id"]: one for one in quick(samples, nominal()).to_json()["detectable"]}
+    assert set(listed) == set(of_a_healthy_cell)
+    write_csv(tmp_path / "a.csv", samples)
+    save_cell(tmp_path / "cell.yaml", nominal())
+    command = ["diagnose", str(tmp_path / "a.csv"), "--cell", str(tmp_path / "cell.yaml"), "--limits"]
+    ran = CliRunner().invoke(app, command)
+    assert ran.exit_code == 0
+    assert set(re.findall(r"[a-z]+\.[a-z]+", ran.output)) >= set(listed)
+    assert "Next:" not in ran.output
+    refused = CliRunner().invoke(app, [*command, "--report", str(tmp_path / "a.html")])
+    assert refused.exit_code != 0
+    assert not (tmp_path / "a.html").exists()
