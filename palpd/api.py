@@ -446,10 +446,7 @@ def export_sim(
         folder: Folder to write; it must not exist, or be empty.
         draws: Number of further cells, drawn from what a diagnosis left open.
         seed: Seed of the draws.
-        site: Site of a cell with several.
-
-    Returns:
-        The folder.
+        site: Site of a cell with several; None for the cell's own tissue.
 
     Raises:
         BadInput: The folder holds something, a package is missing, or an effect cannot be exported.

@@ -94,6 +94,7 @@ ANY_UNIT = {
     "PlausibleRange": "a range of any unit, which stands beside",
     "OpenParameter": "a parameter or deviation of any unit, which its name says",
     "Coordinate": "a parameter of any effect, in the unit of its name",
+    "DetectableSize": "a parameter of any effect, which stands beside",
     "PhaseGap": "a channel of any unit, which stands beside",
     "Shrink": "a channel of any unit, which stands beside",
     "MotionCheck": "a channel of any unit, which stands beside",

@@ -364,7 +364,7 @@ class EventsAssumptions:
     size_sd: float = assume(20.0, "sd", "prior size of an event beyond what tolerances hide")
     pulse_bins: tuple[int, ...] = assume((3, 9, 27, 81), "count", "lengths of pulses and bursts, in bins")
     kinds: float = assume(12.0, "kinds", "kinds and channels of events, among which one is chosen")
-    bends: int = assume(60, "count", "times at which a change of drift is tried")
+    drift_changes: int = assume(60, "count", "times at which a change of drift is tried")
     least_nats: float = assume(6.0, "nats", "of an event below which the search ends")
     most: int = assume(6, "count", "largest number of events")
     burst_sd: tuple[float, ...] = assume((2.0, 5.0), "sd", "spreads that noise may have within a burst")
@@ -392,7 +392,7 @@ class AdviceAssumptions:
 class LimitsAssumptions:
     """The smallest size of an effect that a recording shows."""
 
-    odds: float = assume(20.0, "odds", "of an effect against no gap at which it counts as shown")
+    odds: float = assume(20.0, "odds", "by which the data favour an effect over none from which on it counts as shown")
     shape_nats: float = assume(2.0, "nats", "cost of a shape that the data determine, such as a time constant")
 
 

@@ -17,7 +17,7 @@ from palpd.errors import BadInput, RecordingError
 from palpd.tick import Floats
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
-Turn = Literal["quaternion", "rotation vector", "roll, pitch, yaw"]
+OrientationKind = Literal["quaternion", "rotation vector", "roll, pitch, yaw"]
 
 MOST_TURN_RAD = np.radians(2.0)
 """Largest rotation of the tool in a recording: at 2° its weight moves by 3 % to the side, and the tare no longer holds."""
@@ -30,7 +30,7 @@ TURNS: dict[str, tuple[tuple[int, int, int], tuple[int, int, int]]] = {
     "-z": ((1, 0, 2), (1, 1, -1)),
 }
 """For each axis that points away from the tissue: which axes of the file become x, y, z, and their signs. All are rotations."""
-ORIENTATIONS: tuple[tuple[tuple[str, ...], Turn], ...] = (
+ORIENTATIONS: tuple[tuple[tuple[str, ...], OrientationKind], ...] = (
     (("qx", "qy", "qz", "qw"), "quaternion"),
     (("rx", "ry", "rz"), "rotation vector"),
     (("pose_3", "pose_4", "pose_5"), "rotation vector"),
@@ -128,35 +128,31 @@ def refuse_turn(orientation: Floats, what: str) -> None:
         )
 
 
-def orientations_in(columns: Sequence[str]) -> Iterator[tuple[list[str], Turn]]:
+def orientations_in(columns: Sequence[str]) -> Iterator[tuple[list[str], OrientationKind]]:
     """Columns of a table that hold the orientation of its tool, by their names.
-
-    Args:
-        columns: Names of its columns.
 
     Yields:
         The columns of each orientation, and what they are.
     """
-    for words, turn in ORIENTATIONS:
+    for words, kind in ORIENTATIONS:
         for name in columns:
-            for found in re.finditer(rf"(?<![a-z]){words[0]}(?![a-z0-9])", name, re.IGNORECASE):
-                spelled = [word.upper() if found.group().isupper() else word for word in words]
-                names = [name[: found.start()] + word + name[found.end() :] for word in spelled]
+            for match in re.finditer(rf"(?<![a-z]){words[0]}(?![a-z0-9])", name, re.IGNORECASE):
+                spelled = [word.upper() if match.group().isupper() else word for word in words]
+                names = [name[: match.start()] + word + name[match.end() :] for word in spelled]
                 if set(names) <= set(columns):
-                    yield names, turn
+                    yield names, kind
 
 
-def quaternions_of(values: Floats, turn: Turn, names: Sequence[str]) -> Floats:
+def quaternions_of(values: Floats, kind: OrientationKind, names: Sequence[str]) -> Floats:
     """Quaternions x, y, z, w (n, 4) of the columns of an orientation.
 
     Args:
         values: The columns (n, 3 or 4). Angles are in degrees where a name or their size says so, else in radians.
-        names: Names of the columns.
     """
-    if turn == "quaternion":
+    if kind == "quaternion":
         return values
     degrees = any("deg" in name.lower() or "°" in name for name in names) or float(np.abs(values).max(initial=0.0)) > 2.0 * np.pi + 0.01
-    if turn == "rotation vector":
+    if kind == "rotation vector":
         return np.asarray(Rotation.from_rotvec(values, degrees=degrees).as_quat())
     return np.asarray(Rotation.from_euler("xyz", values, degrees=degrees).as_quat())
 

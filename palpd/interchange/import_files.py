@@ -433,14 +433,14 @@ class _Reading:
 
     def _refuse_turning_tool(self, source: Source) -> None:
         """Refuse a table whose columns of orientation say that the tool turns, as a pose that turns is. Raises RecordingError."""
-        for names, turn in orientations_in([channel.name for channel in source.of_kind("column")]):
+        for names, kind in orientations_in([channel.name for channel in source.of_kind("column")]):
             try:
                 read = source.reader.columns(source.path, names)
             except RecordingError:
                 continue  # what cannot be read says nothing of a turn
-            quaternions = quaternions_of(np.column_stack([read[name].values for name in names]), turn, names)
+            quaternions = quaternions_of(np.column_stack([read[name].values for name in names]), kind, names)
             if float(np.linalg.norm(quaternions, axis=1).min()) > 0.0:  # else no orientation was recorded
-                what = f"{source.path.name} ({', '.join(names)} as {turn})"
+                what = f"{source.path.name} ({', '.join(names)} as {kind})"
                 refuse_turn(continuous(quaternions, what), what)
 
     def _wrench_of_columns(self) -> Wrench:

@@ -3,12 +3,15 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks import limits as benchmark
 from palpd.cell.cell_file import CellFile, nominal, save_cell
+from palpd.cell.effects import EFFECTS
 from palpd.cli import app
 from palpd.gap.diagnosis import limits
 from palpd.gap.infer.detectable import DetectableSize
@@ -71,3 +74,31 @@ def test_every_answer_holds_the_limits_and_the_command_prints_them_alone(
     refused = CliRunner().invoke(app, [*command, "--report", str(tmp_path / "a.html")])
     assert refused.exit_code != 0
     assert not (tmp_path / "a.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "smallest", "twice"),
+    [
+        ("probe.mass", "delta_kg", 0.02, 0.04),
+        ("tissue.modulus", "ratio", 1.1, 1.21),
+        ("sensor.saturation", "limit_N", 5.0, 2.5),
+        ("sensor.filter", "cutoff_Hz", 10.0, 100.0 / 15.0),
+    ],
+)
+def test_the_check_of_the_limits_doubles_a_size_as_its_parameter_means_it(
+    effect: str, parameter: str, smallest: float, twice: float
+) -> None:
+    cell = nominal().model_copy(update={"sensor": nominal().sensor.model_copy(update={"filter_cutoff_Hz": 15.0})})
+    stated = DetectableSize(effect, EFFECTS[effect].parameter(parameter), smallest, 1.0, None, {}, None)
+    assert benchmark.at_factor(stated, 2.0, cell) == pytest.approx(twice)
+
+
+def test_the_check_of_the_limits_counts_what_is_found_at_each_size() -> None:
+    rows: list[dict[str, Any]] = [
+        {"effect": "probe.mass", "smallest": 0.02, "found": {"0.5": False, "1.0": True, "2.0": True}},
+        {"effect": "probe.mass", "smallest": 0.03, "found": {"0.5": False, "1.0": False, "2.0": True}},
+        {"effect": "robot.lag", "smallest": None, "found": {}},
+    ]
+    lines = benchmark.table(rows)
+    assert lines[2].startswith("| **all** | 3 | 1 | 0 of 2 (0 to 66 %) | 1 of 2 (9 to 91 %) | 2 of 2 (34 to 100 %) |")
+    assert lines[-2:] == ["| `probe.mass` | 2 | 0 | 0 of 2 | 1 of 2 | 2 of 2 |", "| `robot.lag` | 1 | 1 | 0 of 0 | 0 of 0 | 0 of 0 |"]

@@ -11,7 +11,6 @@ from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FZ, Z
 from palpd.gap.data.phases import FREE_MOVING, HOLDING
 from palpd.gap.gaussian.nuisances import project
-from palpd.gap.infer.posterior import log_prior
 from palpd.gap.model.coordinates import start_values, stretched
 from palpd.gap.model.linearise import Linearisation
 from palpd.gap.model.problem import Problem
@@ -54,8 +53,9 @@ class DetectableSize:
 def detectable_sizes(problem: Problem, around: Linearisation) -> tuple[DetectableSize, ...]:
     """The smallest detectable size of every effect that changes the mean of the readings.
 
-    An effect counts as shown where its expected log odds against the cell without effects reach `limits.odds`. Tolerances, scatter of
-    presses and the error of the simulator may hide it as in the diagnosis. The other parameters of an effect stay at their typical values.
+    An effect counts as shown where its expected Bayes factor against the cell without effects reaches `limits.odds`: about as much as its
+    prior odds are against it, so that half of such effects are named. Tolerances, scatter of presses and the error of the simulator may
+    hide it as in the diagnosis. The other parameters of an effect stay at their typical values.
 
     Args:
         around: The cell without effects, with its nuisances.
@@ -94,7 +94,7 @@ def _smallest(problem: Problem, around: Linearisation, effect: Effect, start: di
 
     Secants in the logarithms of factor and size.
     """
-    nominal, needed_sd = problem.predict({}, around.eta), _needed_sd(problem, effect)
+    nominal, needed_sd = problem.predict({}, around.eta), _needed_sd(effect)
     tried: list[tuple[float, float]] = []
     log_factor = 0.0
     for _ in range(MOST_STEPS):
@@ -112,10 +112,10 @@ def _smallest(problem: Problem, around: Linearisation, effect: Effect, start: di
     return (None, start) if shown is None else (exp(shown), stretched(effect, start, exp(shown), problem.scale))
 
 
-def _needed_sd(problem: Problem, effect: Effect) -> float:
-    """Size s in sigmas at which the expected log odds s²/2, less what a hypothesis with this effect costs, reach `limits.odds`."""
+def _needed_sd(effect: Effect) -> float:
+    """Size s in sigmas at which the expected log Bayes factor s²/2, less what an effect of unknown size costs, reaches `limits.odds`."""
     shapes = sum(p.nominal is None and not p.nuisance for p in effect.parameters)
-    cost = log_prior(problem, 0) - log_prior(problem, 1) + log(2.0 * ASSUMED.prior.log_size_range) + shapes * ASSUMED.limits.shape_nats
+    cost = log(2.0 * ASSUMED.prior.log_size_range) + shapes * ASSUMED.limits.shape_nats
     size_sd = 5.0
     for _ in range(20):  # the prior of a size is 1/s
         size_sd = (2.0 * (log(ASSUMED.limits.odds) + cost + log(size_sd))) ** 0.5

@@ -132,7 +132,7 @@ def _bend(problem: Problem, space: NuisanceSpace, channel: int, white: Floats, l
         last: Number of the first bin after the recording of each bin (b,).
     """
     bins, t_s = np.arange(len(white)), np.concatenate([one.t_s for one in problem.recordings])
-    begin = np.unique(np.linspace(0, len(white) - 2, ASSUMED.events.bends).astype(np.intp))
+    begin = np.unique(np.linspace(0, len(white) - 2, ASSUMED.events.drift_changes).astype(np.intp))
     after = (bins[:, None] >= begin) & (bins[:, None] < last[begin])
     ramps = white[:, None] * np.where(after, t_s[:, None] - t_s[begin], 0.0)
     products = space.products({channel: ramps})
