@@ -42,14 +42,14 @@ Again: `{command}`.
 """
 
 
-class PlantedEffect(NamedTuple):
+class EffectOnCell(NamedTuple):
     """An effect on the cell of a number."""
 
     effect: str
     number: int
 
 
-def answers_to(case: PlantedEffect, seed: int, kept: Path) -> dict[str, Any]:
+def answers_to(case: EffectOnCell, seed: int, kept: Path) -> dict[str, Any]:
     """What is stated of an effect on one cell, and whether it is found at each factor on the stated size.
 
     Args:
@@ -120,7 +120,7 @@ def main() -> None:
     options = parser.parse_args()
     options.kept.mkdir(parents=True, exist_ok=True)
     names = [name for name, effect in EFFECTS.items() if effect.scatter is None]
-    cases = [PlantedEffect(name, number) for number in range(options.cells) for name in names]
+    cases = [EffectOnCell(name, number) for number in range(options.cells) for name in names]
     with pool(options.jobs) as workers:
         rows = list(workers.map(partial(answers_to, seed=options.seed, kept=options.kept), cases, chunksize=1))
     lines = table(rows)
