@@ -4,6 +4,7 @@ A reader is one object that fits the protocol `FileReader`. Those of other packa
 """
 
 import logging
+import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -44,7 +45,8 @@ class Channel:
     def __str__(self) -> str:
         what = self.unit or (self.type if self.kind != "column" else "")
         rate = f"{self.rate_Hz:.4g} Hz" if self.rate_Hz is not None else ""
-        return f"{self.name} ({', '.join(filter(None, (what, rate)))})" if what or rate else self.name
+        name = shlex.quote(self.name)  # so that it can be pasted behind an option
+        return f"{name} ({', '.join(filter(None, (what, rate)))})" if what or rate else name
 
 
 @dataclass(frozen=True)

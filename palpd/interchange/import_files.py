@@ -26,6 +26,7 @@ from palpd.interchange.alignment import (
 )
 from palpd.interchange.channels import Channel, ChannelData, FileReader, Kind, listing
 from palpd.interchange.registry import reader_of
+from palpd.interchange.table import OPTICS11_TIP
 from palpd.interchange.units import Quantity, UnitScale, refuse_unconfirmed, scale_of, unit_named
 from palpd.recording.oddities import dead, questions_of, refuse_dead
 from palpd.recording.samples import MIN_SAMPLES, WRENCH_COLUMNS, Samples, samples_from_columns, write_csv
@@ -39,7 +40,12 @@ MOTION_ROLES = ("z_cmd_m", "vz_m_per_s")
 """Those that belong to the motion."""
 OWN = ("fz_N", "z_m", "t_s")
 """Force, height and time as our own tables and those of `palpd export` call them."""
-KNOWN_COLUMNS = (OWN, ("force", "tip position", "time"), ("force", "height (measured)", "time"))
+KNOWN_COLUMNS = (
+    OWN,
+    ("force", "tip position", "time"),
+    ("force", "height (measured)", "time"),
+    ("Load (uN)", OPTICS11_TIP, "Time (s)"),
+)
 """Names of force, height and time that formats fix, so that nobody need give them."""
 CLEAR_SHARE = 0.05
 """Share of the swing of the force that it may have at the start before a note asks for a tare."""

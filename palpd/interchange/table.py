@@ -47,6 +47,10 @@ UR_VECTORS: dict[str, Kind] = {
 }
 """RTDE's vectors of six, all in axes of the base but `ft_raw_wrench`, which is in axes of the tool flange."""
 UR_FRAMES = {"ft_raw_wrench": "tool"}
+OPTICS11_TIP = "tip height (nm)"
+OPTICS11_COLUMNS = ("Cantilever (nm)", "Piezo (nm)")
+"""Columns of the text files of Optics11's nanoindenters, both downwards. Their difference is the height of the tip. `Indentation (nm)` is
+not: it is zero until the instrument sees a touch."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,8 @@ class TableReader:
     def channels(self, path: Path) -> Sequence[Channel]:
         """List the columns of a table, and the vectors of a controller's log."""
         layout = layout_of(path, lines_of(path, MOST_PREAMBLE_BYTES))
-        return [*_vectors(layout), *(Channel(name, unit=_unit(layout, name)) for name in layout.header)]
+        tip = [Channel(OPTICS11_TIP, unit="nm")] if set(OPTICS11_COLUMNS) <= set(layout.header) else []
+        return [*_vectors(layout), *tip, *(Channel(name, unit=_unit(layout, name)) for name in layout.header)]
 
     def columns(self, path: Path, names: Sequence[str]) -> dict[str, ChannelData]:
         """Read columns by their names.
@@ -97,7 +102,7 @@ class TableReader:
         layout = layout_of(path, lines)
         parts = {name: _parts(layout, name) for name in names}
         scalar = list(dict.fromkeys(part for each in parts.values() for part in each))
-        if any(len(each) > 1 for each in parts.values()):
+        if any(len(each) == 6 for each in parts.values()):
             scalar = list(dict.fromkeys([*scalar, UR_TIME]))
         table = dict(zip(scalar, _numbers(path, lines, layout, scalar).T, strict=True))
         notes = (f"{path.name}: {layout.skipped} rows before and after the numbers were skipped.",) if layout.skipped else ()
@@ -105,6 +110,9 @@ class TableReader:
         for name, each in parts.items():
             if len(each) == 1:
                 columns[name] = ChannelData(table[name], notes=notes)
+            elif name == OPTICS11_TIP:
+                bent, driven = (table[part] for part in each)
+                columns[name] = ChannelData(bent - driven, notes=notes)
             else:
                 values = np.column_stack([table[part] for part in each])
                 if UR_VECTORS[name] in ("pose", "command"):
@@ -277,6 +285,8 @@ def _vectors(layout: TableLayout) -> Iterator[Channel]:
 
 
 def _parts(layout: TableLayout, name: str) -> list[str]:
+    if name == OPTICS11_TIP:
+        return list(OPTICS11_COLUMNS)
     return [name] if name in layout.header else [f"{name}_{k}" for k in range(6)]
 
 

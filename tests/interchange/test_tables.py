@@ -172,6 +172,35 @@ def test_encodings_are_found(tmp_path: Path, encoding: str, force: str) -> None:
     np.testing.assert_allclose(imported.samples.wrench[:, 2], FORCE_N, rtol=0, atol=1e-12)
 
 
+OPTICS11 = """Date\t01/02/2024\tTime\t10:11:12\tStatus\tOK
+X-position (um)\t120.0
+k (N/m)\t0.019
+Tip radius (um)\t27.5
+
+Piezo Indentation Sweep Settings
+Profile:\tDisplacement control
+D[Z1] (nm)\t5000\tt[1] (s)\t2.0
+D[Z2] (nm)\t0\tt[2] (s)\t1.0
+Step absolute start times (s)\t0.5,2.5,3.5
+
+"""
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
+def test_a_text_file_of_an_optics11_indenter_needs_no_names(tmp_path: Path, encoding: str) -> None:
+    """The tip is where the piezo has moved the cantilever, less its bending; the column of the indentation is zero before the touch."""
+    bent_m = FORCE_N / 0.5
+    piezo_m = DEPTH_M + bent_m
+    columns = (T_S, 1e6 * FORCE_N, 1e9 * np.maximum(DEPTH_M, 0.0), 1e9 * bent_m, 1e9 * piezo_m, np.full(N, np.nan))
+    names = "Time (s)\tLoad (uN)\tIndentation (nm)\tCantilever (nm)\tPiezo (nm)\tAuxiliary"
+    path = tmp_path / "indentation_002.txt"
+    path.write_bytes((OPTICS11 + table(names, *columns, separator="\t")).encode(encoding))
+    imported = read_files([path], ImportOptions(units_confirmed=True))
+    np.testing.assert_allclose(imported.samples.wrench[:, 2], FORCE_N, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(imported.samples.z_m, -DEPTH_M, rtol=0, atol=1e-12)
+    assert any("height is tip height (nm)" in note for note in imported.notes)
+
+
 def test_a_rate_stands_for_times_that_a_table_does_not_hold(tmp_path: Path) -> None:
     path = written(tmp_path, table("F (N),z (m)", FORCE_N, -DEPTH_M))
     options = ImportOptions("F (N)", height_column="z (m)")
@@ -343,7 +372,7 @@ def test_matlab_files(tmp_path: Path) -> None:
     samples = read_files([path], options).samples
     np.testing.assert_allclose(samples.wrench[:, 2], FORCE_N, rtol=0, atol=1e-12)
     np.testing.assert_allclose(samples.z_m, -DEPTH_M, rtol=0, atol=1e-15)
-    with pytest.raises(BadInput, match=r"there is no Fz in press\.mat; it holds rec\.t, rec\.z_mm, data\(:,1\), data\(:,2\)"):
+    with pytest.raises(BadInput, match=r"there is no Fz in press\.mat; it holds rec\.t, rec\.z_mm, 'data\(:,1\)', 'data\(:,2\)'"):
         read_files([path], ImportOptions("Fz", height_column="rec.z_mm"))
     (tmp_path / "new.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n")
     with pytest.raises(RecordingError, match=r"version 7\.3; save it with save"):
@@ -422,7 +451,7 @@ def test_bad_files_are_one_sentence_and_nothing_is_written(tmp_path: Path, name:
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({}, "--force-column is missing: .* holds Time"),
+        ({}, r"--force-column is missing: .* holds 'Time \(s\)' \(s\), 'F \(mN\)' \(mN\)"),
         ({"force_column": "F (mN)"}, "--depth-column or --height-column is missing"),
         ({"force_column": "F (mN)", "height_column": "z"}, r"there is no z in curve\.csv"),
         (
