@@ -111,8 +111,8 @@ class TableReader:
             if len(each) == 1:
                 columns[name] = ChannelData(table[name], notes=notes)
             elif name == OPTICS11_TIP:
-                bent, driven = (table[part] for part in each)
-                columns[name] = ChannelData(bent - driven, notes=notes)
+                deflection, way = (table[part] for part in each)
+                columns[name] = ChannelData(deflection - way, notes=notes)
             else:
                 values = np.column_stack([table[part] for part in each])
                 if UR_VECTORS[name] in ("pose", "command"):

@@ -188,10 +188,10 @@ Step absolute start times (s)\t0.5,2.5,3.5
 
 @pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
 def test_a_text_file_of_an_optics11_indenter_needs_no_names(tmp_path: Path, encoding: str) -> None:
-    """The tip is where the piezo has moved the cantilever, less its bending; the column of the indentation is zero before the touch."""
-    bent_m = FORCE_N / 0.5
-    piezo_m = DEPTH_M + bent_m
-    columns = (T_S, 1e6 * FORCE_N, 1e9 * np.maximum(DEPTH_M, 0.0), 1e9 * bent_m, 1e9 * piezo_m, np.full(N, np.nan))
+    """The tip is where the piezo has moved the cantilever, less its deflection; the column of the indentation is zero before the touch."""
+    deflection_m = FORCE_N / 0.5
+    piezo_m = DEPTH_M + deflection_m
+    columns = (T_S, 1e6 * FORCE_N, 1e9 * np.maximum(DEPTH_M, 0.0), 1e9 * deflection_m, 1e9 * piezo_m, np.full(N, np.nan))
     names = "Time (s)\tLoad (uN)\tIndentation (nm)\tCantilever (nm)\tPiezo (nm)\tAuxiliary"
     path = tmp_path / "indentation_002.txt"
     path.write_bytes((OPTICS11 + table(names, *columns, separator="\t")).encode(encoding))
