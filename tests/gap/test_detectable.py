@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from benchmarks import limits as benchmark
 from palpd.cell.cell_file import CellFile, nominal, save_cell
-from palpd.cell.effects import EFFECTS
+from palpd.cell.effects import EFFECTS, Effect, Parameter
 from palpd.cli import app
 from palpd.gap.diagnosis import limits
 from palpd.gap.infer.detectable import DetectableSize
@@ -56,6 +56,22 @@ def test_what_a_recording_cannot_show_says_what_would() -> None:
     assert sizes["tissue.modulus"].needs == "press the tissue"
     assert sizes["probe.mass"].needs == "move freely in the air: nothing moves there"
     assert sizes["sensor.drift"].smallest is not None
+
+
+def test_the_law_of_a_user_that_overflows_or_does_nothing_has_a_limit_or_none() -> None:
+    def bursts(span: Any, values: Any, _memory: Any) -> None:
+        span.fz_N = span.fz_N + np.exp(1e3 * values["x_N"]) - 1.0
+
+    parameter = Parameter("x_N", "N", -5.0, 5.0, (1.0,))
+    library = {
+        "sensor.bursts": Effect("sensor.bursts", "sensor", "bursts", (parameter,), law=bursts),
+        "sensor.idle": Effect("sensor.idle", "sensor", "does nothing", (parameter,), law=lambda span, values, memory: None),
+    }
+    with np.errstate(over="ignore", invalid="ignore"):
+        sizes = {one.effect: one for one in limits([recording(nominal(), {})], nominal(), library)}
+    assert sizes["sensor.idle"].smallest is None
+    assert sizes["sensor.idle"].needs is not None
+    assert sizes["sensor.bursts"].smallest is None or 0.0 < sizes["sensor.bursts"].smallest <= 1.0
 
 
 def test_every_answer_holds_the_limits_and_the_command_prints_them_alone(

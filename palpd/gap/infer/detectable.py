@@ -19,6 +19,8 @@ IN_SIZE = 0.05
 """Relative error of a size at which the search for it ends."""
 MOST_STEPS = 8
 """Largest number of sizes that are tried of an effect."""
+MOST_APART = 1e6
+"""Largest ratio of a size and the needed one that counts."""
 LARGEST_STEP = 30.0
 """Largest factor from one size to the next."""
 
@@ -100,7 +102,8 @@ def _smallest(problem: Problem, around: Linearisation, effect: Effect, start: di
     for _ in range(MOST_STEPS):
         values = stretched(effect, start, exp(log_factor), problem.scale)
         change = project(problem.predict({effect.id: values}, around.eta) - nominal, around.space)
-        short = log(needed_sd / max(max(change.dot(change), 0.0) ** 0.5, 1e-6 * needed_sd))
+        size_sd = max(change.dot(change), 0.0) ** 0.5
+        short = -log(min(max(size_sd / needed_sd, 1.0 / MOST_APART), MOST_APART))  # the law of a user may overflow
         tried.append((log_factor, short))
         if abs(short) < IN_SIZE:
             break
