@@ -55,9 +55,9 @@ class DetectableSize:
 def detectable_sizes(problem: Problem, around: Linearisation) -> tuple[DetectableSize, ...]:
     """The smallest detectable size of every effect that changes the mean of the readings.
 
-    An effect counts as shown where its expected Bayes factor against the cell without effects reaches `limits.odds`: about as much as its
-    prior odds are against it, so that half of such effects are named. Tolerances, scatter of presses and the error of the simulator may
-    hide it as in the diagnosis. The other parameters of an effect stay at their typical values.
+    An effect counts as shown where its expected Bayes factor against the cell without effects reaches `limits.odds`. That is about the
+    inverse of its prior odds, so half of such effects are named. Tolerances, scatter of presses and the error of the simulator may hide it,
+    as in the diagnosis. The other parameters of an effect stay at their typical values.
 
     Args:
         around: The cell without effects, with its nuisances.
