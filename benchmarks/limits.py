@@ -33,9 +33,9 @@ MOST_ROWS = 20_000
 INTRODUCTION = """# How small an effect a recording shows
 
 Each answer states the smallest size of every effect that its recordings would have shown (`detectable` in out.json,
-`palpd diagnose --limits`). Here that is checked on healthy cells of the [blind check](blind.md), whose simulator and laws share none with
-the library: each effect is planted at half, once and twice the size that the healthy recording states, with typical values of its other
-parameters. *Found*: an answer names it, or has it in the group of a name. Wanted: at most 30 % at half the size, 35 to 65 % at the size,
+`palpd diagnose --limits`). Here that is checked on healthy cells of the [blind check](blind.md). Its simulator and laws share none with
+the library. Each effect is planted at half, once and twice the size that the healthy recording states. Its other parameters have typical
+values. *Found*: an answer names it, or has it in the group of a name. Wanted: at most 30 % at half the size, 35 to 65 % at the size,
 at least 90 % at twice the size.
 
 Again: `{command}`.

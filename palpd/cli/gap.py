@@ -86,19 +86,19 @@ def diagnose(
     say_broken_effects()
     if len(recordings) == 1 and recordings[0].is_dir():
         beside = {"--cell": cell, "--site": site, "--cell-out": cell_out, "--report": report, "--simulated": simulated or None}
-        _refuse_for_a_folder(recordings[0], beside)
+        _refuse_for_a_folder(recordings[0], beside | {"--limits": limits or None})
         _diagnose_fleet(recordings[0], jobs or 1, scheduler, effects, adopted_folder(adopted), json_file)
-        return
-    if limits:
-        _refuse_with_limits({"--cell-out": cell_out, "--report": report, "--json": json_file, "--simulated": simulated or None})
-        with shown_steps("diagnosing", progress):
-            sizes = limits_of_files(recordings, cell, effects=effects, adopted=adopted_folder(adopted), site=site)
-        terminal().print(limits_table(sizes))
         return
     if jobs is not None or scheduler is not None:
         raise BadInput(f"{'--jobs' if jobs is not None else '--scheduler'} is for a folder of recordings; give the folder, or leave it out")
+    if limits:
+        _refuse_with_limits({"--cell-out": cell_out, "--report": report, "--json": json_file, "--simulated": simulated or None})
     with shown_steps("diagnosing", progress) as show:
         try:
+            if limits:
+                sizes = limits_of_files(recordings, cell, effects=effects, adopted=adopted_folder(adopted), site=site)
+                terminal().print(limits_table(sizes))
+                return
             diagnosis = diagnose_files(
                 recordings,
                 cell,
@@ -122,18 +122,19 @@ def diagnose(
 
 def _refuse_for_a_folder(folder: Path, options: Mapping[str, object]) -> None:
     """Refuse the options that are for one recording: nothing that was asked for is left out without a word."""
-    given = [name for name, value in options.items() if value is not None]
-    if given:
-        raise BadInput(f"{folder} is a folder, and {' and '.join(given)} is for one recording; name the recording, or leave it out")
+    if given := _given(options):
+        raise BadInput(f"{folder} is a folder, and {given} is for one recording; name the recording, or leave it out")
 
 
 def _refuse_with_limits(options: Mapping[str, object]) -> None:
     """Refuse the options that belong to an answer: limits are only printed, and a diagnosis states them in its outputs."""
-    given = [name for name, value in options.items() if value is not None]
-    if given:
-        raise BadInput(
-            f"--limits prints a table, and {' and '.join(given)} belongs to a diagnosis, which states the limits too; leave one out"
-        )
+    if given := _given(options):
+        raise BadInput(f"--limits prints a table, and {given} belongs to a diagnosis, which states the limits too; leave one out")
+
+
+def _given(options: Mapping[str, object]) -> str:
+    """Names of the options that have a value; empty where none has."""
+    return " and ".join(name for name, value in options.items() if value is not None)
 
 
 def _refuse_foreign(recordings: Sequence[Path]) -> None:

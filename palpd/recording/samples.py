@@ -159,7 +159,7 @@ def samples_from_columns(columns: Mapping[str, Floats], name: str) -> Samples:
     """
     _present(Path(name), list(columns))
     rows = np.size(columns["t_s"])
-    columns = {side: np.zeros(rows) for side in WRENCH_COLUMNS} | dict(columns)
+    columns = {name: np.zeros(rows) for name in WRENCH_COLUMNS if name not in columns} | dict(columns)
     if rows < MIN_SAMPLES:
         raise RecordingError(f"{name} has {rows} rows and at least {MIN_SAMPLES} are needed to judge a cell; record for longer.")
     refuse_values(columns, name)

@@ -13,6 +13,7 @@ from benchmarks import limits as benchmark
 from palpd.cell.cell_file import CellFile, nominal, save_cell
 from palpd.cell.effects import EFFECTS, Effect, Parameter
 from palpd.cli import app
+from palpd.errors import BadInput
 from palpd.gap.diagnosis import limits
 from palpd.gap.infer.detectable import DetectableSize
 from palpd.recording.samples import Samples, write_csv
@@ -87,9 +88,12 @@ def test_every_answer_holds_the_limits_and_the_command_prints_them_alone(
     assert ran.exit_code == 0
     assert set(re.findall(r"[a-z]+\.[a-z]+", ran.output)) >= set(listed)
     assert "Next:" not in ran.output
-    refused = CliRunner().invoke(app, [*command, "--report", str(tmp_path / "a.html")])
-    assert refused.exit_code != 0
+    for beside in (["--report", str(tmp_path / "a.html")], ["--jobs", "2"]):
+        assert isinstance(CliRunner().invoke(app, [*command, *beside]).exception, BadInput)
     assert not (tmp_path / "a.html").exists()
+    of_a_folder = CliRunner().invoke(app, ["diagnose", str(tmp_path), "--limits"]).exception
+    assert isinstance(of_a_folder, BadInput)
+    assert "--limits is for one recording" in str(of_a_folder)
 
 
 @pytest.mark.parametrize(

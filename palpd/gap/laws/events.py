@@ -19,8 +19,6 @@ EVERY = 4
 """Every fourth bin is tried as the time of an event; the nearest bin is found afterwards."""
 
 
-BEND = "change of drift"
-
 KIND_PRICE = log(ASSUMED.events.kinds)
 """Price in nats of the kind and the channel of an event, in addition to the log of the number of its times."""
 
@@ -138,7 +136,7 @@ def _bend(problem: Problem, space: NuisanceSpace, channel: int, white: Floats, l
     products = space.products({channel: ramps})
     gain = _gain(np.diag(products.gram), products.slope)
     k = int(np.argmax(gain))
-    return _Atom(float(gain[k]) - log(len(begin)) - KIND_PRICE, BEND, channel, int(begin[k]), ramps[:, k])
+    return _Atom(float(gain[k]) - log(len(begin)) - KIND_PRICE, "change of drift", channel, int(begin[k]), ramps[:, k])
 
 
 def _gain(norm: Floats, slope: Floats) -> Floats:

@@ -94,7 +94,7 @@ class LawEvidence:
         events: Events there; None where `on_top` is.
         events_share: Share of the gap's energy beyond the listed answer's laws that these events hold.
         alone: The law in the gap of the cell without effects, where listed effects could have imitated one; else None.
-        events_alone: Events there, where the listed answer leaves events or several effects are named; else None.
+        events_alone: Events there; None where `alone` is.
         together: The law that was fitted in turn with the listed effects; None where it is not needed.
         presses: Number of presses in all recordings.
         leading_leaves: Share of what the listed effects explain together that the best of them alone leaves; 0 for a single effect.
