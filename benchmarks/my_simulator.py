@@ -47,7 +47,7 @@ FOLLOWER = ServoDesign("second order", 12.0, 1.0, 37.0, 0.002)
 RIGID = 25.0
 """Factor on the moving mass of that rig, and so on the stiffness of its drive: the give of the real one is in the measured motion."""
 
-JUDGED_BY_A_FILE = {name for name, effect in EFFECTS.items() if effect.site != "tip"}
+JUDGED_BY_A_FILE = {name for name, effect in EFFECTS.items() if effect.site != "tip" and not effect.moves_surface}
 """Effects that a diagnosis with a file can name."""
 
 

@@ -18,11 +18,11 @@ import numpy as np
 from palpd.analysis.intervals import correlated_sigmas, student_t_95
 from palpd.analysis.young import modulus_peak_Pa
 from palpd.cell.cell_file import CellFile, Estimated
-from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS
 from palpd.cell.effects.tissue import MODULUS
 from palpd.cell.physics import true_surface_m
 from palpd.cell.simulation import equilibrium_force_N, wrench_of
+from palpd.cell.span import TipMotion
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
 from palpd.recording.reader import Recording, holds_ticks, refuse_site, samples_of

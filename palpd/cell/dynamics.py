@@ -1,11 +1,10 @@
-"""What the physics of the cell is made of: a stretch of samples, and the few dynamic systems that act on one.
+"""The few dynamic systems that the physics of the cell is made of.
 
 Every function takes a block of successive samples and a `memory` that it carries from block to block, so that a whole recording
 (one block) and a controller's cycle (blocks of one) are the same computation. Linear systems are exact for an input that is
 straight between samples, at even and at uneven steps.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
@@ -28,135 +27,6 @@ FEW = 8
 
 EVEN = 1e-3
 """Relative spread below which time steps count as even; jitter of a thousandth moves no filter."""
-
-
-@dataclass(frozen=True, slots=True)
-class TipMotion:
-    """How the tip moved, in arrays of (n,), and what heights and accelerations still carry of measurement noise (rms).
-
-    A measured acceleration is the slope of reported speeds, each with its own error of `v_noise_m_per_s`, over `slope_half` samples to
-    either side. Where a command is known, only the share `acceleration_weight` of what it does not explain is used. `dt_s` are the steps
-    of the times, where they have been computed already. `even_s` is their step where they were made on an even grid, else 0.
-    """
-
-    t_s: Floats
-    z_m: Floats
-    vz_m_per_s: Floats
-    az_m_per_s2: Floats
-    z_noise_m: float = 0.0
-    az_noise_m_per_s2: float = 0.0
-    v_noise_m_per_s: float = 0.0
-    slope_half: int = 0
-    acceleration_weight: Floats | float = 1.0
-    dt_s: Column | None = None
-    even_s: float = 0.0
-
-
-@dataclass(slots=True)
-class Constants:
-    """The numbers of one cell at one site, after in-tolerance deviations and effects have changed them."""
-
-    servo_natural_frequency_Hz: float
-    servo_damping_ratio: float
-    mass_kg: float
-    tip_radius_m: float
-    tip_length_m: float
-    youngs_modulus_Pa: float
-    poisson_ratio: float
-    surface_z_m: float
-    cutoff_Hz: float
-    noise_rms_N: float
-    noise_rms_Nm: float
-    tip_compliance_m_per_N: float = 0.0
-    wall_z_m: float = 0.0
-    wall_stiffness_N_per_m: float = 0.0
-    wall_after_s: float = 0.0
-    delay_s: float = 0.0
-    skew: float = 0.0
-    gain: float = 1.0
-    fx_per_fz: float = 0.0
-    fy_per_fz: float = 0.0
-    tx_per_fz_m: float = 0.0
-    ty_per_fz_m: float = 0.0
-    bias_N: float = 0.0
-    drift_N_per_s: float = 0.0
-    limit_N: float = float("inf")
-    knee_N: float = 0.0
-    step_N: float = 0.0
-    dropout_rate_Hz: float = 0.0
-    dropout_length_s: float = 0.0
-
-    def elastic_force_N(self, depth_m: Floats) -> Floats:
-        """Hertz for a sphere on a half-space, 4/3 E/(1-ν²) √r d^1.5, which at ν = 0.5 is eq. 1 of Guo, Xiao, Ren 2019.
-
-        Args:
-            depth_m: Indentations (n,), zero or more, in m.
-
-        Returns:
-            Forces (n,) in N.
-        """
-        reduced_Pa = self.youngs_modulus_Pa / (1.0 - self.poisson_ratio**2)
-        force_N: Floats = (4.0 / 3.0 * reduced_Pa * self.tip_radius_m**0.5) * depth_m * np.sqrt(depth_m)
-        return force_N
-
-
-@dataclass(slots=True)
-class Span:
-    """Successive samples on their way from the motion of the tip to the reading of the sensor.
-
-    All arrays are (n,); `t_s` counts from where histories began, `dt_s` is the step before each sample (one number where
-    even), and `even_s` as in TipMotion. Lateral forces and torques stay plain 0.0 until something makes them. `slack_m` is the width of
-    a play before the tip, and `behind_m` how far the tip is from where it were without it. `z_noise_m` and `az_noise_m_per_s2` are what a
-    measured motion still carries of noise; 0 for a true one. Laws of effects change these fields.
-    """
-
-    constants: Constants
-    t_s: Floats
-    dt_s: Column
-    z_m: Floats
-    vz_m_per_s: Floats
-    az_m_per_s2: Floats
-    z_noise_m: float = 0.0
-    az_noise_m_per_s2: float = 0.0
-    lead_s: Column = 0.0
-    tip_m: Floats = None  # type: ignore[assignment]
-    slack_m: float = 0.0
-    behind_m: Column = 0.0
-    surface_m: Column = 0.0
-    depth_m: Floats = None  # type: ignore[assignment]
-    contact_N: Floats = None  # type: ignore[assignment]
-    fx_N: Column = 0.0
-    fy_N: Column = 0.0
-    fz_N: Floats = None  # type: ignore[assignment]
-    tx_Nm: Column = 0.0
-    ty_Nm: Column = 0.0
-    tz_Nm: Column = 0.0
-    even_s: float = 0.0
-
-    def touch(self, surface_m: Column) -> None:
-        """Put the surface at a height: depth and elastic force follow from where the tip is.
-
-        A law that moves the surface calls this, so it must act before laws that change the force.
-
-        Args:
-            surface_m: Height of the surface in m, one number or (n,).
-        """
-        self.surface_m = surface_m
-        self.depth_m = np.maximum(surface_m - self.tip_m, 0.0)
-        self.contact_N = self.constants.elastic_force_N(self.depth_m)
-
-    def push_sideways(self, fx_N: Column, fy_N: Column) -> None:
-        """Add a lateral force at the tip: the sensor sees the force and its torque, tx = +fy L and ty = -fx L.
-
-        Args:
-            fx_N: Force along x in N, one number or (n,).
-            fy_N: Force along y in N, one number or (n,).
-        """
-        arm_m = self.constants.tip_length_m
-        self.fx_N = self.fx_N + fx_N
-        self.fy_N = self.fy_N + fy_N
-        self.tx_Nm = self.tx_Nm + fy_N * arm_m
-        self.ty_Nm = self.ty_Nm - fx_N * arm_m
 
 
 def steps(t_s: Floats) -> Column:
@@ -264,6 +134,33 @@ def lowpass(u: NDArray[Any], dt_s: Column, pole_per_s: complex, memory: Memory, 
     memory["y"], memory["u"] = y[-1], u[-1].copy()  # the caller may use its array again
     result: NDArray[Any] = y
     return result
+
+
+def filtered(column: Floats, dt_s: Column, cutoff_Hz: float) -> Floats:
+    """A column behind a filter of one pole.
+
+    Args:
+        column: Values (n,) of an axis.
+        dt_s: Step before each sample, one number or (n,).
+        cutoff_Hz: Its cutoff; infinite: none.
+
+    Returns:
+        The filtered values (n,).
+    """
+    return lowpass(column, dt_s, -2.0 * np.pi * cutoff_Hz, {}) if np.isfinite(cutoff_Hz) else column
+
+
+def unfiltered(column: Floats, t_s: Floats, cutoff_Hz: float) -> Floats:
+    """A smooth column before it passed a filter of one pole.
+
+    Args:
+        column: Values (n,) of an axis behind the filter.
+        t_s: Times (n,).
+
+    Returns:
+        The values (n,) before it.
+    """
+    return column + np.gradient(column, t_s) / (2.0 * np.pi * cutoff_Hz) if np.isfinite(cutoff_Hz) else column
 
 
 def poles(natural_frequency_Hz: float, damping_ratio: float) -> tuple[complex, complex]:

@@ -8,8 +8,9 @@ import numpy as np
 
 from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile, Estimated
 from palpd.cell.cell_file import CellSite as Place
-from palpd.cell.dynamics import Constants, Memory, Span
+from palpd.cell.dynamics import Memory
 from palpd.cell.effects import EFFECTS, Effect, Site, Values
+from palpd.cell.span import Constants, Span
 from palpd.errors import ConfigError
 
 Library = Mapping[str, Effect]

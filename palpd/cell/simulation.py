@@ -1,16 +1,17 @@
 """The simulated cell on whole recordings: what robot and sensor report of a motion, as the diagnosis predicts it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.dynamics import Constants, Floats, Span, TipMotion, servo, servo_heights, steps
+from palpd.cell.dynamics import Floats, servo, servo_heights, steps
 from palpd.cell.effects import EFFECTS, Effect, Scale, Site
 from palpd.cell.effects.learned import learned_law_of
 from palpd.cell.physics import Library, physics, place_named, true_surface_m
+from palpd.cell.span import Constants, NominalOutput, Span, TipMotion
 from palpd.cell.stages import (
     WRENCH,
     clip_and_round_mean,
@@ -104,14 +105,6 @@ class MeanReading:
     leaking_N: Floats
     shares: dict[int, float]
 
-    def plus(self, more: Mapping[int, Floats]) -> "MeanReading":
-        """The reading with something added to some axes, which leaks into no other.
-
-        Args:
-            more: What to add (n,) by axis.
-        """
-        return replace(self, own=self.own | {axis: self.own.get(axis, 0.0) + values for axis, values in more.items()})
-
     def averaged(self, average: Callable[[Floats], Floats], n: int) -> Floats:
         """All six axes after a linear operation.
 
@@ -135,15 +128,21 @@ class MeanReading:
         return self.averaged(lambda values: values, n).T
 
 
-def mean_reading(cell: CellFile, motion: TipMotion, library: Library = EFFECTS, site: str | None = None) -> MeanReading:
+def mean_reading(
+    cell: CellFile, motion: TipMotion, library: Library = EFFECTS, site: str | None = None, nominal: NominalOutput | None = None
+) -> MeanReading:
     """Mean wrench that the sensor will read during a motion: noise-free, not rounded to the stated steps.
 
     Args:
         motion: Motion of the tip, n samples.
         site: Name of a site of the cell, or None for the cell's own tissue.
+        nominal: What another simulator predicts of the cell without effects and deviations, at the same times; None where palpd does.
     """
     what = physics(cell, place_named(cell, site), library)
     s = _span(what.constants, motion)
+    if nominal is not None:
+        s.nominal = nominal
+        what.constants.tip_compliance_m_per_N -= nominal.constants.tip_compliance_m_per_N
     load_sensor(s, what, {}, {})
     leaks, leaking_N, laws = crosstalk_shares(what.constants), s.fz_N, what.laws.get("sensor")
     if laws:

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.dynamics import Constants, Floats, Memory, Span, delayed, limited_N, lowpass, shifted
+from palpd.cell.dynamics import Floats, Memory, delayed, limited_N, lowpass, shifted
 from palpd.cell.physics import Physics
+from palpd.cell.span import Constants, Span
 
 WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 
@@ -24,7 +25,7 @@ def press_tissue(s: Span, what: Physics, memory: Memory) -> None:
     """The force on a tip that is where it is."""
     s.touch(what.constants.surface_z_m)
     what.apply("tissue", s, memory)
-    if stiffness := what.constants.wall_stiffness_N_per_m:
+    if (stiffness := what.constants.wall_stiffness_N_per_m) and s.nominal is None:
         there = s.t_s >= what.constants.wall_after_s
         wall_N = stiffness * np.maximum(what.constants.wall_z_m - s.tip_m, 0.0)
         s.contact_N = np.where(there, wall_N, s.contact_N)
@@ -93,6 +94,8 @@ def load_sensor(s: Span, what: Physics, memory: Memory, here: Memory) -> None:
     """From motion to the wrench on the sensor, its gain included."""
     solve_contact(s, what, here)
     s.fz_N = s.contact_N - what.constants.mass_kg * s.az_m_per_s2
+    if s.nominal is not None:
+        s.fz_N = s.fz_N + s.nominal.rest_N
     add_other_loads(s, what, memory)
 
 
@@ -100,6 +103,8 @@ def add_other_loads(s: Span, what: Physics, memory: Memory) -> None:
     """What else acts on the sensor, when its wrench is sampled, and its gain."""
     c = what.constants
     what.apply("probe", s, memory)
+    if s.nominal is not None:
+        s.nominal.read(s, WRENCH)
     if c.delay_s or c.skew or not isinstance(s.lead_s, float):
         if s.even_s and not c.skew and isinstance(s.lead_s, float):
             for name, column in loaded_axes(s):
@@ -120,13 +125,13 @@ def crosstalk_shares(c: Constants) -> list[tuple[str, float]]:
 
 def filter_axes(s: Span, memory: Memory) -> None:
     """Let each axis that carries anything pass the filter of the sensor."""
-    if np.isfinite(s.constants.cutoff_Hz):
+    if np.isfinite(s.constants.cutoff_Hz) or s.nominal is not None:
         for name, column in loaded_axes(s):
             setattr(s, name, filtered_axis(column, s, memory.setdefault(f"filtered {name}", {})))
 
 
 def filtered_axis(column: Floats, s: Span, memory: Memory) -> Floats:
-    """A column behind the filter of the sensor.
+    """A column behind the filter of the sensor; one that has passed the stated filter passes the ratio of both.
 
     Args:
         column: Values (n,) of an axis.
@@ -134,6 +139,8 @@ def filtered_axis(column: Floats, s: Span, memory: Memory) -> Floats:
     Returns:
         The filtered values (n,).
     """
+    if s.nominal is not None:
+        return s.nominal.refiltered(column, s)
     cutoff_Hz = s.constants.cutoff_Hz
     return lowpass(column, s.dt_s, -2.0 * np.pi * cutoff_Hz, memory) if np.isfinite(cutoff_Hz) else column
 

@@ -6,9 +6,10 @@ import numpy as np
 
 from palpd.cell.cell_file import CellFile, Wall
 from palpd.cell.cell_file import CellSite as Place
-from palpd.cell.dynamics import Floats, Memory, Span, delayed, servo
+from palpd.cell.dynamics import Floats, Memory, delayed, servo
 from palpd.cell.effects import EFFECTS
 from palpd.cell.physics import Library, Physics, physics
+from palpd.cell.span import Span
 from palpd.cell.stages import (
     Reporting,
     add_other_loads,

@@ -6,8 +6,9 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.dynamics import Floats, TipMotion, servo, steps
+from palpd.cell.dynamics import Floats, servo, steps
 from palpd.cell.report_times import Reports, find_reports
+from palpd.cell.span import TipMotion
 
 CUBIC = 3
 """Degree of the polynomial whose slope is taken: a jump of jerk bends it little over a quarter of the servo's period."""

@@ -30,7 +30,7 @@ from palpd.gap.nominal_source import NominalSource, nominal_source
 from palpd.gap.notes import adopted_sentence, verdict_notes
 from palpd.gap.plain import answer_sentence, plain_answer
 from palpd.gap.uncertainty import open_hypotheses
-from palpd.gap.user_simulator import UserSimulator, left_out
+from palpd.gap.user_simulator import UserSimulator
 from palpd.quantities import quantity
 from palpd.recording.samples import Samples
 
@@ -108,12 +108,12 @@ def _stages(
     show: Callable[[str], None],
 ) -> "Diagnosis":
     # A law that the cell file holds is no gap, also where the library has one of that name.
-    not_judged = left_out(simulators, cell, library)
-    library = {name: effect for name, effect in library.items() if name not in {*not_judged, *(law.id for law in cell.learned)}}
+    library = {name: effect for name, effect in library.items() if name not in {law.id for law in cell.learned}}
     # 1. Prepare: clean the readings, cut them into bins, estimate noise and tip motion.
     show("1 of 6: preparing the recording")
     observations = observe(recordings, cell, library, simulators, max_bins)
-    source = nominal_source(observations.recordings, not_judged)
+    source = nominal_source(observations.recordings, observations.cell, library)
+    library = library if source is None else {name: effect for name, effect in library.items() if name not in source.not_judged}
     decisive, notes = list(observations.decisive), [*observations.notes, *(source.sentences if source is not None else [])]
 
     inference = infer(problem_of(observations, library), show)
@@ -219,7 +219,7 @@ class Diagnosis:
     def _basis(self) -> str:
         """Which modulus the answer rests on, and what could not be judged."""
         modulus = self.modulus.sentence if self.modulus is not None else self._fitted_modulus
-        return f"{modulus}{self.source.unjudged if self.source is not None else ''}".strip()
+        return f"{modulus}{self.source.not_judged_sentences if self.source is not None else ''}".strip()
 
     @property
     def _fitted_modulus(self) -> str:

@@ -1,24 +1,27 @@
 """A user's own simulator as the nominal of a diagnosis: whether its output fits the recordings, and what to say of it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from palpd.cell.cell_file import CellFile
+from palpd.cell.effects import Effect
 from palpd.errors import RecordingError
-from palpd.gap.data.noise import CHANNELS, FZ, declared_rms
+from palpd.gap.data.noise import CHANNELS, FZ, declared_rms, lattice_step
 from palpd.gap.data.plausibility import SHAPE_CORRELATION, WRONG_UNIT_RATIO
 from palpd.gap.data.prepare import PreparedRecording
-from palpd.gap.user_simulator import NominalDifference
+from palpd.gap.user_simulator import SimulatedNominal, unjudged
 from palpd.recording.oddities import CLEAR_NOISES, correlation, dead, measured_rms
 from palpd.recording.samples import Samples
 
 UNITS = {"fz_N": ("mN", "kN"), "z_m": ("mm", "km")}
 """Units that a column may have by mistake: of numbers that are too large, and too small."""
 
-NOISY_SHARE = 0.3
-"""White noise of an output over the stated noise of the sensor above which it gets a note: it adds a twentieth to the noise of the gap."""
+NOISY_SHARE, STEP_SHARE = 0.3, 1.0
+"""White noise of an output, and the step to which it is rounded, over the stated noise of the sensor, above which it is no prediction: the
+noise adds a twentieth to that of the gap."""
 
 FIRST_SHARE = 0.01
 """Share of the rows at the beginning over which the zeros of both forces are compared."""
@@ -32,22 +35,25 @@ class NominalSource:
         names: What sentences call it, for each recording.
         any_motion: Whether it can be asked for any motion; a file holds the output for a single motion.
         channels: Channels that it predicts for all recordings.
-        not_judged: Effects about which a file cannot be asked.
+        unjudged: Effects that cannot be judged with it, by the reason.
         notes: A sentence for everything that is odd about its output.
     """
 
     names: tuple[str, ...]
     any_motion: bool
     channels: tuple[str, ...]
-    not_judged: tuple[str, ...]
+    unjudged: Mapping[str, tuple[str, ...]]
     notes: tuple[str, ...]
 
     @property
-    def unjudged(self) -> str:
-        """What could not be judged, as a sentence that follows another sentence; empty where everything could be judged."""
-        if not self.not_judged:
-            return ""
-        return f" It was not judged whether {' or '.join(self.not_judged)} is there: {self.names[0]} holds no motion but the recorded one."
+    def not_judged(self) -> tuple[str, ...]:
+        """Effects that cannot be judged with it."""
+        return tuple(name for names in self.unjudged.values() for name in names)
+
+    @property
+    def not_judged_sentences(self) -> str:
+        """What could not be judged, as sentences that follow another sentence; empty where everything could be judged."""
+        return "".join(f" It was not judged whether {' or '.join(names)} is there: {why}." for why, names in self.unjudged.items())
 
     @property
     def sentences(self) -> list[str]:
@@ -73,40 +79,42 @@ class NominalSource:
         }
 
 
-def nominal_source(recordings: Sequence[PreparedRecording], not_judged: Sequence[str]) -> NominalSource | None:
+def nominal_source(recordings: Sequence[PreparedRecording], cell: CellFile, library: Mapping[str, Effect]) -> NominalSource | None:
     """Check the output of a user's simulator against the recordings.
 
     Args:
-        not_judged: Effects that were left out.
+        cell: It states the noise of the sensor.
+        library: The effects that may be present.
 
     Returns:
         What to say of the simulator; None where palpd itself simulates the nominal cell.
 
     Raises:
-        RecordingError: The output has another unit or sign, or is for another motion.
+        RecordingError: The output has another unit or sign, is for another motion, or has noise or steps.
     """
-    given = [(its.samples, its.nominal_difference) for its in recordings if its.nominal_difference is not None]
+    given = [(its.samples, its.simulated) for its in recordings if its.simulated is not None]
     if not given:
         return None
-    notes = []
-    for samples, beyond in given:
-        _refuse_misfit(samples, beyond)
-        notes += [*_zero_notes(samples, beyond), *_noise_notes(beyond)]
-    predicted = [beyond.channels for _, beyond in given]
+    notes: list[str] = []
+    for samples, simulated in given:
+        _refuse_misfit(samples, simulated)
+        _refuse_noise(simulated, cell)
+        notes += _zero_notes(samples, simulated, cell)
+    predicted = [simulated.channels for _, simulated in given]
     return NominalSource(
-        names=tuple(beyond.simulator.name for _, beyond in given),
-        any_motion=all(beyond.simulator.any_motion for _, beyond in given),
+        names=tuple(simulated.simulator.name for _, simulated in given),
+        any_motion=all(simulated.simulator.any_motion for _, simulated in given),
         channels=tuple(channel for channel in CHANNELS if all(channel in each for each in predicted)),
-        not_judged=tuple(not_judged),
+        unjudged=unjudged([simulated for _, simulated in given], library),
         notes=tuple(notes),
     )
 
 
-def _refuse_misfit(samples: Samples, beyond: NominalDifference) -> None:
+def _refuse_misfit(samples: Samples, simulated: SimulatedNominal) -> None:
     """Refuse another unit, another sign and another motion."""
-    name = beyond.simulator.name
+    name = simulated.simulator.name
     for column, measured in (("z_m", samples.z_m), ("fz_N", samples.wrench[:, FZ - 1])):
-        predicted = beyond.output.get(column)
+        predicted = simulated.output.get(column)
         if predicted is None or dead(predicted) or dead(measured):
             continue
         alike, ratio = correlation(predicted, measured), float(np.std(predicted) / np.std(measured))
@@ -126,22 +134,28 @@ def _refuse_misfit(samples: Samples, beyond: NominalDifference) -> None:
             raise RecordingError(f"{column} of {name} is {ratio:.3g} times {column} of the recording, expected about 1; {unit}.")
 
 
-def _zero_notes(samples: Samples, beyond: NominalDifference) -> Iterator[str]:
+def _zero_notes(samples: Samples, simulated: SimulatedNominal, cell: CellFile) -> Iterator[str]:
     """A force that does not begin where the recording begins: gravity, or another tare."""
     first = slice(0, max(1, int(FIRST_SHARE * len(samples))))
-    apart_N = float(np.median(beyond.output["fz_N"][first] - samples.wrench[first, FZ - 1]))
-    if abs(apart_N) > CLEAR_NOISES * float(declared_rms(beyond.cell)[FZ]):
+    apart_N = float(np.median(simulated.output["fz_N"][first] - samples.wrench[first, FZ - 1]))
+    if abs(apart_N) > CLEAR_NOISES * float(declared_rms(cell)[FZ]):
         yield (
-            f"fz_N of {beyond.simulator.name} begins {apart_N:+.3g} N beside the recording, which is tared with the probe free and still; "
-            "subtract gravity, or what your simulator reads there."
+            f"fz_N of {simulated.simulator.name} begins {apart_N:+.3g} N beside the recording, which is tared with the probe free and "
+            "still; subtract gravity, or what your simulator reads there."
         )
 
 
-def _noise_notes(beyond: NominalDifference) -> Iterator[str]:
-    """A force with noise of its own."""
-    noise_N, stated_N = measured_rms(beyond.output["fz_N"]), float(declared_rms(beyond.cell)[FZ])
+def _refuse_noise(simulated: SimulatedNominal, cell: CellFile) -> None:
+    """Refuse a force with noise of its own, or with steps: effects act on it as on a prediction."""
+    name, fz_N = simulated.simulator.name, simulated.output["fz_N"]
+    noise_N, stated_N = measured_rms(fz_N), float(declared_rms(cell)[FZ])
+    step_N = lattice_step(fz_N)
     if noise_N > NOISY_SHARE * stated_N:
-        yield (
-            f"fz_N of {beyond.simulator.name} has {noise_N:.2g} N of noise and the cell file states {stated_N:.2g} N, expected none in a "
-            "prediction; switch the noise of your simulator off, and drive it with a smooth motion."
+        raise RecordingError(
+            f"fz_N of {name} has {noise_N:.2g} N of noise and the cell file states {stated_N:.2g} N, expected none in a prediction; switch "
+            "the noise of your simulator off, and drive it with a smooth motion."
+        )
+    if step_N > STEP_SHARE * stated_N:
+        raise RecordingError(
+            f"fz_N of {name} stands on steps of {step_N:.3g} N, expected none in a prediction; switch the rounding of your simulator off."
         )

@@ -110,7 +110,7 @@ def check_on(diagnosis: Diagnosis, samples: Samples, simulator: UserSimulator | 
 
 def _simulators_for(diagnosis: Diagnosis, simulator: UserSimulator | None) -> list[UserSimulator]:
     """The nominal simulator for another recording; empty where palpd itself simulates the nominal cell."""
-    known = [its.nominal_difference.simulator for its in diagnosis.problem.recordings if its.nominal_difference is not None]
+    known = [its.simulated.simulator for its in diagnosis.problem.recordings if its.simulated is not None]
     if simulator is not None:
         return [simulator]
     if known and not known[0].any_motion:

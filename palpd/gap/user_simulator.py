@@ -1,11 +1,9 @@
 """A user's own simulator as the nominal: a file with its output for a recording, or a function that is asked for any motion.
 
-The prediction of a cell in any state is the user's output + palpd(cell in that state) - palpd(nominal cell). So the engine only needs
-the difference of the two nominal predictions, `NominalDifference`, and adds it wherever it simulates the cell.
-
-An effect between robot and tip moves the tip off the height that the robot reports, and the user's simulator then has another motion.
-A function is asked again for the same motion with the tip raised by a few distances, and its output is interpolated between these. A
-file knows the recorded motion alone, so a diagnosis leaves these effects out and says so.
+Effects act on its output as they act on palpd's own cell (`palpd.cell.nominal_output`). Effects on the tissue and on lateral forces need
+the force of its contact. An effect between robot and tip moves the tip off the height that the robot reports, and a changed surface does
+the same for the contact. So a function is asked again for the same motion with the tip raised by a few distances, and its contact is
+interpolated between these. A file knows the recorded motion alone, so a diagnosis leaves these effects out and says so.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,9 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.dynamics import TipMotion
+from palpd.cell.dynamics import filtered, steps, unfiltered
 from palpd.cell.effects import Effect
-from palpd.cell.simulation import MeanReading, capture, commanded_motion, mean_reading, predict_motion, wrench_of
+from palpd.cell.effects.effect import SIDEWAYS
+from palpd.cell.physics import physics
+from palpd.cell.simulation import commanded_motion, mean_reading, predict_motion
+from palpd.cell.span import Constants, NominalOutput, TipMotion
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import BadInput, PalpdError, RecordingError
 from palpd.recording.oddities import measured_rms
@@ -25,11 +26,16 @@ from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, named_once, read_co
 from palpd.tick import Floats
 
 NEEDED_COLUMN = "fz_N"
-PREDICTED = ("z_m", *WRENCH_COLUMNS)
+CONTACT_COLUMN = "contact_N"
+PREDICTED = ("z_m", *WRENCH_COLUMNS, CONTACT_COLUMN)
 """Columns that a simulator may predict."""
 
-RAISED = (-0.1, 0.0, 0.05, 0.15, 0.4, 1.0)
-"""Distances by which the tip is raised, as shares of the deepest press: they lie densely where play and compliance of working rigs are."""
+RAISED, CLEAR = (-0.1, 0.0, 0.05, 0.15, 0.4, 1.0), (1.5, 2.0)
+"""Distances by which the tip is raised, as shares of the deepest press: they lie densely where play and compliance of working rigs are.
+Above the second ones nothing is touched."""
+
+AGREEING = 0.3
+"""Rms between the forces at two clear heights, in the noise of the sensor, up to which they are the same: the rest is no contact."""
 
 DRIVE_NOISES = 0.5
 """Rms between heights of an output and reported ones, in the noise of these, below which the output repeats them: a prediction differs
@@ -157,86 +163,132 @@ def at_stamps(columns: Mapping[str, Floats], t_s: Floats, name: str) -> dict[str
 
 
 @dataclass(frozen=True)
-class NominalDifference:
-    """What a user's simulator predicts beyond palpd's nominal cell, for one motion of n samples.
+class SimulatedNominal:
+    """What a user's simulator predicts of the nominal cell, for one motion of n samples.
 
     Attributes:
         output: Its output for that motion by column, (n,) each.
-        t_s: Times (n,) from the first row.
-        heights_m: Difference of the reported heights (n,); None where palpd's own servo predicts them.
-        wrench: Difference of the wrench by axis, (k, n) with the tip raised by k distances; axes without a difference are missing.
-        raised_m: These distances (k,), ascending.
+        command_m: Commanded heights (n,), for which palpd's servo moves as the simulator's does; None without a command.
+        heights_m: What the simulator's reported heights have beyond these of palpd's servo (n,); None where that alone predicts them.
+        contact_known: Whether the output says what force the contact has.
+        sampled: Its wrench, on which effects act, at the samples.
+        at_steps: The same at the steps of a prepared recording; None where there is none.
     """
 
     simulator: UserSimulator
     output: Mapping[str, Floats]
-    cell: CellFile
-    t_s: Floats
+    command_m: Floats | None
     heights_m: Floats | None
-    wrench: Mapping[int, Floats]
-    raised_m: Floats
+    contact_known: bool
+    sampled: NominalOutput
+    at_steps: NominalOutput | None = None
 
     @property
     def channels(self) -> tuple[str, ...]:
         """Channels that the simulator predicts."""
-        return tuple(name for name in self.output if name != "z_m" or self.heights_m is not None)
+        return tuple(name for name in self.output if name in WRENCH_COLUMNS or self.heights_m is not None)
 
-    def heights(self, t_s: Floats) -> Floats | float:
-        """What to add to the heights that palpd predicts: (m,) in m, or 0 where palpd's own servo predicts them.
+    def with_steps(self, motion: TipMotion, average: Callable[[Floats], Floats]) -> "SimulatedNominal":
+        """The same with what it predicts at steps; arguments as those of `NominalOutput.averaged`."""
+        return replace(self, at_steps=self.sampled.averaged(motion, average))
+
+    def nominal(self, motion: TipMotion) -> NominalOutput:
+        """What it predicts at the times of a motion, those of the samples or of the steps."""
+        return self.sampled if self.at_steps is None or motion.t_s is self.sampled.motion.t_s else self.at_steps
+
+    def heights(self, palpd_m: Floats, t_s: Floats) -> Floats:
+        """The heights (m,) that a cell reports.
 
         Args:
-            t_s: Times (m,) from the first row.
+            palpd_m: What palpd's servo makes of `command_m`, (m,).
+            t_s: The times (m,) of these heights, from the first row.
         """
-        return 0.0 if self.heights_m is None else np.interp(t_s, self.t_s, self.heights_m)
-
-    def reading(self, cell: CellFile, motion: TipMotion, library: Mapping[str, Effect]) -> MeanReading:
-        """Mean reading of a cell: palpd's, plus what the user's simulator predicts beyond palpd's nominal cell.
-
-        Args:
-            cell: The nominal cell with the effects and deviations of a state.
-            motion: Motion of the tip as the robot reports it, at some times within that of the difference.
-            library: Effects by id.
-        """
-        reading = mean_reading(cell, motion, library)
-        if len(self.raised_m) == 1 or _tip_effects(cell, library) == _tip_effects(self.cell, library):
-            plain = int(np.flatnonzero(self.raised_m == 0.0)[0])
-            return reading.plus({axis: np.interp(motion.t_s, self.t_s, levels[plain]) for axis, levels in self.wrench.items()})
-        at = {axis: np.array([np.interp(motion.t_s, self.t_s, level) for level in levels]) for axis, levels in self.wrench.items()}
-        raised_m = _tip_m(cell, motion, library) - _tip_m(self.cell, motion, library)
-        return reading.plus({axis: _between(levels, self.raised_m, raised_m) for axis, levels in at.items()})
+        return palpd_m if self.heights_m is None else palpd_m + np.interp(t_s, self.sampled.motion.t_s, self.heights_m)
 
 
-def difference(
+def simulated_nominal(
     simulator: UserSimulator,
     cell: CellFile,
     library: Mapping[str, Effect],
     motion: TipMotion,
     reported: tuple[Floats | None, Floats],
-    deepest_m: float = 0.0,
-) -> NominalDifference:
-    """Ask a user's simulator for a motion, and compare it with palpd's nominal cell.
+) -> SimulatedNominal:
+    """Ask a user's simulator for a motion.
 
     Args:
-        library: Effects of the nominal cell by id.
+        cell: The nominal cell; its effects act on the output.
+        library: Effects of that cell by id.
         motion: The motion of the tip at n samples.
         reported: Commanded heights (n,), None without a command, and heights (n,) as the robot reports them.
-        deepest_m: Depth of the deepest press; 0 where nothing is touched, and the tip is then never raised.
     """
+    _refuse_asking(simulator, cell, library)
+    cell = cell.with_effects({}).model_copy(update={"learned": ()})
     z_cmd_m, z_m = reported
-    shares = RAISED if simulator.any_motion and deepest_m > 0.0 else (0.0,)
-    outputs, own = {}, {}
-    for share in shares:
-        raised = replace(motion, z_m=motion.z_m + share * deepest_m)
-        own[share] = wrench_of(cell, raised, library)
-        outputs[share] = simulator.run(asked(raised, None if z_cmd_m is None else z_cmd_m + share * deepest_m))
-    plain = outputs[0.0]
-    predicted = [(axis, column) for axis, column in enumerate(WRENCH_COLUMNS) if column in plain]
-    wrench = {axis: np.array([outputs[share][column] - own[share][:, axis] for share in shares]) for axis, column in predicted}
-    wrench = {axis: levels for axis, levels in wrench.items() if levels.any()}
-    heights_m = None
+    constants = physics(cell, None, library).constants
+    deepest_m = max(constants.surface_z_m - float(motion.z_m.min()), 0.0)
+    touches = deepest_m > 0.0
+    shares = (*RAISED, *CLEAR) if simulator.any_motion and touches else (0.0,)
+    outputs = {share: simulator.run(asked(replace(motion, z_m=motion.z_m + share * deepest_m), z_cmd_m)) for share in shares}
+    plain, raised_m, known = outputs[0.0], np.zeros(1), True
+    contact_N = np.zeros((1, len(motion.t_s)))
+    if touches:
+        contact_N, known = _contact(outputs, constants, motion, cell.sensor.noise_rms_N)
+        raised_m = np.array(RAISED) * deepest_m
+    if len(contact_N) < len(raised_m):  # a file: as stiff as Hertz would have it, for what is within tolerance
+        contact_N = _as_by_hertz(contact_N[0], constants, motion, raised_m)
+    axes = {axis: plain[column] for axis, column in enumerate(WRENCH_COLUMNS) if column in plain}
+    command_m, heights_m = z_cmd_m, None
     if z_cmd_m is not None and "z_m" in plain and not _repeats(plain["z_m"], z_m, motion.z_m, cell):
-        heights_m = plain["z_m"] - predict_motion(cell, motion.t_s, z_cmd_m, library)
-    return NominalDifference(simulator, plain, cell, motion.t_s, heights_m, wrench, np.array(shares) * deepest_m)
+        command_m = _followed_command(cell, library, motion.t_s, plain["z_m"])
+        heights_m = plain["z_m"] - predict_motion(cell, motion.t_s, command_m, library)
+    return SimulatedNominal(simulator, plain, command_m, heights_m, known, NominalOutput(constants, motion, axes, contact_N, raised_m))
+
+
+def _contact(outputs: Mapping[float, Mapping[str, Floats]], constants: Constants, motion: TipMotion, noise_N: float) -> tuple[Floats, bool]:
+    """Contact forces (k, n) with the tip raised by k distances, 0 for a file, and whether they are known.
+
+    They are a column of the output. Else a function is asked high above the surface, where its force is not the contact's. Else the inertia
+    of the stated mass is taken away. That is known to be right if the output then is zero in the air, and if inertia is as large there as
+    in contact, or below the noise in both.
+    """
+    plain, touching = outputs[0.0], motion.z_m < constants.surface_z_m
+    levels = [share for share in outputs if share not in CLEAR]
+    if CONTACT_COLUMN in plain:
+        return np.array([outputs[share][CONTACT_COLUMN] for share in levels]), True
+
+    def contact_N(beside_N: Floats) -> Floats:
+        """What an output exceeds another force on the sensor by, before the filter."""
+        return np.array([unfiltered(outputs[share][NEEDED_COLUMN] - beside_N, motion.t_s, constants.cutoff_Hz) for share in levels])
+
+    if len(levels) > 1:
+        free_N, freer_N = (outputs[share][NEEDED_COLUMN] for share in CLEAR)
+        if float(np.sqrt(np.mean((free_N - freer_N) ** 2))) < AGREEING * noise_N:
+            return contact_N(free_N), True
+    inertia_N = -constants.mass_kg * motion.az_m_per_s2
+    beside_N = filtered(inertia_N, steps(motion.t_s), constants.cutoff_Hz)
+    in_air_N = (plain[NEEDED_COLUMN] - beside_N)[~touching]
+    alone = bool(float(np.sum(in_air_N**2)) <= noise_N**2 * len(in_air_N))
+    seen_N = max(noise_N, float(np.abs(inertia_N[~touching]).max(initial=0.0)))
+    estimated_N = contact_N(beside_N)
+    if len(levels) == 1:
+        estimated_N = np.where(touching, estimated_N, 0.0)
+    return estimated_N, alone and float(np.abs(inertia_N[touching]).max()) <= seen_N
+
+
+def _as_by_hertz(contact_N: Floats, constants: Constants, motion: TipMotion, raised_m: Floats) -> Floats:
+    """Contact forces (k, n) with the tip raised by distances (k,), from those of one motion (n,): over Hertz they stay the same."""
+    one = NominalOutput(constants, motion, {}, contact_N[None], np.zeros(1))
+    depth_m = constants.surface_z_m - motion.z_m
+    levels = [one.over_hertz * constants.elastic_force_N(np.maximum(depth_m - up_m, 0.0)) for up_m in raised_m]
+    return np.array([contact_N if up_m == 0.0 else level for up_m, level in zip(raised_m.tolist(), levels, strict=True)])
+
+
+def _followed_command(cell: CellFile, library: Mapping[str, Effect], t_s: Floats, z_m: Floats) -> Floats:
+    """Commanded heights (n,) for which the servo of a cell would report the heights `z_m` (n,): z + 2ζ/ω z' + z''/ω²."""
+    c = physics(cell, None, library).constants
+    omega = 2.0 * np.pi * c.servo_natural_frequency_Hz
+    speed = np.gradient(z_m, t_s)
+    return np.asarray(z_m + 2.0 * c.servo_damping_ratio / omega * speed + np.gradient(speed, t_s) / omega**2)
 
 
 def asked(motion: TipMotion, z_cmd_m: Floats | None) -> MotionColumns:
@@ -260,38 +312,45 @@ def _repeats(heights_m: Floats, reported_m: Floats, tip_m: Floats, cell: CellFil
     return apart_m(reported_m) < max(DRIVE_NOISES * noise_m, SAME_M) or apart_m(tip_m) < SAME_M
 
 
-def _tip_effects(cell: CellFile, library: Mapping[str, Effect]) -> dict[str, Mapping[str, float]]:
-    return {name: values for name, values in cell.effects.items() if library[name].site == "tip"}
-
-
-def _tip_m(cell: CellFile, motion: TipMotion, library: Mapping[str, Effect]) -> Floats:
-    """Heights (n,) of the tip while the robot reports those of the motion."""
-    return capture(cell, library, "probe", lambda c, known: wrench_of(c, motion, known)).tip_m
-
-
-def _between(levels: Floats, raised_m: Floats, at_m: Floats) -> Floats:
-    """Values (n,) on straight lines between levels (k, n) that are known for the distances `raised_m` (k,); constant beyond their ends."""
-    at_m = np.clip(at_m, raised_m[0], raised_m[-1])
-    above = np.clip(np.searchsorted(raised_m, at_m), 1, len(raised_m) - 1)
-    share = (at_m - raised_m[above - 1]) / (raised_m[above] - raised_m[above - 1])
-    row = np.arange(len(at_m))
-    return (1.0 - share) * levels[above - 1, row] + share * levels[above, row]
-
-
-def left_out(simulators: Sequence[UserSimulator], cell: CellFile, library: Mapping[str, Effect]) -> tuple[str, ...]:
-    """Effects that cannot be judged, since they change the motion of the tip and an output is a file.
+def unjudged(given: Sequence[SimulatedNominal], library: Mapping[str, Effect]) -> dict[str, tuple[str, ...]]:
+    """Effects that cannot be judged with the output of a user's simulator.
 
     Args:
-        simulators: The user's simulator for each recording; empty where palpd itself simulates the nominal cell.
-        cell: The nominal cell; effects that it has are in every output.
+        given: What the simulator predicts for each recording.
         library: The effects that may be present.
 
     Returns:
-        Their ids.
+        Their ids by the reason.
     """
-    if all(simulator.any_motion for simulator in simulators):
-        return ()
-    return tuple(name for name, effect in library.items() if effect.site == "tip" and name not in cell.effects)
+    name, out = given[0].simulator.name, {}
+    asking = () if all(one.simulator.any_motion for one in given) else _asking(library)
+    if asking:
+        out[f"{name} holds no motion but the recorded one"] = asking
+    if not all(one.contact_known for one in given):
+        on_contact = tuple(id_ for id_, effect in library.items() if effect.site == "tissue" or _sideways(effect))
+        of_contact = f"{name} does not say which part of {NEEDED_COLUMN} is the contact's; add that as {CONTACT_COLUMN}"
+        out[of_contact] = tuple(id_ for id_ in on_contact if id_ not in asking)
+    return out
+
+
+def _asking(library: Mapping[str, Effect]) -> tuple[str, ...]:
+    """Effects for which a simulator must be asked with the tip elsewhere."""
+    return tuple(name for name, effect in library.items() if effect.site == "tip" or effect.moves_surface)
+
+
+def _sideways(effect: Effect) -> bool:
+    return effect.site == "probe" and effect.family == SIDEWAYS
+
+
+def _refuse_asking(simulator: UserSimulator, cell: CellFile, library: Mapping[str, Effect], *, reported: bool = True) -> None:
+    """Refuse the effects of a cell for which a file had to be asked again; one on the robot where its heights are not reported."""
+    asking = {*_asking(library), *(name for name, effect in library.items() if effect.motion and not reported)}
+    moved = [name for name in cell.effects if name in asking]
+    if moved and not simulator.any_motion:
+        raise BadInput(
+            f"{moved[0]} changes the motion, and {simulator.name} holds the output for one motion; take {moved[0]} out of the cell, or ask "
+            "your simulator from Python (docs/my-simulator.md)"
+        )
 
 
 def simulate_with(
@@ -303,11 +362,11 @@ def simulate_with(
     *,
     measured: bool,
 ) -> dict[str, Floats]:
-    """The recording that a cell gives on a motion: the user's output + palpd(cell) - palpd(nominal cell).
+    """The recording that a cell gives on a motion: the user's output, with what the cell has beyond the nominal cell.
 
     Args:
-        nominal: The cell that the simulator simulates.
-        cell: The same cell in another state, as a diagnosis has enriched it.
+        nominal: The cell that the simulator simulates, without any effect.
+        cell: The same cell with effects and deviations, as a diagnosis has enriched it.
         columns: `t_s`, and `z_m` (with `vz_m_per_s` where known) or `z_cmd_m`, each (n,).
         library: Effects by id.
         measured: Whether the reported heights drive the cell; else the commanded heights do.
@@ -318,24 +377,17 @@ def simulate_with(
     Raises:
         BadInput: The cell moves otherwise than the nominal cell, and the simulator is a file.
     """
-    moved = [
-        name
-        for name, values in cell.effects.items()
-        if nominal.effects.get(name) != values and (library[name].site == "tip" or (library[name].motion and not measured))
-    ]
-    if moved and not simulator.any_motion:
-        raise BadInput(
-            f"{moved[0]} changes the motion, and {simulator.name} holds the output for one motion; take {moved[0]} out of the cell, or ask "
-            "your simulator from Python (docs/my-simulator.md)"
-        )
+    _refuse_asking(simulator, cell, library, reported=measured)
     t_s, z_cmd_m = columns["t_s"], columns.get("z_cmd_m")
     if measured or z_cmd_m is None:
         motion = estimate_tip_motion(nominal, t_s, columns["z_m"], columns.get("vz_m_per_s"), z_cmd_m)
     else:
         motion = commanded_motion(cell, t_s, z_cmd_m, library)
     z_m = columns["z_m"] if measured else motion.z_m
-    deepest_m = 0.0 if nominal.tissue is None else max(nominal.tissue.surface_z_m - float(motion.z_m.min()), 0.0)
-    beyond = difference(simulator, nominal, library, motion, (z_cmd_m, z_m), deepest_m)
-    wrench = beyond.reading(cell, motion, library).wrench(len(t_s))
-    heights_m = z_m if measured else z_m + beyond.heights(motion.t_s)
+    given = simulated_nominal(simulator, nominal, library, motion, (z_cmd_m, z_m))
+    wrench = mean_reading(cell, motion, library, nominal=given.sampled).wrench(len(t_s))
+    if measured or given.command_m is None:
+        heights_m = z_m
+    else:
+        heights_m = given.heights(predict_motion(cell, t_s, given.command_m, library), motion.t_s)
     return {"z_m": heights_m} | {name: wrench[:, axis] for axis, name in enumerate(WRENCH_COLUMNS)}

@@ -10,11 +10,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from palpd.cell.cell_file import CellFile, cell_from, nominal
-from palpd.cell.dynamics import Floats, TipMotion
+from palpd.cell.dynamics import Floats
 from palpd.cell.effects import EFFECTS, Effect, Parameter, Scale, load_effects
 from palpd.cell.effects.tissue import dimitriadis
 from palpd.cell.physics import true_surface_m
 from palpd.cell.simulation import commanded_motion, equilibrium_force_N, predict_motion, scale_of, simulate, wrench_of
+from palpd.cell.span import TipMotion
 from palpd.cell.stepped import SteppedCell
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import ConfigError

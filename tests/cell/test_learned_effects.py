@@ -8,12 +8,12 @@ import pytest
 import yaml
 
 from palpd.cell.cell_file import load_cell, nominal, save_cell
-from palpd.cell.dynamics import Span
 from palpd.cell.effects import EFFECTS, load_effects
 from palpd.cell.effects.drivers import UNITS, Driver, DriverState, driver_values
 from palpd.cell.effects.learned import LearnedEffect, formula_of, load_learned, save_learned
 from palpd.cell.physics import physics
 from palpd.cell.simulation import share_outside, simulate
+from palpd.cell.span import Span
 from palpd.cell.stepped import SteppedCell
 from palpd.errors import ConfigError
 from palpd.tick import Floats

@@ -7,10 +7,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from palpd.cell.cell_file import PHANTOM, CellFile, Estimated, cell_from, nominal
-from palpd.cell.dynamics import Floats, Memory, Span, TipMotion, delayed, lowpass, mounted, play, recurrence, servo, shifted, steps
+from palpd.cell.dynamics import Floats, Memory, delayed, lowpass, mounted, play, recurrence, servo, shifted, steps
 from palpd.cell.effects import EFFECTS, Effect, Values
 from palpd.cell.physics import true_surface_m
 from palpd.cell.simulation import commanded_motion, equilibrium_force_N, predict_motion, scale_of, simulate, wrench_of
+from palpd.cell.span import Span, TipMotion
 from palpd.cell.stepped import SampleBlock, SteppedCell
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import ConfigError

@@ -11,7 +11,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, model_validator
 
-from palpd.cell.dynamics import Column, Floats, Memory, Span, lowpass, play
+from palpd.cell.dynamics import Column, Floats, Memory, lowpass, play
+from palpd.cell.span import Span
 from palpd.quantities import quantity
 
 Quantity = Literal[
@@ -157,7 +158,7 @@ class DriverState:
         if not np.isfinite(gap_m).all():  # there is no tissue
             gap_m = np.zeros_like(s.z_m)
         depth_m = np.maximum(-gap_m, 0.0)
-        slope = np.where(depth_m > 0.0, 1.5 * s.constants.elastic_force_N(depth_m) / np.maximum(depth_m, 1e-300), 0.0)
+        slope = np.where(depth_m > 0.0, 1.5 * s.elastic_force_N(depth_m) / np.maximum(depth_m, 1e-300), 0.0)
         v, a = s.vz_m_per_s, s.az_m_per_s2
         return DriverState(s.t_s, s.dt_s, s.z_m, v, a, gap_m, s.contact_N, slope, s.z_m, rest_speed_m_per_s)
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from math import pi
 from typing import Literal
 
-from palpd.cell.dynamics import Constants, Memory, Span
+from palpd.cell.dynamics import Memory
+from palpd.cell.span import Constants, Span
 from palpd.errors import ConfigError
 
 Site = Literal["robot", "tip", "tissue", "probe", "clock", "sensor"]
@@ -178,6 +179,7 @@ class Effect:
         starts_at_tare: It counts from the first row of a recording and is absent before that, so the tare does not see it.
         scatter: The kind of change, for an effect that changes scatter or lattice of the readings and leaves their mean nearly alone;
             None for all others.
+        moves_surface: It changes the height at which the tip touches.
         motion: The robot reports it: it shows in the heights and not in a force that is predicted from the measured motion.
         family: A plural noun for all laws, listed or not, that most motions can hardly distinguish from it; None where it has no such name.
         tolerance: Key in the cell file's tolerances of the deviation that this effect is when it exceeds its tolerance.
@@ -195,6 +197,7 @@ class Effect:
     setting: Callable[[Constants, Values], None] | None = None
     starts_at_tare: bool = False
     scatter: ScatterKind | None = None
+    moves_surface: bool = False
     motion: bool = False
     family: str | None = None
     tolerance: str | None = None

@@ -15,9 +15,10 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import Field, StrictFloat, ValidationError, model_validator
 
-from palpd.cell.dynamics import Floats, Memory, Span, servo
+from palpd.cell.dynamics import Floats, Memory, servo
 from palpd.cell.effects.drivers import FACTOR_WORDS, Driver, DriverState, FactorName, StrictBlock, driver_values, factor_values
 from palpd.cell.effects.effect import Effect, Parameter, Values
+from palpd.cell.span import Span
 from palpd.documents import read_yaml, refusal
 from palpd.errors import ConfigError
 from palpd.files import write_yaml
@@ -334,7 +335,7 @@ def learned_law_of(effect: Effect) -> LearnedEffect | None:
 def _moved_surface_N(s: Span, up_m: Floats) -> Floats:
     """Change of the force where the surface is higher by `up_m`."""
     gap_m = s.tip_m - s.surface_m
-    elastic = s.constants.elastic_force_N
+    elastic = s.elastic_force_N
     return elastic(np.maximum(up_m - gap_m, 0.0)) - elastic(np.maximum(-gap_m, 0.0))
 
 

@@ -4,8 +4,9 @@ from math import inf, pi
 
 import numpy as np
 
-from palpd.cell.dynamics import Constants, Memory, Span, play
+from palpd.cell.dynamics import Memory, play
 from palpd.cell.effects.effect import DEAD_BAND, LOAD, Effect, Parameter, Values, of
+from palpd.cell.span import Constants, Span
 
 
 def _lag(c: Constants, p: Values) -> None:

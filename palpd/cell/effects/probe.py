@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from palpd.cell.dynamics import Constants, Memory, Span, mounted, play, recurrence, slack_dahl
+from palpd.cell.dynamics import Memory, mounted, play, recurrence, slack_dahl
 from palpd.cell.effects.effect import AZIMUTH, DEAD_BAND, LOAD, SIDEWAYS, Effect, Parameter, Values, of
+from palpd.cell.span import Constants, Span
 
 REST_SPEED_M_PER_S = 0.5e-3
 """Where Coulomb friction turns over, as the nominal tanh of it has it."""

@@ -4,7 +4,7 @@ from math import inf
 
 import numpy as np
 
-from palpd.cell.dynamics import Constants, Memory, Span, excess_N, lowpass, play, recurrence
+from palpd.cell.dynamics import Memory, excess_N, lowpass, play, recurrence
 from palpd.cell.effects.effect import (
     DEAD_BAND,
     LOAD,
@@ -19,6 +19,7 @@ from palpd.cell.effects.effect import (
     of,
     relaxation_time,
 )
+from palpd.cell.span import Constants, Span
 
 
 def _skew(c: Constants, p: Values) -> None:

@@ -4,8 +4,9 @@ from math import inf
 
 import numpy as np
 
-from palpd.cell.dynamics import Constants, Floats, Memory, Span, lowpass
+from palpd.cell.dynamics import Floats, Memory, lowpass
 from palpd.cell.effects.effect import LOAD, SCALE_OF_FORCE, STIFFENING, Effect, Parameter, Values, of, relaxation_time
+from palpd.cell.span import Constants, Span
 
 TINY = float(np.finfo(float).tiny)
 
@@ -20,6 +21,7 @@ SURFACE = Effect(
     "the surface lies higher or lower than stated: every press touches earlier or later",
     (Parameter("offset_m", "m", lambda s: -s.depth_m, lambda s: s.stroke_m, of("depth_m", 0.05, -0.05)),),
     setting=_surface,
+    moves_surface=True,
     tolerance="surface_z_m",
     discrepancy_drivers=LOAD,
     formula="surface = surface_stated + offset",
@@ -85,6 +87,7 @@ PLASTICITY = Effect(
         Parameter("ratio", "1", 0.0, 1.0, (0.7, 0.3), nominal=None, words="each dent over the one before"),
     ),
     law=_plasticity,
+    moves_surface=True,
     starts_at_tare=True,
     formula="surface = surface_stated - Σ set · ratio^k over the presses k = 0, 1, … that are over",
 )
@@ -208,8 +211,8 @@ def _adhesion(s: Span, p: Values, memory: Memory) -> None:
         s.contact_N = s.contact_N - p["force_N"] * np.minimum(back_m / reach_m, 1.0) * left
         return
     deepest_m = np.where(lowest < inf, np.maximum(s.surface_m - lowest, TINY), TINY)
-    deepest_N = s.constants.elastic_force_N(deepest_m)
-    lacking_N = s.constants.elastic_force_N(s.depth_m) - deepest_N + 1.5 * deepest_N / deepest_m * back_m
+    deepest_N = s.elastic_force_N(deepest_m)
+    lacking_N = s.elastic_force_N(s.depth_m) - deepest_N + 1.5 * deepest_N / deepest_m * back_m
     s.contact_N = s.contact_N - np.where(lowest < inf, np.clip(lacking_N, 0.0, p["force_N"] * left), 0.0)
 
 

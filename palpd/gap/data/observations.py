@@ -59,7 +59,7 @@ def observe(
     known = any(place.name == site for place in cell.sites)
     cell = stated_cell(cell.at_site(site))
     recordings = [without_rounding(samples) for samples in recordings]
-    decisive, notes = check_recordings(recordings, cell), recording_notes(recordings, cell)
+    decisive, notes = check_recordings(recordings, cell, sized=not simulators), recording_notes(recordings, cell)
     cell, noise_far, noise_notes = with_recorded_noise(recordings, cell)
     cleaned = [clean(samples, cell) for samples in recordings]
     coarse_N = [its.coarse_step_N for its in cleaned]

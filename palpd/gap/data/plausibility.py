@@ -75,8 +75,11 @@ ODD_NOISE_RATIO = 4.0
 """Measured over stated noise, or its inverse, above which it gets a note: the effect sensor.noise is at most about this large."""
 
 
-def check_recordings(recordings: Sequence[Samples], cell: CellFile) -> list[str]:
+def check_recordings(recordings: Sequence[Samples], cell: CellFile, *, sized: bool = True) -> list[str]:
     """Check recordings against their cell file.
+
+    Args:
+        sized: Whether the cell's own tissue says how large a force is to be expected; not where a user's simulator does.
 
     Returns:
         One sentence for everything that makes a verdict doubtful without preventing one: units, signs, dead axes, missing contact.
@@ -92,6 +95,8 @@ def check_recordings(recordings: Sequence[Samples], cell: CellFile) -> list[str]
     _refuse_mixed_sites(list(dict.fromkeys(name for samples in recordings for name in samples.sites)), "the recordings together hold")
     refuse_repeated(recordings)
     notes = [f"{doubt}; correct the cell file." for doubt in doubts_of_cell(cell)]
+    if not sized:
+        cell = cell.model_copy(update={"tolerances": cell.tolerances.model_copy(update={"youngs_modulus": 1.0})})
     for samples, label in zip(recordings, _labels(recordings), strict=True):
         _refuse_hole(samples, label)
         for check in (_motion_notes, _depth_notes, _force_notes):

@@ -1,6 +1,6 @@
 """Stage 1 of a diagnosis: a recording is cut into phases and bins; the motion of its tip and the noise of its channels are estimated."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.dynamics import TipMotion, mounted, steps
+from palpd.cell.dynamics import mounted, steps
 from palpd.cell.effects import Effect
 from palpd.cell.report_times import Reports, find_reports, straight_between
 from palpd.cell.simulation import MeanReading, mean_reading
+from palpd.cell.span import TipMotion
 from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data import controller_cycle
@@ -20,7 +21,7 @@ from palpd.gap.data.bins import Bins, make_bins
 from palpd.gap.data.noise import FZ, Z, declared_rms
 from palpd.gap.data.phases import FREE_STILL, HOLDING, Ints, Phases, find_phases
 from palpd.gap.data.rounding import Rounding, undithered
-from palpd.gap.user_simulator import NominalDifference, UserSimulator, difference
+from palpd.gap.user_simulator import SimulatedNominal, UserSimulator, simulated_nominal
 from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -59,7 +60,7 @@ class PreparedRecording:
     judged: tuple[bool, ...]  # which of the 7 channels are compared
     held_command_s: float | None  # for which each commanded height stays the same; None where it changes with each sample
     cycle_s: float | None  # of a controller that holds its targets, as the command or the force shows it; None where neither does
-    nominal_difference: NominalDifference | None  # what the user's simulator predicts beyond the nominal cell; None without one
+    simulated: SimulatedNominal | None  # what the user's simulator predicts of the nominal cell; None without one
 
     @cached_property
     def t_s(self) -> Floats:
@@ -94,27 +95,31 @@ class PreparedRecording:
         return np.asarray(np.sqrt(self.step_means @ removed_m_per_s2**2))
 
     def reading(self, cell: CellFile, motion: TipMotion, library: Mapping[str, Effect]) -> MeanReading:
-        """Predicted mean reading; with a user's simulator its output + palpd(cell) - palpd(nominal cell).
+        """Predicted mean reading; with a user's simulator the cell's effects and deviations act on its output.
 
         Args:
             cell: With the effects and deviations of the state that is predicted.
             motion: Motion of the tip in this recording, at the samples or the steps.
             library: Effects by id.
         """
-        predicted_by = mean_reading if self.nominal_difference is None else self.nominal_difference.reading
-        return predicted_by(cell, motion, library)
+        return mean_reading(cell, motion, library, nominal=None if self.simulated is None else self.simulated.nominal(motion))
 
     def heights(self, palpd_m: Floats, t_s: Floats) -> Floats:
-        """Predicted heights; with a user's simulator its output + palpd(cell) - palpd(nominal cell).
+        """Predicted heights; with a user's simulator what its heights have beyond those of palpd's servo is added.
 
         Args:
-            palpd_m: What palpd predicts (m,).
+            palpd_m: What palpd's servo makes of `command_m`, (m,).
             t_s: The times (m,) of these heights, from the first row.
 
         Returns:
             The heights (m,) in m.
         """
-        return palpd_m if self.nominal_difference is None else palpd_m + self.nominal_difference.heights(t_s)
+        return palpd_m if self.simulated is None else self.simulated.heights(palpd_m, t_s)
+
+    @property
+    def command_m(self) -> Floats | None:
+        """Commanded heights (n,); with a user's simulator those for which palpd's servo moves as the simulator's does."""
+        return self.samples.z_cmd_m if self.simulated is None else self.simulated.command_m
 
 
 def moves(samples: Samples, cell: CellFile) -> bool:
@@ -162,6 +167,9 @@ def _prepared(
     twice = estimate_tip_motion(cell, samples.t_s, again.z_m, again.vz_m_per_s, samples.z_cmd_m)
     averaged = [again, twice, *_on_damped_mounts(samples, sampled)]
     unreported_m = _unreported_height(cell, samples, sampled)
+    reported = (samples.z_cmd_m, samples.z_m)
+    simulated = None if simulator is None else simulated_nominal(simulator, cell, library, sampled, reported)
+    command_m = samples.z_cmd_m if simulated is None else simulated.command_m
     held_command_s = controller_cycle.held_command_s(samples)
     cycle_s = held_command_s or controller_cycle.comb_period_s(samples, phases)
     step, cycle = _whole_cycles(_step_length(samples, cell, reports.rows_each), cycle_s, samples.rate_Hz)
@@ -171,7 +179,15 @@ def _prepared(
     bins = samples_per_step.merged(steps)
     true_s = samples_per_step.mean(sampled.t_s)
     even_s = _even(true_s)
-    robot_t_s, z_cmd_m, z_means = _robot_grid(samples, reports, samples_per_step, steps, bins, true_s, even_s)
+
+    def at_steps(values: Floats) -> Floats:
+        return np.interp(even_s, true_s, samples_per_step.mean(values))
+
+    def moved(of_samples: TipMotion) -> TipMotion:
+        return _at_steps(of_samples, at_steps, even_s, nearly=even_s is not true_s)
+
+    motion = moved(sampled)
+    robot_t_s, z_cmd_m, z_means = _robot_grid(samples, command_m, reports, at_steps, steps, bins, true_s, even_s)
     still = np.isin(phases.phase, (FREE_STILL, HOLDING)) & (phases.since_s > 0.1 * phases.since_s.max())
     rest = still if samples.held is None else still & ~samples.held
     judged, noise_rms = _noise(samples, cell, reports, still, rest)
@@ -182,11 +198,11 @@ def _prepared(
         phases=phases,
         bins=bins,
         sampled=sampled,
-        motion=_at_steps(sampled, samples_per_step, true_s, even_s),
+        motion=motion,
         step_means=steps.means() @ straight_between(np.clip(true_s, even_s[0], even_s[-1]), even_s),
         otherwise=(
-            _at_steps(replace(sampled, z_m=again.z_m + unreported_m, vz_m_per_s=again.vz_m_per_s), samples_per_step, true_s, even_s),
-            *(_at_steps(replace(sampled, az_m_per_s2=each.az_m_per_s2), samples_per_step, true_s, even_s) for each in averaged),
+            moved(replace(sampled, z_m=again.z_m + unreported_m, vz_m_per_s=again.vz_m_per_s)),
+            *(moved(replace(sampled, az_m_per_s2=each.az_m_per_s2)) for each in averaged),
         ),
         reports=reports,
         robot_t_s=robot_t_s,
@@ -199,9 +215,7 @@ def _prepared(
         judged=judged,
         held_command_s=held_command_s,
         cycle_s=cycle_s,
-        nominal_difference=None
-        if simulator is None
-        else difference(simulator, cell, library, sampled, (samples.z_cmd_m, samples.z_m), float(phases.depth_m.max())),
+        simulated=None if simulated is None else simulated.with_steps(motion, at_steps),
     )
 
 
@@ -226,14 +240,21 @@ def _unreported_height(cell: CellFile, samples: Samples, motion: TipMotion) -> F
 
 
 def _robot_grid(
-    samples: Samples, reports: Reports, samples_per_step: Bins, steps: Bins, bins: Bins, true_s: Floats, even_s: Floats
+    samples: Samples,
+    command_m: Floats | None,
+    reports: Reports,
+    at_steps: Callable[[Floats], Floats],
+    steps: Bins,
+    bins: Bins,
+    true_s: Floats,
+    even_s: Floats,
 ) -> tuple[Floats, Floats | None, csr_array]:
     """Times at which the robot is simulated (k,), its commanded heights there (k,), and the matrix of means over the bins (b, k)."""
     if reports.rows_each > 1.0:
         z_means = bins.means() @ reports.joined @ straight_between(reports.t_s, samples.t_s)
-        return samples.t_s - samples.t_s[0], samples.z_cmd_m, z_means
+        return samples.t_s - samples.t_s[0], command_m, z_means
     # A time that is off by a tenth of a step makes, by the robot's lag, a height that is off by more than its noise.
-    z_cmd_m = None if samples.z_cmd_m is None else np.interp(even_s, true_s, samples_per_step.mean(samples.z_cmd_m))
+    z_cmd_m = None if command_m is None else at_steps(command_m)
     return even_s, z_cmd_m, steps.means() @ straight_between(true_s, even_s)
 
 
@@ -312,10 +333,8 @@ def _whole_cycles(step: int, cycle_s: float | None, rate_Hz: float) -> tuple[int
     return max(part for part in range(1, cycle + 1) if cycle % part == 0 and 3 * part <= 5 * step), cycle
 
 
-def _at_steps(motion: TipMotion, samples_per_step: Bins, true_s: Floats, even_s: Floats) -> TipMotion:
-    def at(values: Floats) -> Floats:
-        return np.interp(even_s, true_s, samples_per_step.mean(values))
-
+def _at_steps(motion: TipMotion, at: Callable[[Floats], Floats], even_s: Floats, *, nearly: bool) -> TipMotion:
+    """The motion at steps, of values that `at` takes there."""
     return replace(
         motion,
         t_s=even_s,
@@ -323,7 +342,7 @@ def _at_steps(motion: TipMotion, samples_per_step: Bins, true_s: Floats, even_s:
         vz_m_per_s=at(motion.vz_m_per_s),
         az_m_per_s2=at(motion.az_m_per_s2),
         dt_s=steps(even_s),
-        even_s=0.0 if even_s is true_s else float(even_s[1] - even_s[0]),
+        even_s=float(even_s[1] - even_s[0]) if nearly else 0.0,
     )
 
 

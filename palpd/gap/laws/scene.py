@@ -11,7 +11,7 @@ from palpd.cell.cell_file import EffectValues
 from palpd.cell.dynamics import lowpass, servo_heights
 from palpd.cell.effects.drivers import Driver, DriverState, FactorName, driver_values, factor_values
 from palpd.cell.effects.learned import ChannelName
-from palpd.cell.simulation import capture, commanded_motion, wrench_of
+from palpd.cell.simulation import capture, commanded_motion
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import CHANNELS, FZ, Z, resolutions
 from palpd.gap.data.phases import Ints
@@ -101,7 +101,7 @@ class Scene:
         rest = min(ASSUMED.laws.rest_speed_m_per_s, max(ASSUMED.laws.rest_speed_share * float(np.quantile(speeds, 0.95)), 1e-12))
 
         def contact(one: PreparedRecording) -> DriverState:
-            span = capture(cell, library, "probe", lambda c, known: wrench_of(c, one.motion, known))
+            span = capture(cell, library, "probe", lambda c, known: one.reading(c, one.motion, known))
             return DriverState.of_contact(span, rest)
 
         def robot(one: PreparedRecording) -> DriverState | None:

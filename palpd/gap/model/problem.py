@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.sparse import block_diag, csr_array
 
 from palpd.cell.cell_file import CROSSTALK, CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
-from palpd.cell.dynamics import TipMotion
 from palpd.cell.effects import EFFECTS, Effect, Scale
 from palpd.cell.simulation import predict_motion, scale_of
+from palpd.cell.span import TipMotion
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FX, FZ, Z
 from palpd.gap.data.observations import Observations
@@ -228,10 +228,10 @@ class Problem:
         Returns:
             Heights and wrench (n, 7) in the units of the channels; heights that are not compared are 0.
         """
-        samples = recording.samples
+        samples, command_m = recording.samples, recording.command_m
         out = np.zeros((len(samples), 7))
-        if recording.judged[Z] and samples.z_cmd_m is not None:
-            heights_m = predict_motion(cell, samples.t_s, samples.z_cmd_m, self.library)
+        if recording.judged[Z] and command_m is not None:
+            heights_m = predict_motion(cell, samples.t_s, command_m, self.library)
             heights_m = recording.heights(heights_m, recording.sampled.t_s)
             out[:, Z] = recording.reports.joined @ np.interp(recording.reports.t_s, samples.t_s, heights_m)
         out[:, 1:] = recording.reading(cell, recording.sampled, self.library).wrench(len(samples))
@@ -418,6 +418,8 @@ def _stiffness(cell: CellFile, recording: PreparedRecording) -> Floats:
     """dF/dz of the nominal tissue at every bin (b,), in N/m; 0 while its modulus is not known."""
     if cell.tissue is None or not cell.tolerances.modulus_known:
         return np.zeros(len(recording.bins))
+    if recording.simulated is not None:
+        return recording.bins.mean(recording.simulated.sampled.stiffness_N_per_m)
     depth_m = recording.bins.mean(recording.phases.depth_m)
     reduced_Pa = cell.tissue.youngs_modulus_Pa / (1.0 - cell.tissue.poisson_ratio**2)
     return np.asarray(2.0 * reduced_Pa * np.sqrt(cell.probe.tip_radius_m * depth_m))

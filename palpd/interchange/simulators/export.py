@@ -19,13 +19,13 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from palpd.cell.cell_file import CellFile, save_cell
-from palpd.cell.dynamics import Constants
 from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.effects.effect import SITES, Site
 from palpd.cell.effects.learned import learned_law_of
 from palpd.cell.motion_profile import Move, commanded_heights
 from palpd.cell.physics import physics, place_named
 from palpd.cell.simulation import simulate
+from palpd.cell.span import Constants
 from palpd.cell.stages import reporting_of
 from palpd.errors import BadInput, ConfigError
 from palpd.files import check_folder, copy_file, write_text

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from palpd.cell.dynamics import Constants, Memory, Span
+from palpd.cell.dynamics import Memory
 from palpd.cell.effects.effect import Site, Values
 from palpd.cell.physics import ActingLaw, Physics
+from palpd.cell.span import Constants, Span
 from palpd.cell.stages import Reporting
 from palpd.cell.stepped import MovedCell
 
