@@ -30,7 +30,7 @@ from palpd.errors import BadInput, RecordingError
 from palpd.gap.commands import check_motion, read_motion, read_recording, simulate_columns
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.diagnosis import diagnose as diagnose_samples
-from palpd.gap.user_simulator import UserSimulator, asked
+from palpd.gap.user_simulator import UserSimulator, asked, own_effects
 from palpd.recording.samples import (
     COLUMNS,
     WRENCH_COLUMNS,
@@ -218,9 +218,11 @@ Source: TypeAlias = "str | Path | LoadedRecording | Samples | Mapping[str, Any] 
 """What can be given for a recording: a file, a recording, or a data frame or mapping with the columns of the CSV."""
 CellSource: TypeAlias = "str | Path | Cell | CellFile | Mapping[str, Any]"
 """What can be given for a cell: a file, a cell, or the content of a cell.yaml."""
-Simulator: TypeAlias = "Callable[[dict[str, Floats]], Source]"
-"""A user's own simulator as a function: it takes a motion (`t_s`, `z_m`, `vz_m_per_s`, `az_m_per_s2`, and `z_cmd_m` where known) and gives
-columns, at least `fz_N`."""
+Simulator: TypeAlias = "Callable[..., Source]"
+"""A user's own simulator as a function: it takes a motion (`t_s`, `z_m`, `vz_m_per_s`, `az_m_per_s2`, and `z_cmd_m` where known), and its
+parameters by name, and gives columns, at least `fz_N`."""
+OwnParameters: TypeAlias = "Mapping[str, tuple[float, float, float]]"
+"""Parameters of a user's own simulator by name: the value that it has, the smallest and the largest one that the real cell may have."""
 Simulated: TypeAlias = "Simulator | Source"
 """The nominal prediction of a user's own simulator: the function, or its output for the motion at hand."""
 
@@ -483,6 +485,7 @@ def simulate(
     noise_seed: int | None = None,
     simulated: Simulated | None = None,
     nominal: CellSource | None = None,
+    parameters: OwnParameters | None = None,
 ) -> LoadedRecording:
     """Simulate what a cell's sensor and robot report on a motion.
 
@@ -492,6 +495,7 @@ def simulate(
         noise_seed: Seed of noise and rounding; neither without one.
         simulated: Your own simulator, or its output for this motion; what the cell has beyond `nominal` is added to it.
         nominal: The cell that your simulator simulates; None without `simulated`.
+        parameters: As for `diagnose`.
 
     Raises:
         BadInput: Only one of `simulated` and `nominal` is given, or the seed is negative.
@@ -507,8 +511,10 @@ def simulate(
     check_motion({name: columns[name] for name in ("t_s", needed, "vz_m_per_s", "z_cmd_m") if name in columns}, "the motion")
     if (simulated is None) != (nominal is None):
         raise BadInput("simulated= and nominal= belong together: the first is your simulator of the second; give both")
-    own = None if simulated is None or nominal is None else (_simulator(simulated, columns["t_s"]), _cell(nominal))
-    samples = simulate_columns(_cell(cell).at_site(_site_of(motion)), columns, measured=drive == "measured", noise_seed=noise_seed, own=own)
+    own = None if simulated is None or nominal is None else (_simulator(simulated, columns["t_s"], parameters), _cell(nominal))
+    library = EFFECTS if own is None else {**EFFECTS, **own_effects(own[0])}
+    at = _cell(cell).at_site(_site_of(motion))
+    samples = simulate_columns(at, columns, measured=drive == "measured", noise_seed=noise_seed, library=library, own=own)
     return LoadedRecording(samples, "simulated")
 
 
@@ -519,6 +525,7 @@ def diagnose(
     effects: Mapping[str, Effect] = EFFECTS,
     propose: bool = False,
     simulated: Simulated | Sequence[Source] | None = None,
+    parameters: OwnParameters | None = None,
 ) -> GapDiagnosis:
     """Say where recordings of one cell differ from its simulation, and which effect causes it.
 
@@ -529,9 +536,11 @@ def diagnose(
         propose: Whether to look for the motion that would decide what is open.
         simulated: Your own simulator as the nominal, or its output for each recording; the cell then says what is within specification.
             None: palpd simulates the cell.
+        parameters: Parameters of your simulator that may be wrong, by name: the value that it has, the smallest and the largest one. It is
+            called as `simulated(motion, name=value)`, and each is an effect `simulator.name`.
 
     Raises:
-        BadInput: There are not as many outputs as recordings.
+        BadInput: There are not as many outputs as recordings, or a parameter has no function.
         RecordingError: The recordings cannot be judged, or an output does not fit its recording.
     """
     samples = [_samples(each) for each in _several(recordings)]
@@ -540,7 +549,8 @@ def diagnose(
         given = [simulated] * len(samples) if callable(simulated) else _several(simulated)
         if len(given) != len(samples):
             raise BadInput(f"simulated= has {len(given)} outputs for {len(samples)} recordings; give one for each, in their order")
-        simulators = [_simulator(each, one.t_s) for each, one in zip(given, samples, strict=True)]
+        simulators = [_simulator(each, one.t_s, parameters) for each, one in zip(given, samples, strict=True)]
+        effects = {**effects, **own_effects(simulators[0])}
     return GapDiagnosis(diagnose_samples(samples, _cell(cell), effects, propose=propose, simulators=simulators))
 
 
@@ -579,13 +589,15 @@ def _several(sources: Source | Sequence[Source]) -> list[Source]:
     return list(sources) if isinstance(sources, Sequence) and not isinstance(sources, str) else [sources]
 
 
-def _simulator(simulated: Simulated, t_s: Floats) -> UserSimulator:
+def _simulator(simulated: Simulated, t_s: Floats, parameters: OwnParameters | None = None) -> UserSimulator:
+    if parameters and not callable(simulated):
+        raise BadInput("parameters= are those of a function; give your simulator as one in simulated=")
     if isinstance(simulated, str | Path):
         return UserSimulator.of_file(Path(simulated), t_s)
     if callable(simulated):
         function: Simulator = simulated
         name = str(getattr(function, "__name__", type(function).__name__))
-        return UserSimulator.of_function(lambda motion: _columns(function(dict(motion))), name)
+        return UserSimulator.of_function(lambda motion, **values: _columns(function(dict(motion), **values)), name, parameters)
     return UserSimulator.of_columns(_columns(simulated), t_s, "the simulated output")
 
 

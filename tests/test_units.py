@@ -93,6 +93,7 @@ ANY_UNIT = {
     "FormulaShape": "a driver of any unit, which its formula names",
     "PlausibleRange": "a range of any unit, which stands beside",
     "OpenParameter": "a parameter or deviation of any unit, which its name says",
+    "OwnParameter": "a parameter of a user's own simulator, in a unit of its own",
     "Coordinate": "a parameter of any effect, in the unit of its name",
     "DetectableSize": "a parameter of any effect, which stands beside",
     "PhaseGap": "a channel of any unit, which stands beside",

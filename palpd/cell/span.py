@@ -7,7 +7,7 @@ Without an effect the reading is u, bit for bit.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -45,7 +45,10 @@ class TipMotion:
 
 @dataclass(slots=True)
 class Constants:
-    """The numbers of one cell at one site, after in-tolerance deviations and effects have changed them."""
+    """The numbers of one cell at one site, after in-tolerance deviations and effects have changed them.
+
+    `simulator` holds parameters of a user's own simulator that are not as it has them.
+    """
 
     servo_natural_frequency_Hz: float
     servo_damping_ratio: float
@@ -76,6 +79,7 @@ class Constants:
     step_N: float = 0.0
     dropout_rate_Hz: float = 0.0
     dropout_length_s: float = 0.0
+    simulator: dict[str, float] = field(default_factory=dict)
 
     def elastic_force_N(self, depth_m: Floats) -> Floats:
         """Hertz for a sphere on a half-space, 4/3 E/(1-ν²) √r d^1.5, which at ν = 0.5 is eq. 1 of Guo, Xiao, Ren 2019.
@@ -92,6 +96,32 @@ class Constants:
 
 
 @dataclass(frozen=True)
+class Variation:
+    """How one parameter of another simulator changes its output.
+
+    Attributes:
+        values: Values (g,) of the parameter, ascending.
+        changes: Changes (g, n) of the mean reading at these values, by number of the axis.
+    """
+
+    values: Floats
+    changes: Mapping[int, Floats]
+
+    def change(self, axis: int, value: float) -> Floats | float:
+        """Change (n,) of an axis on a smooth curve through those that are known; 0 of an axis that no value changes.
+
+        Args:
+            value: Of the parameter, in the unit of `values`.
+        """
+        if axis not in self.changes:
+            return 0.0
+        from scipy.interpolate import CubicSpline  # here, since the control loop reads cell files and needs none of it
+
+        weights = CubicSpline(self.values, np.eye(len(self.values)))(value)
+        return np.asarray(weights @ self.changes[axis])
+
+
+@dataclass(frozen=True)
 class NominalOutput:
     """What another simulator predicts for one motion of n samples.
 
@@ -101,6 +131,7 @@ class NominalOutput:
         axes: Mean readings (n,) by number of the axis, behind the stated filter; axis 2 is there.
         contact_N: Force of the contact (k, n) with the tip raised by k distances.
         raised_m: These distances (k,), ascending; 0 is one of them.
+        variations: How its own parameters change it, by their names.
     """
 
     constants: Constants
@@ -108,6 +139,7 @@ class NominalOutput:
     axes: Mapping[int, Floats]
     contact_N: Floats
     raised_m: Floats
+    variations: Mapping[str, "Variation"] = field(default_factory=dict)
 
     def averaged(self, motion: TipMotion, average: Callable[[Floats], Floats]) -> "NominalOutput":
         """The same for a motion of m steps.
@@ -116,8 +148,16 @@ class NominalOutput:
             motion: The same motion at the steps.
             average: Takes values (n,) of the samples to those of the steps (m,).
         """
+
+        def rows(levels: Floats) -> Floats:
+            return np.array([average(level) for level in levels])
+
         axes = {axis: average(values) for axis, values in self.axes.items()}
-        return replace(self, motion=motion, axes=axes, contact_N=np.array([average(level) for level in self.contact_N]))
+        variations = {
+            name: replace(one, changes={axis: rows(change) for axis, change in one.changes.items()})
+            for name, one in self.variations.items()
+        }
+        return replace(self, motion=motion, axes=axes, contact_N=rows(self.contact_N), variations=variations)
 
     # the contact
 
@@ -192,10 +232,10 @@ class NominalOutput:
         """
         for axis, name in enumerate(wrench):
             change = getattr(s, name) - (self._contact_and_inertia_N + self.rest_N if axis == 2 else 0.0)
-            if np.any(change):
-                setattr(s, name, self.axes.get(axis, 0.0) + self._filtered(change))
-            else:
-                setattr(s, name, self.axes.get(axis, 0.0))
+            reading = self.axes.get(axis, 0.0)
+            for parameter, value in s.constants.simulator.items():
+                reading = reading + self.variations[parameter].change(axis, value)
+            setattr(s, name, reading + self._filtered(change) if np.any(change) else reading)
 
     def refiltered(self, column: Floats, s: "Span") -> Floats:
         """A column that has passed the stated filter, as if it had passed that of the samples: the ratio of both.

@@ -15,10 +15,10 @@ import numpy as np
 from palpd.cell.cell_file import CellFile
 from palpd.cell.dynamics import filtered, steps, unfiltered
 from palpd.cell.effects import Effect
-from palpd.cell.effects.effect import SIDEWAYS
+from palpd.cell.effects.effect import SIDEWAYS, Parameter
 from palpd.cell.physics import physics
 from palpd.cell.simulation import commanded_motion, mean_reading, predict_motion
-from palpd.cell.span import Constants, NominalOutput, TipMotion
+from palpd.cell.span import Constants, NominalOutput, TipMotion, Variation
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import BadInput, PalpdError, RecordingError
 from palpd.recording.oddities import measured_rms
@@ -44,9 +44,50 @@ from a noisy reading by more."""
 SAME_M = 1e-8
 """The same for heights without noise: a file has no more digits."""
 
+ASKED_VALUES = 7
+"""Values of a parameter for which a simulator is asked: its output lies on a smooth curve through them."""
+
 MotionColumns = Mapping[str, Floats]
 """What a function is asked for: `t_s` from 0, `z_m`, `vz_m_per_s`, `az_m_per_s2` of the tip behind noisy reports, and `z_cmd_m` where the
 recording has it; arrays (n,)."""
+
+
+@dataclass(frozen=True)
+class OwnParameter:
+    """A parameter of a user's own simulator, which the real cell may have another value of.
+
+    Attributes:
+        value: The value that the simulator has.
+        lower: The smallest value that the real cell may have.
+        upper: The largest.
+    """
+
+    name: str
+    value: float
+    lower: float
+    upper: float
+
+    @property
+    def id(self) -> str:
+        """Its id as an effect."""
+        return f"simulator.{self.name}"
+
+    @property
+    def effect(self) -> Effect:
+        """The effect that it is another one."""
+        starts = tuple(self.value + 0.3 * (end - self.value) for end in (self.upper, self.lower) if end != self.value)
+        value = Parameter("value", "1", self.lower, self.upper, starts, nominal=self.value, words=f"{self.name} of the real cell")
+
+        def setting(c: Constants, values: Mapping[str, float]) -> None:
+            c.simulator[self.name] = values["value"]
+
+        what = f"{self.name} of your simulator is not that of the real cell"
+        return Effect(self.id, "probe", what, (value,), setting=setting, formula=f"your simulator with {self.name} = value")
+
+    @property
+    def asked(self) -> Floats:
+        """Values (g,) for which the simulator is asked, ascending; its own is one of them."""
+        return np.union1d(np.linspace(self.lower, self.upper, ASKED_VALUES), [self.value])
 
 
 @dataclass(frozen=True)
@@ -55,29 +96,43 @@ class UserSimulator:
 
     Attributes:
         name: What sentences call it.
-        run: Gives columns by name for a motion (n rows), each (n,): `fz_N`, and what else of PREDICTED it predicts.
+        run: Gives columns by name for a motion (n rows), each (n,): `fz_N`, and what else of PREDICTED it predicts. Its own parameters
+            follow by name.
         any_motion: Whether it can be asked for any motion; a file holds the output for a single motion.
+        parameters: Parameters of its own that a diagnosis may change.
     """
 
     name: str
-    run: Callable[[MotionColumns], Mapping[str, Floats]]
+    run: Callable[..., Mapping[str, Floats]]
     any_motion: bool
+    parameters: tuple[OwnParameter, ...] = ()
 
     @staticmethod
-    def of_function(function: Callable[[MotionColumns], Mapping[str, Floats]], name: str) -> "UserSimulator":
+    def of_function(
+        function: Callable[..., Mapping[str, Floats]], name: str, parameters: Mapping[str, tuple[float, float, float]] | None = None
+    ) -> "UserSimulator":
         """A simulator that can be asked for any motion.
 
         Args:
-            function: Takes a motion (`MotionColumns`), gives columns as `run` does.
+            function: Takes a motion (`MotionColumns`), and its own parameters by name. Gives columns as `run` does.
             name: What sentences call it.
+            parameters: By their names the value that the simulator has, and the smallest and largest one that the real cell may have;
+                None: it takes none.
 
         Raises:
-            BadInput: Later, when it is asked and fails.
+            BadInput: The limits of a parameter do not hold its value; or later, when the function is asked and fails.
         """
+        own = tuple(OwnParameter(name, *map(float, values)) for name, values in (parameters or {}).items())
+        for one in own:
+            if not one.lower <= one.value <= one.upper or one.lower == one.upper:
+                raise BadInput(
+                    f"{one.name} is {one.value:g} with limits {one.lower:g} and {one.upper:g}; give its value, then a smaller and a larger "
+                    "limit"
+                )
 
-        def run(motion: MotionColumns) -> Mapping[str, Floats]:
+        def run(motion: MotionColumns, **values: float) -> Mapping[str, Floats]:
             try:
-                columns = function({column: values.copy() for column, values in motion.items()})
+                columns = function({column: values.copy() for column, values in motion.items()}, **values)
             except PalpdError:
                 raise
             except Exception as error:  # a user's function may fail in any way
@@ -87,7 +142,7 @@ class UserSimulator:
                 ) from error
             return at_stamps(columns, motion["t_s"], f"the simulator {name}")
 
-        return UserSimulator(name, run, any_motion=True)
+        return UserSimulator(name, run, any_motion=True, parameters=own)
 
     @staticmethod
     def of_columns(columns: Mapping[str, Floats], t_s: Floats, name: str) -> "UserSimulator":
@@ -241,7 +296,21 @@ def simulated_nominal(
     if z_cmd_m is not None and "z_m" in plain and not _repeats(plain["z_m"], z_m, motion.z_m, cell):
         command_m = _followed_command(cell, library, motion.t_s, plain["z_m"])
         heights_m = plain["z_m"] - predict_motion(cell, motion.t_s, command_m, library)
-    return SimulatedNominal(simulator, plain, command_m, heights_m, known, NominalOutput(constants, motion, axes, contact_N, raised_m))
+    variations = {one.name: _variation(simulator, one, asked(motion, z_cmd_m), axes) for one in simulator.parameters}
+    nominal = NominalOutput(constants, motion, axes, contact_N, raised_m, variations)
+    return SimulatedNominal(simulator, plain, command_m, heights_m, known, nominal)
+
+
+def _variation(simulator: UserSimulator, parameter: OwnParameter, motion: MotionColumns, axes: Mapping[int, Floats]) -> Variation:
+    """How a parameter changes an output whose readings are `axes`, (n,) by number of the axis."""
+    outputs = [simulator.run(motion, **{parameter.name: value}) for value in parameter.asked.tolist()]
+    changes = {axis: np.array([output[WRENCH_COLUMNS[axis]] - values for output in outputs]) for axis, values in axes.items()}
+    if not any(change.any() for change in changes.values()):
+        raise BadInput(
+            f"{parameter.name} from {parameter.lower:g} to {parameter.upper:g} changes no force of {simulator.name}; leave it out, or "
+            "correct its limits"
+        )
+    return Variation(parameter.asked, {axis: change for axis, change in changes.items() if change.any()})
 
 
 def _contact(outputs: Mapping[float, Mapping[str, Floats]], constants: Constants, motion: TipMotion, noise_N: float) -> tuple[Floats, bool]:
@@ -331,6 +400,11 @@ def unjudged(given: Sequence[SimulatedNominal], library: Mapping[str, Effect]) -
         of_contact = f"{name} does not say which part of {NEEDED_COLUMN} is the contact's; add that as {CONTACT_COLUMN}"
         out[of_contact] = tuple(id_ for id_ in on_contact if id_ not in asking)
     return out
+
+
+def own_effects(simulator: UserSimulator) -> dict[str, Effect]:
+    """Effects by id: one for each parameter of a simulator."""
+    return {one.id: one.effect for one in simulator.parameters}
 
 
 def _asking(library: Mapping[str, Effect]) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import palpd
 from palpd.cell.cell_file import CellFile, EffectValues, cell_from, nominal
 from palpd.cell.effects import EFFECTS
 from palpd.cell.simulation import simulate, wrench_of
@@ -395,6 +396,39 @@ def test_friction_in_a_linear_axis_without_tissue_is_found() -> None:
     assert [effect.id for effect in answer.effects] == ["cable.friction"], answer.sentence
     value, low, high = answer.effects[0].parameters["force_N"]
     assert low <= 0.2 <= high, (value, low, high)
+
+
+def test_a_parameter_of_the_users_own_is_named_with_the_value_that_the_real_cell_has() -> None:
+    def mine(motion: Mapping[str, Floats], joint_friction: float = 0.1, cogging: float = 0.25) -> dict[str, Floats]:
+        wave_N = cogging * np.sin(2.0 * np.pi * motion["z_m"] / 0.016)
+        return {"fz_N": wave_N - 0.8 * motion["az_m_per_s2"] - joint_friction * np.tanh(motion["vz_m_per_s"] / 2e-3)}
+
+    parameters = {"joint_friction": (0.1, 0.0, 1.0), "cogging": (0.25, 0.0, 0.5)}
+    for friction, expected in ((0.1, []), (0.25, ["simulator.joint_friction"])):
+        samples, cell = moved_axis(lambda tip, friction=friction: mine(tip, friction))
+        answer = palpd.diagnose(samples, cell, simulated=mine, parameters=parameters)
+        assert [effect["id"] for effect in answer.to_json()["effects"]] == expected
+    low, high = answer.to_json()["effects"][0]["parameters"]["value"]["ci95"]
+    assert low <= 0.25 <= high
+    assert "joint_friction of your simulator is not that of the real cell" in answer.sentence
+    again = palpd.simulate(samples, answer.cell, simulated=mine, nominal=palpd.Cell(cell), parameters=parameters)
+    assert float(np.std(again.samples.wrench[:, 2] - samples.wrench[:, 2])) < 0.052  # the noise is 0.05 N
+
+
+def test_a_parameter_that_cannot_be_one_is_refused() -> None:
+    samples, cell = moved_axis(axis)
+
+    def refusal(simulated: object, limits: tuple[float, float, float]) -> str:
+        with pytest.raises(BadInput) as error:
+            palpd.diagnose(samples, cell, simulated=simulated, parameters={"stiffness": limits})  # type: ignore[arg-type]
+        return str(error.value)
+
+    output = {"t_s": samples.t_s, "fz_N": np.zeros(len(samples))}
+    assert "parameters= are those of a function" in refusal(output, (0.0, -1.0, 1.0))
+    assert "stiffness is 2 with limits 0 and 1" in refusal(axis, (2.0, 0.0, 1.0))
+    assert "unexpected keyword argument 'stiffness'" in refusal(axis, (0.0, -1.0, 1.0))
+    idle = lambda motion, stiffness=0.0: axis(motion)  # noqa: E731
+    assert "stiffness from -1 to 1 changes no force of <lambda>" in refusal(idle, (0.0, -1.0, 1.0))
 
 
 # palpd simulate

@@ -177,6 +177,7 @@ def _numbers(cell: CellFile, library: Mapping[str, Effect], site: str | None) ->
     """The numbers of a cell, as `cells.json` holds them."""
     what = physics(cell, place_named(cell, site), library)
     constants = asdict(what.constants)
+    del constants["simulator"]  # a user's own, which this one is not
     if constants["surface_z_m"] == -np.inf:
         constants["surface_z_m"] = -1e3  # nothing in reach
     return {

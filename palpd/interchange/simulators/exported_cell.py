@@ -60,7 +60,8 @@ def physics_of(numbers: Mapping[str, Any]) -> Physics:
     Returns:
         Numbers and laws, ready to compute.
     """
-    constants = Constants(**{key: np.inf if value is None and key in NO_LIMIT else value for key, value in numbers["constants"].items()})
+    values: dict[str, Any] = {key: np.inf if value is None and key in NO_LIMIT else value for key, value in numbers["constants"].items()}
+    constants = Constants(**values)
     laws: dict[Site, list[ActingLaw]] = {}
     for name, (site, law) in LAWS.items():
         if name in numbers["laws"]:
