@@ -596,7 +596,8 @@ def _simulator(simulated: Simulated, t_s: Floats, parameters: OwnParameters | No
         return UserSimulator.of_file(Path(simulated), t_s)
     if callable(simulated):
         function: Simulator = simulated
-        name = str(getattr(function, "__name__", type(function).__name__))
+        inner = getattr(function, "func", function)  # of a functools.partial
+        name = str(getattr(inner, "__name__", type(inner).__name__))
         return UserSimulator.of_function(lambda motion, **values: _columns(function(dict(motion), **values)), name, parameters)
     return UserSimulator.of_columns(_columns(simulated), t_s, "the simulated output")
 

@@ -224,7 +224,7 @@ class SimulatedNominal:
     Attributes:
         output: Its output for that motion by column, (n,) each.
         command_m: Commanded heights (n,), for which palpd's servo moves as the simulator's does; None without a command.
-        heights_m: What the simulator's reported heights have beyond these of palpd's servo (n,); None where that alone predicts them.
+        heights_m: What the simulator's reported heights have beyond these of palpd's servo (n,); None where it predicts none.
         contact_known: Whether the output says what force the contact has.
         sampled: Its wrench, on which effects act, at the samples.
         at_steps: The same at the steps of a prepared recording; None where there is none.
@@ -395,6 +395,8 @@ def unjudged(given: Sequence[SimulatedNominal], library: Mapping[str, Effect]) -
     asking = () if all(one.simulator.any_motion for one in given) else _asking(library)
     if asking:
         out[f"{name} holds no motion but the recorded one"] = asking
+    if any(one.command_m is not None and one.heights_m is None for one in given):
+        out[f"{name} does not predict z_m"] = tuple(id_ for id_, effect in library.items() if effect.motion)
     if not all(one.contact_known for one in given):
         on_contact = tuple(id_ for id_, effect in library.items() if effect.site == "tissue" or _sideways(effect))
         of_contact = f"{name} does not say which part of {NEEDED_COLUMN} is the contact's; add that as {CONTACT_COLUMN}"

@@ -37,7 +37,10 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
         assert done.returncode == 0, done.stderr
     content = json.loads((tmp_path / "out.json").read_text())
     assert [effect["id"] for effect in content["effects"]] == ["cable.friction"]
-    assert content["simulated"]["not_judged"] == ["robot.backlash", "robot.compliance", "tissue.surface", "tissue.plasticity"]
+    assert content["simulated"]["not_judged"] == [
+        *("robot.backlash", "robot.compliance", "tissue.surface", "tissue.plasticity"),
+        *("robot.lag", "robot.vibration"),
+    ]
     predicted, recorded = read_csv(tmp_path / "predicted.csv"), read_csv(tmp_path / "recording.csv")
     assert float((predicted.wrench[:, 2] - recorded.wrench[:, 2]).std()) < 0.06  # the noise of the sensor is 0.05 N
     refusals = {

@@ -10,7 +10,7 @@ import pytest
 import palpd
 from palpd.cell.cell_file import CellFile, EffectValues, cell_from, nominal
 from palpd.cell.effects import EFFECTS
-from palpd.cell.simulation import simulate, wrench_of
+from palpd.cell.simulation import predict_motion, simulate, wrench_of
 from palpd.cell.span import TipMotion
 from palpd.errors import BadInput, RecordingError
 from palpd.gap.diagnosis import Diagnosis, diagnose
@@ -145,15 +145,18 @@ def test_what_a_file_cannot_judge_stands_in_sentence_and_json(drift_by_file: Dia
         "names": ["foam.csv"],
         "other_motions": False,
         "channels": ["fx_N", "fz_N"],
-        "not_judged": ["robot.backlash", "robot.compliance", "tissue.surface", "tissue.plasticity"],
+        "not_judged": [
+            *("robot.backlash", "robot.compliance", "tissue.surface", "tissue.plasticity"),
+            *("robot.lag", "robot.vibration"),
+        ],
     }
     not_judged = "whether robot.backlash or robot.compliance or tissue.surface or tissue.plasticity is there: foam.csv holds no motion but"
     assert not_judged in drift_by_file.sentence
+    assert "whether robot.lag or robot.vibration is there: foam.csv does not predict z_m." in drift_by_file.sentence
     assert any("palpd simulate MOTION --cell ENRICHED --simulated OUTPUT --nominal CELL" in note for note in content["notes"])
     asked = drift_by_function.to_json()["simulated"]
     assert asked["other_motions"]
-    assert not asked["not_judged"]
-    assert "not judged" not in drift_by_function.sentence
+    assert asked["not_judged"] == ["robot.lag", "robot.vibration"]
 
 
 def palpds_own(cell: CellFile, *, contact: bool = False) -> UserSimulator:
@@ -161,7 +164,7 @@ def palpds_own(cell: CellFile, *, contact: bool = False) -> UserSimulator:
 
     def mine(motion: Mapping[str, Floats]) -> dict[str, Floats]:
         tip = TipMotion(motion["t_s"], motion["z_m"], motion["vz_m_per_s"], motion["az_m_per_s2"])
-        out = {"fz_N": wrench_of(cell, tip)[:, 2]}
+        out = {"fz_N": wrench_of(cell, tip)[:, 2], "z_m": predict_motion(cell, motion["t_s"], motion["z_cmd_m"])}
         light = cell.model_copy(update={"probe": cell.probe.model_copy(update={"mass_kg": 1e-9})})
         return out | {"contact_N": wrench_of(light, tip)[:, 2]} if contact else out
 
@@ -238,7 +241,9 @@ def test_what_needs_the_contact_force_is_judged_where_the_output_says_it() -> No
         assert source is not None
         return dict(source.unjudged)
 
-    (why, names), *_ = not_judged(UserSimulator.of_function(lambda motion: {"fz_N": wavy(motion)["fz_N"]}, "wavy")).items()
+    (why, names), *_ = not_judged(
+        UserSimulator.of_function(lambda motion: {name: wavy(motion)[name] for name in ("fz_N", "z_m")}, "wavy")
+    ).items()
     assert why == "wavy does not say which part of fz_N is the contact's; add that as contact_N"
     assert {"tissue.modulus", "contact.lateral", "probe.tilt"} <= set(names)
     assert not {"sensor.gain", "probe.mass", "robot.backlash"} & set(names)

@@ -191,6 +191,8 @@ def _prepared(
     still = np.isin(phases.phase, (FREE_STILL, HOLDING)) & (phases.since_s > 0.1 * phases.since_s.max())
     rest = still if samples.held is None else still & ~samples.held
     judged, noise_rms = _noise(samples, cell, reports, still, rest)
+    if simulated is not None and simulated.heights_m is None:  # palpd's servo is not the one that is judged
+        judged = (False, *judged[1:])
     if rounding is not None:  # the measured noise is that of the few forces that occur at rest
         noise_rms[FZ] = max(noise_rms[FZ], np.hypot(rounding.noise_rms_N, rounding.step_N / 12.0**0.5))
     return PreparedRecording(
