@@ -225,6 +225,7 @@ class SimulatedNominal:
         output: Its output for that motion by column, (n,) each.
         command_m: Commanded heights (n,), for which palpd's servo moves as the simulator's does; None without a command.
         heights_m: What the simulator's reported heights have beyond these of palpd's servo (n,); None where it predicts none.
+        faster_m: What they change by (n,) if its servo is faster by the tolerance; None where it is a file, or predicts none.
         contact_known: Whether the output says what force the contact has.
         sampled: Its wrench, on which effects act, at the samples.
         at_steps: The same at the steps of a prepared recording; None where there is none.
@@ -234,6 +235,7 @@ class SimulatedNominal:
     output: Mapping[str, Floats]
     command_m: Floats | None
     heights_m: Floats | None
+    faster_m: Floats | None
     contact_known: bool
     sampled: NominalOutput
     at_steps: NominalOutput | None = None
@@ -292,13 +294,16 @@ def simulated_nominal(
     if len(contact_N) < len(raised_m):  # a file: as stiff as Hertz would have it, for what is within tolerance
         contact_N = _as_by_hertz(contact_N[0], constants, motion, raised_m)
     axes = {axis: plain[column] for axis, column in enumerate(WRENCH_COLUMNS) if column in plain}
-    command_m, heights_m = z_cmd_m, None
+    command_m, heights_m, faster_m = z_cmd_m, None, None
     if z_cmd_m is not None and "z_m" in plain and not _repeats(plain["z_m"], z_m, motion.z_m, cell):
         command_m = _followed_command(cell, library, motion.t_s, plain["z_m"])
         heights_m = plain["z_m"] - predict_motion(cell, motion.t_s, command_m, library)
+        if simulator.any_motion:  # a servo on a slower motion is a faster servo on this one
+            slower = replace(motion, t_s=motion.t_s * (1.0 + cell.tolerances.servo_natural_frequency))
+            faster_m = simulator.run(asked(slower, z_cmd_m)).get("z_m", plain["z_m"]) - plain["z_m"]
     variations = {one.name: _variation(simulator, one, asked(motion, z_cmd_m), axes) for one in simulator.parameters}
     nominal = NominalOutput(constants, motion, axes, contact_N, raised_m, variations)
-    return SimulatedNominal(simulator, plain, command_m, heights_m, known, nominal)
+    return SimulatedNominal(simulator, plain, command_m, heights_m, faster_m, known, nominal)
 
 
 def _variation(simulator: UserSimulator, parameter: OwnParameter, motion: MotionColumns, axes: Mapping[int, Floats]) -> Variation:

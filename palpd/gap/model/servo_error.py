@@ -49,7 +49,8 @@ def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[
         cell: Its nominal cell.
         library: Effects by id.
     """
-    if not recording.judged[Z] or recording.z_cmd_m is None:
+    simulated = recording.simulated
+    if recording.z_cmd_m is None or not (recording.judged[Z] or simulated is not None):
         return ServoErrors({}, {HELD_TARGETS: _held_targets_N(recording, cell)})
     t_s, z_cmd_m = recording.robot_t_s, recording.z_cmd_m
     nominal_m = predict_motion(cell, t_s, z_cmd_m, library)
@@ -67,6 +68,8 @@ def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[
     }
     if recording.held_command_s is not None:
         heights_m["held command"] = np.interp(t_s - 0.5 * recording.held_command_s, t_s, nominal_m) - nominal_m
+    if simulated is not None and simulated.faster_m is not None:
+        heights_m["natural frequency of the user's servo"] = np.interp(t_s, simulated.sampled.motion.t_s, simulated.faster_m)
     faster = cell.with_estimated(Estimated(servo_natural_frequency=tolerance))
     accelerated_m = heights_m | {
         f"{ORDER}, 2nd term": time_constant_s * np.gradient(order_m, t_s),
