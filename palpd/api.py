@@ -27,7 +27,7 @@ from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.documents import nearest
 from palpd.errors import BadInput, RecordingError
-from palpd.gap.commands import check_motion, read_motion, read_recording, simulate_columns
+from palpd.gap.commands import check_motion, read_motion, read_recording, simulate_columns, since_healthy
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.diagnosis import diagnose as diagnose_samples
 from palpd.gap.user_simulator import UserSimulator, asked, own_effects
@@ -520,31 +520,42 @@ def simulate(
 
 def diagnose(
     recordings: Source | Sequence[Source],
-    cell: CellSource,
+    cell: CellSource | None = None,
     *,
     effects: Mapping[str, Effect] = EFFECTS,
     propose: bool = False,
     simulated: Simulated | Sequence[Source] | None = None,
     parameters: OwnParameters | None = None,
+    healthy: Source | Sequence[Source] | None = None,
 ) -> GapDiagnosis:
     """Say where recordings of one cell differ from its simulation, and which effect causes it.
 
     Args:
         recordings: One recording or several of the same cell.
-        cell: The cell as the simulator knows it.
+        cell: The cell as the simulator knows it; None only with `healthy`: estimated from these.
         effects: The effects that may be present, by id.
         propose: Whether to look for the motion that would decide what is open.
         simulated: Your own simulator as the nominal, or its output for each recording; the cell then says what is within specification.
             None: palpd simulates the cell.
         parameters: Parameters of your simulator that may be wrong, by name: the value that it has, the smallest and the largest one. It is
             called as `simulated(motion, name=value)`, and each is an effect `simulator.name`.
+        healthy: Recordings of the same cell while it was healthy; only what changed since then is judged. None: the cell is the nominal.
 
     Raises:
-        BadInput: There are not as many outputs as recordings, or a parameter has no function.
+        BadInput: There is neither a cell nor a healthy recording, or `healthy` beside `simulated`. There are not as many outputs as
+            recordings, or a parameter has no function.
         RecordingError: The recordings cannot be judged, or an output does not fit its recording.
     """
     samples = [_samples(each) for each in _several(recordings)]
     simulators: list[UserSimulator] = []
+    if healthy is not None and simulated is not None:
+        raise BadInput("healthy= and simulated= are two nominals; leave one out")
+    if healthy is not None:
+        before = [_samples(each) for each in _several(healthy)]
+        nominal, simulators = since_healthy(before, None if cell is None else _cell(cell), effects, len(samples))
+        return GapDiagnosis(diagnose_samples(samples, nominal, effects, propose=propose, simulators=simulators))
+    if cell is None:
+        raise BadInput("no cell is given; give cell=, or healthy= recordings to compare with")
     if simulated is not None:
         given = [simulated] * len(samples) if callable(simulated) else _several(simulated)
         if len(given) != len(samples):

@@ -131,6 +131,7 @@ class NominalOutput:
         axes: Mean readings (n,) by number of the axis, behind the stated filter; axis 2 is there.
         contact_N: Force of the contact (k, n) with the tip raised by k distances.
         raised_m: These distances (k,), ascending; 0 is one of them.
+        sideways: What the contact pushes on other axes, over its force (n,), by number of the axis.
         variations: How its own parameters change it, by their names.
     """
 
@@ -139,6 +140,7 @@ class NominalOutput:
     axes: Mapping[int, Floats]
     contact_N: Floats
     raised_m: Floats
+    sideways: Mapping[int, Floats] = field(default_factory=dict)
     variations: Mapping[str, "Variation"] = field(default_factory=dict)
 
     def averaged(self, motion: TipMotion, average: Callable[[Floats], Floats]) -> "NominalOutput":
@@ -152,12 +154,12 @@ class NominalOutput:
         def rows(levels: Floats) -> Floats:
             return np.array([average(level) for level in levels])
 
-        axes = {axis: average(values) for axis, values in self.axes.items()}
+        axes, sideways = ({axis: average(values) for axis, values in its.items()} for its in (self.axes, self.sideways))
         variations = {
             name: replace(one, changes={axis: rows(change) for axis, change in one.changes.items()})
             for name, one in self.variations.items()
         }
-        return replace(self, motion=motion, axes=axes, contact_N=rows(self.contact_N), variations=variations)
+        return replace(self, motion=motion, axes=axes, contact_N=rows(self.contact_N), sideways=sideways, variations=variations)
 
     # the contact
 
@@ -222,6 +224,18 @@ class NominalOutput:
     @cached_property
     def _dt_s(self) -> Column:
         return steps(self.motion.t_s) if self.motion.dt_s is None else self.motion.dt_s
+
+    def add_rest(self, s: "Span", wrench: tuple[str, ...]) -> None:
+        """Add what the output has beyond contact and inertia, and what a change of the contact pushes to the side.
+
+        Args:
+            s: Samples whose contact and inertia are known.
+            wrench: Names of the axes.
+        """
+        s.fz_N = s.fz_N + self.rest_N
+        change_N = s.contact_N - self.contact_N[self._plain]
+        for axis, share in self.sideways.items():
+            setattr(s, wrench[axis], getattr(s, wrench[axis]) + share * change_N)
 
     def read(self, s: "Span", wrench: tuple[str, ...]) -> None:
         """From the load on the sensor to what it reads of it: the output, and what the filter passes of the change.

@@ -95,7 +95,7 @@ def load_sensor(s: Span, what: Physics, memory: Memory, here: Memory) -> None:
     solve_contact(s, what, here)
     s.fz_N = s.contact_N - what.constants.mass_kg * s.az_m_per_s2
     if s.nominal is not None:
-        s.fz_N = s.fz_N + s.nominal.rest_N
+        s.nominal.add_rest(s, WRENCH)
     add_other_loads(s, what, memory)
 
 

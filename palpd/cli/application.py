@@ -27,10 +27,14 @@ def name_of(command: Any) -> str:
 app.registered_commands.sort(key=lambda command: ORDER.index(name_of(command)))
 
 
+MANY_FILES = ("--healthy", "--now")
+"""Options of `palpd diagnose` that take as many files as follow."""
+
+
 def carry_out(words: list[str]) -> None:
     """Carry out a command line; words that fit no command are refused in one sentence too. Raises PalpdError."""
     try:
-        code = app(words or ["--help"], prog_name="palpd", standalone_mode=False)
+        code = app(one_file_each(words) or ["--help"], prog_name="palpd", standalone_mode=False)
     except UsageError as error:
         context = getattr(error, "ctx", None)
         sentence = " ".join(
@@ -42,6 +46,22 @@ def carry_out(words: list[str]) -> None:
         raise Refused("the question was not answered, so nothing was done; answer it, or give --yes where there is one") from None
     if code:
         sys.exit(code)
+
+
+def one_file_each(words: list[str]) -> list[str]:
+    """A command line in which each file of MANY_FILES has its own option: a shell makes several of a pattern.
+
+    Args:
+        words: The command line, the command first.
+    """
+    out, option = [], ""
+    for word in words:
+        if word.startswith("-"):
+            option = word if word in MANY_FILES and words[0] == "diagnose" else ""
+            out += [] if option else [word]
+        else:
+            out += [option, word] if option else [word]
+    return out
 
 
 def _what_works(error: Any) -> str:

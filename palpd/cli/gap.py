@@ -45,12 +45,17 @@ DiagnosisOption = Annotated[
     examples=[
         "palpd diagnose recording.csv --cell cell.yaml --report report.html --cell-out enriched.yaml",
         "palpd diagnose run.mcap --site A",
+        "palpd diagnose --healthy monday.csv tuesday.csv wednesday.csv --now today.csv",
     ]
 )
 def diagnose(
     recordings: Annotated[
-        list[Path], typer.Argument(help="recordings of one cell (.csv, .parquet, .mcap), or a folder of X.csv with X.yaml")
-    ],
+        list[Path] | None, typer.Argument(help="recordings of one cell (.csv, .parquet, .mcap), or a folder of X.csv with X.yaml")
+    ] = None,
+    healthy: Annotated[
+        list[Path] | None, typer.Option("--healthy", help="recordings of the cell while it was healthy: only what changed since is judged")
+    ] = None,
+    now: Annotated[list[Path] | None, typer.Option("--now", help="with --healthy: the recordings to judge")] = None,
     cell: Annotated[
         Path | None,
         typer.Option(
@@ -82,11 +87,18 @@ def diagnose(
     from palpd.cli.tables import diagnosis_lines, limits_table
     from palpd.gap.commands import diagnose_files, limits_of_files
 
-    _refuse_foreign(recordings)
+    recordings = [*(recordings or []), *(now or [])]
+    _refuse_foreign([*recordings, *(healthy or [])])
     say_broken_effects()
+    if not recordings:
+        raise BadInput(f"no recording is given; name the recordings to judge{' behind --now' if healthy else ''}")
+    if now and not healthy:
+        raise BadInput("--now is given without --healthy; name the healthy recordings too, or leave --now out")
+    if healthy:
+        _refuse_with_healthy({"--cell-out": cell_out, "--simulated": simulated or None, "--limits": limits or None})
     if len(recordings) == 1 and recordings[0].is_dir():
         beside = {"--cell": cell, "--site": site, "--cell-out": cell_out, "--report": report, "--simulated": simulated or None}
-        _refuse_for_a_folder(recordings[0], beside | {"--limits": limits or None})
+        _refuse_for_a_folder(recordings[0], beside | {"--limits": limits or None, "--healthy": healthy or None})
         _diagnose_fleet(recordings[0], jobs or 1, scheduler, effects, adopted_folder(adopted), json_file)
         return
     if jobs is not None or scheduler is not None:
@@ -108,6 +120,7 @@ def diagnose(
                 adopted=adopted_folder(adopted),
                 site=site,
                 simulated=simulated or (),
+                healthy=healthy or (),
                 show=show,
             )
         except RecordingError as error:
@@ -130,6 +143,12 @@ def _refuse_with_limits(options: Mapping[str, object]) -> None:
     """Refuse the options that belong to an answer: limits are only printed, and a diagnosis states them in its outputs."""
     if given := _given(options):
         raise BadInput(f"--limits prints a table, and {given} belongs to a diagnosis, which states the limits too; leave one out")
+
+
+def _refuse_with_healthy(options: Mapping[str, object]) -> None:
+    """Refuse the options for which the cell file is the nominal."""
+    if given := _given(options):
+        raise BadInput(f"--healthy compares with the healthy recordings, and {given} with a cell file; leave one out")
 
 
 def _given(options: Mapping[str, object]) -> str:

@@ -6,7 +6,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from palpd.cell.cell_file import CellFile, load_cell, parse_cell, save_cell
+from palpd.cell.cell_file import CellFile, cell_from, load_cell, parse_cell, save_cell
 from palpd.cell.effects import EFFECTS, Effect, load_effects, save_learned
 from palpd.cell.effects.adopted import load_adopted
 from palpd.cell.effects.learned import held_sentence
@@ -14,7 +14,10 @@ from palpd.cell.plausible import ask, doubts_of_cell
 from palpd.cell.simulation import share_outside, simulate
 from palpd.errors import BadInput, RecordingError
 from palpd.files import write_json
+from palpd.gap.data.prepare import stated_cell
 from palpd.gap.diagnosis import Diagnosis, diagnose, limits
+from palpd.gap.first_cell import first_cell
+from palpd.gap.healthy import HealthyCell
 from palpd.gap.infer.detectable import DetectableSize
 from palpd.gap.plain import plain_answer
 from palpd.gap.tolerances import estimate_tolerances
@@ -117,6 +120,7 @@ def diagnose_files(
     site: str | None = None,
     calibrated: bool = True,
     simulated: Sequence[Path] = (),
+    healthy: Sequence[Path] = (),
     show: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Diagnose recordings of one cell jointly.
@@ -133,6 +137,7 @@ def diagnose_files(
         site: Site of recordings of the daemon; None where they hold a single site.
         calibrated: Whether to state scores (`calibration`); otherwise the probabilities of the posterior.
         simulated: The output of a user's own simulator for each recording, which is then the nominal prediction.
+        healthy: Recordings of the same cell while it was healthy; only what changed since then is judged.
         show: Is called with the name of each step that begins.
 
     Raises:
@@ -145,14 +150,35 @@ def diagnose_files(
         )
     known = library(effects, without, adopted)
     show("reading the recording")
-    samples, nominal = _read(recordings, cell, known, site)
-    simulators = [UserSimulator.of_file(path, one.t_s) for path, one in zip(simulated, samples, strict=False)]
+    if healthy:
+        samples = [read_recording(path, site) for path in recordings]
+        before = [read_recording(path, site) for path in healthy]
+        stated = None if cell is None else load_cell(cell, known)
+        nominal, simulators = since_healthy(before, stated, known, len(samples))
+    else:
+        samples, nominal = _read(recordings, cell, known, site)
+        simulators = [UserSimulator.of_file(path, one.t_s) for path, one in zip(simulated, samples, strict=False)]
     diagnosis = diagnose(samples, nominal, known, propose=propose, calibrated=calibrated, simulators=simulators, adopted=adopted, show=show)
     if json_out is not None:
         write_answer(json_out, diagnosis)
     if cell_out is not None:
         save_cell(cell_out, diagnosis.cell_with_uncertainty())
     return diagnosis
+
+
+def since_healthy(
+    healthy: Sequence[Samples], cell: CellFile | None, known: Mapping[str, Effect], recordings: int
+) -> tuple[CellFile, list[UserSimulator]]:
+    """The nominal of a comparison with a healthy cell: its cell file, and one simulator for each recording.
+
+    Args:
+        cell: The cell file of the healthy cell; None: estimated from these recordings.
+        known: Effects that the cell file may have.
+        recordings: Number of the recordings that are compared.
+    """
+    cell = cell_from(first_cell(healthy).content, "the cell of the healthy recordings") if cell is None else cell
+    learned = HealthyCell.of(healthy, stated_cell(cell.at_site(common_site(healthy))), known)
+    return learned.compared_cell, [learned.simulator()] * recordings
 
 
 def limits_of_files(

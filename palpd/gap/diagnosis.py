@@ -133,7 +133,7 @@ def _stages(
         decisive=decisive,
         notes=[*decisive, *notes, *verdict_notes(inference.problem, verdict), *filter(None, [weighed])],
         proposal=proposal,
-        modulus=compared_modulus(inference.problem, inference.stated, observations.site),
+        modulus=compared_modulus(inference.problem, inference.stated, observations.site) if source is None else None,
         source=source,
     )
 
@@ -156,7 +156,8 @@ class Diagnosis:
         decisive: Sentences that make the verdict doubtful, such as a dead sensor or a wrong unit; they stand above it.
         notes: Sentences for the reader, the decisive sentences first.
         proposal: The next experiment; None where it was not asked for, or no motion decides.
-        modulus: The modulus of the cell file and that of the recordings; None where the file states none, or nothing was touched.
+        modulus: The modulus of the cell file and that of the recordings; None where the file states none, nothing was touched, or the
+            nominal is a user's simulator.
         source: The user's own simulator; None where palpd itself simulates the nominal cell.
     """
 

@@ -35,6 +35,7 @@ class NominalSource:
         names: What sentences call it, for each recording.
         any_motion: Whether it can be asked for any motion; a file holds the output for a single motion.
         channels: Channels that it predicts for all recordings.
+        healthy: Whether it was learned from recordings of the healthy cell.
         unjudged: Effects that cannot be judged with it, by the reason.
         notes: A sentence for everything that is odd about its output.
     """
@@ -42,6 +43,7 @@ class NominalSource:
     names: tuple[str, ...]
     any_motion: bool
     channels: tuple[str, ...]
+    healthy: bool
     unjudged: Mapping[str, tuple[str, ...]]
     notes: tuple[str, ...]
 
@@ -76,7 +78,7 @@ class NominalSource:
             "other_motions": self.any_motion,
             "channels": list(self.channels),
             "not_judged": list(self.not_judged),
-        }
+        } | ({"healthy": True} if self.healthy else {})
 
 
 def nominal_source(recordings: Sequence[PreparedRecording], cell: CellFile, library: Mapping[str, Effect]) -> NominalSource | None:
@@ -98,13 +100,16 @@ def nominal_source(recordings: Sequence[PreparedRecording], cell: CellFile, libr
     notes: list[str] = []
     for samples, simulated in given:
         _refuse_misfit(samples, simulated)
-        _refuse_noise(simulated, cell)
-        notes += _zero_notes(samples, simulated, cell)
+        if simulated.doubt is None:  # what was learned states its own errors
+            _refuse_noise(simulated, cell)
+        notes += [*_zero_notes(samples, simulated, cell), *_doubt_notes(simulated)]
+    notes += dict.fromkeys(sentence for _, simulated in given for sentence in simulated.simulator.about)
     predicted = [simulated.channels for _, simulated in given]
     return NominalSource(
         names=tuple(simulated.simulator.name for _, simulated in given),
         any_motion=all(simulated.simulator.any_motion for _, simulated in given),
         channels=tuple(channel for channel in CHANNELS if all(channel in each for each in predicted)),
+        healthy=all(simulated.doubt is not None for _, simulated in given),
         unjudged=unjudged([simulated for _, simulated in given], library),
         notes=tuple(notes),
     )
@@ -143,6 +148,13 @@ def _zero_notes(samples: Samples, simulated: SimulatedNominal, cell: CellFile) -
             f"fz_N of {simulated.simulator.name} begins {apart_N:+.3g} N beside the recording, which is tared with the probe free and "
             "still; subtract gravity, or what your simulator reads there."
         )
+
+
+def _doubt_notes(simulated: SimulatedNominal) -> Iterator[str]:
+    """Rows at which a simulator was not learned."""
+    unknown = 0.0 if simulated.doubt is None else 1.0 - float(simulated.doubt.known.mean())
+    if unknown > 0.0:
+        yield f"{unknown:.1%} of the rows lie beyond the heights and speeds of {simulated.simulator.name}; nothing is judged there."
 
 
 def _refuse_noise(simulated: SimulatedNominal, cell: CellFile) -> None:

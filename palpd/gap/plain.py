@@ -269,9 +269,11 @@ def _steps(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             "(docs/how-to/add-an-effect.md), and diagnose again.",
             f"{DIAGNOSE} --effects my_effect.py",
         )
-    if learned:
+    if learned and not (content.get("simulated") or {}).get("healthy"):
         file = learned.get("file") or "out.learned.yaml"
         yield ("If the law is to count from now on, let it join your library; --json writes it.", f"palpd effects --adopt {file}")
+    if (content.get("simulated") or {}).get("healthy"):  # no cell file holds what was compared with
+        return
     if verdict == "effects" or learned:
         yield ("Use the enriched cell file, which holds what was found.", f"{DIAGNOSE} --cell-out enriched.yaml")
         if any(gap["phase"] in ("loading", "holding", "unloading") for gap in content["gap"]):

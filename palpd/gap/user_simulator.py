@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.dynamics import filtered, steps, unfiltered
@@ -26,13 +28,16 @@ from palpd.recording.samples import COLUMNS, WRENCH_COLUMNS, named_once, read_co
 from palpd.tick import Floats
 
 NEEDED_COLUMN = "fz_N"
-CONTACT_COLUMN = "contact_N"
+CONTACT_COLUMN, FZ_AXIS = "contact_N", WRENCH_COLUMNS.index("fz_N")
 PREDICTED = ("z_m", *WRENCH_COLUMNS, CONTACT_COLUMN)
 """Columns that a simulator may predict."""
 
 RAISED, CLEAR = (-0.1, 0.0, 0.05, 0.15, 0.4, 1.0), (1.5, 2.0)
 """Distances by which the tip is raised, as shares of the deepest press: they lie densely where play and compliance of working rigs are.
 Above the second ones nothing is touched."""
+
+PRESSED = 0.02
+"""Share of the largest contact force from which on it tells how much the contact pushes to the side."""
 
 AGREEING = 0.3
 """Rms between the forces at two clear heights, in the noise of the sensor, up to which they are the same: the rest is no contact."""
@@ -91,6 +96,21 @@ class OwnParameter:
 
 
 @dataclass(frozen=True)
+class SimulatorDoubt:
+    """How a simulator that was learned may be wrong on a motion of n samples.
+
+    Attributes:
+        errors: Errors of its prediction (m, 7, n) in the units of the channels, each one standard deviation.
+        known: Whether it was learned there (n,).
+        unexplained: Rms (7, n) of means over some hundredths of a second, which it does not explain.
+    """
+
+    errors: Floats
+    known: NDArray[np.bool_]
+    unexplained: Floats
+
+
+@dataclass(frozen=True)
 class UserSimulator:
     """What a user's own simulator predicts.
 
@@ -100,12 +120,16 @@ class UserSimulator:
             follow by name.
         any_motion: Whether it can be asked for any motion; a file holds the output for a single motion.
         parameters: Parameters of its own that a diagnosis may change.
+        doubt: Says for a motion how the prediction may be wrong; None where it was not learned.
+        about: Sentences for the reader of an answer.
     """
 
     name: str
     run: Callable[..., Mapping[str, Floats]]
     any_motion: bool
     parameters: tuple[OwnParameter, ...] = ()
+    doubt: Callable[[MotionColumns], SimulatorDoubt] | None = None
+    about: tuple[str, ...] = ()
 
     @staticmethod
     def of_function(
@@ -228,6 +252,7 @@ class SimulatedNominal:
         faster_m: What they change by (n,) if its servo is faster by the tolerance; None where it is a file, or predicts none.
         contact_known: Whether the output says what force the contact has.
         sampled: Its wrench, on which effects act, at the samples.
+        doubt: How it may be wrong; None where it was not learned.
         at_steps: The same at the steps of a prepared recording; None where there is none.
     """
 
@@ -238,6 +263,7 @@ class SimulatedNominal:
     faster_m: Floats | None
     contact_known: bool
     sampled: NominalOutput
+    doubt: SimulatorDoubt | None = None
     at_steps: NominalOutput | None = None
 
     @property
@@ -263,6 +289,32 @@ class SimulatedNominal:
         return palpd_m if self.heights_m is None else palpd_m + np.interp(t_s, self.sampled.motion.t_s, self.heights_m)
 
 
+def followed_command(
+    simulator: UserSimulator, cell: CellFile, library: Mapping[str, Effect], motion: TipMotion, reported: tuple[Floats | None, Floats]
+) -> Floats | None:
+    """Commanded heights (n,) for which palpd's servo moves as the robot of a simulator does; those of the recording where it predicts none.
+
+    The output in a file was driven by a motion that was estimated with the recorded command, so that counts there, too.
+
+    Args:
+        cell: The nominal cell.
+        library: Effects of that cell by id.
+        motion: As estimated with the recorded command, n samples.
+        reported: Commanded heights (n,), None without a command, and heights (n,) as the robot reports them.
+    """
+    z_cmd_m, z_m = reported
+    if z_cmd_m is None or not simulator.any_motion:
+        return z_cmd_m
+    plain = simulator.run(asked(motion, z_cmd_m))
+    if "z_m" not in plain or _repeats(plain["z_m"], z_m, motion.z_m, cell):
+        return z_cmd_m
+    return _followed_command(_without_effects(cell), library, motion.t_s, plain["z_m"])
+
+
+def _without_effects(cell: CellFile) -> CellFile:
+    return cell.with_effects({}).model_copy(update={"learned": ()})
+
+
 def simulated_nominal(
     simulator: UserSimulator,
     cell: CellFile,
@@ -279,7 +331,7 @@ def simulated_nominal(
         reported: Commanded heights (n,), None without a command, and heights (n,) as the robot reports them.
     """
     _refuse_asking(simulator, cell, library)
-    cell = cell.with_effects({}).model_copy(update={"learned": ()})
+    cell = _without_effects(cell)
     z_cmd_m, z_m = reported
     constants = physics(cell, None, library).constants
     deepest_m = max(constants.surface_z_m - float(motion.z_m.min()), 0.0)
@@ -302,8 +354,19 @@ def simulated_nominal(
             slower = replace(motion, t_s=motion.t_s * (1.0 + cell.tolerances.servo_natural_frequency))
             faster_m = simulator.run(asked(slower, z_cmd_m)).get("z_m", plain["z_m"]) - plain["z_m"]
     variations = {one.name: _variation(simulator, one, asked(motion, z_cmd_m), axes) for one in simulator.parameters}
-    nominal = NominalOutput(constants, motion, axes, contact_N, raised_m, variations)
-    return SimulatedNominal(simulator, plain, command_m, heights_m, faster_m, known, nominal)
+    sideways = _sideways_shares(outputs, axes, contact_N[int(np.flatnonzero(raised_m == 0.0)[0])])
+    nominal = NominalOutput(constants, motion, axes, contact_N, raised_m, sideways, variations)
+    doubt = None if simulator.doubt is None else simulator.doubt(asked(motion, z_cmd_m))
+    return SimulatedNominal(simulator, plain, command_m, heights_m, faster_m, known, nominal, doubt)
+
+
+def _sideways_shares(outputs: Mapping[float, Mapping[str, Floats]], axes: Mapping[int, Floats], contact_N: Floats) -> dict[int, Floats]:
+    """What a contact (n,) pushes on other axes, over its force; they are known where a function was asked high above the surface."""
+    pressed = contact_N > PRESSED * float(contact_N.max())
+    if CLEAR[0] not in outputs or not pressed.any():
+        return {}
+    free = {axis: outputs[CLEAR[0]][WRENCH_COLUMNS[axis]] for axis in axes if axis != FZ_AXIS}
+    return {axis: np.where(pressed, (axes[axis] - beside) / np.where(pressed, contact_N, 1.0), 0.0) for axis, beside in free.items()}
 
 
 def _variation(simulator: UserSimulator, parameter: OwnParameter, motion: MotionColumns, axes: Mapping[int, Floats]) -> Variation:
@@ -361,8 +424,8 @@ def _followed_command(cell: CellFile, library: Mapping[str, Effect], t_s: Floats
     """Commanded heights (n,) for which the servo of a cell would report the heights `z_m` (n,): z + 2ζ/ω z' + z''/ω²."""
     c = physics(cell, None, library).constants
     omega = 2.0 * np.pi * c.servo_natural_frequency_Hz
-    speed = np.gradient(z_m, t_s)
-    return np.asarray(z_m + 2.0 * c.servo_damping_ratio / omega * speed + np.gradient(speed, t_s) / omega**2)
+    path = CubicSpline(t_s, z_m)
+    return np.asarray(z_m + 2.0 * c.servo_damping_ratio / omega * path(t_s, 1) + path(t_s, 2) / omega**2)
 
 
 def asked(motion: TipMotion, z_cmd_m: Floats | None) -> MotionColumns:

@@ -211,8 +211,8 @@ def test_an_effect_changes_the_users_output_as_it_changes_palpds_own_whatever_mo
         sizes, errors = (np.sqrt(np.mean(values**2, axis=0)) for values in (expected, apart))
         largest = int(np.argmax(sizes))
         assert sizes[largest] > 0.0
-        # A loop of hysteresis follows the force behind the filter, where palpd's follows that before it.
-        assert errors[largest] < (0.05 if effect == "sensor.hysteresis" else 0.01) * sizes[largest]
+        # A loop of hysteresis follows the force behind the filter, and a mount the slope of the predicted heights.
+        assert errors[largest] < (0.05 if effect in ("sensor.hysteresis", "structure.resonance") else 0.01) * sizes[largest]
 
 
 def test_the_answer_does_not_depend_on_the_modulus_of_the_cell_file() -> None:
@@ -273,7 +273,7 @@ def test_a_tip_that_gives_way_is_found_by_asking_the_function_again() -> None:
     assert [effect.id for effect in answer.effects] == ["robot.compliance"]
     value, low, high = answer.effects[0].parameters["stiffness_N_per_m"]
     assert low <= 3000.0 <= high, (value, low, high)
-    assert len(set(asked)) == len(asked) == 8  # the recorded motion, and seven that are raised
+    assert len(set(asked)) == len(asked) - 1 == 8  # the recorded motion twice, and seven that are raised
 
 
 def test_the_raised_tip_changes_the_users_own_law_and_not_palpds() -> None:

@@ -21,7 +21,7 @@ from palpd.gap.data.bins import Bins, make_bins
 from palpd.gap.data.noise import FZ, Z, declared_rms
 from palpd.gap.data.phases import FREE_STILL, HOLDING, Ints, Phases, find_phases
 from palpd.gap.data.rounding import Rounding, undithered
-from palpd.gap.user_simulator import SimulatedNominal, UserSimulator, simulated_nominal
+from palpd.gap.user_simulator import SimulatedNominal, UserSimulator, followed_command, simulated_nominal
 from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -161,14 +161,21 @@ def _prepared(
 ) -> PreparedRecording:
     phases = find_phases(samples, cell)
     reports = find_reports(samples.t_s, samples.z_m)
-    sampled = estimate_tip_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s, samples.z_cmd_m, reports)
-    again = estimate_tip_motion(cell, samples.t_s, sampled.z_m, sampled.vz_m_per_s, samples.z_cmd_m)
+    reported, command_m, simulated = (samples.z_cmd_m, samples.z_m), samples.z_cmd_m, None
+
+    def estimated(z_m: Floats, v: Floats, its: Reports | None = None) -> TipMotion:
+        return estimate_tip_motion(cell, samples.t_s, z_m, v, command_m, its)
+
+    sampled = estimated(samples.z_m, samples.vz_m_per_s, reports)
+    if simulator is not None:
+        command_m = followed_command(simulator, cell, library, sampled, reported)
+        sampled = estimated(samples.z_m, samples.vz_m_per_s, reports)
+        simulated = simulated_nominal(simulator, cell, library, sampled, reported)
+    again = estimated(sampled.z_m, sampled.vz_m_per_s)
     # A pulse of acceleration loses more than one average shows.
-    twice = estimate_tip_motion(cell, samples.t_s, again.z_m, again.vz_m_per_s, samples.z_cmd_m)
+    twice = estimated(again.z_m, again.vz_m_per_s)
     averaged = [again, twice, *_on_damped_mounts(samples, sampled)]
     unreported_m = _unreported_height(cell, samples, sampled)
-    reported = (samples.z_cmd_m, samples.z_m)
-    simulated = None if simulator is None else simulated_nominal(simulator, cell, library, sampled, reported)
     command_m = samples.z_cmd_m if simulated is None else simulated.command_m
     held_command_s = controller_cycle.held_command_s(samples)
     cycle_s = held_command_s or controller_cycle.comb_period_s(samples, phases)

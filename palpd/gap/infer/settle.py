@@ -41,7 +41,7 @@ def settle(problem: Problem) -> NominalFit:
         problem = problem.tolerating(tuple(errors.without(HELD_TARGETS) if drag else errors for errors, drag in pairs))
         stated = linearise(problem, {}, NOMINAL_ETA)
     if problem.cell.effects:
-        problem = problem.tolerating(law_errors=_law_errors(problem, stated))
+        problem = problem.tolerating(law_errors=np.concatenate([problem.law_errors, _law_errors(problem, stated)]))
         stated = linearise(problem, {}, NOMINAL_ETA)
     if not problem.cell.tolerances.modulus_known:
         first = fit(problem, {}, stated, rounds=8)

@@ -85,7 +85,8 @@ class Problem:
         measured: Measured bins y (7, b) in the units of the channels.
         noise: Σ of the bins, with the error of the simulator where `with_model_error_floor` has added it.
         floor_rms: Rms (7, b) of the noise without any error of the simulator, in the units of the channels.
-        law_errors: What the laws of known effects may be wrong by, m nuisances (m, 7, b) in the units of the channels.
+        law_errors: What the laws of known effects, and a nominal that was learned, may be wrong by, m nuisances (m, 7, b) in the units of
+            the channels.
     """
 
     cell: CellFile
@@ -362,8 +363,21 @@ def _problem(
         measured=np.hstack([recording.measured for recording in recordings]),
         noise=noise,
         floor_rms=noise.rms,
-        law_errors=np.zeros((0, *noise.sigma.shape)),
+        law_errors=_learned_errors(recordings),
     )
+
+
+def _learned_errors(recordings: Sequence[PreparedRecording]) -> Floats:
+    """What a nominal that was learned may be wrong by (m, 7, b), in the units of the channels; each recording has errors of its own."""
+    total, begin, errors = sum(len(one.bins) for one in recordings), 0, []
+    for one in recordings:
+        doubt = None if one.simulated is None else one.simulated.doubt
+        for error in () if doubt is None else doubt.errors:
+            column = np.zeros((7, total))
+            column[:, begin : begin + len(one.bins)] = one.bins.mean(error.T).T
+            errors.append(column)
+        begin += len(one.bins)
+    return np.array(errors).reshape(-1, 7, total)
 
 
 def _shared_sd(cell: CellFile) -> Floats:
@@ -397,6 +411,10 @@ def _whitening(
         sigma[FZ] = np.hypot(sigma[FZ], error.inertial_N.get(ORDER, 0.0))
         sigma[FZ] = np.hypot(sigma[FZ], rounding_N)
         sigma = np.hypot(sigma, _hidden_rms(cell, len(recording.bins)))
+        if recording.simulated is not None and recording.simulated.doubt is not None:
+            doubt = recording.simulated.doubt
+            sigma = np.hypot(sigma, recording.bins.mean(doubt.unexplained.T).T)
+            sigma[:, recording.bins.mean(doubt.known.astype(float)) < 0.5] = np.inf
         sigma[~np.array(recording.judged)] = np.inf
         sigmas.append(sigma)
     heights_m = [its.bins.means() @ its.reports.joined * (its.noise_rms[Z] * (its.reports.rows_each > 1.0)) for its in recordings]

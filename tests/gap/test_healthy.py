@@ -1,0 +1,113 @@
+"""What changed since the cell was healthy: its own residual is the nominal, whatever law it follows."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import palpd
+from palpd.cell.effects import EFFECTS
+from palpd.cli.application import one_file_each
+from palpd.errors import BadInput, RecordingError
+from palpd.gap.commands import diagnose_files, since_healthy
+from palpd.gap.diagnosis import Diagnosis, diagnose
+from palpd.gap.healthy import HealthyCell
+from palpd.recording.samples import Samples, write_csv
+from palpd.tick import Floats
+from tests.gap.test_user_simulator import foam_N, own_simulator, record, stated
+
+
+def rig(tip: Mapping[str, Floats]) -> dict[str, Floats]:
+    """The foam, with friction that depends on the height: no cell file has either."""
+    rubbing_N = 0.3 * (1.0 + 40.0 * np.maximum(tip["z_m"], 0.0)) * np.tanh(tip["vz_m_per_s"] / 5e-4)
+    return own_simulator(tip) | {"fz_N": own_simulator(tip)["fz_N"] - rubbing_N}
+
+
+def rubbing_more(tip: Mapping[str, Floats]) -> dict[str, Floats]:
+    return rig(tip) | {"fz_N": rig(tip)["fz_N"] - 0.2 * np.tanh(tip["vz_m_per_s"] / 5e-4)}
+
+
+@pytest.fixture(scope="module")
+def healthy() -> list[Samples]:
+    return [record(rig, seed=seed) for seed in (11, 12, 13)]
+
+
+def changed(now: Samples, healthy: list[Samples]) -> Diagnosis:
+    cell, simulators = since_healthy(healthy, stated(), EFFECTS, 1)
+    return diagnose([now], cell, propose=False, simulators=simulators)
+
+
+def test_what_no_cell_file_has_is_healthy_if_it_was_there_before(healthy: list[Samples]) -> None:
+    again = record(rig, seed=21)
+    assert diagnose([again], stated(), propose=False).verdict != "none"
+    assert changed(again, healthy).verdict == "none"
+
+
+def test_another_motion_of_the_healthy_cell_is_healthy(healthy: list[Samples]) -> None:
+    answer = changed(record(rig, seed=22, presses_m=(0.005, 0.002, 0.0045)), healthy)
+    assert answer.verdict == "none", answer.sentence
+
+
+def test_more_friction_beside_known_friction_is_named_with_what_it_is_more(healthy: list[Samples]) -> None:
+    answer = changed(record(rubbing_more, seed=23), healthy)
+    assert [effect.id for effect in answer.effects] == ["cable.friction"], answer.sentence
+    value, low, high = answer.effects[0].parameters["force_N"]
+    assert low <= 0.2 <= high, (value, low, high)
+
+
+def test_a_tissue_that_became_softer_is_named_by_its_own_contact_force(healthy: list[Samples]) -> None:
+    def softer(tip: Mapping[str, Floats]) -> dict[str, Floats]:
+        return rig(tip) | {"fz_N": rig(tip)["fz_N"] - 0.25 * foam_N(np.maximum(-tip["z_m"], 0.0))}
+
+    answer = changed(record(softer, seed=25), healthy)
+    assert len(answer.effects) == 1, answer.sentence
+    named = {answer.effects[0].id, *answer.effects[0].indistinguishable_from}
+    assert {"tissue.modulus", "sensor.gain"} & named, answer.sentence
+
+
+def test_where_the_healthy_recordings_never_were_nothing_is_judged(healthy: list[Samples]) -> None:
+    deeper = record(rubbing_more, seed=26, presses_m=(0.009, 0.009, 0.009))
+    answer = changed(deeper, healthy)
+    (note,) = [note for note in answer.notes if "beyond the heights and speeds of the healthy cell" in note]
+    one = answer.problem.recordings[0]
+    assert one.simulated is not None
+    assert one.simulated.doubt is not None
+    beyond = one.bins.mean((deeper.z_m < min(each.z_m.min() for each in healthy) - 0.002).astype(float)) == 1.0
+    assert beyond.any()
+    assert not answer.problem.data[:, beyond].any(), note
+
+
+def test_how_much_a_number_of_healthy_recordings_says_stands_in_the_answer(healthy: list[Samples]) -> None:
+    def about(n: int) -> str:
+        return " ".join(HealthyCell.of(healthy[:n], stated(), EFFECTS).simulator().about)
+
+    assert "One healthy recording shows only how the cell varies within a run" in about(1)
+    assert "Two healthy recordings hardly show" in about(2)
+    assert not about(3)
+    with pytest.raises(RecordingError, match="no healthy recording was given"):
+        HealthyCell.of([], stated(), EFFECTS)
+
+
+def test_without_a_cell_file_the_healthy_recordings_give_one(healthy: list[Samples], tmp_path: Path) -> None:
+    for number, samples in enumerate([*healthy, record(rubbing_more, seed=27)]):
+        write_csv(tmp_path / f"{number}.csv", samples)
+    before, now = [tmp_path / f"{number}.csv" for number in range(3)], [tmp_path / "3.csv"]
+    answer = diagnose_files(now, None, healthy=before, propose=False)
+    assert [effect.id for effect in answer.effects] == ["cable.friction"], answer.sentence
+    assert answer.to_json()["simulated"]["healthy"]
+    assert answer.modulus is None
+
+
+def test_two_nominals_and_none_are_refused(healthy: list[Samples]) -> None:
+    with pytest.raises(BadInput, match="no cell is given; give cell=, or healthy="):
+        palpd.diagnose(healthy[0])
+    with pytest.raises(BadInput, match="two nominals"):
+        palpd.diagnose(healthy[0], healthy=healthy, simulated=own_simulator)
+
+
+def test_a_pattern_of_the_shell_gives_each_option_all_of_its_files() -> None:
+    words = ["diagnose", "--healthy", "a.csv", "b.csv", "--now", "c.csv", "d.csv", "--json", "out.json"]
+    spelled = ["--healthy", "a.csv", "--healthy", "b.csv", "--now", "c.csv", "--now", "d.csv", "--json", "out.json"]
+    assert one_file_each(words) == ["diagnose", *spelled]
+    assert one_file_each(["run", "--now", "a", "b"]) == ["run", "--now", "a", "b"]
