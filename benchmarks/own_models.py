@@ -1,6 +1,6 @@
 """Ten rigs with simulators of their own, and recordings of the real rigs with one hidden effect or none.
 
-The effects follow the formulas of the contract (gap-diagnosis.md), in code of their own. They act inside the rig: on its servo, on the
+The effects follow the formulas of docs/reference/contract.md, in code of their own. They act inside the rig: on its servo, on the
 place of its tip, on its own contact, on its cables, or on its sensor. Everything is deterministic by seed.
 """
 

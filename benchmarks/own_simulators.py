@@ -1,7 +1,7 @@
 """Ten rigs with simulators of their own: is a hidden effect named against the user's simulator, and a healthy rig silent?
 
 `python -m benchmarks.own_simulators [--seed 1] [--jobs 2] --kept FOLDER [--docs]`. The rigs, their simulators and the effects stand in
-`benchmarks.own_models`, which was written from the contract of the effects and docs/my-simulator.md alone. Each rig has 5 healthy
+`benchmarks.own_models`, which was written from docs/reference/contract.md and docs/my-simulator.md alone. Each rig has 5 healthy
 recordings and 8 with one effect. Then 30 of the recordings are diagnosed again with a tenth and ten times the modulus in the cell file,
 which must not change an answer. Answers that stand in FOLDER are kept.
 """
@@ -28,8 +28,8 @@ APART_P, APART_SHARE = 0.02, 0.1
 PAGE = Path(__file__).parents[1] / "docs" / "own-simulators.md"
 INTRODUCTION = """# Ten simulators that palpd has never seen
 
-Ten rigs, each with a simulator of its own: `benchmarks/own_models.py`, written from the contract of the effects and
-[the page on your own simulator](my-simulator.md) alone. Contacts, servos and damping are none of palpd's. Of each rig there are
+Ten rigs, each with a simulator of its own: `benchmarks/own_models.py`, written from [the contract](reference/contract.md) of the effects
+and [the page on your own simulator](my-simulator.md) alone. Contacts, servos and damping are none of palpd's. Of each rig there are
 {healthy} healthy recordings and {effects} with one effect that its simulator does not have. *First*: the effect, or one that the answer
 calls indistinguishable from it, comes first. *Nothing else*: only it is named. Wanted: first in 90 %, nothing else in 85 %, healthy
 silent in 95 %. Recordings of the same rigs with other seeds served to mend the diagnosis (seed 2000, before the last mends: first 66 of 80,

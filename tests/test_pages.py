@@ -69,6 +69,7 @@ NEEDS_MORE = {
     "palpd stream --config cell/config.yaml --foxglove 8765 --metrics 9464": "serves until Ctrl-C",
     "palpd map --config cell/config.yaml --width-m 0.04 --height-m 0.02 --out map.png": "needs a cell",
     "tolerances": "needs recordings of a healthy cell; how-to/tolerances.md makes some",
+    "palpd diagnose --healthy monday.csv tuesday.csv wednesday.csv --now today.csv": "needs days; tests/gap/test_healthy.py makes some",
     "palpd study --days 0 --out study": "minutes; tests/study makes the page",
 }
 """Commands and examples that are only parsed, each with the reason."""

@@ -52,10 +52,6 @@ def diagnose(
     recordings: Annotated[
         list[Path] | None, typer.Argument(help="recordings of one cell (.csv, .parquet, .mcap), or a folder of X.csv with X.yaml")
     ] = None,
-    healthy: Annotated[
-        list[Path] | None, typer.Option("--healthy", help="recordings of the cell while it was healthy: only what changed since is judged")
-    ] = None,
-    now: Annotated[list[Path] | None, typer.Option("--now", help="with --healthy: the recordings to judge")] = None,
     cell: Annotated[
         Path | None,
         typer.Option(
@@ -72,6 +68,10 @@ def diagnose(
             "--simulated", help="your own simulator's output for the recorded motion (.csv), as the nominal; one for each recording"
         ),
     ] = None,
+    healthy: Annotated[
+        list[Path] | None, typer.Option("--healthy", help="recordings of the cell while it was healthy: only what changed since is judged")
+    ] = None,
+    now: Annotated[list[Path] | None, typer.Option("--now", help="with --healthy: the recordings to judge")] = None,
     effects: EffectsOption = None,
     adopted: AdoptedOption = True,
     jobs: Annotated[int | None, typer.Option("--jobs", min=1, help="processes, for a folder (default: 1)")] = None,

@@ -106,7 +106,9 @@ def answer_sentence(content: Mapping[str, Any], library: Mapping[str, Effect], *
 
     causes = ", and ".join(map(either, named or ()))
     if verdict == "none":
-        return "No gap: the cell behaves as its file says, within its tolerances" + (f" ({content['p_none']:.2f})." if with_ids else ".")
+        simulated = content.get("simulated") or {}
+        nominal = "it did while it was healthy" if simulated.get("healthy") else "your simulator says" if simulated else "its file says"
+        return f"No gap: the cell behaves as {nominal}, within its tolerances" + (f" ({content['p_none']:.2f})." if with_ids else ".")
     if verdict == "effects":
         return f"The gap has {'one cause' if len(named or ()) == 1 else f'{len(named or ())} causes'}: {causes}."
     if verdict == "ambiguous":
@@ -273,6 +275,7 @@ def _steps(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         file = learned.get("file") or "out.learned.yaml"
         yield ("If the law is to count from now on, let it join your library; --json writes it.", f"palpd effects --adopt {file}")
     if (content.get("simulated") or {}).get("healthy"):  # no cell file holds what was compared with
+        yield "Look at the cell for what is named. When it is mended, record the same motion and compare again.", ""
         return
     if verdict == "effects" or learned:
         yield ("Use the enriched cell file, which holds what was found.", f"{DIAGNOSE} --cell-out enriched.yaml")

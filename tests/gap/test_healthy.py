@@ -13,6 +13,7 @@ from palpd.errors import BadInput, RecordingError
 from palpd.gap.commands import diagnose_files, since_healthy
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.healthy import HealthyCell
+from palpd.gap.plain import plain_answer
 from palpd.recording.samples import Samples, write_csv
 from palpd.tick import Floats
 from tests.gap.test_user_simulator import foam_N, own_simulator, record, stated
@@ -41,7 +42,9 @@ def changed(now: Samples, healthy: list[Samples]) -> Diagnosis:
 def test_what_no_cell_file_has_is_healthy_if_it_was_there_before(healthy: list[Samples]) -> None:
     again = record(rig, seed=21)
     assert diagnose([again], stated(), propose=False).verdict != "none"
-    assert changed(again, healthy).verdict == "none"
+    answer = changed(again, healthy)
+    assert answer.verdict == "none"
+    assert answer.sentence.startswith("No gap: the cell behaves as it did while it was healthy, within its tolerances")
 
 
 def test_another_motion_of_the_healthy_cell_is_healthy(healthy: list[Samples]) -> None:
@@ -95,7 +98,11 @@ def test_without_a_cell_file_the_healthy_recordings_give_one(healthy: list[Sampl
     before, now = [tmp_path / f"{number}.csv" for number in range(3)], [tmp_path / "3.csv"]
     answer = diagnose_files(now, None, healthy=before, propose=False)
     assert [effect.id for effect in answer.effects] == ["cable.friction"], answer.sentence
-    assert answer.to_json()["simulated"]["healthy"]
+    content = answer.to_json()
+    assert content["simulated"]["healthy"]
+    ((step, command),) = plain_answer(content, EFFECTS)["steps"]
+    assert "When it is mended, record the same motion" in step
+    assert not command
     assert answer.modulus is None
 
 
