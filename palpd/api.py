@@ -552,7 +552,7 @@ def diagnose(
         raise BadInput("healthy= and simulated= are two nominals; leave one out")
     if healthy is not None:
         before = [_samples(each) for each in _several(healthy)]
-        nominal, simulators = since_healthy(before, None if cell is None else _cell(cell), effects, len(samples))
+        nominal, simulators = since_healthy(before, None if cell is None else _cell(cell), effects, samples)
         return GapDiagnosis(diagnose_samples(samples, nominal, effects, propose=propose, simulators=simulators))
     if cell is None:
         raise BadInput("no cell is given; give cell=, or healthy= recordings to compare with")

@@ -14,6 +14,7 @@ from palpd.cell.plausible import ask, doubts_of_cell
 from palpd.cell.simulation import share_outside, simulate
 from palpd.errors import BadInput, RecordingError
 from palpd.files import write_json
+from palpd.gap.data.plausibility import check_recordings
 from palpd.gap.data.prepare import stated_cell
 from palpd.gap.diagnosis import Diagnosis, diagnose, limits
 from palpd.gap.first_cell import first_cell
@@ -22,7 +23,7 @@ from palpd.gap.infer.detectable import DetectableSize
 from palpd.gap.plain import plain_answer
 from palpd.gap.tolerances import estimate_tolerances
 from palpd.gap.user_simulator import UserSimulator, simulate_with
-from palpd.recording.oddities import questions_of
+from palpd.recording.oddities import questions_of, refuse_repeated
 from palpd.recording.reader import Recording, holds_ticks, read_header, refuse_site, samples_of, visited_sites
 from palpd.recording.samples import (
     COLUMNS,
@@ -154,7 +155,7 @@ def diagnose_files(
         samples = [read_recording(path, site) for path in recordings]
         before = [read_recording(path, site) for path in healthy]
         stated = None if cell is None else load_cell(cell, known)
-        nominal, simulators = since_healthy(before, stated, known, len(samples))
+        nominal, simulators = since_healthy(before, stated, known, samples)
     else:
         samples, nominal = _read(recordings, cell, known, site)
         simulators = [UserSimulator.of_file(path, one.t_s) for path, one in zip(simulated, samples, strict=False)]
@@ -167,18 +168,28 @@ def diagnose_files(
 
 
 def since_healthy(
-    healthy: Sequence[Samples], cell: CellFile | None, known: Mapping[str, Effect], recordings: int
+    healthy: Sequence[Samples], cell: CellFile | None, known: Mapping[str, Effect], now: Sequence[Samples]
 ) -> tuple[CellFile, list[UserSimulator]]:
     """The nominal of a comparison with a healthy cell: its cell file, and one simulator for each recording.
 
     Args:
         cell: The cell file of the healthy cell; None: estimated from these recordings.
         known: Effects that the cell file may have.
-        recordings: Number of the recordings that are compared.
+        now: The recordings that are compared.
+
+    Raises:
+        RecordingError: The healthy recordings cannot be judged, or one of them is compared with itself, or with another site.
     """
+    refuse_repeated([*healthy, *now])
+    if len(names := {name for one in (*healthy, *now) for name in one.sites}) > 1:
+        raise RecordingError(
+            f"the recordings are of {len(names)} sites ({', '.join(sorted(names))}), expected one; compare each site with itself"
+        )
     cell = cell_from(first_cell(healthy).content, "the cell of the healthy recordings") if cell is None else cell
-    learned = HealthyCell.of(healthy, stated_cell(cell.at_site(common_site(healthy))), known)
-    return learned.compared_cell, [learned.simulator()] * recordings
+    cell = stated_cell(cell.at_site(common_site(healthy)))
+    check_recordings(healthy, cell, sized=False)
+    learned = HealthyCell.of(healthy, cell, known)
+    return learned.compared_cell, [learned.simulator()] * len(now)
 
 
 def limits_of_files(

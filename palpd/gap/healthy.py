@@ -152,10 +152,12 @@ class HealthyCell:
             library: Effects of that cell by id.
 
         Raises:
-            RecordingError: Nothing moves in the recordings, or there is none.
+            RecordingError: Nothing moves in the recordings, fz is dead in them, or there is none.
         """
         if not recordings:
             raise RecordingError("no healthy recording was given; at least one is needed")
+        if all(dead(one.wrench[:, FZ - 1]) for one in recordings):
+            raise RecordingError("fz_N never changes in the healthy recordings; check that the sensor is alive, and record again")
         motions = []
         for one in recordings:
             motion = asked(estimate_tip_motion(cell, one.t_s, one.z_m, one.vz_m_per_s, one.z_cmd_m), one.z_cmd_m)

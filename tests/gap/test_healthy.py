@@ -1,6 +1,7 @@
 """What changed since the cell was healthy: its own residual is the nominal, whatever law it follows."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ def healthy() -> list[Samples]:
 
 
 def changed(now: Samples, healthy: list[Samples]) -> Diagnosis:
-    cell, simulators = since_healthy(healthy, stated(), EFFECTS, 1)
+    cell, simulators = since_healthy(healthy, stated(), EFFECTS, [now])
     return diagnose([now], cell, propose=False, simulators=simulators)
 
 
@@ -88,6 +89,18 @@ def test_how_much_a_number_of_healthy_recordings_says_stands_in_the_answer(healt
     assert "One healthy recording shows only how the cell varies within a run" in about(1)
     assert "Two healthy recordings hardly show" in about(2)
     assert not about(3)
+
+
+def test_healthy_recordings_that_say_nothing_are_refused(healthy: list[Samples]) -> None:
+    def refusal(*recordings: Samples) -> str:
+        with pytest.raises(RecordingError) as error:
+            since_healthy(recordings, stated(), EFFECTS, [healthy[2]])
+        return str(error.value)
+
+    first = healthy[0]
+    assert "recordings 1 and 2 hold the same samples" in refusal(healthy[2])
+    assert "fz_N is 0 throughout" in refusal(replace(first, wrench=np.zeros_like(first.wrench)))
+    assert "multiply the forces by -1" in refusal(replace(first, wrench=-first.wrench))
     with pytest.raises(RecordingError, match="no healthy recording was given"):
         HealthyCell.of([], stated(), EFFECTS)
 
