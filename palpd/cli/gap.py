@@ -44,7 +44,6 @@ DiagnosisOption = Annotated[
 @app.command(
     examples=[
         "palpd diagnose recording.csv --cell cell.yaml --report report.html --cell-out enriched.yaml",
-        "palpd diagnose run.mcap --site A",
         "palpd diagnose --healthy monday.csv tuesday.csv wednesday.csv --now today.csv",
     ]
 )
