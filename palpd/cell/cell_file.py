@@ -334,12 +334,19 @@ class CellFile(StrictBlock):
         own, common = self.at_site(name).tissue, self.tissue or TissueBlock()
         if own is None or own.youngs_modulus_Pa != common.youngs_modulus_Pa:
             return self
-        unknown = max(self.tolerances.youngs_modulus, 1.0)
-        return self.model_copy(update={"tolerances": self.tolerances.model_copy(update={"youngs_modulus": unknown})})
+        return self.with_modulus_tolerance(max(self.tolerances.youngs_modulus, 1.0))
 
     def with_effects(self, effects: EffectValues) -> "CellFile":
         """The same cell with these effects in place of its own (not checked: they come from a fit)."""
         return self.model_copy(update={"effects": effects})
+
+    def without_effects(self) -> "CellFile":
+        """The same cell without effects and learned laws."""
+        return self.model_copy(update={"effects": {}, "learned": ()})
+
+    def with_modulus_tolerance(self, youngs_modulus: float) -> "CellFile":
+        """The same cell whose modulus has this relative tolerance; 1.0 or more: it is not known."""
+        return self.model_copy(update={"tolerances": self.tolerances.model_copy(update={"youngs_modulus": youngs_modulus})})
 
     def with_estimated(self, estimated: Estimated | None) -> "CellFile":
         """The same cell with these in-tolerance deviations; None: without any."""

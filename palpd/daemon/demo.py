@@ -191,7 +191,7 @@ def _laws_of(effect: str) -> tuple[LearnedEffect, ...]:
 
 def _nominal_of(cell: CellFile) -> CellFile:
     """What the daemon knows of an emulated cell."""
-    return cell.with_effects({}).model_copy(update={"learned": ()})
+    return cell.without_effects()
 
 
 def _effects_of(effect: str, nominal: CellFile) -> dict[str, dict[str, float]]:

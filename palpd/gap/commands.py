@@ -23,7 +23,7 @@ from palpd.gap.infer.detectable import DetectableSize
 from palpd.gap.plain import plain_answer
 from palpd.gap.tolerances import estimate_tolerances
 from palpd.gap.user_simulator import UserSimulator, simulate_with
-from palpd.recording.oddities import questions_of, refuse_repeated
+from palpd.recording.oddities import questions_of
 from palpd.recording.reader import Recording, holds_ticks, read_header, refuse_site, samples_of, visited_sites
 from palpd.recording.samples import (
     COLUMNS,
@@ -178,16 +178,11 @@ def since_healthy(
         now: The recordings that are compared.
 
     Raises:
-        RecordingError: The healthy recordings cannot be judged, or one of them is compared with itself, or with another site.
+        RecordingError: The recordings cannot be judged, or one of them is compared with itself, or with another site.
     """
-    refuse_repeated([*healthy, *now])
-    if len(names := {name for one in (*healthy, *now) for name in one.sites}) > 1:
-        raise RecordingError(
-            f"the recordings are of {len(names)} sites ({', '.join(sorted(names))}), expected one; compare each site with itself"
-        )
     cell = cell_from(first_cell(healthy).content, "the cell of the healthy recordings") if cell is None else cell
     cell = stated_cell(cell.at_site(common_site(healthy)))
-    check_recordings(healthy, cell, sized=False)
+    check_recordings([*healthy, *now], cell, sized=False)
     learned = HealthyCell.of(healthy, cell, known)
     return learned.compared_cell, [learned.simulator()] * len(now)
 

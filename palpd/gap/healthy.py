@@ -9,22 +9,23 @@ A nominal that was learned is uncertain. A diagnosis may change the prediction b
 recording to recording, or between the parts of a single one. Beyond the heights and speeds of the healthy recordings nothing is judged.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import t as student
 
-from palpd.cell.cell_file import CellFile
+from palpd.cell.cell_file import CellFile, Tolerances
 from palpd.cell.dynamics import lowpass, play, steps
 from palpd.cell.effects import Effect
 from palpd.cell.physics import physics
 from palpd.cell.simulation import predict_motion, wrench_of
-from palpd.cell.span import TipMotion
+from palpd.cell.span import Constants, TipMotion
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
 from palpd.gap.data.noise import CHANNELS, FZ, Z, declared_rms
@@ -88,7 +89,7 @@ class _Motions:
         share = (z_m - self.heights_m[0]) / self.stroke_m
         return np.clip((INTERVALS * share).astype(int), 0, INTERVALS - 1)
 
-    def known(self, motion: MotionColumns) -> Floats:
+    def known(self, motion: MotionColumns) -> NDArray[np.bool_]:
         """Whether a motion stays within the healthy ones (n,)."""
         beyond_m, faster = BEYOND * self.stroke_m, (1.0 + BEYOND) * self.largest_m_per_s
         inside = (motion["z_m"] > self.heights_m[0] - beyond_m) & (motion["z_m"] < self.heights_m[-1] + beyond_m)
@@ -158,15 +159,12 @@ class HealthyCell:
             raise RecordingError("no healthy recording was given; at least one is needed")
         if all(dead(one.wrench[:, FZ - 1]) for one in recordings):
             raise RecordingError("fz_N never changes in the healthy recordings; check that the sensor is alive, and record again")
-        motions = []
-        for one in recordings:
-            motion = asked(estimate_tip_motion(cell, one.t_s, one.z_m, one.vz_m_per_s, one.z_cmd_m), one.z_cmd_m)
-            motions.append(motion)
+        motions = [asked(estimate_tip_motion(cell, one.t_s, one.z_m, one.vz_m_per_s, one.z_cmd_m), one.z_cmd_m) for one in recordings]
         empty = HealthyCell(cell, library, len(recordings), _Motions.of(motions, physics(cell, None, library).constants.surface_z_m), {})
         plain = [empty.plain(motion) for motion in motions]
         blocks = [max(1, round(BLOCK_S * one.rate_Hz)) for one in recordings]
         forces = [_blocks(empty.terms(motion, FZ), block) for motion, block in zip(motions, blocks, strict=True)]
-        weights = {}
+        force_groups, weights = empty.groups(motions[0], FZ), {}
         for channel, name in enumerate(CHANNELS):
             measured = [one.z_m if channel == Z else one.wrench[:, channel - 1] for one in recordings]
             if all(dead(values) for values in measured) or (channel == Z and any(one.z_cmd_m is None for one in recordings)):
@@ -186,7 +184,8 @@ class HealthyCell:
                 Z: (1e-3 * noise, 1e-6 * noise),
                 FZ: (cell.tolerances.bias_N, cell.tolerances.drift_N_per_min / 60.0),
             }.get(channel, (0.4 * noise, 1e-3 * noise))
-            weights[channel] = _learned(pieces, empty.groups(motions[0], channel), noise / blocks[0] ** 0.5, zero, drift_per_s)
+            groups = empty.groups(motions[0], Z) if channel == Z else force_groups
+            weights[channel] = _learned(pieces, groups, noise / blocks[0] ** 0.5, zero, drift_per_s)
         return HealthyCell(cell, library, len(recordings), empty.motions, weights)
 
     def plain(self, motion: MotionColumns) -> dict[str, Floats]:
@@ -253,13 +252,17 @@ class HealthyCell:
         }
 
     @cached_property
+    def _constants(self) -> Constants:
+        return physics(self.cell, None, self.library).constants
+
+    @property
     def _surface_m(self) -> float:
-        return physics(self.cell, None, self.library).constants.surface_z_m
+        return self._constants.surface_z_m
 
     def _contact_N(self, motion: MotionColumns) -> Floats:
         """Force of the contact (n,) as palpd has it."""
         depth_m = np.maximum(self._surface_m - motion["z_m"], 0.0)
-        return physics(self.cell, None, self.library).constants.elastic_force_N(depth_m)
+        return self._constants.elastic_force_N(depth_m)
 
     # the simulator
 
@@ -269,20 +272,27 @@ class HealthyCell:
 
     def predict(self, motion: MotionColumns) -> dict[str, Floats]:
         """What the healthy cell reports on a motion, by column (n,), with the force of its contact."""
-        out, plain = {}, self.plain(motion)
-        for channel, weights in self.weights.items():
-            name = CHANNELS[channel]
-            if name in plain:
-                out[name] = plain[name] + self.terms(motion, channel) @ weights.mean
-        return out | {CONTACT_COLUMN: self._contact_of(motion)}
+        plain, named = self.plain(motion), self._named_terms(motion, FZ)
+        out = {CHANNELS[channel]: terms @ weights.mean for channel, weights, terms in self._weighed(motion, np.hstack([*named.values()]))}
+        return {name: plain[name] + values for name, values in out.items()} | {CONTACT_COLUMN: self._contact_of(motion, named)}
 
-    def _contact_of(self, motion: MotionColumns) -> Floats:
-        """Palpd's contact, and what curves over the height and forces that remember the load add while the tip is below the surface."""
+    def _weighed(self, motion: MotionColumns, forces: Floats) -> Iterator[tuple[int, _Weights, Floats]]:
+        """Each learned channel of a motion with its weights and terms; `forces` (n, p) are those that all forces share."""
+        for channel, weights in self.weights.items():
+            if channel != Z:
+                yield channel, weights, forces
+            elif "z_cmd_m" in motion:
+                yield channel, weights, self.terms(motion, Z)
+
+    def _contact_of(self, motion: MotionColumns, named: Mapping[str, Floats]) -> Floats:
+        """Palpd's contact, and what curves over the height and forces that remember the load add while the tip is below the surface.
+
+        Args:
+            named: The terms of fz by name.
+        """
         if not np.isfinite(self._surface_m):
             return np.zeros_like(motion["z_m"])
-        fz = CHANNELS.index("fz_N")
-        named = self._named_terms(motion, fz)
-        parts = np.split(self.weights[fz].mean, np.cumsum([terms.shape[1] for terms in named.values()])[:-1])
+        parts = np.split(self.weights[FZ].mean, np.cumsum([terms.shape[1] for terms in named.values()])[:-1])
         by_name = {name: terms @ part for (name, terms), part in zip(named.items(), parts, strict=True)}
         at_surface_N = float((_hats(np.array([self._surface_m]), self.motions.heights_m) @ parts[0])[0])
         more_N = by_name["height"] - at_surface_N + by_name["memory"] + by_name["presses"]
@@ -290,24 +300,22 @@ class HealthyCell:
 
     def doubt(self, motion: MotionColumns) -> SimulatorDoubt:
         """How the prediction for a motion may be wrong."""
-        n = len(motion["t_s"])
+        n, interval = len(motion["t_s"]), self.motions.interval(motion["z_m"])
         columns: list[Floats] = []
-        for channel, weights in self.weights.items():
-            if channel == Z and "z_cmd_m" not in motion:
-                continue
-            terms = self.terms(motion, channel)
+        for channel, weights, terms in self._weighed(motion, self.terms(motion, FZ)):
             own = np.linalg.cholesky(weights.covariance + 1e-12 * np.trace(weights.covariance) * np.eye(len(weights.mean)))
             # Those combinations of the weights' errors that change this prediction most.
-            _, sizes, turned = np.linalg.svd(np.linalg.qr(terms @ own, mode="r"))
-            errors = (terms @ own @ turned.T[:, :MOST_ERRORS]).T[sizes[:MOST_ERRORS] > 0.0]
+            by_error = terms @ own
+            _, sizes, turned = np.linalg.svd(np.linalg.qr(by_error, mode="r"))
+            errors = (by_error @ turned.T[:, :MOST_ERRORS]).T[sizes[:MOST_ERRORS] > 0.0]
             for change in (*errors, *(terms @ difference for difference in weights.between)):
                 one = np.zeros((7, n))
                 one[channel] = change
                 columns.append(one)
-        interval, unexplained = self.motions.interval(motion["z_m"]), np.zeros((7, n))
+        unexplained = np.zeros((7, n))
         for channel, weights in self.weights.items():
             unexplained[channel] = weights.unexplained[interval]
-        return SimulatorDoubt(np.array(columns).reshape(-1, 7, n), self.motions.known(motion).astype(bool), unexplained)
+        return SimulatorDoubt(np.array(columns).reshape(-1, 7, n), self.motions.known(motion), unexplained)
 
     def _about(self) -> tuple[str, ...]:
         if self.recordings == 1:
@@ -322,10 +330,8 @@ class HealthyCell:
     @property
     def compared_cell(self) -> CellFile:
         """The cell file for a comparison: its effects are predicted, and a modulus that is not known is that of the healthy cell."""
-        tolerances = self.cell.tolerances
-        if not tolerances.modulus_known:
-            tolerances = tolerances.model_copy(update={"youngs_modulus": type(tolerances).model_fields["youngs_modulus"].default})
-        return self.cell.with_effects({}).model_copy(update={"learned": (), "tolerances": tolerances})
+        cell = self.cell.without_effects()
+        return cell if cell.tolerances.modulus_known else cell.with_modulus_tolerance(Tolerances.model_fields["youngs_modulus"].default)
 
 
 def _blocks(values: Floats, block: int) -> Floats:

@@ -247,6 +247,7 @@ def _closed(content: Mapping[str, Any]) -> str:
 def _steps(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """What to do next, the most urgent first."""
     verdict, proposed, learned, events = (content.get(key) for key in ("verdict", "next_experiment", "learned", "events"))
+    since_healthy = bool((content.get("simulated") or {}).get("healthy"))
     if content["decisive"]:
         yield "First clear up what stands above the answer: it makes the answer doubtful.", ""
     elif verdict == "none":
@@ -271,10 +272,10 @@ def _steps(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             "(docs/how-to/add-an-effect.md), and diagnose again.",
             f"{DIAGNOSE} --effects my_effect.py",
         )
-    if learned and not (content.get("simulated") or {}).get("healthy"):
+    if learned and not since_healthy:
         file = learned.get("file") or "out.learned.yaml"
         yield ("If the law is to count from now on, let it join your library; --json writes it.", f"palpd effects --adopt {file}")
-    if (content.get("simulated") or {}).get("healthy"):  # no cell file holds what was compared with
+    if since_healthy:  # no cell file holds what was compared with
         yield "Look at the cell for what is named. When it is mended, record the same motion and compare again.", ""
         return
     if verdict == "effects" or learned:

@@ -1,6 +1,6 @@
 """A user's own simulator as the nominal: a file with its output for a recording, or a function that is asked for any motion.
 
-Effects act on its output as they act on palpd's own cell (`palpd.cell.nominal_output`). Effects on the tissue and on lateral forces need
+Effects act on its output as they act on palpd's own cell (`palpd.cell.span`). Effects on the tissue and on lateral forces need
 the force of its contact. An effect between robot and tip moves the tip off the height that the robot reports, and a changed surface does
 the same for the contact. So a function is asked again for the same motion with the tip raised by a few distances, and its contact is
 interpolated between these. A file knows the recorded motion alone, so a diagnosis leaves these effects out and says so.
@@ -308,11 +308,7 @@ def followed_command(
     plain = simulator.run(asked(motion, z_cmd_m))
     if "z_m" not in plain or _repeats(plain["z_m"], z_m, motion.z_m, cell):
         return z_cmd_m
-    return _followed_command(_without_effects(cell), library, motion.t_s, plain["z_m"])
-
-
-def _without_effects(cell: CellFile) -> CellFile:
-    return cell.with_effects({}).model_copy(update={"learned": ()})
+    return _followed_command(cell.without_effects(), library, motion.t_s, plain["z_m"])
 
 
 def simulated_nominal(
@@ -331,7 +327,7 @@ def simulated_nominal(
         reported: Commanded heights (n,), None without a command, and heights (n,) as the robot reports them.
     """
     _refuse_asking(simulator, cell, library)
-    cell = _without_effects(cell)
+    cell = cell.without_effects()
     z_cmd_m, z_m = reported
     constants = physics(cell, None, library).constants
     deepest_m = max(constants.surface_z_m - float(motion.z_m.min()), 0.0)

@@ -99,6 +99,7 @@ def test_healthy_recordings_that_say_nothing_are_refused(healthy: list[Samples])
 
     first = healthy[0]
     assert "recordings 1 and 2 hold the same samples" in refusal(healthy[2])
+    assert "hold 2 sites (A, B), expected one" in refusal(replace(first, sites=("A",)), replace(healthy[1], sites=("B",)))
     assert "fz_N is 0 throughout" in refusal(replace(first, wrench=np.zeros_like(first.wrench)))
     assert "multiply the forces by -1" in refusal(replace(first, wrench=-first.wrench))
     with pytest.raises(RecordingError, match="no healthy recording was given"):
