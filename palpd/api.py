@@ -33,8 +33,9 @@ from palpd.gap.diagnosis import diagnose as diagnose_samples
 from palpd.gap.user_simulator import UserSimulator, asked, own_effects
 from palpd.recording.samples import (
     COLUMNS,
-    WRENCH_COLUMNS,
+    JOINT_COLUMNS,
     Samples,
+    columns_of,
     common_site,
     numbers_of,
     samples_from_columns,
@@ -166,10 +167,7 @@ class LoadedRecording(_Shown):
     @property
     def columns(self) -> dict[str, Floats]:
         """Every column (n,) by its name, in the order of the CSV."""
-        samples = self.samples
-        motion = {"t_s": samples.t_s, "z_cmd_m": samples.z_cmd_m, "z_m": samples.z_m, "vz_m_per_s": samples.vz_m_per_s}
-        wrench = {name: samples.wrench[:, k] for k, name in enumerate(WRENCH_COLUMNS)}
-        return {name: values for name, values in (motion | wrench).items() if values is not None}
+        return columns_of(self.samples)
 
     def to_pandas(self) -> pd.DataFrame:
         """The columns as a data frame of pandas, which must be installed (palpd[notebook])."""
@@ -187,8 +185,9 @@ class LoadedRecording(_Shown):
     def sentence(self) -> str:
         """Length, rate and range in words."""
         samples = self.samples
-        travel_mm = 1e3 * float(np.ptp(samples.z_m))
-        return f"{self.name}: {len(samples)} rows in {samples.duration_s:.1f} s ({samples.rate_Hz:.0f} Hz), {travel_mm:.1f} mm of travel."
+        travel = float(np.ptp(samples.z_m))
+        shown = f"{travel:.2f} rad" if samples.joint else f"{1e3 * travel:.1f} mm"
+        return f"{self.name}: {len(samples)} rows in {samples.duration_s:.1f} s ({samples.rate_Hz:.0f} Hz), {shown} of travel."
 
     def table(self) -> list[TableRow]:
         """Least, mean and largest value of every column."""
@@ -204,10 +203,9 @@ class LoadedRecording(_Shown):
         samples = self.samples
         with styled_figure(10.0, 4.0) as figure:
             above, below = figure.subplots(2, 1, sharex=True)
-            for axes, values, colour, label in (
-                (above, 1e3 * samples.z_m, INK, "height, mm"),
-                (below, samples.wrench[:, 2], BLUE, "fz, N"),
-            ):
+            motion = (samples.z_m, "angle, rad") if samples.joint else (1e3 * samples.z_m, "height, mm")
+            force = "torque, Nm" if samples.joint else "fz, N"
+            for axes, values, colour, label in ((above, motion[0], INK, motion[1]), (below, samples.wrench[:, 2], BLUE, force)):
                 axes.plot(*thinned(samples.t_s, values), color=colour)
                 axes.set_ylabel(label)
             below.set_xlabel("time, s")
@@ -329,6 +327,7 @@ class GapDiagnosis(_Shown):
         """The channel with the largest gap: measured less simulated, by the cell as stated and with what was found."""
         from palpd.analysis.figure_style import ENRICHED, NOMINAL, styled_figure, thinned
         from palpd.gap.data.noise import CHANNELS
+        from palpd.gap.plain import channel_words
         from palpd.gap.report.page import curves_of
 
         curves, content = curves_of(self.answer), self.to_json()
@@ -338,7 +337,7 @@ class GapDiagnosis(_Shown):
             axes = figure.subplots()
             axes.plot(*thinned(curves.t_s, before), color=NOMINAL, label="as stated")
             axes.plot(*thinned(curves.t_s, after), color=ENRICHED, label="with what was found")
-            axes.set(xlabel="time, s", ylabel=f"measured less simulated {channel}")
+            axes.set(xlabel="time, s", ylabel=f"measured less simulated {channel_words(channel, content)}")
             axes.legend()
         return figure
 
@@ -650,7 +649,7 @@ def _columns(source: Source) -> dict[str, Floats]:
         )
     names = list(source) if isinstance(source, Mapping) else list(source.columns)
     try:
-        return {name: numbers_of(source[name], "the data frame", name) for name in COLUMNS if name in names}
+        return {name: numbers_of(source[name], "the data frame", name) for name in (*COLUMNS, *JOINT_COLUMNS) if name in names}
     except (TypeError, ValueError) as error:
         raise RecordingError(f"a column of the data frame holds something that is no number ({error})") from None
 

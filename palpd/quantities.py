@@ -3,6 +3,8 @@
 from math import floor, isfinite, log10, pi
 
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p"))
+OF_JOINT = {"N": "N m", "m": "rad", "kg": "kg m²", "N/m": "N m/rad", "N s/m": "N m s/rad", "N/s": "N m/s"}
+"""Units of a joint in place of those of an axis: its heights are angles, its forces torques."""
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 WIDE = 0.4
 """Length of an interval, as a share of the value, from which on two digits of the value are enough."""

@@ -98,14 +98,15 @@ def import_(
     ] = None,
     force_column: curve_options.ForceColumn = None,
     force_unit: Annotated[
-        Literal["N", "mN", "uN", "nN", "pN", "kN", "kip", "lbf", "gf", "kgf", "V", "mV"] | None,
-        typer.Option("--force-unit", help="unit of the force"),
+        Literal["N", "mN", "uN", "nN", "pN", "kN", "kip", "lbf", "gf", "kgf", "V", "mV", "Nm", "mNm", "Nmm", "Ncm"] | None,
+        typer.Option("--force-unit", help="unit of the force, or of the torque of a joint"),
     ] = None,
     depth_column: curve_options.DepthColumn = None,
     height_column: curve_options.HeightColumn = None,
     height_down_positive: curve_options.HeightDownPositive = False,
     length_unit: Annotated[
-        Literal["m", "cm", "mm", "um", "nm", "in", "V", "mV"] | None, typer.Option("--length-unit", help="unit of depth or height")
+        Literal["m", "cm", "mm", "um", "nm", "in", "V", "mV", "rad", "mrad", "deg", "rev"] | None,
+        typer.Option("--length-unit", help="unit of depth or height, or of the angle of a joint"),
     ] = None,
     compression_negative: curve_options.CompressionNegative = False,
     time_column: Annotated[
@@ -132,6 +133,7 @@ def import_(
     offset_s: Annotated[float | None, typer.Option("--offset-s", help="added to the times of the force, for two clocks")] = None,
     tare_s: Annotated[float | None, typer.Option("--tare-s", help="take the mean of the first seconds from the force")] = None,
     accept_implausible: AcceptImplausible = False,
+    joint: Annotated[bool, typer.Option("--joint", help="the columns hold angle (for height) and torque (for force) of one joint")] = False,
 ) -> None:
     """Turn what another machine recorded into a recording that `palpd diagnose` and `palpd replay` read."""
     values = locals()

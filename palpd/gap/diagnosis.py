@@ -135,6 +135,7 @@ def _stages(
         proposal=proposal,
         modulus=compared_modulus(inference.problem, inference.stated, observations.site) if source is None else None,
         source=source,
+        joint=any(each.joint for each in recordings),
     )
 
 
@@ -159,6 +160,7 @@ class Diagnosis:
         modulus: The modulus of the cell file and that of the recordings; None where the file states none, nothing was touched, or the
             nominal is a user's simulator.
         source: The user's own simulator; None where palpd itself simulates the nominal cell.
+        joint: Whether the recordings are of a single joint: rad for m, and Nm for N.
     """
 
     inference: Inference
@@ -169,6 +171,7 @@ class Diagnosis:
     proposal: ExperimentProposal | None
     modulus: ComparedModulus | None = None
     source: NominalSource | None = None
+    joint: bool = False
 
     @property
     def problem(self) -> Problem:
@@ -258,23 +261,27 @@ class Diagnosis:
     def _content(self) -> dict[str, Any]:
         """The content of out.json without the answer in words, and without the uncertainty, which takes long to compute."""
         candidates = sorted(self.decision.candidates.items(), key=lambda item: (-item[1], item[0]))
-        return {
-            "verdict": self.verdict,
-            "basis": self._basis,
-            "where": self.gap.where,
-            "gap": [{name: value for name, value in vars(g).items() if name != "samples"} for g in self.gap.table],
-            "effects": [effect.to_json() for effect in self.effects],
-            "candidates": [{"id": name, "probability": p} for name, p in candidates if p > LEAST_LISTED],
-            "p_none": self.decision.p_none,
-            "p_unknown": self.decision.p_unknown,
-            "shrink": self.gap.shrink.to_json(),
-            "unexplained": self.gap.unexplained,
-            "next_experiment": None if self.proposal is None else self.proposal.to_json(),
-            "bands": self.gap.bands,
-            "trend": self.gap.trend,
-            "learned": None if self.decision.law is None else self.decision.law.to_json(),
-            "events": list(self.decision.beyond.events) or None,
-            "modulus": None if self.modulus is None else self.modulus.to_json(),
-            "decisive": self.decisive,
-            "notes": self.notes,
-        } | ({} if self.source is None else {"simulated": self.source.to_json()})
+        return (
+            {
+                "verdict": self.verdict,
+                "basis": self._basis,
+                "where": self.gap.where,
+                "gap": [{name: value for name, value in vars(g).items() if name != "samples"} for g in self.gap.table],
+                "effects": [effect.to_json() for effect in self.effects],
+                "candidates": [{"id": name, "probability": p} for name, p in candidates if p > LEAST_LISTED],
+                "p_none": self.decision.p_none,
+                "p_unknown": self.decision.p_unknown,
+                "shrink": self.gap.shrink.to_json(),
+                "unexplained": self.gap.unexplained,
+                "next_experiment": None if self.proposal is None else self.proposal.to_json(),
+                "bands": self.gap.bands,
+                "trend": self.gap.trend,
+                "learned": None if self.decision.law is None else self.decision.law.to_json(),
+                "events": list(self.decision.beyond.events) or None,
+                "modulus": None if self.modulus is None else self.modulus.to_json(),
+                "decisive": self.decisive,
+                "notes": self.notes,
+            }
+            | ({} if self.source is None else {"simulated": self.source.to_json()})
+            | ({"joint": True} if self.joint else {})
+        )

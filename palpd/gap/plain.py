@@ -4,16 +4,19 @@ It says what out.json holds, and concludes nothing else.
 """
 
 from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, TypedDict
 
 from palpd.cell.effects import Effect
 from palpd.gap.data.phases import PHASE_PHRASES
-from palpd.quantities import number, quantity, scaled
+from palpd.quantities import OF_JOINT, number, quantity, scaled
 
 CHANNEL_WORDS = {
     "z_m": "height", "fx_N": "force along x", "fy_N": "force along y", "fz_N": "vertical force",
     "tx_Nm": "torque about x", "ty_Nm": "torque about y", "tz_Nm": "torque about z",
 }  # fmt: skip
+JOINT_WORDS = {"z_m": "angle", "fz_N": "torque"}
+"""Channels of a recording of a single joint."""
 EVENT_WORDS = {
     "step": "{channel} steps by {size}",
     "pulse": "{channel} is {size} off for a moment",
@@ -73,15 +76,28 @@ def plain_answer(content: Mapping[str, Any], library: Mapping[str, Effect]) -> P
         "where": _where(content),
         "sure": "" if sure is None else _sure(sure),
         "causes": [*_laws(content), *(_cause(content, effect, library) for effect in content["effects"])],
-        "events": [_event(event) for event in sorted(content.get("events") or (), key=lambda event: event["t_s"])],
+        "events": [_event(event, content) for event in sorted(content.get("events") or (), key=lambda event: event["t_s"])],
         "closed": _closed(content),
         "steps": list(_steps(content)),
     }
 
 
-def channel_words(channel: str) -> str:
-    """A channel in words with its name: vertical force (fz)."""
-    return f"{CHANNEL_WORDS[channel]} ({channel.split('_')[0]})"
+def channel_words(channel: str, content: Mapping[str, Any]) -> str:
+    """A channel in words with its name: vertical force (fz); torque of a joint.
+
+    Args:
+        content: The content of out.json.
+    """
+    return JOINT_WORDS[channel] if content.get("joint") else f"{CHANNEL_WORDS[channel]} ({channel.split('_')[0]})"
+
+
+def channel_name(channel: str, content: Mapping[str, Any]) -> str:
+    """A channel in words: vertical force, or torque of a joint.
+
+    Args:
+        content: The content of out.json.
+    """
+    return (JOINT_WORDS if content.get("joint") else CHANNEL_WORDS)[channel]
 
 
 def answer_sentence(content: Mapping[str, Any], library: Mapping[str, Effect], *, with_ids: bool = False) -> str:
@@ -154,36 +170,43 @@ def _where(content: Mapping[str, Any]) -> str:
     gap = next((each for each in content["gap"] if (each["channel"], each["phase"]) == (place["channel"], place["phase"])), None)
     size = ""
     if gap is not None and gap["rms"] > CLEAR * gap["noise_floor"]:
-        rms, floor = _sizes(place["channel"], gap["rms"], gap["noise_floor"])
+        rms, floor = _sizes(unit_of(place["channel"], content), gap["rms"], gap["noise_floor"])
         size = f": {rms} rms, where a healthy cell shows {floor}"
-    shows = f"It shows most in the {channel_words(place['channel'])} {PHASE_PHRASES[place['phase']]}{size}."
+    shows = f"It shows most in the {channel_words(place['channel'], content)} {PHASE_PHRASES[place['phase']]}{size}."
     rest = _unexplained(content)
     if rest is None:
         return shows
     there = (rest["channel"], rest["phase"]) == (place["channel"], place["phase"])
     if there and size and not content["effects"]:
         return shows
-    at = "there" if there else f"in the {channel_words(rest['channel'])} {PHASE_PHRASES[rest['phase']]}"
-    return f"{shows} What nothing in the list explains is largest {at}: {quantity(rest['rms'], unit_of(rest['channel']))} rms."
+    at = "there" if there else f"in the {channel_words(rest['channel'], content)} {PHASE_PHRASES[rest['phase']]}"
+    return f"{shows} What nothing in the list explains is largest {at}: {quantity(rest['rms'], unit_of(rest['channel'], content))} rms."
 
 
-def _sizes(channel: str, *values: float) -> list[str]:
-    """Sizes of one channel in one unit, to compare them."""
-    scale, unit = scaled(max(values), unit_of(channel))
+def _sizes(si: str, *values: float) -> list[str]:
+    """Sizes in one unit, to compare them."""
+    scale, unit = scaled(max(values), si)
     return [f"{number(value / scale, 2)} {unit}" for value in values]
 
 
-def unit_of(channel: str) -> str:
-    """The SI unit of a channel."""
-    return channel.rsplit("_", 1)[1].replace("Nm", "N m")
+def unit_of(channel: str, content: Mapping[str, Any] = MappingProxyType({})) -> str:
+    """The SI unit of a channel.
+
+    Args:
+        content: The content of out.json, where it may be a joint's.
+    """
+    unit = channel.rsplit("_", 1)[1].replace("Nm", "N m")
+    return OF_JOINT[unit] if content.get("joint") else unit
 
 
 def _cause(content: Mapping[str, Any], effect: Mapping[str, Any], library: Mapping[str, Effect]) -> PlainCause:
     known = library.get(effect["id"])
     meanings = {each.name: (each.label, each.unit) for each in (known.parameters if known is not None else ())}
+    of_joint: Mapping[str, str] = OF_JOINT if content.get("joint") else {}
     parameters = []
     for name, figure in effect["parameters"].items():
-        label, unit = meanings.get(name, (name, "1"))
+        label, of_axis = meanings.get(name, (name, "1"))
+        unit = of_joint.get(of_axis, of_axis)
         bound = ", at the end of its range, so it is a finding and no value" if name in effect.get("at_bound", ()) else ""
         parameters.append((name, label, quantity(figure["value"], unit, tuple(figure["ci95"])) + bound))
     others = "; ".join(f"{_cause_of(other, library)} ({other})" for other in effect["indistinguishable_from"])
@@ -216,8 +239,9 @@ def _laws(content: Mapping[str, Any]) -> Iterator[PlainCause]:
         }
 
 
-def _event(event: Mapping[str, Any]) -> str:
-    channel, size = CHANNEL_WORDS[event["channel"]], quantity(abs(event["size"]), unit_of(event["channel"]))
+def _event(event: Mapping[str, Any], content: Mapping[str, Any]) -> str:
+    channel = channel_name(event["channel"], content)
+    size = quantity(abs(event["size"]), unit_of(event["channel"], content))
     words = EVENT_WORDS.get(event["kind"], "{channel}: " + event["kind"] + " of {size}").format(channel=f"the {channel}", size=size)
     return _sentence(f"at {event['t_s']:.2f} s {words}")
 
@@ -231,7 +255,7 @@ def _closed(content: Mapping[str, Any]) -> str:
     causes = "this cause" if len(content["effects"]) == 1 else "these causes"
     if content["verdict"] == "unknown":
         causes = "what is nearest in the list"
-    before, after, noise = _sizes(shrink["channel"], shrink["before_rms"], shrink["after_rms"], shrink["noise_floor"])
+    before, after, noise = _sizes(unit_of(shrink["channel"], content), shrink["before_rms"], shrink["after_rms"], shrink["noise_floor"])
     if shrink["closed"] >= 0.5 and shrink["after_rms"] <= WITHIN_NOISE * shrink["noise_floor"]:
         return f"With {causes} the simulator agrees with {shrink['on']}, to within the noise: {after} rms, {before} without.{rest}"
     if shrink["closed"] < LEAST_CLOSED:

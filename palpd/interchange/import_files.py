@@ -29,7 +29,7 @@ from palpd.interchange.registry import reader_of
 from palpd.interchange.table import OPTICS11_TIP
 from palpd.interchange.units import Quantity, UnitScale, refuse_unconfirmed, scale_of, unit_named
 from palpd.recording.oddities import dead, questions_of, refuse_dead
-from palpd.recording.samples import MIN_SAMPLES, WRENCH_COLUMNS, Samples, samples_from_columns, write_csv
+from palpd.recording.samples import JOINT_COLUMNS, MIN_SAMPLES, WRENCH_COLUMNS, Samples, samples_from_columns, write_csv
 from palpd.tick import Floats
 
 ROLES: dict[str, Quantity] = {
@@ -38,10 +38,15 @@ ROLES: dict[str, Quantity] = {
 """Columns of a recording that --column may name, beside time, height and force."""
 MOTION_ROLES = ("z_cmd_m", "vz_m_per_s")
 """Those that belong to the motion."""
+JOINT: Mapping[Quantity, Quantity] = {"length": "angle", "speed": "angular speed", "force": "torque"}
+"""What is asked of a joint in place of what is asked of an axis."""
 OWN = ("fz_N", "z_m", "t_s")
 """Force, height and time as our own tables and those of `palpd export` call them."""
+OWN_JOINT = ("torque_Nm", "angle_rad", "t_s")
+"""Torque, angle and time as tables of a joint call them."""
 KNOWN_COLUMNS = (
     OWN,
+    OWN_JOINT,
     ("force", "tip position", "time"),
     ("force", "height (measured)", "time"),
     ("Load (uN)", OPTICS11_TIP, "Time (s)"),
@@ -63,7 +68,7 @@ class ImportOptions:
 
     `time_columns` is one name for all files, or one for each. `rate_Hz` stands for times that no column holds. `columns` names further
     columns of the recording (ROLES). `offset_s` is added to the times of the force, `tare_s` is the length of the still start,
-    `accept_implausible` lets implausible values count.
+    `accept_implausible` lets implausible values count. `joint`: the columns hold angle and torque, and the recording is one of a joint.
     """
 
     force_column: str | None = None
@@ -89,6 +94,7 @@ class ImportOptions:
     offset_s: float | None = None
     tare_s: float | None = None
     accept_implausible: bool = False
+    joint: bool = False
 
 
 @dataclass(frozen=True)
@@ -199,7 +205,7 @@ def read_files(paths: Sequence[Path], options: ImportOptions) -> Imported:
     if options.tare_s is not None:
         readings = tared(t_s, columns["z_m"], readings, options.tare_s)
     columns |= {"t_s": t_s - t_s[0], **dict(zip(WRENCH_COLUMNS, np.ascontiguousarray(readings.T), strict=True))}
-    samples = samples_from_columns(columns, names)
+    samples = replace(samples_from_columns(columns, names), joint=reading.options.joint)
     refuse_dead(samples, f"{names}: ")
     check = "check columns, --force-unit, --length-unit, --time-unit and the signs (--axis, --compression-negative, --height-column)"
     notes += ask([f"{names}: {each}" for each in _questions(samples, options)], options.accept_implausible, check)
@@ -284,10 +290,11 @@ class _Reading:
             for force, height, time in KNOWN_COLUMNS:
                 if force in names and height in names and not (options.wrench or options.pose):
                     times = options.time_columns or ((time,) if time in names else ())
-                    further = {role: role for role in ROLES if role in names} if force == OWN[0] else {}
+                    further = _further(force, names)
                     self.notes.append(f"{source.path.name}: force is {force}, height is {height}.")
                     columns = {**further, **options.columns}
-                    return replace(options, force_column=force, height_column=height, time_columns=times, columns=columns)
+                    joint = options.joint or force == OWN_JOINT[0]
+                    return replace(options, force_column=force, height_column=height, time_columns=times, columns=columns, joint=joint)
         return options
 
     def _vector(self, kind: Kind, name: str | None, *, needed: bool = False) -> tuple[Source, str] | None:
@@ -357,7 +364,8 @@ class _Reading:
         """Quantity of each named column of the motion, or of the force; none where a pose or a wrench holds it."""
         name = (self.options.depth_column or self.options.height_column) if motion else self.options.force_column
         further = {column: ROLES[role] for role, column in self.options.columns.items() if (role in MOTION_ROLES) == motion}
-        return {name: "length" if motion else "force", **further} if name is not None else {}
+        named: dict[str, Quantity] = {name: "length" if motion else "force", **further} if name is not None else {}
+        return {column: JOINT.get(quantity, quantity) for column, quantity in named.items()} if self.options.joint else named
 
     def _columns_by_file(self) -> list[tuple[Source, list[str]]]:
         """Which columns are read of each file: those of motion and force, and the time."""
@@ -378,6 +386,7 @@ class _Reading:
         """A column in SI; its unit is kept, to be shown and confirmed."""
         options = self.options
         given: dict[Quantity, str | None] = {"force": options.force_unit, "length": options.length_unit, "time": options.time_unit}
+        given |= {"torque": options.force_unit, "angle": options.length_unit} if options.joint else {}
         per_volt: dict[Quantity, float | None] = {"force": options.force_N_per_V, "length": options.length_m_per_V}
         stated = next(channel.unit for channel in source.channels if channel.name == name)
         unit = f"{options.length_unit}/s" if quantity == "speed" and options.length_unit in ("m", "mm", "um", "nm") else given.get(quantity)
@@ -460,6 +469,14 @@ class _Reading:
         return Wrench(t_s, wrench, None)
 
 
+def _further(force: str, names: Sequence[str]) -> dict[str, str]:
+    """Further columns of our own tables, by their roles."""
+    if force == OWN[0]:
+        return {role: role for role in ROLES if role in names}
+    own = {axis: name for name, axis in JOINT_COLUMNS.items() if name in names and axis in ROLES}
+    return own if force == OWN_JOINT[0] else {}
+
+
 def _refuse_other_kind(source: Source, name: str, kind: Kind) -> None:
     """Refuse a topic that holds something else than the option it was given for. Raises BadInput."""
     fitting: dict[Kind, tuple[Kind, ...]] = {"pose": ("pose", "command", "transforms"), "command": ("command", "pose", "transforms")}
@@ -526,6 +543,8 @@ def _refuse_contradictions(options: ImportOptions) -> None:
         raise BadInput("--force-column and --wrench were both given; give the one that holds the force")
     if options.pose and (options.depth_column or options.height_column):
         raise BadInput("--pose and a column of height or depth were both given; give the one that holds the height")
+    if options.joint and (options.wrench or options.pose):
+        raise BadInput("--joint belongs to columns of angle and torque; name them with --height-column and --force-column")
     if options.rate_Hz is not None and not 0.0 < options.rate_Hz <= LARGEST_RATE_HZ:
         raise BadInput(f"--rate-Hz is {options.rate_Hz:g}, expected above 0 and at most {LARGEST_RATE_HZ:g}; give the rows per second")
     if options.rate_Hz is not None and (options.time_columns or options.wrench or options.pose):
@@ -540,6 +559,8 @@ def _refuse_contradictions(options: ImportOptions) -> None:
 def _questions(samples: Samples, options: ImportOptions) -> list[str]:
     """What is implausible in the result, such as a force that falls while the tip presses."""
     fz_N, z_m = samples.wrench[:, 2], samples.z_m
+    if samples.joint:
+        return ["torque_Nm never changes, expected noise at least"] if dead(fz_N) else []
     if dead(fz_N):
         return [*questions_of(samples), f"fz_N is {fz_N[0]:g} throughout, expected noise at least"]
     high, low = z_m >= np.quantile(z_m, 0.8), z_m <= np.quantile(z_m, 0.05)
@@ -554,6 +575,6 @@ def _tare_notes(samples: Samples, options: ImportOptions) -> list[str]:
     """A note where the force does not look tared."""
     fz_N = samples.wrench[:, 2]
     start_N = float(np.median(fz_N[: max(3, len(fz_N) // 100)]))
-    if options.tare_s is not None or abs(start_N) <= CLEAR_SHARE * float(np.ptp(fz_N)):
+    if samples.joint or options.tare_s is not None or abs(start_N) <= CLEAR_SHARE * float(np.ptp(fz_N)):
         return []
     return [f"fz_N begins at {start_N:.3g} N; a diagnosis expects a tared sensor: give --tare-s if the probe is free at the start."]

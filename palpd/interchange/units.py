@@ -5,6 +5,7 @@ A unit that is guessed is shown and never applied before the user has confirmed 
 
 import re
 from dataclasses import dataclass
+from math import pi
 from typing import Literal
 
 import numpy as np
@@ -13,7 +14,7 @@ from palpd.cell.plausible import PLAUSIBLE
 from palpd.errors import BadInput
 from palpd.tick import Floats
 
-Quantity = Literal["force", "length", "time", "torque", "speed"]
+Quantity = Literal["force", "length", "time", "torque", "speed", "angle", "angular speed"]
 
 POUND_N = 0.45359237 * 9.80665
 FACTORS: dict[Quantity, dict[str, float]] = {
@@ -24,6 +25,8 @@ FACTORS: dict[Quantity, dict[str, float]] = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
     "torque": {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2},
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": pi / 180.0, "rev": 2.0 * pi},
+    "angular speed": {"rad/s": 1.0, "deg/s": pi / 180.0, "rpm": pi / 30.0},
     "speed": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6, "nm/s": 1e-9},
 }  # fmt: skip
 """Factor of every unit to the SI unit of its quantity, which stands first."""
@@ -31,17 +34,22 @@ VOLTS = {"V": 1.0, "mV": 1e-3}
 SPELLINGS = {
     "newton": "N", "newtons": "N", "kips": "kip", "lb": "lbf", "lbs": "lbf", "inch": "in", "inches": "in", "micron": "um",
     "microns": "um", "sec": "s", "secs": "s", "second": "s", "seconds": "s", "volt": "V", "volts": "V", "m_per_s": "m/s", "m s^-1": "m/s",
-    "m*s^-1": "m/s", "N m": "Nm", "N*m": "Nm", "N·m": "Nm",
+    "m*s^-1": "m/s", "degrees": "deg", "degree": "deg", "°": "deg", "radian": "rad", "radians": "rad", "°/s": "deg/s",
+    "rad_per_s": "rad/s", "N m": "Nm", "N*m": "Nm", "N·m": "Nm",
 }  # fmt: skip
 """Other spellings of units."""
-OPTIONS: dict[Quantity, str] = {"force": "--force-unit", "length": "--length-unit", "time": "--time-unit"}
+OPTIONS: dict[Quantity, str] = {
+    "force": "--force-unit", "torque": "--force-unit", "length": "--length-unit", "angle": "--length-unit", "time": "--time-unit",
+}  # fmt: skip
 BRACKETED = re.compile(r"[(\[{]\s*([^()\[\]{}]+?)\s*[)\]}]\s*$")
 APPENDED = re.compile(r"[_\s,/]\s*([A-Za-zµμ]+)$")
 
-PER_SECOND = re.compile(r"[_\s,]\s*([a-zµμ]*m)(?:_per_|/)s$")
+PER_SECOND = re.compile(r"[_\s,]\s*([a-zµμ]*m|rad|deg)(?:_per_|/)s$")
 NOT_APPENDED = ("in", "min")
 """Units that end a name only in brackets: "force_min" is a minimum."""
 
+LARGEST_TURN_RAD = 20.0
+"""Range of an angle without a unit above which it is in degrees: three turns of a joint."""
 SLOWEST_STEP_S = 0.5
 """Time step above which a column of time without a unit is in ms, µs or ns: recordings have 5 to 2000 Hz."""
 
@@ -115,9 +123,10 @@ def scale_of(
     if given is not None:
         return UnitScale(column, quantity, given, units[given], "given")
     if named is not None and named not in units:
+        joint = quantity in ("length", "force") and any(named in FACTORS[of_joint] for of_joint in ("angle", "torque"))
+        instead = "--joint, if these are angle and torque of a joint" if joint else OPTIONS.get(quantity, "its unit in the name")
         raise BadInput(
-            f"column {column} is in {named}, expected a {quantity} in {', '.join(units)}; name another column, or give "
-            f"{OPTIONS.get(quantity, 'its unit in the name')}"
+            f"column {column} is in {named}, expected a {quantity} in {', '.join(units)}; name another column, or give {instead}"
         )
     si = next(iter(units))
     if named is not None:
@@ -128,6 +137,8 @@ def scale_of(
 
 def _size_guess(quantity: Quantity, values: Floats) -> str | None:
     """The unit in which numbers of this size would be usual; None where SI is."""
+    if quantity == "angle":
+        return "deg" if len(values) and float(np.ptp(values)) > LARGEST_TURN_RAD else None
     if quantity == "length":
         span = float(np.ptp(values)) if len(values) else 0.0
         return None if span <= PLAUSIBLE["stroke"].high else "mm" if span <= 1e3 else "um" if span <= 1e5 else "nm"

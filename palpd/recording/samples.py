@@ -22,6 +22,8 @@ COLUMNS = ("t_s", "z_cmd_m", "z_m", "vz_m_per_s", *WRENCH_COLUMNS)
 OPTIONAL_COLUMN = "z_cmd_m"
 SIDE_COLUMNS = (("fx_N", "fy_N"), ("tx_Nm", "ty_Nm", "tz_Nm"))
 """Columns that a sensor of one axis, or of forces alone, does not have: absent together, they are zero and not compared."""
+JOINT_COLUMNS = {"angle_cmd_rad": "z_cmd_m", "angle_rad": "z_m", "speed_rad_per_s": "vz_m_per_s", "torque_Nm": "fz_N"}
+"""Columns of a single joint, and those of an axis in whose place they stand: rad for m, and Nm for N."""
 SITE_COLUMN = "site"
 """Column with the name of the site of every row, in a table of several sites; empty between sites."""
 MIN_SAMPLES = 30
@@ -38,7 +40,7 @@ class Samples:
     `t_s` (n,) strictly increasing, `z_cmd_m` (n,) commanded height or None where the rig does not tell it, `z_m` (n,) and
     `vz_m_per_s` (n,) height and vertical speed as the robot reports them (base frame, up positive), `wrench` (n, 6) the tared
     sensor in base axes: fx, fy, fz in N, tx, ty, tz in Nm, what the environment does to the probe. `held` (n,) where the sensor sent
-    nothing new, and what stands there was put there.
+    nothing new, and what stands there was put there. `joint`: heights are angles in rad, and forces torques in Nm.
     """
 
     t_s: Floats
@@ -47,6 +49,7 @@ class Samples:
     vz_m_per_s: Floats
     wrench: Floats
     held: NDArray[np.bool_] | None = None
+    joint: bool = False
     sites: tuple[str, ...] = ()
     """Names in the column `site` of a file, or of the sites of a recording of the daemon, in their order; empty where nothing names one."""
 
@@ -151,13 +154,15 @@ def samples_from_columns(columns: Mapping[str, Floats], name: str) -> Samples:
     """Check named columns and make samples of them.
 
     Args:
-        columns: arrays (n,) by the names of COLUMNS; a group of SIDE_COLUMNS may be absent.
+        columns: arrays (n,) by the names of COLUMNS; a group of SIDE_COLUMNS may be absent. Or those of JOINT_COLUMNS.
         name: what errors call the recording.
 
     Raises:
         RecordingError: a column is missing, too short or not finite, or time does not increase.
     """
     _present(Path(name), list(columns))
+    joint = of_joint(columns)
+    columns = {JOINT_COLUMNS.get(column, column): values for column, values in columns.items()} if joint else columns
     rows = np.size(columns["t_s"])
     columns = {name: np.zeros(rows) for name in WRENCH_COLUMNS if name not in columns} | dict(columns)
     if rows < MIN_SAMPLES:
@@ -166,7 +171,12 @@ def samples_from_columns(columns: Mapping[str, Floats], name: str) -> Samples:
     wrench = np.column_stack([columns[column] for column in WRENCH_COLUMNS])
     # Columns of one table keep all of it in memory.
     motion = {column: np.ascontiguousarray(columns[column]) for column in COLUMNS if column in columns and column not in WRENCH_COLUMNS}
-    return Samples(motion["t_s"], motion.get(OPTIONAL_COLUMN), motion["z_m"], motion["vz_m_per_s"], wrench)
+    return Samples(motion["t_s"], motion.get(OPTIONAL_COLUMN), motion["z_m"], motion["vz_m_per_s"], wrench, joint=joint)
+
+
+def of_joint(columns: Iterable[str]) -> bool:
+    """Whether columns are those of a joint."""
+    return "angle_rad" in columns
 
 
 def numbers_of(values: object, name: str, column: str) -> Floats:
@@ -253,16 +263,19 @@ def write_parquet(
         from pyarrow import parquet
     except ImportError:
         raise BadInput(f"{path.name} would be Parquet and pyarrow is not installed: install palpd[parquet] or write a CSV") from None
-    table = pyarrow.table({**_columns_of(samples), **extra}).replace_schema_metadata({**metadata, **MADE_BY})
+    table = pyarrow.table({**columns_of(samples), **extra}).replace_schema_metadata({**metadata, **MADE_BY})
     with writing(path) as stream:
         parquet.write_table(table, stream)
 
 
-def _columns_of(samples: Samples) -> dict[str, Floats]:
+def columns_of(samples: Samples) -> dict[str, Floats]:
     """The columns (n,) of a file by their names, in their order."""
     commanded = {} if samples.z_cmd_m is None else {OPTIONAL_COLUMN: samples.z_cmd_m}
     wrench = dict(zip(WRENCH_COLUMNS, samples.wrench.T, strict=True))
-    return {"t_s": samples.t_s, **commanded, "z_m": samples.z_m, "vz_m_per_s": samples.vz_m_per_s, **wrench}
+    columns = {"t_s": samples.t_s, **commanded, "z_m": samples.z_m, "vz_m_per_s": samples.vz_m_per_s, **wrench}
+    if samples.joint:
+        return {"t_s": samples.t_s} | {name: columns[axis] for name, axis in JOINT_COLUMNS.items() if axis in columns}
+    return columns
 
 
 def write_csv(path: Path, samples: Samples, *, extra: Mapping[str, Sequence[str | float]] = MappingProxyType({})) -> None:
@@ -275,7 +288,7 @@ def write_csv(path: Path, samples: Samples, *, extra: Mapping[str, Sequence[str 
     Raises:
         BadInput: the file cannot be written, or another stands there.
     """
-    columns = _columns_of(samples)
+    columns = columns_of(samples)
     header = [*columns, *extra]
     if len(samples) >= MANY_ROWS and find_spec("pyarrow") is not None:  # to the last bit the same, and five times as fast
         import pyarrow
@@ -295,6 +308,14 @@ def write_csv(path: Path, samples: Samples, *, extra: Mapping[str, Sequence[str 
 
 
 def _present(path: Path, header: Sequence[str]) -> list[str]:
+    if of_joint(header):
+        expected = ("t_s", *JOINT_COLUMNS)
+        if missing := [name for name in expected if name not in header and name != "angle_cmd_rad"]:
+            raise RecordingError(
+                f"{path.name}: column {', '.join(missing)} is missing in row 0 (the header); a joint has {', '.join(expected)} "
+                "(angle_cmd_rad may be absent)."
+            )
+        return named_once(path, header, expected)
     without = [name for group in SIDE_COLUMNS if not set(group) & set(header) for name in group]
     missing = [name for name in COLUMNS if name not in header and name not in (OPTIONAL_COLUMN, *without)]
     if missing:

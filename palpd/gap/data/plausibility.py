@@ -162,9 +162,10 @@ def _air_notes(samples: Samples, cell: CellFile) -> Iterator[str]:
 def _motion_notes(samples: Samples, cell: CellFile, label: str) -> Iterator[str]:
     """Stroke, dead heights, and heights against speeds."""
     stroke_m = float(np.ptp(samples.z_m))
-    yield from (f"{doubt}; check the unit of z_m." for doubt in doubts("stroke", stroke_m, "the stroke of z_m"))
+    if not samples.joint:
+        yield from (f"{doubt}; check the unit of z_m." for doubt in doubts("stroke", stroke_m, "the stroke of z_m"))
     path_m = float(np.sum(np.abs(samples.vz_m_per_s[1:]) * np.diff(samples.t_s)))
-    if stroke_m > LONGEST_STROKE_M:
+    if stroke_m > LONGEST_STROKE_M and not samples.joint:
         raise RecordingError(
             f"{label}z_m spans {stroke_m:.3g} m, expected a stroke of millimetres to decimetres; it looks like mm, divide by 1000."
         )

@@ -17,8 +17,8 @@ from palpd.cell.effects.learned import formula_of
 from palpd.gap.data.noise import CHANNELS
 from palpd.gap.data.phases import PHASES
 from palpd.gap.other_motion import MotionCheck
-from palpd.gap.plain import CHANNEL_WORDS, shown_place, unit_of
-from palpd.quantities import quantity, scaled
+from palpd.gap.plain import CHANNEL_WORDS, channel_name, shown_place, unit_of
+from palpd.quantities import OF_JOINT, quantity, scaled
 from palpd.tick import Floats
 
 PHASE_WORDS = {
@@ -77,7 +77,7 @@ def figures_of(content: Mapping[str, Any], curves: Curves, channel: str, check: 
     return {
         "press": _press_figure(curves, channel, content),
         "phases": _phase_figure(curves, channel, content),
-        "spectrum": _spectrum_figure(curves, channel),
+        "spectrum": _spectrum_figure(curves, channel, content),
         "trend": _trend_figure(content, channel, curves.recording),
         "motion": _motion_figure(content),
         "law": _law_figure(content),
@@ -135,12 +135,12 @@ def _press_figure(curves: Curves, channel: str, content: Mapping[str, Any]) -> M
     enriched = "enriched cell" if content["effects"] or content.get("learned") else "nominal cell, tolerances fitted"
     with styled_figure(10.0, 4.7) as figure:
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(4, 3))
-        scale, unit = scaled(float(np.ptp(curves.measured[mine, c])), unit_of(channel))
+        scale, unit = scaled(float(np.ptp(curves.measured[mine, c])), unit_of(channel, content))
         top.plot(*thinned(t_s, curves.measured[mine, c] / scale), color=INK, label="measured")
         top.plot(*thinned(t_s, curves.nominal[mine, c] / scale), color=NOMINAL, label="nominal cell")
         top.plot(*thinned(t_s, curves.enriched[mine, c] / scale), color=ENRICHED, label=enriched)
-        top.set(ylabel=f"{CHANNEL_WORDS[channel]} ({unit})")
-        scale, unit = scaled(float(np.abs(before).max()), unit_of(channel))
+        top.set(ylabel=f"{channel_name(channel, content)} ({unit})")
+        scale, unit = scaled(float(np.abs(before).max()), unit_of(channel, content))
         floor = max(_floors(content, channel).values(), default=0.0) / scale
         bottom.axhspan(-floor, floor, **FLOOR, label="noise floor of one sample")
         bottom.plot(*thinned(t_s, before / scale), color=NOMINAL)
@@ -177,7 +177,7 @@ def _phase_figure(curves: Curves, channel: str, content: Mapping[str, Any]) -> M
     if not means:
         return Markup("")
     floors = _floors(content, channel)
-    scale, unit = scaled(max([*(float(np.abs(course).max()) for course, _ in means.values()), *floors.values()]), unit_of(channel))
+    scale, unit = scaled(max([*(float(np.abs(course).max()) for course, _ in means.values()), *floors.values()]), unit_of(channel, content))
     share_percent = 100.0 * (np.arange(PHASE_STEPS) + 0.5) / PHASE_STEPS
     with styled_figure(10.0, 2.3 * ((len(means) + 2) // 3) + 0.2) as figure:
         grid = figure.subplots((len(means) + 2) // 3, 3, sharex=True, sharey=True, squeeze=False)
@@ -195,7 +195,7 @@ def _phase_figure(curves: Curves, channel: str, content: Mapping[str, Any]) -> M
     return inline_svg(figure, "phases")
 
 
-def _spectrum_figure(curves: Curves, channel: str) -> Markup:
+def _spectrum_figure(curves: Curves, channel: str, content: Mapping[str, Any]) -> Markup:
     """Amplitude density of measured minus simulated, against that of white noise as measured at rest."""
     c = CHANNELS.index(channel)
     rate_Hz = 1.0 / float(np.median(np.diff(curves.t_s)))
@@ -209,7 +209,7 @@ def _spectrum_figure(curves: Curves, channel: str) -> Markup:
             amplitude = np.sqrt(np.maximum(np.add.reduceat(power, edges) / count, 1e-40))
             axes.loglog(np.add.reduceat(frequency_Hz, edges) / count, amplitude, color=colour)
         axes.axhline(float(curves.noise_rms[c]) / (rate_Hz / 2.0) ** 0.5, color=GREY)
-        axes.set(xlabel="frequency (Hz)", ylabel=f"amplitude density ({unit_of(channel)}/√Hz)")
+        axes.set(xlabel="frequency (Hz)", ylabel=f"amplitude density ({unit_of(channel, content)}/√Hz)")
     return inline_svg(figure, "spectrum")
 
 
@@ -219,7 +219,7 @@ def _trend_figure(content: Mapping[str, Any], channel: str, recording: int) -> M
     if len(rows) < 2:
         return Markup("")
     begin_s, rms, mean = (np.array([float(row[key]) for row in rows]) for key in ("begin_s", "rms", "mean"))
-    scale, unit = scaled(float(rms.max()), unit_of(channel))
+    scale, unit = scaled(float(rms.max()), unit_of(channel, content))
     with styled_figure(5.0, 2.7) as figure:
         axes = figure.subplots()
         if floors := list(_floors(content, channel).values()):
@@ -293,7 +293,13 @@ def _detectable_figure(content: Mapping[str, Any]) -> Markup:
                 continue
             axes.barh(place, high - one["of_typical"], left=one["of_typical"], height=0.62, color=ENRICHED, alpha=0.35)
             words = f"{one['parameter'].removesuffix('_' + one['unit'].replace('/', '_per_').replace(' ', '_')).replace('_', ' ')} "
-            axes.text(one["of_typical"] * 1.08, place, words + quantity(one["smallest"], one["unit"]), va="center", fontsize="small")
+            axes.text(
+                one["of_typical"] * 1.08,
+                place,
+                words + quantity(one["smallest"], OF_JOINT.get(one["unit"], one["unit"]) if content.get("joint") else one["unit"]),
+                va="center",
+                fontsize="small",
+            )
         marked = [(one["specification"], place) for place, one in enumerate(rows) if one["specification"]]
         if marked:
             axes.plot(

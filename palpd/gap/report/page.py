@@ -84,7 +84,7 @@ def page(content: Mapping[str, Any], curves: Curves, library: Mapping[str, Effec
         d=content,
         plain=plain_answer(content, library),
         sketches={each["id"]: _sketch(each, library) for each in content["effects"]} | law_sketch(content),
-        channel=channel_words(channel),
+        channel=channel_words(channel, content),
         phase_words=[PHASE_WORDS[phase] for phase in PHASES],
         candidates=_candidates(content),
         gap_rows=_gap_rows(content),
@@ -120,9 +120,9 @@ def _gap_rows(content: Mapping[str, Any]) -> list[tuple[str, list[dict[str, Any]
         return {
             "text": f"{g['excess']:.0f}" if g["excess"] >= 10 else f"{g['excess']:.1f}",
             "heat": f"{min(1.0, log10(1.0 + g['excess']) / log10(31.0)):.2f}" if g["excess"] >= 0.3 else "0",
-            "tip": f"rms {quantity(g['rms'], unit_of(channel))}, floor {quantity(g['noise_floor'], unit_of(channel))}",
+            "tip": f"rms {quantity(g['rms'], unit_of(channel, content))}, floor {quantity(g['noise_floor'], unit_of(channel, content))}",
             "largest": content["where"] == {"channel": channel, "phase": phase},
         }
 
     judged = [channel for channel in CHANNELS if any(channel == c for c, _ in gaps)]
-    return [(channel_words(channel), [shown(channel, phase) for phase in PHASES]) for channel in judged]
+    return [(channel_words(channel, content), [shown(channel, phase) for phase in PHASES]) for channel in judged]
