@@ -20,9 +20,11 @@ from palpd.gap.diagnosis import Diagnosis, diagnose, limits
 from palpd.gap.first_cell import first_cell
 from palpd.gap.healthy import HealthyCell
 from palpd.gap.infer.detectable import DetectableSize
+from palpd.gap.onset import since_onset
 from palpd.gap.plain import plain_answer
 from palpd.gap.tolerances import estimate_tolerances
 from palpd.gap.user_simulator import UserSimulator, simulate_with
+from palpd.gap.usual import UsualChanges
 from palpd.recording.oddities import questions_of
 from palpd.recording.reader import Recording, holds_ticks, read_header, refuse_site, samples_of, visited_sites
 from palpd.recording.samples import (
@@ -184,7 +186,9 @@ def since_healthy(
     cell = stated_cell(cell.at_site(common_site(healthy)))
     check_recordings([*healthy, *now], cell, sized=False)
     learned = HealthyCell.of(healthy, cell, known)
-    return learned.compared_cell, [learned.simulator()] * len(now)
+    usual = UsualChanges.of(healthy, learned)
+    simulators = [usual.allowed(since_onset(learned.simulator(), learned, recording), recording) for recording in now]
+    return learned.compared_cell, simulators
 
 
 def limits_of_files(

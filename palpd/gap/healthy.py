@@ -43,6 +43,8 @@ INTERVALS = 24
 """Intervals of height in which readings are compared with what was learned of them."""
 BLOCK_S = 0.02
 """Readings are averaged over this time: no term changes faster."""
+MOST_OF_STROKE = 0.05
+"""Error of predicted heights, as a share of the stroke, above which a servo was not understood, and heights are not judged."""
 MEMORIES_S = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Time constants of forces that remember the load."""
 DELAYS_S = (0.01, 0.03, 0.1, 0.3, 1.0)
@@ -185,7 +187,9 @@ class HealthyCell:
                 FZ: (cell.tolerances.bias_N, cell.tolerances.drift_N_per_min / 60.0),
             }.get(channel, (0.4 * noise, 1e-3 * noise))
             groups = empty.groups(motions[0], Z) if channel == Z else force_groups
-            weights[channel] = _learned(pieces, groups, noise / blocks[0] ** 0.5, zero, drift_per_s)
+            learned = _learned(pieces, groups, noise / blocks[0] ** 0.5, zero, drift_per_s)
+            if channel != Z or float(learned.unexplained.max()) < MOST_OF_STROKE * empty.motions.stroke_m:
+                weights[channel] = learned
         return HealthyCell(cell, library, len(recordings), empty.motions, weights)
 
     def plain(self, motion: MotionColumns) -> dict[str, Floats]:
@@ -215,8 +219,8 @@ class HealthyCell:
         heights = _hats(z_m, self.motions.heights_m)
         contact_N = self._contact_N(motion)
         slow = np.array([lowpass(contact_N, dt_s, -1.0 / tau_s, {}) for tau_s in MEMORIES_S]).T
-        deepest_m = np.maximum.accumulate(np.maximum(self._surface_m - z_m, 0.0)) if np.isfinite(self._surface_m) else np.zeros_like(z_m)
-        share = np.maximum(self._surface_m - z_m, 0.0) / np.maximum(deepest_m, 1e-300) if deepest_m.any() else np.zeros_like(z_m)
+        deepest_m = np.maximum.accumulate(np.maximum(self.surface_m - z_m, 0.0)) if np.isfinite(self.surface_m) else np.zeros_like(z_m)
+        share = np.maximum(self.surface_m - z_m, 0.0) / np.maximum(deepest_m, 1e-300) if deepest_m.any() else np.zeros_like(z_m)
         built = np.array([self._built_up(z_m, width, length) for width in PLAYS for length in PRESLIDING]).T
         swing = np.array([lowpass(a, dt_s, -1.0 / tau_s, {}) for tau_s in DELAYS_S[:3]]).T
         return {
@@ -256,12 +260,13 @@ class HealthyCell:
         return physics(self.cell, None, self.library).constants
 
     @property
-    def _surface_m(self) -> float:
+    def surface_m(self) -> float:
+        """Height of the surface as its cell file states it; -inf without tissue."""
         return self._constants.surface_z_m
 
     def _contact_N(self, motion: MotionColumns) -> Floats:
         """Force of the contact (n,) as palpd has it."""
-        depth_m = np.maximum(self._surface_m - motion["z_m"], 0.0)
+        depth_m = np.maximum(self.surface_m - motion["z_m"], 0.0)
         return self._constants.elastic_force_N(depth_m)
 
     # the simulator
@@ -290,13 +295,13 @@ class HealthyCell:
         Args:
             named: The terms of fz by name.
         """
-        if not np.isfinite(self._surface_m):
+        if not np.isfinite(self.surface_m):
             return np.zeros_like(motion["z_m"])
         parts = np.split(self.weights[FZ].mean, np.cumsum([terms.shape[1] for terms in named.values()])[:-1])
         by_name = {name: terms @ part for (name, terms), part in zip(named.items(), parts, strict=True)}
-        at_surface_N = float((_hats(np.array([self._surface_m]), self.motions.heights_m) @ parts[0])[0])
+        at_surface_N = float((_hats(np.array([self.surface_m]), self.motions.heights_m) @ parts[0])[0])
         more_N = by_name["height"] - at_surface_N + by_name["memory"] + by_name["presses"]
-        return np.where(motion["z_m"] < self._surface_m, self._contact_N(motion) + more_N, 0.0)
+        return np.where(motion["z_m"] < self.surface_m, self._contact_N(motion) + more_N, 0.0)
 
     def doubt(self, motion: MotionColumns) -> SimulatorDoubt:
         """How the prediction for a motion may be wrong."""

@@ -38,6 +38,7 @@ class NominalSource:
         healthy: Whether it was learned from recordings of the healthy cell.
         unjudged: Effects that cannot be judged with it, by the reason.
         notes: A sentence for everything that is odd about its output.
+        onsets_s: When in each recording the change from the healthy cell begins; None where no begin shows.
     """
 
     names: tuple[str, ...]
@@ -46,6 +47,7 @@ class NominalSource:
     healthy: bool
     unjudged: Mapping[str, tuple[str, ...]]
     notes: tuple[str, ...]
+    onsets_s: tuple[float | None, ...] = ()
 
     @property
     def not_judged(self) -> tuple[str, ...]:
@@ -60,10 +62,15 @@ class NominalSource:
     @property
     def sentences(self) -> list[str]:
         """What to know about it."""
+        began = [
+            f"The change in recording {number} begins at {onset_s:.2f} s; what comes before it is as in the healthy cell."
+            for number, onset_s in enumerate(self.onsets_s, 1)
+            if onset_s is not None
+        ]
         others = [channel for channel in CHANNELS if channel not in self.channels]
         own = f" palpd's own cell predicts {', '.join(others)}." if others else ""
         named = ", ".join(dict.fromkeys(self.names))
-        out = [f"The nominal prediction of {', '.join(self.channels)} is that of {named}.{own}", *self.notes]
+        out = [f"The nominal prediction of {', '.join(self.channels)} is that of {named}.{own}", *began, *self.notes]
         if not self.any_motion:
             out.append(
                 "A prediction on another motion needs your simulator's output for that motion: palpd simulate MOTION --cell ENRICHED "
@@ -78,7 +85,7 @@ class NominalSource:
             "other_motions": self.any_motion,
             "channels": list(self.channels),
             "not_judged": list(self.not_judged),
-        } | ({"healthy": True} if self.healthy else {})
+        } | ({"healthy": True, "onset_s": list(self.onsets_s)} if self.healthy else {})
 
 
 def nominal_source(recordings: Sequence[PreparedRecording], cell: CellFile, library: Mapping[str, Effect]) -> NominalSource | None:
@@ -102,7 +109,7 @@ def nominal_source(recordings: Sequence[PreparedRecording], cell: CellFile, libr
         _refuse_misfit(samples, simulated)
         if simulated.doubt is None:  # what was learned states its own errors
             _refuse_noise(simulated, cell)
-        notes += [*_zero_notes(samples, simulated, cell), *_doubt_notes(simulated)]
+        notes += [*_zero_notes(samples, simulated, cell), *_doubt_notes(samples, simulated)]
     notes += dict.fromkeys(sentence for _, simulated in given for sentence in simulated.simulator.about)
     predicted = [simulated.channels for _, simulated in given]
     return NominalSource(
@@ -112,6 +119,7 @@ def nominal_source(recordings: Sequence[PreparedRecording], cell: CellFile, libr
         healthy=all(simulated.doubt is not None for _, simulated in given),
         unjudged=unjudged([simulated for _, simulated in given], library),
         notes=tuple(notes),
+        onsets_s=tuple(simulated.simulator.onset_s for _, simulated in given),
     )
 
 
@@ -150,9 +158,10 @@ def _zero_notes(samples: Samples, simulated: SimulatedNominal, cell: CellFile) -
         )
 
 
-def _doubt_notes(simulated: SimulatedNominal) -> Iterator[str]:
+def _doubt_notes(samples: Samples, simulated: SimulatedNominal) -> Iterator[str]:
     """Rows at which a simulator was not learned."""
-    unknown = 0.0 if simulated.doubt is None else 1.0 - float(simulated.doubt.known.mean())
+    judged = samples.t_s >= (simulated.simulator.onset_s or -np.inf)
+    unknown = 0.0 if simulated.doubt is None else 1.0 - float(simulated.doubt.known[judged].mean())
     if unknown > 0.0:
         yield f"{unknown:.1%} of the rows lie beyond the heights and speeds of {simulated.simulator.name}; nothing is judged there."
 

@@ -122,6 +122,7 @@ class UserSimulator:
         parameters: Parameters of its own that a diagnosis may change.
         doubt: Says for a motion how the prediction may be wrong; None where it was not learned.
         about: Sentences for the reader of an answer.
+        onset_s: When in the recording the change from the healthy cell begins; None where no begin shows.
     """
 
     name: str
@@ -130,6 +131,7 @@ class UserSimulator:
     parameters: tuple[OwnParameter, ...] = ()
     doubt: Callable[[MotionColumns], SimulatorDoubt] | None = None
     about: tuple[str, ...] = ()
+    onset_s: float | None = None
 
     @staticmethod
     def of_function(

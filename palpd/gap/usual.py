@@ -1,0 +1,162 @@
+"""What a healthy cell usually does: how much of each effect its own recordings seem to have, each against what was learned from the others.
+
+A rig is never predicted perfectly. What is left at its reversals, in its fast strokes or from day to day looks a little like a filter, a
+latency, friction. So each effect in the list is a deviation of the healthy cell, as large as the healthy recordings show it; only what
+exceeds that is a change. The rest of what is left counts as noise, for as long as it lasts.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from palpd.gap.data.noise import FZ, declared_rms
+from palpd.gap.healthy import HealthyCell
+from palpd.gap.model.coordinates import start_values
+from palpd.gap.model.problem import Problem, make_problem
+from palpd.gap.user_simulator import MotionColumns, SimulatorDoubt, UserSimulator, asked
+from palpd.recording.samples import Samples
+from palpd.tick import Floats
+
+BLOCK_S = 0.02
+"""Length of the means that are compared."""
+KINDS = 4
+"""Most sets of parameters, such as time constants, for which an effect counts."""
+MOST_HEALTHY = 8
+"""Most healthy recordings of which each is compared with the others."""
+TAIL_SD = 2.0
+"""Standard deviations at which a normal distribution has the tail of Student's distribution for the number of recordings."""
+MOST_SQUARE = 9.0
+"""Largest factor on the usual square of what is left, by which a recording may be more restless than the healthy ones."""
+MOST_ALIKE = 0.9
+"""Largest correlation of neighbouring means that is believed."""
+
+
+class _Left(NamedTuple):
+    """A recording against what was learned from others.
+
+    Means (b,) of what is left, over their rms `sd` (b,); how alike neighbours are, and the median of the squares.
+    """
+
+    white: Floats
+    sd: Floats
+    alike: float
+    square: float
+
+
+@dataclass(frozen=True)
+class UsualChanges:
+    """How much of each effect healthy recordings seem to have.
+
+    Attributes:
+        spread: One standard deviation of each effect, as shares of its typical sizes, by its id.
+        lasting: Factor on the rms of what is left since neighbours are off alike.
+        square: Usual square of what is left, over what was learned, and the largest one that is usual.
+    """
+
+    healthy: HealthyCell
+
+    spread: Mapping[str, Floats]
+    lasting: float
+    square: tuple[float, float]
+
+    @staticmethod
+    def of(recordings: Sequence[Samples], healthy: HealthyCell) -> "UsualChanges":
+        """Compare each healthy recording with what was learned from the others; a single one with what was learned from itself."""
+        cell, library = healthy.compared_cell, healthy.library
+        shares: dict[str, list[Floats]] = {}
+        lefts = []
+        for one in recordings[:: -(-len(recordings) // MOST_HEALTHY)]:
+            others = [other for other in recordings if other is not one]
+            learned = HealthyCell.of(others, healthy.cell, library) if others else healthy
+            problem = make_problem([one], cell, library, simulators=[learned.simulator()])
+            left = _left(problem, learned)
+            lefts.append(left)
+            for name, changes in _changes(problem):
+                seen = np.array([_without_zero(_means(change, len(left.sd)), left.sd) for change in changes])
+                shares.setdefault(name, []).append(seen @ left.white / np.maximum(np.sum(seen**2, axis=1), 1e-300))
+        # Of few recordings the spread may be larger than they show.
+        k, squares = max(len(lefts), 2), np.log([max(left.square, 1e-6) for left in lefts])
+        factor = float(student.ppf(norm.cdf(TAIL_SD), k - 1)) / TAIL_SD * ((k + 1) / k) ** 0.5
+        spread = {name: factor * np.sqrt(np.mean(np.square(each), axis=0)) for name, each in shares.items()}
+        apart = min(TAIL_SD * factor * float(squares.std(ddof=1) if len(lefts) > 1 else 0.0), float(np.log(MOST_SQUARE)))
+        square = float(np.exp(squares.mean())), float(np.exp(squares.mean() + apart))
+        rho = min(max(float(np.median([left.alike for left in lefts])), 0.0), MOST_ALIKE)
+        return UsualChanges(healthy, spread, ((1.0 + rho) / (1.0 - rho)) ** 0.5, square)
+
+    def allowed(self, simulator: UserSimulator, now: Samples) -> UserSimulator:
+        """The simulator of a healthy cell, for which what is usual is no change.
+
+        Args:
+            simulator: As it was learned, with its own doubt.
+            now: The recording that is compared.
+        """
+        problem = make_problem([now], self.healthy.compared_cell, self.healthy.library, simulators=[simulator])
+        usual = [share * change for name, changes in _changes(problem) for share, change in zip(self.spread[name], changes, strict=True)]
+        t_s = problem.recordings[0].samples.t_s
+        restless = min(max(_left(problem, self.healthy).square, self.square[0]), self.square[1]) / self.square[0]
+        columns = _independent(np.array(usual), 0.01 * float(declared_rms(self.healthy.cell)[FZ]))
+        own = simulator.doubt
+        assert own is not None  # it was learned
+
+        def doubt(motion: MotionColumns) -> SimulatorDoubt:
+            learned = own(motion)
+            more, unexplained = np.zeros((len(columns), 7, len(motion["t_s"]))), learned.unexplained.copy()
+            times_s = motion["t_s"] - motion["t_s"][0]
+            for column, values in zip(more, columns, strict=True):
+                column[FZ] = np.interp(times_s, t_s - t_s[0], values)
+            unexplained[FZ] *= self.lasting * restless**0.5
+            return replace(learned, errors=np.concatenate([learned.errors, more]), unexplained=unexplained)
+
+        return replace(simulator, doubt=doubt)
+
+
+def _changes(problem: Problem) -> Iterator[tuple[str, list[Floats]]]:
+    """What each effect changes of fz (k, n) at its typical sizes, by its id."""
+    (recording,) = problem.recordings
+    plain = problem.raw_prediction(recording, problem.cell)[:, FZ]
+    for name, effect in problem.library.items():
+        if effect.motion or effect.scatter:
+            continue
+        starts = start_values(effect, problem.scale, ())
+        kinds = [starts[k] for k in np.unique(np.linspace(0, len(starts) - 1, KINDS).astype(int))]
+        cells = [problem.cell_at({name: values}, np.zeros(len(problem.shared_sd))) for values in kinds]
+        yield name, [problem.raw_prediction(recording, cell)[:, FZ] - plain for cell in cells]
+
+
+def _left(problem: Problem, learned: HealthyCell) -> _Left:
+    (recording,) = problem.recordings
+    samples = recording.samples
+    count = max(8, int(samples.duration_s / BLOCK_S))
+    count = min(count, len(samples))
+    doubt = learned.doubt(asked(recording.sampled, samples.z_cmd_m))
+    sd = np.hypot(_means(doubt.unexplained[FZ], count), float(declared_rms(problem.cell)[FZ]) * (count / len(samples)) ** 0.5)
+    left = samples.wrench[:, FZ - 1] - problem.raw_prediction(recording, problem.cell)[:, FZ]
+    white = _without_zero(_means(np.where(doubt.known, left, 0.0), count), sd)
+    alike = float(white[1:] @ white[:-1]) / max(float(white @ white), 1e-300)
+    return _Left(white, sd, alike, float(np.median(white**2)))
+
+
+def _means(values: Floats, count: int) -> Floats:
+    """Means (count,) of successive samples."""
+    edges = np.linspace(0, len(values), count + 1).astype(int)
+    return np.asarray(np.add.reduceat(values, edges[:-1]) / np.diff(edges))
+
+
+def _without_zero(values: Floats, sd: Floats) -> Floats:
+    """Values (b,) over their standard deviations, without what a zero and its drift explain."""
+    basis, _ = np.linalg.qr(np.column_stack([1.0 / sd, np.linspace(-1.0, 1.0, len(sd)) / sd]))
+    white = values / sd
+    return np.asarray(white - basis @ (basis.T @ white))
+
+
+def _independent(changes: Floats, least: float) -> Floats:
+    """Independent changes (m, n) of the same covariance, without those whose rms is below the least one."""
+    if not len(changes):
+        return changes
+    _, sizes, courses = np.linalg.svd(changes, full_matrices=False)
+    kept = sizes > least * changes.shape[1] ** 0.5
+    return np.asarray(sizes[kept, None] * courses[kept])
