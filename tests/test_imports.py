@@ -9,7 +9,6 @@ ROOT = Path(__file__).parents[1]
 
 OF_BENCHMARKS = {
     "blind/test_calibration.py": {"calibrate"},
-    "blind/test_my_simulator.py": {"my_simulator"},
     "blind/test_own_simulators.py": {"own_models", "own_simulators"},
     "blind/test_real_recordings.py": {"real_recordings"},
     "cli/test_fuzz_lines.py": {"fuzz_commands"},
