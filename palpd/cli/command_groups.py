@@ -15,7 +15,7 @@ GROUPS = {
     "Look back at runs": ("runs", "info", "report", "replay", "export", "recover"),
     "Use recordings of any machine": ("import", "cell-from", "analyse"),
     "Find why measurement and simulation differ": ("diagnose", "simulate", "effects", "tolerances", "resolve", "export-sim"),
-    "Check palpd itself": ("blind", "study"),
+    "Check palpd itself": ("blind", "study", "arena"),
 }  # fmt: skip
 """Every command once, by the heading that it stands under."""
 ORDER = tuple(name for names in GROUPS.values() for name in names)

@@ -1,0 +1,44 @@
+"""Makes recordings/ from a checkout of github.com/labcontrol-data/mr-damper: python convert.py FOLDER."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from scipy.io import loadmat
+
+DATA = Path(sys.argv[1]) / "data"
+OUT = Path(__file__).parent / "recordings"
+TARE_N = 132.0  # mean of both directions without current; the same for all recordings
+# file, first and last second
+RECORDINGS = {
+    "h1.csv": ("ensaio5.2.2.mat", 0, 15),
+    "h2.csv": ("ensaio6.2.2.mat", 0, 15),
+    "h3.csv": ("ensaio8.2.2.mat", 0, 15),
+    "h4.csv": ("ensaio10.2.2.mat", 0, 15),
+    "h5.csv": ("ensaio.vali.2.mat", 0, 15),
+    "h6.csv": ("ensaio.vali.4.mat", 0, 15),
+    "h7.csv": ("ensaio.vali.7.mat", 0, 15),
+    "j1.csv": ("ensaio.vali.1.mat", 0, 15),
+    "j2.csv": ("ensaio9.2.2.mat", 0, 15),
+    "j3.csv": ("ensaio.vali.8.mat", 0, 15),
+    "j4.csv": ("ensaio8.1.mat", 5, 20),
+    "j5.csv": ("ensaio4.2.2.mat", 0, 15),
+    "j6.csv": ("ensaio.vali.6.mat", 0, 15),
+    "j7.csv": ("ensaio.vali.3.mat", 0, 15),
+    "j8.csv": ("ensaio2.1.mat", 5, 20),
+    "j9.csv": ("ensaio7.2.2.mat", 0, 15),
+    "j10.csv": ("ensaio.vali.9.mat", 0, 15),
+    "j11.csv": ("ensaio.vali.5.mat", 0, 15),
+    "j12.csv": ("ensaio.B.9.mat", 0, 15),
+    "j13.csv": ("ensaio.B.6.mat", 0, 15),
+    "j14.csv": ("ensaio.B.1.mat", 0, 15),
+    "j15.csv": ("ensaio5.1.mat", 5, 20),
+}
+OUT.mkdir(exist_ok=True)
+for name, (file, first, last) in RECORDINGS.items():
+    data = loadmat(DATA / file)
+    step = data["Ts"].item()
+    part = slice(round(first / step), round(last / step))
+    z, force = -data["dist"].ravel()[part] / 1000, data["forc"].ravel()[part] - TARE_N
+    time = np.arange(len(z)) * step
+    np.savetxt(OUT / name, np.c_[time, z, force], fmt=["%.2f", "%.6f", "%.2f"], delimiter=",", header="t_s,z_m,fz_N", comments="")

@@ -1,0 +1,99 @@
+"""What a tool answers: the part of palpd.diagnosis/1 that is scored."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from palpd.errors import BadInput
+
+VERDICTS = ("none", "effects", "ambiguous", "unknown")
+SCHEMA = "palpd.diagnosis/1"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An answer.
+
+    Attributes:
+        named: The named causes in their order, each with the names that the recording cannot tell from it.
+        probability: Stated probability that a cause acts, by name; a name that is missing has 0.
+        p_none: That nothing acts.
+        p_unknown: That something acts that the list has no name for.
+        closed: Share of the gap that is closed on a motion that the answer did not see; None where that was not tried.
+        cpu_s: Processor time; None where the tool does not say.
+        failed: Why there is no answer; empty where there is one.
+    """
+
+    verdict: str
+    named: tuple[frozenset[str], ...]
+    probability: Mapping[str, float]
+    p_none: float
+    p_unknown: float
+    closed: float | None = None
+    cpu_s: float | None = None
+    failed: str = ""
+
+    @staticmethod
+    def of(content: Mapping[str, Any], where: str) -> "Answer":
+        """An answer of the content of its file.
+
+        Args:
+            where: Names the file in what is said of it.
+
+        Raises:
+            BadInput: It is none.
+        """
+        extra = content.get("arena") or {}
+        if "failed" in extra:
+            return Answer("unknown", (), {}, 0.5, 0.5, cpu_s=extra.get("cpu_s"), failed=str(extra["failed"]))
+        if content.get("schema") != SCHEMA or content.get("verdict") not in VERDICTS:
+            raise BadInput(f"{where} is no answer: schema and verdict are expected to be {SCHEMA!r} and one of {', '.join(VERDICTS)}")
+        try:
+            named = tuple(frozenset({each["id"], *each.get("indistinguishable_from", ())}) for each in content["effects"])
+            probability = {str(each["id"]): _share(each["probability"]) for each in content["candidates"]}
+            p_none, p_unknown = _share(content["p_none"]), _share(content["p_unknown"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise BadInput(f"{where} is no answer: {error!r}; docs/arena.md says what it must hold") from None
+        return Answer(content["verdict"], named, probability, p_none, p_unknown, extra.get("closed"), extra.get("cpu_s"))
+
+    @staticmethod
+    def load(path: Path) -> "Answer":
+        """Read an answer. Raises BadInput."""
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise BadInput(f"{path} cannot be read as JSON: {error}") from None
+        if not isinstance(content, dict):
+            raise BadInput(f"{path} holds no mapping")
+        return Answer.of(content, str(path))
+
+
+def content_of(verdict: str, probability: Mapping[str, float], p_none: float, p_unknown: float = 0.0, **arena: Any) -> dict[str, Any]:
+    """The content of an answer's file, for a runner: what is more probable than not is named.
+
+    Args:
+        verdict: One of VERDICTS.
+        probability: That a cause acts, by name.
+        p_none: That nothing acts.
+        p_unknown: That something acts that the list has no name for.
+        arena: Further figures, such as `closed`.
+    """
+    order = sorted(probability, key=lambda name: -probability[name])
+    named = [name for name in order if probability[name] > 0.5] if verdict in ("effects", "ambiguous") else []
+    return {
+        "schema": SCHEMA,
+        "verdict": verdict,
+        "effects": [{"id": name, "probability": probability[name], "parameters": {}, "indistinguishable_from": []} for name in named],
+        "candidates": [{"id": name, "probability": probability[name]} for name in order],
+        "p_none": p_none,
+        "p_unknown": p_unknown,
+        "arena": arena,
+    }
+
+
+def _share(value: Any) -> float:
+    if not 0.0 <= float(value) <= 1.0:
+        raise ValueError(f"{value} is no probability")
+    return float(value)

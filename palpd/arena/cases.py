@@ -1,0 +1,160 @@
+"""Rigs and questions: recordings with roles, a cell file, and the truth, which no tool sees."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice, zip_longest
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import yaml
+
+from palpd.errors import BadInput
+
+Known = Literal["planted", "annotated", "measured", "inferred"]
+"""How a truth is known: planted into data, stated by their makers, measured by them, or inferred from physics."""
+UNKNOWN = "unknown"
+"""Truth of a recording in which something acts that the list has no name for."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a tool is asked: the files that it may see.
+
+    Attributes:
+        recording: The CSV to judge.
+        healthy: CSVs of the same rig while it was healthy; there may be none.
+        other: Another motion of the same condition, by which an answer can be checked; None where there is none.
+    """
+
+    rig: str
+    name: str
+    recording: Path
+    cell: Path
+    healthy: tuple[Path, ...]
+    other: Path | None = None
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What acts in a recording.
+
+    Attributes:
+        causes: For each cause the names that are right; none for a healthy recording.
+    """
+
+    causes: tuple[frozenset[str], ...]
+    known: Known
+
+    @property
+    def healthy(self) -> bool:
+        """Whether nothing acts."""
+        return not self.causes
+
+    @property
+    def outside(self) -> bool:
+        """Whether something acts that the list has no name for."""
+        return any(UNKNOWN in names for names in self.causes)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A rig: what it is, where its data come from, and its questions.
+
+    Attributes:
+        used_to_mend: Whether a tool of this repository was mended by its data.
+    """
+
+    name: str
+    title: str
+    folder: Path
+    used_to_mend: bool
+    shipped: bool
+    questions: tuple[Question, ...]
+    truths: Mapping[str, Truth]
+
+    @staticmethod
+    def load(folder: Path) -> "Rig":
+        """Read the folder of a rig.
+
+        Raises:
+            BadInput: A file is missing or wrong; the sentence says which.
+        """
+        stated = _mapping(folder / "rig.yaml", yaml.safe_load)
+        truths = {
+            name: _truth(each, f"{folder / 'truth.json'}: {name}") for name, each in _mapping(folder / "truth.json", json.loads).items()
+        }
+        recordings, other = folder / "recordings", stated.get("other") or {}
+        for name in {*stated["judged"], *other.values(), *stated["healthy"]}:
+            if stated["shipped"] and not (recordings / name).is_file():
+                raise BadInput(f"{recordings / name} is missing; rig.yaml names it")
+        if truths.keys() != set(stated["judged"]):
+            apart = sorted(truths.keys() ^ set(stated["judged"]))
+            raise BadInput(f"{folder.name}: {', '.join(apart)} stands in only one of rig.yaml (judged) and truth.json")
+        healthy = tuple(recordings / name for name in stated["healthy"])
+        if set(stated["healthy"]) & set(stated["judged"]):
+            raise BadInput(f"{folder.name}: a healthy recording that a tool is given is judged too; take it from one of both lists")
+        questions = tuple(
+            Question(folder.name, Path(name).stem, recordings / name, folder / "cell.yaml", healthy, _beside(recordings, other.get(name)))
+            for name in stated["judged"]
+        )
+        return Rig(
+            folder.name, stated["title"], folder, bool(stated["used_to_mend"]), bool(stated["shipped"]), questions,
+            {Path(name).stem: truth for name, truth in truths.items()},
+        )  # fmt: skip
+
+    @property
+    def healthy(self) -> list[Question]:
+        """Questions whose recording is healthy."""
+        return [question for question in self.questions if self.truths[question.name].healthy]
+
+
+def rigs(folder: Path) -> list[Rig]:
+    """All rigs whose recordings are there.
+
+    Args:
+        folder: Holds a folder for each rig.
+
+    Raises:
+        BadInput: There is none, or one is wrong.
+    """
+    found = [Rig.load(each.parent) for each in sorted(folder.glob("*/rig.yaml")) if (each.parent / "recordings").is_dir()]
+    if not found:
+        raise BadInput(f"{folder} holds no rig with recordings; expected folders with rig.yaml and recordings/, as in benchmarks/arena")
+    return found
+
+
+def every(of: Sequence[Rig], sample: int | None = None) -> list[tuple[Question, Truth]]:
+    """Every question with its truth, rig by rig.
+
+    Args:
+        sample: Take so many only, in turn from each rig; None: all.
+    """
+    in_turn = (question for each in zip_longest(*(rig.questions for rig in of)) for question in each if question is not None)
+    chosen = set(islice(in_turn, sample))
+    return [(question, rig.truths[question.name]) for rig in of for question in rig.questions if question in chosen]
+
+
+def _beside(folder: Path, name: str | None) -> Path | None:
+    return None if name is None else folder / name
+
+
+def _truth(stated: Mapping[str, Any], where: str) -> Truth:
+    if stated.get("known") not in get_args(Known):
+        raise BadInput(f"{where}: known is {stated.get('known')!r}, expected one of {', '.join(get_args(Known))}")
+    causes = stated.get("causes")
+    if not isinstance(causes, list):
+        raise BadInput(f"{where}: causes is {causes!r}, expected a list of names (empty: healthy)")
+    return Truth(tuple(frozenset(each.split("|")) for each in causes), stated["known"])
+
+
+def _mapping(path: Path, parse: Any) -> dict[str, Any]:
+    try:
+        content = parse(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadInput(f"{path} cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise BadInput(f"{path} cannot be understood: {' '.join(str(error).split())}") from None
+    if not isinstance(content, dict):
+        raise BadInput(f"{path} holds no mapping")
+    return content

@@ -1,0 +1,122 @@
+"""Questions by seed: effects of the arena's own laws, planted into healthy recordings of its rigs."""
+
+import json
+import shutil
+from collections.abc import Sequence
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from palpd.arena.cases import Question, Rig
+from palpd.arena.columns import JOINT, Columns, Floats, Healthy, load
+from palpd.arena.laws import LAWS
+from palpd.arena.planted import PlantingRefusedError, plant
+from palpd.arena.signals import MEAN_S
+from palpd.errors import BadInput
+from palpd.files import check_folder
+
+SNR = (10.0, 60.0)
+"""Range of the SNR beyond what the healthy recordings do."""
+EACH = 10
+"""Questions planted into each rig, where nothing else is asked."""
+ALIKE = {
+    "sensor.latency": "sensor.latency|sensor.filter",
+    "sensor.filter": "sensor.filter|sensor.latency",
+    "sensor.gain": "sensor.gain|tissue.modulus",
+    "sensor.warmup": "sensor.warmup|sensor.drift|sensor.creep",
+    "sensor.drift": "sensor.drift|sensor.warmup|sensor.creep",
+    "sensor.creep": "sensor.creep|tissue.viscoelastic",
+}
+"""Names that count as well, where hardly any recording can tell them apart."""
+
+
+def plant_all(rigs: Sequence[Rig], folder: Path, seed: int, number: int | None) -> int:
+    """Write rigs whose questions are healthy recordings with a planted effect, one effect each.
+
+    Args:
+        folder: It gets a folder for each rig, in the form of `benchmarks/arena`.
+        number: How many questions in all; None: EACH for every rig.
+
+    Returns:
+        The number of questions.
+
+    Raises:
+        BadInput: The folder is not empty, or no rig has a healthy recording to plant into.
+    """
+    check_folder(folder, empty=True)
+    hosts = [rig for rig in rigs if rig.healthy]
+    if not hosts:
+        raise BadInput("no rig has a healthy recording to plant into")
+    wanted = [0] * len(hosts)
+    for k in range(EACH * len(hosts) if number is None else number):
+        wanted[k % len(hosts)] += 1
+    return sum(
+        _plant(rig, folder / rig.name, np.random.default_rng([seed, k]), count)
+        for k, (rig, count) in enumerate(zip(hosts, wanted, strict=True))
+    )
+
+
+def _plant(rig: Rig, folder: Path, random: np.random.Generator, count: int) -> int:
+    shutil.copytree(rig.folder, folder, ignore=shutil.ignore_patterns("recordings", "truth.json", "convert.py", "README.md", "*.png"))
+    (folder / "recordings").mkdir()
+    for path in rig.questions[0].healthy:
+        shutil.copy(path, folder / "recordings")
+    references = [load(path) for path in rig.questions[0].healthy]
+    usual = Healthy.of(references)
+    truths: dict[str, dict[str, Any]] = {}
+    laws = list(random.permutation(list(LAWS)))
+    hosts: cycle[Question] = cycle(random.permutation(np.array(rig.healthy, dtype=object)).tolist())
+    for law in laws * 3:
+        if len(truths) == count:
+            break
+        host = next(hosts)
+        recording = load(host.recording)
+        try:
+            planted = plant(recording, law, random, SNR, sigma_N=noise_beside(usual, references, recording))
+        except PlantingRefusedError:
+            continue
+        name = f"p{len(truths) + 1}.csv"
+        _write(folder / "recordings" / name, planted.columns, joint="angle_rad" in host.recording.read_text().split("\n", 1)[0])
+        cause = "unknown" if law.startswith("unknown.") else ALIKE.get(law, law)
+        truths[name] = {
+            "truth": law,
+            "causes": [cause],
+            "known": "planted",
+            "size": {key: float(value) for key, value in planted.parameters.items()},
+            "snr": planted.snr,
+            "why": f"planted into {host.name}",
+        }
+    stated = yaml.safe_load((folder / "rig.yaml").read_text(encoding="utf-8"))
+    stated |= {"judged": list(truths), "shipped": True, "other": {}}
+    (folder / "rig.yaml").write_text(yaml.safe_dump(stated, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    (folder / "truth.json").write_text(json.dumps(truths, indent=1), encoding="utf-8")
+    return len(truths)
+
+
+def noise_beside(usual: Healthy, references: Sequence[Columns], recording: Columns) -> float:
+    """Noise of a sample, in N, that has as much energy over 20 ms as what does not repeat in the healthy recordings.
+
+    Args:
+        usual: What the healthy rig does.
+        references: Its recordings.
+        recording: The one to plant into.
+    """
+    rate_Hz = (len(recording["t_s"]) - 1) / float(np.ptp(recording["t_s"]))
+    samples = max(1, round(MEAN_S * rate_Hz))
+    squares = [float(np.nanmean(_means(usual.residual(each), samples) ** 2)) for each in references]
+    return float(np.sqrt(np.mean(squares) * samples))
+
+
+def _means(values: Floats, samples: int) -> Floats:
+    whole = len(values) // samples * samples
+    return np.asarray(values[:whole].reshape(-1, samples).mean(axis=1))
+
+
+def _write(path: Path, columns: Columns, *, joint: bool) -> None:
+    names = {axis: name for name, axis in JOINT.items()} if joint else {}
+    kept = [name for name in ("t_s", "z_m", "fz_N", "z_cmd_m") if name in columns]
+    values = np.column_stack([columns[name] for name in kept])
+    np.savetxt(path, values, delimiter=",", header=",".join(names.get(name, name) for name in kept), comments="", fmt="%.7g")

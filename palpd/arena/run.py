@@ -1,0 +1,99 @@
+"""Ask a tool every question, in processes of its own, with the same limit of processor time for each; answers that stand are kept."""
+
+import json
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from palpd.arena.answers import Answer
+from palpd.arena.cases import Question, Truth
+from palpd.arena.runners import runner
+from palpd.arena.score import Scored
+from palpd.errors import BadInput, PalpdError
+from palpd.files import write_json
+from palpd.workers import pool
+
+LIMIT_S = 60.0
+"""Processor time that a tool has for a question."""
+
+
+class _OutOfTime(Exception): ...
+
+
+def ask(tool: str, questions: Sequence[Question], out: Path, *, jobs: int, limit_s: float, advance: Callable[[int], None]) -> None:
+    """Write the answer to every question as OUT/RIG/NAME.json.
+
+    Args:
+        tool: One of palpd.arena.runners.RUNNERS.
+        jobs: Number of processes.
+        limit_s: Processor time for a question.
+        advance: Is told of each answer.
+
+    Raises:
+        BadInput: There is no such tool.
+    """
+    runner(tool)
+    left = [question for question in questions if not answer_file(out, question).is_file()]
+    advance(len(questions) - len(left))
+    with pool(jobs) as workers:
+        for question, content in zip(left, workers.map(partial(_answer, tool, limit_s), left), strict=True):
+            file = answer_file(out, question)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_json(file, content)
+            advance(1)
+
+
+def scored(of: Sequence[tuple[Question, Truth]], answers: Path) -> list[Scored]:
+    """Answers beside their truths.
+
+    Raises:
+        BadInput: An answer is missing or none.
+    """
+    missing = [f"{question.rig}/{question.name}.json" for question, _ in of if not answer_file(answers, question).is_file()]
+    if missing:
+        more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+        raise BadInput(f"{answers} has no {', '.join(missing[:3])}{more}; palpd arena run writes what is missing")
+    return [Scored(question, truth, Answer.load(answer_file(answers, question))) for question, truth in of]
+
+
+def answer_file(answers: Path, question: Question) -> Path:
+    """Where the answer to a question stands."""
+    return answers / question.rig / f"{question.name}.json"
+
+
+def _answer(tool: str, limit_s: float, question: Question) -> dict[str, Any]:
+    began = time.process_time()
+    try:
+        with _limited(limit_s):
+            content = runner(tool)(question)
+    except _OutOfTime:
+        content = {"arena": {"failed": f"no answer within {limit_s:g} s of processor time"}}
+    except PalpdError as error:
+        content = {"arena": {"failed": str(error)}}
+    extra = content.get("arena") or {}
+    plain = {
+        key: content[key] for key in ("schema", "verdict", "sentence", "effects", "candidates", "p_none", "p_unknown") if key in content
+    }
+    result: dict[str, Any] = json.loads(json.dumps(plain | {"arena": extra | {"tool": tool, "cpu_s": time.process_time() - began}}))
+    return result
+
+
+@contextmanager
+def _limited(limit_s: float) -> Iterator[None]:
+    """Raise _OutOfTime when the context has used its processor time."""
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        raise _OutOfTime
+
+    before = signal.signal(signal.SIGPROF, end)
+    signal.setitimer(signal.ITIMER_PROF, limit_s)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
