@@ -178,7 +178,9 @@ def main() -> None:
     if options.docs:
         command = f"python -m benchmarks.own_simulators --seed {options.seed} --jobs 2 --kept FOLDER --docs"
         text = INTRODUCTION.format(command=command, healthy=HEALTHY, effects=len(next(iter(MODELS.values())).effects))
-        PAGE.write_text("\n".join([text, *lines, ""]), encoding="utf-8")
+        # The section of benchmarks.own_sysid stays as it is.
+        _, heading, beside = PAGE.read_text(encoding="utf-8").partition("\n## Beside mujoco.sysid\n")
+        PAGE.write_text("\n".join([text, *lines, ""]) + heading + beside, encoding="utf-8")
     print("\n".join(lines))
 
 
