@@ -30,9 +30,9 @@ STEP = 1e-4
 ITERATIONS, TOLERANCE = 8, 1e-4
 """Most steps of a fit, and the relative reduction of its cost that ends it."""
 THRESHOLDS = {
-    "joint": (3, 5, 10, 20, 40, 80),
-    "joint, tolerances": (1, 1.5, 2, 2.5, 3, 5, 10),
-    "alone, BIC": (0, 10, 30, 100, 300, 1000, 3000),
+    "joint": (3, 5, 10, 15, 20, 30, 40, 60, 80),
+    "joint, tolerances": (1, 2, 3, 5, 7, 10, 15, 20, 30, 40),
+    "alone, BIC": (0, 10, 30, 100, 200, 300, 500, 700, 1000, 1500, 2000, 3000),
 }
 """Least standard errors, or least drop of BIC, of an answer that names something; the best for sysid on these very recordings counts."""
 TIE_BIC, TIE_CORRELATION = 30.0, 0.9

@@ -31,7 +31,7 @@ class SysidCandidate(NamedTuple):
     """Parameters that act like an effect, zero at nominal.
 
     Attributes:
-        effects: Ids of the contract that count as named by it.
+        effects: Ids of effects (docs/reference/contract.md §6) that count as named by it.
         low: Lower bound of each parameter.
         high: Upper bound.
         start: Start value where nominal is a corner.
