@@ -10,6 +10,8 @@ from palpd.arena.cases import UNKNOWN, Question, Truth
 
 LEAST_PROBABILITY = 0.01
 """Smaller ones count as this: a single answer then costs at most 6.6 bits a statement."""
+MOST_ALIKE = 3
+"""Most names that a group may have and still be an answer."""
 COUNTED = 5
 """Fewest questions of a rig that counts in the mean over rigs."""
 Z95 = 1.959964
@@ -35,7 +37,8 @@ class Scored:
             return False
         if self.truth.outside:
             return self.answer.verdict == UNKNOWN
-        return bool(self.answer.named) and any(self.answer.named[0] & names for names in self.truth.causes)
+        group = self.answer.named[0] if self.answer.named else frozenset()
+        return len(group) <= MOST_ALIKE and any(group & names for names in self.truth.causes)
 
     @property
     def alone(self) -> bool:

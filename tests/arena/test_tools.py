@@ -1,0 +1,72 @@
+"""Tools on a sample of the shipped recordings, planted ones, and the command that asks and scores them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from palpd.arena.cases import every, rigs
+from palpd.arena.run import ask, scored
+from palpd.cli.application import carry_out
+from palpd.errors import BadInput
+from tests.arena.test_cases import CASES
+
+
+def test_palpd_answers_ten_of_the_shipped_questions(tmp_path: Path) -> None:
+    questions = every(rigs(CASES), 10)
+    told: list[int] = []
+    ask("palpd", [question for question, _ in questions], tmp_path, jobs=1, limit_s=120.0, advance=told.append)
+    rows = scored(questions, tmp_path)
+    assert sum(told) == 10
+    assert not [row.answer.failed for row in rows if row.answer.failed]
+    assert all(row.answer.cpu_s for row in rows)
+    assert sum(row.right for row in rows) >= 5, [(row.question.rig, row.question.name, row.answer.verdict) for row in rows]
+
+
+@pytest.mark.parametrize("tool", ["threshold", "always", "least-squares", "sindy"])
+def test_every_other_tool_gives_answers_that_can_be_scored(tool: str, tmp_path: Path) -> None:
+    if tool == "sindy":
+        pytest.importorskip("pysindy")
+    found = [rig for rig in rigs(CASES) if rig.name in ("pneumatic_seal_1bar", "mr_damper_off")]
+    questions = every(found, 4)
+    ask(tool, [question for question, _ in questions], tmp_path, jobs=1, limit_s=60.0, advance=lambda _: None)
+    rows = scored(questions, tmp_path)
+    assert len(rows) == 4
+    assert not [row.answer.failed for row in rows if row.answer.failed]
+    assert all(0.0 <= row.bits < 21.0 for row in rows)
+
+
+def test_a_tool_that_takes_too_long_has_no_answer(tmp_path: Path) -> None:
+    questions = every(rigs(CASES), 1)
+    ask("least-squares", [question for question, _ in questions], tmp_path, jobs=1, limit_s=0.02, advance=lambda _: None)
+    assert scored(questions, tmp_path)[0].answer.failed == "no answer within 0.02 s of processor time"
+
+
+def test_effects_are_planted_by_seed_asked_and_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    planted, again, answers = tmp_path / "planted", tmp_path / "again", tmp_path / "answers"
+    for folder in (planted, again):
+        carry_out(["arena", "plant", "--to", str(folder), "--seed", "3", "--number", "12"])
+    found = rigs(planted)
+    assert len(every(found)) == 12
+    for rig in found:
+        assert not rig.healthy
+        for question in rig.questions:
+            same = again / rig.name / "recordings" / question.recording.name
+            assert question.recording.read_text() == same.read_text()
+        truth = json.loads((rig.folder / "truth.json").read_text())
+        assert all(9.0 < each["snr"] < 62.0 and each["known"] == "planted" for each in truth.values())
+    carry_out(["arena", "run", "--tool", "threshold", "--cases", str(planted), "--answers", str(answers), "--jobs", "1"])
+    carry_out(["arena", "score", "--cases", str(planted), "--answers", str(answers)])
+    assert "| all |" in capsys.readouterr().out
+    next(answers.rglob("*.json")).unlink()
+    with pytest.raises(BadInput, match="palpd arena run writes what is missing"):
+        carry_out(["arena", "score", "--cases", str(planted), "--answers", str(answers)])
+
+
+def test_wrong_orders_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="the arena has no tool guess; it has palpd, least-squares"):
+        carry_out(["arena", "run", "--tool", "guess", "--cases", str(CASES), "--answers", str(tmp_path / "a")])
+    with pytest.raises(BadInput, match="needs a folder of answers"):
+        carry_out(["arena", "score", "--cases", str(CASES)])
+    with pytest.raises(BadInput, match="give --to FOLDER"):
+        carry_out(["arena", "plant", "--cases", str(CASES)])
