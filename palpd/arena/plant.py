@@ -78,6 +78,8 @@ def _plant(rig: Rig, folder: Path, random: np.random.Generator, count: int) -> i
             planted = plant(recording, law, random, SNR, sigma_N=noise_beside(usual, references, recording))
         except PlantingRefusedError:
             continue
+        if np.ptp(planted.columns["fz_N"]) == 0.0:
+            continue  # saturated throughout: no recording of anything
         name = f"p{len(truths) + 1}.csv"
         _write(folder / "recordings" / name, planted.columns, joint="angle_rad" in host.recording.read_text().split("\n", 1)[0])
         cause = "unknown" if law.startswith("unknown.") else ALIKE.get(law, law)

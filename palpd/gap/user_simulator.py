@@ -103,11 +103,13 @@ class SimulatorDoubt:
         errors: Errors of its prediction (m, 7, n) in the units of the channels, each one standard deviation.
         known: Whether it was learned there (n,).
         unexplained: Rms (7, n) of means over some hundredths of a second, which it does not explain.
+        price_nats: What each effect beside it costs, since nothing that was learned is exact.
     """
 
     errors: Floats
     known: NDArray[np.bool_]
     unexplained: Floats
+    price_nats: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import nnls
 from scipy.stats import norm
 from scipy.stats import t as student
 
@@ -27,7 +28,9 @@ KINDS = 4
 """Most sets of parameters, such as time constants, for which an effect counts."""
 MOST_HEALTHY = 8
 """Most healthy recordings of which each is compared with the others."""
-TAIL_SD = 2.0
+PRICE_NATS = 4.0
+"""Price of each effect beside what was learned: no sum of curves is exact."""
+TAIL_SD = 2.5
 """Standard deviations at which a normal distribution has the tail of Student's distribution for the number of recordings."""
 MOST_SQUARE = 9.0
 """Largest factor on the usual square of what is left, by which a recording may be more restless than the healthy ones."""
@@ -67,25 +70,30 @@ class UsualChanges:
     def of(recordings: Sequence[Samples], healthy: HealthyCell) -> "UsualChanges":
         """Compare each healthy recording with what was learned from the others; a single one with what was learned from itself."""
         cell, library = healthy.compared_cell, healthy.library
-        shares: dict[str, list[Floats]] = {}
-        lefts = []
+        lefts, shares, overlaps, sizes = [], [], [], []
         for one in recordings[:: -(-len(recordings) // MOST_HEALTHY)]:
             others = [other for other in recordings if other is not one]
             learned = HealthyCell.of(others, healthy.cell, library) if others else healthy
             problem = make_problem([one], cell, library, simulators=[learned.simulator()])
             left = _left(problem, learned)
             lefts.append(left)
-            for name, changes in _changes(problem):
-                seen = np.array([_without_zero(_means(change, len(left.sd)), left.sd) for change in changes])
-                shares.setdefault(name, []).append(seen @ left.white / np.maximum(np.sum(seen**2, axis=1), 1e-300))
+            named = dict(_changes(problem))
+            seen = np.array([_without_zero(_means(change, len(left.sd)), left.sd) for each in named.values() for change in each])
+            size = np.maximum(np.sum(seen**2, axis=1), 1e-200)
+            shares.append(seen @ left.white / size)
+            overlaps.append((seen @ seen.T / size[:, None]) ** 2)
+            sizes.append(size)
         # Of few recordings the spread may be larger than they show.
         k, squares = max(len(lefts), 2), np.log([max(left.square, 1e-6) for left in lefts])
         factor = float(student.ppf(norm.cdf(TAIL_SD), k - 1)) / TAIL_SD * ((k + 1) / k) ** 0.5
-        spread = {name: factor * np.sqrt(np.mean(np.square(each), axis=0)) for name, each in shares.items()}
         apart = min(TAIL_SD * factor * float(squares.std(ddof=1) if len(lefts) > 1 else 0.0), float(np.log(MOST_SQUARE)))
         square = float(np.exp(squares.mean())), float(np.exp(squares.mean() + apart))
         rho = min(max(float(np.median([left.alike for left in lefts])), 0.0), MOST_ALIKE)
-        return UsualChanges(healthy, spread, ((1.0 + rho) / (1.0 - rho)) ** 0.5, square)
+        lasting = ((1.0 + rho) / (1.0 - rho)) ** 0.5
+        noise = lasting**2 * np.mean([1.0 / size for size in sizes], axis=0)
+        spread = _spread(factor**2 * np.mean(np.square(shares), axis=0), noise, np.mean(overlaps, axis=0))
+        edges = np.cumsum([len(each) for each in named.values()])[:-1]
+        return UsualChanges(healthy, dict(zip(named, np.split(spread, edges), strict=True)), lasting, square)
 
     def allowed(self, simulator: UserSimulator, now: Samples) -> UserSimulator:
         """The simulator of a healthy cell, for which what is usual is no change.
@@ -109,9 +117,25 @@ class UsualChanges:
             for column, values in zip(more, columns, strict=True):
                 column[FZ] = np.interp(times_s, t_s - t_s[0], values)
             unexplained[FZ] *= self.lasting * restless**0.5
-            return replace(learned, errors=np.concatenate([learned.errors, more]), unexplained=unexplained)
+            errors = np.concatenate([learned.errors, more])
+            return replace(learned, errors=errors, unexplained=unexplained, price_nats=PRICE_NATS)
 
         return replace(simulator, doubt=doubt)
+
+
+def _spread(seen: Floats, noise: Floats, overlaps: Floats) -> Floats:
+    """Standard deviations (p,) of changes, each as a share of its size, with which each is seen as often as in the healthy recordings.
+
+    Changes look alike: what one shows is not another one's too. So their variances are the smallest that explain all that is seen.
+
+    Args:
+        seen: Mean square (p,) of the share of each change that a healthy recording seems to have.
+        noise: What noise alone makes of it (p,).
+        overlaps: Square (p, p) of the share of a change that another one, as large as it typically is, seems to be.
+    """
+    scale = np.maximum(seen, 1e-300)
+    variances, _ = nnls(overlaps / scale[:, None], np.maximum(seen - noise, 0.0) / scale, maxiter=50 * len(seen))
+    return np.asarray(np.sqrt(variances))
 
 
 def _changes(problem: Problem) -> Iterator[tuple[str, list[Floats]]]:

@@ -43,7 +43,8 @@ def group_evidence(products: Products, priors: tuple[Floats, ...]) -> GroupEvide
     if not np.isfinite(log_factors[likeliest]):
         return GroupEvidence(-np.inf, np.zeros((n, n)), np.zeros(n), np.zeros((n, n)))
     prior, size = priors[likeliest // len(ASSUMED.laws.sizes_sd)], ASSUMED.laws.sizes_sd[likeliest % len(ASSUMED.laws.sizes_sd)]
-    root = size / float(np.einsum("ij,ji->", products.gram, prior @ prior.T)) ** 0.5 * prior
+    energy = float(np.einsum("ij,ji->", products.gram, prior @ prior.T))
+    root = size / max(energy, 1e-300) ** 0.5 * prior  # rounding can make the energy of a group that does nothing negative
     nats = float(np.logaddexp.reduce(log_factors) - log(len(log_factors)))
     mean, covariance = posterior_of(products, root)
     whole = float(mean @ products.raw @ mean)

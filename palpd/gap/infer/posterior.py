@@ -114,7 +114,9 @@ def log_prior(problem: Problem, size: int) -> float:
     """Log P(set) of one set of that many effects: all sets of a size are equally probable."""
     listed = sum(not effect.scatter for effect in problem.library.values())
     of_size = (ASSUMED.prior.none, ASSUMED.prior.one, ASSUMED.prior.two, ASSUMED.prior.three)[size]
-    return log(of_size) - log(comb(listed, size))
+    doubts = [one.simulated.doubt for one in problem.recordings if one.simulated is not None and one.simulated.doubt is not None]
+    price = size * max((doubt.price_nats for doubt in doubts), default=0.0)
+    return log(of_size) - log(comb(listed, size)) - price
 
 
 def _worth(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> dict[tuple[str, ...], float]:
