@@ -98,6 +98,7 @@ tolerances {csv} --cell {cell} --json {out.json}
 effects --effects {effect} --cell {cell} --json {out.json}
 blind --cases 1 --jobs 1 --json {out.json} --docs {folder} --keep {folder}
 study --out {folder} --free {mcap} --palpation {mcap} --json {out.json}
+arena plant --cases {plan} --to {folder} --number 1
 """
 """Sound lines; a word in braces is an input of that kind, or an output: out.* may be replaced, new.* must not exist, folder is made."""
 CONTRADICTIONS = """

@@ -23,6 +23,7 @@ UNITS = (
 SUFFIX = re.compile(r"(^|_)(" + "|".join(sorted(UNITS, key=len, reverse=True)) + r")$")
 
 DIMENSIONLESS = {
+    "bits": "information",
     "clock_skew": "ratio of two clocks, less one",
     "closed": "share of a gap",
     "contrast": "ratio of two moduli",
@@ -82,6 +83,8 @@ DIMENSIONLESS = {
     "strongest": "strength, a multiple of the drawn shape",
     "told_at_snr": "signal-to-noise ratio",
     "youngs_modulus": "relative tolerance",
+    "lasting": "factor on an rms",
+    "price_nats": "log probability",
     "wander_nats": "log probability",
 }
 """Names of quantities without a unit, and why they have none."""

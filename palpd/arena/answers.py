@@ -13,7 +13,7 @@ SCHEMA = "palpd.diagnosis/1"
 
 
 @dataclass(frozen=True)
-class Answer:
+class ToolAnswer:
     """An answer.
 
     Attributes:
@@ -36,7 +36,7 @@ class Answer:
     failed: str = ""
 
     @staticmethod
-    def of(content: Mapping[str, Any], where: str) -> "Answer":
+    def of(content: Mapping[str, Any], where: str) -> "ToolAnswer":
         """An answer of the content of its file.
 
         Args:
@@ -47,7 +47,7 @@ class Answer:
         """
         extra = content.get("arena") or {}
         if "failed" in extra:
-            return Answer("unknown", (), {}, 0.5, 0.5, cpu_s=extra.get("cpu_s"), failed=str(extra["failed"]))
+            return ToolAnswer("unknown", (), {}, 0.5, 0.5, cpu_s=extra.get("cpu_s"), failed=str(extra["failed"]))
         if content.get("schema") != SCHEMA or content.get("verdict") not in VERDICTS:
             raise BadInput(f"{where} is no answer: schema and verdict are expected to be {SCHEMA!r} and one of {', '.join(VERDICTS)}")
         try:
@@ -56,10 +56,10 @@ class Answer:
             p_none, p_unknown = _share(content["p_none"]), _share(content["p_unknown"])
         except (KeyError, TypeError, ValueError) as error:
             raise BadInput(f"{where} is no answer: {error!r}; docs/arena.md says what it must hold") from None
-        return Answer(content["verdict"], named, probability, p_none, p_unknown, extra.get("closed"), extra.get("cpu_s"))
+        return ToolAnswer(content["verdict"], named, probability, p_none, p_unknown, extra.get("closed"), extra.get("cpu_s"))
 
     @staticmethod
-    def load(path: Path) -> "Answer":
+    def load(path: Path) -> "ToolAnswer":
         """Read an answer. Raises BadInput."""
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
@@ -67,14 +67,14 @@ class Answer:
             raise BadInput(f"{path} cannot be read as JSON: {error}") from None
         if not isinstance(content, dict):
             raise BadInput(f"{path} holds no mapping")
-        return Answer.of(content, str(path))
+        return ToolAnswer.of(content, str(path))
 
 
 def content_of(verdict: str, probability: Mapping[str, float], p_none: float, p_unknown: float = 0.0, **arena: Any) -> dict[str, Any]:
-    """The content of an answer's file, for a runner: what is more probable than not is named.
+    """The content of an answer's file, for a runner.
 
     Args:
-        verdict: One of VERDICTS.
+        verdict: One of VERDICTS: with `effects` and `ambiguous` what is more probable than not is named.
         probability: That a cause acts, by name.
         p_none: That nothing acts.
         p_unknown: That something acts that the list has no name for.

@@ -36,7 +36,7 @@ class Question:
 
 
 @dataclass(frozen=True)
-class Truth:
+class KnownTruth:
     """What acts in a recording.
 
     Attributes:
@@ -58,7 +58,7 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Rig:
+class ArenaRig:
     """A rig: what it is, where its data come from, and its questions.
 
     Attributes:
@@ -71,10 +71,10 @@ class Rig:
     used_to_mend: bool
     shipped: bool
     questions: tuple[Question, ...]
-    truths: Mapping[str, Truth]
+    truths: Mapping[str, KnownTruth]
 
     @staticmethod
-    def load(folder: Path) -> "Rig":
+    def load(folder: Path) -> "ArenaRig":
         """Read the folder of a rig.
 
         Raises:
@@ -98,7 +98,7 @@ class Rig:
             Question(folder.name, Path(name).stem, recordings / name, folder / "cell.yaml", healthy, _beside(recordings, other.get(name)))
             for name in stated["judged"]
         )
-        return Rig(
+        return ArenaRig(
             folder.name, stated["title"], folder, bool(stated["used_to_mend"]), bool(stated["shipped"]), questions,
             {Path(name).stem: truth for name, truth in truths.items()},
         )  # fmt: skip
@@ -109,7 +109,7 @@ class Rig:
         return [question for question in self.questions if self.truths[question.name].healthy]
 
 
-def rigs(folder: Path) -> list[Rig]:
+def rigs(folder: Path) -> list[ArenaRig]:
     """All rigs whose recordings are there.
 
     Args:
@@ -118,17 +118,17 @@ def rigs(folder: Path) -> list[Rig]:
     Raises:
         BadInput: There is none, or one is wrong.
     """
-    found = [Rig.load(each.parent) for each in sorted(folder.glob("*/rig.yaml")) if (each.parent / "recordings").is_dir()]
-    if not found:
+    shipped = [ArenaRig.load(each.parent) for each in sorted(folder.glob("*/rig.yaml")) if (each.parent / "recordings").is_dir()]
+    if not shipped:
         raise BadInput(f"{folder} holds no rig with recordings; expected folders with rig.yaml and recordings/, as in benchmarks/arena")
-    return found
+    return shipped
 
 
-def every(of: Sequence[Rig], sample: int | None = None) -> list[tuple[Question, Truth]]:
+def every(of: Sequence[ArenaRig], sample: int | None = None) -> list[tuple[Question, KnownTruth]]:
     """Every question with its truth, rig by rig.
 
     Args:
-        sample: Take so many only, in turn from each rig; None: all.
+        sample: Take only this number, in turn from each rig; None: all.
     """
     in_turn = (question for each in zip_longest(*(rig.questions for rig in of)) for question in each if question is not None)
     chosen = set(islice(in_turn, sample))
@@ -139,13 +139,13 @@ def _beside(folder: Path, name: str | None) -> Path | None:
     return None if name is None else folder / name
 
 
-def _truth(stated: Mapping[str, Any], where: str) -> Truth:
+def _truth(stated: Mapping[str, Any], where: str) -> KnownTruth:
     if stated.get("known") not in get_args(Known):
         raise BadInput(f"{where}: known is {stated.get('known')!r}, expected one of {', '.join(get_args(Known))}")
     causes = stated.get("causes")
     if not isinstance(causes, list):
         raise BadInput(f"{where}: causes is {causes!r}, expected a list of names (empty: healthy)")
-    return Truth(tuple(frozenset(each.split("|")) for each in causes), stated["known"])
+    return KnownTruth(tuple(frozenset(each.split("|")) for each in causes), stated["known"])
 
 
 def _mapping(path: Path, parse: Any) -> dict[str, Any]:

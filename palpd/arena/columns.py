@@ -30,12 +30,12 @@ class Healthy:
     Attributes:
         heights: Centres of the bins (k,), in m or rad.
         force: Mean force (2, k) while it moves down or rests, and while it moves up, in N or Nm; NaN where nothing was recorded.
-        rms: Of what is left, in N or Nm.
+        rms_N: Rms of the residual; in Nm for a joint.
     """
 
     heights: Floats
     force: Floats
-    rms: float
+    rms_N: float
 
     @staticmethod
     def of(recordings: Sequence[Columns], bins: int = 60) -> "Healthy":

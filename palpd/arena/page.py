@@ -5,8 +5,8 @@ from itertools import cycle
 from pathlib import Path
 
 from palpd.analysis.figure_style import BLUE, GREY, ORANGE, RED, YELLOW, save_figure, styled_figure
-from palpd.arena.cases import Rig
-from palpd.arena.score import RigScore, Scored, Share, by_rig, over_rigs
+from palpd.arena.cases import ArenaRig
+from palpd.arena.score import RigScore, ScoredAnswer, Share, by_rig, over_rigs
 
 PAGE_FILES = ("arena-scores.md", "arena-scores.png")
 INTRODUCTION = """# The arena: scores
@@ -16,7 +16,7 @@ What tools say of recordings whose cause is known. [The arena](arena.md) explain
 is bold."""
 
 
-def table(rows: Sequence[Scored]) -> str:
+def table(rows: Sequence[ScoredAnswer]) -> str:
     """The figures of one tool, as a table in Markdown: all rigs, then each; the worst one is bold."""
     scores = by_rig(rows)
     worst = max(scores, key=lambda each: each.bits).name
@@ -33,7 +33,7 @@ def table(rows: Sequence[Scored]) -> str:
     return "\n".join(lines)
 
 
-def headline(rows: Sequence[Scored]) -> str:
+def headline(rows: Sequence[ScoredAnswer]) -> str:
     """Means over rigs weighed alike."""
     parts = {
         "cause first": over_rigs(rows, lambda row: row.first, lambda row: not row.truth.healthy),
@@ -44,7 +44,7 @@ def headline(rows: Sequence[Scored]) -> str:
     return ", ".join([*words, *([] if bits is None else [f"{bits:.2f} bits"])]) or "no rig has five questions"
 
 
-def by_knowledge(rows: Sequence[Scored]) -> str:
+def by_knowledge(rows: Sequence[ScoredAnswer]) -> str:
     """Right answers by how the truth is known, as a table in Markdown."""
     lines = ["| truth | healthy silent | cause first |", "|---|---|---|"]
     for known in sorted({row.truth.known for row in rows}):
@@ -54,7 +54,7 @@ def by_knowledge(rows: Sequence[Scored]) -> str:
     return "\n".join(lines)
 
 
-def misses(rows: Iterable[Scored]) -> str:
+def misses(rows: Iterable[ScoredAnswer]) -> str:
     """Every wrong answer, as a table in Markdown."""
     lines = ["| rig | question | truth | answer |", "|---|---|---|---|"]
     for row in rows:
@@ -62,19 +62,16 @@ def misses(rows: Iterable[Scored]) -> str:
             continue
         truth = ", ".join(" or ".join(f"`{name}`" for name in sorted(names)) for names in row.truth.causes) or "healthy"
         named = ", ".join(" or ".join(f"`{name}`" for name in sorted(group)) for group in row.answer.named)
-        said = row.answer.failed or row.answer.verdict + (f": {named}" if named else "")
-        lines.append(f"| {row.question.rig} | {row.question.name} | {truth} | {said} |")
+        message = row.answer.failed or row.answer.verdict + (f": {named}" if named else "")
+        lines.append(f"| {row.question.rig} | {row.question.name} | {truth} | {message} |")
     return "\n".join(lines)
 
 
-def write_page(folder: Path, rigs: Sequence[Rig], tools: Mapping[str, Sequence[Scored]]) -> Path:
+def write_page(folder: Path, rigs: Sequence[ArenaRig], tools: Mapping[str, Sequence[ScoredAnswer]]) -> Path:
     """Write arena.md and its picture.
 
     Args:
         tools: Rows of each tool, the one whose misses are listed first.
-
-    Returns:
-        The page.
     """
     names = list(tools)
     lines = [INTRODUCTION, "", "![Bits of each tool on each rig](arena-scores.png)", "", "## Tools", ""]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from palpd.arena.cases import Question, Rig
+from palpd.arena.cases import ArenaRig, Question
 from palpd.arena.columns import JOINT, Columns, Floats, Healthy, load
 from palpd.arena.laws import LAWS
 from palpd.arena.planted import PlantingRefusedError, plant
@@ -33,15 +33,12 @@ ALIKE = {
 """Names that count as well, where hardly any recording can tell them apart."""
 
 
-def plant_all(rigs: Sequence[Rig], folder: Path, seed: int, number: int | None) -> int:
-    """Write rigs whose questions are healthy recordings with a planted effect, one effect each.
+def plant_all(rigs: Sequence[ArenaRig], folder: Path, seed: int, number: int | None) -> int:
+    """Write rigs whose questions are healthy recordings with a planted effect, one effect each, and give their number.
 
     Args:
         folder: It gets a folder for each rig, in the form of `benchmarks/arena`.
         number: How many questions in all; None: EACH for every rig.
-
-    Returns:
-        The number of questions.
 
     Raises:
         BadInput: The folder is not empty, or no rig has a healthy recording to plant into.
@@ -50,16 +47,16 @@ def plant_all(rigs: Sequence[Rig], folder: Path, seed: int, number: int | None) 
     hosts = [rig for rig in rigs if rig.healthy]
     if not hosts:
         raise BadInput("no rig has a healthy recording to plant into")
-    wanted = [0] * len(hosts)
+    targets = [0] * len(hosts)
     for k in range(EACH * len(hosts) if number is None else number):
-        wanted[k % len(hosts)] += 1
+        targets[k % len(hosts)] += 1
     return sum(
         _plant(rig, folder / rig.name, np.random.default_rng([seed, k]), count)
-        for k, (rig, count) in enumerate(zip(hosts, wanted, strict=True))
+        for k, (rig, count) in enumerate(zip(hosts, targets, strict=True))
     )
 
 
-def _plant(rig: Rig, folder: Path, random: np.random.Generator, count: int) -> int:
+def _plant(rig: ArenaRig, folder: Path, random: np.random.Generator, count: int) -> int:
     shutil.copytree(rig.folder, folder, ignore=shutil.ignore_patterns("recordings", "truth.json", "convert.py", "README.md", "*.png"))
     (folder / "recordings").mkdir()
     for path in rig.questions[0].healthy:
@@ -103,7 +100,6 @@ def noise_beside(usual: Healthy, references: Sequence[Columns], recording: Colum
 
     Args:
         usual: What the healthy rig does.
-        references: Its recordings.
         recording: The one to plant into.
     """
     rate_Hz = (len(recording["t_s"]) - 1) / float(np.ptp(recording["t_s"]))

@@ -47,8 +47,8 @@ def plant(
     """Plant a law of LAWS at an SNR that is drawn from a range, even in its logarithm.
 
     A rounded force is spread evenly over its step, changed and rounded again, so a row without change stays as it was. A rounded height is
-    changed and rounded, so that a robot at rest stays at rest. The SNR of a law that the contract has no name for counts only what no
-    spring, friction and viscous drag together can follow.
+    changed and rounded, so that a robot at rest stays at rest. The SNR of a law that docs/reference/contract.md has no name for
+    counts only what no spring, friction and viscous drag together can follow.
 
     Args:
         recording: Columns (n,).

@@ -10,10 +10,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from palpd.arena.answers import Answer
-from palpd.arena.cases import Question, Truth
+from palpd.arena.answers import ToolAnswer
+from palpd.arena.cases import KnownTruth, Question
 from palpd.arena.runners import runner
-from palpd.arena.score import Scored
+from palpd.arena.score import ScoredAnswer
 from palpd.errors import BadInput, PalpdError
 from palpd.files import write_json
 from palpd.workers import pool
@@ -32,7 +32,7 @@ def ask(tool: str, questions: Sequence[Question], out: Path, *, jobs: int, limit
         tool: One of palpd.arena.runners.RUNNERS.
         jobs: Number of processes.
         limit_s: Processor time for a question.
-        advance: Is told of each answer.
+        advance: Takes the number of further answers.
 
     Raises:
         BadInput: There is no such tool.
@@ -48,7 +48,7 @@ def ask(tool: str, questions: Sequence[Question], out: Path, *, jobs: int, limit
             advance(1)
 
 
-def scored(of: Sequence[tuple[Question, Truth]], answers: Path) -> list[Scored]:
+def scored(of: Sequence[tuple[Question, KnownTruth]], answers: Path) -> list[ScoredAnswer]:
     """Answers beside their truths.
 
     Raises:
@@ -58,7 +58,7 @@ def scored(of: Sequence[tuple[Question, Truth]], answers: Path) -> list[Scored]:
     if missing:
         more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
         raise BadInput(f"{answers} has no {', '.join(missing[:3])}{more}; palpd arena run writes what is missing")
-    return [Scored(question, truth, Answer.load(answer_file(answers, question))) for question, truth in of]
+    return [ScoredAnswer(question, truth, ToolAnswer.load(answer_file(answers, question))) for question, truth in of]
 
 
 def answer_file(answers: Path, question: Question) -> Path:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from math import log2
 from statistics import fmean, median
 
-from palpd.arena.answers import Answer
-from palpd.arena.cases import UNKNOWN, Question, Truth
+from palpd.arena.answers import ToolAnswer
+from palpd.arena.cases import UNKNOWN, KnownTruth, Question
 
 LEAST_PROBABILITY = 0.01
 """Smaller ones count as this: a single answer then costs at most 6.6 bits a statement."""
@@ -18,12 +18,12 @@ Z95 = 1.959964
 
 
 @dataclass(frozen=True)
-class Scored:
+class ScoredAnswer:
     """An answer beside its truth."""
 
     question: Question
-    truth: Truth
-    answer: Answer
+    truth: KnownTruth
+    answer: ToolAnswer
 
     @property
     def alarm(self) -> bool:
@@ -80,7 +80,7 @@ class Share:
     n: int
 
     @staticmethod
-    def of(rows: Sequence[Scored], holds: Callable[[Scored], bool]) -> "Share":
+    def of(rows: Sequence[ScoredAnswer], holds: Callable[[ScoredAnswer], bool]) -> "Share":
         """For how many rows something holds."""
         return Share(sum(map(holds, rows)), len(rows))
 
@@ -112,7 +112,7 @@ class RigScore:
     failed: int
 
     @staticmethod
-    def of(name: str, rows: Sequence[Scored]) -> "RigScore":
+    def of(name: str, rows: Sequence[ScoredAnswer]) -> "RigScore":
         """The figures of rows."""
         acting = [row for row in rows if not row.truth.healthy]
         listed = [row for row in acting if not row.truth.outside]
@@ -129,16 +129,17 @@ class RigScore:
         )
 
 
-def by_rig(rows: Sequence[Scored]) -> list[RigScore]:
+def by_rig(rows: Sequence[ScoredAnswer]) -> list[RigScore]:
     """Figures of every rig, in the order of their names."""
     return [RigScore.of(name, [row for row in rows if row.question.rig == name]) for name in sorted({row.question.rig for row in rows})]
 
 
-def over_rigs(rows: Sequence[Scored], of: Callable[[Scored], float], among: Callable[[Scored], bool] = lambda _row: True) -> float | None:
+def over_rigs(
+    rows: Sequence[ScoredAnswer], of: Callable[[ScoredAnswer], float], among: Callable[[ScoredAnswer], bool] = lambda _row: True
+) -> float | None:
     """Mean over rigs weighed alike, of those with COUNTED questions or more; None where there is none.
 
     Args:
-        of: The figure of a row.
         among: Which rows count.
     """
     of_rig: dict[str, list[float]] = {}

@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 Recording = Mapping[str, FloatArray]
 
 MEAN_S = 0.02
-"""Length of the means over which the contract takes the SNR of an effect."""
+"""Length of the means over which docs/reference/contract.md takes the SNR of an effect."""
 BLOCK = 32
 """Rows of a block. Noise is the median over blocks, so that impacts and contacts do not count."""
 WINDOWS = (5, 13, 33, 81)
@@ -127,7 +127,7 @@ def snr(
     sigma_N: float | None = None,
     free: Sequence[FloatArray] = (),
 ) -> float:
-    """SNR of an effect (contract, section 5): norm of its change of fz over means of 20 ms, less the best healthy deviation.
+    """SNR of an effect (docs/reference/contract.md): norm of its change of fz over means of 20 ms, less the best healthy deviation.
 
     Each mean counts in its own standard deviation. Deviations are subtracted by least squares, each at the cost of its size over its
     tolerance: an effect of one tolerance has an SNR of at most 1. A changed height counts with the slope of the recorded contact.

@@ -27,24 +27,24 @@ def arena(
     docs: Annotated[Path | None, typer.Option("--docs", help="for score: write the page and its picture here"), Output(FOLDER)] = None,
     to: Annotated[Path | None, typer.Option("--to", help="for plant: a new folder of rigs"), Output(FOLDER)] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="for plant: the same seed plants the same effects")] = 1,
-    number: Annotated[int | None, typer.Option("--number", min=1, help="only so many questions, in turn from each rig")] = None,
+    number: Annotated[int | None, typer.Option("--number", min=1, help="this number of questions only, in turn from each rig")] = None,
     limit_s: Annotated[float, typer.Option("--limit-s", min=1.0, help="processor time of a tool for each question")] = 60.0,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="processes")] = 2,
 ) -> None:
     """Judge diagnosis tools on recordings of other rigs whose cause is known: ask a tool, then score its answers."""
     from palpd.arena.cases import every, rigs
 
-    found = rigs(cases)
+    shipped = rigs(cases)
     if action == "plant":
         if to is None:
             raise BadInput("palpd arena plant writes a folder of rigs; give --to FOLDER")
         from palpd.arena.plant import plant_all
 
-        terminal().print(f"{to}: {plant_all(found, to, seed, number)} questions. palpd arena run --cases {to} asks a tool.")
+        terminal().print(f"{to}: {plant_all(shipped, to, seed, number)} questions. palpd arena run --cases {to} asks a tool.")
         return
     if not answers:
         raise BadInput(f"palpd arena {action} needs a folder of answers; give --answers FOLDER")
-    questions = every(found, number)
+    questions = every(shipped, number)
     if action == "score":
         from palpd.arena.page import headline, table, write_page
         from palpd.arena.run import scored
@@ -53,7 +53,7 @@ def arena(
         for name, rows in tools.items():
             terminal().print(f"{name}: {headline(rows)}\n\n{table(rows)}\n", soft_wrap=True)
         if docs is not None:
-            terminal().print(str(write_page(docs, found, tools)))
+            terminal().print(str(write_page(docs, shipped, tools)))
         return
     if len(answers) > 1:
         raise BadInput("palpd arena run writes one folder of answers; give --answers once")

@@ -55,7 +55,6 @@ def since_onset(simulator: UserSimulator, healthy: HealthyCell, recording: Sampl
 
     Args:
         simulator: As it was learned.
-        healthy: From what.
         recording: What is compared.
 
     Returns:

@@ -1,8 +1,8 @@
 """What a healthy cell usually does: how much of each effect its own recordings seem to have, each against what was learned from the others.
 
-A rig is never predicted perfectly. What is left at its reversals, in its fast strokes or from day to day looks a little like a filter, a
+A rig is never predicted perfectly. The residual at its reversals, in its fast strokes or from day to day looks a little like a filter, a
 latency, friction. So each effect in the list is a deviation of the healthy cell, as large as the healthy recordings show it; only what
-exceeds that is a change. The rest of what is left counts as noise, for as long as it lasts.
+exceeds that is a change. The rest of the residual counts as noise, for as long as it lasts.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,23 +25,23 @@ from palpd.tick import Floats
 BLOCK_S = 0.02
 """Length of the means that are compared."""
 KINDS = 4
-"""Most sets of parameters, such as time constants, for which an effect counts."""
+"""Largest number of sets of parameters, such as time constants, for which an effect counts."""
 MOST_HEALTHY = 8
-"""Most healthy recordings of which each is compared with the others."""
+"""Largest number of healthy recordings that are compared with the others."""
 PRICE_NATS = 4.0
 """Price of each effect beside what was learned: no sum of curves is exact."""
 TAIL_SD = 2.5
 """Standard deviations at which a normal distribution has the tail of Student's distribution for the number of recordings."""
 MOST_SQUARE = 9.0
-"""Largest factor on the usual square of what is left, by which a recording may be more restless than the healthy ones."""
+"""Largest factor on the usual square of the residual, by which a recording may be more restless than the healthy ones."""
 MOST_ALIKE = 0.9
 """Largest correlation of neighbouring means that is believed."""
 
 
-class _Left(NamedTuple):
+class _Residual(NamedTuple):
     """A recording against what was learned from others.
 
-    Means (b,) of what is left, over their rms `sd` (b,); how alike neighbours are, and the median of the squares.
+    Means (b,) of the residual, over their rms `sd` (b,); how alike neighbours are, and the median of the squares.
     """
 
     white: Floats
@@ -55,9 +55,9 @@ class UsualChanges:
     """How much of each effect healthy recordings seem to have.
 
     Attributes:
-        spread: One standard deviation of each effect, as shares of its typical sizes, by its id.
-        lasting: Factor on the rms of what is left since neighbours are off alike.
-        square: Usual square of what is left, over what was learned, and the largest one that is usual.
+        spread: Standard deviations (k,) of each effect, as shares of its k typical sizes, by its id.
+        lasting: Factor on the rms of the residual, since neighbours are off alike.
+        square: Usual square of the residual, over what was learned, and the largest one that is usual.
     """
 
     healthy: HealthyCell
@@ -151,7 +151,7 @@ def _changes(problem: Problem) -> Iterator[tuple[str, list[Floats]]]:
         yield name, [problem.raw_prediction(recording, cell)[:, FZ] - plain for cell in cells]
 
 
-def _left(problem: Problem, learned: HealthyCell) -> _Left:
+def _left(problem: Problem, learned: HealthyCell) -> _Residual:
     (recording,) = problem.recordings
     samples = recording.samples
     count = max(8, int(samples.duration_s / BLOCK_S))
@@ -161,7 +161,7 @@ def _left(problem: Problem, learned: HealthyCell) -> _Left:
     left = samples.wrench[:, FZ - 1] - problem.raw_prediction(recording, problem.cell)[:, FZ]
     white = _without_zero(_means(np.where(doubt.known, left, 0.0), count), sd)
     alike = float(white[1:] @ white[:-1]) / max(float(white @ white), 1e-300)
-    return _Left(white, sd, alike, float(np.median(white**2)))
+    return _Residual(white, sd, alike, float(np.median(white**2)))
 
 
 def _means(values: Floats, count: int) -> Floats:

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 import palpd
-from palpd.arena.cases import Rig, every, rigs
+from palpd.arena.cases import ArenaRig, every, rigs
 from palpd.arena.columns import load
 from palpd.errors import BadInput
 from tests.paths import ROOT
@@ -18,7 +18,7 @@ FOLDERS = sorted(each.parent for each in CASES.glob("*/rig.yaml"))
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_a_rig_is_complete_and_its_cell_file_is_one(folder: Path) -> None:
-    rig = Rig.load(folder)
+    rig = ArenaRig.load(folder)
     palpd.Cell.load(folder / "cell.yaml")
     stated = yaml.safe_load((folder / "rig.yaml").read_text(encoding="utf-8"))
     assert len(stated["source"]["commit"]) == 40
@@ -35,7 +35,7 @@ def test_a_rig_is_complete_and_its_cell_file_is_one(folder: Path) -> None:
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_names_say_nothing_of_the_truth(folder: Path) -> None:
-    rig = Rig.load(folder)
+    rig = ArenaRig.load(folder)
     assert all(question.name[0] == "j" and question.name[1:].isdigit() for question in rig.questions)
     if 0 < len(rig.healthy) < len(rig.questions):
         order = [rig.truths[question.name].healthy for question in rig.questions]
@@ -48,10 +48,10 @@ def test_the_data_stay_small_and_outside_the_wheel() -> None:
 
 
 def test_some_questions_are_taken_in_turn_from_each_rig() -> None:
-    found = rigs(CASES)
-    some = every(found, len(found) + 1)
-    assert [question.rig for question, _ in some].count(found[0].name) == 2
-    assert len({question.rig for question, _ in some}) == len(found)
+    shipped = rigs(CASES)
+    some = every(shipped, len(shipped) + 1)
+    assert [question.rig for question, _ in some].count(shipped[0].name) == 2
+    assert len({question.rig for question, _ in some}) == len(shipped)
 
 
 def rig_with(folder: Path, **changed: object) -> Path:
@@ -65,22 +65,22 @@ def rig_with(folder: Path, **changed: object) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"judged": ["j1.csv", "j2.csv"]}, r"j2\.csv is missing; rig\.yaml names it"),
         ({"judged": ["h1.csv"], "healthy": []}, r"h1\.csv, j1\.csv stands in only one"),
         ({"healthy": ["h1.csv", "j1.csv"]}, "a healthy recording that a tool is given is judged too"),
     ],
 )
-def test_a_rig_that_contradicts_itself_is_refused(tmp_path: Path, changed: dict[str, object], said: str) -> None:
-    with pytest.raises(BadInput, match=said):
-        Rig.load(rig_with(tmp_path / "rig", **changed))
+def test_a_rig_that_contradicts_itself_is_refused(tmp_path: Path, changed: dict[str, object], message: str) -> None:
+    with pytest.raises(BadInput, match=message):
+        ArenaRig.load(rig_with(tmp_path / "rig", **changed))
 
 
 def test_a_truth_of_no_known_kind_is_refused(tmp_path: Path) -> None:
     folder = rig_with(tmp_path / "rig")
     (folder / "truth.json").write_text('{"j1.csv": {"causes": [], "known": "heard"}}')
     with pytest.raises(BadInput, match="known is 'heard', expected one of planted, annotated, measured, inferred"):
-        Rig.load(folder)
+        ArenaRig.load(folder)
     with pytest.raises(BadInput, match="holds no rig with recordings"):
         rigs(tmp_path / "nowhere")

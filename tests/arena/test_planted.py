@@ -1,4 +1,4 @@
-"""Each law of the arena does what the contract says of its effect, at an SNR that was asked for."""
+"""Each law of the arena does what docs/reference/contract.md says of its effect, at an SNR that was asked for."""
 
 from itertools import accumulate
 

@@ -5,20 +5,24 @@ from pathlib import Path
 
 import pytest
 
-from palpd.arena.answers import Answer, content_of
-from palpd.arena.cases import Question, Truth
+from palpd.arena.answers import ToolAnswer, content_of
+from palpd.arena.cases import KnownTruth, Question
 from palpd.arena.page import headline, misses, table, write_page
-from palpd.arena.score import LEAST_PROBABILITY, RigScore, Scored, Share, over_rigs
+from palpd.arena.score import LEAST_PROBABILITY, RigScore, ScoredAnswer, Share, over_rigs
 from palpd.errors import BadInput
 
-FRICTION = Truth((frozenset({"cable.friction", "cable.viscous"}),), "annotated")
-HEALTHY, OUTSIDE = Truth((), "annotated"), Truth((frozenset({"unknown"}),), "measured")
-BOTH = Truth((frozenset({"cable.friction"}), frozenset({"sensor.bias"})), "planted")
+FRICTION = KnownTruth((frozenset({"cable.friction", "cable.viscous"}),), "annotated")
+HEALTHY, OUTSIDE = KnownTruth((), "annotated"), KnownTruth((frozenset({"unknown"}),), "measured")
+BOTH = KnownTruth((frozenset({"cable.friction"}), frozenset({"sensor.bias"})), "planted")
 
 
-def scored(truth: Truth, verdict: str, probability: dict[str, float] | None = None, p_none: float = 0.1, **more: float) -> Scored:
+def scored(
+    truth: KnownTruth, verdict: str, probability: dict[str, float] | None = None, p_none: float = 0.1, **more: float
+) -> ScoredAnswer:
     question = Question("rig", "j1", Path("j1.csv"), Path("cell.yaml"), ())
-    return Scored(question, truth, Answer.of(content_of(verdict, probability or {}, p_none, more.get("p_unknown", 0.0)), "j1.json"))
+    return ScoredAnswer(
+        question, truth, ToolAnswer.of(content_of(verdict, probability or {}, p_none, more.get("p_unknown", 0.0)), "j1.json")
+    )
 
 
 def test_a_certain_and_right_answer_costs_nothing_and_ignorance_three_bits() -> None:
@@ -47,27 +51,27 @@ def test_a_group_of_four_names_is_no_answer() -> None:
     content = content_of("ambiguous", {"sensor.bias": 0.6}, 0.0)
     content["effects"][0]["indistinguishable_from"] = ["cable.friction", "sensor.drift"]
     question = Question("rig", "j1", Path("j1.csv"), Path("cell.yaml"), ())
-    assert Scored(question, FRICTION, Answer.of(content, "")).first
+    assert ScoredAnswer(question, FRICTION, ToolAnswer.of(content, "")).first
     content["effects"][0]["indistinguishable_from"].append("sensor.creep")
-    assert not Scored(question, FRICTION, Answer.of(content, "")).first
+    assert not ScoredAnswer(question, FRICTION, ToolAnswer.of(content, "")).first
 
 
 def test_what_is_no_answer_is_refused_and_what_failed_counts_as_wrong() -> None:
     with pytest.raises(BadInput, match="verdict are expected to be"):
-        Answer.of({"schema": "palpd.diagnosis/1", "verdict": "maybe"}, "j1.json")
+        ToolAnswer.of({"schema": "palpd.diagnosis/1", "verdict": "maybe"}, "j1.json")
     with pytest.raises(BadInput, match="is no probability"):
-        Answer.of(content_of("none", {}, 1.5), "j1.json")
-    failed = Answer.of({"arena": {"failed": "no answer within 60 s"}}, "j1.json")
+        ToolAnswer.of(content_of("none", {}, 1.5), "j1.json")
+    failed = ToolAnswer.of({"arena": {"failed": "no answer within 60 s"}}, "j1.json")
     question = Question("rig", "j1", Path("j1.csv"), Path("cell.yaml"), ())
-    assert not Scored(question, OUTSIDE, failed).right
-    assert not Scored(question, HEALTHY, failed).right
+    assert not ScoredAnswer(question, OUTSIDE, failed).right
+    assert not ScoredAnswer(question, HEALTHY, failed).right
 
 
 def test_rigs_weigh_alike_and_small_ones_do_not_count() -> None:
-    def rows(rig: str, right: int, n: int) -> list[Scored]:
+    def rows(rig: str, right: int, n: int) -> list[ScoredAnswer]:
         question = Question(rig, "j1", Path("j1.csv"), Path("cell.yaml"), ())
         both = [scored(HEALTHY, *(("none", {}, 0.9) if k < right else ("unknown", {}, 0.2))) for k in range(n)]
-        return [Scored(question, each.truth, each.answer) for each in both]
+        return [ScoredAnswer(question, each.truth, each.answer) for each in both]
 
     every = [*rows("a", 20, 20), *rows("b", 0, 5), *rows("c", 0, 4)]
     assert over_rigs(every, lambda row: row.right) == 0.5

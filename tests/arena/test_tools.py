@@ -14,10 +14,10 @@ from tests.arena.test_cases import CASES
 
 def test_palpd_answers_ten_of_the_shipped_questions(tmp_path: Path) -> None:
     questions = every(rigs(CASES), 10)
-    told: list[int] = []
-    ask("palpd", [question for question, _ in questions], tmp_path, jobs=1, limit_s=120.0, advance=told.append)
+    summary: list[int] = []
+    ask("palpd", [question for question, _ in questions], tmp_path, jobs=1, limit_s=120.0, advance=summary.append)
     rows = scored(questions, tmp_path)
-    assert sum(told) == 10
+    assert sum(summary) == 10
     assert not [row.answer.failed for row in rows if row.answer.failed]
     assert all(row.answer.cpu_s for row in rows)
     assert sum(row.right for row in rows) >= 5, [(row.question.rig, row.question.name, row.answer.verdict) for row in rows]
@@ -27,8 +27,8 @@ def test_palpd_answers_ten_of_the_shipped_questions(tmp_path: Path) -> None:
 def test_every_other_tool_gives_answers_that_can_be_scored(tool: str, tmp_path: Path) -> None:
     if tool == "sindy":
         pytest.importorskip("pysindy")
-    found = [rig for rig in rigs(CASES) if rig.name in ("pneumatic_seal_1bar", "mr_damper_off")]
-    questions = every(found, 4)
+    shipped = [rig for rig in rigs(CASES) if rig.name in ("pneumatic_seal_1bar", "mr_damper_off")]
+    questions = every(shipped, 4)
     ask(tool, [question for question, _ in questions], tmp_path, jobs=1, limit_s=60.0, advance=lambda _: None)
     rows = scored(questions, tmp_path)
     assert len(rows) == 4
@@ -46,9 +46,9 @@ def test_effects_are_planted_by_seed_asked_and_scored(tmp_path: Path, capsys: py
     planted, again, answers = tmp_path / "planted", tmp_path / "again", tmp_path / "answers"
     for folder in (planted, again):
         carry_out(["arena", "plant", "--to", str(folder), "--seed", "3", "--number", "12"])
-    found = rigs(planted)
-    assert len(every(found)) == 12
-    for rig in found:
+    shipped = rigs(planted)
+    assert len(every(shipped)) == 12
+    for rig in shipped:
         assert not rig.healthy
         for question in rig.questions:
             same = again / rig.name / "recordings" / question.recording.name

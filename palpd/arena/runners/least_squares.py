@@ -39,7 +39,7 @@ def answer(question: Question) -> dict[str, Any]:
         return out - out.mean()
 
     n = len(residual(cell))
-    floor = usual.rms**2 if usual is not None else 0.0
+    floor = usual.rms_N**2 if usual is not None else 0.0
     independent = n**0.5  # neighbours are not independent
     bic = {"none": independent * float(np.log(np.mean(residual(cell) ** 2) + floor))}
     for name, parameters in _effects(recording, has_tissue=cell.file.tissue is not None).items():

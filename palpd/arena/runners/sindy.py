@@ -25,7 +25,7 @@ def answer(question: Question) -> dict[str, Any]:
     recording = load(question.recording)
     healthy = [load(path) for path in question.healthy]
     if healthy:
-        residual, usual = Healthy.of(healthy).residual(recording), Healthy.of(healthy).rms
+        residual, usual = Healthy.of(healthy).residual(recording), Healthy.of(healthy).rms_N
     else:
         residual, usual = recording["fz_N"] - api.simulate(recording, question.cell)["fz_N"], 0.0
     library = _library(recording, residual)
