@@ -1,19 +1,24 @@
 """The page of scores: tools against rigs, and every miss."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
 from itertools import cycle
 from pathlib import Path
 
 from palpd.analysis.figure_style import BLUE, GREY, ORANGE, RED, YELLOW, save_figure, styled_figure
 from palpd.arena.cases import ArenaRig
 from palpd.arena.score import RigScore, ScoredAnswer, Share, by_rig, over_rigs
+from palpd.file_kinds import PAGE_MARK
+from palpd.files import check_writable
 
-PAGE_FILES = ("arena-scores.md", "arena-scores.png")
-INTRODUCTION = """# The arena: scores
+INTRODUCTION = """# The arena: {title}
 
 What tools say of recordings whose cause is known. [The arena](arena.md) explains rigs, answers and score, and how to ask another tool.
 *Bits*: what the truth costs under the stated probabilities, 0 at best. Intervals are 95 % intervals of Wilson. The worst rig of each tool
-is bold."""
+is bold. {asked} Scored on {date} with palpd {version}.
+
+Again: `{command}`."""
 
 
 def table(rows: Sequence[ScoredAnswer]) -> str:
@@ -67,14 +72,28 @@ def misses(rows: Iterable[ScoredAnswer]) -> str:
     return "\n".join(lines)
 
 
-def write_page(folder: Path, rigs: Sequence[ArenaRig], tools: Mapping[str, Sequence[ScoredAnswer]]) -> Path:
-    """Write arena.md and its picture.
+def write_page(folder: Path, cases: Path, rigs: Sequence[ArenaRig], tools: Mapping[str, Sequence[ScoredAnswer]]) -> Path:
+    """Write a page of scores and its picture: arena-scores.md for the shipped rigs, else arena-NAME.md by the name of their folder.
 
     Args:
+        folder: Where they are written.
+        cases: Folder of the rigs.
         tools: Rows of each tool, the one whose misses are listed first.
     """
+    stem, title = ("arena-scores", "scores") if cases.name == "arena" else (f"arena-{cases.name}", f"scores, {cases.name}")
+    page, picture = (folder / f"{stem}.{ending}" for ending in ("md", "png"))
+    check_writable(page, picture)
+    questions = len(next(iter(tools.values())))
+    head = INTRODUCTION.format(
+        title=title,
+        asked=f"{questions} questions to {len(rigs)} rigs.",
+        date=datetime.now(tz=UTC).date(),
+        version=version("palpd"),
+        command=f"palpd arena score --cases {cases.name if cases.name != 'arena' else 'benchmarks/arena'} "
+        + " ".join(f"--answers answers/{name}" for name in tools),
+    )
     names = list(tools)
-    lines = [INTRODUCTION, "", "![Bits of each tool on each rig](arena-scores.png)", "", "## Tools", ""]
+    lines = [PAGE_MARK, head, "", f"![Bits of each tool on each rig]({picture.name})", "", "## Tools", ""]
     lines += ["| tool | means over rigs weighed alike | best of all tools on |", "|---|---|---|"]
     bits = {name: {each.name: each.bits for each in by_rig(rows)} for name, rows in tools.items()}
     for name in names:
@@ -91,9 +110,8 @@ def write_page(folder: Path, rigs: Sequence[ArenaRig], tools: Mapping[str, Seque
         *(f"- *{rig.name}*: {rig.title}" + (" (used to mend palpd)" if rig.used_to_mend else "") for rig in rigs),
         "",
     ]
-    page = folder / PAGE_FILES[0]
     page.write_text("\n".join(lines), encoding="utf-8")
-    _picture(folder / PAGE_FILES[1], bits)
+    _picture(picture, bits)
     return page
 
 

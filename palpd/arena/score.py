@@ -91,7 +91,7 @@ class Share:
             return 0.0, 1.0
         p, n = self.right / self.n, self.n
         centre, half = p + Z95**2 / (2 * n), Z95 * (p * (1 - p) / n + Z95**2 / (4 * n * n)) ** 0.5
-        return (centre - half) / (1 + Z95**2 / n), (centre + half) / (1 + Z95**2 / n)
+        return max(centre - half, 0.0) / (1 + Z95**2 / n), min((centre + half) / (1 + Z95**2 / n), 1.0)
 
     def __str__(self) -> str:
         low, high = self.interval

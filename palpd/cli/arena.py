@@ -53,7 +53,7 @@ def arena(
         for name, rows in tools.items():
             terminal().print(f"{name}: {headline(rows)}\n\n{table(rows)}\n", soft_wrap=True)
         if docs is not None:
-            terminal().print(str(write_page(docs, shipped, tools)))
+            terminal().print(str(write_page(docs, cases, shipped, tools)))
         return
     if len(answers) > 1:
         raise BadInput("palpd arena run writes one folder of answers; give --answers once")

@@ -24,6 +24,7 @@ EVENT_WORDS = {
     "fall of the contact force": "the contact force falls during a press ({size})",
     "change of drift": "{channel} drifts from there on, by {size} until the end",
 }
+UNCALIBRATED = "Of comparisons with healthy recordings fewer are right than the probability says (docs/arena-scores.md)."
 DIAGNOSE = "palpd diagnose RECORDING --cell cell.yaml"
 MOST_SAID = 2
 """Largest number of indistinguishable effects that a sentence lists; the report lists all."""
@@ -74,7 +75,7 @@ def plain_answer(content: Mapping[str, Any], library: Mapping[str, Effect]) -> P
     return {
         "answer": answer_sentence(content, library),
         "where": _where(content),
-        "sure": "" if sure is None else _sure(sure),
+        "sure": "" if sure is None else UNCALIBRATED if _since_healthy(content) else _sure(sure),
         "causes": [*_laws(content), *(_cause(content, effect, library) for effect in content["effects"])],
         "events": [_event(event, content) for event in sorted(content.get("events") or (), key=lambda event: event["t_s"])],
         "closed": _closed(content),
@@ -149,6 +150,11 @@ def _sentence(words: str) -> str:
     return f"{words[:1].upper()}{words[1:]}."
 
 
+def _since_healthy(content: Mapping[str, Any]) -> bool:
+    """Whether the answer compares with healthy recordings."""
+    return bool((content.get("simulated") or {}).get("healthy"))
+
+
 def _sure(probability: float) -> str:
     return f"{min(max(100.0 * probability, 1.0), 99.0):.0f} of 100 such answers are right."
 
@@ -220,7 +226,7 @@ def _cause(content: Mapping[str, Any], effect: Mapping[str, Any], library: Mappi
         "id": effect["id"],
         "sentence": _sentence(known.what if known is not None else effect["id"]),
         "parameters": parameters,
-        "sure": "" if content["verdict"] == "unknown" else _sure(effect["probability"]),
+        "sure": "" if content["verdict"] == "unknown" else UNCALIBRATED if _since_healthy(content) else _sure(effect["probability"]),
         "mistaken_for": mistaken,
     }
 
@@ -271,7 +277,7 @@ def _closed(content: Mapping[str, Any]) -> str:
 def _steps(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """What to do next, the most urgent first."""
     verdict, proposed, learned, events = (content.get(key) for key in ("verdict", "next_experiment", "learned", "events"))
-    since_healthy = bool((content.get("simulated") or {}).get("healthy"))
+    since_healthy = _since_healthy(content)
     if content["decisive"]:
         yield "First clear up what stands above the answer: it makes the answer doubtful.", ""
     elif verdict == "none":

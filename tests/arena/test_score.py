@@ -84,7 +84,7 @@ def test_rigs_weigh_alike_and_small_ones_do_not_count() -> None:
 
 def test_the_page_and_its_picture_are_written(tmp_path: Path) -> None:
     rows = [scored(FRICTION, "effects", {"cable.viscous": 0.9}), scored(HEALTHY, "unknown")]
-    page = write_page(tmp_path, [], {"one": rows, "two": rows[:1]})
+    page = write_page(tmp_path, Path("benchmarks/arena"), [], {"one": rows, "two": rows[:1]})
     text = page.read_text()
     assert "| one |" in text
     assert "## Every miss of one" in text
