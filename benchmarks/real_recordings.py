@@ -15,6 +15,7 @@ from typing import Any
 from palpd.blind.injected_cells import DeclaredCauses, declared_recordings
 from palpd.blind.score import wilson
 from palpd.errors import PalpdError
+from palpd.file_kinds import PAGE_MARK
 from palpd.files import write_text
 from palpd.gap.commands import diagnose_files
 
@@ -156,7 +157,7 @@ def main() -> None:
     text = page([diagnosed(path, declared) for path, declared in declared_recordings(options.folder, options.causes)])
     print(text)
     if options.docs is not None:
-        write_text(options.docs / "real.md", text)
+        write_text(options.docs / "real.md", f"{PAGE_MARK}\n{text}")
 
 
 if __name__ == "__main__":
