@@ -32,8 +32,8 @@ lint: setup
 	.venv/bin/lint-imports
 
 # while you work: lint, and what needs neither another process nor a whole diagnosis
-NOT_QUICK := browser service blind cli history study streams \
-	$(addprefix gap/test_,adoption.py commands.py diagnosis.py fleet.py law_experiment.py my_simulator_page.py odd_recordings.py \
+NOT_QUICK := browser service blind cli history study streams arena/test_tools.py \
+	$(addprefix gap/test_,adoption.py commands.py diagnosis.py fleet.py law_experiment.py my_simulator_page.py odd_recordings.py own_mujoco_page.py \
 	report.py rigs.py sensitivity.py user_simulator.py) \
 	$(addprefix daemon/test_,demo.py doctor.py job_worker.py run_reports.py) \
 	$(addprefix interchange/test_,export_page.py rosbag.py simulators.py) recording/test_flipped_bits.py \

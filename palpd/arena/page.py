@@ -77,7 +77,6 @@ def write_page(folder: Path, cases: Path, rigs: Sequence[ArenaRig], tools: Mappi
 
     Args:
         folder: Where they are written.
-        cases: Folder of the rigs.
         tools: Rows of each tool, the one whose misses are listed first.
     """
     stem, title = ("arena-scores", "scores") if cases.name == "arena" else (f"arena-{cases.name}", f"scores, {cases.name}")

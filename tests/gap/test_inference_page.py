@@ -217,7 +217,7 @@ def weighed(monkeypatch: pytest.MonkeyPatch, fits: list[Any], structure: float) 
     library: dict[str, Any] = {name: SimpleNamespace(scatter=False) for name in ("spring", "friction", "mass", "bias")} | {
         "noise": SimpleNamespace(scatter=True)
     }
-    problem: Any = SimpleNamespace(library=library)
+    problem: Any = SimpleNamespace(library=library, recordings=())
     return hypotheses.posterior(problem, {one.names: one for one in fits})
 
 
