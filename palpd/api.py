@@ -327,7 +327,7 @@ class GapDiagnosis(_Shown):
         """The channel with the largest gap: measured less simulated, by the cell as stated and with what was found."""
         from palpd.analysis.figure_style import ENRICHED, NOMINAL, styled_figure, thinned
         from palpd.gap.data.noise import CHANNELS
-        from palpd.gap.plain import channel_words
+        from palpd.gap.plain import channel_words, unit_of
         from palpd.gap.report.page import curves_of
 
         curves, content = curves_of(self.answer), self.to_json()
@@ -337,7 +337,7 @@ class GapDiagnosis(_Shown):
             axes = figure.subplots()
             axes.plot(*thinned(curves.t_s, before), color=NOMINAL, label="as stated")
             axes.plot(*thinned(curves.t_s, after), color=ENRICHED, label="with what was found")
-            axes.set(xlabel="time, s", ylabel=f"measured less simulated {channel_words(channel, content)}")
+            axes.set(xlabel="time, s", ylabel=f"measured less simulated {channel_words(channel, content)}, {unit_of(channel, content)}")
             axes.legend()
         return figure
 

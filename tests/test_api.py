@@ -108,7 +108,7 @@ def test_a_notebook_shows_sentence_and_table_with_names_escaped(softer: palpd.Lo
 
 def test_figures_are_drawn(softer: palpd.LoadedRecording, answer: palpd.GapDiagnosis) -> None:
     assert len(softer.figure().axes) == 2
-    assert answer.figure().axes[0].get_ylabel() == "measured less simulated fz_N"
+    assert answer.figure().axes[0].get_ylabel() == "measured less simulated vertical force (fz), N"
     assert palpd.analyse(softer, answer.cell).figure().axes[0].lines
 
 
