@@ -1,15 +1,13 @@
-"""Makes recordings/ from a checkout of github.com/dfki-ric-underactuated-lab/double_pendulum: python convert.py FOLDER."""
+"""Makes recordings/ from a checkout of github.com/dfki-ric-underactuated-lab/double_pendulum.
+
+`python -m benchmarks.arena.dp_pendubot_pilco.convert FOLDER`
+"""
 
 import sys
 from pathlib import Path
 
-import numpy as np
-from scipy.signal import resample_poly
+from benchmarks.arena.converters import double_pendulum
 
-DATA = Path(sys.argv[1]) / "leaderboard"
-OUT = Path(__file__).parent / "recordings"
-JOINT = 1  # the joint that has a motor; the other one swings freely
-RATE_HZ, EVERY = 33, 1
 RECORDINGS = {
     "h1.csv": "pendubot/real_hardware_v2/src_data/mcpilco/experiment01/trajectory.csv",
     "h2.csv": "pendubot/real_hardware_v2/src_data/mcpilco/experiment02/trajectory.csv",
@@ -22,24 +20,6 @@ RECORDINGS = {
     "j5.csv": "pendubot/real_hardware_v2/src_data/mcpilco/experiment05/trajectory.csv",
     "j6.csv": "pendubot/real_hardware_v2/src_data/mcpilco/experiment08/trajectory.csv",
 }
-OUT.mkdir(exist_ok=True)
-for name, file in RECORDINGS.items():
-    with (DATA / file).open() as f:
-        names = f.readline().strip().split(",")
-    rows = np.genfromtxt(DATA / file, delimiter=",", skip_header=1)
-    column = dict(zip(names, rows.T, strict=False))
-    t = column["time"] - column["time"][0]
-    even = np.arange(0, t[-1], 1 / RATE_HZ)  # the steps of the original are nearly even
-    table = [column[f"pos_meas{JOINT}"], -column[f"tau_meas{JOINT}"], column[f"pos_meas{3 - JOINT}"]]
-    table = [np.interp(even, t, x) for x in table]
-    if EVERY > 1:
-        table = [resample_poly(x, 1, EVERY, padtype="line") for x in table]
-    time = np.arange(len(table[0])) * EVERY / RATE_HZ
-    np.savetxt(
-        OUT / name,
-        np.c_[time, np.c_[tuple(table)]],
-        fmt=["%.4f", "%.5f", "%.4f", "%.4f"],
-        delimiter=",",
-        header="t_s,angle_rad,torque_Nm,other_angle_rad",
-        comments="",
-    )
+
+if __name__ == "__main__":
+    double_pendulum(Path(sys.argv[1]), Path(__file__).parent / "recordings", RECORDINGS, joint=1, rate_Hz=33, every=1)

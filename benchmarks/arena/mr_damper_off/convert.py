@@ -1,15 +1,13 @@
-"""Makes recordings/ from a checkout of github.com/labcontrol-data/mr-damper: python convert.py FOLDER."""
+"""Makes recordings/ from a checkout of github.com/labcontrol-data/mr-damper.
+
+`python -m benchmarks.arena.mr_damper_off.convert FOLDER`
+"""
 
 import sys
 from pathlib import Path
 
-import numpy as np
-from scipy.io import loadmat
+from benchmarks.arena.converters import mr_damper
 
-DATA = Path(sys.argv[1]) / "data"
-OUT = Path(__file__).parent / "recordings"
-TARE_N = 132.0  # mean of both directions without current; the same for all recordings
-# file, first and last second
 RECORDINGS = {
     "h1.csv": ("ensaio1.1.mat", 0, 10),
     "h2.csv": ("ensaio2.1.mat", 10, 20),
@@ -37,11 +35,6 @@ RECORDINGS = {
     "j18.csv": ("ensaio7.1.mat", 10, 20),
     "j19.csv": ("ensaio6.2.2.mat", 0, 15),
 }
-OUT.mkdir(exist_ok=True)
-for name, (file, first, last) in RECORDINGS.items():
-    data = loadmat(DATA / file)
-    step = data["Ts"].item()
-    part = slice(round(first / step), round(last / step))
-    z, force = -data["dist"].ravel()[part] / 1000, data["forc"].ravel()[part] - TARE_N
-    time = np.arange(len(z)) * step
-    np.savetxt(OUT / name, np.c_[time, z, force], fmt=["%.2f", "%.6f", "%.2f"], delimiter=",", header="t_s,z_m,fz_N", comments="")
+
+if __name__ == "__main__":
+    mr_damper(Path(sys.argv[1]), Path(__file__).parent / "recordings", RECORDINGS)
