@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from palpd.blind.score import wilson
 from palpd.cell.cell_file import CellFile, load_cell
 from palpd.gap.commands import read_recording
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.model.problem import MAX_BINS
+from palpd.quantities import wilson
 from palpd.workers import pool
 
 

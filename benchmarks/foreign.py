@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.foreign_cells import ForeignCase, plan_cases, write_case
-from palpd.blind.score import wilson
 from palpd.files import write_text
+from palpd.quantities import wilson
 
 TIMEOUT_S = 1800
 """Longest time for one answer: a hundred times the longest that was measured."""

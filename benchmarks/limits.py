@@ -20,11 +20,11 @@ from palpd.blind.detectability import Detectability
 from palpd.blind.drawn_cases import measured
 from palpd.blind.drawn_cells import draw_cell, draw_deviations, draw_motion
 from palpd.blind.laws import LIBRARY_LAWS, Planted
-from palpd.blind.score import wilson
 from palpd.cell.cell_file import CellFile, cell_from
 from palpd.cell.effects import EFFECTS
 from palpd.gap.diagnosis import diagnose, limits
 from palpd.gap.infer.detectable import DetectableSize
+from palpd.quantities import wilson
 from palpd.workers import pool
 
 FACTORS = (0.5, 1.0, 2.0)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import palpd
 from benchmarks.own_models import MODELS
-from palpd.blind.score import wilson
+from palpd.quantities import wilson
 from palpd.workers import pool
 
 HEALTHY = 5

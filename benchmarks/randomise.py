@@ -22,13 +22,13 @@ from scipy.stats import chi2
 
 from palpd.blind.check import make_case
 from palpd.blind.laws import LIBRARY_LAWS
-from palpd.blind.score import wilson
 from palpd.blind.truth import CannotDraw, CaseSpec, Truth
 from palpd.cell.cell_file import CellFile, OpenHypothesis, load_cell
 from palpd.cell.draws import drawn_cells, spread
 from palpd.documents import read_json
 from palpd.files import read_text, write_text
 from palpd.gap.commands import diagnose_files, simulate_columns
+from palpd.quantities import wilson
 from palpd.recording.samples import Samples, read
 from palpd.tick import Floats
 

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from palpd.blind.injected_cells import DeclaredCauses, declared_recordings
-from palpd.blind.score import wilson
 from palpd.errors import PalpdError
 from palpd.file_kinds import PAGE_MARK
 from palpd.files import write_text
 from palpd.gap.commands import diagnose_files
+from palpd.quantities import wilson
 
 CAUSES = Path(__file__).with_name("real_causes.yaml")
 TARGET = 0.8

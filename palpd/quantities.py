@@ -76,3 +76,21 @@ def _with_interval(value: float, low: float, high: float) -> str:
     while f"{low:.{decimals}f}" == f"{high:.{decimals}f}" and decimals < 6:
         decimals += 1
     return f"{value:.{decimals}f} ({low:.{decimals}f} to {high:.{decimals}f})"
+
+
+def wilson(right: int, n: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share.
+
+    Args:
+        right: Number of successes.
+        n: Number of trials.
+
+    Returns:
+        Lower and upper bound; 0 and 1 without a trial.
+    """
+    from scipy.stats import binomtest  # imported here: whoever prints a number needs none of it
+
+    if n == 0:
+        return 0.0, 1.0
+    interval = binomtest(right, n).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)

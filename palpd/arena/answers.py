@@ -1,11 +1,12 @@
 """What a tool answers: the part of palpd.diagnosis/1 that is scored."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from palpd.arena.cases import mapping
+from palpd.documents import read_json
 from palpd.errors import BadInput
 
 VERDICTS = ("none", "effects", "ambiguous", "unknown")
@@ -21,7 +22,6 @@ class ToolAnswer:
         probability: Stated probability that a cause acts, by name; a name that is missing has 0.
         p_none: That nothing acts.
         p_unknown: That something acts that the list has no name for.
-        closed: Share of the gap that is closed on a motion that the answer did not see; None where that was not tried.
         cpu_s: Processor time; None where the tool does not say.
         failed: Why there is no answer; empty where there is one.
     """
@@ -31,7 +31,6 @@ class ToolAnswer:
     probability: Mapping[str, float]
     p_none: float
     p_unknown: float
-    closed: float | None = None
     cpu_s: float | None = None
     failed: str = ""
 
@@ -56,21 +55,15 @@ class ToolAnswer:
             p_none, p_unknown = _share(content["p_none"]), _share(content["p_unknown"])
         except (KeyError, TypeError, ValueError) as error:
             raise BadInput(f"{where} is no answer: {error!r}; docs/arena.md says what it must hold") from None
-        return ToolAnswer(content["verdict"], named, probability, p_none, p_unknown, extra.get("closed"), extra.get("cpu_s"))
+        return ToolAnswer(content["verdict"], named, probability, p_none, p_unknown, extra.get("cpu_s"))
 
     @staticmethod
     def load(path: Path) -> "ToolAnswer":
         """Read an answer. Raises BadInput."""
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise BadInput(f"{path} cannot be read as JSON: {error}") from None
-        if not isinstance(content, dict):
-            raise BadInput(f"{path} holds no mapping")
-        return ToolAnswer.of(content, str(path))
+        return ToolAnswer.of(mapping(read_json(path), path), str(path))
 
 
-def content_of(verdict: str, probability: Mapping[str, float], p_none: float, p_unknown: float = 0.0, **arena: Any) -> dict[str, Any]:
+def content_of(verdict: str, probability: Mapping[str, float], p_none: float, p_unknown: float = 0.0) -> dict[str, Any]:
     """The content of an answer's file, for a runner.
 
     Args:
@@ -78,7 +71,6 @@ def content_of(verdict: str, probability: Mapping[str, float], p_none: float, p_
         probability: That a cause acts, by name.
         p_none: That nothing acts.
         p_unknown: That something acts that the list has no name for.
-        arena: Further figures, such as `closed`.
     """
     order = sorted(probability, key=lambda name: -probability[name])
     named = [name for name in order if probability[name] > 0.5] if verdict in ("effects", "ambiguous") else []
@@ -89,7 +81,6 @@ def content_of(verdict: str, probability: Mapping[str, float], p_none: float, p_
         "candidates": [{"id": name, "probability": probability[name]} for name in order],
         "p_none": p_none,
         "p_unknown": p_unknown,
-        "arena": arena,
     }
 
 

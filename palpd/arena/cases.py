@@ -1,14 +1,12 @@
 """Rigs and questions: recordings with roles, a cell file, and the truth, which no tool sees."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-import yaml
-
+from palpd.documents import read_json, read_yaml
 from palpd.errors import BadInput
 
 Known = Literal["planted", "annotated", "measured", "inferred"]
@@ -24,7 +22,6 @@ class Question:
     Attributes:
         recording: The CSV to judge.
         healthy: CSVs of the same rig while it was healthy; there may be none.
-        other: Another motion of the same condition, by which an answer can be checked; None where there is none.
     """
 
     rig: str
@@ -32,7 +29,6 @@ class Question:
     recording: Path
     cell: Path
     healthy: tuple[Path, ...]
-    other: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,6 @@ class ArenaRig:
     title: str
     folder: Path
     used_to_mend: bool
-    shipped: bool
     questions: tuple[Question, ...]
     truths: Mapping[str, KnownTruth]
 
@@ -80,12 +75,10 @@ class ArenaRig:
         Raises:
             BadInput: A file is missing or wrong; the sentence says which.
         """
-        stated = _mapping(folder / "rig.yaml", yaml.safe_load)
-        truths = {
-            name: _truth(each, f"{folder / 'truth.json'}: {name}") for name, each in _mapping(folder / "truth.json", json.loads).items()
-        }
-        recordings, other = folder / "recordings", stated.get("other") or {}
-        for name in {*stated["judged"], *other.values(), *stated["healthy"]}:
+        stated, truth_file = mapping(read_yaml(folder / "rig.yaml", error=BadInput).content, folder / "rig.yaml"), folder / "truth.json"
+        truths = {name: _truth(each, f"{truth_file}: {name}") for name, each in mapping(read_json(truth_file), truth_file).items()}
+        recordings = folder / "recordings"
+        for name in {*stated["judged"], *stated["healthy"]}:
             if stated["shipped"] and not (recordings / name).is_file():
                 raise BadInput(f"{recordings / name} is missing; rig.yaml names it")
         if truths.keys() != set(stated["judged"]):
@@ -95,11 +88,10 @@ class ArenaRig:
         if set(stated["healthy"]) & set(stated["judged"]):
             raise BadInput(f"{folder.name}: a healthy recording that a tool is given is judged too; take it from one of both lists")
         questions = tuple(
-            Question(folder.name, Path(name).stem, recordings / name, folder / "cell.yaml", healthy, _beside(recordings, other.get(name)))
-            for name in stated["judged"]
+            Question(folder.name, Path(name).stem, recordings / name, folder / "cell.yaml", healthy) for name in stated["judged"]
         )
         return ArenaRig(
-            folder.name, stated["title"], folder, bool(stated["used_to_mend"]), bool(stated["shipped"]), questions,
+            folder.name, stated["title"], folder, bool(stated["used_to_mend"]), questions,
             {Path(name).stem: truth for name, truth in truths.items()},
         )  # fmt: skip
 
@@ -135,10 +127,6 @@ def every(of: Sequence[ArenaRig], sample: int | None = None) -> list[tuple[Quest
     return [(question, rig.truths[question.name]) for rig in of for question in rig.questions if question in chosen]
 
 
-def _beside(folder: Path, name: str | None) -> Path | None:
-    return None if name is None else folder / name
-
-
 def _truth(stated: Mapping[str, Any], where: str) -> KnownTruth:
     if stated.get("known") not in get_args(Known):
         raise BadInput(f"{where}: known is {stated.get('known')!r}, expected one of {', '.join(get_args(Known))}")
@@ -148,13 +136,12 @@ def _truth(stated: Mapping[str, Any], where: str) -> KnownTruth:
     return KnownTruth(tuple(frozenset(each.split("|")) for each in causes), stated["known"])
 
 
-def _mapping(path: Path, parse: Any) -> dict[str, Any]:
-    try:
-        content = parse(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"{path} cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, ValueError) as error:
-        raise BadInput(f"{path} cannot be understood: {' '.join(str(error).split())}") from None
+def mapping(content: Any, path: Path) -> dict[str, Any]:
+    """The content of a file that must be a mapping.
+
+    Raises:
+        BadInput: It is none.
+    """
     if not isinstance(content, dict):
         raise BadInput(f"{path} holds no mapping")
     return content

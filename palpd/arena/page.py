@@ -10,7 +10,7 @@ from palpd.analysis.figure_style import BLUE, GREY, ORANGE, RED, YELLOW, save_fi
 from palpd.arena.cases import ArenaRig
 from palpd.arena.score import RigScore, ScoredAnswer, Share, by_rig, over_rigs
 from palpd.file_kinds import PAGE_MARK
-from palpd.files import check_writable
+from palpd.files import check_writable, write_text
 
 INTRODUCTION = """# The arena: {title}
 
@@ -81,7 +81,7 @@ def write_page(folder: Path, cases: Path, rigs: Sequence[ArenaRig], tools: Mappi
     """
     stem, title = ("arena-scores", "scores") if cases.name == "arena" else (f"arena-{cases.name}", f"scores, {cases.name}")
     page, picture = (folder / f"{stem}.{ending}" for ending in ("md", "png"))
-    check_writable(page, picture)
+    check_writable(picture)
     questions = len(next(iter(tools.values())))
     head = INTRODUCTION.format(
         title=title,
@@ -109,7 +109,7 @@ def write_page(folder: Path, cases: Path, rigs: Sequence[ArenaRig], tools: Mappi
         *(f"- *{rig.name}*: {rig.title}" + (" (used to mend palpd)" if rig.used_to_mend else "") for rig in rigs),
         "",
     ]
-    page.write_text("\n".join(lines), encoding="utf-8")
+    write_text(page, "\n".join(lines))
     _picture(picture, bits)
     return page
 

@@ -89,7 +89,7 @@ def _plant(rig: ArenaRig, folder: Path, random: np.random.Generator, count: int)
             "why": f"planted into {host.name}",
         }
     stated = yaml.safe_load((folder / "rig.yaml").read_text(encoding="utf-8"))
-    stated |= {"judged": list(truths), "shipped": True, "other": {}}
+    stated |= {"judged": list(truths), "shipped": True}
     (folder / "rig.yaml").write_text(yaml.safe_dump(stated, sort_keys=False, allow_unicode=True), encoding="utf-8")
     (folder / "truth.json").write_text(json.dumps(truths, indent=1), encoding="utf-8")
     return len(truths)

@@ -7,6 +7,7 @@ from statistics import fmean, median
 
 from palpd.arena.answers import ToolAnswer
 from palpd.arena.cases import UNKNOWN, KnownTruth, Question
+from palpd.quantities import wilson
 
 LEAST_PROBABILITY = 0.01
 """Smaller ones count as this: a single answer then costs at most 6.6 bits a statement."""
@@ -14,7 +15,6 @@ MOST_ALIKE = 3
 """Most names that a group may have and still be an answer."""
 COUNTED = 5
 """Fewest questions of a rig that counts in the mean over rigs."""
-Z95 = 1.959964
 
 
 @dataclass(frozen=True)
@@ -87,11 +87,7 @@ class Share:
     @property
     def interval(self) -> tuple[float, float]:
         """Low and high end."""
-        if not self.n:
-            return 0.0, 1.0
-        p, n = self.right / self.n, self.n
-        centre, half = p + Z95**2 / (2 * n), Z95 * (p * (1 - p) / n + Z95**2 / (4 * n * n)) ** 0.5
-        return max(centre - half, 0.0) / (1 + Z95**2 / n), min((centre + half) / (1 + Z95**2 / n), 1.0)
+        return wilson(self.right, self.n)
 
     def __str__(self) -> str:
         low, high = self.interval

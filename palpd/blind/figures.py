@@ -27,13 +27,13 @@ from palpd.blind.score import (
     first_right,
     table,
     tables_as_markdown,
-    wilson,
 )
 from palpd.blind.truth import SOURCES
 from palpd.documents import read_json
 from palpd.errors import BadInput
 from palpd.file_kinds import PAGE_MARK
 from palpd.files import write_text
+from palpd.quantities import wilson
 
 COMPARED = (
     "right cause first",

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from typing import Any, TypedDict
 
 import numpy as np
-from scipy.stats import binomtest, bootstrap
+from scipy.stats import bootstrap
 
 from palpd.blind.laws import INDISTINGUISHABLE, Floats
 from palpd.blind.outcome import LEAST_SNR_LEFT, CaseOutcome
 from palpd.blind.truth import CASE_KINDS, SOURCES, CaseKind, Source
+from palpd.quantities import wilson
 
 LAWS: tuple[tuple[CaseKind, str], ...] = (("library", "library laws"), ("foreign", "other laws"))
 RESAMPLES = 500
@@ -90,22 +91,6 @@ class Score:
         below = 0.0 if sign == "≤" else max(float(low) - self.value, 0.0)
         above = 0.0 if sign == "≥" else max(self.value - float(high or low), 0.0)
         return below + above
-
-
-def wilson(right: int, n: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share.
-
-    Args:
-        right: Number of successes.
-        n: Number of trials.
-
-    Returns:
-        Lower and upper bound; 0 and 1 without a trial.
-    """
-    if n == 0:
-        return 0.0, 1.0
-    interval = binomtest(right, n).proportion_ci(0.95, method="wilson")
-    return float(interval.low), float(interval.high)
 
 
 def _share(what: str, answers: Sequence[bool], target: str = "", least_n: int = LEAST_N) -> Score:

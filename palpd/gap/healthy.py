@@ -339,6 +339,21 @@ class HealthyCell:
         return cell if cell.tolerances.modulus_known else cell.with_modulus_tolerance(Tolerances.model_fields["youngs_modulus"].default)
 
 
+def neighbours_alike(values: Floats) -> float:
+    """Correlation of each value (n,) with the next one, around 0."""
+    return float(values[1:] @ values[:-1]) / max(float(values @ values), 1e-300)
+
+
+def means_between(edges: Ints, values: Floats) -> Floats:
+    """Means (b,) or (b, p) of successive values.
+
+    Args:
+        edges: Rows at which they begin, and the end of the last (b + 1,).
+        values: Their rows (n,) or (n, p).
+    """
+    return np.asarray(np.add.reduceat(values, edges[:-1], axis=0).T / np.diff(edges)).T
+
+
 def _blocks(values: Floats, block: int) -> Floats:
     """Means (b,) or (b, p) of successive samples."""
     whole = len(values) // block * block
@@ -375,7 +390,7 @@ def _learned(pieces: Sequence[_Piece], groups: Sequence[int], noise: float, zero
         settled = float(np.sum(1.0 - np.diag(covariance) / prior))
         rest = y - x @ mean
         # Neighbours that are off alike count as one: (1 + ρ) / (1 - ρ) of them, with ρ their correlation.
-        alike = min(max(float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300), 0.0), MOST_ALIKE)
+        alike = min(max(neighbours_alike(rest), 0.0), MOST_ALIKE)
         sigma = max(float(np.sqrt(np.sum(rest**2) / max(len(y) - settled, 1.0) * (1.0 + alike) / (1.0 - alike))), least)
     # What was learned must carry over: each recording, or each part of a single one, is predicted from the others.
     parts = [slice(a, b) for a, b in pairwise(np.cumsum([0, *(len(piece.t_s) for piece in pieces)]).tolist())]

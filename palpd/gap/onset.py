@@ -5,6 +5,7 @@ rows after it are predicted. The onset is where the likelihood of that is larges
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.gap.data.noise import CHANNELS, FZ, declared_rms
 from palpd.gap.data.phases import Ints
-from palpd.gap.healthy import HealthyCell
+from palpd.gap.healthy import HealthyCell, means_between, neighbours_alike
 from palpd.gap.user_simulator import MotionColumns, SimulatorDoubt, UserSimulator, asked
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -86,10 +87,7 @@ def _means(healthy: HealthyCell, recording: Samples, edges: Ints) -> _Means:
     tip = estimate_tip_motion(healthy.cell, recording.t_s, recording.z_m, recording.vz_m_per_s, recording.z_cmd_m)
     motion = asked(tip, recording.z_cmd_m)
     doubt, rows = healthy.doubt(motion), np.diff(edges)
-
-    def mean(values: Floats) -> Floats:
-        return np.asarray(np.add.reduceat(values, edges[:-1], axis=0).T / rows).T
-
+    mean = partial(means_between, edges)
     elapsed_min = (recording.t_s - recording.t_s[0]) / 60.0
     bounds = healthy.cell.tolerances
     own = [np.full_like(elapsed_min, bounds.bias_N), bounds.drift_N_per_min * elapsed_min]
@@ -118,7 +116,7 @@ def _gain(means: _Means, place: int) -> tuple[float, float]:
     changed, square = _changed(late, deviation, precision)
     throughout, _ = _changed(both, np.zeros_like(deviation), np.eye(len(deviation)))
     white = (early.residual - early.deviations @ deviation) / early.sd
-    alike = min(max(float(white[1:] @ white[:-1]) / max(float(white @ white), 1e-300), 0.0), MOST_ALIKE)
+    alike = min(max(neighbours_alike(white), 0.0), MOST_ALIKE)
     return (healthy + changed - throughout) * (1.0 - alike) / (1.0 + alike), square
 
 

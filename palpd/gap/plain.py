@@ -201,18 +201,25 @@ def unit_of(channel: str, content: Mapping[str, Any] = MappingProxyType({})) -> 
     Args:
         content: The content of out.json, where it may be a joint's.
     """
-    unit = channel.rsplit("_", 1)[1].replace("Nm", "N m")
-    return OF_JOINT[unit] if content.get("joint") else unit
+    return own_unit(channel.rsplit("_", 1)[1].replace("Nm", "N m"), content)
+
+
+def own_unit(unit: str, content: Mapping[str, Any]) -> str:
+    """The unit of an axis as the recording has it: that of a joint in its place, where it is one.
+
+    Args:
+        content: The content of out.json.
+    """
+    return OF_JOINT.get(unit, unit) if content.get("joint") else unit
 
 
 def _cause(content: Mapping[str, Any], effect: Mapping[str, Any], library: Mapping[str, Effect]) -> PlainCause:
     known = library.get(effect["id"])
     meanings = {each.name: (each.label, each.unit) for each in (known.parameters if known is not None else ())}
-    of_joint: Mapping[str, str] = OF_JOINT if content.get("joint") else {}
     parameters = []
     for name, figure in effect["parameters"].items():
         label, of_axis = meanings.get(name, (name, "1"))
-        unit = of_joint.get(of_axis, of_axis)
+        unit = own_unit(of_axis, content)
         bound = ", at the end of its range, so it is a finding and no value" if name in effect.get("at_bound", ()) else ""
         parameters.append((name, label, quantity(figure["value"], unit, tuple(figure["ci95"])) + bound))
     others = "; ".join(f"{_cause_of(other, library)} ({other})" for other in effect["indistinguishable_from"])

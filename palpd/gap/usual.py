@@ -15,15 +15,13 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from palpd.gap.data.noise import FZ, declared_rms
-from palpd.gap.healthy import HealthyCell
+from palpd.gap.healthy import BLOCK_S, HealthyCell, means_between, neighbours_alike
 from palpd.gap.model.coordinates import start_values
 from palpd.gap.model.problem import Problem, make_problem
 from palpd.gap.user_simulator import MotionColumns, SimulatorDoubt, UserSimulator, asked
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
-BLOCK_S = 0.02
-"""Length of the means that are compared."""
 KINDS = 4
 """Largest number of sets of parameters, such as time constants, for which an effect counts."""
 MOST_HEALTHY = 8
@@ -61,7 +59,6 @@ class UsualChanges:
     """
 
     healthy: HealthyCell
-
     spread: Mapping[str, Floats]
     lasting: float
     square: tuple[float, float]
@@ -154,20 +151,17 @@ def _changes(problem: Problem) -> Iterator[tuple[str, list[Floats]]]:
 def _left(problem: Problem, learned: HealthyCell) -> _Residual:
     (recording,) = problem.recordings
     samples = recording.samples
-    count = max(8, int(samples.duration_s / BLOCK_S))
-    count = min(count, len(samples))
+    count = min(max(8, int(samples.duration_s / BLOCK_S)), len(samples))
     doubt = learned.doubt(asked(recording.sampled, samples.z_cmd_m))
     sd = np.hypot(_means(doubt.unexplained[FZ], count), float(declared_rms(problem.cell)[FZ]) * (count / len(samples)) ** 0.5)
     left = samples.wrench[:, FZ - 1] - problem.raw_prediction(recording, problem.cell)[:, FZ]
     white = _without_zero(_means(np.where(doubt.known, left, 0.0), count), sd)
-    alike = float(white[1:] @ white[:-1]) / max(float(white @ white), 1e-300)
-    return _Residual(white, sd, alike, float(np.median(white**2)))
+    return _Residual(white, sd, neighbours_alike(white), float(np.median(white**2)))
 
 
 def _means(values: Floats, count: int) -> Floats:
     """Means (count,) of successive samples."""
-    edges = np.linspace(0, len(values), count + 1).astype(int)
-    return np.asarray(np.add.reduceat(values, edges[:-1]) / np.diff(edges))
+    return means_between(np.linspace(0, len(values), count + 1).astype(int), values)
 
 
 def _without_zero(values: Floats, sd: Floats) -> Floats:

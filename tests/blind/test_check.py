@@ -22,7 +22,7 @@ from palpd.blind.law_answers import LawOutcome
 from palpd.blind.laws import FOREIGN_LAWS, LIBRARY_LAWS, NOVEL_LAWS, CellScales, Law
 from palpd.blind.outcome import CaseOutcome, score_case
 from palpd.blind.plans import plan, plan_large
-from palpd.blind.score import Score, answered, as_markdown, calibration_error, scores, table, tables_by_source, wilson
+from palpd.blind.score import Score, answered, as_markdown, calibration_error, scores, table, tables_by_source
 from palpd.blind.simulated_run import rows
 from palpd.blind.stated_cell import CHANNELS
 from palpd.blind.truth import CASE_KINDS, CaseKind, CaseSpec, SealedCase
@@ -32,6 +32,7 @@ from palpd.cell.simulation import simulate as library_simulate
 from palpd.cli import app
 from palpd.cli.blind import FEW_CASES
 from palpd.errors import BadInput
+from palpd.quantities import wilson
 
 MODULES = ("drawn_cases.py", "drawn_cells.py", "stated_cell.py", "detectability.py", "simulated_run.py", "laws.py")
 MEANS = [law for law in LIBRARY_LAWS if not law.variance]

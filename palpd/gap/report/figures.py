@@ -17,8 +17,8 @@ from palpd.cell.effects.learned import formula_of
 from palpd.gap.data.noise import CHANNELS
 from palpd.gap.data.phases import PHASES
 from palpd.gap.other_motion import MotionCheck
-from palpd.gap.plain import CHANNEL_WORDS, channel_name, shown_place, unit_of
-from palpd.quantities import OF_JOINT, quantity, scaled
+from palpd.gap.plain import CHANNEL_WORDS, channel_name, own_unit, shown_place, unit_of
+from palpd.quantities import quantity, scaled
 from palpd.tick import Floats
 
 PHASE_WORDS = {
@@ -296,7 +296,7 @@ def _detectable_figure(content: Mapping[str, Any]) -> Markup:
             axes.text(
                 one["of_typical"] * 1.08,
                 place,
-                words + quantity(one["smallest"], OF_JOINT.get(one["unit"], one["unit"]) if content.get("joint") else one["unit"]),
+                words + quantity(one["smallest"], own_unit(one["unit"], content)),
                 va="center",
                 fontsize="small",
             )
