@@ -18,13 +18,11 @@ from palpd.gap.data.plausibility import check_recordings
 from palpd.gap.data.prepare import stated_cell
 from palpd.gap.diagnosis import Diagnosis, diagnose, limits
 from palpd.gap.first_cell import first_cell
-from palpd.gap.healthy import HealthyCell
+from palpd.gap.healthy_reference import HealthyReference
 from palpd.gap.infer.detectable import DetectableSize
-from palpd.gap.onset import since_onset
 from palpd.gap.plain import plain_answer
 from palpd.gap.tolerances import estimate_tolerances
 from palpd.gap.user_simulator import UserSimulator, simulate_with
-from palpd.gap.usual import UsualChanges
 from palpd.recording.oddities import questions_of
 from palpd.recording.reader import Recording, holds_ticks, read_header, refuse_site, samples_of, visited_sites
 from palpd.recording.samples import (
@@ -185,10 +183,8 @@ def since_healthy(
     cell = cell_from(first_cell(healthy).content, "the cell of the healthy recordings") if cell is None else cell
     cell = stated_cell(cell.at_site(common_site(healthy)))
     check_recordings([*healthy, *now], cell, sized=False)
-    learned = HealthyCell.of(healthy, cell, known)
-    usual = UsualChanges.of(healthy, learned)
-    simulators = [usual.allowed(since_onset(learned.simulator(), learned, recording), recording) for recording in now]
-    return learned.compared_cell, simulators
+    reference = HealthyReference.of(healthy, cell, known)
+    return reference.learned.compared_cell, [reference.simulator(recording) for recording in now]
 
 
 def limits_of_files(

@@ -35,6 +35,11 @@ MOST_SQUARE = 9.0
 MOST_ALIKE = 0.9
 """Largest correlation of neighbouring means that is believed."""
 
+RESTLESS = (
+    "The healthy recordings differ so much that one of them would be called changed beside the others. So what they leave unexplained "
+    "counts {:.1f} times, and a small change is not named."
+)
+
 
 class _Residual(NamedTuple):
     """A recording against what was learned from others.
@@ -49,16 +54,50 @@ class _Residual(NamedTuple):
 
 
 @dataclass(frozen=True)
+class ComparedRecording:
+    """A healthy recording against what was learned from the others.
+
+    Attributes:
+        recording: The recording.
+        others: The healthy cell that the others show.
+        share: The share (p,) of each change of the list that the recording seems to have.
+        overlap: Square (p, p) of the share of a change that another one seems to be.
+        size: Square (p,) of each change over the noise.
+        kinds: The number of changes of each effect, by its id.
+    """
+
+    recording: Samples
+    others: HealthyCell
+    left: _Residual
+    share: Floats
+    overlap: Floats
+    size: Floats
+    kinds: Mapping[str, int]
+
+    @staticmethod
+    def of(recording: Samples, others: HealthyCell) -> "ComparedRecording":
+        """Compare a healthy recording."""
+        problem = make_problem([recording], others.compared_cell, others.library, simulators=[others.simulator()])
+        left, named = _left(problem, others), dict(_changes(problem))
+        seen = np.array([_without_zero(_means(change, len(left.sd)), left.sd) for each in named.values() for change in each])
+        size = np.maximum(np.sum(seen**2, axis=1), 1e-200)
+        kinds = {name: len(each) for name, each in named.items()}
+        return ComparedRecording(recording, others, left, seen @ left.white / size, (seen @ seen.T / size[:, None]) ** 2, size, kinds)
+
+
+@dataclass(frozen=True)
 class UsualChanges:
     """How much of each effect healthy recordings seem to have.
 
     Attributes:
+        compared: Each healthy recording against the others.
         spread: Standard deviations (k,) of each effect, as shares of its k typical sizes, by its id.
         lasting: Factor on the rms of the residual, since neighbours are off alike.
         square: Usual square of the residual, over what was learned, and the largest one that is usual.
     """
 
     healthy: HealthyCell
+    compared: tuple[ComparedRecording, ...]
     spread: Mapping[str, Floats]
     lasting: float
     square: tuple[float, float]
@@ -66,20 +105,19 @@ class UsualChanges:
     @staticmethod
     def of(recordings: Sequence[Samples], healthy: HealthyCell) -> "UsualChanges":
         """Compare each healthy recording with what was learned from the others; a single one with what was learned from itself."""
-        cell, library = healthy.compared_cell, healthy.library
-        lefts, shares, overlaps, sizes = [], [], [], []
+        compared = []
         for one in recordings[:: -(-len(recordings) // MOST_HEALTHY)]:
             others = [other for other in recordings if other is not one]
-            learned = HealthyCell.of(others, healthy.cell, library) if others else healthy
-            problem = make_problem([one], cell, library, simulators=[learned.simulator()])
-            left = _left(problem, learned)
-            lefts.append(left)
-            named = dict(_changes(problem))
-            seen = np.array([_without_zero(_means(change, len(left.sd)), left.sd) for each in named.values() for change in each])
-            size = np.maximum(np.sum(seen**2, axis=1), 1e-200)
-            shares.append(seen @ left.white / size)
-            overlaps.append((seen @ seen.T / size[:, None]) ** 2)
-            sizes.append(size)
+            compared.append(ComparedRecording.of(one, HealthyCell.of(others, healthy.cell, healthy.library) if others else healthy))
+        return UsualChanges._seen_in(tuple(compared), healthy)
+
+    def without(self, one: ComparedRecording) -> "UsualChanges":
+        """What the other recordings show, of what was learned from them."""
+        return UsualChanges._seen_in(tuple(each for each in self.compared if each is not one), one.others)
+
+    @staticmethod
+    def _seen_in(compared: tuple[ComparedRecording, ...], healthy: HealthyCell) -> "UsualChanges":
+        lefts = [one.left for one in compared]
         # Of few recordings the spread may be larger than they show.
         k, squares = max(len(lefts), 2), np.log([max(left.square, 1e-6) for left in lefts])
         factor = float(student.ppf(norm.cdf(TAIL_SD), k - 1)) / TAIL_SD * ((k + 1) / k) ** 0.5
@@ -87,22 +125,25 @@ class UsualChanges:
         square = float(np.exp(squares.mean())), float(np.exp(squares.mean() + apart))
         rho = min(max(float(np.median([left.alike for left in lefts])), 0.0), MOST_ALIKE)
         lasting = ((1.0 + rho) / (1.0 - rho)) ** 0.5
-        noise = lasting**2 * np.mean([1.0 / size for size in sizes], axis=0)
-        spread = _spread(factor**2 * np.mean(np.square(shares), axis=0), noise, np.mean(overlaps, axis=0))
-        edges = np.cumsum([len(each) for each in named.values()])[:-1]
-        return UsualChanges(healthy, dict(zip(named, np.split(spread, edges), strict=True)), lasting, square)
+        noise = lasting**2 * np.mean([1.0 / one.size for one in compared], axis=0)
+        seen = factor**2 * np.mean([one.share**2 for one in compared], axis=0)
+        spread = _spread(seen, noise, np.mean([one.overlap for one in compared], axis=0))
+        kinds = compared[0].kinds
+        edges = np.cumsum(list(kinds.values()))[:-1]
+        return UsualChanges(healthy, compared, dict(zip(kinds, np.split(spread, edges), strict=True)), lasting, square)
 
-    def allowed(self, simulator: UserSimulator, now: Samples) -> UserSimulator:
+    def allowed(self, simulator: UserSimulator, now: Samples, restless: float = 1.0) -> UserSimulator:
         """The simulator of a healthy cell, for which what is usual is no change.
 
         Args:
             simulator: As it was learned, with its own doubt.
             now: The recording that is compared.
+            restless: Factor on the variance of what is unexplained (`healthy_reference`).
         """
         problem = make_problem([now], self.healthy.compared_cell, self.healthy.library, simulators=[simulator])
         usual = [share * change for name, changes in _changes(problem) for share, change in zip(self.spread[name], changes, strict=True)]
         t_s = problem.recordings[0].samples.t_s
-        restless = min(max(_left(problem, self.healthy).square, self.square[0]), self.square[1]) / self.square[0]
+        variance = restless * min(max(_left(problem, self.healthy).square, self.square[0]), self.square[1]) / self.square[0]
         columns = _independent(np.array(usual), 0.01 * float(declared_rms(self.healthy.cell)[FZ]))
         own = simulator.doubt
         assert own is not None  # it was learned
@@ -113,11 +154,11 @@ class UsualChanges:
             times_s = motion["t_s"] - motion["t_s"][0]
             for column, values in zip(more, columns, strict=True):
                 column[FZ] = np.interp(times_s, t_s - t_s[0], values)
-            unexplained[FZ] *= self.lasting * restless**0.5
+            unexplained[FZ] *= self.lasting * variance**0.5
             errors = np.concatenate([learned.errors, more])
             return replace(learned, errors=errors, unexplained=unexplained, price_nats=PRICE_NATS)
 
-        return replace(simulator, doubt=doubt)
+        return replace(simulator, doubt=doubt, about=(*simulator.about, *([RESTLESS.format(restless**0.5)] if restless > 1.0 else [])))
 
 
 def _spread(seen: Floats, noise: Floats, overlaps: Floats) -> Floats:

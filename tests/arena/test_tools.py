@@ -1,8 +1,10 @@
 """Tools on a sample of the shipped recordings, planted ones, and the command that asks and scores them."""
 
 import json
+from importlib.resources import files
 from pathlib import Path
 
+import jsonschema
 import pytest
 
 from palpd.arena.cases import every, rigs
@@ -11,12 +13,23 @@ from palpd.cli.application import carry_out
 from palpd.errors import BadInput
 from tests.arena.test_cases import CASES
 
+SCHEMA = json.loads(files("palpd.arena").joinpath("answer.schema.json").read_text(encoding="utf-8"))
+
+
+def check_schema(answers: Path) -> None:
+    """Every answer of a folder is as the schema says that other tools should write it."""
+    written = list(answers.glob("*/*.json"))
+    assert written
+    for path in written:
+        jsonschema.validate(json.loads(path.read_text(encoding="utf-8")), SCHEMA)
+
 
 def test_palpd_answers_ten_of_the_shipped_questions(tmp_path: Path) -> None:
     questions = every(rigs(CASES), 10)
     summary: list[int] = []
     ask("palpd", [question for question, _ in questions], tmp_path, jobs=1, limit_s=120.0, advance=summary.append)
     rows = scored(questions, tmp_path)
+    check_schema(tmp_path)
     assert sum(summary) == 10
     assert not [row.answer.failed for row in rows if row.answer.failed]
     assert all(row.answer.cpu_s for row in rows)
@@ -31,6 +44,7 @@ def test_every_other_tool_gives_answers_that_can_be_scored(tool: str, tmp_path: 
     questions = every(shipped, 4)
     ask(tool, [question for question, _ in questions], tmp_path, jobs=1, limit_s=60.0, advance=lambda _: None)
     rows = scored(questions, tmp_path)
+    check_schema(tmp_path)
     assert len(rows) == 4
     assert not [row.answer.failed for row in rows if row.answer.failed]
     assert all(0.0 <= row.bits < 21.0 for row in rows)
@@ -39,6 +53,7 @@ def test_every_other_tool_gives_answers_that_can_be_scored(tool: str, tmp_path: 
 def test_a_tool_that_takes_too_long_has_no_answer(tmp_path: Path) -> None:
     questions = every(rigs(CASES), 1)
     ask("least-squares", [question for question, _ in questions], tmp_path, jobs=1, limit_s=0.02, advance=lambda _: None)
+    check_schema(tmp_path)
     assert scored(questions, tmp_path)[0].answer.failed == "no answer within 0.02 s of processor time"
 
 

@@ -14,6 +14,7 @@ from palpd.errors import BadInput, RecordingError
 from palpd.gap.commands import diagnose_files, since_healthy
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.healthy import HealthyCell
+from palpd.gap.healthy_reference import HealthyReference
 from palpd.gap.plain import plain_answer
 from palpd.recording.samples import Samples, write_csv
 from palpd.tick import Floats
@@ -35,44 +36,66 @@ def healthy() -> list[Samples]:
     return [record(rig, seed=seed) for seed in (11, 12, 13)]
 
 
-def changed(now: Samples, healthy: list[Samples]) -> Diagnosis:
-    cell, simulators = since_healthy(healthy, stated(), EFFECTS, [now])
-    return diagnose([now], cell, propose=False, simulators=simulators)
+@pytest.fixture(scope="module")
+def reference(healthy: list[Samples]) -> HealthyReference:
+    return HealthyReference.of(healthy, stated(), EFFECTS)
 
 
-def test_what_no_cell_file_has_is_healthy_if_it_was_there_before(healthy: list[Samples]) -> None:
+def changed(now: Samples, reference: HealthyReference) -> Diagnosis:
+    return diagnose([now], reference.learned.compared_cell, propose=False, simulators=[reference.simulator(now)])
+
+
+def test_what_no_cell_file_has_is_healthy_if_it_was_there_before(reference: HealthyReference) -> None:
     again = record(rig, seed=21)
     assert diagnose([again], stated(), propose=False).verdict != "none"
-    answer = changed(again, healthy)
+    answer = changed(again, reference)
     assert answer.verdict == "none"
     assert answer.sentence.startswith("No gap: the cell behaves as it did while it was healthy, within its tolerances")
 
 
-def test_another_motion_of_the_healthy_cell_is_healthy(healthy: list[Samples]) -> None:
-    answer = changed(record(rig, seed=22, presses_m=(0.005, 0.002, 0.0045)), healthy)
+def test_another_motion_of_the_healthy_cell_is_healthy(reference: HealthyReference) -> None:
+    answer = changed(record(rig, seed=22, presses_m=(0.005, 0.002, 0.0045)), reference)
     assert answer.verdict == "none", answer.sentence
 
 
-def test_more_friction_beside_known_friction_is_named_with_what_it_is_more(healthy: list[Samples]) -> None:
-    answer = changed(record(rubbing_more, seed=23), healthy)
+def test_more_friction_beside_known_friction_is_named_with_what_it_is_more(reference: HealthyReference) -> None:
+    answer = changed(record(rubbing_more, seed=23), reference)
     assert [effect.id for effect in answer.effects] == ["cable.friction"], answer.sentence
     value, low, high = answer.effects[0].parameters["force_N"]
     assert low <= 0.2 <= high, (value, low, high)
 
 
-def test_a_tissue_that_became_softer_is_named_by_its_own_contact_force(healthy: list[Samples]) -> None:
+def test_a_tissue_that_became_softer_is_named_by_its_own_contact_force(reference: HealthyReference) -> None:
     def softer(tip: Mapping[str, Floats]) -> dict[str, Floats]:
         return rig(tip) | {"fz_N": rig(tip)["fz_N"] - 0.25 * foam_N(np.maximum(-tip["z_m"], 0.0))}
 
-    answer = changed(record(softer, seed=25), healthy)
+    answer = changed(record(softer, seed=25), reference)
     assert len(answer.effects) == 1, answer.sentence
     named = {answer.effects[0].id, *answer.effects[0].indistinguishable_from}
     assert {"tissue.modulus", "sensor.gain"} & named, answer.sentence
 
 
-def test_where_the_healthy_recordings_never_were_nothing_is_judged(healthy: list[Samples]) -> None:
+def test_a_rig_that_is_another_one_every_day_is_healthy_and_a_large_change_is_named() -> None:
+    def day(seed: int, more_N: float = 0.0) -> Samples:
+        wave_per_m, phase = np.random.default_rng(seed).uniform((400.0, 0.0), (900.0, 2.0 * np.pi))
+
+        def forces(tip: Mapping[str, Floats]) -> dict[str, Floats]:
+            moving = np.tanh(tip["vz_m_per_s"] / 5e-4)
+            return rig(tip) | {"fz_N": rig(tip)["fz_N"] + 0.1 * np.sin(wave_per_m * tip["z_m"] + phase) - more_N * moving}
+
+        return record(forces, seed=seed)
+
+    days = HealthyReference.of([day(seed) for seed in (31, 32, 33)], stated(), EFFECTS)
+    assert days.restless > 1.5
+    quiet = changed(day(41), days)
+    assert quiet.verdict == "none", quiet.sentence
+    assert [note for note in quiet.notes if "a small change is not named" in note]
+    assert [effect.id for effect in changed(day(42, more_N=1.5), days).effects] == ["cable.friction"]
+
+
+def test_where_the_healthy_recordings_never_were_nothing_is_judged(healthy: list[Samples], reference: HealthyReference) -> None:
     deeper = record(rubbing_more, seed=26, presses_m=(0.009, 0.009, 0.009))
-    answer = changed(deeper, healthy)
+    answer = changed(deeper, reference)
     (note,) = [note for note in answer.notes if "beyond the heights and speeds of the healthy cell" in note]
     one = answer.problem.recordings[0]
     assert one.simulated is not None

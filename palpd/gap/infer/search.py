@@ -170,15 +170,19 @@ STEPS: tuple[tuple[Step, ...], ...] = (
 """The steps in their order, by the size of the sets that they fit: a beam search."""
 
 
-def search(nominal: NominalFit) -> SearchState:
-    """Fit no effect, the likely single effects, and sets of two and three that extend them."""
+def search(nominal: NominalFit, largest: int = len(STEPS)) -> SearchState:
+    """Fit no effect, the likely single effects, and sets of two and three that extend them.
+
+    Args:
+        largest: Number of effects of the largest sets.
+    """
     problem, linearisation = nominal.problem, nominal.linearisation
     # Of the cell without effects as fitted: what its deviations explain would hide a small line.
     predicted = problem.raw_prediction(problem.recordings[0], problem.cell_at({}, nominal.fit.eta))
     frequencies_Hz = (*spectral_peaks(problem, predicted), *ringing_frequencies(problem, predicted))
     candidates = candidates_of(problem, problem.library, {}, linearisation.eta, frequencies_Hz)
     state = SearchState(problem, linearisation, frequencies_Hz, candidates, {(): nominal.fit})
-    for size, steps in enumerate(STEPS, start=1):
+    for size, steps in enumerate(STEPS[:largest], start=1):
         if size > 1 and _larger_sets_are_unlikely(state, size - 1):
             break
         for step in steps:
