@@ -184,7 +184,11 @@ def shown_default(value: Any, required: bool) -> str:
     if required or value is PydanticUndefined or (isinstance(value, (tuple, list)) and not value):
         return ""
     if isinstance(value, (tuple, list)):
-        return "`[" + ", ".join("…" if isinstance(each, BaseModel) else f"{each:g}" for each in value) + "]`"
+        return (
+            "`["
+            + ", ".join("…" if isinstance(each, BaseModel) else each if isinstance(each, str) else f"{each:g}" for each in value)
+            + "]`"
+        )
     return "`null`" if value is None else f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
 
 

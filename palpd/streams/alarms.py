@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from palpd.config import AlarmKind, Config
 from palpd.daemon.interrupts import held
 from palpd.documents import read_json
-from palpd.errors import PalpdError
+from palpd.errors import PalpdError, Refused
 from palpd.files import write_json
 from palpd.streams.addresses import Address
 from palpd.streams.alarm_events import AlarmEvents
@@ -36,7 +36,7 @@ class KeptAlarms:
 
 
 class Alarms:
-    """Events of one service, gathered, and the outbox of each address. `step` looks once."""
+    """Events of one service, gathered, and the outbox of each address. `step` looks once. Raises Refused where the file is another one."""
 
     def __init__(self, config: Config, path: Path, addresses: Sequence[Address], state_file: Path, say: Callable[[str], None]) -> None:
         self._file, self._say, self._kinds = state_file, say, config.alarms.events
@@ -71,8 +71,7 @@ class Alarms:
         try:
             return TypeAdapter(KeptAlarms).validate_python(read_json(self._file))
         except (PalpdError, ValidationError):
-            self._say(f"{self._file} cannot be read, so alarms begin anew, without what happened before.")
-            return KeptAlarms()
+            raise Refused(f"{self._file} is not what alarms keep; delete it, or name another --state-file") from None
 
     def _write(self) -> None:
         """Keep what has changed. A disk that is full must not end an alarm of a disk that is full."""
@@ -99,6 +98,9 @@ def serve(config: Config, path: Path, addresses: Sequence[Address], state_file: 
         addresses: Where alarms go.
         state_file: What survives a restart of this process.
         say: Takes sentences for people, without an address.
+
+    Raises:
+        Refused: The file of what survives is another one.
     """
     over = threading.Event()
     with held(over.set), closing(Alarms(config, path, addresses, state_file, say)) as alarms:

@@ -414,6 +414,14 @@ def test_a_test_says_what_each_address_answered_and_fails_where_one_failed(
     assert not [secret for secret in SECRETS if secret in printed]
 
 
+def test_a_state_file_that_is_another_file_is_refused_and_stays(tmp_path: Path, sink: HttpSink) -> None:
+    cell = Cell(tmp_path, sink.url)
+    before = cell.file.read_bytes()
+    done = CliRunner().invoke(app, ["alarms", "--config", str(cell.file), "--state-file", str(cell.file)])
+    assert str(done.exception) == f"{cell.file} is not what alarms keep; delete it, or name another --state-file"
+    assert cell.file.read_bytes() == before
+
+
 def test_a_check_of_the_configuration_judges_the_addresses(tmp_path: Path) -> None:
     cell = Cell(tmp_path, "nonsense://anna@here")
     done = CliRunner().invoke(app, ["check-config", str(cell.file)])
