@@ -135,7 +135,7 @@ def commands() -> str:
 UNITS = {
     "N_s_per_m": "N s/m", "rad_per_s": "rad/s", "N_per_min": "N/min", "m_per_s2": "m/s²", "N_per_m": "N/m", "m_per_s": "m/s",
     "N_per_s": "N/s", "per_Nm": "1/Nm", "per_N": "1/N", "rad": "rad", "Nm": "Nm", "Hz": "Hz", "kg": "kg", "Pa": "Pa",
-    "N": "N", "m": "m", "s": "s",
+    "N": "N", "m": "m", "s": "s", "MB": "MB",
 }  # fmt: skip
 """Units by the ends of names, the longest first."""
 

@@ -1,6 +1,6 @@
 """What is an alarm: jobs, checks and ticks of the service, its death, and a disk that fills up. It only watches.
 
-The death of the service shows in three ways, and is told of once. The first that shows counts:
+The death of the service shows in three ways. The first that shows counts, and gives the one alarm:
 
 | what | shows | after |
 |---|---|---|

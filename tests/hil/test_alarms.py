@@ -1,4 +1,4 @@
-"""Alarms before a real service on emulated wires: a stop by the guard is told with its reason, an abort and a normal end are not."""
+"""Alarms before a real service on emulated wires: a stop by the guard is one, with its reason; an abort and a normal end are none."""
 
 import threading
 from collections.abc import Callable

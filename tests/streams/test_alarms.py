@@ -229,7 +229,7 @@ def test_a_service_that_never_answered_is_dead_by_the_words_of_systemd_and_an_ol
         cell.step(alarms, lambda: sink.received, "the message comes")
     with cell.alarms() as alarms:
         cell.quiet(alarms, 0.5)
-        assert len(sink.received) == 1, "it was told of before the restart of the alarms"
+        assert len(sink.received) == 1, "the message came before the restart of the alarms"
     cell.end("watchdog killed ABRT")
     with cell.alarms() as alarms:
         cell.step(alarms, lambda: len(sink.received) == 2, "what happened while the alarms were away comes too")
