@@ -31,16 +31,17 @@ class Address:
 
     def __init__(self, name: str, url: str) -> None:
         try:
-            from apprise import Apprise
+            from apprise import Apprise, LogCapture
         except ImportError:
             raise BadInput("alarms need apprise, which is not installed; install palpd[alarms]") from None
         self.name = name
         self._secrets, self._apprise = _parts_of(url), Apprise()
-        log = logging.getLogger("apprise")  # whose warnings hold addresses; what a send warns of stands in its result
-        log.propagate = False
-        service = Apprise.instantiate(url)
+        logging.getLogger("apprise").propagate = False  # its warnings hold addresses
+        with LogCapture(level=logging.WARNING, fmt="%(message)s") as log:  # type: ignore[no-untyped-call]
+            service = Apprise.instantiate(url)
+            reason = self._without_secrets("; ".join(log.getvalue().split("\n")[:-1]))
         if service is None:
-            raise ConfigError(f"the address of alarms {name!r} is none that apprise knows, expected such as ntfys://ntfy.sh/topic; {PAGE}")
+            raise ConfigError(f"the address of alarms {name!r} cannot be used ({reason}), expected such as ntfys://ntfy.sh/topic; {PAGE}")
         self._apprise.add(service)
 
     def send(self, title: str, body: str) -> str:
@@ -52,8 +53,11 @@ class Address:
         if result:
             return ""
         reasons = [entry.message.strip().rstrip(".") for entry in result.logs() if entry.level in ("WARNING", "ERROR")]
-        words = "; ".join(reasons) or f"no answer within {SEND_S:g} s"
-        return re.sub("|".join(map(re.escape, self._secrets)), "…", words, flags=re.IGNORECASE) if self._secrets else words
+        return self._without_secrets("; ".join(reasons)) or f"no answer within {SEND_S:g} s"
+
+    def _without_secrets(self, words: str) -> str:
+        """Take addresses out of apprise's words, also those that it shortens to `p...1`, and then every part of this one."""
+        return re.sub("|".join([r"\S*://\S*", *map(re.escape, self._secrets)]), "…", words, flags=re.IGNORECASE)
 
 
 def read_addresses(alarms: AlarmsConfig) -> list[Address]:

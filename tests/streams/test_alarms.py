@@ -357,7 +357,7 @@ def test_addresses_that_cannot_be_used_are_one_sentence_without_a_part_of_them(t
     secret.write_text("mail: json://anna:pass-word-1@here\n")
     assert "has no address 'phone'" in refusal(cell.config)
     secret.write_text("phone: nonsense://anna:pass-word-1@here/token-abc123\n")
-    assert refusal(cell.config).startswith("the address of alarms 'phone' is none that apprise knows")
+    assert refusal(cell.config).startswith("the address of alarms 'phone' cannot be used (Unparseable URL …)")
     for text in ("phone: [anna, pass-word-1", "- token-abc123", "phone: {a: token-abc123}", "token-abc123"):
         secret.write_text(text)
         assert "is not a list of lines `name: address`" in refusal(cell.config)
@@ -426,7 +426,7 @@ def test_a_check_of_the_configuration_judges_the_addresses(tmp_path: Path) -> No
     cell = Cell(tmp_path, "nonsense://anna@here")
     done = CliRunner().invoke(app, ["check-config", str(cell.file)])
     assert isinstance(done.exception, ConfigError)
-    assert str(done.exception).startswith("the address of alarms 'phone' is none that apprise knows")
+    assert str(done.exception).startswith("the address of alarms 'phone' cannot be used (Unparseable URL …)")
     (tmp_path / "secret.yaml").unlink()
     done = CliRunner().invoke(app, ["check-config", str(cell.file)])
     assert done.exit_code == 0
