@@ -22,7 +22,7 @@ from palpd.streams.outbox import Gathering, Message, Outbox, Repeated
 LOOK_S = 0.2
 """Pause between two looks: as often as the service says its status."""
 CLOSING_S = 8.0
-"""Longest wait for a message that is being sent when this process ends; systemd gives it 10 s."""
+"""Longest wait for a message that is being sent when this process ends; systemd gives it 20 s."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
