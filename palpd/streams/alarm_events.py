@@ -143,6 +143,8 @@ class AlarmEvents:
         if ended is None:
             return
         kind, self._trip = KINDS.get(self._trip, "stop"), 0
+        if kind not in self._config.alarms.events:  # who wants to hear of stops hears of each
+            kind = "stop"
         if job["verdict"] == "stopped" and not job["aborted"]:
             yield from self._once(f"job {job['id']}", kind, _seconds(str(ended)), f"{job['id']}: {job['reason']}")
 
@@ -173,10 +175,8 @@ class AlarmEvents:
             free_MB = shutil.disk_usage(folder).free / 1e6
             before, self.low = self.low, free_MB < (1.1 if self.low else 1.0) * least_MB
             if self.low and not before:
-                sentence = (
-                    f"{folder} has room for {free_MB:.0f} MB, less than alarms.min_free_MB of {least_MB:g}; remove or move recordings"
-                )
-                yield Alarm("disk", time.time(), sentence)
+                room = f"{folder} has room for {free_MB:.0f} MB, less than alarms.min_free_MB of {least_MB:g}"
+                yield Alarm("disk", time.time(), f"{room}; move recordings elsewhere")
 
     def _once(self, name: str, kind: AlarmKind, at_s: float, sentence: str) -> Iterator[Alarm]:
         """The event of that name, where it is new."""

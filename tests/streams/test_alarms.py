@@ -126,9 +126,16 @@ def test_an_end_in_order_and_an_abort_by_an_operator_are_none(tmp_path: Path, si
     assert sink.received == []
 
 
-@pytest.mark.parametrize(("trip", "title"), [(Trip.OVERLOAD, "overload of the force sensor"), (Trip.LATE_TICKS, "ticks are late")])
-def test_the_trip_of_the_guard_tells_the_kind(tmp_path: Path, sink: HttpSink, trip: Trip, title: str) -> None:
-    cell = Cell(tmp_path, sink.url)
+@pytest.mark.parametrize(
+    ("trip", "events", "title"),
+    [
+        (Trip.OVERLOAD, ["stop", "overload"], "overload of the force sensor"),
+        (Trip.LATE_TICKS, ["late-ticks"], "ticks are late"),
+        (Trip.OVERLOAD, ["stop"], "a run was stopped"),
+    ],
+)
+def test_the_trip_of_the_guard_tells_the_kind(tmp_path: Path, sink: HttpSink, trip: Trip, events: list[str], title: str) -> None:
+    cell = Cell(tmp_path, sink.url, events=events)
     with standing_in(cell.socket) as service, cell.alarms() as alarms:
         cell.quiet(alarms, 0.5)
         rows = ticks(20)
