@@ -29,10 +29,10 @@ CLOSING_S = 8.0
 class KeptAlarms:
     """What survives a restart: known events, whether the disk was too full, events without a message, and what waits by address."""
 
-    seen: list[str] = dataclasses.field(default_factory=list)
-    low: bool = False
-    gathered: dict[AlarmKind, Repeated] = dataclasses.field(default_factory=dict)
-    waiting: dict[str, list[Message]] = dataclasses.field(default_factory=dict)
+    seen: list[str]
+    low: bool
+    gathered: dict[AlarmKind, Repeated]
+    waiting: dict[str, list[Message]]
 
 
 class Alarms:
@@ -67,7 +67,7 @@ class Alarms:
 
     def _read(self) -> KeptAlarms:
         if not self._file.exists():
-            return KeptAlarms()
+            return KeptAlarms([], False, {}, {})
         try:
             return TypeAdapter(KeptAlarms).validate_python(read_json(self._file))
         except (PalpdError, ValidationError):
