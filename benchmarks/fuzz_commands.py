@@ -65,6 +65,7 @@ plans --config {config} --json {out.json}
 job 20260714-101502-map --config {config} --json {out.json}
 controls --config {config}
 stream --config {config} --metrics 9464
+alarms --config {config} --test --json {out.json}
 init {folder} --depths-mm 2,3
 install --prefix {folder}
 doctor --config {config} --watch-s 1 --json {out.json}
@@ -208,9 +209,9 @@ SLOW = ("diagnose", "resolve", "serve", "blind", "study", "demo", "emulate", "st
 """Commands that work for long, or for ever, on what they accept: they are given only what they must refuse."""
 NO_DEVICE = (
     "run", "calibrate", "free-motion", "stiffness", "level-test", "retract", "status", "arm", "start", "pause", "resume", "abort", "clear",
-    "jobs", "job", "plans", "controls",
+    "jobs", "job", "plans", "controls", "alarms",
 )  # fmt: skip
-"""Commands that need a daemon or devices, which are not there: they refuse every line."""
+"""Commands that need a daemon, devices or addresses of alarms, which are not there: they refuse every line."""
 FINE = {("map", "header alone"), ("import", "unclosed quote"), ("analyse", "unclosed quote"), ("simulate", "three rows")}
 FINE |= {("import", "spaces for commas"), ("import", "UTF-16"), ("recover", "forged header")}
 FINE |= {("migrate", "hexadecimal"), ("migrate", "sexagesimal")}

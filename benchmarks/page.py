@@ -50,6 +50,7 @@ SECTIONS = {
     "parser": Section("Parser", "benchmarks/parser.py", "benchmarks/parser.py"),
     "recorder": Section("Recorder", "benchmarks/recording.py --seconds 10", "benchmarks/recording.py"),
     "stream": Section("The force in another program", "-m benchmarks.stream", "-m benchmarks.stream --records 40000"),
+    "alarms": Section("An alarm after kill -9", "-m benchmarks.alarms --kills 5", "-m benchmarks.alarms"),
     "web": Section("The operator's page, and what the loop notices of it", None, "-m benchmarks.web"),
     "page-abort": Section("An abort by the operator's page", None, "-m benchmarks.abort --page --samples 200 --minutes 60"),
     "crowded-page": Section("An abort by a page that others crowd", None, "-m benchmarks.abort --half-open 1500 --samples 200"),

@@ -135,7 +135,7 @@ def commands() -> str:
 UNITS = {
     "N_s_per_m": "N s/m", "rad_per_s": "rad/s", "N_per_min": "N/min", "m_per_s2": "m/s²", "N_per_m": "N/m", "m_per_s": "m/s",
     "N_per_s": "N/s", "per_Nm": "1/Nm", "per_N": "1/N", "rad": "rad", "Nm": "Nm", "Hz": "Hz", "kg": "kg", "Pa": "Pa",
-    "N": "N", "m": "m", "s": "s",
+    "N": "N", "m": "m", "s": "s", "MB": "MB",
 }  # fmt: skip
 """Units by the ends of names, the longest first."""
 
@@ -184,7 +184,11 @@ def shown_default(value: Any, required: bool) -> str:
     if required or value is PydanticUndefined or (isinstance(value, (tuple, list)) and not value):
         return ""
     if isinstance(value, (tuple, list)):
-        return "`[" + ", ".join("…" if isinstance(each, BaseModel) else f"{each:g}" for each in value) + "]`"
+        return (
+            "`["
+            + ", ".join("…" if isinstance(each, BaseModel) else each if isinstance(each, str) else f"{each:g}" for each in value)
+            + "]`"
+        )
     return "`null`" if value is None else f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
 
 

@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args
@@ -224,6 +225,37 @@ class PageConfig(StrictBlock):
     """Address of a camera's picture or MJPEG stream (http or https, without a password), shown beside the charts; null: none."""
 
 
+AlarmKind = Literal["stop", "overload", "check", "disk", "late-ticks", "dead"]
+"""What an alarm may tell of."""
+
+
+class AlarmsConfig(StrictBlock):
+    """Messages of `palpd alarms` to people who are away. An address is a secret as a whole, so only its name stands here."""
+
+    addresses: tuple[str, ...] = ()
+    """Names of the addresses that alarms go to, such as `[phone, mail]`; empty: nowhere."""
+    credentials: Path | None = None
+    """File with a line `name: address` for each; null: the credential `palpd-alarms` of the unit, elsewhere /etc/palpd/alarms.yaml."""
+    events: tuple[AlarmKind, ...] = get_args(AlarmKind)
+    """What alarms tell of: a run that was stopped, an overload, a failed check, a disk that fills up, late ticks, a dead service."""
+    quiet_s: StrictFloat = Field(default=600.0, ge=1, le=86_400)
+    """Time after a message in which further events of its kind are only counted; one message then tells of them all."""
+    min_free_MB: StrictFloat = Field(default=1000.0, ge=0)
+    """Room for recordings below which the disk is an alarm; a run takes up to 15 MB a minute."""
+
+    @field_validator("addresses", mode="before")
+    @classmethod
+    def _names_only(cls, value: object) -> object:
+        """Refuse an address in place of its name, without a word of it in the error."""
+        names = value if isinstance(value, list | tuple) else [None]
+        if not all(isinstance(name, str) and re.fullmatch(NAME_PATTERN, name) for name in names) or len(set(names)) < len(names):
+            raise ValueError(
+                "expected different names, such as [phone, mail]; the addresses themselves are secrets and stand in the file of "
+                "alarms.credentials"
+            )
+        return value
+
+
 class Config(StrictBlock):
     """All of config.yaml. Relative paths are relative to the file."""
 
@@ -243,6 +275,8 @@ class Config(StrictBlock):
     """Folders."""
     page: PageConfig = PageConfig()
     """The operator's page."""
+    alarms: AlarmsConfig = AlarmsConfig()
+    """Messages to people who are away."""
     cell: CellFile = Field(default_factory=nominal)
     """The cell as the simulator knows it: the keys of cell.yaml."""
 
@@ -376,7 +410,9 @@ def load_config(path: Path | None) -> Config:
     stated = {name: path for name in ("runs", "state", "socket") if (path := getattr(config.paths, name)) is not None}
     paths = config.paths.model_copy(update={name: base / path for name, path in stated.items()})
     model = config.model.model_copy(update={"path": base / config.model.path if config.model.path else None})
-    return config.model_copy(update={"paths": paths, "model": model})
+    stated_credentials = config.alarms.credentials
+    alarms = config.alarms.model_copy(update={"credentials": base / stated_credentials if stated_credentials else None})
+    return config.model_copy(update={"paths": paths, "model": model, "alarms": alarms})
 
 
 def load_plan(path: Path) -> Plan:

@@ -14,8 +14,8 @@ from tests.paths import ROOT
 
 SHIPPED = (
     "config.yaml", "plan.yaml",
-    "systemd/palpd.service", "systemd/palpd-web.service", "systemd/palpd-stream.service", "systemd/palpd.sysusers.conf",
-    "systemd/99-palpd-hex.rules",
+    "systemd/palpd.service", "systemd/palpd-web.service", "systemd/palpd-stream.service", "systemd/palpd-alarms.service",
+    "systemd/palpd.sysusers.conf", "systemd/99-palpd-hex.rules",
 )  # fmt: skip
 
 

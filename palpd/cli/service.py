@@ -282,6 +282,41 @@ def stream(
     serving.serve(settings, socket or settings.paths.control_socket, outputs, lambda sentence: print(sentence, flush=True))
 
 
+@app.command(
+    examples=["palpd alarms --config cell/config.yaml", "palpd alarms --config cell/config.yaml --test"],
+    apart={"test": ("state_file",)},
+)
+def alarms(
+    config: ConfigOption = DEFAULT_CONFIG,
+    socket: SocketOption = None,
+    state_file: Annotated[
+        Path | None,
+        typer.Option("--state-file", help="where it remembers which events it has told of (default: alarms.json in the state folder)"),
+    ] = None,
+    test: Annotated[bool, typer.Option("--test", help="send one test message to each address, say what each answered, and end")] = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Send alarms of the daemon to people who are away, until Ctrl-C: stops, failed checks, a full disk, its death. Moves nothing."""
+    from palpd.errors import BadInput
+    from palpd.streams.addresses import read_addresses
+    from palpd.streams.alarms import serve, tested
+
+    settings = settings_of(config)
+    addresses = read_addresses(settings.alarms)
+    if not test:
+        if json_file is not None:
+            raise BadInput("--json is for the answers of a test; add --test, or leave it out")
+        kept = state_file or settings.paths.state / "alarms.json"
+        serve(settings, socket or settings.paths.control_socket, addresses, kept, lambda sentence: print(sentence, flush=True))
+        return
+    answers = tested(addresses)
+    for name, trouble in answers.items():
+        print(f"{name}: not taken: {trouble}." if trouble else f"{name}: taken.")
+    failed = [name for name, trouble in answers.items() if trouble]
+    write_json(json_file, {"addresses": [{"name": name, "taken": not trouble, "answer": trouble} for name, trouble in answers.items()]})
+    finish(2 if failed else 0, f"{len(failed)} of {len(answers)} addresses took no message: {', '.join(failed)}")
+
+
 @app.command(examples=["palpd init cell", "palpd init cell --model ur5e --limit-N 10 --depths-mm 4,5"])
 def init(
     folder: Annotated[Path, typer.Argument(help="where to write both files"), Output(FOLDER)] = Path(),
@@ -388,7 +423,8 @@ def check_config(
     from palpd.daemon.kept_plans import rehearsed_config_sha256
     from palpd.daemon.overshoot import predicted
     from palpd.daemon.starting_files import checked
-    from palpd.errors import ConfigError
+    from palpd.errors import ConfigError, Refused
+    from palpd.streams.addresses import read_addresses
 
     try:
         settings, steps = checked(config, plan, accept_implausible)
@@ -400,10 +436,16 @@ def check_config(
             about["plan"] = load_plan(plan).model_dump(mode="json", exclude_none=True) if plan is not None else None
         write_json(json_file, about)
         return
+    unreadable = []
+    if settings.alarms.addresses:
+        try:
+            read_addresses(settings.alarms)
+        except Refused as refused:  # who checks a configuration need not be allowed to read secrets
+            unreadable.append(str(refused))
     prediction, questions = predicted(settings, steps), close_sites(settings, steps)
     for table in overshoot_table(prediction):
         terminal().print(table)
-    for question in questions.values():
+    for question in [*questions.values(), *unreadable]:
         terminal().print(f"question: {question}", soft_wrap=True)
     terminal().print(f"{config} is sound." if plan is None else f"{config} and {plan} are sound.")
     content = {

@@ -7,7 +7,7 @@ from pathlib import Path
 from palpd.errors import Refused
 from palpd.files import check_folder, shipped, write_yaml
 
-UNITS = ("palpd.service", "palpd-web.service", "palpd-stream.service")
+UNITS = ("palpd.service", "palpd-web.service", "palpd-stream.service", "palpd-alarms.service")
 UNIT_PYTHON = "/opt/palpd/.venv/bin/python"
 PATHS = "paths: {runs: /var/lib/palpd/runs, state: /var/lib/palpd, socket: /run/palpd/palpd.sock}"
 UNSEEN = ("/root", "/home", "/run/user", "/tmp", "/var/tmp")
@@ -18,7 +18,8 @@ Then, as root:
   systemctl daemon-reload && systemctl enable --now palpd
   usermod --append --groups palpd OPERATOR      # who may speak to the daemon
   runuser -u palpd -- palpd calibrate --config /etc/palpd/config.yaml
-  systemctl enable --now palpd-web              # the page, if you want it: docs/page.md"""
+  systemctl enable --now palpd-web              # the page, if you want it: docs/page.md
+  systemctl enable --now palpd-alarms           # messages to people who are away: docs/how-to/alarms.md"""
 
 
 def unit_python(prefix: Path) -> str:

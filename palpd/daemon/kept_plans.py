@@ -46,8 +46,8 @@ class _Head(StrictBlock):
 
 
 def rehearsed_config_sha256(config: Config) -> str:
-    """Hash of all that a rehearsal depends on: the configuration without its folders, and the bytes of the inertial model."""
-    settings = config.model_dump(mode="json", exclude={"paths": True, "model": {"path"}})
+    """Hash of all that a rehearsal depends on: the configuration without folders and alarms, and the bytes of the inertial model."""
+    settings = config.model_dump(mode="json", exclude={"paths": True, "alarms": True, "model": {"path"}})
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
     if config.model.path is not None:
         with opened(config.model.path) as stream:

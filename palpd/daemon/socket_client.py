@@ -147,7 +147,10 @@ class ProposedRun(TypedDict):
 
 
 class JobSummary(TypedDict):
-    """A job without log and result. `state` is running, waiting (for consent to `proposal`), or the verdict of a job that is over."""
+    """A job without log and result. `state` is running, waiting (for consent to `proposal`), or the verdict of a job that is over.
+
+    `aborted` says that a client asked for its end.
+    """
 
     id: str
     program: str
@@ -158,6 +161,7 @@ class JobSummary(TypedDict):
     runs: int
     most_runs: int
     proposal: ProposedRun | None
+    aborted: bool
     ended: str | None
     verdict: str | None
     reason: str

@@ -21,8 +21,8 @@ CELL = (ROOT / "palpd" / "cell" / "phantom.yaml").read_bytes()
 RUN = (ROOT / "tests" / "version_1" / "recording.mcap").read_bytes()
 NO_FILE = (FOLDER, OWN_FOLDER, NEW_RECORDING, SOCKET, LINK, RESUMED)
 """What an option names besides a plain file."""
-READ_OR_MADE = {"token_file", "socket", "folder", "prefix"}
-"""Paths that are neither: a secret that is read or made, places to look at, and the root of an installation."""
+READ_OR_MADE = {"token_file", "state_file", "socket", "folder", "prefix"}
+"""Paths that are neither: a secret or a memory that is read or made, places to look at, and the root of an installation."""
 
 
 def commands() -> dict[str, Callable[..., Any]]:
@@ -87,7 +87,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_every_path_of_every_command_is_an_input_or_an_output_and_outputs_have_force() -> None:
-    assert len(commands()) == 48
+    assert len(commands()) == 49
     words = ("write", "kept", "keep", "link to make", "save")
     for name, command in commands().items():
         for parameter in inputs_of(command):

@@ -392,7 +392,7 @@ def test_an_unknown_command_is_told_what_there_is(service: Service) -> None:
 
 def test_installed_files_fit_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("palpd.daemon.install.UNSEEN", ())
-    assert len(installed(tmp_path)) == 6
+    assert len(installed(tmp_path)) == 7
     unit = (tmp_path / "etc/systemd/system/palpd.service").read_text()
     assert f"ExecStart={sys.executable} -m palpd serve --config /etc/palpd/config.yaml" in unit
     paths = load_config(tmp_path / "etc/palpd/config.yaml").paths
@@ -417,7 +417,7 @@ def test_an_existing_configuration_is_kept(tmp_path: Path, monkeypatch: pytest.M
     installed(tmp_path)
     config = tmp_path / "etc/palpd/config.yaml"
     config.write_text("mine: 1\n")
-    assert len(installed(tmp_path)) == 5
+    assert len(installed(tmp_path)) == 6
     assert config.read_text() == "mine: 1\n"
 
 
@@ -431,7 +431,7 @@ def test_a_build_root_takes_the_python_of_opt_where_the_service_could_not_see_th
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("palpd.daemon.install.UNSEEN", (str(Path(sys.executable).parents[2]),))
-    assert len(installed(tmp_path)) == 6
+    assert len(installed(tmp_path)) == 7
     unit = (tmp_path / "etc/systemd/system/palpd.service").read_text()
     assert "ExecStart=/opt/palpd/.venv/bin/python -m palpd serve" in unit
 

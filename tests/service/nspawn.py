@@ -260,6 +260,56 @@ def test_after_kill_9_in_mid_run_the_arm_rests_and_the_daemon_is_back_disarmed(s
     assert restored.ticks > 100
 
 
+def test_alarms_hear_of_a_kill_at_rest_and_in_mid_run_within_5_s(service: Installed) -> None:
+    inside = service.inside
+    inside.run("systemd-run", "--unit=sink", f"--setenv={LIBRARIES}", PYTHON, "-m", "palpd.testing.http_sink", "8099", "/run/messages")
+    inside.write("/etc/palpd/alarms.yaml", "phone: json://anna:pass-word-1@127.0.0.1:8099/token-abc123\n")
+    inside.path("/etc/palpd/alarms.yaml").chmod(0o600)
+    config = inside.path(CONFIG)
+    text = config.read_text()
+    config.write_text(text.replace("addresses: [] ", "addresses: [phone]").replace("quiet_s: 600", "quiet_s: 1"))
+    inside.write("/etc/systemd/system/palpd-alarms.service.d/python.conf", f"[Service]\nEnvironment={LIBRARIES}\n")
+    inside.run("systemctl", "daemon-reload")
+    inside.run("systemctl", "reset-failed", "palpd")
+    inside.run("systemctl", "start", "palpd-alarms")
+
+    def journal() -> str:
+        return inside.run("journalctl", "--unit=palpd-alarms", "--output=cat")
+
+    def deaths() -> list[str]:
+        lines = inside.run("cat", "/run/messages", check=False).splitlines()
+        return [json.loads(line)["message"] for line in lines if "is dead" in line]
+
+    def killed() -> float:
+        before = len(deaths())
+        began_s = time.monotonic()
+        inside.run("kill", "-KILL", service.pid)
+        until(lambda: len(deaths()) > before, 30.0, "the message comes")
+        return time.monotonic() - began_s
+
+    try:
+        until(lambda: "go to phone" in journal(), 30.0, "it watches")
+        time.sleep(3.0)  # it has seen the service
+        service.figures["kill_at_rest_to_alarm_s"] = killed()
+        assert "(signal killed KILL)" in deaths()[0]
+        service.until_state("disarmed")
+        service.begin()
+        service.figures["kill_in_mid_run_to_alarm_s"] = killed()
+        assert max(service.figures["kill_at_rest_to_alarm_s"], service.figures["kill_in_mid_run_to_alarm_s"]) < 5.0
+        until(lambda: service.state() in ("checking", "disarmed"), 30.0, "it is restarted")
+        assert len(deaths()) == 2, "what systemd says later is no further death"
+        assert "pass-word-1" not in journal() + inside.run("systemctl", "show", "palpd-alarms")
+        test = [PYTHON, "-m", "palpd", "alarms", "--test", "--config", CONFIG]
+        assert inside.run("env", LIBRARIES, *test) == "phone: taken.\n"
+        assert "cannot be read from" in inside.run("runuser", "-u", "palpd", "--", "env", LIBRARIES, *test, check=False)
+    finally:
+        inside.run("systemctl", "stop", "palpd-alarms", "sink", check=False)
+        config.write_text(text)
+        inside.run("systemctl", "reset-failed", "palpd")
+        service.until_state("disarmed")
+    assert inside.shows("palpd-alarms", "Result") == "success"
+
+
 def test_the_journal_is_one_json_object_a_line(service: Installed) -> None:
     own = service.inside.run("id", "-u", "palpd").strip()
     lines = service.inside.run("journalctl", "--unit=palpd", "--output=cat", "_UID=" + own)

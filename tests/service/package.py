@@ -20,7 +20,7 @@ pytestmark = [
     pytest.mark.skipif(missing() is not None, reason=f"booting systemd in a container {missing()}"),
     pytest.mark.skipif(not PACKAGES, reason="there is no package in dist/; make deb builds one"),
 ]
-UNITS = ("palpd.service", "palpd-web.service", "palpd-stream.service")
+UNITS = ("palpd.service", "palpd-web.service", "palpd-stream.service", "palpd-alarms.service")
 INSTALL_S = 300.0
 RECORDING = "/var/lib/palpd/runs/20260714-101502-palpation.mcap"
 
@@ -95,7 +95,7 @@ def test_a_purge_leaves_the_recordings_and_nothing_else(inside: Container) -> No
     assert inside.path(RECORDING).read_text() == "a recording"
     left = [
         path
-        for path in ("/etc/palpd", "/usr/bin/palpd", "/opt/palpd/bin", "/run/palpd", "/var/lib/palpd-web")
+        for path in ("/etc/palpd", "/usr/bin/palpd", "/opt/palpd/bin", "/run/palpd", "/var/lib/palpd-web", "/var/lib/palpd-alarms")
         if inside.path(path).exists()
     ]
     left += [unit for unit in UNITS if inside.path(f"/lib/systemd/system/{unit}").exists()]
