@@ -26,7 +26,7 @@ from palpd.gap.user_simulator import UserSimulator
 from palpd.gap.usual import PRICE_NATS, ComparedRecording, UsualChanges
 from palpd.recording.samples import Samples
 
-LARGEST_SET = 2
+LARGEST_SET = 1
 """Largest number of effects that may explain a healthy recording: a third one hardly changes how probable it is, and takes long."""
 FEWEST = 3
 """Fewest healthy recordings that can be judged: two others show a spread, one does not."""
