@@ -31,7 +31,6 @@ class Power(IntEnum):
     POWER_OFF = 3
     POWER_ON = 4
     IDLE = 5
-    BACKDRIVE = 6
     RUNNING = 7
 
 

