@@ -79,7 +79,7 @@ class Service:
     the log; if a device is absent, it keeps running.
 
     After a stop of the robot it reads what the controller says, with `open_controller`; without that it reads nothing. It commands nothing
-    either: an operator does the steps at the pendant. When they are done, it looks at robot and sensor again.
+    either: an operator does the steps at the pendant. When they are done, it looks at robot and sensor again where it must.
     """
 
     def __init__(self, config: Config, build: Build, open_controller: OpenController | None = None) -> None:
@@ -363,7 +363,7 @@ class Service:
         return {"state": "disarmed"}
 
     def _poll_controller(self) -> None:
-        """Take in what the controller says after a stop. When the arm may move again, look at robot and sensor anew: that moves nothing."""
+        """Take in what the controller says after a stop. When the arm may move again, look at the devices where that is sensible next."""
         if self._watch is None:
             return
         self._watch.poll()
@@ -381,8 +381,8 @@ class Service:
             self._known.hold(str(error))
         if before is None or stop_of(before) != stop:
             self._log.info("controller", stop=stop, says=ROBOT_STOPS[stop].says if stop is not None else "the arm may move")
-        free = self._run.current is None and self._jobs.current is None and not self._ending.is_set()
-        if before is not None and stop_of(before) is not None and stop is None and free:
+        ended = before is not None and stop_of(before) is not None and stop is None and not self._ending.is_set()
+        if ended and what_now(self._standing).next == "check":  # it moves nothing, so nobody has to ask for it
             self._check()
 
     def _poll_run(self) -> None:

@@ -422,7 +422,8 @@ def test_the_cause_of_a_second_protective_stop_is_written_beside_the_clear(scene
     asks = "a protective stop came within 60 s after the one before, so its cause must be written down"
     earlier = {"date": "2026-07-14T10:14:02+02:00", "over": "", "cause": "the tool touched the frame", "by": "anna", "written": ""}
     scene.service.stand(replace(LATCHED, cause=asks), protective=[earlier | {"date": "2026-07-14T10:15:02+02:00", "cause": ""}, earlier])
-    until_text(page, "#cause-question", asks[1:])
+    until_text(page, "#doing", asks[1:])
+    assert page.is_visible("#cause")
     until_text(page, "#fault-notes", "protective stop of 2026-07-14 at 10:14:02: the tool touched the frame, written by anna")
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "nothing stands outside of the screen"
     page.fill("#cause", "a cable is too short")

@@ -164,7 +164,6 @@ function show() {
   document.body.toggleAttribute("data-no-plan", next === "start" && chosenPlan() === null);
   const asked = status?.now?.cause ?? null;
   document.getElementById("cause-line").hidden = asked === null;
-  document.getElementById("cause-question").textContent = asked === null ? "" : `${capital(asked)}.`;
   if (asked === null) cause.value = "";
   const question = status?.now?.question ?? null;
   document.getElementById("place-line").hidden = question === null;
