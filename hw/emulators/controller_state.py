@@ -157,7 +157,7 @@ class ControllerState:
 
         Args:
             now_s: host time.
-            mode: the safety mode.
+            mode: `PROTECTIVE_STOP` or `SAFEGUARD_STOP`.
             reason: why, for the log.
         """
         if self.safety in FIT:

@@ -82,7 +82,7 @@ class ControllerWatch:
         """Watch from now on.
 
         Args:
-            seen: What is known already.
+            seen: What is known already; None leaves that as it is.
         """
         self.seen, self._until_s = seen or self.seen, time.monotonic() + AGAIN_S
         if self._process is None:

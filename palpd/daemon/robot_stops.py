@@ -35,7 +35,7 @@ class RobotStop:
 
     Attributes:
         word: The state in two or three words.
-        says: What the controller says.
+        says: What the controller says, as a clause without a capital and a full stop.
         step: The next step at the pendant.
         done: How palpd sees that the step is done.
     """

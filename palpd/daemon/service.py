@@ -423,7 +423,11 @@ def robot_may_be_out(report: Report) -> bool:
 
 
 def last_seen(report: Report, newest: np.void | None) -> ControllerSeen | None:
-    """What the last tick saw of the controller; None where it says nothing. The program that it saw has ended with the run."""
+    """What the last tick saw of the controller; None where it says nothing. The program that it saw has ended with the run.
+
+    Args:
+        newest: The last tick; None where none was sent.
+    """
     if newest is None or not any(trip["trip"] in ROBOT_TRIPS for trip in report.trips):
         return None
     return ControllerSeen(bool(newest["connected"]), int(newest["robot_mode"]), int(newest["safety_mode"]))

@@ -86,9 +86,9 @@ def test_a_stop_that_still_stands_is_not_counted_twice_where_nothing_could_move(
 
 
 def test_a_cause_is_kept_with_its_time_and_ends_the_question_until_the_next_stop() -> None:
-    told = stops((0, 5), (10, 15)).with_cause("the frame", "anna", NOON.format(30))
-    assert not told.cause_asked
-    assert (told.stops[-1].cause, told.stops[-1].by, told.stops[-1].written) == ("the frame", "anna", NOON.format(30))
-    assert told.begin(NOON.format(40), moved=True).cause_asked
+    explained = stops((0, 5), (10, 15)).with_cause("the frame", "anna", NOON.format(30))
+    assert not explained.cause_asked
+    assert (explained.stops[-1].cause, explained.stops[-1].by, explained.stops[-1].written) == ("the frame", "anna", NOON.format(30))
+    assert explained.begin(NOON.format(40), moved=True).cause_asked
     with pytest.raises(BadInput, match="no protective stop is known"):
         stops().with_cause("the frame", "anna", NOON.format(30))
