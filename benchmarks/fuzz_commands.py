@@ -60,6 +60,7 @@ pause --config {config}
 resume --config {config}
 abort --config {config}
 clear --config {config}
+recover-robot --config {config} --json {out.json}
 jobs --config {config} --json {out.json}
 plans --config {config} --json {out.json}
 job 20260714-101502-map --config {config} --json {out.json}
@@ -209,7 +210,7 @@ SLOW = ("diagnose", "resolve", "serve", "blind", "study", "demo", "emulate", "st
 """Commands that work for long, or for ever, on what they accept: they are given only what they must refuse."""
 NO_DEVICE = (
     "run", "calibrate", "free-motion", "stiffness", "level-test", "retract", "status", "arm", "start", "pause", "resume", "abort", "clear",
-    "jobs", "job", "plans", "controls", "alarms",
+    "recover-robot", "jobs", "job", "plans", "controls", "alarms",
 )  # fmt: skip
 """Commands that need a daemon, devices or addresses of alarms, which are not there: they refuse every line."""
 FINE = {("map", "header alone"), ("import", "unclosed quote"), ("analyse", "unclosed quote"), ("simulate", "three rows")}

@@ -29,6 +29,7 @@ from palpd.cli import application
 from palpd.cli.command_groups import GROUPS
 from palpd.cli.output_options import examples_of
 from palpd.config import Config, Plan
+from palpd.daemon.robot_stops import ROBOT_STOPS
 from palpd.files import file_use
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.similar_effects import Similarity, similar_effects, standard_motion
@@ -48,6 +49,22 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def prose(text: str | None) -> str:
     """A docstring as Markdown: paragraphs stay, broken lines are joined."""
     return "\n\n".join(" ".join(part.split()) for part in inspect.cleandoc(text or "").split("\n\n"))
+
+
+# stops of the robot
+
+
+def robot_stops_page() -> str:
+    """What the controller says after a stop, and the steps at its pendant."""
+    out = [HEAD, "# Stops of the robot\n"]
+    out.append(
+        "What the controller says where palpd may not move the arm. Page, `palpd recover-robot` and refusals use these words. "
+        "The first row that holds is shown. While it stands, arm, start, retract, level test and clear are refused. "
+        "[Back after a stop of the robot](../how-to/after-a-stop.md) leads through them.\n"
+    )
+    rows = [(f"`{name}`", stop.word, stop.says, stop.step, stop.done) for name, stop in ROBOT_STOPS.items()]
+    out.append(table(("`now.stop.name`", "in short", "it says", "at the pendant", "done when"), rows))
+    return "\n".join(out)
 
 
 # commands
@@ -538,6 +555,7 @@ def docstring(one: Any) -> str:
 
 PAGES: dict[str, Callable[[], str]] = {
     "commands.md": commands,
+    "robot-stops.md": robot_stops_page,
     "config.md": config_page,
     "cell-file.md": cell_page,
     "effects.md": effects_page,

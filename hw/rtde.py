@@ -580,5 +580,18 @@ def _refuse_options(settings: RobotSettings) -> None:
         raise RobotError(f"robot.options holds {', '.join(settings.options)}, but a UR has no options; remove them.")
 
 
-UR_RTDE = RobotKind(_open, _open_reader, require_library)
+def _takes_programs(settings: RobotSettings) -> bool | None:
+    """Ask the dashboard of an e-Series for its mode; a CB3 has none. None where it does not say."""
+    if settings.model == "ur5":
+        return None
+    try:
+        with socket.create_connection((settings.host, DASHBOARD_PORT), CONNECT_TIMEOUT_S) as connection, connection.makefile("rb") as lines:
+            lines.readline()
+            connection.sendall(b"is in remote control\n")
+            return {b"true": True, b"false": False}.get(lines.readline().strip().lower())
+    except OSError:
+        return None
+
+
+UR_RTDE = RobotKind(_open, _open_reader, require_library, _takes_programs)
 """Entry point `ur-rtde`."""

@@ -470,6 +470,8 @@ class RobotKind(NamedTuple):
     open_reader: Callable[[RobotSettings], StateReader]
     require: Callable[[], None] = lambda: None
     """Refuses a computer on which the driver cannot work."""
+    takes_programs: Callable[[RobotSettings], bool | None] = lambda _: None
+    """Asks whether the controller takes programs from this computer; None where it has no such mode, or does not say."""
 
 
 ROW = np.dtype(

@@ -63,7 +63,10 @@ BY_HAND = {
 
 NEEDS_MORE = {
     **dict.fromkeys(("run", "calibrate", "stiffness", "free-motion", "level-test", "retract", "doctor", "resolve"), "needs a cell"),
-    **dict.fromkeys(("status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job", "plans", "controls"), "needs a daemon"),
+    **dict.fromkeys(
+        ("status", "arm", "start", "pause", "resume", "abort", "clear", "recover-robot", "jobs", "job", "plans", "controls"),
+        "needs a daemon",
+    ),
     **dict.fromkeys(("emulate", "serve", "web"), "serves until Ctrl-C"),
     "alarms": "needs addresses; tests/streams sends to some",
     "arena": "needs the rigs of the repository; tests/arena asks every tool",

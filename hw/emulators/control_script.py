@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from hw.emulators.controller_state import ControllerState, Program
+from hw.emulators.controller_state import ControllerState, Program, Safety
 from hw.emulators.pose import Floats
 from hw.emulators.script_registers import QUESTIONS, SILENT, ScriptRegisters
 from hw.emulators.target_motion import Ramp, Servo, TrapezoidalMove
@@ -98,7 +98,7 @@ class ControlScript:
             self._state.stop_program(t_s, "stopped by the client")
             return
         if command == 31:
-            self._state.protective_stop(t_s, "protective stop requested by the client")
+            self._state.pausing_stop(t_s, Safety.PROTECTIVE_STOP, "protective stop requested by the client")
             return
         if command == 35:
             rate_Hz = float(self._registers(program).doubles(1)[0])

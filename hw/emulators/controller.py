@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from hw.emulators.control_script import ControlScript
-from hw.emulators.controller_state import ControllerCycle, ControllerModel, ControllerState, Power, Program, Runtime, Safety
+from hw.emulators.controller_state import FIT, ControllerCycle, ControllerModel, ControllerState, Power, Program, Runtime
 from hw.emulators.dashboard import Dashboard
 from hw.emulators.pose import Floats
 
@@ -73,7 +73,7 @@ class Controller:
         if not self.state.remote_control:
             return
         self.state.stop_program(now_s, "replaced by a new script")
-        if self.state.power is not Power.RUNNING or self.state.safety is not Safety.NORMAL:
+        if self.state.power is not Power.RUNNING or self.state.safety not in FIT:
             self.state.messages.append(("Robot cannot run a program: it is not in normal mode", 1))
             return
         offset = re.search(r"# int register offset\s*\n(\d+)", script)

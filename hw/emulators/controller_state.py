@@ -26,7 +26,7 @@ class Runtime(IntEnum):
 
 
 class Power(IntEnum):
-    """`robot_mode` of RTDE, as far as an emulated arm gets."""
+    """`robot_mode` of RTDE, as far as an emulated arm gets. The dashboard says the name."""
 
     POWER_OFF = 3
     POWER_ON = 4
@@ -35,11 +35,24 @@ class Power(IntEnum):
 
 
 class Safety(IntEnum):
-    """`safety_mode` of RTDE, as far as an emulated arm gets."""
+    """`safety_mode` of RTDE. The dashboard says the name."""
 
     NORMAL = 1
+    REDUCED = 2
     PROTECTIVE_STOP = 3
+    RECOVERY = 4
+    SAFEGUARD_STOP = 5
+    SYSTEM_EMERGENCY_STOP = 6
     ROBOT_EMERGENCY_STOP = 7
+    VIOLATION = 8
+    FAULT = 9
+
+
+FIT = (Safety.NORMAL, Safety.REDUCED)
+"""Safety modes in which programs start."""
+EMERGENCY = (Safety.SYSTEM_EMERGENCY_STOP, Safety.ROBOT_EMERGENCY_STOP)
+UNPOWERED = (*EMERGENCY, Safety.VIOLATION, Safety.FAULT)
+"""Safety modes in which the arm has no power, and gets none."""
 
 
 @dataclass(frozen=True)
@@ -139,26 +152,33 @@ class ControllerState:
         self.halt(PROGRAM_STOP_M_PER_S2)
         return loaded
 
-    def protective_stop(self, now_s: float, reason: str = "protective stop") -> None:
-        """Stop the motion and pause the program until `unlock`.
+    def pausing_stop(self, now_s: float, mode: Safety, reason: str) -> None:
+        """Stop the motion and pause the program: a protective stop until `unlock`, a safeguard stop until the safeguard is closed.
 
         Args:
             now_s: host time.
+            mode: `PROTECTIVE_STOP` or `SAFEGUARD_STOP`.
             reason: why, for the log.
         """
-        if self.safety is Safety.NORMAL:
-            self.safety, self.stopped_s = Safety.PROTECTIVE_STOP, now_s
+        if self.safety in FIT:
+            self.safety, self.stopped_s = mode, now_s
             self.stops.append((now_s, reason))
-            self.messages.append(("Protective stop", 0))
+            self.messages.append((reason.capitalize(), 0))
             if self.runtime is Runtime.PLAYING:
                 self.runtime = Runtime.PAUSED
             self.halt(EMERGENCY_STOP_M_PER_S2)
 
-    def emergency_stop(self, now_s: float) -> None:
-        """Stop the motion, end the program, cut the power."""
-        self.stop_program(now_s, "emergency stop")
+    def cutting_stop(self, now_s: float, mode: Safety, reason: str) -> None:
+        """Stop the motion, end the program, cut the power.
+
+        Args:
+            now_s: host time.
+            mode: the safety mode, one of `UNPOWERED`.
+            reason: why, for the log.
+        """
+        self.stop_program(now_s, reason)
         self.halt(EMERGENCY_STOP_M_PER_S2)
-        self.safety, self.power = Safety.ROBOT_EMERGENCY_STOP, Power.POWER_OFF
+        self.safety, self.power = mode, Power.POWER_OFF
 
     def halt(self, deceleration: float) -> None:
         """Bring the target to rest.

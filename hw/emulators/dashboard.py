@@ -1,6 +1,6 @@
 """The dashboard of a UR controller: what it answers, and what an operator does there."""
 
-from hw.emulators.controller_state import PROGRAM_STOP_M_PER_S2, ControllerState, Power, Runtime, Safety
+from hw.emulators.controller_state import FIT, PROGRAM_STOP_M_PER_S2, UNPOWERED, ControllerState, Power, Runtime, Safety
 
 UNLOCK_AFTER_S = 5.0
 """Age of a protective stop before which it cannot be unlocked."""
@@ -27,11 +27,19 @@ class Dashboard:
         line = asked.lower()
         if not self._state.remote_control and line in _COMMANDS:
             return "Command is not allowed due to safety reasons, please switch robot to Remote Control mode and reconnect to port 29999"
-        answer = self._obey(line, now_s) or self._report(line) or _FIXED_ANSWERS.get(line)
+        answer = self.obey(line, now_s) or self._report(line) or _FIXED_ANSWERS.get(line)
         return answer or f'could not understand: "{asked}"'
 
-    def _obey(self, command: str, now_s: float) -> str | None:
-        """Carry out a command; None if it is none."""
+    def obey(self, command: str, now_s: float) -> str | None:
+        """Carry out a command, also in local control: an operator has a button for each at the pendant.
+
+        Args:
+            command: as the dashboard takes it, in small letters.
+            now_s: host time.
+
+        Returns:
+            The answer; None if it is no command.
+        """
         match command:
             case "play":
                 return "Starting program" if self.play() else "Failed to execute: play"
@@ -52,7 +60,7 @@ class Dashboard:
                 self.release_brakes()
                 return "Brake releasing"
             case "restart safety":
-                self._state.safety = Safety.NORMAL
+                self.restart_safety()
                 return "Restarting safety"
             case _:
                 return None
@@ -76,7 +84,7 @@ class Dashboard:
 
     def play(self) -> bool:
         """Resume a paused program. Returns False where none is paused."""
-        if self._state.runtime is not Runtime.PAUSED or self._state.safety is not Safety.NORMAL or self._state.program is None:
+        if self._state.runtime is not Runtime.PAUSED or self._state.safety not in FIT or self._state.program is None:
             return False
         self._state.runtime = Runtime.PLAYING
         return True
@@ -103,12 +111,17 @@ class Dashboard:
         self._state.power = Power.POWER_OFF
 
     def power_on(self) -> None:
-        """Switch the power on, brakes still on; this also releases an emergency stop."""
-        self._state.safety = Safety.NORMAL
-        if self._state.power is Power.POWER_OFF:
+        """Switch the power on, brakes still on. It releases no stop, and does nothing while a stop or a fault cuts the power."""
+        if self._state.power is Power.POWER_OFF and self._state.safety not in UNPOWERED:
             self._state.power = Power.IDLE
 
     def release_brakes(self) -> None:
         """Switch the power on and release the brakes."""
         self.power_on()
-        self._state.power = Power.RUNNING
+        if self._state.power is Power.IDLE:
+            self._state.power = Power.RUNNING
+
+    def restart_safety(self) -> None:
+        """End a violation or a fault; the arm stays without power."""
+        if self._state.safety in (Safety.VIOLATION, Safety.FAULT):
+            self._state.safety = Safety.NORMAL

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from itertools import chain, islice
 
 from hw.emulators.controller import Controller
-from hw.emulators.controller_state import ControllerState, Power, Runtime, Safety
+from hw.emulators.controller_state import EMERGENCY, FIT, ControllerState, Power, Runtime, Safety
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
 SEND_BUFFER = 65536
@@ -394,10 +394,6 @@ class UrWires:
 def status_bits(state: ControllerState) -> tuple[int, int]:
     """Return `robot_status_bits` and `safety_status_bits`."""
     robot = int(state.power >= Power.POWER_ON) | int(state.runtime is Runtime.PLAYING) << 1
-    match state.safety:
-        case Safety.NORMAL:
-            return robot, 0x001
-        case Safety.PROTECTIVE_STOP:
-            return robot, 0x404
-        case _:
-            return robot, 0x4C0
+    mode = 1 << (state.safety - 1 if state.safety <= Safety.ROBOT_EMERGENCY_STOP else state.safety)
+    stopped = state.safety not in (*FIT, Safety.RECOVERY)
+    return robot, mode | int(state.safety in EMERGENCY) << 7 | int(stopped) << 10

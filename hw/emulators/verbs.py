@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hw.emulators.controller_state import EMERGENCY, Safety
 from hw.emulators.hex_pty import Daq, Faults
 from hw.emulators.net_ft import BoxFaults
 from hw.emulators.rig import SAMPLE_S, Rig
@@ -137,11 +138,35 @@ def _slow_packets(rig: Rig, now_s: float, every: int, s: float) -> None:
 
 
 def _protective_stop(rig: Rig, now_s: float) -> None:
-    rig.controller.state.protective_stop(now_s)
+    rig.controller.state.pausing_stop(now_s, Safety.PROTECTIVE_STOP, "protective stop")
 
 
-def _emergency_stop(rig: Rig, now_s: float) -> None:
-    rig.controller.state.emergency_stop(now_s)
+def _emergency_stop(rig: Rig, now_s: float, on: bool = True, system: bool = False) -> None:
+    state = rig.controller.state
+    if on:
+        state.cutting_stop(now_s, Safety.SYSTEM_EMERGENCY_STOP if system else Safety.ROBOT_EMERGENCY_STOP, "emergency stop")
+    elif state.safety in EMERGENCY:
+        state.safety = Safety.NORMAL
+
+
+def _safeguard_stop(rig: Rig, now_s: float, on: bool = True, resume: bool = False) -> None:
+    state = rig.controller.state
+    if on:
+        state.pausing_stop(now_s, Safety.SAFEGUARD_STOP, "safeguard stop")
+    elif state.safety is Safety.SAFEGUARD_STOP:
+        state.safety = Safety.NORMAL
+        if resume:
+            rig.controller.dashboard.play()
+
+
+def _safety_fault(rig: Rig, now_s: float, violation: bool = False) -> None:
+    rig.controller.state.cutting_stop(now_s, Safety.VIOLATION if violation else Safety.FAULT, "safety fault")
+
+
+def _pendant(rig: Rig, now_s: float, press: str) -> None:
+    answer = rig.controller.dashboard.obey(press, now_s)
+    if answer is None or answer.startswith(("Cannot", "Failed")):
+        raise ValueError(answer or f"the pendant has no button {press!r}")
 
 
 def _power_off(rig: Rig, now_s: float) -> None:

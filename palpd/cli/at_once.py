@@ -18,7 +18,16 @@ from palpd.daemon.socket_client import ARM_PATIENCE_S, PATIENCE_S, NoDaemon, ask
 from palpd.errors import ConfigError, Refused
 
 if TYPE_CHECKING:
-    from palpd.daemon.socket_client import ControlAnswer, ControlRequest, JobSummary, KnownNow, KnownPlace, KnownProbe, ProposedRun
+    from palpd.daemon.socket_client import (
+        ControlAnswer,
+        ControlRequest,
+        JobSummary,
+        KnownNow,
+        KnownPlace,
+        KnownProbe,
+        KnownProtectiveStop,
+        ProposedRun,
+    )
 
 WATCH_EVERY_S = 0.5
 """Pause between two questions of `palpd status --watch`: what a person can read."""
@@ -129,6 +138,7 @@ def status_lines(answer: "ControlAnswer") -> list[str]:
     active = answer.get("active")
     if active:
         lines += [job_line(active), *proposal_lines(active["proposal"])]
+    lines += cause_lines(answer.get("protective", []))
     lines += probe_lines(answer.get("probe"), answer.get("place"))
     cell, last = answer.get("cell"), answer.get("last")
     if cell:
@@ -155,6 +165,18 @@ def now_lines(now: "KnownNow | None") -> list[str]:
         return []
     command = NEXT.get(now["next"] or "")
     return [f"{now['sentence']}{f' Next: {command}.' if command else ''}"]
+
+
+def cause_lines(stops: "Sequence[KnownProtectiveStop]") -> list[str]:
+    """Say what operators wrote down of protective stops.
+
+    Args:
+        stops: The last ones, as the daemon lists them.
+
+    Returns:
+        A line for each cause.
+    """
+    return [f"Protective stop of {stop['date']}: {stop['cause']}, written by {stop['by']}." for stop in stops if stop["cause"]]
 
 
 def probe_lines(probe: "KnownProbe | None", place: "KnownPlace | None") -> list[str]:

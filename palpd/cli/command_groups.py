@@ -10,8 +10,8 @@ GROUPS = {
     "Set up a cell": ("init", "check-config", "doctor", "calibrate", "stiffness", "free-motion", "train", "install", "migrate"),
     "Palpate": ("run", "map", "level-test", "retract"),
     "Run the service and speak to it": (
-        "serve", "web", "stream", "alarms", "status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job", "plans",
-        "controls",
+        "serve", "web", "stream", "alarms", "status", "arm", "start", "pause", "resume", "abort", "clear", "recover-robot", "jobs", "job",
+        "plans", "controls",
     ),
     "Look back at runs": ("runs", "info", "report", "replay", "export", "recover"),
     "Use recordings of any machine": ("import", "cell-from", "analyse"),

@@ -173,10 +173,18 @@ def adopted_folder(adopted: bool) -> Path | None:
 
 
 def clear_latch(config: "Config") -> None:
-    """Clear the latch of the last stop and show what it was: who starts a run in the foreground is the operator who may."""
-    from palpd.daemon.stored_state import State
+    """Clear the latch of the last stop and show what it was: who starts a run in the foreground is the operator who may.
 
-    latch = State(config.paths.state).clear_latch()
+    Raises:
+        Refused: The cause of a protective stop must be written down first.
+    """
+    from palpd.daemon.stored_state import State
+    from palpd.errors import Refused
+
+    state = State(config.paths.state)
+    if asked := state.protective_stops().cause_asked:
+        raise Refused(f"{asked}; palpd recover-robot asks for it")
+    latch = state.clear_latch()
     if latch is not None:
         terminal().print(f"The last run was stopped on {latch.date}: {latch.reason}. This start clears it.", style="yellow")
 

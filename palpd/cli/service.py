@@ -28,7 +28,7 @@ from palpd.file_kinds import JSON, YAML
 from palpd.files import check_folder, check_socket, write_json
 
 if TYPE_CHECKING:
-    from palpd.daemon.socket_client import JobSummary
+    from palpd.daemon.socket_client import ControlRequest, JobSummary
 
 PAGE_PORT = 8700
 """Port of the operator's page, unless `--port` names another."""
@@ -39,13 +39,13 @@ def serve(config: ConfigOption = DEFAULT_CONFIG) -> None:
     """Run the daemon: connect, wait disarmed, obey the control socket."""
     from palpd.daemon.logs import configure
     from palpd.daemon.service import Service
-    from palpd.daemon.wiring import devices
+    from palpd.daemon.wiring import devices, open_controller
 
     settings = settings_of(config)
     check_kept(settings)
     check_socket(settings.paths.control_socket)
     configure()
-    Service(settings, devices).serve()
+    Service(settings, devices, open_controller).serve()
 
 
 @app.command(examples=["palpd web --config cell/config.yaml --plan cell/plan.yaml"])
@@ -152,10 +152,40 @@ def abort(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) ->
     at_once.abort(config, socket)
 
 
-@app.command(examples=["palpd clear --config cell/config.yaml"])
-def clear(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None) -> None:
+@app.command(examples=["palpd clear --config cell/config.yaml", "palpd clear --cause 'the tool touched the frame'"])
+def clear(
+    config: ConfigOption = DEFAULT_CONFIG,
+    socket: SocketOption = None,
+    cause: Annotated[
+        str | None, typer.Option("--cause", metavar="TEXT", help="what caused the last protective stop; kept with the time")
+    ] = None,
+) -> None:
     """Clear the latch of the last stop, after looking at the cell."""
-    print(at_once.speak({"do": "clear"}, config, socket)["state"])
+    request: ControlRequest = {"do": "clear"} if cause is None else {"do": "clear", "cause": cause}
+    print(at_once.speak(request, config, socket)["state"])
+
+
+@app.command(
+    "recover-robot",
+    examples=["palpd recover-robot --config cell/config.yaml", "palpd recover-robot --config cell/config.yaml --json robot.json"],
+)
+def recover_robot(config: ConfigOption = DEFAULT_CONFIG, socket: SocketOption = None, json_file: JsonOption = None) -> None:
+    """Lead back after a stop of the robot: what its controller says, the next step at the pendant; then ask to acknowledge and to arm.
+
+    It moves nothing and sends the controller no command. Without a terminal it says once what stands, and ends with 2 unless the robot is
+    ready.
+    """
+    from palpd.cli.recovery import recovered, recovered_alone
+    from palpd.daemon.socket_client import NoDaemon
+
+    try:
+        end = recovered(socket or at_once.control_socket(config))
+    except NoDaemon:
+        if socket is not None:
+            raise
+        end = recovered_alone(settings_of(config))
+    write_json(json_file, end.answer)
+    finish(end.exit_code, end.reason)
 
 
 @app.command(examples=["palpd jobs --config cell/config.yaml"])

@@ -286,8 +286,8 @@ _SENTENCES = {
     Trip.SENSOR_FROZEN: "{m:.0f} frames of the force sensor were equal to the last digit; it is stuck",
     Trip.SENSOR_REJECTS: "{m:.0f} sensor frames were rejected lately, expected at most {l:.0f}; check cable and other readers of the port",
     Trip.ROBOT_STALE: "the robot's newest state was {m:.3f} s old, expected at most {l:g} s; check the network",
-    Trip.ROBOT_MODE: "robot mode is {m:.0f}, expected {l:.0f} (running); power the arm on and release its brakes",
-    Trip.SAFETY_MODE: "safety mode is {m:.0f}, expected {l:.0f} (normal); clear it on the pendant",
+    Trip.ROBOT_MODE: "robot mode was {name}, expected RUNNING; power the arm on and release its brakes",
+    Trip.SAFETY_MODE: "safety mode was {name}, expected NORMAL; clear it at the pendant",
     Trip.PROGRAM_STOPPED: "the control program is in state {m:.0f}, expected {l:.0f} (playing): stopped, or its watchdog starved",
     Trip.CONNECTION: "the connection to the robot was lost",
     Trip.NOT_FINITE: "a number that is not finite came from a device or a model",
@@ -297,8 +297,14 @@ _SENTENCES = {
     Trip.SUPERVISOR: "the supervising process is gone",
     Trip.DEVICE: "a device failed; the reason of the run says how",
 }
+_MODES: dict[Trip, dict[float, str]] = {
+    Trip.ROBOT_MODE: {mode: mode.name for mode in RobotMode},
+    Trip.SAFETY_MODE: {mode: mode.name for mode in SafetyMode},
+}
 
 
 def sentence(verdict: Verdict) -> str:
     """Say in one sentence why the guard interfered."""
-    return _SENTENCES.get(verdict.trip, "the guard interfered").format(m=verdict.measured, l=verdict.limit)
+    named = _MODES.get(verdict.trip, {})
+    name = named.get(verdict.measured, f"{verdict.measured:.0f}")
+    return _SENTENCES.get(verdict.trip, "the guard interfered").format(m=verdict.measured, l=verdict.limit, name=name)

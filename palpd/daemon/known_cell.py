@@ -7,12 +7,16 @@ import numpy as np
 
 from palpd.control.plan_place import PlanPlace, question
 from palpd.control.probe_state import ProbeAnswer, ProbeState
-from palpd.daemon.socket_client import KnownPlace, KnownProbe
+from palpd.daemon.robot_stops import ControllerSeen, ProtectiveStops
+from palpd.daemon.socket_client import KnownPlace, KnownProbe, KnownProtectiveStop
 from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.supervisor import Report
 from palpd.errors import ConfigError
+from palpd.tick import SafetyMode
 
 Kept = TypeVar("Kept")
+SHOWN_STOPS = 5
+"""Number of protective stops in the status."""
 
 
 class KnownCell:
@@ -53,6 +57,33 @@ class KnownCell:
         """Forget the stop, for an operator."""
         self._unkept = None
         self._state.clear_latch()
+
+    def see_controller(self, seen: ControllerSeen) -> bool:
+        """Note whether the controller is in a protective stop. Returns whether one has begun."""
+        if not seen.connected:
+            return False
+        kept = self._state.protective_stops()
+        stands = seen.safety_mode == SafetyMode.PROTECTIVE_STOP
+        changed = kept.begin(now(), moved=False) if stands else kept.end(now())
+        if changed == kept or kept.damaged:
+            return False
+        self._state.keep("protective", changed)
+        return stands
+
+    def write_cause(self, cause: object, by: str) -> None:
+        """Write down the cause of the last protective stop, for an operator. Raises BadInput and Refused."""
+        self._state.keep("protective", self._state.protective_stops().with_cause(cause, by, now()))
+
+    @property
+    def protective_stops(self) -> ProtectiveStops:
+        """The last protective stops of the robot."""
+        return self._state.protective_stops()
+
+    @property
+    def protective(self) -> list[KnownProtectiveStop]:
+        """The newest of them as the status holds them, the newest first."""
+        newest = self.protective_stops.stops[: -SHOWN_STOPS - 1 : -1]
+        return [KnownProtectiveStop(date=each.date, over=each.over, cause=each.cause, by=each.by, written=each.written) for each in newest]
 
     @property
     def probe(self) -> tuple[ProbeAnswer, str] | None:

@@ -30,6 +30,7 @@ from palpd.daemon.motion_job import BEGIN_LOADED, JUDGE_TARE, Job, explainer_of,
 from palpd.daemon.probe_record import evidence_of
 from palpd.daemon.realtime import DEVICE_PRIORITY, fifo, populate, realtime
 from palpd.daemon.rehearsal import rehearse, short
+from palpd.daemon.robot_stops import ROBOT_STOPS
 from palpd.errors import PalpdError, Refused, Stopped
 from palpd.recording.header import RunAbout
 from palpd.recording.ring import LoopState, Ring
@@ -176,6 +177,8 @@ def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Calla
             findings, probe = judged(devices, job.config, job.watch_s, job.probe)
             pipe.send(Observed(devices.about, tuple(findings), probe))
             return
+        if job.kind == "check" and devices.takes_programs is False:
+            raise Refused(ROBOT_STOPS["local"].reason)
         explainer = explainer_of(job, devices.about, devices.about["delay_s"])
         if job.reference is None:
             explainer.reference = take_reference(devices)

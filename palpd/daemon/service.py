@@ -12,14 +12,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Literal, cast, get_args
 
+import numpy as np
 import structlog
 
 from palpd.config import Config, Plan, parse_plan
 from palpd.control.plan_place import ANSWERS, Choice, question
 from palpd.daemon.arming import Arming
 from palpd.daemon.control_socket import ControlSocket, Later, Watching
+from palpd.daemon.controller_watch import ControllerWatch
 from palpd.daemon.controls import Controls
-from palpd.daemon.devices import Build
+from palpd.daemon.devices import Build, OpenController
 from palpd.daemon.interrupts import held, received, shielded
 from palpd.daemon.jobs import Jobs
 from palpd.daemon.kept_plans import KeptPlans
@@ -28,6 +30,7 @@ from palpd.daemon.motion_job import STILL_KINDS, Job
 from palpd.daemon.overshoot import refuse_together
 from palpd.daemon.pausing import Pausing
 from palpd.daemon.programs import program_named
+from palpd.daemon.robot_stops import ROBOT_STOPS, ControllerSeen, stop_of
 from palpd.daemon.run_reports import RunReports
 from palpd.daemon.run_under_way import RunUnderWay, depth_m
 from palpd.daemon.session import job as checked_job
@@ -38,7 +41,7 @@ from palpd.daemon.supervisor import Report, recording_name
 from palpd.daemon.what_now import LOOKS, Action, Standing, what_now
 from palpd.errors import BadInput, PalpdError, Refused
 from palpd.recording.ring import LoopState, Ring
-from palpd.tick import Phase, Request
+from palpd.tick import Phase, Request, Trip
 
 POLL_S = 0.02
 """Longest wait for a request before the run is polled again."""
@@ -61,6 +64,10 @@ NEEDS_CONTROLS = (
 """Requests of whoever holds the controls. Everyone may ask for the status and abort."""
 STANDS_FOR: Mapping[str, Action] = {"calibrate": "calibrate", "doctor": "check", "recover": "recover"}
 """The button that a program has; the others have that of a start, since they move the arm."""
+ROBOT_TRIPS = {
+    each.name for each in (Trip.ROBOT_STALE, Trip.ROBOT_MODE, Trip.SAFETY_MODE, Trip.PROGRAM_STOPPED, Trip.CONNECTION, Trip.DEVICE)
+}
+"""Trips after which the controller may have something to say."""
 WATCHDOG_S = 0.5
 """Period of feeding the watchdog of systemd: a small part of WatchdogSec in the unit."""
 
@@ -70,9 +77,12 @@ class Service:
 
     Before it arms, the service checks the real devices: it reads them and commands nothing. It also checks them once at the start, for
     the log; if a device is absent, it keeps running.
+
+    After a stop of the robot it reads what the controller says, with `open_controller`; without that it reads nothing. It commands nothing
+    either: an operator does the steps at the pendant. When they are done, it looks at robot and sensor again where it must.
     """
 
-    def __init__(self, config: Config, build: Build) -> None:
+    def __init__(self, config: Config, build: Build, open_controller: OpenController | None = None) -> None:
         self._config = config
         self._state = State(config.paths.state)
         with shielded():
@@ -80,6 +90,8 @@ class Service:
         self._run = RunUnderWay(build, self._ring, self._state)
         self._arming, self._pausing, self._jobs = Arming(), Pausing(), Jobs(config)
         self._known = KnownCell(self._state)
+        self._watch = ControllerWatch(config, open_controller) if open_controller is not None else None
+        self._seen: ControllerSeen | None = None
         self._controls = Controls()
         self._plans = KeptPlans(config.paths.state / "plans")
         self._reports = RunReports(config.paths.runs)
@@ -98,16 +110,14 @@ class Service:
             latch = self._known.latch
             self._log.info("ready", socket=str(self._config.paths.control_socket), latched=latch.reason if latch else None)
             _notify("READY=1")
-            try:
-                self._begin_run(measured_job("check", self._config, Plan(), dry=True), "check")
-            except PalpdError as error:
-                self._log.warning("not checked", reason=str(error))
+            self._check()
             fed_s, ticks = 0.0, -1
             try:
                 while not self._ending.is_set() or self._run.current is not None:
                     control.poll(POLL_S)
                     self._poll_run()
                     self._poll_job()
+                    self._poll_controller()
                     self._pausing.poll(self._run)
                     self._reports.poll(busy=self._run.current is not None or self._arming.armed)
                     self._publish(control)
@@ -120,6 +130,8 @@ class Service:
                 _notify("STOPPING=1")
                 self._jobs.close()
                 self._reports.close()
+                if self._watch is not None:
+                    self._watch.end()
                 control.close()
                 self._free_ring()
 
@@ -178,6 +190,7 @@ class Service:
             "cell": self._arming.cell,
             "probe": known_probe(*probe) if probe is not None else None,
             "place": self._known.place,
+            "protective": self._known.protective,
             "controls": self._controls.holder(time.monotonic()),
             "ring": self._ring.name,
             "active": self._jobs.current.summary if self._jobs.current is not None else None,
@@ -216,6 +229,9 @@ class Service:
             fault=self._arming.fault,
             question=self._known.question,
             last=last.reason if stopped and last is not None else "",
+            stop=self._watch.stop if self._watch is not None else None,
+            stop_reason=self._seen.reason if self._seen is not None else "",
+            cause=self._known.protective_stops.cause_asked,
         )
 
     def _refuse(self, action: Action) -> None:
@@ -233,6 +249,13 @@ class Service:
         if self._run.current is None:  # a check that is under way serves an arm too
             self._begin_run(measured_job("check", self._config, Plan(), dry=True), "check")
         return self._arming.wait(arm)
+
+    def _check(self) -> None:
+        """Look at robot and sensor without being asked; a state folder that is damaged prevents it, and is said in the log."""
+        try:
+            self._begin_run(measured_job("check", self._config, Plan(), dry=True), "check")
+        except PalpdError as error:
+            self._log.warning("not checked", reason=str(error))
 
     def _start(self, request: ControlRequest) -> ControlAnswer:
         self._refuse("start")
@@ -259,6 +282,8 @@ class Service:
     def _begin_run(self, work: Job, name: str) -> None:
         """Start a run or a check: it spends the arming."""
         self._arming.armed = self._pausing.asked = False
+        if self._watch is not None and work.moves:  # the run reads the controller itself
+            self._watch.end()
         self._run.begin(work, name)
 
     def _change_plans(self, request: ControlRequest) -> ControlAnswer:
@@ -323,11 +348,42 @@ class Service:
         self._jobs.abort()
         return {"state": "aborting" if self._run.current is not None else "disarmed"}
 
-    def _clear(self, _: ControlRequest) -> ControlAnswer:
+    def _clear(self, request: ControlRequest) -> ControlAnswer:
+        """Clear the latch: the operator's word that the cell was looked at. The cause of a protective stop is written down with it."""
         self._refuse("clear")
+        cause, asked = request.get("cause"), self._known.protective_stops.cause_asked
+        if asked and cause is None:
+            raise Refused(f"{asked}; palpd clear --cause TEXT does it")
+        if cause is not None:
+            by = self._controls.asking(time.monotonic())
+            self._known.write_cause(cause, by)
+            self._log.info("cause of a protective stop written", cause=cause, by=by)
         self._known.clear()
         self._log.info("cleared")
         return {"state": "disarmed"}
+
+    def _poll_controller(self) -> None:
+        """Take in what the controller says after a stop. When the arm may move again, look at the devices where that is sensible next."""
+        if self._watch is None:
+            return
+        self._watch.poll()
+        seen, before = self._watch.seen, self._seen
+        if seen == before:
+            return
+        self._seen, stop = seen, self._watch.stop
+        if seen is None:
+            return
+        self._arming.armed &= stop is None
+        try:
+            if self._known.see_controller(seen):
+                self._log.warning("protective stop", cause_asked=self._known.protective_stops.cause_asked)
+        except PalpdError as error:  # it could not be written, so a cause may never be asked for
+            self._known.hold(str(error))
+        if before is None or stop_of(before) != stop:
+            self._log.info("controller", stop=stop, says=ROBOT_STOPS[stop].says if stop is not None else "the arm may move")
+        ended = before is not None and stop_of(before) is not None and stop is None and not self._ending.is_set()
+        if ended and what_now(self._standing).next == "check":  # it moves nothing, so nobody has to ask for it
+            self._check()
 
     def _poll_run(self) -> None:
         if self._run.current is None:  # nothing else may hold it: where it fails, its motion process stops the arm as soon as it is gone
@@ -342,7 +398,10 @@ class Service:
             self._known.hold(report.reason)
         if report is None:
             return
-        self._known.note(report, self._run.newest())
+        newest = self._run.newest()
+        self._known.note(report, newest)
+        if self._watch is not None and robot_may_be_out(report):
+            self._watch.begin(last_seen(report, newest))
         self._run.current = None
         if job.kind == "check":
             self._arming.checked(report, tared=job.reference is not None)
@@ -356,6 +415,22 @@ class Service:
     def _free_ring(self) -> None:
         self._ring.unlink()
         self._ring.close()
+
+
+def robot_may_be_out(report: Report) -> bool:
+    """Whether a run or a check ended so that the controller may have stopped the arm: by its state, or before any device answered."""
+    return report.verdict != "done" and (not report.trips or any(trip["trip"] in ROBOT_TRIPS for trip in report.trips))
+
+
+def last_seen(report: Report, newest: np.void | None) -> ControllerSeen | None:
+    """What the last tick saw of the controller; None where it says nothing. The program that it saw has ended with the run.
+
+    Args:
+        newest: The last tick; None where none was sent.
+    """
+    if newest is None or not any(trip["trip"] in ROBOT_TRIPS for trip in report.trips):
+        return None
+    return ControllerSeen(bool(newest["connected"]), int(newest["robot_mode"]), int(newest["safety_mode"]))
 
 
 def _plan_of(request: ControlRequest, config: Config) -> Plan:

@@ -50,6 +50,7 @@ class ControlRequest(TypedDict):
     number: NotRequired[object]
     agree: NotRequired[object]
     was: NotRequired[object]
+    cause: NotRequired[object]
     rehearsal: NotRequired[object]
 
 
@@ -91,10 +92,30 @@ class KnownObstacle(TypedDict):
     way: str | None
 
 
+class KnownStop(TypedDict):
+    """What the controller says where the arm may not move, the next step at the pendant, and how it is seen to be done."""
+
+    name: str
+    says: str
+    step: str
+    done: str
+
+
+class KnownProtectiveStop(TypedDict):
+    """A protective stop: when it was seen, when it was over, and its cause as an operator wrote it down."""
+
+    date: str
+    over: str
+    cause: str
+    by: str
+    written: str
+
+
 class KnownNow(TypedDict):
     """What stands: `state` for programs, `word` and `sentence` for people; what is sensible `next`, and why the rest is impossible.
 
-    `question` says why a start must answer first where its sites count from.
+    `question` says why a start must answer first where its sites count from, `cause` why a clear must write down a cause. `stop` is what
+    the controller says.
     """
 
     state: str
@@ -103,6 +124,8 @@ class KnownNow(TypedDict):
     next: str | None
     obstacles: dict[str, KnownObstacle]
     question: str | None
+    cause: str | None
+    stop: KnownStop | None
 
 
 class ForceLimits(TypedDict):
@@ -203,6 +226,7 @@ class ControlAnswer(TypedDict, total=False):
     depth_m: float | None
     tick: int
     last: LastRun
+    protective: list[KnownProtectiveStop]
     controls: str | None
     ring: str
     active: JobSummary | None

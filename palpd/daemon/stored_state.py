@@ -1,4 +1,4 @@
-"""What survives a restart: reference tare, stiffness of the machine, latch of the last stop, an unfinished contact. One JSON file each."""
+"""What survives a restart: reference tare, stiffness of the machine, latch, protective stops, unfinished contact. One JSON file each."""
 
 import datetime
 import math
@@ -10,6 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from palpd.control.plan_place import PlanPlace
 from palpd.control.probe_state import ContactMarker, LevelTested, ProbeIdentity
+from palpd.daemon.robot_stops import ProtectiveStops
 from palpd.documents import read_json
 from palpd.errors import BadInput, ConfigError, Refused
 from palpd.files import write_json
@@ -66,7 +67,7 @@ class Latch:
     date: str
 
 
-Kept = TypeVar("Kept", Calibration, MachineStiffness, ContactMarker, LevelTested, PlanPlace)
+Kept = TypeVar("Kept", Calibration, MachineStiffness, ContactMarker, LevelTested, PlanPlace, ProtectiveStops)
 _ADAPTERS: dict[str, TypeAdapter[Any]] = {}
 """What reads each file: one takes 10 ms to make, and the service reads these files several times a second."""
 
@@ -120,7 +121,19 @@ class State:
         """Where the sites of the last palpation counted from."""
         return self._kept("place", PlanPlace, "no place of a plan; delete it, and start where the sites shall count from")
 
-    def keep(self, name: str, thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested | PlanPlace) -> None:
+    def protective_stops(self) -> ProtectiveStops:
+        """The last protective stops of the robot; a file that cannot be read asks for a cause."""
+        try:
+            return self._kept("protective", ProtectiveStops, "no protective stops") or ProtectiveStops()
+        except ConfigError:
+            path = self.folder / "protective.json"
+            return ProtectiveStops(
+                damaged=f"the protective stops kept in {path} cannot be read, so the cause of the last one must be written down"
+            )
+
+    def keep(
+        self, name: str, thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested | PlanPlace | ProtectiveStops
+    ) -> None:
         """Write a state file so that a crash leaves the old file or the new one, never half of it.
 
         Args:

@@ -24,6 +24,7 @@ from palpd.daemon.interrupts import shielded
 from palpd.daemon.motion_job import BEGIN_LOADED, Job, Kind
 from palpd.daemon.motion_process import CALLED_OFF, GO, Ended, Failed, Message, Observed, Opened, ReferenceTaken, TripReport
 from palpd.daemon.realtime import DEVICE_PRIORITY
+from palpd.daemon.robot_stops import protective
 from palpd.daemon.run_header import header_of, place_of
 from palpd.daemon.silence import explained
 from palpd.daemon.socket_client import LastRun, LastTick
@@ -474,6 +475,8 @@ class JobRun:
             stands = self.job.kind in BEGIN_LOADED and self._state.latch() is not None  # the reason of the stop before stays
             if not stands and (died or any(Trip[trip["trip"]] not in UNLATCHED for trip in report.trips)):
                 self._state.keep("latch", Latch(report.reason, now()))
+        if protective(report.trips):
+            self._state.keep("protective", self._state.protective_stops().begin(now(), moved=self.job.moves))
         last_ticks = last_ticks_of(self._rows(LAST_TICKS)) if report.exit_code == 3 else ()
         if loop is not None and loop.place is not None and report.verdict == "done":
             self._state.keep("place", replace(loop.place, returned=True))

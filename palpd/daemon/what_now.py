@@ -7,15 +7,18 @@ An obstacle is a fact. Its `way` is the button that leads out: the page shows th
 
 What was seen of the probe may be old: somebody may have moved the arm since. So the requests of `LOOKS`, which look at the devices before
 they do anything, are judged without it. The others wait for a new look (Check, `palpd doctor`).
+
+What the controller says after a stop is read all the time, so it counts for all: what to do at the pendant comes first (`robot_stops`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 from palpd.control.probe_state import ProbeAnswer, ProbeState
 from palpd.daemon.motion_job import Kind
-from palpd.daemon.socket_client import KnownNow, KnownObstacle
+from palpd.daemon.robot_stops import ROBOT_STOPS, StopName
+from palpd.daemon.socket_client import KnownNow, KnownObstacle, KnownStop
 from palpd.tick import Phase
 
 Action = Literal["check", "arm", "start", "pause", "resume", "retract", "level-test", "calibrate", "clear", "decide", "recover"]
@@ -28,12 +31,18 @@ PAUSES: tuple[Kind, ...] = ("palpation", "free_motion", "stiffness")
 GOES_UP: tuple[Kind, ...] = ("retract", "level_test")
 READS: Mapping[Kind, str] = {"calibrate": "The reference tare is taken", "observe": "Robot and sensor are watched"}
 
-State = Literal["checking", "waiting", "paused", "running", "latched", "pressed", "untared", "unknown", "unready", "armed", "disarmed"]
+MOVES_OR_FOLLOWS: tuple[Action, ...] = ("arm", "start", "retract", "level-test", "clear")
+"""What waits for the steps at the pendant: motions, and the acknowledgement that they are done."""
+
+State = Literal[
+    "checking", "waiting", "paused", "running", "robot", "latched", "pressed", "untared", "unknown", "unready", "armed", "disarmed"
+]
 WORDS: Mapping[State, str] = {
     "checking": "Checking",
     "waiting": "Waiting for you",
     "paused": "Paused",
     "running": "Running",
+    "robot": "Robot stopped",
     "latched": "Stopped",
     "pressed": "In the tissue",
     "untared": "No reference",
@@ -96,6 +105,9 @@ class Standing:
         fault: Why the last check found the devices not ready.
         question: Why a start must say first where its sites count from.
         last: How the last run ended, where it was not done.
+        stop: What the controller says where the arm may not move.
+        stop_reason: Why no state comes from the controller.
+        cause: Why a clear must write down the cause of a protective stop; empty where it need not.
     """
 
     armed: bool = False
@@ -117,6 +129,9 @@ class Standing:
     fault: str = ""
     question: str | None = None
     last: str = ""
+    stop: StopName | None = None
+    stop_reason: str = ""
+    cause: str = ""
 
     @property
     def checking(self) -> bool:
@@ -148,18 +163,33 @@ class Now:
     next: Action | None
     obstacles: Mapping[Action, Obstacle] = field(default_factory=dict)
     question: str | None = None
+    cause: str | None = None
+    stop: StopName | None = None
+
+    @property
+    def word(self) -> str:
+        """The state in a word or two."""
+        return ROBOT_STOPS[self.stop].word if self.state == "robot" and self.stop is not None else WORDS[self.state]
 
     @property
     def published(self) -> KnownNow:
         """As the status holds it."""
         return KnownNow(
             state=self.state,
-            word=WORDS[self.state],
+            word=self.word,
             sentence=self.sentence,
             next=self.next,
             obstacles={name: KnownObstacle(reason=each.reason, way=each.way) for name, each in self.obstacles.items()},
             question=self.question,
+            cause=self.cause,
+            stop=known_stop(self.stop) if self.stop is not None else None,
         )
+
+
+def known_stop(name: StopName) -> KnownStop:
+    """What the controller says, as the status holds it."""
+    stop = ROBOT_STOPS[name]
+    return KnownStop(name=name, says=stop.says, step=stop.step, done=stop.done)
 
 
 def what_now(standing: Standing) -> Now:
@@ -180,12 +210,14 @@ def what_now(standing: Standing) -> Now:
     }
     state = _state(standing)
     question = standing.question if state in ("armed", "disarmed") else None
-    return Now(state, _sentence(standing, state), _next(standing, obstacles), obstacles, question)
+    stop = standing.stop if state == "robot" else None
+    cause = standing.cause or None if state in ("latched", "pressed") else None
+    return Now(state, _sentence(standing, state), _next(standing, obstacles), obstacles, question, cause, stop)
 
 
 def _next(standing: Standing, obstacles: Mapping[Action, Obstacle]) -> Action | None:
-    """The button that is sensible next; None where only time helps."""
-    if standing.checking:
+    """The button that is sensible next; None where only time, or a step at the pendant, helps."""
+    if standing.checking or (standing.stop is not None and not standing.busy):
         return None
     if not standing.busy:
         return _sensible(standing)
@@ -204,6 +236,8 @@ def _obstacle(action: Action, standing: Standing) -> Obstacle | None:
         return Obstacle("another client is arming the daemon")
     if standing.checking and action not in ("arm", "clear"):
         return Obstacle("the devices are being checked, which takes some seconds")
+    if standing.stop is not None and action in MOVES_OR_FOLLOWS:
+        return Obstacle(ROBOT_STOPS[standing.stop].reason)
     match action:
         case "arm":
             return _arm_obstacle(standing)
@@ -228,6 +262,8 @@ def _arm_obstacle(standing: Standing) -> Obstacle | None:
     way = _sensible(standing)
     if standing.latch is not None:
         return Obstacle(f"the last run was stopped on {standing.latch[0]}: {standing.latch[1]}", way)
+    if standing.cause:
+        return Obstacle(standing.cause, way)
     if not standing.reference:
         return Obstacle("there is no reference tare", way)
     obstacle = _probe_obstacle(standing, "move")
@@ -273,7 +309,9 @@ def _state(standing: Standing) -> State:
         return "checking"
     if standing.busy:
         return "waiting" if standing.proposal else "paused" if standing.phase == Phase.PAUSED else "running"
-    if standing.latch is not None:
+    if standing.stop is not None:
+        return "robot"
+    if standing.latch is not None or (standing.cause and not standing.pressed):
         return "latched"
     if standing.pressed:
         return "pressed"
@@ -293,7 +331,7 @@ def _sensible(standing: Standing) -> Action:
         return "check"
     if doubt and _way_out(standing) != "level-test":
         return _way_out(standing)
-    if standing.latch is not None:
+    if standing.latch is not None or standing.cause:
         return "clear"
     if not standing.reference:
         return "calibrate"
@@ -308,10 +346,17 @@ def _sentence(standing: Standing, state: State) -> str:
     if standing.busy:
         return _doing(standing)
     facts = []
+    if standing.stop is not None:
+        stop, why = ROBOT_STOPS[standing.stop], f" ({standing.stop_reason})" if standing.stop_reason else ""
+        facts = [f"{stop.says}{why}", f"at the pendant: {stop.step}"]
+        facts += ["the probe is in the tissue: the retract comes after that"] if standing.pressed else []
+        return _sentences(facts)
     if standing.latch is not None:
         facts.append(standing.latch[1])
     elif standing.last:
         facts.append(f"the last run was stopped: {standing.last}")
+    if standing.cause:
+        facts.append(standing.cause)
     probe = standing.probe
     if standing.fault and not standing.pressed:
         facts.append(standing.fault)
@@ -328,6 +373,10 @@ def _sentence(standing: Standing, state: State) -> str:
         facts.append("the next start moves the arm" + (", once you have said where its sites count from" if standing.question else ""))
     elif state == "disarmed":
         facts.append("the probe is free, and nothing moves" if probe is not None else "nothing moves")
+    return _sentences(facts)
+
+
+def _sentences(facts: Sequence[str]) -> str:
     return " ".join(f"{fact[:1].upper()}{fact[1:].removesuffix('.')}." for fact in facts)
 
 

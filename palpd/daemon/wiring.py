@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from hw.muted import MutedRobot
 from palpd.config import Config
-from palpd.daemon.devices import Devices
+from palpd.daemon.devices import ControllerReader, Devices
 from palpd.documents import nearest
 from palpd.errors import ConfigError
 from palpd.plugins import Plugin, plugins
@@ -23,6 +23,9 @@ ROBOTS = {"ur-rtde": "hw.rtde:UR_RTDE"}
 """Our own drivers. Those of other packages are entry points of `palpd.sensors` and `palpd.robots`."""
 ARRIVAL_MARGIN_S = 0.001
 """The grid of ticks begins this long after a robot state arrives, so that every tick finds a fresh one."""
+
+CONTROLLER_RATE_HZ = 25.0
+"""Rate at which a controller is read after a stop: for people, and cheap for this computer and the controller."""
 
 
 def devices(config: Config, muted: bool) -> Devices:
@@ -63,7 +66,7 @@ def devices(config: Config, muted: bool) -> Devices:
         "delay_s": sensor.delay_s,
         "epoch_offset_s": time.time() - time.monotonic(),
     }
-    return Devices(robot, sensor, first_tick_s, about)
+    return Devices(robot, sensor, first_tick_s, about, kind.takes_programs(config.robot) if muted else None)
 
 
 def open_reader(config: Config) -> StateReader:
@@ -71,6 +74,13 @@ def open_reader(config: Config) -> StateReader:
     kind = robot_kind(config)
     kind.require()
     return kind.open_reader(config.robot)
+
+
+def open_controller(config: Config) -> ControllerReader:
+    """What reads the robot's controller after a stop. Raises BadInput or RobotError."""
+    slow = config.model_copy(update={"robot": config.robot.model_copy(update={"rate_Hz": min(config.robot.rate_Hz, CONTROLLER_RATE_HZ)})})
+    kind = robot_kind(slow)
+    return ControllerReader(open_reader(slow), lambda: kind.takes_programs(slow.robot))
 
 
 def open_sensor(config: Config) -> SensorDriver:

@@ -22,7 +22,7 @@ KEYS = {
     "resume": ("lease",),
     "retract": ("lease",),
     "level-test": ("lease",),
-    "clear": ("lease",),
+    "clear": ("lease", "cause"),
     "take": ("name", "force"),
     "renew": ("lease",),
     "release": ("lease",),

@@ -337,6 +337,13 @@ STATES = [
         "Level test",
     ),
     ("unready", replace(FREE, fault="no sensor answers; run palpd calibrate then"), "Not ready", "answers; Calibrate then.", "Check"),
+    (
+        "robot",
+        replace(LATCHED, stop="protective_stop", probe=PRESSED, unfinished=True),
+        "Protective stop",
+        "At the pendant: read its message, remove what the arm pushes against, wait 5 s, then press Enable Robot.",
+        None,
+    ),
     ("checking", replace(FREE, run="check"), "Checking", "Robot and sensor are being checked", None),
 ]
 SIZES = [(1400, 900), (768, 1024), (390, 844)]
@@ -406,6 +413,26 @@ def test_where_sites_count_from_is_chosen_beside_the_start(scene: Scene) -> None
     until(lambda: scene.service.asked("start"), "the plan starts", PATIENCE_S)
     assert scene.service.asked("start")[0]["place"] == "return"
     page.screenshot(path=str(scene.shots / "place.png"))
+
+
+@pytest.mark.parametrize(("size", "scheme"), [((1400, 900), "light"), ((768, 1024), "dark")], ids=["wide", "narrow"])
+def test_the_cause_of_a_second_protective_stop_is_written_beside_the_clear(scene: Scene, size: tuple[int, int], scheme: str) -> None:
+    page = scene.open(scheme=scheme, size=size)
+    assert not page.is_visible("#cause")
+    asks = "a protective stop came within 60 s after the one before, so its cause must be written down"
+    earlier = {"date": "2026-07-14T10:14:02+02:00", "over": "", "cause": "the tool touched the frame", "by": "anna", "written": ""}
+    scene.service.stand(replace(LATCHED, cause=asks), protective=[earlier | {"date": "2026-07-14T10:15:02+02:00", "cause": ""}, earlier])
+    until_text(page, "#doing", asks[1:])
+    assert page.is_visible("#cause")
+    until_text(page, "#fault-notes", "protective stop of 2026-07-14 at 10:14:02: the tool touched the frame, written by anna")
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "nothing stands outside of the screen"
+    page.fill("#cause", "a cable is too short")
+    page.screenshot(path=str(scene.shots / f"cause-{size[0]}-{scheme}.png"))
+    page.click("[data-do=clear]")
+    until(lambda: scene.service.asked("clear"), "the stop is acknowledged", PATIENCE_S)
+    assert scene.service.asked("clear")[0]["cause"] == "a cable is too short"
+    scene.service.stand(FREE)
+    page.wait_for_selector("#cause", state="hidden")
 
 
 def test_a_service_that_dies_leaves_no_refusal_behind_and_comes_back_in_contact(scene: Scene) -> None:

@@ -360,6 +360,13 @@ def test_every_trip_has_a_sentence_with_its_numbers(trip: Trip) -> None:
     assert "{" not in text
 
 
+def test_a_mode_is_said_by_its_name_where_it_has_one() -> None:
+    sentences = [sentence(Verdict(STOP, Action.STOP, Trip.SAFETY_MODE, mode, 1.0)) for mode in (3.0, 13.0)]
+    assert "was PROTECTIVE_STOP, expected NORMAL" in sentences[0]
+    assert "was 13, expected NORMAL" in sentences[1]
+    assert "was POWER_OFF, expected RUNNING" in sentence(Verdict(STOP, Action.STOP, Trip.ROBOT_MODE, 3.0, 7.0))
+
+
 numbers = st.floats(allow_nan=True, allow_infinity=True)
 
 

@@ -21,6 +21,7 @@ from palpd.control.probe_state import ProbeAnswer, ProbeState
 from palpd.daemon.control_socket import Later
 from palpd.daemon.install import UNITS, installed, unit_python
 from palpd.daemon.motion_job import Job
+from palpd.daemon.robot_stops import ProtectiveStops
 from palpd.daemon.service import Service
 from palpd.daemon.socket_client import ask
 from palpd.daemon.stored_state import Calibration, Latch, State
@@ -234,6 +235,36 @@ def test_a_run_that_fails_is_held_by_nobody_so_that_its_motion_process_stops_the
     service._pausing.poll(service._run)
     assert isinstance(later, Later)
     assert later.answer == {"ok": False, "error": "the run ended meanwhile; see palpd status"}
+
+
+def test_a_second_protective_stop_within_a_minute_is_armed_over_only_with_a_cause_which_a_restart_keeps(service: Service) -> None:
+    service._state.keep("calibration", TARE)
+    stops = ProtectiveStops().begin("2026-07-14T10:00:00+02:00", moved=True).end("2026-07-14T10:03:00+02:00")
+    service._state.keep("protective", stops.begin("2026-07-14T10:03:50+02:00", moved=True))
+    assert "its cause must be written down" in refusal(service, do="arm")
+    assert "palpd clear --cause TEXT" in refusal(service, do="clear")
+    for cause in ("", " ", "x" * 501, "two\nlines", 7):
+        assert "a cause has 1 to 500" in refusal(service, do="clear", cause=cause)
+    again = Service(service._config, service._run._build)  # a restart
+    try:
+        assert "its cause must be written down" in refusal(again, do="arm")
+        assert status(again)["now"]["next"] == "clear"
+        assert again.answer({"do": "clear", "cause": " the tool touched the frame "}) == {"ok": True, "state": "disarmed"}
+    finally:
+        again._free_ring()
+    kept = status(service)["protective"]
+    assert [stop["cause"] for stop in kept] == ["the tool touched the frame", ""]
+    assert kept[0]["by"] == "a client without the controls"
+    assert kept[0]["written"]
+    assert isinstance(service.answer({"do": "arm"}), Later)
+
+
+def test_protective_stops_that_cannot_be_read_ask_for_a_cause(service: Service) -> None:
+    service._state.keep("calibration", TARE)
+    (service._state.folder / "protective.json").write_text("{half")
+    assert "cannot be read" in refusal(service, do="arm")
+    assert service.answer({"do": "clear", "cause": "a full disk"})["ok"]  # type: ignore[index]
+    assert isinstance(service.answer({"do": "arm"}), Later)
 
 
 @pytest.mark.parametrize("wrench", [[1, 2, 3], ["x"] * 6, None, [float("nan")] * 6])
@@ -552,6 +583,7 @@ def test_arming_is_refused_while_the_robot_is_off(daemon: Daemon) -> None:
     finally:
         # a controller unlocks only some seconds after the stop
         until(lambda: "releasing" in dashboard(daemon.emulated.host, "unlock protective stop"), 15.0)
+    until(lambda: daemon.do("status")["now"]["stop"] is None, 15.0)
 
 
 @pytest.mark.hil

@@ -9,6 +9,7 @@ import pytest
 
 from palpd.control.probe_state import EVERYTHING, ProbeAnswer, ProbeState
 from palpd.daemon.motion_job import Kind
+from palpd.daemon.robot_stops import ROBOT_STOPS
 from palpd.daemon.what_now import ACTIONS, COMMANDS, GOES_UP, PAUSES, WORDS, Now, Standing, what_now
 from palpd.tick import Phase
 
@@ -23,17 +24,20 @@ PROBES = (
     ProbeAnswer(ProbeState.UNKNOWN, ("the force is 0.50 N off",), frozenset(("level_test", "confirm")), 0.5),
 )
 EITHER = (False, True)
+CAUSE = "a protective stop came again, so its cause must be written down"
 LATCH = ("yesterday", "the lateral force was 9 N")
 
 
 def idle() -> Iterator[Standing]:
     """Nothing runs. An answer that offers the retract comes from an unfinished contact."""
-    for armed, latched, reference, unfinished, probe, fault, asks in product(EITHER, EITHER, EITHER, EITHER, PROBES, EITHER, EITHER):
+    for armed, latched, reference, unfinished, probe, fault, asks, cause in product(
+        EITHER, EITHER, EITHER, EITHER, PROBES, EITHER, EITHER, EITHER
+    ):
         if unfinished or probe is None or "retract" not in probe.ways or probe.state == ProbeState.FREE:
             yield Standing(
                 armed=armed, latch=LATCH if latched else None, reference=reference, unfinished=unfinished, probe=probe,
                 fault="the sensor is silent" if fault else "", question="the arm stands elsewhere" if asks else None,
-                last="the operator aborted the run" if asks else "",
+                last="the operator aborted the run" if asks else "", cause=CAUSE if cause else "",
             )  # fmt: skip
 
 
@@ -56,8 +60,17 @@ def checking() -> Iterator[Standing]:
         yield replace(standing, run="check", arming=arming)
 
 
+def stopped_by_robot() -> Iterator[Standing]:
+    """The controller says why the arm may not move; all else is as it may be then."""
+    for name, armed, latched, probe, fault, cause in product(ROBOT_STOPS, EITHER, EITHER, PROBES, EITHER, EITHER):
+        yield Standing(
+            armed=armed, latch=LATCH if latched else None, reference=True, unfinished=True, probe=probe,
+            fault="the sensor is silent" if fault else "", cause=CAUSE if cause else "", stop=name,
+        )  # fmt: skip
+
+
 def everything() -> Iterator[tuple[Standing, Now]]:
-    for standings in (idle(), checking(), running()):
+    for standings in (idle(), stopped_by_robot(), checking(), running()):
         for standing in standings:
             yield standing, what_now(standing)
 
@@ -104,6 +117,7 @@ def test_following_the_next_step_is_never_a_detour_around_the_tissue() -> None:
         if "start" in possible(now):
             assert standing.armed, standing
             assert standing.latch is None, standing
+            assert not standing.cause, standing
             assert standing.probe is None or standing.probe.state == ProbeState.FREE, standing
 
 
@@ -147,6 +161,26 @@ def test_a_stop_is_cleared_before_anything_is_armed() -> None:
             assert "9 N" in now.obstacles["arm"].reason
             assert now.sentence.startswith("The lateral force was 9 N. "[: len(now.sentence)]), standing
             assert "start" in now.obstacles
+
+
+def test_the_step_at_the_pendant_comes_before_everything_that_moves_or_acknowledges() -> None:
+    for standing in stopped_by_robot():
+        assert standing.stop is not None
+        now, stop = what_now(standing), ROBOT_STOPS[standing.stop]
+        assert possible(now) <= {"check", "calibrate", "recover"}, standing
+        assert (now.state, now.word, now.next) == ("robot", stop.word, None), standing
+        assert stop.step in now.sentence, standing
+        for action in ("arm", "start", "retract", "level-test", "clear"):
+            assert now.obstacles[action].as_refusal == f"{stop.says}; at the pendant: {stop.step}", standing
+        assert now.published["stop"] == {"name": standing.stop, "says": stop.says, "step": stop.step, "done": stop.done}
+
+
+def test_nothing_is_armed_before_a_cause_that_is_asked_for_is_written_down() -> None:
+    for standing in idle():
+        now = what_now(standing)
+        if standing.cause:
+            assert "arm" in now.obstacles, standing
+            assert (now.next == "clear") <= (now.cause == CAUSE), "who is led to the clear reads that it needs a cause"
 
 
 FREE = Standing(reference=True, probe=ProbeAnswer(ProbeState.FREE))

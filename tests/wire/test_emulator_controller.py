@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from hw.emulators.controller import Controller
-from hw.emulators.controller_state import MODELS, Runtime, Safety
+from hw.emulators.controller_state import MODELS, Power, Runtime, Safety
 from hw.emulators.dashboard import UNLOCK_AFTER_S
 from hw.emulators.pose import composed, inverse, rotation, rotation_vector
+from hw.emulators.ur import status_bits
 
 START = np.array([0.0, 0.0, 0.03, np.pi, 0.0, 0.0])
 TCP = np.array([0.0, 0.0, 0.115, 0.0, 0.0, 0.0])
@@ -210,7 +211,7 @@ def test_a_move_that_is_not_emulated_ends_the_program_instead_of_pretending(benc
 def test_a_protective_stop_halts_pauses_and_is_not_unlocked_before_its_time(bench: Bench) -> None:
     bench.speed_l()
     bench.run(0.1)
-    bench.robot.state.protective_stop(bench.t_s)
+    bench.robot.state.pausing_stop(bench.t_s, Safety.PROTECTIVE_STOP, "protective stop")
     bench.run(0.05)
     assert (bench.robot.state.safety, bench.robot.state.runtime) == (Safety.PROTECTIVE_STOP, Runtime.PAUSED)
     assert not bench.robot.state.speed.any()
@@ -225,14 +226,43 @@ def test_a_protective_stop_halts_pauses_and_is_not_unlocked_before_its_time(benc
 
 
 def test_an_emergency_stop_ends_the_program_and_no_script_starts_until_the_brakes_are_released(bench: Bench) -> None:
-    bench.robot.state.emergency_stop(bench.t_s)
+    bench.robot.state.cutting_stop(bench.t_s, Safety.ROBOT_EMERGENCY_STOP, "emergency stop")
     bench.upload()
     bench.run(0.3)
     assert bench.robot.state.runtime is Runtime.STOPPED
     bench.robot.dashboard.release_brakes()
+    assert (bench.robot.state.safety, bench.robot.state.power) == (Safety.ROBOT_EMERGENCY_STOP, Power.POWER_OFF), "no power clears a stop"
+    bench.robot.state.safety = Safety.NORMAL  # the button is turned
+    bench.robot.dashboard.power_on()
+    assert bench.robot.state.power is Power.IDLE
+    bench.robot.dashboard.release_brakes()
     bench.upload()
     bench.run(0.3)
     assert bench.robot.state.runtime is Runtime.PLAYING
+
+
+@pytest.mark.parametrize(
+    ("safety", "bits"),
+    [
+        (Safety.NORMAL, 0x001), (Safety.REDUCED, 0x002), (Safety.PROTECTIVE_STOP, 0x404), (Safety.RECOVERY, 0x008),
+        (Safety.SAFEGUARD_STOP, 0x410), (Safety.SYSTEM_EMERGENCY_STOP, 0x4A0), (Safety.ROBOT_EMERGENCY_STOP, 0x4C0),
+        (Safety.VIOLATION, 0x500), (Safety.FAULT, 0x600),
+    ],
+)  # fmt: skip
+def test_each_safety_mode_has_its_bits(bench: Bench, safety: Safety, bits: int) -> None:
+    bench.robot.state.safety = safety
+    assert status_bits(bench.robot.state)[1] == bits
+
+
+def test_a_safety_fault_is_left_over_a_restart_of_the_safety_system_and_then_the_power(bench: Bench) -> None:
+    state, dashboard = bench.robot.state, bench.robot.dashboard
+    state.cutting_stop(bench.t_s, Safety.FAULT, "safety fault")
+    dashboard.release_brakes()
+    assert (state.safety, state.power) == (Safety.FAULT, Power.POWER_OFF)
+    dashboard.restart_safety()
+    assert (state.safety, state.power) == (Safety.NORMAL, Power.POWER_OFF)
+    dashboard.release_brakes()
+    assert state.power is Power.RUNNING
 
 
 def test_stop_script_ends_the_program_and_inputs_keep_their_values(bench: Bench) -> None:

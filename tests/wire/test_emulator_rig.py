@@ -233,6 +233,10 @@ def test_every_verb_stands_in_the_document() -> None:
         ({"do": "refuse_version"}, lambda rig: rig.wires.refuse_version),
         ({"do": "emergency_stop"}, lambda rig: rig.controller.state.safety == 7),
         ({"do": "protective_stop"}, lambda rig: rig.controller.state.safety == 3),
+        ({"do": "emergency_stop", "system": True}, lambda rig: rig.controller.state.safety == 6),
+        ({"do": "safeguard_stop"}, lambda rig: rig.controller.state.safety == 5),
+        ({"do": "safety_fault"}, lambda rig: rig.controller.state.safety == 9),
+        ({"do": "pendant", "press": "power off"}, lambda rig: rig.controller.state.power == 3),
         ({"do": "power_off"}, lambda rig: rig.controller.state.power == 3),
         ({"do": "program_stop"}, lambda rig: rig.controller.state.program is None),
         (

@@ -419,6 +419,11 @@ def test_what_happens_at_the_robot_is_seen_by_the_client(cb3: Emulated, verb: st
         time.sleep(0.1)
         cb3.ask(verb)
         report = report_of(process)
+    if verb == "emergency_stop":
+        assert dashboard(cb3.host, "power on", "brake release", "robotmode", "safetymode")[2:] == [
+            "Robotmode: POWER_OFF", "Safetymode: ROBOT_EMERGENCY_STOP",
+        ], "no power clears a stop"  # fmt: skip
+        cb3.ask(verb, on=False)
     released = dashboard(cb3.host, "power on", "brake release", "robotmode")
     assert report == {"seen": True, "still": True}
     assert released == ["Powering on", "Brake releasing", "Robotmode: RUNNING"]

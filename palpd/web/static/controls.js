@@ -18,6 +18,7 @@ const holder = document.getElementById("holder");
 const pause = document.getElementById("pause");
 const decide = document.getElementById("decide");
 const place = document.getElementById("place-choice");
+const cause = document.getElementById("cause");
 const buttons = [...document.querySelectorAll("[data-do]")];
 let status = null;
 let lost = false;
@@ -88,6 +89,7 @@ async function press(what) {
   if (obstacle !== null && !obstacle.others) return say(`${NAMES[what]} is not possible: ${sentenceOf(obstacle)}`, "refused");
   if (what === "arm" || what === "check") say("Checking robot and sensor …");
   if (what === "calibrate") return begin("calibrate", {});
+  if (what === "clear") return request("clear", { cause: cause.value.trim() || null });
   if (what !== "start") return request(what);
   const plan = chosenPlan();
   return request("start", { text: plan?.text, file: plan?.name, place: place.value || null });
@@ -155,11 +157,14 @@ function show() {
     else button.removeAttribute("aria-disabled");
     button.title = obstacle ? sentenceOf(obstacle) : button.dataset.about ?? "";
     button.toggleAttribute("data-next", what === next && !obstacle);
-    if (what === "clear") button.hidden = !status?.latched;
+    if (what === "clear") button.hidden = !status?.latched && !status?.now?.cause;
   }
   decide.hidden = status?.now?.next !== "decide";
   decide.toggleAttribute("data-next", !decide.hidden);
   document.body.toggleAttribute("data-no-plan", next === "start" && chosenPlan() === null);
+  const asked = status?.now?.cause ?? null;
+  document.getElementById("cause-line").hidden = asked === null;
+  if (asked === null) cause.value = "";
   const question = status?.now?.question ?? null;
   document.getElementById("place-line").hidden = question === null;
   document.getElementById("place-question").textContent = question === null ? "" : `${capital(question)}.`;

@@ -129,10 +129,11 @@ function showProbe({ probe, place, job }) {
   put("place-state", !place || place.x_m === null ? "" : `Tip at x = ${mm(place.x_m)} mm, y = ${mm(place.y_m)} mm${place.site ? `, over site ${place.site} of the last plan` : ""}.`);
 }
 
-function showLast({ latched, last }) {
+function showLast({ latched, last, protective }) {
   at("fault").dataset.kind = latched ? "bad" : last && last.verdict !== "done" ? "warn" : "";
   put("fault", latched ? `Stopped: ${latched}` : !last ? "nothing has run since the service began" : `${last.verdict}${last.reason ? `: ${inButtons(last.reason)}` : ""}`);
-  const notes = [...(last?.notes ?? []).map(inButtons), ...(last?.recording ? [`recording ${last.recording.split("/").at(-1)}`] : [])];
+  const notes = [...(last?.notes ?? []).map(inButtons), ...(last?.recording ? [`recording ${last.recording.split("/").at(-1)}`] : []),
+    ...(protective ?? []).map(({ date, cause, by }) => `protective stop of ${date.slice(0, 10)} at ${date.slice(11, 19)}${cause ? `: ${cause}, written by ${by}` : ", no cause written down"}`)];
   const list = at("fault-notes");
   if (list.dataset.shown === notes.join("\n")) return;
   list.dataset.shown = notes.join("\n");
