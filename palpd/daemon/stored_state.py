@@ -10,6 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from palpd.control.plan_place import PlanPlace
 from palpd.control.probe_state import ContactMarker, LevelTested, ProbeIdentity
+from palpd.daemon.setup.commission import Commission
 from palpd.documents import read_json
 from palpd.errors import BadInput, ConfigError, Refused
 from palpd.files import write_json
@@ -66,7 +67,7 @@ class Latch:
     date: str
 
 
-Kept = TypeVar("Kept", Calibration, MachineStiffness, ContactMarker, LevelTested, PlanPlace)
+Kept = TypeVar("Kept", Calibration, MachineStiffness, ContactMarker, LevelTested, PlanPlace, Commission)
 _ADAPTERS: dict[str, TypeAdapter[Any]] = {}
 """What reads each file: one takes 10 ms to make, and the service reads these files several times a second."""
 
@@ -108,6 +109,10 @@ class State:
             raise ConfigError(f"{self.folder / 'stiffness.json'} holds {damaged}")
         return stiffness
 
+    def commission(self) -> Commission:
+        """What `palpd setup` has done so far; empty where it has not begun."""
+        return self._kept("commission", Commission, "no commission; delete it, and begin palpd setup again") or Commission()
+
     def latch(self) -> Latch | None:
         """The reason of a stop that no operator has cleared; a file that cannot be read is one too. None where there is none."""
         try:
@@ -120,7 +125,7 @@ class State:
         """Where the sites of the last palpation counted from."""
         return self._kept("place", PlanPlace, "no place of a plan; delete it, and start where the sites shall count from")
 
-    def keep(self, name: str, thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested | PlanPlace) -> None:
+    def keep(self, name: str, thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested | PlanPlace | Commission) -> None:
         """Write a state file so that a crash leaves the old file or the new one, never half of it.
 
         Args:
