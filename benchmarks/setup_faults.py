@@ -1,8 +1,8 @@
 """Twelve faults of a new cell, one at a time: does the step of `palpd setup` find it that should, in words that say what to do?
 
-`python -m benchmarks.setup_faults [--only WORDS] [--docs docs]`. Each begins with an empty folder and an emulated cell with that fault, and ends at the
-step that should find it. Prints a table; `--docs` writes it into how-to/setup.md. Ends with 1 where a fault is missed, or something
-else is complained of.
+`python -m benchmarks.setup_faults [--only WORDS] [--docs docs]`. Each begins with an empty folder and an emulated cell with that fault, and
+ends at the step that should find it. Prints a table; `--docs` writes it into how-to/setup.md. Ends with 1 where a fault is missed, or
+something else is complained of.
 """
 
 import argparse
