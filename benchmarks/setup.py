@@ -28,7 +28,8 @@ TOOL_KG = 0.4
 """Sensor and probe of the emulated cell."""
 OF_THIS_PC = ("kernel", "wake-up", "FIFO", "memory lock", "idle", "limits", "governor", "disk", "RTDE jitter", "sensor frames")
 """Findings that depend on how busy this PC is; it also does the work of robot and sensor here."""
-PLATE_N_PER_M, TISSUE_N_PER_M = 200_000.0, 1000.0
+PLATE_N_PER_M, TISSUE_N_PER_M = 100_000.0, 1000.0
+"""As the arm feels them: the machine gives way on the plate, the emulated arm does not."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,9 @@ class Session:
         ]
 
 
-def operate(cell: EmulatedCell, folder: Path, *options: str, again: bool = True, until: str = "", **typed: str) -> Session:
+def operate(
+    cell: EmulatedCell, folder: Path, *options: str, again: bool = True, until: str = "", plate_N_per_m: float = PLATE_N_PER_M
+) -> Session:
     """Carry out `palpd setup` as an operator who answers everything.
 
     Args:
@@ -58,7 +61,7 @@ def operate(cell: EmulatedCell, folder: Path, *options: str, again: bool = True,
         options: Further options.
         again: Whether a failed step is tried again.
         until: Name of the step at which the operator stops; empty: the last.
-        typed: Answers other than the usual ones, by the first word of the question in small letters.
+        plate_N_per_m: Stiffness that the arm feels on the plate.
     """
     quiet = {key: value for key, value in PATIENT["safety"].items() if key != "contact_limit_N"}
     environment = os.environ | {"PALPD_ROBOT": json.dumps(PATIENT["robot"]), "PALPD_SAFETY": json.dumps(quiet)}
@@ -84,7 +87,7 @@ def operate(cell: EmulatedCell, folder: Path, *options: str, again: bool = True,
             if "What now?" in question:
                 answer = _decision(question, step, until, again and tries < TRIES)
             else:
-                answer = _answer(cell, question, typed)
+                answer = _answer(cell, question, plate_N_per_m)
             text += answer + "\n"
             process.stdin.write(answer.encode() + b"\n")
             process.stdin.flush()
@@ -105,21 +108,20 @@ def _decision(question: str, step: str, until: str, again: bool) -> str:
     return "go" if "(go" in question or ("(stop, go" in question and again) else "stop"
 
 
-def _answer(cell: EmulatedCell, question: str, typed: Mapping[str, str]) -> str:
+def _answer(cell: EmulatedCell, question: str, plate_N_per_m: float) -> str:
     """Do what a question asks for, and say so."""
     tip_z_m = cell.truth()["tip_z_m"]
     deeds: dict[str, Callable[[], object]] = {
         "Hang": lambda: cell.wires.ask("hang", weight_N=WEIGHT_N),
         "Take the weight off": lambda: cell.wires.ask("hang", weight_N=0.0),
-        "Put a rigid plate": lambda: cell.wires.ask("wall", z_m=tip_z_m - 0.003, stiffness_N_per_m=PLATE_N_PER_M),
+        "Put a rigid plate": lambda: cell.wires.ask("wall", z_m=tip_z_m - 0.003, stiffness_N_per_m=plate_N_per_m),
         "Put the tissue": lambda: cell.wires.ask("wall", z_m=tip_z_m - 0.008, stiffness_N_per_m=TISSUE_N_PER_M),
     }
     for begins, deed in deeds.items():
         if question.startswith(begins):
             deed()
             time.sleep(0.5)
-    answers = {"mass": f"{TOOL_KG:g}", "weight": f"{WEIGHT_N:g}", **typed}
-    return answers.get(question.split()[0].lower(), "")
+    return {"Mass": f"{TOOL_KG:g}", "Weight": f"{WEIGHT_N:g}"}.get(question.split()[0], "")
 
 
 def main() -> int:

@@ -16,14 +16,15 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.setup import Session, operate
+from benchmarks.setup import PLATE_N_PER_M, Session, operate
 from palpd.cell.cell_file import PHANTOM, save_cell
 from palpd.daemon.setup.flow import NAMES
 from palpd.daemon.starting_files import write_starting_files
 from palpd.testing.emulated_cell import EmulatedCell, emulated_cell
 
 BEGIN, END = "<!-- faults:begin -->", "<!-- faults:end -->"
-OPTIONS = ("--skip", "service")
+LOOSE_N_PER_M = 3000.0
+"""Stiffness of a sensor whose screws are loose, in series with the rest of the machine (assumed)."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class PlantedFault:
         effects: Effects of the emulated cell.
         meanwhile: What goes on besides, while palpd setup runs.
         config_model: Model that a config.yaml says which somebody wrote before; empty: there is none.
+        plate_N_per_m: Stiffness that the arm feels on a rigid plate.
     """
 
     name: str
@@ -49,6 +51,7 @@ class PlantedFault:
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
     meanwhile: Callable[[EmulatedCell], AbstractContextManager[object]] = lambda _: nullcontext()
     config_model: str = ""
+    plate_N_per_m: float = PLATE_N_PER_M
 
 
 @contextlib.contextmanager
@@ -72,7 +75,7 @@ FAULTS = (
     PlantedFault("soft cable", "level", "free air", effects={"cable.spring": {"stiffness_N_per_m": 100.0}}),
     PlantedFault("wrong model", "robot", "robot model", config_model="ur5e"),
     PlantedFault("USB latency 16 ms", "look", "sensor latency", lambda cell: cell.wires.ask("usb_latency", ms=16)),
-    PlantedFault("loose sensor", "stiffness", "machine stiffness", effects={"robot.compliance": {"stiffness_N_per_m": 3000.0}}),
+    PlantedFault("loose sensor", "stiffness", "machine stiffness", plate_N_per_m=1.0 / (1.0 / PLATE_N_PER_M + 1.0 / LOOSE_N_PER_M)),
     PlantedFault(
         "125 Hz taken for 500", "robot", "robot states", lambda cell: cell.wires.ask("slow_packets", every=4, s=600.0), model="ur5e"
     ),
@@ -89,7 +92,7 @@ def tried(fault: PlantedFault, folder: Path) -> Session:
     with emulated_cell(folder, fault.model, effects) as cell:
         fault.plant(cell)
         with fault.meanwhile(cell):
-            return operate(cell, folder / "cell", *OPTIONS, again=False, until=after)
+            return operate(cell, folder / "cell", again=False, until=after, plate_N_per_m=fault.plate_N_per_m)
 
 
 def row(fault: PlantedFault, session: Session) -> tuple[bool, str]:

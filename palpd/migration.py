@@ -117,9 +117,6 @@ def with_values(text: str, values: Mapping[tuple[str, str], object]) -> str:
         elif isinstance(parent, yaml.MappingNode) and parent.value:
             begin = end = parent.start_mark.index + 1
             written = f"{key}: {written}, "
-        elif parent is not None:
-            begin, end = parent.start_mark.index, parent.end_mark.index
-            written = f"{' ' * (begin == end)}{{{key}: {written}}}"
         else:
             begin = end = len(text)
             written = f"{'' if text.endswith(chr(10)) or not text else chr(10)}{block}:\n  {key}: {written}\n"

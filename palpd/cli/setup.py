@@ -92,13 +92,13 @@ def commission(
     done = State(settings.paths.state).commission()
     rows = {assumption.rests_on: assumption.state(done) for assumption in ASSUMPTIONS}
     table = Table("rests on", "on this cell") if report else Table("step", "verdict", "date", "measured")
+    for name, result in ((name, done.steps.get(name)) for name in NAMES):
+        measured = "\n".join(f"{finding.name}: {finding.measured}" for finding in result.findings) if result else ""
+        if not report:
+            table.add_row(name, result.verdict if result else "open", result.date[:16] if result else "", measured)
     for rests_on, state in rows.items() if report else ():
         table.add_row(rests_on, state)
-    for name in () if report else NAMES:
-        result = done.steps.get(name)
-        measured = "\n".join(f"{finding.name}: {finding.measured}" for finding in result.findings) if result else ""
-        table.add_row(name, result.verdict if result else "open", result.date[:16] if result else "", measured)
     terminal().print(table)
     if cell_out is not None:
         save_cell(cell_out, measured_cell(settings, done))
-    write_json(json_file, {**asdict(done), "assumptions": rows})
+    write_json(json_file, {**asdict(done), "assumptions": rows, "order": NAMES})

@@ -65,7 +65,7 @@ def check_weight(
     if abs(ratio) < 0.2:
         return Finding("known weight", "fail", measured, "the weight does not hang on the sensor, or the sensor is dead", figures)
     if ratio < 0:
-        advice = "the sign is wrong: pressed would read as pulled, and no limit would act; do not move. Was the weight hung, not pushed?"
+        advice = "the sign is wrong, and no limit would act; do not move. Was the weight hung, not pushed? Else turn the sensor round"
         return Finding("known weight", "fail", measured, advice, figures)
     pulls = rotation[2][2] < -TOOL_DOWN and config.fz_slopes != "pulled"
     if pulls and pulled_over_pressed is not None and abs(pulled_over_pressed - 1.0) > LEAST_APART:

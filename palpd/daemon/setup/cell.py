@@ -15,8 +15,6 @@ from palpd.errors import ConfigError, Refused
 from palpd.files import read_text, write_text
 from palpd.migration import with_values
 
-YES_NO = ("yes", "no")
-
 
 class NoOperator(Refused):
     """Nobody answers."""
@@ -79,7 +77,7 @@ class SetupCell:
 
     def agrees(self, question: str) -> bool:
         """Ask a question that yes or no answers."""
-        return self.operator.choose(question, YES_NO) == YES_NO[0]
+        return self.operator.choose(question, ("yes", "no")) == "yes"
 
     def numbers(self, question: str, usual: str, count: int = 1) -> tuple[float, ...]:
         """Ask for numbers with commas between until there are so many of them."""

@@ -1,6 +1,6 @@
 """What `palpd setup` keeps of a cell: each step with its date, verdict, findings and figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -24,10 +24,6 @@ class Commission:
 
     steps: Mapping[str, StepResult] = field(default_factory=dict)
 
-    def with_step(self, name: str, result: StepResult) -> "Commission":
-        """The same commission with this result of a step in place of an earlier one."""
-        return Commission({**self.steps, name: result})
-
     def passed(self, name: str) -> bool:
         """Whether a step was done and has not failed."""
         return name in self.steps and self.steps[name].verdict in ("ok", "warn")
@@ -44,7 +40,8 @@ class Commission:
         return float(value) if isinstance(value, int | float) else None
 
 
-def worst(findings: Sequence[Finding]) -> StepVerdict:
-    """The worst verdict of a step's findings."""
-    verdicts = {finding.verdict for finding in findings}
-    return "fail" if "fail" in verdicts else "warn" if "warn" in verdicts else "ok"
+def seen(
+    name: str, measured: str, expected: str, advice: str = "", *, fails: bool = False, warns: bool = False, **figures: object
+) -> Finding:
+    """A finding of a step; the advice counts where it fails or warns."""
+    return Finding(name, "fail" if fails else "warn" if warns else "ok", measured, advice if fails or warns else "", figures, expected)

@@ -7,7 +7,7 @@ from palpd.daemon.finding import Finding
 from palpd.daemon.job_client import service_at
 from palpd.daemon.setup import motion_steps, still_steps
 from palpd.daemon.setup.cell import NoOperator, SetupCell
-from palpd.daemon.setup.commission import Commission, StepResult, worst
+from palpd.daemon.setup.commission import Commission, StepResult, StepVerdict
 from palpd.daemon.stored_state import now
 from palpd.errors import BadInput, PalpdError, Refused
 
@@ -26,41 +26,22 @@ class SetupStep:
 STEPS = (
     SetupStep("robot", "Finds the controller, reads its version, and counts its states for 2 s.", still_steps.find_robot),
     SetupStep("sensor", "Finds the DAQ, takes its calibration, and opens it.", still_steps.find_sensor, ("robot",)),
-    SetupStep(
-        "tool",
-        "Starts the control script, which moves nothing, and compares TCP and payload of the pendant with ruler and scales.",
-        still_steps.compare_tool,
-        ("robot",),
-    ),
+    SetupStep("tool", "Starts the control script, which moves nothing, and compares the pendant's TCP and payload with ruler and scales.",
+              still_steps.compare_tool, ("robot",)),
     SetupStep("look", "Judges this PC and both devices for 10 s, the arm at rest.", still_steps.look, ("sensor",)),
     SetupStep("weight", "Checks sign, size and slopes with a weight that you hang on the probe.", still_steps.hang_weight, ("sensor",)),
     SetupStep("check", "Judges config.yaml and plan.yaml together.", still_steps.check_files, ("robot",)),
     SetupStep("reference", "Takes the reference tare, the probe free and still.", still_steps.take_reference, ("weight",)),
     SetupStep("level", "Goes 5 mm straight up at 5 mm/s.", motion_steps.level_test, ("tool", "check", "reference"), moves=True),
-    SetupStep(
-        "watchdog",
-        "Goes 5 mm straight up and falls silent on the way, so that the controller must stop the arm; then goes up 5 mm again.",
-        motion_steps.measure_watchdog,
-        ("level",),
-        moves=True,
-    ),
-    SetupStep(
-        "free-motion",
-        "Goes 2 cm up and down ten times in free air, and learns the inertial model.",
-        motion_steps.learn_inertia,
-        ("watchdog",),
-        moves=True,
-    ),
+    SetupStep("watchdog", "Goes 5 mm up and falls silent on the way, so that the controller must stop the arm; then goes up 5 mm again.",
+              motion_steps.measure_watchdog, ("level",), moves=True),
+    SetupStep("free-motion", "Goes 2 cm up and down ten times in free air, and learns the inertial model.",
+              motion_steps.learn_inertia, ("watchdog",), moves=True),
     SetupStep("stiffness", "Presses a rigid plate three times.", motion_steps.press_plate, ("free-motion",), moves=True),
-    SetupStep(
-        "press",
-        "Goes down at 2 mm/s until 1 N, and presses 1 mm deep; the guard ends it at 2 N.",
-        motion_steps.first_press,
-        ("free-motion",),
-        moves=True,
-    ),
+    SetupStep("press", "Goes down at 2 mm/s until 1 N, and presses 1 mm deep; the guard ends it at 2 N.",
+              motion_steps.first_press, ("free-motion",), moves=True),
     SetupStep("service", "Puts the files of the service into place; needs root.", still_steps.install_service, ("press",)),
-)
+)  # fmt: skip
 NAMES = tuple(step.name for step in STEPS)
 SIGN = {"ok": "ok  ", "warn": "warn", "fail": "FAIL"}
 
@@ -116,7 +97,8 @@ def _done(cell: SetupCell, step: SetupStep, title: str) -> bool:
         findings = _attempt(cell, step)
         for finding in findings:
             operator.say(line(finding))
-        verdict = worst(findings)
+        verdicts = {finding.verdict for finding in findings}
+        verdict: StepVerdict = "fail" if "fail" in verdicts else "warn" if "warn" in verdicts else "ok"
         _keep(cell, step, StepResult(now(), verdict, tuple(findings)))
         if verdict != "fail":
             return True
@@ -148,7 +130,7 @@ def missing_for(step: SetupStep, commission: Commission) -> list[str]:
 
 
 def _keep(cell: SetupCell, step: SetupStep, result: StepResult) -> None:
-    cell.state.keep("commission", cell.state.commission().with_step(step.name, result))
+    cell.state.keep("commission", Commission({**cell.state.commission().steps, step.name: result}))
 
 
 def line(finding: Finding) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -11,8 +12,8 @@ from palpd.config import Plan, Search
 from palpd.control.sequence import LIFT_N, LIFT_WINDOW_S
 from palpd.daemon.finding import Finding
 from palpd.daemon.machine_stiffness import measured_stiffness
-from palpd.daemon.run_result import run_result
 from palpd.daemon.setup.cell import SetupCell
+from palpd.daemon.setup.commission import seen
 from palpd.daemon.setup.watchdog import silent_devices, stopped_after_s
 from palpd.daemon.supervisor import Report
 from palpd.errors import Stopped
@@ -40,61 +41,57 @@ def level_test(cell: SetupCell) -> Sequence[Finding]:
     """Go up in free air; the force must stay."""
     report, rows = _run(cell.host.carry_out("level_test", Plan()))
     changed_N = _changed_N(rows)
-    figures, expected = {"changed_N": changed_N}, f"at most {LIFT_N:g} N"
+    advice = (
+        f"{report.reason}. If nothing touches the probe, the cable pulls: give it a loop that hangs loose, fix it at the arm, and redo "
+        "reference and level"
+    )
     measured = f"the force changed by {changed_N:.2f} N over 5 mm of free air"
-    if report.exit_code:
-        advice = (
-            f"{report.reason}. If nothing touches the probe, the cable pulls: give it a loop that hangs loose, fix it at the arm, and redo "
-            "reference and level"
-        )
-        return [Finding("free air", "fail", measured, advice, figures, expected)]
-    return [Finding("free air", "ok", measured, "", figures, expected)]
+    return [seen("free air", measured, f"at most {LIFT_N:g} N", advice, fails=report.exit_code > 0, changed_N=changed_N)]
 
 
 def measure_watchdog(cell: SetupCell) -> Sequence[Finding]:
-    """Fall silent on the way up, and see when the controller stops."""
-    config = cell.config
-    allowed_s, cycle_s = 1.0 / config.robot.watchdog_Hz, 1.0 / config.robot.rate_Hz
-    report = replace(cell, build=silent_devices).host.carry_out("level_test", Plan())
-    trips = {trip["trip"] for trip in report.trips}
-    stopped_s = stopped_after_s(Recording.load(report.recording).rows, config.robot.rate_Hz) if report.recording is not None else None
+    """Fall silent on the way up, and see when the controller stops; then show that the probe is free, since that run was stopped."""
+    robot = cell.config.robot
+    report, rows = _run(replace(cell, build=silent_devices).host.carry_out("level_test", Plan()))
+    stopped_s, allowed_s = stopped_after_s(rows, robot.rate_Hz), 1.0 / robot.watchdog_Hz
     expected = f"{allowed_s * 1e3:.0f} ms, and at most {LATE_CYCLES} cycles more"
     if stopped_s is None:
         if report.exit_code:
             raise Stopped(f"the watchdog was not measured: {report.reason}")
         advice = "the controller goes on without this PC: press no tissue with it, and look whether another program drives it"
-        return [Finding("watchdog", "fail", "the arm was not stopped within half a second of silence", advice, {}, expected)]
-    if trips == {Trip.PROGRAM_STOPPED.name}:
+        return [seen("watchdog", "the arm was not stopped within half a second of silence", expected, advice, fails=True)]
+    if {trip["trip"] for trip in report.trips} == {Trip.PROGRAM_STOPPED.name}:
         cell.state.clear_latch()  # of the stop that this step brought about
-    figures = {"stopped_after_ms": stopped_s * 1e3, "allowed_ms": allowed_s * 1e3}
+    late = stopped_s > allowed_s + LATE_CYCLES / robot.rate_Hz
+    advice = "count with this time where the arm may run on (docs/safety.md), or raise robot.watchdog_Hz and redo this step"
     measured = f"the controller stopped the program {stopped_s * 1e3:.0f} ms after the last command"
-    late = stopped_s > allowed_s + LATE_CYCLES * cycle_s
-    advice = "count with this time where the arm may run on (docs/safety.md); raise robot.watchdog_Hz, and redo this step" if late else ""
-    after = level_test(cell)  # the run was stopped, so the probe must be shown to be free again
-    return [Finding("watchdog", "warn" if late else "ok", measured, advice, figures, expected), *after]
+    return [seen("watchdog", measured, expected, advice, warns=late, stopped_after_ms=stopped_s * 1e3), *level_test(cell)]
 
 
 def learn_inertia(cell: SetupCell) -> Sequence[Finding]:
     """Move in free air, measure the servo's lag, train the inertial model."""
-    config, robot = cell.config, cell.config.cell.robot
+    config, robot, mass_kg = cell.config, cell.config.cell.robot, cell.config.cell.probe.mass_kg
     report, rows = _run(cell.host.carry_out("free_motion", Plan()), may_stop=False)
     lag_s = _lag_s(rows)
     measured_Hz, stated_Hz = robot.servo_damping_ratio / (np.pi * lag_s), robot.servo_natural_frequency_Hz
-    figures = {"servo_lag_ms": lag_s * 1e3, "servo_natural_frequency_Hz": float(measured_Hz)}
-    other = abs(measured_Hz / stated_Hz - 1.0) > LAG_SHARE
-    advice = f"set cell.robot.servo_natural_frequency_Hz to {measured_Hz:.1f}: the placeholder is another" if other else ""
-    lag = Finding(
-        "servo lag", "warn" if other else "ok", f"the tip is {lag_s * 1e3:.0f} ms behind its target, as a servo of {measured_Hz:.1f} Hz",
-        advice, figures, f"{stated_Hz:g} Hz within {LAG_SHARE:.0%}",
-    )  # fmt: skip
-    assert report.recording is not None
-    data = load_training_data([report.recording], config)
-    model, mass_kg = cell.folder / "inertial.onnx", config.cell.probe.mass_kg
+    lag = seen(
+        "servo lag",
+        f"the tip is {lag_s * 1e3:.0f} ms behind its target, as with a servo of {measured_Hz:.1f} Hz",
+        f"{stated_Hz:g} Hz within {LAG_SHARE:.0%}",
+        f"set cell.robot.servo_natural_frequency_Hz to {measured_Hz:.1f}: the placeholder is another",
+        warns=abs(measured_Hz / stated_Hz - 1.0) > LAG_SHARE,
+        servo_lag_ms=lag_s * 1e3,
+        servo_natural_frequency_Hz=float(measured_Hz),
+    )
+    data = load_training_data([report.recording or Path()], config)
+    model = cell.folder / "inertial.onnx"
     card = train(data.recordings, model, probe_mass_kg=mass_kg, sensor_serial=data.sensor_serial, sensor_delay_s=data.sensor_delay_s)
     cell.change({("model", "path"): model.name})
-    figures = {"mass_kg": card.mass_kg, "rmse_N": card.rmse_N, "bias_N": card.bias_N}
-    measured = f"a moving mass of {card.mass_kg:.3f} kg, {card.rmse_N * 1e3:.0f} mN rmse"
-    return [lag, Finding("inertial model", "ok", measured, "", figures, f"{mass_kg:g} kg, as cell.probe.mass_kg says")]
+    measured, expected = (
+        f"a moving mass of {card.mass_kg:.3f} kg, {card.rmse_N * 1e3:.0f} mN rmse",
+        f"{mass_kg:g} kg, as cell.probe.mass_kg says",
+    )
+    return [lag, seen("inertial model", measured, expected, mass_kg=card.mass_kg, rmse_N=card.rmse_N, bias_N=card.bias_N)]
 
 
 def press_plate(cell: SetupCell) -> Sequence[Finding]:
@@ -104,12 +101,10 @@ def press_plate(cell: SetupCell) -> Sequence[Finding]:
     if machine is None:
         raise Stopped(report.reason or "the run was not recorded; redo the step")
     value, (low, high) = machine.stiffness_N_per_m, machine.ci95_N_per_m
-    soft = value < SOFTEST_N_PER_M
     measured = f"1 mm per {value / 1e3:.1f} N (95 %: {low / 1e3:.1f} to {high / 1e3:.1f})"
-    advice = "something is loose: tighten the screws of sensor, mount and probe, put the plate on firm ground, and redo" if soft else ""
-    figures = {"stiffness_N_per_m": value, "ci95_low_N_per_m": low, "ci95_high_N_per_m": high}
-    expected = f"more than {SOFTEST_N_PER_M / 1e3:g} N for 1 mm"
-    return [Finding("machine stiffness", "fail" if soft else "ok", measured, advice, figures, expected)]
+    advice = "something is loose: tighten the screws of sensor, mount and probe, put the plate on firm ground, and redo"
+    soft, expected = value < SOFTEST_N_PER_M, f"more than {SOFTEST_N_PER_M / 1e3:g} N for 1 mm"
+    return [seen("machine stiffness", measured, expected, advice, fails=soft, stiffness_N_per_m=value, ci95_N_per_m=[low, high])]
 
 
 def first_press(cell: SetupCell) -> Sequence[Finding]:
@@ -118,14 +113,12 @@ def first_press(cell: SetupCell) -> Sequence[Finding]:
     config = cell.config
     safety = config.safety.model_copy(update={"contact_limit_N": min(FIRST_PRESS_N, config.safety.contact_limit_N)})
     host = replace(cell.host, config=config.model_copy(update={"safety": safety}))
-    report, _ = _run(host.carry_out("palpation", FIRST_PRESS), may_stop=False)
-    (site,) = run_result(report)["sites"]
-    surface_z_m, peak_N = site["surface_z_m"] or float("nan"), site["peak_force_N"] or float("nan")
-    measured, figures = (
-        f"surface at z = {surface_z_m * 1e3:.1f} mm, {peak_N:.2f} N at most",
-        {"surface_z_m": surface_z_m, "peak_force_N": peak_N},
-    )
-    return [Finding("first press", "ok", measured, "", figures, f"about 1 N, and never more than {FIRST_PRESS_N:g} N")]
+    _, rows = _run(host.carry_out("palpation", FIRST_PRESS), may_stop=False)
+    surface_z_m, peak_N = float(np.nanmax(rows["surface_z_m"])), float(rows["force_N"].max())
+    measured = f"surface at z = {surface_z_m * 1e3:.1f} mm, {peak_N:.2f} N at most"
+    return [
+        seen("first press", measured, f"about 1 N, and never more than {FIRST_PRESS_N:g} N", surface_z_m=surface_z_m, peak_force_N=peak_N)
+    ]
 
 
 def _run(report: Report, may_stop: bool = True) -> tuple[Report, Rows]:

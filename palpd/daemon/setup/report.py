@@ -8,6 +8,12 @@ from palpd.config import Config
 from palpd.daemon.setup.commission import Commission
 
 NOT_TRIED = "not tried"
+MEASURED = (
+    ("sensor", "noise_rms_N", "look", "noise_fxy_N"),
+    ("sensor", "filter_cutoff_Hz", "sensor", "filter_cutoff_Hz"),
+    ("robot", "servo_natural_frequency_Hz", "free-motion", "servo_natural_frequency_Hz"),
+)
+"""Block and key of cell.yaml, and the step and figure that measure it."""
 Answer = tuple[bool, str] | None
 """Whether it is as assumed, and what was measured; None where nothing was."""
 
@@ -58,26 +64,20 @@ def _registers(commission: Commission) -> Answer:
 
 ASSUMPTIONS = (
     Assumption("ur_rtde 1.6.5's behaviour, measured against an emulated controller", lambda _: None),
-    Assumption(
-        "what the first 5 mm up of each run and the level test take for free air", _measured("level", "changed_N", "{:.2f} N over 5 mm")
-    ),
+    Assumption("what the first 5 mm up of each run and the level test take for free air",
+               _measured("level", "changed_N", "{:.2f} N over 5 mm")),
     Assumption("the RTDE watchdog stops the program", _measured("watchdog", "stopped_after_ms", "after {:.0f} ms")),
-    Assumption(
-        "the servo lag of 8 Hz, ζ = 1 in `cell.robot`",
-        _measured("free-motion", "servo_natural_frequency_Hz", "{:.1f} Hz at the ζ of cell.robot"),
-    ),
-    Assumption(
-        "the two slopes of Fz part where the sensor reads zero untared, not where it carries nothing (`sensor.fz_slopes: pressed`)", _slopes
-    ),
+    Assumption("the servo lag of 8 Hz, ζ = 1 in `cell.robot`",
+               _measured("free-motion", "servo_natural_frequency_Hz", "{:.1f} Hz at the ζ of cell.robot")),
+    Assumption("the two slopes of Fz part where the sensor reads zero untared, not where it carries nothing (`sensor.fz_slopes: pressed`)",
+               _slopes),
     Assumption("raw Fz < 0 when pressed", _sign),
     Assumption("registers 350/450 hold capacity and counts", _registers),
-    Assumption(
-        "one-pole filter, zero left off, counter at 1 kHz",
-        _measured("look", "rate_Hz", "{:.0f} frames/s; order and place of the filter not tried"),
-    ),
+    Assumption("one-pole filter, zero left off, counter at 1 kHz",
+               _measured("look", "rate_Hz", "{:.0f} frames/s; order and place of the filter not tried")),
     Assumption("USB latency of the DAQ", _measured("look", "arrival_every_ms", "frames arrive every {:.1f} ms")),
     Assumption("ATI Net F/T (`sensor.kind: ati-net-ft`): protocol, status bits, units from public drivers", lambda _: None),
-)
+)  # fmt: skip
 """The rows of the table, in its order; tests/daemon/test_setup.py compares both."""
 
 
@@ -86,18 +86,11 @@ def measured_cell(config: Config, commission: Commission) -> CellFile:
 
     A delay of the readings is none of it: recordings have the sensor's own times, and `palpd diagnose` fits what remains.
     """
-    cell = config.cell
-    noise_N, filter_Hz = commission.figure("look", "noise_fxy_N"), commission.finding("sensor", "filter_cutoff_Hz")
-    sensor = {"rate_Hz": config.sensor.rate_Hz, "noise_rms_N": noise_N} | (
-        {"filter_cutoff_Hz": filter_Hz.figures["filter_cutoff_Hz"]} if filter_Hz is not None else {}
-    )
-    robot = {"servo_natural_frequency_Hz": commission.figure("free-motion", "servo_natural_frequency_Hz")}
+    cell, values = config.cell, dict[str, dict[str, object]]()
+    for block, key, step, figure in MEASURED:
+        if (finding := commission.finding(step, figure)) is not None:
+            values.setdefault(block, {})[key] = finding.figures[figure]
     stiffness_N_per_m = commission.figure("stiffness", "stiffness_N_per_m")
-    effects = cell.effects | ({"robot.compliance": {"stiffness_N_per_m": stiffness_N_per_m}} if stiffness_N_per_m else {})
-    return cell.model_copy(
-        update={
-            "sensor": cell.sensor.model_copy(update={key: value for key, value in sensor.items() if value is not None or "filter" in key}),
-            "robot": cell.robot.model_copy(update={key: value for key, value in robot.items() if value is not None}),
-            "effects": effects,
-        }
-    )
+    effects = {"robot.compliance": {"stiffness_N_per_m": stiffness_N_per_m}} if stiffness_N_per_m is not None else {}
+    blocks = {block: getattr(cell, block).model_copy(update=changes) for block, changes in values.items()}
+    return cell.model_copy(update={**blocks, "effects": {**cell.effects, **effects}})
