@@ -33,7 +33,7 @@ PLATE_N_PER_M, TISSUE_N_PER_M = 100_000.0, 1000.0
 
 
 @dataclass(frozen=True)
-class Session:
+class SetupSession:
     """What one call of `palpd setup` showed: its text, its exit code, its duration, and the commission that it kept."""
 
     text: str
@@ -53,7 +53,7 @@ class Session:
 
 def operate(
     cell: EmulatedCell, folder: Path, *options: str, again: bool = True, until: str = "", plate_N_per_m: float = PLATE_N_PER_M
-) -> Session:
+) -> SetupSession:
     """Carry out `palpd setup` as an operator who answers everything.
 
     Args:
@@ -99,7 +99,9 @@ def operate(
     rest = process.stdout.read()
     text += rest.decode() if rest else ""
     kept = folder / "state" / "commission.json"
-    return Session(text, process.returncode, time.monotonic() - began_s, json.loads(kept.read_text())["steps"] if kept.exists() else {})
+    return SetupSession(
+        text, process.returncode, time.monotonic() - began_s, json.loads(kept.read_text())["steps"] if kept.exists() else {}
+    )
 
 
 def _decision(question: str, step: str, until: str, again: bool) -> str:
@@ -111,15 +113,15 @@ def _decision(question: str, step: str, until: str, again: bool) -> str:
 def _answer(cell: EmulatedCell, question: str, plate_N_per_m: float) -> str:
     """Do what a question asks for, and say so."""
     tip_z_m = cell.truth()["tip_z_m"]
-    deeds: dict[str, Callable[[], object]] = {
+    actions: dict[str, Callable[[], object]] = {
         "Hang": lambda: cell.wires.ask("hang", weight_N=WEIGHT_N),
         "Take the weight off": lambda: cell.wires.ask("hang", weight_N=0.0),
         "Put a rigid plate": lambda: cell.wires.ask("wall", z_m=tip_z_m - 0.003, stiffness_N_per_m=plate_N_per_m),
         "Put the tissue": lambda: cell.wires.ask("wall", z_m=tip_z_m - 0.008, stiffness_N_per_m=TISSUE_N_PER_M),
     }
-    for begins, deed in deeds.items():
+    for begins, act in actions.items():
         if question.startswith(begins):
-            deed()
+            act()
             time.sleep(0.5)
     return {"Mass": f"{TOOL_KG:g}", "Weight": f"{WEIGHT_N:g}"}.get(question.split()[0], "")
 

@@ -16,7 +16,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.setup import PLATE_N_PER_M, Session, operate
+from benchmarks.setup import PLATE_N_PER_M, SetupSession, operate
 from palpd.cell.cell_file import PHANTOM, save_cell
 from palpd.daemon.setup.flow import NAMES
 from palpd.daemon.starting_files import write_starting_files
@@ -82,7 +82,7 @@ FAULTS = (
 )
 
 
-def tried(fault: PlantedFault, folder: Path) -> Session:
+def tried(fault: PlantedFault, folder: Path) -> SetupSession:
     """Set a cell with that fault up until the step that should find it."""
     effects = folder / "emulated.yaml"
     save_cell(effects, PHANTOM.with_effects(fault.effects))
@@ -95,7 +95,7 @@ def tried(fault: PlantedFault, folder: Path) -> Session:
             return operate(cell, folder / "cell", again=False, until=after, plate_N_per_m=fault.plate_N_per_m)
 
 
-def row(fault: PlantedFault, session: Session) -> tuple[bool, str]:
+def row(fault: PlantedFault, session: SetupSession) -> tuple[bool, str]:
     """Whether that fault was found as it should be, and its line of the table."""
     complaints = session.complaints()
     good = bool(complaints) and all((name, finding["name"]) == (fault.step, fault.finding) for name, finding in complaints)

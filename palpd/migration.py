@@ -98,11 +98,7 @@ def with_values(text: str, values: Mapping[tuple[str, str], object]) -> str:
     """Set keys of blocks in a YAML file; every other byte stays, comments too.
 
     Args:
-        text: The file.
         values: What each key of a block shall be, as JSON can hold it; a key that is absent is added.
-
-    Returns:
-        The file with these values.
     """
     for (block, key), value in values.items():
         nodes, written = _nodes(yaml.compose(text, yaml.SafeLoader), ()), json.dumps(value, ensure_ascii=False)

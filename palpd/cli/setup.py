@@ -20,7 +20,11 @@ class TerminalOperator:
         terminal().print(sentence, soft_wrap=True)
 
     def ask(self, question: str, usual: str = "") -> str:
-        """Ask for a text; an empty answer is the usual one."""
+        """Ask for a text; an empty answer is the usual one.
+
+        Raises:
+            NoOperator: The input has ended.
+        """
         try:
             return input(f"{question}{f' [{usual}]' if usual else ''} > ").strip() or usual
         except EOFError:

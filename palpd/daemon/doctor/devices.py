@@ -171,7 +171,7 @@ def _bursts(record: DeviceRecord, config: Config) -> list[Finding]:
     every_ms, most_ms = 1e3 * record.duration_s / record.arrivals, 1e3 / config.sensor.rate_Hz + BURST_MS
     late = every_ms > most_ms
     advice = (
-        "the USB adapter holds bytes back, so each reaction is late: write 1 to its latency_timer in /sys/class/tty/…/device, or free this PC"
+        "the USB adapter holds bytes back, so each reaction is late: write 1 to its latency_timer in /sys/class/tty/…/device"
         if late
         else ""
     )

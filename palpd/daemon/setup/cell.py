@@ -80,7 +80,7 @@ class SetupCell:
         return self.operator.choose(question, ("yes", "no")) == "yes"
 
     def numbers(self, question: str, usual: str, count: int = 1) -> tuple[float, ...]:
-        """Ask for numbers with commas between until there are so many of them."""
+        """Ask for `count` numbers with commas between, again until they are."""
         while True:
             answer = self.operator.ask(question, usual)
             try:
