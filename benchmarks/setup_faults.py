@@ -82,8 +82,12 @@ FAULTS = (
 )
 
 
-def tried(fault: PlantedFault, folder: Path) -> SetupSession:
-    """Set a cell with that fault up until the step that should find it."""
+def tried(fault: PlantedFault, folder: Path, *options: str) -> SetupSession:
+    """Set a cell with that fault up until the step that should find it.
+
+    Args:
+        options: Further options of palpd setup.
+    """
     effects = folder / "emulated.yaml"
     save_cell(effects, PHANTOM.with_effects(fault.effects))
     if fault.config_model:
@@ -92,7 +96,7 @@ def tried(fault: PlantedFault, folder: Path) -> SetupSession:
     with emulated_cell(folder, fault.model, effects) as cell:
         fault.plant(cell)
         with fault.meanwhile(cell):
-            return operate(cell, folder / "cell", again=False, until=after, plate_N_per_m=fault.plate_N_per_m)
+            return operate(cell, folder / "cell", *options, again=False, until=after, plate_N_per_m=fault.plate_N_per_m)
 
 
 def row(fault: PlantedFault, session: SetupSession) -> tuple[bool, str]:
