@@ -7,6 +7,7 @@ and puts plate and tissue below the probe. Prints what the operator read. Ends w
 import argparse
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -81,11 +82,11 @@ def operate(
         if pending.endswith(" > "):
             lines = pending.splitlines()
             question, pending = lines[-1], ""
-            if "has failed" in "".join(lines[-3:]):
-                tries += 1
+            failed = "has failed" in "".join(lines[-3:])
+            tries += failed
             step = next((line.split()[1].rstrip(":") for line in reversed(text.splitlines()) if line[:1].isdigit()), "")
             if "What now?" in question:
-                answer = _decision(question, step, until, again and tries < TRIES)
+                answer = _decision(question, step, until, not failed or (again and tries < TRIES))
             else:
                 answer = _answer(cell, question, plate_N_per_m)
             text += answer + "\n"
@@ -104,10 +105,12 @@ def operate(
     )
 
 
-def _decision(question: str, step: str, until: str, again: bool) -> str:
-    if step in (until, "service"):
-        return "skip" if step == "service" and step != until else "stop"
-    return "go" if "(go" in question or ("(stop, go" in question and again) else "stop"
+def _decision(question: str, step: str, until: str, may_go: bool) -> str:
+    if step == until:
+        return "stop"
+    if step == "service":
+        return "skip"
+    return "go" if may_go and re.search(r"\bgo\b", question) else "stop"
 
 
 def _answer(cell: EmulatedCell, question: str, plate_N_per_m: float) -> str:

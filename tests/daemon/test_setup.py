@@ -21,7 +21,7 @@ from palpd.daemon.setup.flow import STEPS, SetupStep, set_up
 from palpd.daemon.setup.report import ASSUMPTIONS, measured_cell
 from palpd.daemon.setup.watchdog import SILENT_S, SPOKEN_S, SilentRobot, stopped_after_s
 from palpd.daemon.starting_files import write_starting_files
-from palpd.errors import BadInput, ConfigError, SensorError
+from palpd.errors import BadInput, ConfigError, Refused, SensorError
 from palpd.migration import with_values
 from palpd.tick import ROW, Robot
 from tests.paths import ROOT
@@ -240,3 +240,15 @@ def test_the_cell_file_takes_what_was_measured_and_keeps_the_rest() -> None:
     assert (cell_file.sensor.noise_rms_N, cell_file.sensor.filter_cutoff_Hz) == (0.04, None)
     assert cell_file.effects == {"robot.compliance": {"stiffness_N_per_m": 45_000.0}}
     assert cell_file.robot == config.cell.robot
+
+
+def test_a_cell_whose_service_runs_is_refused_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_starting_files(tmp_path, "ur5", 12.0, ())
+    monkeypatch.setattr(flow, "service_at", lambda _: True)
+    with pytest.raises(Refused, match=r"the service of this cell holds the devices; stop it \(systemctl stop palpd\)"):
+        set_up(cell(tmp_path, "go")[0])
+
+
+def test_enter_alone_moves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps(monkeypatch)
+    assert verdicts(set_up(cell(tmp_path, "")[0])) == {"one": "ok", "two": "ok"}

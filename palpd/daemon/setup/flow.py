@@ -85,7 +85,7 @@ def _done(cell: SetupCell, step: SetupStep, title: str) -> bool:
     operator.say(f"{title}: {step.does}")
     if missing := missing_for(step, cell.state.commission()):
         operator.say(f"It needs {', '.join(missing)}, which {'was' if len(missing) == 1 else 'were'} skipped or failed.")
-    answers = (*(() if missing else ("go",)), "skip", "stop")
+    answers = ("skip", "stop") if missing else ("stop", "go", "skip") if step.moves else ("go", "skip", "stop")  # no motion by Enter alone
     while True:
         stands = "The arm will move: a hand on the emergency stop" if step.moves and "go" in answers else "The arm stands"
         answer = operator.choose(f"{stands}. What now?", answers)
