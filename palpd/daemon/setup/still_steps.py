@@ -62,7 +62,7 @@ def find_robot(cell: SetupCell) -> Sequence[Finding]:
     rate_Hz, expected_Hz = len(record.state_s) / record.duration_s, config.robot.rate_Hz
     advice = (
         "the loop would take old states for new ones: use a cable straight to the controller, and end other clients that slow it; "
-        f"or set robot.rtde_rate_Hz to {expected_Hz / max(1, round(expected_Hz / max(rate_Hz, 1.0))):g}"
+        f"or set robot.rtde_rate_Hz to {expected_Hz / max(2, round(expected_Hz / max(rate_Hz, 1.0))):g}"
     )
     slow = rate_Hz < RATE_SHARE * expected_Hz
     states = seen("robot states", f"{rate_Hz:.0f} states/s", f"{expected_Hz:g} states/s", advice, fails=slow, state_rate_Hz=rate_Hz)
