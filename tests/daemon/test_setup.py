@@ -120,6 +120,7 @@ def test_a_step_is_skipped_redone_and_refused_by_name(tmp_path: Path, monkeypatc
     steps(monkeypatch)
     assert verdicts(set_up(cell(tmp_path, "go")[0], skip=("two",))) == {"one": "ok", "two": "skipped", "three": "ok"}
     assert verdicts(set_up(cell(tmp_path, "go")[0], redo=("two",)))["two"] == "ok"
+    assert verdicts(set_up(cell(tmp_path, "go")[0], skip=("two",)))["two"] == "ok", "what was measured stays"
     with pytest.raises(BadInput, match="'four' is no step of palpd setup; expected one of one, two, three"):
         set_up(cell(tmp_path, "go")[0], redo=("four",))
 

@@ -70,10 +70,10 @@ def set_up(cell: SetupCell, redo: Collection[str] = (), skip: Collection[str] = 
     for number, step in enumerate(STEPS, start=1):
         commission, title = cell.state.commission(), f"{number}/{len(STEPS)} {step.name}"
         before = commission.steps.get(step.name)
-        if step.name in skip:
-            _keep(cell, step, StepResult(now(), "skipped"))
-        elif before is not None and before.verdict != "fail" and step.name not in redo:
+        if before is not None and before.verdict != "fail" and step.name not in redo:
             cell.operator.say(f"{title}: {before.verdict} on {before.date[:16]}")
+        elif step.name in skip:
+            _keep(cell, step, StepResult(now(), "skipped"))
         elif not _done(cell, step, title):
             break
     return cell.state.commission()
