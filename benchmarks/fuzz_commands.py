@@ -43,6 +43,8 @@ RIGHTS = "-dac_override,-dac_read_search,-fowner"
 """What root gives up, so that unreadable files are unreadable."""
 LINES = """
 run --config {config} --plan {plan} --json {out.json}
+setup {folder} --robot 127.0.0.1 --skip weight
+commission --config {config} --report --cell-out {out.yaml} --json {out.json}
 calibrate --config {config}
 free-motion --out {new.mcap} --config {config}
 stiffness --config {config} --json {out.json}

@@ -24,8 +24,9 @@ ANSWER = b"\xaa\x00\x50\x01"
 SERIAL_NUMBER = b"\xaa\x00\x12\x08"
 CAPACITY = b"\xaa\x01\x5e\x0e"
 COUNTS_AT_CAPACITY = b"\xaa\x01\xc2\x0e"
+CONFIGURATION = b"\xaa\x00\x32\x06"
 THREE_AXIS = b"\xaa\x07\x08\x0a"
-LENGTHS = {header: header[3] + 6 for header in (DATA, ANSWER, SERIAL_NUMBER, CAPACITY, COUNTS_AT_CAPACITY, THREE_AXIS)}
+LENGTHS = {header: header[3] + 6 for header in (DATA, ANSWER, SERIAL_NUMBER, CAPACITY, COUNTS_AT_CAPACITY, CONFIGURATION, THREE_AXIS)}
 """Known packets and their lengths in bytes. None is longer than a data frame, so a false header never delays the frame behind it."""
 
 OVERLOAD_BITS = 0x03F0

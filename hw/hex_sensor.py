@@ -25,6 +25,7 @@ from hw.conversion import CountingSensor
 from hw.hex_frames import (
     ANSWER,
     CAPACITY,
+    CONFIGURATION,
     COUNTS_AT_CAPACITY,
     NO_RAW_FRAMES,
     SAMPLE_S,
@@ -185,6 +186,7 @@ class HexSensor(CountingSensor):
             self._identify()
             self.counts_per_unit, limit = self._calibrate()
             self._configure()
+            self._refuse_other_setting()
             self._parser = FrameParser(self._speed, self.filter_cutoff_Hz, limit)
             self._clock = SampleClock()
             self._rejected = 0
@@ -300,6 +302,16 @@ class HexSensor(CountingSensor):
             raise SensorError(
                 f"sensor {self.serial_number} at {self.port} refuses {self.rate_Hz:g} Hz with its filter at {self.filter_cutoff_Hz} Hz "
                 f"(code {payload[0]}); choose another rate."
+            )
+
+    def _refuse_other_setting(self) -> None:
+        """Refuse a DAQ that has acknowledged its configuration and says otherwise. One that does not answer is believed."""
+        payload = self._ask(b"\xab" + CONFIGURATION[1:], CONFIGURATION, tries=1)
+        if payload is not None and payload[1] != FILTER_CODES[self.filter_cutoff_Hz]:
+            is_Hz = next((cutoff_Hz for cutoff_Hz, code in FILTER_CODES.items() if code == payload[1]), None)
+            raise SensorError(
+                f"sensor {self.serial_number} at {self.port} was set to a filter of {self.filter_cutoff_Hz} Hz, but its register says "
+                f"{is_Hz} Hz; unplug it and plug it in."
             )
 
     def _silence(self) -> str:

@@ -24,11 +24,11 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 try:
     from rtde_control import RTDEControlInterface
@@ -284,6 +284,17 @@ class UrRobot:
             raise RobotError(self._why_not(refused))
         self._fed_s = time.monotonic()
 
+    def tool_offset(self) -> tuple[float, ...]:
+        """Pose (6,) of the active TCP in axes of the flange, m and rad. The control script is asked; nothing moves. RobotError."""
+        offset: list[float] = []
+
+        def ask() -> bool:
+            offset.extend(self._control.getTCPOffset())
+            return len(offset) == 6
+
+        self._await_script("does not tell its TCP", ask)
+        return tuple(offset)
+
     def stop(self) -> None:
         """Bring the tip to rest: speed zero at once, then the end of speed control, within 0.25 s. Never raises.
 
@@ -452,40 +463,69 @@ def _connect(host: str, port: int) -> socket.socket:
         ) from None
 
 
+Ask = Callable[[bytes, bytes, bytes], bytes]
+"""Sends a package of a type with a body, and returns the body of the next package of the type that answers it."""
+
+
+class ControllerAbout(NamedTuple):
+    """What a controller says of itself: software version, and the payload of its installation, None where it is older than that field."""
+
+    version: tuple[int, int, int]
+    payload_kg: float | None
+
+    @property
+    def model(self) -> RobotModel:
+        """The generation that the version belongs to."""
+        return "ur5" if self.version[0] == 3 else "ur5e"
+
+
+def controller_about(host: str) -> ControllerAbout:
+    """Ask a controller for its version and its payload, without a library, a program or a motion. Raises RobotError."""
+    with _spoken(host) as ask:
+        major, minor, bugfix, _ = struct.unpack(">4I", ask(b"v", b"", b"v"))
+        known = b"NOT_FOUND" not in ask(b"O", struct.pack(">d", 10.0) + b"payload", b"O")
+        payload_kg = struct.unpack(">Bd", ask(b"S", b"", b"U"))[1] if known else None
+        return ControllerAbout((major, minor, bugfix), payload_kg)
+
+
 def _greet(host: str, model: RobotModel) -> None:
-    """Speak RTDE until the first data package, each answer within 2 s, and check the controller's generation.
+    """Speak RTDE until the first data package, each answer within 2 s, and check the controller's generation."""
+    with _spoken(host) as ask:
+        major, minor, bugfix, _ = struct.unpack(">4I", ask(b"v", b"", b"v"))
+        if (major == 3) != (model == "ur5"):
+            generation = "3.x" if model == "ur5" else "5.x"
+            raise RobotError(
+                f"robot at {host} runs software {major}.{minor}.{bugfix}, but robot.model is {model}, which has {generation}; "
+                "correct robot.model."
+            )
+        kinds = ask(b"O", struct.pack(">d", 10.0) + ",".join(VARIABLES).encode(), b"O")[1:].decode().split(",")
+        missing = [name for name, kind in zip(VARIABLES, kinds, strict=False) if kind == "NOT_FOUND"]
+        if missing:
+            raise RobotError(f"robot at {host} with software {major}.{minor} has no {', '.join(missing)}; 3.10 or newer is needed.")
+        ask(b"S", b"", b"U")
+
+
+@contextlib.contextmanager
+def _spoken(host: str) -> Iterator[Ask]:
+    """Speak RTDE version 2 within the context, each answer within 2 s.
 
     Packages are `size u16 | type u8 | body`, big-endian (UR's RTDE guide).
     """
     try:
         with _connect(host, RTDE_PORT) as connection, connection.makefile("rb") as stream:
 
-            def send(kind: bytes, body: bytes = b"") -> None:
+            def ask(kind: bytes, body: bytes, answer: bytes) -> bytes:
                 connection.sendall(struct.pack(">Hc", 3 + len(body), kind) + body)
-
-            def ask(kind: bytes, body: bytes = b"", answer: bytes | None = None) -> bytes:
-                send(kind, body)
                 for _ in range(_TRIES):  # text messages may come first
                     size, got = struct.unpack(">Hc", stream.read(3))
                     payload: bytes = stream.read(size - 3)
-                    if got == (answer or kind):
+                    if got == answer:
                         return payload
                 raise ValueError(f"no answer to {kind!r}")
 
-            if ask(b"V", struct.pack(">H", 2)) != b"\x01":
+            if ask(b"V", struct.pack(">H", 2), b"V") != b"\x01":
                 raise RobotError(f"robot at {host} does not speak RTDE version 2; its software must be 3.10 or newer.")
-            major, minor, bugfix, _ = struct.unpack(">4I", ask(b"v"))
-            if (major == 3) != (model == "ur5"):
-                generation = "3.x" if model == "ur5" else "5.x"
-                raise RobotError(
-                    f"robot at {host} runs software {major}.{minor}.{bugfix}, but robot.model is {model}, which has {generation}; "
-                    "correct robot.model."
-                )
-            kinds = ask(b"O", struct.pack(">d", 10.0) + ",".join(VARIABLES).encode())[1:].decode().split(",")
-            missing = [name for name, kind in zip(VARIABLES, kinds, strict=False) if kind == "NOT_FOUND"]
-            if missing:
-                raise RobotError(f"robot at {host} with software {major}.{minor} has no {', '.join(missing)}; 3.10 or newer is needed.")
-            ask(b"S", answer=b"U")
+            yield ask
     except (OSError, struct.error, ValueError) as error:
         why = (
             f"does not answer on port {RTDE_PORT} within {CONNECT_TIMEOUT_S:g} s" if isinstance(error, TimeoutError) else "breaks off RTDE"

@@ -1,5 +1,6 @@
 """Rewriting config.yaml, cell.yaml and plan.yaml of an older palpd: only what has to change is written anew, every other byte stays."""
 
+import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -91,6 +92,32 @@ def write(migration: Migration, old: Path) -> None:
     check_resumed(migration.path)
     write_text(old, migration.before)
     write_text(migration.path, migration.after, own=True)
+
+
+def with_values(text: str, values: Mapping[tuple[str, str], object]) -> str:
+    """Set keys of blocks in a YAML file; every other byte stays, comments too.
+
+    Args:
+        values: What each key of a block shall be, as JSON can hold it; a key that is absent is added.
+    """
+    for (block, key), value in values.items():
+        nodes, written = _nodes(yaml.compose(text, yaml.SafeLoader), ()), json.dumps(value, ensure_ascii=False)
+        parent = nodes[block,][1] if (block,) in nodes else None
+        if (block, key) in nodes:
+            node = nodes[block, key][1]
+            begin, end = node.start_mark.index, node.end_mark.index
+        elif isinstance(parent, yaml.MappingNode) and parent.value and not parent.flow_style:
+            first = parent.value[0][0].start_mark
+            begin = end = first.index
+            written = f"{key}: {written}\n{' ' * first.column}"
+        elif isinstance(parent, yaml.MappingNode) and parent.value:
+            begin = end = parent.start_mark.index + 1
+            written = f"{key}: {written}, "
+        else:
+            begin = end = len(text)
+            written = f"{'' if text.endswith(chr(10)) or not text else chr(10)}{block}:\n  {key}: {written}\n"
+        text = text[:begin] + written + text[end:]
+    return text
 
 
 def _kind_of(document: Document) -> Kind:

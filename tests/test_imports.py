@@ -19,6 +19,7 @@ OF_BENCHMARKS = {
     "hil/test_after_a_run.py": {"after_a_run"},
     "hil/test_arming.py": {"arming"},
     "hil/test_faults.py": {"fault_injection"},
+    "hil/test_setup.py": {"setup", "setup_faults"},
     "hil/test_signals.py": {"signals"},
     "study/test_methods.py": {"compensation_methods", "recurrent_method"},
     "gap/test_evidence_audit.py": {"evidence_audit"},

@@ -52,10 +52,7 @@ LEFT_OUT = {
 }
 """Commands of the emulated cell that are not run, each with the reason."""
 BY_HAND = {
-    "palpd init CELL --model ur5e --limit-N 12": "how it is called there; the tutorial calls it too",
-    "palpd doctor": "judges this computer",
-    "palpd doctor --weight-N 5": "a weight is hung on the probe by hand",
-    "palpd stiffness": "needs a rigid plate below the probe",
+    "palpd setup CELL": "asks an operator; tests/hil/test_setup.py answers",
     "palpd run --plan plan.yaml": "as in the tutorial",
     "palpd retract": "needs a stop in the tissue",
 }
@@ -67,6 +64,7 @@ NEEDS_MORE = {
         ("status", "arm", "start", "pause", "resume", "abort", "clear", "recover-robot", "jobs", "job", "plans", "controls"),
         "needs a daemon",
     ),
+    "setup": "asks an operator; tests/hil/test_setup.py answers",
     **dict.fromkeys(("emulate", "serve", "web"), "serves until Ctrl-C"),
     "alarms": "needs addresses; tests/streams sends to some",
     "arena": "needs the rigs of the repository; tests/arena asks every tool",

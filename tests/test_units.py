@@ -37,6 +37,7 @@ DIMENSIONLESS = {
     "excess": "in units of the noise",
     "expected_gain": "information, in nats",
     "factor": "ratio",
+    "register_scale": "ratio",
     "filter_cutoff": "relative tolerance",
     "forever": "probability",
     "fx_per_fz": "ratio of forces",

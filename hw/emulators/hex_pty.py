@@ -65,6 +65,8 @@ class Faults:
     garbage: bytes = b""
     drift_N_per_s: float = 0.0
     drift_N: float = 0.0
+    keeps_filter: bool = False
+    register_scale: float = 1.0
 
 
 @dataclass
@@ -122,7 +124,7 @@ class Daq:
         if code not in FILTERS_HZ or zero not in (0, 255):
             self.answers += summed(bytes((0xAA, 0, 80, 1, REFUSED)))
             return
-        self.speed, self.filter_code = speed, code
+        self.speed, self.filter_code = speed, self.filter_code if self.faults.keeps_filter else code
         if zero == 0:
             self.zero, self.zeroed = np.zeros(6), False
         elif not self.zeroed:  # a second 255 without a 0 between is ignored (assumed: the maker says to send 0 first)
@@ -140,7 +142,7 @@ class Daq:
             case 350, 14:
                 body = struct.pack(">7H", *CAPACITY)
             case 450, 14:
-                body = struct.pack(">7H", *COUNTS_AT_CAPACITY)
+                body = struct.pack(">7H", *(round(self.faults.register_scale * counts) for counts in COUNTS_AT_CAPACITY))
             case _:
                 return
         self.answers += summed(struct.pack(">BHB", 0xAA, address, length) + body)

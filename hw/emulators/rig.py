@@ -27,6 +27,8 @@ START_HEIGHT_M = 0.03
 """Height of the tip above the surface at power-up."""
 FLANGE_TO_TIP_M = 0.035  # the sensor's body; the probe's length comes on top
 GRAVITY_M_PER_S2 = 9.81
+SENSOR_KG = 0.2
+"""Mass of the sensor (data sheet of the nearest model). The emulated installation has the payload of sensor and probe, as it should be."""
 UP_M_PER_S2 = np.array([0.0, 0.0, GRAVITY_M_PER_S2])  # what an accelerometer at rest feels
 LOGGED_S = 30.0
 
@@ -56,7 +58,11 @@ class Rig:
         x_m, y_m = (site.x_m, site.y_m) if site else (0.0, 0.0)
         start = np.array([x_m, y_m, self.surface_m(x_m, y_m) + START_HEIGHT_M, np.pi, 0.0, 0.0])
         self._tcp = np.array([0.0, 0.0, FLANGE_TO_TIP_M + cell_file.probe.tip_length_m, 0.0, 0.0, 0.0])
+        self.hung_N = 0.0  # a weight that an operator hangs on the probe
+        self.axes, self.signs = (0, 1, 2), np.ones(3)  # which of its axes the mounted sensor shows as x, y, z, and with which sign
+        self.latency_ms, self._held = 1, b""  # the USB adapter hands bytes on in bursts of this length
         self.controller = Controller(model, start, self._tcp, self.cell.begin, self.cell.rest)
+        self.install(self._tcp, SENSOR_KG + cell_file.probe.mass_kg)
         self.network = selectors.DefaultSelector()
         self.wires = UrWires(self.controller, self.network, host)
         self.daq, self.line = Daq(fz_parts_at=fz_parts_at), TerminalLine(link)
@@ -138,7 +144,10 @@ class Rig:
         if self.daq.answers:
             packet, self.daq.answers = self.daq.answers + packet, b""
         self.sent.append((now_s, self.daq.counter))
-        self.line.send(packet)
+        self._held += packet
+        if self._ticks % self.latency_ms == 0:
+            self.line.send(self._held)
+            self._held = b""
         if self.box is not None:
             self.box.sample(self._sensed[self._ticks % self.steps], planned_s)
 
@@ -176,8 +185,10 @@ class Rig:
         if not np.array_equal(pose[3:], self._orientation):
             self._turn(pose[3:])
         wrench = self._block.wrench.copy()
-        wrench[:, 2] -= self.cell_file.probe.mass_kg * GRAVITY_M_PER_S2
-        self._sensed = np.concatenate([wrench[:, :3] @ self._to_sensor.T, wrench[:, 3:] @ self._to_sensor.T], axis=1)
+        wrench[:, 2] -= self.cell_file.probe.mass_kg * GRAVITY_M_PER_S2 + self.hung_N
+        axes, signs = list(self.axes), self.signs
+        forces, torques = wrench[:, :3] @ self._to_sensor.T, wrench[:, 3:] @ self._to_sensor.T
+        self._sensed = np.concatenate([forces[:, axes] * signs, torques[:, axes] * signs], axis=1)
         self._counts = self.daq.measure(self._sensed)
         self.peak_contact_N = max(self.peak_contact_N, float(self._block.contact_N.max()))
 
@@ -265,8 +276,18 @@ class Rig:
         fresh.state.stops, fresh.state.armings = self.controller.state.stops, self.controller.state.armings
         self._on_arming = None
         self.controller = self.wires.controller = fresh
+        self.install(*self._installed)
         self._values = _power_up_values(self.model)
         self._booted_s = self._away_until_s = until_s
+
+    def install(self, tcp: Floats, payload_kg: float) -> None:
+        """Set what the pendant's installation says of the tool; it survives a restart.
+
+        Args:
+            tcp: pose (6,) of the active TCP in axes of the flange.
+        """
+        self._installed = tcp, payload_kg
+        self.controller.state.tcp, self.controller.state.payload_kg = np.array(tcp, dtype=float), payload_kg
 
     def place_wall(self, z_m: float, stiffness_N_per_m: float) -> None:
         """Replace the tissue by a linear wall.

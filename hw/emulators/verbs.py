@@ -112,6 +112,22 @@ def _drift(rig: Rig, _now_s: float, N_per_s: float) -> None:
         rig.daq.faults.drift_N = 0.0
 
 
+def _keep_filter(rig: Rig, _now_s: float) -> None:
+    rig.daq.faults.keeps_filter = True
+
+
+def _registers(rig: Rig, _now_s: float, scale: float) -> None:
+    rig.daq.faults.register_scale = scale
+
+
+def _mounting(rig: Rig, _now_s: float, axes: Sequence[int] = (0, 1, 2), signs: Sequence[float] = (1.0, 1.0, 1.0)) -> None:
+    rig.axes, rig.signs = (axes[0], axes[1], axes[2]), np.array(signs, dtype=float)
+
+
+def _usb_latency(rig: Rig, _now_s: float, ms: int) -> None:
+    rig.latency_ms = int(ms)
+
+
 def _unplug(rig: Rig, _now_s: float) -> None:
     rig.line.unplug()
 
@@ -197,6 +213,15 @@ def _restart(rig: Rig, now_s: float, s: float = 2.0) -> None:
 
 def _refuse_version(rig: Rig, _now_s: float, on: bool = True) -> None:
     rig.wires.refuse_version = on
+
+
+def _installation(rig: Rig, _now_s: float, tcp: Sequence[float] | None = None, payload_kg: float | None = None) -> None:
+    state = rig.controller.state
+    rig.install(state.tcp if tcp is None else np.array(tcp, dtype=float), state.payload_kg if payload_kg is None else payload_kg)
+
+
+def _hang(rig: Rig, _now_s: float, weight_N: float) -> None:
+    rig.hung_N = weight_N
 
 
 def _wall(rig: Rig, _now_s: float, z_m: float, stiffness_N_per_m: float) -> None:

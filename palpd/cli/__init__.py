@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 SIGNALS = {_signal.SIGINT: "SIGINT", _signal.SIGTERM: "SIGTERM", _signal.SIGHUP: "SIGHUP"}
 """What ends a command: Ctrl-C, `kill`, and a terminal that is closed."""
-MOVE = ("run", "free-motion", "stiffness", "level-test", "retract", "map", "resolve")
+MOVE = ("setup", "run", "free-motion", "stiffness", "level-test", "retract", "map", "resolve")
 """Commands that move an arm, where an interrupted one says that none was moved."""
 
 

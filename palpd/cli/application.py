@@ -5,7 +5,7 @@ from typing import Any
 
 import typer
 
-from palpd.cli import analysis, arena, blind, gap, history, recordings, run, service, study
+from palpd.cli import analysis, arena, blind, gap, history, recordings, run, service, setup, study
 from palpd.cli.command_groups import ORDER
 from palpd.cli.options import app
 from palpd.errors import BadInput, Refused
@@ -15,7 +15,7 @@ __all__ = ["app", "carry_out", "name_of"]
 UsageError: Any = typer.BadParameter.__bases__[0]
 """What typer raises for words that fit no command; it has no public name."""
 
-FILES = (run, service, history, recordings, analysis, gap, blind, study, arena)
+FILES = (run, service, setup, history, recordings, analysis, gap, blind, study, arena)
 """Where the commands stand; importing them registers them."""
 
 

@@ -7,7 +7,9 @@ from typer.core import TyperGroup
 
 GROUPS = {
     "Try it without a cell": ("demo", "sim", "emulate"),
-    "Set up a cell": ("init", "check-config", "doctor", "calibrate", "stiffness", "free-motion", "train", "install", "migrate"),
+    "Set up a cell": (
+        "setup", "commission", "init", "check-config", "doctor", "calibrate", "stiffness", "free-motion", "train", "install", "migrate",
+    ),
     "Palpate": ("run", "map", "level-test", "retract"),
     "Run the service and speak to it": (
         "serve", "web", "stream", "alarms", "status", "arm", "start", "pause", "resume", "abort", "clear", "recover-robot", "jobs", "job",

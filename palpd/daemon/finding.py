@@ -10,13 +10,17 @@ Judgement = Literal["ok", "warn", "fail"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was examined: what was measured, the judgement, and what to do unless it is ok. `figures` go into the JSON."""
+    """One thing that was examined: what was measured, the judgement, and what to do unless it is ok. `figures` go into the JSON.
+
+    `expected` stands beside what was measured; it is empty where that says it itself.
+    """
 
     name: str
     verdict: Judgement
     measured: str
     advice: str = ""
     figures: Mapping[str, object] = field(default_factory=dict)
+    expected: str = ""
 
 
 def text_of(path: str) -> str | None:

@@ -11,6 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 from palpd.control.plan_place import PlanPlace
 from palpd.control.probe_state import ContactMarker, LevelTested, ProbeIdentity
 from palpd.daemon.robot_stops import ProtectiveStops
+from palpd.daemon.setup.commission import Commission
 from palpd.documents import read_json
 from palpd.errors import BadInput, ConfigError, Refused
 from palpd.files import write_json
@@ -67,7 +68,7 @@ class Latch:
     date: str
 
 
-Kept = TypeVar("Kept", Calibration, MachineStiffness, ContactMarker, LevelTested, PlanPlace, ProtectiveStops)
+Kept = TypeVar("Kept", Calibration, MachineStiffness, ContactMarker, LevelTested, PlanPlace, ProtectiveStops, Commission)
 _ADAPTERS: dict[str, TypeAdapter[Any]] = {}
 """What reads each file: one takes 10 ms to make, and the service reads these files several times a second."""
 
@@ -109,6 +110,10 @@ class State:
             raise ConfigError(f"{self.folder / 'stiffness.json'} holds {damaged}")
         return stiffness
 
+    def commission(self) -> Commission:
+        """What `palpd setup` has done so far; empty where it has not begun."""
+        return self._kept("commission", Commission, "no commission; delete it, and begin palpd setup again") or Commission()
+
     def latch(self) -> Latch | None:
         """The reason of a stop that no operator has cleared; a file that cannot be read is one too. None where there is none."""
         try:
@@ -132,7 +137,9 @@ class State:
             )
 
     def keep(
-        self, name: str, thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested | PlanPlace | ProtectiveStops
+        self,
+        name: str,
+        thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested | PlanPlace | ProtectiveStops | Commission,
     ) -> None:
         """Write a state file so that a crash leaves the old file or the new one, never half of it.
 

@@ -17,6 +17,7 @@ from palpd.tick import Robot, RobotKind, SensorDriver, SensorKind, StateReader
 
 if TYPE_CHECKING:
     from hw.emulators.process import Emulated
+    from hw.rtde import ControllerAbout
 
 SENSORS = {"hex-70": "hw.hex_sensor:open_hex_70", "ati-net-ft": "hw.ati_net_ft:open_ati_net_ft"}
 ROBOTS = {"ur-rtde": "hw.rtde:UR_RTDE"}
@@ -86,6 +87,29 @@ def open_controller(config: Config) -> ControllerReader:
 def open_sensor(config: Config) -> SensorDriver:
     """The force sensor of a configuration. Raises BadInput or SensorError."""
     return sensor_kind(config)(config.sensor)
+
+
+def controller_about(host: str) -> "ControllerAbout":
+    """What a UR controller says of itself; nothing moves. Raises RobotError."""
+    from hw.rtde import controller_about as asked
+
+    return asked(host)
+
+
+def tool_offset(config: Config) -> tuple[float, ...]:
+    """Pose (6,) of the UR's active TCP in axes of the flange, m and rad. Its control script is started for that; nothing moves.
+
+    Raises:
+        RobotError: The controller cannot be reached, is not ready, or has another master.
+    """
+    from hw.rtde import UR_RTDE
+
+    robot: Any = UR_RTDE.open(config.robot)
+    try:
+        offset: tuple[float, ...] = robot.tool_offset()
+        return offset
+    finally:
+        robot.close()
 
 
 def sensor_kind(config: Config) -> SensorKind:

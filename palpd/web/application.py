@@ -19,7 +19,7 @@ from starlette.applications import Starlette
 from starlette.routing import BaseRoute, Mount
 from starlette.staticfiles import StaticFiles
 
-from palpd.web import calculations, controls, history_pages, live, plan_pages, resolve_pages, shell
+from palpd.web import calculations, commission_pages, controls, history_pages, live, plan_pages, resolve_pages, shell
 from palpd.web.access import Access
 from palpd.web.page import Page, PageSettings
 from palpd.web.sessions import Sessions
@@ -45,7 +45,7 @@ def build(settings: PageSettings, sessions: Sessions) -> Starlette:
         await page.children.close()
 
     routes: list[BaseRoute] = [*shell.routes(settings.camera_url), *live.routes(page.live)]
-    for part in (controls, calculations, history_pages, plan_pages, resolve_pages):
+    for part in (controls, calculations, history_pages, plan_pages, resolve_pages, commission_pages):
         routes += part.routes(page)
     application = Starlette(routes=[*routes, Mount("/static", StaticFiles(directory=shell.STATIC))], lifespan=lifespan)
     camera = urlsplit(settings.camera_url or "")

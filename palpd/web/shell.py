@@ -26,7 +26,10 @@ class Tab(NamedTuple):
     path: str
 
 
-TABS = (Tab("run", "Run", "/"), Tab("plan", "Plan", "/plan"), Tab("runs", "Runs", "/runs"), Tab("resolve", "Resolve", "/resolve"))
+TABS = (
+    Tab("run", "Run", "/"), Tab("plan", "Plan", "/plan"), Tab("runs", "Runs", "/runs"), Tab("resolve", "Resolve", "/resolve"),
+    Tab("commission", "Set-up", "/setup"),
+)  # fmt: skip
 
 
 def page(request: Request, part: str, title: str, tab: str, *, camera: str = "") -> HTMLResponse:

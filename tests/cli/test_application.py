@@ -34,8 +34,8 @@ COMMANDS = (
     "run", "calibrate", "free-motion", "stiffness", "level-test", "retract", "demo", "sim", "emulate", "serve", "web", "status", "arm",
     "start", "pause", "resume", "abort", "clear", "recover-robot", "jobs", "job", "plans", "controls", "stream", "alarms", "init",
     "install", "doctor", "migrate", "check-config", "runs", "info", "report", "replay", "export", "recover", "import", "cell-from",
-    "analyse", "train",
-    "map", "diagnose", "resolve", "simulate", "export-sim", "tolerances", "effects", "blind", "study", "arena",
+    "analyse", "train", "setup", "commission", "map", "diagnose", "resolve", "simulate", "export-sim", "tolerances", "effects", "blind",
+    "study", "arena",
 )  # fmt: skip
 
 

@@ -121,3 +121,9 @@ def test_a_rehearsal_gives_time_force_and_course(browser: TestClient) -> None:
     course = result["course"]  # at this speed the search runs deeper than the press that follows
     held_m = [depth_m for phase, depth_m in zip(course["phase"], course["depth_high_m"], strict=True) if phase == Phase.HOLD]
     assert max(held_m) == pytest.approx(0.003, abs=1e-4)
+
+
+def test_the_set_up_shows_the_steps_the_next_one_and_what_the_cell_confirms(browser: TestClient) -> None:
+    answer = browser.get("/setup/rows").json()
+    assert (answer["ok"], answer["steps"], answer["order"][0]) == (True, {}, "robot")
+    assert set(answer["assumptions"].values()) == {"not tried"}

@@ -20,6 +20,8 @@ from palpd.tick import Floats, ForceSensor, Robot, RobotMode, RobotState, Safety
 READ_EVERY_S = 0.0005
 """Pause between two readings: half the period of the sensor."""
 AXES = ("Fx", "Fy", "Fz")
+BURST_MS = 5.0
+"""Longest time beyond the sensor's period between two arrivals: a latency timer of 16 ms shows, a PC that wakes some ms late does not."""
 FEWEST_FRAMES = 10
 """Fewest frames that say anything of noise, drift or contact."""
 
@@ -28,7 +30,8 @@ FEWEST_FRAMES = 10
 class DeviceRecord:
     """Everything that the devices sent while they were observed.
 
-    `state_s` (m,) is the host time and `timestamp_s` (m,) the robot's stamp of each new state.
+    `state_s` (m,) is the host time and `timestamp_s` (m,) the robot's stamp of each new state; `arrivals` counts the reads that brought
+    frames.
     """
 
     duration_s: float
@@ -40,6 +43,7 @@ class DeviceRecord:
     state_s: Floats
     timestamp_s: Floats
     last: RobotState | None
+    arrivals: int = 0
 
 
 def observed(sensor: ForceSensor | None, robot: Robot | StateReader | None, duration_s: float) -> DeviceRecord:
@@ -57,7 +61,7 @@ def observed(sensor: ForceSensor | None, robot: Robot | StateReader | None, dura
     counters: list[np.ndarray[Any, np.dtype[np.int64]]] = [np.empty(0, np.int64)]
     state_s: list[float] = []
     stamps_s: list[float] = []
-    status, rejected, silence_s, last = 0, 0, 0.0, None
+    status, rejected, silence_s, last, arrivals = 0, 0, 0.0, None, 0
     if sensor is not None:
         drain(sensor)
     began_s = heard_s = now_s = time.monotonic()
@@ -69,6 +73,7 @@ def observed(sensor: ForceSensor | None, robot: Robot | StateReader | None, dura
                 frames = sensor.read()
                 rejected += frames.rejected
                 if len(frames):
+                    arrivals += 1
                     wrenches.append(frames.wrench)
                     counters.append(frames.counter.astype(np.int64))
                     status |= int(np.bitwise_or.reduce(frames.status))
@@ -86,7 +91,7 @@ def observed(sensor: ForceSensor | None, robot: Robot | StateReader | None, dura
     steps = np.diff(np.concatenate(counters)) & 0xFFFF  # the counter is 16 bits wide
     silence_s = max(silence_s, now_s - heard_s)
     return DeviceRecord(
-        now_s - began_s, np.concatenate(wrenches), status, rejected, steps, silence_s, np.array(state_s), np.array(stamps_s), last
+        now_s - began_s, np.concatenate(wrenches), status, rejected, steps, silence_s, np.array(state_s), np.array(stamps_s), last, arrivals
     )
 
 
@@ -156,7 +161,22 @@ def judge_sensor(record: DeviceRecord, config: Config, sensor: SensorDriver) -> 
         frames = Finding("sensor frames", "ok", measured, "", figures)
     if len(record.wrench) < FEWEST_FRAMES:
         return [frames]
-    return [frames, _noise(record, config), _drift(record)]
+    return [frames, *_bursts(record, config), _noise(record, config), _drift(record)]
+
+
+def _bursts(record: DeviceRecord, config: Config) -> list[Finding]:
+    """Judge how often frames arrive: an adapter that holds bytes back makes all of them late by up to one burst."""
+    if not record.arrivals:
+        return []
+    every_ms, most_ms = 1e3 * record.duration_s / record.arrivals, 1e3 / config.sensor.rate_Hz + BURST_MS
+    late = every_ms > most_ms
+    advice = (
+        "the USB adapter holds bytes back, so each reaction is late: write 1 to its latency_timer in /sys/class/tty/…/device"
+        if late
+        else ""
+    )
+    measured, figures = f"frames arrive every {every_ms:.1f} ms", {"arrival_every_ms": every_ms}
+    return [Finding("sensor latency", "warn" if late else "ok", measured, advice, figures, f"at most every {most_ms:g} ms")]
 
 
 def _noise(record: DeviceRecord, config: Config) -> Finding:
@@ -164,7 +184,7 @@ def _noise(record: DeviceRecord, config: Config) -> Finding:
     model = config.cell.sensor
     expected_N = float(np.hypot(model.noise_rms_N, model.resolution_fz_N))
     measured = ", ".join(f"{axis} {value * 1e3:.0f} mN" for axis, value in zip(AXES, rms_N, strict=True)) + " rms"
-    figures = {"noise_N": rms_N.tolist()}
+    figures: dict[str, object] = {"noise_N": rms_N.tolist(), "noise_fxy_N": float(rms_N[:2].mean())}
     if not record.wrench.std(axis=0).any():
         return Finding("sensor noise", "fail", measured, "no axis moves by a count: it is stuck; unplug it and plug it in", figures)
     if rms_N.max() > STABLE_RMS_N:

@@ -59,10 +59,13 @@ def check_weight(
     ratio, across = -z_N / weight_N, float(np.hypot(x_N, y_N)) / weight_N
     figures = {"weight_N": weight_N, "measured_N": -z_N, "across_N": across * weight_N, "ratio": ratio}
     measured = f"{-z_N:.2f} N down and {across * weight_N:.2f} N across of {weight_N:g} N hung on it"
+    if abs(ratio) < 0.5 < across:
+        advice = "the weight shows across and not down: the sensor's axes are not the tool's; mount it with its z along the flange's z"
+        return Finding("known weight", "fail", measured, advice, figures)
     if abs(ratio) < 0.2:
         return Finding("known weight", "fail", measured, "the weight does not hang on the sensor, or the sensor is dead", figures)
     if ratio < 0:
-        advice = "the sign is wrong: pressed would read as pulled, and no limit would act; do not move. Was the weight hung, not pushed?"
+        advice = "the sign is wrong, and no limit would act; do not move. Was the weight hung, not pushed? Else turn the sensor round"
         return Finding("known weight", "fail", measured, advice, figures)
     pulls = rotation[2][2] < -TOOL_DOWN and config.fz_slopes != "pulled"
     if pulls and pulled_over_pressed is not None and abs(pulled_over_pressed - 1.0) > LEAST_APART:

@@ -1,0 +1,104 @@
+"""The cell that is being set up: its folder, its files, and the operator who answers."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from palpd.config import Config, load_config
+from palpd.daemon.devices import Build
+from palpd.daemon.display import Display
+from palpd.daemon.session import ForegroundHost
+from palpd.daemon.stored_state import State
+from palpd.daemon.wiring import devices
+from palpd.errors import ConfigError, Refused
+from palpd.files import read_text, write_text
+from palpd.migration import with_values
+
+
+class NoOperator(Refused):
+    """Nobody answers."""
+
+
+class StepOperator(Protocol):
+    """Whoever stands at the cell, at a terminal or a page. `ask` and `choose` raise NoOperator where nobody answers."""
+
+    def say(self, sentence: str) -> None:
+        """Show a sentence."""
+
+    def ask(self, question: str, usual: str = "") -> str:
+        """Ask for a text; an empty answer is the usual one."""
+        ...
+
+    def choose(self, question: str, answers: Sequence[str]) -> str:
+        """Ask for one of the answers; the first is the usual one."""
+        ...
+
+
+@dataclass(frozen=True)
+class SetupCell:
+    """What a step works on.
+
+    Attributes:
+        folder: Folder of config.yaml and plan.yaml; either may be missing.
+        operator: Answers.
+        display: Shows the progress of a run.
+        robot: Address of the controller; None: the operator is asked.
+        sensor: Port of the sensor; None: it is searched for.
+        build: Opens the devices of a run.
+    """
+
+    folder: Path
+    operator: StepOperator
+    display: Display
+    robot: str | None = None
+    sensor: str | None = None
+    build: Build = devices
+
+    @property
+    def config_file(self) -> Path:
+        """config.yaml of the cell."""
+        return self.folder / "config.yaml"
+
+    @property
+    def config(self) -> Config:
+        """What config.yaml says now. Raises ConfigError."""
+        return load_config(self.config_file)
+
+    @property
+    def state(self) -> State:
+        """The state folder, also before there is a configuration."""
+        return State(self.config.paths.state if self.config_file.exists() else self.folder.resolve() / "state")
+
+    @property
+    def host(self) -> ForegroundHost:
+        """Carries out runs with the configuration as it is now."""
+        return ForegroundHost(self.config, self.build, self.display, self.agrees)
+
+    def agrees(self, question: str) -> bool:
+        """Ask a question that yes or no answers."""
+        return self.operator.choose(question, ("yes", "no")) == "yes"
+
+    def numbers(self, question: str, usual: str, count: int = 1) -> tuple[float, ...]:
+        """Ask for `count` numbers with commas between, again until they are."""
+        while True:
+            answer = self.operator.ask(question, usual)
+            try:
+                values = tuple(float(word) for word in answer.split(","))
+            except ValueError:
+                values = ()
+            if len(values) == count:
+                return values
+            self.operator.say(
+                f"{answer!r} is not understood, expected {count} number{'s' * (count > 1)} with commas between; type them again."
+            )
+
+    def change(self, values: Mapping[tuple[str, str], object]) -> None:
+        """Set keys of config.yaml, and keep its comments. Raises ConfigError or BadInput, and the file stays as it was."""
+        before = read_text(self.config_file, error=ConfigError)
+        write_text(self.config_file, with_values(before, values), own=True)
+        try:
+            load_config(self.config_file)
+        except ConfigError:
+            write_text(self.config_file, before, own=True)
+            raise
