@@ -62,7 +62,9 @@ BY_HAND = {
 
 
 NEEDS_MORE = {
-    **dict.fromkeys(("run", "calibrate", "stiffness", "free-motion", "level-test", "retract", "doctor", "resolve"), "needs a cell"),
+    **dict.fromkeys(
+        ("run", "check", "calibrate", "stiffness", "free-motion", "level-test", "retract", "doctor", "resolve"), "needs a cell"
+    ),
     **dict.fromkeys(("status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job", "plans", "controls"), "needs a daemon"),
     **dict.fromkeys(("emulate", "serve", "web"), "serves until Ctrl-C"),
     "arena": "needs the rigs of the repository; tests/arena asks every tool",

@@ -8,7 +8,7 @@ from typer.core import TyperGroup
 GROUPS = {
     "Try it without a cell": ("demo", "sim", "emulate"),
     "Set up a cell": ("init", "check-config", "doctor", "calibrate", "stiffness", "free-motion", "train", "install", "migrate"),
-    "Palpate": ("run", "map", "level-test", "retract"),
+    "Palpate": ("check", "run", "map", "level-test", "retract"),
     "Run the service and speak to it": (
         "serve", "web", "stream", "status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job", "plans", "controls",
     ),

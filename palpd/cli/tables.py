@@ -185,6 +185,20 @@ def finding_table(findings: "Sequence[Finding]") -> Table:
     return table
 
 
+def check_table(points: Sequence[Mapping[str, Any]]) -> Table:
+    """Draw what a morning check measured, what healthy days let expect, and what may change.
+
+    Args:
+        points: The `figures` of its `--json`.
+    """
+    table = _table("What the check measured", "figure", "today", "expected", "tolerance", "changed since")
+    for point in points:
+        cells = [f"{v:.2g} %" if point["unit"] == "%" else quantity(v, point["unit"]) for v in (point["value"], point["expected"])]
+        tolerance = f"{point['tolerance']:.2g} %" if point["unit"] == "%" else quantity(point["tolerance"], point["unit"])
+        table.add_row(point["words"], *cells, tolerance, point["since"] or "")
+    return table
+
+
 def _kPa(modulus_Pa: float | None) -> str:
     return f"{modulus_Pa / 1e3:.1f}" if modulus_Pa is not None else "–"
 

@@ -1,4 +1,4 @@
-"""What survives a restart: reference tare, stiffness of the machine, latch of the last stop, an unfinished contact. One JSON file each."""
+"""What survives a restart: reference tare, stiffness, last check, latch of the last stop, an unfinished contact. One JSON file each."""
 
 import datetime
 import math
@@ -66,7 +66,16 @@ class Latch:
     date: str
 
 
-Kept = TypeVar("Kept", Calibration, MachineStiffness, ContactMarker, LevelTested, PlanPlace)
+@dataclass(frozen=True, slots=True)
+class LastCheck:
+    """How the last morning check ended: its date, its level (`ok`, `warn`, `stop`), and its sentence."""
+
+    date: str
+    level: Literal["ok", "warn", "stop"]
+    sentence: str
+
+
+Kept = TypeVar("Kept", Calibration, MachineStiffness, ContactMarker, LevelTested, PlanPlace, LastCheck)
 _ADAPTERS: dict[str, TypeAdapter[Any]] = {}
 """What reads each file: one takes 10 ms to make, and the service reads these files several times a second."""
 
@@ -108,6 +117,10 @@ class State:
             raise ConfigError(f"{self.folder / 'stiffness.json'} holds {damaged}")
         return stiffness
 
+    def last_check(self) -> LastCheck | None:
+        """The last `palpd check`, if any."""
+        return self._kept("check", LastCheck, "no check; run palpd check again")
+
     def latch(self) -> Latch | None:
         """The reason of a stop that no operator has cleared; a file that cannot be read is one too. None where there is none."""
         try:
@@ -120,7 +133,7 @@ class State:
         """Where the sites of the last palpation counted from."""
         return self._kept("place", PlanPlace, "no place of a plan; delete it, and start where the sites shall count from")
 
-    def keep(self, name: str, thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested | PlanPlace) -> None:
+    def keep(self, name: str, thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested | PlanPlace | LastCheck) -> None:
         """Write a state file so that a crash leaves the old file or the new one, never half of it.
 
         Args:

@@ -31,10 +31,10 @@ from tests.web.fake_service import FakeService
 
 HEAVY = ("numpy", "pydantic", "rich", "typer", "structlog", "scipy", "dataclasses", "inspect")
 COMMANDS = (
-    "run", "calibrate", "free-motion", "stiffness", "level-test", "retract", "demo", "sim", "emulate", "serve", "web", "status", "arm",
-    "start", "pause", "resume", "abort", "clear", "jobs", "job", "plans", "controls", "stream", "init", "install", "doctor", "migrate",
-    "check-config", "runs", "info", "report", "replay", "export", "recover", "import", "cell-from", "analyse", "train",
-    "map", "diagnose", "resolve", "simulate", "export-sim", "tolerances", "effects", "blind", "study", "arena",
+    "run", "check", "calibrate", "free-motion", "stiffness", "level-test", "retract", "demo", "sim", "emulate", "serve", "web",
+    "status", "arm", "start", "pause", "resume", "abort", "clear", "jobs", "job", "plans", "controls", "stream", "init", "install",
+    "doctor", "migrate", "check-config", "runs", "info", "report", "replay", "export", "recover", "import", "cell-from", "analyse",
+    "train", "map", "diagnose", "resolve", "simulate", "export-sim", "tolerances", "effects", "blind", "study", "arena",
 )  # fmt: skip
 
 
