@@ -188,9 +188,9 @@ def outcome_of(cell: SimulatedCell, number: int, days: int) -> CellOutcome:
         begins = int(rng.integers(FIRST_FAULT_DAY, days))
         after = [cell.day(f"day {begins + k}", fault) for k in range(2)]
         seen = judged([*lived[:begins], *(day for day, _ in after)], tolerances)[begins:]
-        found = next((k for k, verdict in enumerate(seen) if verdict.level != "ok"), None)
+        first = next((k for k, verdict in enumerate(seen) if verdict.level != "ok"), None)
         episodes.append(
-            Episode(cause, found is not None, seen[found].causes[0] if found is not None else None, after[1 if found is None else found][1])
+            Episode(cause, first is not None, seen[first].causes[0] if first is not None else None, after[1 if first is None else first][1])
         )
     quiet = tuple(samples for verdict, samples in list(zip(verdicts, recordings, strict=True))[FIRST_FAULT_DAY:] if verdict.level == "ok")
     return CellOutcome(days, false, tuple(episodes), tuple(recordings[:HEALTHY_COMPARED]), quiet)
@@ -258,11 +258,11 @@ def table_of(outcomes: Sequence[CellOutcome], named: Sequence[tuple[str, tuple[s
     ]
     for cause, (words, _, effect) in FAULTS.items():
         episodes = [each for outcome in outcomes for each in outcome.episodes if each.cause == cause]
-        found = [each for each in episodes if each.within_two]
+        seen = [each for each in episodes if each.within_two]
         answers = [effects for truth, effects in named if truth == cause]
         by_diagnosis = _share(sum(effects[:1] == (effect,) for effects in answers), len(answers)) if answers else "not asked"
-        right = sum(each.named == cause for each in found)
-        lines.append(f"| {words} | {len(episodes)} | {_share(len(found), len(episodes))} | {_share(right, len(found))} | {by_diagnosis} |")
+        right = sum(each.named == cause for each in seen)
+        lines.append(f"| {words} | {len(episodes)} | {_share(len(seen), len(episodes))} | {_share(right, len(seen))} | {by_diagnosis} |")
     which = ", ".join(f"{count} {cause}" for cause, count in false.most_common())
     nothing = _share(sum(not effects for effects in quiet), len(quiet)) if quiet else "not asked"
     total = sum(false.values())

@@ -68,9 +68,6 @@ def renewed_baseline(config: Config, note: str) -> dict[str, Any]:
     Args:
         note: Why, for who looks at the charts later.
 
-    Returns:
-        The figures of that check.
-
     Raises:
         BadInput: There is no check, the note is empty, or a file cannot be written.
     """

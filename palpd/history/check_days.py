@@ -11,8 +11,9 @@ from palpd.config import CheckTolerances
 from palpd.documents import read_json
 from palpd.errors import BadInput
 from palpd.files import write_json
-from palpd.history.control_charts import CheckedDay, DayVerdict, judged
+from palpd.history.control_charts import WATCHED, CheckedDay, DayVerdict, judged
 from palpd.history.stored import CHECK, RECORDING, beside, stored_checks
+from palpd.quantities import scaled
 
 MOST_BYTES = 200_000
 """Largest file of a check: a dozen figures with their charts take 5 kB, a diagnosis 20 kB."""
@@ -100,6 +101,45 @@ def judge_today(folder: Path, today: CheckedDay, tolerances: CheckTolerances) ->
     verdicts = judged([*(check.day for _, check in known), today], tolerances)
     healthy = [path for (path, _), verdict in zip(known, verdicts, strict=False) if verdict.level == "ok" and path.exists()]
     return verdicts[-1], healthy[:HEALTHY_COMPARED]
+
+
+def charts(folder: Path) -> dict[str, Any]:
+    """The checks since the last baseline, and a chart of each figure, for a page.
+
+    Args:
+        folder: The folder of the runs.
+
+    Returns:
+        `checks` with date, level, sentence, baseline and what the diagnosis names; `figures` with words, unit, and columns over the checks:
+        `values`, `low` and `high` in that unit, and `changed`.
+
+    Raises:
+        BadInput: A file is damaged, or the folder cannot be read.
+    """
+    known = [check for _, check in since_baseline(kept_checks(folder))]
+    figures = []
+    for name, watched in WATCHED.items():
+        points = [next((point for point in check.verdict.points if point.figure == name), None) for check in known]
+        there = [point for point in points if point is not None]
+        if not there:
+            continue
+        scale, unit = (1.0, "%") if watched.unit == "%" else scaled(max(max(map(abs, point.limits)) for point in there), watched.unit)
+        columns = [(None, None, None) if point is None else (point.value, *point.limits) for point in points]
+        values, low, high = ([None if x is None else x / scale for x in column] for column in zip(*columns, strict=True))
+        changed = [point is not None and point.changed for point in points]
+        figures.append({"words": watched.words, "unit": unit, "values": values, "low": low, "high": high, "changed": changed})
+    checks = [
+        {
+            "date": check.day.date,
+            "temperature_C": check.day.temperature_C,
+            "level": check.verdict.level,
+            "sentence": check.verdict.sentence,
+            "named": check.named,
+            "baseline": check.baseline.note if check.baseline is not None else None,
+        }
+        for check in known
+    ]
+    return {"checks": checks, "figures": figures}
 
 
 def begin_baseline(folder: Path, date: str, note: str, tolerances: CheckTolerances) -> tuple[Path, MorningCheck]:

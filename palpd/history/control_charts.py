@@ -128,6 +128,14 @@ class ChartPoint:
     since: str | None = None
 
     @property
+    def limits(self) -> tuple[float, float]:
+        """Values of a single day between which the figure counts as before."""
+        half = self.tolerance
+        if self.sigma is not None:
+            half = max(LIMIT * self.sigma, WATCHED[self.figure].least_share * self.tolerance)
+        return self.expected - half, self.expected + half
+
+    @property
     def sentence(self) -> str:
         """The change for people."""
         watched = WATCHED[self.figure]
@@ -248,13 +256,13 @@ def _causes(points: Sequence[ChartPoint]) -> tuple[Cause, ...]:
 
     The pattern is that of the day itself: the day before may have been healthy.
     """
-    found = sorted((point for point in points if point.changed), key=_size, reverse=True)
+    changed = sorted((point for point in points if point.changed), key=_size, reverse=True)
     shares = {
         point.figure: ((point.value - point.expected) / abs(point.expected), (point.sigma or point.tolerance / 3.0) / abs(point.expected))
         for point in points
         if point.figure in ("puck_modulus_Pa", "plate_stiffness_N_per_m") and point.expected
     }
-    causes = [WATCHED[point.figure].cause if point.figure not in shares else _scale_cause(shares) for point in found]
+    causes = [WATCHED[point.figure].cause if point.figure not in shares else _scale_cause(shares) for point in changed]
     return tuple(dict.fromkeys(causes))
 
 

@@ -26,7 +26,13 @@ class Tab(NamedTuple):
     path: str
 
 
-TABS = (Tab("run", "Run", "/"), Tab("plan", "Plan", "/plan"), Tab("runs", "Runs", "/runs"), Tab("resolve", "Resolve", "/resolve"))
+TABS = (
+    Tab("run", "Run", "/"),
+    Tab("plan", "Plan", "/plan"),
+    Tab("runs", "Runs", "/runs"),
+    Tab("checks", "Checks", "/checks"),
+    Tab("resolve", "Resolve", "/resolve"),
+)
 
 
 def page(request: Request, part: str, title: str, tab: str, *, camera: str = "") -> HTMLResponse:

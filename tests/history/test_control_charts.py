@@ -42,12 +42,12 @@ def test_a_healthy_cell_warns_on_at_most_one_day_in_a_hundred() -> None:
 
 
 def test_three_standard_deviations_of_the_zero_are_found_within_two_days() -> None:
-    found = 0
+    count = 0
     for seed in range(40):
         days = healthy(42, seed)
         verdicts = after(days[:40], *(changed(day, zero_N=0.15) for day in days[40:]))
-        found += any("zero" in verdict.causes for verdict in verdicts)
-    assert found >= 34
+        count += any("zero" in verdict.causes for verdict in verdicts)
+    assert count >= 34
 
 
 @pytest.mark.parametrize(
@@ -67,10 +67,10 @@ def test_three_standard_deviations_of_the_zero_are_found_within_two_days() -> No
 def test_a_change_is_found_and_named(cause: str, shifts: dict[str, float]) -> None:
     days = healthy(32, seed=5)
     verdicts = after(days[:30], *(changed(day, **shifts) for day in days[30:]))
-    found = next(verdict for verdict in verdicts if verdict.level != "ok")
-    assert found.causes[0] == cause
-    assert found.sentence.endswith(".")
-    assert "since day 3" in found.sentence
+    first = next(verdict for verdict in verdicts if verdict.level != "ok")
+    assert first.causes[0] == cause
+    assert first.sentence.endswith(".")
+    assert "since day 3" in first.sentence
 
 
 def test_a_day_that_warns_teaches_the_charts_nothing() -> None:
@@ -108,6 +108,6 @@ def test_a_zero_that_follows_the_temperature_is_no_change() -> None:
 
 def test_a_cell_without_a_plate_has_no_play() -> None:
     days = [replace(day, features=replace(day.features, play_m=None, plate_stiffness_N_per_m=None)) for day in healthy(32)]
-    found = after(days[:30], *(changed(day, puck_modulus_Pa=2100.0) for day in days[30:]))[1]
-    assert found.causes == ("puck",)
-    assert "play_m" not in [point.figure for point in found.points]
+    verdict = after(days[:30], *(changed(day, puck_modulus_Pa=2100.0) for day in days[30:]))[1]
+    assert verdict.causes == ("puck",)
+    assert "play_m" not in [point.figure for point in verdict.points]
