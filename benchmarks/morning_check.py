@@ -8,6 +8,7 @@ temperature are drawn.
 """
 
 import argparse
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -52,6 +53,7 @@ HEALTHY_SD: Mapping[str, float] = {
 PUCK_PER_K = -0.002
 """How the puck's modulus follows the temperature."""
 FIRST_FAULT_DAY = 20
+DIAGNOSED = re.compile(r"cell \d+: (\w+), the diagnosis names (.*)")
 
 
 @dataclass(frozen=True)
@@ -222,6 +224,7 @@ def main() -> None:
     parser.add_argument("--days", type=int, default=50)
     parser.add_argument("--diagnosed-cells", type=int, default=10, help="cells whose changes and healthy days are diagnosed; 0: none")
     parser.add_argument("--quiet", type=int, default=2, help="healthy days a cell that are diagnosed")
+    parser.add_argument("--log", type=Path, help="output of an earlier run, whose diagnoses count in place of new ones")
     parser.add_argument("--docs", type=Path, help="folder of the pages; the table is written there")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
@@ -236,7 +239,13 @@ def main() -> None:
     for number in range(given.cells):
         outcomes.append(outcome_of(SimulatedCell(number, *templates, link), number, given.days))
         print(f"cell {number}: false {outcomes[-1].false_alarms}, {[(e.cause, e.named) for e in outcomes[-1].episodes]}", flush=True)
-    named = list(diagnosed(outcomes, given.diagnosed_cells, given.quiet))
+    if given.log:
+        named = [
+            (truth, tuple(names.replace("nothing", "").replace(",", "").split()))
+            for truth, names in DIAGNOSED.findall(given.log.read_text())
+        ]
+    else:
+        named = list(diagnosed(outcomes, given.diagnosed_cells, given.quiet))
     table = table_of(outcomes, named)
     print(table)
     if given.json:

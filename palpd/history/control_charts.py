@@ -110,7 +110,7 @@ class ChartPoint:
         value: As measured.
         expected: As the healthy days before let expect; the first day's value while they are too few.
         sigma: Standard deviation of that; None while the healthy days are too few.
-        shift: Change that is judged: the mean of two days, in which the day before an alarm does not count.
+        shift: Change that the chart judges: the mean of two days, in which the day before an alarm does not count.
         tolerance: Change from which the figure is out of tolerance.
         distance: Standard normal distance of the day; None while the healthy days are too few.
         changed: Whether the change is one.
@@ -128,25 +128,30 @@ class ChartPoint:
     since: str | None = None
 
     @property
+    def deviation(self) -> float:
+        """How far the value of the day is off."""
+        return self.value - self.expected
+
+    @property
     def limits(self) -> tuple[float, float]:
         """Values of a single day between which the figure counts as before."""
         half = self.tolerance
         if self.sigma is not None:
             half = max(LIMIT * self.sigma, WATCHED[self.figure].least_share * self.tolerance)
-        return self.expected - half, self.expected + half
+        return (self.expected - half if WATCHED[self.figure].charted else 0.0), self.expected + half
 
     @property
     def sentence(self) -> str:
         """The change for people."""
         watched = WATCHED[self.figure]
         if not watched.charted:
-            return f"{self.value:.2g} % (tolerance {self.tolerance:.2g} %), since {self.since}"
-        sign = "-" if self.shift < 0.0 else "+"
+            return f"{self.value:.2g} % (tolerance {self.tolerance:.2g} %), since {(self.since or '')[:10]}"
+        sign = "-" if self.deviation < 0.0 else "+"
         changes = [
             f"{100.0 * abs(size / self.expected):.2g} %" if watched.relative else quantity(abs(size), watched.unit)
-            for size in (self.shift, self.tolerance)
+            for size in (self.deviation, self.tolerance)
         ]
-        return f"{watched.words} changed by {sign}{changes[0]} (tolerance {changes[1]}), since {self.since}"
+        return f"{watched.words} changed by {sign}{changes[0]} (tolerance {changes[1]}), since {(self.since or '')[:10]}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +206,7 @@ def _point(
 ) -> ChartPoint:
     """One figure of a day against its healthy days, and against the first day."""
     watched, value = WATCHED[name], float(getattr(day.features, name))
-    began = float(getattr(first.features, name)) if watched.charted else 0.0
+    began = float(getattr(first.features, name)) if watched.charted else 0.0  # nothing is missed, lost or missing in a healthy cell
     tolerance = float(getattr(tolerances, watched.tolerance)) * (abs(began) if watched.relative else 1.0)
     known = [(x, each.temperature_C) for each in healthy if (x := getattr(each.features, name)) is not None]
     if not watched.charted or len(known) < FEWEST_DAYS:
@@ -248,19 +253,25 @@ def _since(point: ChartPoint, before: DayVerdict | None, date: str) -> ChartPoin
 
 def _size(point: ChartPoint) -> float:
     """Size of a change in tolerances."""
-    return abs(point.shift) / point.tolerance
+    return abs(point.deviation) / point.tolerance
 
 
 def _causes(points: Sequence[ChartPoint]) -> tuple[Cause, ...]:
     """What explains the changes: of puck and plate the pattern that leaves least, of the other figures their own cause each.
 
-    The pattern is that of the day itself: the day before may have been healthy.
+    The pattern is the mean of two days where the day before was off by at least half of what today is, else that of today: the day before
+    may have been healthy.
     """
     changed = sorted((point for point in points if point.changed), key=_size, reverse=True)
+    scales = [point for point in points if point.figure in ("puck_modulus_Pa", "plate_stiffness_N_per_m") and point.expected]
+    largest = max(scales, key=_size, default=None)
+    two_days = largest is not None and (2.0 * largest.shift - largest.deviation) * largest.deviation > 0.5 * largest.deviation**2
     shares = {
-        point.figure: ((point.value - point.expected) / abs(point.expected), (point.sigma or point.tolerance / 3.0) / abs(point.expected))
-        for point in points
-        if point.figure in ("puck_modulus_Pa", "plate_stiffness_N_per_m") and point.expected
+        point.figure: (
+            (point.shift if two_days else point.deviation) / abs(point.expected),
+            (point.sigma or point.tolerance / 3.0) / abs(point.expected),
+        )
+        for point in scales
     }
     causes = [WATCHED[point.figure].cause if point.figure not in shares else _scale_cause(shares) for point in changed]
     return tuple(dict.fromkeys(causes))

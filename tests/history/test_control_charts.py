@@ -24,7 +24,7 @@ def healthy(days: int, seed: int = 0, room_sd: float = 0.0, **by_kelvin: float) 
     for k in range(days):
         warmer_by = room_sd * float(rng.normal())
         values = {name: getattr(TYPICAL, name) + sd * float(rng.normal()) + by_kelvin.get(name, 0.0) * warmer_by for name, sd in SD.items()}
-        drawn.append(CheckedDay(f"day {k}", replace(TYPICAL, **values), 21.0 + warmer_by if room_sd else None))
+        drawn.append(CheckedDay(f"day {k:02d}", replace(TYPICAL, **values), 21.0 + warmer_by if room_sd else None))
     return drawn
 
 

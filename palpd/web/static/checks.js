@@ -12,11 +12,12 @@ function about(checks) {
   const parts = [`${checks.length} check${checks.length > 1 ? "s" : ""} since ${first.date.slice(0, 10)}`];
   if (first.baseline) parts.push(`the baseline: ${first.baseline}`);
   if (last.named.length) parts.push(`the diagnosis of the puck names ${last.named.join(", ")}`);
-  if (last.temperature_C !== null) parts.push(`${last.temperature_C} °C`);
+  if (last.temperature_C !== null) parts.push(`${last.temperature_C.toFixed(1)} °C`);
   return parts.join("; ");
 }
 
 function draw(figure, checks) {
+  const plain = figure.words.replace(/^the /, ""), title = plain[0].toUpperCase() + plain.slice(1);
   const holder = make("div", {}), x = checks.map((_, k) => k + 1);
   const names = checks.map((check, k) => `${check.date.slice(0, 16)}: ${figure.values[k]?.toPrecision(4)} ${figure.unit}`);
   const of = (changed) => figure.values.map((value, k) => (figure.changed[k] === changed ? value : null));
@@ -26,7 +27,7 @@ function draw(figure, checks) {
       { x, y: of(false), points: true, bare: true, names },
       { x, y: of(true), points: true, bare: true, names, colour: 1 },
     ] }));
-  return make("section", {}, make("h2", { text: figure.words }), holder);
+  return make("section", {}, make("h2", { text: title }), holder);
 }
 
 const answer = await read("/checks/list", { patience_ms: 130000 });
