@@ -32,7 +32,7 @@ def print_run(result: "RunResult") -> None:
 
 
 def print_check(figures: Mapping[str, Any]) -> None:
-    """Print what `palpd check` measured, what healthy days let expect, and what the diagnosis of the puck says of a change.
+    """Print what `palpd check` measured, how far that is off, and what the diagnosis of the puck says of a change.
 
     Args:
         figures: As its `--json` holds them.

@@ -186,16 +186,16 @@ def finding_table(findings: "Sequence[Finding]") -> Table:
 
 
 def check_table(points: Sequence[Mapping[str, Any]]) -> Table:
-    """Draw what a morning check measured, what healthy days let expect, and what may change.
+    """Draw what a morning check measured, how far that is from what healthy days let expect, and how far it may be.
 
     Args:
         points: The `figures` of its `--json`.
     """
-    table = _table("What the check measured", "figure", "today", "expected", "tolerance", "changed since")
+    table = _table("What the check measured", "figure", "today", "change", "tolerance", "changed since")
     for point in points:
-        cells = [f"{v:.2g} %" if point["unit"] == "%" else quantity(v, point["unit"]) for v in (point["value"], point["expected"])]
-        tolerance = f"{point['tolerance']:.2g} %" if point["unit"] == "%" else quantity(point["tolerance"], point["unit"])
-        table.add_row(point["words"], *cells, tolerance, point["since"] or "")
+        sizes = (point["value"], point["value"] - point["expected"], point["tolerance"])
+        cells = [f"{size:.2g} %" if point["unit"] == "%" else quantity(size, point["unit"]) for size in sizes]
+        table.add_row(point["words"], *cells, point["since"] or "")
     return table
 
 

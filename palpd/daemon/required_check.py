@@ -41,7 +41,7 @@ def refuse_unchecked(config: Config, plan: Plan, last: LastCheck | None, now: da
         Refused: There is no such check.
     """
     most_h = config.check.require_check_h
-    if most_h is None or plan == check_plan(config):
+    if most_h is None or plan.model_dump() == check_plan(config).model_dump():
         return
     if last is None:
         raise Refused(f"no check of this cell is kept, and check.require_check_h is {most_h:g}; run palpd check first")

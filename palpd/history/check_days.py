@@ -160,6 +160,6 @@ def begin_baseline(folder: Path, date: str, note: str, tolerances: CheckToleranc
     if not checks:
         raise BadInput(f"there is no check in {folder}, expected the one that shows the change; run palpd check first")
     recording, last = checks[-1]
-    renewed = MorningCheck(last.day, judged([last.day], tolerances)[0], last.plate, Baseline(date, note), last.diagnosis)
+    renewed = MorningCheck(last.day, judged([last.day], tolerances)[0], last.plate, Baseline(date, note))
     keep_check(recording, renewed)
     return recording, renewed

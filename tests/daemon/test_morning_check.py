@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from palpd.cell.cell_file import cell_from
-from palpd.config import CheckConfig, Config, PathsConfig, Plan, PlanSite
+from palpd.config import CheckConfig, Config, PathsConfig, Plan, PlanSite, parse_plan
 from palpd.daemon import morning_check as program
 from palpd.daemon.display import NoDisplay
 from palpd.daemon.finding import Finding
@@ -116,7 +116,8 @@ def test_a_palpation_without_its_check_is_refused(config: Config, last: LastChec
     with pytest.raises(Refused, match=words):
         refuse_unchecked(asks, plan, last, NOW)
     refuse_unchecked(config, plan, last, NOW)  # absent: none is needed
-    refuse_unchecked(asks, check_plan(asks), last, NOW)  # the check itself needs none
+    # the check itself needs none, also where its plan came as a job's message
+    refuse_unchecked(asks, parse_plan(check_plan(asks).model_dump(mode="json"), "the plan of the job"), last, NOW)
 
 
 def test_a_fresh_check_that_warns_lets_a_palpation_through(config: Config) -> None:
