@@ -100,6 +100,7 @@ class JobProgram:
         carry_out: Carries it out, given its host, its arguments, and the file or folder that it keeps.
         most_runs: Largest number of runs, by its arguments.
         moves: Whether the arm moves, so that the service must be armed.
+        command_arms: Whether its command is the operator's word to arm and to clear the latch of a stop; else both come before it.
         ending: Ending of the file that it keeps; empty for a folder.
     """
 
@@ -108,6 +109,7 @@ class JobProgram:
     carry_out: Callable[[ProgramHost, Any, Path], ProgramEnd]
     most_runs: Callable[[Any], int] = lambda _: 1
     moves: bool = True
+    command_arms: bool = True
     ending: str = ""
 
     def validated(self, values: object) -> StrictBlock:
@@ -237,7 +239,7 @@ PROGRAMS: Mapping[str, JobProgram] = {
         JobProgram("map", MapArguments, _map, lambda arguments: arguments.most_presses, ending=".png"),
         JobProgram("resolve", ResolveArguments, _resolve, lambda arguments: arguments.rounds),
         JobProgram("doctor", DoctorArguments, _doctor, moves=False),
-        JobProgram("check", CheckArguments, _check, lambda _: 2),
+        JobProgram("check", CheckArguments, _check, lambda _: 2, command_arms=False),
         JobProgram("recover", RecoverArguments, _recover, lambda _: 0, moves=False),
     )
 }

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from palpd.cell.cell_file import cell_from
+from palpd.cli.jobs import carried_out
 from palpd.config import CheckConfig, Config, PathsConfig, Plan, PlanSite, parse_plan
 from palpd.daemon import morning_check as program
 from palpd.daemon.display import NoDisplay
@@ -17,7 +18,7 @@ from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.program_host import ProposedMotion
 from palpd.daemon.required_check import check_plan, refuse_unchecked
 from palpd.daemon.simulated_run import run
-from palpd.daemon.stored_state import LastCheck, State
+from palpd.daemon.stored_state import LastCheck, Latch, State
 from palpd.daemon.supervisor import Report
 from palpd.errors import BadInput, Refused
 from palpd.history.check_days import kept_checks, since_baseline
@@ -123,3 +124,11 @@ def test_a_palpation_without_its_check_is_refused(config: Config, last: LastChec
 def test_a_fresh_check_that_warns_lets_a_palpation_through(config: Config) -> None:
     asks = config.model_copy(update={"check": CheckConfig(require_check_h=24.0)})
     refuse_unchecked(asks, Plan(), LastCheck((NOW - timedelta(hours=1)).isoformat(), "warn", "The puck has changed."), NOW)
+
+
+def test_a_check_clears_no_latch(config: Config) -> None:
+    state = State(config.paths.state)
+    state.keep("latch", Latch("the probe was caught", "2026-11-22"))
+    with pytest.raises(Refused, match="the last run was stopped on 2026-11-22: the probe was caught"):
+        carried_out("check", {}, config, config.paths.state)
+    assert state.latch() is not None
