@@ -29,7 +29,7 @@ from palpd.files import write_json
 from palpd.gap.commands import library, since_healthy
 from palpd.gap.diagnosis import diagnose
 from palpd.history.check_days import HEALTHY_COMPARED
-from palpd.history.check_features import LinkFigures, link_figures, measured
+from palpd.history.check_features import link_figures, measured
 from palpd.history.control_charts import CheckedDay, judged
 from palpd.quantities import wilson
 from palpd.recording.samples import WRENCH_COLUMNS, Samples
@@ -101,7 +101,7 @@ class Template:
 class SimulatedCell:
     """One cell: its own numbers, and the days that it draws."""
 
-    def __init__(self, number: int, puck: Template, plate: Template, link: LinkFigures) -> None:
+    def __init__(self, number: int, puck: Template, plate: Template, link: Mapping[str, float]) -> None:
         self._rng = np.random.default_rng([76, number])
         self._puck, self._plate, self._link, self._seed = puck, plate, link, 10_000 * number
         self._own = {name: float(self._rng.normal()) for name in ("machine", "puck", "zero", "delay")}
@@ -125,8 +125,8 @@ class SimulatedCell:
         surface_m = at_m + 2e-5 * float(self._rng.normal())
         puck = self._simulated(self._puck, common | {"tissue": {"youngs_modulus_Pa": modulus_Pa, "surface_z_m": surface_m}})
         plate = self._simulated(self._plate, common | {"wall": {"z_m": at_m, "stiffness_N_per_m": PLATE_N_PER_M}})
-        zero_N += self._link.zero_N + ZERO_N_PER_K * warmer_by_k + 5.0 * self._own["zero"] + fault.zero_sd * ZERO_SD_N
-        link = replace(self._link, zero_N=zero_N)
+        zero_N += self._link["zero_N"] + ZERO_N_PER_K * warmer_by_k + 5.0 * self._own["zero"] + fault.zero_sd * ZERO_SD_N
+        link = {**self._link, "zero_N": zero_N}
         frames = (_frames(self._puck, puck), _frames(self._plate, plate))
         features = measured(frames[0], frames[1], link, CONFIG.cell.probe.tip_radius_m, 0.5)
         site = self._puck.site

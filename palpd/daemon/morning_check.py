@@ -13,9 +13,9 @@ from palpd.daemon.required_check import PUCK, check_plan
 from palpd.daemon.stored_state import LastCheck, State, now
 from palpd.daemon.supervisor import Report
 from palpd.errors import BadInput, PalpdError
-from palpd.history.check_days import MorningCheck, begin_baseline, judge_today, keep_check
+from palpd.history.check_days import Baseline, MorningCheck, judge_today, keep_check, kept_checks
 from palpd.history.check_features import features_of
-from palpd.history.control_charts import WATCHED, CheckedDay
+from palpd.history.control_charts import WATCHED, CheckedDay, judged
 from palpd.recording.reader import Recording, samples_of
 from palpd.recording.samples import Samples
 
@@ -73,7 +73,13 @@ def renewed_baseline(config: Config, note: str) -> dict[str, Any]:
     """
     if not note.strip():
         raise BadInput("the note of a new baseline is empty, expected what was changed; give it")
-    recording, check = begin_baseline(config.paths.runs, now(), note.strip(), config.check.tolerances)
+    checks = kept_checks(config.paths.runs)
+    if not checks:
+        raise BadInput(f"there is no check in {config.paths.runs}, expected the one that shows the change; run palpd check first")
+    recording, last = checks[-1]
+    verdict = judged([last.day], config.check.tolerances)[0]
+    check = MorningCheck(last.day, verdict, last.plate, Baseline(now(), note.strip()))
+    keep_check(recording, check)
     _keep_last(config, check)
     return figures_of(recording, check)
 

@@ -140,26 +140,3 @@ def charts(folder: Path) -> dict[str, Any]:
         for check in known
     ]
     return {"checks": checks, "figures": figures}
-
-
-def begin_baseline(folder: Path, date: str, note: str, tolerances: CheckTolerances) -> tuple[Path, MorningCheck]:
-    """Say that what the last check shows is on purpose: it becomes the first of a new baseline.
-
-    Args:
-        folder: The folder of the runs.
-        date: Now, ISO 8601.
-        note: Why.
-
-    Returns:
-        The recording of the last check, and the check as it is kept then.
-
-    Raises:
-        BadInput: There is no check, or the file cannot be written.
-    """
-    checks = kept_checks(folder)
-    if not checks:
-        raise BadInput(f"there is no check in {folder}, expected the one that shows the change; run palpd check first")
-    recording, last = checks[-1]
-    renewed = MorningCheck(last.day, judged([last.day], tolerances)[0], last.plate, Baseline(date, note))
-    keep_check(recording, renewed)
-    return recording, renewed

@@ -5,7 +5,8 @@ the stiffness of the machine and its play. Both linearise the contact law f = k 
 """
 
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,21 +67,6 @@ class DayFeatures:
     lost_frames_percent: float
     repeated_states_percent: float
 
-    @staticmethod
-    def names() -> tuple[str, ...]:
-        """Names of all figures, in their order."""
-        return tuple(each.name for each in fields(DayFeatures))
-
-
-@dataclass(frozen=True, slots=True)
-class LinkFigures:
-    """What the rows of a recording say of zero, loop and links; the fields are those of `DayFeatures`."""
-
-    zero_N: float
-    missed_ticks_percent: float
-    lost_frames_percent: float
-    repeated_states_percent: float
-
 
 def features_of(puck: Recording, plate: Recording | None) -> DayFeatures:
     """Measure one day.
@@ -98,13 +84,13 @@ def features_of(puck: Recording, plate: Recording | None) -> DayFeatures:
     return measured(tracks[0], tracks[1], link_figures(puck.rows), body["tip_radius_m"], body["poisson_ratio"])
 
 
-def measured(puck: Track, plate: Track | None, link: LinkFigures, tip_radius_m: float, poisson_ratio: float) -> DayFeatures:
+def measured(puck: Track, plate: Track | None, link: Mapping[str, float], tip_radius_m: float, poisson_ratio: float) -> DayFeatures:
     """Measure one day from the frames of its recordings, whose heights are as reported.
 
     Args:
         puck: Frames of the palpation of the puck.
         plate: Frames of the presses of the plate; None where there is none.
-        link: Zero, loop and links.
+        link: Zero, loop and links, as `link_figures` gives them.
         tip_radius_m: Radius of the spherical tip.
         poisson_ratio: Poisson's ratio of the puck.
 
@@ -134,7 +120,6 @@ def measured(puck: Track, plate: Track | None, link: LinkFigures, tip_radius_m: 
     down, up = (strokes.fz_N[sign * speed > STROKE_M_PER_S] for sign in (-1.0, 1.0))
     slope_N_per_s = float(np.polyfit(rest.t_s - rest.t_s[0], rest.fz_N, 1)[0])
     return DayFeatures(
-        zero_N=link.zero_N,
         noise_N=measured_rms(rest.fz_N),
         drift_N_per_min=60.0 * slope_N_per_s,
         friction_N=0.5 * float(down.mean() - up.mean()),
@@ -142,14 +127,12 @@ def measured(puck: Track, plate: Track | None, link: LinkFigures, tip_radius_m: 
         delay_s=delay_s,
         plate_stiffness_N_per_m=stiffness,
         play_m=play_m,
-        missed_ticks_percent=link.missed_ticks_percent,
-        lost_frames_percent=link.lost_frames_percent,
-        repeated_states_percent=link.repeated_states_percent,
+        **link,
     )
 
 
-def link_figures(rows: NDArray[np.void]) -> LinkFigures:
-    """Zero, loop and links of a recording.
+def link_figures(rows: NDArray[np.void]) -> dict[str, float]:
+    """Zero, loop and links of a recording, by their names in `DayFeatures`.
 
     Args:
         rows: Ticks (n,), with the fields of ROW of palpd.tick.
@@ -164,12 +147,12 @@ def link_figures(rows: NDArray[np.void]) -> LinkFigures:
     counters = rows["counter"][filled].astype(np.int64)
     due = int((np.diff(counters) & 0xFFFF).sum()) + 1
     missed = int(rows["missed"].sum())
-    return LinkFigures(
-        zero_N=float(rows["wrench"][taring][:, 2].mean()),
-        missed_ticks_percent=100.0 * missed / (len(rows) + missed),
-        lost_frames_percent=100.0 * max(0.0, 1.0 - len(counters) / due),
-        repeated_states_percent=100.0 * float(np.mean(np.diff(rows["robot_t_s"]) <= 0.0)),
-    )
+    return {
+        "zero_N": float(rows["wrench"][taring][:, 2].mean()),
+        "missed_ticks_percent": 100.0 * missed / (len(rows) + missed),
+        "lost_frames_percent": 100.0 * max(0.0, 1.0 - len(counters) / due),
+        "repeated_states_percent": 100.0 * float(np.mean(np.diff(rows["robot_t_s"]) <= 0.0)),
+    }
 
 
 def _speed(frames: Track) -> Floats:
