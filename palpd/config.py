@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
-from pydantic import AfterValidator, Field, StrictFloat, StrictInt, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, Field, StrictBool, StrictFloat, StrictInt, ValidationError, field_validator, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, EnvSettingsSource
 
@@ -216,6 +216,59 @@ class PathsConfig(StrictBlock):
         return self.socket or self.state / "palpd.sock"
 
 
+SHALLOWEST_M, DEEPEST_M = 0.0002, 0.02
+"""Depths of a press that a plan may ask for."""
+
+
+def _possible_depth(depth_m: float) -> float:
+    if not SHALLOWEST_M <= depth_m <= DEEPEST_M:
+        raise ValueError(f"a depth of {depth_m:g} m is outside {SHALLOWEST_M} to {DEEPEST_M} m; depths are in metres (4 mm is 0.004)")
+    return depth_m
+
+
+Depth = Annotated[StrictFloat, AfterValidator(_possible_depth), Field(json_schema_extra={"minimum": SHALLOWEST_M, "maximum": DEEPEST_M})]
+
+
+class CheckTolerances(StrictBlock):
+    """What a figure of `palpd check` may change by. Of some the charts name less, where healthy days scatter less."""
+
+    zero_N: StrictFloat = Field(default=0.5, gt=0)
+    """Zero of the sensor; the chart names any change that healthy days do not show."""
+    noise: StrictFloat = Field(default=0.5, gt=0)
+    """Noise of the sensor, relative."""
+    drift_N_per_min: StrictFloat = Field(default=0.2, gt=0)
+    """Drift of the zero during the check."""
+    friction_N: StrictFloat = Field(default=0.1, gt=0)
+    """Friction in free strokes."""
+    gain: StrictFloat = Field(default=0.02, gt=0)
+    """Scale of the force, relative: what the puck shows."""
+    delay_s: StrictFloat = Field(default=0.01, gt=0)
+    """Delay of the force."""
+    stiffness: StrictFloat = Field(default=0.1, gt=0)
+    """Stiffness of the machine, relative: what the plate shows."""
+    play_m: StrictFloat = Field(default=1e-4, gt=0)
+    """Play of drive or mount: what the plate shows."""
+    lost_percent: StrictFloat = Field(default=1.0, gt=0, le=100)
+    """Missed ticks, lost samples, missing states of the robot."""
+
+
+class CheckConfig(StrictBlock):
+    """The morning check, `palpd check`: the arm begins above the plate, or without one above the puck."""
+
+    require_check_h: StrictFloat | None = Field(default=None, gt=0, le=8760)
+    """A palpation needs a check that is at most this old, after which one may palpate; null: none is needed."""
+    plate: StrictBool = False
+    """Whether a rigid plate lies below where the arm begins: it shows play and the stiffness of the machine."""
+    puck_m: tuple[StrictFloat, StrictFloat] = (0.0, 0.0)
+    """Way from where the arm begins to the elastic puck, along the base's x and y."""
+    depth_m: Depth = 0.006
+    """Depth of the presses of the puck; the force must stay below 0.9 of the contact limit."""
+    search_m: StrictFloat = Field(default=0.03, gt=0, le=0.3)
+    """Longest way down to the puck."""
+    tolerances: CheckTolerances = CheckTolerances()
+    """What the figures may change by."""
+
+
 class PageConfig(StrictBlock):
     """The operator's page."""
 
@@ -277,6 +330,8 @@ class Config(StrictBlock):
     """The operator's page."""
     alarms: AlarmsConfig = AlarmsConfig()
     """Messages to people who are away."""
+    check: CheckConfig = CheckConfig()
+    """The morning check."""
     cell: CellFile = Field(default_factory=nominal)
     """The cell as the simulator knows it: the keys of cell.yaml."""
 
@@ -342,19 +397,6 @@ class Strokes(StrictBlock):
     """Height of a stroke."""
     speed_m_per_s: StrictFloat = Field(default=0.02, ge=SLOWEST_M_PER_S, le=0.25)
     """Speed of a stroke."""
-
-
-SHALLOWEST_M, DEEPEST_M = 0.0002, 0.02
-"""Depths of a press that a plan may ask for."""
-
-
-def _possible_depth(depth_m: float) -> float:
-    if not SHALLOWEST_M <= depth_m <= DEEPEST_M:
-        raise ValueError(f"a depth of {depth_m:g} m is outside {SHALLOWEST_M} to {DEEPEST_M} m; depths are in metres (4 mm is 0.004)")
-    return depth_m
-
-
-Depth = Annotated[StrictFloat, AfterValidator(_possible_depth), Field(json_schema_extra={"minimum": SHALLOWEST_M, "maximum": DEEPEST_M})]
 
 
 class Plan(StrictBlock):

@@ -59,7 +59,9 @@ BY_HAND = {
 
 
 NEEDS_MORE = {
-    **dict.fromkeys(("run", "calibrate", "stiffness", "free-motion", "level-test", "retract", "doctor", "resolve"), "needs a cell"),
+    **dict.fromkeys(
+        ("run", "check", "calibrate", "stiffness", "free-motion", "level-test", "retract", "doctor", "resolve"), "needs a cell"
+    ),
     **dict.fromkeys(
         ("status", "arm", "start", "pause", "resume", "abort", "clear", "recover-robot", "jobs", "job", "plans", "controls"),
         "needs a daemon",

@@ -16,7 +16,7 @@ import palpd
 from palpd.cli import app
 
 UNITS = (
-    "N", "Nm", "m", "s", "ms", "us", "ns", "Hz", "kg", "Pa", "rad", "MB", "C", "W", "ppm", "percent",
+    "N", "Nm", "m", "s", "h", "ms", "us", "ns", "Hz", "kg", "Pa", "rad", "MB", "C", "W", "ppm", "percent",
     "m_per_s", "m_per_s2", "rad_per_s", "rad_per_s2", "N_per_m", "N_s_per_m", "N_per_s", "N_per_min", "N_per_m15", "m_per_N", "Nm_per_rad",
     "m2", "N_per_V", "m_per_V", "per_s", "per_min", "MB_per_min", "s_per_s", "kg_m2",
 )  # fmt: skip
@@ -85,6 +85,8 @@ DIMENSIONLESS = {
     "told_at_snr": "signal-to-noise ratio",
     "youngs_modulus": "relative tolerance",
     "lasting": "factor on an rms",
+    "least_share": "share of a tolerance",
+    "noise": "relative tolerance",
     "price_nats": "log probability",
     "wander_nats": "log probability",
 }
@@ -111,6 +113,7 @@ ANY_UNIT = {
     "Value": "a published figure, whose unit stands beside",
     "Score": "a line of a table; `share` tells the unit",
     "Fit": "a fit to gaps of any unit, in units of the noise",
+    "ChartPoint": "a figure of a day, which it names",
     "EffectPoint": "a parameter of any effect, which it names",
     "Slope": "of a modulus or of a parameter of any effect, which stands beside, over days",
     "CommentedValue": "a value of a cell file, whose key stands beside",

@@ -10,7 +10,8 @@ from palpd.cli.options import check_kept, clear_latch, display
 from palpd.config import Config
 from palpd.daemon.job_client import carried_out_by_service, service_at
 from palpd.daemon.programs import ProgramEnd, program_named
-from palpd.errors import BadInput
+from palpd.daemon.stored_state import State
+from palpd.errors import BadInput, Refused
 from palpd.files import copy_file
 
 
@@ -38,8 +39,10 @@ def carried_out(
     from palpd.daemon.wiring import devices
 
     check_kept(config)
-    if program.moves:
+    if program.moves and program.command_arms:
         clear_latch(config)
+    elif program.moves and (latch := State(config.paths.state).latch()) is not None:
+        raise Refused(f"the last run was stopped on {latch.date}: {latch.reason}; look at the cell, then palpd run clears it")
     validated = program.validated(dict(arguments))
     if (most_runs := program.most_runs(validated)) > 1:
         display().say(f"This makes at most {most_runs} runs.")

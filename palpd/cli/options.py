@@ -131,7 +131,7 @@ def finish(exit_code: int, reason: str) -> None:
     """End the command with that exit code and its reason on stderr; go on where the code is 0.
 
     Args:
-        exit_code: 0, 2 or 3.
+        exit_code: 0 to 3.
         reason: Sentence that says why.
 
     Raises:

@@ -1,6 +1,7 @@
 """What several commands print: a run, a demonstration."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 from palpd.cli.last_ticks import print_last_ticks
 from palpd.cli.options import terminal
@@ -28,6 +29,23 @@ def print_run(result: "RunResult") -> None:
         show(f"note: {note}", style="yellow")
     print_last_ticks(result["last_ticks"])
     show(f"{result['verdict']}: {result['recording'] or 'nothing was recorded'}")
+
+
+def print_check(figures: Mapping[str, Any]) -> None:
+    """Print what `palpd check` measured, how far that is off, and what the diagnosis of the puck says of a change.
+
+    Args:
+        figures: As its `--json` holds them.
+    """
+    from palpd.cli.tables import check_table
+
+    show = terminal().print
+    show(check_table(figures["figures"]))
+    if figures["baseline"] is not None:
+        show(f"First of a new baseline: {figures['baseline']['note']}", soft_wrap=True)
+    if figures["diagnosis"] is not None:
+        show(f"The diagnosis of the puck's recording names {', '.join(figures['named']) or 'nothing'}.")
+    show(f"{'ok: nothing has changed' if figures['level'] == 'ok' else figures['level']}: {figures['recording']}", soft_wrap=True)
 
 
 def print_demonstration(demonstration: "Demonstration") -> None:

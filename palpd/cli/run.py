@@ -104,6 +104,43 @@ def calibrate(
     terminal().print(f"Reference tare ({forces}) N of sensor {end.figures['sensor_serial'] or 'unknown'} kept in {end.figures['state']}.")
 
 
+@app.command(
+    examples=["palpd check --config cell/config.yaml", 'palpd check --new-baseline "new mount" --config cell/config.yaml'],
+    apart={"new_baseline": ("temperature_C",)},
+)
+def check(
+    config: ConfigOption = DEFAULT_CONFIG,
+    temperature_C: Annotated[
+        float | None, typer.Option("--temperature-C", help="of the sensor or the room, if known: the zero follows it")
+    ] = None,
+    new_baseline: Annotated[
+        str | None,
+        typer.Option(
+            "--new-baseline", metavar="NOTE", help="the last check shows what was changed on purpose: charts begin anew; nothing moves"
+        ),
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Check the cell on its plate and puck, and name what has changed since it was well; exit code 1: warning, 2: do not palpate."""
+    from palpd.cli.jobs import carried_out
+    from palpd.cli.printing import print_check
+
+    settings = settings_of(config)
+    if new_baseline is not None:
+        from palpd.daemon.morning_check import renewed_baseline
+
+        figures = renewed_baseline(settings, new_baseline)
+    else:
+        end = carried_out("check", {"temperature_C": temperature_C}, settings, settings.paths.state)
+        if end.exit_code:
+            print_last_ticks(end.figures.get("last_ticks", []))
+            finish(end.exit_code, end.reason)
+        figures = end.figures
+    print_check(figures)
+    write_json(json_file, figures)
+    finish({"ok": 0, "warn": 1, "stop": 2}[figures["level"]], figures["sentence"])
+
+
 @app.command("free-motion", examples=["palpd free-motion --config cell/config.yaml --out free.mcap"])
 def free_motion(
     out: Annotated[Path, typer.Option("--out", help="recording to write (.mcap)"), Output(NEW_RECORDING)],

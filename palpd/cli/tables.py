@@ -185,6 +185,20 @@ def finding_table(findings: "Sequence[Finding]") -> Table:
     return table
 
 
+def check_table(points: Sequence[Mapping[str, Any]]) -> Table:
+    """Draw what a morning check measured, how far that is from what healthy days let expect, and how far it may be.
+
+    Args:
+        points: The `figures` of its `--json`.
+    """
+    table = _table("What the check measured", "figure", "today", "change", "tolerance", "changed since")
+    for point in points:
+        sizes = (point["value"], point["value"] - point["expected"], point["tolerance"])
+        cells = [f"{size:.2g} %" if point["unit"] == "%" else quantity(size, point["unit"]) for size in sizes]
+        table.add_row(point["words"], *cells, point["since"] or "")
+    return table
+
+
 def _kPa(modulus_Pa: float | None) -> str:
     return f"{modulus_Pa / 1e3:.1f}" if modulus_Pa is not None else "–"
 

@@ -54,7 +54,7 @@ def carried_out_by_service(
     program.validated(dict(arguments))  # before anything is armed for it
     with controls(path, f"{getpass.getuser()} with palpd {name}") as lease, watched(path) as events:
         _wait_for_check(events)
-        if program.moves:
+        if program.moves and program.command_arms:
             ask(path, {"do": "arm", "lease": lease}, ARM_PATIENCE_S)
         begun = ask(path, {"do": "begin", "program": name, "arguments": dict(arguments), "lease": lease})
         job_id = begun["id"]

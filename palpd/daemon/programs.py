@@ -78,6 +78,12 @@ class DoctorArguments(StrictBlock):
     watch_s: Annotated[StrictFloat, Field(ge=1.0, le=600.0)] = 10.0
 
 
+class CheckArguments(StrictBlock):
+    """Of `palpd check`: the temperature of the sensor or the room, where it is known."""
+
+    temperature_C: Annotated[StrictFloat, Field(ge=-50.0, le=100.0)] | None = None
+
+
 class RecoverArguments(StrictBlock):
     """Of the recovery of a recording that was cut off: its name in the service's runs, without ending."""
 
@@ -94,6 +100,7 @@ class JobProgram:
         carry_out: Carries it out, given its host, its arguments, and the file or folder that it keeps.
         most_runs: Largest number of runs, by its arguments.
         moves: Whether the arm moves, so that the service must be armed.
+        command_arms: Whether its command is the operator's word to arm and to clear the latch of a stop; else both come before it.
         ending: Ending of the file that it keeps; empty for a folder.
     """
 
@@ -102,6 +109,7 @@ class JobProgram:
     carry_out: Callable[[ProgramHost, Any, Path], ProgramEnd]
     most_runs: Callable[[Any], int] = lambda _: 1
     moves: bool = True
+    command_arms: bool = True
     ending: str = ""
 
     def validated(self, values: object) -> StrictBlock:
@@ -201,6 +209,15 @@ def _doctor(host: ProgramHost, arguments: DoctorArguments, _: Path) -> ProgramEn
     return ProgramEnd("done", figures={**as_json(findings)})
 
 
+def _check(host: ProgramHost, arguments: CheckArguments, _: Path) -> ProgramEnd:
+    from palpd.daemon.morning_check import morning_check
+
+    report, figures = morning_check(host, arguments.temperature_C)
+    if figures is None:
+        return ProgramEnd(report.verdict, report.reason, report.exit_code or 3, {"last_ticks": list(report.last_ticks)})
+    return ProgramEnd("done", figures=figures)
+
+
 def _recover(host: ProgramHost, arguments: RecoverArguments, _: Path) -> ProgramEnd:
     from palpd.history.stored import unfinished_recordings
     from palpd.recording.recovery import recover
@@ -222,6 +239,7 @@ PROGRAMS: Mapping[str, JobProgram] = {
         JobProgram("map", MapArguments, _map, lambda arguments: arguments.most_presses, ending=".png"),
         JobProgram("resolve", ResolveArguments, _resolve, lambda arguments: arguments.rounds),
         JobProgram("doctor", DoctorArguments, _doctor, moves=False),
+        JobProgram("check", CheckArguments, _check, lambda _: 2, command_arms=False),
         JobProgram("recover", RecoverArguments, _recover, lambda _: 0, moves=False),
     )
 }

@@ -20,6 +20,7 @@ from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.overshoot import refuse_together
 from palpd.daemon.probe_record import probe_record
 from palpd.daemon.program_host import ProgramHost, ProposedMotion
+from palpd.daemon.required_check import refuse_unchecked
 from palpd.daemon.stored_state import Basis, Calibration, State, now
 from palpd.daemon.supervisor import JobRun, Report, recording_name, wait
 from palpd.errors import Refused, Stopped
@@ -72,10 +73,12 @@ def measured_job(
         choice: Where sites count from, where the palpation before was not finished.
 
     Raises:
-        Refused: A retract finds nothing to leave, or nothing to judge the force by.
+        Refused: A retract finds nothing to leave, or nothing to judge the force by; or a palpation lacks the check that it needs.
         ConfigError: A file of the state folder is damaged.
     """
     state = State(config.paths.state)
+    if kind == "palpation" and not dry:
+        refuse_unchecked(config, plan, state.last_check(), datetime.now().astimezone())
     stiffness, known, calibration = state.machine_stiffness(), probe_record(config, state), state.calibration()
     last = state.place() if kind == "palpation" else None
     back = last if choice == "return" and last is not None and not last.returned else None

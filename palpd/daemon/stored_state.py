@@ -1,4 +1,4 @@
-"""What survives a restart: reference tare, stiffness of the machine, latch, protective stops, unfinished contact. One JSON file each."""
+"""What survives a restart: reference tare, stiffness, last check, latch, protective stops, unfinished contact. One JSON file each."""
 
 import datetime
 import math
@@ -68,7 +68,16 @@ class Latch:
     date: str
 
 
-Kept = TypeVar("Kept", Calibration, MachineStiffness, ContactMarker, LevelTested, PlanPlace, ProtectiveStops, Commission)
+@dataclass(frozen=True, slots=True)
+class LastCheck:
+    """How the last morning check ended: its date, its level (`ok`, `warn`, `stop`), and its sentence."""
+
+    date: str
+    level: Literal["ok", "warn", "stop"]
+    sentence: str
+
+
+Kept = TypeVar("Kept", Calibration, MachineStiffness, ContactMarker, LevelTested, PlanPlace, ProtectiveStops, Commission, LastCheck)
 _ADAPTERS: dict[str, TypeAdapter[Any]] = {}
 """What reads each file: one takes 10 ms to make, and the service reads these files several times a second."""
 
@@ -114,6 +123,10 @@ class State:
         """What `palpd setup` has done so far; empty where it has not begun."""
         return self._kept("commission", Commission, "no commission; delete it, and begin palpd setup again") or Commission()
 
+    def last_check(self) -> LastCheck | None:
+        """The last `palpd check`, if any."""
+        return self._kept("check", LastCheck, "no check; run palpd check again")
+
     def latch(self) -> Latch | None:
         """The reason of a stop that no operator has cleared; a file that cannot be read is one too. None where there is none."""
         try:
@@ -139,7 +152,7 @@ class State:
     def keep(
         self,
         name: str,
-        thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested | PlanPlace | ProtectiveStops | Commission,
+        thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested | PlanPlace | ProtectiveStops | Commission | LastCheck,
     ) -> None:
         """Write a state file so that a crash leaves the old file or the new one, never half of it.
 

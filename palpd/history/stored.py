@@ -7,6 +7,7 @@ A recording is evidence and is never written to. What belongs to it stands besid
 | NAME.remarks.json | tags and notes | `palpd runs --tag`, `--note` |
 | NAME.report.html | the report | `palpd report`, and each run when it is over |
 | NAME.diagnosis.json, NAME.SITE.diagnosis.json | a diagnosis of it | `palpd diagnose --json` |
+| NAME.check.json | what a morning check measured, and its verdict | `palpd check` |
 """
 
 import contextlib
@@ -20,7 +21,7 @@ from palpd.errors import BadInput, RecordingError
 from palpd.files import is_growing
 
 RECORDING, PART = ".mcap", ".part"
-REMARKS, REPORT, DIAGNOSIS = ".remarks.json", ".report.html", ".diagnosis.json"
+REMARKS, REPORT, DIAGNOSIS, CHECK = ".remarks.json", ".report.html", ".diagnosis.json", ".check.json"
 LAST = "last"
 """Stands for the recording that was closed last."""
 LEVELS = 2
@@ -96,6 +97,11 @@ def unfinished_recordings(folder: Path) -> dict[str, Path]:
             if not part.with_suffix(RECORDING).exists() and not is_growing(part):
                 unfinished[place + name.removesuffix(PART)] = part
     return unfinished
+
+
+def stored_checks(folder: Path) -> list[Path]:
+    """The files of the morning checks in a folder of runs, in any order; none where there is no folder. Raises BadInput."""
+    return [folder / (place + name) for place, name, _ in _listed(folder, CHECK)]
 
 
 def _listed(folder: Path, *endings: str) -> list[tuple[str, str, FileStamp]]:

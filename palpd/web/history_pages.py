@@ -1,4 +1,4 @@
-"""The tab Runs: the list of the runs, one run with its report, two side by side, trends, and the diagnosis of a run."""
+"""The tabs Runs and Checks: the list of the runs, one run with its report, two side by side, trends, the diagnosis of a run, and charts."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -25,7 +25,7 @@ MOST_LETTERS = 200
 
 
 class HistoryPages:
-    """The routes of the tab."""
+    """The routes of both tabs."""
 
     def __init__(self, page: Page) -> None:
         self._runs, self._aside, self._children = page.settings.runs, page.aside, page.children
@@ -40,6 +40,10 @@ class HistoryPages:
     async def trend(self, request: Request) -> Mapping[str, Any]:
         """A site over the days."""
         return await self._aside.compute(looking_back.trend, self._runs, _query(request))
+
+    async def checks(self, _: Request) -> Mapping[str, Any]:
+        """The morning checks with their charts."""
+        return await self._aside.compute(looking_back.checks, self._runs)
 
     async def read(self, request: Request) -> Mapping[str, Any]:
         """Begin to read the facts and the course of a run."""
@@ -100,13 +104,14 @@ class HistoryPages:
 
 
 def routes(page: Page) -> list[BaseRoute]:
-    """The routes of the tab Runs."""
+    """The routes of the tabs Runs and Checks."""
     of = HistoryPages(page)
     return [
         Route("/runs/view", _show_run),
         Route("/runs/trend", _show_trend),
         Route("/runs/list", answering(of.listed)),
         Route("/runs/trend-of", answering(of.trend)),
+        Route("/checks/list", answering(of.checks)),
         Route("/runs/read", answering(of.read), methods=["POST"]),
         Route("/runs/make-report", answering(of.report), methods=["POST"]),
         Route("/runs/report", answering(of.stored_report)),

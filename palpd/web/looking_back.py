@@ -110,6 +110,13 @@ def trend(folder: Path, query: Mapping[str, str]) -> dict[str, Any]:
         return content | {"notes": list(catalogue.notes)}
 
 
+def checks(folder: Path) -> dict[str, Any]:
+    """The morning checks since the last baseline with their charts. Raises BadInput where a file is damaged."""
+    from palpd.history.check_days import charts
+
+    return charts(folder)
+
+
 def _filter(query: Mapping[str, str]) -> "RunFilter":
     from palpd.history.catalogue import RunFilter
     from palpd.history.dates import days_s

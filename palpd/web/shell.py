@@ -27,9 +27,13 @@ class Tab(NamedTuple):
 
 
 TABS = (
-    Tab("run", "Run", "/"), Tab("plan", "Plan", "/plan"), Tab("runs", "Runs", "/runs"), Tab("resolve", "Resolve", "/resolve"),
+    Tab("run", "Run", "/"),
+    Tab("plan", "Plan", "/plan"),
+    Tab("runs", "Runs", "/runs"),
+    Tab("checks", "Checks", "/checks"),
+    Tab("resolve", "Resolve", "/resolve"),
     Tab("commission", "Set-up", "/setup"),
-)  # fmt: skip
+)
 
 
 def page(request: Request, part: str, title: str, tab: str, *, camera: str = "") -> HTMLResponse:

@@ -1,0 +1,142 @@
+"""`palpd check`: press plate and puck, measure what they show, and compare with the days before.
+
+It consists of runs that exist: presses of a plate, and a palpation with free strokes. So guard, tare, probe and consent are theirs.
+"""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from palpd.config import Config, Plan
+from palpd.daemon.program_host import ProgramHost
+from palpd.daemon.required_check import PUCK, check_plan
+from palpd.daemon.stored_state import LastCheck, State, now
+from palpd.daemon.supervisor import Report
+from palpd.errors import BadInput, PalpdError
+from palpd.history.check_days import Baseline, MorningCheck, judge_today, keep_check, kept_checks
+from palpd.history.check_features import features_of
+from palpd.history.control_charts import WATCHED, CheckedDay, judged
+from palpd.recording.reader import Recording, samples_of
+from palpd.recording.samples import Samples
+
+DIAGNOSED_HZ = 125.0
+"""Rate at which recordings are diagnosed: a UR5 reports its height as often, and the whole rate takes eight times as long."""
+
+
+def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Report, dict[str, Any] | None]:
+    """Check the cell, and keep what was measured beside the recording.
+
+    Args:
+        host: Carries out the runs.
+        temperature_C: Of the sensor or the room; None where nobody knows.
+
+    Returns:
+        The report of the last run, and the figures of the check; None where a run was stopped.
+
+    Raises:
+        PalpdError: The devices refuse, or the recordings show no press.
+    """
+    config, plate = host.config, None
+    if config.check.plate:
+        report = host.carry_out("stiffness", Plan())
+        if report.exit_code or report.recording is None:
+            return report, None
+        plate = report.recording
+    report = host.carry_out("palpation", check_plan(config))
+    if report.exit_code or report.recording is None:
+        return report, None
+    puck = report.recording
+    features = features_of(Recording.load(puck), Recording.load(plate) if plate is not None else None)
+    day = CheckedDay(now(), features, temperature_C)
+    verdict, healthy = judge_today(config.paths.runs, day, config.check.tolerances)
+    check = MorningCheck(day, verdict, plate.name if plate is not None else None)
+    keep_check(puck, check)
+    _keep_last(config, check)
+    if verdict.changes and healthy:
+        with host.display.waiting("comparing with the healthy recordings"):
+            try:
+                check = replace(check, diagnosis=compared([_samples(path) for path in healthy], _samples(puck)))
+                keep_check(puck, check)
+            except PalpdError as error:
+                host.display.say(f"The recordings were not compared: {error}.")
+    return report, figures_of(puck, check)
+
+
+def renewed_baseline(config: Config, note: str) -> dict[str, Any]:
+    """Say that what the last check shows is on purpose, and let it be the first of a new baseline. Moves nothing.
+
+    Args:
+        note: Why, for who looks at the charts later.
+
+    Raises:
+        BadInput: There is no check, the note is empty, or a file cannot be written.
+    """
+    if not note.strip():
+        raise BadInput("the note of a new baseline is empty, expected what was changed; give it")
+    checks = kept_checks(config.paths.runs)
+    if not checks:
+        raise BadInput(f"there is no check in {config.paths.runs}, expected the one that shows the change; run palpd check first")
+    recording, last = checks[-1]
+    verdict = judged([last.day], config.check.tolerances)[0]
+    check = MorningCheck(last.day, verdict, last.plate, Baseline(now(), note.strip()))
+    keep_check(recording, check)
+    _keep_last(config, check)
+    return figures_of(recording, check)
+
+
+def figures_of(recording: Path, check: MorningCheck) -> dict[str, Any]:
+    """What `palpd check --json` holds."""
+    verdict = check.verdict
+    return {
+        "recording": str(recording),
+        "plate": check.plate,
+        "date": check.day.date,
+        "temperature_C": check.day.temperature_C,
+        "level": verdict.level,
+        "sentence": verdict.sentence,
+        "causes": list(verdict.causes),
+        "features": asdict(check.day.features),
+        "figures": [asdict(point) | {"words": WATCHED[point.figure].words, "unit": WATCHED[point.figure].unit} for point in verdict.points],
+        "changes": [point.sentence for point in verdict.changes],
+        "diagnosis": check.diagnosis,
+        "named": list(check.named),
+        "baseline": asdict(check.baseline) if check.baseline is not None else None,
+    }
+
+
+def compared(healthy: list[Samples], today: Samples) -> dict[str, Any]:
+    """What `palpd diagnose --healthy` says of the puck's recording: the effects that it names, and its sentences.
+
+    Args:
+        healthy: Recordings of healthy days.
+        today: Recording of the day that differs.
+
+    Raises:
+        RecordingError: The recordings cannot be judged.
+    """
+    from palpd.gap.commands import library, since_healthy
+    from palpd.gap.diagnosis import diagnose
+
+    known = library(None)
+    nominal, simulators = since_healthy(healthy, None, known, [today])
+    answer = diagnose([today], nominal, known, propose=False, simulators=simulators).to_json()
+    return {name: answer[name] for name in ("verdict", "effects", "plain") if name in answer}
+
+
+def thinned(samples: Samples, rate_Hz: float = DIAGNOSED_HZ) -> Samples:
+    """Every n-th sample, so that the rate is about `rate_Hz`."""
+    step = slice(None, None, max(1, round(samples.rate_Hz / rate_Hz)))
+    command = samples.z_cmd_m[step] if samples.z_cmd_m is not None else None
+    return replace(
+        samples, t_s=samples.t_s[step], z_cmd_m=command, z_m=samples.z_m[step], vz_m_per_s=samples.vz_m_per_s[step],
+        wrench=samples.wrench[step], held=samples.held[step] if samples.held is not None else None,
+    )  # fmt: skip
+
+
+def _keep_last(config: Config, check: MorningCheck) -> None:
+    """Keep what a palpation asks for."""
+    State(config.paths.state).keep("check", LastCheck(check.day.date, check.verdict.level, check.verdict.sentence))
+
+
+def _samples(recording: Path) -> Samples:
+    return thinned(samples_of(Recording.load(recording), PUCK))

@@ -1,0 +1,52 @@
+"""The motion of a morning check, and the refusal of a palpation that lacks one."""
+
+from datetime import datetime
+
+from palpd.config import Config, Plan, PlanSite, Search, Strokes
+from palpd.daemon.stored_state import LastCheck
+from palpd.errors import Refused
+
+PUCK = "puck"
+"""Name of the site."""
+STROKES, PRESSES, HOLD_S, ABOVE_M = 2, 4, 2.0, 0.004
+"""Free strokes, dynamic presses, the hold, and the height between presses: with the plate about 70 s of motion."""
+
+
+def check_plan(config: Config) -> Plan:
+    """The palpation of a check: free strokes above the puck, one hold, and some presses without a hold."""
+    check = config.check
+    return Plan(
+        sites=(PlanSite(name=PUCK, x_m=check.puck_m[0], y_m=check.puck_m[1]),),
+        mode="both",
+        depths_m=(check.depth_m,),
+        repeats=PRESSES,
+        hold_s=HOLD_S,
+        safe_height_m=ABOVE_M,
+        search=Search(max_travel_m=check.search_m),
+        free=Strokes(strokes=STROKES),
+    )
+
+
+def refuse_unchecked(config: Config, plan: Plan, last: LastCheck | None, now: datetime) -> None:
+    """Refuse a palpation where `check.require_check_h` asks for a check and the last one is too old or says no.
+
+    The palpation of a check itself needs none.
+
+    Args:
+        plan: What is to be pressed.
+        last: How the last check ended; None where there was none.
+        now: Date and time with time zone.
+
+    Raises:
+        Refused: There is no such check.
+    """
+    most_h = config.check.require_check_h
+    if most_h is None or plan.model_dump() == check_plan(config).model_dump():
+        return
+    if last is None:
+        raise Refused(f"no check of this cell is kept, and check.require_check_h is {most_h:g}; run palpd check first")
+    age_h = (now - datetime.fromisoformat(last.date)).total_seconds() / 3600.0
+    if not 0.0 <= age_h <= most_h:
+        raise Refused(f"the last check is {age_h:.1f} h old, expected at most {most_h:g} h (check.require_check_h); run palpd check first")
+    if last.level == "stop":
+        raise Refused(f"the last check says not to palpate. {last.sentence} Mend it and check again, or run palpd check --new-baseline")

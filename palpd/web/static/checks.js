@@ -1,0 +1,40 @@
+// The last morning check, and the control chart of each figure over the checks since the baseline.
+
+import { chart } from "./chart.js";
+import { read } from "./requests.js";
+import { byId, make, refuse } from "./work.js";
+
+const MOODS = { ok: "done", warn: "remarkable", stop: "stopped" };
+const WORDS = { ok: "ok", warn: "warning", stop: "do not palpate" };
+
+function about(checks) {
+  const last = checks[checks.length - 1], first = checks[0];
+  const parts = [`${checks.length} check${checks.length > 1 ? "s" : ""} since ${first.date.slice(0, 10)}`];
+  if (first.baseline) parts.push(`the baseline: ${first.baseline}`);
+  if (last.named.length) parts.push(`the diagnosis of the puck names ${last.named.join(", ")}`);
+  if (last.temperature_C !== null) parts.push(`${last.temperature_C.toFixed(1)} °C`);
+  return parts.join("; ");
+}
+
+function draw(figure, checks) {
+  const plain = figure.words.replace(/^the /, ""), title = plain[0].toUpperCase() + plain.slice(1);
+  const holder = make("div", {}), x = checks.map((_, k) => k + 1);
+  const names = checks.map((check, k) => `${check.date.slice(0, 16)}: ${figure.values[k]?.toPrecision(4)} ${figure.unit}`);
+  const of = (changed) => figure.values.map((value, k) => (figure.changed[k] === changed ? value : null));
+  requestAnimationFrame(() => chart(holder, { label: `${figure.words} over the checks`, xLabel: "check", yLabel: figure.unit, height: 190,
+    x: [0.5, Math.max(checks.length, 8) + 0.5], series: [
+      { x, low: figure.low, high: figure.high },
+      { x, y: of(false), points: true, bare: true, names },
+      { x, y: of(true), points: true, bare: true, names, colour: 1 },
+    ] }));
+  return make("section", {}, make("h2", { text: title }), holder);
+}
+
+const answer = await read("/checks/list", { patience_ms: 130000 });
+refuse(byId("refusal"), answer.ok ? "" : answer.error);
+if (answer.ok && answer.checks.length) {
+  const last = answer.checks[answer.checks.length - 1];
+  byId("last").replaceChildren(make("span", { className: `chip ${MOODS[last.level]}`, text: WORDS[last.level] }), ` ${last.date.slice(0, 16).replace("T", " ")}: ${last.sentence}`);
+  byId("about").textContent = about(answer.checks);
+  byId("charts").replaceChildren(...answer.figures.map((figure) => draw(figure, answer.checks)));
+} else if (answer.ok) byId("last").textContent = "There is no check yet. palpd check makes one.";

@@ -1,0 +1,134 @@
+"""The morning check as a program: runs of the real sequence on a simulated cell, the files that it keeps, and what a palpation needs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from palpd.cell.cell_file import cell_from
+from palpd.cli.jobs import carried_out
+from palpd.config import CheckConfig, Config, PathsConfig, Plan, PlanSite, parse_plan
+from palpd.daemon import morning_check as program
+from palpd.daemon.display import NoDisplay
+from palpd.daemon.finding import Finding
+from palpd.daemon.motion_job import Job, Kind
+from palpd.daemon.program_host import ProposedMotion
+from palpd.daemon.required_check import check_plan, refuse_unchecked
+from palpd.daemon.simulated_run import run
+from palpd.daemon.stored_state import LastCheck, Latch, State
+from palpd.daemon.supervisor import Report
+from palpd.errors import BadInput, Refused
+from palpd.history.check_days import kept_checks, since_baseline
+from palpd.testing.simulated_recording import write_rows
+
+HEALTHY: Mapping[str, Mapping[str, float]] = {"robot.compliance": {"stiffness_N_per_m": 50e3}}
+OTHER: Mapping[str, Mapping[str, float]] = {
+    "robot.compliance": {"stiffness_N_per_m": 40e3}, "sensor.gain": {"error": 0.08}, "sensor.latency": {"delay_s": 0.01},
+    "robot.backlash": {"width_m": 1e-4},
+}  # fmt: skip
+NOW = datetime.fromisoformat("2026-11-22T08:00:00+01:00")
+
+
+@dataclass
+class SimulatedHost:
+    """Carries out the runs of a check on a simulated cell with effects; the plate is a wall."""
+
+    config: Config
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=lambda: HEALTHY)
+    operator: str = "test"
+    display: NoDisplay = field(default_factory=NoDisplay)
+    runs: int = 0
+
+    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
+        self.runs += 1
+        content: dict[str, Any] = {"effects": self.effects}
+        if kind == "stiffness":
+            content["wall"] = {"z_m": 0.0, "stiffness_N_per_m": 1e6}
+        work = Job(kind, self.config, plan, reference=(0.0,) * 6, lifts_first=True)
+        simulated = run(work, cell_from(content, "the cell"), home_above_m=0.006, seed=self.runs)
+        assert simulated.outcome.verdict == "done", simulated.outcome.reason
+        folder = self.config.paths.runs
+        folder.mkdir(parents=True, exist_ok=True)
+        about: Any = {"sensor_serial": "SIM", "delay_s": 1.06e-3, "epoch_offset_s": 1.79e9}
+        path = write_rows(folder / f"{len(list(folder.glob('*.mcap')))}-{kind}.mcap", simulated.rows, work, about, {"verdict": "done"})
+        return Report("done", "", 0, recording=path)
+
+    def observe(self, watch_s: float) -> tuple[Finding, ...]:
+        raise AssertionError(watch_s)
+
+    def approve(self, motion: ProposedMotion) -> bool:
+        raise AssertionError(motion)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Config:
+    return Config(check=CheckConfig(plate=True), paths=PathsConfig(runs=tmp_path / "runs", state=tmp_path / "state"))
+
+
+def test_a_check_measures_what_the_cell_has_and_a_second_one_finds_the_change(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(program, "compared", lambda healthy, today: {"verdict": "effects", "effects": [{"id": f"of {len(healthy)}"}]})
+    _, first = program.morning_check(SimulatedHost(config), 21.0)
+    assert first is not None
+    assert (first["level"], first["diagnosis"], first["causes"]) == ("ok", None, [])
+    features = first["features"]
+    assert features["puck_modulus_Pa"] == pytest.approx(72e3, rel=0.05)
+    assert features["plate_stiffness_N_per_m"] == pytest.approx(1.0 / (1.0 / 50e3 + 1e-6), rel=0.03)
+    assert abs(features["play_m"]) < 1e-5
+    assert abs(features["delay_s"]) < 1e-3
+    _, second = program.morning_check(SimulatedHost(config, OTHER), None)
+    assert second is not None
+    features = second["features"]
+    assert features["play_m"] == pytest.approx(1e-4, rel=0.25)
+    assert features["delay_s"] == pytest.approx(0.01, abs=0.0015)
+    assert features["plate_stiffness_N_per_m"] == pytest.approx(1.08 / (1.0 / 40e3 + 1e-6), rel=0.03)
+    assert (second["level"], second["named"]) == ("stop", ["of 1"])
+    last = State(config.paths.state).last_check()
+    assert last is not None
+    assert last.level == "stop"
+    # what was on purpose begins a new baseline, and is well then
+    renewed = program.renewed_baseline(config, " new mount ")
+    assert (renewed["level"], renewed["baseline"]["note"], renewed["recording"]) == ("ok", "new mount", second["recording"])
+    assert State(config.paths.state).last_check() == LastCheck(second["date"], "ok", "Nothing has changed.")
+    assert len(since_baseline(kept_checks(config.paths.runs))) == 1
+    with pytest.raises(BadInput, match="the note of a new baseline is empty"):
+        program.renewed_baseline(config, " ")
+
+
+def test_a_new_baseline_needs_a_check(config: Config) -> None:
+    with pytest.raises(BadInput, match="there is no check in"):
+        program.renewed_baseline(config, "new mount")
+
+
+@pytest.mark.parametrize(
+    ("last", "words"),
+    [
+        (None, "no check of this cell is kept"),
+        (LastCheck((NOW - timedelta(hours=25)).isoformat(), "ok", ""), "the last check is 25.0 h old, expected at most 24 h"),
+        (LastCheck((NOW + timedelta(hours=1)).isoformat(), "ok", ""), "the last check is -1.0 h old"),
+        (LastCheck(NOW.isoformat(), "stop", "The force comes later."), "says not to palpate. The force comes later."),
+    ],
+)
+def test_a_palpation_without_its_check_is_refused(config: Config, last: LastCheck | None, words: str) -> None:
+    plan = Plan(sites=(PlanSite(name="A"),))
+    asks = config.model_copy(update={"check": CheckConfig(require_check_h=24.0)})
+    with pytest.raises(Refused, match=words):
+        refuse_unchecked(asks, plan, last, NOW)
+    refuse_unchecked(config, plan, last, NOW)  # absent: none is needed
+    # the check itself needs none, also where its plan came as a job's message
+    refuse_unchecked(asks, parse_plan(check_plan(asks).model_dump(mode="json"), "the plan of the job"), last, NOW)
+
+
+def test_a_fresh_check_that_warns_lets_a_palpation_through(config: Config) -> None:
+    asks = config.model_copy(update={"check": CheckConfig(require_check_h=24.0)})
+    refuse_unchecked(asks, Plan(), LastCheck((NOW - timedelta(hours=1)).isoformat(), "warn", "The puck has changed."), NOW)
+
+
+def test_a_check_clears_no_latch(config: Config) -> None:
+    state = State(config.paths.state)
+    state.keep("latch", Latch("the probe was caught", "2026-11-22"))
+    with pytest.raises(Refused, match="the last run was stopped on 2026-11-22: the probe was caught"):
+        carried_out("check", {}, config, config.paths.state)
+    assert state.latch() is not None
