@@ -58,8 +58,6 @@ class ComparedRecording:
     """A healthy recording against what was learned from the others.
 
     Attributes:
-        recording: The recording.
-        others: The healthy cell that the others show.
         share: The share (p,) of each change of the list that the recording seems to have.
         overlap: Square (p, p) of the share of a change that another one seems to be.
         size: Square (p,) of each change over the noise.

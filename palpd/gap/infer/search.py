@@ -171,11 +171,7 @@ STEPS: tuple[tuple[Step, ...], ...] = (
 
 
 def search(nominal: NominalFit, largest: int = len(STEPS)) -> SearchState:
-    """Fit no effect, the likely single effects, and sets of two and three that extend them.
-
-    Args:
-        largest: Number of effects of the largest sets.
-    """
+    """Fit no effect, the likely single effects, and sets of two and three that extend them, up to sets of `largest`."""
     problem, linearisation = nominal.problem, nominal.linearisation
     # Of the cell without effects as fitted: what its deviations explain would hide a small line.
     predicted = problem.raw_prediction(problem.recordings[0], problem.cell_at({}, nominal.fit.eta))
