@@ -73,11 +73,15 @@ class SetupCell:
     @property
     def host(self) -> ForegroundHost:
         """Carries out runs with the configuration as it is now."""
-        return ForegroundHost(self.config, self.build, self.display, self.agrees)
+        return ForegroundHost(self.config, self.build, self.display, self.confirms)
 
     def agrees(self, question: str) -> bool:
-        """Ask a question that yes or no answers."""
+        """Ask a question that yes or no answers; Enter alone is yes."""
         return self.operator.choose(question, ("yes", "no")) == "yes"
+
+    def confirms(self, question: str) -> bool:
+        """Ask whether the operator has looked at the cell; Enter alone is no."""
+        return self.operator.choose(question, ("no", "yes")) == "yes"
 
     def numbers(self, question: str, usual: str, count: int = 1) -> tuple[float, ...]:
         """Ask for `count` numbers with commas between, again until they are."""

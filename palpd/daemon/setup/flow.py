@@ -109,7 +109,7 @@ def _done(cell: SetupCell, step: SetupStep, title: str) -> bool:
 def _attempt(cell: SetupCell, step: SetupStep) -> Sequence[Finding]:
     latch = cell.state.latch() if step.moves else None
     if latch is not None:
-        if not cell.agrees(
+        if not cell.confirms(
             f"The last run was stopped on {latch.date}: {latch.reason}. Have you looked at the cell, and may it be cleared?"
         ):
             return [Finding(step.name, "fail", f"a stop of {latch.date} is not cleared", "look at the cell, then redo this step")]

@@ -158,7 +158,7 @@ def take_reference(cell: SetupCell) -> Sequence[Finding]:
     try:
         taken = calibrate(cell.host)
     except Refused as refused:
-        if "--probe-free" not in str(refused) or not cell.agrees(f"{refused}. Is the probe free? Look at it."):
+        if "--probe-free" not in str(refused) or not cell.confirms(f"{refused}. Is the probe free? Look at it."):
             raise
         taken = calibrate(cell.host, probe_free=True)
     forces = ", ".join(f"{force:.2f}" for force in taken.wrench[:3])
