@@ -22,12 +22,15 @@ from typing import Literal
 
 from palpd.config import AlarmKind, Config
 from palpd.daemon.socket_client import SILENT_PATIENCE_S, JobSummary, ask
-from palpd.errors import Refused
+from palpd.documents import read_json
+from palpd.errors import PalpdError, Refused
 from palpd.streams.outbox import Alarm
 from palpd.streams.ring_ticks import RingTicks
 from palpd.streams.service_watch import ServiceWatch, Status
 from palpd.tick import Trip
 
+LAST_CHECK = "check.json"
+"""File in the state folder that says how the last `palpd check` ended."""
 SERVICE_END = "service-end"
 """File in the state folder with one line, such as `signal killed KILL`: $SERVICE_RESULT, $EXIT_CODE and $EXIT_STATUS of systemd."""
 DIED_S = 1.0
@@ -36,8 +39,8 @@ SILENT_S = 2.5
 """Time without an answer after which the service hangs. It was silent for up to 1.5 s before that counts."""
 RECORD_S = 120.0
 """Time after a death in which what systemd says of it may still come: more than all time limits of the unit together."""
-DISK_S = 10.0
-"""Period of looking at the disk."""
+SLOW_LOOK_S = 10.0
+"""Period of looking at the disk and at the last morning check."""
 LATE_SHARE, LATE_WINDOW_S = 0.05, 10.0
 """Share of missed ticks within a window that is an alarm. Single ones are usual where other programs run; the guard stops at 50 ms."""
 MOST_SEEN = 200
@@ -64,7 +67,7 @@ class AlarmEvents:
             self.seen.append("begin")
         self._path, self._config = path, config
         self._watch, self._ticks = ServiceWatch(path), RingTicks(config.robot.rate_Hz)
-        self._disk_s = self._dead_s = float("-inf")
+        self._slow_s = self._dead_s = float("-inf")
         self._up, self._died = False, False
         self._lost_s: float | None = None
         self._trip, self._late, self._window_s = 0, [0, 0], float("-inf")
@@ -90,7 +93,10 @@ class AlarmEvents:
                 yield from self._ended_job(event)
         if status is not None and (cell := status.get("cell")) is not None and not cell["ready"]:
             yield from self._once(f"check {cell['date']}", "check", _seconds(cell["date"]), cell["reason"])
-        yield from self._full_disk()
+        if time.monotonic() >= self._slow_s + SLOW_LOOK_S:
+            self._slow_s = time.monotonic()
+            yield from self._full_disk()
+            yield from self._morning_check()
 
     # --- the service ------------------------------------------------------------------------------------------------------------
 
@@ -166,9 +172,6 @@ class AlarmEvents:
     # --- the computer -----------------------------------------------------------------------------------------------------------
 
     def _full_disk(self) -> Iterator[Alarm]:
-        if time.monotonic() < self._disk_s + DISK_S:
-            return
-        self._disk_s = time.monotonic()
         least_MB, runs = self._config.alarms.min_free_MB, self._config.paths.runs.absolute()
         with suppress(OSError):
             folder = next(parent for parent in (runs, *runs.parents) if parent.is_dir())
@@ -177,6 +180,12 @@ class AlarmEvents:
             if self.low and not before:
                 room = f"{folder} has room for {free_MB:.0f} MB, less than alarms.min_free_MB of {least_MB:g}"
                 yield Alarm("disk", time.time(), f"{room}; move recordings elsewhere")
+
+    def _morning_check(self) -> Iterator[Alarm]:
+        with suppress(PalpdError, KeyError, TypeError, ValueError):  # no check, or none that can be read
+            last = read_json(self._config.paths.state / LAST_CHECK)
+            if last["level"] != "ok":
+                yield from self._once(f"morning check {last['date']}", "check", _seconds(last["date"]), last["sentence"])
 
     def _once(self, name: str, kind: AlarmKind, at_s: float, sentence: str) -> Iterator[Alarm]:
         """The event of that name, where it is new."""

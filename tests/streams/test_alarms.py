@@ -20,7 +20,7 @@ from palpd.cli import app
 from palpd.config import AlarmsConfig, Config, load_config
 from palpd.errors import BadInput, ConfigError, Refused
 from palpd.streams.addresses import read_addresses
-from palpd.streams.alarm_events import LATE_WINDOW_S, SERVICE_END
+from palpd.streams.alarm_events import LAST_CHECK, LATE_WINDOW_S, SERVICE_END
 from palpd.streams.alarms import Alarms
 from palpd.streams.outbox import MOST_WAITING, Alarm, Gathering, Message, Outbox
 from palpd.testing.http_sink import HttpSink, listening
@@ -156,6 +156,20 @@ def test_a_failed_check_is_told_once(tmp_path: Path, sink: HttpSink) -> None:
         cell.quiet(alarms, 0.5)
     assert titles(sink) == ["a check of the cell failed"]
     assert sink.received[0]["message"].endswith("the sensor is silent")
+
+
+def test_a_morning_check_that_warns_is_told_once(tmp_path: Path, sink: HttpSink) -> None:
+    cell = Cell(tmp_path, sink.url)
+    check = {"date": job(1)["ended"], "level": "warn", "sentence": "The zero of the sensor has moved."}
+    (cell.config.paths.state / LAST_CHECK).write_text(json.dumps(check))
+    for _ in range(2):
+        with cell.alarms() as alarms:
+            cell.step(alarms, lambda: sink.received, "the message comes")
+    assert sink.received[0]["message"].endswith("The zero of the sensor has moved.")
+    (cell.config.paths.state / LAST_CHECK).write_text(json.dumps(check | {"level": "ok", "date": "2026-11-26T08:00:00+00:00"}))
+    with cell.alarms() as alarms:
+        cell.quiet(alarms, 0.3)
+    assert titles(sink) == ["a check of the cell failed"]
 
 
 def test_ticks_that_are_late_are_told_of_and_single_ones_are_not(tmp_path: Path, sink: HttpSink) -> None:
