@@ -105,25 +105,23 @@ def ways(answer: NamedEffects, other: str) -> set[str]:
 
 
 def table(answers: Sequence[NamedEffects]) -> list[str]:
-    """Lines of the page: a row for each planted effect and neighbour, then the shares over all."""
+    """Lines of the page: a row for each planted effect and neighbour, then the shares of all cells with any of their neighbours."""
     heads = [f"{source}: {word}" for source in SOURCES for word in ("n", "itself", *WAYS)]
     lines = [f"| planted | neighbour | {' | '.join(heads)} |", "|---" * (2 + len(heads)) + "|"]
-    asked: dict[Source, list[set[str]]] = {source: [] for source in SOURCES}
     for planted, other in PAIRS:
         row = []
         for source in SOURCES:
             mine = [answer for answer in answers if (answer["source"], answer["effect"]) == (source, planted)]
             named = [ways(answer, other) for answer in mine]
-            asked[source] += named
             row += [len(mine), sum(planted in answer["named"] for answer in mine), *(sum(way in each for each in named) for way in WAYS)]
         lines.append(f"| `{planted}` | `{other}` | {' | '.join(map(str, row))} |")
-    lines += ["", "| all rows | n | neighbour instead, the planted effect not in its group | neighbour beside |", "|---|---|---|---|"]
-    for source, named in asked.items():
-        shares = [
-            f"{count} ({wilson(count, len(named))[0]:.1%} to {wilson(count, len(named))[1]:.1%})"
-            for count in (named.count({"instead"}), named.count({"beside"}))
-        ]
-        lines.append(f"| {source} | {len(named)} | {' | '.join(shares)} |")
+    lines += ["", "| cells | n | a neighbour instead, the planted effect not in its group | a neighbour beside |", "|---|---|---|---|"]
+    for source in SOURCES:
+        cells = [[ways(a, two) for one, two in PAIRS if one == a["effect"]] for a in answers if a["source"] == source]
+        counts = [sum(way in each for each in cells) for way in ({"instead"}, {"beside"})]
+        shares = [(count / max(len(cells), 1), *wilson(count, len(cells))) for count in counts]
+        words = [f"{count} ({at:.1%}, 95 %: {low:.1%} to {high:.1%})" for count, (at, low, high) in zip(counts, shares, strict=True)]
+        lines.append(f"| {source} | {len(cells)} | {' | '.join(words)} |")
     return lines
 
 
