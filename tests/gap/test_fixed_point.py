@@ -86,6 +86,6 @@ def test_a_known_effect_does_not_hide_a_further_one() -> None:
 def test_the_benchmark_asks_each_recording_twice(tmp_path: Path) -> None:
     write_csv(tmp_path / "drag.csv", with_drag(recording("second order", 101)))
     save_cell(tmp_path / "drag.yaml", CELL)
-    answers = asked_twice(tmp_path / "drag.csv", 1500)
+    answers = asked_twice(tmp_path / "drag.csv", bins=1500)
     assert (answers.first, answers.second, answers.named) == ("effects", "none", ("cable.viscous",))
     assert answers.line == "drag: cable.viscous; then none: nothing"

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from palpd.cell.cell_file import CellFile, EffectValues
+from palpd.cell.cell_file import CellFile, EffectValues, cell_from
 from palpd.cell.simulation import simulate
 from palpd.cell.stages import WRENCH
 from palpd.gap.data.rounding import Rounding
 from palpd.gap.diagnosis import diagnose
+from palpd.gap.first_cell import first_cell
 from palpd.gap.model.rounding_error import MOST_COLUMNS, phase_columns, rounding_error, waves
 from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.tick import Floats
@@ -100,3 +101,18 @@ def test_an_effect_of_several_steps_is_named_through_coarse_ones(effects: Effect
     samples = replace(motion, z_m=columns["z_m"], vz_m_per_s=columns["vz_m_per_s"], wrench=wrench)
     diagnosis = diagnose([samples], cell, max_bins=1500, propose=False)
     assert [effect.id for effect in diagnosis.effects] == list(effects), diagnosis.sentence
+
+
+@pytest.mark.parametrize(("step_noises", "decimals"), [(8.0, 6), (7.54, 2)])
+def test_a_first_cell_file_has_the_step_that_a_diagnosis_finds(step_noises: float, decimals: int) -> None:
+    """Also where readings are printed with fewer digits than their step has: 0.377 N with two decimals."""
+    samples = recording("second order", 101, PlantedDeviations(), lambda _: coarse(step_noises))
+    wrench = np.column_stack([samples.wrench[:, :2], samples.wrench[:, 2].round(decimals), samples.wrench[:, 3:]])
+    samples = replace(samples, wrench=wrench)
+    finer = coarse(2.62)
+    (named,) = diagnose([samples], finer, max_bins=900, propose=False).effects
+    assert named.id == "sensor.quantization"
+    first = cell_from(first_cell([samples], finer.probe.tip_radius_m).content, "the first cell file")
+    _, low_N, high_N = named.parameters["step_N"]
+    assert low_N <= first.sensor.resolution_fz_N <= high_N
+    assert diagnose([samples], first, max_bins=900, propose=False).verdict == "none"
