@@ -1,7 +1,7 @@
 """Which effects are taken for their neighbours: an effect is planted alone, and it is counted how often a neighbour is named.
 
 `python -m benchmarks.neighbours --kept FOLDER [--cells 20] [--seed N] [--jobs 1] [--docs]` draws cells of the blind check with one effect:
-by the simulator of the drawn cells at an SNR of 10 to 60, half of them with the contract's law and half with another, and by MuJoCo at its
+by the simulator of the drawn cells at an SNR of 10 to 60, half of them with the library's law and half with another, and by MuJoCo at its
 SNR of 4 to 60. Neighbours are effects whose laws have parameters that a diagnosis fits and does not report, effects that the blind check
 confuses, and causes whose changes are alike in principle. Answers that stand in FOLDER are kept.
 """
