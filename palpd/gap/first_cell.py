@@ -14,6 +14,7 @@ from palpd.cell.report_times import find_reports
 from palpd.documents import parse_yaml
 from palpd.errors import BadInput, RecordingError
 from palpd.gap.data.recorded_noise import with_recorded_noise
+from palpd.gap.data.rounding import coarse_step_N
 from palpd.recording.oddities import CLEAR_NOISES, dead, measured_rms, questions_of, refuse_repeated, refuse_turned, swing_N
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -206,7 +207,9 @@ def _sensor(recordings: Sequence[Samples], surface_m: float, robot: dict[str, Co
         },
         "the recordings",
     )
-    sensor = with_recorded_noise(recordings, provisional)[0].sensor
+    cell = with_recorded_noise(recordings, provisional)[0]
+    sensor = cell.sensor
+    coarse_N = max(coarse_step_N(samples, cell) for samples in recordings)  # readings that were rounded twice stand on no one lattice
     torques = any(not dead(samples.wrench[:, axis]) for samples in recordings for axis in (3, 4, 5))
     fz_span_N = max(float(np.ptp(samples.wrench[:, 2])) for samples in recordings)
     lattice = "lattice of the readings; 0 is none"
@@ -218,7 +221,7 @@ def _sensor(recordings: Sequence[Samples], surface_m: float, robot: dict[str, Co
             sensor.noise_rms_Nm if torques else 0.0, "scatter of the torques at rest" if torques else "no torque was recorded"
         ),
         "resolution_fxy_N": CommentedValue(sensor.resolution_fxy_N, lattice),
-        "resolution_fz_N": CommentedValue(sensor.resolution_fz_N, lattice),
+        "resolution_fz_N": CommentedValue(coarse_N or sensor.resolution_fz_N, lattice),
         "resolution_Nm": CommentedValue(sensor.resolution_Nm, lattice),
     }
 
