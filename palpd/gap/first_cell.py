@@ -32,6 +32,8 @@ SERVO_HZ = np.geomspace(0.5, 60.0, 97)
 """Natural frequencies of the servo that are tried, 5 % apart."""
 SERVO_TOLERANCE = 0.05
 """Tolerance of the servo's natural frequency, as a ratio, where it was taken from the recording: the step between tried frequencies."""
+EXACT = 1e-9
+"""Least noise, as a share of the span of the readings: heights of a stage may have none, and columns over it would be beyond a float."""
 
 
 class CommentedValue(NamedTuple):
@@ -176,7 +178,8 @@ def _robot(recordings: Sequence[Samples]) -> dict[str, CommentedValue]:
     position, velocity, fits = [], [], []
     for samples in recordings:
         at_s = find_reports(samples.t_s, samples.z_m).t_s
-        position.append(measured_rms(np.interp(at_s, samples.t_s, samples.z_m)))
+        least_m = EXACT * float(np.ptp(samples.z_m))
+        position.append(max(measured_rms(np.interp(at_s, samples.t_s, samples.z_m)), least_m))
         velocity.append(measured_rms(np.interp(at_s, samples.t_s, samples.vz_m_per_s)))
         if samples.z_cmd_m is not None and np.ptp(samples.z_cmd_m) > 0.0:
             fits.append(_servo_Hz(samples.t_s, samples.z_cmd_m, samples.z_m))
@@ -216,7 +219,7 @@ def _sensor(recordings: Sequence[Samples], surface_m: float, robot: dict[str, Co
     return {
         "rate_Hz": CommentedValue(rate_Hz, "median of the time steps"),
         "filter_cutoff_Hz": CommentedValue(None, "GUESS: no filter; give the sensor's own in Hz"),
-        "noise_rms_N": CommentedValue(max(sensor.noise_rms_N, 1e-9 * fz_span_N, 1e-15), "scatter of the forces at rest"),
+        "noise_rms_N": CommentedValue(max(sensor.noise_rms_N, EXACT * fz_span_N, 1e-15), "scatter of the forces at rest"),
         "noise_rms_Nm": CommentedValue(
             sensor.noise_rms_Nm if torques else 0.0, "scatter of the torques at rest" if torques else "no torque was recorded"
         ),
