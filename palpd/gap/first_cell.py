@@ -14,6 +14,7 @@ from palpd.cell.report_times import find_reports
 from palpd.documents import parse_yaml
 from palpd.errors import BadInput, RecordingError
 from palpd.gap.data.recorded_noise import with_recorded_noise
+from palpd.gap.data.rounding import coarse_step_N
 from palpd.recording.oddities import CLEAR_NOISES, dead, measured_rms, questions_of, refuse_repeated, refuse_turned, swing_N
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -31,6 +32,8 @@ SERVO_HZ = np.geomspace(0.5, 60.0, 97)
 """Natural frequencies of the servo that are tried, 5 % apart."""
 SERVO_TOLERANCE = 0.05
 """Tolerance of the servo's natural frequency, as a ratio, where it was taken from the recording: the step between tried frequencies."""
+EXACT = 1e-9
+"""Least noise, as a share of the span of the readings: heights of a stage may have none, and columns over it would be beyond a float."""
 
 
 class CommentedValue(NamedTuple):
@@ -175,7 +178,8 @@ def _robot(recordings: Sequence[Samples]) -> dict[str, CommentedValue]:
     position, velocity, fits = [], [], []
     for samples in recordings:
         at_s = find_reports(samples.t_s, samples.z_m).t_s
-        position.append(measured_rms(np.interp(at_s, samples.t_s, samples.z_m)))
+        least_m = EXACT * float(np.ptp(samples.z_m))
+        position.append(max(measured_rms(np.interp(at_s, samples.t_s, samples.z_m)), least_m))
         velocity.append(measured_rms(np.interp(at_s, samples.t_s, samples.vz_m_per_s)))
         if samples.z_cmd_m is not None and np.ptp(samples.z_cmd_m) > 0.0:
             fits.append(_servo_Hz(samples.t_s, samples.z_cmd_m, samples.z_m))
@@ -206,19 +210,21 @@ def _sensor(recordings: Sequence[Samples], surface_m: float, robot: dict[str, Co
         },
         "the recordings",
     )
-    sensor = with_recorded_noise(recordings, provisional)[0].sensor
+    cell = with_recorded_noise(recordings, provisional)[0]
+    sensor = cell.sensor
+    coarse_N = max(coarse_step_N(samples, cell) for samples in recordings)  # readings that were rounded twice stand on no one lattice
     torques = any(not dead(samples.wrench[:, axis]) for samples in recordings for axis in (3, 4, 5))
     fz_span_N = max(float(np.ptp(samples.wrench[:, 2])) for samples in recordings)
     lattice = "lattice of the readings; 0 is none"
     return {
         "rate_Hz": CommentedValue(rate_Hz, "median of the time steps"),
         "filter_cutoff_Hz": CommentedValue(None, "GUESS: no filter; give the sensor's own in Hz"),
-        "noise_rms_N": CommentedValue(max(sensor.noise_rms_N, 1e-9 * fz_span_N, 1e-15), "scatter of the forces at rest"),
+        "noise_rms_N": CommentedValue(max(sensor.noise_rms_N, EXACT * fz_span_N, 1e-15), "scatter of the forces at rest"),
         "noise_rms_Nm": CommentedValue(
             sensor.noise_rms_Nm if torques else 0.0, "scatter of the torques at rest" if torques else "no torque was recorded"
         ),
         "resolution_fxy_N": CommentedValue(sensor.resolution_fxy_N, lattice),
-        "resolution_fz_N": CommentedValue(sensor.resolution_fz_N, lattice),
+        "resolution_fz_N": CommentedValue(coarse_N or sensor.resolution_fz_N, lattice),
         "resolution_Nm": CommentedValue(sensor.resolution_Nm, lattice),
     }
 

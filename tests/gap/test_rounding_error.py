@@ -103,9 +103,9 @@ def test_an_effect_of_several_steps_is_named_through_coarse_ones(effects: Effect
     assert [effect.id for effect in diagnosis.effects] == list(effects), diagnosis.sentence
 
 
-@pytest.mark.parametrize(("step_noises", "decimals"), [(8.0, 6), (7.54, 2)])
+@pytest.mark.parametrize(("step_noises", "decimals"), [(8.0, 6), (7.54, 2), (7.54, 1)])
 def test_a_first_cell_file_has_the_step_that_a_diagnosis_finds(step_noises: float, decimals: int) -> None:
-    """Also where readings are printed with fewer digits than their step has: 0.377 N with two decimals."""
+    """Also where readings are printed with fewer digits than their step has: 0.377 N with two decimals or with one."""
     samples = recording("second order", 101, PlantedDeviations(), lambda _: coarse(step_noises))
     wrench = np.column_stack([samples.wrench[:, :2], samples.wrench[:, 2].round(decimals), samples.wrench[:, 3:]])
     samples = replace(samples, wrench=wrench)

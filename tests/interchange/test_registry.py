@@ -114,6 +114,16 @@ def test_a_first_cell_file_is_near_the_cell_and_says_what_is_guessed(tmp_path: P
     assert "GUESS: no filter" in path.read_text()
 
 
+def test_exact_heights_have_some_noise_in_a_first_cell_file() -> None:
+    """A stage reports multiples of its step; the scatter of the last bits, 1e-18 m, ended a diagnosis in an error of linear algebra."""
+    samples = simulated({})
+    assert samples.z_cmd_m is not None
+    exact = Samples(samples.t_s, None, samples.z_cmd_m, samples.vz_m_per_s, samples.wrench)
+    robot = first_cell([exact], 0.005).content["robot"]
+    assert robot is not None
+    assert robot["position_noise_rms_m"] == pytest.approx(1e-9 * np.ptp(exact.z_m))
+
+
 def test_a_cell_without_contact_has_no_tissue(tmp_path: Path) -> None:
     t_s = np.arange(2000) * 0.002
     z_m = 0.01 * np.sin(2.0 * t_s)
