@@ -7,21 +7,21 @@ import pytest
 
 from palpd.cell.effects import EFFECTS
 from palpd.gap.healthy import HealthyCell
+from palpd.gap.healthy_reference import HealthyReference
 from palpd.gap.onset import since_onset
-from palpd.recording.samples import Samples
 from palpd.tick import Floats
 from tests.gap.test_healthy import changed, rig, rubbing_more
 from tests.gap.test_user_simulator import foam_N, record, stated
 
 
 @pytest.fixture(scope="module")
-def healthy() -> list[Samples]:
-    return [record(rig, seed=seed) for seed in (11, 12, 13)]
+def reference() -> HealthyReference:
+    return HealthyReference.of([record(rig, seed=seed) for seed in (11, 12, 13)], stated(), EFFECTS)
 
 
 @pytest.fixture(scope="module")
-def cell(healthy: list[Samples]) -> HealthyCell:
-    return HealthyCell.of(healthy, stated(), EFFECTS)
+def cell(reference: HealthyReference) -> HealthyCell:
+    return reference.learned
 
 
 def softer_from_14_s(tip: Mapping[str, Floats]) -> dict[str, Floats]:
@@ -32,13 +32,13 @@ def drifting(tip: Mapping[str, Floats]) -> dict[str, Floats]:
     return rig(tip) | {"fz_N": rig(tip)["fz_N"] + 0.02 * tip["t_s"]}
 
 
-def test_a_change_within_the_recording_has_its_onset_and_is_named(cell: HealthyCell, healthy: list[Samples]) -> None:
+def test_a_change_within_the_recording_has_its_onset_and_is_named(cell: HealthyCell, reference: HealthyReference) -> None:
     now = record(softer_from_14_s, seed=31)
     onset_s = since_onset(cell.simulator(), cell, now).onset_s
     # The probe rests in the air from 11.6 s to 14.4 s: what softened then shows when it presses.
     assert onset_s is not None
     assert 11.6 < onset_s < 15.5
-    answer = changed(now, healthy)
+    answer = changed(now, reference)
     assert "tissue.modulus" in {answer.effects[0].id, *answer.effects[0].indistinguishable_from}, answer.sentence
     assert answer.to_json()["simulated"]["onset_s"] == [onset_s]
     assert any(note.startswith(f"The change in recording 1 begins at {onset_s:.2f} s") for note in answer.notes)
