@@ -493,7 +493,7 @@ def _judged(line: Line, here: Path, code: int | None, errors: str) -> tuple[str,
     if "Traceback" in errors or code not in (0, 2, 3):
         return "traceback", f"exit {code}: {last}"
     left = [path for path in here.rglob("*") if _is_new(path)]
-    if code and (line.words[0] == "doctor" or code == 3):  # these say in their JSON why
+    if code and (line.words[0] in ("doctor", "recover-robot", "check") or code == 3):  # these say in their JSON why
         left = [path for path in left if not (path.suffix == ".json" and _is_whole(path))]
     if any(path.name.startswith(".palpd-") or path.suffix in (".recovering", ".part") for path in left):
         return "half-written", f"left {', '.join(path.name for path in left)}"
