@@ -77,7 +77,9 @@ class LastCheck:
     sentence: str
 
 
-Kept = TypeVar("Kept", Calibration, MachineStiffness, ContactMarker, LevelTested, PlanPlace, ProtectiveStops, Commission, LastCheck)
+Stored = Calibration | MachineStiffness | LastCheck | Latch | ContactMarker | LevelTested | PlanPlace | ProtectiveStops | Commission
+"""What a state file holds."""
+Kept = TypeVar("Kept", bound=Stored)
 _ADAPTERS: dict[str, TypeAdapter[Any]] = {}
 """What reads each file: one takes 10 ms to make, and the service reads these files several times a second."""
 
@@ -149,11 +151,7 @@ class State:
                 damaged=f"the protective stops kept in {path} cannot be read, so the cause of the last one must be written down"
             )
 
-    def keep(
-        self,
-        name: str,
-        thing: Calibration | MachineStiffness | Latch | ContactMarker | LevelTested | PlanPlace | ProtectiveStops | Commission | LastCheck,
-    ) -> None:
+    def keep(self, name: str, thing: Stored) -> None:
         """Write a state file so that a crash leaves the old file or the new one, never half of it.
 
         Args:

@@ -42,9 +42,13 @@ class HealthyReference:
         restless: Factor, at least 1, on the variance of what is unexplained, with which no healthy recording is called changed.
     """
 
-    learned: HealthyCell
     usual: UsualChanges
     restless: float
+
+    @property
+    def learned(self) -> HealthyCell:
+        """The healthy cell."""
+        return self.usual.healthy
 
     @staticmethod
     def of(healthy: Sequence[Samples], cell: CellFile, library: Mapping[str, Effect]) -> "HealthyReference":
@@ -57,10 +61,9 @@ class HealthyReference:
         Raises:
             RecordingError: The recordings cannot be judged.
         """
-        learned = HealthyCell.of(healthy, cell, library)
-        usual = UsualChanges.of(healthy, learned)
+        usual = UsualChanges.of(healthy, HealthyCell.of(healthy, cell, library))
         with threadpool_limits(1):  # as in a diagnosis
-            return HealthyReference(learned, usual, _restless(usual))
+            return HealthyReference(usual, _restless(usual))
 
     def simulator(self, now: Samples) -> UserSimulator:
         """The simulator of the healthy cell for a recording that is compared."""

@@ -76,7 +76,10 @@ class ComparedRecording:
     def of(recording: Samples, others: HealthyCell) -> "ComparedRecording":
         """Compare a healthy recording."""
         problem = make_problem([recording], others.compared_cell, others.library, simulators=[others.simulator()])
-        left, named = _left(problem, others), dict(_changes(problem))
+        simulated = problem.recordings[0].simulated
+        assert simulated is not None
+        assert simulated.doubt is not None  # it was learned
+        left, named = _left(problem, simulated.doubt), dict(_changes(problem))
         seen = np.array([_without_zero(_means(change, len(left.sd)), left.sd) for each in named.values() for change in each])
         size = np.maximum(np.sum(seen**2, axis=1), 1e-200)
         kinds = {name: len(each) for name, each in named.items()}
@@ -139,9 +142,10 @@ class UsualChanges:
             restless: Factor on the variance of what is unexplained (`healthy_reference`).
         """
         problem = make_problem([now], self.healthy.compared_cell, self.healthy.library, simulators=[simulator])
+        whole = self.healthy.doubt(asked(problem.recordings[0].sampled, now.z_cmd_m))  # that of `simulator` may begin with an onset
         usual = [share * change for name, changes in _changes(problem) for share, change in zip(self.spread[name], changes, strict=True)]
         t_s = problem.recordings[0].samples.t_s
-        variance = restless * min(max(_left(problem, self.healthy).square, self.square[0]), self.square[1]) / self.square[0]
+        variance = restless * min(max(_left(problem, whole).square, self.square[0]), self.square[1]) / self.square[0]
         columns = _independent(np.array(usual), 0.01 * float(declared_rms(self.healthy.cell)[FZ]))
         own = simulator.doubt
         assert own is not None  # it was learned
@@ -187,11 +191,10 @@ def _changes(problem: Problem) -> Iterator[tuple[str, list[Floats]]]:
         yield name, [problem.raw_prediction(recording, cell)[:, FZ] - plain for cell in cells]
 
 
-def _left(problem: Problem, learned: HealthyCell) -> _Residual:
+def _left(problem: Problem, doubt: SimulatorDoubt) -> _Residual:
     (recording,) = problem.recordings
     samples = recording.samples
     count = min(max(8, int(samples.duration_s / BLOCK_S)), len(samples))
-    doubt = learned.doubt(asked(recording.sampled, samples.z_cmd_m))
     sd = np.hypot(_means(doubt.unexplained[FZ], count), float(declared_rms(problem.cell)[FZ]) * (count / len(samples)) ** 0.5)
     left = samples.wrench[:, FZ - 1] - problem.raw_prediction(recording, problem.cell)[:, FZ]
     white = _without_zero(_means(np.where(doubt.known, left, 0.0), count), sd)
