@@ -69,6 +69,7 @@ class AlarmEvents:
         self._watch, self._ticks = ServiceWatch(path), RingTicks(config.robot.rate_Hz)
         self._slow_s = self._dead_s = float("-inf")
         self._up, self._died = False, False
+        self._ring = self._ended_ring = ""
         self._lost_s: float | None = None
         self._trip, self._late, self._window_s = 0, [0, 0], float("-inf")
 
@@ -80,7 +81,13 @@ class AlarmEvents:
     def look(self) -> Iterator[Alarm]:
         """Yield what has happened since the last look; takes a second at most."""
         record = self._record()
-        status = self._watch.status  # after the record, which is written when the service has gone
+        if record is not None:
+            self._ended_ring = self._ring
+        status = self._watch.status
+        if status is not None:
+            self._ring = str(status["ring"])  # a new one at each start of the service
+            if self._ring == self._ended_ring:
+                status = None  # systemd knew of the end before this process
         yield from self._deaths(record, status)
         if status is not None:
             self._ticks.follow(str(status["ring"]))

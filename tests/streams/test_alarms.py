@@ -229,8 +229,9 @@ def test_what_systemd_says_comes_first_where_it_is_quick(tmp_path: Path, sink: H
     with cell.alarms() as alarms:
         with killed(cell.socket):
             cell.step(alarms, lambda: alarms._events._up, "it watches")
-        cell.end("signal killed KILL")
-        cell.step(alarms, lambda: sink.received, "the message comes")
+            cell.end("signal killed KILL")
+            cell.step(alarms, lambda: sink.received, "the message comes")
+            cell.quiet(alarms, 0.5)
         cell.quiet(alarms, 2.0)
     assert titles(sink) == ["the service is dead"]
     assert "the service ended (signal killed KILL)" in sink.received[0]["message"]
