@@ -212,8 +212,8 @@ web --port 70000 --config {config}
 SLOW = ("diagnose", "resolve", "serve", "blind", "study", "demo", "emulate", "stream", "web")
 """Commands that work for long, or for ever, on what they accept: they are given only what they must refuse."""
 NO_DEVICE = (
-    "run", "check", "calibrate", "free-motion", "stiffness", "level-test", "retract", "status", "arm", "start", "pause", "resume", "abort",
-    "clear", "recover-robot", "jobs", "job", "plans", "controls", "alarms",
+    "run", "check", "inject", "calibrate", "free-motion", "stiffness", "level-test", "retract", "status", "arm", "start", "pause", "resume",
+    "abort", "clear", "recover-robot", "jobs", "job", "plans", "controls", "alarms",
 )  # fmt: skip
 """Commands that need a daemon, devices or addresses of alarms, which are not there: they refuse every line."""
 FINE = {("map", "header alone"), ("import", "unclosed quote"), ("analyse", "unclosed quote"), ("simulate", "three rows")}

@@ -60,7 +60,7 @@ BY_HAND = {
 
 NEEDS_MORE = {
     **dict.fromkeys(
-        ("run", "check", "calibrate", "stiffness", "free-motion", "level-test", "retract", "doctor", "resolve"), "needs a cell"
+        ("run", "check", "inject", "calibrate", "stiffness", "free-motion", "level-test", "retract", "doctor", "resolve"), "needs a cell"
     ),
     **dict.fromkeys(
         ("status", "arm", "start", "pause", "resume", "abort", "clear", "recover-robot", "jobs", "job", "plans", "controls"),

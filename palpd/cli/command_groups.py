@@ -10,7 +10,7 @@ GROUPS = {
     "Set up a cell": (
         "setup", "commission", "init", "check-config", "doctor", "calibrate", "stiffness", "free-motion", "train", "install", "migrate",
     ),
-    "Palpate": ("check", "run", "map", "level-test", "retract"),
+    "Palpate": ("check", "run", "map", "inject", "level-test", "retract"),
     "Run the service and speak to it": (
         "serve", "web", "stream", "alarms", "status", "arm", "start", "pause", "resume", "abort", "clear", "recover-robot", "jobs", "job",
         "plans", "controls",

@@ -1,6 +1,7 @@
 """What several commands print: a run, a demonstration."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from palpd.cli.last_ticks import print_last_ticks
@@ -46,6 +47,26 @@ def print_check(figures: Mapping[str, Any]) -> None:
     if figures["diagnosis"] is not None:
         show(f"The diagnosis of the puck's recording names {', '.join(figures['named']) or 'nothing'}.")
     show(f"{'ok: nothing has changed' if figures['level'] == 'ok' else figures['level']}: {figures['recording']}", soft_wrap=True)
+
+
+def print_injections(figures: Mapping[str, Any], unopened: Sequence[Path]) -> None:
+    """Print what injections say of a cell.
+
+    Args:
+        figures: As the `--json` of `palpd inject` holds them.
+        unopened: Recordings whose seal was never opened.
+    """
+    show = terminal().print
+    for limit in figures["limits"]:
+        show(f"  {limit['effect']}: {limit['words']} {limit['sentence']}", soft_wrap=True)
+    if figures["judged"]:
+        low, high = (100.0 * share for share in figures["right_ci95"])
+        show(f"Right in {figures['right']} of {figures['judged']} runs ({low:.0f} to {high:.0f} %), stated {100.0 * figures['stated']:.0f} %.")
+        show(f"Silent in {figures['silent']} of {figures['healthy']} runs with nothing planted.")
+    if figures["judged"] < figures["enough"]:
+        show(f"{figures['judged']} of {figures['enough']} runs that limits of this cell need.")
+    for path in unopened:
+        show(f"{path} was never opened; palpd inject --open {path} does it.", soft_wrap=True)
 
 
 def print_demonstration(demonstration: "Demonstration") -> None:

@@ -141,6 +141,52 @@ def check(
     finish({"ok": 0, "warn": 1, "stop": 2}[figures["level"]], figures["sentence"])
 
 
+@app.command(
+    examples=["palpd inject --config cell/config.yaml --plan cell/plan.yaml --times 10", "palpd inject --report --config cell/config.yaml"],
+    apart={"report": ("plan", "cell", "times", "opened"), "opened": ("plan", "times")},
+)
+def inject(
+    config: ConfigOption = DEFAULT_CONFIG,
+    plan: PlanOption = DEFAULT_PLAN,
+    cell: Annotated[Path | None, typer.Option("--cell", help="the cell as the simulator knows it, instead of the configuration's")] = None,
+    times: Annotated[int, typer.Option("--times", min=1, max=200, help="number of runs, each with an effect of its own")] = 1,
+    opened: Annotated[
+        Path | None, typer.Option("--open", help="diagnose and open a run that this command could not end; nothing moves")
+    ] = None,
+    report: Annotated[bool, typer.Option("--report", help="what all injections say of this cell; nothing moves")] = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Palpate with a sealed effect in a second recorded channel, which the diagnosis alone reads: does it name the effect?"""
+    from palpd.cell.cell_file import load_cell
+    from palpd.cli.printing import print_injections
+    from palpd.config import load_plan
+    from palpd.daemon.injection import inject as palpate_once
+    from palpd.daemon.injection import open_injection, unopened
+    from palpd.daemon.wiring import devices
+    from palpd.gap.commands import library
+    from palpd.history.injections import injection_report, injection_sentence
+
+    settings, known, show = settings_of(config), library(None), display()
+    stated = load_cell(cell, known) if cell is not None else None
+    exit_code, reason = 0, ""
+    if opened is not None:
+        show.say(injection_sentence(open_injection(settings, opened, stated, known)))
+    elif not report:
+        steps = load_plan(plan)
+        check_kept(settings)
+        clear_latch(settings)
+        for _ in range(times):
+            ended = palpate_once(settings, steps, stated, known, devices, show)
+            exit_code, reason = ended.exit_code, ended.reason
+            if exit_code:
+                print_last_ticks(list(ended.last_ticks))
+                break
+    figures = injection_report(settings.paths.runs)
+    print_injections(figures, unopened(settings))
+    write_json(json_file, figures)
+    finish(exit_code, reason)
+
+
 @app.command("free-motion", examples=["palpd free-motion --config cell/config.yaml --out free.mcap"])
 def free_motion(
     out: Annotated[Path, typer.Option("--out", help="recording to write (.mcap)"), Output(NEW_RECORDING)],

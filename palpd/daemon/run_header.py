@@ -83,6 +83,7 @@ def header_of(job: Job, about: RunAbout, reference: tuple[float, ...], pose: tup
         "model_card": _card(job),
         "versions": _versions(),
         "started": now(),
+        "injection": job.planted.seal if job.planted is not None else None,
     }
 
 

@@ -234,7 +234,7 @@ class JobRun:
         with shielded():
             self._witness = Witness(DEVICE_PRIORITY)
             self._motion = MotionProcess(build, ring)
-        self._motion.pipe.send(job)
+        self._motion.pipe.send(replace(job, planted=None))  # what is planted is for the recorder alone
 
     def ask(self, request: Request) -> None:
         """Pass an operator's request to the loop. An abort before the loop was started calls the job off."""
@@ -372,7 +372,9 @@ class JobRun:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with shielded():
-                recorder = Recorder.begin(self._ring, folder / f"{self._name}.mcap", header, model.read_bytes() if model else None)
+                recorder = Recorder.begin(
+                    self._ring, folder / f"{self._name}.mcap", header, model.read_bytes() if model else None, job.planted
+                )
         except OSError as error:
             return self._refuse(opened, error)
         return OpeningRecorder(opened, recorder, time.monotonic())

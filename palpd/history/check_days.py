@@ -12,7 +12,7 @@ from palpd.documents import read_json
 from palpd.errors import BadInput
 from palpd.files import write_json
 from palpd.history.control_charts import WATCHED, CheckedDay, DayVerdict, judged
-from palpd.history.stored import CHECK, RECORDING, beside, stored_checks
+from palpd.history.stored import CHECK, RECORDING, beside, stored_beside
 from palpd.quantities import scaled
 
 MOST_BYTES = 200_000
@@ -62,7 +62,7 @@ def kept_checks(folder: Path) -> list[tuple[Path, MorningCheck]]:
     Raises:
         BadInput: A file is damaged, or the folder cannot be read.
     """
-    checks = [(path.with_name(path.name.removesuffix(CHECK) + RECORDING), check_of(path)) for path in stored_checks(folder)]
+    checks = [(path.with_name(path.name.removesuffix(CHECK) + RECORDING), check_of(path)) for path in stored_beside(folder, CHECK)]
     return sorted(checks, key=lambda each: each[1].day.date)
 
 

@@ -85,7 +85,8 @@ def facts_of(recording: Recording) -> RunFacts:
         header, footer, rows = recording.header, recording.footer, recording.rows
         config, plan = header["config"], header["plan"]
         started_s = float(header["epoch_offset_s"]) + float(rows["now_s"][0])
-        palpated = header["kind"] == "palpation" and not header["dry"]
+        kind = "injection" if header.get("injection") else str(header["kind"])  # for the diagnosis only: it gives no moduli
+        palpated = kind == "palpation" and not header["dry"]
         measured = sites(rows, header) if palpated else []
         loop = loop_figures(rows)
         loop["stalls"] = stall_figures(rows, footer.get("stalls", []))
@@ -94,7 +95,7 @@ def facts_of(recording: Recording) -> RunFacts:
             path=str(recording.path),
             bytes=recording.path.stat().st_size,
             recording_sha256=file_sha256(recording.path),
-            kind=str(header["kind"]),
+            kind=kind,
             dry=bool(header["dry"]),
             started=str(header.get("started") or datetime.fromtimestamp(started_s).astimezone().isoformat(timespec="seconds")),
             started_s=started_s,

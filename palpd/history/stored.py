@@ -8,6 +8,7 @@ A recording is evidence and is never written to. What belongs to it stands besid
 | NAME.report.html | the report | `palpd report`, and each run when it is over |
 | NAME.diagnosis.json, NAME.SITE.diagnosis.json | a diagnosis of it | `palpd diagnose --json` |
 | NAME.check.json | what a morning check measured, and its verdict | `palpd check` |
+| NAME.injection.json | what was planted into the second channel, and what the diagnosis said | `palpd inject` |
 """
 
 import contextlib
@@ -21,7 +22,7 @@ from palpd.errors import BadInput, RecordingError
 from palpd.files import is_growing
 
 RECORDING, PART = ".mcap", ".part"
-REMARKS, REPORT, DIAGNOSIS, CHECK = ".remarks.json", ".report.html", ".diagnosis.json", ".check.json"
+REMARKS, REPORT, DIAGNOSIS, CHECK, INJECTION = ".remarks.json", ".report.html", ".diagnosis.json", ".check.json", ".injection.json"
 LAST = "last"
 """Stands for the recording that was closed last."""
 LEVELS = 2
@@ -99,9 +100,9 @@ def unfinished_recordings(folder: Path) -> dict[str, Path]:
     return unfinished
 
 
-def stored_checks(folder: Path) -> list[Path]:
-    """The files of the morning checks in a folder of runs, in any order; none where there is no folder. Raises BadInput."""
-    return [folder / (place + name) for place, name, _ in _listed(folder, CHECK)]
+def stored_beside(folder: Path, ending: str) -> list[Path]:
+    """The files with that ending in a folder of runs, in any order; none where there is no folder. Raises BadInput."""
+    return [folder / (place + name) for place, name, _ in _listed(folder, ending)]
 
 
 def _listed(folder: Path, *endings: str) -> list[tuple[str, str, FileStamp]]:

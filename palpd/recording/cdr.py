@@ -75,6 +75,12 @@ def pack_stamped(stamp_ns: Nanoseconds, frame: str, values: Floats) -> list[byte
     return split(packed)
 
 
+def unpack_wrenches(messages: list[bytes]) -> Floats:
+    """Wrenches (n, 6) of WrenchStamped messages in base axes, N and Nm."""
+    wrench: Floats = np.frombuffer(b"".join(messages), _stamped(BASE_FRAME, 6))["values"]
+    return wrench
+
+
 PER_FRAME = tuple(name for name in ROW.names or () if ROW[name].shape[:1] == (MAX_FRAMES,))
 """The fields of ROW that hold one entry for each sensor frame."""
 

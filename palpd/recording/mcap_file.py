@@ -33,7 +33,8 @@ from palpd.file_versions import NEWEST_RECORDING, newer
 from palpd.files import read_by_others
 from palpd.recording import cdr
 from palpd.recording.header import RecordingFooter, RecordingHeader
-from palpd.recording.topics import SCHEMAS, TICK_TOPIC, TOPICS, Rows, TopicMessages
+from palpd.recording.second_channel import SecondChannel
+from palpd.recording.topics import SCHEMAS, SECOND_TOPIC, SECOND_TYPE, TICK_TOPIC, TOPICS, Rows, TopicMessages
 
 HEADER, FOOTER, MODEL = "palpd.header", "palpd.footer", "model.onnx"
 HEADER_LOST = "its header is lost: configuration, plan and names of sites"
@@ -73,13 +74,20 @@ class RecordingWriter:
     Raises RecordingError where `path` or its .part exists, OSError where the disk fails.
     """
 
-    def __init__(self, path: Path, header: RecordingHeader, model_bytes: bytes | None = None, part: Path | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        header: RecordingHeader,
+        model_bytes: bytes | None = None,
+        part: Path | None = None,
+        second: SecondChannel | None = None,
+    ) -> None:
         self.path, self.part = path, part or part_of(path)
         for taken in (self.path, self.part):
             if taken.exists():
                 raise RecordingError(f"{taken} exists and is not overwritten; choose another name or move it away")
         header = {"epoch_offset_s": time.time() - time.monotonic(), **header, "format_version": NEWEST_RECORDING}
-        self._messages = TopicMessages(header["epoch_offset_s"])
+        self._messages = TopicMessages(header["epoch_offset_s"], second)
         try:
             self._stream = self.part.open("xb")
         except OSError as error:
@@ -92,8 +100,9 @@ class RecordingWriter:
         if model_bytes is not None:
             self._writer.add_attachment(0, 0, MODEL, "application/octet-stream", model_bytes)
         schema = {name: self._writer.register_schema(name, "ros2msg", text.encode()) for name, text in SCHEMAS.items()}
-        self._channel = {topic: self._writer.register_channel(topic, "cdr", schema[name]) for topic, name in TOPICS.items()}
-        self._sequence = dict.fromkeys(TOPICS, 0)
+        topics = TOPICS | ({SECOND_TOPIC: SECOND_TYPE} if second is not None else {})
+        self._channel = {topic: self._writer.register_channel(topic, "cdr", schema[name]) for topic, name in topics.items()}
+        self._sequence = dict.fromkeys(topics, 0)
         self._writer.flush()
 
     def write(self, rows: Rows) -> None:
@@ -175,8 +184,10 @@ class Contents:
     schema: str | None = None
     torn: str = ""
     header_lost: bool = False
+    second: list[bytes] = field(default_factory=list, repr=False)
     _foreign: bool = field(default=False, repr=False)
     _ticks: int | None = field(default=None, repr=False)
+    _second: int | None = field(default=None, repr=False)
     _absent: tuple[str, ...] = field(default=(), repr=False)
 
     def batches(self, path: Path, *, skip_damaged: bool = False) -> Iterator[list[bytes]]:
@@ -315,6 +326,8 @@ class Contents:
             if opcode == Opcode.MESSAGE:
                 if number == self._ticks:
                     messages.append(data[position + 22 : position + length])
+                elif number == self._second:
+                    self.second.append(data[position + 22 : position + length])
                 else:
                     position += (_alike(data, position - 9, 9 + length, head.size) - 1) * (9 + length)
             elif opcode == Opcode.SCHEMA:
@@ -325,6 +338,8 @@ class Contents:
                 channel = Channel.read(ReadDataStream(io.BytesIO(data[position : position + length])))
                 if channel.topic == TICK_TOPIC:
                     self._ticks = channel.id
+                elif channel.topic == SECOND_TOPIC:
+                    self._second = channel.id
             position += length
         return messages
 

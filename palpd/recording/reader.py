@@ -27,7 +27,8 @@ class Recording:
     """One closed recording.
 
     `rows` has the fields of ROW, with as many frame slots as the fullest tick needs (a ROW of 64 would be 1 MB a second);
-    `widened` turns them into ROWs. Slots that a tick did not fill are zero.
+    `widened` turns them into ROWs. Slots that a tick did not fill are zero. `second` (n, 6) is the second channel of a run of
+    `palpd inject`, frame by frame; None for all other runs.
     """
 
     path: Path
@@ -35,6 +36,7 @@ class Recording:
     header: RecordingHeader
     footer: RecordingFooter
     model_bytes: bytes | None
+    second: Floats | None = None
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -56,7 +58,20 @@ class Recording:
         if not messages:
             raise RecordingError(f"{path} holds no tick; give a recording of a run that began")
         rows = cdr.unpack_ticks(messages, contents.absent)
-        return cls(path, rows, contents.header, contents.footer, contents.model_bytes)
+        second = cdr.unpack_wrenches(contents.second) if contents.second else None
+        return cls(path, rows, contents.header, contents.footer, contents.model_bytes, second)
+
+    def with_second_channel(self) -> Self:
+        """The same run with its second channel in the place of the tared wrench. Raises RecordingError where it has none, or a torn one."""
+        filled = np.arange(self.rows["frame_t_s"].shape[1]) < self.rows["frames"][:, None]
+        frames, held = int(filled.sum()), 0 if self.second is None else len(self.second)
+        if self.second is None or held != frames:
+            raise RecordingError(
+                f"{self.path} holds {held} frames of a second channel, expected {frames}; give a whole recording of palpd inject"
+            )
+        rows = self.rows.copy()
+        rows["tared"][filled] = self.second
+        return replace(self, rows=rows)
 
     def site_index(self, name: str) -> int:
         """Return the number of a site in the rows. Raises RecordingError."""

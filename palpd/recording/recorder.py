@@ -18,6 +18,7 @@ from palpd.errors import RecordingError
 from palpd.recording.header import RecordingFooter, RecordingHeader
 from palpd.recording.mcap_file import RecordingWriter, part_of
 from palpd.recording.ring import RecorderState, Ring
+from palpd.recording.second_channel import PlantedEffect, SecondChannel
 
 CHUNK_S = 0.15
 """How often new rows are compressed and passed to the kernel: a kill -9 of the recorder costs at most this."""
@@ -52,7 +53,9 @@ class Recorder:
         return recorder
 
     @classmethod
-    def begin(cls, ring: Ring, path: Path, header: RecordingHeader, model_bytes: bytes | None = None) -> Self:
+    def begin(
+        cls, ring: Ring, path: Path, header: RecordingHeader, model_bytes: bytes | None = None, planted: PlantedEffect | None = None
+    ) -> Self:
         """Start a recorder without waiting for it: `answered` says when `confirm` no longer waits.
 
         Args:
@@ -60,6 +63,7 @@ class Recorder:
             path: FILE.mcap to write.
             header: what the recording holds besides its ticks.
             model_bytes: the inertial model in use, if any.
+            planted: what the second channel holds; None: there is none.
 
         Returns:
             The recorder, which may still fail to open the file.
@@ -71,7 +75,7 @@ class Recorder:
             process = subprocess.Popen(command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL)
         recorder = cls(process, ours, path)
         recorder._part_is_ours = not part_was_there
-        recorder._send((path, header, model_bytes, cursor))
+        recorder._send((path, header, model_bytes, planted, cursor))
         return recorder
 
     @property
@@ -162,11 +166,12 @@ def record(ring: Ring, pipe: Connection) -> None:
 
     Args:
         ring: where the loop writes.
-        pipe: brings path, header, model and cursor first, then the footer; takes None, or a sentence where recording failed.
+        pipe: brings path, header, model, planted effect and cursor first, then the footer; takes None, or why recording failed.
     """
-    path, header, model_bytes, cursor = pipe.recv()
+    path, header, model_bytes, planted, cursor = pipe.recv()
     try:
-        writer = RecordingWriter(path, header, model_bytes)
+        second = SecondChannel(planted) if planted is not None else None
+        writer = RecordingWriter(path, header, model_bytes, second=second)
     except (RecordingError, OSError) as error:
         ring.recorder_errno = getattr(error, "errno", None) or errno.EEXIST
         ring.recorder_state = RecorderState.FAILED

@@ -9,11 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpd.recording import cdr
+from palpd.recording.second_channel import SecondChannel
 from palpd.tick import Floats
 
 Rows = NDArray[np.void]
 
 TICK_TOPIC = "/tick"
+SECOND_TOPIC, SECOND_TYPE = "/wrench_injected", "geometry_msgs/msg/WrenchStamped"
+"""The tared wrench with a planted effect, one message a frame; only in the recordings of `palpd inject`."""
 SCHEMAS = {
     "geometry_msgs/msg/PoseStamped": cdr.POSE_STAMPED,
     "geometry_msgs/msg/TwistStamped": cdr.TWIST_STAMPED,
@@ -59,8 +62,9 @@ class TopicMessages:
     these. `epoch_offset_s` turns monotonic seconds into Unix time.
     """
 
-    def __init__(self, epoch_offset_s: float) -> None:
+    def __init__(self, epoch_offset_s: float, second: SecondChannel | None = None) -> None:
         self._offset_ns = round(epoch_offset_s * 1e9)
+        self._second = second
         self._robot_t_s = float("nan")
 
     def of(self, rows: Rows, topics: Collection[str] = TOPICS) -> list[tuple[str, cdr.Nanoseconds, list[bytes]]]:
@@ -93,6 +97,8 @@ class TopicMessages:
             yield "/wrench_raw", stamp_ns, cdr.pack_stamped(stamp_ns, cdr.SENSOR_FRAME, rows["wrench"][filled])
         if "/wrench" in topics:
             yield "/wrench", stamp_ns, cdr.pack_stamped(stamp_ns, cdr.BASE_FRAME, compensated(rows, filled))
+        if self._second is not None:
+            yield SECOND_TOPIC, stamp_ns, cdr.pack_stamped(stamp_ns, cdr.BASE_FRAME, self._second.wrench(rows, filled))
         if TICK_TOPIC in topics:
             stamp_ns = self._epoch_ns(rows["now_s"], rows["now_s"])
             yield TICK_TOPIC, stamp_ns, cdr.pack_ticks(stamp_ns, rows)

@@ -35,7 +35,7 @@ COMMANDS = (
     "start", "pause", "resume", "abort", "clear", "recover-robot", "jobs", "job", "plans", "controls", "stream", "alarms", "init",
     "install", "doctor", "migrate", "check-config", "runs", "info", "report", "replay", "export", "recover", "import", "cell-from",
     "analyse", "train", "setup", "commission", "map", "diagnose", "resolve", "simulate", "export-sim", "tolerances", "effects", "blind",
-    "study", "arena", "check",
+    "study", "arena", "check", "inject",
 )  # fmt: skip
 
 

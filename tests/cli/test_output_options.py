@@ -87,7 +87,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_every_path_of_every_command_is_an_input_or_an_output_and_outputs_have_force() -> None:
-    assert len(commands()) == 53
+    assert len(commands()) == 54
     words = ("write", "kept", "keep", "link to make", "save")
     for name, command in commands().items():
         for parameter in inputs_of(command):

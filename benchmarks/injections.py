@@ -1,0 +1,54 @@
+"""`palpd inject` on emulated wires: from which size on the diagnosis of an emulated cell names an effect of its sensor.
+
+`python -m benchmarks.injections [--times 40] [--kept FOLDER]` starts the paper's phantom behind emulated wires, takes the reference tare and carries out as
+many runs of one command. Prints what the command says at the end; ends with its exit code.
+"""
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+import yaml
+
+from palpd.testing.emulated_cell import PATIENT, EmulatedCell, emulated_cell
+
+PLAN = {
+    "sites": [{"name": "A"}],
+    "mode": "both",
+    "depths_m": [0.004],
+    "press_speed_m_per_s": 0.01,
+    "repeats": 3,
+    "hold_s": 4.0,
+    "safe_height_m": 0.004,
+    "free": {"strokes": 1},
+    "search": {"speed_m_per_s": 0.01, "max_travel_m": 0.04},
+}
+"""Free strokes, a hold and three presses: the diagnosis needs each of them to tell the effects apart."""
+PATIENCE_S = 120.0
+"""Longest time for one run with its diagnosis."""
+
+
+def main() -> int:
+    """Print what the injections say."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--times", type=int, default=40)
+    parser.add_argument("--kept", type=Path, help="a new folder that keeps the runs")
+    arguments = parser.parse_args()
+    times = arguments.times
+    with tempfile.TemporaryDirectory() as name, emulated_cell(Path(name)) as wired:
+        folder = arguments.kept or Path(name)
+        folder.mkdir(parents=True, exist_ok=True)
+        plan = folder / "plan.yaml"
+        plan.write_text(yaml.safe_dump(PLAN))
+        cell = EmulatedCell(wired.wires, wired.model, folder, dict(PATIENT))
+        for command in (("calibrate",), ("inject", "--plan", plan, "--times", str(times))):
+            ended = cell.palpd(*command, "--config", cell.config, patience_s=times * PATIENCE_S)
+            print(ended.stdout, ended.stderr)
+            if ended.returncode:
+                return ended.returncode
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
