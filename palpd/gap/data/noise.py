@@ -88,8 +88,12 @@ def held_runs(samples: Samples) -> tuple[Ints, Ints, float]:
     alone = [same[~np.delete(same, k, axis=1).all(axis=1), k] for k in range(len(live))] if len(live) > 1 else []
     shares = [max(float(axis.mean()), 1e-6) for axis in alone if len(axis)] or [_repeat_chance(samples.wrench[:, k]) for k in live]
     first, end = runs_of_true(together)
-    if len(live) == 1 and len(first) and (end - first).mean() < 3.0:
-        return none, none, 0.0  # one axis alone repeats itself for many reasons
+    if len(live) == 1:
+        alone_values = samples.wrench[:, live[0]]
+        held = ~np.isin(alone_values[first], (alone_values.min(), alone_values.max()))  # at its limit it repeats, and is not held
+        first, end = first[held], end[held]
+        if len(first) and (end - first).mean() < 3.0:
+            return none, none, 0.0  # one axis alone repeats itself for many reasons
     return first, end, float(np.prod(shares))
 
 
