@@ -44,13 +44,21 @@ RESTLESS = (
 class _Residual(NamedTuple):
     """A recording against what was learned from others.
 
-    Means (b,) of the residual, over their rms `sd` (b,); how alike neighbours are, and the median of the squares.
+    Means (b,) of the residual, over their rms `sd` (b,), and how alike neighbours are.
     """
 
     white: Floats
     sd: Floats
     alike: float
-    square: float
+
+    def seen(self, changes: Sequence[Floats]) -> Floats:
+        """Changes (p,) of n samples each as the residual would show them (p, b)."""
+        return np.array([_without_zero(_means(change, len(self.sd)), self.sd) for change in changes])
+
+    def square(self, seen: Floats) -> float:
+        """Median of the squares that are left where the change (p, b) that fits best is taken out: what acts is not restless."""
+        shares = seen @ self.white / np.maximum(np.sum(seen**2, axis=1), 1e-200)
+        return float(np.median(np.vstack([self.white, self.white - shares[:, None] * seen]) ** 2, axis=1).min())
 
 
 @dataclass(frozen=True)
@@ -61,6 +69,7 @@ class ComparedRecording:
         share: The share (p,) of each change of the list that the recording seems to have.
         overlap: Square (p, p) of the share of a change that another one seems to be.
         size: Square (p,) of each change over the noise.
+        square: Median square of what is left of the residual.
         kinds: The number of changes of each effect, by its id.
     """
 
@@ -70,6 +79,7 @@ class ComparedRecording:
     share: Floats
     overlap: Floats
     size: Floats
+    square: float
     kinds: Mapping[str, int]
 
     @staticmethod
@@ -80,10 +90,11 @@ class ComparedRecording:
         assert simulated is not None
         assert simulated.doubt is not None  # it was learned
         left, named = _left(problem, simulated.doubt), dict(_changes(problem))
-        seen = np.array([_without_zero(_means(change, len(left.sd)), left.sd) for each in named.values() for change in each])
+        seen = left.seen([change for each in named.values() for change in each])
         size = np.maximum(np.sum(seen**2, axis=1), 1e-200)
         kinds = {name: len(each) for name, each in named.items()}
-        return ComparedRecording(recording, others, left, seen @ left.white / size, (seen @ seen.T / size[:, None]) ** 2, size, kinds)
+        overlap = (seen @ seen.T / size[:, None]) ** 2
+        return ComparedRecording(recording, others, left, seen @ left.white / size, overlap, size, left.square(seen), kinds)
 
 
 @dataclass(frozen=True)
@@ -120,7 +131,7 @@ class UsualChanges:
     def _seen_in(compared: tuple[ComparedRecording, ...], healthy: HealthyCell) -> "UsualChanges":
         lefts = [one.left for one in compared]
         # Of few recordings the spread may be larger than they show.
-        k, squares = max(len(lefts), 2), np.log([max(left.square, 1e-6) for left in lefts])
+        k, squares = max(len(lefts), 2), np.log([max(one.square, 1e-6) for one in compared])
         factor = float(student.ppf(norm.cdf(TAIL_SD), k - 1)) / TAIL_SD * ((k + 1) / k) ** 0.5
         apart = min(TAIL_SD * factor * float(squares.std(ddof=1) if len(lefts) > 1 else 0.0), float(np.log(MOST_SQUARE)))
         square = float(np.exp(squares.mean())), float(np.exp(squares.mean() + apart))
@@ -143,9 +154,12 @@ class UsualChanges:
         """
         problem = make_problem([now], self.healthy.compared_cell, self.healthy.library, simulators=[simulator])
         whole = self.healthy.doubt(asked(problem.recordings[0].sampled, now.z_cmd_m))  # that of `simulator` may begin with an onset
-        usual = [share * change for name, changes in _changes(problem) for share, change in zip(self.spread[name], changes, strict=True)]
+        changes = dict(_changes(problem))
+        usual = [share * change for name, each in changes.items() for share, change in zip(self.spread[name], each, strict=True)]
         t_s = problem.recordings[0].samples.t_s
-        variance = restless * min(max(_left(problem, whole).square, self.square[0]), self.square[1]) / self.square[0]
+        left = _left(problem, whole)
+        square = left.square(left.seen([change for each in changes.values() for change in each]))
+        variance = restless * min(max(square, self.square[0]), self.square[1]) / self.square[0]
         columns = _independent(np.array(usual), 0.01 * float(declared_rms(self.healthy.cell)[FZ]))
         own = simulator.doubt
         assert own is not None  # it was learned
@@ -198,7 +212,7 @@ def _left(problem: Problem, doubt: SimulatorDoubt) -> _Residual:
     sd = np.hypot(_means(doubt.unexplained[FZ], count), float(declared_rms(problem.cell)[FZ]) * (count / len(samples)) ** 0.5)
     left = samples.wrench[:, FZ - 1] - problem.raw_prediction(recording, problem.cell)[:, FZ]
     white = _without_zero(_means(np.where(doubt.known, left, 0.0), count), sd)
-    return _Residual(white, sd, neighbours_alike(white), float(np.median(white**2)))
+    return _Residual(white, sd, neighbours_alike(white))
 
 
 def _means(values: Floats, count: int) -> Floats:
