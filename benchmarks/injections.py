@@ -1,7 +1,7 @@
 """`palpd inject` on emulated wires: from which size on the diagnosis of an emulated cell names an effect of its sensor.
 
-`python -m benchmarks.injections [--times 40] [--kept FOLDER]` starts the paper's phantom behind emulated wires, takes the reference tare and carries out as
-many runs of one command. Prints what the command says at the end; ends with its exit code.
+`python -m benchmarks.injections [--times 40] [--kept FOLDER]` starts the paper's phantom behind emulated wires, takes the reference tare and
+carries out as many runs of one command, judged by the phantom's cell file. Prints what the command says; ends with its exit code.
 """
 
 import argparse
@@ -25,6 +25,7 @@ PLAN = {
     "search": {"speed_m_per_s": 0.01, "max_travel_m": 0.04},
 }
 """Free strokes, a hold and three presses: the diagnosis needs each of them to tell the effects apart."""
+PHANTOM = Path(__file__).parents[1] / "palpd" / "cell" / "phantom.yaml"
 PATIENCE_S = 120.0
 """Longest time for one run with its diagnosis."""
 
@@ -42,7 +43,7 @@ def main() -> int:
         plan = folder / "plan.yaml"
         plan.write_text(yaml.safe_dump(PLAN))
         cell = EmulatedCell(wired.wires, wired.model, folder, dict(PATIENT))
-        for command in (("calibrate",), ("inject", "--plan", plan, "--times", str(times))):
+        for command in (("calibrate",), ("inject", "--plan", plan, "--cell", PHANTOM, "--times", str(times))):
             ended = cell.palpd(*command, "--config", cell.config, patience_s=times * PATIENCE_S)
             print(ended.stdout, ended.stderr)
             if ended.returncode:

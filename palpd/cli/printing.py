@@ -61,7 +61,8 @@ def print_injections(figures: Mapping[str, Any], unopened: Sequence[Path]) -> No
         show(f"  {limit['effect']}: {limit['words']} {limit['sentence']}", soft_wrap=True)
     if figures["judged"]:
         low, high = (100.0 * share for share in figures["right_ci95"])
-        show(f"Right in {figures['right']} of {figures['judged']} runs ({low:.0f} to {high:.0f} %), stated {100.0 * figures['stated']:.0f} %.")
+        right = f"Right in {figures['right']} of {figures['judged']} runs ({low:.0f} to {high:.0f} %)"
+        show(f"{right}, stated {100.0 * figures['stated']:.0f} %.")
         show(f"Silent in {figures['silent']} of {figures['healthy']} runs with nothing planted.")
     if figures["judged"] < figures["enough"]:
         show(f"{figures['judged']} of {figures['enough']} runs that limits of this cell need.")

@@ -18,7 +18,6 @@ from palpd.cell.cell_file import CellFile
 from palpd.config import Config, Plan
 from palpd.daemon.devices import Build
 from palpd.daemon.display import Display
-from palpd.daemon.morning_check import thinned
 from palpd.daemon.session import carry_out, job
 from palpd.daemon.stored_state import now
 from palpd.daemon.supervisor import Report
@@ -166,7 +165,7 @@ def _diagnosed(run: Recording, injection: Injection, cell: CellFile, library: "M
 
     if (verdict := run.footer.get("verdict")) != "done":
         raise RecordingError(f"the run was {verdict}: {run.footer.get('reason')}")
-    samples = thinned(samples_of(run.with_second_channel(), run.header["sites"][0]["name"]))
+    samples = samples_of(run.with_second_channel(), run.header["sites"][0]["name"], at_reports=True)
     answer = diagnose([samples], cell, library, propose=False)
     named = tuple(effect.id for effect in answer.effects)
     stated = {"none": answer.decision.p_none, "unknown": answer.decision.p_unknown}

@@ -19,9 +19,6 @@ from palpd.history.control_charts import WATCHED, CheckedDay, judged
 from palpd.recording.reader import Recording, samples_of
 from palpd.recording.samples import Samples
 
-DIAGNOSED_HZ = 125.0
-"""Rate at which recordings are diagnosed: a UR5 reports its height as often, and the whole rate takes eight times as long."""
-
 
 def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Report, dict[str, Any] | None]:
     """Check the cell, and keep what was measured beside the recording.
@@ -123,20 +120,10 @@ def compared(healthy: list[Samples], today: Samples) -> dict[str, Any]:
     return {name: answer[name] for name in ("verdict", "effects", "plain") if name in answer}
 
 
-def thinned(samples: Samples, rate_Hz: float = DIAGNOSED_HZ) -> Samples:
-    """Every n-th sample, so that the rate is about `rate_Hz`."""
-    step = slice(None, None, max(1, round(samples.rate_Hz / rate_Hz)))
-    command = samples.z_cmd_m[step] if samples.z_cmd_m is not None else None
-    return replace(
-        samples, t_s=samples.t_s[step], z_cmd_m=command, z_m=samples.z_m[step], vz_m_per_s=samples.vz_m_per_s[step],
-        wrench=samples.wrench[step], held=samples.held[step] if samples.held is not None else None,
-    )  # fmt: skip
-
-
 def _keep_last(config: Config, check: MorningCheck) -> None:
     """Keep what a palpation asks for."""
     State(config.paths.state).keep("check", LastCheck(check.day.date, check.verdict.level, check.verdict.sentence))
 
 
 def _samples(recording: Path) -> Samples:
-    return thinned(samples_of(Recording.load(recording), PUCK))
+    return samples_of(Recording.load(recording), PUCK, at_reports=True)
