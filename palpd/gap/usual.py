@@ -55,10 +55,11 @@ class _Residual(NamedTuple):
         """Changes (p,) of n samples each as the residual would show them (p, b)."""
         return np.array([_without_zero(_means(change, len(self.sd)), self.sd) for change in changes])
 
-    def square(self, seen: Floats) -> float:
-        """Median of the squares that are left where the change (p, b) that fits best is taken out: what acts is not restless."""
+    def squares(self, seen: Floats) -> Floats:
+        """Median (2,) of the squares, as they are and without the change of (p, b) that leaves least: what acts is not restless."""
         shares = seen @ self.white / np.maximum(np.sum(seen**2, axis=1), 1e-200)
-        return float(np.median(np.vstack([self.white, self.white - shares[:, None] * seen]) ** 2, axis=1).min())
+        plain, *without = np.median(np.vstack([self.white, self.white - shares[:, None] * seen]) ** 2, axis=1)
+        return np.array([plain, min(plain, *without)])
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class ComparedRecording:
         share: The share (p,) of each change of the list that the recording seems to have.
         overlap: Square (p, p) of the share of a change that another one seems to be.
         size: Square (p,) of each change over the noise.
-        square: Median square of what is left of the residual.
+        squares: Median square (2,) of the residual, and of what the change that fits best leaves of it.
         kinds: The number of changes of each effect, by its id.
     """
 
@@ -79,7 +80,7 @@ class ComparedRecording:
     share: Floats
     overlap: Floats
     size: Floats
-    square: float
+    squares: Floats
     kinds: Mapping[str, int]
 
     @staticmethod
@@ -94,7 +95,7 @@ class ComparedRecording:
         size = np.maximum(np.sum(seen**2, axis=1), 1e-200)
         kinds = {name: len(each) for name, each in named.items()}
         overlap = (seen @ seen.T / size[:, None]) ** 2
-        return ComparedRecording(recording, others, left, seen @ left.white / size, overlap, size, left.square(seen), kinds)
+        return ComparedRecording(recording, others, left, seen @ left.white / size, overlap, size, left.squares(seen), kinds)
 
 
 @dataclass(frozen=True)
@@ -105,14 +106,14 @@ class UsualChanges:
         compared: Each healthy recording against the others.
         spread: Standard deviations (k,) of each effect, as shares of its k typical sizes, by its id.
         lasting: Factor on the rms of the residual, since neighbours are off alike.
-        square: Usual square of the residual, over what was learned, and the largest one that is usual.
+        squares: Usual squares (2,) of the residual over what was learned, as `ComparedRecording` has them, and the largest usual ones.
     """
 
     healthy: HealthyCell
     compared: tuple[ComparedRecording, ...]
     spread: Mapping[str, Floats]
     lasting: float
-    square: tuple[float, float]
+    squares: tuple[Floats, Floats]
 
     @staticmethod
     def of(recordings: Sequence[Samples], healthy: HealthyCell) -> "UsualChanges":
@@ -131,10 +132,10 @@ class UsualChanges:
     def _seen_in(compared: tuple[ComparedRecording, ...], healthy: HealthyCell) -> "UsualChanges":
         lefts = [one.left for one in compared]
         # Of few recordings the spread may be larger than they show.
-        k, squares = max(len(lefts), 2), np.log([max(one.square, 1e-6) for one in compared])
+        k, squares = max(len(lefts), 2), np.log(np.maximum([one.squares for one in compared], 1e-6))
         factor = float(student.ppf(norm.cdf(TAIL_SD), k - 1)) / TAIL_SD * ((k + 1) / k) ** 0.5
-        apart = min(TAIL_SD * factor * float(squares.std(ddof=1) if len(lefts) > 1 else 0.0), float(np.log(MOST_SQUARE)))
-        square = float(np.exp(squares.mean())), float(np.exp(squares.mean() + apart))
+        apart = np.minimum(TAIL_SD * factor * (squares.std(axis=0, ddof=1) if len(lefts) > 1 else np.zeros(2)), np.log(MOST_SQUARE))
+        usual = squares.mean(axis=0)
         rho = min(max(float(np.median([left.alike for left in lefts])), 0.0), MOST_ALIKE)
         lasting = ((1.0 + rho) / (1.0 - rho)) ** 0.5
         noise = lasting**2 * np.mean([1.0 / one.size for one in compared], axis=0)
@@ -142,7 +143,9 @@ class UsualChanges:
         spread = _spread(seen, noise, np.mean([one.overlap for one in compared], axis=0))
         kinds = compared[0].kinds
         edges = np.cumsum(list(kinds.values()))[:-1]
-        return UsualChanges(healthy, compared, dict(zip(kinds, np.split(spread, edges), strict=True)), lasting, square)
+        return UsualChanges(
+            healthy, compared, dict(zip(kinds, np.split(spread, edges), strict=True)), lasting, (np.exp(usual), np.exp(usual + apart))
+        )
 
     def allowed(self, simulator: UserSimulator, now: Samples, restless: float = 1.0) -> UserSimulator:
         """The simulator of a healthy cell, for which what is usual is no change.
@@ -158,8 +161,8 @@ class UsualChanges:
         usual = [share * change for name, each in changes.items() for share, change in zip(self.spread[name], each, strict=True)]
         t_s = problem.recordings[0].samples.t_s
         left = _left(problem, whole)
-        square = left.square(left.seen([change for each in changes.values() for change in each]))
-        variance = restless * min(max(square, self.square[0]), self.square[1]) / self.square[0]
+        squares, (usual_squares, largest) = left.squares(left.seen([change for each in changes.values() for change in each])), self.squares
+        variance = restless * float((np.clip(squares, usual_squares, largest) / usual_squares).min())
         columns = _independent(np.array(usual), 0.01 * float(declared_rms(self.healthy.cell)[FZ]))
         own = simulator.doubt
         assert own is not None  # it was learned
