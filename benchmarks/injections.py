@@ -1,7 +1,7 @@
 """`palpd inject` on emulated wires: from which size on the diagnosis of an emulated cell names an effect of its sensor.
 
-`python -m benchmarks.injections [--times 40] [--kept FOLDER]` starts the paper's phantom behind emulated wires, takes the reference tare and carries
-out as many runs of one command, judged by the phantom's cell file. Prints what the command says; ends with its exit code.
+`python -m benchmarks.injections [--times 40] [--kept FOLDER]` starts the paper's phantom behind emulated wires, takes the reference tare
+and carries out as many runs of one command, judged by the phantom's cell file. Prints what the command says; ends with its exit code.
 """
 
 import argparse

@@ -1,8 +1,8 @@
-"""What a recording is compared with where healthy recordings are given, and how far these themselves would be called changed.
+"""What a recording is compared with where healthy recordings are given, and what these themselves would be called.
 
 What was learned of a cell is a model, and no model of a rig is right. Where it is wrong, a healthy recording is improbable under it, and
-some effect or something unknown explains it better. How much better, the healthy recordings show: each is diagnosed against the others, as
-a new one will be. What is unexplained then counts as noise, so much that the one that looks least healthy is no alarm.
+some effect or something unknown explains it better. Which, and how much better, the healthy recordings show: each is diagnosed against the
+others, as a new one will be. An effect that one of them seems to have is a habit of the rig, and costs more than it gains there.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,25 +13,26 @@ from threadpoolctl import threadpool_limits
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
-from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.observations import observe
 from palpd.gap.healthy import HealthyCell
-from palpd.gap.infer.posterior import Attribution, posterior
+from palpd.gap.infer.posterior import posterior, single_odds
 from palpd.gap.infer.search import search
 from palpd.gap.infer.settle import settle
 from palpd.gap.model.problem import MAX_BINS, problem_of
 from palpd.gap.nominal_source import nominal_source
 from palpd.gap.onset import since_onset
 from palpd.gap.user_simulator import UserSimulator
-from palpd.gap.usual import PRICE_NATS, ComparedRecording, UsualChanges
+from palpd.gap.usual import ComparedRecording, UsualChanges
 from palpd.recording.samples import Samples
 
 LARGEST_SET = 1
 """Largest number of effects that may explain a healthy recording: a third one hardly changes how probable it is, and takes long."""
 FEWEST = 3
 """Fewest healthy recordings that can be judged: two others show a spread, one does not."""
-LEAST_PROBABILITY = 1e-300
+LEAST = 1e-300
 """Smaller probabilities are not told apart."""
+HABIT = 2.0
+"""What an effect costs, over the largest log odds that it has in a healthy recording: the next one may look worse than the worst of few."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +40,11 @@ class HealthyReference:
     """What new recordings are compared with.
 
     Attributes:
-        restless: Factor, at least 1, on the variance of what is unexplained, with which no healthy recording is called changed.
+        habits: What effects cost beyond the least price, by id; of something unknown by "".
     """
 
     usual: UsualChanges
-    restless: float
+    habits: Mapping[str, float]
 
     @property
     def learned(self) -> HealthyCell:
@@ -63,33 +64,30 @@ class HealthyReference:
         """
         usual = UsualChanges.of(healthy, HealthyCell.of(healthy, cell, library))
         with threadpool_limits(1):  # as in a diagnosis
-            return HealthyReference(usual, _restless(usual))
+            return HealthyReference(usual, _habits(usual))
 
     def simulator(self, now: Samples) -> UserSimulator:
         """The simulator of the healthy cell for a recording that is compared."""
-        return self.usual.allowed(since_onset(self.learned.simulator(), self.learned, now), now, self.restless)
+        return self.usual.allowed(since_onset(self.learned.simulator(), self.learned, now), now, self.habits)
 
 
-def _restless(usual: UsualChanges) -> float:
+def _habits(usual: UsualChanges) -> Mapping[str, float]:
     if len(usual.compared) < FEWEST:
-        return 1.0
-    before = log((1.0 - ASSUMED.prior.none) / ASSUMED.prior.none) - PRICE_NATS
-    least = log((1.0 - ASSUMED.naming.p_none_to_acquit) / ASSUMED.naming.p_none_to_acquit)
-    largest = max(_log_odds(_taken_for(one, usual.without(one))) for one in usual.compared)
-    return max(1.0, (largest - before) / (least - before))
+        return {}
+    odds = [_odds_of(one, usual.without(one)) for one in usual.compared]
+    largest = {name: max(each.get(name, 0.0) for each in odds) for name in {name for each in odds for name in each}}
+    return {name: HABIT * nats for name, nats in sorted(largest.items()) if nats > 0.0}
 
 
-def _taken_for(one: ComparedRecording, others: UsualChanges) -> Attribution:
-    """What a healthy recording is taken for, by what the others show."""
+def _odds_of(one: ComparedRecording, others: UsualChanges) -> Mapping[str, float]:
+    """Log odds of each effect in a healthy recording against none, by what the others show; of something unknown by ""."""
     cell, library = others.healthy.compared_cell, others.healthy.library
     simulator = others.allowed(others.healthy.simulator(), one.recording)
     observations = observe([one.recording], cell, library, [simulator], MAX_BINS)
     source = nominal_source(observations.recordings, observations.cell, library)
     judged = {name: effect for name, effect in library.items() if source is None or name not in source.not_judged}
     nominal = settle(problem_of(observations, judged))
-    return posterior(nominal.problem, search(nominal, LARGEST_SET).fits)
-
-
-def _log_odds(attribution: Attribution) -> float:
-    """Logarithm of the odds that something acts."""
-    return log(max(1.0 - attribution.p_none, LEAST_PROBABILITY)) - log(max(attribution.p_none, LEAST_PROBABILITY))
+    fits = search(nominal, LARGEST_SET).fits
+    (none,) = (each for each in posterior(nominal.problem, fits).hypotheses if not each.fit.names)
+    unknown = log(max(none.unknown, LEAST)) - log(max(none.known, LEAST))
+    return {"": unknown, **single_odds(nominal.problem, fits)}

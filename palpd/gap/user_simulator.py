@@ -7,7 +7,7 @@ interpolated between these. A file knows the recorded motion alone, so a diagnos
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -103,13 +103,13 @@ class SimulatorDoubt:
         errors: Errors of its prediction (m, 7, n) in the units of the channels, each one standard deviation.
         known: Whether it was learned there (n,).
         unexplained: Rms (7, n) of means over some hundredths of a second, which it does not explain.
-        price_nats: What each effect beside it costs, since nothing that was learned is exact.
+        price_nats: What each effect beside it costs, since nothing that was learned is exact; by its id, of what is unknown by "".
     """
 
     errors: Floats
     known: NDArray[np.bool_]
     unexplained: Floats
-    price_nats: float = 0.0
+    price_nats: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ KINDS = 4
 MOST_HEALTHY = 8
 """Largest number of healthy recordings that are compared with the others."""
 PRICE_NATS = 4.0
-"""Price of each effect beside what was learned: no sum of curves is exact."""
+"""Least price of each effect beside what was learned: no sum of curves is exact."""
 TAIL_SD = 2.5
 """Standard deviations at which a normal distribution has the tail of Student's distribution for the number of recordings."""
 MOST_SQUARE = 9.0
@@ -35,10 +35,9 @@ MOST_SQUARE = 9.0
 MOST_ALIKE = 0.9
 """Largest correlation of neighbouring means that is believed."""
 
-RESTLESS = (
-    "The healthy recordings differ so much that one of them would be called changed beside the others. So what they leave unexplained "
-    "counts {:.1f} times, and a small change is not named."
-)
+HABITS = "A healthy recording looks like {} beside the others. So a change of that kind is named only where it is much larger."
+MOST_NAMED = 3
+"""Most habits that a sentence names, the largest first."""
 
 
 class _Residual(NamedTuple):
@@ -147,13 +146,13 @@ class UsualChanges:
             healthy, compared, dict(zip(kinds, np.split(spread, edges), strict=True)), lasting, (np.exp(usual), np.exp(usual + apart))
         )
 
-    def allowed(self, simulator: UserSimulator, now: Samples, restless: float = 1.0) -> UserSimulator:
+    def allowed(self, simulator: UserSimulator, now: Samples, habits: Mapping[str, float] | None = None) -> UserSimulator:
         """The simulator of a healthy cell, for which what is usual is no change.
 
         Args:
             simulator: As it was learned, with its own doubt.
             now: The recording that is compared.
-            restless: Factor on the variance of what is unexplained (`healthy_reference`).
+            habits: What effects cost beyond the least price, by id (`healthy_reference`); None: nothing costs anything.
         """
         problem = make_problem([now], self.healthy.compared_cell, self.healthy.library, simulators=[simulator])
         whole = self.healthy.doubt(asked(problem.recordings[0].sampled, now.z_cmd_m))  # that of `simulator` may begin with an onset
@@ -162,8 +161,9 @@ class UsualChanges:
         t_s = problem.recordings[0].samples.t_s
         left = _left(problem, whole)
         squares, (usual_squares, largest) = left.squares(left.seen([change for each in changes.values() for change in each])), self.squares
-        variance = restless * float((np.clip(squares, usual_squares, largest) / usual_squares).min())
+        variance = float((np.clip(squares, usual_squares, largest) / usual_squares).min())
         columns = _independent(np.array(usual), 0.01 * float(declared_rms(self.healthy.cell)[FZ]))
+        prices = {"": habits.get("", 0.0)} | {name: PRICE_NATS + habits.get(name, 0.0) for name in changes} if habits is not None else {}
         own = simulator.doubt
         assert own is not None  # it was learned
 
@@ -175,9 +175,11 @@ class UsualChanges:
                 column[FZ] = np.interp(times_s, t_s - t_s[0], values)
             unexplained[FZ] *= self.lasting * variance**0.5
             errors = np.concatenate([learned.errors, more])
-            return replace(learned, errors=errors, unexplained=unexplained, price_nats=PRICE_NATS)
+            return replace(learned, errors=errors, unexplained=unexplained, price_nats=prices)
 
-        return replace(simulator, doubt=doubt, about=(*simulator.about, *([RESTLESS.format(restless**0.5)] if restless > 1.0 else [])))
+        largest = sorted(habits or {}, key=lambda name: -(habits or {})[name])[:MOST_NAMED]
+        names = " or ".join(name or "something unknown" for name in largest)
+        return replace(simulator, doubt=doubt, about=(*simulator.about, *([HABITS.format(names)] if names else [])))
 
 
 def _spread(seen: Floats, noise: Floats, overlaps: Floats) -> Floats:

@@ -1,6 +1,6 @@
 """The probability of every hypothesis, of no effect, and of something outside the list."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import comb, log
 
@@ -83,7 +83,7 @@ def posterior(problem: Problem, fits: Mapping[tuple[str, ...], Fit], most_tested
     for names, residual in tested.items():
         energy = max(gap.energy, nominal.misfit - fits[names].misfit + residual.energy)
         known, unknown = known_and_unknown(fits[names], residual, energy, most - worth[names])
-        logs[names] = worth[names] + known, worth[names] + unknown
+        logs[names] = worth[names] + known, worth[names] + unknown - _price(problem, "")
     total = float(np.logaddexp.reduce([w for both in logs.values() for w in both]))
     return attribution_of(
         [
@@ -110,13 +110,24 @@ def attribution_of(hypotheses: list[Hypothesis]) -> Attribution:
     return Attribution(hypotheses, p_none, p_unknown, marginal, _groups(hypotheses))
 
 
-def log_prior(problem: Problem, size: int) -> float:
-    """Log P(set) of one set of that many effects: all sets of a size are equally probable."""
+def log_prior(problem: Problem, names: Sequence[str]) -> float:
+    """Log P(set) of a set of effects: all sets of a size are equally probable, but for what their effects cost."""
     listed = sum(not effect.scatter for effect in problem.library.values())
-    of_size = (ASSUMED.prior.none, ASSUMED.prior.one, ASSUMED.prior.two, ASSUMED.prior.three)[size]
+    of_size = (ASSUMED.prior.none, ASSUMED.prior.one, ASSUMED.prior.two, ASSUMED.prior.three)[len(names)]
+    return log(of_size) - log(comb(listed, len(names))) - sum(_price(problem, name) for name in names)
+
+
+def _price(problem: Problem, name: str) -> float:
+    """What an effect costs beside a simulator that was learned, in nats."""
     doubts = [one.simulated.doubt for one in problem.recordings if one.simulated is not None and one.simulated.doubt is not None]
-    price = size * max((doubt.price_nats for doubt in doubts), default=0.0)
-    return log(of_size) - log(comb(listed, size)) - price
+    return max((doubt.price_nats.get(name, 0.0) for doubt in doubts), default=0.0)
+
+
+def single_odds(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> dict[str, float]:
+    """Logarithm of the odds of each fitted single effect against none."""
+    worth = _worth(problem, fits)
+    none = worth[()] + fits[()].log_exact
+    return {names[0]: float(worth[names] + one.log_likelihood - none) for names, one in fits.items() if len(names) == 1}
 
 
 def _worth(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> dict[tuple[str, ...], float]:
@@ -129,7 +140,7 @@ def _worth(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> dict[tuple[
     out = {}
     for names, one in fits.items():
         smaller = [by_set[rest] for name in names if len(names) > 1 and (rest := frozenset(names) - {name}) in by_set]
-        out[names] = log_prior(problem, len(names)) + min([one.occam, *(occam - ASSUMED.prior.further_effect_nats for occam in smaller)])
+        out[names] = log_prior(problem, names) + min([one.occam, *(occam - ASSUMED.prior.further_effect_nats for occam in smaller)])
     return out
 
 

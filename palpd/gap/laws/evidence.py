@@ -177,7 +177,7 @@ def look_for_laws(inference: Inference, listed: Fit, *, coarse: bool = False) ->
         return LawEvidence(listed)
     problem, nominal = inference.problem, inference.nominal
     scene, space = Scene.of(problem, listed.values, listed.eta), _space_beside(problem, listed)
-    gained = listed.log_evidence - nominal.log_evidence + log_prior(problem, len(listed.names)) - log_prior(problem, 0)
+    gained = listed.log_evidence - nominal.log_evidence + log_prior(problem, listed.names) - log_prior(problem, ())
     top = search(scene, space, gained)
     return_memory()
     events = find_events(scene, space)
