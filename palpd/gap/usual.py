@@ -163,7 +163,9 @@ class UsualChanges:
         squares, (usual_squares, largest) = left.squares(left.seen([change for each in changes.values() for change in each])), self.squares
         variance = float((np.clip(squares, usual_squares, largest) / usual_squares).min())
         columns = _independent(np.array(usual), 0.01 * float(declared_rms(self.healthy.cell)[FZ]))
-        prices = {"": habits.get("", 0.0)} | {name: PRICE_NATS + habits.get(name, 0.0) for name in changes} if habits is not None else {}
+        prices = dict.fromkeys(problem.library, PRICE_NATS) if habits is not None else {}
+        for name, nats in (habits or {}).items():
+            prices[name] = prices.get(name, 0.0) + nats
         own = simulator.doubt
         assert own is not None  # it was learned
 
@@ -177,8 +179,8 @@ class UsualChanges:
             errors = np.concatenate([learned.errors, more])
             return replace(learned, errors=errors, unexplained=unexplained, price_nats=prices)
 
-        largest = sorted(habits or {}, key=lambda name: -(habits or {})[name])[:MOST_NAMED]
-        names = " or ".join(name or "something unknown" for name in largest)
+        clearest = sorted((habits or {}).items(), key=lambda habit: -habit[1])[:MOST_NAMED]
+        names = " or ".join(name or "something unknown" for name, _ in clearest)
         return replace(simulator, doubt=doubt, about=(*simulator.about, *([HABITS.format(names)] if names else [])))
 
 
