@@ -85,7 +85,6 @@ DIMENSIONLESS = {
     "told_at_snr": "signal-to-noise ratio",
     "youngs_modulus": "relative tolerance",
     "lasting": "factor on an rms",
-    "restless": "factor on a variance",
     "least_share": "share of a tolerance",
     "noise": "relative tolerance",
     "price_nats": "log probability",
