@@ -1,5 +1,6 @@
 """Commands for recordings: replay, export, recover and import them, and make a first cell file of them."""
 
+import json
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,6 +13,9 @@ from palpd.cli.output_options import Output, refuse_left_out
 from palpd.errors import BadInput
 from palpd.file_kinds import CSV, PARQUET, YAML
 from palpd.files import write_json, write_yaml
+
+MOST_SETTINGS = 10
+"""Most settings that differ which a replay shows; the JSON has all."""
 
 
 @app.command(examples=["palpd replay run.mcap"])
@@ -31,6 +35,14 @@ def replay(
     if holds_ticks(recording):
         replayed = again(Recording.load(recording), load_config(config) if config else None)
         same = "identical" if replayed["decisions_identical"] else f"NOT identical: {replayed['first_difference']}"
+        if config is not None:
+            for setting in [each for each in replayed["changed_settings"] if each["tested"]][:MOST_SETTINGS]:
+                show(f"{setting['key']}: {json.dumps(setting['given'])} in place of {json.dumps(setting['recorded'])}")
+            if untested := [each["key"] for each in replayed["changed_settings"] if not each["tested"]]:
+                more = f" and {len(untested) - MOST_SETTINGS} more" if len(untested) > MOST_SETTINGS else ""
+                show(f"A replay does not show what these would have changed: {', '.join(untested[:MOST_SETTINGS])}{more}.")
+            for sentence in replayed["sentences"]:
+                show(sentence)
         show(f"{replayed['ticks']} ticks, decisions {same}, verdict {replayed['verdict']}.")
         show(f"Peak force {replayed['peak_force_N']:.2f} N; {replayed['realtime_factor']:.0f} × real time.")
         write_json(json_file, replayed)
