@@ -18,10 +18,10 @@ MOST_SETTINGS = 10
 """Most settings that differ which a replay shows; the JSON has all."""
 
 
-@app.command(examples=["palpd replay run.mcap"])
+@app.command(examples=["palpd replay run.mcap", "palpd replay run.mcap --config cell/config.yaml"])
 def replay(
     recording: Annotated[Path, typer.Argument(help="a recording (.mcap), or a CSV of one site")],
-    config: Annotated[Path | None, typer.Option("--config", help="judge it by this configuration instead of its own")] = None,
+    config: Annotated[Path | None, typer.Option("--config", help="say what this configuration would have done instead")] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Dry run against a recording: the same code, and for an MCAP the same decisions bit for bit."""

@@ -20,32 +20,17 @@ from palpd.control.safety import GuardState, Limits, sentence
 from palpd.control.sequence import Script, Sequence, Steps
 from palpd.control.tare import Tare
 from palpd.daemon.motion_job import Job, arm_geometry_of, explainer_of, explainer_with, job_limits, limits_of, sequence_of
-from palpd.daemon.other_config import ChangedSetting, WouldHave, as_tested, changed_settings, would_have
+from palpd.daemon.other_config import ChangedSetting, WouldHave, as_tested, changed_settings, same_command, would_have
 from palpd.daemon.overshoot import refuse_together
 from palpd.errors import ConfigError, RecordingError
 from palpd.recording.reader import PlainRows, RecordedRobot, RecordedSensor, Recording
 from palpd.recording.ring import Rows
 from palpd.recording.samples import Samples
 from palpd.recording.tick_rows import DECISIONS, RowWriter, decision
-from palpd.tick import (
-    PROGRAM_PLAYING,
-    ROW,
-    Action,
-    Phase,
-    Request,
-    RobotMode,
-    RobotState,
-    SafetyMode,
-    SensorFrames,
-    TickRecord,
-    Timing,
-    Trip,
-)
+from palpd.tick import PROGRAM_PLAYING, ROW, Action, Request, RobotMode, RobotState, SafetyMode, SensorFrames, TickRecord, Timing, Trip
 
 NEEDED_KEYS = ("kind", "config", "plan", "dry", "reference", "machine_stiffness_N_per_m", "body", "model_card")
 """Keys of a recording's header without which its decisions cannot be made again."""
-SAME_M_PER_S = 1e-9
-"""Largest difference of two commands that move the arm alike: in a run of an hour it adds up to 4 µm."""
 STALE_PERIODS = 3
 """Sampling periods of a CSV after which it counts as stale: a foreign rig of 8 Hz is not stale at 125 ms."""
 
@@ -184,17 +169,15 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
         goes_on = loop.tick()
     took_s = time.perf_counter() - began_s
     difference = comparison.first or (None if clock.over else "the replay ended earlier")
-    ends = recording.footer.get("verdict", "stopped")
     answer: WouldHave = {
-        "verdict": ends if (goes_on if config is not None else not comparison.first) else loop.outcome.verdict,
+        "verdict": recording.footer.get("verdict", "stopped") if not comparison.first else loop.outcome.verdict,
         "reason": loop.outcome.reason,
-        "would_have": None if config is None else "moved_the_same",
+        "would_have": None,
         "first_different_command": None,
-        "sentences": [] if config is None else ["Every command would have been the same, to the end of the run."],
+        "sentences": [],
     }
-    recorded_over = rows["phase"][clock.at] == Phase.DONE or rows["action"][clock.at] == Action.STOP
-    if config is not None and (comparison.parted or (clock.over and recorded_over if goes_on else not clock.over)):
-        answer = would_have(recording, clock.at, comparison.newest, not goes_on, loop)
+    if config is not None:
+        answer = would_have(recording, clock.at, comparison.newest, goes_on, loop)
     return {
         **answer,
         "ticks": clock.at + 1,
@@ -224,9 +207,7 @@ class _Comparison:
         self._ends_at += self._rows.itemsize
         if self._bytes[self._ends_at - len(decided) : self._ends_at] != decided:
             self.first = self.first or self._difference(record)
-            row, command = self._rows[self._at], record.verdict.command
-            away_m_per_s = float(np.abs(row["command_m_per_s"] - command.velocity_m_per_s).max())
-            self.parted = self.parted or command.stop != bool(row["command_stop"]) or away_m_per_s > SAME_M_PER_S
+            self.parted = self.parted or not same_command(self._rows[self._at], record)
         self.peak_N = max(self.peak_N, record.observation.contact.force_N)
         self.newest = record
         self._at += 1
