@@ -1,5 +1,6 @@
 """Commands for recordings: replay, export, recover and import them, and make a first cell file of them."""
 
+import json
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,11 +14,14 @@ from palpd.errors import BadInput
 from palpd.file_kinds import CSV, PARQUET, YAML
 from palpd.files import write_json, write_yaml
 
+MOST_SETTINGS = 10
+"""Most settings that differ which a replay shows; the JSON has all."""
 
-@app.command(examples=["palpd replay run.mcap"])
+
+@app.command(examples=["palpd replay run.mcap", "palpd replay run.mcap --config cell/config.yaml"])
 def replay(
     recording: Annotated[Path, typer.Argument(help="a recording (.mcap), or a CSV of one site")],
-    config: Annotated[Path | None, typer.Option("--config", help="judge it by this configuration instead of its own")] = None,
+    config: Annotated[Path | None, typer.Option("--config", help="say what this configuration would have done instead")] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Dry run against a recording: the same code, and for an MCAP the same decisions bit for bit."""
@@ -31,6 +35,14 @@ def replay(
     if holds_ticks(recording):
         replayed = again(Recording.load(recording), load_config(config) if config else None)
         same = "identical" if replayed["decisions_identical"] else f"NOT identical: {replayed['first_difference']}"
+        if config is not None:
+            for setting in [each for each in replayed["changed_settings"] if each["tested"]][:MOST_SETTINGS]:
+                show(f"{setting['key']}: {json.dumps(setting['given'])} in place of {json.dumps(setting['recorded'])}")
+            if untested := [each["key"] for each in replayed["changed_settings"] if not each["tested"]]:
+                more = f" and {len(untested) - MOST_SETTINGS} more" if len(untested) > MOST_SETTINGS else ""
+                show(f"A replay does not show what these would have changed: {', '.join(untested[:MOST_SETTINGS])}{more}.")
+            for sentence in replayed["sentences"]:
+                show(sentence)
         show(f"{replayed['ticks']} ticks, decisions {same}, verdict {replayed['verdict']}.")
         show(f"Peak force {replayed['peak_force_N']:.2f} N; {replayed['realtime_factor']:.0f} × real time.")
         write_json(json_file, replayed)

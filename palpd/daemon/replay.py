@@ -1,7 +1,8 @@
 """Dry run against a recording: the loop and the guard of a run on recorded data, faster than real time.
 
-A replay of an MCAP makes every decision again and compares it bit for bit. A CSV has neither robot states at their own rate nor a plan.
-There the same loop tares, explains and guards row by row, and a script that stands still replaces the sequence.
+A replay of an MCAP makes every decision again and compares it bit for bit. With another configuration it goes on to the first command
+that differs. A CSV has neither robot states at their own rate nor a plan. There the same loop tares, explains and guards row by row, and a
+script that stands still replaces the sequence.
 """
 
 import math
@@ -18,8 +19,10 @@ from palpd.control.loop import Loop, Outcome
 from palpd.control.safety import GuardState, Limits, sentence
 from palpd.control.sequence import Script, Sequence, Steps
 from palpd.control.tare import Tare
-from palpd.daemon.motion_job import Job, arm_geometry_of, explainer_with, job_limits, limits_of, sequence_of
-from palpd.errors import RecordingError
+from palpd.daemon.motion_job import Job, arm_geometry_of, explainer_of, explainer_with, job_limits, limits_of, sequence_of
+from palpd.daemon.other_config import ChangedSetting, WouldHave, as_tested, changed_settings, same_command, would_have
+from palpd.daemon.overshoot import refuse_together
+from palpd.errors import ConfigError, RecordingError
 from palpd.recording.reader import PlainRows, RecordedRobot, RecordedSensor, Recording
 from palpd.recording.ring import Rows
 from palpd.recording.samples import Samples
@@ -32,16 +35,18 @@ STALE_PERIODS = 3
 """Sampling periods of a CSV after which it counts as stale: a foreign rig of 8 Hz is not stale at 125 ms."""
 
 
-class ReplayResult(TypedDict):
-    """Whether a replay made the same decisions, and how fast."""
+class ReplayResult(WouldHave):
+    """Whether a replay made the same decisions, and how fast; with another configuration, what that would have done.
+
+    Then `ticks` and `peak_force_N` end at the first different command.
+    """
 
     ticks: int
     decisions_identical: bool
     first_difference: str | None
-    verdict: str
-    reason: str
     peak_force_N: float
     realtime_factor: float
+    changed_settings: list[ChangedSetting]
 
 
 class CsvTrip(TypedDict):
@@ -105,14 +110,15 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
     """Make every decision of a recorded run again.
 
     Args:
-        config: Another configuration to judge it by; then decisions may differ, and the first difference is named.
-            None: the recording's own.
+        config: Another configuration: what it would have done, up to its first different command. None: the recording's own.
 
     Returns:
         Whether the decisions are identical, and the figures of the replay.
 
     Raises:
         RecordingError: The recording holds no tick.
+        ConfigError: The other configuration would have refused the run.
+        ModelRefused: The inertial model of the other configuration may not be used.
     """
     header, rows = recording.header, recording.rows
     if not len(rows):
@@ -121,13 +127,20 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
         raise RecordingError(f"the header of {recording.path} has no {', '.join(missing)}; give a recording of palpd run")
     place = header.get("place")
     back_to_m = place["back_to_m"] if place is not None else None
+    own, plan = parse_config(header["config"], "the recording's configuration"), parse_plan(header["plan"], "the recording's plan")
+    given = own if config is None else config
+    if config is not None and header["kind"] == "palpation":
+        try:
+            refuse_together(config, plan)
+        except ConfigError as error:
+            raise ConfigError(f"with this configuration the run would have been refused before it moved: {error}") from error
     job = Job(
         header["kind"],
-        config or parse_config(header["config"], "the recording's configuration"),
-        parse_plan(header["plan"], "the recording's plan"),
+        as_tested(own, given),
+        plan,
         header["dry"],
         reference=tuple(header["reference"]),
-        machine_stiffness_N_per_m=header["machine_stiffness_N_per_m"],
+        machine_stiffness_N_per_m=(config and config.machine.stiffness_N_per_m) or header["machine_stiffness_N_per_m"],
         returns_to_start=header.get("returns_to_start", False),
         pauses_in_place=header.get("pauses_in_place", True),
         lifts_first=header.get("lifts_first", False),
@@ -140,7 +153,10 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
     model = None
     if recording.model_bytes is not None and header["model_card"] is not None:
         model = InertialModel.from_bytes(recording.model_bytes, header["model_card"])
-    explainer = explainer_with(model, job, delay_s, header.get("about", {}).get("pulled_over_pressed"))
+    about = header.get("about", {})
+    explainer = explainer_with(model, job, delay_s, about.get("pulled_over_pressed"))
+    if (given.model.path, given.cell.probe.mass_kg) != (own.model.path, own.cell.probe.mass_kg):
+        explainer = explainer_of(job, about, delay_s)  # the recording holds its own model only, for its own probe
     robot, sensor, comparison = RecordedRobot(rows), RecordedSensor(rows), _Comparison(rows)
     plain = PlainRows(rows, ("index", "planned_s", "now_s", "missed", "request"))
     clock = RecordedClock(len(rows), lambda at: Timing(*plain[at][:-1]), (robot, sensor))
@@ -148,19 +164,28 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
         robot, sensor, clock, sequence_of(job, delay_s), explainer, job_limits(job), comparison,
         request=lambda: Request(plain[clock.at][-1]),
     )  # fmt: skip
-    began_s = time.perf_counter()
-    while not clock.over and loop.tick():
-        pass
+    began_s, goes_on = time.perf_counter(), True
+    while goes_on and not clock.over and (config is None or not comparison.parted):
+        goes_on = loop.tick()
     took_s = time.perf_counter() - began_s
     difference = comparison.first or (None if clock.over else "the replay ended earlier")
+    answer: WouldHave = {
+        "verdict": recording.footer.get("verdict", "stopped") if not comparison.first else loop.outcome.verdict,
+        "reason": loop.outcome.reason,
+        "would_have": None,
+        "first_different_command": None,
+        "sentences": [],
+    }
+    if config is not None:
+        answer = would_have(recording, clock.at, comparison.newest, goes_on, loop)
     return {
+        **answer,
         "ticks": clock.at + 1,
         "decisions_identical": difference is None,
         "first_difference": difference,
-        "verdict": recording.footer.get("verdict", "stopped") if not comparison.first else loop.outcome.verdict,
-        "reason": loop.outcome.reason,
-        "peak_force_N": float(rows["force_N"].max()),
-        "realtime_factor": float(rows["now_s"][-1] - rows["now_s"][0]) / max(took_s, 1e-9),
+        "peak_force_N": float(rows["force_N"].max()) if config is None else comparison.peak_N,
+        "realtime_factor": float(rows["now_s"][clock.at] - rows["now_s"][0]) / max(took_s, 1e-9),
+        "changed_settings": changed_settings(own, given),
     }
 
 
@@ -173,12 +198,18 @@ class _Comparison:
         self._ends_at = 0  # the decisions are the last fields of a row
         self._at = 0
         self.first: str | None = None
+        self.parted = False
+        self.peak_N = -math.inf
+        self.newest: TickRecord
 
     def __call__(self, record: TickRecord) -> None:
         decided = decision(record)
         self._ends_at += self._rows.itemsize
-        if self.first is None and self._bytes[self._ends_at - len(decided) : self._ends_at] != decided:
-            self.first = self._difference(record)
+        if self._bytes[self._ends_at - len(decided) : self._ends_at] != decided:
+            self.first = self.first or self._difference(record)
+            self.parted = self.parted or not same_command(self._rows[self._at], record)
+        self.peak_N = max(self.peak_N, record.observation.contact.force_N)
+        self.newest = record
         self._at += 1
 
     def _difference(self, record: TickRecord) -> str:

@@ -1,4 +1,4 @@
-"""Replaying a CSV: tare, contact and guard of the daemon's own loop on every row."""
+"""Replaying: tare, contact and guard of the daemon's own loop on every row of a CSV; a recording under its own and other configurations."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,11 +10,13 @@ import pytest
 from palpd.cell.cell_file import CellFile
 from palpd.config import Config, Plan
 from palpd.daemon.motion_job import Job
-from palpd.daemon.replay import replay, replay_samples
+from palpd.daemon.other_config import DifferentCommand
+from palpd.daemon.replay import ReplayResult, replay, replay_samples
 from palpd.daemon.simulated_run import run
+from palpd.errors import ConfigError
 from palpd.recording.reader import Recording
 from palpd.recording.samples import Samples
-from palpd.tick import Phase, Request
+from palpd.tick import Phase, Request, Trip
 
 RATE_HZ = 1000.0
 
@@ -60,9 +62,9 @@ def test_a_slow_rig_is_not_stale_at_its_own_rate() -> None:
     assert result["trips"] == []
 
 
-def recorded(job: Job, requests: dict[int, Request] | None = None, **header: Any) -> Recording:
+def recorded(job: Job, requests: dict[int, Request] | None = None, cell: CellFile | None = None, **header: Any) -> Recording:
     """A run of that job without wires, as a recording with this in its header."""
-    done = run(job, CellFile(), requests=requests or {})
+    done = run(job, cell or CellFile(), requests=requests or {})
     whole = {
         **done.header,
         "kind": job.kind,
@@ -73,7 +75,8 @@ def recorded(job: Job, requests: dict[int, Request] | None = None, **header: Any
         "machine_stiffness_N_per_m": None,
         **header,
     }
-    return Recording(Path("r.mcap"), done.rows, whole, {"verdict": "done"}, None)  # type: ignore[arg-type]
+    footer = {"verdict": done.outcome.verdict, "reason": done.outcome.reason}
+    return Recording(Path("r.mcap"), done.rows, whole, footer, None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("in_place", "header"), [(False, {"pauses_in_place": False}), (True, {})])
@@ -95,3 +98,99 @@ def test_a_replay_returns_to_the_start_where_the_recording_did(returns: bool, he
     assert replay(recording)["decisions_identical"], "as the header says; an old header says nothing, and its run ended above the last site"
     other = recorded(Job("palpation", Config(), plan, returns_to_start=returns), returns_to_start=not returns)
     assert not replay(other)["decisions_identical"]
+
+
+WALL = CellFile.model_validate({"wall": {"z_m": 0.0, "stiffness_N_per_m": 50_000.0}})
+"""In one tick of the search its force goes beyond a limit of 1.5 N, so the guard ends the run."""
+
+
+@pytest.fixture(scope="module")
+def pressed() -> Recording:
+    """Three slow presses, up to 5.5 N."""
+    plan = Plan.model_validate({"sites": [{"name": "A"}], "depths_m": [0.004, 0.006, 0.008], "mode": "dynamic", "repeats": 1})
+    return recorded(Job("palpation", Config(), plan.model_copy(update={"press_speed_m_per_s": 0.004})), returns_to_start=True)
+
+
+@pytest.fixture(scope="module")
+def stopped() -> Recording:
+    """A search that the guard ended at 1.5 N."""
+    return recorded(Job("palpation", Config.model_validate({"safety": {"contact_limit_N": 1.5}})), cell=WALL, returns_to_start=True)
+
+
+def other(recording: Recording, **blocks: dict[str, Any]) -> ReplayResult:
+    """The replay under the recording's configuration with these keys."""
+    own = recording.header["config"]
+    return replay(recording, Config.model_validate(own | {name: own[name] | keys for name, keys in blocks.items()}))
+
+
+def assert_known_up_to(recording: Recording, at: int, result: ReplayResult) -> DifferentCommand:
+    """All figures are those of the rows up to this one, and of the recorded rows from it on."""
+    rows, command = recording.rows, result["first_different_command"]
+    peak_at = at + int(np.argmax(rows["force_N"][at:]))
+    assert command is not None
+    assert (result["ticks"], command["tick"]) == (at + 1, rows["index"][at])
+    assert command["t_s"] == rows["now_s"][at] - rows["now_s"][0]
+    assert (command["force_N"], result["peak_force_N"]) == (rows["force_N"][at], rows["force_N"][: at + 1].max())
+    assert command["recorded_peak_N"] == rows["force_N"][at:].max()
+    assert command["recorded_peak_t_s"] == rows["now_s"][peak_at] - rows["now_s"][0]
+    assert command["recorded_more_N"] == rows["force_N"][peak_at] - rows["force_N"][at]
+    assert not result["decisions_identical"]
+    return command
+
+
+def test_another_decision_with_the_same_commands_leaves_the_motion_known_to_the_end(stopped: Recording) -> None:
+    result = other(stopped, safety={"contact_limit_N": 2.0})
+    assert (result["would_have"], result["first_different_command"]) == ("moved_the_same", None)
+    assert (result["ticks"], result["verdict"]) == (len(stopped.rows), "stopped")
+    assert result["reason"] == stopped.footer["reason"].replace("1.5 N", "2 N"), "the guard acts in the same tick, by another limit"
+    assert result["first_difference"] is not None
+    assert "trip_limit: recorded 1.5, replayed 2.0" in result["first_difference"]
+
+
+def test_a_stop_of_the_other_configuration_is_known_and_what_the_recorded_run_went_on_to(pressed: Recording) -> None:
+    result = other(pressed, safety={"min_z_m": -0.005})
+    command = assert_known_up_to(pressed, int(np.argmax(pressed.rows["tcp_pose"][:, 2] < -0.005)), result)
+    assert (result["would_have"], result["verdict"], command["given_m_per_s"]) == ("ended", "stopped", None)
+    assert result["reason"].endswith("below safety.min_z_m of -0.005 m")
+    assert (command["site"], command["phase"]) == ("A", "press")
+    assert f"{command['recorded_more_N']:.2f} N more" in result["sentences"][1]
+    assert command["recorded_more_N"] > 2.0
+
+
+def test_a_lower_contact_limit_ends_the_press_where_the_force_reaches_its_share(pressed: Recording) -> None:
+    result = other(pressed, safety={"contact_limit_N": 4.0})
+    rows = pressed.rows
+    mean_N = rows["tared"][:, :, 2].sum(axis=1) / np.maximum(rows["frames"], 1)
+    command = assert_known_up_to(pressed, int(np.argmax((rows["phase"] == Phase.PRESS) & (mean_N >= 0.9 * 4.0))), result)
+    assert (result["would_have"], result["verdict"]) == ("ended_press", "unknown")
+    assert (command["given_m_per_s"], result["reason"]) == ([0.0, 0.0, 0.004], "it reached 3.6 N, 0.9 of the contact limit")
+    assert result["changed_settings"] == [{"key": "safety.contact_limit_N", "recorded": 12.0, "given": 4.0, "tested": True}]
+
+
+def test_where_only_the_recorded_run_ended_the_margin_is_known_and_the_verdict_is_not(stopped: Recording) -> None:
+    result = other(stopped, safety={"contact_limit_N": 12.0})
+    at = int(np.argmax(stopped.rows["trip"] == Trip.CONTACT_FORCE))
+    command = assert_known_up_to(stopped, at, result)
+    assert (result["would_have"], result["verdict"], result["reason"]) == ("gone_on", "unknown", stopped.footer["reason"])
+    assert command["margin_N"] == 12.0 - stopped.rows["force_N"][at]
+    assert command["recorded_m_per_s"] == [0.0, 0.0, 0.02], "the retract of the guard"
+
+
+def test_another_speed_is_another_motion_from_its_first_command_on(pressed: Recording) -> None:
+    result = other(pressed, safety={"max_speed_m_per_s": 0.03})
+    speeds_m_per_s = np.abs(pressed.rows["command_m_per_s"]).max(axis=1)
+    command = assert_known_up_to(pressed, int(np.argmax(speeds_m_per_s > 0.03)), result)
+    assert (result["would_have"], result["verdict"], command["margin_N"]) == ("moved_otherwise", "unknown", None)
+    assert (command["given_m_per_s"], command["recorded_m_per_s"]) == ([0.0, 0.0, 0.03], [0.0, 0.0, 0.05])
+
+
+def test_settings_of_the_devices_are_named_as_not_tested_and_change_no_verdict(pressed: Recording) -> None:
+    result = other(pressed, robot={"model": "ur5e", "watchdog_Hz": 60.0}, sensor={"filter_cutoff_Hz": 15.0}, paths={"runs": "elsewhere"})
+    assert (result["would_have"], result["verdict"], result["decisions_identical"]) == ("moved_the_same", "done", True)
+    untested = [setting["key"] for setting in result["changed_settings"] if not setting["tested"]]
+    assert untested == ["robot.model", "robot.watchdog_Hz", "sensor.filter_cutoff_Hz"]
+
+
+def test_a_configuration_that_refuses_the_plan_of_the_run_is_refused(pressed: Recording) -> None:
+    with pytest.raises(ConfigError, match="refused before it moved: the plan's press_speed_m_per_s is"):
+        other(pressed, safety={"max_speed_m_per_s": 0.003})
