@@ -83,7 +83,7 @@ def posterior(problem: Problem, fits: Mapping[tuple[str, ...], Fit], most_tested
     for names, residual in tested.items():
         energy = max(gap.energy, nominal.misfit - fits[names].misfit + residual.energy)
         known, unknown = known_and_unknown(fits[names], residual, energy, most - worth[names])
-        logs[names] = worth[names] + known, worth[names] + unknown - _price(problem, "")
+        logs[names] = worth[names] + known, worth[names] + unknown - price_nats(problem, "")
     total = float(np.logaddexp.reduce([w for both in logs.values() for w in both]))
     return attribution_of(
         [
@@ -114,11 +114,11 @@ def log_prior(problem: Problem, names: Sequence[str]) -> float:
     """Log P(set) of a set of effects: all sets of a size are equally probable, but for what their effects cost."""
     listed = sum(not effect.scatter for effect in problem.library.values())
     of_size = (ASSUMED.prior.none, ASSUMED.prior.one, ASSUMED.prior.two, ASSUMED.prior.three)[len(names)]
-    return log(of_size) - log(comb(listed, len(names))) - sum(_price(problem, name) for name in names)
+    return log(of_size) - log(comb(listed, len(names))) - sum(price_nats(problem, name) for name in names)
 
 
-def _price(problem: Problem, name: str) -> float:
-    """What an effect costs beside a simulator that was learned, in nats."""
+def price_nats(problem: Problem, name: str) -> float:
+    """What an effect costs beside a simulator that was learned; of something unknown with an empty name."""
     doubts = [one.simulated.doubt for one in problem.recordings if one.simulated is not None and one.simulated.doubt is not None]
     return max((doubt.price_nats.get(name, 0.0) for doubt in doubts), default=0.0)
 

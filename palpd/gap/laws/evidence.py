@@ -12,7 +12,7 @@ from palpd.gap.infer.discrepancy import discrepancy_columns
 from palpd.gap.infer.evidence import Fit, fit
 from palpd.gap.infer.fit import jacobian_at
 from palpd.gap.infer.inference import Inference
-from palpd.gap.infer.posterior import log_prior
+from palpd.gap.infer.posterior import log_prior, price_nats
 from palpd.gap.laws.confounds import confounds
 from palpd.gap.laws.events import Events, find_events, wander_nats
 from palpd.gap.laws.scene import Scene, rounding_columns
@@ -68,8 +68,8 @@ class SoughtLaw:
 
     @property
     def nats(self) -> float:
-        """Evidence of a law that carries; 0 of any other."""
-        return self.law.nats if self.law.carries else 0.0
+        """Evidence of a law that carries, less what something unknown costs; 0 of any other."""
+        return self.law.nats - price_nats(self.law.scene.problem, "") if self.law.carries else 0.0
 
     @property
     def plain_time(self) -> bool:
@@ -180,7 +180,7 @@ def look_for_laws(inference: Inference, listed: Fit, *, coarse: bool = False) ->
     gained = listed.log_evidence - nominal.log_evidence + log_prior(problem, listed.names) - log_prior(problem, ())
     top = search(scene, space, gained)
     return_memory()
-    events = find_events(scene, space)
+    events = _priced(problem, find_events(scene, space))
     evidence = LawEvidence(
         listed,
         gained,
@@ -194,10 +194,14 @@ def look_for_laws(inference: Inference, listed: Fit, *, coarse: bool = False) ->
         return evidence
     alone_scene, alone_space = Scene.of(problem, {}, nominal.eta), _space_beside(problem, nominal)
     alone = _judged(inference, search(alone_scene, alone_space), alone_space, nominal)
-    evidence = replace(evidence, alone=alone, events_alone=find_events(alone_scene, alone_space))
+    evidence = replace(evidence, alone=alone, events_alone=_priced(problem, find_events(alone_scene, alone_space)))
     if not evidence.eventful and not evidence.leaves_nothing and not evidence.law_beats_list:
         evidence = replace(evidence, together=_judged(inference, *_fitted_together(problem, listed, top, gained)))
     return evidence
+
+
+def _priced(problem: Problem, events: Events) -> Events:
+    return replace(events, nats=events.nats - price_nats(problem, ""))
 
 
 def _judged(inference: Inference, law: LearnedLaw, space: NuisanceSpace, beside: Fit, *, acts: bool = True) -> SoughtLaw:

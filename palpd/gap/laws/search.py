@@ -11,6 +11,7 @@ from palpd.gap.data.phases import Ints
 from palpd.gap.data.rounding import undithered_rms_of
 from palpd.gap.gaussian.evidence import group_evidence
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace, whitened
+from palpd.gap.infer.posterior import price_nats
 from palpd.gap.laws.bases import Basis
 from palpd.gap.laws.held_out import HeldOut, held_out, spread_over_folds
 from palpd.gap.laws.scene import LawCandidate, Scene
@@ -116,9 +117,8 @@ class LearnedLaw:
     @property
     def likely(self) -> bool:
         """Whether the first term is likely enough to be named."""
-        return bool(self.terms) and self.terms[0].nats >= (
-            ASSUMED.laws.named_height_nats if self.terms[0].candidate.channel == "z_m" else ASSUMED.laws.named_nats
-        )
+        named_nats = ASSUMED.laws.named_height_nats if self.terms and self.terms[0].candidate.channel == "z_m" else ASSUMED.laws.named_nats
+        return bool(self.terms) and self.terms[0].nats >= named_nats + price_nats(self.scene.problem, "")
 
     @property
     def carries(self) -> bool:
