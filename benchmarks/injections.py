@@ -11,6 +11,7 @@ from pathlib import Path
 
 import yaml
 
+from palpd.history.injections import injection_report
 from palpd.testing.emulated_cell import PATIENT, EmulatedCell, emulated_cell
 
 PLAN = {
@@ -26,6 +27,8 @@ PLAN = {
 }
 """Free strokes, a hold and three presses: the diagnosis needs each of them to tell the effects apart."""
 PHANTOM = Path(__file__).parents[1] / "palpd" / "cell" / "phantom.yaml"
+STOPS = 5
+"""Most runs that the guard may stop, since this PC stood still."""
 PATIENCE_S = 120.0
 """Longest time for one run with its diagnosis."""
 
@@ -36,19 +39,26 @@ def main() -> int:
     parser.add_argument("--times", type=int, default=40)
     parser.add_argument("--kept", type=Path, help="a new folder that keeps the runs")
     arguments = parser.parse_args()
-    times = arguments.times
     with tempfile.TemporaryDirectory() as name, emulated_cell(Path(name)) as wired:
         folder = arguments.kept or Path(name)
         folder.mkdir(parents=True, exist_ok=True)
         plan = folder / "plan.yaml"
         plan.write_text(yaml.safe_dump(PLAN))
         cell = EmulatedCell(wired.wires, wired.model, folder, dict(PATIENT))
-        for command in (("calibrate",), ("inject", "--plan", plan, "--cell", PHANTOM, "--times", str(times))):
-            ended = cell.palpd(*command, "--config", cell.config, patience_s=times * PATIENCE_S)
-            print(ended.stdout, ended.stderr)
-            if ended.returncode:
-                return ended.returncode
-    return 0
+
+        def palpd(*words: str | Path) -> int:
+            ended = cell.palpd(*words, "--config", cell.config, patience_s=arguments.times * PATIENCE_S)
+            print(ended.stdout, ended.stderr, flush=True)
+            return ended.returncode
+
+        code = palpd("calibrate")
+        for _ in range(STOPS + 1):
+            left = arguments.times - injection_report(folder / "runs")["judged"]
+            if code or not left:
+                break
+            stopped = palpd("inject", "--plan", plan, "--cell", PHANTOM, "--times", str(left))
+            code = palpd("retract") if stopped == 3 else stopped
+        return code or palpd("inject", "--report")
 
 
 if __name__ == "__main__":
