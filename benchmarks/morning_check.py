@@ -23,7 +23,6 @@ from palpd.analysis.results import Track, track
 from palpd.cell.cell_file import cell_from
 from palpd.cell.simulation import simulate
 from palpd.config import CheckConfig, CheckTolerances, Config, Plan
-from palpd.daemon.morning_check import thinned
 from palpd.daemon.motion_job import Job
 from palpd.daemon.required_check import check_plan
 from palpd.daemon.simulated_run import SimulatedRecording, run
@@ -131,14 +130,15 @@ class SimulatedCell:
         link = {**self._link, "zero_N": zero_N}
         frames = (_frames(self._puck, puck), _frames(self._plate, plate))
         features = measured(frames[0], frames[1], link, CONFIG.cell.probe.tip_radius_m, 0.5)
-        site = self._puck.site
+        whole = self._puck.site
+        site = slice(whole.start, whole.stop, max(1, round(puck.rate_Hz / CONFIG.robot.rate_Hz)))  # as the reports of the robot
         begin_s = float(puck.t_s[site][0])
         cut = {
             field.name: (np.asarray(getattr(puck, field.name))[site] if getattr(puck, field.name) is not None else None)
             for field in fields(Samples)
             if field.name in ("z_cmd_m", "z_m", "vz_m_per_s", "wrench")
         }
-        return CheckedDay(date, features, 21.0 + warmer_by_k), thinned(Samples(t_s=puck.t_s[site] - begin_s, **cut))  # type: ignore[arg-type]
+        return CheckedDay(date, features, 21.0 + warmer_by_k), Samples(t_s=puck.t_s[site] - begin_s, **cut)  # type: ignore[arg-type]
 
     def _simulated(self, motion: Template, content: Mapping[str, Any]) -> Samples:
         self._seed += 1
