@@ -99,6 +99,18 @@ def test_repeats_by_chance_are_counted_whatever_their_last_bits() -> None:
     assert without_held(at_rest(wrench))[1] == without_held(at_rest(turned))[1] == 0
 
 
+def test_a_lone_axis_at_its_limits_is_neither_held_nor_coarse() -> None:
+    rng, wrench = np.random.default_rng(9), np.zeros((8_000, 6))
+    wrench[:, 2] = 0.02 * rng.standard_normal(8_000) + 4.0 * np.sin(np.arange(8_000) / 300.0)
+    wrench[:, 2] = np.clip(wrench[:, 2], -0.5, 0.5)
+    assert (np.diff(wrench[:, 2]) == 0.0).mean() > 0.8
+    assert without_held(at_rest(wrench))[1] == 0
+    assert coarse_step_N(at_rest(wrench), nominal()) == 0.0
+    for row in np.flatnonzero(np.abs(wrench[:, 2]) < 0.4)[::20]:
+        wrench[row : row + 12, 2] = wrench[row, 2]
+    assert without_held(at_rest(wrench))[1] > 10, "held samples away from the limits are seen still"
+
+
 def test_mean_and_variance_of_rounded_readings_are_those_of_simulated_ones() -> None:
     """Noise of 0.02 to 2 steps, forces anywhere between the levels: errors of a simulation of that length, and no larger ones."""
     rng, n = np.random.default_rng(12), 20_000

@@ -433,6 +433,20 @@ def test_samples_are_the_tared_frames_with_the_robot_interpolated_in_time(tmp_pa
     assert samples.wrench == pytest.approx(host_s[:, None] * [1, 2, 3, 4, 5, 6])
 
 
+def test_the_samples_at_the_reports_have_their_noise_and_not_that_between_two(tmp_path: Path) -> None:
+    rows, rng = palpation(), np.random.default_rng(4)
+    noise_m = 1e-5 * rng.standard_normal(len(rows))
+    rows["tcp_pose"][:, 2] += noise_m
+    recording = Recording.load(write(tmp_path / "run.mcap", rows))
+    whole, few = samples_of(recording), samples_of(recording, at_reports=True)
+    assert few.rate_Hz == pytest.approx(125)
+    away_s = np.abs(few.wrench[:, :1] - rows["robot_t_s"]).min(axis=1)  # the force fx of this recording is the time
+    assert away_s.max() < 0.51e-3, "half the way between two frames"
+    seen_m = few.z_m + 0.01 * few.t_s
+    assert seen_m.std() > 0.85 * noise_m.std()
+    assert (whole.z_m + 0.01 * whole.t_s).std() < 0.85 * noise_m.std(), "straight lines between reports"
+
+
 def test_samples_of_one_site_begin_at_zero_and_hold_its_rows_only(tmp_path: Path) -> None:
     recording = Recording.load(write(tmp_path / "run.mcap", palpation()))
     whole, second = samples_of(recording), samples_of(recording, "B")
