@@ -87,7 +87,6 @@ DIMENSIONLESS = {
     "lasting": "factor on an rms",
     "least_share": "share of a tolerance",
     "noise": "relative tolerance",
-    "price_nats": "log probability",
     "wander_nats": "log probability",
 }
 """Names of quantities without a unit, and why they have none."""
