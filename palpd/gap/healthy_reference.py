@@ -89,5 +89,5 @@ def _odds_of(one: ComparedRecording, others: UsualChanges) -> Mapping[str, float
     nominal = settle(problem_of(observations, judged))
     fits = search(nominal, LARGEST_SET).fits
     (none,) = (each for each in posterior(nominal.problem, fits).hypotheses if not each.fit.names)
-    unknown = log(max(none.unknown, LEAST)) - log(max(none.known, LEAST))
-    return {"": unknown, **single_odds(nominal.problem, fits)}
+    unknown, odds = log(max(none.unknown, LEAST)) - log(max(none.known, LEAST)), single_odds(nominal.problem, fits)
+    return {"": max(unknown, *odds.values()), **odds}  # what an effect explains, something of any shape does, too
