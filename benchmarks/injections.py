@@ -1,7 +1,7 @@
 """`palpd inject` on emulated wires: from which size on the diagnosis of an emulated cell names an effect of its sensor.
 
-`python -m benchmarks.injections [--times 40] [--kept FOLDER]` starts the paper's phantom behind emulated wires, takes the reference tare and carries out as
-many runs of one command. Prints what the command says at the end; ends with its exit code.
+`python -m benchmarks.injections [--times 40] [--kept FOLDER]` starts the phantom of the paper behind emulated wires, tares, and
+carries out that many runs of one command. Prints what the command says; ends with its exit code.
 """
 
 import argparse
@@ -25,6 +25,8 @@ PLAN = {
     "search": {"speed_m_per_s": 0.01, "max_travel_m": 0.04},
 }
 """Free strokes, a hold and three presses: the diagnosis needs each of them to tell the effects apart."""
+CELL = {"sites": [{"name": "A", "tissue": {"youngs_modulus_Pa": 62.5e3}}]}
+"""What the configuration states of the phantom. Without the modulus of the site a gain would only be another modulus."""
 PATIENCE_S = 120.0
 """Longest time for one run with its diagnosis."""
 
@@ -41,7 +43,7 @@ def main() -> int:
         folder.mkdir(parents=True, exist_ok=True)
         plan = folder / "plan.yaml"
         plan.write_text(yaml.safe_dump(PLAN))
-        cell = EmulatedCell(wired.wires, wired.model, folder, dict(PATIENT))
+        cell = EmulatedCell(wired.wires, wired.model, folder, {**PATIENT, "cell": CELL})
         for command in (("calibrate",), ("inject", "--plan", plan, "--times", str(times))):
             ended = cell.palpd(*command, "--config", cell.config, patience_s=times * PATIENCE_S)
             print(ended.stdout, ended.stderr)

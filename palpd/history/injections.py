@@ -30,7 +30,7 @@ BEYOND = 1.0
 
 @dataclass(frozen=True, slots=True)
 class SizeOfEffect:
-    """Which parameter is the size of an effect, its unit, and words for people."""
+    """Which parameter is the size of an effect, its unit (% for a ratio), and words for people. `falls`: a smaller one does more."""
 
     parameter: str
     unit: str
@@ -42,13 +42,14 @@ class SizeOfEffect:
         value = abs(planted.parameters[self.parameter])
         return 1.0 / value if self.falls else value
 
-    def said(self, size: float) -> str:
-        """A size for people."""
-        return f"{100.0 * size:.2g} %" if self.unit == "1" else quantity(size, self.unit)
+    def text(self, size: float, *ci95: float) -> str:
+        """A size for people, with its interval where low and high are given."""
+        low_high = [100.0 * each if self.unit == "%" else each for each in (size, *ci95)]
+        return quantity(low_high[0], self.unit, (low_high[1], low_high[2]) if ci95 else None)
 
 
 SIZES = {
-    "sensor.gain": SizeOfEffect("error", "1", "error of the scale"),
+    "sensor.gain": SizeOfEffect("error", "%", "error of the scale"),
     "sensor.bias": SizeOfEffect("offset_N", "N", "zero"),
     "sensor.drift": SizeOfEffect("rate_N_per_s", "N/s", "drift of the zero"),
     "sensor.latency": SizeOfEffect("delay_s", "s", "delay"),
@@ -87,15 +88,15 @@ class Injection:
 
     @property
     def right(self) -> bool:
-        """Whether what was planted is named and nothing else."""
-        return self.found and len(self.named) <= 1
+        """Whether what was planted is named, and nothing else, and nothing outside the list: all that is planted stands on it."""
+        return self.found and len(self.named) <= 1 and self.verdict != "unknown"
 
 
 @dataclass(frozen=True, slots=True)
 class DetectionLimit:
-    """From which size on an effect is named: the size named in half of the runs with its 95 % interval, in the unit of its parameter.
+    """From which size on an effect is named: the size named in half of the runs with its 95 % interval, in the SI unit of its parameter.
 
-    `low` is None where none was missed, `high` where none was named.
+    `low` is None where none was missed, `high` where none was named: only one bound is known then.
     """
 
     effect: str
@@ -129,6 +130,8 @@ def _read(path: Path) -> Injection:
         raise BadInput(f"{path} holds no injection ({error.error_count()} faults); move it away") from error
     if injection.planted.effect not in {"", *SIZES} or injection.planted.seal != injection.seal:
         raise BadInput(f"{path} holds another answer than the one that was sealed; move it away")
+    if bool(injection.verdict) != (injection.probability is not None):
+        raise BadInput(f"{path} holds a verdict or a probability without the other; move it away")
     return injection
 
 
@@ -160,7 +163,7 @@ def injection_report(folder: Path) -> dict[str, Any]:
         folder: The folder of the runs.
 
     Returns:
-        `injections`, `judged` and `enough`; `limits` with sentence, numbers and words of each effect; `silent` of `healthy` runs without
+        `injections`, `judged` and `enough`; `limits` with numbers, `words` and `text` of each effect; `silent` of `healthy` runs without
         an effect; `right`, its interval `right_ci95`, and the mean `stated` probability; `last`, a sentence on the newest.
 
     Raises:
@@ -174,7 +177,7 @@ def injection_report(folder: Path) -> dict[str, Any]:
         "injections": len(kept),
         "judged": len(judged),
         "enough": ENOUGH,
-        "limits": [asdict(each) | {"words": SIZES[each.effect].words, "sentence": limit_sentence(each)} for each in limits],
+        "limits": [asdict(each) | {"words": SIZES[each.effect].words, "text": limit_text(each)} for each in limits],
         "healthy": len(healthy),
         "silent": sum(each.found for each in healthy),
         "right": right,
@@ -184,21 +187,21 @@ def injection_report(folder: Path) -> dict[str, Any]:
     }
 
 
-def limit_sentence(limit: DetectionLimit) -> str:
-    """A limit in words, with its unit."""
-    about, counted = SIZES[limit.effect], f"named in {limit.named} of {limit.injections}"
-    if limit.low is None or limit.high is None:
-        side, bound = ("below", limit.high) if limit.low is None else ("above", limit.low)
-        return f"{side} {about.said(bound or limit.limit)}; {counted}"
-    return f"{about.said(limit.limit)} ({about.said(limit.low)} to {about.said(limit.high)}); {counted}"
+def limit_text(limit: DetectionLimit) -> str:
+    """The size named in half of the runs, with its interval or its only bound."""
+    size = SIZES[limit.effect]
+    if limit.low is None:
+        return f"below {size.text(limit.high or limit.limit)}"
+    return f"above {size.text(limit.low)}" if limit.high is None else size.text(limit.limit, limit.low, limit.high)
 
 
 def injection_sentence(injection: Injection) -> str:
     """What was planted and what the diagnosis said."""
     effect = injection.planted.effect
-    size = f" ({SIZES[effect].words} {SIZES[effect].said(SIZES[effect].of(injection.planted))})" if effect else ""
+    size = f" ({SIZES[effect].words} {SIZES[effect].text(SIZES[effect].of(injection.planted))})" if effect else ""
     planted = f"Planted was {effect or 'nothing'}{size}"
     if not injection.verdict:
         return f"{planted}; it was not judged: {injection.reason}."
-    named = " and ".join(injection.named) or {"none": "no gap", "unknown": "an unknown cause"}.get(injection.verdict, injection.verdict)
-    return f"{planted}; the diagnosis says {named} ({injection.probability:.2f}): {'right' if injection.right else 'wrong'}."
+    outside = {"none": ["no gap"], "unknown": ["an unknown cause"]}.get(injection.verdict, [])
+    words = " and ".join([*injection.named, *outside])
+    return f"{planted}; the diagnosis says {words} ({injection.probability:.2f}): {'right' if injection.right else 'wrong'}."
