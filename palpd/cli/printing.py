@@ -60,14 +60,8 @@ def print_injections(figures: Mapping[str, Any], unopened: Sequence[Path]) -> No
     say = display().say
     for limit in figures["limits"]:
         say(f"  {limit['effect']}: {limit['words']} {limit['text']}; named in {limit['named']} of {limit['injections']}")
-    if figures["judged"]:
-        low, high = (100.0 * share for share in figures["right_ci95"])
-        stated = f"the mean stated probability is {100.0 * figures['stated']:.0f} %"
-        say(f"Right in {figures['right']} of {figures['judged']} runs ({low:.0f} to {high:.0f} %); {stated}.")
-    if figures["healthy"]:
-        say(f"Silent in {figures['silent']} of {figures['healthy']} runs with nothing planted.")
-    if figures["judged"] < figures["enough"]:
-        say(f"Judged: {figures['judged']} of the {figures['enough']} runs that limits and probabilities of this cell need.")
+    for sentence in figures["sentences"]:
+        say(sentence)
     for path in unopened:
         recording = path.with_suffix(RECORDING)
         first = "" if path == recording else f"palpd recover {path}, then "

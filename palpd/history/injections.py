@@ -50,7 +50,7 @@ class SizeOfEffect:
 
 SIZES = {
     "sensor.gain": SizeOfEffect("error", "%", "error of the scale"),
-    "sensor.bias": SizeOfEffect("offset_N", "N", "zero"),
+    "sensor.bias": SizeOfEffect("offset_N", "N", "offset of the zero"),
     "sensor.drift": SizeOfEffect("rate_N_per_s", "N/s", "drift of the zero"),
     "sensor.latency": SizeOfEffect("delay_s", "s", "delay"),
     "sensor.filter": SizeOfEffect("cutoff_Hz", "s", "period at the cutoff of the filter", falls=True),
@@ -164,7 +164,7 @@ def injection_report(folder: Path) -> dict[str, Any]:
 
     Returns:
         `injections`, `judged` and `enough`; `limits` with numbers, `words` and `text` of each effect; `silent` of `healthy` runs without
-        an effect; `right`, its interval `right_ci95`, and the mean `stated` probability; `last`, a sentence on the newest.
+        an effect; `right`, its interval `right_ci95`, and the mean `stated` probability; `sentences` on these; `last`, one on the newest.
 
     Raises:
         BadInput: A file is damaged, or the folder cannot be read.
@@ -173,16 +173,26 @@ def injection_report(folder: Path) -> dict[str, Any]:
     judged = [each for each in kept if each.verdict]
     healthy = [each for each in judged if not each.planted.effect]
     right, limits = sum(each.right for each in judged), detection_limits(judged)
+    silent, low_high = sum(each.found for each in healthy), wilson(right, len(judged)) if judged else None
+    stated = float(np.mean([each.probability for each in judged])) if judged else None
+    needed = f" of the {ENOUGH} runs that limits and probabilities of this cell need" if len(judged) < ENOUGH else " runs"
+    sentences = [f"Judged: {len(judged)}{needed}."]
+    if low_high is not None and stated is not None:
+        interval = " to ".join(f"{100.0 * share:.0f}" for share in low_high)
+        sentences.append(f"Right in {right} of {len(judged)} runs ({interval} %); the mean stated probability is {100.0 * stated:.0f} %.")
+    if healthy:
+        sentences.append(f"Silent in {silent} of {len(healthy)} runs with nothing planted.")
     return {
         "injections": len(kept),
         "judged": len(judged),
         "enough": ENOUGH,
         "limits": [asdict(each) | {"words": SIZES[each.effect].words, "text": limit_text(each)} for each in limits],
         "healthy": len(healthy),
-        "silent": sum(each.found for each in healthy),
+        "silent": silent,
         "right": right,
-        "right_ci95": list(wilson(right, len(judged))) if judged else None,
-        "stated": float(np.mean([each.probability for each in judged])) if judged else None,
+        "right_ci95": low_high,
+        "stated": stated,
+        "sentences": sentences,
         "last": injection_sentence(kept[-1]) if kept else "",
     }
 
