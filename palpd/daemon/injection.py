@@ -21,6 +21,7 @@ from palpd.config import Config, Plan
 from palpd.control.plan_place import Choice
 from palpd.daemon.devices import Build
 from palpd.daemon.display import Display
+from palpd.daemon.job_client import service_at
 from palpd.daemon.session import carry_out, job
 from palpd.daemon.stored_state import now
 from palpd.daemon.supervisor import Report, recording_name
@@ -30,7 +31,7 @@ from palpd.history.injections import Injection, injection_sentence, keep_injecti
 from palpd.history.stored import INJECTION, RECORDING, beside, unfinished_recordings
 from palpd.recording.mcap_file import part_of
 from palpd.recording.reader import Recording, read_header, samples_of
-from palpd.recording.second_channel import PlantedEffect
+from palpd.recording.second_channel import SealedAnswer
 
 if TYPE_CHECKING:
     from palpd.cell.effects import Effect
@@ -43,7 +44,7 @@ HEALTHY_SHARE = 0.25
 """Share of runs without an effect: they show how often something is named that is not there."""
 
 
-def drawn_effect(limit_N: float, rng: np.random.Generator) -> PlantedEffect:
+def drawn_effect(limit_N: float, rng: np.random.Generator) -> SealedAnswer:
     """Draw an effect, or none, with a size from hardly visible to plain.
 
     Args:
@@ -59,13 +60,13 @@ def drawn_effect(limit_N: float, rng: np.random.Generator) -> PlantedEffect:
     }
     salt = secrets.token_hex(16)
     if rng.random() < HEALTHY_SHARE:
-        return PlantedEffect(salt=salt)
+        return SealedAnswer(salt=salt)
     effect = str(rng.choice(list(largest)))
     name, low, high = largest[effect]
     size = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     signed = size * float(rng.choice([-1.0, 1.0])) if effect in ("sensor.gain", "sensor.bias", "sensor.drift") else size
     width = {"width_N": limit_N * float(rng.uniform(0.02, 0.2))} if effect == "sensor.hysteresis" else {}
-    return PlantedEffect(effect, {name: signed, **width}, salt)
+    return SealedAnswer(effect, {name: signed, **width}, salt)
 
 
 def inject(
@@ -92,8 +93,10 @@ def inject(
 
     Raises:
         BadInput: The plan has several sites.
-        Refused: The run was refused.
+        Refused: A service serves this cell, or the run was refused.
     """
+    if service_at(config.paths.control_socket):  # anyone on its page could begin a run in between
+        raise Refused("the service of this cell may begin a run at any time; stop it (systemctl stop palpd), and inject again")
     if len(plan.sites) != 1:
         raise BadInput(f"the plan has {len(plan.sites)} sites, expected one: a diagnosis judges one site; give a plan with one")
     work = job("palpation", config, plan, choice=choice)
@@ -151,12 +154,12 @@ def open_injection(config: Config, recording: Path, cell: CellFile | None, libra
     if (altered := hashlib.sha256(text.encode()).hexdigest()) != seal:
         raise BadInput(f"{sealed} is not what was sealed: its SHA-256 is {altered}; delete it, this run shows nothing any more")
     check_folder(recording.parent)
-    injection = Injection(now(), seal, PlantedEffect())
+    injection = Injection(now(), seal, SealedAnswer())
     try:
         injection = _diagnosed(run, injection, cell or config.cell.assumed_at_site(run.header["sites"][0]["name"]), library)
     except PalpdError as error:
         injection = replace(injection, reason=str(error))
-    injection = replace(injection, planted=TypeAdapter(PlantedEffect).validate_json(text))
+    injection = replace(injection, planted=TypeAdapter(SealedAnswer).validate_json(text))
     keep_injection(recording, injection)
     sealed.unlink()
     return injection

@@ -17,7 +17,7 @@ from palpd.errors import BadInput
 from palpd.files import write_json
 from palpd.history.stored import INJECTION, beside, stored_beside
 from palpd.quantities import quantity, wilson
-from palpd.recording.second_channel import PlantedEffect
+from palpd.recording.second_channel import SealedAnswer
 
 ENOUGH = 30
 """Injections after which limits and calibration are worth reading: some four an effect."""
@@ -37,15 +37,20 @@ class SizeOfEffect:
     words: str
     falls: bool = False
 
-    def of(self, planted: PlantedEffect) -> float:
+    def of(self, planted: SealedAnswer) -> float:
         """Size, larger for more; of a filter its period at the cutoff."""
         value = abs(planted.parameters[self.parameter])
         return 1.0 / value if self.falls else value
 
-    def text(self, size: float, *ci95: float) -> str:
-        """A size for people, with its interval where low and high are given."""
-        low_high = [100.0 * each if self.unit == "%" else each for each in (size, *ci95)]
-        return quantity(low_high[0], self.unit, (low_high[1], low_high[2]) if ci95 else None)
+    def text(self, size: float, ci95: tuple[float, float] | None = None) -> str:
+        """A size for people.
+
+        Args:
+            size: In the SI unit of its parameter.
+            ci95: Its interval, in the same unit; None: without one.
+        """
+        scale = 100.0 if self.unit == "%" else 1.0
+        return quantity(scale * size, self.unit, None if ci95 is None else (scale * ci95[0], scale * ci95[1]))
 
 
 SIZES = {
@@ -69,27 +74,28 @@ class Injection:
         planted: What was planted.
         verdict: Of the diagnosis; empty where there was none.
         named: Effects that the diagnosis names.
-        probability: What it states for its verdict: of the least likely effect that it names, of no gap, or of something unknown.
+        probability: What it states for its verdict: of the least likely effect that it names, of no gap, or of something unknown. None
+            where there was no diagnosis.
         reason: Why there was no diagnosis.
     """
 
     date: str
     seal: str
-    planted: PlantedEffect
+    planted: SealedAnswer
     verdict: str = ""
     named: tuple[str, ...] = ()
     probability: float | None = None
     reason: str = ""
 
     @property
-    def found(self) -> bool:
+    def is_named(self) -> bool:
         """Whether what was planted is named; with nothing planted, whether nothing is."""
         return self.planted.effect in self.named if self.planted.effect else self.verdict == "none"
 
     @property
     def right(self) -> bool:
         """Whether what was planted is named, and nothing else, and nothing outside the list: all that is planted stands on it."""
-        return self.found and len(self.named) <= 1 and self.verdict != "unknown"
+        return self.is_named and len(self.named) <= 1 and self.verdict != "unknown"
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,13 +152,13 @@ def detection_limits(injections: Sequence[Injection]) -> list[DetectionLimit]:
         mine = [each for each in injections if each.planted.effect == effect and each.verdict]
         if not mine:
             continue
-        sizes, found = np.log10([size.of(each.planted) for each in mine]), np.array([each.found for each in mine])
+        sizes, named = np.log10([size.of(each.planted) for each in mine]), np.array([each.is_named for each in mine])
         places = np.linspace(sizes.min() - BEYOND, sizes.max() + BEYOND, 401)
         shares = 1.0 / (1.0 + np.exp((places[:, None, None] - sizes) / np.array(SPREADS)[:, None]))
-        weight = np.where(found, shares, 1.0 - shares).prod(axis=2).sum(axis=1).cumsum()
+        weight = np.where(named, shares, 1.0 - shares).prod(axis=2).sum(axis=1).cumsum()
         low, limit, high = (float(10.0 ** np.interp(share * weight[-1], weight, places)) for share in (0.025, 0.5, 0.975))
-        bounds = None if found.all() else low, high if found.any() else None
-        limits.append(DetectionLimit(effect, len(mine), int(found.sum()), limit, *bounds))
+        bounds = None if named.all() else low, high if named.any() else None
+        limits.append(DetectionLimit(effect, len(mine), int(named.sum()), limit, *bounds))
     return limits
 
 
@@ -173,7 +179,7 @@ def injection_report(folder: Path) -> dict[str, Any]:
     judged = [each for each in kept if each.verdict]
     healthy = [each for each in judged if not each.planted.effect]
     right, limits = sum(each.right for each in judged), detection_limits(judged)
-    silent, low_high = sum(each.found for each in healthy), wilson(right, len(judged)) if judged else None
+    silent, low_high = sum(each.is_named for each in healthy), wilson(right, len(judged)) if judged else None
     stated = float(np.mean([each.probability for each in judged])) if judged else None
     needed = f" of the {ENOUGH} runs that limits and probabilities of this cell need" if len(judged) < ENOUGH else " runs"
     sentences = [f"Judged: {len(judged)}{needed}."]
@@ -202,7 +208,7 @@ def limit_text(limit: DetectionLimit) -> str:
     size = SIZES[limit.effect]
     if limit.low is None:
         return f"below {size.text(limit.high or limit.limit)}"
-    return f"above {size.text(limit.low)}" if limit.high is None else size.text(limit.limit, limit.low, limit.high)
+    return f"above {size.text(limit.low)}" if limit.high is None else size.text(limit.limit, (limit.low, limit.high))
 
 
 def injection_sentence(injection: Injection) -> str:

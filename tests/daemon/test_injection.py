@@ -26,14 +26,14 @@ from palpd.history.injections import SIZES, kept_injections
 from palpd.recording.reader import Recording
 from palpd.recording.recovery import recover
 from palpd.recording.ring import Ring
-from palpd.recording.second_channel import LAWS, PlantedEffect
+from palpd.recording.second_channel import LAWS, SealedAnswer
 from tests.history.conftest import simulated
 from tests.history.test_injections import injected
 
 __all__ = ["simulated"]
 
 PLAN = Plan(sites=(PlanSite(name="A"),))
-PLANTED = PlantedEffect("sensor.bias", {"offset_N": 0.5}, "salt")
+PLANTED = SealedAnswer("sensor.bias", {"offset_N": 0.5}, "salt")
 
 
 @pytest.fixture
@@ -98,7 +98,7 @@ def test_the_motion_process_never_gets_what_is_planted(config: Config, monkeypat
 def carried_out(config: Config, simulated: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[str]]:
     """Carries out `inject` with another `carry_out`, and returns what it says."""
 
-    def injects(end: Callable[[Path, PlantedEffect], Report]) -> list[str]:
+    def injects(end: Callable[[Path, SealedAnswer], Report]) -> list[str]:
         lines: list[str] = []
 
         def carry_out(work: Job, build: object, display: object, name: str) -> Report:
@@ -121,7 +121,7 @@ def carried_out(config: Config, simulated: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_run_that_was_stopped_is_opened_and_not_judged(config: Config, simulated: Path, carried_out: Callable[..., list[str]]) -> None:
-    def end(path: Path, planted: PlantedEffect) -> Report:
+    def end(path: Path, planted: SealedAnswer) -> Report:
         return Report("stopped", exit_code=3, recording=injected(path, simulated / "day-2.mcap", planted))
 
     lines = carried_out(end)
@@ -134,7 +134,7 @@ def test_a_run_that_was_stopped_is_opened_and_not_judged(config: Config, simulat
 
 @pytest.mark.parametrize("failure", [Refused("the probe is pressed"), Interrupted("while the devices were being opened")])
 def test_an_answer_that_no_file_holds_is_forgotten(config: Config, carried_out: Callable[..., list[str]], failure: BaseException) -> None:
-    def end(_: Path, __: PlantedEffect) -> Report:
+    def end(_: Path, __: SealedAnswer) -> Report:
         raise failure
 
     with pytest.raises(type(failure)):
@@ -143,7 +143,7 @@ def test_an_answer_that_no_file_holds_is_forgotten(config: Config, carried_out: 
 
 
 def test_a_loop_that_refused_is_opened_too(config: Config, simulated: Path, carried_out: Callable[..., list[str]]) -> None:
-    def end(path: Path, planted: PlantedEffect) -> Report:
+    def end(path: Path, planted: SealedAnswer) -> Report:
         injected(path, simulated / "day-2.mcap", planted)
         raise Refused("the force varies")
 
@@ -155,7 +155,7 @@ def test_a_loop_that_refused_is_opened_too(config: Config, simulated: Path, carr
 def test_a_signal_after_the_last_motion_keeps_the_answer_until_it_is_opened(
     config: Config, simulated: Path, carried_out: Callable[..., list[str]]
 ) -> None:
-    def end(path: Path, planted: PlantedEffect) -> Report:
+    def end(path: Path, planted: SealedAnswer) -> Report:
         injected(path, simulated / "day-2.mcap", planted)
         raise Interrupted("interrupted by SIGINT after the last motion")
 
@@ -170,7 +170,7 @@ def test_a_signal_after_the_last_motion_keeps_the_answer_until_it_is_opened(
 def test_a_run_that_was_cut_off_keeps_the_answer_until_it_is_recovered_and_opened(
     config: Config, simulated: Path, carried_out: Callable[..., list[str]]
 ) -> None:
-    def end(path: Path, planted: PlantedEffect) -> Report:
+    def end(path: Path, planted: SealedAnswer) -> Report:
         whole = injected(path, simulated / "day-0.mcap", planted)
         whole.with_suffix(".part").write_bytes(whole.read_bytes()[:-2000])
         whole.unlink()

@@ -27,12 +27,12 @@ from palpd.history.report import page, report_of
 from palpd.history.trend import effect_trend
 from palpd.recording.mcap_file import RecordingWriter
 from palpd.recording.reader import Recording
-from palpd.recording.second_channel import PlantedEffect, SecondChannel
+from palpd.recording.second_channel import SealedAnswer, SecondChannel
 
-NOTHING = PlantedEffect(salt="salt")
+NOTHING = SealedAnswer(salt="salt")
 
 
-def injected(path: Path, source: Path, planted: PlantedEffect = NOTHING) -> Path:
+def injected(path: Path, source: Path, planted: SealedAnswer = NOTHING) -> Path:
     """The recording of another run, as palpd inject would have written it."""
     run = Recording.load(source)
     writer = RecordingWriter(path, {**run.header, "injection": planted.seal}, second=SecondChannel(planted))
@@ -40,12 +40,12 @@ def injected(path: Path, source: Path, planted: PlantedEffect = NOTHING) -> Path
     return writer.close(run.footer)
 
 
-def of(planted: PlantedEffect, verdict: str = "", *named: str, p: float | None = None, date: str = "2026-11-26") -> Injection:
+def of(planted: SealedAnswer, verdict: str = "", *named: str, p: float | None = None, date: str = "2026-11-26") -> Injection:
     return Injection(date, planted.seal, planted, verdict, named, p if p is not None or not verdict else 0.8)
 
 
 def gain(error: float, named: bool) -> Injection:
-    return of(PlantedEffect("sensor.gain", {"error": error}), *(("effects", "sensor.gain") if named else ("none",)))
+    return of(SealedAnswer("sensor.gain", {"error": error}), *(("effects", "sensor.gain") if named else ("none",)))
 
 
 def test_the_interval_of_a_limit_holds_the_true_one_as_often_as_it_says() -> None:
@@ -61,7 +61,7 @@ def test_the_interval_of_a_limit_holds_the_true_one_as_often_as_it_says() -> Non
 
 def test_a_limit_is_the_size_between_those_that_are_missed_and_those_that_are_named_whatever_its_sign() -> None:
     runs = [gain(error, abs(error) > 0.05) for error in (-0.01, 0.02, 0.03, -0.08, 0.1, -0.3) for _ in range(5)]
-    (limit,) = detection_limits([*runs, of(PlantedEffect("sensor.gain", {"error": 0.4})), of(NOTHING, "none")])
+    (limit,) = detection_limits([*runs, of(SealedAnswer("sensor.gain", {"error": 0.4})), of(NOTHING, "none")])
     assert (limit.effect, limit.injections, limit.named) == ("sensor.gain", 30, 15)
     assert limit.low is not None
     assert limit.high is not None
@@ -77,16 +77,16 @@ def test_where_none_is_missed_or_none_is_named_only_one_bound_is_known(named: bo
 
 
 def test_of_a_filter_a_longer_period_is_more() -> None:
-    slow, fast = (PlantedEffect("sensor.filter", {"cutoff_Hz": cutoff_Hz}) for cutoff_Hz in (1.0, 20.0))
+    slow, fast = (SealedAnswer("sensor.filter", {"cutoff_Hz": cutoff_Hz}) for cutoff_Hz in (1.0, 20.0))
     (limit,) = detection_limits([of(slow, "effects", "sensor.filter"), of(fast, "none")] * 5)
     assert 1.0 / 20.0 < limit.limit < 1.0
 
 
-BIAS = PlantedEffect("sensor.bias", {"offset_N": -0.25}, "salt")
+BIAS = SealedAnswer("sensor.bias", {"offset_N": -0.25}, "salt")
 
 
 @pytest.mark.parametrize(
-    ("injection", "found", "right", "sentence"),
+    ("injection", "is_named", "right", "sentence"),
     [
         (of(NOTHING, "none"), True, True, "Planted was nothing; the diagnosis says no gap (0.80): right."),
         (of(NOTHING, "unknown"), False, False, "Planted was nothing; the diagnosis says an unknown cause (0.80): wrong."),
@@ -98,9 +98,9 @@ BIAS = PlantedEffect("sensor.bias", {"offset_N": -0.25}, "salt")
     ],
 )  # fmt: skip
 def test_an_answer_is_right_where_it_names_what_was_planted_and_nothing_else(
-    injection: Injection, found: bool, right: bool, sentence: str
+    injection: Injection, is_named: bool, right: bool, sentence: str
 ) -> None:
-    assert (injection.found, injection.right) == (found, right)
+    assert (injection.is_named, injection.right) == (is_named, right)
     assert injection_sentence(injection).endswith(sentence)
 
 
@@ -142,7 +142,7 @@ def test_a_kept_answer_that_was_altered_is_refused(tmp_path: Path, key: str, val
 
 def test_the_mark_keeps_a_run_out_of_trends_training_and_the_healthy_recordings(runs: Path) -> None:
     before = read_recording(runs / "day-0.mcap", "A")
-    path = injected(runs / "day-3-injection.mcap", runs / "day-0.mcap", PlantedEffect("sensor.gain", {"error": 0.3}, "salt"))
+    path = injected(runs / "day-3-injection.mcap", runs / "day-0.mcap", SealedAnswer("sensor.gain", {"error": 0.3}, "salt"))
     named = [{"id": "sensor.gain", "probability": 0.9, "parameters": {"error": {"value": 0.3, "ci95": [0.2, 0.4]}}}]
     for run in ("day-0", "day-3-injection"):
         (runs / f"{run}.A.diagnosis.json").write_text(json.dumps({"schema": "palpd.diagnosis/1", "verdict": "effects", "effects": named}))

@@ -14,7 +14,7 @@ from palpd.recording.reader import Recording, Rows, same_rows
 from palpd.recording.recorder import Recorder
 from palpd.recording.recovery import recover
 from palpd.recording.ring import Ring
-from palpd.recording.second_channel import DRIVE_TAU_S, PlantedEffect, SecondChannel
+from palpd.recording.second_channel import DRIVE_TAU_S, SealedAnswer, SecondChannel
 from palpd.recording.topics import SECOND_TOPIC, TICK_TOPIC
 from palpd.tick import ROW, Floats, Phase
 from tests.recording.test_recording import FOOTER, HEADER, ring
@@ -49,7 +49,7 @@ def filled_of(rows: Rows) -> np.ndarray:
 
 
 def second(rows: Rows, effect: str, channel: SecondChannel | None = None) -> Floats:
-    return (channel or SecondChannel(PlantedEffect(effect, ALL[effect]))).wrench(rows, filled_of(rows))
+    return (channel or SecondChannel(SealedAnswer(effect, ALL[effect]))).wrench(rows, filled_of(rows))
 
 
 @pytest.fixture(scope="module")
@@ -98,16 +98,16 @@ def test_the_loop_of_the_hysteresis_has_the_corners_of_its_three_elements() -> N
 
 @pytest.mark.parametrize("effect", ALL)
 def test_ticks_in_pieces_give_what_they_give_as_a_whole(rows: Rows, effect: str) -> None:
-    channel = SecondChannel(PlantedEffect(effect, ALL[effect]))
+    channel = SecondChannel(SealedAnswer(effect, ALL[effect]))
     pieces = [second(piece, effect, channel) for piece in np.split(rows, [1, 2, TARED - 1, TARED + 1, 300, 301])]
     assert np.concatenate(pieces).tobytes() == second(rows, effect).tobytes()
 
 
 def test_the_seal_is_that_of_the_text_and_the_salt_keeps_it_from_being_guessed() -> None:
-    planted = PlantedEffect("sensor.gain", {"error": 0.1}, "c0ffee")
+    planted = SealedAnswer("sensor.gain", {"error": 0.1}, "c0ffee")
     assert planted.text == '{"effect": "sensor.gain", "parameters": {"error": 0.1}, "salt": "c0ffee"}'
     assert planted.seal == hashlib.sha256(planted.text.encode()).hexdigest()
-    assert planted.seal != PlantedEffect("sensor.gain", {"error": 0.1}, "c0ffef").seal
+    assert planted.seal != SealedAnswer("sensor.gain", {"error": 0.1}, "c0ffef").seal
 
 
 def ticks(path: Path) -> list[tuple[int, int, bytes]]:
@@ -118,7 +118,7 @@ def ticks(path: Path) -> list[tuple[int, int, bytes]]:
 
 
 def test_the_recorder_writes_the_channel_beside_ticks_that_do_not_differ_by_a_byte(rows: Rows, tmp_path: Path, ring: Ring) -> None:
-    planted, rows = PlantedEffect("sensor.latency", ALL["sensor.latency"], "salt"), rows[:300]
+    planted, rows = SealedAnswer("sensor.latency", ALL["sensor.latency"], "salt"), rows[:300]
     recorder = Recorder.begin(ring, tmp_path / "injected.mcap", {**HEADER, "injection": planted.seal}, planted=planted)
     recorder.confirm(20.0)
     for row in rows:
@@ -141,7 +141,7 @@ def test_the_recorder_writes_the_channel_beside_ticks_that_do_not_differ_by_a_by
 
 
 def test_a_recovered_run_keeps_its_mark_and_loses_the_channel(rows: Rows, tmp_path: Path) -> None:
-    planted = PlantedEffect("", {}, "salt")
+    planted = SealedAnswer("", {}, "salt")
     writer = RecordingWriter(tmp_path / "run.mcap", {**HEADER, "injection": planted.seal}, second=SecondChannel(planted))
     writer.write(rows)
     writer.flush()
