@@ -185,10 +185,13 @@ def test_a_run_that_was_cut_off_keeps_the_answer_until_it_is_recovered_and_opene
     assert unopened(config) == []
 
 
-def test_a_plan_with_several_sites_is_refused_before_anything_is_sealed(config: Config) -> None:
+def test_several_sites_or_a_service_are_refused_before_anything_is_sealed(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = Plan(sites=(PlanSite(name="A"), PlanSite(name="B", x_m=0.02)))
     with pytest.raises(BadInput, match="the plan has 2 sites, expected one"):
         inject(config, plan, None, {}, lambda *_: pytest.fail("no device"), NoDisplay())
+    monkeypatch.setattr(program, "service_at", lambda path: path == config.paths.control_socket)
+    with pytest.raises(Refused, match="the service of this cell may begin a run at any time"):
+        inject(config, PLAN, None, {}, lambda *_: pytest.fail("no device"), NoDisplay())
     assert not config.paths.state.exists()
 
 
