@@ -50,6 +50,8 @@ free-motion --out {new.mcap} --config {config}
 stiffness --config {config} --json {out.json}
 level-test --config {config}
 check --config {config} --temperature-C 21
+inject --config {config} --plan {plan} --cell {cell} --times 2 --json {out.json}
+inject --config {config} --open {mcap} --cell {cell} --json {out.json}
 retract --config {config}
 demo --json {out.json} --out {folder}
 sim --plan {plan} --config {config} --cell {cell} --json {out.json}
@@ -116,6 +118,11 @@ analyse {csv} --depth-column z_m --height-column z_m --force-column fz_N --tip-r
 analyse {csv} --depth-column z_m --height-down-positive --force-column fz_N --tip-radius-m 0.005
 analyse {csv} --force-column fz_N --height-column z_m
 analyse {csv} --force-column no_such --height-column z_m --tip-radius-m 0.005
+inject --config {config} --report --times 3
+inject --config {config} --report --open {mcap}
+inject --config {config} --open {mcap} --plan {plan}
+inject --config {config} --plan {plan} --here --return
+inject --config {config} --plan {plan} --times 0
 analyse {mcap} --site Z
 analyse {mcap} --tip-radius-m 0.005
 analyse {csv} --cell {cell} --force-column fz_N

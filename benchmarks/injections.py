@@ -1,7 +1,7 @@
 """`palpd inject` on emulated wires: from which size on the diagnosis of an emulated cell names an effect of its sensor.
 
-`python -m benchmarks.injections [--times 40] [--kept FOLDER]` starts the paper's phantom behind emulated wires, takes the reference tare
-and carries out as many runs of one command, judged by the phantom's cell file. Prints what the command says; ends with its exit code.
+`python -m benchmarks.injections [--times 40] [--kept FOLDER]` starts the phantom of the paper behind emulated wires, tares, and
+carries out that many runs of one command. Prints what the command says; ends with its exit code.
 """
 
 import argparse
@@ -26,7 +26,8 @@ PLAN = {
     "search": {"speed_m_per_s": 0.01, "max_travel_m": 0.04},
 }
 """Free strokes, a hold and three presses: the diagnosis needs each of them to tell the effects apart."""
-PHANTOM = Path(__file__).parents[1] / "palpd" / "cell" / "phantom.yaml"
+CELL = {"sites": [{"name": "A", "tissue": {"youngs_modulus_Pa": 62.5e3}}]}
+"""What the configuration states of the phantom. Without the modulus of the site a gain would only be another modulus."""
 STOPS = 5
 """Most runs that the guard may stop, since this PC stood still."""
 PATIENCE_S = 120.0
@@ -44,7 +45,7 @@ def main() -> int:
         folder.mkdir(parents=True, exist_ok=True)
         plan = folder / "plan.yaml"
         plan.write_text(yaml.safe_dump(PLAN))
-        cell = EmulatedCell(wired.wires, wired.model, folder, dict(PATIENT))
+        cell = EmulatedCell(wired.wires, wired.model, folder, {**PATIENT, "cell": CELL})
 
         def palpd(*words: str | Path) -> int:
             ended = cell.palpd(*words, "--config", cell.config, patience_s=arguments.times * PATIENCE_S)
@@ -56,7 +57,7 @@ def main() -> int:
             left = arguments.times - injection_report(folder / "runs")["judged"]
             if code or not left:
                 break
-            stopped = palpd("inject", "--plan", plan, "--cell", PHANTOM, "--times", str(left))
+            stopped = palpd("inject", "--plan", plan, "--times", str(left))
             code = palpd("retract") if stopped == 3 else stopped
         return code or palpd("inject", "--report")
 

@@ -468,6 +468,7 @@ TOPICS = {
     "/wrench_raw": "wrench of each sensor sample as the sensor sent it, untared, in the sensor's axes",
     "/wrench": "wrench of each sensor sample, tared, in base axes",
     "/tick": "each tick of the loop, bit for bit: all inputs of a decision, and the decision",
+    "/wrench_injected": "only of `palpd inject`: the wrench tared, in base axes, with the planted effect",
 }
 
 
@@ -475,7 +476,7 @@ def recordings_page() -> str:
     """Columns of a table, and topics of a recording of the daemon."""
     from palpd.recording import topics
 
-    kinds: dict[str, str] = topics.TOPICS
+    kinds: dict[str, str] = topics.TOPICS | {topics.SECOND_TOPIC: topics.SECOND_TYPE}
     if set(MEANINGS) != set(COLUMNS) or set(TOPICS) != set(kinds):
         raise ValueError("a column or a topic has no meaning on the page; add it in docs/generate.py")
     out = [HEAD, "# Recordings\n", "## Columns of a table (CSV, Parquet)\n"]

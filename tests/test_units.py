@@ -100,6 +100,7 @@ ANY_UNIT = {
     "OpenParameter": "a parameter or deviation of any unit, which its name says",
     "OwnParameter": "a parameter of a user's own simulator, in a unit of its own",
     "Coordinate": "a parameter of any effect, in the unit of its name",
+    "DetectionLimit": "a parameter of an effect, which stands beside",
     "DetectableSize": "a parameter of any effect, which stands beside",
     "PhaseGap": "a channel of any unit, which stands beside",
     "Shrink": "a channel of any unit, which stands beside",

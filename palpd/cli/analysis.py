@@ -54,6 +54,7 @@ def analyse(
 ) -> None:
     """Young's modulus with its interval, from a recording of ours or a curve of another machine."""
     values = locals()
+    from palpd.cli.printing import say_injected
     from palpd.recording.reader import Recording, holds_ticks, refuse_site
 
     if cell is not None:
@@ -61,6 +62,7 @@ def analyse(
         from palpd.cell.cell_file import load_cell
 
         enriched = analysed(file, load_cell(cell), site)
+        say_injected([file])
         for each in enriched.get("sites", [enriched]):
             _print_modulus(each)
         write_json(json_file, enriched)
@@ -69,6 +71,7 @@ def analyse(
 
         refuse_left_out(analyse, values, CURVE, f"{file.name} is a recording of the daemon", "leave it out")
         sites = analysed_sites(Recording.load(file), site)
+        say_injected([file])
         for loading in sites:
             terminal().print(f"{loading['name']}: ", end="")
             _print_modulus(loading)

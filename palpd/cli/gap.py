@@ -83,6 +83,7 @@ def diagnose(
     progress: ProgressOption = False,
 ) -> None:
     """Show where measurement and simulation disagree, which effect causes it, and how far the gap closes."""
+    from palpd.cli.printing import say_injected
     from palpd.cli.tables import diagnosis_lines, limits_table
     from palpd.gap.commands import diagnose_files, limits_of_files
 
@@ -128,6 +129,7 @@ def diagnose(
         from palpd.gap.report.page import write as write_report
 
         write_report(report, diagnosis, ", ".join(path.name for path in recordings))
+    say_injected(recordings)
     for line in diagnosis_lines(diagnosis.to_json()):
         terminal().print(line)
 

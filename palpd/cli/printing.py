@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from palpd.cli.last_ticks import print_last_ticks
-from palpd.cli.options import terminal
+from palpd.cli.options import display, terminal
 from palpd.cli.tables import depth_table, diagnosis_lines, site_tables
+from palpd.history.stored import RECORDING
 
 if TYPE_CHECKING:
     from palpd.daemon.demo import Demonstration
@@ -54,20 +55,26 @@ def print_injections(figures: Mapping[str, Any], unopened: Sequence[Path]) -> No
 
     Args:
         figures: As the `--json` of `palpd inject` holds them.
-        unopened: Recordings whose seal was never opened.
+        unopened: Runs whose seal was never opened.
     """
-    show = terminal().print
+    say = display().say
     for limit in figures["limits"]:
-        show(f"  {limit['effect']}: {limit['words']} {limit['sentence']}", soft_wrap=True)
-    if figures["judged"]:
-        low, high = (100.0 * share for share in figures["right_ci95"])
-        right = f"Right in {figures['right']} of {figures['judged']} runs ({low:.0f} to {high:.0f} %)"
-        show(f"{right}, stated {100.0 * figures['stated']:.0f} %.")
-        show(f"Silent in {figures['silent']} of {figures['healthy']} runs with nothing planted.")
-    if figures["judged"] < figures["enough"]:
-        show(f"{figures['judged']} of {figures['enough']} runs that limits of this cell need.")
+        say(f"  {limit['effect']}: {limit['words']} {limit['text']}; named in {limit['named']} of {limit['injections']}")
+    for sentence in figures["sentences"]:
+        say(sentence)
     for path in unopened:
-        show(f"{path} was never opened; palpd inject --open {path} does it.", soft_wrap=True)
+        recording = path.with_suffix(RECORDING)
+        first = "" if path == recording else f"palpd recover {path}, then "
+        say(f"{path} was never opened; {first}palpd inject --open {recording} does it.")
+
+
+def say_injected(recordings: Sequence[Path]) -> None:
+    """Say of runs of `palpd inject` what was read of them."""
+    from palpd.recording.reader import read_header
+
+    for path in recordings:
+        if path.suffix == RECORDING and read_header(path).get("injection"):
+            display().say(f"{path.name} is a run of palpd inject: this is what the sensor measured, without what was planted.")
 
 
 def print_demonstration(demonstration: "Demonstration") -> None:

@@ -191,7 +191,7 @@ def cell_from(
     from palpd.gap.first_cell import first_cell, written_out
 
     names = ", ".join(path.name for path in recordings)
-    first = first_cell([read_recording(path, site) for path in recordings], tip_radius_m, accept_implausible, contact=contact)
+    first = first_cell([read_recording(path, site, learns=True) for path in recordings], tip_radius_m, accept_implausible, contact=contact)
     write_yaml(out, written_out(first, names))
     for sentence in first.sentences:
         terminal().print(sentence)

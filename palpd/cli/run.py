@@ -143,7 +143,7 @@ def check(
 
 @app.command(
     examples=["palpd inject --config cell/config.yaml --plan cell/plan.yaml --times 10", "palpd inject --report --config cell/config.yaml"],
-    apart={"report": ("plan", "cell", "times", "opened"), "opened": ("plan", "times")},
+    apart={"report": ("plan", "cell", "times", "opened", "here", "go_back"), "opened": ("plan", "times", "here", "go_back")},
 )
 def inject(
     config: ConfigOption = DEFAULT_CONFIG,
@@ -151,9 +151,11 @@ def inject(
     cell: Annotated[Path | None, typer.Option("--cell", help="the cell as the simulator knows it, instead of the configuration's")] = None,
     times: Annotated[int, typer.Option("--times", min=1, max=200, help="number of runs, each with an effect of its own")] = 1,
     opened: Annotated[
-        Path | None, typer.Option("--open", help="diagnose and open a run that this command could not end; nothing moves")
+        str | None, typer.Option("--open", metavar="RUN", help="diagnose and open a run that this command could not end; nothing moves")
     ] = None,
     report: Annotated[bool, typer.Option("--report", help="what all injections say of this cell; nothing moves")] = False,
+    here: HereOption = False,
+    go_back: ReturnOption = False,
     json_file: JsonOption = None,
 ) -> None:
     """Palpate with a sealed effect in a second recorded channel, which the diagnosis alone reads: does it name the effect?"""
@@ -165,25 +167,28 @@ def inject(
     from palpd.daemon.wiring import devices
     from palpd.gap.commands import library
     from palpd.history.injections import injection_report, injection_sentence
+    from palpd.history.stored import recording_meant
 
-    settings, known, show = settings_of(config), library(None), display()
+    settings, known, show, choice = settings_of(config), library(None), display(), place_choice(here, go_back)
     stated = load_cell(cell, known) if cell is not None else None
     exit_code, reason = 0, ""
     if opened is not None:
-        show.say(injection_sentence(open_injection(settings, opened, stated, known)))
+        show.say(injection_sentence(open_injection(settings, recording_meant(opened, settings.paths.runs), stated, known)))
     elif not report:
         steps = load_plan(plan)
         check_kept(settings)
         clear_latch(settings)
         for _ in range(times):
-            ended = palpate_once(settings, steps, stated, known, devices, show)
+            ended = palpate_once(settings, steps, stated, known, devices, show, choice)
             exit_code, reason = ended.exit_code, ended.reason
+            for note in ended.notes:
+                show.say(f"note: {note}")
             if exit_code:
                 print_last_ticks(list(ended.last_ticks))
                 break
-    figures = injection_report(settings.paths.runs)
-    print_injections(figures, unopened(settings))
-    write_json(json_file, figures)
+    figures, waiting = injection_report(settings.paths.runs), unopened(settings)
+    print_injections(figures, waiting)
+    write_json(json_file, figures | {"unopened": [str(path) for path in waiting], "reason": reason})
     finish(exit_code, reason)
 
 

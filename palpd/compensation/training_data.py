@@ -39,8 +39,7 @@ def load_training_data(paths: Sequence[Path], config: Config) -> TrainingData:
             recordings.append(read(path))
             continue
         recording = Recording.load(path)
-        if recording.header.get("injection"):
-            raise BadInput(f"{path} is a run of palpd inject, which is for the diagnosis only; train on palpd free-motion")
+        recording.refuse_injected()
         recordings.append(samples_of(recording))
         about = recording.header.get("about", {})
         serials.add(about.get("sensor_serial"))

@@ -18,7 +18,7 @@ from palpd.control.sequence import ArmGeometry, FreeMotion, LevelTest, Palpation
 from palpd.control.slopes import GRAVITY_N_PER_KG, FzSlopes
 from palpd.errors import Refused
 from palpd.recording.header import RunAbout
-from palpd.recording.second_channel import PlantedEffect
+from palpd.recording.second_channel import SealedAnswer
 
 DRY_S = 10.0
 """How long a dry run watches. The arm does not move, so no plan could come to its end."""
@@ -62,7 +62,7 @@ class Job:
         choice: What the operator answered where that one was not finished.
         back_to_m: Start pose that a palpation goes to before it begins, not below `top_z_m` on its way.
         top_z_m: Greatest height of the unfinished run.
-        planted: What the recorder plants into the second channel. The motion process is never told of it.
+        planted: What the recorder plants into the second channel; None: there is none. The motion process never gets it.
     """
 
     kind: Kind
@@ -85,7 +85,7 @@ class Job:
     choice: Choice | None = None
     back_to_m: tuple[float, float, float] | None = None
     top_z_m: float = -math.inf
-    planted: PlantedEffect | None = None
+    planted: SealedAnswer | None = None
 
     @property
     def moves(self) -> bool:

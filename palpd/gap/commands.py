@@ -87,19 +87,22 @@ def nominal_cell(cell: Path | None, recordings: Sequence[Path], known: Mapping[s
     return parse_cell(read_header(recordings[0]).get("config", {}).get("cell"), f"{recordings[0].name}, config.cell", known)
 
 
-def read_recording(path: Path, site: str | None = None) -> Samples:
+def read_recording(path: Path, site: str | None = None, *, learns: bool = False) -> Samples:
     """Read a recording of samples (.csv, .parquet), or one site of a recording of the daemon (.mcap).
 
     Args:
         site: Site of a recording of the daemon; None where it holds a single site.
+        learns: Whether a healthy cell is learned from it, which a run of `palpd inject` is not for.
 
     Raises:
-        RecordingError: The file is no recording, or holds several sites and none is named.
+        RecordingError: The file is no recording, or holds several sites and none is named, or nothing may be learned from it.
     """
     if not holds_ticks(path):
         refuse_site(path, site)
         return read(path)
     recording = Recording.load(path)
+    if learns:
+        recording.refuse_injected()
     visited = visited_sites(recording)
     if site is None and len(visited) > 1:
         raise RecordingError(
@@ -153,7 +156,7 @@ def diagnose_files(
     show("reading the recording")
     if healthy:
         samples = [read_recording(path, site) for path in recordings]
-        before = [read_recording(path, site) for path in healthy]
+        before = [read_recording(path, site, learns=True) for path in healthy]
         stated = None if cell is None else load_cell(cell, known)
         nominal, simulators = since_healthy(before, stated, known, samples)
     else:

@@ -11,7 +11,7 @@ from palpd.quantities import number, quantity
 from palpd.recording.reader import Recording
 from palpd.tick import Phase
 
-LIFTED = ("palpation", "free_motion", "stiffness")
+LIFTED = ("palpation", "injection", "free_motion", "stiffness")
 """Kinds of runs that go up first, to show that the probe is free."""
 JUST_TAKEN_S, DAY_S = 60.0, 86400.0
 

@@ -504,7 +504,7 @@ def _conditions(only: RunFilter) -> tuple[str, tuple[Any, ...]]:
 def _effects(connection: sqlite3.Connection, site: str) -> list[EffectPoint]:
     query = (
         "SELECT run, started, started_s, site, effect, parameter, value, low, high, probability FROM effects JOIN runs ON runs.name = run "
-        "WHERE ? IN ('', site) ORDER BY started_s, effect, parameter"
+        "WHERE ? IN ('', site) AND kind <> 'injection' ORDER BY started_s, effect, parameter"
     )
     return [EffectPoint(os.fsdecode(run), *rest) for run, *rest in connection.execute(query, (_text(site),))]
 

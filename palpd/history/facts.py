@@ -85,7 +85,7 @@ def facts_of(recording: Recording) -> RunFacts:
         header, footer, rows = recording.header, recording.footer, recording.rows
         config, plan = header["config"], header["plan"]
         started_s = float(header["epoch_offset_s"]) + float(rows["now_s"][0])
-        kind = "injection" if header.get("injection") else str(header["kind"])  # for the diagnosis only: it gives no moduli
+        kind = "injection" if recording.injected else str(header["kind"])  # for the diagnosis only: it gives no moduli
         palpated = kind == "palpation" and not header["dry"]
         measured = sites(rows, header) if palpated else []
         loop = loop_figures(rows)

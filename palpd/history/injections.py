@@ -17,7 +17,7 @@ from palpd.errors import BadInput
 from palpd.files import write_json
 from palpd.history.stored import INJECTION, beside, stored_beside
 from palpd.quantities import quantity, wilson
-from palpd.recording.second_channel import PlantedEffect
+from palpd.recording.second_channel import SealedAnswer
 
 ENOUGH = 30
 """Injections after which limits and calibration are worth reading: some four an effect."""
@@ -30,26 +30,32 @@ BEYOND = 1.0
 
 @dataclass(frozen=True, slots=True)
 class SizeOfEffect:
-    """Which parameter is the size of an effect, its unit, and words for people."""
+    """Which parameter is the size of an effect, its unit (% for a ratio), and words for people. `falls`: a smaller one does more."""
 
     parameter: str
     unit: str
     words: str
     falls: bool = False
 
-    def of(self, planted: PlantedEffect) -> float:
+    def of(self, planted: SealedAnswer) -> float:
         """Size, larger for more; of a filter its period at the cutoff."""
         value = abs(planted.parameters[self.parameter])
         return 1.0 / value if self.falls else value
 
-    def said(self, size: float) -> str:
-        """A size for people."""
-        return f"{100.0 * size:.2g} %" if self.unit == "1" else quantity(size, self.unit)
+    def text(self, size: float, ci95: tuple[float, float] | None = None) -> str:
+        """A size for people.
+
+        Args:
+            size: In the SI unit of its parameter.
+            ci95: Its interval, in the same unit; None: without one.
+        """
+        scale = 100.0 if self.unit == "%" else 1.0
+        return quantity(scale * size, self.unit, None if ci95 is None else (scale * ci95[0], scale * ci95[1]))
 
 
 SIZES = {
-    "sensor.gain": SizeOfEffect("error", "1", "error of the scale"),
-    "sensor.bias": SizeOfEffect("offset_N", "N", "zero"),
+    "sensor.gain": SizeOfEffect("error", "%", "error of the scale"),
+    "sensor.bias": SizeOfEffect("offset_N", "N", "offset of the zero"),
     "sensor.drift": SizeOfEffect("rate_N_per_s", "N/s", "drift of the zero"),
     "sensor.latency": SizeOfEffect("delay_s", "s", "delay"),
     "sensor.filter": SizeOfEffect("cutoff_Hz", "s", "period at the cutoff of the filter", falls=True),
@@ -68,34 +74,35 @@ class Injection:
         planted: What was planted.
         verdict: Of the diagnosis; empty where there was none.
         named: Effects that the diagnosis names.
-        probability: What it states for its verdict: of the least likely effect that it names, of no gap, or of something unknown.
+        probability: What it states for its verdict: of the least likely effect that it names, of no gap, or of something unknown. None
+            where there was no diagnosis.
         reason: Why there was no diagnosis.
     """
 
     date: str
     seal: str
-    planted: PlantedEffect
+    planted: SealedAnswer
     verdict: str = ""
     named: tuple[str, ...] = ()
     probability: float | None = None
     reason: str = ""
 
     @property
-    def found(self) -> bool:
+    def is_named(self) -> bool:
         """Whether what was planted is named; with nothing planted, whether nothing is."""
         return self.planted.effect in self.named if self.planted.effect else self.verdict == "none"
 
     @property
     def right(self) -> bool:
-        """Whether what was planted is named and nothing else."""
-        return self.found and len(self.named) <= 1
+        """Whether what was planted is named, and nothing else, and nothing outside the list: all that is planted stands on it."""
+        return self.is_named and len(self.named) <= 1 and self.verdict != "unknown"
 
 
 @dataclass(frozen=True, slots=True)
 class DetectionLimit:
-    """From which size on an effect is named: the size named in half of the runs with its 95 % interval, in the unit of its parameter.
+    """From which size on an effect is named: the size named in half of the runs with its 95 % interval, in the SI unit of its parameter.
 
-    `low` is None where none was missed, `high` where none was named.
+    `low` is None where none was missed, `high` where none was named: only one bound is known then.
     """
 
     effect: str
@@ -129,6 +136,8 @@ def _read(path: Path) -> Injection:
         raise BadInput(f"{path} holds no injection ({error.error_count()} faults); move it away") from error
     if injection.planted.effect not in {"", *SIZES} or injection.planted.seal != injection.seal:
         raise BadInput(f"{path} holds another answer than the one that was sealed; move it away")
+    if bool(injection.verdict) != (injection.probability is not None):
+        raise BadInput(f"{path} holds a verdict or a probability without the other; move it away")
     return injection
 
 
@@ -143,13 +152,13 @@ def detection_limits(injections: Sequence[Injection]) -> list[DetectionLimit]:
         mine = [each for each in injections if each.planted.effect == effect and each.verdict]
         if not mine:
             continue
-        sizes, found = np.log10([size.of(each.planted) for each in mine]), np.array([each.found for each in mine])
+        sizes, named = np.log10([size.of(each.planted) for each in mine]), np.array([each.is_named for each in mine])
         places = np.linspace(sizes.min() - BEYOND, sizes.max() + BEYOND, 401)
         shares = 1.0 / (1.0 + np.exp((places[:, None, None] - sizes) / np.array(SPREADS)[:, None]))
-        weight = np.where(found, shares, 1.0 - shares).prod(axis=2).sum(axis=1).cumsum()
+        weight = np.where(named, shares, 1.0 - shares).prod(axis=2).sum(axis=1).cumsum()
         low, limit, high = (float(10.0 ** np.interp(share * weight[-1], weight, places)) for share in (0.025, 0.5, 0.975))
-        bounds = None if found.all() else low, high if found.any() else None
-        limits.append(DetectionLimit(effect, len(mine), int(found.sum()), limit, *bounds))
+        bounds = None if named.all() else low, high if named.any() else None
+        limits.append(DetectionLimit(effect, len(mine), int(named.sum()), limit, *bounds))
     return limits
 
 
@@ -160,8 +169,8 @@ def injection_report(folder: Path) -> dict[str, Any]:
         folder: The folder of the runs.
 
     Returns:
-        `injections`, `judged` and `enough`; `limits` with sentence, numbers and words of each effect; `silent` of `healthy` runs without
-        an effect; `right`, its interval `right_ci95`, and the mean `stated` probability; `last`, a sentence on the newest.
+        `injections`, `judged` and `enough`; `limits` with numbers, `words` and `text` of each effect; `silent` of `healthy` runs without
+        an effect; `right`, its interval `right_ci95`, and the mean `stated` probability; `sentences` on these; `last`, one on the newest.
 
     Raises:
         BadInput: A file is damaged, or the folder cannot be read.
@@ -170,35 +179,45 @@ def injection_report(folder: Path) -> dict[str, Any]:
     judged = [each for each in kept if each.verdict]
     healthy = [each for each in judged if not each.planted.effect]
     right, limits = sum(each.right for each in judged), detection_limits(judged)
+    silent, low_high = sum(each.is_named for each in healthy), wilson(right, len(judged)) if judged else None
+    stated = float(np.mean([each.probability for each in judged])) if judged else None
+    needed = f" of the {ENOUGH} runs that limits and probabilities of this cell need" if len(judged) < ENOUGH else " runs"
+    sentences = [f"Judged: {len(judged)}{needed}."]
+    if low_high is not None and stated is not None:
+        interval = " to ".join(f"{100.0 * share:.0f}" for share in low_high)
+        sentences.append(f"Right in {right} of {len(judged)} runs ({interval} %); the mean stated probability is {100.0 * stated:.0f} %.")
+    if healthy:
+        sentences.append(f"Silent in {silent} of {len(healthy)} runs with nothing planted.")
     return {
         "injections": len(kept),
         "judged": len(judged),
         "enough": ENOUGH,
-        "limits": [asdict(each) | {"words": SIZES[each.effect].words, "sentence": limit_sentence(each)} for each in limits],
+        "limits": [asdict(each) | {"words": SIZES[each.effect].words, "text": limit_text(each)} for each in limits],
         "healthy": len(healthy),
-        "silent": sum(each.found for each in healthy),
+        "silent": silent,
         "right": right,
-        "right_ci95": list(wilson(right, len(judged))) if judged else None,
-        "stated": float(np.mean([each.probability for each in judged])) if judged else None,
+        "right_ci95": low_high,
+        "stated": stated,
+        "sentences": sentences,
         "last": injection_sentence(kept[-1]) if kept else "",
     }
 
 
-def limit_sentence(limit: DetectionLimit) -> str:
-    """A limit in words, with its unit."""
-    about, counted = SIZES[limit.effect], f"named in {limit.named} of {limit.injections}"
-    if limit.low is None or limit.high is None:
-        side, bound = ("below", limit.high) if limit.low is None else ("above", limit.low)
-        return f"{side} {about.said(bound or limit.limit)}; {counted}"
-    return f"{about.said(limit.limit)} ({about.said(limit.low)} to {about.said(limit.high)}); {counted}"
+def limit_text(limit: DetectionLimit) -> str:
+    """The size named in half of the runs, with its interval or its only bound."""
+    size = SIZES[limit.effect]
+    if limit.low is None:
+        return f"below {size.text(limit.high or limit.limit)}"
+    return f"above {size.text(limit.low)}" if limit.high is None else size.text(limit.limit, (limit.low, limit.high))
 
 
 def injection_sentence(injection: Injection) -> str:
     """What was planted and what the diagnosis said."""
     effect = injection.planted.effect
-    size = f" ({SIZES[effect].words} {SIZES[effect].said(SIZES[effect].of(injection.planted))})" if effect else ""
+    size = f" ({SIZES[effect].words} {SIZES[effect].text(SIZES[effect].of(injection.planted))})" if effect else ""
     planted = f"Planted was {effect or 'nothing'}{size}"
     if not injection.verdict:
         return f"{planted}; it was not judged: {injection.reason}."
-    named = " and ".join(injection.named) or {"none": "no gap", "unknown": "an unknown cause"}.get(injection.verdict, injection.verdict)
-    return f"{planted}; the diagnosis says {named} ({injection.probability:.2f}): {'right' if injection.right else 'wrong'}."
+    outside = {"none": ["no gap"], "unknown": ["an unknown cause"]}.get(injection.verdict, [])
+    words = " and ".join([*injection.named, *outside])
+    return f"{planted}; the diagnosis says {words} ({injection.probability:.2f}): {'right' if injection.right else 'wrong'}."

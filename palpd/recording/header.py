@@ -62,8 +62,8 @@ class RecordingHeader(TypedDict, total=False):
     the last calibration, taken on `reference_date` where that is known. `epoch_offset_s` turns monotonic seconds into Unix time. A
     palpation without `returns_to_start` ended above its last site; with `pauses_in_place` a pause stood still where the arm was; without
     `lifts_first` nothing showed that it was not tared in contact. A retract of an `unfinished` contact went up at any force, at least to
-    `clear_z_m`. `injection` marks a run of `palpd inject` for ever: the SHA-256 of its
-    sealed answer. A simulated run fills only what the analysis reads. `format_version` is that of the file, 1 where it is absent.
+    `clear_z_m`. `injection` marks a run of `palpd inject` for ever: the SHA-256 of its sealed answer; other runs have None. A simulated run
+    fills only what the analysis reads. `format_version` is that of the file, 1 where it is absent.
     """
 
     format_version: int

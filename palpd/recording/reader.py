@@ -61,6 +61,18 @@ class Recording:
         second = cdr.unpack_wrenches(contents.second) if contents.second else None
         return cls(path, rows, contents.header, contents.footer, contents.model_bytes, second)
 
+    @property
+    def injected(self) -> bool:
+        """Whether it is a run of `palpd inject`. Its rows are those of the sensor all the same."""
+        return bool(self.header.get("injection"))
+
+    def refuse_injected(self) -> None:
+        """Refuse a run of `palpd inject`, for what learns from recordings. Raises RecordingError."""
+        if self.injected:
+            raise RecordingError(
+                f"{self.path} is a run of palpd inject, from which nothing is learned; give a run without a planted effect"
+            )
+
     def with_second_channel(self) -> Self:
         """The same run with its second channel in the place of the tared wrench. Raises RecordingError where it has none, or a torn one."""
         filled = np.arange(self.rows["frame_t_s"].shape[1]) < self.rows["frames"][:, None]

@@ -18,7 +18,7 @@ from palpd.errors import RecordingError
 from palpd.recording.header import RecordingFooter, RecordingHeader
 from palpd.recording.mcap_file import RecordingWriter, part_of
 from palpd.recording.ring import RecorderState, Ring
-from palpd.recording.second_channel import PlantedEffect, SecondChannel
+from palpd.recording.second_channel import SealedAnswer, SecondChannel
 
 CHUNK_S = 0.15
 """How often new rows are compressed and passed to the kernel: a kill -9 of the recorder costs at most this."""
@@ -54,7 +54,7 @@ class Recorder:
 
     @classmethod
     def begin(
-        cls, ring: Ring, path: Path, header: RecordingHeader, model_bytes: bytes | None = None, planted: PlantedEffect | None = None
+        cls, ring: Ring, path: Path, header: RecordingHeader, model_bytes: bytes | None = None, planted: SealedAnswer | None = None
     ) -> Self:
         """Start a recorder without waiting for it: `answered` says when `confirm` no longer waits.
 

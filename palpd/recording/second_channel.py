@@ -34,7 +34,7 @@ FZ = 2
 
 
 @dataclass(frozen=True, slots=True)
-class PlantedEffect:
+class SealedAnswer:
     """What is planted: the id of an effect, with its parameters as in docs/reference/effects.md; an empty id for nothing.
 
     `salt` is random, so that nobody can guess the text behind the seal.
@@ -63,7 +63,7 @@ class Frame(NamedTuple):
     since_s: float
 
     def plus(self, force_N: float) -> Floats:
-        """The wrench with that much more vertical force."""
+        """The wrench (6,) with that much more vertical force."""
         changed = self.wrench.copy()
         changed[FZ] += force_N
         return changed
@@ -72,7 +72,7 @@ class Frame(NamedTuple):
 class SecondChannel:
     """Makes the second channel of one run. `rows` must come in their order."""
 
-    def __init__(self, planted: PlantedEffect) -> None:
+    def __init__(self, planted: SealedAnswer) -> None:
         self._law, self._begin_s = LAWS[planted.effect](planted.parameters), math.nan
 
     def wrench(self, rows: NDArray[np.void], filled: NDArray[np.bool_]) -> Floats:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
-from palpd.errors import RecordingError
+from palpd.errors import BadInput, RecordingError
 from palpd.history.stored import RECORDING, recording_named, stored_recordings, unfinished_recordings
 
 if TYPE_CHECKING:
@@ -111,10 +111,19 @@ def trend(folder: Path, query: Mapping[str, str]) -> dict[str, Any]:
 
 
 def checks(folder: Path) -> dict[str, Any]:
-    """The morning checks since the last baseline with their charts. Raises BadInput where a file is damaged."""
-    from palpd.history.check_days import charts
+    """The morning checks since the last baseline with their charts, and what injections say; a damaged file of these hides no check.
 
-    return charts(folder)
+    Raises:
+        BadInput: A file of a check is damaged.
+    """
+    from palpd.history.check_days import charts
+    from palpd.history.injections import injection_report
+
+    answer = charts(folder)
+    try:
+        return answer | {"injections": injection_report(folder)}
+    except BadInput as error:
+        return answer | {"injections": {"refusal": str(error)}}
 
 
 def _filter(query: Mapping[str, str]) -> "RunFilter":

@@ -7,6 +7,8 @@ from starlette.testclient import TestClient
 from palpd.config import CheckTolerances
 from palpd.history.check_days import Baseline, MorningCheck, keep_check
 from palpd.history.control_charts import judged
+from palpd.history.injections import Injection, keep_injection
+from palpd.recording.second_channel import SealedAnswer
 from tests.history.test_control_charts import changed, healthy
 from tests.web.recorded_runs import browser, runs, simulated
 
@@ -37,3 +39,17 @@ def test_a_damaged_check_is_a_sentence(browser: TestClient, runs: Path) -> None:
     damaged.unlink()
     assert answer.status_code == 400
     assert "999.check.json holds no check" in answer.json()["error"]
+
+
+def test_the_injections_stand_below_the_checks_and_a_damaged_one_hides_no_check(browser: TestClient, runs: Path) -> None:
+    assert browser.get("/checks/list").json()["injections"]["injections"] == 0
+    planted = SealedAnswer("sensor.gain", {"error": 0.2}, "salt")
+    kept = keep_injection(runs / "9-injection.mcap", Injection("2026-11-26", planted.seal, planted, "effects", ("sensor.gain",), 0.7))
+    answer = browser.get("/checks/list").json()["injections"]
+    assert [(limit["effect"], limit["named"]) for limit in answer["limits"]] == [("sensor.gain", 1)]
+    assert "Planted was sensor.gain (error of the scale 20 %)" in answer["last"]
+    kept.write_text("{}")
+    answer = browser.get("/checks/list").json()
+    kept.unlink()
+    assert answer["checks"]
+    assert "9-injection.injection.json holds no injection" in answer["injections"]["refusal"]

@@ -1,4 +1,4 @@
-// The last morning check, and the control chart of each figure over the checks since the baseline.
+// The last morning check, the control chart of each figure over the checks since the baseline, and what injections say of this cell.
 
 import { chart } from "./chart.js";
 import { read } from "./requests.js";
@@ -30,8 +30,23 @@ function draw(figure, checks) {
   return make("section", {}, make("h2", { text: title }), holder);
 }
 
+function limitRow(limit) {
+  return make("tr", {}, make("td", {}, make("b", { text: limit.effect }), make("p", { className: "faint", text: limit.words })),
+    make("td", { text: limit.text }), make("td", { className: "number", text: `${limit.named} of ${limit.injections}` }));
+}
+
+function showInjections(of) {
+  byId("injections").hidden = !of.refusal && !of.injections;
+  refuse(byId("injections-refusal"), of.refusal || "");
+  byId("injected").textContent = (of.sentences || []).join(" ");
+  byId("injected-last").textContent = of.last ? `The newest: ${of.last}` : "";
+  byId("limits-table").hidden = !(of.limits || []).length;
+  byId("limits").replaceChildren(...(of.limits || []).map(limitRow));
+}
+
 const answer = await read("/checks/list", { patience_ms: 130000 });
 refuse(byId("refusal"), answer.ok ? "" : answer.error);
+if (answer.ok) showInjections(answer.injections);
 if (answer.ok && answer.checks.length) {
   const last = answer.checks[answer.checks.length - 1];
   byId("last").replaceChildren(make("span", { className: `chip ${MOODS[last.level]}`, text: WORDS[last.level] }), ` ${last.date.slice(0, 16).replace("T", " ")}: ${last.sentence}`);
