@@ -57,7 +57,7 @@ def main() -> int:
             left = arguments.times - injection_report(folder / "runs")["judged"]
             if code or not left:
                 break
-            stopped = palpd("inject", "--plan", plan, "--times", str(left))
+            stopped = palpd("inject", "--plan", plan, "--times", str(left), "--here")
             code = palpd("retract") if stopped == 3 else stopped
         return code or palpd("inject", "--report")
 
