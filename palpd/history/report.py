@@ -29,7 +29,7 @@ from palpd.tick import Phase
 
 KIND_WORDS = {
     "palpation": "palpation",
-    "injection": "palpation of palpd inject, without moduli",
+    "injection": "palpation of palpd inject (no moduli)",
     "free_motion": "free motion",
     "stiffness": "stiffness of the machine",
     "retract": "way out of the tissue",

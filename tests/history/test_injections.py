@@ -153,7 +153,7 @@ def test_the_mark_keeps_a_run_out_of_trends_training_and_the_healthy_recordings(
         assert [point.run for points, _ in effect_trend(catalogue).values() for point in points] == ["day-0"]
     _, facts = load(path)
     assert (facts["kind"], facts["sites"], facts["verdict"]) == ("injection", [], "done")
-    assert "Palpation of palpd inject, without moduli" in page(report_of(path))
+    assert "Palpation of palpd inject (no moduli)" in page(report_of(path))
     with pytest.raises(RecordingError, match="from which nothing is learned"):
         load_training_data([path], Config())
     with pytest.raises(RecordingError, match="from which nothing is learned"):
