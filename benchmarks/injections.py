@@ -30,6 +30,8 @@ CELL = {"sites": [{"name": "A", "tissue": {"youngs_modulus_Pa": 62.5e3}}]}
 """What the configuration states of the phantom. Without the modulus of the site a gain would only be another modulus."""
 STOPS = 5
 """Most runs that the guard may stop, since this PC stood still."""
+REFUSED, GUARD = 2, 3
+"""Exit codes."""
 PATIENCE_S = 120.0
 """Longest time for one run with its diagnosis."""
 
@@ -57,8 +59,9 @@ def main() -> int:
             left = arguments.times - injection_report(folder / "runs")["judged"]
             if code or not left:
                 break
-            stopped = palpd("inject", "--plan", plan, "--times", str(left), "--here")
-            code = palpd("retract") if stopped == 3 else stopped
+            code = palpd("inject", "--plan", plan, "--times", str(left), "--here")
+            if code == GUARD:
+                code = {REFUSED: 0}.get(left_tissue := palpd("retract"), left_tissue)  # it refuses where the probe is clear already
         return code or palpd("inject", "--report")
 
 
