@@ -2,7 +2,8 @@
 
 What was learned of a cell is a model, and no model of a rig is right. Where it is wrong, a healthy recording is improbable under it, and
 some effect or something unknown explains it better. Which, and how much better, the healthy recordings show: each is diagnosed against the
-others, as a new one will be. An effect that one of them seems to have is a habit of the rig, and costs more than it gains there.
+others, as a new one will be. An effect that one of them seems to have is a habit of the rig. It costs more than it gains there, and so do
+effects that look alike.
 """
 
 from collections.abc import Mapping, Sequence
@@ -74,9 +75,10 @@ class HealthyReference:
 def _habits(usual: UsualChanges) -> Mapping[str, float]:
     if len(usual.compared) < FEWEST:
         return {}
-    odds = [_odds_of(one, usual.without(one)) for one in usual.compared]
-    largest = {name: max(each.get(name, 0.0) for each in odds) for name in {name for each in odds for name in each}}
-    return {name: HABIT * nats for name, nats in sorted(largest.items()) if nats > 0.0}
+    odds, alike = [_odds_of(one, usual.without(one)) for one in usual.compared], usual.alike()
+    largest = {name: max(0.0, *(each.get(name, 0.0) for each in odds)) for name in sorted({name for each in odds for name in each})}
+    of_kin = {name: max(nats * alike.get((name, other), float(name == other)) for other, nats in largest.items()) for name in largest}
+    return {name: HABIT * nats for name, nats in of_kin.items() if nats > 0.0}
 
 
 def _odds_of(one: ComparedRecording, others: UsualChanges) -> Mapping[str, float]:

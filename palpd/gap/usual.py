@@ -123,6 +123,14 @@ class UsualChanges:
             compared.append(ComparedRecording.of(one, HealthyCell.of(others, healthy.cell, healthy.library) if others else healthy))
         return UsualChanges._seen_in(tuple(compared), healthy)
 
+    def alike(self) -> dict[tuple[str, str], float]:
+        """How alike the changes of two effects are in these recordings, by their ids: the largest square of a cosine."""
+        squares = np.mean([one.overlap * one.size[:, None] / one.size for one in self.compared], axis=0)
+        kinds = self.compared[0].kinds
+        starts = np.cumsum([0, *kinds.values()])[:-1]
+        largest = np.maximum.reduceat(np.maximum.reduceat(squares, starts, axis=0), starts, axis=1)
+        return {(one, other): float(largest[k, j]) for k, one in enumerate(kinds) for j, other in enumerate(kinds)}
+
     def without(self, one: ComparedRecording) -> "UsualChanges":
         """What the other recordings show, of what was learned from them."""
         return UsualChanges._seen_in(tuple(each for each in self.compared if each is not one), one.others)
