@@ -40,8 +40,8 @@ HEADER, FOOTER, MODEL = "palpd.header", "palpd.footer", "model.onnx"
 HEADER_LOST = "its header is lost: configuration, plan and names of sites"
 _UNREADABLE = (McapError, ZstdError, struct.error, ValueError, KeyError, RuntimeError, MemoryError, OverflowError)
 """What the MCAP reader raises on truncated or altered bytes."""
-LATEST_S = 1e11
-"""Unix time beyond which no recording was made: the year 5138."""
+LATEST_S = 9e9
+"""Unix time beyond which no recording was made: the year 2255. Nanoseconds since 1970 fit into 64 bits until 2262."""
 
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -362,7 +362,8 @@ class Contents:
             again = Contents()
             for _ in again.batches(part, skip_damaged=True):
                 pass  # a copy of the header stands behind the ticks
-            lost = _Header(epoch_offset_s=cdr.epoch_offset_s(tick, absent))
+            offset_s = cdr.epoch_offset_s(tick, absent)
+            lost = _Header(epoch_offset_s=offset_s if abs(offset_s) < LATEST_S else 0.0)  # its times may be damaged, too
             self.header = again.header or cast(RecordingHeader, lost)
             self.header_lost = again.header is None
 
