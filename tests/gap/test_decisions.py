@@ -331,6 +331,7 @@ def stubs(case: Case, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Any, Any]:
     monkeypatch.setattr(evidence, "_space_beside", lambda *_: SimpleNamespace())
     monkeypatch.setattr(evidence, "_fitted_together", together)
     monkeypatch.setattr(evidence, "log_prior", lambda *_: 0.0)
+    monkeypatch.setattr(evidence, "price_nats", lambda *_: 0.0)
     monkeypatch.setattr(evidence, "_share", lambda listed, _: 0.2 if case.events[1] or not listed.names else 0.19)
     monkeypatch.setattr(evidence, "_one_cycle", lambda law: (0, 1) if law.one_cycle else None)
     monkeypatch.setattr(evidence, "confounds", lambda *_: {})
