@@ -294,7 +294,9 @@ def stubs(case: Case, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Any, Any]:
     names = tuple("abc"[: case.names])
     library = {name: SimpleNamespace(scatter=False, family=None, parameters=(), tolerance=None) for name in "abcdefg"}
     problem: Any = SimpleNamespace(
-        library=library, recordings=[SimpleNamespace(phases=SimpleNamespace(presses=case.presses))], cell=SimpleNamespace(learned=())
+        library=library,
+        recordings=[SimpleNamespace(phases=SimpleNamespace(presses=case.presses), simulated=None)],
+        cell=SimpleNamespace(learned=()),
     )
 
     def hypothesis(names: tuple[str, ...], gained: float) -> Any:
@@ -318,7 +320,8 @@ def stubs(case: Case, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Any, Any]:
     def events(scene: Any, space: Any) -> Any:
         what = "alone" if names and not scene.names else "top"
         _, nats, count = returned[scene.names]
-        return SimpleNamespace(nats=nats, listed=[what] * count, change=np.zeros((7, 3)))
+        listed: Any = [what] * count
+        return evidence.Events(listed, nats, np.zeros((7, 3)))
 
     def together(_: Any, listed: Any, top: LearnedLaw, gained: float) -> Any:
         law = top if case.together is None else law_of(case.together, "together", top.scene)
@@ -331,7 +334,6 @@ def stubs(case: Case, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Any, Any]:
     monkeypatch.setattr(evidence, "_space_beside", lambda *_: SimpleNamespace())
     monkeypatch.setattr(evidence, "_fitted_together", together)
     monkeypatch.setattr(evidence, "log_prior", lambda *_: 0.0)
-    monkeypatch.setattr(evidence, "price_nats", lambda *_: 0.0)
     monkeypatch.setattr(evidence, "_share", lambda listed, _: 0.2 if case.events[1] or not listed.names else 0.19)
     monkeypatch.setattr(evidence, "_one_cycle", lambda law: (0, 1) if law.one_cycle else None)
     monkeypatch.setattr(evidence, "confounds", lambda *_: {})
