@@ -29,6 +29,7 @@ from palpd.control.sequence import SOFT_END
 from palpd.errors import RecordingError
 from palpd.recording.header import RecordedGeometry, RecordingHeader
 from palpd.recording.reader import Recording
+from palpd.recording.tick_rows import filled_slots
 from palpd.tick import Floats, Mode, Phase
 
 PEAK_WINDOW_S = 0.02
@@ -181,7 +182,7 @@ def track(rows: NDArray[np.void], delay_s: float, machine_stiffness_N_per_m: flo
     Returns:
         The frames, without presses that a pause interrupted.
     """
-    filled = np.arange(rows["frame_t_s"].shape[1]) < rows["frames"][:, None]
+    filled = filled_slots(rows)
     tick_of = np.repeat(np.arange(len(rows)), rows["frames"])
     t_s = rows["frame_t_s"][filled]
     fz_N = rows["tared"][filled][:, 2]
@@ -489,7 +490,7 @@ def dry_figures(rows: NDArray[np.void]) -> DryFigures | None:
         The figures after the tare; None where the run ended before.
     """
     watched = rows[rows["phase"] != Phase.TARE]
-    filled = np.arange(rows["frame_t_s"].shape[1]) < watched["frames"][:, None]
+    filled = filled_slots(watched)
     forces_N = watched["tared"][filled][:, :3]
     if not len(forces_N):
         return None

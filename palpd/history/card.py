@@ -9,6 +9,7 @@ from palpd.analysis.results import SiteResult
 from palpd.history.facts import RunFacts
 from palpd.quantities import number, quantity
 from palpd.recording.reader import Recording
+from palpd.recording.tick_rows import filled_slots
 from palpd.tick import Phase
 
 LIFTED = ("palpation", "injection", "free_motion", "stiffness")
@@ -75,5 +76,5 @@ def tare_and_guard(recording: Recording, facts: RunFacts) -> tuple[str, str]:
 
 
 def _mean_fz_N(rows: Any) -> float:
-    filled = np.arange(rows["frame_t_s"].shape[1]) < rows["frames"][:, None]
+    filled = filled_slots(rows)
     return float(rows["tared"][filled][:, 2].mean())

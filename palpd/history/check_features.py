@@ -16,6 +16,7 @@ from palpd.analysis.young import modulus_hertz_Pa
 from palpd.errors import RecordingError
 from palpd.recording.oddities import measured_rms
 from palpd.recording.reader import Recording
+from palpd.recording.tick_rows import filled_slots
 from palpd.tick import Floats, Mode, Phase
 
 HERTZ, LINEAR = 1.5, 1.0
@@ -140,7 +141,7 @@ def link_figures(rows: NDArray[np.void]) -> dict[str, float]:
     Raises:
         RecordingError: No tare was recorded.
     """
-    filled = np.arange(rows["frame_t_s"].shape[1]) < rows["frames"][:, None]
+    filled = filled_slots(rows)
     taring = filled & (rows["phase"] == Phase.TARE)[:, None]
     if not taring.any():
         raise RecordingError("the recording holds no tare, and the zero is measured there; record it with palpd check")

@@ -14,6 +14,7 @@ from palpd.recording import cdr
 from palpd.recording.header import RecordingFooter, RecordingHeader
 from palpd.recording.mcap_file import FOOTER, HEADER, Contents
 from palpd.recording.samples import SITE_COLUMN, Samples, is_parquet, samples_from_columns, write_csv, write_parquet
+from palpd.recording.tick_rows import filled_slots
 from palpd.tick import NO_FRAMES, ROW, Floats, Mode, Phase, RobotState, SensorFrames
 
 Rows = NDArray[np.void]
@@ -75,7 +76,7 @@ class Recording:
 
     def with_second_channel(self) -> Self:
         """The same run with its second channel in the place of the tared wrench. Raises RecordingError where it has none, or a torn one."""
-        filled = np.arange(self.rows["frame_t_s"].shape[1]) < self.rows["frames"][:, None]
+        filled = filled_slots(self.rows)
         frames, held = int(filled.sum()), 0 if self.second is None else len(self.second)
         if self.second is None or held != frames:
             raise RecordingError(
@@ -212,7 +213,7 @@ def _samples_and_rows(recording: Recording, site: str | None, at_reports: bool =
     if site is not None:
         chosen = _own_part(rows[rows["site"] == recording.site_index(site)])
         begin_s = max(begin_s, _last_rest_s(robot_t_s, states))
-    filled = np.arange(chosen["frame_t_s"].shape[1]) < chosen["frames"][:, None]
+    filled = filled_slots(chosen)
     t_s, wrench, row_of = chosen["frame_t_s"][filled], chosen["tared"][filled], np.repeat(np.arange(len(chosen)), chosen["frames"])
     later = np.ones(len(t_s), bool)
     later[1:] = t_s[1:] > np.maximum.accumulate(t_s)[:-1]

@@ -46,6 +46,12 @@ class RowWriter:
         self._bytes[start + _DECISION_AT : start + ROW.itemsize] = decision(record)
 
 
+def filled_slots(rows: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Which frame slots (n, slots) of rows (n,) hold a frame; the slots of a row are filled from the first on."""
+    filled: NDArray[np.bool_] = np.arange(rows["frame_t_s"].shape[1]) < rows["frames"][:, None]
+    return filled
+
+
 def decision(record: TickRecord) -> bytes:
     """Pack what the daemon decided in a tick: the fields `DECISIONS` of ROW, as they stand in a row."""
     observation, proposal, verdict, _ = record

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from palpd.recording import cdr
 from palpd.recording.second_channel import SecondChannel
+from palpd.recording.tick_rows import filled_slots
 from palpd.tick import Floats
 
 Rows = NDArray[np.void]
@@ -91,7 +92,7 @@ class TopicMessages:
                 yield topic, stamp_ns, cdr.pack_stamped(stamp_ns, cdr.BASE_FRAME, pose)
         if "/tcp_twist" in topics:
             yield "/tcp_twist", stamp_ns, cdr.pack_stamped(stamp_ns, cdr.BASE_FRAME, states["tcp_speed"])
-        filled = np.arange(rows["frame_t_s"].shape[1]) < rows["frames"][:, None]
+        filled = filled_slots(rows)
         stamp_ns = self._epoch_ns(rows["frame_t_s"][filled], np.repeat(rows["now_s"], rows["frames"]))
         if "/wrench_raw" in topics:
             yield "/wrench_raw", stamp_ns, cdr.pack_stamped(stamp_ns, cdr.SENSOR_FRAME, rows["wrench"][filled])

@@ -13,11 +13,10 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from palpd.errors import Refused
 from palpd.files import clear_socket
 from palpd.recording.ring import Rows
+from palpd.recording.tick_rows import filled_slots
 from palpd.recording.topics import compensated
 
 RECORD = struct.Struct("<4sBBHQ3d6d")
@@ -100,7 +99,7 @@ class ForceSocket:
             rows: New rows (n,), at least one.
             next_number: Number of the row after them.
         """
-        filled = np.arange(rows["frame_t_s"].shape[1]) < rows["frames"][:, None]
+        filled = filled_slots(rows)
         if filled.any():  # a tick without frames repeats the last force, and its time says how old that is
             self._sensor_s = float(rows["frame_t_s"][filled][-1])
             self._wrench = compensated(rows, filled)[-1].tolist()

@@ -24,6 +24,7 @@ from palpd.control.sequence import CLEAR_SHARE
 from palpd.errors import BadInput, RecordingError
 from palpd.gap.diagnosis import diagnose
 from palpd.recording.reader import Recording
+from palpd.recording.tick_rows import filled_slots
 from palpd.study.inclusion_field import EmulatedField
 from palpd.study.laboratory import STEP_S, Take, free_cell, setup, take
 from palpd.study.methods import ConstantBias, ExportedModel, LinearModelWithRunningZero, Method, NoCorrection, corrections
@@ -376,7 +377,7 @@ def take_of(rows: np.ndarray[Any, np.dtype[np.void]], name: str, clear_z_m: floa
     Raises:
         RecordingError: The recording is too short.
     """
-    filled = np.arange(rows["frame_t_s"].shape[1]) < rows["frames"][:, None]
+    filled = filled_slots(rows)
     robot_t_s, first = np.unique(rows["robot_t_s"], return_index=True)
     t_s = rows["frame_t_s"][filled]
     if len(t_s) < 100 or len(robot_t_s) < 30:
