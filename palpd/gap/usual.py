@@ -32,6 +32,8 @@ TAIL_SD = 2.5
 """Standard deviations at which a normal distribution has the tail of Student's distribution for the number of recordings."""
 MOST_SQUARE = 9.0
 """Largest factor on the usual square of the residual, by which a recording may be more restless than the healthy ones."""
+LEAST_BESIDE_ZERO = 0.05
+"""Share of a change's energy that a zero and a drift leave, below which healthy recordings, whose zeros are free, show nothing of it."""
 MOST_ALIKE = 0.9
 """Largest correlation of neighbouring means that is believed."""
 
@@ -51,8 +53,11 @@ class _Residual(NamedTuple):
     alike: float
 
     def seen(self, changes: Sequence[Floats]) -> Floats:
-        """Changes (p,) of n samples each as the residual would show them (p, b)."""
-        return np.array([_without_zero(_means(change, len(self.sd)), self.sd) for change in changes])
+        """Changes (p,) of n samples each as the residual would show them (p, b); 0 for one that a zero and a drift explain."""
+        means = np.array([_means(change, len(self.sd)) for change in changes])
+        beside = np.array([_without_zero(each, self.sd) for each in means])
+        share = np.sum(beside**2, axis=1) / np.maximum(np.sum((means / self.sd) ** 2, axis=1), 1e-200)
+        return np.where((share > LEAST_BESIDE_ZERO)[:, None], beside, 0.0)
 
     def squares(self, seen: Floats) -> Floats:
         """Median (2,) of the squares, as they are and without the change of (p, b) that leaves least: what acts is not restless."""

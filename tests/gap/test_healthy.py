@@ -93,6 +93,18 @@ def test_a_rig_that_is_another_one_every_day_is_healthy_and_a_large_change_is_na
     assert [effect.id for effect in changed(day(42, more_N=1.5), days).effects] == ["cable.friction"]
 
 
+def test_a_drift_that_no_healthy_recording_has_is_named(reference: HealthyReference) -> None:
+    """Their zeros and drifts are free, so they show nothing of a drift; it was as usual as any other size once."""
+    assert not np.any(reference.usual.spread["sensor.drift"]), reference.usual.spread["sensor.drift"]
+    assert not np.any(reference.usual.spread["sensor.bias"]), reference.usual.spread["sensor.bias"]
+
+    def drifts(tip: Mapping[str, Floats]) -> dict[str, Floats]:
+        return rig(tip) | {"fz_N": rig(tip)["fz_N"] + 0.01 * tip["t_s"]}
+
+    answer = changed(record(drifts, seed=26), reference)
+    assert "sensor.drift" in {name for one in answer.effects for name in (one.id, *one.indistinguishable_from)}, answer.sentence
+
+
 def test_where_the_healthy_recordings_never_were_nothing_is_judged(healthy: list[Samples], reference: HealthyReference) -> None:
     deeper = record(rubbing_more, seed=26, presses_m=(0.009, 0.009, 0.009))
     answer = changed(deeper, reference)

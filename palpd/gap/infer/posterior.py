@@ -120,7 +120,7 @@ def log_prior(problem: Problem, names: Sequence[str]) -> float:
 def price_nats(problem: Problem, name: str) -> float:
     """What an effect costs beside a simulator that was learned; of something unknown with an empty name."""
     doubts = [one.simulated.doubt for one in problem.recordings if one.simulated is not None and one.simulated.doubt is not None]
-    return max((doubt.price_nats.get(name, 0.0) for doubt in doubts), default=0.0)
+    return max((problem.price_share * doubt.price_nats.get(name, 0.0) for doubt in doubts), default=0.0)
 
 
 def single_odds(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> dict[str, float]:

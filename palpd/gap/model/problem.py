@@ -87,6 +87,7 @@ class Problem:
         floor_rms: Rms (7, b) of the noise without any error of the simulator, in the units of the channels.
         law_errors: What the laws of known effects, and a nominal that was learned, may be wrong by, m nuisances (m, 7, b) in the units of
             the channels.
+        price_share: Share of the prices of a nominal that was learned that count: they are evidence of its recordings, bin by bin.
     """
 
     cell: CellFile
@@ -101,6 +102,7 @@ class Problem:
     noise: Whitening
     floor_rms: Floats
     law_errors: Floats
+    price_share: float = 1.0
     workspace: Workspace = field(default_factory=Workspace, repr=False, compare=False)
 
     @cached_property
@@ -171,7 +173,8 @@ class Problem:
         Args:
             weight: A number for all channels, or a number for each channel (7,); below 1 where neighbouring residuals are correlated.
         """
-        return replace(self, noise=self.noise.with_row_weight(weight))
+        of_fz = float(np.broadcast_to(weight, len(self.measured))[FZ])
+        return replace(self, noise=self.noise.with_row_weight(weight), price_share=self.price_share * of_fz)
 
     def with_shared_sd(self, shared_sd: Floats) -> "Problem":
         """The problem with other tolerances: standard deviations of SHARED (11,), as the attribute."""
