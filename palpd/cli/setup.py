@@ -1,15 +1,27 @@
 """Commands for whoever sets a cell up: the steps from an empty folder to the first press, and what they have shown."""
 
-from collections.abc import Sequence
+import json
+import os
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, app, display, finish, settings_of, terminal
 from palpd.cli.output_options import FOLDER, Output
+from palpd.cli.service import PAGE_PORT, ListenOption, PortOption, become_page
 from palpd.file_kinds import YAML
 from palpd.files import write_json
+from palpd.workers import end_with
+
+if TYPE_CHECKING:
+    from palpd.daemon.display import ShowProgress
+
+NOBODY = "a question has no answer, expected a terminal; run palpd setup in one, where it goes on, or leave the step out with --skip"
 
 
 class TerminalOperator:
@@ -30,12 +42,11 @@ class TerminalOperator:
         except EOFError:
             from palpd.daemon.setup.cell import NoOperator
 
-            raise NoOperator(
-                "a question has no answer, expected a terminal; run palpd setup in one, where it goes on, or leave the step out with --skip"
-            ) from None
+            raise NoOperator(NOBODY) from None
 
-    def choose(self, question: str, answers: Sequence[str]) -> str:
-        """Ask for one of the answers; its first letters suffice, and an empty answer is the first."""
+    def choose(self, question: str, answers: Sequence[str], moves: str = "") -> str:
+        """Ask for one of the answers; its first letters suffice, and an empty answer is the first. The question says what `moves` does."""
+        del moves
         while True:
             word = self.ask(f"{question} ({', '.join(answers)})", answers[0])
             fitting = [answer for answer in answers if answer.startswith(word)]
@@ -44,7 +55,55 @@ class TerminalOperator:
             self.say(f"{word!r} is none of {', '.join(answers)}.")
 
 
-@app.command(examples=["palpd setup cell", "palpd setup cell --robot 192.168.1.10 --redo weight"])
+class TalkOperator:
+    """Whoever sits before the page, and its display: a JSON object a line to stdout, and to each question one with the `answer` from stdin.
+
+    An object holds a sentence (`say`), the progress of a run (`progress`), or a question: `ask`, with the usual answer, all answers where
+    others are refused, and the answer after which the arm moves.
+    """
+
+    def say(self, sentence: str) -> None:
+        """Show a sentence."""
+        self._write(say=sentence)
+
+    def ask(self, question: str, usual: str = "") -> str:
+        """Ask for a text; an empty answer is the usual one. Raises NoOperator where the input has ended."""
+        return self._answer(question, usual, (), "") or usual
+
+    def choose(self, question: str, answers: Sequence[str], moves: str = "") -> str:
+        """Ask for one of the answers; whatever is none of them is asked again, so that nothing moves by an empty answer."""
+        while (word := self._answer(question, answers[0], answers, moves)) not in answers:
+            self.say(f"{word!r} is none of {', '.join(answers)}.")
+        return word
+
+    def waiting(self, activity: str) -> AbstractContextManager[object]:
+        """Say that a calculation takes its time."""
+        self._write(progress=activity)
+        return nullcontext()
+
+    @contextmanager
+    def job(self, steps: int) -> Iterator["ShowProgress"]:
+        """Show the steps of a job."""
+        from palpd.cli.terminal import lines_of_steps
+
+        yield lines_of_steps(steps, lambda line: self._write(progress=line))
+
+    def _answer(self, question: str, usual: str, answers: Sequence[str], moves: str) -> str:
+        self._write(ask=question, usual=usual, answers=list(answers), moves=moves)
+        if not (line := sys.stdin.readline()):
+            from palpd.daemon.setup.cell import NoOperator
+
+            raise NoOperator(NOBODY)
+        return str(json.loads(line)["answer"]).strip()
+
+    def _write(self, **content: object) -> None:
+        print(json.dumps(content), flush=True)
+
+
+@app.command(
+    examples=["palpd setup cell --robot 192.168.1.10 --redo weight", "palpd setup cell --page"],
+    apart={"page": ("robot", "sensor", "redo", "skip", "talk")},
+)
 def setup(
     folder: Annotated[Path, typer.Argument(metavar="CELL", help="folder of the cell; made where it is missing"), Output(FOLDER)] = Path(
         "cell"
@@ -53,19 +112,29 @@ def setup(
     sensor: Annotated[str | None, typer.Option("--sensor", help="port of the sensor (default: searched for)")] = None,
     redo: Annotated[list[str] | None, typer.Option("--redo", metavar="STEP", help="do this step again; may be repeated")] = None,
     skip: Annotated[list[str] | None, typer.Option("--skip", metavar="STEP", help="leave this step out; may be repeated")] = None,
+    page: Annotated[bool, typer.Option("--page", help="lead through it in a browser: serve the page for this cell")] = False,
+    port: PortOption = PAGE_PORT,
+    listen: ListenOption = "127.0.0.1",
+    talk: Annotated[bool, typer.Option("--talk", hidden=True)] = False,
 ) -> None:
     """Set a cell up step by step, from an empty folder to the first press of 1 N; goes on where it ended."""
     from palpd.daemon.setup.cell import SetupCell
     from palpd.daemon.setup.flow import NAMES, set_up
 
-    commission = set_up(SetupCell(folder, TerminalOperator(), display(), robot, sensor), redo or (), skip or ())
+    if page:
+        become_page(folder / "config.yaml", "--setup", folder, "--listen", listen, "--port", port)
+    if talk:
+        end_with(os.getppid(), signal.SIGTERM)  # as Ctrl-C, so that a run of the arm ends in a stop and its recording is closed
+    operator = TalkOperator() if talk else TerminalOperator()
+    shown = operator if isinstance(operator, TalkOperator) else display()
+    commission = set_up(SetupCell(folder, operator, shown, robot, sensor), redo or (), skip or ())
     failed = [name for name in NAMES if name in commission.steps and commission.steps[name].verdict == "fail"]
     open_steps = [name for name in NAMES if name not in commission.steps]
     config = folder / "config.yaml"
     if not failed and not open_steps:
-        terminal().print(f"The cell is set up. What it confirms: palpd commission --config {config} --report", soft_wrap=True)
+        operator.say(f"The cell is set up. What it confirms: palpd commission --config {config} --report")
     elif not failed:
-        terminal().print(f"Next is {open_steps[0]}: palpd setup {folder} goes on there.", soft_wrap=True)
+        operator.say(f"Next is {open_steps[0]}: palpd setup {folder} goes on there.")
     finish(2 if failed else 0, f"{', '.join(failed)} failed; do what its lines say, and palpd setup {folder} goes on there")
 
 

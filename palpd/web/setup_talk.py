@@ -1,0 +1,129 @@
+"""A set-up in the page: `palpd setup --talk` as a child of the server. What it says and asks is kept, so that a reload shows all of it."""
+
+import asyncio
+import contextlib
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from signal import SIGTERM
+from typing import Any
+
+from palpd.errors import Refused
+from palpd.web.log import log
+
+END_S = 5.0
+"""Longest wait for the end of a child that was interrupted: its run takes a second to stop and to close its recording."""
+
+
+class SetupTalk:
+    """One set-up at a time; its methods are called in the server's event loop. `lines` are what was said, asked and answered so far.
+
+    The child ends with the server: the kernel sends it SIGTERM when this process is gone (`palpd setup --talk`).
+    """
+
+    def __init__(self, folder: Path | None, publish: Callable[[dict[str, Any]], None]) -> None:
+        """Keep a set-up.
+
+        Args:
+            folder: The cell; None: the page was not started for a set-up.
+            publish: Takes the event that all pages hear.
+        """
+        self.folder, self._publish = folder, publish
+        self.lines: list[dict[str, Any]] = []
+        self._asked: int | None = None
+        self._process: subprocess.Popen[str] | None = None
+        self._over = asyncio.Event()
+
+    @property
+    def event(self) -> dict[str, Any]:
+        """Whether a set-up is under way, how many lines there are, and the number of the line that waits for an answer."""
+        offered, under_way = self.folder is not None, self._process is not None
+        return {"event": "setup", "offered": offered, "under_way": under_way, "lines": len(self.lines), "asked": self._asked}
+
+    def begin(self, redo: str) -> None:
+        """Begin, or go on where it ended.
+
+        Args:
+            redo: Name of a step to do again; empty: none.
+
+        Raises:
+            Refused: One is under way, or this page leads through none.
+        """
+        if self.folder is None:
+            raise Refused("this page leads through no set-up; start it with palpd setup CELL --page")
+        if self._process is not None:
+            raise Refused("a set-up is under way already; answer its question, or end it")
+        words = ["setup", "--talk", *([f"--redo={redo}"] if redo else []), "--", str(self.folder)]  # a list: no shell reads them
+        try:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "palpd", *words],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+                start_new_session=True,  # Ctrl-C at this server's terminal ends the server, which ends the child
+            )
+        except (OSError, ValueError) as error:
+            raise Refused(f"palpd setup cannot be started ({error}); try again") from error
+        self._process, self._over = process, asyncio.Event()
+        self._add({"begun": f"palpd setup {self.folder}{f' --redo {redo}' if redo else ''}"})
+        threading.Thread(target=self._listen, args=(process, asyncio.get_running_loop()), daemon=True, name="setup").start()
+
+    def answer(self, number: int, question: str, text: str) -> None:
+        """Pass an answer on.
+
+        Args:
+            number: Number of the question's line.
+            question: Its text, as the page shows it.
+            text: The answer.
+
+        Raises:
+            Refused: This question is not asked now: another browser has answered it, or it was pressed twice.
+        """
+        process = self._process
+        if process is None or process.stdin is None or self._asked != number or self.lines[number]["ask"] != question:
+            raise Refused(f"question {number} is not asked any more, so nothing was answered; look at the one that is open")
+        with contextlib.suppress(OSError):  # it has just ended, and says so itself
+            process.stdin.write(json.dumps({"answer": text}) + "\n")
+            process.stdin.flush()
+        self._asked = None
+        self._add({"answered": text})
+
+    async def interrupt(self) -> bool | None:
+        """Interrupt it as Ctrl-C does at a terminal, so that its run ends in a stop. None: there was none; else whether it has ended."""
+        if self._process is None:
+            return None
+        over = self._over
+        self._process.send_signal(SIGTERM)  # not SIGINT, which a child of a shell's background job may ignore
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(over.wait(), END_S)
+        return over.is_set()
+
+    def _listen(self, process: "subprocess.Popen[str]", loop: asyncio.AbstractEventLoop) -> None:
+        with contextlib.suppress(RuntimeError):  # the server has ended
+            for line in process.stdout or ():
+                loop.call_soon_threadsafe(self._hear, line)
+            loop.call_soon_threadsafe(self._end, process.wait())
+
+    def _hear(self, line: str) -> None:
+        try:
+            content = json.loads(line)
+        except ValueError:  # a refusal on stderr
+            content = None
+        content = content if isinstance(content, dict) else {"refused": line.strip().removeprefix("palpd: ")}
+        self._asked = len(self.lines) if "ask" in content else None
+        self._add(content)
+
+    def _end(self, code: int) -> None:
+        self._process = self._asked = None
+        self._over.set()
+        log("set-up ended", code=code)
+        self._add({"ended": code})
+
+    def _add(self, line: dict[str, Any]) -> None:
+        self.lines.append(line)
+        self._publish(self.event)
