@@ -212,7 +212,7 @@ def operate_in_page(server: PageServer, person: Person, folder: Path) -> SetupSe
         time.sleep(0.1)
 
 
-def check_in_page(server: PageServer, cell: EmulatedCell, folder: Path) -> Path | None:
+def check_in_page(server: PageServer, folder: Path) -> Path | None:
     """Start the service of the folder, arm, and make the first morning check by the page's routes; the file that it keeps."""
     config = folder / "config.yaml"
     service = subprocess.Popen([sys.executable, "-m", "palpd", "serve", "--config", str(config)], stderr=subprocess.DEVNULL, env=_patient())
@@ -254,7 +254,7 @@ def main() -> int:
             began_s = time.monotonic()
             with page_server(folder) as server:
                 session = operate_in_page(server, Person(cell), folder)
-                checked = check_in_page(server, cell, folder)
+                checked = check_in_page(server, folder)
             print(f"{time.monotonic() - began_s:.0f} s to the first morning check: {checked.name if checked else 'none'}")
         else:
             session = operate(cell, folder)

@@ -1,11 +1,6 @@
 """Commands for whoever sets a cell up: the steps from an empty folder to the first press, and what they have shown."""
 
-import json
-import os
-import signal
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,9 +14,8 @@ from palpd.files import write_json
 from palpd.workers import end_with
 
 if TYPE_CHECKING:
-    from palpd.daemon.display import ShowProgress
-
-NOBODY = "a question has no answer, expected a terminal; run palpd setup in one, where it goes on, or leave the step out with --skip"
+    from palpd.daemon.display import Display
+    from palpd.daemon.setup.cell import StepOperator
 
 
 class TerminalOperator:
@@ -42,7 +36,9 @@ class TerminalOperator:
         except EOFError:
             from palpd.daemon.setup.cell import NoOperator
 
-            raise NoOperator(NOBODY) from None
+            raise NoOperator(
+                "a question has no answer, expected a terminal; run palpd setup in one, where it goes on, or leave the step out with --skip"
+            ) from None
 
     def choose(self, question: str, answers: Sequence[str], moves: str = "") -> str:
         """Ask for one of the answers; its first letters suffice, and an empty answer is the first. The question says what `moves` does."""
@@ -53,51 +49,6 @@ class TerminalOperator:
             if word in answers or len(fitting) == 1:
                 return word if word in answers else fitting[0]
             self.say(f"{word!r} is none of {', '.join(answers)}.")
-
-
-class TalkOperator:
-    """Whoever sits before the page, and its display: a JSON object a line to stdout, and to each question one with the `answer` from stdin.
-
-    An object holds a sentence (`say`), the progress of a run (`progress`), or a question: `ask`, with the usual answer, all answers where
-    others are refused, and the answer after which the arm moves.
-    """
-
-    def say(self, sentence: str) -> None:
-        """Show a sentence."""
-        self._write(say=sentence)
-
-    def ask(self, question: str, usual: str = "") -> str:
-        """Ask for a text; an empty answer is the usual one. Raises NoOperator where the input has ended."""
-        return self._answer(question, usual, (), "") or usual
-
-    def choose(self, question: str, answers: Sequence[str], moves: str = "") -> str:
-        """Ask for one of the answers; whatever is none of them is asked again, so that nothing moves by an empty answer."""
-        while (word := self._answer(question, answers[0], answers, moves)) not in answers:
-            self.say(f"{word!r} is none of {', '.join(answers)}.")
-        return word
-
-    def waiting(self, activity: str) -> AbstractContextManager[object]:
-        """Say that a calculation takes its time."""
-        self._write(progress=activity)
-        return nullcontext()
-
-    @contextmanager
-    def job(self, steps: int) -> Iterator["ShowProgress"]:
-        """Show the steps of a job."""
-        from palpd.cli.terminal import lines_of_steps
-
-        yield lines_of_steps(steps, lambda line: self._write(progress=line))
-
-    def _answer(self, question: str, usual: str, answers: Sequence[str], moves: str) -> str:
-        self._write(ask=question, usual=usual, answers=list(answers), moves=moves)
-        if not (line := sys.stdin.readline()):
-            from palpd.daemon.setup.cell import NoOperator
-
-            raise NoOperator(NOBODY)
-        return str(json.loads(line)["answer"]).strip()
-
-    def _write(self, **content: object) -> None:
-        print(json.dumps(content), flush=True)
 
 
 @app.command(
@@ -118,15 +69,21 @@ def setup(
     talk: Annotated[bool, typer.Option("--talk", hidden=True)] = False,
 ) -> None:
     """Set a cell up step by step, from an empty folder to the first press of 1 N; goes on where it ended."""
+    import os
+    import signal
+
     from palpd.daemon.setup.cell import SetupCell
     from palpd.daemon.setup.flow import NAMES, set_up
 
     if page:
         become_page(folder / "config.yaml", "--setup", folder, "--listen", listen, "--port", port)
+    operator: StepOperator = TerminalOperator()
+    shown: Display = display()
     if talk:
+        from palpd.cli.setup_talk import TalkOperator
+
         end_with(os.getppid(), signal.SIGTERM)  # as Ctrl-C, so that a run of the arm ends in a stop and its recording is closed
-    operator = TalkOperator() if talk else TerminalOperator()
-    shown = operator if isinstance(operator, TalkOperator) else display()
+        operator = shown = TalkOperator()
     commission = set_up(SetupCell(folder, operator, shown, robot, sensor), redo or (), skip or ())
     failed = [name for name in NAMES if name in commission.steps and commission.steps[name].verdict == "fail"]
     open_steps = [name for name in NAMES if name not in commission.steps]

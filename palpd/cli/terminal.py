@@ -1,6 +1,6 @@
 """The display of the command line: sentences as lines, a job as a bar that disappears when the job is over."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 
 from rich.console import Console
@@ -28,7 +28,7 @@ class TerminalDisplay:
     def job(self, steps: int) -> Iterator[ShowProgress]:
         """Draw a bar of that many steps, with the activity, the force and the height of the tip. Without a terminal print each step."""
         if not self._console.is_terminal:
-            yield lines_of_steps(steps, self.say)
+            yield self._lines(steps)
             return
         columns = TextColumn("{task.description:<34}", markup=False), BarColumn(), TextColumn("{task.fields[figures]}"), TimeElapsedColumn()
         with Progress(*columns, console=self._console, transient=True) as bar:
@@ -40,22 +40,16 @@ class TerminalDisplay:
 
             yield show
 
+    def _lines(self, steps: int) -> ShowProgress:
+        """A line for each step, for a log: a bar would be silent there until its end."""
+        last: tuple[int, str] | None = None
 
-def lines_of_steps(steps: int, say: Callable[[str], None]) -> ShowProgress:
-    """A line for each step of a job, for a log or a page: a bar would be silent there until its end.
+        def show(progress: JobProgress) -> None:
+            nonlocal last
+            place = progress.activity.partition(":")[0]
+            if (progress.steps_done, place) != last:
+                last = (progress.steps_done, place)
+                figures = f"{progress.force_N:.2f} N, z {progress.z_m * 1e3:.2f} mm"
+                self.say(f"{progress.steps_done}/{steps}  {progress.activity}  ({figures})")
 
-    Args:
-        steps: Number of the job's steps.
-        say: Takes each line.
-    """
-    last: tuple[int, str] | None = None
-
-    def show(progress: JobProgress) -> None:
-        nonlocal last
-        place = progress.activity.partition(":")[0]
-        if (progress.steps_done, place) != last:
-            last = (progress.steps_done, place)
-            figures = f"{progress.force_N:.2f} N, z {progress.z_m * 1e3:.2f} mm"
-            say(f"{progress.steps_done}/{steps}  {progress.activity}  ({figures})")
-
-    return show
+        return show

@@ -43,15 +43,9 @@ def routes(page: Page) -> list[BaseRoute]:
         talk.answer(int(number_in(body, "number")), text_in(body, "question"), text_in(body, "answer"))
         return talk.event
 
-    async def end(_: Request) -> Mapping[str, Any]:
-        """End it as Ctrl-C does at a terminal."""
-        await talk.interrupt()
-        return talk.event
-
     return [
         Route("/setup/rows", answering(rows)),
         Route("/setup/talk", answering(said)),
         Route("/setup/begin", answering(begin), methods=["POST"]),
         Route("/setup/answer", answering(answer), methods=["POST"]),
-        Route("/setup/end", answering(end), methods=["POST"]),
     ]

@@ -11,6 +11,7 @@ from pathlib import Path
 from signal import SIGTERM
 from typing import Any
 
+from palpd.daemon.socket_client import ControlAnswer
 from palpd.errors import Refused
 from palpd.web.log import log
 
@@ -93,15 +94,17 @@ class SetupTalk:
         self._asked = None
         self._add({"answered": text})
 
-    async def interrupt(self) -> bool | None:
-        """Interrupt it as Ctrl-C does at a terminal, so that its run ends in a stop. None: there was none; else whether it has ended."""
+    async def interrupt(self) -> ControlAnswer | None:
+        """Interrupt it as Ctrl-C does at a terminal, so that its run ends in a stop; the answer to an abort, None where there was none."""
         if self._process is None:
             return None
         over = self._over
         self._process.send_signal(SIGTERM)  # not SIGINT, which a child of a shell's background job may ignore
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(over.wait(), END_S)
-        return over.is_set()
+        if over.is_set():
+            return {"ok": True, "state": "the set-up has ended"}
+        return {"ok": False, "error": f"the set-up was interrupted, and has not ended within {END_S:g} s; use the emergency stop"}
 
     def _listen(self, process: "subprocess.Popen[str]", loop: asyncio.AbstractEventLoop) -> None:
         with contextlib.suppress(RuntimeError):  # the server has ended

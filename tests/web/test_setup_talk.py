@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from palpd.cli.setup import TalkOperator
+from palpd.cli.setup_talk import TalkOperator
 from palpd.daemon.setup.cell import NoOperator
 from palpd.web.application import build
 from palpd.web.page import PageSettings
@@ -53,7 +53,9 @@ def test_a_question_is_answered_once_and_a_second_set_up_is_refused(page: TestCl
     talk = talked(page, asked=True)
     question = talk["said"][talk["asked"]]
     assert (question["ask"], question["answers"], question["moves"]) == (FIRST, ["go", "skip", "stop"], "")
-    elsewhere = subprocess.run([sys.executable, "-m", "palpd", "setup", str(tmp_path / "cell")], capture_output=True, text=True, check=False)
+    elsewhere = subprocess.run(
+        [sys.executable, "-m", "palpd", "setup", str(tmp_path / "cell")], capture_output=True, text=True, check=False
+    )
     assert (elsewhere.returncode, "another palpd setup of" in elsewhere.stderr) == (2, True), elsewhere.stderr
     answer = {"number": talk["asked"], "question": FIRST, "answer": "skip"}
     for stale in ({"number": talk["asked"] - 1}, {"question": "The arm will move. What now?"}, {"number": 99}):
@@ -80,11 +82,11 @@ def test_an_abort_ends_a_set_up_that_waits_and_a_step_that_does_not_exist_is_a_s
 
 
 def test_the_routes_stand_behind_token_and_mark(page: TestClient) -> None:
-    paths = ("/setup/begin", "/setup/answer", "/setup/end")
+    paths = ("/setup/begin", "/setup/answer")
     del page.headers["x-palpd-csrf"]
-    assert [page.post(path, json={}).status_code for path in paths] == [403] * 3
+    assert [page.post(path, json={}).status_code for path in paths] == [403] * 2
     page.cookies.clear()
-    assert [page.post(path, json={}).status_code for path in paths] == [401] * 3
+    assert [page.post(path, json={}).status_code for path in paths] == [401] * 2
     assert page.get("/setup/talk?after=0").status_code == 401
 
 

@@ -94,7 +94,6 @@ async function showTalk() {
     if (answer.said.length || !open) showQuestion(answer.asked, open ? answer.said.at(-1) : null);
     if (answer.said.length) log.scrollTop = log.scrollHeight;
     byId("begin").hidden = answer.under_way;
-    byId("end").hidden = !answer.under_way;
     if (was !== answer.under_way) { was = answer.under_way; showSteps(answer); }
   }
   reading = false;
@@ -103,4 +102,3 @@ async function showTalk() {
 on("setup", (event) => { heard = event; showTalk(); });
 byId("begin").addEventListener("click", () => send("/setup/begin"));
 byId("redo-begin").addEventListener("click", () => send("/setup/begin", { redo: byId("redo").value }));
-byId("end").addEventListener("click", () => send("/setup/end"));
