@@ -4,12 +4,13 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 from palpd.daemon.finding import Finding
+from palpd.daemon.interrupts import last_words, received
 from palpd.daemon.job_client import service_at
 from palpd.daemon.setup import motion_steps, still_steps
 from palpd.daemon.setup.cell import NoOperator, SetupCell
 from palpd.daemon.setup.commission import Commission, StepResult, StepVerdict
 from palpd.daemon.stored_state import now
-from palpd.errors import BadInput, PalpdError, Refused
+from palpd.errors import BadInput, PalpdError, Refused, Stopped
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +62,7 @@ def set_up(cell: SetupCell, redo: Collection[str] = (), skip: Collection[str] = 
         BadInput: There is no step of such a name.
         Refused: A service serves this cell, or another set-up of it is under way.
         NoOperator: Nobody answers.
+        Stopped: A signal has ended the run of a step.
     """
     for name in (*redo, *skip):
         if name not in NAMES:
@@ -101,6 +103,8 @@ def _done(cell: SetupCell, step: SetupStep, title: str) -> bool:
             _keep(cell, step, StepResult(now(), "skipped"))
             return True
         findings = _attempt(cell, step)
+        if received():  # what an abort has cut off has measured nothing
+            raise Stopped(last_words()[0])
         for finding in findings:
             operator.say(line(finding))
         verdicts = {finding.verdict for finding in findings}

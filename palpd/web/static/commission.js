@@ -32,21 +32,22 @@ async function showSteps(talk) {
   if (!answer.ok) return;
   const next = answer.order.find((name) => !answer.steps[name] || answer.steps[name].verdict === "fail");
   if (next) byId("next").textContent = `Next is ${next}: ${talk.offered ? "Go on leads there" : "palpd setup goes on there, at a terminal"}.`;
-  else byId("next").replaceChildren("All steps are done or skipped. Next, start the service: systemctl enable --now palpd palpd-web, or ",
-    make("code", { text: `palpd serve --config ${talk.config}` }), ". Then press Arm, and make the first morning check in the tab ", make("a", { href: "/checks", text: "Checks" }), ".");
+  else byId("next").replaceChildren("All steps are done or skipped. Next, start the service (", make("code", { text: `palpd serve --config ${talk.config}` }),
+    "), press Arm, and make the first morning check in the tab ", make("a", { href: "/checks", text: "Checks" }),
+    ". Installed by systemd it has a page of its own: end this one, then ", make("code", { text: "systemctl enable --now palpd palpd-web" }), ".");
   byId("redo").replaceChildren(...answer.order.filter((name) => answer.steps[name]).map((name) => make("option", { text: name })));
   byId("steps").replaceChildren(...answer.order.flatMap((name) => lines(name, answer.steps[name])));
   byId("rows").replaceChildren(...Object.entries(answer.assumptions).map(([rests_on, state]) => make("tr", {}, cell(rests_on.replaceAll("`", "")), cell(state))));
 }
 
-const KINDS = [[/^\d+\/\d+ /, "title"], [/^ {2}FAIL/, "bad"], [/^ {2}warn/, "warned-line"], [/^ {2}ok/, "good"]];
+const KINDS = [[/^\d+\/\d+ {2}/, "faint"], [/^\d+\/\d+ /, "title"], [/^ {2}FAIL/, "bad"], [/^ {2}warn/, "warned-line"], [/^ {2}ok/, "good"]];
 
 function spoken(line) {
   if ("say" in line) return make("li", { text: line.say, className: (KINDS.find(([words]) => words.test(line.say)) ?? [])[1] ?? "" });
   if ("ask" in line) return make("li", { text: line.ask, className: "asked" });
   if ("answered" in line) return make("li", { text: `▸ ${line.answered || "(nothing)"}`, className: "answered" });
   if ("ended" in line) return make("li", { text: line.ended ? `The set-up has ended with code ${line.ended}.` : "The set-up has ended.", className: "faint" });
-  return make("li", { text: line.progress ?? line.refused ?? line.begun, className: "refused" in line ? "bad" : "faint" });
+  return make("li", { text: line.refused ?? line.begun, className: "refused" in line ? "bad" : "faint" });
 }
 
 async function send(path, content) {
@@ -73,7 +74,8 @@ function showQuestion(number, line) {
   const typed = make("input", { value: line.usual, id: "typed", autocomplete: "off", spellcheck: false, maxLength: 2000 });
   const form = make("form", { className: "line", on: { submit: (event) => { event.preventDefault(); answer(typed.value); } } }, typed, make("button", { type: "submit", text: "Answer" }));
   const title = line.answers.length ? make("p", { text: line.ask, id: "question-text" }) : make("p", { id: "question-text" }, make("label", { htmlFor: "typed", text: line.ask }));
-  box.replaceChildren(title, line.answers.length ? make("p", { className: "line" }, ...line.answers.map(button)) : form);
+  const step = [...byId("said").querySelectorAll(".title")].at(-1)?.textContent ?? "";
+  box.replaceChildren(faint(step), title, line.answers.length ? make("p", { className: "line" }, ...line.answers.map(button)) : form);
 }
 
 let shown = 0, heard = null, reading = false, was = null;
