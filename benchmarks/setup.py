@@ -151,7 +151,7 @@ def _answer(cell: EmulatedCell, question: str, plate_N_per_m: float) -> str:
 
 
 @dataclass(frozen=True)
-class PageServer:
+class SetupPage:
     """`palpd setup CELL --page` under way, seen by a program that shows the token with each request."""
 
     process: subprocess.Popen[str]
@@ -170,7 +170,7 @@ class PageServer:
 
 
 @contextmanager
-def page_server(folder: Path) -> Iterator[PageServer]:
+def setup_page(folder: Path) -> Iterator[SetupPage]:
     """Serve the page for a set-up of a folder within the context."""
     with closing(socket.create_server(("127.0.0.1", 0))) as free:
         port = free.getsockname()[1]
@@ -179,13 +179,13 @@ def page_server(folder: Path) -> Iterator[PageServer]:
     assert process.stdout is not None
     try:
         address, _, token = process.stdout.readline().split()[-1].partition("/?token=")
-        yield PageServer(process, address, token)
+        yield SetupPage(process, address, token)
     finally:
         process.terminate()
         process.wait(PATIENCE_S)
 
 
-def operate_in_page(server: PageServer, person: Person, folder: Path) -> SetupSession:
+def operate_in_page(server: SetupPage, person: Person, folder: Path) -> SetupSession:
     """Carry out the set-up by the page's routes. The person types both addresses too."""
     addresses = {"Address of": person.cell.wires.host, "No DAQ": person.cell.wires.sensor}
     began_s, shown, pending = time.monotonic(), list[str](), list[str]()
@@ -212,7 +212,7 @@ def operate_in_page(server: PageServer, person: Person, folder: Path) -> SetupSe
         time.sleep(0.1)
 
 
-def check_in_page(server: PageServer, folder: Path) -> Path | None:
+def check_in_page(server: SetupPage, folder: Path) -> Path | None:
     """Start the service of the folder, arm, and make the first morning check by the page's routes; the file that it keeps."""
     config = folder / "config.yaml"
     service = subprocess.Popen([sys.executable, "-m", "palpd", "serve", "--config", str(config)], stderr=subprocess.DEVNULL, env=_patient())
@@ -252,7 +252,7 @@ def main() -> int:
         folder = Path(name) / "cell"
         if arguments.page:
             began_s = time.monotonic()
-            with page_server(folder) as server:
+            with setup_page(folder) as server:
                 session = operate_in_page(server, Person(cell), folder)
                 checked = check_in_page(server, folder)
             print(f"{time.monotonic() - began_s:.0f} s to the first morning check: {checked.name if checked else 'none'}")

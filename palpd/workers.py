@@ -87,7 +87,7 @@ def end_with(parent: int, number: signal.Signals = signal.SIGKILL) -> None:
 
     Args:
         parent: Process id of the parent when this process began.
-        number: The signal that ends it.
+        number: SIGTERM lets it end in order.
     """
     ctypes.CDLL(None).prctl(KILL_WITH_PARENT, number, 0, 0, 0)
     if os.getppid() != parent:  # it died before

@@ -66,7 +66,7 @@ def setup(
     page: Annotated[bool, typer.Option("--page", help="lead through it in a browser: serve the page for this cell")] = False,
     port: PortOption = PAGE_PORT,
     listen: ListenOption = "127.0.0.1",
-    talk: Annotated[bool, typer.Option("--talk", hidden=True)] = False,
+    talk: Annotated[bool, typer.Option("--talk", help="speak JSON lines, for the page, and end with the program that began it")] = False,
 ) -> None:
     """Set a cell up step by step, from an empty folder to the first press of 1 N; goes on where it ended."""
     import os

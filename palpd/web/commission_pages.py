@@ -27,7 +27,7 @@ def routes(page: Page) -> list[BaseRoute]:
         content: Mapping[str, Any] = await run_in_threadpool(child.result)
         return content
 
-    async def said(request: Request) -> Mapping[str, Any]:
+    async def lines(request: Request) -> Mapping[str, Any]:
         """All lines from a number on, and what stands."""
         after = max(0, int(number_in(request.query_params, "after")))
         return {**talk.event, "said": talk.lines[after:], "config": str(page.settings.config)}
@@ -45,7 +45,7 @@ def routes(page: Page) -> list[BaseRoute]:
 
     return [
         Route("/setup/rows", answering(rows)),
-        Route("/setup/talk", answering(said)),
+        Route("/setup/talk", answering(lines)),
         Route("/setup/begin", answering(begin), methods=["POST"]),
         Route("/setup/answer", answering(answer), methods=["POST"]),
     ]

@@ -26,12 +26,7 @@ class SetupTalk:
     """
 
     def __init__(self, folder: Path | None, publish: Callable[[dict[str, Any]], None]) -> None:
-        """Keep a set-up.
-
-        Args:
-            folder: The cell; None: the page was not started for a set-up.
-            publish: Takes the event that all pages hear.
-        """
+        """Keep a set-up of a folder, or none; `publish` takes the event that all pages hear."""
         self.folder, self._publish = folder, publish
         self.lines: list[dict[str, Any]] = []
         self._asked: int | None = None
@@ -45,28 +40,17 @@ class SetupTalk:
         return {"event": "setup", "offered": offered, "under_way": under_way, "lines": len(self.lines), "asked": self._asked}
 
     def begin(self, redo: str) -> None:
-        """Begin, or go on where it ended.
-
-        Args:
-            redo: Name of a step to do again; empty: none.
-
-        Raises:
-            Refused: One is under way, or this page leads through none.
-        """
+        """Begin, or go on where it ended; `redo` is a step to do again, or empty. Raises Refused where one is under way or none is led."""
         if self.folder is None:
             raise Refused("this page leads through no set-up; start it with palpd setup CELL --page")
         if self._process is not None:
             raise Refused("a set-up is under way already; answer its question, or end it")
         words = ["setup", "--talk", *([f"--redo={redo}"] if redo else []), "--", str(self.folder)]  # a list: no shell reads them
         try:
+            command, pipe = [sys.executable, "-m", "palpd", *words], subprocess.PIPE
+            # in a session of its own: Ctrl-C at this server's terminal ends the server, which ends the child
             process = subprocess.Popen(
-                [sys.executable, "-m", "palpd", *words],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                errors="replace",
-                start_new_session=True,  # Ctrl-C at this server's terminal ends the server, which ends the child
+                command, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, text=True, errors="replace", start_new_session=True
             )
         except (OSError, ValueError) as error:
             raise Refused(f"palpd setup cannot be started ({error}); try again") from error
@@ -75,15 +59,10 @@ class SetupTalk:
         threading.Thread(target=self._listen, args=(process, asyncio.get_running_loop()), daemon=True, name="setup").start()
 
     def answer(self, number: int, question: str, text: str) -> None:
-        """Pass an answer on.
-
-        Args:
-            number: Number of the question's line.
-            question: Its text, as the page shows it.
-            text: The answer.
+        """Pass an answer to the question of that line and text.
 
         Raises:
-            Refused: This question is not asked now: another browser has answered it, or it was pressed twice.
+            Refused: It is not asked now: another browser has answered it, or it was pressed twice.
         """
         process = self._process
         if process is None or process.stdin is None or self._asked != number or self.lines[number]["ask"] != question:
@@ -113,11 +92,8 @@ class SetupTalk:
             loop.call_soon_threadsafe(self._end, process.wait())
 
     def _hear(self, line: str) -> None:
-        try:
-            content = json.loads(line)
-        except ValueError:  # a refusal on stderr
-            content = None
-        content = content if isinstance(content, dict) else {"refused": line.strip().removeprefix("palpd: ")}
+        # whatever is no object is a refusal on stderr, or what a library prints
+        content = json.loads(line) if line.startswith('{"') else {"refused": line.strip().removeprefix("palpd: ")}
         self._asked = len(self.lines) if "ask" in content else None
         self._add(content)
 

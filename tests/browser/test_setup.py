@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.setup import PageServer, page_server
+from benchmarks.setup import SetupPage, setup_page
 from palpd.daemon.setup.commission import Commission, StepResult, seen
 from palpd.daemon.setup.flow import NAMES
 from palpd.daemon.stored_state import State
@@ -56,7 +56,7 @@ def kept(folder: Path, until_step: str, **others: StepResult) -> None:
 def test_a_person_with_a_browser_alone_begins_reloads_and_aborts(tmp_path: Path, browser: Any) -> None:
     skip_without_ur_rtde()
     folder = tmp_path / "cell"
-    with emulated_cell(tmp_path) as cell, page_server(folder) as server:
+    with emulated_cell(tmp_path) as cell, setup_page(folder) as server:
         page = browser.new_page(viewport={"width": 1400, "height": 900})
         page.set_default_timeout(PATIENCE_MS)
         page.goto(f"{server.address}/?token={server.token}")
@@ -116,7 +116,7 @@ def abort_while_level_moves(page: Any, cell: EmulatedCell, folder: Path) -> None
     until_text(page, "#said", "The set-up has ended with code 3")
 
 
-def show_the_ends(page: Any, server: PageServer, folder: Path) -> None:
+def show_the_ends(page: Any, server: SetupPage, folder: Path) -> None:
     advice = "give the cable a loop that hangs loose, and redo reference and level"
     finding = seen("free air", "the force changed by 0.50 N over 5 mm of free air", "at most 0.3 N", advice, fails=True)
     kept(folder, "level", level=StepResult("2026-11-27T08:00", "fail", (finding,)))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.setup import PageServer, operate, page_server
+from benchmarks.setup import SetupPage, operate, setup_page
 from benchmarks.setup_faults import FAULTS, PlantedFault, row, tried
 from palpd.config import load_config
 from palpd.daemon.setup.commission import Commission, StepResult
@@ -54,21 +54,21 @@ def before_level(cell: EmulatedCell, folder: Path) -> EmulatedCell:
     return wired
 
 
-def post_the_abort(server: PageServer) -> None:
+def post_the_abort(server: SetupPage) -> None:
     assert server.ask("/abort", {}) == {"ok": True, "state": "the set-up has ended"}
 
 
 @pytest.mark.parametrize("end", [post_the_abort, lambda server: server.process.kill()], ids=["abort of the page", "server killed"])
-def test_the_arm_of_a_set_up_in_the_page_stops_in_mid_motion(tmp_path: Path, end: Callable[[PageServer], None]) -> None:
+def test_the_arm_of_a_set_up_in_the_page_stops_in_mid_motion(tmp_path: Path, end: Callable[[SetupPage], None]) -> None:
     skip_without_ur_rtde()
     with emulated_cell(tmp_path) as cell:
         numbers = iter(range(9))
         retry_if_machine_stalled(lambda: before_level(cell, tmp_path / str(next(numbers))), lambda wired: end_in_mid_motion(wired, end))
 
 
-def end_in_mid_motion(cell: EmulatedCell, end: Callable[[PageServer], None]) -> None:
+def end_in_mid_motion(cell: EmulatedCell, end: Callable[[SetupPage], None]) -> None:
     """Let `level` begin by the page's routes, end it on its way, and look at the wire and at the recording."""
-    with page_server(cell.folder) as server:
+    with setup_page(cell.folder) as server:
         server.ask("/setup/begin", {})
         until(lambda: server.ask("/setup/talk?after=0")["asked"] is not None, "the step asks", 60.0, every_s=0.05)
         talk = server.ask("/setup/talk?after=0")

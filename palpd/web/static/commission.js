@@ -53,6 +53,7 @@ function spoken(line) {
 async function send(path, content) {
   const answer = await ask(path, content);
   if (!answer.ok) say(answer.error, "refused");
+  return answer.ok;
 }
 
 function showQuestion(number, line) {
@@ -61,9 +62,10 @@ function showQuestion(number, line) {
   if (!line) { box.replaceChildren(); box.dataset.number = ""; return; }
   if (box.dataset.number === `${number}`) return; // what is typed stays
   box.dataset.number = number;
-  const answer = (text) => {
-    for (const button of box.querySelectorAll("button")) button.disabled = true;
-    return send("/setup/answer", { number, question: line.ask, answer: text });
+  const enable = (enabled) => { for (const button of box.querySelectorAll("button")) button.disabled = !enabled; };
+  const answer = async (text) => {
+    enable(false);
+    if (!(await send("/setup/answer", { number, question: line.ask, answer: text }))) enable(true);
   };
   const button = (text) => {
     const moves = text === line.moves;
