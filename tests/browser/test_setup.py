@@ -20,7 +20,7 @@ from palpd.testing.emulated_cell import EmulatedCell, emulated_cell
 from palpd.testing.fixtures import skip_without_ur_rtde
 from palpd.testing.processes import until
 from tests.browser.conftest import CHROMIUM, PATIENCE_MS, playwright_api
-from tests.browser.waiting import until_text
+from tests.browser.waiting import nothing_for_axe, until_text
 
 SHOTS = os.environ.get("PALPD_SCREENSHOTS")
 
@@ -99,6 +99,7 @@ def abort_while_level_moves(page: Any, cell: EmulatedCell, folder: Path) -> None
     go = page.locator("#question .moves")
     go.wait_for()
     assert go.inner_text() == "Go: the arm moves"
+    nothing_for_axe(page)
     keep(page, "moves")
     go.focus()
     page.keyboard.press("Enter")
@@ -129,4 +130,5 @@ def show_the_ends(page: Any, server: SetupPage, folder: Path) -> None:
     keep(page, "finished")
     page.goto(f"{server.address}/checks")
     until_text(page, "#last", "There is no check yet")
+    nothing_for_axe(page)
     keep(page, "checks")
