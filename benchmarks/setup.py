@@ -147,6 +147,8 @@ def _answer(cell: EmulatedCell, question: str, plate_N_per_m: float) -> str:
         if question.startswith(begins):
             act()
             time.sleep(0.5)
+    if "may it be cleared" in question:
+        return "yes"
     return {"Mass": f"{TOOL_KG:g}", "Weight": f"{WEIGHT_N:g}"}.get(question.split()[0], "")
 
 
