@@ -21,7 +21,7 @@ class TalkOperator(TerminalDisplay):
 
     def say(self, sentence: str) -> None:
         """Show a sentence."""
-        print(json.dumps({"say": sentence}), flush=True)
+        self._write(say=sentence)
 
     def ask(self, question: str, usual: str = "") -> str:
         """Ask for a text; an empty answer is the usual one. Raises NoOperator where the input has ended."""
@@ -34,7 +34,10 @@ class TalkOperator(TerminalDisplay):
         return word
 
     def _answer(self, question: str, usual: str, answers: Sequence[str] = (), moves: str = "") -> str:
-        print(json.dumps({"ask": question, "usual": usual, "answers": answers, "moves": moves}), flush=True)
+        self._write(ask=question, usual=usual, answers=answers, moves=moves)
         if not (line := sys.stdin.readline()):
             raise NoOperator("a question has no answer, since the page has ended; palpd setup goes on there")
         return str(json.loads(line)["answer"]).strip()
+
+    def _write(self, **content: object) -> None:
+        print(f"\n{json.dumps(content)}", flush=True)  # the first line break ends what a library has begun to print

@@ -44,7 +44,7 @@ class SetupTalk:
         if self.folder is None:
             raise Refused("this page leads through no set-up; start it with palpd setup CELL --page")
         if self._process is not None:
-            raise Refused("a set-up is under way already; answer its question, or end it")
+            raise Refused("a set-up is under way already; answer its question, or abort it")
         words = ["setup", "--talk", *([f"--redo={redo}"] if redo else []), "--", str(self.folder)]  # a list: no shell reads them
         try:
             command, pipe = [sys.executable, "-m", "palpd", *words], subprocess.PIPE
@@ -92,6 +92,8 @@ class SetupTalk:
             loop.call_soon_threadsafe(self._end, process.wait())
 
     def _hear(self, line: str) -> None:
+        if not line.strip():
+            return
         # whatever is no object is a refusal on stderr, or what a library prints
         content = json.loads(line) if line.startswith('{"') else {"refused": line.strip().removeprefix("palpd: ")}
         self._asked = len(self.lines) if "ask" in content else None

@@ -99,6 +99,6 @@ def test_the_operator_of_the_talk_asks_again_and_ends_with_its_input(
     assert operator.ask("Weight in N", "5") == "5"
     with pytest.raises(NoOperator, match="a question has no answer"):
         operator.ask("Mass")
-    written = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    written = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line]
     assert written[0] == {"ask": "The arm will move. What now?", "usual": "stop", "answers": ["stop", "go"], "moves": "go"}
     assert written[1] == {"say": "'' is none of stop, go."}

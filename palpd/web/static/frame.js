@@ -39,7 +39,7 @@ on("lost", () => {
 });
 on("setup", (event) => {
   setup = event;
-  if (document.body.dataset.service !== "open") showLost();
+  if (document.body.dataset.service === "lost") showLost();
 });
 on("refused", ({ reason }) => say(reason, "refused"));
 on("link", (now) => {
