@@ -56,6 +56,8 @@ async function send(path, content) {
   return answer.ok;
 }
 
+const DEAD_MS = 800;
+
 function showQuestion(number, line) {
   const box = byId("question");
   box.hidden = !line;
@@ -70,7 +72,10 @@ function showQuestion(number, line) {
   const button = (text) => {
     const moves = text === line.moves;
     const made = make("button", { type: "button", text: moves ? `${capital(text)}: the arm moves` : capital(text), className: moves ? "moves" : "", on: { click: () => answer(text) } });
-    if (moves) made.addEventListener("keydown", (event) => { if (event.key === "Enter") event.preventDefault(); }); // no motion by a key
+    if (!moves) return made;
+    made.addEventListener("keydown", (event) => { if (event.key === "Enter") event.preventDefault(); }); // no motion by a key
+    made.disabled = true; // nor by the second click of a double click on the question before
+    setTimeout(() => { made.disabled = false; }, DEAD_MS);
     return made;
   };
   const typed = make("input", { value: line.usual, id: "typed", autocomplete: "off", spellcheck: false, maxLength: 2000 });
