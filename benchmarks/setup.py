@@ -8,16 +8,21 @@ import argparse
 import json
 import os
 import re
+import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
 
 from palpd.testing.emulated_cell import PATIENT, EmulatedCell, emulated_cell
+from palpd.testing.processes import until
 
 TARGET_S = 300.0
 PATIENCE_S = 120.0
@@ -64,10 +69,9 @@ def operate(
         until: Name of the step at which the operator stops; empty: the last.
         plate_N_per_m: Stiffness that the arm feels on the plate.
     """
-    quiet = {key: value for key, value in PATIENT["safety"].items() if key != "contact_limit_N"}
-    environment = os.environ | {"PALPD_ROBOT": json.dumps(PATIENT["robot"]), "PALPD_SAFETY": json.dumps(quiet)}
+    environment = _patient()
     command = [sys.executable, "-m", "palpd", "setup", str(folder), "--robot", cell.wires.host, "--sensor", cell.wires.sensor, *options]
-    began_s, text, tries = time.monotonic(), "", 0
+    began_s, text, person = time.monotonic(), "", Person(cell, again, until, plate_N_per_m)
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=environment)
     assert process.stdin is not None
     assert process.stdout is not None
@@ -80,15 +84,7 @@ def operate(
             text += piece.decode()
             pending += piece.decode()
         if pending.endswith(" > "):
-            lines = pending.splitlines()
-            question, pending = lines[-1], ""
-            failed = "has failed" in "".join(lines[-3:])
-            tries += failed
-            step = next((line.split()[1].rstrip(":") for line in reversed(text.splitlines()) if line[:1].isdigit()), "")
-            if "What now?" in question:
-                answer = _decision(question, step, until, not failed or (again and tries < TRIES))
-            else:
-                answer = _answer(cell, question, plate_N_per_m)
+            answer, pending = person.answer(pending.splitlines()), ""
             text += answer + "\n"
             process.stdin.write(answer.encode() + b"\n")
             process.stdin.flush()
@@ -99,18 +95,43 @@ def operate(
             time.sleep(0.02)
     rest = process.stdout.read()
     text += rest.decode() if rest else ""
+    return SetupSession(text, process.returncode, time.monotonic() - began_s, _steps(folder))
+
+
+def _steps(folder: Path) -> Mapping[str, Any]:
     kept = folder / "state" / "commission.json"
-    return SetupSession(
-        text, process.returncode, time.monotonic() - began_s, json.loads(kept.read_text())["steps"] if kept.exists() else {}
-    )
+    steps: Mapping[str, Any] = json.loads(kept.read_text())["steps"] if kept.exists() else {}
+    return steps
 
 
-def _decision(question: str, step: str, until: str, may_go: bool) -> str:
-    if step == until:
-        return "stop"
-    if step == "service":
-        return "skip"
-    return "go" if may_go and re.search(r"\bgo\b", question) else "stop"
+def _patient() -> dict[str, str]:
+    quiet = {key: value for key, value in PATIENT["safety"].items() if key != "contact_limit_N"}
+    return os.environ | {"PALPD_ROBOT": json.dumps(PATIENT["robot"]), "PALPD_SAFETY": json.dumps(quiet)}
+
+
+@dataclass
+class Person:
+    """Whoever answers: at a terminal or in the page, and hangs, puts and presses what a question asks for."""
+
+    cell: EmulatedCell
+    again: bool = True
+    until: str = ""
+    plate_N_per_m: float = PLATE_N_PER_M
+    step: str = ""
+    tries: int = 0
+
+    def answer(self, lines: Sequence[str]) -> str:
+        """The answer to the last of these lines; those before it were said since the answer before."""
+        self.step = next((line.split()[1].rstrip(":") for line in reversed(lines) if re.match(r"\d+/13 ", line)), self.step)
+        failed = "has failed" in "".join(lines[-3:])
+        self.tries += failed
+        answer = _answer(self.cell, lines[-1], self.plate_N_per_m)
+        if "What now?" not in lines[-1]:
+            return answer
+        if self.step in (self.until, "service"):
+            return "stop" if self.step == self.until else "skip"
+        may_go = not failed or (self.again and self.tries < TRIES)
+        return "go" if may_go and re.search(r"\bgo\b", lines[-1]) else "stop"
 
 
 def _answer(cell: EmulatedCell, question: str, plate_N_per_m: float) -> str:
@@ -126,20 +147,123 @@ def _answer(cell: EmulatedCell, question: str, plate_N_per_m: float) -> str:
         if question.startswith(begins):
             act()
             time.sleep(0.5)
+    if "may it be cleared" in question:
+        return "yes"
     return {"Mass": f"{TOOL_KG:g}", "Weight": f"{WEIGHT_N:g}"}.get(question.split()[0], "")
+
+
+@dataclass(frozen=True)
+class SetupPage:
+    """`palpd setup CELL --page` under way, seen by a program that shows the token with each request."""
+
+    process: subprocess.Popen[str]
+    address: str
+    token: str
+
+    def ask(self, path: str, content: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """GET a route, or POST to it; the answer, also where it is a refusal."""
+        body = json.dumps(content).encode() if content is not None else None
+        request = Request(f"{self.address}{path}", body, {"Authorization": f"Bearer {self.token}"})
+        try:
+            with urlopen(request, timeout=PATIENCE_S) as answer:
+                return dict(json.load(answer))
+        except HTTPError as refusal:
+            return dict(json.load(refusal))
+
+
+@contextmanager
+def setup_page(folder: Path) -> Iterator[SetupPage]:
+    """Serve the page for a set-up of a folder within the context."""
+    with closing(socket.create_server(("127.0.0.1", 0))) as free:
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "palpd", "setup", str(folder), "--page", "--port", str(port)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=_patient())
+    assert process.stdout is not None
+    try:
+        address, _, token = process.stdout.readline().split()[-1].partition("/?token=")
+        yield SetupPage(process, address, token)
+    finally:
+        process.terminate()
+        process.wait(PATIENCE_S)
+
+
+def operate_in_page(server: SetupPage, person: Person, folder: Path) -> SetupSession:
+    """Carry out the set-up by the page's routes. The person types both addresses too."""
+    addresses = {"Address of": person.cell.wires.host, "No DAQ": person.cell.wires.sensor}
+    began_s, shown, pending = time.monotonic(), list[str](), list[str]()
+    assert server.ask("/setup/begin", {})["ok"]
+    lines = heard = 0
+    heard_s = time.monotonic()
+    while True:
+        talk = server.ask(f"/setup/talk?after={lines}")
+        for line in talk["said"]:
+            words = f"{line['ask']} ({', '.join(line['answers'])})" if "ask" in line else str(next(iter(line.values())))
+            shown.append(words)
+            pending.append(words)
+        lines += len(talk["said"])
+        if talk["asked"] is not None:
+            question = talk["said"][-1]["ask"]
+            typed = next((value for begins, value in addresses.items() if question.startswith(begins)), person.answer(pending))
+            answer, pending = typed or talk["said"][-1]["usual"], []
+            assert server.ask("/setup/answer", {"number": talk["asked"], "question": question, "answer": answer})["ok"]
+        elif not talk["under_way"]:
+            return SetupSession("\n".join(shown), int(talk["said"][-1]["ended"]), time.monotonic() - began_s, _steps(folder))
+        heard, heard_s = (lines, time.monotonic()) if lines != heard else (heard, heard_s)
+        if time.monotonic() - heard_s > PATIENCE_S:
+            raise TimeoutError(f"the set-up said nothing for {PATIENCE_S:g} s:\n{shown[-20:]}")
+        time.sleep(0.1)
+
+
+def check_in_page(server: SetupPage, folder: Path) -> Path | None:
+    """Start the service of the folder, arm, and make the first morning check by the page's routes; the file that it keeps."""
+    config = folder / "config.yaml"
+    service = subprocess.Popen([sys.executable, "-m", "palpd", "serve", "--config", str(config)], stderr=subprocess.DEVNULL, env=_patient())
+    try:
+        until(lambda: server.ask("/do/status", {}).get("state") == "disarmed", "the service is ready", PATIENCE_S, every_s=0.2)
+        lease = server.ask("/do/take", {"name": "benchmark"})["lease"]
+        for what, more in (("arm", {}), ("begin", {"program": "check", "arguments": {"temperature_C": 21.0}})):
+            answer = server.ask(f"/do/{what}", {"lease": lease, **more})
+            print(f"{what}: {answer.get('error') or answer.get('state') or answer.get('id')}")
+        job = answer.get("id")
+        over = [False]
+
+        def ended() -> bool:
+            server.ask("/do/renew", {"lease": lease})
+            over[0] = server.ask("/do/job", {"id": job}).get("ended") is not None
+            return over[0]
+
+        if job is not None:
+            until(ended, "the check is over", PATIENCE_S, every_s=0.5)
+        print(json.dumps(server.ask("/do/job", {"id": job}).get("reason")))
+        for check in server.ask("/checks/list")["checks"]:
+            print(f"check of {check['date']}: {check['level']}: {check['sentence']}")
+        return next((folder / "runs").glob("*.check.json"), None)
+    finally:
+        service.terminate()
+        service.wait(PATIENCE_S)
 
 
 def main() -> int:
     """Set an emulated cell up, and print how that went."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--model", choices=("ur5", "ur5e"), default="ur5")
-    model = parser.parse_args().model
-    with tempfile.TemporaryDirectory() as folder, emulated_cell(Path(folder), model) as cell:
-        session = operate(cell, Path(folder) / "cell")
+    parser.add_argument("--page", action="store_true", help="by the routes of the page, up to the first morning check")
+    arguments = parser.parse_args()
+    checked = None
+    with tempfile.TemporaryDirectory() as name, emulated_cell(Path(name), arguments.model) as cell:
+        folder = Path(name) / "cell"
+        if arguments.page:
+            began_s = time.monotonic()
+            with setup_page(folder) as server:
+                session = operate_in_page(server, Person(cell), folder)
+                checked = check_in_page(server, folder)
+            print(f"{time.monotonic() - began_s:.0f} s to the first morning check: {checked.name if checked else 'none'}")
+        else:
+            session = operate(cell, folder)
     print(session.text)
     print(f"{session.duration_s:.0f} s from an empty folder to the first press, target {TARGET_S:g} s; exit code {session.exit_code}")
     done = session.steps.get("press", {}).get("verdict") == "ok"
-    return 0 if done and session.duration_s <= TARGET_S else 1
+    return 0 if done and (checked or not arguments.page) and session.duration_s <= TARGET_S else 1
 
 
 if __name__ == "__main__":

@@ -82,13 +82,14 @@ def _begin(parent: int, niceness: int) -> None:
     os.nice(niceness)
 
 
-def end_with(parent: int) -> None:
-    """Let the kernel kill this process when its parent is gone.
+def end_with(parent: int, number: signal.Signals = signal.SIGKILL) -> None:
+    """Let the kernel end this process when its parent is gone.
 
     Args:
         parent: Process id of the parent when this process began.
+        number: SIGTERM lets it end in order.
     """
-    ctypes.CDLL(None).prctl(KILL_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
+    ctypes.CDLL(None).prctl(KILL_WITH_PARENT, number, 0, 0, 0)
     if os.getppid() != parent:  # it died before
         os._exit(1)
 

@@ -12,6 +12,7 @@ OF_BENCHMARKS = {
     "blind/test_own_simulators.py": {"own_models", "own_simulators"},
     "blind/test_own_sysid.py": {"own_models"},
     "blind/test_real_recordings.py": {"real_recordings"},
+    "browser/test_setup.py": {"setup"},
     "cli/test_fuzz_lines.py": {"fuzz_commands"},
     "cli/test_output_options.py": {"fuzz_commands"},
     "daemon/test_demo.py": {"law_demos"},

@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Literal, NoReturn, cast
 
 import typer
 
@@ -32,6 +32,11 @@ if TYPE_CHECKING:
 
 PAGE_PORT = 8700
 """Port of the operator's page, unless `--port` names another."""
+ListenOption = Annotated[
+    str,
+    typer.Option("--listen", callback=stated_address, help="address to listen at; 0.0.0.0 for other computers too, such as a tablet"),
+]
+PortOption = Annotated[int, typer.Option("--port", min=1, max=65535, help="port to listen at")]
 
 
 @app.command(examples=["palpd serve --config cell/config.yaml"])
@@ -51,11 +56,8 @@ def serve(config: ConfigOption = DEFAULT_CONFIG) -> None:
 @app.command(examples=["palpd web --config cell/config.yaml --plan cell/plan.yaml"])
 def web(
     config: ConfigOption = DEFAULT_CONFIG,
-    listen: Annotated[
-        str,
-        typer.Option("--listen", callback=stated_address, help="address to listen at; 0.0.0.0 for other computers too, such as a tablet"),
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="port to listen at")] = PAGE_PORT,
+    listen: ListenOption = "127.0.0.1",
+    port: PortOption = PAGE_PORT,
     name: Annotated[
         list[str] | None, typer.Option("--name", help="further host name or address under which browsers may open the page")
     ] = None,
@@ -65,21 +67,37 @@ def web(
     plan: Annotated[Path | None, typer.Option("--plan", help="plan that the page offers first")] = None,
 ) -> None:
     """Serve the operator's page, in a process of its own, for a browser on this computer."""
+    from palpd.config import load_plan
+
+    if plan:
+        load_plan(plan)  # a plan that no run would take is refused here, not when someone opens the page
+    names = [word for each in name or [] for word in ("--name", each)]
+    become_page(config, "--listen", listen, "--port", port, *(["--plan", plan] if plan else []), *names, token_file=token_file)
+
+
+def become_page(config: Path, *words: object, token_file: Path | None = None) -> NoReturn:
+    """Make this process the server of the page.
+
+    Args:
+        config: config.yaml; where it is missing, `--setup` must be among the words, and its folder has what a new config.yaml says.
+        words: What the server takes besides (`python -m palpd.web --help`).
+        token_file: Where the token is kept; None: in the state folder.
+
+    Raises:
+        PalpdError: The configuration is wrong, or the folder of the token cannot be written.
+    """
     import os
     import sys
 
-    from palpd.config import load_plan
+    from palpd.config import PathsConfig
 
-    settings = settings_of(config)
-    if plan:
-        load_plan(plan)  # a plan that no run would take is refused here, not when someone opens the page
-    kept = token_file or settings.paths.state / "page-token"
+    settings = None if "--setup" in words and not config.exists() else settings_of(config)
+    paths = settings.paths if settings else PathsConfig(runs=config.absolute().parent / "runs", state=config.absolute().parent / "state")
+    kept = token_file or paths.state / "page-token"
     check_folder(kept.parent)
     kept.parent.mkdir(parents=True, exist_ok=True)
-    words = ["--socket", settings.paths.control_socket, "--runs", settings.paths.runs, "--token-file", kept]
-    words += ["--listen", listen, "--port", port, "--config", config, *(["--plan", plan] if plan else [])]
-    words += ["--camera-url", settings.page.camera_url] if settings.page.camera_url else []
-    words += [word for each in name or [] for word in ("--name", each)]
+    words = ("--socket", paths.control_socket, "--runs", paths.runs, "--token-file", kept, "--config", config, *words)
+    words += ("--camera-url", settings.page.camera_url) if settings and settings.page.camera_url else ()
     sys.stdout.flush()
     # this process becomes the server, which imports next to nothing: so it has no configuration and no typer in its memory
     environment = {"MALLOC_ARENA_MAX": "2", "OMP_NUM_THREADS": "1", **os.environ}

@@ -2,14 +2,20 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from palpd.cli.options import DEFAULT_CONFIG, ConfigOption, JsonOption, app, display, finish, settings_of, terminal
 from palpd.cli.output_options import FOLDER, Output
+from palpd.cli.service import PAGE_PORT, ListenOption, PortOption, become_page
 from palpd.file_kinds import YAML
 from palpd.files import write_json
+from palpd.workers import end_with
+
+if TYPE_CHECKING:
+    from palpd.daemon.display import Display
+    from palpd.daemon.setup.cell import StepOperator
 
 
 class TerminalOperator:
@@ -34,8 +40,9 @@ class TerminalOperator:
                 "a question has no answer, expected a terminal; run palpd setup in one, where it goes on, or leave the step out with --skip"
             ) from None
 
-    def choose(self, question: str, answers: Sequence[str]) -> str:
-        """Ask for one of the answers; its first letters suffice, and an empty answer is the first."""
+    def choose(self, question: str, answers: Sequence[str], moves: str = "") -> str:
+        """Ask for one of the answers; its first letters suffice, and an empty answer is the first. The question says what `moves` does."""
+        del moves
         while True:
             word = self.ask(f"{question} ({', '.join(answers)})", answers[0])
             fitting = [answer for answer in answers if answer.startswith(word)]
@@ -44,7 +51,10 @@ class TerminalOperator:
             self.say(f"{word!r} is none of {', '.join(answers)}.")
 
 
-@app.command(examples=["palpd setup cell", "palpd setup cell --robot 192.168.1.10 --redo weight"])
+@app.command(
+    examples=["palpd setup cell --robot 192.168.1.10 --redo weight", "palpd setup cell --page"],
+    apart={"page": ("robot", "sensor", "redo", "skip", "talk")},
+)
 def setup(
     folder: Annotated[Path, typer.Argument(metavar="CELL", help="folder of the cell; made where it is missing"), Output(FOLDER)] = Path(
         "cell"
@@ -53,19 +63,35 @@ def setup(
     sensor: Annotated[str | None, typer.Option("--sensor", help="port of the sensor (default: searched for)")] = None,
     redo: Annotated[list[str] | None, typer.Option("--redo", metavar="STEP", help="do this step again; may be repeated")] = None,
     skip: Annotated[list[str] | None, typer.Option("--skip", metavar="STEP", help="leave this step out; may be repeated")] = None,
+    page: Annotated[bool, typer.Option("--page", help="lead through it in a browser: serve the page for this cell")] = False,
+    port: PortOption = PAGE_PORT,
+    listen: ListenOption = "127.0.0.1",
+    talk: Annotated[bool, typer.Option("--talk", help="speak JSON lines, for the page, and end with the program that began it")] = False,
 ) -> None:
     """Set a cell up step by step, from an empty folder to the first press of 1 N; goes on where it ended."""
+    import os
+    import signal
+
     from palpd.daemon.setup.cell import SetupCell
     from palpd.daemon.setup.flow import NAMES, set_up
 
-    commission = set_up(SetupCell(folder, TerminalOperator(), display(), robot, sensor), redo or (), skip or ())
+    if page:
+        become_page(folder / "config.yaml", "--setup", folder, "--listen", listen, "--port", port)
+    operator: StepOperator = TerminalOperator()
+    shown: Display = display()
+    if talk:
+        from palpd.cli.setup_talk import TalkOperator
+
+        end_with(os.getppid(), signal.SIGTERM)  # as Ctrl-C, so that a run of the arm ends in a stop and its recording is closed
+        operator = shown = TalkOperator()
+    commission = set_up(SetupCell(folder, operator, shown, robot, sensor), redo or (), skip or ())
     failed = [name for name in NAMES if name in commission.steps and commission.steps[name].verdict == "fail"]
     open_steps = [name for name in NAMES if name not in commission.steps]
     config = folder / "config.yaml"
     if not failed and not open_steps:
-        terminal().print(f"The cell is set up. What it confirms: palpd commission --config {config} --report", soft_wrap=True)
+        operator.say(f"The cell is set up. What it confirms: palpd commission --config {config} --report")
     elif not failed:
-        terminal().print(f"Next is {open_steps[0]}: palpd setup {folder} goes on there.", soft_wrap=True)
+        operator.say(f"Next is {open_steps[0]}: palpd setup {folder} goes on there.")
     finish(2 if failed else 0, f"{', '.join(failed)} failed; do what its lines say, and palpd setup {folder} goes on there")
 
 

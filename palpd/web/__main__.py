@@ -85,6 +85,7 @@ def _settings(words: list[str]) -> tuple[PageSettings, Path]:
     parser.add_argument("--name", dest="names", action="append", default=[])
     parser.add_argument("--plan", type=Path)
     parser.add_argument("--config", type=Path)
+    parser.add_argument("--setup", type=Path)
     parser.add_argument("--camera-url")
     values = vars(parser.parse_args(words))
     token_file, names = values.pop("token_file"), tuple(values.pop("names"))

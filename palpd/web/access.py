@@ -81,11 +81,13 @@ class Access:
         hosts: frozenset[str],
         cookie: str,
         entrance: Callable[[str], str],
+        first: str = "/",
         pictures_from: str | None = None,
     ) -> None:
         policy = POLICY.format(pictures_from=f" {pictures_from}" if pictures_from else "")
         self._headers = {"Content-Security-Policy": policy, **HEADERS}
         self._app, self._sessions, self._hosts, self._cookie, self._entrance = app, sessions, hosts, cookie, entrance
+        self._first = first
         self._at_once = 0
         self._rates, self._tries = Rates(RATE_PER_S, BURST), Rates(TRIES_PER_S, TRIES)
 
@@ -196,7 +198,7 @@ class Access:
             return self._refused(headers, sentence, 401)
         cookie = self._sessions.begin()
         log("page opened", browser=scope["browser"], session=cookie.partition(".")[0])
-        answer = RedirectResponse("/", 303)
+        answer = RedirectResponse(self._first, 303)
         answer.set_cookie(self._cookie, cookie, max_age=int(30 * SESSION_S), httponly=True, samesite="strict", path="/")
         return answer
 

@@ -41,6 +41,7 @@ def build(settings: PageSettings, sessions: Sessions) -> Starlette:
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         async with live.background(page.live):
             yield
+        await page.talk.interrupt()
         page.aside.close()
         await page.children.close()
 
@@ -55,6 +56,7 @@ def build(settings: PageSettings, sessions: Sessions) -> Starlette:
         hosts=settings.hosts,
         cookie=f"palpd_{settings.port}",
         entrance=shell.entrance,
+        first="/setup" if settings.setup else "/",
         pictures_from=f"{camera.scheme}://{camera.netloc}" if camera.netloc else None,
     )
     application.state.page = page

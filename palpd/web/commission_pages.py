@@ -1,4 +1,4 @@
-"""The tab Set-up: what `palpd setup` has done on this cell, in the words of `palpd commission`. It reads only."""
+"""The tab Set-up: what `palpd setup` has done on this cell, and where the page leads through it, what it says and asks."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,7 +7,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.routing import BaseRoute, Route
 
-from palpd.web.answers import answering
+from palpd.web.answers import answering, body_of, number_in, text_in
 from palpd.web.page import Page
 from palpd.web.plan_pages import config_of
 
@@ -16,7 +16,8 @@ READ_LIMIT_S = 60.0
 
 
 def routes(page: Page) -> list[BaseRoute]:
-    """The route of the tab Set-up."""
+    """The routes of the tab Set-up."""
+    talk = page.talk
 
     async def rows(_: Request) -> Mapping[str, Any]:
         """The steps with their findings, their order, and the rows of the README."""
@@ -26,4 +27,25 @@ def routes(page: Page) -> list[BaseRoute]:
         content: Mapping[str, Any] = await run_in_threadpool(child.result)
         return content
 
-    return [Route("/setup/rows", answering(rows))]
+    async def lines(request: Request) -> Mapping[str, Any]:
+        """All lines from a number on, and what stands."""
+        after = max(0, int(number_in(request.query_params, "after")))
+        return {**talk.event, "said": talk.lines[after:], "config": str(page.settings.config)}
+
+    async def begin(request: Request) -> Mapping[str, Any]:
+        """Begin, or go on where it ended."""
+        talk.begin(text_in(await body_of(request), "redo", 40))
+        return talk.event
+
+    async def answer(request: Request) -> Mapping[str, Any]:
+        """Answer the question that is open."""
+        body = await body_of(request)
+        talk.answer(int(number_in(body, "number")), text_in(body, "question"), text_in(body, "answer"))
+        return talk.event
+
+    return [
+        Route("/setup/rows", answering(rows)),
+        Route("/setup/talk", answering(lines)),
+        Route("/setup/begin", answering(begin), methods=["POST"]),
+        Route("/setup/answer", answering(answer), methods=["POST"]),
+    ]

@@ -46,7 +46,9 @@ def routes(page: Page) -> list[BaseRoute]:
     async def abort(request: Request) -> JSONResponse:
         session = request.scope["session"]
         log("abort", browser=request.scope["browser"], session=session.id if session else None, expired=bool(session and session.expired))
-        answer = await page.link.abort()
+        setup, answer = await asyncio.gather(page.talk.interrupt(), page.link.abort())
+        if setup is not None and (not setup["ok"] or not answer["ok"]):  # a set-up opens the devices itself: no service need be there
+            answer = setup
         log("abort answered", browser=request.scope["browser"], **_ending(answer))
         return JSONResponse(answer)
 

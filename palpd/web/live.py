@@ -5,7 +5,7 @@ Nobody waits for a page: one that does not read loses frames, and its connection
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
@@ -39,6 +39,7 @@ class Live:
         self.ticks = TickStream()
         self.moduli = LiveModuli(aside, self.publish)
         self.pages: dict[int, asyncio.Queue[str | None]] = {}
+        self.greetings: list[Callable[[], Event]] = []  # what else a page receives first
         self._sent_s = 0.0
 
     def publish(self, event: Event) -> None:
@@ -79,7 +80,7 @@ class Live:
         """What a page receives first: where everything stands."""
         service = self.link.status or {"event": "lost", "reason": self.link.lost}
         backlog = as_line(list(self.ticks.points), self.ticks.health, run=self.ticks.run, readable=self.ticks.readable)
-        return [service, backlog, self.moduli.event()]
+        return [*(greet() for greet in self.greetings), service, backlog, self.moduli.event()]
 
 
 def routes(live: Live) -> list[BaseRoute]:

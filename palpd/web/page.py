@@ -7,6 +7,7 @@ from palpd.web.aside import Aside
 from palpd.web.children import Children
 from palpd.web.live import Live
 from palpd.web.service_link import ServiceLink
+from palpd.web.setup_talk import SetupTalk
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,8 @@ class PageSettings:
     """Plan that the page offers first."""
     config: Path | None = None
     """config.yaml of the cell, for the commands that judge and rehearse a plan."""
+    setup: Path | None = None
+    """Folder of the cell that the page leads a set-up of; None: it only shows what was set up."""
     camera_url: str | None = None
     """Address of a camera's picture, as the configuration allows it: no password, no blank, no quote."""
 
@@ -46,7 +49,10 @@ class Page:
     children: Children = field(default_factory=Children)
     link: ServiceLink = field(init=False)
     live: Live = field(init=False)
+    talk: SetupTalk = field(init=False)
 
     def __post_init__(self) -> None:
         self.link = ServiceLink(self.settings.socket)
         self.live = Live(self.link, self.aside)
+        self.talk = SetupTalk(self.settings.setup, self.live.publish)
+        self.live.greetings.append(lambda: self.talk.event)

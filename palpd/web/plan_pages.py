@@ -54,9 +54,11 @@ def routes(page: Page) -> list[BaseRoute]:
 
 
 def config_of(settings: PageSettings) -> Path:
-    """The configuration of the cell. Raises Refused where the page was started without one."""
+    """The configuration of the cell. Raises Refused where the page was started without one, or a set-up has not written it yet."""
     if settings.config is None:
         raise Refused("the page does not know the configuration of the cell; start it with palpd web --config config.yaml")
+    if settings.setup is not None and not settings.config.exists():
+        raise Refused(f"there is no {settings.config} yet; Begin in the tab Set-up asks for the robot and writes it")
     return settings.config.absolute()
 
 

@@ -17,7 +17,7 @@ import pytest
 
 from palpd.config import parse_plan
 from palpd.history.remarks import remark
-from tests.browser.waiting import free_port
+from tests.browser.waiting import free_port, nothing_for_axe
 from tests.history.conftest import simulated
 from tests.paths import ROOT
 from tests.web.fake_resolve import PROPOSAL, FakeResolve
@@ -292,7 +292,7 @@ def test_what_is_wrong_stands_beside_its_field_in_its_unit_and_above_stands_what
     assert scene.page.locator("main [role=alert]").count() == 1
     assert scene.page.get_by_role("button", name="Start this plan").is_disabled()
     scene.keep("plan-wrong")
-    nothing_for_axe(scene)
+    nothing_for_axe(scene.page)
     field(scene, "press_speed_m_per_s").fill("10")
     field(scene, "depths_m").fill("4")
     field(scene, "sites.1.name").fill("A")
@@ -309,7 +309,7 @@ def test_a_press_that_would_be_cut_short_is_named_beside_its_depth_and_its_site_
     start = scene.page.get_by_role("button", name="Start, though 2 presses would be cut short")
     assert "main" not in (start.get_attribute("class") or "")
     scene.keep("plan-cut-short")
-    nothing_for_axe(scene)
+    nothing_for_axe(scene.page)
     field(scene, "depths_m").fill("3")
     scene.until("#standing .sound", "No press is cut short")
     assert "cut short" not in beside(scene, "sites.1.x_m")
@@ -369,7 +369,7 @@ def test_a_plan_is_kept_with_its_rehearsal_chosen_on_another_day_and_started(sce
     scene.page.wait_for_function("() => document.querySelector('[data-path=depths_m]')?.value === '3, 15'")
     scene.until("#standing .warned", "1 of 2 presses would be cut short")
     scene.keep("plan-kept")
-    nothing_for_axe(scene)
+    nothing_for_axe(scene.page)
     scene.page.get_by_role("button", name="Start, though 1 press would be cut short").click()
     scene.page.wait_for_url(f"{scene.address}/")
     started = [request for request in scene.service.requests if request["do"] == "start"][-1]
@@ -410,16 +410,6 @@ def test_a_rehearsal_with_another_configuration_counts_no_more_until_the_plan_is
     scene.until("#kept li[aria-current] .chip.done", "no press cut short")
     kept = next(plan for plan in scene.service.plans.all() if plan["name"] == "old")
     assert kept["rehearsal"]["config_sha256"] != figures["config_sha256"]  # type: ignore[index]
-
-
-def nothing_for_axe(scene: Scene) -> None:
-    """Let axe look at the page as it stands, light and dark."""
-    axe = (Path(__file__).parent / "axe.min.js").read_text()
-    for scheme in ("light", "dark"):
-        scene.page.emulate_media(color_scheme=scheme)
-        findings = scene.page.evaluate(f"async () => {{ {axe}; return (await axe.run()).violations; }}")
-        assert [f"{each['id']}: {each['nodes'][0]['html'][:120]}" for each in findings] == [], scheme
-    scene.page.emulate_media(color_scheme="light")
 
 
 def test_resolve_is_a_conversation(scene: Scene) -> None:

@@ -3,6 +3,7 @@
 import socket
 from collections.abc import Callable
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 from palpd.testing.processes import until
@@ -41,3 +42,13 @@ def above(least: float) -> Callable[[str], bool]:
             return False
 
     return is_above
+
+
+def nothing_for_axe(page: Any) -> None:
+    """Let axe look at the page as it stands, light and dark."""
+    axe = (Path(__file__).parent / "axe.min.js").read_text()
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        findings = page.evaluate(f"async () => {{ {axe}; return (await axe.run()).violations; }}")
+        assert [f"{each['id']}: {each['nodes'][0]['html'][:120]}" for each in findings] == [], scheme
+    page.emulate_media(color_scheme="light")

@@ -40,7 +40,8 @@ class Answers:
         self.shown.append(question)
         return (self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]) or usual
 
-    def choose(self, question: str, answers: Sequence[str]) -> str:
+    def choose(self, question: str, answers: Sequence[str], moves: str = "") -> str:
+        assert moves not in answers[:1], "Enter alone would move the arm"
         answer = self.ask(f"{question} {answers}", answers[0])
         return answer if answer in answers else answers[0]
 

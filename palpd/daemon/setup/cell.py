@@ -1,6 +1,9 @@
 """The cell that is being set up: its folder, its files, and the operator who answers."""
 
-from collections.abc import Mapping, Sequence
+import fcntl
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -12,7 +15,7 @@ from palpd.daemon.session import ForegroundHost
 from palpd.daemon.stored_state import State
 from palpd.daemon.wiring import devices
 from palpd.errors import ConfigError, Refused
-from palpd.files import read_text, write_text
+from palpd.files import check_folder, read_text, write_text
 from palpd.migration import with_values
 
 
@@ -30,8 +33,8 @@ class StepOperator(Protocol):
         """Ask for a text; an empty answer is the usual one."""
         ...
 
-    def choose(self, question: str, answers: Sequence[str]) -> str:
-        """Ask for one of the answers; the first is the usual one."""
+    def choose(self, question: str, answers: Sequence[str], moves: str = "") -> str:
+        """Ask for one of the answers; the first is the usual one. After the answer `moves` the arm moves, so it is never the first."""
         ...
 
 
@@ -75,13 +78,28 @@ class SetupCell:
         """Carries out runs with the configuration as it is now."""
         return ForegroundHost(self.config, self.build, self.display, self.confirms)
 
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Make the folder, and hold it within the context against another set-up. Raises BadInput, or Refused where one is under way."""
+        check_folder(self.folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(self.folder, os.O_RDONLY)
+        try:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the kernel lets it go, however this process ends
+            except BlockingIOError:
+                raise Refused(f"another palpd setup of {self.folder} is under way, at a terminal or in a page; end that first") from None
+            yield
+        finally:
+            os.close(descriptor)
+
     def agrees(self, question: str) -> bool:
         """Ask a question that yes or no answers; Enter alone is yes."""
         return self.operator.choose(question, ("yes", "no")) == "yes"
 
-    def confirms(self, question: str) -> bool:
-        """Ask whether the operator has looked at the cell; Enter alone is no."""
-        return self.operator.choose(question, ("no", "yes")) == "yes"
+    def confirms(self, question: str, moves: bool = False) -> bool:
+        """Ask whether the operator has looked at the cell; Enter alone is no. With `moves` the arm moves after a yes."""
+        return self.operator.choose(question, ("no", "yes"), "yes" * moves) == "yes"
 
     def numbers(self, question: str, usual: str, count: int = 1) -> tuple[float, ...]:
         """Ask for `count` numbers with commas between, again until they are."""

@@ -4,12 +4,13 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 from palpd.daemon.finding import Finding
+from palpd.daemon.interrupts import last_words, received
 from palpd.daemon.job_client import service_at
 from palpd.daemon.setup import motion_steps, still_steps
 from palpd.daemon.setup.cell import NoOperator, SetupCell
 from palpd.daemon.setup.commission import Commission, StepResult, StepVerdict
 from palpd.daemon.stored_state import now
-from palpd.errors import BadInput, PalpdError, Refused
+from palpd.errors import BadInput, PalpdError, Refused, Stopped
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +60,22 @@ def set_up(cell: SetupCell, redo: Collection[str] = (), skip: Collection[str] = 
 
     Raises:
         BadInput: There is no step of such a name.
-        Refused: A service serves this cell.
+        Refused: A service serves this cell, or another set-up of it is under way.
         NoOperator: Nobody answers.
+        Stopped: A signal has ended the run of a step.
     """
     for name in (*redo, *skip):
         if name not in NAMES:
             raise BadInput(f"{name!r} is no step of palpd setup; expected one of {', '.join(NAMES)}")
     if cell.config_file.exists() and service_at(cell.config.paths.control_socket):
         raise Refused("the service of this cell holds the devices; stop it (systemctl stop palpd), and begin palpd setup again")
+    with cell.held():
+        _lead_through(cell, redo, skip)
+    return cell.state.commission()
+
+
+def _lead_through(cell: SetupCell, redo: Collection[str], skip: Collection[str]) -> None:
+    """Do what is not done, until the operator stops."""
     for number, step in enumerate(STEPS, start=1):
         commission, title = cell.state.commission(), f"{number}/{len(STEPS)} {step.name}"
         before = commission.steps.get(step.name)
@@ -75,8 +84,7 @@ def set_up(cell: SetupCell, redo: Collection[str] = (), skip: Collection[str] = 
         elif step.name in skip:
             _keep(cell, step, StepResult(now(), "skipped"))
         elif not _done(cell, step, title):
-            break
-    return cell.state.commission()
+            return
 
 
 def _done(cell: SetupCell, step: SetupStep, title: str) -> bool:
@@ -88,13 +96,15 @@ def _done(cell: SetupCell, step: SetupStep, title: str) -> bool:
     answers = ("skip", "stop") if missing else ("stop", "go", "skip") if step.moves else ("go", "skip", "stop")  # no motion by Enter alone
     while True:
         stands = "The arm will move: a hand on the emergency stop" if step.moves and "go" in answers else "The arm stands"
-        answer = operator.choose(f"{stands}. What now?", answers)
+        answer = operator.choose(f"{stands}. What now?", answers, "go" * step.moves)
         if answer == "stop":
             return False
         if answer == "skip":
             _keep(cell, step, StepResult(now(), "skipped"))
             return True
         findings = _attempt(cell, step)
+        if received():  # what an abort has cut off has measured nothing
+            raise Stopped(last_words()[0])
         for finding in findings:
             operator.say(line(finding))
         verdicts = {finding.verdict for finding in findings}
@@ -109,9 +119,8 @@ def _done(cell: SetupCell, step: SetupStep, title: str) -> bool:
 def _attempt(cell: SetupCell, step: SetupStep) -> Sequence[Finding]:
     latch = cell.state.latch() if step.moves else None
     if latch is not None:
-        if not cell.confirms(
-            f"The last run was stopped on {latch.date}: {latch.reason}. Have you looked at the cell, and may it be cleared?"
-        ):
+        question = f"The last run was stopped on {latch.date}: {latch.reason}. Have you looked at the cell, and may it be cleared?"
+        if not cell.confirms(f"{question} The arm moves then.", moves=True):
             return [Finding(step.name, "fail", f"a stop of {latch.date} is not cleared", "look at the cell, then redo this step")]
         cell.state.clear_latch()
     try:

@@ -16,7 +16,7 @@ from palpd.daemon.setup.cell import SetupCell
 from palpd.daemon.setup.commission import seen
 from palpd.daemon.setup.watchdog import silent_devices, stopped_after_s
 from palpd.daemon.supervisor import Report
-from palpd.errors import Stopped
+from palpd.errors import Refused, Stopped
 from palpd.recording.reader import Recording
 from palpd.recording.ring import Rows
 from palpd.tick import Phase, Trip
@@ -96,7 +96,7 @@ def learn_inertia(cell: SetupCell) -> Sequence[Finding]:
 
 def press_plate(cell: SetupCell) -> Sequence[Finding]:
     """Press a rigid plate, as `palpd stiffness` does."""
-    cell.operator.ask("Put a rigid plate on firm ground, 2 to 10 mm below the tip. Then press Enter.")
+    _place(cell, "Put a rigid plate on firm ground, 2 to 10 mm below the tip.")
     report, machine = measured_stiffness(cell.host)
     if machine is None:
         raise Stopped(report.reason or "the run was not recorded; redo the step")
@@ -109,7 +109,7 @@ def press_plate(cell: SetupCell) -> Sequence[Finding]:
 
 def first_press(cell: SetupCell) -> Sequence[Finding]:
     """Find the surface, and press once with a low limit."""
-    cell.operator.ask("Put the tissue below the tip, at most 40 mm away, and nothing hard. Then press Enter.")
+    _place(cell, "Put the tissue below the tip, at most 40 mm away, and nothing hard.")
     config = cell.config
     safety = config.safety.model_copy(update={"contact_limit_N": min(FIRST_PRESS_N, config.safety.contact_limit_N)})
     host = replace(cell.host, config=config.model_copy(update={"safety": safety}))
@@ -119,6 +119,12 @@ def first_press(cell: SetupCell) -> Sequence[Finding]:
     return [
         seen("first press", measured, f"about 1 N, and never more than {FIRST_PRESS_N:g} N", surface_z_m=surface_z_m, peak_force_N=peak_N)
     ]
+
+
+def _place(cell: SetupCell, what: str) -> None:
+    """Let the operator put something below the tip; then the arm moves. Raises Refused where they stop here."""
+    if cell.operator.choose(f"{what} The arm will move then. What now?", ("stop", "go"), "go") == "stop":
+        raise Refused("nothing was put below the tip, and nothing was moved; go again when it is there")
 
 
 def _run(report: Report, may_stop: bool = True) -> tuple[Report, Rows]:

@@ -133,7 +133,7 @@ def hang_weight(cell: SetupCell) -> Sequence[Finding]:
     (weight_N,) = cell.numbers("Weight in N that you will hang on the probe (mass in kg × 9.81)", "5")
 
     def ask(what: str) -> None:
-        cell.operator.ask(f"{what} Then press Enter.")
+        cell.operator.choose(what, ("done",))
 
     with closing(wiring.open_reader(config)) as reader, closing(wiring.open_sensor(config)) as sensor:
         finding = check_weight(sensor, reader.read(), config.sensor, weight_N, ask, sensor.pulled_over_pressed)

@@ -1,6 +1,7 @@
 // The last morning check, the control chart of each figure over the checks since the baseline, and what injections say of this cell.
 
 import { chart } from "./chart.js";
+import { begin } from "./controls.js";
 import { read } from "./requests.js";
 import { byId, make, refuse } from "./work.js";
 
@@ -44,12 +45,21 @@ function showInjections(of) {
   byId("limits").replaceChildren(...(of.limits || []).map(limitRow));
 }
 
-const answer = await read("/checks/list", { patience_ms: 130000 });
-refuse(byId("refusal"), answer.ok ? "" : answer.error);
-if (answer.ok) showInjections(answer.injections);
-if (answer.ok && answer.checks.length) {
-  const last = answer.checks[answer.checks.length - 1];
-  byId("last").replaceChildren(make("span", { className: `chip ${MOODS[last.level]}`, text: WORDS[last.level] }), ` ${last.date.slice(0, 16).replace("T", " ")}: ${last.sentence}`);
-  byId("about").textContent = about(answer.checks);
-  byId("charts").replaceChildren(...answer.figures.map((figure) => draw(figure, answer.checks)));
-} else if (answer.ok) byId("last").textContent = "There is no check yet. palpd check makes one.";
+async function showChecks() {
+  const answer = await read("/checks/list", { patience_ms: 130000 });
+  refuse(byId("refusal"), answer.ok ? "" : answer.error);
+  if (answer.ok) showInjections(answer.injections);
+  if (answer.ok && answer.checks.length) {
+    const last = answer.checks[answer.checks.length - 1];
+    byId("last").replaceChildren(make("span", { className: `chip ${MOODS[last.level]}`, text: WORDS[last.level] }), ` ${last.date.slice(0, 16).replace("T", " ")}: ${last.sentence}`);
+    byId("about").textContent = about(answer.checks);
+    byId("charts").replaceChildren(...answer.figures.map((figure) => draw(figure, answer.checks)));
+  } else if (answer.ok) byId("last").textContent = "There is no check yet. The first one is the commissioning: make it when you know that the cell is well.";
+}
+
+byId("check").addEventListener("click", () => {
+  const temperature_C = byId("temperature").valueAsNumber;
+  begin("check", Number.isNaN(temperature_C) ? {} : { temperature_C });
+});
+document.addEventListener("palpd-job", showChecks);
+showChecks();

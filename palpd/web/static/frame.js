@@ -10,8 +10,12 @@ const state = document.getElementById("state");
 const doing = document.getElementById("doing");
 const link = document.getElementById("link");
 const GONE = "The service does not answer. If the arm moves, use the emergency stop.";
+const ASKED = "The set-up waits for an answer in the tab Set-up, and nothing moves. Abort ends it.";
+const UNDER_WAY = "A set-up is under way. Abort stops its motion and ends it.";
+const OFFERED = "No service answers, and no set-up is under way. If the arm moves, use the emergency stop.";
 const LINKS = { connecting: "", open: "", lost: "Link lost", expired: "Page expired" };
 let expired = false;
+let setup = {};
 
 function show(kind, words, more) {
   document.body.dataset.state = kind;
@@ -24,9 +28,18 @@ on("status", ({ now }) => {
   document.body.dataset.service = "open";
   show(now.state, now.word, inButtons(now.sentence));
 });
+function showLost() {
+  if (setup.under_way) show("running", "Set-up", setup.asked === null ? UNDER_WAY : ASKED);
+  else if (setup.offered) show("idle", "No service", OFFERED);
+  else show("gone", "No service", GONE);
+}
 on("lost", () => {
   document.body.dataset.service = "lost";
-  show("gone", "No service", GONE);
+  showLost();
+});
+on("setup", (event) => {
+  setup = event;
+  if (document.body.dataset.service === "lost") showLost();
 });
 on("refused", ({ reason }) => say(reason, "refused"));
 on("link", (now) => {
