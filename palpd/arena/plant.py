@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,14 @@ from palpd.arena.cases import ArenaRig, Question
 from palpd.arena.columns import JOINT, Columns, Floats, Healthy, load
 from palpd.arena.laws import LAWS
 from palpd.arena.planted import PlantingRefusedError, plant
-from palpd.arena.signals import MEAN_S
+from palpd.arena.signals import MEAN_S, smooth
 from palpd.errors import BadInput
 from palpd.files import check_folder
 
 SNR = (10.0, 60.0)
 """Range of the SNR beyond what the healthy recordings do."""
+LEAST_TIMES = 3.0
+"""How many times as large an effect is as what the healthy recordings show of it beside each other: a smaller one is as usual as not."""
 EACH = 10
 """Questions planted into each rig, where nothing else is asked."""
 ALIKE = {
@@ -75,8 +77,9 @@ def _plant(rig: ArenaRig, folder: Path, random: np.random.Generator, count: int)
             planted = plant(recording, law, random, SNR, sigma_N=noise_beside(usual, references, recording))
         except PlantingRefusedError:
             continue
-        if np.ptp(planted.columns["fz_N"]) == 0.0:
-            continue  # saturated throughout: no recording of anything
+        times = times_usual(law, planted.parameters, references)
+        if np.ptp(planted.columns["fz_N"]) == 0.0 or times < LEAST_TIMES:
+            continue  # saturated throughout: no recording of anything; or what the rig does by itself
         name = f"p{len(truths) + 1}.csv"
         _write(folder / "recordings" / name, planted.columns, joint="angle_rad" in host.recording.read_text().split("\n", 1)[0])
         cause = "unknown" if law.startswith("unknown.") else ALIKE.get(law, law)
@@ -86,6 +89,7 @@ def _plant(rig: ArenaRig, folder: Path, random: np.random.Generator, count: int)
             "known": "planted",
             "size": {key: float(value) for key, value in planted.parameters.items()},
             "snr": planted.snr,
+            "times_usual": times,
             "why": f"planted into {host.name}",
         }
     stated = yaml.safe_load((folder / "rig.yaml").read_text(encoding="utf-8"))
@@ -106,6 +110,31 @@ def noise_beside(usual: Healthy, references: Sequence[Columns], recording: Colum
     samples = max(1, round(MEAN_S * rate_Hz))
     squares = [float(np.nanmean(_means(usual.residual(each), samples) ** 2)) for each in references]
     return float(np.sqrt(np.mean(squares) * samples))
+
+
+def times_usual(law: str, parameters: Mapping[str, float], references: Sequence[Columns]) -> float:
+    """How many times as large an effect is as what healthy recordings show of it, each beside the others; infinite where none shows any.
+
+    In each the same law makes a change of its own, and the share of it that stands in the residual is fitted by least squares.
+
+    Args:
+        parameters: Of the effect.
+    """
+    squares = []
+    for k, one in enumerate(references):
+        others = [*references[:k], *references[k + 1 :]]
+        bare = {**one, "fz_N": smooth(one["fz_N"])}
+        try:
+            change = np.nan_to_num(LAWS[law].apply(bare, parameters).get("fz_N", bare["fz_N"]) - bare["fz_N"])
+        except PlantingRefusedError:
+            continue
+        left = Healthy.of(others).residual(one) if others else np.full_like(change, np.nan)
+        samples = max(1, round(MEAN_S * (len(change) - 1) / float(np.ptp(one["t_s"]))))
+        made, shown = _means(change, samples), _means(left, samples)
+        known = np.isfinite(shown)
+        if made[known].any():
+            squares.append(float(shown[known] @ made[known] / (made[known] @ made[known])) ** 2)
+    return float(np.mean(squares) ** -0.5) if any(squares) else float("inf")
 
 
 def _means(values: Floats, samples: int) -> Floats:
