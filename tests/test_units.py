@@ -74,6 +74,7 @@ DIMENSIONLESS = {
     "servo_ratio": "ratio of frequencies",
     "pulled_over_pressed": "ratio of two slopes",
     "settled": "share",
+    "price_share": "share of a price",
     "share": "probability",
     "share_known": "probability",
     "sign": "plus or minus one",

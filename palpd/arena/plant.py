@@ -116,9 +116,6 @@ def times_usual(law: str, parameters: Mapping[str, float], references: Sequence[
     """How many times as large an effect is as what healthy recordings show of it, each beside the others; infinite where none shows any.
 
     In each the same law makes a change of its own, and the share of it that stands in the residual is fitted by least squares.
-
-    Args:
-        parameters: Of the effect.
     """
     squares = []
     for k, one in enumerate(references):
@@ -130,10 +127,10 @@ def times_usual(law: str, parameters: Mapping[str, float], references: Sequence[
             continue
         left = Healthy.of(others).residual(one) if others else np.full_like(change, np.nan)
         samples = max(1, round(MEAN_S * (len(change) - 1) / float(np.ptp(one["t_s"]))))
-        made, shown = _means(change, samples), _means(left, samples)
+        planted, shown = _means(change, samples), _means(left, samples)
         known = np.isfinite(shown)
-        if made[known].any():
-            squares.append(float(shown[known] @ made[known] / (made[known] @ made[known])) ** 2)
+        if planted[known].any():
+            squares.append(float(shown[known] @ planted[known] / (planted[known] @ planted[known])) ** 2)
     return float(np.mean(squares) ** -0.5) if any(squares) else float("inf")
 
 
