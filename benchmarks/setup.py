@@ -122,7 +122,7 @@ class Person:
 
     def answer(self, lines: Sequence[str]) -> str:
         """The answer to the last of these lines; those before it were said since the answer before."""
-        self.step = next((line.split()[1].rstrip(":") for line in reversed(lines) if re.match(r"\d+/13 ", line)), self.step)
+        self.step = next((line.split()[1].rstrip(":") for line in reversed(lines) if re.match(r"\d+/\d+ \w", line)), self.step)
         failed = "has failed" in "".join(lines[-3:])
         self.tries += failed
         answer = _answer(self.cell, lines[-1], self.plate_N_per_m)
@@ -225,12 +225,10 @@ def check_in_page(server: SetupPage, folder: Path) -> Path | None:
             answer = server.ask(f"/do/{what}", {"lease": lease, **more})
             print(f"{what}: {answer.get('error') or answer.get('state') or answer.get('id')}")
         job = answer.get("id")
-        over = [False]
 
         def ended() -> bool:
             server.ask("/do/renew", {"lease": lease})
-            over[0] = server.ask("/do/job", {"id": job}).get("ended") is not None
-            return over[0]
+            return server.ask("/do/job", {"id": job}).get("ended") is not None
 
         if job is not None:
             until(ended, "the check is over", PATIENCE_S, every_s=0.5)

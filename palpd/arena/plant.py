@@ -65,6 +65,7 @@ def _plant(rig: ArenaRig, folder: Path, random: np.random.Generator, count: int)
         shutil.copy(path, folder / "recordings")
     references = [load(path) for path in rig.questions[0].healthy]
     usual = Healthy.of(references)
+    beside = beside_each_other(references)
     truths: dict[str, dict[str, Any]] = {}
     laws = list(random.permutation(list(LAWS)))
     hosts: cycle[Question] = cycle(random.permutation(np.array(rig.healthy, dtype=object)).tolist())
@@ -77,9 +78,11 @@ def _plant(rig: ArenaRig, folder: Path, random: np.random.Generator, count: int)
             planted = plant(recording, law, random, SNR, sigma_N=noise_beside(usual, references, recording))
         except PlantingRefusedError:
             continue
-        times = times_usual(law, planted.parameters, references)
-        if np.ptp(planted.columns["fz_N"]) == 0.0 or times < LEAST_TIMES:
-            continue  # saturated throughout: no recording of anything; or what the rig does by itself
+        if np.ptp(planted.columns["fz_N"]) == 0.0:
+            continue  # saturated throughout: no recording of anything
+        times = times_usual(law, planted.parameters, beside)
+        if times < LEAST_TIMES:
+            continue  # what the rig does by itself
         name = f"p{len(truths) + 1}.csv"
         _write(folder / "recordings" / name, planted.columns, joint="angle_rad" in host.recording.read_text().split("\n", 1)[0])
         cause = "unknown" if law.startswith("unknown.") else ALIKE.get(law, law)
@@ -89,7 +92,7 @@ def _plant(rig: ArenaRig, folder: Path, random: np.random.Generator, count: int)
             "known": "planted",
             "size": {key: float(value) for key, value in planted.parameters.items()},
             "snr": planted.snr,
-            "times_usual": times,
+            "times_usual": times if np.isfinite(times) else None,  # JSON has no infinity
             "why": f"planted into {host.name}",
         }
     stated = yaml.safe_load((folder / "rig.yaml").read_text(encoding="utf-8"))
@@ -106,32 +109,44 @@ def noise_beside(usual: Healthy, references: Sequence[Columns], recording: Colum
         usual: What the healthy rig does.
         recording: The one to plant into.
     """
-    rate_Hz = (len(recording["t_s"]) - 1) / float(np.ptp(recording["t_s"]))
-    samples = max(1, round(MEAN_S * rate_Hz))
+    samples = _samples_of_a_mean(recording)
     squares = [float(np.nanmean(_means(usual.residual(each), samples) ** 2)) for each in references]
     return float(np.sqrt(np.mean(squares) * samples))
 
 
-def times_usual(law: str, parameters: Mapping[str, float], references: Sequence[Columns]) -> float:
-    """How many times as large an effect is as what healthy recordings show of it, each beside the others; infinite where none shows any.
+def beside_each_other(references: Sequence[Columns]) -> list[tuple[Columns, Floats]]:
+    """Each healthy recording without the noise of its force, and its residual (n,) in N beside the others; none of a single one."""
+    if len(references) < 2:
+        return []
+    others = ([*references[:k], *references[k + 1 :]] for k in range(len(references)))
+    return [({**one, "fz_N": smooth(one["fz_N"])}, Healthy.of(rest).residual(one)) for one, rest in zip(references, others, strict=True)]
+
+
+def times_usual(law: str, parameters: Mapping[str, float], beside: Sequence[tuple[Columns, Floats]]) -> float:
+    """How many times as large an effect is as what healthy recordings show of it; infinite where none shows any.
 
     In each the same law makes a change of its own, and the share of it that stands in the residual is fitted by least squares.
+
+    Args:
+        beside: The recordings and their residuals (n,) in N, as `beside_each_other` gives them.
     """
     squares = []
-    for k, one in enumerate(references):
-        others = [*references[:k], *references[k + 1 :]]
-        bare = {**one, "fz_N": smooth(one["fz_N"])}
+    for bare, left in beside:
         try:
             change = np.nan_to_num(LAWS[law].apply(bare, parameters).get("fz_N", bare["fz_N"]) - bare["fz_N"])
         except PlantingRefusedError:
             continue
-        left = Healthy.of(others).residual(one) if others else np.full_like(change, np.nan)
-        samples = max(1, round(MEAN_S * (len(change) - 1) / float(np.ptp(one["t_s"]))))
+        samples = _samples_of_a_mean(bare)
         planted, shown = _means(change, samples), _means(left, samples)
         known = np.isfinite(shown)
         if planted[known].any():
             squares.append(float(shown[known] @ planted[known] / (planted[known] @ planted[known])) ** 2)
     return float(np.mean(squares) ** -0.5) if any(squares) else float("inf")
+
+
+def _samples_of_a_mean(recording: Columns) -> int:
+    t_s = recording["t_s"]
+    return max(1, round(MEAN_S * (len(t_s) - 1) / float(np.ptp(t_s))))
 
 
 def _means(values: Floats, samples: int) -> Floats:

@@ -11,7 +11,6 @@ from palpd.cli.output_options import FOLDER, Output
 from palpd.cli.service import PAGE_PORT, ListenOption, PortOption, become_page
 from palpd.file_kinds import YAML
 from palpd.files import write_json
-from palpd.workers import end_with
 
 if TYPE_CHECKING:
     from palpd.daemon.display import Display
@@ -81,6 +80,7 @@ def setup(
     shown: Display = display()
     if talk:
         from palpd.cli.setup_talk import TalkOperator
+        from palpd.workers import end_with
 
         end_with(os.getppid(), signal.SIGTERM)  # as Ctrl-C, so that a run of the arm ends in a stop and its recording is closed
         operator = shown = TalkOperator()

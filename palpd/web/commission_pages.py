@@ -30,7 +30,9 @@ def routes(page: Page) -> list[BaseRoute]:
     async def lines(request: Request) -> Mapping[str, Any]:
         """All lines from a number on, and what stands."""
         after = max(0, int(number_in(request.query_params, "after")))
-        return {**talk.event, "said": talk.lines[after:], "config": str(page.settings.config)}
+        config = page.settings.config
+        configured = config is not None and config.exists()
+        return {**talk.event, "said": talk.lines[after:], "config": str(config), "configured": configured}
 
     async def begin(request: Request) -> Mapping[str, Any]:
         """Begin, or go on where it ended."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from palpd.arena.plant import times_usual
+from palpd.arena.plant import beside_each_other, times_usual
 from palpd.arena.planted import LAWS, PlantingRefusedError, noise_N, plant, snr
 from palpd.arena.signals import FloatArray, Recording, rounding_step, snr_against
 
@@ -122,7 +122,9 @@ def test_what_cannot_be_planted_is_refused() -> None:
 
 
 def test_an_effect_that_the_healthy_recordings_show_of_themselves_is_as_large_as_usual() -> None:
-    rubbing = [{**NOISY, "vz_m_per_s": SPEED, "fz_N": NOISY["fz_N"] - force_N * np.sign(SPEED)} for force_N in (0.9, 1.0, 1.1, 1.0)]
+    rubbing = beside_each_other(
+        [{**NOISY, "vz_m_per_s": SPEED, "fz_N": NOISY["fz_N"] - force_N * np.sign(SPEED)} for force_N in (0.9, 1.0, 1.1, 1.0)]
+    )
     once, thrice = (times_usual("cable.friction", {"force_N": force_N, "presliding_m": 1e-5}, rubbing) for force_N in (0.1, 0.3))
     # beside the mean of the others 0.9 and 1.1 N are off by 0.13 N each, the two in the middle by none: 0.094 N in the mean square
     assert once == pytest.approx(0.1 / 0.094, rel=0.1)

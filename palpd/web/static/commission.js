@@ -24,7 +24,7 @@ const capital = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
 async function showSteps(talk) {
   const answer = await read("/setup/rows", { patience_ms: 65000 });
   byId("done").hidden = !answer.ok;
-  const first = talk.offered && !answer.ok && answer.error.includes("yet; Begin");
+  const first = talk.offered && !talk.configured && !answer.ok;
   refuse(byId("refusal"), answer.ok || first ? "" : answer.error);
   byId("next").textContent = first ? capital(`${answer.error}.`) : "";
   byId("begin").textContent = answer.ok && Object.keys(answer.steps).length ? "Go on" : "Begin";
