@@ -39,7 +39,8 @@ def memory_copy(memory: Memory) -> Memory:
 def solve_contact(s: Span, what: Physics, memory: Memory) -> None:
     """Tip, depth and contact force; where the tip gives way, tip = z + compliance · force is solved by secants, sample by sample.
 
-    A force that grows with depth makes the residual fall at least as fast as the force rises, which bounds the secant's slope.
+    A force that grows with depth makes the residual fall at least as fast as the force rises, which bounds the secant's slope. A secant
+    from the air into a hard tissue says little of the slope in it; there Hertz's stiffness bounds it, too.
     """
     s.tip_m = s.z_m
     what.apply("tip", s, memory)
@@ -55,11 +56,14 @@ def solve_contact(s: Span, what: Physics, memory: Memory) -> None:
         press_tissue(s, what, trial)
         return s.contact_N - force_N, trial
 
+    def hertz_slope() -> Floats:
+        stiff = np.divide(1.5 * np.abs(s.contact_N), s.depth_m, out=np.zeros_like(s.depth_m), where=s.depth_m > 0.0)
+        return np.asarray(-1.0 - stiff * compliance)
+
     last_N = np.full_like(rigid_m, memory.get("force_N", 0.0))
     last_gap, trial = residual_N(last_N)
     if last_gap.any():
-        stiff = np.divide(1.5 * np.abs(s.contact_N), s.depth_m, out=np.zeros_like(s.depth_m), where=s.depth_m > 0.0)
-        force_N = last_N + last_gap / (1.0 + stiff * compliance)
+        force_N = last_N - last_gap / hertz_slope()
         for _ in range(60):
             gap, trial = residual_N(force_N)
             if float(np.abs(gap).max()) <= 1e-12 * float(np.abs(force_N).max()):
@@ -67,6 +71,7 @@ def solve_contact(s: Span, what: Physics, memory: Memory) -> None:
             step = force_N - last_N
             slope = np.minimum((gap - last_gap) / np.where(step == 0.0, 1.0, step), -1.0)
             slope[step == 0.0] = -1.0
+            slope = np.where((gap > 0.0) & (last_gap < 0.0), np.minimum(slope, hertz_slope()), slope)
             last_N, last_gap = force_N, gap
             force_N = force_N - gap / slope
     trial["force_N"] = float(s.contact_N[-1])

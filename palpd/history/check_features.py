@@ -112,7 +112,8 @@ def measured(puck: Track, plate: Track | None, link: Mapping[str, float], tip_ra
     for _ in range(ROUNDS if plate is not None else 1):
         k, delay_s = fit.solved(play_m or 0.0)
         if plate is not None:
-            on_plate = plate.where((plate.mode == Mode.STIFFNESS) & (plate.repeat >= 0))
+            from_search = (plate.repeat == 0) & (plate.phase == Phase.RETRACT)
+            on_plate = plate.where((plate.mode == Mode.STIFFNESS) & (plate.repeat >= 0) & ~from_search)
             known = on_plate.surface_z_m[np.isfinite(on_plate.surface_z_m)]
             if len(known) < FEWEST:
                 raise RecordingError(f"the plate was pressed in {len(known)} samples, expected at least {FEWEST}; repeat palpd check")

@@ -286,6 +286,20 @@ def test_a_compliant_tip_stands_where_both_forces_agree() -> None:
     assert given_way_m.max() > 5e-4
 
 
+def test_a_compliant_tip_on_a_plate_lets_go_along_the_way_it_was_pressed() -> None:
+    """A plate's force is there within a micrometre, so a force that is asked for in the air misses it by thousands of newtons."""
+    cell = with_("robot.compliance", stiffness_N_per_m=1e5)
+    cell = cell.model_copy(update={"tissue": cell.tissue.model_copy(update={"youngs_modulus_Pa": 5e11})})
+    one = SteppedCell(cell)
+    one.begin()
+    z_m = np.concatenate([np.full(400, -1e-4), np.linspace(-1e-4, 1e-4, 200)]).reshape(-1, 8)
+    blocks = [one.step(np.stack([0 * each, 0 * each, each], axis=1)) for each in z_m]
+    force_N = np.concatenate([block.contact_N for block in blocks])
+    given_way_m = np.concatenate([block.tip_m[:, 2] - block.position_m[:, 2] for block in blocks])
+    np.testing.assert_allclose(force_N, 1e5 * given_way_m, rtol=1e-9, atol=1e-9)
+    assert (force_N[400], force_N[-1]) == (pytest.approx(10.0, rel=0.05), 0.0)
+
+
 def test_a_compliant_tip_converges_with_tissue_that_remembers() -> None:
     effects = {
         "robot.compliance": {"stiffness_N_per_m": 500.0},

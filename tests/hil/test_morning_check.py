@@ -1,4 +1,4 @@
-"""The morning check over emulated wires: a puck, the day that it keeps, and the palpation that it lets through."""
+"""The morning check over emulated wires: a palpation waits for it, and it measures the machine behind the tip."""
 
 import json
 from pathlib import Path
@@ -12,30 +12,34 @@ from palpd.testing.fixtures import skip_without_ur_rtde
 
 pytestmark = pytest.mark.hil
 
-SOFT = {"name": "soft", "tissue": {"youngs_modulus_Pa": 30e3}}
+PLATE = {"name": "plate", "tissue": {"youngs_modulus_Pa": 5e11}}
 PUCK = {"name": "puck", "x_m": 0.03, "tissue": {"youngs_modulus_Pa": 72e3}}
-CHECK = {"puck_m": [0.03, 0.0], "search_m": 0.035, "require_check_h": 24.0}
+MACHINE = {"robot.compliance": {"stiffness_N_per_m": 1e5}, "robot.backlash": {"width_m": 1e-4}}
+CHECK = {"plate": True, "puck_m": [0.03, 0.0], "search_m": 0.035, "require_check_h": 24.0}
 
 
-def test_a_check_presses_the_puck_and_lets_a_run_through(tmp_path: Path) -> None:
+def test_a_check_shows_puck_machine_and_play_and_lets_a_palpation_through(tmp_path: Path) -> None:
     skip_without_ur_rtde()
-    cell_file = tmp_path / "two-sites.yaml"
-    cell_file.write_text(yaml.safe_dump({"sites": [SOFT, PUCK]}))
+    cell_file = tmp_path / "plate-and-puck.yaml"
+    cell_file.write_text(yaml.safe_dump({"sites": [PLATE, PUCK], "effects": MACHINE}))
     with emulated_cell(tmp_path, "ur5", cell=cell_file) as wired:
         cell = EmulatedCell(wired.wires, wired.model, tmp_path, {**PATIENT, "check": CHECK})
         assert cell.palpd("calibrate", "--config", cell.config).returncode == 0
         plan = tmp_path / "plan.yaml"
-        plan.write_text(yaml.safe_dump({**PRESS, "depths_m": [0.004], "search": {"speed_m_per_s": 0.01, "max_travel_m": 0.035}}))
+        search = {"speed_m_per_s": 0.01, "max_travel_m": 0.035}
+        plan.write_text(yaml.safe_dump({**PRESS, "sites": [{"name": "A", "x_m": 0.03}], "depths_m": [0.004], "search": search}))
         refused = cell.palpd("run", "--config", cell.config, "--plan", plan)
         assert (refused.returncode, "run palpd check first" in refused.stderr) == (2, True), refused.stderr
         out = tmp_path / "check.json"
-        done = cell.palpd("check", "--config", cell.config, "--temperature-C", "21", "--json", out, patience_s=120.0)
+        done = cell.palpd("check", "--config", cell.config, "--temperature-C", "21", "--json", out, patience_s=180.0)
         assert done.returncode == 0, done.stderr
         figures = json.loads(out.read_text())
         features = figures["features"]
+        assert features["plate_stiffness_N_per_m"] == pytest.approx(1e5, rel=0.1)
+        assert features["play_m"] == pytest.approx(1e-4, abs=1.5e-5)
         assert features["puck_modulus_Pa"] == pytest.approx(72e3, rel=0.05)
         assert abs(features["delay_s"]) < 5e-3
         ((recording, kept),) = kept_checks(tmp_path / "runs")
         assert str(recording) == figures["recording"]
-        assert kept.day.temperature_C == 21.0
+        assert (kept.day.temperature_C, kept.plate) == (21.0, figures["plate"])
         assert cell.palpd("run", "--config", cell.config, "--plan", plan).returncode == 0
