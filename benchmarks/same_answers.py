@@ -154,11 +154,12 @@ def main() -> int:
     parser.add_argument("--kept", type=Path, default=ROOT / "same-answers", help="folder of recordings and answers")
     parser.add_argument("--anew", action="store_true", help="make every answer again, both codes side by side")
     parser.add_argument("--any-words", action="store_true", help="words may differ")
+    parser.add_argument("--without", action="append", default=[], metavar="KEY", help="a key of the answer that only one code writes")
     options = parser.parse_args()
     kept = options.kept.resolve()
     (kept / "recordings").mkdir(parents=True, exist_ok=True)
     codes, cases = code_at(options.before, kept) | this_code(), fixed_cases(options.data.resolve(), options.cases)
-    left_out = REPEATED | (WORDS if options.any_words else set())
+    left_out = REPEATED | (WORDS if options.any_words else set()) | set(options.without)
     compare = partial(compared, kept=kept, codes=codes, anew=options.anew, left_out=left_out)
     ratios, differing = [], 0
     with pool(options.jobs) as workers:
