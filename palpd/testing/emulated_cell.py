@@ -207,7 +207,11 @@ class EmulatedCell:
         return [(t_s, reason) for t_s, reason in self.wires.ask("log", since_s=since_s)["stops"]]
 
     def until_contact(self, daemon: Daemon, force_N: float) -> None:
-        """Wait for that much true force; a daemon that ends before tells why."""
+        """Wait for that much true force.
+
+        Raises:
+            EndedBefore: The daemon has ended, and why.
+        """
 
         def pressed() -> bool:
             if daemon.process.poll() is not None:
