@@ -71,7 +71,8 @@ def solve_contact(s: Span, what: Physics, memory: Memory) -> None:
             step = force_N - last_N
             slope = np.minimum((gap - last_gap) / np.where(step == 0.0, 1.0, step), -1.0)
             slope[step == 0.0] = -1.0
-            slope = np.where((gap > 0.0) & (last_gap < 0.0), np.minimum(slope, hertz_slope()), slope)
+            if (entered := (gap > 0.0) & (last_gap < 0.0)).any():
+                slope[entered] = np.minimum(slope, hertz_slope())[entered]
             last_N, last_gap = force_N, gap
             force_N = force_N - gap / slope
     trial["force_N"] = float(s.contact_N[-1])

@@ -108,16 +108,12 @@ def measured(puck: Track, plate: Track | None, link: Mapping[str, float], tip_ra
         )
     surface_m = float(pressed.surface_z_m[-1])
     fit = _Fit(pressed, HERTZ, surface_m)
+    plate_fit = _fit_of_plate(plate) if plate is not None else None
     delay_s, play_m, stiffness = 0.0, None, None
-    for _ in range(ROUNDS if plate is not None else 1):
+    for _ in range(ROUNDS if plate_fit is not None else 1):
         k, delay_s = fit.solved(play_m or 0.0)
-        if plate is not None:
-            from_search = (plate.repeat == 0) & (plate.phase == Phase.RETRACT)
-            on_plate = plate.where((plate.mode == Mode.STIFFNESS) & (plate.repeat >= 0) & ~from_search)
-            known = on_plate.surface_z_m[np.isfinite(on_plate.surface_z_m)]
-            if len(known) < FEWEST:
-                raise RecordingError(f"the plate was pressed in {len(known)} samples, expected at least {FEWEST}; repeat palpd check")
-            stiffness, play_m = _Fit(on_plate, LINEAR, float(known[-1])).solved_with_play(delay_s)
+        if plate_fit is not None:
+            stiffness, play_m = plate_fit.solved_with_play(delay_s)
     speed = _speed(strokes)
     down, up = (strokes.fz_N[sign * speed > STROKE_M_PER_S] for sign in (-1.0, 1.0))
     slope_N_per_s = float(np.polyfit(rest.t_s - rest.t_s[0], rest.fz_N, 1)[0])
@@ -162,6 +158,16 @@ def _speed(frames: Track) -> Floats:
     half_s = 0.5 * SPEED_WINDOW_S
     ahead, behind = (np.interp(frames.t_s + sign * half_s, frames.t_s, frames.tip_z_m) for sign in (1.0, -1.0))
     return np.asarray((ahead - behind) / SPEED_WINDOW_S)
+
+
+def _fit_of_plate(plate: Track) -> "_Fit":
+    """The presses of the plate, without the way back from the search: it begins at a smaller force, which the play holds for a while."""
+    from_search = (plate.repeat == 0) & (plate.phase == Phase.RETRACT)
+    on_plate = plate.where((plate.mode == Mode.STIFFNESS) & (plate.repeat >= 0) & ~from_search)
+    known = on_plate.surface_z_m[np.isfinite(on_plate.surface_z_m)]
+    if len(known) < FEWEST:
+        raise RecordingError(f"the plate was pressed in {len(known)} samples, expected at least {FEWEST}; repeat palpd check")
+    return _Fit(on_plate, LINEAR, float(known[-1]))
 
 
 class _Fit:
