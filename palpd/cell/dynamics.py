@@ -48,6 +48,11 @@ def steps(t_s: Floats) -> Column:
     return np.concatenate(([np.median(dt_s)], dt_s))
 
 
+def integral(x: Floats, t_s: Floats) -> Floats:
+    """Integral of x (n,) over the times t_s (n,), straight between samples and 0 at the first."""
+    return np.concatenate(([0.0], np.cumsum(0.5 * (x[1:] + x[:-1]) * np.diff(t_s))))
+
+
 def recurrence(a: NDArray[Any], b: NDArray[Any], y: Any) -> NDArray[Any]:
     """y_k = a_k y_(k-1) + b_k with varying coefficients.
 
@@ -123,10 +128,13 @@ def lowpass(u: NDArray[Any], dt_s: Column, pole_per_s: complex, memory: Memory, 
             y = np.convolve(np.concatenate((np.full(MOST_TAPS - 1, u[0]), u)), taps, "valid")
         else:
             keep, old, new = _weights(x if x.imag else x.real)
-            state = np.asarray(keep * memory["y"] + old * memory["u"])[None]
-            from scipy.signal import lfilter  # here, since the control loop reads cell files and needs none of its 40 MB
+            from scipy.linalg.lapack import dtbtrs, ztbtrs  # here, since the control loop reads cell files and needs none of it
 
-            y, _ = lfilter([new, old], [1.0, -keep], u, axis=0, zi=state)
+            added = new * u
+            added[1:] += old * u[:-1]
+            added[0] += keep * memory["y"] + old * memory["u"]
+            bands = np.array(np.broadcast_to([[1.0], [-keep]], (2, n)), order="F")
+            y = (ztbtrs if x.imag else dtbtrs)(bands, added, uplo="L", diag="U")[0].reshape(u.shape)
     else:
         keep, old, new = _weights((pole_per_s if complex(pole_per_s).imag else complex(pole_per_s).real) * dt_s)
         before = np.concatenate(([memory["u"]], u[:-1]))

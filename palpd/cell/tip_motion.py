@@ -1,17 +1,13 @@
 """The motion of the tip behind what the robot reports of it."""
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import savgol_coeffs, savgol_filter
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.dynamics import Floats, servo, steps
+from palpd.cell.dynamics import Floats, integral, servo, steps
 from palpd.cell.report_times import Reports, find_reports
 from palpd.cell.span import TipMotion
 
-CUBIC = 3
-"""Degree of the polynomial whose slope is taken: a jump of jerk bends it little over a quarter of the servo's period."""
 AVERAGED = 1.5
 """Rms that averaging of speeds may remove, in those of their noise, where no command says how fast the robot is."""
 SURE = 2.0
@@ -70,7 +66,7 @@ def estimate_tip_motion(
         width += 1
     acceleration = _slope(t_s, vz_m_per_s, width)
     if half:
-        path_m = cumulative_trapezoid(vz_m_per_s, t_s, initial=0)
+        path_m = integral(vz_m_per_s, t_s)
         z_m = path_m + uniform_filter1d(z_m - path_m, 2 * half + 1, mode="nearest")
         vz_m_per_s = uniform_filter1d(vz_m_per_s, 2 * half + 1, mode="nearest")
     span = 2 * half + 1
@@ -109,11 +105,7 @@ def _slope_noise(noise: float, dt_s: float, half: int, each: float) -> float:
     """What white noise does to the slope that `_slope` takes, where straight lines of `each` samples join the noisy values."""
     if each > 1.0:
         return min(_slope_noise(noise * each**0.5, dt_s, half, 1.0), 2.0**0.5 * noise / (each * dt_s))
-    if half < 2:
-        return noise / (dt_s * 2.0**0.5)
-    k2 = np.arange(-half, half + 1.0) ** 2
-    s2, s4, s6 = float(k2.sum()), float((k2**2).sum()), float((k2**3).sum())
-    return float(noise / dt_s * np.sqrt(s6 / (s2 * s6 - s4**2)))
+    return noise * float(np.linalg.norm(slope_weights(dt_s, half)))
 
 
 def slope_weights(dt_s: float, half: int) -> Floats:
@@ -128,12 +120,17 @@ def slope_weights(dt_s: float, half: int) -> Floats:
     """
     if half < 2:
         return np.array([-0.5, 0.0, 0.5]) / dt_s
-    weights: Floats = savgol_coeffs(2 * half + 1, CUBIC, deriv=1, delta=dt_s, use="dot")
-    return weights
+    k = np.arange(-half, half + 1.0)
+    s2, s4, s6 = (float(np.sum(k**power)) for power in (2, 4, 6))
+    return (s6 * k - s4 * k**3) / (s2 * s6 - s4**2) / dt_s
 
 
 def _slope(t_s: Floats, x: Floats, half: int) -> Floats:
-    """Slope of the cubic through 2·half + 1 neighbours (Savitzky, Golay 1964), below five of them of the line between the nearest."""
+    """Slope of the cubic through 2·half + 1 neighbours (Savitzky, Golay 1964), below five of them of the line between the nearest.
+
+    A jump of jerk bends a cubic little over a quarter of the servo's period. The first and last samples lie on the cubic through the
+    first and last 2·half + 1.
+    """
     half = min(half, (len(x) - 1) // 2)
     if half < 2:
         nearest: Floats = np.gradient(x, t_s)
@@ -143,5 +140,7 @@ def _slope(t_s: Floats, x: Floats, half: int) -> Floats:
         even_s = np.arange(t_s[0], t_s[-1] + 0.5 * dt_s[0], dt_s[0])
         uneven: Floats = np.interp(t_s, even_s, _slope(even_s, np.interp(even_s, t_s, x), half))
         return uneven
-    slope: Floats = savgol_filter(x, 2 * half + 1, CUBIC, deriv=1, delta=dt_s, mode="interp")
-    return slope
+    k = np.arange(-half, half + 1.0)
+    ends = [np.polynomial.Polynomial.fit(k, part, 3).deriv()(k) / dt_s for part in (x[: 2 * half + 1], x[-2 * half - 1 :])]
+    inside = np.correlate(x, slope_weights(dt_s, half), "valid")
+    return np.concatenate([ends[0][:half], inside, ends[1][half + 1 :]])

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from palpd.cell.cell_file import CellFile, Tolerances
 from palpd.cell.dynamics import lowpass, play, steps
@@ -406,7 +406,7 @@ def _learned(pieces: Sequence[_Piece], groups: Sequence[int], noise: float, zero
     interval = np.concatenate([piece.interval for piece in pieces])
     counts = np.maximum(np.bincount(interval, minlength=INTERVALS), 1)
     unexplained = np.sqrt(np.maximum(np.bincount(interval, square, minlength=INTERVALS) / counts - least**2, 0.0))
-    factor_of_few = float(student.ppf(0.841, k - 1)) * ((k + 1) / (k * (k - 1))) ** 0.5
+    factor_of_few = float(stdtrit(k - 1, 0.841)) * ((k + 1) / (k * (k - 1))) ** 0.5
     return _Weights(
         mean=mean[:p] / scale[:p],
         covariance=covariance[:p, :p] / np.outer(scale[:p], scale[:p]),

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.dynamics import filtered, steps, unfiltered
@@ -422,6 +421,8 @@ def _as_by_hertz(contact_N: Floats, constants: Constants, motion: TipMotion, rai
 
 def _followed_command(cell: CellFile, library: Mapping[str, Effect], t_s: Floats, z_m: Floats) -> Floats:
     """Commanded heights (n,) for which the servo of a cell would report the heights `z_m` (n,): z + 2ζ/ω z' + z''/ω²."""
+    from scipy.interpolate import CubicSpline  # here, since only a simulator of the user needs its 0.1 s
+
     c = physics(cell, None, library).constants
     omega = 2.0 * np.pi * c.servo_natural_frequency_Hz
     path = CubicSpline(t_s, z_m)

@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtr, stdtrit
 
 from palpd.gap.data.noise import FZ, declared_rms
 from palpd.gap.healthy import BLOCK_S, HealthyCell, means_between, neighbours_alike
@@ -145,7 +144,7 @@ class UsualChanges:
         lefts = [one.left for one in compared]
         # Of few recordings the spread may be larger than they show.
         k, squares = max(len(lefts), 2), np.log(np.maximum([one.squares for one in compared], 1e-6))
-        factor = float(student.ppf(norm.cdf(TAIL_SD), k - 1)) / TAIL_SD * ((k + 1) / k) ** 0.5
+        factor = float(stdtrit(k - 1, ndtr(TAIL_SD))) / TAIL_SD * ((k + 1) / k) ** 0.5
         apart = np.minimum(TAIL_SD * factor * (squares.std(axis=0, ddof=1) if len(lefts) > 1 else np.zeros(2)), np.log(MOST_SQUARE))
         usual = squares.mean(axis=0)
         rho = min(max(float(np.median([left.alike for left in lefts])), 0.0), MOST_ALIKE)

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
 
 from palpd.cell.cell_file import CellFile
 from palpd.recording.samples import Samples, runs_of_true
@@ -95,6 +94,8 @@ def _velocity(samples: Samples) -> Floats:
         return np.asarray(np.gradient(samples.z_cmd_m, samples.t_s))
     if samples.rate_Hz <= 10.0:
         return samples.vz_m_per_s
+    from scipy.signal import butter, sosfiltfilt  # here, since a recording with a command needs none of its 0.3 s
+
     # One low-pass at 5 Hz, run both ways so that the phases are not late.
     sos = butter(1, 5.0, fs=samples.rate_Hz, output="sos")
     return np.asarray(sosfiltfilt(sos, samples.vz_m_per_s))

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from palpd.cell.cell_file import CellFile, Estimated
+from palpd.cell.dynamics import integral
 from palpd.cell.effects import Effect
 from palpd.cell.simulation import predict_motion
 from palpd.gap.assumptions import ASSUMED
@@ -152,6 +152,6 @@ def _lag_s(cell: CellFile) -> float:
 
 def _averaged(t_s: Floats, values: Floats, width_s: float) -> Floats:
     """Means (k,) of values at the times t_s (k,) over the time before each."""
-    sums = cumulative_trapezoid(values, t_s, initial=0)
+    sums = integral(values, t_s)
     before = np.interp(t_s - width_s, t_s, sums) + np.minimum(t_s - width_s - t_s[0], 0.0) * values[0]
     return np.asarray((sums - before) / width_s)
