@@ -13,7 +13,7 @@ import numpy as np
 
 from palpd.cell.cell_file import nominal
 from palpd.control.slopes import GRAVITY_N_PER_KG
-from palpd.control.surface import FEWEST_SAMPLES, correlation_time, surface_from_approach
+from palpd.control.surface import FEWEST_SAMPLES, correlation_time, fitted_part, surface_from_approach
 from palpd.errors import RecordingError
 from palpd.recording.header import RecordingHeader
 from palpd.tick import Floats
@@ -134,6 +134,7 @@ def approach_sigma_m(tip_z_m: Floats, force_N: Floats, tip_radius_m: float) -> f
     Returns:
         The standard deviation in m; None where the approach cannot be fitted.
     """
+    tip_z_m, force_N = fitted_part(tip_z_m, force_N)
     together = max(1, len(force_N) // APPROACH_SAMPLES)
     n = len(force_N) // together * together
     if n < FEWEST_SAMPLES * together:

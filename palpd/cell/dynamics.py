@@ -49,7 +49,15 @@ def steps(t_s: Floats) -> Column:
 
 
 def integral(x: Floats, t_s: Floats) -> Floats:
-    """Integral of x (n,) over the times t_s (n,), straight between samples and 0 at the first."""
+    """Integral over time, straight between samples and 0 at the first.
+
+    Args:
+        x: Values (n,).
+        t_s: Times (n,) in s.
+
+    Returns:
+        The integral (n,).
+    """
     return np.concatenate(([0.0], np.cumsum(0.5 * (x[1:] + x[:-1]) * np.diff(t_s))))
 
 

@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from palpd.config import CONTACT_FORCE_N, Plan
-from palpd.control.surface import FEWEST_SAMPLES, surface_from_approach
+from palpd.control.surface import FEWEST_SAMPLES, fitted_part, surface_from_approach
 from palpd.tick import STILL, Command, Floats, Mode, Observation, Phase, Progress, Proposal, Request
 
 GAIN_PER_S = 8.0
@@ -49,8 +49,6 @@ SETTLED_N = 0.02
 """Change between two windows below which a force counts as stable: noise alone changes their means by 3 mN."""
 MOST_SETTLE_S = 20.0
 """Longest wait for a stable force."""
-APPROACH_KEPT_S = 4.0
-"""Length of the approach that the surface fit uses: 2 cm at 5 mm/s."""
 ORIGIN_LIMIT_M = 0.3
 """Longest way to a plan's origin: across a table of phantoms. A longer one is more likely a mistake of frame or unit."""
 RETRACT_M_PER_S = 0.005
@@ -470,9 +468,8 @@ class Palpation(Script):
         lowest_m = self.observation.robot.target_pose[2] - search.max_travel_m
         self.note(phase=Phase.BASELINE, mode=Mode.SEARCH)
         baseline_N = (yield from self.mean_wrench(BASELINE_S))[2]
-        kept = round(APPROACH_KEPT_S / 0.002)
-        robot_track: deque[tuple[float, float]] = deque(maxlen=kept)
-        force_track: deque[tuple[float, float]] = deque(maxlen=kept)
+        robot_track: list[tuple[float, float]] = []
+        force_track: list[tuple[float, float]] = []
         force_N = 0.0
         self.note(phase=Phase.SEARCH, floor_z_m=lowest_m, clear_z_m=math.inf)
         while force_N < CONTACT_FORCE_N:
@@ -501,7 +498,7 @@ class Palpation(Script):
                 f"{force_N:.1f} N stood there {len(force)} ticks after the search began: the probe touches something already, or the "
                 "sensor's zero moved; start higher above the tissue, or tare again"
             )
-        surface_z_m, _ = surface_from_approach(height_m[seen], force[seen, 1], self.arm.tip_radius_m)
+        surface_z_m, _ = surface_from_approach(*fitted_part(height_m[seen], force[seen, 1]), self.arm.tip_radius_m)
         self.note(surface_z_m=surface_z_m, clear_z_m=surface_z_m + CLEAR_SHARE * self.plan.safe_height_m)
         yield from self.leave(surface_z_m, self.arm.max_speed_m_per_s)
         return surface_z_m

@@ -22,6 +22,39 @@ SURFACE_PASSES = 4
 FEWEST_SAMPLES = 10
 """Fewest samples of an approach: the fit has four unknowns."""
 
+FITTED_SAMPLES = 2000
+"""Samples at the end of an approach that a surface is fitted to, 2 cm at 5 mm/s and 500 Hz: more would keep the loop waiting."""
+CONTACT_SHARE = 0.2
+"""Share of the last force that stands out of the noise; Hertz reaches it at this share to the power of 2/3 of the depth."""
+AIR_SHARE = 1.5
+"""Way in the air that a fit needs for its baseline, as a share of that in contact."""
+
+
+def fitted_part(height_m: Floats, force_N: Floats) -> tuple[Floats, Floats]:
+    """The end of an approach that a surface is fitted to.
+
+    These are the last FITTED_SAMPLES. Where tissue is soft, or the way down slow, they lie in contact altogether, and a fit of them takes
+    contact for the baseline. So the part reaches back to enough air, and neighbours are averaged.
+
+    Args:
+        height_m: Heights (n,) of the tip from free air into the tissue.
+        force_N: Forces (n,) at these heights.
+
+    Returns:
+        Heights and forces (m,), m at most FITTED_SAMPLES.
+    """
+    first = len(height_m) - FITTED_SAMPLES
+    if first <= 0:
+        return height_m, force_N
+    air_N = float(np.median(force_N[:FEWEST_SAMPLES]))
+    light = np.flatnonzero(force_N < air_N + CONTACT_SHARE * (force_N[-1] - air_N))
+    depth_m = (height_m[light[-1]] - height_m[-1]) / (1.0 - CONTACT_SHARE ** (2.0 / 3.0)) if len(light) else math.inf
+    enough = np.flatnonzero(height_m >= height_m[-1] + (1.0 + AIR_SHARE) * depth_m)
+    first = min(first, int(enough[-1])) if len(enough) else 0
+    together = math.ceil((len(height_m) - first) / FITTED_SAMPLES)
+    whole = (len(height_m) - first) // together * together
+    return height_m[-whole:].reshape(-1, together).mean(axis=1), force_N[-whole:].reshape(-1, together).mean(axis=1)
+
 
 def surface_from_approach(height_m: Floats, force_N: Floats, tip_radius_m: float) -> tuple[float, float]:
     """Extrapolate the height of the surface back from the first millimetres of contact.

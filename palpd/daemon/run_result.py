@@ -3,6 +3,7 @@
 from typing import Any, NotRequired
 
 from palpd.analysis import results
+from palpd.analysis.modulus_notes import modulus_notes
 from palpd.analysis.results import DryFigures, LoopFigures, SiteResult, cut_short_notes, dry_figures
 from palpd.analysis.stalls import stall_figures, stall_note
 from palpd.daemon.motion_process import TripReport, trip_report
@@ -62,6 +63,7 @@ def run_result(report: Report) -> RunResult:
     elif recording.header["kind"] == "palpation":
         result["sites"] = results.sites(recording.rows, recording.header)
         result["notes"] += cut_short_notes(result["sites"], recording.header["config"]["safety"]["contact_limit_N"])
+        result["notes"] += modulus_notes(recording.rows, recording.header)
     return result
 
 
@@ -77,6 +79,7 @@ def simulated_result(simulated: SimulatedRecording) -> RunResult:
         notes=[
             NO_WIRES,
             *cut_short_notes(sites, simulated.header["config"]["safety"]["contact_limit_N"]),
+            *modulus_notes(simulated.rows, simulated.header),
             *outcome.notes,
         ],
         sites=sites,

@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TypedDict
 
+from palpd.analysis.modulus_notes import modulus_notes
 from palpd.analysis.results import DryFigures, LoopFigures, SiteResult, cut_short_notes, dry_figures, loop_figures, sites
 from palpd.analysis.stalls import stall_figures
 from palpd.config import parse_plan
@@ -117,7 +118,7 @@ def facts_of(recording: Recording) -> RunFacts:
             sites=measured,
             dry_figures=dry_figures(rows) if header["dry"] else None,
             cut_short=cut_short_notes(measured, config["safety"]["contact_limit_N"]) if palpated else [],
-            deviations=_deviations(recording, measured) if palpated else [],
+            deviations=[*_deviations(recording, measured), *modulus_notes(rows, header)] if palpated else [],
         )
 
 

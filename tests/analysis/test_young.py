@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from palpd.analysis.young import fit_contact, modulus_hertz_Pa, modulus_peak_Pa, ymbt
-from palpd.control.surface import surface_from_approach
+from palpd.control.surface import FITTED_SAMPLES, fitted_part, surface_from_approach
 from palpd.errors import BadInput, RecordingError
 from palpd.tick import Floats
 
@@ -179,6 +179,22 @@ def test_the_surface_is_found_from_deeper_contact_and_from_undithered_counts(con
             height_m, force_N, true_m = approach(seed, contrast=contrast, depth_m=0.01, **case)  # type: ignore[arg-type]
             away_m.append(surface_from_approach(height_m, force_N, RADIUS_M)[0] - true_m)
         assert np.max(np.abs(away_m)) < 1e-4
+
+
+@pytest.mark.parametrize(("modulus_Pa", "speed_m_per_s"), [(62.5e3, 0.0005), (10e3, 0.001), (2e3, 0.005)])
+def test_the_surface_of_soft_tissue_and_of_a_slow_search_is_found_although_the_last_samples_see_no_air(
+    modulus_Pa: float, speed_m_per_s: float
+) -> None:
+    away_m = []
+    for seed in range(5):
+        height_m = np.arange(0.02, -0.03, -speed_m_per_s / 500.0)
+        height_m = height_m[: int(np.searchsorted(hertz_N(-height_m, modulus_Pa), 1.0)) + 1]
+        force_N = hertz_N(-height_m, modulus_Pa) + np.random.default_rng(seed).normal(0.0, 0.03, len(height_m))
+        assert (height_m[-FITTED_SAMPLES:] < 0.0).all()
+        part = fitted_part(height_m, force_N)
+        assert len(part[0]) <= FITTED_SAMPLES
+        away_m.append(surface_from_approach(*part, RADIUS_M)[0])
+    assert np.max(np.abs(away_m)) < 5e-2 * -height_m[-1]
 
 
 def test_the_sigma_of_the_surface_means_what_it_says() -> None:

@@ -1,0 +1,82 @@
+"""What makes the moduli of a table doubtful, although every press came to its end: sentences for a run, its report and `palpd info`."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpd.analysis.results import Track, track
+from palpd.recording.header import RecordingHeader
+from palpd.tick import Mode, Phase
+
+LIGHT_N = 0.6
+"""Force at which the contacts of a search and of a press are compared: above the noise, and below the 1 N that end a search."""
+AVERAGED_S = 0.02
+"""Time over which forces are averaged before they are compared with LIGHT_N."""
+AIR_PARTS = 5
+"""The first of as many parts of a way down is in the air: presses begin well above the surface."""
+FEWEST_SAMPLES = 10
+"""Fewest samples of a way down that is compared."""
+MOST_OFF = 0.1
+"""Share of a modulus by which a moved contact may change it without a word: speed and preconditioning change tissue by less."""
+
+
+def modulus_notes(rows: NDArray[np.void], header: RecordingHeader) -> list[str]:
+    """Say what makes the moduli doubtful.
+
+    Args:
+        rows: Ticks, with the fields of ROW of palpd.tick.
+
+    Returns:
+        One sentence where Poisson's ratio is not 0.5, and one for each site whose presses met the tissue elsewhere than its search.
+    """
+    body = header["body"]
+    whole = track(rows, body["delay_s"], body["machine_stiffness_N_per_m"] or math.inf)
+    moved = (_moved(whole.where(whole.site == index), site["name"]) for index, site in enumerate(header["sites"]))
+    return [*_of_poisson(body["poisson_ratio"]), *(sentence for sentences in moved for sentence in sentences)]
+
+
+def _of_poisson(poisson_ratio: float) -> list[str]:
+    """Equation 1 of Guo, Xiao, Ren 2019 is Hertz times 1/(2(1 - ν))."""
+    if abs(poisson_ratio - 0.5) < 1e-6:
+        return []
+    return [
+        f"Poisson's ratio is {poisson_ratio:g}, and the moduli of this table are by equation 1 of the paper, which is Hertz at 0.5 only: "
+        f"Hertz gives {2.0 * (1.0 - poisson_ratio):.3g} times as much, as palpd analyse says"
+    ]
+
+
+def _moved(of_site: Track, name: str) -> list[str]:
+    searched = of_site.where(of_site.mode == Mode.SEARCH)
+    surface_m = searched.surface_z_m[np.isfinite(searched.surface_z_m)]
+    met_m = _light_contact_m(searched, Phase.SEARCH)
+    if met_m is None or not len(surface_m):
+        return []
+    moves = []
+    pressed = of_site.where(np.isin(of_site.mode, (Mode.STATIC, Mode.DYNAMIC)) & np.isfinite(of_site.depth_m))
+    for mode, depth_m, repeat in np.unique(np.column_stack([pressed.mode, pressed.depth_m, pressed.repeat]), axis=0):
+        press = pressed.where((pressed.mode == mode) & (pressed.depth_m == depth_m) & (pressed.repeat == repeat))
+        again_m = _light_contact_m(press, Phase.PRESS)
+        if again_m is not None:
+            moves.append((max(1.0 + (again_m - met_m) / float(depth_m), 0.0) ** 1.5 - 1.0, again_m - met_m))
+    share, moved_m = max(moves, key=lambda one: abs(one[0]), default=(0.0, 0.0))
+    if abs(share) < MOST_OFF:
+        return []
+    return [
+        f"site {name}: a press reached {LIGHT_N:g} N {abs(moved_m) * 1e3:.2g} mm {'higher' if moved_m > 0.0 else 'lower'} than the search "
+        "did: the surface has moved, the tissue has changed, or the sensor lags. Depths count from the surface of the search, so a modulus "
+        f"of this site may be off by {abs(share):.0%}; palpd analyse finds the contact of its deepest press itself"
+    ]
+
+
+def _light_contact_m(press: Track, phase: Phase) -> float | None:
+    """Height of the tip on one way down at which the force is last LIGHT_N above that in the air; None where it ends below."""
+    down = press.where(press.phase == phase)
+    if len(down.t_s) < FEWEST_SAMPLES:
+        return None
+    width = max(1, min(round(AVERAGED_S / float(np.median(np.diff(down.t_s)))), len(down.t_s)))
+    force_N, tip_z_m = (
+        np.convolve(values, np.full(width, 1.0 / width), mode="valid") for values in (down.fz_N - down.inertial_N, down.tip_z_m)
+    )
+    light = np.flatnonzero(force_N < float(np.median(force_N[: 1 + len(force_N) // AIR_PARTS])) + LIGHT_N)
+    return float(tip_z_m[light[-1]]) if len(light) and light[-1] < len(force_N) - 1 else None

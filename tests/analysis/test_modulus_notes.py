@@ -1,0 +1,36 @@
+"""A run whose moduli are doubtful says so, and one whose moduli are right does not."""
+
+from pathlib import Path
+
+import pytest
+
+from palpd.analysis.modulus_notes import modulus_notes
+from palpd.cell.cell_file import CellFile
+from palpd.config import Config, Plan
+from palpd.recording.reader import Recording
+from palpd.testing.simulated_recording import write_simulated
+
+
+def notes(folder: Path, config: dict[str, object] | None = None, **cell: object) -> list[str]:
+    plan = Plan.model_validate({"sites": [{"name": "A"}], "depths_m": [0.004, 0.005], "mode": "both", "repeats": 1})
+    path = folder / "run.mcap"
+    write_simulated(path, plan, CellFile.model_validate(cell), Config.model_validate(config or {}), seed=0)
+    recording = Recording.load(path)
+    return modulus_notes(recording.rows, recording.header)
+
+
+@pytest.mark.parametrize("effects", [{}, {"cable.friction": {"force_N": 0.3, "presliding_m": 0.0005}}, {"sensor.bias": {"offset_N": 0.2}}])
+def test_a_contact_where_the_search_met_it_is_not_doubted(tmp_path: Path, effects: dict[str, dict[str, float]]) -> None:
+    assert notes(tmp_path, effects=effects) == []
+
+
+def test_a_surface_that_sank_after_the_search_is_said_with_what_it_does_to_the_modulus(tmp_path: Path) -> None:
+    (note,) = notes(tmp_path, effects={"tissue.plasticity": {"set_m": 0.001, "ratio": 0.0}})
+    assert "site A" in note
+    assert " lower than the search did" in note
+    assert "off by 3" in note
+
+
+def test_equation_1_is_not_taken_for_hertz(tmp_path: Path) -> None:
+    (note,) = notes(tmp_path, {"cell": {"tissue": {"poisson_ratio": 0.3}}}, tissue={"poisson_ratio": 0.3})
+    assert "Hertz gives 1.4 times as much" in note
