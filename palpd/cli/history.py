@@ -222,4 +222,7 @@ def _print_trend(catalogue: "Catalogue", site: str, only: "RunFilter", json_file
         _show(effect_trend_table(effects))
     for line in slope_lines(slopes):
         _say(line)
-    write_json(json_file, trend_as_json(site, points, slopes, effects) | {"notes": catalogue.notes})
+    content = trend_as_json(site, points, slopes, effects)
+    for note in content["notes"]:
+        _say(f"note: {note}")
+    write_json(json_file, content | {"notes": [*catalogue.notes, *content["notes"]]})

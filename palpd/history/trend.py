@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -43,6 +44,8 @@ class ModulusPoint:
     started: str
     started_s: float
     moduli: SiteModuli
+    config_sha256: str | None = None
+    model_sha256: str | None = None
 
 
 def modulus_points(entries: Sequence[RunEntry], site: str) -> list[ModulusPoint]:
@@ -54,7 +57,12 @@ def modulus_points(entries: Sequence[RunEntry], site: str) -> list[ModulusPoint]
     Returns:
         One point a run that has pressed it.
     """
-    points = [ModulusPoint(run.name, run.started, run.started_s, each) for run in entries for each in run.sites if each.site == site]
+    points = [
+        ModulusPoint(run.name, run.started, run.started_s, each, run.config_sha256, run.model_sha256)
+        for run in entries
+        for each in run.sites
+        if each.site == site
+    ]
     return sorted((point for point in points if any(value(point.moduli) for value in MODULI.values())), key=lambda point: point.started_s)
 
 
@@ -75,6 +83,30 @@ def modulus_trend(catalogue: Catalogue, site: str, only: RunFilter) -> tuple[lis
         if (slope := slope_of(known)) is not None:
             slopes[quantity] = slope
     return points, slopes
+
+
+def change_notes(points: Sequence[ModulusPoint]) -> list[str]:
+    """Say between which runs something else changed than the tissue may have: a trend runs over a new tip as over a new day.
+
+    Args:
+        points: As `modulus_trend` gives them.
+
+    Returns:
+        One sentence for the configuration and one for the inertial model, each where it changed.
+    """
+    notes = []
+    for what, hashes in (
+        ("configuration", [point.config_sha256 for point in points]),
+        ("inertial model", [point.model_sha256 for point in points]),
+    ):
+        changes = [number for number, (one, other) in enumerate(pairwise(hashes)) if one != other]
+        if changes:
+            before, after = points[changes[-1]].run, points[changes[-1] + 1].run
+            notes.append(
+                f"the {what} changed within this trend, last before {after} (changes: {len(changes)}), so the line may show that and not "
+                f"the tissue; palpd report {after} --beside {before} says what differs"
+            )
+    return notes
 
 
 def site_trend(
@@ -129,10 +161,11 @@ def trend_as_json(
         effects: As `effect_trend` gives them.
 
     Returns:
-        Data of dictionaries, lists, texts and numbers.
+        Data of dictionaries, lists, texts and numbers; `notes` are those of `change_notes`.
     """
     return {
         "site": site,
+        "notes": change_notes(points),
         "runs": as_json(points),
         "slopes": as_json(slopes),
         "effects": [

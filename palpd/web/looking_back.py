@@ -107,7 +107,7 @@ def trend(folder: Path, query: Mapping[str, str]) -> dict[str, Any]:
     with Catalogue(folder) as catalogue:
         catalogue.refresh()
         content = trend_as_json(site, *site_trend(catalogue, site, replace(_filter(query), site="")))
-        return content | {"notes": list(catalogue.notes)}
+        return content | {"notes": [*catalogue.notes, *content["notes"]]}
 
 
 def checks(folder: Path) -> dict[str, Any]:

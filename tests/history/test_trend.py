@@ -1,5 +1,6 @@
 """Trends: a straight line through moduli over days, with an interval from its scatter."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from palpd.errors import BadInput
 from palpd.history.catalogue import Catalogue, RunFilter
 from palpd.history.dates import day_begin_s, day_end_s
-from palpd.history.trend import effect_trend, modulus_trend, slope_of, trend_as_json
+from palpd.history.trend import change_notes, effect_trend, modulus_trend, slope_of, trend_as_json
 
 DAY_S = 86400.0
 
@@ -49,6 +50,18 @@ def test_the_trend_of_a_site_is_its_moduli_run_by_run(runs: Path) -> None:
         assert effect_trend(catalogue) == {}
         content = trend_as_json("A", points, slopes, {})
         assert content["runs"][0]["moduli"]["static_Pa"] == points[0].moduli.static_Pa
+
+
+def test_a_trend_over_another_tip_or_model_says_so(runs: Path) -> None:
+    with Catalogue(runs) as catalogue:
+        catalogue.refresh()
+        points, _ = modulus_trend(catalogue, "A", RunFilter())
+    alike = [replace(point, config_sha256="one", model_sha256=None) for point in points]
+    assert change_notes(alike) == []
+    (note,) = change_notes([*alike[:2], replace(alike[2], config_sha256="another")])
+    assert "the configuration changed within this trend, last before day-2 (changes: 1)" in note
+    assert "palpd report day-2 --beside day-1" in note
+    assert len(change_notes([replace(alike[0], model_sha256="a model"), *alike[1:]])) == 1
 
 
 def test_a_day_is_one_of_this_time_zone_and_what_is_none_is_refused() -> None:
