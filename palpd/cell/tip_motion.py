@@ -5,11 +5,14 @@ from scipy.ndimage import uniform_filter1d
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.dynamics import Floats, integral, servo, steps
+from palpd.cell.lattice import lattice_step
 from palpd.cell.report_times import Reports, find_reports
 from palpd.cell.span import TipMotion
 
 AVERAGED = 1.5
 """Rms that averaging of speeds may remove, in those of their noise, where no command says how fast the robot is."""
+SAME_SPEED = 1e-4
+"""Difference from the slope of the heights, as a share of the range, below which reported speeds are that slope and as rounded."""
 SURE = 2.0
 """Ratio of rms to noise rms above which a speed or acceleration that the command does not explain is believed: two sigmas."""
 
@@ -52,8 +55,10 @@ def estimate_tip_motion(
     if reports is None:
         reports = find_reports(t_s, z_m)
     each = reports.rows_each
-    v_noise = min(cell.robot.velocity_noise_rms_m_per_s, _white_noise(reports.values(vz_m_per_s)))
-    z_noise = min(cell.robot.position_noise_rms_m, _white_noise(reports.values(z_m)))
+    v_noise = _noise(cell.robot.velocity_noise_rms_m_per_s, reports.values(vz_m_per_s))
+    z_noise = _noise(cell.robot.position_noise_rms_m, reports.values(z_m))
+    if np.allclose(vz_m_per_s, np.gradient(z_m, t_s), rtol=0.0, atol=SAME_SPEED * float(np.ptp(vz_m_per_s))):
+        v_noise = max(v_noise, lattice_step(z_m) / (12.0**0.5 * 2.0**0.5 * dt_s))
     if z_cmd_m is None:
         half = _half_that_removes_noise(vz_m_per_s, v_noise, half)
     widest = half
@@ -94,11 +99,15 @@ def _signal_share(x: Floats, noise: float, span: int) -> Floats:
     return share
 
 
-def _white_noise(x: Floats) -> float:
-    """Rms of what is white in a smooth signal, from its second differences (median, so that corners do not count)."""
+def _noise(stated: float, x: Floats) -> float:
+    """Rms of the noise of a smooth signal: as stated, or less where less is there, but that of its rounding at least.
+
+    What is white is seen in the second differences (median, so that corners do not count). Most of those of an encoder's steps are 0.
+    """
     if len(x) < 8:
         return 0.0
-    return float(np.median(np.abs(np.diff(x, 2)))) / (0.6745 * np.sqrt(6.0))
+    white = float(np.median(np.abs(np.diff(x, 2)))) / (0.6745 * np.sqrt(6.0))
+    return max(min(stated, white), lattice_step(x) / np.sqrt(12.0))
 
 
 def _slope_noise(noise: float, dt_s: float, half: int, each: float) -> float:

@@ -8,8 +8,9 @@ import numpy as np
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
+from palpd.cell.lattice import lattice_step
 from palpd.errors import RecordingError
-from palpd.gap.data.noise import CHANNELS, FZ, declared_rms, lattice_step
+from palpd.gap.data.noise import CHANNELS, FZ, declared_rms
 from palpd.gap.data.plausibility import SHAPE_CORRELATION, WRONG_UNIT_RATIO
 from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.user_simulator import SimulatedNominal, unjudged

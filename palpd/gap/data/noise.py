@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from palpd.cell.cell_file import CellFile
+from palpd.cell.lattice import lattice_step
 from palpd.gap.data.phases import Ints
 from palpd.recording.oddities import dead, measured_rms
 from palpd.recording.samples import Samples, runs_of_true
@@ -29,38 +30,6 @@ def pure_rms(cell: CellFile) -> Floats:
 def declared_rms(cell: CellFile) -> Floats:
     """Stated noise of one sample per channel (7,), rounding included."""
     return np.asarray(np.sqrt(pure_rms(cell) ** 2 + resolutions(cell) ** 2 / 12.0))
-
-
-MOST_APART = 1.2
-"""Largest ratio of the two steps of a sensor with two slopes: a HEX-70 has up to 1.08."""
-
-
-def lattice_step(values: Floats) -> float:
-    """The step to whose multiples readings are rounded.
-
-    A sensor with two slopes has two steps after its readings were corrected, one below and one above a load.
-
-    Args:
-        values: The readings (n,).
-
-    Returns:
-        The step in the unit of the readings, the finer of two; 0 if they are not rounded.
-    """
-    unique = np.unique(values)
-    if len(unique) < 3 or len(unique) > 0.2 * len(values):
-        return 0.0
-    gaps = np.diff(unique)
-    gaps = gaps[gaps > 1e-6 * np.ptp(unique)]
-    if len(gaps) < 2:
-        return float(gaps[0]) if len(gaps) else 0.0
-    step, other = float(np.quantile(gaps, 0.1)), float(np.median(gaps))
-    if other > MOST_APART * step:
-        other = step
-    on_lattice = np.zeros(len(gaps), bool)
-    for candidate in (step, other):
-        multiples = gaps / candidate
-        on_lattice |= np.abs(multiples - np.rint(multiples)) < 0.02 * np.maximum(multiples, 1.0)
-    return step if on_lattice.mean() > 0.9 else 0.0
 
 
 SAME_READING = 1e-9

@@ -9,9 +9,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from palpd.cell.cell_file import CellFile, TissueBlock
+from palpd.cell.lattice import lattice_step
 from palpd.cell.plausible import doubts, doubts_of_cell
 from palpd.errors import RecordingError
-from palpd.gap.data.noise import CHANNELS, FZ, declared_rms, lattice_step
+from palpd.gap.data.noise import CHANNELS, FZ, declared_rms
 from palpd.gap.data.prepare import PreparedRecording, moves
 from palpd.recording.oddities import (
     CLEAR_NOISES,

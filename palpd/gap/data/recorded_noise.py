@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CellFile
+from palpd.cell.lattice import lattice_step
 from palpd.gap.assumptions import ASSUMED
-from palpd.gap.data.noise import FX, FY, FZ, TX, TY, TZ, lattice_step
+from palpd.gap.data.noise import FX, FY, FZ, TX, TY, TZ
 from palpd.gap.data.phases import FREE_STILL, HOLDING, find_phases
 from palpd.gap.data.rounding import noise_before_rounding
 from palpd.recording.oddities import dead, measured_rms
