@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from palpd.analysis.curves import Curve, analyse_curve
 from palpd.cell.cell_file import cell_from
@@ -29,9 +30,11 @@ FEWEST_BINS = 10
 LARGEST_MASS_KG = 1.0
 """Largest uncertainty of the mass that is written: a probe is lighter."""
 SERVO_HZ = np.geomspace(0.5, 60.0, 97)
-"""Natural frequencies of the servo that are tried, 5 % apart."""
+"""Natural frequencies of the servo from which the best is sought, 5 % apart."""
+DAMPING_RATIOS = (0.2, 5.0)
+"""Least and largest damping ratio that is sought: a robot's servo neither rings for long nor creeps."""
 SERVO_TOLERANCE = 0.05
-"""Tolerance of the servo's natural frequency, as a ratio, where it was taken from the recording: the step between tried frequencies."""
+"""Tolerance of the servo's natural frequency, as a ratio, where it was taken from the recording."""
 EXACT = 1e-9
 """Least noise, as a share of the span of the readings: heights of a stage may have none, and columns over it would be beyond a float."""
 
@@ -107,7 +110,7 @@ def first_cell(
         least_m = max(spread_m, float(np.median([touch.sigma_m for touch in touches])), 0.006 * radius_m)
         tolerances["surface_z_m"] = CommentedValue(least_m, "how well the recordings show the touch, at least 0.6 % of the tip radius")
     if robot["servo_natural_frequency_Hz"].value is not None and any(samples.z_cmd_m is not None for samples in recordings):
-        tolerances["servo_natural_frequency"] = CommentedValue(SERVO_TOLERANCE, "relative: the step of the search")
+        tolerances["servo_natural_frequency"] = CommentedValue(SERVO_TOLERANCE, "GUESS: relative")
     blocks = {"probe": probe, "sensor": sensor, "robot": robot, "tissue": tissue, "tolerances": tolerances}
     questions = [question for samples in recordings for question in questions_of(samples)]
     if tissue is not None:
@@ -182,21 +185,29 @@ def _robot(recordings: Sequence[Samples]) -> dict[str, CommentedValue]:
         position.append(max(measured_rms(np.interp(at_s, samples.t_s, samples.z_m)), least_m))
         velocity.append(measured_rms(np.interp(at_s, samples.t_s, samples.vz_m_per_s)))
         if samples.z_cmd_m is not None and np.ptp(samples.z_cmd_m) > 0.0:
-            fits.append(_servo_Hz(samples.t_s, samples.z_cmd_m, samples.z_m))
+            fits.append(_servo(samples.t_s, samples.z_cmd_m, samples.z_m))
     followed = "the one that fits how z_m follows z_cmd_m best" if fits else "GUESS: without z_cmd_m the servo is not judged"
+    natural_Hz, damping_ratio = np.median(fits, axis=0).tolist() if fits else (8.0, 1.0)
     return {
-        "servo_natural_frequency_Hz": CommentedValue(float(np.median(fits)) if fits else 8.0, followed),
-        "servo_damping_ratio": CommentedValue(1.0, "GUESS: no overshoot"),
+        "servo_natural_frequency_Hz": CommentedValue(natural_Hz, followed),
+        "servo_damping_ratio": CommentedValue(damping_ratio, "from the same fit" if fits else "GUESS: no overshoot"),
         "position_noise_rms_m": CommentedValue(float(np.median(position)), "scatter of z_m from report to report"),
         "velocity_noise_rms_m_per_s": CommentedValue(float(np.median(velocity)), "scatter of vz_m_per_s from report to report"),
     }
 
 
-def _servo_Hz(t_s: Floats, z_cmd_m: Floats, z_m: Floats) -> float:
-    """Natural frequency of the critically damped servo that explains the heights best."""
+def _servo(t_s: Floats, z_cmd_m: Floats, z_m: Floats) -> tuple[float, float]:
+    """Natural frequency in Hz and damping ratio of the servo that explains the heights best."""
     dt_s = steps(t_s)
-    errors_m = [float(np.mean((z_m - servo_heights(z_cmd_m, dt_s, natural_Hz, 1.0)) ** 2)) for natural_Hz in SERVO_HZ]
-    return float(SERVO_HZ[int(np.argmin(errors_m))])
+
+    def missed_m(logarithms: Floats) -> Floats:
+        natural_Hz, damping_ratio = np.exp(logarithms).tolist()
+        return servo_heights(z_cmd_m, dt_s, natural_Hz, damping_ratio) - z_m
+
+    start = min(((np.log(natural_Hz), 0.0) for natural_Hz in SERVO_HZ), key=lambda at: float(np.mean(missed_m(np.array(at)) ** 2)))
+    low, high = np.log([[SERVO_HZ[0] / 2.0, DAMPING_RATIOS[0]], [2.0 * SERVO_HZ[-1], DAMPING_RATIOS[1]]])
+    natural_Hz, damping_ratio = np.exp(least_squares(missed_m, start, bounds=(low, high), diff_step=np.full(2, 1e-3)).x).tolist()
+    return natural_Hz, damping_ratio
 
 
 def _sensor(recordings: Sequence[Samples], surface_m: float, robot: dict[str, CommentedValue]) -> dict[str, CommentedValue]:
