@@ -13,6 +13,7 @@ from scipy.sparse import block_diag, csr_array
 
 from palpd.cell.cell_file import CROSSTALK, CROSSTALK_ARM_M, CellFile, EffectValues, Estimated
 from palpd.cell.effects import EFFECTS, Effect, Scale
+from palpd.cell.lattice import lattice_step
 from palpd.cell.simulation import predict_motion, scale_of
 from palpd.cell.span import TipMotion
 from palpd.gap.assumptions import ASSUMED
@@ -20,7 +21,7 @@ from palpd.gap.data.noise import FX, FZ, Z
 from palpd.gap.data.observations import Observations
 from palpd.gap.data.phases import PHASES
 from palpd.gap.data.prepare import PreparedRecording, prepare, stated_cell
-from palpd.gap.data.rounding import Rounding, undithered_rms_of
+from palpd.gap.data.rounding import Rounding, undithered_rms, undithered_rms_of
 from palpd.gap.gaussian.nuisances import Columns
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.gap.model.fixed_nuisances import Column, FixedNuisances, fixed_nuisances, torque_arm_m
@@ -413,7 +414,7 @@ def _whitening(
         sigma[FZ] = np.hypot(sigma[FZ], cell.probe.mass_kg * recording.removed_m_per_s2)
         sigma[FZ] = np.hypot(sigma[FZ], error.inertial_N.get(ORDER, 0.0))
         sigma[FZ] = np.hypot(sigma[FZ], rounding_N)
-        sigma = np.hypot(sigma, _hidden_rms(cell, len(recording.bins)))
+        sigma = np.hypot(sigma, _hidden_rms(cell, recording))
         if recording.simulated is not None and recording.simulated.doubt is not None:
             doubt = recording.simulated.doubt
             sigma = np.hypot(sigma, recording.bins.mean(doubt.unexplained.T).T)
@@ -427,12 +428,14 @@ def _whitening(
     return Whitening.of(np.hstack(sigmas), shared)
 
 
-def _hidden_rms(cell: CellFile, bins: int) -> Floats:
-    """Rms (7, 1) of the error of rounding that noise does not dither, of lateral forces and torques; 0 of the other channels.
+def _hidden_rms(cell: CellFile, recording: PreparedRecording) -> Floats:
+    """Rms (7, 1) of the error of rounding that noise does not dither, of heights, lateral forces and torques; 0 of fz.
 
-    Where the force is the same, so is that error: no number of bins averages it, and all of them count as one reading for each phase.
+    Where the reading is the same, so is that error: no number of bins averages it, and all of them count as one reading for each phase.
     """
-    return np.sqrt(bins / len(PHASES)) * np.where(np.isin(range(7), (Z, FZ)), 0.0, undithered_rms_of(cell))[:, None]
+    rms = undithered_rms_of(cell)
+    rms[Z], rms[FZ] = undithered_rms(lattice_step(recording.samples.z_m), recording.noise_rms[Z]), 0.0
+    return np.sqrt(len(recording.bins) / len(PHASES)) * rms[:, None]
 
 
 def _stiffness(cell: CellFile, recording: PreparedRecording) -> Floats:
