@@ -140,7 +140,7 @@ def _similarity(name: str, change: Projected, other: str, shapes: Sequence[Shape
         amount = shape.change.dot(change) / max(shape.change.dot(shape.change), 1e-300)
         bound = np.append(np.inf, np.maximum(abs(amount) * shape.reach, 1e-300))
         factor = _factor(gram([shape.change, *shape.slopes, change]))
-        fit = lsq_linear(factor[:, :-1], factor[:, -1], (-bound, bound))
+        fit = lsq_linear(factor[:, :-1], factor[:, -1], (-bound, bound), method="bvls")  # of a few columns: in half the time
         best = max(best, 1.0 - 2.0 * float(fit.cost) / size2)
     cosine = min(best, 1.0) ** 0.5
     sine = max(1.0 - cosine**2, 1e-4) ** 0.5
