@@ -75,7 +75,7 @@ FAULTS = (
     PlantedFault("soft cable", "level", "free air", effects={"cable.spring": {"stiffness_N_per_m": 100.0}}),
     PlantedFault("wrong model", "robot", "robot model", config_model="ur5e"),
     PlantedFault("USB latency 16 ms", "look", "sensor latency", lambda cell: cell.wires.ask("usb_latency", ms=16)),
-    PlantedFault("loose sensor", "stiffness", "machine stiffness", plate_N_per_m=1.0 / (1.0 / PLATE_N_PER_M + 1.0 / LOOSE_N_PER_M)),
+    PlantedFault("loose sensor", "stiffness", "stiffness", plate_N_per_m=1.0 / (1.0 / PLATE_N_PER_M + 1.0 / LOOSE_N_PER_M)),
     PlantedFault(
         "125 Hz taken for 500", "robot", "robot states", lambda cell: cell.wires.ask("slow_packets", every=4, s=600.0), model="ur5e"
     ),

@@ -583,7 +583,7 @@ def analyse(source: Source, cell: CellSource | None = None, *, site: str | None 
     samples = _samples(source, site)
     estimate = enriched_modulus([samples], _cell(cell).at_site(common_site([samples])))
     figures = {"youngs_modulus_Pa": estimate.youngs_modulus_Pa, "ci95_Pa": list(estimate.ci95_Pa), "contact_point_m": estimate.surface_z_m}
-    return Analysis(({"name": site or "", **figures, "rms_N": estimate.rms_N, "warnings": []},))
+    return Analysis(({"name": site or "", **figures, "rms_N": estimate.rms_N, "warnings": list(estimate.notes)},))
 
 
 def _daemon_sites(source: Source, site: str | None) -> Sequence[Mapping[str, Any]]:

@@ -27,6 +27,7 @@ from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
 from palpd.recording.reader import Recording, holds_ticks, refuse_site, samples_of
 from palpd.recording.samples import Samples, common_site, read, runs_of_true
+from palpd.recording.stated_geometry import with_stated_machine
 from palpd.tick import Floats
 
 SHIFT_M = 2e-5
@@ -57,6 +58,7 @@ class EnrichedModulus:
         expected_rms_N: Rms that noise, rounding and the scatter of presses would leave.
         gain: Factor of a force at rest that the cell file holds beside its modulus.
         cell: The cell that predicts the recordings.
+        notes: A sentence for each value that cell file and recordings state differently.
     """
 
     youngs_modulus_Pa: float
@@ -67,6 +69,7 @@ class EnrichedModulus:
     expected_rms_N: float
     gain: float
     cell: CellFile
+    notes: tuple[str, ...] = ()
 
     def static_Pa(self, depths_m: Sequence[float], surface_z_m: float | None = None) -> float:
         """Static modulus by eq. 1 of Guo, Xiao, Ren 2019 on the force after a long hold.
@@ -96,7 +99,7 @@ def enriched_modulus(recordings: Sequence[Samples], cell: CellFile) -> EnrichedM
 
     Args:
         recordings: Recordings of one cell.
-        cell: The enriched cell, with a tissue.
+        cell: The enriched cell, with a tissue. Where it states no `robot.compliance`, that of the recordings counts.
 
     Returns:
         The modulus and the cell that belongs to it.
@@ -106,6 +109,7 @@ def enriched_modulus(recordings: Sequence[Samples], cell: CellFile) -> EnrichedM
     """
     if cell.tissue is None:
         raise RecordingError("the cell file has no tissue, so there is no modulus to estimate; give one with a tissue block")
+    cell, notes = with_stated_machine(cell, recordings)
     contact = _Contact.of(recordings, cell)
     fit = _converged(contact)
     force_N = contact.force_N(fit.modulus_Pa, fit.shift_m)
@@ -132,6 +136,7 @@ def enriched_modulus(recordings: Sequence[Samples], cell: CellFile) -> EnrichedM
         ),
         gain=gain,
         cell=estimated,
+        notes=tuple(notes),
     )
 
 
@@ -270,7 +275,7 @@ def _result(estimate: EnrichedModulus, name: str) -> EnrichedResult:
         "contact_point_m": estimate.surface_z_m,
         "contact_sigma_m": estimate.surface_sigma_m,
         "rms_N": estimate.rms_N,
-        "warnings": _doubts(estimate),
+        "warnings": [*estimate.notes, *_doubts(estimate)],
     }
 
 

@@ -38,11 +38,16 @@ PEAK_WINDOW_S = 0.02
 
 LOADED_N = 1.0
 """Force against a rigid plate above which a press counts for the machine's stiffness: below it mount and plate settle."""
+MOST_HARDENING = 1.25
+"""How many times as stiff the upper half of a press on a rigid plate may be as the lower one. A plate has 1, and a mount may harden a
+little; a sphere on anything soft has 1.37 by Hertz's law."""
 
 
 CORRECTED_ZERO_N, UNCORRECTED_ZERO_N = 0.02, 1.0
 """Standard deviation of the zero of a dynamic peak, with an inertial model and without one. The model's running zero follows a bias to
 some 0.02 N. Without it nothing does, and the value leaves the zero free."""
+UNCORRECTED_BIAS_N = 0.19
+"""The same for the interval of a dynamic modulus without an inertial model: the bias that a tare left in the paper (docs/paper.md)."""
 
 
 SAME_MODULUS = 0.05
@@ -226,7 +231,20 @@ def sites(rows: NDArray[np.void], header: RecordingHeader) -> list[SiteResult]:
     whole = track(rows, body["delay_s"], stiffness)
     tip = (body["tip_radius_m"], body["poisson_ratio"])
     errors = _Errors.of(header)
-    return [_site(whole.where(whole.site == index), site["name"], tip, errors) for index, site in enumerate(header["sites"])]
+    results = [_site(whole.where(whole.site == index), site["name"], tip, errors) for index, site in enumerate(header["sites"])]
+    return results if header.get("model_card") else [_with_bias(site) for site in results]
+
+
+def _with_bias(site: SiteResult) -> SiteResult:
+    """A site whose dynamic interval also holds the bias of a force that no model has corrected."""
+    ci95_Pa, value_Pa = site["dynamic_corrected_ci95_Pa"], site["dynamic_corrected_Pa"]
+    per_N = _mean(
+        press["corrected_Pa"] / force_N for press in site["presses"] if (force_N := press["original_N"] - press["correction_N"]) > 0.0
+    )
+    if ci95_Pa is None or value_Pa is None or per_N is None:
+        return site
+    low_Pa, high_Pa = (math.hypot(bound_Pa - value_Pa, NORMAL_95 * UNCORRECTED_BIAS_N * per_N) for bound_Pa in ci95_Pa)
+    return {**site, "dynamic_corrected_ci95_Pa": [value_Pa - low_Pa, value_Pa + high_Pa]}
 
 
 def analysed(rows: NDArray[np.void], header: RecordingHeader) -> list[LoadingResult]:
@@ -536,20 +554,37 @@ def machine_stiffness(rows: NDArray[np.void]) -> tuple[float, tuple[float, float
         Mean over the presses in N/m, and its 95 % interval.
 
     Raises:
-        RecordingError: Fewer than two presses can be evaluated, or one gives way upwards.
+        RecordingError: Fewer than two presses can be evaluated, one gives way upwards, or they harden as no rigid plate does.
     """
     whole = track(rows, 0.0)
-    slopes = []
+    slopes, lower, upper = [], [], []
     for repeat in np.unique(whole.repeat[whole.repeat >= 0]):
         press = whole.where((whole.mode == Mode.STIFFNESS) & (whole.phase == Phase.PRESS) & (whole.repeat == repeat))
         loaded = np.convolve(press.fz_N, np.ones(50) / 50, mode="same") > LOADED_N
         press = press.where(loaded)
         if len(press.t_s) > 50:
-            # 5 µm of noise on a travel of 0.1 mm would flatten a regression on travel by 4 %; time, which has none, is the instrument
-            t_s = press.t_s - press.t_s.mean()
-            slopes.append(-float((t_s @ press.fz_N) / (t_s @ press.tip_z_m)))
+            slopes.append(1.0 / _compliance_m_per_N(press))
+            first = np.arange(len(press.t_s)) < len(press.t_s) // 2
+            lower.append(_compliance_m_per_N(press.where(first)))
+            upper.append(_compliance_m_per_N(press.where(~first)))
     if len(slopes) < 2 or min(slopes) <= 0:
         raise RecordingError(f"{len(slopes)} presses of a rigid plate can be evaluated, expected at least 2; repeat palpd stiffness")
     mean = math.fsum(slopes) / len(slopes)
+    beyond = [below - MOST_HARDENING * above for below, above in zip(lower, upper, strict=True)]
+    if math.fsum(beyond) / len(beyond) > mean_half_width_95(beyond):
+        raise RecordingError(
+            f"the presses measure {mean / 1e3:.3g} N for 1 mm, and their upper half is {math.fsum(lower) / math.fsum(upper):.2f} times as "
+            f"stiff as their lower half, expected at most {MOST_HARDENING:g} times: something soft was pressed. Put a rigid plate on firm "
+            "ground under the probe, and repeat palpd stiffness"
+        )
     half = mean_half_width_95(slopes)
     return mean, (mean - half, mean + half)
+
+
+def _compliance_m_per_N(press: Track) -> float:
+    """How far a press at constant speed gives way per newton.
+
+    5 µm of noise on a travel of 0.1 mm would flatten a regression on travel by 4 %; time, which has none, is the instrument.
+    """
+    t_s = press.t_s - press.t_s.mean()
+    return -float((t_s @ press.tip_z_m) / (t_s @ press.fz_N))

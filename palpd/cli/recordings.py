@@ -82,6 +82,12 @@ def export(
     for file in files:
         samples = write(whole, file, site)
         terminal().print(f"{file}: {len(samples)} rows, {samples.duration_s:.1f} s.")
+    if stiffness_N_per_m := whole.header.get("machine_stiffness_N_per_m"):
+        terminal().print(
+            f"The recording's header states a machine of {stiffness_N_per_m:.6g} N/m, and the rows do not hold it: give palpd analyse "
+            f"--machine-stiffness-N-per-m {stiffness_N_per_m:.6g}, or write it into the cell file as robot.compliance.",
+            soft_wrap=True,
+        )
 
 
 @app.command(examples=["palpd recover cut-off.part"])

@@ -468,6 +468,7 @@ def check_config(
     from palpd.cli.tables import overshoot_table
     from palpd.config import Plan, close_sites, load_plan, plan_limits
     from palpd.control.sequence import SOFT_END
+    from palpd.daemon.doctor.stored import examine_machine_stiffness
     from palpd.daemon.kept_plans import rehearsed_config_sha256
     from palpd.daemon.overshoot import predicted
     from palpd.daemon.starting_files import checked
@@ -495,6 +496,8 @@ def check_config(
         terminal().print(table)
     for question in [*questions.values(), *unreadable]:
         terminal().print(f"question: {question}", soft_wrap=True)
+    for finding in examine_machine_stiffness(settings):
+        terminal().print(f"{finding.name}: {finding.measured}{'; ' * bool(finding.advice)}{finding.advice}", soft_wrap=True)
     terminal().print(f"{config} is sound." if plan is None else f"{config} and {plan} are sound.")
     content = {
         "expected_stiffness_N_per_m": settings.safety.expected_stiffness_N_per_m,

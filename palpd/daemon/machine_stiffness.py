@@ -5,6 +5,7 @@ from palpd.config import Plan
 from palpd.daemon.program_host import ProgramHost
 from palpd.daemon.stored_state import MachineStiffness, State, now
 from palpd.daemon.supervisor import Report
+from palpd.errors import RecordingError
 from palpd.recording.reader import Recording
 
 
@@ -18,12 +19,14 @@ def measured_stiffness(host: ProgramHost) -> tuple[Report, MachineStiffness | No
         The report of the run, and the stiffness where the run came to its end.
 
     Raises:
-        PalpdError: Where the devices refuse, or the recording does not show a stiffness.
+        PalpdError: Where the devices refuse, or the recording does not show the stiffness of a machine. Nothing is kept then.
     """
     report = host.carry_out("stiffness", Plan())
     if report.exit_code or report.recording is None:
         return report, None
     value_N_per_m, ci95_N_per_m = machine_stiffness(Recording.load(report.recording).rows)
     machine = MachineStiffness(value_N_per_m, ci95_N_per_m, now(), report.about.get("sensor_serial"))
+    if machine.too_soft:
+        raise RecordingError(f"the presses measure {machine.too_soft}")
     State(host.config.paths.state).keep("stiffness", machine)
     return report, machine

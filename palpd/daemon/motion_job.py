@@ -48,6 +48,7 @@ class Job:
         dry: Whether to read the devices and command nothing.
         reference: Tare (6,) of the last calibration; None: the job takes its own.
         machine_stiffness_N_per_m: Stiffness of sensor, mount and arm; None: rigid.
+        machine_serial: The sensor with which that was measured; None where nobody knows.
         reference_serial: The sensor of the reference; None where nobody knows.
         reference_date: When that was taken; None where nobody knows.
         returns_to_start: A palpation that is done returns to its start pose; in the recordings of earlier versions it did not.
@@ -71,6 +72,7 @@ class Job:
     dry: bool = False
     reference: tuple[float, ...] | None = None
     machine_stiffness_N_per_m: float | None = None
+    machine_serial: str | None = None
     reference_serial: str | None = None
     reference_date: str | None = None
     returns_to_start: bool = True
@@ -167,6 +169,19 @@ def sequence_of(job: Job, delay_s: float) -> Sequence:
     return Sequence(script, job.pauses_in_place)
 
 
+def other_machine(measured_serial: str, serial: str) -> str:
+    """Say that the stiffness of a machine is that of another sensor, and what to do.
+
+    Args:
+        measured_serial: The sensor with which it was measured.
+        serial: The sensor that is mounted.
+    """
+    return (
+        f"the stiffness of the machine was measured with sensor {measured_serial}, but {serial} is mounted; put a rigid plate under the "
+        "probe and run palpd stiffness"
+    )
+
+
 def explainer_of(job: Job, about: RunAbout, delay_s: float) -> Explainer:
     """Axes, reference tare and inertial model of a job.
 
@@ -179,12 +194,14 @@ def explainer_of(job: Job, about: RunAbout, delay_s: float) -> Explainer:
         The explainer, not yet tared.
 
     Raises:
-        Refused: The reference tare is another sensor's.
+        Refused: The reference tare or the stiffness of the machine is another sensor's.
         ModelRefused: The inertial model may not be used for this probe or sensor.
     """
     config, sensor_serial = job.config, about.get("sensor_serial")
     if job.reference is not None and job.reference_serial and sensor_serial and job.reference_serial != sensor_serial:
         raise Refused(f"the reference tare is of sensor {job.reference_serial}, but {sensor_serial} is connected; run palpd calibrate")
+    if job.machine_serial and sensor_serial and job.machine_serial != sensor_serial:
+        raise Refused(other_machine(job.machine_serial, sensor_serial))
     model = None
     if config.model.path is not None and job.kind in ("palpation", "check"):
         model = InertialModel.load(config.model.path, probe_mass_kg=config.cell.probe.mass_kg, sensor_serial=sensor_serial)

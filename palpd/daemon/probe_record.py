@@ -53,14 +53,14 @@ def evidence_of(config: Config, about: RunAbout, pose: tuple[float, ...], wrench
 
 
 def _reference(config: Config, calibration: Calibration) -> Reference:
-    age_s = (datetime.datetime.now().astimezone() - _date(calibration.date)).total_seconds()
-    drift_N = expected_drift_N(age_s, config.cell.tolerances.drift_N_per_min)
+    drift_N = expected_drift_N(age_s(calibration.date), config.cell.tolerances.drift_N_per_min)
     return Reference(calibration.wrench, calibration.identity, calibration.tilt_rad, drift_N)
 
 
-def _date(text: str) -> datetime.datetime:
-    """A date of ours; one that cannot be read is taken for today, so that its age excuses nothing."""
+def age_s(date: str) -> float:
+    """Age of a date of ours; one that cannot be read is taken for now, so that its age excuses nothing."""
+    now = datetime.datetime.now().astimezone()
     try:
-        return datetime.datetime.fromisoformat(text).astimezone()
+        return (now - datetime.datetime.fromisoformat(date).astimezone()).total_seconds()
     except ValueError:
-        return datetime.datetime.now().astimezone()
+        return 0.0

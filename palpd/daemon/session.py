@@ -79,7 +79,9 @@ def measured_job(
     state = State(config.paths.state)
     if kind == "palpation" and not dry:
         refuse_unchecked(config, plan, state.last_check(), datetime.now().astimezone())
-    stiffness, known, calibration = state.machine_stiffness(), probe_record(config, state), state.calibration()
+    stated_N_per_m = config.machine.stiffness_N_per_m
+    machine = state.machine_stiffness() if kind == "palpation" and stated_N_per_m is None else None  # no other kind counts with it
+    known, calibration = probe_record(config, state), state.calibration()
     last = state.place() if kind == "palpation" else None
     back = last if choice == "return" and last is not None and not last.returned else None
     work = Job(
@@ -87,7 +89,8 @@ def measured_job(
         config,
         plan,
         dry,
-        machine_stiffness_N_per_m=config.machine.stiffness_N_per_m or (stiffness.stiffness_N_per_m if stiffness else None),
+        machine_stiffness_N_per_m=machine.stiffness_N_per_m if machine is not None else stated_N_per_m,
+        machine_serial=machine.sensor_serial if machine is not None else None,
         lifts_first=kind in ("palpation", "free_motion", "stiffness"),
         probe=known,
         confirmed=take_reference and calibration is None,

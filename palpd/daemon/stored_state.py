@@ -20,6 +20,10 @@ MOST_BYTES = 100_000
 """Largest file of state; each holds a few numbers and a sentence."""
 
 
+SOFTEST_N_PER_M = 1e4
+"""Least stiffness of a machine whose screws are tight (assumed): at 12 N it gives way by 1.2 mm."""
+
+
 Basis = Literal["unconfirmed", "free", "level", "yes"]
 """Why a reference is believed: first of its folder, within the drift of the one before, by a level test, or by an operator's word."""
 
@@ -58,6 +62,16 @@ class MachineStiffness:
     ci95_N_per_m: tuple[float, float]
     date: str
     sensor_serial: str | None
+
+    @property
+    def too_soft(self) -> str:
+        """Why no run may count with it; empty where it may. A machine that counts as too soft makes every press deeper than commanded."""
+        if self.stiffness_N_per_m >= SOFTEST_N_PER_M:
+            return ""
+        return (
+            f"{self.stiffness_N_per_m / 1e3:.3g} N for 1 mm, expected at least {SOFTEST_N_PER_M / 1e3:g} N of a machine on a rigid plate; "
+            "tighten the screws of sensor, mount and probe, put a rigid plate on firm ground under the probe, and repeat palpd stiffness"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,12 +127,14 @@ class State:
         return self._kept("level", LevelTested, "no level test; delete it")
 
     def machine_stiffness(self) -> MachineStiffness | None:
-        """The last `palpd stiffness`, if any."""
+        """The last `palpd stiffness`, if any. Raises ConfigError where the file is damaged, or its machine is too soft to be one."""
         damaged = "no stiffness of the machine; run palpd stiffness again"
         stiffness = self._kept("stiffness", MachineStiffness, damaged)
         numbers = (stiffness.stiffness_N_per_m, *stiffness.ci95_N_per_m) if stiffness is not None else (1.0,)
         if numbers[0] <= 0.0 or not all(map(math.isfinite, numbers)):
             raise ConfigError(f"{self.folder / 'stiffness.json'} holds {damaged}")
+        if stiffness is not None and stiffness.too_soft:
+            raise ConfigError(f"{self.folder / 'stiffness.json'} holds {stiffness.too_soft}")
         return stiffness
 
     def commission(self) -> Commission:

@@ -232,7 +232,8 @@ def _samples_and_rows(recording: Recording, site: str | None, at_reports: bool =
     }
     samples = samples_from_columns(columns, f"{recording.path.name}{f', site {site}' if site else ''}")
     visited = np.unique(chosen["site"][row_of])
-    return replace(samples, sites=tuple(recording.site_name(number) for number in visited.tolist() if number >= 0)), chosen, row_of
+    names = tuple(recording.site_name(number) for number in visited.tolist() if number >= 0)
+    return replace(samples, sites=names, stated=recording.header.get("body")), chosen, row_of
 
 
 def _last_rest_s(robot_t_s: Floats, states: Rows) -> float:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from palpd.errors import BadInput, RecordingError
 from palpd.file_kinds import MADE_BY
 from palpd.files import opened, opened_text, writing, writing_text
+from palpd.recording.header import RecordedGeometry
 from palpd.recording.tables import Layout, cells_of, is_comment, read_layout, read_numbers, with_points
 from palpd.tick import Floats
 
@@ -52,6 +53,8 @@ class Samples:
     joint: bool = False
     sites: tuple[str, ...] = ()
     """Names in the column `site` of a file, or of the sites of a recording of the daemon, in their order; empty where nothing names one."""
+    stated: RecordedGeometry | None = None
+    """Tip and machine as the header of a recording of the daemon states them; None for other files."""
 
     def __len__(self) -> int:
         return len(self.t_s)

@@ -1,15 +1,28 @@
 """The modulus by a cell file, and its doubt where the cell file does not describe the recording."""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from palpd.analysis.enriched import analysed
 from palpd.cell.cell_file import CellFile, cell_from
+from palpd.cell.effects import EFFECTS
 from palpd.cell.simulation import simulate
+from palpd.cli.application import app
+from palpd.config import Config, Plan
+from palpd.daemon.motion_job import Job
 from palpd.errors import RecordingError
-from palpd.recording.samples import samples_from_columns, write_csv
+from palpd.gap.data.observations import observe
+from palpd.recording.header import RecordedGeometry
+from palpd.recording.reader import Recording, samples_of
+from palpd.recording.samples import read, samples_from_columns, write_csv
+from palpd.recording.stated_geometry import with_stated_machine
+from palpd.testing.simulated_recording import write_rows
+from tests.simulated import cell_file, ran
 
 CELL = cell_from(
     {
@@ -19,6 +32,7 @@ CELL = cell_from(
     },
     "the test",
 )
+MACHINE = {"robot.compliance": {"stiffness_N_per_m": 15e3}}
 RELAXES = {"tissue.viscoelastic": {"ratio": 0.35, "tau_s": 1.0}}
 
 
@@ -49,3 +63,38 @@ def test_a_cell_file_that_does_not_describe_a_recording_is_doubted(recording: Pa
 def test_the_name_of_a_site_is_refused_for_a_table(recording: Path) -> None:
     with pytest.raises(RecordingError, match="--site A chooses nothing in it"):
         analysed(recording, CELL, "A")
+
+
+def test_a_recording_is_analysed_behind_the_machine_of_its_header(tmp_path: Path) -> None:
+    plan, cell = Plan(depths_m=(0.003, 0.004), mode="static", repeats=1, hold_s=0.5), cell_file(tissue={"youngs_modulus_Pa": 143_000.0})
+    done = ran(cell.with_effects(MACHINE), plan, machine_stiffness_N_per_m=15e3)
+    job = Job("palpation", Config(), plan, machine_stiffness_N_per_m=15e3)
+    file, about = tmp_path / "run.mcap", {"delay_s": done.header["body"]["delay_s"], "epoch_offset_s": 1.79e9}
+    write_rows(file, done.rows, job, about, {"verdict": "done"})  # type: ignore[arg-type]
+    result = analysed(file, cell)
+    assert result["youngs_modulus_Pa"] == pytest.approx(143_000.0, rel=0.015)
+    note = "the cell file states no robot.compliance; the recording's header states 15000 N/m of the machine, which counts"
+    assert result["warnings"] == [note]
+    observed = observe([samples_of(Recording.load(file))], cell, EFFECTS, (), 600)
+    assert observed.cell.effects == MACHINE
+    assert f"{note}." in observed.notes
+    csv = tmp_path / "run.csv"
+    exported = CliRunner().invoke(app, ["export", str(file), "--csv", str(csv)])
+    assert "--machine-stiffness-N-per-m 15000" in " ".join(exported.output.split())
+
+
+@pytest.mark.parametrize(
+    ("blocks", "note"),
+    [
+        ({"probe": {"tip_radius_m": 0.004}}, "the tip radius of the cell file, 4 mm, counts; the recording's header states 5 mm"),
+        ({"tissue": {"poisson_ratio": 0.3}}, "Poisson's ratio of the cell file, 0.3, counts; the recording's header states 0.5"),
+        ({"effects": MACHINE}, "the robot.compliance of the cell file, 15000 N/m, counts; the recording's header states 30000 N/m"),
+    ],
+)
+def test_what_cell_file_and_header_state_differently_is_said_with_which_counts(recording: Path, blocks: dict[str, Any], note: str) -> None:
+    header = RecordedGeometry(tip_radius_m=0.005, poisson_ratio=0.5, delay_s=0.0, machine_stiffness_N_per_m=None)
+    if "effects" in blocks:
+        header["machine_stiffness_N_per_m"] = 30e3
+    cell = cell_file(**blocks)
+    same, notes = with_stated_machine(cell, [replace(read(recording), stated=header)])
+    assert (same, notes) == (cell, [note])

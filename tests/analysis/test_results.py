@@ -8,7 +8,7 @@ from palpd.cell.cell_file import PHANTOM
 from palpd.cli.analysis import modulus_line
 from palpd.cli.tables import site_tables
 from palpd.config import Plan, PlanSite
-from tests.simulated import ran
+from tests.simulated import cell_file, ran
 
 PLAN = Plan(sites=(PlanSite(name="A"), PlanSite(name="C", x_m=0.06)), depths_m=(0.004, 0.006, 0.008), hold_s=0.5, repeats=1)
 
@@ -55,6 +55,17 @@ def test_where_hertz_does_not_fit_table_and_analysis_say_so_and_their_intervals_
     assert str(stiff.caption).startswith("* Hertz does not fit: E changes with depth (C ")
     assert [cell.endswith(" *") for cell in stiff.columns[2].cells] == [False, True]
     assert "Hertz does not fit" in modulus_line(loading)
+
+
+def test_the_interval_of_a_peak_that_no_model_corrected_holds_the_bias_of_its_force() -> None:
+    biased = cell_file(tissue={"youngs_modulus_Pa": 62_500.0}, effects={"sensor.bias": {"offset_N": 0.19}})
+    run = ran(biased, Plan(depths_m=(0.004, 0.006), mode="dynamic", repeats=1))
+    (bare,) = sites(run.rows, run.header)
+    (corrected,) = sites(run.rows, {**run.header, "model_card": {"rmse_N": 0.01}})
+    low_Pa, high_Pa = bare["dynamic_corrected_ci95_Pa"] or (0.0, 0.0)
+    assert low_Pa < 62_500.0 < high_Pa
+    assert (corrected["dynamic_corrected_ci95_Pa"] or [0.0])[0] > 62_500.0  # with a model the running zero follows a bias
+    assert bare["dynamic_corrected_noise_ci95_Pa"] == corrected["dynamic_corrected_noise_ci95_Pa"]
 
 
 def test_a_half_space_has_one_modulus_and_no_misfit(results: Results) -> None:

@@ -12,6 +12,7 @@ from palpd.config import Config, Plan
 from palpd.control.sequence import ArmGeometry, Palpation, Sequence
 from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.simulated_run import SimulatedRecording, run
+from palpd.errors import RecordingError
 from palpd.tick import NO_FRAMES, ForceSensor, Mode, Phase, Request, SensorFrames, Trip
 from tests.scenes import contact, observation, robot
 from tests.simulated import cell_file, ran
@@ -87,6 +88,14 @@ def test_pressing_a_rigid_plate_measures_the_machine() -> None:
     value, (low, high) = results.machine_stiffness(done.rows)
     assert value == pytest.approx(80_000, rel=0.03)
     assert low < value < high
+
+
+def test_something_soft_in_place_of_the_plate_is_no_machine() -> None:
+    rubber = cell_file(tissue={"surface_z_m": 0.0, "youngs_modulus_Pa": 3e6})  # 12 N for 1 mm, above the softest machine
+    done = ran(rubber, Plan(search={"max_travel_m": 0.04}), kind="stiffness")  # type: ignore[arg-type]
+    assert done.outcome.verdict == "done", done.outcome
+    with pytest.raises(RecordingError, match=r"measure 12\.\d N for 1 mm, and their upper half is 1\.3\d times as stiff"):
+        results.machine_stiffness(done.rows)
 
 
 def test_free_motion_goes_up_and_down_ten_times_and_touches_nothing() -> None:

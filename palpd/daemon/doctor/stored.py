@@ -1,14 +1,19 @@
-"""The stored state: reference tare, latch and inertial model."""
+"""The stored state: reference tare, stiffness of the machine, latch and inertial model."""
 
 from palpd.config import Config
 from palpd.control.inertial import InertialModel
 from palpd.daemon.finding import Finding
+from palpd.daemon.motion_job import other_machine
+from palpd.daemon.probe_record import age_s
 from palpd.daemon.stored_state import State
 from palpd.errors import PalpdError
 
+OLD_DAYS = 365.0
+"""Age of a machine's stiffness beyond which it is measured again: screws and mount settle in years, not in days (assumed)."""
+
 
 def examine_stored(config: Config) -> list[Finding]:
-    """Reference tare, latch and inertial model."""
+    """Reference tare, stiffness of the machine, latch and inertial model."""
     state = State(config.paths.state)
     findings = []
     try:
@@ -21,6 +26,7 @@ def examine_stored(config: Config) -> list[Finding]:
             if calibration
             else Finding("reference tare", "warn", "none", "run palpd calibrate with the probe free and still")
         )
+    findings += examine_machine_stiffness(config)
     latch = state.latch()
     if latch is not None:
         findings.append(Finding("latch", "warn", f"{latch.reason} ({latch.date})", "inspect the cell, then palpd clear"))
@@ -33,3 +39,27 @@ def examine_stored(config: Config) -> list[Finding]:
         except PalpdError as error:
             findings.append(Finding("inertial model", "fail", str(error)))
     return findings
+
+
+def examine_machine_stiffness(config: Config) -> list[Finding]:
+    """The stiffness of the machine that a run would count with, against the sensor of the reference tare; nothing where none is kept."""
+    state, name = State(config.paths.state), "machine stiffness"
+    if config.machine.stiffness_N_per_m is not None:
+        return []
+    try:
+        machine = state.machine_stiffness()
+    except PalpdError as error:
+        return [Finding(name, "fail", str(error))]
+    if machine is None:
+        return []
+    try:
+        calibration = state.calibration()
+    except PalpdError:  # the finding on the reference tare says it
+        calibration = None
+    serial = calibration.sensor_serial if calibration is not None else None
+    if machine.sensor_serial and serial and machine.sensor_serial != serial:
+        return [Finding(name, "fail", other_machine(machine.sensor_serial, serial))]
+    measured = f"{machine.stiffness_N_per_m / 1e3:.3g} N for 1 mm, of {machine.date}, sensor {machine.sensor_serial or 'unknown'}"
+    if age_s(machine.date) > OLD_DAYS * 86400.0:
+        return [Finding(name, "warn", measured, "it is more than a year old and counts all the same: run palpd stiffness again")]
+    return [Finding(name, "ok", measured)]

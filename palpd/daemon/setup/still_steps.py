@@ -124,7 +124,7 @@ def compare_tool(cell: SetupCell) -> Sequence[Finding]:
 def look(cell: SetupCell) -> Sequence[Finding]:
     """Judge this PC and both devices, as `palpd doctor` does, but for what later steps bring."""
     findings = examined(cell.config, wiring.open_sensor, wiring.open_reader, LOOK_S, None, cell.operator.ask)
-    return [finding for finding in findings if finding.name not in ("reference tare", "inertial model", "latch")]
+    return [finding for finding in findings if finding.name not in ("reference tare", "machine stiffness", "inertial model", "latch")]
 
 
 def hang_weight(cell: SetupCell) -> Sequence[Finding]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
+from palpd.cell.effects.motion import COMPLIANCE
 from palpd.gap.data.cleaning import clean, without_rounding
 from palpd.gap.data.plausibility import channel_notes, check_recordings, recording_notes
 from palpd.gap.data.prepare import PreparedRecording, prepare, stated_cell
@@ -13,6 +14,7 @@ from palpd.gap.data.rounding import Rounding, rounding_of
 from palpd.gap.data.scatter import Scatter, scatter_effects
 from palpd.gap.user_simulator import UserSimulator
 from palpd.recording.samples import Samples, common_site
+from palpd.recording.stated_geometry import with_stated_machine
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,8 @@ def observe(
     site = common_site(recordings)
     known = any(place.name == site for place in cell.sites)
     cell = stated_cell(cell.at_site(site))
+    own = simulators or COMPLIANCE.id not in library  # who leaves it out of the list says that the machine is rigid
+    cell, stated = (cell, []) if own else with_stated_machine(cell, recordings)
     recordings = [without_rounding(samples) for samples in recordings]
     decisive, notes = check_recordings(recordings, cell, sized=not simulators), recording_notes(recordings, cell)
     cell, noise_far, noise_notes = with_recorded_noise(recordings, cell)
@@ -74,5 +78,5 @@ def observe(
         excess_noise=any(its.samples is not its.unclipped for its in cleaned),
         scatter=scatter_effects(prepared, cleaned, cell, library),
         decisive=(*decisive, *noise_far),
-        notes=(*notes, *noise_notes, *channel_notes(prepared, cell)),
+        notes=(*(f"{sentence}." for sentence in stated), *notes, *noise_notes, *channel_notes(prepared, cell)),
     )
