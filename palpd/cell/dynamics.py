@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Memory = dict[str, Any]
 Column = Floats | float
+State = tuple[float, float]
+"""Position and speed, in m and m/s."""
 
 SHORT = 64
 """Samples up to which a relaxation uses a stored matrix: one product costs less than setting up a filter."""
@@ -196,16 +198,25 @@ def poles(natural_frequency_Hz: float, damping_ratio: float) -> tuple[complex, c
     return omega * (-damping_ratio + root), omega * (-damping_ratio - root)
 
 
-def _pair(u: Floats, dt_s: Column, fast: complex, slow: complex, memory: Memory) -> tuple[NDArray[Any], NDArray[Any]]:
+def _pair(
+    u: Floats, dt_s: Column, fast: complex, slow: complex, memory: Memory, start: State | None = None
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """The relaxations over both poles; of a conjugate pair only one needs computing."""
+    if start is not None:  # as long as the input rests, each decays from (height - speed / the other pole)
+        first_s = dt_s if isinstance(dt_s, float) else dt_s[0]
+        for name, pole, other in (("one", fast, slow), ("two", slow, fast)):
+            before = (start[0] - start[1] / other - u[0]) * np.exp(-pole * first_s)
+            memory[name] = {"y": u[0] + (before if pole.imag else before.real), "u": u[0]}
     one = lowpass(u, dt_s, fast, memory.setdefault("one", {}))
     if fast.imag:
         return one, one.conj()
     return one, lowpass(u, dt_s, slow, memory.setdefault("two", {}))
 
 
-def servo(u: Floats, dt_s: Column, natural_frequency_Hz: float, damping_ratio: float, memory: Memory) -> tuple[Floats, Floats, Floats]:
-    """Second-order following of a target, at rest where it starts.
+def servo(
+    u: Floats, dt_s: Column, natural_frequency_Hz: float, damping_ratio: float, memory: Memory, start: State | None = None
+) -> tuple[Floats, Floats, Floats]:
+    """Second-order following of a target.
 
     Args:
         u: Target positions, (n,) or (n, k).
@@ -213,12 +224,13 @@ def servo(u: Floats, dt_s: Column, natural_frequency_Hz: float, damping_ratio: f
         natural_frequency_Hz: Undamped natural frequency.
         damping_ratio: Damping ratio, 1 at critical damping.
         memory: State that is carried from one stretch of samples to the next.
+        start: Position and speed at the first sample; None: at rest at the first target, or as the memory says.
 
     Returns:
         Position, speed and acceleration, each shaped as the target.
     """
     p, q = poles(natural_frequency_Hz, damping_ratio)
-    one, two = _pair(u, dt_s, p, q, memory)
+    one, two = _pair(u, dt_s, p, q, memory, start)
     weight = p * q / (q - p)
     position = (q * one - p * two) / (q - p)
     speed = weight * (one - two)
@@ -226,7 +238,7 @@ def servo(u: Floats, dt_s: Column, natural_frequency_Hz: float, damping_ratio: f
     return np.real(position), np.real(speed), np.real(acceleration)
 
 
-def servo_heights(u: Floats, dt_s: Column, natural_frequency_Hz: float, damping_ratio: float) -> Floats:
+def servo_heights(u: Floats, dt_s: Column, natural_frequency_Hz: float, damping_ratio: float, start: State | None = None) -> Floats:
     """The positions of `servo`, without speed and acceleration.
 
     Args:
@@ -234,12 +246,13 @@ def servo_heights(u: Floats, dt_s: Column, natural_frequency_Hz: float, damping_
         dt_s: Step before each sample in s, one number or (n,).
         natural_frequency_Hz: Undamped natural frequency.
         damping_ratio: Damping ratio, 1 at critical damping.
+        start: Position and speed at the first sample; None: at rest at the first target.
 
     Returns:
         Positions, shaped as the target.
     """
     p, q = poles(natural_frequency_Hz, damping_ratio)
-    one, two = _pair(u, dt_s, p, q, {})
+    one, two = _pair(u, dt_s, p, q, {}, start)
     return np.real((q * one - p * two) / (q - p))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.dynamics import Floats, servo, servo_heights, steps
+from palpd.cell.dynamics import Floats, State, servo, servo_heights, steps
 from palpd.cell.effects import EFFECTS, Effect, Scale, Site
 from palpd.cell.effects.learned import learned_law_of
 from palpd.cell.physics import Library, physics, place_named, true_surface_m
@@ -41,16 +41,18 @@ def commanded_motion(
     library: Library = EFFECTS,
     *,
     begin_s: float | None = None,
+    start: State | None = None,
     followed: Followed | None = None,
 ) -> TipMotion:
-    """How the tip follows commanded heights, starting at rest at the first.
+    """How the tip follows commanded heights.
 
     Args:
         t_s: Times (n,) in s.
         z_cmd_m: Commanded heights (n,) in m.
         begin_s: Time of the recording's first row, from which effects count; None for the first of `t_s`.
-        followed: What the servo made of the same heights before, by its natural frequency and damping ratio; the newest is kept there. None
-            keeps nothing.
+        start: Height and speed at the first of `t_s`; None: at rest at the first commanded height.
+        followed: What the servo made of the same heights and start before, by its natural frequency and damping ratio; the newest is kept
+            there. None keeps nothing.
 
     Returns:
         The true motion of the tip.
@@ -60,7 +62,7 @@ def commanded_motion(
     known, key = {} if followed is None else followed, (c.servo_natural_frequency_Hz, c.servo_damping_ratio)
     if key not in known:
         known.clear()
-        known[key] = servo(z_cmd_m, steps(t_s), *key, {})
+        known[key] = servo(z_cmd_m, steps(t_s), *key, {}, start)
     z, v, a = known[key]
     s = Span(c, t_s - (t_s[0] if begin_s is None else begin_s), steps(t_s), z, v, a)
     what.apply("robot", s, {})
@@ -74,6 +76,7 @@ def predict_motion(
     library: Library = EFFECTS,
     *,
     begin_s: float | None = None,
+    start: State | None = None,
     followed: Followed | None = None,
 ) -> Floats:
     """Heights that the robot will report for commanded heights.
@@ -82,6 +85,7 @@ def predict_motion(
         t_s: Times (n,) in s.
         z_cmd_m: Commanded heights (n,) in m.
         begin_s: As in `commanded_motion`.
+        start: As in `commanded_motion`.
         followed: As in `commanded_motion`.
 
     Returns:
@@ -89,9 +93,9 @@ def predict_motion(
     """
     what = physics(cell, None, library)
     if what.laws.get("robot"):
-        return commanded_motion(cell, t_s, z_cmd_m, library, begin_s=begin_s, followed=followed).z_m
+        return commanded_motion(cell, t_s, z_cmd_m, library, begin_s=begin_s, start=start, followed=followed).z_m
     c = what.constants
-    return servo_heights(z_cmd_m, steps(t_s), c.servo_natural_frequency_Hz, c.servo_damping_ratio)
+    return servo_heights(z_cmd_m, steps(t_s), c.servo_natural_frequency_Hz, c.servo_damping_ratio, start)
 
 
 @dataclass(frozen=True, slots=True)

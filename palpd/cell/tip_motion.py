@@ -1,10 +1,12 @@
 """The motion of the tip behind what the robot reports of it."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.dynamics import Floats, integral, servo, steps
+from palpd.cell.dynamics import Floats, State, integral, servo, steps
 from palpd.cell.lattice import lattice_step
 from palpd.cell.report_times import Reports, find_reports
 from palpd.cell.span import TipMotion
@@ -15,6 +17,48 @@ SAME_SPEED = 1e-4
 """Difference from the slope of the heights, as a share of the range, below which reported speeds are that slope and as rounded."""
 SURE = 2.0
 """Ratio of rms to noise rms above which a speed or acceleration that the command does not explain is believed: two sigmas."""
+
+CLEARLY_MOVING = 10.0
+"""Speed at the first row over its error above which a recording starts in motion: noise at rest never reaches it."""
+
+
+class StartingMotion(NamedTuple):
+    """Height, speed and acceleration of the robot at the first row of a recording that starts in motion."""
+
+    height_m: float
+    speed_m_per_s: float
+    acceleration_m_per_s2: float
+
+    def at(self, after_s: float) -> State:
+        """Height and speed a little after the first row."""
+        gained_m_per_s = self.acceleration_m_per_s2 * after_s
+        return self.height_m + (self.speed_m_per_s + 0.5 * gained_m_per_s) * after_s, self.speed_m_per_s + gained_m_per_s
+
+
+def starting_motion(cell: CellFile, t_s: Floats, z_m: Floats, vz_m_per_s: Floats) -> StartingMotion | None:
+    """How the robot moves at the first row, by a straight line through its speeds over the first quarter of the servo's period.
+
+    What was commanded before the first row is unknown, so the servo starts as it was measured.
+
+    Args:
+        cell: The cell; its servo and the stated noise of its speeds are used.
+        t_s: Times (n,) in s.
+        z_m: Reported heights (n,) in m.
+        vz_m_per_s: Reported speeds (n,).
+
+    Returns:
+        The motion; None where it starts at rest, to within noise, or where fewer than three rows lie in that time.
+    """
+    rows = int(np.searchsorted(t_s, t_s[0] + 0.25 / cell.robot.servo_natural_frequency_Hz))
+    if rows < 3 or rows >= len(t_s):
+        return None
+    after_s, v = t_s[:rows] - t_s[0], vz_m_per_s[:rows]
+    acceleration, speed = np.polyfit(after_s, v, 1).tolist()
+    scatter = float(np.std(v - speed - acceleration * after_s))
+    error = 2.0 * max(cell.robot.velocity_noise_rms_m_per_s, scatter) / rows**0.5  # of the end of a line
+    if abs(speed) <= CLEARLY_MOVING * error:
+        return None
+    return StartingMotion(float(np.mean(z_m[:rows] - (speed + 0.5 * acceleration * after_s) * after_s)), speed, acceleration)
 
 
 def estimate_tip_motion(
@@ -63,7 +107,9 @@ def estimate_tip_motion(
         half = _half_that_removes_noise(vz_m_per_s, v_noise, half)
     widest = half
     if z_cmd_m is not None:
-        known = servo(z_cmd_m, steps(t_s), cell.robot.servo_natural_frequency_Hz, cell.robot.servo_damping_ratio, {})
+        moving = starting_motion(cell, t_s, z_m, vz_m_per_s)
+        start = None if moving is None else moving.at(0.0)
+        known = servo(z_cmd_m, steps(t_s), cell.robot.servo_natural_frequency_Hz, cell.robot.servo_damping_ratio, {}, start)
         z_m, vz_m_per_s = z_m - reports.join(known[0], t_s), vz_m_per_s - reports.join(known[1], t_s)
         widest = min(2 * half, (n - 1) // 2)
     width, allowed = 1, 0.1 * cell.sensor.noise_rms_N

@@ -136,25 +136,26 @@ def diagnose(
 
 def _refuse_for_a_folder(folder: Path, options: Mapping[str, object]) -> None:
     """Refuse the options that are for one recording: nothing that was asked for is left out without a word."""
-    if given := _given(options):
-        raise BadInput(f"{folder} is a folder, and {given} is for one recording; name the recording, or leave it out")
+    if given := _given(options, "is", "are"):
+        raise BadInput(f"{folder} is a folder, and {given} for one recording; name the recording, or the folder alone")
 
 
 def _refuse_with_limits(options: Mapping[str, object]) -> None:
     """Refuse the options that belong to an answer: limits are only printed, and a diagnosis states them in its outputs."""
-    if given := _given(options):
-        raise BadInput(f"--limits prints a table, and {given} belongs to a diagnosis, which states the limits too; leave one out")
+    if given := _given(options, "belongs", "belong"):
+        raise BadInput(f"--limits prints a table, and {given} to a diagnosis, which states the limits too; leave one out")
 
 
 def _refuse_with_healthy(options: Mapping[str, object]) -> None:
     """Refuse the options for which the cell file is the nominal."""
-    if given := _given(options):
+    if given := _given(options, "compares", "compare"):
         raise BadInput(f"--healthy compares with the healthy recordings, and {given} with a cell file; leave one out")
 
 
-def _given(options: Mapping[str, object]) -> str:
-    """Names of the options that have a value; empty where none has."""
-    return " and ".join(name for name, value in options.items() if value is not None)
+def _given(options: Mapping[str, object], verb: str, plural: str) -> str:
+    """Names of the options that have a value, with the verb; empty where none has."""
+    names = [name for name, value in options.items() if value is not None]
+    return f"{' and '.join(names)} {verb if len(names) == 1 else plural}" if names else ""
 
 
 def _refuse_foreign(recordings: Sequence[Path]) -> None:

@@ -118,6 +118,17 @@ class NoiseAssumptions:
     )
     largest_delay_share: float = assume(0.25, "ratio", "largest hidden delay as a share of the servo's own lag")
     least_width_share: float = assume(0.1, "ratio", "least second moment of a servo behind a hidden delay, as a share of the stated one")
+    relaxing_share: float = assume(
+        0.3,
+        "ratio",
+        "force that still relaxes where a recording starts in contact, over the largest of its presses, as a sd",
+    )
+    relaxing_s: tuple[float, ...] = assume(
+        (0.1, 0.3, 1.0, 3.0, 10.0), "s", "time constants with which it relaxes: sums of these follow any between to a few percent"
+    )
+    starting_speed_share: float = assume(
+        0.1, "ratio", "error of the speed with which a recording starts, over that speed; of its height, what this speed moves in 1/ω"
+    )
     acceleration_share: float = assume(
         0.05, "ratio", "share of the lag by acceleration by which the heights of a real controller differ by its order"
     )

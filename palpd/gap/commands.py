@@ -149,8 +149,10 @@ def diagnose_files(
         RecordingError: A recording cannot be judged, or an output does not fit it.
     """
     if simulated and len(simulated) != len(recordings):
+        outputs, judged = (f"{len(paths)} ({', '.join(path.name for path in paths)})" for paths in (simulated, recordings))
         raise BadInput(
-            f"--simulated gives {len(simulated)} file(s) for {len(recordings)} recording(s); give one for each recording, in their order"
+            f"files of --simulated: {outputs}; recordings: {judged}; expected one file for each recording, in their order; "
+            "write --simulated before every file"
         )
     known = library(effects, without, adopted)
     show("reading the recording")

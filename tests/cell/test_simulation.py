@@ -13,7 +13,7 @@ from palpd.cell.physics import true_surface_m
 from palpd.cell.simulation import commanded_motion, equilibrium_force_N, predict_motion, scale_of, simulate, wrench_of
 from palpd.cell.span import Span, TipMotion
 from palpd.cell.stepped import SampleBlock, SteppedCell
-from palpd.cell.tip_motion import estimate_tip_motion
+from palpd.cell.tip_motion import estimate_tip_motion, starting_motion
 from palpd.errors import ConfigError
 
 RNG = np.random.default_rng(7)
@@ -108,6 +108,29 @@ def test_the_servo_is_the_second_order_system(damping_ratio: float) -> None:
     np.testing.assert_allclose(v, true[1], atol=1e-7)
     target = np.interp(t_s, knots, heights)
     np.testing.assert_allclose(a, omega**2 * (target - z) - 2 * damping_ratio * omega * v, atol=1e-7)
+
+
+@pytest.mark.parametrize("damping_ratio", [0.2, 1.0, 1.7])
+def test_a_servo_that_starts_in_motion_goes_on_as_one_that_moved_before(damping_ratio: float) -> None:
+    t_s = np.cumsum(np.random.default_rng(0).uniform(1e-3, 3e-3, 600))
+    target = np.interp(t_s, [0.1, 0.5, 0.8], [0.01, -0.004, 0.002])
+    for when_s in (np.arange(600) * 2e-3, t_s):
+        z, v, a = servo(target, steps(when_s), 8.0, damping_ratio, {})
+        after = slice(150, None)
+        rest = servo(target[after], steps(when_s[after]), 8.0, damping_ratio, {}, (z[150], v[150]))
+        np.testing.assert_allclose(rest, (z[after], v[after], a[after]), rtol=1e-6, atol=1e-8)  # a double pole is split by 1e-4
+
+
+def test_the_motion_at_the_first_row_is_measured_where_there_is_any() -> None:
+    rng, t_s = np.random.default_rng(0), np.arange(500) / 500
+    cell = nominal()
+    noise_m, noise_m_per_s = cell.robot.position_noise_rms_m, cell.robot.velocity_noise_rms_m_per_s
+    z_m, v = 0.01 - 0.03 * t_s + 0.1 * t_s**2, -0.03 + 0.2 * t_s
+    z_m, v = z_m + noise_m * rng.standard_normal(500), v + noise_m_per_s * rng.standard_normal(500)
+    moving = starting_motion(cell, t_s, z_m, v)
+    assert moving is not None
+    assert moving.at(0.01) == pytest.approx((0.00971, -0.028), rel=0.02)
+    assert starting_motion(cell, t_s, np.full(500, 0.01), noise_m_per_s * rng.standard_normal(500)) is None
 
 
 def test_the_tip_lags_a_ramp_by_two_zeta_over_omega() -> None:

@@ -108,7 +108,7 @@ def test_a_folder_is_not_diagnosed_with_the_options_of_one_recording(
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 2
-    assert ". is a folder, and --site is for one recording; name the recording, or leave it out" in capsys.readouterr().err
+    assert ". is a folder, and --site is for one recording; name the recording, or the folder alone" in capsys.readouterr().err
     assert not (tmp_path / "out.json").exists()
 
 

@@ -91,6 +91,8 @@ def test_every_answer_holds_the_limits_and_the_command_prints_them_alone(
     for beside in (["--report", str(tmp_path / "a.html")], ["--jobs", "2"]):
         assert isinstance(CliRunner().invoke(app, [*command, *beside]).exception, BadInput)
     assert not (tmp_path / "a.html").exists()
+    both = CliRunner().invoke(app, [*command, "--report", str(tmp_path / "a.html"), "--cell-out", str(tmp_path / "b.yaml")]).exception
+    assert "--cell-out and --report belong to a diagnosis" in str(both)
     of_a_folder = CliRunner().invoke(app, ["diagnose", str(tmp_path), "--limits"]).exception
     assert isinstance(of_a_folder, BadInput)
     assert "--limits is for one recording" in str(of_a_folder)

@@ -44,7 +44,7 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     predicted, recorded = read_csv(tmp_path / "predicted.csv"), read_csv(tmp_path / "recording.csv")
     assert float((predicted.wrench[:, 2] - recorded.wrench[:, 2]).std()) < 0.06  # the noise of the sensor is 0.05 N
     refusals = {
-        "palpd diagnose recording.csv recording.csv --cell cell.yaml --simulated sim.csv": "gives 1 file(s) for 2 recording(s)",
+        "palpd diagnose recording.csv recording.csv --cell cell.yaml --simulated sim.csv": "files of --simulated: 1 (sim.csv)",
         "palpd diagnose . --simulated sim.csv": "--simulated is for one recording",
         "palpd simulate recording.csv --cell enriched.yaml --simulated sim.csv --csv x.csv": "--simulated and --nominal belong together",
         f"{EVERYTHING} --noise 1": "leave --noise or --simulated out",

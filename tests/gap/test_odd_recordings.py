@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import bilinear, lfilter
 
-from palpd.cell.cell_file import CellFile
+from palpd.cell.cell_file import CellFile, nominal
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
 from palpd.gap.data.phases import find_phases
@@ -18,6 +18,7 @@ from palpd.gap.model.problem import make_problem
 from palpd.recording.samples import Samples
 from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
 from palpd.tick import Floats
+from tests.gap.test_diagnosis import recording as simulated
 from tests.gap.test_rigs import names, quick, rig
 
 
@@ -110,6 +111,28 @@ def test_a_plateau_whose_last_digit_moves_is_called_saturated() -> None:
     limit_N = 0.6 * wrench[:, 2].max()
     wrench[:, 2] = np.minimum(wrench[:, 2], limit_N + 1e-4 * np.random.default_rng(0).integers(-1, 2, len(samples)) * limit_N)
     assert any("saturated" in note for note in quick(replace(samples, wrench=wrench), cell).notes)
+
+
+def from_row(samples: Samples, first: int) -> Samples:
+    """The recording without its first rows."""
+    assert samples.z_cmd_m is not None
+    t_s = samples.t_s[first:] - samples.t_s[first]
+    return Samples(t_s, samples.z_cmd_m[first:], samples.z_m[first:], samples.vz_m_per_s[first:], samples.wrench[first:])
+
+
+@pytest.mark.parametrize("speed_m_per_s", [0.008, 0.018])
+def test_a_healthy_recording_that_starts_in_motion_is_healthy(speed_m_per_s: float) -> None:
+    samples = recording("second order", 5)
+    assert samples.z_cmd_m is not None
+    first = int(np.flatnonzero(np.gradient(samples.z_cmd_m, samples.t_s) < -speed_m_per_s)[25])
+    assert quick(from_row(samples, first), cell_of("second order")).verdict == "none"
+
+
+def test_a_recording_that_starts_in_a_hold_of_relaxing_tissue_names_the_tissue_alone() -> None:
+    samples = simulated(nominal(), {"tissue.viscoelastic": {"ratio": 1.0, "tau_s": 2.0}})
+    first = int(np.argmax(samples.z_m < -0.0039)) + 10
+    diagnosis = quick(from_row(samples, first), nominal())
+    assert [effect.id for effect in diagnosis.effects] == ["tissue.viscoelastic"], diagnosis.sentence
 
 
 def with_a_fast_sensor_clock(ratio: float) -> Diagnosis:

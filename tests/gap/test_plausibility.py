@@ -113,6 +113,31 @@ def test_an_odd_force_is_questioned_and_not_refused() -> None:
     assert any("check the unit of fz_N" in note for note in check_recordings([with_forces(30.0)], nominal()))
 
 
+@pytest.mark.parametrize(
+    ("effect", "size"),
+    [("cable.viscous", {"coefficient_N_s_per_m": 3.0}), ("cable.friction", {"force_N": 0.2}), ("probe.mass", {"delta_kg": 0.3})],
+)
+def test_what_pushes_a_probe_in_the_air_is_no_touch(effect: str, size: dict[str, float]) -> None:
+    cell = cell_from({"sensor": {"noise_rms_N": 0.01, "resolution_fz_N": 0.0}}, "fine")
+    t_s = np.arange(0.0, 20.0, 0.002)
+    strokes = np.interp(t_s % 4.0, [0.0, 1.5, 1.6, 2.0, 2.1, 4.0], [0.012, 0.012, 0.002, 0.002, 0.012, 0.012])
+    z_m = np.where(t_s < 12.0, strokes, np.interp(t_s, [12.0, 13.0, 14.0, 16.0, 17.0], [0.012, 0.012, -0.004, -0.004, 0.012]))
+    samples = simulate_columns(cell.with_effects({effect: size}), {"t_s": t_s, "z_cmd_m": z_m}, measured=False, noise_seed=1)
+    assert check_recordings([samples], cell) == []
+
+
+def test_play_behind_a_coarse_step_is_no_dead_sensor_and_rests_in_the_air_are_not_saturated() -> None:
+    t_s = np.arange(0.0, 12.0, 0.002)
+    z_m = np.interp(t_s, [0.0, 1.0, 3.0, 6.0, 6.2, 8.0, 9.0, 12.0], [0.004, 0.004, -4e-4, -4e-4, -3.5e-4, -3.5e-4, 0.004, 0.004])
+    cell = cell_from({"sensor": {"noise_rms_N": 1e-3, "resolution_fz_N": 0.05}, "tissue": {"youngs_modulus_Pa": 5e6}}, "rubber")
+    with_play = simulate_columns(cell.with_effects({"robot.backlash": {"width_m": 5e-5}}), {"t_s": t_s, "z_cmd_m": z_m}, measured=False)
+    wrench = with_play.wrench.copy()
+    wrench[:, 2] = np.rint((wrench[:, 2] - 0.1) / 0.05) * 0.05
+    samples = replace(with_play, wrench=wrench)
+    assert check_recordings([samples], cell) == []
+    assert not [note for note in channel_notes(prepare([samples], cell, EFFECTS, 300), cell) if "saturated" in note]
+
+
 def test_an_unknown_modulus_is_questioned_where_no_tissue_has_it() -> None:
     assert check_recordings([with_forces(100.0)], with_modulus_unknown()) == []
     assert any("the modulus that this gives is" in note for note in check_recordings([with_forces(1e5)], with_modulus_unknown()))

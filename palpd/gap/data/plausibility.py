@@ -66,11 +66,19 @@ SHAPE_CORRELATION = 0.7
 FAR_TOUCH_TIP_RADII = 1.0
 """Distance of the touch from the stated surface, in tip radii, above which it gets a note: Hertz does not hold at such a depth."""
 
+LOADED_SHARE = 0.25
+"""Share of the rising rows between both that must be loaded for such a touch: in the air inertia loads below 0.06 of them, and in tissue
+that relaxes half of them stay loaded."""
+
 SLOPE_S = 0.05
 """Time between two speeds that give an acceleration: the noise of speeds gives little over it, and a robot's motion is seen."""
 
 FROZEN_S = 1.0
 """Shortest stretch of constant fz that gets a note: dropouts of a live sensor are shorter."""
+
+HIDDEN_SHARE = 0.3
+"""Change of the expected force, over its largest, that a live sensor may leave unseen: the play of a drive hides a reversal, and may be a
+fifth of the depth."""
 
 ODD_NOISE_RATIO = 4.0
 """Measured over stated noise, or its inverse, above which it gets a note: the effect sensor.noise is at most about this large."""
@@ -275,7 +283,7 @@ def _frozen_notes(samples: Samples, expected_N: Floats, noise_N: float) -> Itera
     long = samples.t_s[ends] - samples.t_s[begins] > FROZEN_S
     clipped = np.isin(fz_N[begins], (fz_N.max(), fz_N.min()))  # a saturated channel has its own note
     for begin, end in zip(begins[long & ~clipped], ends[long & ~clipped], strict=True):
-        if np.ptp(expected_N[begin : end + 1]) > CLEAR_NOISES * noise_N:
+        if np.ptp(expected_N[begin : end + 1]) > max(CLEAR_NOISES * noise_N, HIDDEN_SHARE * float(expected_N.max())):
             yield (
                 f"fz_N stays at {fz_N[begin]:.4g} N from {samples.t_s[begin]:.4g} s to {samples.t_s[end]:.4g} s while the probe moves in "
                 "the tissue: the sensor or its cable failed; leave that stretch out."
@@ -284,7 +292,10 @@ def _frozen_notes(samples: Samples, expected_N: Floats, noise_N: float) -> Itera
 
 
 def _touch_notes(samples: Samples, cell: CellFile, noise_N: float) -> Iterator[str]:
-    """A touch far from the stated surface: the height at which fz leaves its level in the air."""
+    """A touch far from the stated surface: the height at which fz leaves its level in the air.
+
+    Above the stated surface it counts only if rising rows are loaded there, too: drag and friction push a rising probe down.
+    """
     tissue = cell.tissue
     assert tissue is not None
     fz_N, z_m = samples.wrench[:, 2], samples.z_m
@@ -296,8 +307,12 @@ def _touch_notes(samples: Samples, cell: CellFile, noise_N: float) -> Iterator[s
         return
     # By Hertz the depth grows with the force to the power of 2/3, which leads from the threshold back to the touch.
     share = float((threshold_N / (fz_N.max() - level_N)) ** (2.0 / 3.0))
-    touch_m = (float(np.quantile(z_m[loaded], 0.98)) - share * float(z_m.min())) / (1.0 - share)
-    if abs(touch_m - tissue.surface_z_m) > FAR_TOUCH_TIP_RADII * cell.probe.tip_radius_m:
+    touch_m = min((float(np.quantile(z_m[loaded], 0.98)) - share * float(z_m.min())) / (1.0 - share), float(z_m.max()))
+    far_m = FAR_TOUCH_TIP_RADII * cell.probe.tip_radius_m
+    between = (z_m > tissue.surface_z_m + far_m) & (z_m < touch_m) & (samples.vz_m_per_s >= 0.0)
+    if between.any() and float(loaded[between].mean()) < LOADED_SHARE:
+        return
+    if abs(touch_m - tissue.surface_z_m) > far_m:
         yield (
             f"fz_N begins to rise at z = {touch_m:.4g} m and the cell file has the surface at {tissue.surface_z_m:.4g} m; "
             "correct tissue.surface_z_m or the zero of z_m."
@@ -328,20 +343,25 @@ def channel_notes(recordings: Sequence[PreparedRecording], cell: CellFile) -> It
 
 
 def _saturation_notes(samples: Samples, cell: CellFile) -> Iterator[str]:
-    """Plateaus of fz at its largest or smallest value while the probe moves."""
+    """Plateaus of fz at its largest value while the probe moves, or at its smallest while it moves in the tissue: in the air fz rests."""
     fz_N, z_m = samples.wrench[:, 2], samples.z_m
+    touching = z_m < (np.inf if cell.tissue is None else cell.tissue.surface_z_m)
+    deeper, other_zero = "press less deep, or use a sensor with a larger range", "tare it in the air, or use a sensor with a larger range"
     swing_N, stroke_m = float(np.ptp(fz_N)), float(np.ptp(z_m))
     step_N = max(cell.sensor.resolution_fz_N, lattice_step(fz_N), measured_rms(fz_N))
     least_m = max(SATURATED_STROKE_SHARE, SATURATED_STEPS * step_N / swing_N) * stroke_m
     least_m = max(least_m, CLEAR_NOISES * cell.robot.position_noise_rms_m)
-    for which, limit_N in (("largest", float(fz_N.max())), ("smallest", float(fz_N.min()))):
-        begins, ends = runs_of_true(np.abs(fz_N - limit_N) <= SAME_SHARE * swing_N)
+    for which, limit_N, where, remedy in (
+        ("largest", float(fz_N.max()), True, deeper),
+        ("smallest", float(fz_N.min()), touching, other_zero),
+    ):
+        begins, ends = runs_of_true((np.abs(fz_N - limit_N) <= SAME_SHARE * swing_N) & where)
         flat = [(a, b) for a, b in zip(begins, ends, strict=True) if b - a >= SATURATED_ROWS and np.ptp(z_m[a:b]) > least_m]
         if flat and abs(limit_N) > CLEAR_NOISES * cell.sensor.noise_rms_N:
             rows = sum(b - a for a, b in flat)
             yield (
                 f"fz_N stays at its {which} value {limit_N:.4g} N for {rows} rows while the probe moves, expected to follow it: it looks "
-                "saturated; press less deep, or use a sensor with a larger range."
+                f"saturated; {remedy}."
             )
 
 

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.dynamics import mounted, steps
+from palpd.cell.dynamics import State, mounted, steps
 from palpd.cell.effects import Effect
 from palpd.cell.report_times import Reports, find_reports, straight_between
 from palpd.cell.simulation import MeanReading, mean_reading
 from palpd.cell.span import TipMotion
-from palpd.cell.tip_motion import estimate_tip_motion, slope_weights
+from palpd.cell.tip_motion import StartingMotion, estimate_tip_motion, slope_weights, starting_motion
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data import controller_cycle
 from palpd.gap.data.bins import Bins, make_bins
@@ -60,6 +60,7 @@ class PreparedRecording:
     judged: tuple[bool, ...]  # which of the 7 channels are compared
     held_command_s: float | None  # for which each commanded height stays the same; None where it changes with each sample
     cycle_s: float | None  # of a controller that holds its targets, as the command or the force shows it; None where neither does
+    start: StartingMotion | None  # None where it starts at rest, and where a user's simulator predicts the heights
     simulated: SimulatedNominal | None  # what the user's simulator predicts of the nominal cell; None without one
 
     @cached_property
@@ -115,6 +116,10 @@ class PreparedRecording:
             The heights (m,) in m.
         """
         return palpd_m if self.simulated is None else self.simulated.heights(palpd_m, t_s)
+
+    def state_at(self, after_s: float) -> State | None:
+        """Height and speed from which the servo starts a little after the first row; None: at rest at its first target."""
+        return None if self.start is None else self.start.at(after_s)
 
     @property
     def command_m(self) -> Floats | None:
@@ -224,6 +229,7 @@ def _prepared(
         judged=judged,
         held_command_s=held_command_s,
         cycle_s=cycle_s,
+        start=starting_motion(cell, samples.t_s, samples.z_m, samples.vz_m_per_s) if simulated is None else None,
         simulated=None if simulated is None else simulated.with_steps(motion, at_steps),
     )
 

@@ -108,7 +108,8 @@ class Scene:
             z_cmd_m = one.z_cmd_m
             if not one.judged[Z] or z_cmd_m is None:
                 return None
-            span = capture(cell, library, "robot", lambda c, known: commanded_motion(c, one.robot_t_s, z_cmd_m, known))
+            start = one.state_at(float(one.robot_t_s[0]))
+            span = capture(cell, library, "robot", lambda c, known: commanded_motion(c, one.robot_t_s, z_cmd_m, known, start=start))
             return DriverState.of_robot(span, rest)
 
         states, followers = (tuple(of(one) for one in problem.recordings) for of in (contact, robot))

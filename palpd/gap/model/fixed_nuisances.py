@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from palpd.cell.cell_file import CROSSTALK_ARM_M, CellFile
+from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FX, FZ, TX, Z
 from palpd.gap.data.prepare import PreparedRecording
 from palpd.gap.data.rounding import Rounding
@@ -16,6 +17,9 @@ from palpd.gap.gaussian.whitening import Whitening
 from palpd.gap.model.rounding_error import rounding_error
 from palpd.gap.model.servo_error import ServoErrors
 from palpd.tick import Floats
+
+FELT_SHARE = 0.02
+"""Force over the largest of the presses above which tissue below the stated surface pushes the probe."""
 
 
 class Column(NamedTuple):
@@ -95,6 +99,23 @@ def _of_recording(
     if rounding is not None and recording.judged[FZ]:
         for values in rounding_error(recording, rounding, force_N, sigma_N):
             yield Column("recording", "rounding", FZ), values
+    if recording.judged[FZ] and recording.phases.press[0] >= 0:
+        for values in _relaxation_before(recording):
+            yield Column("computation", "relaxation before the start", FZ), values
+
+
+def _relaxation_before(recording: PreparedRecording) -> Iterator[Floats]:
+    """Forces (b,) that still relax from before the first row, one for each time constant, where the probe touches the tissue.
+
+    Laws with memory start settled. A recording that starts in contact does not say for how long the tissue was pressed before; what its
+    Maxwell arms carried then decays by itself. It shows whenever the probe touches, as long as there is a force: tissue that is left
+    behind cannot pull.
+    """
+    fz_N = recording.measured[FZ]
+    largest_N = float(fz_N[recording.bin_press >= 0].max(initial=0.0))
+    touching = recording.bins.mean((recording.phases.depth_m > 0.0).astype(float)) * (fz_N > FELT_SHARE * largest_N)
+    for tau_s in ASSUMED.noise.relaxing_s:
+        yield ASSUMED.noise.relaxing_share * largest_N * touching * np.exp(-recording.t_s / tau_s)
 
 
 def torque_arm_m(cell: CellFile) -> float:

@@ -236,7 +236,7 @@ class Problem:
         samples, command_m = recording.samples, recording.command_m
         out = np.zeros((len(samples), 7))
         if recording.judged[Z] and command_m is not None:
-            heights_m = predict_motion(cell, samples.t_s, command_m, self.library)
+            heights_m = predict_motion(cell, samples.t_s, command_m, self.library, start=recording.state_at(0.0))
             heights_m = recording.heights(heights_m, recording.sampled.t_s)
             out[:, Z] = recording.reports.joined @ np.interp(recording.reports.t_s, samples.t_s, heights_m)
         out[:, 1:] = recording.reading(cell, recording.sampled, self.library).wrench(len(samples))
@@ -284,8 +284,10 @@ class Problem:
         if not recording.judged[Z] or recording.z_cmd_m is None:
             return np.zeros(len(recording.bins))
         followed = self.workspace.followed.setdefault(number, {})
-        heights_m = predict_motion(cell, recording.robot_t_s, recording.z_cmd_m, self.library, begin_s=0.0, followed=followed)
-        return recording.z_means @ recording.heights(heights_m, recording.robot_t_s)
+        t_s = recording.robot_t_s
+        start = recording.state_at(float(t_s[0]))
+        heights_m = predict_motion(cell, t_s, recording.z_cmd_m, self.library, begin_s=0.0, start=start, followed=followed)
+        return recording.z_means @ recording.heights(heights_m, t_s)
 
     def binned_wrench(self, number: int, cell: CellFile, motion: TipMotion | None = None) -> Floats:
         """Predicted wrench in the bins of a recording.

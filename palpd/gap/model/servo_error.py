@@ -7,7 +7,7 @@ from math import pi
 import numpy as np
 
 from palpd.cell.cell_file import CellFile, Estimated
-from palpd.cell.dynamics import integral
+from palpd.cell.dynamics import State, integral
 from palpd.cell.effects import Effect
 from palpd.cell.simulation import predict_motion
 from palpd.gap.assumptions import ASSUMED
@@ -28,6 +28,7 @@ class ServoErrors:
     Attributes:
         heights_m: Heights (b,) by a delay inside the controller, by its order, by a limit of the jerk, and by the tolerance of its damping.
             Where the recorded command is held, also by half of that time: the servo may have been identified with a smooth command.
+            Where the recording starts in motion, also by the error of the height and of the speed from which the servo starts.
         inertial_N: Force of inertia (b,) by these, by two further terms of the order's series in the servo's time constant, and by the
             tolerance of the natural frequency. Where a command is known, the acceleration is mostly that of the stated servo. And, with
             no command too, what samples miss between held targets.
@@ -53,7 +54,8 @@ def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[
     if recording.z_cmd_m is None or not (recording.judged[Z] or simulated is not None):
         return ServoErrors({}, {HELD_TARGETS: _held_targets_N(recording, cell)})
     t_s, z_cmd_m = recording.robot_t_s, recording.z_cmd_m
-    nominal_m = predict_motion(cell, t_s, z_cmd_m, library)
+    start = recording.state_at(float(t_s[0]))
+    nominal_m = predict_motion(cell, t_s, z_cmd_m, library, start=start)
     time_constant_s = 1.0 / (2.0 * pi * cell.robot.servo_natural_frequency_Hz)
     order_m = ASSUMED.noise.acceleration_share * time_constant_s**2 * _second_derivative(nominal_m, t_s)
     largest_delay_s = ASSUMED.noise.largest_delay_share * _lag_s(cell)
@@ -61,11 +63,18 @@ def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[
     tolerance = cell.tolerances.servo_natural_frequency
     damped = cell.robot.model_copy(update={"servo_damping_ratio": cell.robot.servo_damping_ratio * (1.0 + tolerance)})
     heights_m = {
-        "hidden delay": _behind(cell, library, t_s, np.interp(t_s - delay_s, t_s, z_cmd_m), delay_s, 0.0) - nominal_m,
-        "jerk limit": _behind(cell, library, t_s, _averaged(t_s, z_cmd_m, width_s), 0.5 * width_s, width_s**2 / 12.0) - nominal_m,
+        "hidden delay": _behind(cell, library, t_s, np.interp(t_s - delay_s, t_s, z_cmd_m), delay_s, 0.0, start) - nominal_m,
+        "jerk limit": _behind(cell, library, t_s, _averaged(t_s, z_cmd_m, width_s), 0.5 * width_s, width_s**2 / 12.0, start) - nominal_m,
         ORDER: order_m,
-        "damping": predict_motion(cell.model_copy(update={"robot": damped}), t_s, z_cmd_m, library) - nominal_m,
+        "damping": predict_motion(cell.model_copy(update={"robot": damped}), t_s, z_cmd_m, library, start=start) - nominal_m,
     }
+    if start is not None:
+        (height_m, speed_m_per_s), error_m_per_s = start, ASSUMED.noise.starting_speed_share * start[1]
+        for name, other in (
+            ("height at the start", (height_m + error_m_per_s * time_constant_s, speed_m_per_s)),
+            ("speed at the start", (height_m, speed_m_per_s + error_m_per_s)),
+        ):
+            heights_m[name] = predict_motion(cell, t_s, z_cmd_m, library, start=other) - nominal_m
     if recording.held_command_s is not None:
         heights_m["held command"] = np.interp(t_s - 0.5 * recording.held_command_s, t_s, nominal_m) - nominal_m
     if simulated is not None and simulated.faster_m is not None:
@@ -74,7 +83,7 @@ def servo_errors(recording: PreparedRecording, cell: CellFile, library: Mapping[
     accelerated_m = heights_m | {
         f"{ORDER}, 2nd term": time_constant_s * np.gradient(order_m, t_s),
         f"{ORDER}, 3rd term": time_constant_s**2 * _second_derivative(order_m, t_s),
-        "natural frequency": predict_motion(faster, t_s, z_cmd_m, library) - nominal_m,
+        "natural frequency": predict_motion(faster, t_s, z_cmd_m, library, start=start) - nominal_m,
     }
     inertial_N = _inertial_forces(recording, cell, library, list(accelerated_m.values()))
     return ServoErrors(
@@ -124,7 +133,15 @@ def _second_derivative(x: Floats, t_s: Floats) -> Floats:
     return np.asarray(np.gradient(np.gradient(x, t_s), t_s))
 
 
-def _behind(cell: CellFile, library: Mapping[str, Effect], t_s: Floats, late_m: Floats, delay_s: float, variance_s2: float) -> Floats:
+def _behind(
+    cell: CellFile,
+    library: Mapping[str, Effect],
+    t_s: Floats,
+    late_m: Floats,
+    delay_s: float,
+    variance_s2: float,
+    start: State | None,
+) -> Floats:
     """Heights (k,) of a servo that follows a late command, where both together have the lag and the second moment of the stated servo.
 
     1 / (1 + b1 s + b2 s²) agrees to second order in s with exp(-τ s) (1 + v s²/2) / (1 + b1' s + b2' s²), where b1' = b1 - τ and
@@ -132,6 +149,7 @@ def _behind(cell: CellFile, library: Mapping[str, Effect], t_s: Floats, late_m: 
 
     Args:
         late_m: Commanded heights (k,) that are late by τ, and spread in time by the variance v.
+        start: Height and speed at the first of `t_s`; None: at rest.
     """
     lag_s, natural_frequency_rad_per_s = _lag_s(cell), 2.0 * pi * cell.robot.servo_natural_frequency_Hz
     b2 = natural_frequency_rad_per_s**-2
@@ -142,7 +160,7 @@ def _behind(cell: CellFile, library: Mapping[str, Effect], t_s: Floats, late_m: 
             "servo_damping_ratio": 0.5 * (lag_s - delay_s) * b2_rest**-0.5,
         }
     )
-    return predict_motion(cell.model_copy(update={"robot": inner}), t_s, late_m, library)
+    return predict_motion(cell.model_copy(update={"robot": inner}), t_s, late_m, library, start=start)
 
 
 def _lag_s(cell: CellFile) -> float:
