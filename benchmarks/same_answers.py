@@ -120,9 +120,13 @@ def differences(before: Judged, after: Judged) -> Iterator[str]:
     for kind in sorted(before.keys() | after.keys()):
         absent: tuple[list[Any], float] = ([0.0] if kind.startswith("P(") else [], P_ALLOWED)
         (was, allowed), (now, _) = before.get(kind, absent), after.get(kind, absent)
-        words = len(was) != len(now) or any(isinstance(value, str) for value in (*was, *now))
-        if was != now and (words or max(abs(x - y) for x, y in zip(was, now, strict=True)) > allowed):
+        if len(was) != len(now) or any(apart(x, y, allowed) for x, y in zip(was, now, strict=True)):
             yield f"{kind} {was} → {now}" if len(was) + len(now) < 8 else f"{kind} ({len(was)} values before, {len(now)} now)"
+
+
+def apart(before: Any, after: Any, allowed: float) -> bool:
+    """Whether two words differ, or two numbers by more than is allowed."""
+    return before != after if isinstance(before, str) or isinstance(after, str) else abs(before - after) > allowed
 
 
 def code_at(commit: str, kept: Path) -> dict[str, Path]:
