@@ -67,8 +67,8 @@ FAR_TOUCH_TIP_RADII = 1.0
 """Distance of the touch from the stated surface, in tip radii, above which it gets a note: Hertz does not hold at such a depth."""
 
 LOADED_SHARE = 0.25
-"""Share of the rising rows between both that must be loaded for such a touch: in the air inertia loads below 0.06 of them, and in tissue
-that relaxes half of them stay loaded."""
+"""Share of the rising rows between the stated surface and the touch that must be loaded: inertia in the air loads below 0.06 of them, and
+tissue that relaxes leaves the probe before it is back at the surface."""
 
 SLOPE_S = 0.05
 """Time between two speeds that give an acceleration: the noise of speeds gives little over it, and a robot's motion is seen."""
