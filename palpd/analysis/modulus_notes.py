@@ -5,18 +5,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from palpd.analysis.results import Track, track
+from palpd.analysis.results import Track, peak_width, track
+from palpd.control.surface import FEWEST_SAMPLES
 from palpd.recording.header import RecordingHeader
 from palpd.tick import Mode, Phase
 
 LIGHT_N = 0.6
 """Force at which the contacts of a search and of a press are compared: above the noise, and below the 1 N that end a search."""
-AVERAGED_S = 0.02
-"""Time over which forces are averaged before they are compared with LIGHT_N."""
 AIR_PARTS = 5
 """The first of as many parts of a way down is in the air: presses begin well above the surface."""
-FEWEST_SAMPLES = 10
-"""Fewest samples of a way down that is compared."""
 MOST_OFF = 0.1
 """Share of a modulus by which a moved contact may change it without a word: speed and preconditioning change tissue by less."""
 
@@ -48,9 +45,8 @@ def _of_poisson(poisson_ratio: float) -> list[str]:
 
 def _moved(of_site: Track, name: str) -> list[str]:
     searched = of_site.where(of_site.mode == Mode.SEARCH)
-    surface_m = searched.surface_z_m[np.isfinite(searched.surface_z_m)]
     met_m = _light_contact_m(searched, Phase.SEARCH)
-    if met_m is None or not len(surface_m):
+    if met_m is None:
         return []
     moves = []
     pressed = of_site.where(np.isin(of_site.mode, (Mode.STATIC, Mode.DYNAMIC)) & np.isfinite(of_site.depth_m))
@@ -70,11 +66,11 @@ def _moved(of_site: Track, name: str) -> list[str]:
 
 
 def _light_contact_m(press: Track, phase: Phase) -> float | None:
-    """Height of the tip on one way down at which the force is last LIGHT_N above that in the air; None where it ends below."""
+    """Height of the tip on one way down below which the force stays LIGHT_N above that in the air; None where it does not."""
     down = press.where(press.phase == phase)
     if len(down.t_s) < FEWEST_SAMPLES:
         return None
-    width = max(1, min(round(AVERAGED_S / float(np.median(np.diff(down.t_s)))), len(down.t_s)))
+    width = min(peak_width(down.t_s), len(down.t_s))
     force_N, tip_z_m = (
         np.convolve(values, np.full(width, 1.0 / width), mode="valid") for values in (down.fz_N - down.inertial_N, down.tip_z_m)
     )

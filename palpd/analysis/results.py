@@ -243,8 +243,7 @@ def _with_bias(site: SiteResult) -> SiteResult:
     )
     if ci95_Pa is None or value_Pa is None or per_N is None:
         return site
-    low_Pa, high_Pa = (math.hypot(bound_Pa - value_Pa, NORMAL_95 * UNCORRECTED_BIAS_N * per_N) for bound_Pa in ci95_Pa)
-    return {**site, "dynamic_corrected_ci95_Pa": [value_Pa - low_Pa, value_Pa + high_Pa]}
+    return {**site, "dynamic_corrected_ci95_Pa": [*_widened(value_Pa, ci95_Pa, UNCORRECTED_BIAS_N * per_N)]}
 
 
 def analysed(rows: NDArray[np.void], header: RecordingHeader) -> list[LoadingResult]:
@@ -311,8 +310,13 @@ def _loading(of_site: Track, name: str, body: RecordedGeometry, errors: _Errors)
 
 def _with_weight(fit: ContactFit, sigma_Pa: float) -> ContactFit:
     """The fit with an interval that also holds what the tolerance of the probe's weight leaves, one standard deviation of the modulus."""
-    low_Pa, high_Pa = (math.hypot(bound_Pa - fit.youngs_modulus_Pa, NORMAL_95 * sigma_Pa) for bound_Pa in fit.ci95_Pa)
-    return replace(fit, ci95_Pa=(fit.youngs_modulus_Pa - low_Pa, fit.youngs_modulus_Pa + high_Pa))
+    return replace(fit, ci95_Pa=_widened(fit.youngs_modulus_Pa, fit.ci95_Pa, sigma_Pa))
+
+
+def _widened(value_Pa: float, ci95_Pa: Sequence[float], sigma_Pa: float) -> tuple[float, float]:
+    """The interval of a modulus with a further, independent error of one standard deviation `sigma_Pa`."""
+    low_Pa, high_Pa = (math.hypot(bound_Pa - value_Pa, NORMAL_95 * sigma_Pa) for bound_Pa in ci95_Pa)
+    return value_Pa - low_Pa, value_Pa + high_Pa
 
 
 def _two_moduli(fit: ContactFit, held: SiteResult) -> list[str]:
@@ -419,7 +423,7 @@ def _measured_holds(of_site: Track, depths: list[DepthResult]) -> dict[float, li
 
 def _measured_peaks(rest: Track, presses: list[PressResult]) -> dict[float, list[Measured]]:
     """The dynamic presses, with the noise that a window as short as their peak shows at rest."""
-    width = _peak_width(rest.t_s) if len(rest.t_s) > 2 else 1
+    width = peak_width(rest.t_s) if len(rest.t_s) > 2 else 1
     noise_N = float(np.std(np.convolve(rest.fz_N, np.ones(width) / width, mode="valid"))) if len(rest.t_s) > width else 0.0
     measured: dict[float, list[Measured]] = {}
     for press in presses:
@@ -428,8 +432,12 @@ def _measured_peaks(rest: Track, presses: list[PressResult]) -> dict[float, list
     return measured
 
 
-def _peak_width(t_s: Floats) -> int:
-    """Number of frames in the window of a peak."""
+def peak_width(t_s: Floats) -> int:
+    """Number of frames in the window of a peak.
+
+    Args:
+        t_s: Times (n,) of the frames.
+    """
     return max(1, round(PEAK_WINDOW_S / float(np.median(np.diff(t_s)))))
 
 
@@ -441,7 +449,7 @@ def _presses(of_site: Track, depth_m: float, tip: tuple[float, float]) -> list[P
         press = here.where((here.repeat == repeat) & np.isin(here.phase, (Phase.PRESS, Phase.RETRACT)))
         if len(press.t_s) < 3:
             continue
-        width = _peak_width(press.t_s)
+        width = peak_width(press.t_s)
         window = np.ones(width) / width
         force_N, inertial_N, tip_z_m = (
             np.convolve(values, window, mode="valid") for values in (press.fz_N, press.inertial_N, press.tip_z_m)
