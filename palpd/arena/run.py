@@ -85,15 +85,22 @@ def _answer(tool: str, limit_s: float, question: Question) -> dict[str, Any]:
 
 @contextmanager
 def _limited(limit_s: float) -> Iterator[None]:
-    """Raise _OutOfTime when the context has used its processor time."""
+    """Raise _OutOfTime when the context has used its processor time.
+
+    Python drops an exception that a signal raises inside a weak reference's callback, as imports have them. So the timer asks again,
+    and the time is read once more at the end.
+    """
+    began = time.process_time()
 
     def end(_number: int, _frame: FrameType | None) -> None:
         raise _OutOfTime
 
     before = signal.signal(signal.SIGPROF, end)
-    signal.setitimer(signal.ITIMER_PROF, limit_s)
+    signal.setitimer(signal.ITIMER_PROF, limit_s, 1.0)
     try:
         yield
+        if time.process_time() - began > limit_s:
+            raise _OutOfTime
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.signal(signal.SIGPROF, before)

@@ -1,13 +1,14 @@
 """Tools on a sample of the shipped recordings, planted ones, and the command that asks and scores them."""
 
 import json
+import time
 from importlib.resources import files
 from pathlib import Path
 
 import jsonschema
 import pytest
 
-from palpd.arena.cases import every, rigs
+from palpd.arena.cases import Question, every, rigs
 from palpd.arena.run import ask, scored
 from palpd.cli.application import carry_out
 from palpd.errors import BadInput
@@ -55,6 +56,31 @@ def test_a_tool_that_takes_too_long_has_no_answer(tmp_path: Path) -> None:
     ask("least-squares", [question for question, _ in questions], tmp_path, jobs=1, limit_s=0.02, advance=lambda _: None)
     check_schema(tmp_path)
     assert scored(questions, tmp_path)[0].answer.failed == "no answer within 0.02 s of processor time"
+
+
+def test_a_limit_holds_where_python_drops_the_exception_of_its_signal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Dropping:
+        def __del__(self) -> None:
+            spend_s(0.1)
+
+    def spend_s(duration_s: float) -> None:
+        until_s = time.process_time() + duration_s
+        while time.process_time() < until_s:
+            pass
+
+    def drops(_question: Question) -> dict[str, object]:
+        Dropping()
+        spend_s(30.0 if again else 0.0)
+        return {}
+
+    monkeypatch.setattr("palpd.arena.run.runner", lambda _tool: drops)
+    for again in (False, True):
+        folder = tmp_path / str(again)
+        questions = every(rigs(CASES), 1)
+        ask("any", [question for question, _ in questions], folder, jobs=1, limit_s=0.02, advance=lambda _: None)
+        answer = scored(questions, folder)[0].answer
+        assert answer.failed == "no answer within 0.02 s of processor time"
+        assert answer.cpu_s is not None and answer.cpu_s < 3.0
 
 
 def test_effects_are_planted_by_seed_asked_and_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
