@@ -15,9 +15,13 @@ from palpd.cell.effects import EFFECTS, Effect, Parameter
 from palpd.cli import app
 from palpd.errors import BadInput
 from palpd.gap.diagnosis import limits
-from palpd.gap.infer.detectable import DetectableSize
+from palpd.gap.infer.detectable import DetectableSize, detectable_sizes
+from palpd.gap.infer.settle import settle
+from palpd.gap.model.problem import make_problem
+from palpd.gap.user_simulator import MotionColumns, SimulatorDoubt
 from palpd.recording.samples import Samples, write_csv
 from tests.gap.test_diagnosis import quick, recording
+from tests.gap.test_user_simulator import palpds_own
 
 
 def shown(samples: Samples, cell: CellFile) -> dict[str, DetectableSize]:
@@ -45,6 +49,25 @@ def test_an_effect_of_a_tolerance_must_exceed_it(of_a_healthy_cell: dict[str, De
     for one in of_a_tolerance.values():
         assert one.specification is not None
         assert one.of_typical is None or one.of_typical > one.specification
+
+
+def test_what_an_effect_costs_beside_a_learned_simulator_counts() -> None:
+    samples, library = recording(nominal(), {}), {name: EFFECTS[name] for name in ("sensor.gain", "cable.friction")}
+
+    def sizes(price: float) -> dict[str, float | None]:
+        def doubt(motion: MotionColumns) -> SimulatorDoubt:
+            n = len(motion["t_s"])
+            return SimulatorDoubt(np.zeros((0, 7, n)), np.ones(n, dtype=bool), np.zeros((7, n)), {"cable.friction": price})
+
+        learned = replace(palpds_own(nominal()), doubt=doubt)
+        settled = settle(make_problem([samples], nominal(), library, simulators=[learned]))
+        return {one.effect: one.smallest for one in detectable_sizes(settled.problem, settled.fit.linearisation)}
+
+    free, priced = sizes(0.0), sizes(40.0)
+    assert free["cable.friction"] is not None
+    assert priced["cable.friction"] is not None
+    assert priced["cable.friction"] > 1.5 * free["cable.friction"]
+    assert priced["sensor.gain"] == free["sensor.gain"]
 
 
 def test_what_a_recording_cannot_show_says_what_would() -> None:

@@ -11,6 +11,7 @@ from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FZ, Z
 from palpd.gap.data.phases import FREE_MOVING, HOLDING
 from palpd.gap.gaussian.nuisances import project
+from palpd.gap.infer.posterior import price_nats
 from palpd.gap.model.coordinates import start_values, stretched
 from palpd.gap.model.linearise import Linearisation
 from palpd.gap.model.problem import Problem
@@ -96,7 +97,7 @@ def _smallest(problem: Problem, around: Linearisation, effect: Effect, start: di
 
     Secants in the logarithms of factor and size.
     """
-    nominal, needed_sd = problem.predict({}, around.eta), _needed_sd(effect)
+    nominal, needed_sd = problem.predict({}, around.eta), _needed_sd(effect, price_nats(problem, effect.id))
     tried: list[tuple[float, float]] = []
     log_factor = 0.0
     for _ in range(MOST_STEPS):
@@ -115,10 +116,14 @@ def _smallest(problem: Problem, around: Linearisation, effect: Effect, start: di
     return (None, start) if shown is None else (exp(shown), stretched(effect, start, exp(shown), problem.scale))
 
 
-def _needed_sd(effect: Effect) -> float:
-    """Size s in sigmas at which the expected log Bayes factor s²/2, less what an effect of unknown size costs, reaches `limits.odds`."""
+def _needed_sd(effect: Effect, price: float) -> float:
+    """Size s in sigmas at which the expected log Bayes factor s²/2, less what an effect of unknown size costs, reaches `limits.odds`.
+
+    Args:
+        price: What it costs beside a learned simulator, in nats.
+    """
     shapes = sum(p.nominal is None and not p.nuisance for p in effect.parameters)
-    cost = log(2.0 * ASSUMED.prior.log_size_range) + shapes * ASSUMED.limits.shape_nats
+    cost = price + log(2.0 * ASSUMED.prior.log_size_range) + shapes * ASSUMED.limits.shape_nats
     size_sd = 5.0
     for _ in range(20):  # the prior of a size is 1/s
         size_sd = (2.0 * (log(ASSUMED.limits.odds) + cost + log(size_sd))) ** 0.5
