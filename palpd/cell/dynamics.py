@@ -205,7 +205,8 @@ def _pair(
     if start is not None:  # as long as the input rests, each decays from (height - speed / the other pole)
         first_s = dt_s if isinstance(dt_s, float) else dt_s[0]
         for name, pole, other in (("one", fast, slow), ("two", slow, fast)):
-            before = (start[0] - start[1] / other - u[0]) * np.exp(-pole * first_s)
+            kept = np.exp(complex(max(pole.real * first_s, -460.0), pole.imag * first_s))  # less is no number any more
+            before = (start[0] - start[1] / other - u[0]) / kept
             memory[name] = {"y": u[0] + (before if pole.imag else before.real), "u": u[0]}
     one = lowpass(u, dt_s, fast, memory.setdefault("one", {}))
     if fast.imag:

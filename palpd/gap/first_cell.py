@@ -185,7 +185,7 @@ def _robot(recordings: Sequence[Samples]) -> dict[str, CommentedValue]:
         position.append(max(measured_rms(np.interp(at_s, samples.t_s, samples.z_m)), least_m))
         velocity.append(measured_rms(np.interp(at_s, samples.t_s, samples.vz_m_per_s)))
         if samples.z_cmd_m is not None and np.ptp(samples.z_cmd_m) > 0.0:
-            fits.append(_servo(samples.t_s, samples.z_cmd_m, samples.z_m))
+            fits.append(_servo(samples, samples.z_cmd_m))
     followed = "the one that fits how z_m follows z_cmd_m best" if fits else "GUESS: without z_cmd_m the servo is not judged"
     natural_Hz, damping_ratio = np.median(fits, axis=0).tolist() if fits else (8.0, 1.0)
     return {
@@ -196,13 +196,13 @@ def _robot(recordings: Sequence[Samples]) -> dict[str, CommentedValue]:
     }
 
 
-def _servo(t_s: Floats, z_cmd_m: Floats, z_m: Floats) -> tuple[float, float]:
-    """Natural frequency in Hz and damping ratio of the servo that explains the heights best."""
-    dt_s = steps(t_s)
+def _servo(samples: Samples, z_cmd_m: Floats) -> tuple[float, float]:
+    """Natural frequency in Hz and damping ratio of the servo that explains the heights best; it starts as it was measured."""
+    dt_s, moving = steps(samples.t_s), (float(samples.z_m[0]), float(samples.vz_m_per_s[0]))
 
     def missed_m(logarithms: Floats) -> Floats:
         natural_Hz, damping_ratio = np.exp(logarithms).tolist()
-        return servo_heights(z_cmd_m, dt_s, natural_Hz, damping_ratio) - z_m
+        return servo_heights(z_cmd_m, dt_s, natural_Hz, damping_ratio, moving) - samples.z_m
 
     start = min(((np.log(natural_Hz), 0.0) for natural_Hz in SERVO_HZ), key=lambda at: float(np.mean(missed_m(np.array(at)) ** 2)))
     low, high = np.log([[SERVO_HZ[0] / 2.0, DAMPING_RATIOS[0]], [2.0 * SERVO_HZ[-1], DAMPING_RATIOS[1]]])

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from palpd.cell.cell_file import PHANTOM, CellFile, Estimated, cell_from, nominal
-from palpd.cell.dynamics import Floats, Memory, delayed, lowpass, mounted, play, recurrence, servo, shifted, steps
+from palpd.cell.dynamics import Floats, Memory, delayed, lowpass, mounted, play, recurrence, servo, servo_heights, shifted, steps
 from palpd.cell.effects import EFFECTS, Effect, Values
 from palpd.cell.physics import true_surface_m
 from palpd.cell.simulation import commanded_motion, equilibrium_force_N, predict_motion, scale_of, simulate, wrench_of
@@ -131,6 +131,13 @@ def test_the_motion_at_the_first_row_is_measured_where_there_is_any() -> None:
     assert moving is not None
     assert moving.at(0.01) == pytest.approx((0.00971, -0.028), rel=0.02)
     assert starting_motion(cell, t_s, np.full(500, 0.01), noise_m_per_s * rng.standard_normal(500)) is None
+
+
+def test_a_servo_that_is_much_faster_than_the_samples_may_start_in_motion() -> None:
+    u = np.linspace(0.0, 1.0, 50)
+    with np.errstate(over="raise", invalid="raise"):
+        z_m = servo_heights(u, 1.0, 120.0, 5.0, (0.3, 0.1))
+    np.testing.assert_allclose(np.diff(z_m[1:]), u[1], rtol=1e-3)
 
 
 def test_the_tip_lags_a_ramp_by_two_zeta_over_omega() -> None:

@@ -56,7 +56,14 @@ def test_friction_behind_an_encoder_is_named_alone() -> None:
     assert names(diagnose([recorded(friction_N=0.1)], CELL)) == {"cable.friction"}
 
 
-def test_the_servo_of_a_first_cell_file_is_the_recordings_own() -> None:
-    robot = first_cell([recorded(with_command=True)]).blocks["robot"]
+@pytest.mark.parametrize("in_motion", [False, True])
+def test_the_servo_of_a_first_cell_file_is_the_recordings_own(in_motion: bool) -> None:
+    whole = recorded(with_command=True)
+    assert whole.z_cmd_m is not None
+    begin = int(np.flatnonzero(np.diff(whole.z_cmd_m) < 0.0)[100]) if in_motion else 0
+    cut = slice(begin, begin + RATE_HZ * 12)
+    robot = first_cell([Samples(whole.t_s[cut], whole.z_cmd_m[cut], whole.z_m[cut], whole.vz_m_per_s[cut], whole.wrench[cut])]).blocks[
+        "robot"
+    ]
     assert robot is not None
     assert (robot["servo_natural_frequency_Hz"].value, robot["servo_damping_ratio"].value) == pytest.approx((6.0, 0.8), rel=0.01)
