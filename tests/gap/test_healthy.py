@@ -18,6 +18,7 @@ from palpd.gap.healthy_reference import HealthyReference
 from palpd.gap.plain import plain_answer
 from palpd.recording.samples import Samples, write_csv
 from palpd.tick import Floats
+from tests.gap.test_diagnosis import quick
 from tests.gap.test_user_simulator import foam_N, own_simulator, record, stated
 
 
@@ -47,7 +48,7 @@ def changed(now: Samples, reference: HealthyReference) -> Diagnosis:
 
 def test_what_no_cell_file_has_is_healthy_if_it_was_there_before(reference: HealthyReference) -> None:
     again = record(rig, seed=21)
-    assert diagnose([again], stated(), propose=False).verdict != "none"
+    assert quick(again, stated()).verdict != "none"
     answer = changed(again, reference)
     assert answer.verdict == "none"
     assert answer.sentence.startswith("No gap: the cell behaves as it did while it was healthy, within its tolerances")
