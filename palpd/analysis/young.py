@@ -174,7 +174,14 @@ def fit_contact(
 
 
 def refuse_undetermined(modulus_Pa: float, ci95_Pa: Sequence[float], misfit: HertzMisfit | None = None) -> None:
-    """Refuse a modulus whose 95 % interval holds zero: the force shows no stiffness, or the law does not hold. Raises RecordingError."""
+    """Refuse a modulus whose 95 % interval holds zero: the force shows no stiffness, or the law does not hold.
+
+    Args:
+        misfit: The range of the moduli over depth; None where one modulus describes them.
+
+    Raises:
+        RecordingError: The interval holds zero.
+    """
     if ci95_Pa[0] <= 0.0:
         todo = "press deeper, and check the columns, the baseline, and the signs of force and height"
         raise RecordingError(

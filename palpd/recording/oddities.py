@@ -116,7 +116,12 @@ def refuse_turned(samples: Samples, label: str = "") -> None:
 
 
 def fall_where_lowest_N(height_m: Floats, force_N: Floats) -> float:
-    """How much lower the force (n,) is where the tip is lowest than where it is highest; 0 up to `FALLING_SHARE` of its swing."""
+    """How much lower the force is where the tip is lowest than where it is highest; 0 up to `FALLING_SHARE` of its swing.
+
+    Args:
+        height_m: Heights (n,) of the tip.
+        force_N: Forces (n,).
+    """
     high, low = height_m >= np.quantile(height_m, 0.8), height_m <= np.quantile(height_m, 0.05)
     fall_N = float(np.median(force_N[high]) - np.median(force_N[low]))
     return fall_N if fall_N > FALLING_SHARE * float(np.ptp(force_N)) else 0.0
