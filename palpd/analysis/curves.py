@@ -8,11 +8,12 @@ from typing import Literal, TypedDict
 import numpy as np
 
 from palpd.analysis.hertz_misfit import HertzMisfit, covering, range_of
-from palpd.analysis.young import ContactFit, fit_contact, modulus_hertz_Pa, modulus_peak_Pa
+from palpd.analysis.young import ContactFit, fit_contact, modulus_hertz_Pa, modulus_peak_Pa, refuse_undetermined
 from palpd.control.surface import FEWEST_SAMPLES
 from palpd.errors import BadInput, RecordingError
 from palpd.files import opened
-from palpd.recording.samples import LARGEST, refuse_values
+from palpd.recording.oddities import fall_where_lowest_N
+from palpd.recording.samples import LARGEST, SITE_COLUMN, refuse_mixed_sites, refuse_values
 from palpd.recording.tables import DELIMITERS, cells_of, is_comment, refuse_decimal_commas
 from palpd.tick import Floats
 
@@ -22,6 +23,8 @@ FORCE_UNITS: dict[str, float] = {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "nN": 1e-9}
 LENGTH_UNITS: dict[str, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
 OWN = ("fz_N", "z_m", "t_s")
 """Force, height and time of our own recordings, taken where no column is named; the time also where force and height are named so."""
+PLACE = ("x_m", "y_m")
+"""Where the tip is, as `palpd export` names it: read where a file has both, to tell whether one place was pressed."""
 TARED_NAMES = ("corrected", "tared", "zeroed", "baselined")
 """Words in a column's name that say its baseline has already been taken out."""
 TURNED = 0.2
@@ -53,7 +56,7 @@ class Curve:
     """One force curve in SI: `height_m` (n,) up positive, `force_N` (n,) compression positive, `t_s` (n,) or None.
 
     `sign` turns a height back onto the axis of the column it came from, `columns` names force and length columns, `skipped` counts
-    the rows before and after the numbers (the header row is not one of them).
+    the rows before and after the numbers (the header row is not one of them). `place_m` (n, 2) is where the tip was, or None.
     """
 
     name: str
@@ -63,6 +66,7 @@ class Curve:
     sign: float
     columns: tuple[str, str]
     skipped: int = 0
+    place_m: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.force_N)
@@ -86,7 +90,7 @@ def read_curve(path: Path, mapping: Mapping) -> Curve:
         The curve, in N and m, heights up positive.
 
     Raises:
-        RecordingError: A column is missing or a row cannot be read; the sentence names both.
+        RecordingError: A column is missing or a row cannot be read; the sentence names both. Or there are several sites.
         BadInput: The mapping contradicts itself or the file.
     """
     lines = _lines(path)
@@ -96,8 +100,11 @@ def read_curve(path: Path, mapping: Mapping) -> Curve:
         raise BadInput(f"one column is named for two of force, length and time ({', '.join(names)}); name one for each")
     at, delimiter = _header(path, lines, names)
     header = cells_of(lines[at], delimiter)
-    columns = [header.index(name) for name in names]
-    table = _numbers(path, lines, at, delimiter, dict(zip(names, columns, strict=True)))
+    if SITE_COLUMN in header:
+        rows = (cells_of(line, delimiter) for line in lines[at + 1 :] if not is_comment(line))
+        refuse_mixed_sites((row[site] for row in rows if (site := header.index(SITE_COLUMN)) < len(row)), f"{path.name} holds")
+    places = list(PLACE) if set(PLACE) <= set(header) - set(names) else []
+    table = _numbers(path, lines, at, delimiter, {name: header.index(name) for name in [*names, *places]})
     if not table.values:
         raise RecordingError(
             f"{path.name}: no row below the header (row {at + 1}) has numbers in {', '.join(names)}; is it the right file?"
@@ -114,6 +121,7 @@ def read_curve(path: Path, mapping: Mapping) -> Curve:
         sign=sign,
         columns=(force, length),
         skipped=table.skipped,
+        place_m=values[:, -2:] if places else None,
     )
 
 
@@ -171,10 +179,17 @@ def analyse_curve(
         column.
 
     Raises:
-        RecordingError: The curve shows no contact or too few samples.
+        RecordingError: The curve shows no contact or too few samples, the force falls with depth, several places were pressed,
+            or the modulus may be zero.
         BadInput: A number is impossible.
     """
     _refuse_figures(tip_radius_m, poisson_ratio, machine_stiffness_N_per_m, thickness_m)
+    if fall_N := fall_where_lowest_N(curve.height_m, curve.force_N):
+        raise RecordingError(
+            f"{curve.name}: the force falls by {fall_N:.3g} N where the tip is lowest, expected to rise; check the sign of the force "
+            "(--compression-negative) and the direction of the height (--height-column, --depth-column, --height-down-positive)"
+        )
+    _refuse_several_places(curve, tip_radius_m)
     first, last = _loading(curve)
     held = baseline == "zero" or (baseline == "auto" and any(word in curve.columns[0].lower() for word in TARED_NAMES))
     machine = machine_stiffness_N_per_m or math.inf
@@ -193,11 +208,13 @@ def analyse_curve(
 
     try:
         hertz, other = fitted(held), fitted(not held)
+        peak_N = float(curve.force_N[last]) - hertz.baseline_N
+        by_peak = fit == "peak"
+        modulus, ci95 = _at_peak(hertz, peak_N, tip_radius_m, poisson_ratio) if by_peak else (hertz.youngs_modulus_Pa, hertz.ci95_Pa)
+        tested = (modulus, ci95) if hertz.misfit else (hertz.youngs_modulus_Pa, hertz.ci95_Pa)  # a peak of noise has a small interval
+        refuse_undetermined(*tested, hertz.misfit)
     except RecordingError as error:
         raise RecordingError(f"{curve.name}: {error}") from None
-    peak_N = float(curve.force_N[last]) - hertz.baseline_N
-    by_peak = fit == "peak"
-    modulus, ci95 = _at_peak(hertz, peak_N, tip_radius_m, poisson_ratio) if by_peak else (hertz.youngs_modulus_Pa, hertz.ci95_Pa)
     return {
         "youngs_modulus_Pa": modulus,
         "ci95_Pa": list(ci95),
@@ -285,6 +302,19 @@ def _loading(curve: Curve) -> tuple[int, int]:
             "check the force's sign, the columns and the direction of the height"
         )
     return first, last
+
+
+def _refuse_several_places(curve: Curve, tip_radius_m: float) -> None:
+    """Refuse a curve whose larger half of the force was pressed at places that lie more than a tip radius apart."""
+    if curve.place_m is None:
+        return
+    pressed = curve.force_N > 0.5 * (curve.force_N.min() + curve.force_N.max())
+    apart_m = math.hypot(*np.ptp(curve.place_m[pressed], axis=0))
+    if apart_m > tip_radius_m:
+        raise RecordingError(
+            f"{curve.name}: the tip presses at places up to {apart_m * 1e3:.3g} mm apart ({', '.join(PLACE)}), expected one place within "
+            f"the tip radius of {tip_radius_m * 1e3:.3g} mm; give the rows of one place alone"
+        )
 
 
 def _lines(path: Path) -> list[str]:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, TypedDict
 import numpy as np
 
 from palpd.analysis.intervals import correlated_sigmas, student_t_95
-from palpd.analysis.young import modulus_peak_Pa
+from palpd.analysis.young import modulus_peak_Pa, refuse_undetermined
 from palpd.cell.cell_file import CellFile, Estimated
 from palpd.cell.effects import EFFECTS
 from palpd.cell.effects.tissue import MODULUS
@@ -26,7 +26,7 @@ from palpd.cell.span import TipMotion
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
 from palpd.recording.reader import Recording, holds_ticks, refuse_site, samples_of
-from palpd.recording.samples import Samples, common_site, read, runs_of_true
+from palpd.recording.samples import Samples, common_site, read, refuse_mixed_sites, runs_of_true
 from palpd.recording.stated_geometry import with_stated_machine
 from palpd.tick import Floats
 
@@ -105,7 +105,7 @@ def enriched_modulus(recordings: Sequence[Samples], cell: CellFile) -> EnrichedM
         The modulus and the cell that belongs to it.
 
     Raises:
-        RecordingError: The cell has no tissue, no recording holds contact, or the modulus does not settle.
+        RecordingError: The cell has no tissue, no recording holds contact, or the modulus does not settle or may be zero.
     """
     if cell.tissue is None:
         raise RecordingError("the cell file has no tissue, so there is no modulus to estimate; give one with a tissue block")
@@ -123,9 +123,11 @@ def enriched_modulus(recordings: Sequence[Samples], cell: CellFile) -> EnrichedM
     relative = float(np.hypot(relative, 1.96 * np.hypot(cell.tolerances.gain, cell.repeatability.stiffness / np.sqrt(presses))))
     estimated = _with(contact.cell, fit.modulus_Pa, fit.shift_m)
     value = fit.modulus_Pa * gain
+    ci95_Pa = (value * (1.0 - relative), value * (1.0 + relative))
+    refuse_undetermined(value, ci95_Pa)
     return EnrichedModulus(
         youngs_modulus_Pa=value,
-        ci95_Pa=(value * (1.0 - relative), value * (1.0 + relative)),
+        ci95_Pa=ci95_Pa,
         surface_z_m=true_surface_m(estimated),
         surface_sigma_m=float(sigmas[1]),
         rms_N=float(np.sqrt(np.mean(fit.residual_N**2))),
@@ -260,6 +262,7 @@ def analysed(file: Path, cell: CellFile, site: str | None = None) -> dict[str, A
     if not holds_ticks(file):
         refuse_site(file, site)
         samples = read(file)
+        refuse_mixed_sites(samples.sites, f"{file.name} holds")
         return {**_result(enriched_modulus([samples], cell.at_site(common_site([samples]))), file.stem)}
     recording = Recording.load(file)
     names = [site] if site is not None else [each["name"] for each in recording.header["sites"]]

@@ -24,7 +24,7 @@ from palpd.analysis.modulus_intervals import (
     mean_sigma_N,
 )
 from palpd.analysis.stalls import StallFigures
-from palpd.analysis.young import ContactFit, fit_contact, modulus_peak_Pa, ymbt
+from palpd.analysis.young import ContactFit, fit_contact, modulus_peak_Pa, refuse_undetermined, ymbt
 from palpd.control.sequence import SOFT_END
 from palpd.errors import RecordingError
 from palpd.recording.header import RecordedGeometry, RecordingHeader
@@ -289,14 +289,16 @@ def _loading(of_site: Track, name: str, body: RecordedGeometry, errors: _Errors)
         if errors.weight.force_sigma_N:
             heavier = fit_contact(loading.tip_z_m, force_N + errors.weight.shift_N(force_N), *tip)
             fit = _with_weight(fit, heavier.youngs_modulus_Pa - fit.youngs_modulus_Pa)
+        held = _site(of_site, name, tip, errors)
+        misfit = held["hertz_misfit"] or fit.misfit
+        ci95_Pa = covering(fit.ci95_Pa, *range_of(misfit))
+        refuse_undetermined(fit.youngs_modulus_Pa, ci95_Pa, misfit)
     except RecordingError as error:
         return _no_loading(name, str(error))
-    held = _site(of_site, name, tip, errors)
-    misfit = held["hertz_misfit"] or fit.misfit
     return {
         "name": name,
         "youngs_modulus_Pa": fit.youngs_modulus_Pa,
-        "ci95_Pa": covering(fit.ci95_Pa, *range_of(misfit)),
+        "ci95_Pa": ci95_Pa,
         "hertz_misfit": misfit,
         "contact_point_m": fit.contact_point_m,
         "baseline_N": fit.baseline_N,

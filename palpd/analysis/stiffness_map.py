@@ -21,6 +21,9 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from palpd.analysis.figure_style import RED, save_figure, styled_figure
+from palpd.analysis.young import modulus_hertz_Pa
+from palpd.cell.cell_file import SensorBlock
+from palpd.cell.plausible import ask
 from palpd.errors import BadInput
 from palpd.files import opened_text, write_text
 from palpd.recording.samples import LARGEST
@@ -39,7 +42,8 @@ UNLIKELY = 0.21
 """Probability below which no place is worth a press; before any press it is 27 % everywhere."""
 GRID_M = 0.002
 """Spacing of the map: a fifth of the smallest inclusion of the paper's phantom."""
-PRESS_COLUMNS = ("x_m", "y_m", "youngs_modulus_Pa")
+MODULUS_COLUMNS = {"youngs_modulus_Pa": 1.0, "youngs_modulus_kPa": 1e3, "youngs_modulus_MPa": 1e6}
+"""Names of the column of the modulus, and the factor of each unit to Pa."""
 SUSPICIOUS = 0.35
 """Probability above which a place is followed up before others are visited; before any press it is 27 %."""
 APART_M = 0.003
@@ -229,36 +233,52 @@ def raster(where: Field, step_m: float = 0.005) -> list[tuple[float, float]]:
     return [(float(a), float(b)) for row, b in enumerate(y) for a in (x if row % 2 == 0 else x[::-1])]
 
 
-def read_presses(path: Path, where: Field) -> Survey:
-    """Read presses from a CSV file with the columns x_m, y_m and youngs_modulus_Pa.
+def read_presses(path: Path, where: Field, accept_implausible: bool = False) -> Survey:
+    """Read presses from a CSV file with the columns x_m, y_m and youngs_modulus_Pa; of that column, the name says the unit.
 
     Args:
         where: The field that they belong to.
+        accept_implausible: Whether moduli count whose presses no sensor would feel.
 
     Raises:
-        BadInput: The file cannot be read, or a row is no press in the field.
+        BadInput: The file cannot be read, a row is no press in the field, or the moduli look like those of another unit.
     """
     survey = Survey(where)
     try:
         with opened_text(path) as file:
-            layout = read_layout(file, path.name, PRESS_COLUMNS)
-            if missing := [name for name in PRESS_COLUMNS if name not in layout.header]:
-                raise BadInput(f"{path.name}: the header has no column {', '.join(missing)}; expected {', '.join(PRESS_COLUMNS)}")
-            if twice := [name for name in PRESS_COLUMNS if layout.header.count(name) > 1]:
+            layout = read_layout(file, path.name, ("x_m", "y_m", *MODULUS_COLUMNS))
+            column = next((name for name in MODULUS_COLUMNS if name in layout.header), "youngs_modulus_Pa")
+            columns = ("x_m", "y_m", column)
+            if missing := [name for name in columns if name not in layout.header]:
+                raise BadInput(f"{path.name}: the header has no column {', '.join(missing)}; expected {', '.join(columns)}")
+            if twice := [name for name in columns if layout.header.count(name) > 1]:
                 raise BadInput(f"{path.name}: the header has the column {twice[0]} twice; leave one of them")
             for number, line in enumerate(file, start=layout.lines + 1):
                 if is_comment(line):
                     continue
                 row = dict(zip(layout.header, cells_of(with_points(line, layout), layout.delimiter), strict=False))
                 try:
-                    x_m, y_m, modulus = (float(row[name]) for name in PRESS_COLUMNS)
+                    x_m, y_m, modulus = (float(row[name]) for name in columns)
                     place = (x_m, y_m)
                 except (KeyError, ValueError):
-                    raise BadInput(f"{path.name}, line {number}: expected numbers in the columns x_m, y_m, youngs_modulus_Pa") from None
-                survey.add(place, modulus)
+                    raise BadInput(f"{path.name}, line {number}: expected numbers in the columns {', '.join(columns)}") from None
+                survey.add(place, modulus * MODULUS_COLUMNS[column])
     except csv.Error as error:
         raise BadInput(f"{path} is no CSV ({error}); give one with the columns x_m, y_m, youngs_modulus_Pa") from None
+    ask(_unfelt(survey, path.name), accept_implausible, f"name another unit in the column ({', '.join(MODULUS_COLUMNS)})")
     return survey
+
+
+def _unfelt(survey: Survey, name: str) -> list[str]:
+    """A sentence where the usual press would stay below the noise of a sensor: such moduli are those of another unit."""
+    modulus_Pa, where, noise_N = float(np.median(survey.moduli_Pa or [math.inf])), survey.field_, SensorBlock().noise_rms_N
+    force_N = modulus_Pa / modulus_hertz_Pa(1.0, where.depth_m, where.tip_radius_m, 0.5)
+    if force_N >= noise_N:
+        return []
+    return [
+        f"{name}: the moduli are about {modulus_Pa:.3g} Pa, so a press to {where.depth_m * 1e3:g} mm makes {force_N:.2g} N, expected more "
+        f"than the noise of a sensor ({noise_N:g} N)"
+    ]
 
 
 def write_presses(path: Path, survey: Survey) -> None:

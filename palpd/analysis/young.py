@@ -7,6 +7,7 @@ time. Sums are plain and not matrix products: a product may be split over thread
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -170,6 +171,23 @@ def fit_contact(
         ),
         misfit=misfit,
     )
+
+
+def refuse_undetermined(modulus_Pa: float, ci95_Pa: Sequence[float], misfit: HertzMisfit | None = None) -> None:
+    """Refuse a modulus whose 95 % interval holds zero: the force shows no stiffness, or the law does not hold.
+
+    Args:
+        misfit: The range of the moduli over depth; None where one modulus describes them.
+
+    Raises:
+        RecordingError: The interval holds zero.
+    """
+    if ci95_Pa[0] <= 0.0:
+        todo = "press deeper, and check the columns, the baseline, and the signs of force and height"
+        raise RecordingError(
+            f"the modulus is not determined: its 95 % interval, {ci95_Pa[0]:.3g} to {ci95_Pa[1]:.3g} Pa about {modulus_Pa:.3g} Pa, holds "
+            f"zero, expected above; {todo if misfit is None else misfit['sentence']}"
+        )
 
 
 class _Hertz(NamedTuple):

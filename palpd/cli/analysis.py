@@ -146,7 +146,8 @@ def map_(
     ] = None,
     emulated: Annotated[bool, typer.Option("--emulated", help="press with the real daemon on emulated wires")] = False,
     presses: Annotated[
-        Path | None, typer.Option("--presses", help="CSV with x_m, y_m, youngs_modulus_Pa: the map of these, and where to press next")
+        Path | None,
+        typer.Option("--presses", help="CSV with x_m, y_m, youngs_modulus_Pa (_kPa, _MPa): the map of these, and the next press"),
     ] = None,
     width_m: Annotated[float, typer.Option("--width-m", help="of the field", min=0.005, max=0.5)] = 0.06,
     height_m: Annotated[float, typer.Option("--height-m", help="of the field", min=0.005, max=0.5)] = 0.06,
@@ -156,6 +157,7 @@ def map_(
     seed: Annotated[int, typer.Option("--seed", min=0, help="another emulated field")] = 0,
     here: HereOption = False,
     json_file: JsonOption = None,
+    accept_implausible: AcceptImplausible = False,
 ) -> None:
     """Press a field where it pays most until a hard inclusion is found or excluded; draw the map.
 
@@ -169,7 +171,7 @@ def map_(
     refuse_format(out)
     check_writable(None if presses else out.with_suffix(".csv"), kind=CSV)
     if presses is not None:
-        pressed = Mapped(mapping.read_presses(presses, where))
+        pressed = Mapped(mapping.read_presses(presses, where, accept_implausible))
     elif config is not None:
         pressed = _pressed_by_robot(where, config, out, most_presses, here)
     else:

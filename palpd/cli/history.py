@@ -39,7 +39,7 @@ def runs(
     tag: Annotated[list[str] | None, typer.Option("--tag", help="add this tag to each RUN")] = None,
     untag: Annotated[list[str] | None, typer.Option("--untag", help="take this tag from each RUN")] = None,
     note: Annotated[str, typer.Option("--note", help="add this note to each RUN")] = "",
-    since: Annotated[str, typer.Option("--since", help="list runs from this day on, such as 2026-11-22")] = "",
+    since: Annotated[str, typer.Option("--since", help="list runs from this day on, such as 2026-11-22 (local time here)")] = "",
     until: Annotated[str, typer.Option("--until", help="list runs up to this day, with it")] = "",
     site: Annotated[str, typer.Option("--site", help="list runs that have this site")] = "",
     verdict: Annotated[str, typer.Option("--verdict", help="list runs that ended so: done, stopped, unreadable, …")] = "",

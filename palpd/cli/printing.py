@@ -45,6 +45,8 @@ def print_check(figures: Mapping[str, Any]) -> None:
     show(check_table(figures["figures"]))
     if figures["baseline"] is not None:
         show(f"First of a new baseline: {figures['baseline']['note']}", soft_wrap=True)
+    if figures["note"]:
+        show(f"note: {figures['note']}", soft_wrap=True)
     if figures["diagnosis"] is not None:
         show(f"The diagnosis of the puck's recording names {', '.join(figures['named']) or 'nothing'}.")
     show(f"{'ok: nothing has changed' if figures['level'] == 'ok' else figures['level']}: {figures['recording']}", soft_wrap=True)

@@ -45,8 +45,8 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
     puck = report.recording
     features = features_of(Recording.load(puck), Recording.load(plate) if plate is not None else None)
     day = CheckedDay(now(), features, temperature_C)
-    verdict, healthy = judge_today(config.paths.runs, day, config.check.tolerances)
-    check = MorningCheck(day, verdict, plate.name if plate is not None else None)
+    verdict, healthy, note = judge_today(config.paths.runs, day, config.check.tolerances)
+    check = MorningCheck(day, verdict, plate.name if plate is not None else None, note=note)
     keep_check(puck, check)
     _keep_last(config, check)
     if verdict.changes and healthy:
@@ -91,6 +91,7 @@ def figures_of(recording: Path, check: MorningCheck) -> dict[str, Any]:
         "temperature_C": check.day.temperature_C,
         "level": verdict.level,
         "sentence": verdict.sentence,
+        "note": check.note,
         "causes": list(verdict.causes),
         "features": asdict(check.day.features),
         "figures": [asdict(point) | {"words": WATCHED[point.figure].words, "unit": WATCHED[point.figure].unit} for point in verdict.points],

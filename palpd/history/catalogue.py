@@ -9,7 +9,6 @@ the right to write in the folder, and network file systems are excluded. Writes 
 import contextlib
 import os
 import sqlite3
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
@@ -18,12 +17,13 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 from palpd.documents import read_json
 from palpd.errors import BadInput, PalpdError, Refused
+from palpd.history.dates import local_time
 from palpd.history.facts import RunFacts, load
 from palpd.history.remarks import remarks_of
 from palpd.history.stored import DIAGNOSIS, StoredRecording, stored_recordings
 
 FILE = "catalogue.sqlite"
-SCHEMA_NUMBER = 2
+SCHEMA_NUMBER = 3
 """Raised whenever catalogue.sql or the meaning of a column changes: a catalogue with another number is made anew."""
 BUSY_S = 10.0
 """Longest wait for another process that writes. A write takes milliseconds."""
@@ -32,7 +32,7 @@ UNREADABLE = "unreadable"
 """Verdict of a recording that cannot be read; its reason is the sentence of the refusal."""
 
 AS_IN_FACTS = (
-    "started_s", "started", "kind", "dry", "verdict", "reason", "duration_s", "peak_force_N", "config_sha256", "model_sha256",
+    "started_s", "kind", "dry", "verdict", "reason", "duration_s", "peak_force_N", "config_sha256", "model_sha256",
 )  # fmt: skip
 """Columns of a run that are facts of the same name."""
 SCHEMA = Path(__file__).with_suffix(".sql")
@@ -396,10 +396,8 @@ def _row(facts: RunFacts) -> dict[str, Any]:
 
 
 def _unreadable(recording: StoredRecording, reason: str) -> dict[str, Any]:
-    written_s = recording.stamp.written_ns / 1e9
     return {
-        "started_s": written_s,
-        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(written_s)),
+        "started_s": recording.stamp.written_ns / 1e9,
         "kind": "",
         "dry": False,
         "verdict": UNREADABLE,
@@ -478,11 +476,11 @@ def _runs(connection: sqlite3.Connection, only: RunFilter) -> list[RunEntry]:
     for run, site, misfit, static_Pa, low_Pa, high_Pa, dynamic_Pa, corrected_Pa, below_Pa, above_Pa in connection.execute(query, values):
         static, corrected = None if low_Pa is None else (low_Pa, high_Pa), None if below_Pa is None else (below_Pa, above_Pa)
         moduli[run].append(SiteModuli(site, static_Pa, static, dynamic_Pa, corrected_Pa, corrected, bool(misfit)))
-    *names, _ = RunEntry._fields  # the last are the sites
+    names = [name for name in RunEntry._fields if name not in ("started", "sites")]
     entries = []
     for values_of_run in connection.execute(f"SELECT {', '.join(names)} FROM runs WHERE {where} {order}", values):
         run = dict(zip(names, values_of_run, strict=True))
-        run |= {"sites": tuple(moduli.get(run["name"], ())), "name": os.fsdecode(run["name"])}
+        run |= {"sites": tuple(moduli.get(run["name"], ())), "name": os.fsdecode(run["name"]), "started": local_time(run["started_s"])}
         entries.append(RunEntry(**run | {"dry": bool(run["dry"]), "tags": tuple(run["tags"].split())}))
     return entries
 
@@ -503,10 +501,11 @@ def _conditions(only: RunFilter) -> tuple[str, tuple[Any, ...]]:
 
 def _effects(connection: sqlite3.Connection, site: str) -> list[EffectPoint]:
     query = (
-        "SELECT run, started, started_s, site, effect, parameter, value, low, high, probability FROM effects JOIN runs ON runs.name = run "
+        "SELECT run, started_s, site, effect, parameter, value, low, high, probability FROM effects JOIN runs ON runs.name = run "
         "WHERE ? IN ('', site) AND kind <> 'injection' ORDER BY started_s, effect, parameter"
     )
-    return [EffectPoint(os.fsdecode(run), *rest) for run, *rest in connection.execute(query, (_text(site),))]
+    points = connection.execute(query, (_text(site),))
+    return [EffectPoint(os.fsdecode(run), local_time(started_s), started_s, *rest) for run, started_s, *rest in points]
 
 
 def as_json(thing: Any) -> Any:

@@ -1,5 +1,5 @@
 CREATE TABLE runs (
-    name BLOB PRIMARY KEY, recording TEXT NOT NULL, beside TEXT NOT NULL, started_s REAL NOT NULL, started TEXT NOT NULL,
+    name BLOB PRIMARY KEY, recording TEXT NOT NULL, beside TEXT NOT NULL, started_s REAL NOT NULL,
     kind TEXT NOT NULL, dry INTEGER NOT NULL, verdict TEXT NOT NULL, reason TEXT NOT NULL, duration_s REAL, ticks INTEGER, missed INTEGER,
     peak_force_N REAL, cut_short INTEGER, robot_host TEXT, sensor_serial TEXT, config_sha256 TEXT, model_sha256 TEXT, facts TEXT NOT NULL,
     tags TEXT NOT NULL DEFAULT '', note TEXT NOT NULL DEFAULT '', remarks TEXT NOT NULL DEFAULT ''

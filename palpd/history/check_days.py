@@ -1,12 +1,13 @@
 """Where the morning checks are kept: one file NAME.check.json beside the recording of each, and what it takes to judge the next."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from palpd.analysis.young import modulus_hertz_Pa
 from palpd.config import CheckTolerances
 from palpd.documents import read_json
 from palpd.errors import BadInput
@@ -39,6 +40,7 @@ class MorningCheck:
         plate: File name of the recording of the plate; None where there is none.
         baseline: Where this check is the first of a new baseline, who wants it so.
         diagnosis: What `palpd diagnose --healthy` said of the puck's recording, as its out.json; None where nothing had changed.
+        note: How the configuration computes the puck's modulus otherwise than at the check before; empty where it does not.
     """
 
     day: CheckedDay
@@ -46,6 +48,7 @@ class MorningCheck:
     plate: str | None = None
     baseline: Baseline | None = None
     diagnosis: dict[str, Any] | None = None
+    note: str = ""
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -87,7 +90,37 @@ def since_baseline(checks: Sequence[tuple[Path, MorningCheck]]) -> list[tuple[Pa
     return list(checks[begins[-1] if begins else 0 :])
 
 
-def judge_today(folder: Path, today: CheckedDay, tolerances: CheckTolerances) -> tuple[DayVerdict, list[Path]]:
+def by_numbers_of(day: CheckedDay, today: CheckedDay) -> CheckedDay:
+    """A day whose puck's modulus is computed by the tip radius and Poisson's ratio of today, so that both can be compared.
+
+    A number that was corrected leaves the stiffness of the puck as it was, and a tip that was exchanged its modulus. The configuration does
+    not say which it was, so the modulus nearer to today's counts.
+    """
+    one, other = day.features, today.features
+    if one.tip_radius_m is None or one.poisson_ratio is None or other.tip_radius_m is None or other.poisson_ratio is None:
+        return day
+    stiffness = one.puck_modulus_Pa / modulus_hertz_Pa(1.0, 1.0, one.tip_radius_m, one.poisson_ratio)
+    as_today_Pa = modulus_hertz_Pa(stiffness, 1.0, other.tip_radius_m, other.poisson_ratio)
+    nearer_Pa = min(one.puck_modulus_Pa, as_today_Pa, key=lambda modulus_Pa: abs(modulus_Pa - other.puck_modulus_Pa))
+    return replace(day, features=replace(one, puck_modulus_Pa=nearer_Pa))
+
+
+def change_of_numbers(before: CheckedDay, today: CheckedDay) -> str:
+    """Say which numbers of the configuration compute the puck's modulus otherwise than a day before; empty where none does."""
+    changes = [
+        f"{key} from {old:g} to {new:g}"
+        for key, name in (("cell.probe.tip_radius_m", "tip_radius_m"), ("cell.tissue.poisson_ratio", "poisson_ratio"))
+        if None not in (old := getattr(before.features, name), new := getattr(today.features, name)) and old != new
+    ]
+    if not changes:
+        return ""
+    return (
+        f"The configuration has changed since the check of {before.date[:10]} ({', '.join(changes)}), and with it the modulus of an "
+        "unchanged puck; the checks before are compared by the numbers of today."
+    )
+
+
+def judge_today(folder: Path, today: CheckedDay, tolerances: CheckTolerances) -> tuple[DayVerdict, list[Path], str]:
     """Judge a day by the checks that are kept.
 
     Args:
@@ -95,12 +128,12 @@ def judge_today(folder: Path, today: CheckedDay, tolerances: CheckTolerances) ->
         today: What was measured.
 
     Returns:
-        The verdict, and the recordings of healthy days that a diagnosis compares with.
+        The verdict, the recordings of healthy days that a diagnosis compares with, and the note of `MorningCheck`.
     """
     known = since_baseline(kept_checks(folder))
-    verdicts = judged([*(check.day for _, check in known), today], tolerances)
+    verdicts = judged([*(by_numbers_of(check.day, today) for _, check in known), today], tolerances)
     healthy = [path for (path, _), verdict in zip(known, verdicts, strict=False) if verdict.level == "ok" and path.exists()]
-    return verdicts[-1], healthy[:HEALTHY_COMPARED]
+    return verdicts[-1], healthy[:HEALTHY_COMPARED], change_of_numbers(known[-1][1].day, today) if known else ""
 
 
 def charts(folder: Path) -> dict[str, Any]:
@@ -133,7 +166,7 @@ def charts(folder: Path) -> dict[str, Any]:
             "date": check.day.date,
             "temperature_C": check.day.temperature_C,
             "level": check.verdict.level,
-            "sentence": check.verdict.sentence,
+            "sentence": f"{check.verdict.sentence} {check.note}".strip(),
             "named": check.named,
             "baseline": check.baseline.note if check.baseline is not None else None,
         }

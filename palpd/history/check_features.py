@@ -54,6 +54,8 @@ class DayFeatures:
         missed_ticks_percent: Ticks of the loop that were missed.
         lost_frames_percent: Samples of the sensor that did not arrive.
         repeated_states_percent: Ticks without a new state of the robot.
+        tip_radius_m: Number of the configuration by which the modulus was computed; None in checks of older versions.
+        poisson_ratio: The same.
     """
 
     zero_N: float
@@ -67,6 +69,8 @@ class DayFeatures:
     missed_ticks_percent: float
     lost_frames_percent: float
     repeated_states_percent: float
+    tip_radius_m: float | None = None
+    poisson_ratio: float | None = None
 
 
 def features_of(puck: Recording, plate: Recording | None) -> DayFeatures:
@@ -125,6 +129,8 @@ def measured(puck: Track, plate: Track | None, link: Mapping[str, float], tip_ra
         delay_s=delay_s,
         plate_stiffness_N_per_m=stiffness,
         play_m=play_m,
+        tip_radius_m=tip_radius_m,
+        poisson_ratio=poisson_ratio,
         **link,
     )
 

@@ -25,7 +25,16 @@ def days_s(since: str, until: str) -> tuple[float | None, float | None]:
 
 def now() -> str:
     """Date and time of now with time zone, ISO 8601."""
-    return datetime.now().astimezone().isoformat(timespec="seconds")
+    return local_time(datetime.now().timestamp())
+
+
+def local_time(at_s: float) -> str:
+    """Date and time in the time zone of this computer, ISO 8601. Days that are shown are so the days by which runs are filtered.
+
+    Args:
+        at_s: Unix time.
+    """
+    return datetime.fromtimestamp(at_s).astimezone().isoformat(timespec="seconds")
 
 
 def _begin(day: str) -> datetime:

@@ -4,7 +4,6 @@ import hashlib
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import datetime
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -13,6 +12,7 @@ from palpd.analysis.results import DryFigures, LoopFigures, SiteResult, cut_shor
 from palpd.analysis.stalls import stall_figures
 from palpd.config import parse_plan
 from palpd.errors import ConfigError, RecordingError
+from palpd.history.dates import local_time
 from palpd.history.deviations import deviations, place_sentences
 from palpd.history.stored import RECORDING
 from palpd.recording.header import RecordedTrip, RunAbout
@@ -22,9 +22,9 @@ from palpd.recording.reader import Recording
 class RunFacts(TypedDict):
     """What a run was and what it measured.
 
-    `started` is ISO 8601 and `started_s` Unix time. The hashes are SHA-256: of the recording's bytes, of config and plan as parsed (JSON
-    with sorted keys), and of the inertial model's bytes (None without one). `trips` is empty where nothing stopped the run. `cut_short`
-    and `deviations` are sentences.
+    `started` is ISO 8601 in the time zone of this computer and `started_s` Unix time. The hashes are SHA-256: of the recording's bytes, of
+    config and plan as parsed (JSON with sorted keys), and of the inertial model's bytes (None without one). `trips` is empty where nothing
+    stopped the run. `cut_short` and `deviations` are sentences.
     """
 
     name: str
@@ -98,7 +98,7 @@ def facts_of(recording: Recording) -> RunFacts:
             recording_sha256=file_sha256(recording.path),
             kind=kind,
             dry=bool(header["dry"]),
-            started=str(header.get("started") or datetime.fromtimestamp(started_s).astimezone().isoformat(timespec="seconds")),
+            started=local_time(started_s),
             started_s=started_s,
             duration_s=float(rows["now_s"][-1] - rows["now_s"][0]),
             verdict=str(footer["verdict"]),

@@ -28,7 +28,7 @@ from palpd.interchange.channels import Channel, ChannelData, FileReader, Kind, l
 from palpd.interchange.registry import reader_of
 from palpd.interchange.table import OPTICS11_TIP
 from palpd.interchange.units import Quantity, UnitScale, refuse_unconfirmed, scale_of, unit_named
-from palpd.recording.oddities import dead, questions_of, refuse_dead
+from palpd.recording.oddities import dead, fall_where_lowest_N, questions_of, refuse_dead
 from palpd.recording.samples import JOINT_COLUMNS, MIN_SAMPLES, WRENCH_COLUMNS, Samples, samples_from_columns, write_csv
 from palpd.tick import Floats
 
@@ -54,8 +54,6 @@ KNOWN_COLUMNS = (
 """Names of force, height and time that formats fix, so that nobody need give them."""
 CLEAR_SHARE = 0.05
 """Share of the swing of the force that it may have at the start before a note asks for a tare."""
-FALLING_SHARE = 0.3
-"""Share of the swing of the force by which it may be lower where the tip is lowest: adhesion and friction stay below."""
 LARGEST_RATE_HZ = 1e6
 """Largest rate that the user may state."""
 SLOPE_ERROR = 0.2
@@ -558,14 +556,13 @@ def _refuse_contradictions(options: ImportOptions) -> None:
 
 def _questions(samples: Samples, options: ImportOptions) -> list[str]:
     """What is implausible in the result, such as a force that falls while the tip presses."""
-    fz_N, z_m = samples.wrench[:, 2], samples.z_m
+    fz_N = samples.wrench[:, 2]
     if samples.joint:
         return ["torque_Nm never changes, expected noise at least"] if dead(fz_N) else []
     if dead(fz_N):
         return [*questions_of(samples), f"fz_N is {fz_N[0]:g} throughout, expected noise at least"]
-    high, low = z_m >= np.quantile(z_m, 0.8), z_m <= np.quantile(z_m, 0.05)
-    fall_N = float(np.median(fz_N[high]) - np.median(fz_N[low]))
-    if fall_N <= FALLING_SHARE * float(np.ptp(fz_N)):
+    fall_N = fall_where_lowest_N(samples.z_m, fz_N)
+    if not fall_N:
         return questions_of(samples)
     option = "--axis or --compression-negative" if options.axis else "--compression-negative"
     return [*questions_of(samples), f"fz_N falls by {fall_N:.3g} N where the tip is lowest, and pressing gives a positive force ({option})"]

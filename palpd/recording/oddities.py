@@ -22,6 +22,9 @@ SLOPE_CORRELATION = 0.9
 SWING_OF_NOISE = 5.2
 """Swing of white noise without its rarest values, in standard deviations."""
 
+FALLING_SHARE = 0.3
+"""Share of the swing of the force by which it may be lower where the tip is lowest: adhesion and friction stay below."""
+
 TURNED_RATIO = 5.0
 """Swing of the force in the upper third of the heights over that in the lower third, above which the tissue seems to be above the probe.
 A healthy press has below 0.1, friction and cables about 1, and the largest of the shared real recordings 2.2."""
@@ -110,6 +113,18 @@ def refuse_turned(samples: Samples, label: str = "") -> None:
         f"{label}fz_N falls to {fz_N.min():.3g} N while the probe presses, expected to rise; pressing gives positive fz_N: "
         "multiply the forces by -1 (palpd import --compression-negative)."
     )
+
+
+def fall_where_lowest_N(height_m: Floats, force_N: Floats) -> float:
+    """How much lower the force is where the tip is lowest than where it is highest; 0 up to `FALLING_SHARE` of its swing.
+
+    Args:
+        height_m: Heights (n,) of the tip.
+        force_N: Forces (n,).
+    """
+    high, low = height_m >= np.quantile(height_m, 0.8), height_m <= np.quantile(height_m, 0.05)
+    fall_N = float(np.median(force_N[high]) - np.median(force_N[low]))
+    return fall_N if fall_N > FALLING_SHARE * float(np.ptp(force_N)) else 0.0
 
 
 def turned_twice(samples: Samples) -> list[str]:

@@ -94,6 +94,23 @@ def common_site(recordings: Iterable[Samples]) -> str | None:
     return names.pop() if len(names) == 1 else None
 
 
+def refuse_mixed_sites(names: Iterable[str], holder: str) -> None:
+    """Refuse samples of several sites where one is judged; empty names are none.
+
+    Args:
+        names: The sites, in any number of rows.
+        holder: How the sentence begins: "the recording holds".
+
+    Raises:
+        RecordingError: There are several.
+    """
+    if len(sites := _distinct(names)) > 1:
+        raise RecordingError(
+            f"{holder} {len(sites)} sites ({', '.join(sites)}), expected one; export each with palpd export --site and give it alone, with "
+            "its own cell file where one is asked for"
+        )
+
+
 def is_parquet(path: Path) -> bool:
     """Whether a file is Parquet by its name."""
     return path.suffix.lower() in {".parquet", ".pq"}

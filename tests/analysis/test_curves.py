@@ -1,6 +1,7 @@
 """Foreign curves as other machines write them, and what is said of bad ones."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -91,7 +92,7 @@ def test_of_several_presses_the_one_with_the_peak_counts() -> None:
 
 def test_a_force_that_is_named_as_tared_keeps_its_zero_and_says_so() -> None:
     depth_m = np.linspace(-0.001, 0.001, 300)
-    read_N = force_N(depth_m) + 0.02 * np.sin(np.arange(300) / 40.0)
+    read_N = force_N(depth_m) + 0.005 * np.sin(np.arange(300) / 40.0)
     height_m = -depth_m
     tared = analyse_curve(Curve("made", height_m, read_N, None, 1.0, ("Corrected_Force(N)", "z")), tip_radius_m=RADIUS_M)
     free = analyse_curve(Curve("made", height_m, read_N, None, 1.0, ("Force(N)", "z")), tip_radius_m=RADIUS_M)
@@ -160,12 +161,6 @@ def test_figures_that_cannot_be_are_refused(tmp_path: Path) -> None:
             analyse_curve(curve, **{"tip_radius_m": RADIUS_M, **figures})  # type: ignore[arg-type]
 
 
-def test_a_curve_with_the_wrong_sign_of_force_says_what_to_check(tmp_path: Path) -> None:
-    curve = read_curve(machine(tmp_path), Mapping("F(mN)", "mN", height_column="Z(mm)", length_unit="mm"))
-    with pytest.raises(RecordingError, match=r"curve\.csv: .*check the force's sign"):
-        analyse_curve(curve, tip_radius_m=RADIUS_M)
-
-
 def test_a_length_in_another_unit_is_questioned(tmp_path: Path) -> None:
     as_m = Mapping("F(mN)", "mN", height_column="Z(mm)", length_unit="m", compression_negative=True)
     as_nm = Mapping("F(mN)", "mN", height_column="Z(mm)", length_unit="nm", compression_negative=True)
@@ -189,8 +184,43 @@ def test_a_sample_that_stiffens_with_depth_is_said_not_to_follow_hertz() -> None
     rng = np.random.default_rng(2)
     depth_m = np.linspace(-0.001, 0.001, 400)
     noise_N = 0.002 * rng.standard_normal(400)
-    for stiffening, expected in ((0.0, 0), (3.0, 1)):
+
+    def stiffer_by(stiffening: float) -> Curve:
         stiff = 1.0 + stiffening * (np.maximum(depth_m, 0.0) / 0.001) ** 2
-        curve = Curve("c", -depth_m, force_N(depth_m) * stiff + noise_N, None, 1.0, ("f", "h"))
-        warnings = analyse_curve(curve, tip_radius_m=RADIUS_M)["warnings"]
+        return Curve("c", -depth_m, force_N(depth_m) * stiff + noise_N, None, 1.0, ("f", "h"))
+
+    for stiffening, expected in ((0.0, 0), (0.5, 1)):
+        warnings = analyse_curve(stiffer_by(stiffening), tip_radius_m=RADIUS_M)["warnings"]
         assert len([warning for warning in warnings if "Hertz does not fit" in warning]) == expected
+    with pytest.raises(
+        RecordingError, match=r"the modulus is not determined: .* holds zero, expected above; Hertz does not fit: E changes"
+    ):
+        analyse_curve(stiffer_by(3.0), tip_radius_m=RADIUS_M)
+
+
+def test_a_force_that_falls_while_the_tip_goes_deeper_is_refused_and_the_option_turns_it(tmp_path: Path) -> None:
+    mapping = Mapping("F(mN)", "mN", height_column="Z(mm)", length_unit="mm")
+    with pytest.raises(RecordingError, match=r"curve\.csv: the force falls by [0-9.]+ N where the tip is lowest, expected to rise"):
+        analyse_curve(read_curve(machine(tmp_path), mapping), tip_radius_m=RADIUS_M)
+    turned = analyse_curve(read_curve(machine(tmp_path), replace(mapping, compression_negative=True)), tip_radius_m=RADIUS_M)
+    assert turned["youngs_modulus_Pa"] == pytest.approx(E_PA, rel=1e-4)
+
+
+def test_a_modulus_whose_interval_holds_zero_is_no_modulus() -> None:
+    noise_N = np.random.default_rng(2).normal(0.0, 0.01, len(DEPTH_M))
+    for fit in ("loading", "peak"):
+        with pytest.raises(RecordingError, match=r"the modulus is not determined: its 95 % interval, .* holds zero, expected above"):
+            analyse_curve(Curve("noise", -DEPTH_M, noise_N, None, 1.0, ("f", "z")), tip_radius_m=RADIUS_M, fit=fit)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("apart_m", "sites"), [(0.0, "AB"), (0.03, "  ")])
+def test_a_table_of_two_places_is_refused_by_its_sites_or_by_where_the_tip_is(tmp_path: Path, apart_m: float, sites: str) -> None:
+    def rows(site: str, x_m: float) -> list[str]:
+        return [f"{f:.6f},{d:.9f},{site},{x_m},0.1" for d, f in zip(DEPTH_M, force_N(DEPTH_M), strict=True)]
+
+    one, other = rows(sites[0], 0.2), rows(sites[1], 0.2 + apart_m)
+    mapping, header = Mapping("f_N", depth_column="d_m"), "f_N,d_m,site,x_m,y_m"
+    with pytest.raises(RecordingError, match=r"2 sites \(A, B\), expected one|presses at places up to 30 mm apart"):
+        analyse_curve(read_curve(written(tmp_path, "\n".join([header, *one, *other])), mapping), tip_radius_m=RADIUS_M)
+    alone = analyse_curve(read_curve(written(tmp_path, "\n".join([header, *one])), mapping), tip_radius_m=RADIUS_M)
+    assert alone["youngs_modulus_Pa"] == pytest.approx(E_PA, rel=1e-4)

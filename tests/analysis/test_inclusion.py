@@ -105,6 +105,16 @@ def test_a_press_outside_the_field_or_without_a_modulus_is_refused(tmp_path: Pat
         read_presses(tmp_path / "p.csv", Field())
 
 
+def test_the_name_of_the_column_says_the_unit_and_moduli_that_no_sensor_would_feel_are_questioned(tmp_path: Path) -> None:
+    file, rows = tmp_path / "presses.csv", "0.01,0.01,80\n0.03,0.01,81\n0.03,0.03,120\n"
+    file.write_text("x_m,y_m,youngs_modulus_kPa\n" + rows)
+    assert read_presses(file, Field()).moduli_Pa == [80e3, 81e3, 120e3]
+    file.write_text("x_m,y_m,youngs_modulus_Pa\n" + rows)
+    with pytest.raises(BadInput, match=r"presses\.csv: the moduli are about 81 Pa, so a press to 5 mm makes 0\.0036 N, expected more"):
+        read_presses(file, Field())
+    assert read_presses(file, Field(), accept_implausible=True).moduli_Pa == [80.0, 81.0, 120.0]
+
+
 def test_the_daemon_presses_an_emulated_field_in_simulation() -> None:
     where = Field(width_m=0.03, height_m=0.03)
     field = EmulatedField(where, 2, contrast=2.0)

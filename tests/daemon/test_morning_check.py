@@ -97,6 +97,20 @@ def test_a_check_measures_what_the_cell_has_and_a_second_one_finds_the_change(co
         program.renewed_baseline(config, " ")
 
 
+def test_another_number_of_the_configuration_is_said_and_is_no_change_of_the_puck(config: Config) -> None:
+    bare = config.model_copy(update={"check": CheckConfig()})
+    program.morning_check(SimulatedHost(bare), None)
+    softer = bare.model_copy(update={"cell": cell_from({"tissue": {"poisson_ratio": 0.3}}, "the cell")})
+    _, second = program.morning_check(SimulatedHost(softer), None)
+    assert second is not None
+    assert second["level"] == "ok", second["sentence"]
+    assert "The configuration has changed since the check of" in second["note"]
+    assert "(cell.tissue.poisson_ratio from 0.5 to 0.3)" in second["note"]
+    _, third = program.morning_check(SimulatedHost(softer, {"sensor.gain": {"error": 0.08}}), None)
+    assert third is not None
+    assert (third["causes"], third["note"]) == (["puck"], "")
+
+
 def test_a_new_baseline_needs_a_check(config: Config) -> None:
     with pytest.raises(BadInput, match="there is no check in"):
         program.renewed_baseline(config, "new mount")

@@ -7,6 +7,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ import pytest
 from palpd.errors import BadInput, Refused
 from palpd.history import catalogue as module
 from palpd.history.catalogue import FILE, Catalogue, RunEntry, RunFilter, as_json
+from palpd.history.dates import days_s
 from palpd.history.facts import load
 from palpd.history.remarks import remark
 from tests.history.conftest import BEGAN_S, DAY_S
@@ -41,6 +43,21 @@ def test_it_lists_the_newest_first_with_what_the_recordings_say(runs: Path) -> N
     assert oldest.sites[0].static_Pa == facts["sites"][0]["static_youngs_modulus_Pa"]
     assert list(oldest.sites[0].static_ci95_Pa or ()) == facts["sites"][0]["static_ci95_Pa"]
     assert json.loads(json.dumps(as_json(oldest)))["sites"][0]["site"] == "A"
+
+
+def test_the_day_that_is_shown_is_the_one_that_filters_in_any_time_zone(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hours = {}
+    for zone in ("UTC0", "AAA-14", "BBB12"):
+        with monkeypatch.context() as patched:
+            patched.setenv("TZ", zone)
+            time.tzset()
+            shown = listed(runs)[1].started
+            since_s, until_s = days_s(shown[:10], shown[:10])
+            assert names(runs, since_s=since_s, until_s=until_s) == ["day-1"]
+            assert load(runs / "day-1.mcap")[1]["started"] == shown
+            hours[zone] = shown[11:13]
+        time.tzset()
+    assert len(set(hours.values())) > 1
 
 
 def test_it_filters_by_day_site_verdict_tag_and_text(runs: Path) -> None:

@@ -27,7 +27,7 @@ from palpd.recording.oddities import (
     swing_N,
     turned_twice,
 )
-from palpd.recording.samples import Samples, runs_of_true
+from palpd.recording.samples import Samples, refuse_mixed_sites, runs_of_true
 from palpd.tick import Floats
 
 LONGEST_STROKE_M = 5.0
@@ -100,8 +100,8 @@ def check_recordings(recordings: Sequence[Samples], cell: CellFile, *, sized: bo
     if not recordings:
         raise RecordingError("no recording was given; at least one is needed")
     for samples, label in zip(recordings, _labels(recordings), strict=True):
-        _refuse_mixed_sites(samples.sites, f"{label}the recording holds")
-    _refuse_mixed_sites(list(dict.fromkeys(name for samples in recordings for name in samples.sites)), "the recordings together hold")
+        refuse_mixed_sites(samples.sites, f"{label}the recording holds")
+    refuse_mixed_sites((name for samples in recordings for name in samples.sites), "the recordings together hold")
     refuse_repeated(recordings)
     notes = [f"{doubt}; correct the cell file." for doubt in doubts_of_cell(cell)]
     if not sized:
@@ -131,14 +131,6 @@ def recording_notes(recordings: Sequence[Samples], cell: CellFile) -> list[str]:
 
 def _labels(recordings: Sequence[Samples]) -> list[str]:
     return [f"recording {number + 1}: " if len(recordings) > 1 else "" for number in range(len(recordings))]
-
-
-def _refuse_mixed_sites(sites: Sequence[str], holder: str) -> None:
-    if len(sites) > 1:
-        raise RecordingError(
-            f"{holder} {len(sites)} sites ({', '.join(sites)}), expected one; "
-            "export each with palpd export --site and diagnose it against its own cell file."
-        )
 
 
 def _refuse_hole(samples: Samples, label: str) -> None:

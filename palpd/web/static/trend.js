@@ -13,14 +13,15 @@ const slopeText = (slope, unit, factor) => {
   return `${(slope.per_day * factor).toPrecision(3)} ± ${half.toPrecision(2)} ${unit} per day (95 %, ${slope.points} runs)`.trim();
 };
 const days = (points) => points.map((point) => point.started_s / DAY_S);
-const date = (day) => new Date(day * DAY_S * 1000).toISOString().slice(5, 10);
+const zone_ms = (started) => Date.parse(`${started.slice(0, 19)}Z`) - Date.parse(started);
+const date = (shift_ms) => (day) => new Date(day * DAY_S * 1000 + shift_ms).toISOString().slice(5, 10);
 const interval = (values, place) => values.map((value) => (value ? value[place] / 1e3 : null));
 
 function plot(holder, spec, points) {
   const x = days(points), low = Math.min(...x), high = Math.max(...x), room = Math.max(0.5, 0.05 * (high - low));
   const all = [];
   for (let day = Math.floor(low); day <= Math.ceil(high); day += Math.max(1, Math.ceil((high - low) / 8))) all.push(day);
-  chart(holder, { ...spec, x: [low - room, high + room], xTicks: all, xTick: date, xLabel: "day", height: 260 });
+  chart(holder, { ...spec, x: [low - room, high + room], xTicks: all, xTick: date(zone_ms(points[0].started)), xLabel: "day", height: 260 });
 }
 
 function show(trend) {
