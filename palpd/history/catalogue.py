@@ -247,7 +247,8 @@ class Catalogue:
         if self._was_damaged:
             read = _refresh(self._connection, stored_recordings(self.folder), lambda *_: None)
             self._was_damaged = False
-            self.notes.append(f"{self.path} was damaged; it was made anew from {read} recordings, and no tag or note was lost")
+            why = "was damaged or of another version"
+            self.notes.append(f"{self.path} {why}; it was made anew from {read} recordings, and no tag or note was lost")
         return self._connection
 
     def _keep_in_memory(self, error: Exception, *, from_file: bool = True) -> None:

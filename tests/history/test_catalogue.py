@@ -125,7 +125,7 @@ def test_a_damaged_catalogue_is_made_anew_with_one_sentence(runs: Path, damage: 
         assert [entry.name for entry in entries] == ["day-2", "day-1", "day-0"]
         assert entries[-1].tags == ("good",)
         (sentence,) = catalogue.notes
-        assert "was damaged; it was made anew from 3 recordings" in sentence
+        assert "was damaged or of another version; it was made anew from 3 recordings" in sentence
     with Catalogue(runs) as catalogue:
         assert catalogue.refresh() == 0
         assert not catalogue.notes

@@ -57,7 +57,7 @@ def test_a_damaged_catalogue_is_made_anew_and_the_list_says_so(browser: TestClie
     (runs / "catalogue.sqlite").write_bytes(b"no catalogue at all")
     answer = browser.get("/runs/list").json()
     assert answer["count"] == 3
-    assert "was damaged; it was made anew from 3 recordings" in answer["notes"][0]
+    assert "was damaged or of another version; it was made anew from 3 recordings" in answer["notes"][0]
 
 
 def test_a_trend_is_that_of_the_terminal(browser: TestClient) -> None:
