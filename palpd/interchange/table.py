@@ -17,7 +17,7 @@ from palpd.errors import RecordingError
 from palpd.files import opened
 from palpd.interchange.channels import Channel, ChannelData, Kind, refuse_empty, refuse_many
 from palpd.interchange.units import unit_named
-from palpd.recording.samples import LARGEST
+from palpd.recording.samples import LARGEST, SITE_COLUMN, refuse_mixed_sites
 from palpd.recording.tables import read_numbers, refuse_decimal_commas
 from palpd.tick import Floats
 
@@ -96,10 +96,14 @@ class TableReader:
             names: Names of channels.
 
         Raises:
-            RecordingError: A column is absent, or a row of it holds no number.
+            RecordingError: A column is absent, or a row of it holds no number. Or it is our own export of several sites.
         """
         lines = lines_of(path)
         layout = layout_of(path, lines)
+        if {SITE_COLUMN, "fz_N"} <= set(layout.header):
+            at = layout.header.index(SITE_COLUMN)
+            rows = (cells_of(line, layout.separator) for line in lines[layout.begin : layout.end])
+            refuse_mixed_sites((cells[at] for cells in rows if at < len(cells)), f"{path.name} holds")
         parts = {name: _parts(layout, name) for name in names}
         scalar = list(dict.fromkeys(part for each in parts.values() for part in each))
         if any(len(each) == 6 for each in parts.values()):

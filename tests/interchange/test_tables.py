@@ -149,6 +149,19 @@ def test_our_own_columns_in_another_layout_are_taken_with_all_axes(tmp_path: Pat
     assert np.array_equal(samples.wrench[:, 3], T_S * 0.1)
 
 
+def test_our_own_table_of_several_sites_is_refused_and_of_one_is_read(tmp_path: Path) -> None:
+    header, *rows = table("t_s,z_m,fz_N", T_S, -DEPTH_M, FORCE_N).splitlines()
+    half = len(rows) // 2
+
+    def sites(*names: str) -> Path:
+        lines = [f"{row},{names[number > half]}" for number, row in enumerate(rows)]
+        return written(tmp_path, "\n".join([f"{header},site", *lines]) + "\n")
+
+    assert len(read_files([sites("A", "A")], ImportOptions()).samples) == len(rows)
+    with pytest.raises(RecordingError, match=r"holds 2 sites \(A, B\), expected one"):
+        read_files([sites("A", "B")], ImportOptions())
+
+
 def test_a_further_column_keeps_the_unit_that_it_states(tmp_path: Path) -> None:
     speed_m_per_s = -np.gradient(DEPTH_M, T_S)
     path = written(tmp_path, table("t_s,z,v (m/s),w,F (N)", T_S, -DEPTH_M * 1e3, speed_m_per_s, speed_m_per_s * 1e3, FORCE_N))
