@@ -2,6 +2,7 @@
 
 import { chart } from "./chart.js";
 import { begin } from "./controls.js";
+import { say } from "./message.js";
 import { read } from "./requests.js";
 import { byId, make, refuse } from "./work.js";
 
@@ -58,8 +59,10 @@ async function showChecks() {
 }
 
 byId("check").addEventListener("click", () => {
-  const temperature_C = byId("temperature").valueAsNumber;
-  begin("check", Number.isNaN(temperature_C) ? {} : { temperature_C });
+  const { valueAsNumber: temperature_C, validity } = byId("temperature"), here = byId("here").checked;
+  if (!validity.valid && !validity.stepMismatch) return say("The temperature is no number from -50 to 100 °C; give one, or leave it empty.", "refused");
+  begin("check", { ...(Number.isNaN(temperature_C) ? {} : { temperature_C }), ...(here ? { here } : {}) });
+  byId("here").checked = false; // the word counts for one check
 });
 document.addEventListener("palpd-job", showChecks);
 showChecks();
