@@ -359,7 +359,7 @@ function open(title, yaml) {
 
 const kept = keptPlans(() => ({ yaml: text.value, rehearsal: outcome?.yaml === text.value ? figures() : null }), open);
 // The plan that is chosen for the start, else the one that the page was started with. What stands here is what Start starts.
-const offered = chosenPlan() ?? (await read("/first-plan"));
+const offered = chosenPlan()?.follows === false ? chosenPlan() : await read("/first-plan");
 [name, text.value] = offered.text ? [offered.name, offered.text] : ["plan.yaml", FIRST];
 if (offered.error) refuse(standing, offered.error);
 else check();
