@@ -106,7 +106,7 @@ def calibrate(
 
 @app.command(
     examples=["palpd check --config cell/config.yaml", 'palpd check --new-baseline "new mount" --config cell/config.yaml'],
-    apart={"new_baseline": ("temperature_C",)},
+    apart={"new_baseline": ("temperature_C", "here")},
 )
 def check(
     config: ConfigOption = DEFAULT_CONFIG,
@@ -120,6 +120,7 @@ def check(
         ),
     ] = None,
     json_file: JsonOption = None,
+    here: Annotated[bool, typer.Option("--here", help="the arm stands where a check begins, though the last run was not finished")] = False,
 ) -> None:
     """Check the cell on its plate and puck, and name what has changed since it was well; exit code 1: warning, 2: do not palpate."""
     from palpd.cli.jobs import carried_out
@@ -131,7 +132,7 @@ def check(
 
         figures = renewed_baseline(settings, new_baseline)
     else:
-        end = carried_out("check", {"temperature_C": temperature_C}, settings, settings.paths.state)
+        end = carried_out("check", {"temperature_C": temperature_C, "here": here}, settings, settings.paths.state)
         if end.exit_code:
             print_last_ticks(end.figures.get("last_ticks", []))
             finish(end.exit_code, end.reason)

@@ -12,7 +12,7 @@ from palpd.daemon.program_host import ProgramHost
 from palpd.daemon.required_check import PUCK, check_plan
 from palpd.daemon.stored_state import LastCheck, State, now
 from palpd.daemon.supervisor import Report
-from palpd.errors import BadInput, PalpdError
+from palpd.errors import BadInput, PalpdError, Refused
 from palpd.history.check_days import Baseline, MorningCheck, judge_today, keep_check, kept_checks
 from palpd.history.check_features import features_of
 from palpd.history.control_charts import WATCHED, CheckedDay, judged
@@ -31,19 +31,25 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
         The report of the last run, and the figures of the check; None where a run was stopped.
 
     Raises:
+        Refused: Nothing was moved. The arm may stand elsewhere than above the plate.
         PalpdError: The devices refuse, or the recordings show no press.
     """
     config, plate = host.config, None
     if config.check.plate:
+        _refuse_elsewhere(config)
         report = host.carry_out("stiffness", Plan())
         if report.exit_code or report.recording is None:
-            return report, None
+            return _unfinished(config, report), None
         plate = report.recording
     report = host.carry_out("palpation", check_plan(config))
     if report.exit_code or report.recording is None:
-        return report, None
+        return _unfinished(config, report), None
     puck = report.recording
-    features = features_of(Recording.load(puck), Recording.load(plate) if plate is not None else None)
+    try:
+        features = features_of(Recording.load(puck), Recording.load(plate) if plate is not None else None)
+    except PalpdError as error:
+        _keep_unfinished(config, str(error))
+        raise
     day = CheckedDay(now(), features, temperature_C)
     verdict, healthy, note = judge_today(config.paths.runs, day, config.check.tolerances)
     check = MorningCheck(day, verdict, plate.name if plate is not None else None, note=note)
@@ -119,6 +125,26 @@ def compared(healthy: list[Samples], today: Samples) -> dict[str, Any]:
     nominal, simulators = since_healthy(healthy, None, known, [today])
     answer = diagnose([today], nominal, known, propose=False, simulators=simulators).to_json()
     return {name: answer[name] for name in ("verdict", "effects", "plain") if name in answer}
+
+
+def _refuse_elsewhere(config: Config) -> None:
+    """Refuse to press a plate where the last palpation did not end where it began: the tip may stand above a specimen. Raises Refused."""
+    last = State(config.paths.state).place()
+    if last is not None and not last.returned:
+        raise Refused(
+            f"nothing was moved: the run {last.run} of {last.date} was not finished, so the arm may not stand above the plate; move it "
+            "there, and repeat the check with --here"
+        )
+
+
+def _unfinished(config: Config, report: Report) -> Report:
+    """A check that was stopped counts as no check, whatever the one before it gave."""
+    _keep_unfinished(config, report.reason)
+    return report
+
+
+def _keep_unfinished(config: Config, reason: str) -> None:
+    State(config.paths.state).keep("check", LastCheck(now(), "stop", f"It did not come to its end: {reason}."))
 
 
 def _keep_last(config: Config, check: MorningCheck) -> None:

@@ -79,9 +79,10 @@ class DoctorArguments(StrictBlock):
 
 
 class CheckArguments(StrictBlock):
-    """Of `palpd check`: the temperature of the sensor or the room, where it is known."""
+    """Of `palpd check`: the temperature of the sensor or the room, where it is known; `here`: the arm stands where a check begins."""
 
     temperature_C: Annotated[StrictFloat, Field(ge=-50.0, le=100.0)] | None = None
+    here: StrictBool = False
 
 
 class RecoverArguments(StrictBlock):
@@ -212,6 +213,7 @@ def _doctor(host: ProgramHost, arguments: DoctorArguments, _: Path) -> ProgramEn
 def _check(host: ProgramHost, arguments: CheckArguments, _: Path) -> ProgramEnd:
     from palpd.daemon.morning_check import morning_check
 
+    _take_place(host, arguments.here)
     report, figures = morning_check(host, arguments.temperature_C)
     if figures is None:
         return ProgramEnd(report.verdict, report.reason, report.exit_code or 3, {"last_ticks": list(report.last_ticks)})

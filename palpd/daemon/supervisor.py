@@ -256,6 +256,12 @@ class JobRun:
         return part_of(recorder.path) if recorder is not None else None
 
     @property
+    def closed_recording(self) -> Path | None:
+        """The finished recording, where there is one."""
+        _, recorder, _ = _held(self._stage)
+        return recorder.path if recorder is not None and recorder.path.exists() else None
+
+    @property
     def called_off(self) -> bool:
         """Whether the job was aborted before its loop was started."""
         _, _, loop = _held(self._stage)
@@ -530,6 +536,8 @@ def recording_name(kind: str) -> str:
 def wait(run: JobRun, on_poll: Callable[[], None] | None = None, poll_s: float = 0.02) -> Report:
     """Poll a run until it is over. If `on_poll` fails, the run is aborted, and the error raised when the arm is at rest.
 
+    If the state folder cannot be written, the run is aborted too, and counts as stopped: the arm has moved.
+
     Args:
         on_poll: Called after each poll that found the run still under way; None: no call.
         poll_s: Pause between two polls.
@@ -541,9 +549,19 @@ def wait(run: JobRun, on_poll: Callable[[], None] | None = None, poll_s: float =
         PalpdError: `on_poll` raised it.
     """
     failure: PalpdError | None = None
+    unkept = ""
     while True:
-        report = run.poll()
+        try:
+            report = run.poll()
+        except PalpdError as error:
+            if unkept:  # the second time it is the end of the run that cannot be kept; its recording is closed by then
+                return Report("stopped", unkept, 3, recording=run.closed_recording)
+            unkept = f"the run does not count as done: {error}"
+            run.ask(Request.ABORT)
+            continue
         if report is not None:
+            if unkept:
+                report = replace(report, verdict="stopped", reason=unkept, exit_code=3)
             if failure is not None:
                 raise failure
             return report

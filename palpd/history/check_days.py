@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -66,15 +67,19 @@ def kept_checks(folder: Path) -> list[tuple[Path, MorningCheck]]:
         BadInput: A file is damaged, or the folder cannot be read.
     """
     checks = [(path.with_name(path.name.removesuffix(CHECK) + RECORDING), check_of(path)) for path in stored_beside(folder, CHECK)]
-    return sorted(checks, key=lambda each: each[1].day.date)
+    return sorted(checks, key=lambda each: datetime.fromisoformat(each[1].day.date).timestamp())
 
 
 def check_of(path: Path) -> MorningCheck:
     """Read one file of a check. Raises BadInput."""
     try:
-        return _FILE.validate_python(read_json(path, most_bytes=MOST_BYTES))
+        check = _FILE.validate_python(read_json(path, most_bytes=MOST_BYTES))
+        datetime.fromisoformat(check.day.date)
+        return check
     except ValidationError as error:
         raise BadInput(f"{path} holds no check ({error.error_count()} faults); move it away, or repeat palpd check") from error
+    except ValueError as error:
+        raise BadInput(f"{path} holds no check ({error}); move it away, or repeat palpd check") from error
 
 
 def keep_check(recording: Path, check: MorningCheck) -> Path:

@@ -274,6 +274,10 @@ def test_the_form_speaks_millimetres_and_changes_no_number_that_nobody_touched(s
     text = scene.page.input_value("#yaml")
     for line in (f"x_m: {exact},", "depths_m: [0.0041234567891, 0.0071]", "speed_m_per_s: 0.0033", "hold_s: 3\n"):
         assert line in text
+    field(scene, "depths_m").fill("4,5")  # one depth as many languages write it, which was taken for two
+    scene.until("#standing .refusal", "One value is not possible; what is wrong stands beside the field.")
+    assert "4,5" in beside(scene, "depths_m")
+    assert scene.page.get_by_role("button", name="Start this plan").is_disabled()
 
 
 def test_what_is_wrong_stands_beside_its_field_in_its_unit_and_above_stands_what_has_none(scene: Scene) -> None:

@@ -400,6 +400,33 @@ def test_a_start_without_a_plan_points_at_the_choice_of_one(scene: Scene) -> Non
     until(lambda: scene.service.asked("start"), "the plan starts", PATIENCE_S)
 
 
+def test_a_plan_of_the_server_that_has_changed_is_read_anew_before_it_starts(scene: Scene) -> None:
+    page, texts = scene.open(), ["sites: [{name: A}]\ndepths_m: [0.004]\n"]
+    page.route("**/first-plan", lambda route: route.fulfill(json={"ok": True, "name": "plan.yaml", "text": texts[-1]}))
+    page.reload()
+    until_text(page, "#plan-name", "plan.yaml")
+    scene.service.stand(replace(FREE, armed=True))
+    texts.append(texts[0].replace("0.004", "0.005"))
+    page.click("[data-do=start][data-next]")
+    until_text(page, "#message", "plan.yaml has changed since this page read it")
+    assert scene.service.asked("start") == []
+    page.click("[data-do=start][data-next]")
+    until_text(page, "#message", "Started.")
+    assert scene.service.asked("start")[0]["plan"]["depths_m"] == [0.005]
+
+
+def test_a_decimal_comma_is_no_larger_number(scene: Scene) -> None:
+    page = scene.open(path="/checks")
+    scene.service.stand(FREE)
+    for typed, sentence in (("21,5 C", "The temperature is 21,5 C, expected"), ("21,5", "The job has begun")):
+        page.fill("#temperature", "")
+        page.type("#temperature", typed)
+        page.check("#here")
+        page.click("main #check")
+        until_text(page, "#message", sentence)
+    assert scene.service.asked("begin")[0]["arguments"] == {"temperature_C": 21.5, "here": True}
+
+
 def test_where_sites_count_from_is_chosen_beside_the_start(scene: Scene) -> None:
     page = scene.open()
     page.set_input_files("#plan-file", CHOOSE)

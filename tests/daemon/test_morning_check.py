@@ -11,14 +11,16 @@ import pytest
 from palpd.cell.cell_file import cell_from
 from palpd.cli.jobs import carried_out
 from palpd.config import CheckConfig, Config, PathsConfig, Plan, PlanSite, parse_plan
+from palpd.control.plan_place import PlanPlace
 from palpd.daemon import morning_check as program
 from palpd.daemon.display import NoDisplay
 from palpd.daemon.finding import Finding
 from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.program_host import ProposedMotion
+from palpd.daemon.programs import PROGRAMS, CheckArguments
 from palpd.daemon.required_check import check_plan, refuse_unchecked
 from palpd.daemon.simulated_run import run
-from palpd.daemon.stored_state import LastCheck, Latch, State
+from palpd.daemon.stored_state import LastCheck, Latch, State, now
 from palpd.daemon.supervisor import Report
 from palpd.errors import BadInput, Refused
 from palpd.history.check_days import kept_checks, since_baseline
@@ -146,3 +148,32 @@ def test_a_check_clears_no_latch(config: Config) -> None:
     with pytest.raises(Refused, match="the last run was stopped on 2026-11-22: the probe was caught"):
         carried_out("check", {}, config, config.paths.state)
     assert state.latch() is not None
+
+
+class StoppedHost(SimulatedHost):
+    """A cell without a puck."""
+
+    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
+        if kind == "stiffness":
+            return super().carry_out(kind, plan)
+        return Report("stopped", "no contact of 1 N was met", 3)
+
+
+def test_a_check_that_is_stopped_counts_as_none_whatever_the_one_before_gave(config: Config) -> None:
+    state = State(config.paths.state)
+    state.keep("check", LastCheck(now(), "ok", "Nothing has changed."))
+    _, figures = program.morning_check(StoppedHost(config), None)
+    assert figures is None
+    asks = config.model_copy(update={"check": CheckConfig(require_check_h=24.0)})
+    with pytest.raises(Refused, match="did not come to its end: no contact of 1 N was met"):
+        refuse_unchecked(asks, Plan(), state.last_check(), datetime.now().astimezone())
+
+
+def test_no_plate_is_pressed_where_the_last_palpation_did_not_return_before_the_operator_says_so(config: Config) -> None:
+    State(config.paths.state).keep("place", PlanPlace("2026-11-22", "a-run", (0.0, 0.0), (0.0, 0.0, 0.1), 0.1, (("A", 0.03, 0.0),)))
+    host = SimulatedHost(config)
+    with pytest.raises(Refused, match=r"the run a-run of 2026-11-22 was not finished.*with --here"):
+        program.morning_check(host, None)
+    assert host.runs == 0
+    end = PROGRAMS["check"].carry_out(host, CheckArguments(here=True), Path())
+    assert (end.verdict, end.figures["level"]) == ("done", "ok")

@@ -17,7 +17,7 @@ from palpd.daemon import supervisor
 from palpd.daemon.motion_job import Job
 from palpd.daemon.motion_process import CALLED_OFF, GO, Ended, Failed, Message, Observed, Opened
 from palpd.daemon.supervisor import Closed, Happened, JobRun, Overdue, Report, Stage
-from palpd.errors import PalpdError, RecordingError
+from palpd.errors import PalpdError, RecordingError, Refused
 from palpd.recording.ring import LoopState, RecorderState, Ring
 from palpd.tick import Request
 from tests.paths import ROOT
@@ -45,6 +45,7 @@ class Bench:
         self.unready: Exception | None = None
         self.unmarked: Exception | None = None
         self.unrecorded: Exception | None = None
+        self.unkept: Exception | None = None
 
     def begin(self, folder: Path) -> None:
         config = parse_config({"paths": {"state": str(folder / "state"), "runs": str(folder / "runs")}}, "the test's configuration")
@@ -138,7 +139,7 @@ class Bench:
         self.did("write marker", self.unmarked)
 
         def end(*_: Any) -> ProbeAnswer:
-            self.did("judge probe")
+            self.did("judge probe", self.unkept)
             return ProbeAnswer(ProbeState.FREE)
 
         return SimpleNamespace(follow=lambda _: None, undo=lambda: self.did("put marker back"), end=end)
@@ -326,3 +327,14 @@ def test_an_abort_calls_a_job_off_only_before_its_loop_was_started(fresh: Fresh,
     assert bench.run.called_off == called_off
     bench.run.poll()
     assert bench.run.called_off == called_off
+
+
+def test_a_run_whose_end_cannot_be_kept_is_stopped_and_not_refused_as_if_nothing_had_moved(fresh: Fresh) -> None:
+    bench = fresh("Running")
+    EVENTS["loop ended"](bench)
+    assert bench.run.poll() is None
+    EVENTS["motion process and recorder ended"](bench)
+    bench.unkept = Refused("contact.json cannot be written")
+    report = supervisor.wait(bench.run)
+    assert (report.verdict, report.exit_code) == ("stopped", 3)
+    assert report.reason == "the run does not count as done: contact.json cannot be written"

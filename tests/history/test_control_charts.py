@@ -2,11 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from palpd.config import CheckTolerances
+from palpd.errors import BadInput
+from palpd.history.check_days import MorningCheck, keep_check, kept_checks
 from palpd.history.check_features import DayFeatures
 from palpd.history.control_charts import FEWEST_DAYS, CheckedDay, DayVerdict, judged
 
@@ -111,3 +114,12 @@ def test_a_cell_without_a_plate_has_no_play() -> None:
     verdict = after(days[:30], *(changed(day, puck_modulus_Pa=2100.0) for day in days[30:]))[1]
     assert verdict.causes == ("puck",)
     assert "play_m" not in [point.figure for point in verdict.points]
+
+
+def test_kept_checks_are_in_the_order_of_time_where_the_clocks_go_back(tmp_path: Path) -> None:
+    for name, date in (("summer", "2026-10-25T02:30:00+02:00"), ("winter", "2026-10-25T02:10:00+01:00")):
+        keep_check(tmp_path / f"{name}.mcap", MorningCheck(CheckedDay(date, TYPICAL), DayVerdict("ok", (), ())))
+    assert [recording.stem for recording, _ in kept_checks(tmp_path)] == ["summer", "winter"]
+    keep_check(tmp_path / "odd.mcap", MorningCheck(CheckedDay("a Monday", TYPICAL), DayVerdict("ok", (), ())))
+    with pytest.raises(BadInput, match=r"odd\.check\.json holds no check"):
+        kept_checks(tmp_path)

@@ -1,5 +1,6 @@
 """The tab Checks: the days since the baseline, each figure with its range, and a damaged file as a sentence."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from starlette.testclient import TestClient
@@ -17,7 +18,7 @@ __all__ = ["browser", "runs", "simulated"]
 
 def test_the_charts_begin_at_the_baseline(browser: TestClient, runs: Path) -> None:
     assert browser.get("/checks/list").json()["checks"] == []
-    days = healthy(15)
+    days = [replace(day, date=f"2026-11-{number + 1:02d}T08:00:00+01:00") for number, day in enumerate(healthy(15))]
     days[-1] = changed(days[-1], play_m=3e-4)
     for number, (day, verdict) in enumerate(zip(days, judged(days, CheckTolerances()), strict=True)):
         baseline = Baseline("2026-11-22", "<b>new</b> mount") if number == 2 else None

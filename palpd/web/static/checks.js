@@ -2,8 +2,9 @@
 
 import { chart } from "./chart.js";
 import { begin } from "./controls.js";
+import { say } from "./message.js";
 import { read } from "./requests.js";
-import { byId, make, refuse } from "./work.js";
+import { byId, decimal, make, refuse } from "./work.js";
 
 const MOODS = { ok: "done", warn: "remarkable", stop: "stopped" };
 const WORDS = { ok: "ok", warn: "warning", stop: "do not palpate" };
@@ -58,8 +59,10 @@ async function showChecks() {
 }
 
 byId("check").addEventListener("click", () => {
-  const temperature_C = byId("temperature").valueAsNumber;
-  begin("check", Number.isNaN(temperature_C) ? {} : { temperature_C });
+  const temperature_C = decimal(byId("temperature").value), here = byId("here").checked;
+  if (Number.isNaN(temperature_C)) return say(`The temperature is ${byId("temperature").value}, expected a number of °C, or nothing.`, "refused");
+  begin("check", { ...(temperature_C === null ? {} : { temperature_C }), ...(here ? { here } : {}) });
+  byId("here").checked = false; // the word counts for one check
 });
 document.addEventListener("palpd-job", showChecks);
 showChecks();

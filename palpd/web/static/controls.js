@@ -32,9 +32,9 @@ export const currentLease = () => lease;
 /** The plan to start: {name, text} as YAML; null where none is chosen. The plan editor sets it too. */
 export const chosenPlan = () => JSON.parse(sessionStorage.getItem(PLAN) ?? "null");
 
-/** Choose the plan to start. */
-export function choosePlan(name, text) {
-  sessionStorage.setItem(PLAN, JSON.stringify({ name, text }));
+/** Choose the plan to start; `follows` the file that the page's server was given, which may change. */
+export function choosePlan(name, text, follows = false) {
+  sessionStorage.setItem(PLAN, JSON.stringify({ name, text, follows }));
   document.dispatchEvent(new CustomEvent("palpd-plan"));
 }
 
@@ -92,6 +92,8 @@ async function press(what) {
   if (what === "clear") return request("clear", { cause: cause.value.trim() || null });
   if (what !== "start") return request(what);
   const plan = chosenPlan();
+  const fault = plan?.follows ? await readAnew() : "";
+  if (fault || chosenPlan()?.text !== plan?.text) return say(fault || `${plan.name} has changed since this page read it. It is read anew: look at it, then Start.`, "refused");
   return request("start", { text: plan?.text, file: plan?.name, place: place.value || null });
 }
 
@@ -176,6 +178,10 @@ on("lost", () => { [status, lost] = [null, true]; show(); });
 document.addEventListener("palpd-plan", show);
 show();
 
-if (chosenPlan() === null && document.body.dataset.page !== "entrance") {
-  read("/first-plan").then((plan) => { if (plan.ok && plan.name && chosenPlan() === null) choosePlan(plan.name, plan.text); });
+/** Choose the plan of the page's server as its file is now, where no other one is chosen. Returns why it cannot be read. */
+async function readAnew() {
+  const plan = await read("/first-plan"), before = chosenPlan();
+  if (plan.ok && plan.name && (before === null || before.follows) && before?.text !== plan.text) choosePlan(plan.name, plan.text, true);
+  return plan.ok ? "" : plan.error;
 }
+if ((chosenPlan()?.follows ?? true) && document.body.dataset.page !== "entrance") readAnew();

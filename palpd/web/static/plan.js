@@ -67,7 +67,7 @@ function control(node, key, value, path, changed) {
   let before = [].concat(value ?? []).map((each) => [shown(key, each), each]);
   const input = make("input", { ...common, type: "text", inputMode: numeric || node.items ? "decimal" : "text", value: before.map(([word]) => word).join(", "), on: { input: () => {
     if (!node.items) { changed(numeric ? entered(key, input.value) : input.value); return; }
-    const words = input.value.split(/[,;\s]+/).filter(Boolean);
+    const words = input.value.split(/(?:,(?!\d)|[;\s])+/).filter(Boolean); // 4,5 is no list of two: it stays a word, which the check refuses
     before = words.map((word) => before.find(([same]) => same === word) ?? [word, entered(key, word)]); // the others keep their exact numbers
     changed(before.map(([, each]) => each));
   } } });
@@ -359,7 +359,7 @@ function open(title, yaml) {
 
 const kept = keptPlans(() => ({ yaml: text.value, rehearsal: outcome?.yaml === text.value ? figures() : null }), open);
 // The plan that is chosen for the start, else the one that the page was started with. What stands here is what Start starts.
-const offered = chosenPlan() ?? (await read("/first-plan"));
+const offered = chosenPlan()?.follows === false ? chosenPlan() : await read("/first-plan");
 [name, text.value] = offered.text ? [offered.name, offered.text] : ["plan.yaml", FIRST];
 if (offered.error) refuse(standing, offered.error);
 else check();

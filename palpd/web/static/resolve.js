@@ -5,7 +5,7 @@ import { request } from "./controls.js";
 import { on } from "./link.js";
 import { say } from "./message.js";
 import { ask } from "./requests.js";
-import { byId, duration, framed, make, refuse, resultOf, tile, work } from "./work.js";
+import { byId, decimal, duration, framed, make, refuse, resultOf, tile, work } from "./work.js";
 
 const PAUSE_MS = 1000;
 let status = {};
@@ -93,8 +93,9 @@ function showResult(job, over) {
 
 byId("begin").addEventListener("submit", async (event) => {
   event.preventDefault();
-  const fields = event.target.elements, depth = Number(fields.depth.value);
-  const wishes = { rounds: Number(fields.rounds.value), take_reference: fields.take_reference.checked, ...(fields.depth.value === "" ? {} : { max_depth_m: depth / 1e3 }) };
+  const fields = event.target.elements, depth = decimal(fields.depth.value);
+  if (Number.isNaN(depth)) return refuse(byId("refusal"), `The deepest press is ${fields.depth.value}, expected a number of mm, or nothing.`);
+  const wishes = { rounds: Number(fields.rounds.value), take_reference: fields.take_reference.checked, ...(depth === null ? {} : { max_depth_m: depth / 1e3 }) };
   const answer = await request("begin", { program: "resolve", arguments: wishes });
   byId("refusal").dataset.of = answer.ok ? "" : "begin";
   refuse(byId("refusal"), answer.ok ? "" : answer.error ?? "");
