@@ -1,6 +1,6 @@
 """How often the morning check warns without a reason, finds a change within two days, and names it: on simulated days.
 
-    python -m benchmarks.morning_check --docs docs         (20 cells of 50 days; the diagnosis of 10 days a change takes most of the time)
+    python -m benchmarks.morning_check --docs docs         (20 cells of 50 days; the diagnosis of 188 days takes most of the time)
 
 A day is the motion of one check, made once by the sequence on a simulated cell, and the physics of the cell on that motion with the
 numbers of that day. So the motion does not answer to the change, as it does on a cell: there the search finds the surface anew. Zero and
@@ -35,6 +35,7 @@ from palpd.history.control_charts import CheckedDay, judged
 from palpd.quantities import wilson
 from palpd.recording.samples import WRENCH_COLUMNS, Samples
 from palpd.tick import Floats, Phase
+from palpd.workers import pool
 
 PAGE, BEGIN, END = Path("how-to") / "morning-check.md", "<!-- morning-check:begin -->", "<!-- morning-check:end -->"
 CONFIG = Config(check=CheckConfig(plate=True))
@@ -54,7 +55,9 @@ HEALTHY_SD: Mapping[str, float] = {
 PUCK_PER_K = -0.002
 """How the puck's modulus follows the temperature."""
 FIRST_FAULT_DAY = 20
-DIAGNOSED = re.compile(r"cell \d+: (\w+), the diagnosis names (.*)")
+ALARMED, QUIET = "a false alarm", "nothing"
+"""Truth of a healthy day that the charts warned of, and of another one."""
+DIAGNOSED = re.compile(r"cell \d+: ([\w ]+), the diagnosis names (.*)")
 
 
 @dataclass(frozen=True)
@@ -172,6 +175,7 @@ class CellOutcome:
     false_alarms: tuple[str, ...]
     episodes: tuple[Episode, ...]
     healthy: tuple[Samples, ...]
+    alarmed: tuple[Samples, ...]
     quiet: tuple[Samples, ...]
 
 
@@ -196,27 +200,34 @@ def outcome_of(cell: SimulatedCell, number: int, days: int) -> CellOutcome:
         episodes.append(
             Episode(cause, first is not None, seen[first].causes[0] if first is not None else None, after[1 if first is None else first][1])
         )
-    quiet = tuple(samples for verdict, samples in list(zip(verdicts, recordings, strict=True))[FIRST_FAULT_DAY:] if verdict.level == "ok")
-    return CellOutcome(days, false, tuple(episodes), tuple(recordings[:HEALTHY_COMPARED]), quiet)
+    later = list(zip(verdicts, recordings, strict=True))[HEALTHY_COMPARED:]
+    alarmed = tuple(samples for verdict, samples in later if verdict.level != "ok")
+    quiet = tuple(samples for verdict, samples in later[FIRST_FAULT_DAY - HEALTHY_COMPARED :] if verdict.level == "ok")
+    return CellOutcome(days, false, tuple(episodes), tuple(recordings[:HEALTHY_COMPARED]), alarmed, quiet)
 
 
-def diagnosed(outcomes: Sequence[CellOutcome], cells: int, quiet: int) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Diagnose days of some cells against their first days: what truly was, and the effects that were named.
+def diagnosed(outcomes: Sequence[CellOutcome], quiet: int, jobs: int) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Diagnose days of cells against their first days: what truly was, and the effects that were named.
 
     Args:
-        cells: Number of cells.
-        quiet: Number of healthy days a cell.
+        quiet: Number of healthy days a cell without an alarm.
+        jobs: Cells that are diagnosed at a time.
     """
+    with pool(jobs) as workers:
+        for number, answers in enumerate(workers.map(partial(_diagnosed, quiet), outcomes)):
+            for truth, named in answers:
+                print(f"cell {number}: {truth}, the diagnosis names {', '.join(named) or 'nothing'}", flush=True)
+                yield truth, named
+
+
+def _diagnosed(quiet: int, outcome: CellOutcome) -> list[tuple[str, tuple[str, ...]]]:
     known = library(None)
-    for number, outcome in enumerate(outcomes[:cells]):
-        asked = [(each.cause, each.recording) for each in outcome.episodes if each.within_two and each.cause != "zero"]
-        asked += [("nothing", samples) for samples in outcome.quiet[:quiet]]
-        nominal, simulators = since_healthy(list(outcome.healthy), None, known, [samples for _, samples in asked])
-        for (truth, samples), simulator in zip(asked, simulators, strict=True):
-            answer = diagnose([samples], nominal, known, propose=False, simulators=[simulator])
-            named = tuple(effect.id for effect in answer.effects)
-            print(f"cell {number}: {truth}, the diagnosis names {', '.join(named) or 'nothing'}", flush=True)
-            yield truth, named
+    asked = [(each.cause, each.recording) for each in outcome.episodes if each.within_two and each.cause != "zero"]
+    asked += [(ALARMED, samples) for samples in outcome.alarmed]
+    asked += [(QUIET, samples) for samples in outcome.quiet[:quiet]]
+    nominal, simulators = since_healthy(list(outcome.healthy), None, known, [samples for _, samples in asked])
+    answers = [diagnose([day], nominal, known, propose=False, simulators=[own]) for (_, day), own in zip(asked, simulators, strict=True)]
+    return [(truth, tuple(effect.id for effect in answer.effects)) for (truth, _), answer in zip(asked, answers, strict=True)]
 
 
 def found_at_best(false_alarms: float, cells: int = 4000, days: int = 300) -> dict[str, float]:
@@ -248,8 +259,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cells", type=int, default=20)
     parser.add_argument("--days", type=int, default=50)
-    parser.add_argument("--diagnosed-cells", type=int, default=10, help="cells whose changes and healthy days are diagnosed; 0: none")
-    parser.add_argument("--quiet", type=int, default=2, help="healthy days a cell that are diagnosed")
+    parser.add_argument("--diagnosed-cells", type=int, default=20, help="cells whose changes and healthy days are diagnosed; 0: none")
+    parser.add_argument("--quiet", type=int, default=5, help="healthy days a cell that are diagnosed, beside those of false alarms")
+    parser.add_argument("--jobs", type=int, default=1, help="cells that are diagnosed at a time")
     parser.add_argument("--log", type=Path, help="output of an earlier run, whose diagnoses count in place of new ones")
     parser.add_argument("--docs", type=Path, help="folder of the pages; the table is written there")
     parser.add_argument("--json", type=Path)
@@ -276,7 +288,7 @@ def main() -> None:
             for truth, names in DIAGNOSED.findall(given.log.read_text())
         ]
     else:
-        named = list(diagnosed(outcomes, given.diagnosed_cells, given.quiet))
+        named = list(diagnosed(outcomes[: given.diagnosed_cells], given.quiet, given.jobs))
     table = table_of(outcomes, named)
     print(table)
     if given.json:
@@ -291,7 +303,7 @@ def table_of(outcomes: Sequence[CellOutcome], named: Sequence[tuple[str, tuple[s
     """The table of the page, in Markdown."""
     days = sum(outcome.judged for outcome in outcomes)
     false = Counter(cause for outcome in outcomes for cause in outcome.false_alarms)
-    quiet = [effects for truth, effects in named if truth == "nothing"]
+    healthy = [effects for truth, effects in named if truth in (ALARMED, QUIET)]
     lines = [
         "| what changes | n | found within two days | named by the charts | named by the diagnosis of the puck |",
         "|---|---|---|---|---|",
@@ -304,7 +316,7 @@ def table_of(outcomes: Sequence[CellOutcome], named: Sequence[tuple[str, tuple[s
         right = sum(each.named == cause for each in seen)
         lines.append(f"| {words} | {len(episodes)} | {_share(len(seen), len(episodes))} | {_share(right, len(seen))} | {by_diagnosis} |")
     which = ", ".join(f"{count} {cause}" for cause, count in false.most_common())
-    nothing = _share(sum(not effects for effects in quiet), len(quiet)) if quiet else "not asked"
+    nothing = _share(sum(not effects for effects in healthy), len(healthy)) if healthy else "not asked"
     total = sum(false.values())
     lines.append(f"| nothing | {days} | {total} false alarms, {100.0 * total / days:.1f} in 100 days ({which or 'none'}) | | {nothing} |")
     return "\n".join(lines)
