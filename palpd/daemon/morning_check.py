@@ -72,7 +72,7 @@ def renewed_baseline(config: Config, note: str) -> dict[str, Any]:
         note: Why, for who looks at the charts later.
 
     Raises:
-        BadInput: There is no check, the note is empty, or a file cannot be written.
+        BadInput: There is no check, the last one did not come to its end, the note is empty, or a file cannot be written.
     """
     if not note.strip():
         raise BadInput("the note of a new baseline is empty, expected what was changed; give it")
@@ -80,6 +80,10 @@ def renewed_baseline(config: Config, note: str) -> dict[str, Any]:
     if not checks:
         raise BadInput(f"there is no check in {config.paths.runs}, expected the one that shows the change; run palpd check first")
     recording, last = checks[-1]
+    ended = State(config.paths.state).last_check()
+    if ended is not None and ended.date != last.day.date:
+        dates = last.day.date[:16], ended.date[:16]
+        raise BadInput(f"the last finished check is of {dates[0]}, and the one of {dates[1]} is not; repeat palpd check first")
     verdict = judged([last.day], config.check.tolerances)[0]
     check = MorningCheck(last.day, verdict, last.plate, Baseline(now(), note.strip()))
     keep_check(recording, check)

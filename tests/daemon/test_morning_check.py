@@ -97,6 +97,10 @@ def test_a_check_measures_what_the_cell_has_and_a_second_one_finds_the_change(co
     assert len(since_baseline(kept_checks(config.paths.runs))) == 1
     with pytest.raises(BadInput, match="the note of a new baseline is empty"):
         program.renewed_baseline(config, " ")
+    # one that was stopped since then shows no change that could be on purpose
+    program.morning_check(StoppedHost(config), None)
+    with pytest.raises(BadInput, match="is not; repeat palpd check first"):
+        program.renewed_baseline(config, "new mount")
 
 
 def test_another_number_of_the_configuration_is_said_and_is_no_change_of_the_puck(config: Config) -> None:
