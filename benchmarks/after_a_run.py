@@ -20,6 +20,7 @@ from typing import Any
 from palpd.daemon.socket_client import NoDaemon, ask
 from palpd.errors import Refused
 from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell, retry_if_machine_stalled
+from palpd.testing.operator import Operator
 from palpd.testing.processes import command_of, family, until
 
 PRESSED_N = 4.0
@@ -81,22 +82,20 @@ class ServedCell:
 
     def press(self) -> None:
         """Arm, start, and wait until the probe presses."""
-        self.do("arm")
-        self.do("start", plan=PRESS)
-        until(lambda: self.wired.truth()["contact_N"] >= PRESSED_N, "the probe presses")
+        Operator(self.do).start(PRESS, lambda _: bool(self.wired.truth()["contact_N"] >= PRESSED_N), "the probe presses")
 
 
 # --- how a run ends ---------------------------------------------------------------------------------------------------------------
 
 
 def _done(cell: ServedCell) -> None:
-    cell.do("arm")
+    Operator(cell.do).arm()
     cell.do("start", plan=PRESS | {"depths_m": [0.002]})
     cell.until_idle()
 
 
 def _contact_limit(cell: ServedCell) -> None:
-    cell.do("arm")
+    Operator(cell.do).arm()
     cell.do("start", plan=PRESS | {"depths_m": [0.02]})
     until(lambda: cell.status().get("phase") == "baseline" and cell.status()["depth_m"] is not None, "the surface is found", every_s=0.02)
     cell.wired.wall(0.003, HARD_N_PER_M)

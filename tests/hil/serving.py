@@ -53,6 +53,10 @@ class Served:
 
         until(reached, phase, every_s=0.02)
 
+    def arm(self) -> None:
+        """Arm, as an operator does beside a computer that stands still now and then."""
+        Operator(self.do).arm()
+
     def press(self) -> None:
         """Press until the probe is loaded."""
         Operator(self.do).start(PRESS, lambda _: bool(self.cell.truth()["contact_N"] >= PRESSED_N), "the probe presses")

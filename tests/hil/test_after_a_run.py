@@ -10,6 +10,7 @@ from benchmarks.after_a_run import COMMANDS, ENDS, PAGE, ServedCell, filled, row
 from palpd.errors import Refused
 from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell
 from palpd.testing.fixtures import skip_without_ur_rtde
+from palpd.testing.operator import Operator
 from palpd.testing.processes import until
 from tests.paths import ROOT
 
@@ -59,13 +60,13 @@ def test_a_start_over_another_site_after_an_abort_is_asked_about_and_goes_back(c
     wired = cell(**PATIENT)
     with served(wired) as service:
         plan = PRESS | NEARBY
-        service.do("arm")
+        Operator(service.do).arm()
         service.do("start", plan=plan)
         _until_site(service, 1)
         service.do("abort")
         service.until_idle()
         assert COMMANDS["retract"](service).startswith("leaves the tissue")
-        service.do("arm")
+        Operator(service.do).arm()
         place = service.status()["place"]
         assert place["site"] == "B"
         assert place["unfinished"]

@@ -67,7 +67,7 @@ def test_a_map_is_cancelled_in_its_second_press_and_keeps_the_first(cell: Callab
     with served(cell(**PATIENT)) as service:
         with pytest.raises(Refused, match="disarmed"):
             service.do("begin", program="map", arguments=FIELD)
-        service.do("arm")
+        service.arm()
         begun = service.do("begin", program="map", arguments=FIELD)
         assert begun["most_runs"] == 3
         until(lambda: service.do("status").get("active", {})["runs"] == 2, "the second press", 120.0, every_s=0.05)
@@ -122,7 +122,7 @@ def test_a_pause_in_the_tissue_retracts_and_a_resume_begins_the_press_again(cell
 
 def proposing(service: Served, recording: Path) -> dict[str, Any]:
     """A resolve of one recording, up to its proposal."""
-    service.do("arm")
+    service.arm()
     stated = {"tissue": {"youngs_modulus_Pa": 72e3}}  # a modulus that nobody states is not known, and what hides in it no gap
     arguments = {"recordings": [str(recording)], "rounds": 1, "adopted": False, "cell": stated}
     begun = service.do("begin", program="resolve", arguments=arguments)
@@ -171,7 +171,7 @@ def test_a_proposed_motion_waits_for_consent_and_is_recorded_only_with_it(cell: 
 
 def test_an_abort_while_a_worker_computes_ends_it_and_moves_nothing(cell: Callable[..., EmulatedCell], ambiguous: Path) -> None:
     with served(cell(**PATIENT)) as service:
-        service.do("arm")
+        service.arm()
         begun = service.do("begin", program="resolve", arguments={"recordings": [str(ambiguous)], "adopted": False})
         until(lambda: service.do("status")["active"]["activity"] == "diagnosing", "the worker computes", every_s=0.05)
         worker = worker_of(service)
@@ -184,7 +184,7 @@ def test_an_abort_while_a_worker_computes_ends_it_and_moves_nothing(cell: Callab
 
 def test_when_the_service_is_killed_its_worker_dies_and_the_arm_stops(cell: Callable[..., EmulatedCell]) -> None:
     with served(cell(**PATIENT)) as service:
-        service.do("arm")
+        service.arm()
         service.do("begin", program="map", arguments=FIELD)
         service.until_phase("press")
         worker = worker_of(service)

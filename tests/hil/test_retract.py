@@ -27,7 +27,8 @@ def test_after_an_abort_a_retract_leaves_slowly_and_arming_works_again(cell: Cal
         assert min(sample.vz_m_per_s for sample in way) >= 0.0
         assert max(sample.speed_m_per_s - abs(sample.vz_m_per_s) for sample in way) == pytest.approx(0.0, abs=1e-9)
         assert way[-1].contact_N == 0.0
-        assert service.do("arm")["state"] == "armed"
+        service.arm()
+        assert service.do("status")["state"] == "armed"
 
 
 def test_a_typed_retract_ends_with_its_end_so_that_a_clear_may_follow(cell: Callable[..., EmulatedCell]) -> None:
