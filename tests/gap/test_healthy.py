@@ -46,6 +46,7 @@ def changed(now: Samples, reference: HealthyReference) -> Diagnosis:
     return diagnose([now], reference.learned.compared_cell, propose=False, simulators=[reference.simulator(now)])
 
 
+@pytest.mark.timeout(600)
 def test_what_no_cell_file_has_is_healthy_if_it_was_there_before(reference: HealthyReference) -> None:
     again = record(rig, seed=21)
     assert quick(again, stated()).verdict != "none"
@@ -76,6 +77,7 @@ def test_a_tissue_that_became_softer_is_named_by_its_own_contact_force(reference
     assert {"tissue.modulus", "sensor.gain"} & named, answer.sentence
 
 
+@pytest.mark.timeout(600)
 def test_a_rig_that_is_another_one_every_day_is_healthy_and_a_large_change_is_named() -> None:
     def day(seed: int, more_N: float = 0.0) -> Samples:
         wave_per_m, phase = np.random.default_rng(seed).uniform((400.0, 0.0), (900.0, 2.0 * np.pi))
