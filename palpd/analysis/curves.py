@@ -101,8 +101,9 @@ def read_curve(path: Path, mapping: Mapping) -> Curve:
     at, delimiter = _header(path, lines, names)
     header = cells_of(lines[at], delimiter)
     if SITE_COLUMN in header:
+        site = header.index(SITE_COLUMN)
         rows = (cells_of(line, delimiter) for line in lines[at + 1 :] if not is_comment(line))
-        refuse_mixed_sites((row[site] for row in rows if (site := header.index(SITE_COLUMN)) < len(row)), f"{path.name} holds")
+        refuse_mixed_sites((row[site] for row in rows if site < len(row)), f"{path.name} holds")
     places = list(PLACE) if set(PLACE) <= set(header) - set(names) else []
     table = _numbers(path, lines, at, delimiter, {name: header.index(name) for name in [*names, *places]})
     if not table.values:

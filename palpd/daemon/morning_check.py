@@ -39,11 +39,13 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
         _refuse_elsewhere(config)
         report = host.carry_out("stiffness", Plan())
         if report.exit_code or report.recording is None:
-            return _unfinished(config, report), None
+            _keep_unfinished(config, report.reason)
+            return report, None
         plate = report.recording
     report = host.carry_out("palpation", check_plan(config))
     if report.exit_code or report.recording is None:
-        return _unfinished(config, report), None
+        _keep_unfinished(config, report.reason)
+        return report, None
     puck = report.recording
     try:
         features = features_of(Recording.load(puck), Recording.load(plate) if plate is not None else None)
@@ -141,13 +143,8 @@ def _refuse_elsewhere(config: Config) -> None:
         )
 
 
-def _unfinished(config: Config, report: Report) -> Report:
-    """A check that was stopped counts as no check, whatever the one before it gave."""
-    _keep_unfinished(config, report.reason)
-    return report
-
-
 def _keep_unfinished(config: Config, reason: str) -> None:
+    """A check that was stopped counts as no check, whatever the one before it gave."""
     State(config.paths.state).keep("check", LastCheck(now(), "stop", f"It did not come to its end: {reason}."))
 
 
