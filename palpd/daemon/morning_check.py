@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from palpd.config import Config, Plan
+from palpd.daemon.motion_job import Kind
 from palpd.daemon.program_host import ProgramHost
 from palpd.daemon.required_check import PUCK, check_plan
 from palpd.daemon.stored_state import LastCheck, State, now
@@ -34,29 +35,37 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
         Refused: Nothing was moved. The arm may stand elsewhere than above the plate.
         PalpdError: The devices refuse, or the recordings show no press.
     """
-    config, plate = host.config, None
+    config, state = host.config, State(host.config.paths.state)
+    runs: list[tuple[Kind, Plan]] = [("palpation", check_plan(config))]
     if config.check.plate:
-        _refuse_elsewhere(config)
-        report = host.carry_out("stiffness", Plan())
+        _refuse_elsewhere(state)
+        runs.insert(0, ("stiffness", Plan()))
+    before = state.last_check()
+    state.keep("check", LastCheck(now(), "open", "It did not come to its end."))  # what a death of this program leaves behind
+    recordings: list[Path] = []
+    for kind, plan in runs:
+        try:
+            report = host.carry_out(kind, plan)
+        except Refused:
+            if not recordings:
+                _put_back(state, before)
+            raise
         if report.exit_code or report.recording is None:
-            _keep_unfinished(config, report.reason)
+            _keep_unfinished(state, report.reason)
             return report, None
-        plate = report.recording
-    report = host.carry_out("palpation", check_plan(config))
-    if report.exit_code or report.recording is None:
-        _keep_unfinished(config, report.reason)
-        return report, None
-    puck = report.recording
+        recordings.append(report.recording)
+    *plates, puck = recordings
+    plate = plates[0] if plates else None
     try:
         features = features_of(Recording.load(puck), Recording.load(plate) if plate is not None else None)
     except PalpdError as error:
-        _keep_unfinished(config, str(error))
+        _keep_unfinished(state, str(error))
         raise
     day = CheckedDay(now(), features, temperature_C)
     verdict, healthy, note = judge_today(config.paths.runs, day, config.check.tolerances)
     check = MorningCheck(day, verdict, plate.name if plate is not None else None, note=note)
     keep_check(puck, check)
-    _keep_last(config, check)
+    _keep_last(state, check)
     if verdict.changes and healthy:
         with host.display.waiting("comparing with the healthy recordings"):
             try:
@@ -82,14 +91,15 @@ def renewed_baseline(config: Config, note: str) -> dict[str, Any]:
     if not checks:
         raise BadInput(f"there is no check in {config.paths.runs}, expected the one that shows the change; run palpd check first")
     recording, last = checks[-1]
-    ended = State(config.paths.state).last_check()
+    state = State(config.paths.state)
+    ended = state.last_check()
     if ended is not None and ended.date != last.day.date:
         dates = last.day.date[:16], ended.date[:16]
         raise BadInput(f"the last finished check is of {dates[0]}, and the one of {dates[1]} is not; repeat palpd check first")
     verdict = judged([last.day], config.check.tolerances)[0]
     check = MorningCheck(last.day, verdict, last.plate, Baseline(now(), note.strip()))
     keep_check(recording, check)
-    _keep_last(config, check)
+    _keep_last(state, check)
     return figures_of(recording, check)
 
 
@@ -133,9 +143,9 @@ def compared(healthy: list[Samples], today: Samples) -> dict[str, Any]:
     return {name: answer[name] for name in ("verdict", "effects", "plain") if name in answer}
 
 
-def _refuse_elsewhere(config: Config) -> None:
+def _refuse_elsewhere(state: State) -> None:
     """Refuse to press a plate where the last palpation did not end where it began: the tip may stand above a specimen. Raises Refused."""
-    last = State(config.paths.state).place()
+    last = state.place()
     if last is not None and not last.returned:
         raise Refused(
             f"nothing was moved: the run {last.run} of {last.date} was not finished, so the arm may not stand above the plate; move it "
@@ -143,14 +153,22 @@ def _refuse_elsewhere(config: Config) -> None:
         )
 
 
-def _keep_unfinished(config: Config, reason: str) -> None:
+def _put_back(state: State, before: LastCheck | None) -> None:
+    """A check that was refused before its first motion changes nothing."""
+    if before is None:
+        state.forget("check")
+    else:
+        state.keep("check", before)
+
+
+def _keep_unfinished(state: State, reason: str) -> None:
     """A check that was stopped counts as no check, whatever the one before it gave."""
-    State(config.paths.state).keep("check", LastCheck(now(), "stop", f"It did not come to its end: {reason}."))
+    state.keep("check", LastCheck(now(), "stop", f"It did not come to its end: {reason}."))
 
 
-def _keep_last(config: Config, check: MorningCheck) -> None:
+def _keep_last(state: State, check: MorningCheck) -> None:
     """Keep what a palpation asks for."""
-    State(config.paths.state).keep("check", LastCheck(check.day.date, check.verdict.level, check.verdict.sentence))
+    state.keep("check", LastCheck(check.day.date, check.verdict.level, check.verdict.sentence))
 
 
 def _samples(recording: Path) -> Samples:

@@ -48,5 +48,5 @@ def refuse_unchecked(config: Config, plan: Plan, last: LastCheck | None, now: da
     age_h = (now - datetime.fromisoformat(last.date)).total_seconds() / 3600.0
     if not 0.0 <= age_h <= most_h:
         raise Refused(f"the last check is {age_h:.1f} h old, expected at most {most_h:g} h (check.require_check_h); run palpd check first")
-    if last.level == "stop":
+    if last.level in ("stop", "open"):
         raise Refused(f"the last check says not to palpate. {last.sentence} Mend it and check again, or run palpd check --new-baseline")

@@ -84,10 +84,10 @@ class Latch:
 
 @dataclass(frozen=True, slots=True)
 class LastCheck:
-    """How the last morning check ended: its date, its level (`ok`, `warn`, `stop`), and its sentence."""
+    """How the last morning check ended: its date, its level (`ok`, `warn`, `stop`; `open` until it has ended), and its sentence."""
 
     date: str
-    level: Literal["ok", "warn", "stop"]
+    level: Literal["ok", "warn", "stop", "open"]
     sentence: str
 
 

@@ -191,7 +191,7 @@ class AlarmEvents:
     def _morning_check(self) -> Iterator[Alarm]:
         with suppress(PalpdError, KeyError, TypeError, ValueError):  # no check, or none that can be read
             last = read_json(self._config.paths.state / LAST_CHECK)
-            if last["level"] != "ok":
+            if last["level"] not in ("ok", "open"):
                 yield from self._once(f"morning check {last['date']}", "check", _seconds(last["date"]), last["sentence"])
 
     def _once(self, name: str, kind: AlarmKind, at_s: float, sentence: str) -> Iterator[Alarm]:

@@ -173,6 +173,38 @@ def test_a_check_that_is_stopped_counts_as_none_whatever_the_one_before_gave(con
         refuse_unchecked(asks, Plan(), state.last_check(), datetime.now().astimezone())
 
 
+def test_a_check_whose_program_died_counts_as_none(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    state = State(config.paths.state)
+    state.keep("check", LastCheck(now(), "ok", "Nothing has changed."))
+
+    def died(*_: object) -> Report:
+        raise MemoryError
+
+    monkeypatch.setattr(SimulatedHost, "carry_out", died)
+    with pytest.raises(MemoryError):
+        program.morning_check(SimulatedHost(config), None)
+    asks = config.model_copy(update={"check": CheckConfig(require_check_h=24.0)})
+    with pytest.raises(Refused, match=r"the last check says not to palpate\. It did not come to its end"):
+        refuse_unchecked(asks, Plan(), state.last_check(), datetime.now().astimezone())
+
+
+@pytest.mark.parametrize("before", [None, LastCheck("2026-11-22T08:00:00+01:00", "ok", "Nothing has changed.")])
+def test_a_check_that_was_refused_before_it_moved_leaves_the_one_before(
+    config: Config, before: LastCheck | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = State(config.paths.state)
+    if before is not None:
+        state.keep("check", before)
+
+    def refused(*_: object) -> Report:
+        raise Refused("the sensor is cold")
+
+    monkeypatch.setattr(SimulatedHost, "carry_out", refused)
+    with pytest.raises(Refused, match="cold"):
+        program.morning_check(SimulatedHost(config), None)
+    assert state.last_check() == before
+
+
 def test_no_plate_is_pressed_where_the_last_palpation_did_not_return_before_the_operator_says_so(config: Config) -> None:
     State(config.paths.state).keep("place", PlanPlace("2026-11-22", "a-run", (0.0, 0.0), (0.0, 0.0, 0.1), 0.1, (("A", 0.03, 0.0),)))
     host = SimulatedHost(config)
