@@ -135,6 +135,7 @@ def check(
         end = carried_out("check", {"temperature_C": temperature_C, "here": here}, settings, settings.paths.state)
         if end.exit_code:
             print_last_ticks(end.figures.get("last_ticks", []))
+            write_json(json_file, {"level": "stop", "sentence": f"It did not come to its end: {end.reason}."})
             finish(end.exit_code, end.reason)
         figures = end.figures
     print_check(figures)

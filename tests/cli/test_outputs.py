@@ -1,5 +1,6 @@
 """Every command tries the places of its outputs before it works, and refuses bad input in one sentence."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -10,7 +11,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from palpd.cli import app
+from palpd.daemon.programs import ProgramEnd
 from palpd.errors import BadInput, ConfigError, PalpdError
+from palpd.files import write_json
 from tests.paths import ROOT
 
 CONFIG, PLAN, PHANTOM = ROOT / "config.yaml", ROOT / "plan.yaml", ROOT / "palpd" / "cell" / "phantom.yaml"
@@ -253,3 +256,14 @@ def test_an_implausible_configuration_is_sound_once_it_is_accepted(home: Path) -
     (home / "odd.yaml").write_text("cell: {probe: {mass_kg: 200.0}}")
     assert "--accept-implausible" in str(refused("check-config", "odd.yaml"))
     assert CliRunner().invoke(app, ["check-config", "odd.yaml", "--accept-implausible"]).exit_code == 0
+
+
+def test_a_check_that_was_stopped_does_not_leave_the_figures_of_the_day_before(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_json(home / "today.json", {"level": "ok"})
+    end = ProgramEnd("stopped", "the guard ended it at 12.3 N", 3, {})
+    monkeypatch.setattr("palpd.cli.jobs.carried_out", lambda *_: end)
+    result = CliRunner().invoke(app, ["check", "--config", "config.yaml", "--json", "today.json"])
+    assert result.exit_code == 3
+    figures = json.loads((home / "today.json").read_text(encoding="utf-8"))
+    assert figures["level"] == "stop"
+    assert figures["sentence"] == "It did not come to its end: the guard ended it at 12.3 N."
