@@ -392,7 +392,8 @@ class JobRun:
         try:
             recorder.confirm()
         except RecordingError as error:
-            return self._refuse(opened, error)
+            without = ", or free the probe at the pendant" * (job.kind in ("retract", "level_test"))
+            return self._refuse(opened, f"{error}{without}")
         try:
             if job.kind == "palpation" and not job.dry:
                 place = place_of(job, opened.pose, self._name)

@@ -103,9 +103,13 @@ class Recorder:
             timeout_s: how long the answer may take.
 
         Raises:
-            RecordingError: it could not write, has died, or has not answered in time.
+            RecordingError: it could not write, has died, or has not answered in time; no file is left.
         """
-        self._await_answer(timeout_s)
+        try:
+            self._await_answer(timeout_s)
+        except RecordingError:
+            self.discard()
+            raise
 
     def finish(self, footer: RecordingFooter) -> None:
         """Ask the recorder for the rest of the ring and the footer, without waiting: `answered` says when `close` no longer waits."""
@@ -126,7 +130,11 @@ class Recorder:
         """
         if footer is not None:
             self.finish(footer)
-        self._await_answer(timeout_s)
+        try:
+            self._await_answer(timeout_s)
+        except RecordingError as error:
+            part = part_of(self.path)
+            raise RecordingError(f"{error}; palpd recover {part} restores what was written" if part.exists() else str(error)) from error
         self._let_go()
         return self.path
 
@@ -149,8 +157,7 @@ class Recorder:
         if sentence is None:
             return
         self._let_go()
-        kept = f"; palpd recover {part_of(self.path)} restores what was written" if part_of(self.path).exists() else ""
-        raise RecordingError(sentence + kept)
+        raise RecordingError(sentence)
 
     def _let_go(self) -> None:
         self._pipe.close()
@@ -175,7 +182,7 @@ def record(ring: Ring, pipe: Connection) -> None:
     except (RecordingError, OSError) as error:
         ring.recorder_errno = getattr(error, "errno", None) or errno.EEXIST
         ring.recorder_state = RecorderState.FAILED
-        pipe.send(str(error))
+        pipe.send(f"{part_of(path)} cannot be written ({error.strerror}); make room there" if isinstance(error, OSError) else str(error))
         return
     ring.recorder_cursor, ring.recorder_lost, ring.recorder_errno = cursor, 0, 0
     ring.recorder_state = RecorderState.WRITING

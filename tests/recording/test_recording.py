@@ -677,3 +677,19 @@ def test_a_pipe_is_no_recording(tmp_path: Path) -> None:
         os.mkfifo(tmp_path / name)
         with pytest.raises(RecordingError, match="regular file"):
             read(tmp_path / name)
+
+
+@pytest.mark.hil
+def test_a_recording_that_cannot_begin_says_what_to_do_and_leaves_no_file(tmp_path: Path) -> None:
+    ring = Ring.create(rate_Hz=20, seconds=1.0)
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, usual[1]))  # the recorder inherits it: its disk is as good as full
+    try:
+        recorder = Recorder.begin(ring, tmp_path / "run.mcap", HEADER)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+    with pytest.raises(RecordingError, match=r"run\.part cannot be written \(File too large\); make room there$"):
+        recorder.confirm(20.0)
+    assert not list(tmp_path.iterdir())
+    ring.close()
+    ring.unlink()
