@@ -128,16 +128,14 @@ def check(
 
     settings = settings_of(config)
     if new_baseline is not None:
-        from palpd.daemon.morning_check import renewed_baseline
-
-        figures = renewed_baseline(settings, new_baseline)
+        end = carried_out("baseline", {"note": new_baseline}, settings, settings.paths.state)
     else:
         end = carried_out("check", {"temperature_C": temperature_C, "here": here}, settings, settings.paths.state)
-        if end.exit_code:
-            print_last_ticks(end.figures.get("last_ticks", []))
-            write_json(json_file, {"level": "stop", "sentence": f"It did not come to its end: {end.reason}."})
-            finish(end.exit_code, end.reason)
-        figures = end.figures
+    if end.exit_code:
+        print_last_ticks(end.figures.get("last_ticks", []))
+        write_json(json_file, {"level": "stop", "sentence": f"It did not come to its end: {end.reason}."})
+        finish(end.exit_code, end.reason)
+    figures = end.figures
     print_check(figures)
     write_json(json_file, figures)
     finish({"ok": 0, "warn": 1, "stop": 2}[figures["level"]], figures["sentence"])

@@ -85,6 +85,12 @@ class CheckArguments(StrictBlock):
     here: StrictBool = False
 
 
+class BaselineArguments(StrictBlock):
+    """Of `palpd check --new-baseline`: what was changed on purpose."""
+
+    note: str = Field(max_length=1000)
+
+
 class RecoverArguments(StrictBlock):
     """Of the recovery of a recording that was cut off: its name in the service's runs, without ending."""
 
@@ -220,6 +226,12 @@ def _check(host: ProgramHost, arguments: CheckArguments, _: Path) -> ProgramEnd:
     return ProgramEnd("done", figures=figures)
 
 
+def _baseline(host: ProgramHost, arguments: BaselineArguments, _: Path) -> ProgramEnd:
+    from palpd.daemon.morning_check import renewed_baseline
+
+    return ProgramEnd("done", figures=renewed_baseline(host.config, arguments.note))
+
+
 def _recover(host: ProgramHost, arguments: RecoverArguments, _: Path) -> ProgramEnd:
     from palpd.history.stored import unfinished_recordings
     from palpd.recording.recovery import recover
@@ -242,6 +254,7 @@ PROGRAMS: Mapping[str, JobProgram] = {
         JobProgram("resolve", ResolveArguments, _resolve, lambda arguments: arguments.rounds),
         JobProgram("doctor", DoctorArguments, _doctor, moves=False),
         JobProgram("check", CheckArguments, _check, lambda _: 2, command_arms=False),
+        JobProgram("baseline", BaselineArguments, _baseline, lambda _: 0, moves=False),
         JobProgram("recover", RecoverArguments, _recover, lambda _: 0, moves=False),
     )
 }

@@ -62,7 +62,7 @@ NEEDS_CONTROLS = (
     "forget-plan",
 )
 """Requests of whoever holds the controls. Everyone may ask for the status and abort."""
-STANDS_FOR: Mapping[str, Action] = {"calibrate": "calibrate", "doctor": "check", "recover": "recover"}
+STANDS_FOR: Mapping[str, Action] = {"calibrate": "calibrate", "doctor": "check", "baseline": "check", "recover": "recover"}
 """The button that a program has; the others have that of a start, since they move the arm."""
 ROBOT_TRIPS = {
     each.name for each in (Trip.ROBOT_STALE, Trip.ROBOT_MODE, Trip.SAFETY_MODE, Trip.PROGRAM_STOPPED, Trip.CONNECTION, Trip.DEVICE)

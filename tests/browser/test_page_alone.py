@@ -427,6 +427,29 @@ def test_a_decimal_comma_is_no_larger_number(scene: Scene) -> None:
     assert scene.service.asked("begin")[0]["arguments"] == {"temperature_C": 21.5, "here": True}
 
 
+def test_a_change_on_purpose_begins_a_new_baseline_with_a_note(scene: Scene) -> None:
+    figures = {"date": "2026-11-18T08:00:00+01:00", "named": [], "temperature_C": None, "baseline": None}
+    last = figures | {"level": "stop", "sentence": "The puck has changed; if it is another one, palpd check --new-baseline."}
+    page = scene.open()
+    answer = {"ok": True, "checks": [last], "figures": [], "injections": {}}
+    page.route("**/checks/list", lambda route: route.fulfill(json=answer))
+    page.goto(f"{ADDRESS}/checks")
+    scene.service.stand(FREE)
+    until_text(page, "#last", "if it is another one, begin a new baseline below.")
+    page.screenshot(path=str(scene.shots / "renewal.png"))
+    page.click("#renew")
+    until_text(page, "#message", "The note is empty")
+    page.fill("#note", "a new puck")
+    page.click("#renew")
+    until(lambda: scene.service.asked("begin"), "the baseline begins", PATIENCE_S)
+    begun = scene.service.asked("begin")[0]
+    assert (begun["program"], begun["arguments"]) == ("baseline", {"note": "a new puck"})
+    last["level"] = "ok"
+    page.reload()
+    until_text(page, "#last", "ok")
+    assert not page.is_visible("#renewal")
+
+
 def test_where_sites_count_from_is_chosen_beside_the_start(scene: Scene) -> None:
     page = scene.open()
     page.set_input_files("#plan-file", CHOOSE)

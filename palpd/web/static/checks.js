@@ -52,8 +52,9 @@ async function showChecks() {
   if (answer.ok) showInjections(answer.injections);
   if (answer.ok && answer.checks.length) {
     const last = answer.checks[answer.checks.length - 1];
-    byId("last").replaceChildren(make("span", { className: `chip ${MOODS[last.level]}`, text: WORDS[last.level] }), ` ${last.date.slice(0, 16).replace("T", " ")}: ${last.sentence}`);
+    byId("last").replaceChildren(make("span", { className: `chip ${MOODS[last.level]}`, text: WORDS[last.level] }), ` ${last.date.slice(0, 16).replace("T", " ")}: ${last.sentence.replace("palpd check --new-baseline", "begin a new baseline below")}`);
     byId("about").textContent = about(answer.checks);
+    byId("renewal").hidden = last.level === "ok";
     byId("charts").replaceChildren(...answer.figures.map((figure) => draw(figure, answer.checks)));
   } else if (answer.ok) byId("last").textContent = "There is no check yet. The first one is the commissioning: make it when you know that the cell is well.";
 }
@@ -63,6 +64,12 @@ byId("check").addEventListener("click", () => {
   if (Number.isNaN(temperature_C)) return say(`The temperature is ${byId("temperature").value}, expected a number of °C, or nothing.`, "refused");
   begin("check", { ...(temperature_C === null ? {} : { temperature_C }), ...(here ? { here } : {}) });
   byId("here").checked = false; // the word counts for one check
+});
+byId("renew").addEventListener("click", () => {
+  const note = byId("note").value.trim();
+  if (!note) return say("The note is empty, expected what was changed; write it beside the button.", "refused");
+  begin("baseline", { note });
+  byId("note").value = "";
 });
 document.addEventListener("palpd-job", showChecks);
 showChecks();
