@@ -9,6 +9,7 @@ import yaml
 from palpd.history.check_days import kept_checks
 from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell
 from palpd.testing.fixtures import skip_without_ur_rtde
+from tests.hil.serving import served
 
 pytestmark = pytest.mark.hil
 
@@ -43,3 +44,9 @@ def test_a_check_shows_puck_machine_and_play_and_lets_a_palpation_through(tmp_pa
         assert str(recording) == figures["recording"]
         assert (kept.day.temperature_C, kept.plate) == (21.0, figures["plate"])
         assert cell.palpd("run", "--config", cell.config, "--plan", plan).returncode == 0
+        with served(cell, calibrate=False):
+            renewed = cell.palpd("check", "--config", cell.config, "--new-baseline", "new mount")
+        assert renewed.returncode == 0, renewed.stderr
+        ((_, kept),) = kept_checks(tmp_path / "runs")
+        assert kept.baseline is not None
+        assert kept.baseline.note == "new mount"
