@@ -4,13 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palpd.cell.cell_file import Estimated
 from palpd.cell.effects import EFFECTS
 from palpd.gap.data.noise import FZ
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.gaussian.nuisances import nuisances
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import NOMINAL_ETA, Problem, tolerance_key
-from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
+from palpd.testing.plain_cells import cell_of, recording
 
 KEYS = {effect.tolerance: effect.id for effect in EFFECTS.values() if effect.tolerance is not None}
 """Effect of every tolerance that has one."""
@@ -54,7 +55,7 @@ def answer_to(boundary: Boundary, max_bins: int = 900) -> BoundaryOutcome:
     cell = cell_of(boundary.controller)
     tolerance = getattr(cell.tolerances, boundary.key)
     value = boundary.off_sd * tolerance
-    deviations = PlantedDeviations(**{boundary.key: (value, -value, value, -value) if boundary.key == "crosstalk" else value})
+    deviations = Estimated(**{boundary.key: (value, -value, value, -value) if boundary.key == "crosstalk" else value})
     diagnosis = diagnose([recording(boundary.controller, boundary.seed, deviations)], cell, max_bins=max_bins, propose=False)
     snr = boundary.off_sd * signal_to_noise(diagnosis.problem, boundary.key)
     named = {name for effect in diagnosis.effects for name in (effect.id, *effect.indistinguishable_from)}

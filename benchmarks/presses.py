@@ -267,7 +267,7 @@ def bound(
     def pressing_N(way_m: float) -> float:
         return max(_hertz_N(cell, way_m), wall_N_per_m * way_m)
 
-    way_m = depth_m + DEPTH_MARGIN_M + 0.0005 + fastest * math.fsum(term.duration_s for term in delays(config, fastest))
+    way_m = depth_m + DEPTH_MARGIN_M + 0.0005 + fastest * math.fsum(term["duration_s"] for term in delays(config, fastest))
     way_m += found_late_m(pressing_N, drift_N_per_s) if fault == "sensor drifts pulled" else 0.0
     return max(seen_N, pressing_N(way_m))
 

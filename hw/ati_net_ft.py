@@ -13,6 +13,7 @@ import socket
 import struct
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -181,7 +182,7 @@ class NetFtSensor(CountingSensor):
         rejected = self._parser.rejected - self._rejected
         self._rejected += rejected
         if not records:
-            return NO_FRAMES if not rejected else SensorFrames(*_EMPTY, rejected)
+            return replace(NO_FRAMES, rejected=rejected) if rejected else NO_FRAMES
         return SensorFrames(
             self._stamp([record.ft_sequence for record in records], arrival_s),
             np.array([record.sequence & 0xFFFF for record in records], np.uint16),
@@ -264,9 +265,6 @@ class NetFtSensor(CountingSensor):
             self._samples = count
             times.append(self._last_s)
         return np.array(times)
-
-
-_EMPTY = NO_FRAMES.t_s, NO_FRAMES.counter, NO_FRAMES.status, NO_FRAMES.wrench
 
 
 def open_ati_net_ft(settings: SensorSettings) -> NetFtSensor:

@@ -1,9 +1,10 @@
 """What YAML and JSON files hold: parsed strictly, with the line of each key, and what a model says against it, in a sentence."""
 
 import json
+import math
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -145,6 +146,15 @@ def parse_json(text: str, name: str, *, error: type[PalpdError] = BadInput) -> A
     return content
 
 
+def finite_json(values: Any) -> Any:
+    """The same data with null for what JSON has no number for: browsers refuse NaN."""
+    if isinstance(values, Mapping):
+        return {name: finite_json(value) for name, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [finite_json(value) for value in values]
+    return None if isinstance(values, float) and not math.isfinite(values) else values
+
+
 NAME_PATTERN = r"^[A-Za-z0-9_.-]+$"
 """Names that are parts of file names and of columns."""
 
@@ -284,20 +294,6 @@ class _StrictLoader(yaml.SafeLoader):
             lines[key] = line
         return super().construct_mapping(node, deep)
 
-    def text(self, node: yaml.ScalarNode) -> str:
-        """Construct a text that file names and terminals can hold."""
-        try:
-            return _plain(node.value)
-        except ValueError as failure:
-            raise _Refusal(problem=str(failure), problem_mark=node.start_mark) from failure
-
-    def whole_number(self, node: yaml.ScalarNode) -> int:
-        """Construct a decimal whole number of bounded length."""
-        try:
-            return _whole(node.value)
-        except ValueError as failure:
-            raise _Refusal(problem=str(failure), problem_mark=node.start_mark) from failure
-
 
 _StrictLoader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"^[-+]?[0-9]+$"), list("-+0123456789"))
 
@@ -309,10 +305,16 @@ _StrictLoader.add_implicit_resolver(
 )
 
 
-_StrictLoader.add_constructor("tag:yaml.org,2002:int", _StrictLoader.whole_number)
+def _constructed(read: Callable[[str], object]) -> Callable[[_StrictLoader, yaml.ScalarNode], object]:
+    """Construct a scalar by that function, whose ValueError is a refusal at its place."""
 
+    def construct(_: _StrictLoader, node: yaml.ScalarNode) -> object:
+        try:
+            return read(node.value)
+        except ValueError as failure:
+            raise _Refusal(problem=str(failure), problem_mark=node.start_mark) from failure
 
-_StrictLoader.add_constructor("tag:yaml.org,2002:str", _StrictLoader.text)
+    return construct
 
 
 def _lines(node: yaml.Node, at: Location) -> Iterator[tuple[Location, int]]:
@@ -351,6 +353,10 @@ def _whole(text: str) -> int:
     if len(text) > MOST_DIGITS:
         raise ValueError(f"a whole number has {len(text)} digits, expected at most {MOST_DIGITS}; correct it")
     return int(text)
+
+
+_StrictLoader.add_constructor("tag:yaml.org,2002:int", _constructed(_whole))
+_StrictLoader.add_constructor("tag:yaml.org,2002:str", _constructed(_plain))
 
 
 def _too_deep(name: str) -> str:

@@ -42,6 +42,8 @@ UNLIKELY = 0.21
 """Probability below which no place is worth a press; before any press it is 27 % everywhere."""
 GRID_M = 0.002
 """Spacing of the map: a fifth of the smallest inclusion of the paper's phantom."""
+RASTER_M = 0.005
+"""Distance between neighbours of a raster, which a survey is compared with."""
 MODULUS_COLUMNS = {"youngs_modulus_Pa": 1.0, "youngs_modulus_kPa": 1e3, "youngs_modulus_MPa": 1e6}
 """Names of the column of the modulus, and the factor of each unit to Pa."""
 SUSPICIOUS = 0.35
@@ -220,16 +222,9 @@ def search(
     return survey, latest
 
 
-def raster(where: Field, step_m: float = 0.005) -> list[tuple[float, float]]:
-    """Places of an even raster, row by row, to and fro.
-
-    Args:
-        step_m: Distance between neighbours.
-
-    Returns:
-        Places (x, y) in m.
-    """
-    x, y = (np.arange(0.0, size + step_m / 2, step_m) for size in (where.width_m, where.height_m))
+def raster(where: Field) -> list[tuple[float, float]]:
+    """Places (x, y) in m of an even raster of `RASTER_M`, row by row, to and fro."""
+    x, y = (np.arange(0.0, size + RASTER_M / 2, RASTER_M) for size in (where.width_m, where.height_m))
     return [(float(a), float(b)) for row, b in enumerate(y) for a in (x if row % 2 == 0 else x[::-1])]
 
 

@@ -200,7 +200,7 @@ def _drawn(r: np.random.Generator, effect: str) -> _Drawn:
     law = laws[int(r.integers(len(laws)))]
     snr = float(np.exp(r.uniform(*np.log(SNR))))
     fitted = fit_strength(detectability, law, law.draw(r, scales_of(detectability)), snr)
-    if fitted is None:
+    if fitted is None or fitted.snr is None:
         raise CannotDraw(effect)
     return _Drawn(cell, motion, detectability.deviations, [(law, fitted.parameters)], fitted.snr)
 

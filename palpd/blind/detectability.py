@@ -153,15 +153,16 @@ class Detectability:
 
 
 @dataclass(frozen=True)
-class FittedStrength:
-    """Parameters of a law at a strength, the change (m, 7) that they make, and its SNR."""
+class FittedLaw:
+    """A law at a strength, with the change (m, 7) that it makes and its SNR; both None for a law that changes scatter and not the mean."""
 
+    law: Law
     parameters: Shape
-    change: Floats
-    snr: float
+    change: Floats | None
+    snr: float | None
 
 
-def fit_strength(detectability: Detectability, law: Law, shape: Shape, snr: float) -> FittedStrength | None:
+def fit_strength(detectability: Detectability, law: Law, shape: Shape, snr: float) -> FittedLaw | None:
     """Scale a law until its change has the wanted SNR.
 
     Args:
@@ -183,11 +184,11 @@ def fit_strength(detectability: Detectability, law: Law, shape: Shape, snr: floa
         if not np.isfinite(now):
             return None
         if abs(now - snr) < 0.04 * snr:
-            return FittedStrength(parameters, change, now)
+            return FittedLaw(law, parameters, change, now)
         if strength >= law.strongest and now < snr:
             return None
         strength = _next_strength(law, strength, snr, now)
-    return FittedStrength(parameters, change, now) if abs(now - snr) < LOOSE * snr else None
+    return FittedLaw(law, parameters, change, now) if abs(now - snr) < LOOSE * snr else None
 
 
 def _next_strength(law: Law, strength: float, snr: float, now: float) -> float:

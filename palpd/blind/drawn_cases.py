@@ -4,11 +4,10 @@ Nothing here comes from the library that is judged.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from palpd.blind.detectability import COARSE_HZ, Detectability, fit_strength, nearest_law, scales_of
+from palpd.blind.detectability import COARSE_HZ, Detectability, FittedLaw, fit_strength, nearest_law, scales_of
 from palpd.blind.drawn_cells import (
     TOLERANCES,
     CellRealisation,
@@ -19,7 +18,7 @@ from palpd.blind.drawn_cells import (
     draw_motion,
     with_coarse_steps,
 )
-from palpd.blind.laws import FOREIGN_LAWS, LIBRARY_LAWS, NOVEL_LAWS, Floats, Law, Planted, SensorRows, Shape, SimulatedRun
+from palpd.blind.laws import FOREIGN_LAWS, LIBRARY_LAWS, NOVEL_LAWS, Floats, Law, Planted, SensorRows, SimulatedRun
 from palpd.blind.simulated_run import rows
 from palpd.blind.stated_cell import CHANNELS, PHASES, log_uniform, rounded
 from palpd.blind.truth import CannotDraw, CaseKind, CaseSpec, NearestLaw, SealedCase, SealedEffect, SecondMotion, TrueChange, Truth
@@ -103,16 +102,6 @@ def draw_case(seed: int, spec: CaseSpec) -> SealedCase:
     raise CannotDraw(f"case {spec.index}: no cell shows {', '.join(spec.effects)} at an SNR of {spec.stratum}")
 
 
-@dataclass(frozen=True)
-class FittedLaw:
-    """One effect fitted to its size. `change` (m, 7) is None for a law that changes scatter and not the mean."""
-
-    law: Law
-    parameters: Shape
-    change: Floats | None
-    snr: float | None
-
-
 def plant(r: np.random.Generator, detectability: Detectability, law: Law, snrs: tuple[float, float]) -> FittedLaw:
     """Draw a law's shape and scale it to a drawn signal-to-noise ratio.
 
@@ -129,9 +118,9 @@ def plant(r: np.random.Generator, detectability: Detectability, law: Law, snrs: 
     if law.variance:
         return FittedLaw(law, law.at(shape, log_uniform(r, 1.0, 5.0)), None, None)
     fitted = fit_strength(detectability, law, shape, snr)
-    if fitted is None or not snrs[0] <= fitted.snr <= snrs[1] * 1.05:
+    if fitted is None or fitted.snr is None or not snrs[0] <= fitted.snr <= snrs[1] * 1.05:
         raise CannotDraw(law.effect)
-    return FittedLaw(law, fitted.parameters, fitted.change, fitted.snr)
+    return fitted
 
 
 def describe(plants: Sequence[FittedLaw], detectability: Detectability) -> list[SealedEffect]:

@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from palpd.blind.detectability import Detectability
-from palpd.blind.drawn_cases import STRATA, FittedLaw, by_place, describe, laws_of, nearest_listed, plant, second_rms, true_change_of
+from palpd.blind.detectability import Detectability, FittedLaw
+from palpd.blind.drawn_cases import STRATA, by_place, describe, laws_of, nearest_listed, plant, second_rms, true_change_of
 from palpd.blind.drawn_cells import CellRealisation
 from palpd.blind.laws import INDISTINGUISHABLE, LIBRARY_LAWS, Floats, Planted, SensorRows
 from palpd.blind.recorded_cells import cell_of, detectability_of

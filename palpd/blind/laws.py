@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from palpd.blind.stated_cell import log_uniform
 from palpd.blind.truth import DEEP, EVENT, HIGH, LawStatement, is_law, names
 
 Floats = NDArray[np.float64]
@@ -217,10 +218,6 @@ def _over(name: str) -> Callable[[Shape, float], Shape]:
 
 def _power(name: str) -> Callable[[Shape, float], Shape]:
     return lambda p, s: p | {name: p[name] ** s}
-
-
-def _between(r: np.random.Generator, low: float, high: float) -> float:
-    return float(np.exp(r.uniform(np.log(low), np.log(high))))
 
 
 def _sign(r: np.random.Generator) -> float:
@@ -749,11 +746,11 @@ def _swelling(w: SimulatedRun, p: Shape) -> None:
 
 
 def _taut(r: np.random.Generator, m: CellScales, low: float, high: float) -> float:
-    return _between(r, low * m.duration_s, high * m.duration_s)
+    return log_uniform(r, low * m.duration_s, high * m.duration_s)
 
 
 def _hysteresis_shape(r: np.random.Generator, m: CellScales) -> Shape:
-    return {"width_N": m.force_N * _between(r, 0.06, 0.4), "amplitude_N": _sign(r) * 0.03 * m.force_N}
+    return {"width_N": m.force_N * log_uniform(r, 0.06, 0.4), "amplitude_N": _sign(r) * 0.03 * m.force_N}
 
 
 def _crosstalk_shape(r: np.random.Generator, m: CellScales) -> Shape:
@@ -762,12 +759,12 @@ def _crosstalk_shape(r: np.random.Generator, m: CellScales) -> Shape:
 
 
 def _resonance_shape(r: np.random.Generator, m: CellScales) -> Shape:
-    f = _between(r, 1.5 * m.servo_Hz, min(6.0 * m.servo_Hz, 0.3 * m.rate_Hz))
-    return {"frequency_Hz": f, "damping_ratio": _between(r, 0.02, 0.15), "participation": 0.3}
+    f = log_uniform(r, 1.5 * m.servo_Hz, min(6.0 * m.servo_Hz, 0.3 * m.rate_Hz))
+    return {"frequency_Hz": f, "damping_ratio": log_uniform(r, 0.02, 0.15), "participation": 0.3}
 
 
 def _vibration_shape(r: np.random.Generator, m: CellScales) -> Shape:
-    return {"amplitude_m": 1e-3 * m.depth_m, "frequency_Hz": _between(r, 1.5, 0.15 * m.rate_Hz), "phase_rad": _angle(r)}
+    return {"amplitude_m": 1e-3 * m.depth_m, "frequency_Hz": log_uniform(r, 1.5, 0.15 * m.rate_Hz), "phase_rad": _angle(r)}
 
 
 def _filter_at(p: Shape, s: float) -> Shape:
@@ -775,7 +772,7 @@ def _filter_at(p: Shape, s: float) -> Shape:
 
 
 def _filter_shape(r: np.random.Generator, m: CellScales) -> Shape:
-    return {"cutoff_Hz": m.cutoff_Hz / 2.0, "base_Hz": m.cutoff_Hz, "second": _between(r, 1.0, 2.5)}
+    return {"cutoff_Hz": m.cutoff_Hz / 2.0, "base_Hz": m.cutoff_Hz, "second": log_uniform(r, 1.0, 2.5)}
 
 
 def _saturation_at(p: Shape, s: float) -> Shape:
@@ -819,13 +816,13 @@ LIBRARY_LAWS: tuple[Law, ...] = (
     ),
     Law("tissue.surface", "surface", _surface, lambda r, m: {"offset_m": _sign(r) * 0.05 * m.depth_m}, strongest=8.0),
     Law("tissue.modulus", "surface", _modulus, lambda r, m: {"ratio": 1.1 ** _sign(r)}, _power("ratio"), strongest=12.0),
-    Law("tissue.viscoelastic", "history", _viscoelastic, lambda r, m: {"ratio": 0.1, "tau_s": _between(r, 0.1, 6.0)}, strongest=30.0),
+    Law("tissue.viscoelastic", "history", _viscoelastic, lambda r, m: {"ratio": 0.1, "tau_s": log_uniform(r, 0.1, 6.0)}, strongest=30.0),
     Law("tissue.preconditioning", "history", _preconditioning, lambda r, m: {"softening": 0.1}, strongest=7.0),
     Law(
         "tissue.adhesion",
         "history",
         _adhesion,
-        lambda r, m: {"force_N": 0.03 * m.force_N, "range_m": m.depth_m * _between(r, 0.08, 0.5)},
+        lambda r, m: {"force_N": 0.03 * m.force_N, "range_m": m.depth_m * log_uniform(r, 0.08, 0.5)},
         strongest=20.0,
     ),
     Law(
@@ -840,7 +837,7 @@ LIBRARY_LAWS: tuple[Law, ...] = (
         "tissue.inclusion",
         "tissue",
         _inclusion,
-        lambda r, m: {"contrast": 0.3, "depth_m": m.depth_m * _between(r, 0.4, 2.5)},
+        lambda r, m: {"contrast": 0.3, "depth_m": m.depth_m * log_uniform(r, 0.4, 2.5)},
         strongest=30.0,
     ),
     Law(
@@ -858,7 +855,7 @@ LIBRARY_LAWS: tuple[Law, ...] = (
         "cable.friction",
         "probe",
         _friction_dahl,
-        lambda r, m: {"force_N": 0.02 * m.force_N, "presliding_m": m.depth_m * _between(r, 0.02, 0.2)},
+        lambda r, m: {"force_N": 0.02 * m.force_N, "presliding_m": m.depth_m * log_uniform(r, 0.02, 0.2)},
     ),
     Law("cable.viscous", "probe", _viscous, lambda r, m: {"coefficient_N_s_per_m": 0.02 * m.force_N / m.speed_m_per_s}),
     Law("contact.lateral", "probe", _lateral, lambda r, m: {"ratio": 0.02, "azimuth_rad": _angle(r)}, strongest=40.0),
@@ -876,7 +873,7 @@ LIBRARY_LAWS: tuple[Law, ...] = (
         strongest=15.0,
     ),
     Law("sensor.hysteresis", "sensor", _hysteresis, _hysteresis_shape, _times("amplitude_N"), strongest=10.0),
-    Law("sensor.creep", "sensor", _creep, lambda r, m: {"ratio": 0.05, "tau_s": _between(r, 0.3, 20.0)}, strongest=20.0),
+    Law("sensor.creep", "sensor", _creep, lambda r, m: {"ratio": 0.05, "tau_s": log_uniform(r, 0.3, 20.0)}, strongest=20.0),
     Law("sensor.warmup", "sensor", _warmup, lambda r, m: {"amplitude_N": _sign(r) * 2.0 * m.noise_N, "tau_s": _taut(r, m, 0.05, 0.4)}),
     Law("sensor.filter", "sensor", _filter, _filter_shape, _filter_at, strongest=50.0),
     Law("sensor.bias", "sensor", _bias, lambda r, m: {"offset_N": _sign(r) * m.noise_N}),
@@ -888,7 +885,7 @@ LIBRARY_LAWS: tuple[Law, ...] = (
         "sensor.dropout",
         "row",
         _dropout,
-        lambda r, m: {"rate_Hz": _between(r, 0.4, 3.0), "length_s": 0.02},
+        lambda r, m: {"rate_Hz": log_uniform(r, 0.4, 3.0), "length_s": 0.02},
         _times("length_s"),
         variance=True,
     ),
@@ -920,10 +917,10 @@ FOREIGN_LAWS: tuple[Law, ...] = (
     _with("robot.lag", "third-order servo", _lag_extra_pole, lambda r, m: {"extra_tau_s": 0.01 / m.servo_Hz}, at=_lag_foreign_at),
     _with("robot.vibration", "with a harmonic", _vibration_harmonics, lambda r, m: {"second_rad": _angle(r)}),
     _with("robot.backlash", "three dead bands", _backlash_soft),
-    _with("robot.compliance", "hardening", _compliance_hardening, lambda r, m: {"hardening_N": _between(r, 1.5, 5.0) * m.force_N}),
+    _with("robot.compliance", "hardening", _compliance_hardening, lambda r, m: {"hardening_N": log_uniform(r, 1.5, 5.0) * m.force_N}),
     _with("tissue.surface", "settling", _surface_settling, lambda r, m: {"share": 0.15, "tau_s": _taut(r, m, 0.1, 0.5)}),
     _with("tissue.modulus", "strain stiffening", _modulus_strain, lambda r, m: {"stiffening": 0.25, "depth_m": m.depth_m}, stage="tissue"),
-    _with("tissue.viscoelastic", "Maxwell-Wiechert, two arms", _wiechert, lambda r, m: {"spread": _between(r, 4.0, 12.0)}),
+    _with("tissue.viscoelastic", "Maxwell-Wiechert, two arms", _wiechert, lambda r, m: {"spread": log_uniform(r, 4.0, 12.0)}),
     _with("tissue.viscoelastic", "power law", _power_law_relaxation, lambda r, m: {"exponent": float(r.uniform(0.05, 0.3))}),
     _with("tissue.preconditioning", "sharper", _preconditioning_linear),
     _with("tissue.adhesion", "exponential", _adhesion_stringy),
@@ -937,7 +934,7 @@ FOREIGN_LAWS: tuple[Law, ...] = (
         "cable.friction",
         "Stribeck",
         _friction_stribeck,
-        lambda r, m: {"breakaway": float(r.uniform(0.1, 0.4)), "stribeck_m_per_s": _between(r, 0.05, 0.3) * m.speed_m_per_s},
+        lambda r, m: {"breakaway": float(r.uniform(0.1, 0.4)), "stribeck_m_per_s": log_uniform(r, 0.05, 0.3) * m.speed_m_per_s},
     ),
     _with("cable.viscous", "shear thinning", _viscous_thinning, lambda r, m: {"speed_m_per_s": m.speed_m_per_s}),
     _with("contact.lateral", "grows with load", _lateral_growing, lambda r, m: {"force_N": m.force_N}),
@@ -989,7 +986,7 @@ NOVEL_LAWS: tuple[Law, ...] = (
         "breathing",
         "surface",
         _breathing,
-        lambda r, m: {"amplitude_m": 0.02 * m.depth_m, "frequency_Hz": _between(r, 0.15, 0.6), "phase_rad": _angle(r)},
+        lambda r, m: {"amplitude_m": 0.02 * m.depth_m, "frequency_Hz": log_uniform(r, 0.15, 0.6), "phase_rad": _angle(r)},
         strongest=10.0,
         states=lambda p, _: is_law(names("fz_N", ("surface",), ("time",), period=1.0 / p["frequency_Hz"])),
     ),
@@ -997,7 +994,7 @@ NOVEL_LAWS: tuple[Law, ...] = (
         "hum",
         "probe",
         _hum,
-        lambda r, m: {"force_N": 0.5 * m.noise_N, "frequency_Hz": _between(r, 0.3, 8.0), "phase_rad": _angle(r)},
+        lambda r, m: {"force_N": 0.5 * m.noise_N, "frequency_Hz": log_uniform(r, 0.3, 8.0), "phase_rad": _angle(r)},
         states=lambda p, _: is_law(names("fz_N", ("one",), ("time",), period=1.0 / p["frequency_Hz"])),
     ),
     _novel("wander", "sensor", _wander, lambda r, m: {"force_N": m.noise_N, "tau_s": _taut(r, m, 0.04, 0.15), "seed": _seed(r)}),
@@ -1005,7 +1002,7 @@ NOVEL_LAWS: tuple[Law, ...] = (
         "cogging",
         "probe",
         _cogging,
-        lambda r, m: {"force_N": m.noise_N, "pitch_m": m.stroke_m * _between(r, 0.05, 0.3), "phase_rad": _angle(r)},
+        lambda r, m: {"force_N": m.noise_N, "pitch_m": m.stroke_m * log_uniform(r, 0.05, 0.3), "phase_rad": _angle(r)},
         states=lambda p, _: is_law(names("fz_N", ("one",), HIGH, period=p["pitch_m"]), names("fz_N", ("one",), HIGH)),
     ),
     _novel("slip", "history", _slip, lambda r, m: {"share": 0.05, "seed": _seed(r)}, strongest=12.0),

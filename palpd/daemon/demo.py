@@ -259,7 +259,7 @@ def service_on_wires(folder: Path | None, display: Display) -> Iterator[Path]:
 
 
 @contextmanager
-def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, model: str = "ur5", effects: Path | None = None) -> Iterator[Config]:
+def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, effects: Path | None = None) -> Iterator[Config]:
     """Emulate a cell in a process of its own within the context.
 
     The phantom's hardest site takes 13 N at 8 mm and 20.5 N at 10 mm. The limits are set above that.
@@ -267,7 +267,6 @@ def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, model: str =
     Args:
         folder: Folder for the cell file, the recordings and the stored state.
         plan: The plan that the limits have to allow.
-        model: ur5 or ur5e.
         effects: Python file with effects that the cell names; None: it names no user's effects.
 
     Yields:
@@ -276,9 +275,9 @@ def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, model: str =
     file = folder / "emulated-cell.yaml"
     save_cell(file, cell)
     host = f"127.{os.getpid() >> 16 & 255}.{os.getpid() >> 8 & 255}.{os.getpid() % 253 + 2}"  # an address per process: two can run at once
-    with emulated(folder, model, file, host, effects) as wires:
+    with emulated(folder, "ur5", file, host, effects) as wires:
         yield Config(
-            robot=RobotConfig.model_validate({"host": host, "model": model, "watchdog_Hz": 1.0 / PATIENCE_S}),
+            robot=RobotConfig.model_validate({"host": host, "model": "ur5", "watchdog_Hz": 1.0 / PATIENCE_S}),
             sensor=SensorConfig(port=wires.sensor),
             safety=_limits(plan),
             paths=PathsConfig(runs=folder, state=folder / "state"),

@@ -7,7 +7,6 @@ when the service dies.
 
 import contextlib
 import json
-import math
 import os
 import pickle
 import signal
@@ -27,6 +26,7 @@ from palpd.daemon.motion_job import Kind
 from palpd.daemon.program_host import ProposedMotion
 from palpd.daemon.programs import PROGRAMS, ProgramEnd
 from palpd.daemon.supervisor import Report
+from palpd.documents import finite_json
 from palpd.errors import PalpdError, Refused, Stopped
 from palpd.workers import beside
 
@@ -268,15 +268,6 @@ def carried_out(host: _WorkerHost, order: WorkerOrder) -> ProgramEnd:
         return ProgramEnd("failed", f"the job failed ({type(error).__name__}: {error}); its log may say more", 3)
 
 
-def _without_nan(values: Any) -> Any:
-    """The same data with null for what JSON has no number for: browsers refuse NaN."""
-    if isinstance(values, dict):
-        return {name: _without_nan(value) for name, value in values.items()}
-    if isinstance(values, list | tuple):
-        return [_without_nan(value) for value in values]
-    return None if isinstance(values, float) and not math.isfinite(values) else values
-
-
 def main() -> NoReturn:
     """Run a worker as `WorkerProcess` starts it."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # these reach all of palpd; the service ends its worker
@@ -287,7 +278,7 @@ def main() -> NoReturn:
     lines = _Lines()
     order: WorkerOrder = pickle.load(sys.stdin.buffer)
     end = carried_out(_WorkerHost(order.config, _WorkerDisplay(lines), lines, order.by), order)
-    reason, result = end.reason, json.dumps(_without_nan(end.figures), default=str)
+    reason, result = end.reason, json.dumps(finite_json(end.figures), default=str)
     if len(result) > MOST_RESULT_BYTES:
         reason, result = f"{reason} (the result is too long for the service's memory; see the files of the job)".strip(), "{}"
     lines.send("finished", verdict=end.verdict, reason=reason, exit_code=end.exit_code, result=result)

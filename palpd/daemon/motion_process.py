@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from palpd.daemon.realtime import DEVICE_PRIORITY, fifo, populate, realtime
 from palpd.daemon.rehearsal import rehearse, short
 from palpd.daemon.robot_stops import ROBOT_STOPS
 from palpd.errors import PalpdError, Refused, Stopped
-from palpd.recording.header import RunAbout
+from palpd.recording.header import RecordedTrip, RunAbout
 from palpd.recording.ring import LoopState, Ring
 from palpd.recording.tick_rows import RowWriter
 from palpd.tick import Floats, Observation, Request, Robot, TickRecord, Trip, Verdict
@@ -47,15 +47,6 @@ WIRE_LIBRARIES = ("rtde_control", "rtde_receive", "libpython", "libstdc++", "lib
 GO = "go"
 CALLED_OFF = "called off"
 """The two answers of the supervisor to `Opened`."""
-
-
-class TripReport(TypedDict):
-    """One verdict of the guard, or a device that failed: what was measured, the limit, and both as a sentence."""
-
-    trip: str
-    measured: float
-    limit: float
-    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +91,7 @@ class Ended:
     """The loop has ended; `outcome` says how, `trips` and `notes` are for people, `probe` is what was judged of the tare."""
 
     outcome: Outcome
-    trips: tuple[TripReport, ...]
+    trips: tuple[RecordedTrip, ...]
     notes: tuple[str, ...]
     probe: ProbeAnswer | None
 
@@ -230,7 +221,7 @@ def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: 
     clock = RealClock(rate_Hz, devices.first_tick_s)
     tare_judge = TareJudge(job, devices.about)
     loop = Loop(devices.robot, devices.sensor, clock, sequence, explainer, limits, RingWriter(ring), request, tare_judge.refusal)
-    failed: list[TripReport] = []
+    failed: list[RecordedTrip] = []
     drain(devices.sensor)  # before the watchdog is set, because draining takes longer than the watchdog waits
     with realtime() as granted:
         loop.rehearse()
@@ -274,9 +265,9 @@ class TareJudge:
         return None if may_begin else self.answer.sentence
 
 
-def trip_report(verdict: Verdict) -> TripReport:
+def trip_report(verdict: Verdict) -> RecordedTrip:
     """A verdict of the guard for people and files."""
-    return TripReport(trip=verdict.trip.name, measured=verdict.measured, limit=verdict.limit, reason=sentence(verdict))
+    return RecordedTrip(trip=verdict.trip.name, measured=verdict.measured, limit=verdict.limit, reason=sentence(verdict))
 
 
 def take_reference(devices: Devices) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -1,7 +1,6 @@
 """How far a force runs past the limit that trips it: stiffness × speed × the sum of all delays, before anything has moved."""
 
 import math
-from dataclasses import dataclass
 from typing import TypedDict
 
 from palpd.config import Config, Plan, filter_delay_s, refuse_unsafe
@@ -15,17 +14,8 @@ WALLS_N_PER_M = (1000.0, 5000.0, 20000.0)
 """Stiffnesses that the forecast covers besides the expected one: soft tissue, firm tissue, a board."""
 
 
-@dataclass(frozen=True, slots=True)
-class Delay:
+class Delay(TypedDict):
     """One delay between a force and the arm's reaction, and where its value comes from."""
-
-    name: str
-    duration_s: float
-    source: str
-
-
-class DelayRow(TypedDict):
-    """A Delay as JSON."""
 
     name: str
     duration_s: float
@@ -45,11 +35,11 @@ class OvershootForecast(TypedDict):
 
     contact_limit_N: float
     absolute_limit_N: float
-    delays: list[DelayRow]
+    delays: list[Delay]
     overshoot: list[OvershootRow]
 
 
-def delays(config: Config, speed_m_per_s: float) -> tuple[Delay, ...]:
+def delays(config: Config, speed_m_per_s: float) -> list[Delay]:
     """Every delay between the force at the tip and the tip at rest.
 
     Args:
@@ -60,15 +50,16 @@ def delays(config: Config, speed_m_per_s: float) -> tuple[Delay, ...]:
     """
     sensor, robot, servo = config.sensor, config.robot, config.cell.robot
     lag_s = 2.0 * servo.servo_damping_ratio / (2.0 * math.pi * servo.servo_natural_frequency_Hz)
-    return (
-        Delay("sensor filter", filter_delay_s(sensor.filter_cutoff_Hz), "one pole at sensor.filter_cutoff_Hz"),
-        Delay("sensor sample", 1.0 / sensor.rate_Hz, "sensor.rate_Hz"),
-        Delay("serial line", LINK_S, "measured on an emulated line"),
-        Delay("loop", 1.0 / robot.rate_Hz, "one tick, worst phase"),
-        Delay("controller", CONTROLLER_CYCLES * {"ur5": 0.008, "ur5e": 0.002}[robot.model], "two cycles of the controller"),
-        Delay("servo lag", lag_s, "2ζ/ωn of cell.robot, a placeholder until measured"),
-        Delay("braking", 0.5 * speed_m_per_s / robot.acceleration_m_per_s2, "v/2a of robot.acceleration_m_per_s2"),
+    terms = (
+        ("sensor filter", filter_delay_s(sensor.filter_cutoff_Hz), "one pole at sensor.filter_cutoff_Hz"),
+        ("sensor sample", 1.0 / sensor.rate_Hz, "sensor.rate_Hz"),
+        ("serial line", LINK_S, "measured on an emulated line"),
+        ("loop", 1.0 / robot.rate_Hz, "one tick, worst phase"),
+        ("controller", CONTROLLER_CYCLES * {"ur5": 0.008, "ur5e": 0.002}[robot.model], "two cycles of the controller"),
+        ("servo lag", lag_s, "2ζ/ωn of cell.robot, a placeholder until measured"),
+        ("braking", 0.5 * speed_m_per_s / robot.acceleration_m_per_s2, "v/2a of robot.acceleration_m_per_s2"),
     )
+    return [Delay(name=name, duration_s=duration_s, source=source) for name, duration_s, source in terms]
 
 
 def overshoot_N(config: Config, speed_m_per_s: float, stiffness_N_per_m: float) -> float:
@@ -79,7 +70,7 @@ def overshoot_N(config: Config, speed_m_per_s: float, stiffness_N_per_m: float) 
     """
     sensor = config.cell.sensor
     noise_N = 3.0 * sensor.noise_rms_N + sensor.resolution_fz_N
-    return stiffness_N_per_m * speed_m_per_s * math.fsum(delay.duration_s for delay in delays(config, speed_m_per_s)) + noise_N
+    return stiffness_N_per_m * speed_m_per_s * math.fsum(delay["duration_s"] for delay in delays(config, speed_m_per_s)) + noise_N
 
 
 def refuse_overload(config: Config, plan: Plan) -> None:
@@ -124,7 +115,7 @@ def predicted(config: Config, plan: Plan) -> OvershootForecast:
     return {
         "contact_limit_N": config.safety.contact_limit_N,
         "absolute_limit_N": config.safety.absolute_limit_N,
-        "delays": [{"name": d.name, "duration_s": d.duration_s, "source": d.source} for d in delays(config, speeds[-1])],
+        "delays": delays(config, speeds[-1]),
         "overshoot": [
             {"stiffness_N_per_m": k, "speed_m_per_s": v, "overshoot_N": overshoot_N(config, v, k)} for k in stiffnesses for v in speeds
         ],

@@ -169,17 +169,15 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
         goes_on = loop.tick()
     took_s = time.perf_counter() - began_s
     difference = comparison.first or (None if clock.over else "the replay ended earlier")
-    answer: WouldHave = {
+    again: WouldHave = {
         "verdict": recording.footer.get("verdict", "stopped") if not comparison.first else loop.outcome.verdict,
         "reason": loop.outcome.reason,
         "would_have": None,
         "first_different_command": None,
         "sentences": [],
     }
-    if config is not None:
-        answer = would_have(recording, clock.at, comparison.newest, goes_on, loop)
     return {
-        **answer,
+        **(again if config is None else would_have(recording, clock.at, comparison.newest, goes_on, loop)),
         "ticks": clock.at + 1,
         "decisions_identical": difference is None,
         "first_difference": difference,

@@ -6,12 +6,13 @@ from palpd.analysis import results
 from palpd.analysis.modulus_notes import modulus_notes
 from palpd.analysis.results import DryFigures, LoopFigures, SiteResult, cut_short_notes, dry_figures
 from palpd.analysis.stalls import stall_figures, stall_note
-from palpd.daemon.motion_process import TripReport, trip_report
+from palpd.daemon.motion_process import trip_report
 from palpd.daemon.simulated_run import SimulatedRecording
 from palpd.daemon.socket_client import LastRun
 from palpd.daemon.supervisor import LAST_TICKS, Report, last_ticks_of
 from palpd.errors import RecordingError
 from palpd.history.course import as_columns, points_of, window
+from palpd.recording.header import RecordedTrip
 from palpd.recording.reader import Recording
 
 NO_WIRES = "the cell was simulated without wires: bytes, timing and faults were not part of it"
@@ -23,7 +24,7 @@ class RunResult(LastRun):
     A simulated run has its duration, its largest contact force and its `course` too, as `palpd.history.course` gives it.
     """
 
-    trips: list[TripReport]
+    trips: list[RecordedTrip]
     sites: list[SiteResult]
     loop: LoopFigures
     model_card: NotRequired[dict[str, Any] | None]

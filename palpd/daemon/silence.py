@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from palpd.daemon.motion_process import TripReport
 from palpd.daemon.witness import Witness, stood_still
+from palpd.recording.header import RecordedTrip
 from palpd.tick import Trip
 
 DEVICES = {Trip.SENSOR_STALE.name: "the sensor", Trip.ROBOT_STALE.name: "the robot"}
@@ -14,7 +14,7 @@ JUST_BEFORE_S = 0.5
 """How long before such a trip a stall may have been its cause: ten times the watchdog's patience."""
 
 
-def explained(trips: Sequence[TripReport], at_s: float, period_s: float, witness: Witness) -> str:
+def explained(trips: Sequence[RecordedTrip], at_s: float, period_s: float, witness: Witness) -> str:
     """Say of a run that ended for missing data or ticks what was silent.
 
     Args:
@@ -29,7 +29,7 @@ def explained(trips: Sequence[TripReport], at_s: float, period_s: float, witness
     return "".join(f"; {clause}" for clause in dict.fromkeys(clauses) if clause)
 
 
-def _of_trip(trip: TripReport, at_s: float, period_s: float, witness: Witness) -> str:
+def _of_trip(trip: RecordedTrip, at_s: float, period_s: float, witness: Witness) -> str:
     name, stalls = trip["trip"], witness.stalls
     if name in STARVED:
         stood_s, processors = stood_still(stalls, at_s - JUST_BEFORE_S, at_s)

@@ -22,7 +22,7 @@ from palpd.daemon.devices import Build
 from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import shielded
 from palpd.daemon.motion_job import BEGIN_LOADED, Job, Kind
-from palpd.daemon.motion_process import CALLED_OFF, GO, Ended, Failed, Message, Observed, Opened, ReferenceTaken, TripReport
+from palpd.daemon.motion_process import CALLED_OFF, GO, Ended, Failed, Message, Observed, Opened, ReferenceTaken
 from palpd.daemon.realtime import DEVICE_PRIORITY
 from palpd.daemon.robot_stops import protective
 from palpd.daemon.run_header import header_of, place_of
@@ -32,7 +32,7 @@ from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.tick_watch import TickWatch
 from palpd.daemon.witness import Witness
 from palpd.errors import PalpdError, RecordingError
-from palpd.recording.header import RecordedStall, RunAbout
+from palpd.recording.header import RecordedStall, RecordedTrip, RunAbout
 from palpd.recording.mcap_file import part_of
 from palpd.recording.recorder import Recorder
 from palpd.recording.ring import LoopState, RecorderState, Ring, Rows
@@ -72,7 +72,7 @@ class Report:
     verdict: str
     reason: str = ""
     exit_code: int = 0
-    trips: tuple[TripReport, ...] = ()
+    trips: tuple[RecordedTrip, ...] = ()
     recording: Path | None = None
     about: RunAbout = field(default_factory=lambda: RunAbout())
     notes: tuple[str, ...] = ()
@@ -438,7 +438,7 @@ class JobRun:
                 reason = outcome.reason + self._silence(trips) + by_signal
                 return Report(outcome.verdict, reason, exit_code, trips, notes=notes, probe=probe)
 
-    def _silence(self, trips: Sequence[TripReport]) -> str:
+    def _silence(self, trips: Sequence[RecordedTrip]) -> str:
         """Whether a device was silent or this computer stood still, as far as that ended the run."""
         self._witness.hear()
         rows = self._rows(1)

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import NullLocator
 
 from palpd.analysis.figure_style import BLUE, GREY, INK, ORANGE, RED, thinned
-from palpd.analysis.results import PEAK_WINDOW_S, SiteResult, Track, track
+from palpd.analysis.results import SiteResult, Track, peak_width, track
 from palpd.analysis.young import modulus_peak_Pa
 from palpd.history.catalogue import SiteModuli
 from palpd.history.stored import printable
@@ -48,7 +48,7 @@ TINT_ALPHA = 0.1
 
 @dataclass(frozen=True, slots=True)
 class PressCurve:
-    """Force over depth on the way down: arrays (n,), in N and m, smoothed over `PEAK_WINDOW_S`."""
+    """Force over depth on the way down: arrays (n,), in N and m, smoothed as a peak is."""
 
     mode: Mode
     depth_m: Floats
@@ -82,7 +82,7 @@ def _curves(of_site: Track) -> Iterator[PressCurve]:
 
 
 def _curve(mode: Mode, way: Track, rest_N: float) -> PressCurve:
-    width = max(1, round(PEAK_WINDOW_S / float(np.median(np.diff(way.t_s)))))
+    width = peak_width(way.t_s)
     window = np.ones(width) / width
     depth_m, force_N = way.surface_z_m - way.tip_z_m, way.fz_N - way.inertial_N - rest_N
     if len(depth_m) > width:

@@ -13,7 +13,7 @@ import numpy as np
 
 from palpd.analysis.enriched import EnrichedModulus, enriched_modulus
 from palpd.analysis.inclusion import FEWEST_HOLDS, FORCE_SIGMA_N, Inclusion, find_inclusion
-from palpd.analysis.results import PEAK_WINDOW_S
+from palpd.analysis.results import peak_width
 from palpd.analysis.results import sites as site_results
 from palpd.analysis.stiffness_map import Field, Map, Survey, search
 from palpd.analysis.young import modulus_peak_Pa, ymbt
@@ -202,25 +202,18 @@ def _judged(palpated: Palpated, methods: dict[str, Method]) -> Judged:
     return Judged(palpated, corrected_N, peaks, static_Pa, modulus_Pa, biases, by_enriched, inclusion_below(palpated.holds))
 
 
-def inclusion_below(holds: Sequence[Hold], force_sigma_N: float = FORCE_SIGMA_N, surface_sigma_m: float = ZERO_SIGMA_M) -> Inclusion | None:
-    """Evidence of an inclusion in the static holds of a setup.
-
-    Args:
-        surface_sigma_m: One sigma of the zero of depth.
-
-    Returns:
-        The evidence, or None with too few depths.
-    """
+def inclusion_below(holds: Sequence[Hold], force_sigma_N: float = FORCE_SIGMA_N) -> Inclusion | None:
+    """Evidence of an inclusion in the static holds of a setup, or None with too few depths."""
     if len({hold.depth_m for hold in holds}) < FEWEST_HOLDS:
         return None
     depths_m, forces_N = [hold.depth_m for hold in holds], [hold.force_N for hold in holds]
-    return find_inclusion(depths_m, forces_N, surface_sigma_m=surface_sigma_m, force_sigma_N=force_sigma_N)
+    return find_inclusion(depths_m, forces_N, surface_sigma_m=ZERO_SIGMA_M, force_sigma_N=force_sigma_N)
 
 
 def _peak(palpated: Palpated, corrected_N: dict[str, Floats], span: slice) -> Peak:
     """The largest mean of 20 ms of the reading."""
     run = palpated.dynamic
-    width = max(1, round(PEAK_WINDOW_S / float(np.median(np.diff(run.t_s)))))
+    width = peak_width(run.t_s)
     mean = np.convolve(run.fz_N[span], np.full(width, 1.0 / width), mode="valid")
     first = span.start + int(np.argmax(mean))
     window = slice(first, first + width)

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from palpd.analysis.figure_style import BLUE, GREY, INK, ORANGE, RED, inline_svg, styled_figure, thinned
 from palpd.analysis.inclusion import Inclusion
-from palpd.analysis.intervals import student_t_95
+from palpd.analysis.intervals import mean_half_width_95
 from palpd.analysis.stiffness_map import figure_of, raster
 from palpd.files import write_json, write_text
 from palpd.study import published as paper
@@ -103,8 +103,7 @@ def means(study: Study) -> dict[str, tuple[float, float, int]]:
     for name in (*METHODS, TRUTH, ENRICHED):
         values = np.array([np.mean([setup[name] for setup in day.values()]) for day in days if all(name in s for s in day.values())])
         if len(values):
-            spread = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
-            half = student_t_95(len(values) - 1) * spread / math.sqrt(len(values)) if len(values) > 1 else math.nan
+            half = mean_half_width_95(values) if len(values) > 1 else math.nan
             averages[name] = (float(values.mean()), half, len(values))
     return averages
 

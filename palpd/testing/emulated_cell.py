@@ -12,12 +12,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import count
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
 from typer.testing import CliRunner
 
+from hw.emulators.controller import TruthSample
 from hw.emulators.process import Emulated, started
 from palpd.cli import app
 from palpd.recording.reader import Recording
@@ -48,18 +49,6 @@ PRESS: dict[str, Any] = {
 }
 """One press of 10 mm at 10 mm/s."""
 _hosts = count()
-
-
-class CycleSample(NamedTuple):
-    """Target and truth of one controller cycle, as the emulator logs them."""
-
-    t_s: float
-    speed_m_per_s: float
-    vz_m_per_s: float
-    target_z_m: float
-    tip_z_m: float
-    contact_N: float
-    runtime: int
 
 
 def ring_of(pid: int) -> Ring:
@@ -198,9 +187,9 @@ class EmulatedCell:
         ago_s = max(0.0, time.monotonic() - since_s - lasting_s)
         return float(self.wires.ask("stats", s=lasting_s, ago_s=ago_s if since_s else 0.0)["late_us_max"]) * 1e-6
 
-    def log(self, since_s: float) -> list[CycleSample]:
+    def log(self, since_s: float) -> list[TruthSample]:
         """What the controller did since then."""
-        return [CycleSample(*sample) for sample in self.wires.log(since_s)]
+        return self.wires.log(since_s)
 
     def stops(self, since_s: float) -> list[tuple[float, str]]:
         """When the controller ended its program or stopped, and why."""

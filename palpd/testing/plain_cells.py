@@ -1,17 +1,16 @@
 """Healthy cells simulated in a few lines from docs/reference/contract.md, with controllers that the diagnosis does not assume.
 
-Nothing here comes from `palpd.cell`: the physics is written again, so that a test of the engine does not use the engine's own.
+No physics comes from `palpd.cell`: it is written again, so that a test of the engine does not use the engine's own.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter
 
-from palpd.cell.cell_file import CellFile
+from palpd.cell.cell_file import CellFile, Estimated
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
 
@@ -19,22 +18,7 @@ FINE_HZ = 4000
 RATE_HZ = 500
 SERVO_HZ, SERVO_DAMPING = 8.0, 1.0
 CONTROLLERS = ("second order", "held at 125 Hz", "held at 500 Hz", "third order", "jerk limit")
-
-
-@dataclass(frozen=True)
-class PlantedDeviations:
-    """In-tolerance deviations of one cell, in the units of `tolerances`."""
-
-    bias_N: float = 0.0
-    drift_N_per_min: float = 0.0
-    gain: float = 0.0
-    latency_s: float = 0.0
-    filter_cutoff: float = 0.0
-    crosstalk: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    mass_kg: float = 0.0
-    youngs_modulus: float = 0.0
-    surface_z_m: float = 0.0
-    servo_natural_frequency: float = 0.0
+NO_DEVIATIONS = Estimated()
 
 
 def commanded(seed: int) -> Floats:
@@ -120,16 +104,7 @@ def cell_of(controller: str) -> CellFile:
     )
 
 
-def heavy_cell_of(controller: str) -> CellFile:
-    """The same with a probe of 0.5 kg before a quiet sensor, so that errors of the acceleration show."""
-    cell = cell_of(controller)
-    sensor = cell.sensor.model_copy(update={"noise_rms_N": 0.01, "resolution_fz_N": 0.002})
-    return cell.model_copy(update={"probe": cell.probe.model_copy(update={"mass_kg": 0.5}), "sensor": sensor})
-
-
-def recording(
-    controller: str, seed: int, deviations: PlantedDeviations = PlantedDeviations(), of_cell: Callable[[str], CellFile] = cell_of
-) -> Samples:
+def recording(controller: str, seed: int, deviations: Estimated = NO_DEVIATIONS, of_cell: Callable[[str], CellFile] = cell_of) -> Samples:
     """One recording of a healthy cell with these deviations, and press-to-press scatter as declared.
 
     Args:

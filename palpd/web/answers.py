@@ -8,6 +8,7 @@ from typing import Any
 from starlette.requests import Request
 from starlette.responses import Response
 
+from palpd.documents import finite_json
 from palpd.errors import BadInput, PalpdError
 from palpd.web.access import json_body
 
@@ -44,7 +45,7 @@ def as_json(content: Mapping[str, Any], code: int = 200) -> Response:
     Returns:
         The response. Bytes of a name that are no text are escaped, and a number that JSON does not know is null.
     """
-    return Response(json.dumps(_finite(content)), code, media_type="application/json")
+    return Response(json.dumps(finite_json(content)), code, media_type="application/json")
 
 
 async def body_of(request: Request) -> dict[str, Any]:
@@ -92,11 +93,3 @@ def number_in(body: Mapping[str, Any], name: str) -> float:
     if not math.isfinite(value):
         raise BadInput(f"{name} is {str(body.get(name, 'not given'))[:40]!r}, expected a number")
     return value
-
-
-def _finite(values: Any) -> Any:
-    if isinstance(values, Mapping):
-        return {name: _finite(value) for name, value in values.items()}
-    if isinstance(values, list | tuple):
-        return [_finite(value) for value in values]
-    return None if isinstance(values, float) and not math.isfinite(values) else values

@@ -1,6 +1,7 @@
 """The tabs Runs and Checks: the list of the runs, one run with its report, two side by side, trends, the diagnosis of a run, and charts."""
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -107,8 +108,8 @@ def routes(page: Page) -> list[BaseRoute]:
     """The routes of the tabs Runs and Checks."""
     of = HistoryPages(page)
     return [
-        Route("/runs/view", _show_run),
-        Route("/runs/trend", _show_trend),
+        Route("/runs/view", partial(shell.page, part="recorded", title="palpd: a run", tab="runs")),
+        Route("/runs/trend", partial(shell.page, part="trend", title="palpd: trend", tab="runs")),
         Route("/runs/list", answering(of.listed)),
         Route("/runs/trend-of", answering(of.trend)),
         Route("/checks/list", answering(of.checks)),
@@ -120,14 +121,6 @@ def routes(page: Page) -> list[BaseRoute]:
         Route("/runs/keep", answering(of.keep), methods=["POST"]),
         Route("/runs/remark", answering(of.remark), methods=["POST"]),
     ]
-
-
-async def _show_run(request: Request) -> Response:
-    return shell.page(request, "recorded", "palpd: a run", "runs")
-
-
-async def _show_trend(request: Request) -> Response:
-    return shell.page(request, "trend", "palpd: trend", "runs")
 
 
 def _query(request: Request) -> dict[str, str]:

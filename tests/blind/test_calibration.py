@@ -6,11 +6,12 @@ import pytest
 from benchmarks.calibrate import CHECK_SEED, FIT_SEED, fit, log_loss, pairs_of, report
 from palpd.blind.outcome import CaseOutcome
 from palpd.blind.score import calibration_error, error_of_a_calibrated_forecaster
+from palpd.cell.cell_file import Estimated
 from palpd.errors import BadInput
 from palpd.gap import diagnosis
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.calibration import ProbabilityMap, stored_map
-from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
+from palpd.testing.plain_cells import cell_of, recording
 
 DOUBTING = ProbabilityMap(power=0.4, doubt=0.1, power_none=3.0, cells=500, how="a test")
 
@@ -101,7 +102,7 @@ def test_the_cells_to_report_are_others_than_those_to_fit_on() -> None:
 
 
 def test_a_diagnosis_states_what_the_map_makes_of_the_engines_probabilities(monkeypatch: pytest.MonkeyPatch) -> None:
-    cell, samples = cell_of("second order"), recording("second order", 5, PlantedDeviations(surface_z_m=4e-4))
+    cell, samples = cell_of("second order"), recording("second order", 5, Estimated(surface_z_m=4e-4))
     own = diagnosis.diagnose([samples], cell, max_bins=600, propose=False, calibrated=False)
     monkeypatch.setattr(diagnosis, "stored_map", lambda: DOUBTING)
     stated = diagnosis.diagnose([samples], cell, max_bins=600, propose=False)

@@ -10,16 +10,15 @@ import numpy as np
 import pytest
 
 from palpd.analysis.stalls import stall_figures, stall_note
-from palpd.daemon.motion_process import TripReport
 from palpd.daemon.silence import explained
 from palpd.daemon.witness import Stall, Witness, stood_still
-from palpd.recording.header import RecordedStall
+from palpd.recording.header import RecordedStall, RecordedTrip
 from palpd.testing.processes import until
 from palpd.tick import ROW, Trip
 
 
-def trip(kind: Trip, measured: float, limit: float) -> TripReport:
-    return TripReport(trip=kind.name, measured=measured, limit=limit, reason="")
+def trip(kind: Trip, measured: float, limit: float) -> RecordedTrip:
+    return RecordedTrip(trip=kind.name, measured=measured, limit=limit, reason="")
 
 
 def witness(*stalls: Stall, processors: int = 2, urgent: bool = True) -> Witness:
@@ -45,7 +44,7 @@ SENSOR = trip(Trip.SENSOR_STALE, 0.056, 0.05)
         (trip(Trip.CONTACT_FORCE, 13.0, 12.0), BOTH, ""),
     ],
 )
-def test_the_reason_says_what_stood_still(kind: TripReport, stalls: tuple[Stall, ...], sentence: str) -> None:
+def test_the_reason_says_what_stood_still(kind: RecordedTrip, stalls: tuple[Stall, ...], sentence: str) -> None:
     assert explained([kind], 100.0, 0.008, witness(*stalls)) == sentence
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
+from palpd.cell.cell_file import CellFile, Estimated
 from palpd.cell.simulation import predict_motion
 from palpd.gap.data.controller_cycle import comb_period_s, held_command_s
 from palpd.gap.data.phases import find_phases
@@ -18,15 +19,21 @@ from palpd.testing.plain_cells import (
     FINE_HZ,
     RATE_HZ,
     SERVO_HZ,
-    PlantedDeviations,
     cell_of,
     commanded,
     follow,
-    heavy_cell_of,
     recording,
 )
 
-IN_TOLERANCE = PlantedDeviations(youngs_modulus=0.03, mass_kg=-0.004, latency_s=0.001, servo_natural_frequency=-0.03, surface_z_m=3e-5)
+IN_TOLERANCE = Estimated(youngs_modulus=0.03, mass_kg=-0.004, latency_s=0.001, servo_natural_frequency=-0.03, surface_z_m=3e-5)
+HEAVIER = IN_TOLERANCE.model_copy(update={"mass_kg": 0.004})
+
+
+def heavy_cell_of(controller: str) -> CellFile:
+    """The cell file of a controller with a probe of 0.5 kg before a quiet sensor, so that errors of the acceleration show."""
+    cell = cell_of(controller)
+    sensor = cell.sensor.model_copy(update={"noise_rms_N": 0.01, "resolution_fz_N": 0.002})
+    return cell.model_copy(update={"probe": cell.probe.model_copy(update={"mass_kg": 0.5}), "sensor": sensor})
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
@@ -37,7 +44,7 @@ def test_a_controller_that_is_not_of_second_order_is_not_accused(controller: str
 
 @pytest.mark.parametrize("controller", ["second order", "third order"])
 def test_a_controller_of_another_order_that_moves_a_heavy_probe_is_no_resonance(controller: str) -> None:
-    heavy = recording(controller, 101, replace(IN_TOLERANCE, mass_kg=0.004), heavy_cell_of)
+    heavy = recording(controller, 101, HEAVIER, heavy_cell_of)
     diagnosis = diagnose([heavy], heavy_cell_of(controller), max_bins=3000, propose=False)
     assert diagnosis.verdict == "none", diagnosis.sentence
 
@@ -52,7 +59,7 @@ def test_a_drag_that_held_targets_may_feign_is_named_with_a_note() -> None:
 
 def uncommanded(controller: str) -> Samples:
     """A heavy probe before a quiet sensor, whose recording has no command: the force of inertia is that of the reported motion."""
-    return replace(recording(controller, 101, replace(IN_TOLERANCE, mass_kg=0.004), heavy_cell_of), z_cmd_m=None)
+    return replace(recording(controller, 101, HEAVIER, heavy_cell_of), z_cmd_m=None)
 
 
 @pytest.mark.parametrize("controller", ["second order", "third order", "jerk limit", "held at 125 Hz"])

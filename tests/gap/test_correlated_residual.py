@@ -3,16 +3,17 @@
 import numpy as np
 import pytest
 
+from palpd.cell.cell_file import Estimated
 from palpd.gap.infer.correlated_residual import correlation_time, row_weights, wrong_tolerances
 from palpd.gap.infer.evidence import fit
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import NOMINAL_ETA, SHARED, make_problem
-from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
+from palpd.testing.plain_cells import cell_of, recording
 
 
 def test_a_tolerance_is_compared_as_wide_as_the_best_hypothesis_needs_it() -> None:
     cell = cell_of("second order")
-    far = PlantedDeviations(surface_z_m=9.0 * cell.tolerances.surface_z_m)
+    far = Estimated(surface_z_m=9.0 * cell.tolerances.surface_z_m)
     problem = make_problem([recording("second order", 5, far)], cell, max_bins=400)
     factors = wrong_tolerances(fit(problem, {}, linearise(problem, {}, NOMINAL_ETA), rounds=3))
     surface = SHARED.index("surface_z_m")

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from palpd.cell.cell_file import CellFile, EffectValues
+from palpd.cell.cell_file import CellFile, EffectValues, Estimated
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.model.linearise import linearise
 from palpd.gap.model.problem import NOMINAL_ETA, SHARED, Problem, make_problem
 from palpd.recording.samples import Samples
-from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
+from palpd.testing.plain_cells import cell_of, recording
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def test_an_effect_on_all_presses_keeps_their_scatter(problem: Problem, effects:
 
 @pytest.fixture
 def stiff() -> tuple[Samples, CellFile]:
-    return recording("second order", 4, PlantedDeviations(gain=0.12)), cell_of("second order")
+    return recording("second order", 4, Estimated(gain=0.12)), cell_of("second order")
 
 
 def test_a_wrong_gain_is_not_taken_for_a_wrong_modulus_with_certainty(stiff: tuple[Samples, CellFile]) -> None:
@@ -42,7 +42,7 @@ def test_a_wrong_gain_is_not_taken_for_a_wrong_modulus_with_certainty(stiff: tup
 
 def test_the_interval_of_an_effect_holds_the_tolerance_that_it_stands_for() -> None:
     cell = cell_of("second order")
-    answer = diagnose([recording("second order", 5, PlantedDeviations(surface_z_m=4e-4))], cell, max_bins=900, propose=False)
+    answer = diagnose([recording("second order", 5, Estimated(surface_z_m=4e-4))], cell, max_bins=900, propose=False)
     offset_m, low_m, high_m = answer.effects[0].parameters["offset_m"]
     assert answer.effects[0].id == "tissue.surface"
     assert low_m < 4e-4 < high_m

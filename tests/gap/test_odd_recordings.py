@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import bilinear, lfilter
 
-from palpd.cell.cell_file import CellFile, nominal
+from palpd.cell.cell_file import CellFile, Estimated, nominal
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
 from palpd.gap.data.phases import find_phases
@@ -16,7 +16,7 @@ from palpd.gap.infer.candidates import ringing_frequencies, spectral_peaks
 from palpd.gap.infer.settle import settle
 from palpd.gap.model.problem import make_problem
 from palpd.recording.samples import Samples
-from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
+from palpd.testing.plain_cells import cell_of, recording
 from palpd.tick import Floats
 from tests.gap.test_diagnosis import recording as simulated
 from tests.gap.test_rigs import names, quick, rig
@@ -213,7 +213,7 @@ def test_the_place_of_a_gap_does_not_depend_on_a_modulus_that_nobody_knows(modul
 
 
 def test_a_slow_vibration_is_found_below_what_the_servo_explains() -> None:
-    samples, cell = recording("second order", 101, PlantedDeviations(servo_natural_frequency=-0.04)), cell_of("second order")
+    samples, cell = recording("second order", 101, Estimated(servo_natural_frequency=-0.04)), cell_of("second order")
     swinging = replace(samples, z_m=samples.z_m + 8e-7 * np.sin(2.0 * np.pi * 2.0 * samples.t_s))
     nominal = settle(make_problem([swinging], cell, max_bins=900))
     predicted = nominal.problem.raw_prediction(nominal.problem.recordings[0], nominal.problem.cell_at({}, nominal.fit.eta))
@@ -222,7 +222,7 @@ def test_a_slow_vibration_is_found_below_what_the_servo_explains() -> None:
 
 @pytest.mark.parametrize("over_servo", [0.9, 2.1, 4.4])
 def test_a_search_for_a_resonance_starts_near_its_frequency(over_servo: float) -> None:
-    samples, cell = recording("second order", 101, PlantedDeviations()), cell_of("second order")
+    samples, cell = recording("second order", 101, Estimated()), cell_of("second order")
     frequency_Hz, damping_ratio = over_servo * cell.robot.servo_natural_frequency_Hz, 0.03
     w = 2.0 * np.pi * frequency_Hz
     b, a = bilinear([2.0 * damping_ratio * w, w**2], [1.0, 2.0 * damping_ratio * w, w**2], samples.rate_Hz)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from palpd.cell.cell_file import CellFile, EffectValues, cell_from
+from palpd.cell.cell_file import CellFile, EffectValues, Estimated, cell_from
 from palpd.cell.simulation import simulate
 from palpd.cell.stages import WRENCH
 from palpd.gap.data.rounding import Rounding
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.first_cell import first_cell
 from palpd.gap.model.rounding_error import MOST_COLUMNS, phase_columns, rounding_error, waves
-from palpd.testing.plain_cells import PlantedDeviations, cell_of, recording
+from palpd.testing.plain_cells import cell_of, recording
 from palpd.tick import Floats
 
 STEP_N, EACH = 0.1, 20
@@ -80,7 +80,7 @@ def coarse(step_noises: float) -> CellFile:
 @pytest.mark.parametrize(("step_noises", "seed"), [(3.0, 1), (4.0, 2), (5.0, 3), (6.0, 4), (7.0, 5), (8.0, 6), (8.0, 7)])
 def test_coarse_steps_of_a_healthy_cell_are_no_gap(step_noises: float, seed: int) -> None:
     rng, cell = np.random.default_rng([seed, 5]), coarse(step_noises)
-    off = PlantedDeviations(bias_N=0.03 * rng.standard_normal(), youngs_modulus=0.02 * rng.standard_normal(), mass_kg=0.003)
+    off = Estimated(bias_N=0.03 * rng.standard_normal(), youngs_modulus=0.02 * rng.standard_normal(), mass_kg=0.003)
     samples = recording("second order", seed, off, lambda _: cell)
     diagnosis = diagnose([samples], cell, max_bins=1500, propose=False)
     assert diagnosis.verdict == "none", diagnosis.sentence
@@ -106,7 +106,7 @@ def test_an_effect_of_several_steps_is_named_through_coarse_ones(effects: Effect
 @pytest.mark.parametrize(("step_noises", "decimals"), [(8.0, 6), (7.54, 2), (7.54, 1)])
 def test_a_first_cell_file_has_the_step_that_a_diagnosis_finds(step_noises: float, decimals: int) -> None:
     """Also where readings are printed with fewer digits than their step has: 0.377 N with two decimals or with one."""
-    samples = recording("second order", 101, PlantedDeviations(), lambda _: coarse(step_noises))
+    samples = recording("second order", 101, Estimated(), lambda _: coarse(step_noises))
     wrench = np.column_stack([samples.wrench[:, :2], samples.wrench[:, 2].round(decimals), samples.wrench[:, 3:]])
     samples = replace(samples, wrench=wrench)
     finer = coarse(2.62)

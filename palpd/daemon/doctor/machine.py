@@ -60,18 +60,17 @@ def clock() -> Finding:
     return Finding("clock", "ok", measured, "", figures)
 
 
-def wake_up(config: Config, duration_s: float = WAKE_UP_S) -> list[Finding]:
+def wake_up(config: Config) -> list[Finding]:
     """How late the loop's thread wakes at the loop's rate, and what the kernel grants it.
 
     Args:
         config: The configuration, for the rate of the loop and the longest stall.
-        duration_s: How long to measure.
 
     Returns:
         One finding for the wake-ups, one for each privilege.
     """
     rate_Hz = config.robot.rate_Hz
-    late_us, missed = np.zeros(round(duration_s * rate_Hz)), 0
+    late_us, missed = np.zeros(round(WAKE_UP_S * rate_Hz)), 0
     with realtime() as granted:
         grid = RealClock(rate_Hz, time.monotonic() + 0.01)
         for index in range(len(late_us)):

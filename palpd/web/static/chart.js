@@ -146,7 +146,6 @@ export function chart(holder, spec) {
     holder.replaceChildren(...(legend.childElementCount ? [legend] : []), svg);
   };
   drawing.redraw = redraw;
-  drawing.width = () => holder.clientWidth;
   redraw();
   holder.observer?.disconnect();
   let last = holder.clientWidth;

@@ -1,7 +1,7 @@
 // What palpd setup has done on this cell and which step is next; where the page leads through it, what it says and asks.
 
 import { on } from "./link.js";
-import { say } from "./message.js";
+import { capital, say } from "./message.js";
 import { ask, read } from "./requests.js";
 import { byId, make, refuse } from "./work.js";
 
@@ -18,8 +18,6 @@ function lines(name, result) {
     cell(finding.name ? `${finding.name}: ${finding.measured}` : "", faint(finding.expected && `expected ${finding.expected}`)),
     cell(finding.advice || "")));
 }
-
-const capital = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
 
 async function showSteps(talk) {
   const answer = await read("/setup/rows", { patience_ms: 65000 });

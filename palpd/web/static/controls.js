@@ -1,7 +1,7 @@
 // Arm, start, pause, retract, clear, and who holds the controls. What is impossible, and why, is the service's own answer (`status.now`).
 
 import { on } from "./link.js";
-import { NAMES, inButtons, say } from "./message.js";
+import { NAMES, capital, inButtons, say } from "./message.js";
 import { ask, read } from "./requests.js";
 
 const RENEW_MS = 3000;
@@ -78,7 +78,6 @@ function obstacleOf(what) {
 }
 
 const WAYS = { abort: "Wait for its end, or Abort", plan: "Choose a plan first", clear: "Look at the cell, then Clear" };
-const capital = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
 
 function sentenceOf({ reason, way }) {
   return `${capital(inButtons(reason))}.${way ? ` ${WAYS[way] ?? `${NAMES[way]} first`}.` : ""}`;

@@ -26,7 +26,8 @@ function become(next) {
   tell("link", state);
 }
 
-function open() {
+/** Open the stream, once all listeners are there, and again whenever it closes. */
+export function begin() {
   const scheme = location.protocol === "https:" ? "wss" : "ws";
   const mine = new WebSocket(`${scheme}://${location.host}/live`);
   socket = mine;
@@ -41,7 +42,7 @@ function open() {
     if (socket !== mine) return;
     become("lost");
     tell("closed", null);
-    setTimeout(open, AGAIN_MS);
+    setTimeout(begin, AGAIN_MS);
   };
 }
 
@@ -50,8 +51,3 @@ setInterval(() => {
   const silent_ms = performance.now() - heard_ms;
   if (silent_ms > SILENT_MS) become("lost");
 }, CHECK_MS);
-
-/** Begin, once all listeners are there. */
-export function begin() {
-  open();
-}

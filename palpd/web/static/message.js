@@ -10,6 +10,8 @@ export const NAMES = {
   calibrate: "Calibrate", clear: "Clear", decide: "Answer the job", recover: "Recover", abort: "Abort",
 };
 
+export const capital = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
+
 /** A sentence of the service with buttons in place of commands of the terminal. What only the terminal can do stays a command. */
 export function inButtons(sentence) {
   return sentence

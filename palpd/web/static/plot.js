@@ -1,5 +1,7 @@
 // Charts: rolling ones by uPlot, and two small drawings of our own where x is no time (force against depth, the map).
 
+import { ticks } from "./chart.js";
+
 const resolved = (name) => {
   const probe = document.createElement("span");
   probe.style.color = `var(${name})`;
@@ -103,16 +105,6 @@ function prepared(canvas) {
   return { ctx, width, height };
 }
 
-/** Round steps for an axis: some `most` of them between low and high. */
-export function ticksOf(low, high, most = 5) {
-  const rough = (high - low) / most || 1;
-  const power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].map((each) => each * power).find((each) => each >= rough * 0.999);
-  const out = [];
-  for (let at = Math.ceil(low / step) * step; at <= high + step * 1e-6; at += step) out.push(Math.abs(at) < step * 1e-6 ? 0 : at);
-  return out;
-}
-
 const number = (value) => `${Number(value.toPrecision(3))}`;
 
 /** Draw force (N) against depth (mm); `before` is the press before, faint. */
@@ -128,12 +120,12 @@ export function drawPress(canvas, points, before, contact_N) {
   ctx.fillStyle = colours.faint;
   ctx.lineWidth = 1;
   ctx.textAlign = "center";
-  for (const at of ticksOf(0, x_max)) {
+  for (const at of ticks(0, x_max, 5)) {
     ctx.beginPath(); ctx.moveTo(x(at), top); ctx.lineTo(x(at), height - bottom); ctx.stroke();
     ctx.fillText(`${number(at)} mm`, x(at), height - 8);
   }
   ctx.textAlign = "right";
-  for (const at of ticksOf(0, y_max, 4)) {
+  for (const at of ticks(0, y_max, 4)) {
     ctx.beginPath(); ctx.moveTo(left, y(at)); ctx.lineTo(width - right, y(at)); ctx.stroke();
     ctx.fillText(`${number(at)} N`, left - 6, y(at) + 4);
   }

@@ -3,7 +3,7 @@
 import { broken, chart, extent, instead, scaled, spansOf } from "./chart.js";
 import { say } from "./message.js";
 import { ask, read } from "./requests.js";
-import { byId, duration, framed, make, refuse, resultOf, work } from "./work.js";
+import { byId, duration, framed, kilopascals, make, refuse, resultOf, tile, work } from "./work.js";
 
 const asked = new URLSearchParams(location.search);
 const run = asked.get("run") ?? "";
@@ -21,8 +21,6 @@ function nameOf(key) {
   }
 }
 
-const kilopascals = (value) => (value === null || value === undefined ? "–" : (value / 1e3).toFixed(1));
-
 async function open() {
   byId("name").textContent = nameOf(run);
   const reading = await work("/runs/read", { run }, byId("reading"));
@@ -35,10 +33,6 @@ async function open() {
   showFacts();
   byId("facts").hidden = false;
   await showCourse();
-}
-
-function tile(name, value, more) {
-  return make("div", { className: "tile" }, make("span", { text: name }), make("b", { text: value }), make("span", { text: more }));
 }
 
 function showFacts() {

@@ -2,14 +2,13 @@
 
 import { begin } from "./controls.js";
 import { read } from "./requests.js";
-import { byId, make, refuse } from "./work.js";
+import { byId, kilopascals, make, refuse } from "./work.js";
 
 const filter = byId("filter"), list = byId("runs"), compare = byId("compare");
 const chosen = new Map();
 let asked = 0, most = 100, timer = 0;
 
-export const kilopascals = (value) => (value === null || value === undefined ? "–" : (value / 1e3).toFixed(1));
-export const when = (started) => started.slice(0, 16).replace("T", " ");
+const when = (started) => started.slice(0, 16).replace("T", " ");
 
 function choices(select, values, all) {
   const now = select.value;
