@@ -23,6 +23,7 @@ from palpd.cli.first_abort import socket_paths
 from palpd.cli.options import PIPE_WIDTH, terminal
 from palpd.cli.output_options import examples_of
 from palpd.config import load_config
+from palpd.control.plan_place import ANSWERS
 from palpd.daemon import interrupts
 from palpd.daemon.kept_plans import rehearsed_config_sha256
 from palpd.errors import PalpdError, Refused
@@ -482,6 +483,16 @@ def test_a_status_says_what_is_sensible_next_with_its_command() -> None:
     assert at_once.status_lines(answer)[1] == "The probe is in the tissue. Next: palpd retract."  # type: ignore[arg-type]
     answer["now"] = now | more | {"next": None}
     assert at_once.status_lines(answer)[1] == "The probe is in the tissue."  # type: ignore[arg-type]
+
+
+def test_a_status_asks_where_sites_count_from_only_where_a_start_would_be_asked() -> None:
+    """Of a run that was under way it said: "was not finished: start with --return to its start, or --here"."""
+    now = {"state": "running", "word": "Running", "sentence": "The probe presses.", "next": "abort", "obstacles": {}, "question": None}
+    place = {"x_m": 0.03, "y_m": 0.0, "site": None, "origin_m": [0.0, 0.0], "unfinished": "run-7"}
+    answer: Any = {"ok": True, "state": "running", "latched": None, "now": now, "place": place}
+    assert "--return" not in " ".join(at_once.status_lines(answer))
+    now |= {"state": "armed", "question": "the run run-7 of today was not finished"}
+    assert f"The run run-7 of today was not finished; {ANSWERS}." in at_once.status_lines(answer)
 
 
 def test_a_watch_without_a_terminal_prints_a_line_whenever_the_status_has_changed(

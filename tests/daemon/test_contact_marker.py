@@ -258,3 +258,10 @@ def test_a_return_is_refused_where_no_palpation_is_unfinished(tmp_path: Path, st
             measured_job("palpation", settings(tmp_path), Plan(), choice="return")
     state.keep("place", replace(ended, returned=False))
     assert measured_job("palpation", settings(tmp_path), Plan(), choice="return").back_to_m == ended.start_m
+
+
+def test_a_state_file_that_cannot_be_removed_is_a_refusal(state: State) -> None:
+    """On a disk that became read-only during a run, the end of the run and the service died of an OSError."""
+    (state.folder / "latch.json").mkdir()
+    with pytest.raises(Refused, match=r"latch\.json cannot be removed"):
+        state.clear_latch()
