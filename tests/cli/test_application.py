@@ -685,3 +685,21 @@ def test_a_table_in_a_pipe_is_as_wide_as_it_needs_and_on_a_narrow_line_as_it_was
             assert terminal().width == width
     finally:
         terminal.cache_clear()
+
+
+def test_a_curve_is_read_in_the_unit_that_the_name_of_its_column_says(tmp_path: Path) -> None:
+    """A force in mN was taken for N, and made a modulus of a thousand times its size."""
+    depths_mm = [0.01 * step for step in range(-100, 200)]
+    rows = [f"{depth},{4e3 / 3 * 50e3 / 0.75 * 0.004**0.5 * max(depth * 1e-3, 0.0) ** 1.5}" for depth in depths_mm]
+
+    def modulus(force: str, *options: str) -> Any:
+        (tmp_path / "curve.csv").write_text("\n".join([f"depth (mm),{force}", *rows]))
+        words = ["analyse", str(tmp_path / "curve.csv"), "--depth-column", "depth (mm)", "--force-column", force, "--tip-radius-m", "0.004"]
+        return CliRunner().invoke(app, [*words, *options, "--json", str(tmp_path / "out.json"), "--force"])
+
+    assert "E = 50 kPa" in modulus("load (mN)").output
+    assert "was read in" not in modulus("load (mN)", "--force-unit", "mN").output
+    assert "column load (mN) was read in N, as given, and its name says mN" in " ".join(
+        modulus("load (mN)", "--force-unit", "N").output.split()
+    )
+    assert "column load (lbf) is in lbf, expected N, mN, uN, nN" in str(modulus("load (lbf)").exception)
