@@ -27,7 +27,8 @@ def unit_of(column: str, quantity: Literal["force", "length"], given: str | None
     """The unit of a column: as it is given, else as its name says, else the SI unit.
 
     Args:
-        column: Name of the column.
+        column: Its name, such as "Force (mN)".
+        given: The unit that the user gave; None: none.
 
     Returns:
         The unit, and a note where the name says another one.
