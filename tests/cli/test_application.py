@@ -703,3 +703,14 @@ def test_a_curve_is_read_in_the_unit_that_the_name_of_its_column_says(tmp_path: 
         modulus("load (mN)", "--force-unit", "N").output.split()
     )
     assert "column load (lbf) is in lbf, expected N, mN, uN, nN" in str(modulus("load (lbf)").exception)
+
+
+def test_what_a_stopped_free_motion_has_left_does_not_stand_in_the_way_of_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[Path] = []
+    monkeypatch.setattr("palpd.cli.jobs.carried_out", lambda *words: kept.append(words[3]))
+    (tmp_path / "config.yaml").write_text("paths: {runs: runs, state: state}")
+    for name in ("free.mcap", "free.new.mcap"):
+        (tmp_path / name).touch()
+    words = ["free-motion", "--config", str(tmp_path / "config.yaml"), "--out", str(tmp_path / "free.mcap"), "--force"]
+    CliRunner().invoke(app, words)
+    assert not kept[0].exists()
