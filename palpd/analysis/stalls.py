@@ -43,7 +43,8 @@ def stall_figures(rows: NDArray[np.void], stalls: Sequence[RecordedStall]) -> St
     late = rows["missed"] > 0
     blind = own + list(zip(np.roll(now_s, 1)[late].tolist(), now_s[late].tolist(), strict=True))
     heard = rows["frames"] > 0
-    newest_s = rows["frame_t_s"][np.arange(len(rows)), np.maximum(rows["frames"].astype(int), 1) - 1]
+    frames_s = rows["frame_t_s"]  # a run that was stopped before the first frame has none in any tick
+    newest_s = frames_s.max(axis=1, initial=-np.inf, where=np.arange(frames_s.shape[1]) < rows["frames"][:, None])
     sensor = _silences(now_s, np.where(heard, newest_s, np.nan), blind)
     _, first, state = np.unique(rows["robot_timestamp_s"], return_index=True, return_inverse=True)
     robot = _silences(now_s, rows["robot_t_s"][first][state], blind)

@@ -32,11 +32,11 @@ def analyse(
     file: Annotated[Path, typer.Argument(help="a recording (.mcap), or a curve of another machine as CSV")],
     site: Annotated[str | None, typer.Option("--site", help="this site only (recordings)")] = None,
     force_column: curve_options.ForceColumn = None,
-    force_unit: curve_options.ForceUnitOption = "N",
+    force_unit: curve_options.ForceUnitOption = None,
     depth_column: curve_options.DepthColumn = None,
     height_column: curve_options.HeightColumn = None,
     height_down_positive: curve_options.HeightDownPositive = False,
-    length_unit: curve_options.LengthUnitOption = "m",
+    length_unit: curve_options.LengthUnitOption = None,
     compression_negative: curve_options.CompressionNegative = False,
     time_column: curve_options.TimeColumn = None,
     tip_radius_m: Annotated[
@@ -77,9 +77,11 @@ def analyse(
             _print_modulus(loading)
         write_json(json_file, {"sites": sites, **(sites[0] if len(sites) == 1 else {})})
     else:
-        from palpd.analysis.curves import Mapping, analyse_curve, read_curve, refuse_unknown_tip
+        from palpd.analysis.curves import OWN, Mapping, analyse_curve, read_curve, refuse_unknown_tip
 
         refuse_site(file, site)
+        values["force_unit"], notes = curve_options.unit_of(force_column or OWN[0], "force", force_unit)
+        values["length_unit"], more = curve_options.unit_of(depth_column or height_column or OWN[1], "length", length_unit)
         curve = analyse_curve(
             read_curve(file, Mapping(**{field.name: values[field.name] for field in fields(Mapping)})),
             tip_radius_m=refuse_unknown_tip(tip_radius_m),
@@ -89,6 +91,7 @@ def analyse(
             contact=contact,
             baseline=baseline,
         )
+        curve["warnings"] = [*notes, *more, *curve["warnings"]]
         _print_modulus(curve)
         write_json(json_file, curve)
 

@@ -153,18 +153,23 @@ def status_lines(answer: "ControlAnswer") -> list[str]:
 
 
 def now_lines(now: "KnownNow | None") -> list[str]:
-    """Say what stands, and the command that is sensible next.
+    """Say what stands, the command that is sensible next, and what a start would be asked.
 
     Args:
         now: What the daemon says of it; None from a daemon of an older version.
 
     Returns:
-        One line, or none.
+        At most two lines.
     """
     if now is None:
         return []
-    command = NEXT.get(now["next"] or "")
-    return [f"{now['sentence']}{f' Next: {command}.' if command else ''}"]
+    command, asked = NEXT.get(now["next"] or ""), now["question"]
+    lines = [f"{now['sentence']}{f' Next: {command}.' if command else ''}"]
+    if asked is not None:
+        from palpd.control.plan_place import ANSWERS  # imported here: few are asked, and an abort waits for no import
+
+        lines.append(f"{asked[:1].upper()}{asked[1:]}; {ANSWERS}.")
+    return lines
 
 
 def cause_lines(stops: "Sequence[KnownProtectiveStop]") -> list[str]:
@@ -180,7 +185,7 @@ def cause_lines(stops: "Sequence[KnownProtectiveStop]") -> list[str]:
 
 
 def probe_lines(probe: "KnownProbe | None", place: "KnownPlace | None") -> list[str]:
-    """Say whether the probe is free, where the tip stands, and where sites count from.
+    """Say whether the probe is free, and where the tip stands.
 
     Args:
         probe: The last answer about the probe, if any.
@@ -198,8 +203,6 @@ def probe_lines(probe: "KnownProbe | None", place: "KnownPlace | None") -> list[
     if place is not None and place["x_m"] is not None and place["y_m"] is not None:
         over = f", over site {place['site']} of the last plan" if place["site"] else ""
         lines.append(f"The tip is at x = {place['x_m'] * 1e3:.1f} mm, y = {place['y_m'] * 1e3:.1f} mm{over}.")
-    if place is not None and place["unfinished"] is not None:
-        lines.append(f"The run {place['unfinished']} was not finished: start with --return to its start, or --here.")
     return lines
 
 

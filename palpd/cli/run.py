@@ -178,8 +178,8 @@ def inject(
         steps = load_plan(plan)
         check_kept(settings)
         clear_latch(settings)
-        for _ in range(times):
-            ended = palpate_once(settings, steps, stated, known, devices, show, choice)
+        for number in range(times):  # only the first one may follow an unfinished palpation
+            ended = palpate_once(settings, steps, stated, known, devices, show, choice if number == 0 else None)
             exit_code, reason = ended.exit_code, ended.reason
             for note in ended.notes:
                 show.say(f"note: {note}")
@@ -200,10 +200,11 @@ def free_motion(
 ) -> None:
     """Move 2 cm up and down ten times in free air and record it; `palpd train` learns from it."""
     from palpd.cli.jobs import carried_out, fetch
+    from palpd.daemon.supervisor import recording_name
 
     target = with_ending(out, ".mcap").absolute()
     settings = settings_of(config)
-    fresh = target.with_name(f"{target.stem}.new.mcap") if target.exists() else target
+    fresh = target.with_name(f"{recording_name('free_motion')}.mcap") if target.exists() else target
     end = carried_out("free-motion", {"take_reference": take_reference}, settings, fresh)
     recording = fetch(end.figures.get("recording"), target)
     if recording is not None and fresh != target:

@@ -73,7 +73,8 @@ def measured_job(
         choice: Where sites count from, where the palpation before was not finished.
 
     Raises:
-        Refused: A retract finds nothing to leave, or nothing to judge the force by; or a palpation lacks the check that it needs.
+        Refused: A retract finds nothing to leave, or nothing to judge the force by; or a palpation lacks the check that it needs, or an
+            unfinished one to return to.
         ConfigError: A file of the state folder is damaged.
     """
     state = State(config.paths.state)
@@ -84,6 +85,10 @@ def measured_job(
     known, calibration = probe_record(config, state), state.calibration()
     last = state.place() if kind == "palpation" else None
     back = last if choice == "return" and last is not None and not last.returned else None
+    if choice == "return" and back is None:
+        raise Refused(
+            "no palpation is unfinished, so there is no start to return to; without this answer sites count from where the arm stands"
+        )
     work = Job(
         kind,
         config,

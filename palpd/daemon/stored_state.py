@@ -196,8 +196,14 @@ class State:
         return (self.folder / f"{name}.json").exists()
 
     def forget(self, name: str) -> None:
-        """Remove a state file, if it is there."""
-        (self.folder / f"{name}.json").unlink(missing_ok=True)
+        """Remove a state file, if it is there. Raises Refused where it cannot be removed."""
+        path = self.folder / f"{name}.json"
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise Refused(
+                f"{path} cannot be removed ({error.strerror}); run as the service's user, on a disk that can be written"
+            ) from error
 
     def _kept(self, name: str, kind: type[Kept], damaged: str) -> Kept | None:
         values = self._read(name)

@@ -50,6 +50,8 @@ FOOTER_S = 60.0
 """Longest wait for the recorder to close its file: a slow disk must not cost the recording."""
 SIGNAL_S = 0.6
 """Longest time from a signal to the end of the loop and of the devices: together with the recording and the tables within 1 s."""
+ASKED = "the operator aborted"
+"""Cause of an abort that the loop names by itself; any other one is recorded beside it."""
 UNLATCHED = {Trip.NONE, Trip.CONTACT_FORCE, Trip.OPERATOR}
 """Trips that are no fault: the next start needs no `palpd clear`."""
 CALLED_OFF_WHILE: dict[Kind, str] = {
@@ -236,11 +238,11 @@ class JobRun:
             self._motion = MotionProcess(build, ring)
         self._motion.pipe.send(replace(job, planted=None))  # what is planted is for the recorder alone
 
-    def ask(self, request: Request) -> None:
-        """Pass an operator's request to the loop. An abort before the loop was started calls the job off."""
+    def ask(self, request: Request, cause: str = ASKED) -> None:
+        """Pass a request to the loop. An abort before the loop was started calls the job off; a `cause` that is no operator is recorded."""
         self._ring.ask(request)
         if request == Request.ABORT:
-            self._abort_cause = self._abort_cause or "the operator aborted"
+            self._abort_cause = self._abort_cause or cause
 
     def interrupt(self, name: str) -> None:
         """Abort because of that signal. What has not ended `SIGNAL_S` later is killed, and the controller's watchdog stops the arm."""
@@ -434,8 +436,8 @@ class JobRun:
                 return Report("refused" if exit_code == 2 else "stopped", reason, exit_code)
             case Ended(outcome, trips, notes, probe):
                 exit_code = 0 if outcome.verdict == "done" else 2 if outcome.refused else 3
-                by_signal = f" ({self._abort_cause})" if math.isfinite(self._kill_at_s) and exit_code else ""
-                reason = outcome.reason + self._silence(trips) + by_signal
+                cause = f" ({self._abort_cause})" if self._abort_cause not in ("", ASKED) and exit_code else ""
+                reason = outcome.reason + self._silence(trips) + cause
                 return Report(outcome.verdict, reason, exit_code, trips, notes=notes, probe=probe)
 
     def _silence(self, trips: Sequence[RecordedTrip]) -> str:
@@ -558,7 +560,7 @@ def wait(run: JobRun, on_poll: Callable[[], None] | None = None, poll_s: float =
             if unkept:  # the second time it is the end of the run that cannot be kept; its recording is closed by then
                 return Report("stopped", unkept, 3, recording=run.closed_recording)
             unkept = f"the run does not count as done: {error}"
-            run.ask(Request.ABORT)
+            run.ask(Request.ABORT, unkept)
             continue
         if report is not None:
             if unkept:
@@ -573,6 +575,6 @@ def wait(run: JobRun, on_poll: Callable[[], None] | None = None, poll_s: float =
                 run.interrupt("the end of the terminal")
                 on_poll = None
             except PalpdError as error:
-                run.ask(Request.ABORT)
+                run.ask(Request.ABORT, str(error))
                 failure, on_poll = error, None
         time.sleep(poll_s)

@@ -79,8 +79,9 @@ def modulus_trend(catalogue: Catalogue, site: str, only: RunFilter) -> tuple[lis
     points = modulus_points(catalogue.runs(only), site)
     slopes: dict[Quantity, Slope] = {}
     for quantity, value in MODULI.items():
-        known = [(point.started_s, modulus_Pa) for point in points if (modulus_Pa := value(point.moduli)) is not None]
-        if (slope := slope_of(known)) is not None:
+        # a copy of a recording began when the recording did, and is no further evidence
+        known = {point.started_s: modulus_Pa for point in points if (modulus_Pa := value(point.moduli)) is not None}
+        if (slope := slope_of(list(known.items()))) is not None:
             slopes[quantity] = slope
     return points, slopes
 

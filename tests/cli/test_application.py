@@ -23,6 +23,7 @@ from palpd.cli.first_abort import socket_paths
 from palpd.cli.options import PIPE_WIDTH, terminal
 from palpd.cli.output_options import examples_of
 from palpd.config import load_config
+from palpd.control.plan_place import ANSWERS
 from palpd.daemon import interrupts
 from palpd.daemon.kept_plans import rehearsed_config_sha256
 from palpd.errors import PalpdError, Refused
@@ -484,6 +485,16 @@ def test_a_status_says_what_is_sensible_next_with_its_command() -> None:
     assert at_once.status_lines(answer)[1] == "The probe is in the tissue."  # type: ignore[arg-type]
 
 
+def test_a_status_asks_where_sites_count_from_only_where_a_start_would_be_asked() -> None:
+    """Of a run that was under way it said: "was not finished: start with --return to its start, or --here"."""
+    now = {"state": "running", "word": "Running", "sentence": "The probe presses.", "next": "abort", "obstacles": {}, "question": None}
+    place = {"x_m": 0.03, "y_m": 0.0, "site": None, "origin_m": [0.0, 0.0], "unfinished": "run-7"}
+    answer: Any = {"ok": True, "state": "running", "latched": None, "now": now, "place": place}
+    assert "--return" not in " ".join(at_once.status_lines(answer))
+    now |= {"state": "armed", "question": "the run run-7 of today was not finished"}
+    assert f"The run run-7 of today was not finished; {ANSWERS}." in at_once.status_lines(answer)
+
+
 def test_a_watch_without_a_terminal_prints_a_line_whenever_the_status_has_changed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -674,3 +685,32 @@ def test_a_table_in_a_pipe_is_as_wide_as_it_needs_and_on_a_narrow_line_as_it_was
             assert terminal().width == width
     finally:
         terminal.cache_clear()
+
+
+def test_a_curve_is_read_in_the_unit_that_the_name_of_its_column_says(tmp_path: Path) -> None:
+    """A force in mN was taken for N, and made a modulus of a thousand times its size."""
+    depths_mm = [0.01 * step for step in range(-100, 200)]
+    rows = [f"{depth},{4e3 / 3 * 50e3 / 0.75 * 0.004**0.5 * max(depth * 1e-3, 0.0) ** 1.5}" for depth in depths_mm]
+
+    def modulus(force: str, *options: str) -> Any:
+        (tmp_path / "curve.csv").write_text("\n".join([f"depth (mm),{force}", *rows]))
+        words = ["analyse", str(tmp_path / "curve.csv"), "--depth-column", "depth (mm)", "--force-column", force, "--tip-radius-m", "0.004"]
+        return CliRunner().invoke(app, [*words, *options, "--json", str(tmp_path / "out.json"), "--force"])
+
+    assert "E = 50 kPa" in modulus("load (mN)").output
+    assert "was read in" not in modulus("load (mN)", "--force-unit", "mN").output
+    assert "column load (mN) was read in N, as given, and its name says mN" in " ".join(
+        modulus("load (mN)", "--force-unit", "N").output.split()
+    )
+    assert "column load (lbf) is in lbf, expected N, mN, uN, nN" in str(modulus("load (lbf)").exception)
+
+
+def test_what_a_stopped_free_motion_has_left_does_not_stand_in_the_way_of_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[Path] = []
+    monkeypatch.setattr("palpd.cli.jobs.carried_out", lambda *words: kept.append(words[3]))
+    (tmp_path / "config.yaml").write_text("paths: {runs: runs, state: state}")
+    for name in ("free.mcap", "free.new.mcap"):
+        (tmp_path / name).touch()
+    words = ["free-motion", "--config", str(tmp_path / "config.yaml"), "--out", str(tmp_path / "free.mcap"), "--force"]
+    CliRunner().invoke(app, words)
+    assert not kept[0].exists()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from palpd.config import Config, Plan, parse_config
+from palpd.control.plan_place import PlanPlace
 from palpd.control.probe_state import ContactMarker, ProbeIdentity, ProbeState
 from palpd.daemon.contact_marker import MarkedRun
 from palpd.daemon.motion_job import Kind
@@ -245,3 +246,22 @@ def test_a_recording_holds_the_date_of_the_reference_that_its_forces_count_from(
 def test_jobs_that_move_show_on_a_way_up_that_they_are_free(tmp_path: Path, state: State) -> None:
     kinds: tuple[Kind, ...] = ("palpation", "free_motion", "stiffness", "level_test")
     assert [measured_job(kind, settings(tmp_path), Plan()).lifts_first for kind in kinds] == [True, True, True, False]
+
+
+def test_a_return_is_refused_where_no_palpation_is_unfinished(tmp_path: Path, state: State) -> None:
+    """It counted the sites from wherever the arm stood: site A of the table was the tissue under site B."""
+    ended = PlanPlace("2026-01-01", "20260101-palpation", (0.03, 0.0), (0.03, 0.0, 0.13), 0.135, (), returned=True)
+    for last in (None, ended):
+        if last is not None:
+            state.keep("place", last)
+        with pytest.raises(Refused, match="no palpation is unfinished, so there is no start to return to"):
+            measured_job("palpation", settings(tmp_path), Plan(), choice="return")
+    state.keep("place", replace(ended, returned=False))
+    assert measured_job("palpation", settings(tmp_path), Plan(), choice="return").back_to_m == ended.start_m
+
+
+def test_a_state_file_that_cannot_be_removed_is_a_refusal(state: State) -> None:
+    """On a disk that became read-only during a run, the end of the run and the service died of an OSError."""
+    (state.folder / "latch.json").mkdir()
+    with pytest.raises(Refused, match=r"latch\.json cannot be removed"):
+        state.clear_latch()

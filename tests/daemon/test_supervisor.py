@@ -46,6 +46,7 @@ class Bench:
         self.unmarked: Exception | None = None
         self.unrecorded: Exception | None = None
         self.unkept: Exception | None = None
+        self.footer: Any = None
 
     def begin(self, folder: Path) -> None:
         config = parse_config({"paths": {"state": str(folder / "state"), "runs": str(folder / "runs")}}, "the test's configuration")
@@ -125,7 +126,8 @@ class Bench:
             def discard(self) -> None:
                 bench.did("discard recording")
 
-            def finish(self, _: Any) -> None:
+            def finish(self, footer: Any) -> None:
+                bench.footer = footer
                 bench.did("finish recording")
                 bench.answered = False
 
@@ -329,6 +331,15 @@ def test_an_abort_calls_a_job_off_only_before_its_loop_was_started(fresh: Fresh,
     assert bench.run.called_off == called_off
 
 
+def test_a_recording_says_why_palpd_itself_aborted_the_run(fresh: Fresh) -> None:
+    """A state folder that became read-only was recorded, and listed by palpd runs, as an abort of the operator."""
+    bench, why = fresh("Running"), "the run does not count as done: contact.json cannot be written"
+    bench.run.ask(Request.ABORT, why)
+    bench.messages.append(Ended(Outcome("stopped", "the operator aborted the run"), (), (), None))
+    bench.run.poll()
+    assert bench.footer["reason"] == f"the operator aborted the run ({why})"
+
+
 def test_a_run_whose_end_cannot_be_kept_is_stopped_and_not_refused_as_if_nothing_had_moved(fresh: Fresh) -> None:
     bench = fresh("Running")
     EVENTS["loop ended"](bench)
@@ -338,3 +349,4 @@ def test_a_run_whose_end_cannot_be_kept_is_stopped_and_not_refused_as_if_nothing
     report = supervisor.wait(bench.run)
     assert (report.verdict, report.exit_code) == ("stopped", 3)
     assert report.reason == "the run does not count as done: contact.json cannot be written"
+    assert bench.run._abort_cause == report.reason

@@ -134,3 +134,17 @@ def test_a_stall_that_held_up_the_last_tick_counts_though_the_witness_woke_after
 
 def test_a_recording_without_ticks_has_no_stalls() -> None:
     assert stall_figures(np.zeros(0, ROW), [])["computer"] == 0
+
+
+def test_a_run_that_was_stopped_before_the_first_frame_of_its_sensor_has_figures_too() -> None:
+    rows = ticks(slice(0, 125))
+    without = np.zeros(
+        len(rows),
+        [
+            (name, f"{ROW[name].base}", (0,) if name == "frame_t_s" else ())
+            for name in ("now_s", "missed", "frames", "frame_t_s", "robot_t_s", "robot_timestamp_s")
+        ],
+    )
+    for name in set(without.dtype.names or ()) - {"frame_t_s"}:
+        without[name] = rows[name]
+    assert stall_figures(without, []) == stall_figures(rows, []), "palpd info and palpd runs called such a recording none of palpd's"

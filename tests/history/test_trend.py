@@ -1,5 +1,6 @@
 """Trends: a straight line through moduli over days, with an interval from its scatter."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,6 +51,16 @@ def test_the_trend_of_a_site_is_its_moduli_run_by_run(runs: Path) -> None:
         assert effect_trend(catalogue) == {}
         content = trend_as_json("A", points, slopes, {})
         assert content["runs"][0]["moduli"]["static_Pa"] == points[0].moduli.static_Pa
+
+
+def test_a_copy_of_a_recording_is_no_further_evidence_of_a_trend(runs: Path) -> None:
+    """Two copies beside two runs made a slope whose interval had no width."""
+    for number in range(2):
+        shutil.copy(runs / "day-0.mcap", runs / f"copy-{number}.mcap")
+    with Catalogue(runs) as catalogue:
+        catalogue.refresh()
+        points, slopes = modulus_trend(catalogue, "A", RunFilter())
+    assert (len(points), slopes["static"].points) == (5, 3)
 
 
 def test_a_trend_over_another_tip_or_model_says_so(runs: Path) -> None:
