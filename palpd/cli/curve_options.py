@@ -44,7 +44,6 @@ def unit_of(column: str, quantity: Literal["force", "length"], given: str | None
         return given or next(iter(known)), []
     if given is None and named not in known:
         raise BadInput(f"column {column} is in {named}, expected {', '.join(known)}; palpd import reads it, or give {OPTIONS[quantity]}")
-    return given or named, [f"column {column} was read in {given}, as given, and its name says {named}"] if given not in (
-        None,
-        named,
-    ) else []
+    if given is None or given == named:
+        return named, []
+    return given, [f"column {column} was read in {given}, as given, and its name says {named}"]
