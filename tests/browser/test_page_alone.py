@@ -249,14 +249,14 @@ def test_a_hung_server_is_a_lost_link_and_a_new_one_is_found(scene: Scene) -> No
     scene.aborts(1)
 
 
-def test_who_does_not_hold_the_controls_is_refused_in_the_services_words(scene: Scene) -> None:
+def test_who_does_not_hold_the_controls_is_refused_in_the_words_of_buttons(scene: Scene) -> None:
     page = scene.open(scheme="dark", size=(1024, 768))
     scene.service.publish({"event": "status", **scene.service.status, "controls": "anna"})
     until_text(page, "#holder", "anna holds the controls")
     sentence = "anna holds the controls; wait until they are free, or free them by force (palpd controls --free)"
     scene.service.answers["take"] = {"ok": False, "error": sentence}
     page.click("#pause", force=True)  # it is greyed, and says why
-    until_text(page, "#message", sentence)
+    until_text(page, "#message", sentence.replace("palpd controls --free", "Take by force"))
     assert scene.service.asked("pause") == []
     scene.service.answers["take"] = {"ok": True, "lease": "feed", "lease_s": 10.0}
     before = len(scene.service.asked("take"))
@@ -435,7 +435,7 @@ def test_a_change_on_purpose_begins_a_new_baseline_with_a_note(scene: Scene) -> 
     page.route("**/checks/list", lambda route: route.fulfill(json=answer))
     page.goto(f"{ADDRESS}/checks")
     scene.service.stand(FREE)
-    until_text(page, "#last", "if it is another one, begin a new baseline below.")
+    until_text(page, "#last", "if it is another one, begin a new baseline in Checks.")
     page.screenshot(path=str(scene.shots / "renewal.png"))
     page.click("#renew")
     until_text(page, "#message", "The note is empty")

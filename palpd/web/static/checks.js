@@ -2,7 +2,7 @@
 
 import { chart } from "./chart.js";
 import { begin } from "./controls.js";
-import { say } from "./message.js";
+import { inButtons, say } from "./message.js";
 import { read } from "./requests.js";
 import { byId, decimal, make, refuse } from "./work.js";
 
@@ -52,7 +52,7 @@ async function showChecks() {
   if (answer.ok) showInjections(answer.injections);
   if (answer.ok && answer.checks.length) {
     const last = answer.checks[answer.checks.length - 1];
-    byId("last").replaceChildren(make("span", { className: `chip ${MOODS[last.level]}`, text: WORDS[last.level] }), ` ${last.date.slice(0, 16).replace("T", " ")}: ${last.sentence.replace("palpd check --new-baseline", "begin a new baseline below")}`);
+    byId("last").replaceChildren(make("span", { className: `chip ${MOODS[last.level]}`, text: WORDS[last.level] }), ` ${last.date.slice(0, 16).replace("T", " ")}: ${inButtons(last.sentence)}`);
     byId("about").textContent = about(answer.checks);
     byId("renewal").hidden = last.level === "ok";
     byId("charts").replaceChildren(...answer.figures.map((figure) => draw(figure, answer.checks)));

@@ -16,6 +16,8 @@ export const capital = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
 export function inButtons(sentence) {
   return sentence
     .replace(/\b(?:run )?palpd (arm|start|pause|resume|retract|level-test|calibrate|clear|abort)\b(?! --| ID)/g, (_, what) => NAMES[what])
+    .replace(/\b(?:run )?palpd check --new-baseline\b/g, "begin a new baseline in Checks").replace(/\brun palpd check\b/g, "make a check in Checks")
+    .replace(/\bpalpd controls --free\b/g, "Take by force")
     .replace(/\bpalpd doctor looks\b/g, "Check looks").replace(/\bthe daemon is\b/g, "the service is").replace(/--return\b/g, "Return").replace(/--here\b/g, "Here");
 }
 
