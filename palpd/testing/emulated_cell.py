@@ -199,12 +199,12 @@ class EmulatedCell:
         """Wait for that much true force.
 
         Raises:
-            EndedBefore: The daemon has ended, and why.
+            AssertionError: The daemon has ended, and why.
         """
 
         def pressed() -> bool:
             if daemon.process.poll() is not None:
-                raise EndedBefore(f"exit code {daemon.process.returncode}: {daemon.stderr}")
+                raise AssertionError(f"exit code {daemon.process.returncode}: {daemon.stderr}")
             return self.truth()["contact_N"] >= force_N
 
         until(pressed, f"a contact of {force_N:g} N")
@@ -229,25 +229,21 @@ class EmulatedCell:
         return at_m - min(sample.tip_z_m for sample in samples if sample.t_s >= since_s)
 
 
-class EndedBefore(AssertionError):
-    """The daemon ended before the contact that a test waits for."""
-
-
 T = TypeVar("T")
 
 
 def retry_if_machine_stalled(cell: Callable[[], EmulatedCell], attempt: Callable[[EmulatedCell], T]) -> T:
     """Repeat an attempt whose assertion fails while the machine itself stood still; return what the good attempt returns.
 
-    An attempt whose sensor was silent before its contact is repeated, too: nothing was tested yet, and where the kernel holds up the bytes
-    of the emulated serial line, the emulator's lateness shows nothing of it.
+    An attempt that failed since the sensor was silent is repeated, too: where the kernel holds up the bytes of the emulated serial line,
+    the emulator's lateness shows nothing of it. A silence of palpd's own making comes again.
     """
     for left in reversed(range(ATTEMPTS)):
         wired, began_s = cell(), time.monotonic()
         try:
             return attempt(wired)
         except AssertionError as error:
-            held_up = isinstance(error, EndedBefore) and "the sensor was silent" in str(error)
+            held_up = "the sensor was silent" in str(error)
             if not left or not (held_up or wired.lateness_s(lasting_s=time.monotonic() - began_s) > STALLED_S):
                 raise
     raise AssertionError("no attempt was made")
