@@ -53,11 +53,16 @@ def one_file_each(words: list[str]) -> list[str]:
 
     Args:
         words: The command line, the command first.
+
+    Raises:
+        BadInput: No file follows one of them: the pattern met none.
     """
     out, option = [], ""
-    for word in words:
+    for word, following in zip(words, [*words[1:], "-"], strict=True):
         if word.startswith("-"):
             option = word if word in MANY_FILES and words[0] == "diagnose" else ""
+            if option and following.startswith("-"):
+                raise BadInput(f"{option} has no file behind it, expected one recording or more; name them, or leave {option} out")
             out += [] if option else [word]
         else:
             out += [option, word] if option else [word]

@@ -170,3 +170,6 @@ def test_a_pattern_of_the_shell_gives_each_option_all_of_its_files() -> None:
     spelled = ["--healthy", "a.csv", "--healthy", "b.csv", "--now", "c.csv", "--now", "d.csv", "--json", "out.json"]
     assert one_file_each(words) == ["diagnose", *spelled]
     assert one_file_each(["run", "--now", "a", "b"]) == ["run", "--now", "a", "b"]
+    for empty in (["diagnose", "a.csv", "--healthy"], ["diagnose", "--healthy", "--now", "a.csv"]):
+        with pytest.raises(BadInput, match="--healthy has no file behind it"):
+            one_file_each(empty)
