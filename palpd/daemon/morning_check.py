@@ -46,8 +46,8 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
     for kind, plan in runs:
         try:
             report = host.carry_out(kind, plan)
-        except Refused:
-            if not recordings:
+        except PalpdError as error:
+            if not recordings and error.exit_code == 2:  # nothing was moved
                 _put_back(state, before)
             raise
         if report.exit_code or report.recording is None:

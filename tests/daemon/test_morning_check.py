@@ -22,7 +22,7 @@ from palpd.daemon.required_check import check_plan, refuse_unchecked
 from palpd.daemon.simulated_run import run
 from palpd.daemon.stored_state import LastCheck, Latch, State, now
 from palpd.daemon.supervisor import Report
-from palpd.errors import BadInput, Refused
+from palpd.errors import BadInput, PalpdError, Refused, SensorError
 from palpd.history.check_days import kept_checks, since_baseline
 from palpd.testing.simulated_recording import write_rows
 
@@ -189,18 +189,19 @@ def test_a_check_whose_program_died_counts_as_none(config: Config, monkeypatch: 
 
 
 @pytest.mark.parametrize("before", [None, LastCheck("2026-11-22T08:00:00+01:00", "ok", "Nothing has changed.")])
+@pytest.mark.parametrize("why", [Refused("the sensor is cold"), SensorError("the sensor is cold")], ids=["refused", "no device"])
 def test_a_check_that_was_refused_before_it_moved_leaves_the_one_before(
-    config: Config, before: LastCheck | None, monkeypatch: pytest.MonkeyPatch
+    config: Config, before: LastCheck | None, why: PalpdError, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     state = State(config.paths.state)
     if before is not None:
         state.keep("check", before)
 
     def refused(*_: object) -> Report:
-        raise Refused("the sensor is cold")
+        raise why
 
     monkeypatch.setattr(SimulatedHost, "carry_out", refused)
-    with pytest.raises(Refused, match="cold"):
+    with pytest.raises(type(why), match="cold"):
         program.morning_check(SimulatedHost(config), None)
     assert state.last_check() == before
 
