@@ -48,7 +48,7 @@ def sources_named(name: str, hosts: Hosts) -> tuple[Source, ...]:
 
 
 def draw(spec: CaseSpec, seed: int, hosts: Hosts) -> SealedCase:
-    """Draw a case; an effect that no cell shows at the wanted SNR is drawn at the next lower one.
+    """Draw a case; where nothing can show its effects at any SNR, other effects of its kind take their place.
 
     Args:
         spec: What the case shall be.
@@ -56,22 +56,27 @@ def draw(spec: CaseSpec, seed: int, hosts: Hosts) -> SealedCase:
         hosts: Where the injected cases find their recordings.
 
     Raises:
-        CannotDraw: No cell shows the effects at any SNR.
+        CannotDraw: No effect of its kind can be shown.
     """
+    for effects in _alternatives(spec):
+        with contextlib.suppress(CannotDraw):
+            return _draw_from_source(replace(spec, effects=effects), seed, hosts)
+    advice = "give longer recordings, or recordings with less noise" if spec.source == "injected" else "give another --seed"
+    raise CannotDraw(f"case {spec.index}: no recording of {spec.source} shows any effect; {advice}")
+
+
+def _draw_from_source(spec: CaseSpec, seed: int, hosts: Hosts) -> SealedCase:
     if spec.source == "mujoco":
         from palpd.blind.mujoco_cells import draw_mujoco
 
         return draw_mujoco(spec, seed)
     if spec.source == "drawn":
         return _at_or_below(spec, seed)
-    recordings = hosts_in(hosts.folder, hosts.causes)
-    for effects in _alternatives(spec):
-        with contextlib.suppress(CannotDraw):
-            return draw_injected(replace(spec, effects=effects), seed, recordings)
-    raise CannotDraw(f"case {spec.index}: no host shows any effect; give longer recordings, or recordings with less noise")
+    return draw_injected(spec, seed, hosts_in(hosts.folder, hosts.causes))
 
 
 def _at_or_below(spec: CaseSpec, seed: int) -> SealedCase:
+    """The case at the wanted SNR, or at the next lower one that a cell shows."""
     strata = list(STRATA)
     for stratum in strata[strata.index(spec.stratum) : 0 : -1]:
         with contextlib.suppress(CannotDraw):

@@ -115,6 +115,23 @@ def test_a_cause_of_the_host_is_not_planted_again_and_naming_it_is_no_error(tmp_
     assert list(outcome["p"]) == ["cable.friction"]
 
 
+def test_an_effect_that_no_drawn_cell_shows_gives_its_place_to_the_next_of_its_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    library = effects_of("drawn")["library"]
+    place = library.index("structure.resonance")
+    asked: list[tuple[str, str]] = []
+
+    def draw_case(seed: int, spec: CaseSpec) -> CaseSpec:
+        asked.append((spec.effects[0], spec.stratum))
+        if spec.effects == ("structure.resonance",):
+            raise sources_module.CannotDraw("too stiff")
+        return spec
+
+    monkeypatch.setattr(sources_module, "draw_case", draw_case)
+    draw(CaseSpec("drawn", 249, "library", ("structure.resonance",), "10-20"), 1, Hosts())
+    following = library[(place + 1) % len(library)]
+    assert asked == [("structure.resonance", "10-20"), ("structure.resonance", "6-10"), (following, "10-20")]
+
+
 def test_hosts_need_declared_causes(tmp_path: Path) -> None:
     write_csv(tmp_path / "rig.csv", host().samples)
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(host().content), encoding="utf-8")
