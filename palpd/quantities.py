@@ -24,6 +24,19 @@ def number(value: float, digits: int = 3) -> str:
     return f"{value:.{digits}g}" if abs(value) < 10**digits - 0.5 else f"{value:.0f}"
 
 
+def kilopascals(modulus_Pa: float | None, beside_Pa: float | None = None) -> str:
+    """A modulus in kPa with three digits, one of them a decimal at least.
+
+    Args:
+        modulus_Pa: None: a dash.
+        beside_Pa: The modulus whose decimals it takes, as a half-width does; None: its own.
+    """
+    if modulus_Pa is None:
+        return "–"
+    size_kPa = abs(modulus_Pa if beside_Pa is None else beside_Pa) / 1e3
+    return f"{modulus_Pa / 1e3:.{1 if size_kPa >= 10.0 else 2 if size_kPa >= 1.0 else 3}f}"
+
+
 def scaled(size: float, unit: str) -> tuple[float, str]:
     """The unit in which a size reads well.
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from palpd.quantities import number, quantity
+from palpd.quantities import kilopascals, number, quantity
 
 
 @pytest.mark.parametrize(
@@ -36,3 +36,18 @@ def test_a_quantity_has_three_digits_the_unit_that_suits_and_one_interval(
 def test_a_number_of_many_zeros_has_a_power_of_ten() -> None:
     assert number(1.234e-7) == "1.23·10⁻⁷"
     assert number(999.6) == "1000"
+
+
+@pytest.mark.parametrize(
+    ("modulus_Pa", "half_width_Pa", "text"),
+    [
+        (137_240.0, 2_310.0, "137.2 ± 2.3"),
+        (61_700.0, 400.0, "61.7 ± 0.4"),
+        (7_432.0, 61.0, "7.43 ± 0.06"),
+        (584.0, 12.4, "0.584 ± 0.012"),
+        (-60.0, 12.4, "-0.060 ± 0.012"),
+    ],
+)
+def test_a_soft_tissue_keeps_three_digits_in_kPa(modulus_Pa: float, half_width_Pa: float, text: str) -> None:
+    assert f"{kilopascals(modulus_Pa)} ± {kilopascals(half_width_Pa, modulus_Pa)}" == text
+    assert kilopascals(None) == "–"

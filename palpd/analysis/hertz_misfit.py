@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from palpd.analysis.modulus_intervals import KnownWeight, Measured, PressScatter
-from palpd.quantities import quantity
+from palpd.quantities import kilopascals, quantity
 from palpd.tick import Floats
 
 SIGNIFICANCE = 0.01
@@ -167,5 +167,5 @@ def star_note(misfits: Mapping[str, HertzMisfit | None]) -> str:
     Args:
         misfits: The misfit of each site; None where none shows.
     """
-    ranges = [f"{site} {m['low_Pa'] / 1e3:.1f} to {m['high_Pa'] / 1e3:.1f} kPa" for site, m in misfits.items() if m is not None]
+    ranges = [f"{site} {kilopascals(m['low_Pa'])} to {kilopascals(m['high_Pa'])} kPa" for site, m in misfits.items() if m is not None]
     return f"{STAR_MEANS} ({', '.join(ranges)})" if ranges else ""

@@ -8,8 +8,9 @@ from rich.table import Table
 from rich.text import Text
 
 from palpd.analysis.hertz_misfit import STAR_MEANS, star_note, starred
-from palpd.history.report import fault_sentences, headline, kilopascals, report_conditions, when
+from palpd.history.report import fault_sentences, headline, report_conditions, when
 from palpd.history.stored import printable, report_path
+from palpd.quantities import kilopascals
 
 if TYPE_CHECKING:
     from palpd.analysis.results import SiteResult
@@ -38,8 +39,9 @@ def _table(title: str, *columns: str) -> Table:
 
 def _modulus(modulus_Pa: float | None, ci95_Pa: "Sequence[float] | None", misfit: object) -> str:
     if misfit and modulus_Pa is not None and ci95_Pa is not None:
-        return starred(f"{kilopascals(modulus_Pa)} ({ci95_Pa[0] / 1e3:.0f} to {ci95_Pa[1] / 1e3:.0f})", misfit)
-    half = "" if ci95_Pa is None else f" ± {(ci95_Pa[1] - ci95_Pa[0]) / 2e3:.1f}"
+        low, high = (kilopascals(bound_Pa, modulus_Pa) for bound_Pa in ci95_Pa)
+        return starred(f"{kilopascals(modulus_Pa)} ({low} to {high})", misfit)
+    half = "" if ci95_Pa is None else f" ± {kilopascals((ci95_Pa[1] - ci95_Pa[0]) / 2.0, modulus_Pa)}"
     return kilopascals(modulus_Pa) + half
 
 
@@ -144,6 +146,6 @@ def slope_lines(slopes: "Mapping[Quantity, Slope]") -> list[str]:
     """What the slopes of a site's moduli say, a line each."""
     return [
         f"{quantity}: {slope.per_day / 1e3:+.2g} kPa per day (95 %: {slope.ci95_per_day[0] / 1e3:+.2g} to "
-        f"{slope.ci95_per_day[1] / 1e3:+.2g}), mean {slope.mean / 1e3:.1f} kPa over {slope.points} runs in {slope.days:.2g} days"
+        f"{slope.ci95_per_day[1] / 1e3:+.2g}), mean {kilopascals(slope.mean)} kPa over {slope.points} runs in {slope.days:.2g} days"
         for quantity, slope in slopes.items()
     ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 from rich.text import Text
 
-from palpd.quantities import number, quantity
+from palpd.quantities import kilopascals, number, quantity
 
 if TYPE_CHECKING:
     from palpd.analysis.results import SiteResult
@@ -38,11 +38,11 @@ def site_tables(sites: "list[SiteResult]", bias_N: float | None) -> tuple[Table,
         true, static, correction_N = site.get("true_youngs_modulus_Pa"), site["static_youngs_modulus_Pa"], site["correction_N"]
         stiff.add_row(
             site["name"],
-            _kPa(true),
-            starred(_kPa(static), site["hertz_misfit"]),
+            kilopascals(true),
+            starred(kilopascals(static), site["hertz_misfit"]),
             f"{static / true - 1:+.1%}" if static and true else "–",
-            _kPa(site["dynamic_original_Pa"]),
-            starred(_kPa(site["dynamic_corrected_Pa"]), site["hertz_misfit"]),
+            kilopascals(site["dynamic_original_Pa"]),
+            starred(kilopascals(site["dynamic_corrected_Pa"]), site["hertz_misfit"]),
             _percent(site["ymbt_original"]),
             _percent(site["ymbt_corrected"]),
         )
@@ -70,7 +70,7 @@ def depth_table(sites: "list[SiteResult]") -> Table:
                 f"{depth['commanded_m'] * 1e3:.1f} mm",
                 f"{depth['achieved_m'] * 1e3:.3f} mm" if depth["achieved_m"] is not None else "–",
                 f"{depth['force_N']:.2f} N" if depth["force_N"] is not None else "cut short",
-                _kPa(depth["E_Pa"]),
+                kilopascals(depth["E_Pa"]),
             )
     return table
 
@@ -197,10 +197,6 @@ def check_table(points: Sequence[Mapping[str, Any]]) -> Table:
         cells = [f"{size:.2g} %" if point["unit"] == "%" else quantity(size, point["unit"]) for size in sizes]
         table.add_row(point["words"], *cells, point["since"] or "")
     return table
-
-
-def _kPa(modulus_Pa: float | None) -> str:
-    return f"{modulus_Pa / 1e3:.1f}" if modulus_Pa is not None else "–"
 
 
 def _percent(share: float | None) -> str:

@@ -21,6 +21,7 @@ from palpd.daemon.run_result import run_result
 from palpd.daemon.session import ForegroundHost, calibrate, kept_in
 from palpd.daemon.simulated_run import run
 from palpd.errors import RecordingError, Stopped
+from palpd.quantities import kilopascals
 from palpd.study.inclusion_field import EmulatedField
 
 Place = tuple[float, float]
@@ -111,7 +112,8 @@ def surveyed(press: Press, where: Field, out: Path, display: Display, most: int 
     def show_press(survey: Survey, estimate: Map) -> None:
         write_presses(out.with_suffix(".csv"), survey)
         (x_m, y_m), modulus_Pa = survey.places_m[-1], survey.moduli_Pa[-1]
-        display.say(f"{len(survey.places_m):3d}  ({x_m * 1e3:2.0f}, {y_m * 1e3:2.0f}) mm  {modulus_Pa / 1e3:6.1f} kPa  {estimate.sentence}")
+        where_mm = f"({x_m * 1e3:2.0f}, {y_m * 1e3:2.0f}) mm"
+        display.say(f"{len(survey.places_m):3d}  {where_mm}  {kilopascals(modulus_Pa):>6} kPa  {estimate.sentence}")
 
     try:
         search(press, where, most, survey, show_press)

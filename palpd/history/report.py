@@ -23,7 +23,7 @@ from palpd.history.facts import RunFacts, load, reading
 from palpd.history.remarks import Remarks, remarks_of
 from palpd.history.stored import name_in, printable
 from palpd.history.trend import ModulusPoint, modulus_points
-from palpd.quantities import number
+from palpd.quantities import kilopascals
 from palpd.recording.reader import Recording
 from palpd.tick import Phase
 
@@ -311,11 +311,6 @@ def fault_sentences(facts: RunFacts) -> list[str]:
     return sentences
 
 
-def kilopascals(modulus_Pa: float | None) -> str:
-    """A modulus in kPa with three digits; a dash for None."""
-    return "–" if modulus_Pa is None else number(modulus_Pa / 1e3)
-
-
 def _remarkable(facts: RunFacts) -> list[str]:
     """What to know of a run besides why it ended, the gravest first."""
     sentences = [*fault_sentences(facts), *facts["cut_short"], *facts["deviations"]]
@@ -421,9 +416,10 @@ def _plan_words(plan: Mapping[str, Any]) -> str:
 
 def _difference_row(each: ModulusDifference) -> list[str]:
     relative = f"{100 * each.difference_Pa / each.one_Pa:+.1f} %" if each.one_Pa else "–"
-    interval = "" if each.ci95_Pa is None else f" ({each.ci95_Pa[0] / 1e3:+.1f} to {each.ci95_Pa[1] / 1e3:+.1f})"
+    difference, *bounds = (f"{'' if of < 0.0 else '+'}{kilopascals(of, each.one_Pa)}" for of in (each.difference_Pa, *(each.ci95_Pa or ())))
+    interval = f" ({' to '.join(bounds)})" if bounds else ""
     words = {None: "", True: "differs", False: "within noise"}[each.beyond_noise]
-    values = kilopascals(each.one_Pa), kilopascals(each.other_Pa), f"{each.difference_Pa / 1e3:+.1f}{interval}"
+    values = kilopascals(each.one_Pa), kilopascals(each.other_Pa), f"{difference}{interval}"
     return [str(each.site), each.kind, *values, relative, words]
 
 

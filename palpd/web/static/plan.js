@@ -4,7 +4,7 @@ import { chart, scaled, spansOf } from "./chart.js";
 import { choosePlan, chosenPlan, request } from "./controls.js";
 import { keptPlans } from "./kept.js";
 import { ask, read } from "./requests.js";
-import { byId, duration, make, refuse, resultOf, tile, work } from "./work.js";
+import { byId, duration, kilopascals, make, refuse, resultOf, tile, work } from "./work.js";
 
 const form = byId("form"), text = byId("yaml"), standing = byId("standing");
 const FIRST = "sites:\n  - {name: A, x_m: 0.0, y_m: 0.0}\ndepths_m: [0.004]\n";
@@ -322,7 +322,7 @@ function showRehearsal() {
   byId("outcome").replaceChildren(make("h3", { text: "The simulated cell gives" }),
     make("table", {}, make("thead", {}, make("tr", {}, ...["site", "largest force", "static (kPa)", "cut short"].map((each) => make("th", { text: each })))),
       make("tbody", {}, ...outcome.sites.map((site) => make("tr", {}, make("td", { text: site.name }), make("td", { text: site.peak_force_N === null ? "–" : `${site.peak_force_N.toFixed(2)} N` }),
-        make("td", { text: site.static_youngs_modulus_Pa === null ? "–" : (site.static_youngs_modulus_Pa / 1e3).toFixed(1) }), make("td", { text: site.cut_short_depths_m.map((depth) => `${depth * 1e3} mm`).join(", ") || "none" }))))),
+        make("td", { text: kilopascals(site.static_youngs_modulus_Pa) }), make("td", { text: site.cut_short_depths_m.map((depth) => `${depth * 1e3} mm`).join(", ") || "none" }))))),
     make("details", {}, make("summary", { text: `${outcome.notes.length} ${outcome.notes.length === 1 ? "note" : "notes"}` }), ...outcome.notes.map((each) => make("p", { className: "faint", text: each }))));
 }
 

@@ -180,7 +180,7 @@ export function drawMap(canvas, places) {
     ctx.stroke();
     if (radius >= 16) {
       ctx.fillStyle = at > 5 ? "#000" : "#fff";
-      ctx.fillText(place.kPa.toFixed(0), x(place.x_mm), y(place.y_mm) + 4);
+      ctx.fillText(number(place.kPa), x(place.x_mm), y(place.y_mm) + 4);
       ctx.fillStyle = colours.faint;
       if (places.length <= 12) ctx.fillText(place.name, x(place.x_mm), y(place.y_mm) + radius + 13);
     }

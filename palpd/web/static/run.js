@@ -4,6 +4,7 @@ import { choosePlan, chosenPlan } from "./controls.js";
 import { on } from "./link.js";
 import { inButtons, say } from "./message.js";
 import { Rolling, drawMap, drawPress, onColours } from "./plot.js";
+import { kilopascals } from "./work.js";
 
 const OLD_MS = 280;
 const MOST_LINES = 200;
@@ -141,12 +142,11 @@ function showLast({ latched, last, protective }) {
 }
 
 function row(site) {
-  const kPa = (value) => (value === null ? "–" : (value / 1e3).toFixed(1));
-  const interval = (ci) => (ci === null ? "–" : `${kPa(ci[0])} – ${kPa(ci[1])}`);
+  const interval = (ci, value) => (ci === null ? "–" : `${kilopascals(ci[0], value)} – ${kilopascals(ci[1], value)}`);
   const line = document.createElement("tr");
   const head = Object.assign(document.createElement("th"), { scope: "row", textContent: site.name });
-  const star = (value) => kPa(value) + (value !== null && site.hertz_misfit ? " *" : "");
-  const cells = [star(site.static_Pa), interval(site.static_ci95_Pa), star(site.dynamic_Pa), interval(site.dynamic_ci95_Pa), site.peak_N === null ? "–" : site.peak_N.toFixed(1) + (site.cut_short ? " ✂" : "")];
+  const star = (value) => kilopascals(value) + (value !== null && site.hertz_misfit ? " *" : "");
+  const cells = [star(site.static_Pa), interval(site.static_ci95_Pa, site.static_Pa), star(site.dynamic_Pa), interval(site.dynamic_ci95_Pa, site.dynamic_Pa), site.peak_N === null ? "–" : site.peak_N.toFixed(1) + (site.cut_short ? " ✂" : "")];
   line.append(head, ...cells.map((textContent) => Object.assign(document.createElement("td"), { textContent })));
   return line;
 }

@@ -24,8 +24,12 @@ export const byId = (id) => document.getElementById(id);
 /** A figure with its name, and what belongs to it. */
 export const tile = (name, value, more, mood = "") => make("div", { className: `tile ${mood}` }, make("span", { text: name }), make("b", { text: value }), make("span", { text: more }));
 
-/** A modulus in kPa; a dash of none. */
-export const kilopascals = (value) => (value === null || value === undefined ? "–" : (value / 1e3).toFixed(1));
+/** A modulus in kPa with three digits, one of them a decimal at least, or with the decimals of the one beside it; a dash of none. */
+export function kilopascals(value, beside = value) {
+  if (value === null || value === undefined) return "–";
+  const size = Math.abs(beside) / 1e3;
+  return (value / 1e3).toFixed(size >= 10 ? 1 : size >= 1 ? 2 : 3);
+}
 
 /** A number with a decimal point or comma; null of an empty field, NaN of no number. A field of type number drops the comma: 1,5 becomes 15. */
 export const decimal = (word) => (word.trim() === "" ? null : Number(word.trim().replace(",", ".")));
