@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from palpd.analysis.modulus_intervals import mean_sigma_N
 from palpd.analysis.results import Track, peak_width, track
 from palpd.control.surface import FEWEST_SAMPLES
 from palpd.recording.header import RecordingHeader
@@ -16,6 +17,10 @@ AIR_PARTS = 5
 """The first of as many parts of a way down is in the air: presses begin well above the surface."""
 MOST_OFF = 0.1
 """Share of a modulus by which a moved contact may change it without a word: speed and preconditioning change tissue by less."""
+STEADY_SHARE, STEADY_N = 0.01, 0.02
+"""A force that moves by less than this share of itself, or less than this, within a hold is steady: sensors creep by 0.5 %."""
+STEADY_SIGMAS = 4.0
+"""Standard deviations of its own noise beyond which a force moves."""
 
 
 def modulus_notes(rows: NDArray[np.void], header: RecordingHeader) -> list[str]:
@@ -25,12 +30,16 @@ def modulus_notes(rows: NDArray[np.void], header: RecordingHeader) -> list[str]:
         rows: Ticks, with the fields of ROW of palpd.tick.
 
     Returns:
-        One sentence where Poisson's ratio is not 0.5, and one for each site whose presses met the tissue elsewhere than its search.
+        One sentence where Poisson's ratio is not 0.5, one for each site whose presses met the tissue elsewhere than its search, and one for
+        each site whose force still moved while it was held.
     """
     body = header["body"]
     whole = track(rows, body["delay_s"], body["machine_stiffness_N_per_m"] or math.inf)
-    moved = (_moved(whole.where(whole.site == index), site["name"]) for index, site in enumerate(header["sites"]))
-    return [*_of_poisson(body["poisson_ratio"]), *(sentence for sentences in moved for sentence in sentences)]
+    notes = _of_poisson(body["poisson_ratio"])
+    for index, site in enumerate(header["sites"]):
+        of_site = whole.where(whole.site == index)
+        notes += [*_moved(of_site, site["name"]), *_unsteady(of_site, site["name"])]
+    return notes
 
 
 def _of_poisson(poisson_ratio: float) -> list[str]:
@@ -62,6 +71,31 @@ def _moved(of_site: Track, name: str) -> list[str]:
         f"site {name}: a press reached {LIGHT_N:g} N {abs(moved_m) * 1e3:.2g} mm {'higher' if moved_m > 0.0 else 'lower'} than the search "
         "did: the surface has moved, the tissue has changed, or the sensor lags. Depths count from the surface of the search, so a modulus "
         f"of this site may be off by {abs(share):.0%}; palpd analyse finds the contact of its deepest press itself"
+    ]
+
+
+def _unsteady(of_site: Track, name: str) -> list[str]:
+    changes = []
+    held = of_site.where((of_site.mode == Mode.STATIC) & (of_site.phase == Phase.HOLD))
+    for depth_m in np.unique(held.depth_m):
+        hold = held.where(held.depth_m == depth_m)
+        t_s, mean_N = hold.t_s - hold.t_s.mean(), float(hold.fz_N.mean())
+        if len(t_s) < FEWEST_SAMPLES:
+            continue
+        slope = float(t_s @ hold.fz_N) / float(t_s @ t_s)
+        held_s = float(t_s[-1] - t_s[0])
+        change_N = slope * held_s
+        noise_N = math.sqrt(12.0) * mean_sigma_N(hold.fz_N - mean_N - slope * t_s)  # of a line's rise over the whole of it
+        if abs(change_N) > max(STEADY_SHARE * abs(mean_N), STEADY_N, STEADY_SIGMAS * noise_N):
+            changes.append((abs(change_N / mean_N), change_N, depth_m, held_s))
+    if not changes:
+        return []
+    share, change_N, depth_m, held_s = max(changes)
+    cause = "the tissue relaxes, and its modulus at rest is lower" if change_N < 0.0 else "the sensor creeps or drifts, or the arm sinks"
+    return [
+        f"site {name}, static {depth_m * 1e3:g} mm: the force still {'fell' if change_N < 0.0 else 'rose'} by {abs(change_N):.2g} N "
+        f"({share:.1%}) within the hold of {held_s:.2g} s, expected at most {STEADY_SHARE:.0%}: {cause}. The static modulus is that of "
+        "this hold; hold longer (hold_s), and compare equal holds only"
     ]
 
 

@@ -125,13 +125,13 @@ def diagnose(
             )
         except RecordingError as error:
             raise _with_import_command(error, recordings) from error
+    say_injected(recordings)
+    for line in diagnosis_lines(diagnosis.to_json()):
+        terminal().print(line)
     if report is not None:
         from palpd.gap.report.page import write as write_report
 
         write_report(report, diagnosis, ", ".join(path.name for path in recordings))
-    say_injected(recordings)
-    for line in diagnosis_lines(diagnosis.to_json()):
-        terminal().print(line)
 
 
 def _refuse_for_a_folder(folder: Path, options: Mapping[str, object]) -> None:

@@ -31,6 +31,29 @@ def test_a_surface_that_sank_after_the_search_is_said_with_what_it_does_to_the_m
     assert "off by 3" in note
 
 
+@pytest.mark.parametrize(
+    ("effects", "words"),
+    [
+        ({"tissue.viscoelastic": {"ratio": 0.5, "tau_s": 10.0}}, ("fell by", "the tissue relaxes")),
+        ({"tissue.viscoelastic": {"ratio": 0.5, "tau_s": 60.0}}, ("fell by", "the tissue relaxes")),
+        ({"sensor.creep": {"ratio": 0.1, "tau_s": 5.0}}, ("rose by", "the sensor creeps")),
+    ],
+)
+def test_a_force_that_still_moves_while_it_is_held_is_said(
+    tmp_path: Path, effects: dict[str, dict[str, float]], words: tuple[str, str]
+) -> None:
+    (note,) = (each for each in notes(tmp_path, effects=effects) if "within the hold" in each)
+    assert note.startswith("site A, static ")
+    assert all(each in note for each in words)
+
+
+@pytest.mark.parametrize(
+    "effects", [{"tissue.viscoelastic": {"ratio": 0.5, "tau_s": 0.3}}, {"sensor.creep": {"ratio": 0.02, "tau_s": 10.0}}]
+)
+def test_a_force_that_has_come_to_rest_before_the_hold_is_not_doubted(tmp_path: Path, effects: dict[str, dict[str, float]]) -> None:
+    assert not [each for each in notes(tmp_path, effects=effects) if "within the hold" in each]
+
+
 def test_equation_1_is_not_taken_for_hertz(tmp_path: Path) -> None:
     (note,) = notes(tmp_path, {"cell": {"tissue": {"poisson_ratio": 0.3}}}, tissue={"poisson_ratio": 0.3})
     assert "Hertz gives 1.4 times as much" in note
