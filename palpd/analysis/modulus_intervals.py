@@ -124,12 +124,13 @@ def mean_sigma_N(force_N: Floats) -> float:
     return float(np.std(force_N, ddof=1)) * math.sqrt(min(correlation_time(force_N)[0] / len(force_N), 1.0))
 
 
-def approach_sigma_m(tip_z_m: Floats, force_N: Floats, tip_radius_m: float) -> float | None:
+def approach_sigma_m(tip_z_m: Floats, force_N: Floats, tip_radius_m: float, fits_slope: bool) -> float | None:
     """Standard deviation of the surface that an approach gives, by the fit that the search makes.
 
     Args:
         tip_z_m: Heights (n,) of the tip on its way down.
         force_N: Forces (n,) at these heights.
+        fits_slope: Whether the search fitted the slope of the force in the air.
 
     Returns:
         The standard deviation in m; None where the approach cannot be fitted.
@@ -141,6 +142,6 @@ def approach_sigma_m(tip_z_m: Floats, force_N: Floats, tip_radius_m: float) -> f
         return None
     heights_m, forces_N = (values[-n:].reshape(-1, together).mean(axis=1) for values in (tip_z_m, force_N))
     try:
-        return surface_from_approach(heights_m, forces_N, tip_radius_m)[1]
+        return surface_from_approach(heights_m, forces_N, tip_radius_m, fits_slope)[1]
     except RecordingError:
         return None

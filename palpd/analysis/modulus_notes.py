@@ -17,6 +17,10 @@ AIR_PARTS = 5
 """The first of as many parts of a way down is in the air: presses begin well above the surface."""
 MOST_OFF = 0.1
 """Share of a modulus by which a moved contact may change it without a word: speed and preconditioning change tissue by less."""
+CLEAR_M = 0.001
+"""Height above the surface from which the tip is in the air for certain: no tissue clings or bulges so far."""
+MOST_PULLED = 0.05
+"""Share of a force that a cable may pull without a word: about the accuracy of a modulus."""
 STEADY_SHARE, STEADY_N = 0.01, 0.02
 """A force that moves by less than this share of itself, or less than this, within a hold is steady: sensors creep by 0.5 %."""
 STEADY_SIGMAS = 4.0
@@ -30,15 +34,16 @@ def modulus_notes(rows: NDArray[np.void], header: RecordingHeader) -> list[str]:
         rows: Ticks, with the fields of ROW of palpd.tick.
 
     Returns:
-        One sentence where Poisson's ratio is not 0.5, one for each site whose presses met the tissue elsewhere than its search, and one for
-        each site whose force still moved while it was held.
+        One sentence where Poisson's ratio is not 0.5. For each site one where its presses met the tissue elsewhere than its search, where
+        the force changed on the way through the air, and where it still moved while it was held.
     """
     body = header["body"]
     whole = track(rows, body["delay_s"], body["machine_stiffness_N_per_m"] or math.inf)
     notes = _of_poisson(body["poisson_ratio"])
     for index, site in enumerate(header["sites"]):
-        of_site = whole.where(whole.site == index)
-        notes += [*_moved(of_site, site["name"]), *_unsteady(of_site, site["name"])]
+        of_site, name = whole.where(whole.site == index), site["name"]
+        slope_N_per_m = _slope_in_the_air_N_per_m(of_site)
+        notes += [*_moved(of_site, name, slope_N_per_m), *_pulled(of_site, name, slope_N_per_m), *_unsteady(of_site, name)]
     return notes
 
 
@@ -52,16 +57,26 @@ def _of_poisson(poisson_ratio: float) -> list[str]:
     ]
 
 
-def _moved(of_site: Track, name: str) -> list[str]:
+def _slope_in_the_air_N_per_m(of_site: Track) -> float:
+    """How fast the force falls with height while the search is still in the air; 0 where that was too short."""
+    searched = of_site.where((of_site.mode == Mode.SEARCH) & (of_site.phase == Phase.SEARCH))
+    air = searched.where(searched.tip_z_m > of_site.surface_z_m[-1:] + CLEAR_M)
+    if len(air.t_s) < FEWEST_SAMPLES:
+        return 0.0
+    height_m = air.tip_z_m - air.tip_z_m.mean()
+    return -float(height_m @ (air.fz_N - air.inertial_N)) / float(height_m @ height_m)
+
+
+def _moved(of_site: Track, name: str, slope_N_per_m: float) -> list[str]:
     searched = of_site.where(of_site.mode == Mode.SEARCH)
-    met_m = _light_contact_m(searched, Phase.SEARCH)
+    met_m = _light_contact_m(searched, Phase.SEARCH, slope_N_per_m)
     if met_m is None:
         return []
     moves = []
     pressed = of_site.where(np.isin(of_site.mode, (Mode.STATIC, Mode.DYNAMIC)) & np.isfinite(of_site.depth_m))
     for mode, depth_m, repeat in np.unique(np.column_stack([pressed.mode, pressed.depth_m, pressed.repeat]), axis=0):
         press = pressed.where((pressed.mode == mode) & (pressed.depth_m == depth_m) & (pressed.repeat == repeat))
-        again_m = _light_contact_m(press, Phase.PRESS)
+        again_m = _light_contact_m(press, Phase.PRESS, slope_N_per_m)
         if again_m is not None:
             moves.append((max(1.0 + (again_m - met_m) / float(depth_m), 0.0) ** 1.5 - 1.0, again_m - met_m))
     share, moved_m = max(moves, key=lambda one: abs(one[0]), default=(0.0, 0.0))
@@ -71,6 +86,25 @@ def _moved(of_site: Track, name: str) -> list[str]:
         f"site {name}: a press reached {LIGHT_N:g} N {abs(moved_m) * 1e3:.2g} mm {'higher' if moved_m > 0.0 else 'lower'} than the search "
         "did: the surface has moved, the tissue has changed, or the sensor lags. Depths count from the surface of the search, so a modulus "
         f"of this site may be off by {abs(share):.0%}; palpd analyse finds the contact of its deepest press itself"
+    ]
+
+
+def _pulled(of_site: Track, name: str, slope_N_per_m: float) -> list[str]:
+    shares = []
+    pressed = of_site.where(np.isin(of_site.mode, (Mode.STATIC, Mode.DYNAMIC)) & np.isfinite(of_site.depth_m))
+    for depth_m in np.unique(pressed.depth_m):
+        press = pressed.where(pressed.depth_m == depth_m)
+        rest, deepest = press.where(press.phase == Phase.BASELINE), int(np.argmin(press.tip_z_m))
+        force_N = float(press.fz_N[deepest] - rest.fz_N.mean()) if len(rest.t_s) else 0.0
+        if force_N > LIGHT_N:
+            shares.append((slope_N_per_m * float(rest.tip_z_m.mean() - press.tip_z_m[deepest]) / force_N, force_N, depth_m))
+    share, force_N, depth_m = max(shares, key=lambda one: abs(one[0]), default=(0.0, 0.0, 0.0))
+    if abs(share) < MOST_PULLED:
+        return []
+    return [
+        f"site {name}: on its way down through the air the force {'rose' if share > 0.0 else 'fell'} by {abs(slope_N_per_m) * 1e-3:.2g} N "
+        f"for each mm: a cable pulls, or the zero drifts. That is {abs(share):.0%} of the {force_N:.2g} N at {depth_m * 1e3:g} mm, and the "
+        "modulus may be off by as much; palpd diagnose tells which"
     ]
 
 
@@ -99,14 +133,15 @@ def _unsteady(of_site: Track, name: str) -> list[str]:
     ]
 
 
-def _light_contact_m(press: Track, phase: Phase) -> float | None:
+def _light_contact_m(press: Track, phase: Phase, slope_N_per_m: float) -> float | None:
     """Height of the tip on one way down below which the force stays LIGHT_N above that in the air; None where it does not."""
     down = press.where(press.phase == phase)
     if len(down.t_s) < FEWEST_SAMPLES:
         return None
     width = min(peak_width(down.t_s), len(down.t_s))
     force_N, tip_z_m = (
-        np.convolve(values, np.full(width, 1.0 / width), mode="valid") for values in (down.fz_N - down.inertial_N, down.tip_z_m)
+        np.convolve(values, np.full(width, 1.0 / width), mode="valid")
+        for values in (down.fz_N - down.inertial_N + slope_N_per_m * down.tip_z_m, down.tip_z_m)
     )
     light = np.flatnonzero(force_N < float(np.median(force_N[: 1 + len(force_N) // AIR_PARTS])) + LIGHT_N)
     return float(tip_z_m[light[-1]]) if len(light) and light[-1] < len(force_N) - 1 else None

@@ -210,11 +210,12 @@ class _Errors(NamedTuple):
     weight: KnownWeight
     scatter: PressScatter
     peak_zero_sigma_N: float
+    fits_slope: bool
 
     @classmethod
     def of(cls, header: RecordingHeader) -> "_Errors":
         zero_sigma_N = CORRECTED_ZERO_N if header.get("model_card") else UNCORRECTED_ZERO_N
-        return cls(KnownWeight.of(header), PressScatter.of(header), zero_sigma_N)
+        return cls(KnownWeight.of(header), PressScatter.of(header), zero_sigma_N, header.get("fits_slope", False))
 
 
 def sites(rows: NDArray[np.void], header: RecordingHeader) -> list[SiteResult]:
@@ -348,7 +349,7 @@ def _site(of_site: Track, name: str, tip: tuple[float, float], errors: _Errors) 
     pressed = of_site.where(np.isin(of_site.phase, (Phase.SEARCH, Phase.PRESS, Phase.HOLD, Phase.RETRACT)))
     contact_N = pressed.fz_N - pressed.inertial_N
     approach = of_site.where((of_site.mode == Mode.SEARCH) & (of_site.phase == Phase.SEARCH))
-    surface_sigma_m = approach_sigma_m(approach.tip_z_m, approach.fz_N, tip[0]) if static or presses else None
+    surface_sigma_m = approach_sigma_m(approach.tip_z_m, approach.fz_N, tip[0], errors.fits_slope) if static or presses else None
     holds = _measured_holds(of_site, static)
     peaks = _measured_peaks(of_site.where(of_site.phase == Phase.BASELINE), presses)
     static_ci95_Pa, dynamic_ci95_Pa = (mean_ci95_Pa(measured, surface_sigma_m, errors.weight) for measured in (_all(holds), _all(peaks)))

@@ -49,6 +49,8 @@ SETTLED_N = 0.02
 """Change between two windows below which a force counts as stable: noise alone changes their means by 3 mN."""
 MOST_SETTLE_S = 20.0
 """Longest wait for a stable force."""
+UNSURE_M = 0.0005
+"""Standard deviation of a surface above which no modulus can be had from it: 38 % at the 2 mm of a shallow press."""
 ORIGIN_LIMIT_M = 0.3
 """Longest way to a plan's origin: across a table of phantoms. A longer one is more likely a mistake of frame or unit."""
 RETRACT_M_PER_S = 0.005
@@ -382,9 +384,11 @@ class Palpation(Script):
         returns_to_start: bool = True,
         back_to_m: tuple[float, float, float] | None = None,
         top_z_m: float = -math.inf,
+        fits_slope: bool = True,
     ) -> None:
         super().__init__(arm)
         self.plan = plan
+        self.fits_slope = fits_slope
         self.returns_to_start = returns_to_start
         self.back_to_m = back_to_m
         self.top_z_m = top_z_m
@@ -498,7 +502,14 @@ class Palpation(Script):
                 f"{force_N:.1f} N stood there {len(force)} ticks after the search began: the probe touches something already, or the "
                 "sensor's zero moved; start higher above the tissue, or tare again"
             )
-        surface_z_m, _ = surface_from_approach(*fitted_part(height_m[seen], force[seen, 1]), self.arm.tip_radius_m)
+        approach = fitted_part(height_m[seen], force[seen, 1])
+        surface_z_m, sigma_m = surface_from_approach(*approach, self.arm.tip_radius_m, self.fits_slope)
+        if self.fits_slope and sigma_m > UNSURE_M:
+            raise SurfaceNotFound(
+                f"{force_N:.1f} N were met, but the way down does not show where: the surface is uncertain by {2e3 * sigma_m:.1f} mm, "
+                f"expected at most {2e3 * UNSURE_M:g} mm; a cable pulls, or the sensor's zero drifts. Let the sensor warm up, or start "
+                "nearer to the tissue"
+            )
         self.note(surface_z_m=surface_z_m, clear_z_m=surface_z_m + CLEAR_SHARE * self.plan.safe_height_m)
         yield from self.leave(surface_z_m, self.arm.max_speed_m_per_s)
         return surface_z_m

@@ -20,7 +20,8 @@ STIFFENING_SCALE = 0.7
 SURFACE_PASSES = 4
 """Number of grids: the steps over an approach of 2 cm end below 1 µm."""
 FEWEST_SAMPLES = 10
-"""Fewest samples of an approach: the fit has four unknowns."""
+"""Fewest samples of an approach: the fit has five unknowns."""
+TINY = np.finfo(float).tiny
 
 FITTED_SAMPLES = 2000
 """Samples at the end of an approach that a surface is fitted to, 2 cm at 5 mm/s and 500 Hz: more would keep the loop waiting."""
@@ -56,17 +57,19 @@ def fitted_part(height_m: Floats, force_N: Floats) -> tuple[Floats, Floats]:
     return height_m[-whole:].reshape(-1, together).mean(axis=1), force_N[-whole:].reshape(-1, together).mean(axis=1)
 
 
-def surface_from_approach(height_m: Floats, force_N: Floats, tip_radius_m: float) -> tuple[float, float]:
+def surface_from_approach(height_m: Floats, force_N: Floats, tip_radius_m: float, fits_slope: bool = True) -> tuple[float, float]:
     """Extrapolate the height of the surface back from the first millimetres of contact.
 
-    The law is f = baseline + a · d^1.5 · (1 + g · d²), where g stands for tissue that stiffens with depth (an inclusion below). The force
-    is too small to fit g, and without g the surface comes out too low. So the result is the mean over all g, weighed by a half-normal
-    prior and by the data (Student's likelihood, unknown noise).
+    The law is f = baseline + slope · height + a · d^1.5 · (1 + g · d²). The slope is that of a cable which pulls, or of a zero that drifts
+    on the way down. g stands for tissue that stiffens with depth (an inclusion below). The force is too small to fit g, and without g the
+    surface comes out too low. So the result is the mean over all g, weighed by a half-normal prior and by the data (Student's likelihood,
+    unknown noise).
 
     Args:
         height_m: heights (n,) of the tip from free air into the tissue.
         force_N: forces (n,) at these heights, the sensor's delay removed.
         tip_radius_m: radius of the spherical tip.
+        fits_slope: whether the slope is fitted; in the recordings of earlier versions it was 0.
 
     Returns:
         Height of the surface and its standard deviation, in m.
@@ -79,7 +82,10 @@ def surface_from_approach(height_m: Floats, force_N: Floats, tip_radius_m: float
     log_prior = -0.5 * (STIFFENINGS / STIFFENING_SCALE) ** 2
     n = len(height_m)
     centred_N = force_N - force_N.mean()
-    total = float(np.sum(centred_N**2))
+    line = (height_m - height_m.mean()) * fits_slope
+    line /= max(math.sqrt(float(np.sum(line**2))), TINY)
+    along_N = float(np.sum(centred_N * line))
+    total = float(np.sum(centred_N**2)) - along_N**2
     if total <= 0.0:
         raise RecordingError(f"the force stands still over all {n} samples of the approach, so no surface was met; go further down")
     low_m, high_m = float(height_m.min()), float(height_m.max())
@@ -94,12 +100,15 @@ def surface_from_approach(height_m: Floats, force_N: Floats, tip_radius_m: float
         hh, hs, ss = (np.sum(one * other, axis=1)[:, None] for one, other in ((hertz, hertz), (hertz, stiffer), (stiffer, stiffer)))
         squares = hh + 2.0 * stiffenings * hs + stiffenings**2 * ss
         product = np.sum(hertz * centred_N, axis=1)[:, None] + stiffenings * np.sum(stiffer * centred_N, axis=1)[:, None]
-        slope = np.maximum(product, 0.0) / np.maximum(squares, np.finfo(float).tiny)
-        left = np.maximum(total - 2.0 * slope * product + slope**2 * squares, 1e-12 * total)
+        along = np.sum(hertz * line, axis=1)[:, None] + stiffenings * np.sum(stiffer * line, axis=1)[:, None]
+        squares, product = squares - along**2, product - along * along_N  # what the line cannot explain
+        scale = np.maximum(product, 0.0) / np.maximum(squares, TINY)
+        left = np.maximum(total - 2.0 * scale * product + scale**2 * squares, 1e-12 * total)
         best = np.unravel_index(np.argmin(left), left.shape)
-        residual_N = centred_N - slope[best] * (hertz[best[0]] + stiffenings[best[1]] * stiffer[best[0]])
+        residual_N = centred_N - scale[best] * (hertz[best[0]] + stiffenings[best[1]] * stiffer[best[0]])
+        residual_N -= (along_N - scale[best] * along[best]) * line
         share = 1.0 / correlation_time(residual_N)[0]
-        log_weight = log_prior - 0.5 * (share * n - 4.0) * np.log(left / left.min())
+        log_weight = log_prior - 0.5 * (share * n - (4.0 + fits_slope)) * np.log(left / left.min())
         weight = np.exp(log_weight - log_weight.max())
         of_surface = weight.sum(axis=1) / weight.sum()
         mean_m = float(np.sum(of_surface * surface_m))

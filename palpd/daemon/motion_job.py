@@ -53,6 +53,7 @@ class Job:
         reference_date: When that was taken; None where nobody knows.
         returns_to_start: A palpation that is done returns to its start pose; in the recordings of earlier versions it did not.
         pauses_in_place: A pause stands still instead of leaving the tissue, as in the recordings of earlier versions.
+        fits_slope: The search allows for a force that changes along the way down; in the recordings of earlier versions it did not.
         watch_s: How long devices are observed.
         lifts_first: A way up shows first that the job was not tared in contact.
         probe: What is known of the probe from before; None asks nothing of the tare.
@@ -77,6 +78,7 @@ class Job:
     reference_date: str | None = None
     returns_to_start: bool = True
     pauses_in_place: bool = False
+    fits_slope: bool = True
     watch_s: float = 0.0
     lifts_first: bool = False
     probe: ProbeRecord | None = None
@@ -158,7 +160,7 @@ def sequence_of(job: Job, delay_s: float) -> Sequence:
     """
     arm = arm_geometry_of(job, delay_s)
     scripts: dict[str, Callable[[], Script]] = {
-        "palpation": lambda: Palpation(job.plan, arm, job.returns_to_start, job.back_to_m, job.top_z_m),
+        "palpation": lambda: Palpation(job.plan, arm, job.returns_to_start, job.back_to_m, job.top_z_m, job.fits_slope),
         "free_motion": lambda: FreeMotion(arm),
         "stiffness": lambda: RigidPress(job.plan, arm),
         "retract": lambda: Retract(arm, job.unfinished, job.clear_z_m),

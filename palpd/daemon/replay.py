@@ -144,6 +144,7 @@ def replay(recording: Recording, config: Config | None = None) -> ReplayResult:
         returns_to_start=header.get("returns_to_start", False),
         pauses_in_place=header.get("pauses_in_place", True),
         lifts_first=header.get("lifts_first", False),
+        fits_slope=header.get("fits_slope", False),
         back_to_m=(back_to_m[0], back_to_m[1], back_to_m[2]) if back_to_m is not None else None,
         top_z_m=place["top_z_m"] if place is not None and place["top_z_m"] is not None else -math.inf,
         unfinished=header.get("unfinished", False),

@@ -67,6 +67,7 @@ def header_of(job: Job, about: RunAbout, reference: tuple[float, ...], pose: tup
         "returns_to_start": job.returns_to_start,
         "pauses_in_place": job.pauses_in_place,
         "lifts_first": job.lifts_first,
+        "fits_slope": job.fits_slope,
         "unfinished": job.unfinished,
         "clear_z_m": job.clear_z_m,
         "reference": list(reference),

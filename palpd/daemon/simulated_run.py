@@ -110,6 +110,7 @@ def run(
         "config": config.model_dump(mode="json"),
         "model_card": model.card if model is not None else None,
         "sites": [{"name": site.name, "x_m": site.x_m, "y_m": site.y_m} for site in job.plan.sites],
+        "fits_slope": job.fits_slope,
         "body": {
             "tip_radius_m": config.cell.probe.tip_radius_m,
             "poisson_ratio": poisson,

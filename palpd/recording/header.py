@@ -58,12 +58,13 @@ class RecordedGeometry(TypedDict):
 class RecordingHeader(TypedDict, total=False):
     """What a recording holds besides its ticks, so that every decision can be made again.
 
-    `config` and `plan` are config.yaml and plan.yaml as parsed, `model_card` is the inertial model's card, `reference` (6,) the tare of
-    the last calibration, taken on `reference_date` where that is known. `epoch_offset_s` turns monotonic seconds into Unix time. A
-    palpation without `returns_to_start` ended above its last site; with `pauses_in_place` a pause stood still where the arm was; without
-    `lifts_first` nothing showed that it was not tared in contact. A retract of an `unfinished` contact went up at any force, at least to
-    `clear_z_m`. `injection` marks a run of `palpd inject` for ever: the SHA-256 of its sealed answer; other runs have None. A simulated run
-    fills only what the analysis reads. `format_version` is that of the file, 1 where it is absent.
+    `config` and `plan` are config.yaml and plan.yaml as parsed, `model_card` is the inertial model's card, `reference` (6,) the tare of the
+    last calibration, taken on `reference_date` where that is known. `epoch_offset_s` turns monotonic seconds into Unix time. A palpation
+    without `returns_to_start` ended above its last site; with `pauses_in_place` a pause stood still where the arm was; without
+    `lifts_first` nothing showed that it was not tared in contact, and without `fits_slope` its search took every force for contact. A
+    retract of an `unfinished` contact went up at any force, at least to `clear_z_m`. `injection` marks a run of `palpd inject` for ever:
+    the SHA-256 of its sealed answer; other runs have None. A simulated run fills only what the analysis reads. `format_version` is that of
+    the file, 1 where it is absent.
     """
 
     format_version: int
@@ -76,6 +77,7 @@ class RecordingHeader(TypedDict, total=False):
     returns_to_start: bool
     pauses_in_place: bool
     lifts_first: bool
+    fits_slope: bool
     unfinished: bool
     clear_z_m: float | None
     reference: list[float]

@@ -31,6 +31,15 @@ def test_a_surface_that_sank_after_the_search_is_said_with_what_it_does_to_the_m
     assert "off by 3" in note
 
 
+@pytest.mark.parametrize(("stiffness_N_per_m", "words"), [(25.0, "the force rose by 0.025 N"), (-20.0, "the force fell by 0.02 N")])
+def test_a_cable_that_pulls_in_the_air_is_said_with_what_it_does_to_the_modulus(
+    tmp_path: Path, stiffness_N_per_m: float, words: str
+) -> None:
+    (note,) = notes(tmp_path, effects={"cable.spring": {"stiffness_N_per_m": stiffness_N_per_m}})
+    assert note.startswith(f"site A: on its way down through the air {words} for each mm: a cable pulls, or the zero drifts")
+    assert 10 <= int(note.split("That is ")[1].split("%")[0]) <= 20, "12 % by the cell's own physics"
+
+
 @pytest.mark.parametrize(
     ("effects", "words"),
     [

@@ -27,6 +27,9 @@ ONE = Plan(depths_m=(0.005,), repeats=1, hold_s=1.0)
         (132_350, {}),
         (92_140, {"tissue.inclusion": {"contrast": 2.1, "depth_m": 0.01517}}),
         (20_000, {}),
+        (62_500, {"cable.spring": {"stiffness_N_per_m": 10.0}}),
+        (62_500, {"sensor.drift": {"rate_N_per_s": 0.01}}),
+        (62_500, {"sensor.warmup": {"amplitude_N": 0.5, "tau_s": 30.0}}),
     ],
 )
 def test_the_surface_is_found_within_a_tenth_of_a_millimetre(modulus_Pa: float, effects: dict[str, dict[str, float]]) -> None:
@@ -35,6 +38,14 @@ def test_the_surface_is_found_within_a_tenth_of_a_millimetre(modulus_Pa: float, 
         site = results.sites(done.rows, done.header)[0]
         assert done.outcome.verdict == "done", done.outcome
         assert abs(site["surface_z_m"] - 0.0123) < 1e-4
+
+
+def test_a_cable_that_pulls_to_1_N_in_the_air_is_no_surface() -> None:
+    done = ran(cell_file(effects={"cable.spring": {"stiffness_N_per_m": 60.0}}), ONE)
+    assert done.outcome.verdict == "stopped"
+    assert "does not show where" in done.outcome.reason
+    assert "expected at most 1 mm" in done.outcome.reason
+    assert not (done.rows["phase"] == Phase.PRESS).any()
 
 
 def test_depths_are_reached_within_a_twentieth_and_never_overshot_by_a_tenth() -> None:

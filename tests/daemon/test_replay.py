@@ -100,6 +100,18 @@ def test_a_replay_returns_to_the_start_where_the_recording_did(returns: bool, he
     assert not replay(other)["decisions_identical"]
 
 
+@pytest.mark.parametrize("fits", [True, False])
+def test_a_replay_seeks_the_surface_as_the_recording_did(fits: bool) -> None:
+    plan = Plan.model_validate({"depths_m": [0.004], "mode": "dynamic", "repeats": 1})
+    drifting = CellFile.model_validate({"effects": {"sensor.drift": {"rate_N_per_s": 0.005}}})
+    recording = recorded(Job("palpation", Config(), plan, returns_to_start=False, fits_slope=fits), cell=drifting)
+    surface_m = float(np.nanmax(recording.rows["surface_z_m"]))
+    assert abs(surface_m) < 5e-5 if fits else surface_m > 5e-5
+    old = {key: value for key, value in recording.header.items() if key != "fits_slope"}
+    assert replay(recording if fits else replace(recording, header=old))["decisions_identical"], "an old header says nothing"  # type: ignore[arg-type]
+    assert not replay(replace(recording, header={**recording.header, "fits_slope": not fits}))["decisions_identical"]
+
+
 WALL = CellFile.model_validate({"wall": {"z_m": 0.0, "stiffness_N_per_m": 50_000.0}})
 """In one tick of the search its force goes beyond a limit of 1.5 N, so the guard ends the run."""
 
