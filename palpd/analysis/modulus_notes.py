@@ -1,6 +1,7 @@
 """What makes the moduli of a table doubtful, although every press came to its end: sentences for a run, its report and `palpd info`."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,8 @@ def modulus_notes(rows: NDArray[np.void], header: RecordingHeader) -> list[str]:
 
     Returns:
         One sentence where Poisson's ratio is not 0.5. For each site one where its presses met the tissue elsewhere than its search, where
-        the force changed on the way through the air, and where it still moved while it was held.
+        the force changed on the way through the air, where it still moved while it was held, and where it was not 0 at rest and no model
+        follows that.
     """
     body = header["body"]
     whole = track(rows, body["delay_s"], body["machine_stiffness_N_per_m"] or math.inf)
@@ -44,6 +46,7 @@ def modulus_notes(rows: NDArray[np.void], header: RecordingHeader) -> list[str]:
         of_site, name = whole.where(whole.site == index), site["name"]
         slope_N_per_m = _slope_in_the_air_N_per_m(of_site)
         notes += [*_moved(of_site, name, slope_N_per_m), *_pulled(of_site, name, slope_N_per_m), *_unsteady(of_site, name)]
+        notes += [] if header.get("model_card") else _off_zero(of_site, name)
     return notes
 
 
@@ -90,14 +93,8 @@ def _moved(of_site: Track, name: str, slope_N_per_m: float) -> list[str]:
 
 
 def _pulled(of_site: Track, name: str, slope_N_per_m: float) -> list[str]:
-    shares = []
-    pressed = of_site.where(np.isin(of_site.mode, (Mode.STATIC, Mode.DYNAMIC)) & np.isfinite(of_site.depth_m))
-    for depth_m in np.unique(pressed.depth_m):
-        press = pressed.where(pressed.depth_m == depth_m)
-        rest, deepest = press.where(press.phase == Phase.BASELINE), int(np.argmin(press.tip_z_m))
-        force_N = float(press.fz_N[deepest] - rest.fz_N.mean()) if len(rest.t_s) else 0.0
-        if force_N > LIGHT_N:
-            shares.append((slope_N_per_m * float(rest.tip_z_m.mean() - press.tip_z_m[deepest]) / force_N, force_N, depth_m))
+    presses = _deepest(of_site, (Mode.STATIC, Mode.DYNAMIC))
+    shares = [(slope_N_per_m * one.travel_m / one.force_N, one.force_N, one.depth_m) for one in presses]
     share, force_N, depth_m = max(shares, key=lambda one: abs(one[0]), default=(0.0, 0.0, 0.0))
     if abs(share) < MOST_PULLED:
         return []
@@ -106,6 +103,39 @@ def _pulled(of_site: Track, name: str, slope_N_per_m: float) -> list[str]:
         f"for each mm: a cable pulls, or the zero drifts. That is {abs(share):.0%} of the {force_N:.2g} N at {depth_m * 1e3:g} mm, and the "
         "modulus may be off by as much; palpd diagnose tells which"
     ]
+
+
+def _off_zero(of_site: Track, name: str) -> list[str]:
+    shares = [(one.rest_N / (one.force_N + one.rest_N), one.rest_N) for one in _deepest(of_site, (Mode.DYNAMIC,))]
+    share, rest_N = max(shares, key=lambda one: abs(one[0]), default=(0.0, 0.0))
+    if abs(share) < MOST_OFF:
+        return []
+    return [
+        f"site {name}: at rest in the air before its dynamic presses the force was {rest_N:+.2f} N, expected 0 after the tare, and no "
+        f"inertial model follows that: a dynamic modulus may be off by {abs(share):.0%}. Let the sensor warm up, or train a model"
+    ]
+
+
+class _Deepest(NamedTuple):
+    """The deepest point of the presses to one depth: force above that at rest before them, and the way from there."""
+
+    depth_m: float
+    force_N: float
+    rest_N: float
+    travel_m: float
+
+
+def _deepest(of_site: Track, modes: tuple[Mode, ...]) -> list[_Deepest]:
+    """One for each depth whose force stands out of the noise."""
+    deepest = []
+    pressed = of_site.where(np.isin(of_site.mode, modes) & np.isfinite(of_site.depth_m))
+    for depth_m in np.unique(pressed.depth_m):
+        press = pressed.where(pressed.depth_m == depth_m)
+        rest, at = press.where(press.phase == Phase.BASELINE), int(np.argmin(press.tip_z_m))
+        if len(rest.t_s) and (force_N := float(press.fz_N[at] - rest.fz_N.mean())) > LIGHT_N:
+            travel_m = float(rest.tip_z_m.mean() - press.tip_z_m[at])
+            deepest.append(_Deepest(float(depth_m), force_N, float(rest.fz_N.mean()), travel_m))
+    return deepest
 
 
 def _unsteady(of_site: Track, name: str) -> list[str]:

@@ -19,7 +19,7 @@ def notes(folder: Path, config: dict[str, object] | None = None, **cell: object)
     return modulus_notes(recording.rows, recording.header)
 
 
-@pytest.mark.parametrize("effects", [{}, {"cable.friction": {"force_N": 0.3, "presliding_m": 0.0005}}, {"sensor.bias": {"offset_N": 0.2}}])
+@pytest.mark.parametrize("effects", [{}, {"sensor.bias": {"offset_N": 0.2}}])
 def test_a_contact_where_the_search_met_it_is_not_doubted(tmp_path: Path, effects: dict[str, dict[str, float]]) -> None:
     assert notes(tmp_path, effects=effects) == []
 
@@ -31,13 +31,24 @@ def test_a_surface_that_sank_after_the_search_is_said_with_what_it_does_to_the_m
     assert "off by 3" in note
 
 
+def test_a_cable_that_rubs_moves_the_zero_and_not_the_contact(tmp_path: Path) -> None:
+    (note,) = notes(tmp_path, effects={"cable.friction": {"force_N": 0.3, "presliding_m": 0.0005}})
+    assert "at rest in the air" in note
+
+
 @pytest.mark.parametrize(("stiffness_N_per_m", "words"), [(25.0, "the force rose by 0.025 N"), (-20.0, "the force fell by 0.02 N")])
 def test_a_cable_that_pulls_in_the_air_is_said_with_what_it_does_to_the_modulus(
     tmp_path: Path, stiffness_N_per_m: float, words: str
 ) -> None:
-    (note,) = notes(tmp_path, effects={"cable.spring": {"stiffness_N_per_m": stiffness_N_per_m}})
+    note = notes(tmp_path, effects={"cable.spring": {"stiffness_N_per_m": stiffness_N_per_m}})[0]
     assert note.startswith(f"site A: on its way down through the air {words} for each mm: a cable pulls, or the zero drifts")
     assert 10 <= int(note.split("That is ")[1].split("%")[0]) <= 20, "12 % by the cell's own physics"
+
+
+def test_a_zero_that_no_model_follows_is_said_with_what_it_does_to_a_dynamic_modulus(tmp_path: Path) -> None:
+    (note,) = notes(tmp_path, effects={"sensor.bias": {"offset_N": 0.5}})
+    assert note.startswith("site A: at rest in the air before its dynamic presses the force was +0.5")
+    assert "a dynamic modulus may be off by 1" in note
 
 
 @pytest.mark.parametrize(
