@@ -20,6 +20,8 @@ MOST_OFF = 0.1
 """Share of a modulus by which a moved contact may change it without a word: speed and preconditioning change tissue by less."""
 CLEAR_M = 0.001
 """Height above the surface from which the tip is in the air for certain: no tissue clings or bulges so far."""
+SOFT_MACHINE_N_PER_M = 1e4
+"""An arm and a mount that give way much: the softest machine that `palpd stiffness` keeps."""
 MOST_PULLED = 0.05
 """Share of a force that a cable may pull without a word: about the accuracy of a modulus."""
 STEADY_SHARE, STEADY_N = 0.01, 0.02
@@ -48,6 +50,32 @@ def modulus_notes(rows: NDArray[np.void], header: RecordingHeader) -> list[str]:
         notes += [*_moved(of_site, name, slope_N_per_m), *_pulled(of_site, name, slope_N_per_m), *_unsteady(of_site, name)]
         notes += [] if header.get("model_card") else _off_zero(of_site, name)
     return notes
+
+
+def give_notes(rows: NDArray[np.void], header: RecordingHeader) -> list[str]:
+    """Say what an unmeasured stiffness of the machine may do to the moduli of a real cell; a simulated one is rigid.
+
+    Args:
+        rows: Ticks, with the fields of ROW of palpd.tick.
+
+    Returns:
+        One sentence, or none where the stiffness is known or no press shows what it would change.
+    """
+    body = header["body"]
+    if body["machine_stiffness_N_per_m"] is not None:
+        return []
+    whole = track(rows, body["delay_s"])
+    presses = [
+        one for index in range(len(header["sites"])) for one in _deepest(whole.where(whole.site == index), (Mode.STATIC, Mode.DYNAMIC))
+    ]
+    share = max((1.5 * one.force_N / SOFT_MACHINE_N_PER_M / one.depth_m for one in presses), default=0.0)
+    if share < MOST_PULLED:
+        return []
+    return [
+        f"how far arm, mount and sensor give way is not measured, so they count as rigid: at {SOFT_MACHINE_N_PER_M / 1e3:g} N for 1 mm a "
+        f"modulus of this run would be {share:.0%} too low, at ten times that {share / 10.0:.1%}; put a rigid plate under the probe and "
+        "run palpd stiffness"
+    ]
 
 
 def _of_poisson(poisson_ratio: float) -> list[str]:

@@ -3,7 +3,7 @@
 from typing import Any, NotRequired
 
 from palpd.analysis import results
-from palpd.analysis.modulus_notes import modulus_notes
+from palpd.analysis.modulus_notes import give_notes, modulus_notes
 from palpd.analysis.results import DryFigures, LoopFigures, SiteResult, cut_short_notes, dry_figures
 from palpd.analysis.stalls import stall_figures, stall_note
 from palpd.daemon.motion_process import trip_report
@@ -64,7 +64,7 @@ def run_result(report: Report) -> RunResult:
     elif recording.header["kind"] == "palpation":
         result["sites"] = results.sites(recording.rows, recording.header)
         result["notes"] += cut_short_notes(result["sites"], recording.header["config"]["safety"]["contact_limit_N"])
-        result["notes"] += modulus_notes(recording.rows, recording.header)
+        result["notes"] += modulus_notes(recording.rows, recording.header) + give_notes(recording.rows, recording.header)
     return result
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from palpd.analysis.modulus_notes import modulus_notes
+from palpd.analysis.modulus_notes import give_notes, modulus_notes
 from palpd.cell.cell_file import CellFile
 from palpd.config import Config, Plan
 from palpd.recording.reader import Recording
@@ -72,6 +72,16 @@ def test_a_force_that_still_moves_while_it_is_held_is_said(
 )
 def test_a_force_that_has_come_to_rest_before_the_hold_is_not_doubted(tmp_path: Path, effects: dict[str, dict[str, float]]) -> None:
     assert not [each for each in notes(tmp_path, effects=effects) if "within the hold" in each]
+
+
+def test_a_machine_whose_give_nobody_measured_is_said_with_what_it_may_do(tmp_path: Path) -> None:
+    notes(tmp_path)
+    recording = Recording.load(tmp_path / "run.mcap")
+    (note,) = give_notes(recording.rows, recording.header)
+    force_N, depth_m = 3.4, 0.005
+    assert f"would be {1.5 * force_N / 1e4 / depth_m:.0%} too low" in note
+    known = {**recording.header, "body": {**recording.header["body"], "machine_stiffness_N_per_m": 5e4}}
+    assert give_notes(recording.rows, known) == []  # type: ignore[arg-type]
 
 
 def test_equation_1_is_not_taken_for_hertz(tmp_path: Path) -> None:
