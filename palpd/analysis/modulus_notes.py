@@ -14,6 +14,8 @@ from palpd.tick import Mode, Phase
 
 LIGHT_N = 0.6
 """Force at which the contacts of a search and of a press are compared: above the noise, and below the 1 N that end a search."""
+FELT_N = 0.2
+"""Force of a press above which a share of it means something: four times the noise of one reading."""
 AIR_PARTS = 5
 """The first of as many parts of a way down is in the air: presses begin well above the surface."""
 MOST_OFF = 0.1
@@ -160,7 +162,7 @@ def _deepest(of_site: Track, modes: tuple[Mode, ...]) -> list[_Deepest]:
     for depth_m in np.unique(pressed.depth_m):
         press = pressed.where(pressed.depth_m == depth_m)
         rest, at = press.where(press.phase == Phase.BASELINE), int(np.argmin(press.tip_z_m))
-        if len(rest.t_s) and (force_N := float(press.fz_N[at] - rest.fz_N.mean())) > LIGHT_N:
+        if len(rest.t_s) and (force_N := float(press.fz_N[at] - rest.fz_N.mean())) > FELT_N:
             travel_m = float(rest.tip_z_m.mean() - press.tip_z_m[at])
             deepest.append(_Deepest(float(depth_m), force_N, float(rest.fz_N.mean()), travel_m))
     return deepest
