@@ -27,6 +27,7 @@ from palpd.analysis.stalls import StallFigures
 from palpd.analysis.young import ContactFit, fit_contact, modulus_peak_Pa, refuse_undetermined, ymbt
 from palpd.control.sequence import SOFT_END
 from palpd.errors import RecordingError
+from palpd.quantities import kilopascals
 from palpd.recording.header import RecordedGeometry, RecordingHeader
 from palpd.recording.reader import Recording
 from palpd.recording.tick_rows import filled_slots
@@ -329,9 +330,10 @@ def _two_moduli(fit: ContactFit, held: SiteResult) -> list[str]:
         return []
     depths = [depth["achieved_m"] for depth in held["depths"] if depth["E_Pa"] is not None and depth["achieved_m"] is not None]
     return [
-        f"the results table of the run shows {static_Pa / 1e3:.3g} kPa. That is equation 1, the mean of {len(depths)} holds "
-        f"{min(depths) * 1e3:.2g} to {max(depths) * 1e3:.2g} mm below the surface of its search. The {fit.youngs_modulus_Pa / 1e3:.3g} kPa "
-        f"are Hertz over one whole loading, with the contact {(fit.contact_point_m - surface_m) * 1e3:+.2f} mm from that surface"
+        f"the results table of the run shows {kilopascals(static_Pa)} kPa. That is equation 1, the mean of {len(depths)} holds "
+        f"{min(depths) * 1e3:.2g} to {max(depths) * 1e3:.2g} mm below the surface of its search. The "
+        f"{kilopascals(fit.youngs_modulus_Pa)} kPa are Hertz over one whole loading, with the contact "
+        f"{(fit.contact_point_m - surface_m) * 1e3:+.2f} mm from that surface"
     ]
 
 

@@ -26,6 +26,7 @@ from palpd.cell.cell_file import SensorBlock
 from palpd.cell.plausible import ask
 from palpd.errors import BadInput
 from palpd.files import opened_text, write_text
+from palpd.quantities import quantity
 from palpd.recording.samples import LARGEST
 from palpd.recording.tables import cells_of, is_comment, read_layout, with_points
 from palpd.tick import Floats
@@ -271,8 +272,8 @@ def _unfelt(survey: Survey, name: str) -> list[str]:
     if force_N >= noise_N:
         return []
     return [
-        f"{name}: the moduli are about {modulus_Pa:.3g} Pa, so a press to {where.depth_m * 1e3:g} mm makes {force_N:.2g} N, expected more "
-        f"than the noise of a sensor ({noise_N:g} N)"
+        f"{name}: the moduli are about {quantity(modulus_Pa, 'Pa')}, so a press to {where.depth_m * 1e3:g} mm makes {force_N:.2g} N, "
+        f"expected more than the noise of a sensor ({noise_N:g} N)"
     ]
 
 

@@ -19,6 +19,7 @@ from palpd.cell.effects.tissue import dimitriadis
 from palpd.cell.plausible import doubts
 from palpd.control.surface import FEWEST_SAMPLES, GRID, refuse_unfit
 from palpd.errors import BadInput, RecordingError
+from palpd.quantities import quantity
 from palpd.tick import Floats
 
 FINE = 9
@@ -185,8 +186,8 @@ def refuse_undetermined(modulus_Pa: float, ci95_Pa: Sequence[float], misfit: Her
     if ci95_Pa[0] <= 0.0:
         todo = "press deeper, and check the columns, the baseline, and the signs of force and height"
         raise RecordingError(
-            f"the modulus is not determined: its 95 % interval, {ci95_Pa[0]:.3g} to {ci95_Pa[1]:.3g} Pa about {modulus_Pa:.3g} Pa, holds "
-            f"zero, expected above; {todo if misfit is None else misfit['sentence']}"
+            f"the modulus is not determined: its 95 % interval, {quantity(modulus_Pa, 'Pa', (ci95_Pa[0], ci95_Pa[1]))}, holds zero, "
+            f"expected above; {todo if misfit is None else misfit['sentence']}"
         )
 
 

@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from palpd.config import CONTACT_FORCE_N, Plan
-from palpd.control.surface import FEWEST_SAMPLES, fitted_part, surface_from_approach
+from palpd.control.surface import FEWEST_SAMPLES, UNSURE_M, fitted_part, surface_from_approach
 from palpd.tick import STILL, Command, Floats, Mode, Observation, Phase, Progress, Proposal, Request
 
 GAIN_PER_S = 8.0
@@ -49,8 +49,6 @@ SETTLED_N = 0.02
 """Change between two windows below which a force counts as stable: noise alone changes their means by 3 mN."""
 MOST_SETTLE_S = 20.0
 """Longest wait for a stable force."""
-UNSURE_M = 0.0005
-"""Standard deviation of a surface above which no modulus can be had from it: 38 % at the 2 mm of a shallow press."""
 ORIGIN_LIMIT_M = 0.3
 """Longest way to a plan's origin: across a table of phantoms. A longer one is more likely a mistake of frame or unit."""
 RETRACT_M_PER_S = 0.005
@@ -507,8 +505,8 @@ class Palpation(Script):
         if self.fits_slope and sigma_m > UNSURE_M:
             raise SurfaceNotFound(
                 f"{force_N:.1f} N were met, but the way down does not show where: the surface is uncertain by {2e3 * sigma_m:.1f} mm, "
-                f"expected at most {2e3 * UNSURE_M:g} mm; a cable pulls, or the sensor's zero drifts. Let the sensor warm up, or start "
-                "nearer to the tissue"
+                f"expected at most {2e3 * UNSURE_M:g} mm; a cable pulls, the sensor's zero drifts, or the search began too near. Look at "
+                "the cable, let the sensor warm up, or start higher above the tissue"
             )
         self.note(surface_z_m=surface_z_m, clear_z_m=surface_z_m + CLEAR_SHARE * self.plan.safe_height_m)
         yield from self.leave(surface_z_m, self.arm.max_speed_m_per_s)

@@ -23,6 +23,8 @@ FEWEST_SAMPLES = 10
 """Fewest samples of an approach: the fit has five unknowns."""
 TINY = np.finfo(float).tiny
 
+UNSURE_M = 0.0005
+"""Standard deviation of a surface above which no modulus can be had from it: 38 % at the 2 mm of a shallow press."""
 FITTED_SAMPLES = 2000
 """Samples at the end of an approach that a surface is fitted to, 2 cm at 5 mm/s and 500 Hz: more would keep the loop waiting."""
 CONTACT_SHARE = 0.2
@@ -63,7 +65,7 @@ def surface_from_approach(height_m: Floats, force_N: Floats, tip_radius_m: float
     The law is f = baseline + slope · height + a · d^1.5 · (1 + g · d²). The slope is that of a cable which pulls, or of a zero that drifts
     on the way down. g stands for tissue that stiffens with depth (an inclusion below). The force is too small to fit g, and without g the
     surface comes out too low. So the result is the mean over all g, weighed by a half-normal prior and by the data (Student's likelihood,
-    unknown noise).
+    unknown noise). Where too little air was seen to tell a slope from contact, and no slope leaves the surface certain, there is none.
 
     Args:
         height_m: heights (n,) of the tip from free air into the tissue.
@@ -77,6 +79,16 @@ def surface_from_approach(height_m: Floats, force_N: Floats, tip_radius_m: float
     Raises:
         RecordingError: too few samples, or a force without any change.
     """
+    found_m, sigma_m = _surface(height_m, force_N, tip_radius_m, fits_slope)
+    if fits_slope and sigma_m > UNSURE_M:
+        plain_m, plain_sigma_m = _surface(height_m, force_N, tip_radius_m, False)
+        if plain_sigma_m <= UNSURE_M:
+            return plain_m, plain_sigma_m
+    return found_m, sigma_m
+
+
+def _surface(height_m: Floats, force_N: Floats, tip_radius_m: float, fits_slope: bool) -> tuple[float, float]:
+    """Height of the surface and its standard deviation, with a slope or without one."""
     refuse_unfit(height_m, force_N)
     stiffenings = STIFFENINGS / tip_radius_m**2
     log_prior = -0.5 * (STIFFENINGS / STIFFENING_SCALE) ** 2

@@ -29,7 +29,7 @@ from palpd.tick import Phase
 ATTEMPTS = 3
 STALLED_S = 0.002
 """An emulator, on a real-time thread where that is permitted, that was later than this measures the machine."""
-SOFT_N_PER_M = 200.0
+SOFT_N_PER_M = 500.0
 ABOVE_M = 0.008
 """Where a press begins: far enough to reach its speed, near enough not to waste seconds."""
 PATIENT_S = 0.2
@@ -267,7 +267,7 @@ def press_into_wall(cell: EmulatedCell, stiffness_N_per_m: float, speed_m_per_s:
 
     The wall stands above the surface that the daemon knows, so that nothing it has learned makes it slow down.
     """
-    cell.wall(0.002, SOFT_N_PER_M)
+    cell.wall(0.004, SOFT_N_PER_M)
     plan = PRESS | {"press_speed_m_per_s": speed_m_per_s, "depths_m": [0.02], "search": {"speed_m_per_s": 0.005, "max_travel_m": 0.03}}
     printed, plan_file = cell.folder / "check.json", cell.folder / "plan.yaml"
     plan_file.write_text(yaml.safe_dump(plan))
