@@ -8,6 +8,7 @@ from palpd.cell.cell_file import PHANTOM
 from palpd.cli.analysis import modulus_line
 from palpd.cli.tables import site_tables
 from palpd.config import Plan, PlanSite
+from palpd.quantities import kilopascals
 from tests.simulated import cell_file, ran
 
 PLAN = Plan(sites=(PlanSite(name="A"), PlanSite(name="C", x_m=0.06)), depths_m=(0.004, 0.006, 0.008), hold_s=0.5, repeats=1)
@@ -28,7 +29,7 @@ def test_a_modulus_that_differs_from_the_results_table_says_so_and_why(results: 
     assert static_Pa is not None
     assert site["static_youngs_modulus_Pa"] == static_Pa
     assert any(
-        f"the results table of the run shows {static_Pa / 1e3:.3g} kPa. That is equation 1, the mean of 3 holds" in note
+        f"the results table of the run shows {kilopascals(static_Pa)} kPa. That is equation 1, the mean of 3 holds" in note
         for note in site["warnings"]
     )
     assert any("Hertz does not fit" in note for note in site["warnings"])
