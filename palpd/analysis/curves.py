@@ -209,7 +209,7 @@ def analyse_curve(
 
     try:
         hertz, other = fitted(held), fitted(not held)
-        peak_N = float(curve.force_N[last]) - hertz.baseline_N
+        peak_N = float(curve.force_N[last]) - hertz.baseline_N - hertz.tilt_N_per_m * hertz.depth_m
         by_peak = fit == "peak"
         modulus, ci95 = _at_peak(hertz, peak_N, tip_radius_m, poisson_ratio) if by_peak else (hertz.youngs_modulus_Pa, hertz.ci95_Pa)
         tested = (modulus, ci95) if hertz.misfit else (hertz.youngs_modulus_Pa, hertz.ci95_Pa)  # a peak of noise has a small interval

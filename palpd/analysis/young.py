@@ -26,6 +26,12 @@ FINE = 9
 """Passes of an offline fit: 64 · 16^8 steps over the curve are finer than any encoder."""
 LARGE_STRAIN = 0.3
 """Depth over tip radius above which a sphere is no longer a paraboloid and strains are no longer small."""
+TILT_SIGMAS, TILT_SHARE = 4.0, 0.005
+"""A force that changes with height in the air is a tilt beyond this many standard deviations and this share of the peak at full depth."""
+TILT_PASSES = 3
+"""A tilt moves the contact, and that decides what is air: it settles at once."""
+AIR_FROM, LEAST_AIR = 0.1, 0.5
+"""A tilt is seen where the tip is clear of the contact by this share of the depth, over a way of at least that share of it."""
 THIN_LAYER = 0.1
 """Contact radius over thickness above which a rigid base below is felt (Dimitriadis et al. 2002: 12 % of force at 0.1)."""
 
@@ -38,7 +44,8 @@ class ContactFit:
         ci95_Pa: Its 95 % interval under this contact law; where the modulus changes with depth it covers that range too.
         contact_point_m: Height of the surface.
         contact_sigma_m: One standard deviation of that height.
-        baseline_N: Force before contact.
+        baseline_N: Force before contact, at the contact point.
+        tilt_N_per_m: How fast that force rises on the way down, where it does.
         rms_N: Rms of the residuals.
         n: Number of samples.
         n_effective: Number of independent samples that they are worth.
@@ -52,6 +59,7 @@ class ContactFit:
     contact_point_m: float
     contact_sigma_m: float
     baseline_N: float
+    tilt_N_per_m: float
     rms_N: float
     n: int
     n_effective: float
@@ -120,6 +128,8 @@ def fit_contact(
 ) -> ContactFit:
     """Least squares of Hertz over a whole loading curve, contact point and force baseline free unless they are given.
 
+    Where both are free and the force in the air changes with height, that tilt is taken out as a straight line: of a cantilever's optics,
+    of a cable, of a zero that drifts.
     The give of the machine is taken out: the tip stands (f - baseline)/k higher than the machine reports. The interval is Student's t
     times the sigma of `correlated_sigmas`, so noise that is not white and a law that does not quite hold widen it. Its degrees of freedom
     are the independent samples in contact. Rounding that noise does not dither shifts all samples before contact by up to half a count.
@@ -142,17 +152,25 @@ def fit_contact(
         RecordingError: The samples cannot be fitted, or show no contact.
     """
     refuse_unfit(height_m, force_N)
-    hertz = _solve(np.asarray(height_m, dtype=float), force_N, machine_stiffness_N_per_m, contact_m, baseline_N)
+    height_m, flat_N, tilt_N_per_m = np.asarray(height_m, dtype=float), force_N, 0.0
+    hertz = _solve(height_m, force_N, machine_stiffness_N_per_m, contact_m, baseline_N)
+    for _ in range(TILT_PASSES if contact_m is None and baseline_N is None else 0):
+        before, tilt_N_per_m = tilt_N_per_m, _tilt_N_per_m(height_m, force_N, hertz)
+        if before == tilt_N_per_m == 0.0:
+            break
+        flat_N = force_N - tilt_N_per_m * (hertz.contact_m - height_m)
+        hertz = _solve(height_m, flat_N, machine_stiffness_N_per_m, None, None)
     if hertz.stiffness <= 0.0 or not hertz.indentation_m.any():
         raise RecordingError(
             f"the force over {len(height_m)} samples never rises with depth as a contact would (it spans {np.ptp(force_N):.3g} N); "
             "check the force's sign, the columns and the direction of the height"
         )
-    residual_N = force_N - hertz.baseline_N - hertz.stiffness * hertz.indentation_m**1.5
-    (stiffness_half, contact_sigma_m), n_effective = _uncertainty(hertz, force_N, residual_N, contact_m is None, baseline_N is None)
+    residual_N = flat_N - hertz.baseline_N - hertz.stiffness * hertz.indentation_m**1.5
+    beside = [*([np.ones_like(height_m)] if baseline_N is None else []), *([height_m - hertz.contact_m] if tilt_N_per_m else [])]
+    (stiffness_half, contact_sigma_m), n_effective = _uncertainty(hertz, force_N, residual_N, contact_m is None, beside)
     modulus, depth_m = modulus_hertz_Pa(hertz.stiffness, 1.0, tip_radius_m, poisson_ratio), float(hertz.indentation_m.max())
     half = stiffness_half * modulus / hertz.stiffness
-    above_N, stiffness_Pa = force_N - hertz.baseline_N, modulus_hertz_Pa(1.0, 1.0, tip_radius_m, poisson_ratio)
+    above_N, stiffness_Pa = flat_N - hertz.baseline_N, modulus_hertz_Pa(1.0, 1.0, tip_radius_m, poisson_ratio)
     misfit = misfit_of_curve(hertz.indentation_m, above_N, residual_N, stiffness_Pa, contact_sigma_m)
     low_Pa, high_Pa = covering((modulus - half, modulus + half), *range_of(misfit))
     return ContactFit(
@@ -161,12 +179,14 @@ def fit_contact(
         contact_point_m=hertz.contact_m,
         contact_sigma_m=contact_sigma_m,
         baseline_N=hertz.baseline_N,
+        tilt_N_per_m=tilt_N_per_m,
         rms_N=math.sqrt(float(np.mean(residual_N**2))),
         n=len(force_N),
         n_effective=n_effective,
         depth_m=depth_m,
         warnings=(
             *(f"{doubt}; check the units of force, length and tip radius" for doubt in doubts("modulus", modulus, "the modulus")),
+            *_tilted(tilt_N_per_m, depth_m, above_N),
             *_strained(depth_m, tip_radius_m, thickness_m),
             *_thin_data(hertz.indentation_m, contact_m, baseline_N),
         ),
@@ -218,14 +238,31 @@ def _solve(
     return _Hertz(stiffness, contact, baseline, np.maximum(contact - tip_m, 0.0))
 
 
+def _tilt_N_per_m(height_m: Floats, force_N: Floats, hertz: _Hertz) -> float:
+    """How fast the force rises on the way down through the air; 0 where it does not, or too little air was seen to say so."""
+    depth_m, above_m = float(hertz.indentation_m.max()), height_m - hertz.contact_m
+    air = above_m > AIR_FROM * depth_m
+    if int(air.sum()) < FEWEST_SAMPLES or float(np.ptp(above_m[air])) < LEAST_AIR * depth_m:
+        return 0.0
+    line = np.column_stack([above_m[air], np.ones(int(air.sum()))])
+    slope, rest_N = np.linalg.lstsq(line, force_N[air], rcond=None)[0]
+    sigmas, _ = correlated_sigmas(line, force_N[air] - line @ (slope, rest_N))
+    seen = abs(slope) > TILT_SIGMAS * sigmas[0] and abs(slope) * depth_m > TILT_SHARE * hertz.stiffness * depth_m**1.5
+    return -float(slope) if seen else 0.0
+
+
 def _uncertainty(
-    hertz: _Hertz, force_N: Floats, residual_N: Floats, contact_is_free: bool, baseline_is_free: bool
+    hertz: _Hertz, force_N: Floats, residual_N: Floats, contact_is_free: bool, beside: Sequence[Floats]
 ) -> tuple[tuple[float, float], float]:
-    """Half-width of the stiffness's 95 % interval in N/m^1.5 and one sigma of the contact height in m; effective sample size."""
+    """Half-width of the stiffness's 95 % interval in N/m^1.5 and one sigma of the contact height in m; effective sample size.
+
+    Args:
+        beside: Derivatives (n,) of the force by what was fitted besides stiffness and contact.
+    """
     depth_m = hertz.indentation_m
     slopes = [depth_m**1.5]
     slopes += [1.5 * hertz.stiffness * np.sqrt(depth_m)] if contact_is_free else []
-    slopes += [np.ones_like(depth_m)] if baseline_is_free else []
+    slopes += beside
     air = depth_m <= 0.0
     rounding_N = _undithered_N(force_N, residual_N[air])
     sigmas, n_effective = correlated_sigmas(np.column_stack(slopes), residual_N, np.where(air, rounding_N, 0.0))
@@ -266,6 +303,16 @@ def _undithered_N(force_N: Floats, at_rest_N: Floats) -> float:
     noise = math.sqrt(max(float(np.var(at_rest_N)) / count_N**2 - 1.0 / 12.0, 0.0))
     k = np.arange(1, 50)
     return count_N * math.sqrt(float(np.sum(np.exp(-((2.0 * np.pi * k * noise) ** 2)) / (np.pi * k) ** 2)) / 2.0)
+
+
+def _tilted(tilt_N_per_m: float, depth_m: float, above_N: Floats) -> list[str]:
+    if not tilt_N_per_m:
+        return []
+    share = abs(tilt_N_per_m) * depth_m / float(above_N.max())
+    return [
+        f"the force in the air {'rises' if tilt_N_per_m > 0.0 else 'falls'} on the way down: a tilt of the optics, a cable that pulls, "
+        f"or a drift; it was taken out as a straight line, which is {share:.1%} of the force at full depth"
+    ]
 
 
 def _strained(depth_m: float, tip_radius_m: float, thickness_m: float | None) -> list[str]:

@@ -159,6 +159,30 @@ def test_a_curve_without_contact_is_refused() -> None:
         fit_contact(tip_m[:5], tip_m[:5], RADIUS_M, 0.5)
 
 
+@pytest.mark.parametrize("share", [0.03, -0.03, 0.1])
+def test_a_tilted_baseline_is_taken_out_and_said(share: float) -> None:
+    """A curve of a cantilever: 2 kPa, a tip of 5 µm, 1 µm deep; the force in the air changes by a share of the peak over 2 µm."""
+    height_m = np.linspace(2e-6, -1e-6, 2000)
+    peak_N = 4.0 / 3.0 * 2e3 / 0.75 * math.sqrt(5e-6) * 1e-6**1.5
+    curve_N = peak_N * (np.maximum(-height_m, 0.0) / 1e-6) ** 1.5
+    noise_N = 0.01 * peak_N * np.random.default_rng(0).normal(size=len(height_m))
+    flat = fit_contact(height_m, curve_N + noise_N, 5e-6, 0.5)
+    tilted = fit_contact(height_m, curve_N + noise_N + share * peak_N * (2e-6 - height_m) / 2e-6, 5e-6, 0.5)
+    assert tilted.youngs_modulus_Pa == pytest.approx(2e3, rel=0.01)
+    assert tilted.ci95_Pa[0] < flat.youngs_modulus_Pa < tilted.ci95_Pa[1]
+    assert tilted.ci95_Pa[1] - tilted.ci95_Pa[0] < 2.0 * (flat.ci95_Pa[1] - flat.ci95_Pa[0])
+    assert tilted.tilt_N_per_m == pytest.approx(share * peak_N / 2e-6, rel=0.05)
+    assert tilted.baseline_N == pytest.approx(share * peak_N, rel=0.05)
+    assert any(f"the force in the air {'rises' if share > 0 else 'falls'}" in warning for warning in tilted.warnings)
+    assert flat.tilt_N_per_m == 0.0
+
+
+def test_a_tilt_is_not_guessed_from_too_little_air() -> None:
+    height_m = np.linspace(3e-7, -1e-6, 2000)
+    force_N = 1e-8 * (np.maximum(-height_m, 0.0) / 1e-6) ** 1.5 - 1e-3 * height_m
+    assert fit_contact(height_m, force_N, 5e-6, 0.5).tilt_N_per_m == 0.0
+
+
 @pytest.mark.parametrize("modulus_Pa", [60e3, 150e3])
 @pytest.mark.parametrize("contrast", [0.0, 2.1])
 @pytest.mark.parametrize("cutoff_Hz", [150.0, 15.0])
