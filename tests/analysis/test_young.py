@@ -222,12 +222,12 @@ def test_the_surface_of_soft_tissue_and_of_a_slow_search_is_found_although_the_l
 
 
 def test_a_surface_seen_from_too_little_air_to_tell_a_slope_is_found_without_one() -> None:
-    random, found = np.random.default_rng(0), []
+    random, seen = np.random.default_rng(0), []
     for air_m in (0.03, 0.002):
         height_m = np.arange(air_m, -0.002, -0.005 / 125.0)
         force_N = 500.0 * np.maximum(-height_m, 0.0) + random.normal(0.0, 0.02, len(height_m))
-        found.append([surface_from_approach(height_m, force_N, RADIUS_M, slope) for slope in (True, False)])
-    (far, _), (near, plain) = found
+        seen.append([surface_from_approach(height_m, force_N, RADIUS_M, slope) for slope in (True, False)])
+    (far, _), (near, plain) = seen
     assert near == plain, "a contact that grows in proportion looks like a slope from near by"
     assert abs(far[0] - near[0]) < 2e-4
     assert max(far[1], near[1]) < UNSURE_M
