@@ -1,13 +1,14 @@
 """What makes the moduli of a table doubtful, although every press came to its end: sentences for a run, its report and `palpd info`."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpd.analysis.modulus_intervals import mean_sigma_N
-from palpd.analysis.results import Track, peak_width, track
+from palpd.analysis.results import SiteResult, Track, peak_width, track
 from palpd.control.surface import FEWEST_SAMPLES
 from palpd.recording.header import RecordingHeader
 from palpd.tick import Mode, Phase
@@ -54,23 +55,21 @@ def modulus_notes(rows: NDArray[np.void], header: RecordingHeader) -> list[str]:
     return notes
 
 
-def give_notes(rows: NDArray[np.void], header: RecordingHeader) -> list[str]:
+def give_notes(sites: Sequence[SiteResult], machine_stiffness_N_per_m: float | None) -> list[str]:
     """Say what an unmeasured stiffness of the machine may do to the moduli of a real cell; a simulated one is rigid.
 
     Args:
-        rows: Ticks, with the fields of ROW of palpd.tick.
+        sites: Results of a run.
+        machine_stiffness_N_per_m: What it counted with; None: nobody measured it.
 
     Returns:
-        One sentence, or none where the stiffness is known or no press shows what it would change.
+        One sentence, or none where the stiffness is known or would change no modulus by much.
     """
-    body = header["body"]
-    if body["machine_stiffness_N_per_m"] is not None:
+    if machine_stiffness_N_per_m is not None:
         return []
-    whole = track(rows, body["delay_s"])
-    presses = [
-        one for index in range(len(header["sites"])) for one in _deepest(whole.where(whole.site == index), (Mode.STATIC, Mode.DYNAMIC))
-    ]
-    share = max((1.5 * one.force_N / SOFT_MACHINE_N_PER_M / one.depth_m for one in presses), default=0.0)
+    holds = [(hold["force_N"] or 0.0, hold["commanded_m"]) for site in sites for hold in site["depths"]]
+    peaks = [(press["original_N"] - press["correction_N"], press["commanded_m"]) for site in sites for press in site["presses"]]
+    share = max((1.5 * force_N / SOFT_MACHINE_N_PER_M / depth_m for force_N, depth_m in holds + peaks), default=0.0)
     if share < MOST_PULLED:
         return []
     return [

@@ -64,7 +64,8 @@ def run_result(report: Report) -> RunResult:
     elif recording.header["kind"] == "palpation":
         result["sites"] = results.sites(recording.rows, recording.header)
         result["notes"] += cut_short_notes(result["sites"], recording.header["config"]["safety"]["contact_limit_N"])
-        result["notes"] += modulus_notes(recording.rows, recording.header) + give_notes(recording.rows, recording.header)
+        result["notes"] += modulus_notes(recording.rows, recording.header)
+        result["notes"] += give_notes(result["sites"], recording.header["body"]["machine_stiffness_N_per_m"])
     return result
 
 
