@@ -1,6 +1,7 @@
 """Jobs of the service without devices and without processes: the worker and the runs are scripted."""
 
 import json
+import re
 import shutil
 import time
 from collections import deque
@@ -15,7 +16,7 @@ from palpd.config import Config, Plan, parse_config
 from palpd.daemon.control_socket import Later, Watching
 from palpd.daemon.controls import LEASE_S
 from palpd.daemon.job_worker import ConsentRequest, Finished, RunRequest, Words, WorkerOrder
-from palpd.daemon.programs import program_named
+from palpd.daemon.programs import PROGRAMS, program_named
 from palpd.daemon.service import Service
 from palpd.daemon.stored_state import Calibration, Latch, State
 from palpd.daemon.supervisor import Report
@@ -378,3 +379,16 @@ def test_watchers_see_each_change_of_a_job_its_log_and_the_status_once(service: 
     service._publish(page)  # type: ignore[arg-type]
     assert len(page.events) == len(kinds), "an unchanged status is not repeated"
     assert page.events[0]["id"] == job_id
+
+
+def test_the_page_of_jobs_lists_every_request_argument_and_key_of_the_status(service: Service) -> None:
+    page = (ROOT / "docs" / "jobs.md").read_text(encoding="utf-8")
+    known = service.answer({"do": "nothing"})["error"].partition("known: ")[2].split(", ")  # type: ignore[call-overload, index, union-attr]
+    assert [name for name in known if f'"do": "{name}"' not in page] == []
+    for name, program in PROGRAMS.items():
+        row = re.search(rf"^\| `{name}`[^|]*\|([^|]*)\|", page, re.MULTILINE)
+        assert row is not None
+        assert set(re.findall(r"`(\w+)`", row[1])) == set(program.arguments.model_fields), name
+    section = page.partition("## Status")[2].partition("| key of `now` |")[0]
+    listed = set(re.findall(r"`(\w+)`", " ".join(re.findall(r"^\|([^|]*)\|", section, re.MULTILINE))))
+    assert do(service, "status").keys() - {"ok"} <= listed
