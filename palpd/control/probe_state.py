@@ -12,7 +12,7 @@ from typing import Literal
 SMALLEST_DRIFT_N = 0.3
 """Force off the reference that is always expected: two counts of Fz, the bias after a tare, and warmth within minutes."""
 LARGEST_DRIFT_N = 0.82
-"""Largest force off the reference that an age may excuse: the drift of a HEX-E v2 from cold in 90 minutes (docs/sensors.md)."""
+"""Largest force off the reference that an age may excuse: the drift of a HEX-E v2 from cold in 90 minutes (docs/probe-state.md)."""
 MOVED_M = 0.002
 """Distance of the tip from where palpd left it beyond which somebody moved the arm: a stop from 10 mm/s ends within 0.5 mm."""
 TURNED_RAD = math.radians(1.0)

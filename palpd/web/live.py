@@ -21,7 +21,7 @@ from palpd.web.ticks import TickStream, as_line
 FRAME_S = 1.0 / 32.0
 """Time between two frames of a run."""
 BEAT_S = 0.1
-"""Longest silence of the stream: a page that hears nothing for 0.25 s says that the link is lost."""
+"""Longest silence of the stream: a page that hears nothing for 0.24 s says that the link is lost."""
 MOST_WAITING = 64
 """Frames that wait for a page: two seconds. One that is further behind is dropped, and opens its link anew."""
 MOST_PAGES = 32
