@@ -1,6 +1,8 @@
-"""What import-linter does not see: benchmarks stand in no package, so a test reads their imports."""
+"""What import-linter does not see: the imports of benchmarks, which stand in no package, and the table of rooms in ARCHITECTURE.md."""
 
 import ast
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -59,3 +61,13 @@ def test_only_the_module_of_fixtures_imports_pytest() -> None:
 @pytest.mark.parametrize("path", sorted([*(ROOT / "palpd").rglob("*.py"), *(ROOT / "hw").rglob("*.py")]), ids=lambda path: path.stem)
 def test_the_package_imports_neither_tests_nor_benchmarks(path: Path) -> None:
     assert not {module for module in imported_modules(path) if module.partition(".")[0] in {"tests", "benchmarks"}}
+
+
+def test_the_table_of_rooms_has_each_room_in_the_order_of_the_import_law() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+    layers = [set(layer.split(" | ")) for layer in contracts[0]["layers"] if layer != "__main__"]
+    table = re.findall(r"^\| `palpd/(\w+)(?:/|\.py)` \|", (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"), re.MULTILINE)
+    for layer in layers:
+        rooms, table = set(table[: len(layer)]), table[len(layer) :]
+        assert rooms == layer
+    assert table == []
