@@ -59,12 +59,6 @@ class PushOutcome:
     outcome: Outcome
     rows: NDArray[np.void]
 
-    @property
-    def tripped_s(self) -> float:
-        """When the tick began in which the guard first interfered; NaN if it never did."""
-        trips = np.flatnonzero(self.rows["trip"])
-        return float(self.rows["now_s"][trips[0]]) if len(trips) else float("nan")
-
 
 class DirectCell:
     """An opened cell. `push` may be called again and again, as long as the controller's program lives."""

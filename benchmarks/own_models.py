@@ -15,7 +15,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
-from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter, ss2tf
 
 Array = NDArray[np.float64]
@@ -1148,31 +1147,6 @@ def make_cell(
         "tolerances": usual | dict(tolerances),
         "repeatability": {"surface_z_m": press_surface_m, "stiffness": press_stiffness},
     }
-
-
-def fit_servo(rig: OwnRig, seed: int = 1) -> tuple[float, float, float]:
-    """Natural frequency in Hz and damping ratio of the nearest second-order servo, and the rms misfit of the height in m."""
-    plan = draw_plan(rig, np.random.default_rng(seed))
-    motion = true_motion(rig, plan, RigDeviations(), None, {})
-    z_cmd = np.interp(motion.t_s, plan.t_s, plan.z_cmd_m)
-
-    def misfit(log_parameters: Array) -> Array:
-        frequency, damping = np.exp(log_parameters)
-        w = 2 * np.pi * frequency
-        return (linear_response([w * w], [1, 2 * damping * w, w * w], z_cmd, motion.dt_s)[0] - motion.z_m)[::10] * 1e5
-
-    fit = least_squares(misfit, np.log([4.0, 0.9]), diff_step=1e-3)
-    return float(np.exp(fit.x[0])), float(np.exp(fit.x[1])), float(np.sqrt(np.mean(fit.fun**2)) / 1e5)
-
-
-def fit_hertz(rig: OwnRig, seed: int = 1) -> tuple[float, float]:
-    """Young's modulus in Pa with which Hertz comes nearest to the contact of a recording, and the largest force in N."""
-    plan = draw_plan(rig, np.random.default_rng(seed))
-    motion = true_motion(rig, plan, RigDeviations(), None, {})
-    f = true_contact(rig, plan, motion, RigDeviations(), None, {})["fz_N"]
-    depth = np.maximum(0, rig.surface_z_m - motion.z_m)
-    unit = 4 / 3 / 0.75 * np.sqrt(rig.cell["probe"]["tip_radius_m"]) * depth**1.5
-    return float(f @ unit / (unit @ unit)), float(f.max())
 
 
 def build(name: str, about: str, effects: tuple[str, ...], rig: OwnRig) -> Model:

@@ -118,7 +118,7 @@ class Spoilt:
 
     def __init__(self, cell: SimCell, fault: str, spoil: Spoil, at_tick: int, stalls: int) -> None:
         self._cell, self._fault, self._spoil, self._at, self._stalls = cell, fault, spoil, at_tick, stalls
-        self.tick, self._skipped = -1, 0
+        self.tick = -1
         self._frames = NO_FRAMES
         self._clock = SimClock(RATE_HZ)
 

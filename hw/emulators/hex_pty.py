@@ -268,11 +268,6 @@ class TerminalLine:
                 with contextlib.suppress(OSError):
                     self._link.unlink()
 
-    @property
-    def plugged(self) -> bool:
-        """Whether the device is plugged in."""
-        return self._master is not None
-
     def receive(self) -> bytes:
         """Return the bytes that the host sent since the last call."""
         if self._master is None:

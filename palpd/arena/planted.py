@@ -1,14 +1,13 @@
 """Plants effects into recordings of real rigs, at a strength that is drawn from a range."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from palpd.arena.laws import LAWS, PlantedLaw
-from palpd.arena.signals import FloatArray, PlantingRefusedError, Recording, noise_N, rounding_step, smooth, snr, snr_against
+from palpd.arena.signals import FloatArray, PlantingRefusedError, Recording, noise_N, rounding_step, smooth, snr_against
 
-__all__ = ["LAWS", "Planted", "PlantedLaw", "PlantingRefusedError", "noise_N", "plant", "snr"]
+__all__ = ["LAWS", "Planted", "PlantedLaw", "PlantingRefusedError", "noise_N", "plant"]
 
 SMALLEST = 1e-6
 """Smallest share of the largest size that is searched."""
@@ -41,7 +40,6 @@ def plant(
     rng: np.random.Generator,
     snr_range: tuple[float, float],
     *,
-    tolerances: Mapping[str, float] | None = None,
     sigma_N: float | None = None,
 ) -> Planted:
     """Plant a law of LAWS at an SNR that is drawn from a range, even in its logarithm.
@@ -52,7 +50,6 @@ def plant(
 
     Args:
         recording: Columns (n,).
-        tolerances: As in `snr`; None: the defaults of a cell file.
         sigma_N: Noise of a sample of fz; None: `noise_N`.
 
     Raises:
@@ -65,7 +62,7 @@ def plant(
     bare = {**recording, "fz_N": smooth(recording["fz_N"])}
     neighbours = [LAWS[f"cable.{name}"] for name in ("spring", "friction", "viscous")] if chosen.effect == "unknown" else []
     free = [neighbour.change(recording, {neighbour.size: 1.0}) for neighbour in neighbours]
-    snr_of = snr_against(bare, tolerances or {}, sigma_N=sigma_N, free=free)
+    snr_of = snr_against(bare, {}, sigma_N=sigma_N, free=free)
     below, above, goal, power = float(np.log(SMALLEST)), 0.0, np.inf, 0.0
     for attempt in range(ATTEMPTS):
         parameters = {**largest, chosen.size: chosen.resize(largest[chosen.size], float(np.exp(power)))}

@@ -18,9 +18,6 @@ from palpd.errors import BadInput, PalpdError
 from palpd.files import write_json
 from palpd.workers import pool
 
-LIMIT_S = 60.0
-"""Processor time that a tool has for a question."""
-
 
 class _OutOfTime(Exception): ...
 

@@ -119,44 +119,22 @@ def contact(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:
     return depth_m, np.where(touching, np.maximum(force_N, 0), 0), slope
 
 
-def snr(
-    healthy: Recording,
-    changed: Recording,
-    tolerances: Mapping[str, float],
-    *,
-    sigma_N: float | None = None,
-    free: Sequence[FloatArray] = (),
-) -> float:
-    """SNR of an effect (docs/reference/contract.md): norm of its change of fz over means of 20 ms, less the best healthy deviation.
+def snr_against(
+    healthy: Recording, tolerances: Mapping[str, float], *, sigma_N: float | None = None, free: Sequence[FloatArray] = ()
+) -> Callable[[Recording], float]:
+    """Make the function that gives the SNR of an effect (docs/reference/contract.md) for recordings that belong to one healthy recording.
 
-    Each mean counts in its own standard deviation. Deviations are subtracted by least squares, each at the cost of its size over its
-    tolerance: an effect of one tolerance has an SNR of at most 1. A changed height counts with the slope of the recorded contact.
+    It is the norm of the change of fz over means of 20 ms, less the best healthy deviation. Each mean counts in its own standard deviation.
+    Deviations are subtracted by least squares, each at the cost of its size over its tolerance: an effect of one tolerance has an SNR of at
+    most 1. A changed height counts with the slope of the recorded contact. Rows that are NaN count as not changed.
 
     Args:
         healthy: Columns (n,). Where a law moves noise too, smooth fz in both recordings and give `sigma_N`.
-        changed: Columns (n,); rows that are NaN count as not changed.
         tolerances: Keys as under `tolerances` of a cell file, and `repeatability.stiffness`, `repeatability.surface_z_m`. Absent ones take
             its defaults; mass and heights then have none, as these need a scale of the rig. That of the filter acts like latency and is
             left out.
         sigma_N: Noise of a sample; None: that of `healthy`.
         free: Further changes in N (n,) that are subtracted at no cost.
-
-    Raises:
-        PlantingRefusedError: If the noise is 0.
-    """
-    return snr_against(healthy, tolerances, sigma_N=sigma_N, free=free)(changed)
-
-
-def snr_against(
-    healthy: Recording, tolerances: Mapping[str, float], *, sigma_N: float | None = None, free: Sequence[FloatArray] = ()
-) -> Callable[[Recording], float]:
-    """Make the function that gives `snr` of changed recordings: faster for many that belong to one healthy recording.
-
-    Args:
-        healthy: As in `snr`, columns (n,).
-        tolerances: As in `snr`.
-        sigma_N: As in `snr`; None: that of `healthy`.
-        free: As in `snr`, each (n,).
 
     Raises:
         PlantingRefusedError: If the noise is 0.

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from palpd.analysis.enriched import EnrichedModulus, enriched_modulus
+from palpd.analysis.enriched import enriched_modulus
 from palpd.analysis.inclusion import FEWEST_HOLDS, FORCE_SIGMA_N, Inclusion, find_inclusion
 from palpd.analysis.results import peak_width
 from palpd.analysis.results import sites as site_results
@@ -132,7 +132,6 @@ class Judged:
     static_Pa: float
     modulus_Pa: dict[str, float]
     ymbt: dict[str, float]
-    by_enriched: EnrichedModulus | None
     inclusion: Inclusion | None
 
 
@@ -194,12 +193,11 @@ def _judged(palpated: Palpated, methods: dict[str, Method]) -> Judged:
     peaks = [_peak(palpated, corrected_N, span) for span in palpated.presses]
     static_Pa = float(np.mean([hold.youngs_modulus_Pa for hold in palpated.holds]))
     modulus_Pa = {name: float(np.mean([peak.youngs_modulus_Pa[name] for peak in peaks])) for name in corrected_N}
-    by_enriched = None
     if palpated.enriched is not None:
         by_enriched = enriched_modulus([run.samples()], palpated.enriched)
         modulus_Pa[ENRICHED] = by_enriched.static_Pa([hold.depth_m for hold in palpated.holds], palpated.zero_z_m)
     biases = {name: ymbt(value, static_Pa) for name, value in modulus_Pa.items()}
-    return Judged(palpated, corrected_N, peaks, static_Pa, modulus_Pa, biases, by_enriched, inclusion_below(palpated.holds))
+    return Judged(palpated, corrected_N, peaks, static_Pa, modulus_Pa, biases, inclusion_below(palpated.holds))
 
 
 def inclusion_below(holds: Sequence[Hold], force_sigma_N: float = FORCE_SIGMA_N) -> Inclusion | None:

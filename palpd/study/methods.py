@@ -56,19 +56,18 @@ class Method(Protocol):
         """Part of this sample's fz that is no contact, in N."""
 
 
-def features(robot_t_s: Floats, vz_m_per_s: Floats, t_s: Floats, delay_s: float = SENSOR_DELAY_S) -> Floats:
+def features(robot_t_s: Floats, vz_m_per_s: Floats, t_s: Floats) -> Floats:
     """Features as the loop has them when it explains each sample.
 
     Args:
         robot_t_s: Times (k,) of the robot states, in s.
         vz_m_per_s: Vertical speeds (k,).
         t_s: Times (n,) of the sensor samples, in s.
-        delay_s: Delay of the sensor's filter.
 
     Returns:
         Speed and acceleration (n, 2).
     """
-    return run_time_features(robot_t_s, vz_m_per_s, t_s, delay_s)
+    return run_time_features(robot_t_s, vz_m_per_s, t_s, SENSOR_DELAY_S)
 
 
 def stream(run: Take) -> Iterator[OnlineSample]:

@@ -7,7 +7,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from palpd.arena.plant import beside_each_other, times_usual
-from palpd.arena.planted import LAWS, PlantingRefusedError, noise_N, plant, snr
+from palpd.arena.planted import LAWS, PlantingRefusedError, noise_N, plant
 from palpd.arena.signals import FloatArray, Recording, rounding_step, snr_against
 
 STEP_N = 0.02
@@ -104,9 +104,9 @@ def test_a_seed_gives_the_same_recording_and_a_row_without_change_stays() -> Non
 
 def test_snr_is_in_standard_deviations_and_at_most_one_within_a_tolerance() -> None:
     none = {"youngs_modulus": 0, "repeatability.stiffness": 0}
-    assert snr(CLEAN, {**CLEAN, "fz_N": 1.005 * F}, none, sigma_N=1e-3) == pytest.approx(1, abs=0.3)
-    assert snr(CLEAN, {**CLEAN, "fz_N": F + 0.01}, {"bias_N": 0.001}, sigma_N=1e-3) == pytest.approx(10, abs=0.5)
-    assert snr(CLEAN, {**CLEAN, "fz_N": F + 0.01 * np.sin(9 * T)}, {}, sigma_N=0.01) == pytest.approx(np.sqrt(500), rel=0.02)
+    assert snr_against(CLEAN, none, sigma_N=1e-3)({**CLEAN, "fz_N": 1.005 * F}) == pytest.approx(1, abs=0.3)
+    assert snr_against(CLEAN, {"bias_N": 0.001}, sigma_N=1e-3)({**CLEAN, "fz_N": F + 0.01}) == pytest.approx(10, abs=0.5)
+    assert snr_against(CLEAN, {}, sigma_N=0.01)({**CLEAN, "fz_N": F + 0.01 * np.sin(9 * T)}) == pytest.approx(np.sqrt(500), rel=0.02)
     assert noise_N(recording(0.03)) == pytest.approx(0.03, rel=0.1)
     assert noise_N(recording(1e-5, STEP_N)) == pytest.approx(STEP_N / np.sqrt(12))
 

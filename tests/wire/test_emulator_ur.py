@@ -26,7 +26,6 @@ from palpd.testing.fixtures import skip_without_ur_rtde
 
 pytestmark = pytest.mark.hil
 
-DOWN_10_MM_PER_S = [0.0, 0.0, -0.01, 0.0, 0.0, 0.0]
 PRELUDE = """
 import contextlib, json, os, sys, time
 with contextlib.suppress(OSError):  # else a busy machine keeps it from its watchdog
