@@ -4,14 +4,13 @@ import { choosePlan, chosenPlan } from "./controls.js";
 import { on } from "./link.js";
 import { inButtons, say } from "./message.js";
 import { Rolling, drawMap, drawPress, onColours } from "./plot.js";
-import { kilopascals } from "./work.js";
+import { byId, kilopascals, make } from "./work.js";
 
 const OLD_MS = 280;
 const MOST_LINES = 200;
 const COMPENSATED = ["palpation", "free_motion", "stiffness"]; // the others take no tare of their own: their force is the raw one
 const MOST_PLAN_BYTES = 250000;
-const at = (id) => document.getElementById(id);
-const put = (id, text) => { const each = at(id); if (each.textContent !== text) each.textContent = text; };
+const put = (id, text) => { const each = byId(id); if (each.textContent !== text) each.textContent = text; };
 const fixed = (value, digits) => (value === null || value === undefined ? "–" : value.toFixed(digits).replace(/^-0(\.0*)?$/, "0$1").replace("-", "−"));
 const age = (ms) => fixed(ms === null ? null : Math.max(0, ms), 1); // a device's clock is known to a fraction of a millisecond
 
@@ -27,13 +26,13 @@ let newest = null;
 let health = null;
 let curve_is_new = true;
 
-const force = new Rolling(at("force-chart"), {
+const force = new Rolling(byId("force-chart"), {
   series: [["raw", 1.5, [1, 3]], ["inertial", 1.5, [7, 4]], ["force", 2.5]],
   unit: "N",
   range: (low, high) => [Math.min(-1, low * 1.1), Math.max((limits?.contact_N ?? 12) * 1.12, high * 1.08)],
   lines: () => (limits ? [{ at: limits.contact_N, name: `contact limit ${limits.contact_N} N` }, { at: limits.absolute_N, name: `absolute limit ${limits.absolute_N} N` }] : []),
 });
-const depth = new Rolling(at("depth-chart"), {
+const depth = new Rolling(byId("depth-chart"), {
   series: [["force", 2]],
   unit: "mm",
   range: (low, high) => [Math.min(-2, low * 1.05), Math.max(2, high * 1.1)],
@@ -69,7 +68,7 @@ function draw() {
   requestAnimationFrame(draw);
   force.draw();
   depth.draw();
-  if (curve_is_new) drawPress(at("press-chart"), curve, before, limits?.contact_N);
+  if (curve_is_new) drawPress(byId("press-chart"), curve, before, limits?.contact_N);
   curve_is_new = false;
   const running = status !== null && status.job !== undefined && status.tick !== undefined;
   const old = document.body.dataset.link !== "open" || document.body.dataset.service !== "open" || (running && performance.now() - ticked_ms > OLD_MS) || !running;
@@ -98,10 +97,10 @@ function draw() {
 on("status", (event) => {
   status = event;
   limits = event.limits ?? null;
-  at("steps").toggleAttribute("data-idle", event.job === undefined);
+  byId("steps").toggleAttribute("data-idle", event.job === undefined);
   const counted = (event.steps ?? 1) > 1;
-  at("progress").max = counted ? event.steps : 1;
-  at("progress").value = counted ? event.steps_done : 0;
+  byId("progress").max = counted ? event.steps : 1;
+  byId("progress").value = counted ? event.steps_done : 0;
   put("progress-text", event.job === undefined ? "no run is under way"
     : counted ? `${event.steps_done} of ${event.steps} steps, ${event.activity}${left(event.left_s)}`
     : event.activity);
@@ -123,7 +122,7 @@ function left(left_s) {
 /** Whether the probe is free, where the tip stands, and what a start would ask. */
 function showProbe({ probe, place, job }) {
   const state = { free: "free", pressed: "pressed", unknown: "not known to be free" };
-  const line = at("probe-state");
+  const line = byId("probe-state");
   line.dataset.kind = probe && probe.state !== "free" ? "bad" : "";
   put("probe-state", !probe || job !== undefined ? "" : `The probe is ${state[probe.state]}${probe.reasons.length ? `: ${probe.reasons.join("; ")}` : ""}; looked at ${probe.date.slice(11, 19)}.${probe.state === "free" ? "" : ` ${inButtons(probe.advice)}.`}`);
   const mm = (value) => fixed(value * 1e3, 1);
@@ -131,29 +130,26 @@ function showProbe({ probe, place, job }) {
 }
 
 function showLast({ latched, last, protective }) {
-  at("fault").dataset.kind = latched ? "bad" : last && last.verdict !== "done" ? "warn" : "";
+  byId("fault").dataset.kind = latched ? "bad" : last && last.verdict !== "done" ? "warn" : "";
   put("fault", latched ? `Stopped: ${latched}` : !last ? "nothing has run since the service began" : `${last.verdict}${last.reason ? `: ${inButtons(last.reason)}` : ""}`);
   const notes = [...(last?.notes ?? []).map(inButtons), ...(last?.recording ? [`recording ${last.recording.split("/").at(-1)}`] : []),
     ...(protective ?? []).map(({ date, cause, by }) => `protective stop of ${date.slice(0, 10)} at ${date.slice(11, 19)}${cause ? `: ${cause}, written by ${by}` : ", no cause written down"}`)];
-  const list = at("fault-notes");
+  const list = byId("fault-notes");
   if (list.dataset.shown === notes.join("\n")) return;
   list.dataset.shown = notes.join("\n");
-  list.replaceChildren(...notes.map((note) => Object.assign(document.createElement("li"), { textContent: note })));
+  list.replaceChildren(...notes.map((note) => make("li", { text: note })));
 }
 
 function row(site) {
   const interval = (ci, value) => (ci === null ? "–" : `${kilopascals(ci[0], value)} – ${kilopascals(ci[1], value)}`);
-  const line = document.createElement("tr");
-  const head = Object.assign(document.createElement("th"), { scope: "row", textContent: site.name });
   const star = (value) => kilopascals(value) + (value !== null && site.hertz_misfit ? " *" : "");
   const cells = [star(site.static_Pa), interval(site.static_ci95_Pa, site.static_Pa), star(site.dynamic_Pa), interval(site.dynamic_ci95_Pa, site.dynamic_Pa), site.peak_N === null ? "–" : site.peak_N.toFixed(1) + (site.cut_short ? " ✂" : "")];
-  line.append(head, ...cells.map((textContent) => Object.assign(document.createElement("td"), { textContent })));
-  return line;
+  return make("tr", {}, make("th", { scope: "row", text: site.name }), ...cells.map((text) => make("td", { text })));
 }
 
 on("sites", (event) => {
   sites = event.sites;
-  at("sites").replaceChildren(...sites.map(row));
+  byId("sites").replaceChildren(...sites.map(row));
   const notes = [sites.some((site) => site.cut_short) && "✂ a press was cut short below the contact limit",
     ...sites.filter((site) => site.hertz_misfit).map((site) => `* ${site.name}: ${site.hertz_misfit}`)].filter(Boolean);
   put("sites-note", event.error || (sites.length ? notes.join(". ") : "moduli come when a site is over"));
@@ -165,13 +161,13 @@ function showMap() {
     .map((site) => ({ ...site, E_Pa: site.static_Pa ?? site.dynamic_Pa }))
     .filter((site) => site.E_Pa !== null && site.x_m !== null)
     .map((site) => ({ name: site.name, x_mm: site.x_m * 1e3, y_mm: site.y_m * 1e3, kPa: site.E_Pa / 1e3 }));
-  drawMap(at("map"), places);
+  drawMap(byId("map"), places);
 }
 
 on("log", ({ line }) => {
-  const list = at("log");
+  const list = byId("log");
   const low = list.scrollTop + list.clientHeight >= list.scrollHeight - 4;
-  list.append(Object.assign(document.createElement("li"), { textContent: line }));
+  list.append(make("li", { text: line }));
   while (list.children.length > MOST_LINES) list.firstChild.remove();
   if (low) list.scrollTop = list.scrollHeight;
 });
@@ -182,7 +178,7 @@ function view(distant) {
   document.body.toggleAttribute("data-distance", distant);
   put("distance", distant ? "Close the distance view" : "Distance view");
 }
-at("distance").addEventListener("click", () => {
+byId("distance").addEventListener("click", () => {
   const distant = !document.body.hasAttribute("data-distance");
   history.replaceState(null, "", distant ? "/?view=distance" : "/");
   view(distant);
@@ -192,16 +188,16 @@ view(new URLSearchParams(location.search).get("view") === "distance");
 // --- the camera, where one is configured ---
 
 const CAMERA_AGAIN_MS = 5000;
-const camera = at("camera");
+const camera = byId("camera");
 camera?.addEventListener("error", () => {
-  at("camera-note").textContent = `no picture from ${new URL(camera.src).host}; trying again`;
+  byId("camera-note").textContent = `no picture from ${new URL(camera.src).host}; trying again`;
   setTimeout(() => { camera.src = camera.getAttribute("src"); }, CAMERA_AGAIN_MS);
 });
-camera?.addEventListener("load", () => { at("camera-note").textContent = ""; });
+camera?.addEventListener("load", () => { byId("camera-note").textContent = ""; });
 
 const showPlan = () => put("plan-name", chosenPlan()?.name ?? "none chosen");
 document.addEventListener("palpd-plan", showPlan);
-at("plan-file").addEventListener("change", async ({ target }) => {
+byId("plan-file").addEventListener("change", async ({ target }) => {
   const [file] = target.files;
   if (!file) return;
   if (file.size > MOST_PLAN_BYTES) say(`${file.name} has ${file.size} bytes, expected at most ${MOST_PLAN_BYTES}; is it a plan?`, "refused");
