@@ -43,7 +43,9 @@ def runs(
     until: Annotated[str, typer.Option("--until", help="list runs up to this day, with it")] = "",
     site: Annotated[str, typer.Option("--site", help="list runs that have this site")] = "",
     verdict: Annotated[str, typer.Option("--verdict", help="list runs that ended so: done, stopped, unreadable, …")] = "",
-    kind: Annotated[str, typer.Option("--kind", help="list runs of this kind: palpation, injection, free_motion, stiffness, retract")] = "",
+    kind: Annotated[
+        str, typer.Option("--kind", help="list runs of this kind: palpation, injection, free_motion, stiffness, retract, level_test")
+    ] = "",
     tagged: Annotated[list[str] | None, typer.Option("--tagged", help="list runs with this tag (several: with all of them)")] = None,
     text: Annotated[str, typer.Option("--text", help="list runs with this in name, reason, notes, tags, sites or devices")] = "",
     most: Annotated[int, typer.Option("--most", min=1, help="list this many, the newest")] = 30,

@@ -3,12 +3,14 @@
 import io
 import json
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from rich.console import Console
 from typer.testing import CliRunner, Result
 
 from palpd.cli import app
+from palpd.daemon.motion_job import STILL_KINDS, Kind
 from palpd.errors import BadInput, PalpdError, RecordingError
 from palpd.history.course import read_course
 from tests.history.conftest import runs, simulated
@@ -28,6 +30,11 @@ def refusal(*words: str | Path) -> str:
         typed(*words)
     assert "\n" not in str(refused.value)
     return str(refused.value)
+
+
+def test_the_help_of_runs_names_every_kind_that_is_recorded() -> None:
+    help_text = " ".join(typed("runs", "--help").stdout.replace("│", " ").split())
+    assert [kind for kind in get_args(Kind) if kind not in (*STILL_KINDS, "check") and kind not in help_text] == []
 
 
 def test_runs_are_listed_tagged_filtered_and_written_as_json(runs: Path, tmp_path: Path) -> None:
