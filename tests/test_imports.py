@@ -18,7 +18,6 @@ OF_BENCHMARKS = {
     "cli/test_fuzz_lines.py": {"fuzz_commands"},
     "cli/test_output_options.py": {"fuzz_commands"},
     "daemon/test_demo.py": {"law_demos"},
-    "gap/test_tolerance_boundaries.py": {"boundaries"},
     "hil/test_after_a_run.py": {"after_a_run"},
     "hil/test_arming.py": {"arming"},
     "hil/test_faults.py": {"fault_injection"},

@@ -1,9 +1,9 @@
-"""A deviation inside its tolerance is no gap; far outside it is named or reported (the whole sweep: benchmarks/tolerance_boundaries.py)."""
+"""A deviation inside its tolerance is no gap; far outside it is named or reported."""
 
 import pytest
 
-from benchmarks.boundaries import KEYS, Boundary, answer_to
 from palpd.cell.cell_file import Estimated
+from tests.gap.boundaries import KEYS, Boundary, answer_to
 
 INSIDE = [("held at 125 Hz", "servo_natural_frequency"), ("third order", "mass_kg"), ("jerk limit", "youngs_modulus")]
 OUTSIDE = [
