@@ -11,7 +11,7 @@ WIRES := --numprocesses=2 --dist=worksteal
 URGENT := $(shell nice -n -10 true 2>&1 | grep -q . || echo nice -n -10)
 unexport PYTHONDONTWRITEBYTECODE # with it every process that is started compiles numpy and scipy anew: seconds each, and tests start hundreds
 
-.PHONY: setup demo quick test test-waiting test-wires test-rest test-service test-browser test-deb coverage lint bench bench-long minutes endurance faults arming signals aborts presses laws soak slopes cold deb docs mutation audit samples clean
+.PHONY: setup demo quick test test-waiting test-wires test-rest test-service test-browser test-deb coverage lint bench bench-long minutes endurance faults arming signals aborts fuzz presses laws soak slopes cold deb docs mutation audit samples clean
 
 setup: $(READY)
 
