@@ -346,7 +346,11 @@ def test_a_run_whose_end_cannot_be_kept_is_stopped_and_not_refused_as_if_nothing
     assert bench.run.poll() is None
     EVENTS["motion process and recorder ended"](bench)
     bench.unkept = Refused("contact.json cannot be written")
-    report = supervisor.wait(bench.run)
+    assert bench.run.poll() is None
+    report = bench.run.poll()
+    assert report is not None
     assert (report.verdict, report.exit_code) == ("stopped", 3)
-    assert report.reason == "the run does not count as done: contact.json cannot be written"
+    assert report.reason == bench.run.unkept == "the run does not count as done: contact.json cannot be written"
     assert bench.run._abort_cause == report.reason
+    assert report.probe is not None, "what an older look says of the probe does not hold any more"
+    assert report.probe.state == ProbeState.UNKNOWN
