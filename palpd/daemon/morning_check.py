@@ -48,7 +48,7 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
             report = host.carry_out(kind, plan)
         except PalpdError as error:
             if not recordings and error.exit_code == 2:  # nothing was moved
-                _put_back(state, before)
+                state.put_back("check", before)
             raise
         if report.exit_code or report.recording is None:
             _keep_unfinished(state, report.reason)
@@ -151,14 +151,6 @@ def _refuse_elsewhere(state: State) -> None:
             f"nothing was moved: the run {last.run} of {last.date} was not finished, so the arm may not stand above the plate; move it "
             "there, and repeat the check with --here"
         )
-
-
-def _put_back(state: State, before: LastCheck | None) -> None:
-    """A check that was refused before its first motion changes nothing."""
-    if before is None:
-        state.forget("check")
-    else:
-        state.keep("check", before)
 
 
 def _keep_unfinished(state: State, reason: str) -> None:

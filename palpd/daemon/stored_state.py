@@ -205,6 +205,21 @@ class State:
                 f"{path} cannot be removed ({error.strerror}); run as the service's user, on a disk that can be written"
             ) from error
 
+    def put_back(self, name: str, before: Stored | None) -> None:
+        """Leave a state file as it was.
+
+        Args:
+            name: Name of the file, without `.json`.
+            before: What it held; None: there was none.
+
+        Raises:
+            Refused: The file cannot be written or removed.
+        """
+        if before is None:
+            self.forget(name)
+        else:
+            self.keep(name, before)
+
     def _kept(self, name: str, kind: type[Kept], damaged: str) -> Kept | None:
         values = self._read(name)
         if name not in _ADAPTERS:

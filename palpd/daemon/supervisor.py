@@ -511,6 +511,8 @@ class JobRun:
         marked = loop.marked if loop is not None else None
         if marked is not None and report.exit_code == 2:
             marked.undo()
+            if self.job.kind == "palpation":  # it counts as no unfinished one: nothing has moved
+                self._state.put_back("place", self.job.last)
         elif marked is not None:
             rows = self._rows(math.ceil(END_S * self.job.config.robot.rate_Hz) + 1)
             level = closing.ended is not None and closing.ended.outcome.level
