@@ -22,7 +22,7 @@ from palpd.daemon.required_check import check_plan, refuse_unchecked
 from palpd.daemon.simulated_run import run
 from palpd.daemon.stored_state import LastCheck, Latch, State, now
 from palpd.daemon.supervisor import Report
-from palpd.errors import BadInput, PalpdError, Refused, SensorError
+from palpd.errors import BadInput, ConfigError, PalpdError, Refused, SensorError
 from palpd.history.check_days import kept_checks, since_baseline
 from palpd.testing.simulated_recording import write_rows
 
@@ -127,7 +127,7 @@ def test_a_new_baseline_needs_a_check(config: Config) -> None:
     [
         (None, "no check of this cell is kept"),
         (LastCheck((NOW - timedelta(hours=25)).isoformat(), "ok", ""), "the last check is 25.0 h old, expected at most 24 h"),
-        (LastCheck((NOW + timedelta(hours=1)).isoformat(), "ok", ""), "the last check is -1.0 h old"),
+        (LastCheck((NOW + timedelta(hours=1)).isoformat(), "ok", ""), "after now: the clock was set back, so its age is not known; run palpd check"),
         (LastCheck(NOW.isoformat(), "stop", "The force comes later."), "says not to palpate. The force comes later."),
     ],
 )
@@ -144,6 +144,16 @@ def test_a_palpation_without_its_check_is_refused(config: Config, last: LastChec
 def test_a_fresh_check_that_warns_lets_a_palpation_through(config: Config) -> None:
     asks = config.model_copy(update={"check": CheckConfig(require_check_h=24.0)})
     refuse_unchecked(asks, Plan(), LastCheck((NOW - timedelta(hours=1)).isoformat(), "warn", "The puck has changed."), NOW)
+
+
+@pytest.mark.parametrize("content", ['{"a": 1}', '{"date": "yesterday", "level": "ok", "sentence": "Nothing has changed."}'])
+def test_a_kept_check_that_is_damaged_is_refused_with_a_way_out_that_leads_on(config: Config, content: str) -> None:
+    """It said to run palpd check, which reads the same file, and a date that is none was a traceback."""
+    state = State(config.paths.state)
+    state.keep("check", LastCheck(now(), "ok", "Nothing has changed."))
+    (state.folder / "check.json").write_text(content)
+    with pytest.raises(ConfigError, match=r"check\.json holds no check; delete it, and run palpd check again"):
+        program.morning_check(SimulatedHost(config), None)
 
 
 def test_a_check_clears_no_latch(config: Config) -> None:

@@ -16,17 +16,18 @@ import pytest
 
 from hw.emulators.process import Emulated, started
 from palpd.cli.at_once import position
-from palpd.config import Config, load_config, parse_config
+from palpd.config import Config, Plan, load_config, parse_config
 from palpd.control.probe_state import ProbeAnswer, ProbeState
 from palpd.daemon.control_socket import Later
 from palpd.daemon.install import UNITS, installed, unit_python
 from palpd.daemon.motion_job import Job
 from palpd.daemon.robot_stops import ProtectiveStops
 from palpd.daemon.service import Service
+from palpd.daemon.session import job as session_job
 from palpd.daemon.socket_client import ask
 from palpd.daemon.stored_state import Calibration, Latch, State
 from palpd.daemon.supervisor import Report
-from palpd.errors import Refused
+from palpd.errors import ConfigError, Refused
 from palpd.recording.reader import Recording
 from palpd.recording.recovery import recover
 from palpd.testing.fixtures import skip_without_ur_rtde
@@ -272,6 +273,8 @@ def test_a_damaged_reference_tare_is_refused(service: Service, wrench: Any) -> N
     path = service._state.folder / "calibration.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "wrench": wrench}))
     assert "palpd calibrate" in refusal(service, do="arm")
+    with pytest.raises(ConfigError, match="delete it, and run palpd calibrate again"):  # a calibration reads the same file
+        session_job("calibrate", service._config, Plan())
 
 
 def test_a_retract_needs_neither_arming_nor_a_cleared_latch_and_leaves_the_latch(service: Service) -> None:
