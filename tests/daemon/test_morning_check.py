@@ -103,6 +103,27 @@ def test_a_check_measures_what_the_cell_has_and_a_second_one_finds_the_change(co
         program.renewed_baseline(config, "new mount")
 
 
+def test_checks_are_in_the_order_of_their_making_where_the_clock_was_set_back(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The newest check was judged and shown as the oldest, and a new baseline of it was refused with "repeat palpd check first"."""
+    monkeypatch.setattr(program, "compared", lambda healthy, today: {})
+    for date in ("2026-12-24T08:00:00+01:00", "2026-11-24T08:00:00+01:00"):
+        monkeypatch.setattr(program, "now", lambda date=date: date)
+        program.morning_check(SimulatedHost(config), None)
+    assert [check.day.date[:7] for _, check in kept_checks(config.paths.runs)] == ["2026-12", "2026-11"]
+    renewed = program.renewed_baseline(config, "new mount")
+    assert renewed["date"].startswith("2026-11")
+    assert len(since_baseline(kept_checks(config.paths.runs))) == 1
+
+
+def test_a_kept_check_that_cannot_be_read_is_said_before_the_arm_moves(config: Config) -> None:
+    config.paths.runs.mkdir()
+    (config.paths.runs / "odd.check.json").write_text("{}")
+    host = SimulatedHost(config)
+    with pytest.raises(BadInput, match=r"odd\.check\.json holds no check"):
+        program.morning_check(host, None)
+    assert (host.runs, State(config.paths.state).last_check()) == (0, None)
+
+
 def test_another_number_of_the_configuration_is_said_and_is_no_change_of_the_puck(config: Config) -> None:
     bare = config.model_copy(update={"check": CheckConfig()})
     program.morning_check(SimulatedHost(bare), None)
@@ -127,7 +148,7 @@ def test_a_new_baseline_needs_a_check(config: Config) -> None:
     [
         (None, "no check of this cell is kept"),
         (LastCheck((NOW - timedelta(hours=25)).isoformat(), "ok", ""), "the last check is 25.0 h old, expected at most 24 h"),
-        (LastCheck((NOW + timedelta(hours=1)).isoformat(), "ok", ""), "after now: the clock was set back, so its age is not known; run palpd check"),
+        (LastCheck((NOW + timedelta(hours=1)).isoformat(), "ok", ""), "after now: the clock was set back, so its age is not known"),
         (LastCheck(NOW.isoformat(), "stop", "The force comes later."), "says not to palpate. The force comes later."),
     ],
 )
