@@ -42,7 +42,7 @@ def examine_stored(config: Config) -> list[Finding]:
 
 
 def examine_machine_stiffness(config: Config) -> list[Finding]:
-    """The stiffness of the machine that a run would count with, against the sensor of the reference tare; nothing where none is kept."""
+    """The stiffness of the machine that a run would count with, against the sensor of the reference tare; nothing where it is stated."""
     state, name = State(config.paths.state), "machine stiffness"
     if config.machine.stiffness_N_per_m is not None:
         return []
@@ -51,7 +51,7 @@ def examine_machine_stiffness(config: Config) -> list[Finding]:
     except PalpdError as error:
         return [Finding(name, "fail", str(error))]
     if machine is None:
-        return []
+        return [Finding(name, "warn", "none: arm, mount and sensor count as rigid", "put a rigid plate under the probe; palpd stiffness")]
     try:
         calibration = state.calibration()
     except PalpdError:  # the finding on the reference tare says it
