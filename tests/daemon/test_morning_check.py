@@ -243,5 +243,11 @@ def test_no_plate_is_pressed_where_the_last_palpation_did_not_return_before_the_
     with pytest.raises(Refused, match=r"the run a-run of 2026-11-22 was not finished.*with --here"):
         program.morning_check(host, None)
     assert host.runs == 0
+    last = State(config.paths.state).place()
+    (config.paths.state / "check.json").write_text("{}")
+    with pytest.raises(ConfigError, match="holds no check"):
+        PROGRAMS["check"].carry_out(host, CheckArguments(here=True), Path())
+    assert (host.runs, State(config.paths.state).place()) == (0, last), "the word counted for a check that was refused"
+    (config.paths.state / "check.json").unlink()
     end = PROGRAMS["check"].carry_out(host, CheckArguments(here=True), Path())
     assert (end.verdict, end.figures["level"]) == ("done", "ok")
