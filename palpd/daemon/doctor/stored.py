@@ -13,7 +13,7 @@ OLD_DAYS = 365.0
 
 
 def examine_stored(config: Config) -> list[Finding]:
-    """Reference tare, stiffness of the machine, latch and inertial model."""
+    """Reference tare, stiffness of the machine, latch and inertial model; of what else is kept only what cannot be read."""
     state = State(config.paths.state)
     findings = []
     try:
@@ -27,6 +27,16 @@ def examine_stored(config: Config) -> list[Finding]:
             else Finding("reference tare", "warn", "none", "run palpd calibrate with the probe free and still")
         )
     findings += examine_machine_stiffness(config)
+    for name, read in (
+        ("contact", state.marker),
+        ("level test", state.level),
+        ("last place", state.place),
+        ("last check", state.last_check),
+    ):
+        try:
+            read()
+        except PalpdError as error:
+            findings.append(Finding(name, "fail", str(error)))
     latch = state.latch()
     if latch is not None:
         findings.append(Finding("latch", "warn", f"{latch.reason} ({latch.date})", "inspect the cell, then palpd clear"))
