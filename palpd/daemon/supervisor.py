@@ -31,7 +31,7 @@ from palpd.daemon.socket_client import LastRun, LastTick
 from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.tick_watch import TickWatch
 from palpd.daemon.witness import Witness
-from palpd.errors import PalpdError, RecordingError
+from palpd.errors import PalpdError, RecordingError, Refused
 from palpd.recording.header import RecordedStall, RecordedTrip, RunAbout
 from palpd.recording.mcap_file import part_of
 from palpd.recording.recorder import Recorder
@@ -238,10 +238,14 @@ class JobRun:
         self._first_tick, self._watch = ring.published, TickWatch(ring.published, began_s)
         ring.state = LoopState.STARTING
         ring.forget_requests()  # requests for an earlier run are void; from here on every abort counts
-        with shielded():
-            self._witness = Witness(DEVICE_PRIORITY)
-            self._motion = MotionProcess(build, ring)
-        self._motion.pipe.send(replace(job, planted=None))  # what is planted is for the recorder alone
+        try:
+            with shielded():
+                self._witness = Witness(DEVICE_PRIORITY)
+                self._motion = MotionProcess(build, ring)
+            self._motion.pipe.send(replace(job, planted=None))  # what is planted is for the recorder alone
+        except OSError as error:
+            moved = "; nothing was moved" * job.moves
+            raise Refused(f"this computer starts no process ({error.strerror}){moved}; end other programs, and try again") from error
 
     def ask(self, request: Request, cause: str = ASKED) -> None:
         """Pass a request to the loop. An abort before the loop was started calls the job off; a `cause` that is no operator is recorded."""

@@ -359,6 +359,18 @@ def test_a_run_whose_end_cannot_be_kept_is_stopped_and_not_refused_as_if_nothing
     assert report.probe.state == ProbeState.UNKNOWN
 
 
+def test_a_computer_that_starts_no_process_refuses_the_run(fresh: Fresh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The service ended with a traceback, since it answers refusals only."""
+    bench = fresh("Opening")
+
+    def full(*_: object) -> None:
+        raise OSError(24, "Too many open files")
+
+    monkeypatch.setattr(supervisor, "MotionProcess", full)
+    with pytest.raises(Refused, match=r"starts no process \(Too many open files\); nothing was moved"):
+        bench.begin(tmp_path)
+
+
 def test_a_run_whose_start_was_refused_at_its_tare_is_not_unfinished(fresh: Fresh) -> None:
     """The next start elsewhere was asked for --return or --here, and a check was refused, because of a run that had moved nothing."""
     bench = fresh("Running")
